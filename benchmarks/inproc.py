@@ -27,7 +27,7 @@ from pathlib import Path
 
 from mast_zenoh import scenario
 from mast_zenoh.runtime.inproc import InProcess, find_result
-from mast_zenoh.study import definition, execution, plan
+from mast_zenoh.study import definition, execution
 from mast_zenoh.study.trial import Trial
 
 DATA = Path(os.environ.get("MAST_DATA") or Path(__file__).parents[2] / "shared" / "data")
@@ -60,7 +60,7 @@ def one_and_two_jobs(scene: str, trials: int, rounds: int) -> None:
     """Time the same trials with one job and with two."""
     study = definition.load("monte_carlo", [f"scenes={scene}"])
     seeds = -(-trials // len(study.configurations))
-    todo = plan.trials(study, count=seeds, seed=0, frames=None, runtime="inproc")[:trials]
+    todo = trials.plan(study, count=seeds, seed=0, frames=None, runtime="inproc")[:trials]
     for seed in {trial.seed: trial for trial in todo}.values():
         execution.one.prepare(seed)  # scenes are prepared before timing starts, for one and two jobs
     rates: dict[int, list[tuple[float, float, float]]] = {1: [], 2: []}

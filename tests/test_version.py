@@ -10,7 +10,7 @@ import pytest
 import mast_zenoh
 from mast_zenoh import version
 from mast_zenoh.layers import LAYERS, run_by_nodes
-from mast_zenoh.study import identity
+from mast_zenoh.study import trial
 
 PACKAGE = Path(mast_zenoh.__file__).parent
 
@@ -43,4 +43,4 @@ def test_nodes_run_every_layer_below_the_checks() -> None:
 
 
 def test_a_trial_is_run_again_when_the_fingerprint_changes() -> None:
-    assert identity.environment()["code"] == version.fingerprint()
+    assert trial.environment()["code"] == version.fingerprint()

@@ -21,7 +21,7 @@ from chromium import Unavailable
 import mast_zenoh as mast
 from mast_zenoh.errors import nearest
 from mast_zenoh.report import html
-from mast_zenoh.study import comparison, definition
+from mast_zenoh.study import definition, interface
 from mast_zenoh.viewer.page.page import ViewerServer, viewer_page
 
 FOLDER = Path(__file__).parents[1] / "docs" / "images"
@@ -49,7 +49,7 @@ class Workshop:
 def case_study(out: Path, workshop: Workshop) -> None:
     """The figure of `mast study case_study` in which three runs are side by side."""
     study = workshop.folder / "case_study"
-    finished = comparison.run(definition.load("case_study", ()), study, runtime="inproc")
+    finished = interface.run_once(definition.load("case_study", ()), study, runtime="inproc")
     html.write_study_report(study, finished.folders)
     out.write_bytes((study / "figures" / "side_by_side.png").read_bytes())
 

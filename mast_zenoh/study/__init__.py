@@ -2,15 +2,17 @@
 
 The package can be called: `mast_zenoh.study("case_study")` carries out a study.
 
-    interface   what calling the package does, and the object that it returns
+    interface   what calling the package does, and the object that it returns; runs every configuration once
     definition  study files: validation, and expansion of grids into configurations
-    comparison  every configuration once, with a run folder and a report each
-    trials      many seeds, one result file per trial, resumable:
-                plan (list of trials), identity (digest of a trial's inputs), trial (what a trial and its outcome are),
-                trial_run (runs one), execution (in this process or on a Dask cluster), store (the study folder)
-    tables      outputs of many trials: numbers (of one run), results (with increments), parameters (grid columns),
-                table_file (Parquet), statistics (intervals), summary (one estimate per configuration and series)
-    defences    studies of defences against adversaries
+    trials      many seeds: plans, runs and resumes trials
+    trial       what a trial and its outcome are, and the digest of its inputs
+    execution   runs trials, in this process or on a Dask cluster
+    store       the study folder: a file for each trial, tables written in pieces
+    numbers     the numbers of a trial, with increments over the baseline
+    statistics  intervals, and one estimate per configuration and series
+    tables      all files of a finished study
+    defences/   studies of defences against adversaries
+    outsider/   what an attacker without a role achieves at each security level
 
 See docs/studies.md.
 """

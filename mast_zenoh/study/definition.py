@@ -11,9 +11,9 @@ from typing import Any
 from mast_zenoh.config import loading
 from mast_zenoh.config.settings import from_values, split
 from mast_zenoh.errors import ConfigurationError, nearest
-from mast_zenoh.scenario.names import checked_name, name_of_file
+from mast_zenoh.scenario.reading import checked_name, name_of_file
 from mast_zenoh.security.levels import LEVELS
-from mast_zenoh.study.defences.kinds import KINDS, kind_of
+from mast_zenoh.study.defences.kinds import DefenceCell
 
 #: The keys of a study, and of one of its `runs`.
 KEYS = {
@@ -88,14 +88,13 @@ class Study:
     frames: int | None
     runtime: str | None
     security: tuple[str, ...] = ()
-    cells: Mapping[str, Any] = field(default_factory=dict)
+    cells: Mapping[str, DefenceCell] = field(default_factory=dict)
     per_trial: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def evaluation(self) -> str:
-        """The kind of study of defences for which each trial is evaluated (`defences.kinds`); "": another study."""
-        kind = kind_of(next(iter(self.cells.values()), None))
-        return "" if kind is None else kind.name
+        """The module of `study.defences` by which each trial is evaluated; "": another study."""
+        return next((cell.kind for cell in self.cells.values()), "")
 
     def trial_settings(self, seed: int, frames: int | None) -> tuple[str, ...]:
         """The settings of a trial that depend on its seed and its frames."""
@@ -176,11 +175,10 @@ def _levels(path: Path, content: Any) -> tuple[str, ...]:
     return tuple(dict.fromkeys(content))
 
 
-def _cells(path: Path, content: Any, labels: Sequence[str]) -> dict[str, Any]:
+def _cells(path: Path, content: Any, labels: Sequence[str]) -> dict[str, DefenceCell]:
     """The cells of all configurations, or of none."""
-    if not isinstance(content, Mapping) or not all(kind_of(cell) for cell in content.values()):
-        known = ", ".join(kind.cell.__name__ for kind in KINDS)
-        raise ConfigurationError(f"{path}: cells: found {content!r:.120}, expected label to one of {known}")
+    if not isinstance(content, Mapping) or not all(isinstance(cell, DefenceCell) for cell in content.values()):
+        raise ConfigurationError(f"{path}: cells: found {content!r:.120}, expected label to {DefenceCell.__name__}")
     if len({type(cell) for cell in content.values()}) > 1:
         raise ConfigurationError(f"{path}: cells: expected cells of one class, found several")
     if content and set(content) != set(labels):

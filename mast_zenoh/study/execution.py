@@ -1,23 +1,141 @@
-"""Runs trials, sequentially in this process or in parallel with dask.distributed."""
+"""Runs trials: one, or many, sequentially in this process or in parallel with dask.distributed."""
 
 from __future__ import annotations
 
 import importlib.util
 import logging
 import os
-from collections.abc import Generator, Iterator, Sequence
+import shlex
+import shutil
+import tempfile
+import time
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from mast_zenoh.errors import ConfigurationError, StartError
-from mast_zenoh.study import trial_run
-from mast_zenoh.study.trial import Outcome, Trial
+from mast_zenoh import scenario
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.control import failures, results
+from mast_zenoh.control.results import EVALUATOR
+from mast_zenoh.errors import ConfigurationError, HandlerFailed, RunError, StartError
+from mast_zenoh.metrics import Table
+from mast_zenoh.run_files import read_json
+from mast_zenoh.runtime.inproc import InProcess
+from mast_zenoh.study.trial import Outcome, Trial, environment
+
+if TYPE_CHECKING:
+    from mast_zenoh.study.defences.kinds import Collection
 
 _CONNECT_S = 20
 
 #: Environment of workers: glibc's malloc keeps freed memory for the next frame. Dask's default returns it to the
 #: system at once, and every page then has to be fetched again.
 _MALLOC_SETTINGS = {"MALLOC_TRIM_THRESHOLD_": 2**31 - 1, "MALLOC_MMAP_THRESHOLD_": 2**30, "MALLOC_TOP_PAD_": 2**26}
+#: Parts of a scenario that may hold what lies or is faulty.
+_DISTURBANCES = ("adversaries", "nodes", "links", "faults")
+
+#: metrics.json, the columns of metrics.parquet, and the failures of handlers by node.
+RunResult = tuple[Mapping[str, Any], Table, Mapping[str, Sequence[failures.Entry]]]
+
+
+def prepare(trial: Trial) -> None:
+    """Prepare the trial's scene in this machine's cache, for all trials that play it."""
+    _resolve(trial)
+
+
+def run(trial: Trial) -> Outcome:
+    """Run a trial; errors are returned in the outcome."""
+    cpu_start_s = time.process_time()
+    try:
+        versions = environment()
+        for name, version in trial.environment:
+            if versions.get(name) != version:
+                raise ConfigurationError(
+                    f"{name}: this worker has {versions.get(name)}, the study was started with {version}"
+                )
+        resolved = _resolve(trial)
+        agents = {agent for spec in resolved.nodes.values() if spec.role == "adversary" for agent in spec.agents}
+        compromised = tuple(sorted(agents))
+        kind = _kind(trial)
+        part = None if kind is None or _is_disturbed(resolved) else kind.without_lies
+        if trial.runtime == "inproc" and (kind is None or part is not None) and not trial.folder:
+            metrics, table, handler_failures = _run_in_process(resolved, trial.allow_failures)
+            metrics = metrics if part is None else {**metrics, "defence": part}
+        else:
+            metrics, table, handler_failures = _run_in_folder(resolved, trial, compromised)
+        cpu_s = round(time.process_time() - cpu_start_s, 3)
+        warning = failures.summary(handler_failures) if handler_failures else ""
+        return Outcome(trial, metrics, table, compromised, cpu_s=cpu_s, warning=warning)
+    except Exception as error:
+        return Outcome.failed(trial, f"{type(error).__name__}: {error}")
+
+
+def _resolve(trial: Trial) -> Resolved:
+    path, loaded = scenario.load(trial.scenario, trial.settings)
+    kind = _kind(trial)
+    record = bool(trial.folder)
+    if kind is not None and kind.recorded:
+        record |= kind.without_lies is None or any(loaded.get(part) for part in _DISTURBANCES)
+    return scenario.resolve(path, loaded, seed=trial.seed, frames=trial.frames, record=record)
+
+
+def _kind(trial: Trial) -> type[Collection] | None:
+    """The kind of study of defences that evaluates a trial; None: another study."""
+    if not trial.evaluation:
+        return None
+    from mast_zenoh.study.defences.kinds import collection_of  # other studies do without
+
+    return collection_of(trial.evaluation)
+
+
+def _is_disturbed(resolved: Resolved) -> bool:
+    """Whether anything in a run may lie or be faulty."""
+    return bool(resolved.timeline) or any(wire["interposers"] for wire in resolved.wiring["wires"])
+
+
+def _run_in_process(resolved: Resolved, allow_failures: bool) -> RunResult:
+    process = InProcess(resolved)
+    outcomes = process.run()
+    handler_failures = process.failures()
+    if handler_failures and not allow_failures:
+        raise HandlerFailed(failures.summary(handler_failures))
+    evaluation = outcomes.get(EVALUATOR, {})
+    if "metrics" not in evaluation:
+        raise RunError("the evaluator returned no metrics")
+    late = results.late(results.collations(outcomes, resolved.nodes))
+    return {**evaluation["metrics"], "late": late}, evaluation["tables"]["metrics"], handler_failures
+
+
+def _run_in_folder(resolved: Resolved, trial: Trial, compromised: Sequence[str]) -> RunResult:
+    """Run a trial on the mesh, or one whose run folder is evaluated or kept, in that folder or a temporary one."""
+    from mast_zenoh.launch import run as launcher
+    from mast_zenoh.launch.tables import read_table
+
+    folder = Path(tempfile.mkdtemp(prefix="mast-trial-"))
+    try:
+        kept = Path(trial.folder or folder / "run")
+        if kept.is_symlink():
+            kept.unlink()
+        elif kept.exists():
+            shutil.rmtree(kept)  # of a trial that was interrupted or failed
+        finished = launcher.run(
+            resolved,
+            kept,
+            runtime=trial.runtime,
+            allow_failures=trial.allow_failures,
+            command=shlex.split(trial.command()),
+        )
+        if isinstance(finished.error, HandlerFailed):
+            raise HandlerFailed(failures.summary(finished.failures))  # without the logs, which are not kept
+        if finished.error:
+            raise finished.error
+        metrics = read_json(finished.folder / "metrics.json")
+        if (kind := _kind(trial)) is not None:
+            metrics["defence"] = kind.evaluate(finished.folder, metrics, compromised)
+        return metrics, read_table(finished.folder / "metrics.parquet"), finished.failures
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def default_jobs() -> int:
@@ -48,7 +166,7 @@ def run_all(trials: Sequence[Trial], *, jobs: int, cluster: str | None) -> Gener
     """
     if cluster is None and jobs == 1:
         for trial in trials:
-            yield trial_run.run(trial)
+            yield run(trial)
         return
     require(jobs, cluster)
     with _client(jobs, cluster) as client:
@@ -65,7 +183,7 @@ def _run_on_cluster(client: Any, trials: Sequence[Trial]) -> Iterator[Outcome]:
         for trial in trials:
             scene = trial.scene_key, trial.seed
             if scene not in prepared:
-                prepared[scene] = client.submit(trial_run.prepare, trial, pure=False)
+                prepared[scene] = client.submit(prepare, trial, pure=False)
             pending[client.submit(_run_after, trial, prepared[scene], pure=False)] = trial
         for future in as_completed(list(pending)):
             trial = pending.pop(future)
@@ -81,7 +199,7 @@ def _run_on_cluster(client: Any, trials: Sequence[Trial]) -> Iterator[Outcome]:
 
 def _run_after(trial: Trial, prepared: None) -> Outcome:
     """Run a trial; `prepared` makes Dask prepare its scene first."""
-    return trial_run.run(trial)
+    return run(trial)
 
 
 @contextmanager

@@ -1,23 +1,33 @@
-"""`mast_zenoh.study(…)`: runs a study from Python."""
+"""Runs every configuration of a study once, or many trials of each: `mast_zenoh.study(…)`."""
 
 from __future__ import annotations
 
 import html
 import inspect
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pyarrow
 from pyarrow import csv
+from rich.console import Console
 
+from mast_zenoh import scenario
 from mast_zenoh.api.comparisons import Comparison, as_text
 from mast_zenoh.api.runs import Run
-from mast_zenoh.errors import ConfigurationError, MastError, RunFolderError
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.errors import ConfigurationError, HandlerFailed, MastError, RunFolderError
+from mast_zenoh.launch import ending
+from mast_zenoh.launch import folder as run_folder
+from mast_zenoh.launch import run as launcher
 from mast_zenoh.launch.tables import read_arrow
-from mast_zenoh.report.html import write_study_report
-from mast_zenoh.study import comparison, definition, execution
+from mast_zenoh.study import definition, execution
 from mast_zenoh.study import trials as repeated_runs
+from mast_zenoh.study.definition import Configuration, Study
+from mast_zenoh.study.store import new_folder
+from mast_zenoh.study.tables import StudyResult
+from mast_zenoh.study.trial import run_command
 
 
 class FinishedStudy:
@@ -118,16 +128,36 @@ def carry_out(
     folder = None if out is None else Path(out)
     chosen: dict[str, Any] = {"frames": frames, "seed": seed, "runtime": runtime, "allow_failures": allow_failures}
     chosen["record"] = record
-    count = trials or loaded.trials
-    if count is None and not (jobs or cluster or resume):
-        compared = comparison.run(loaded, folder, **chosen)
-        page = write_study_report(compared.out, compared.folders)
-        _raise(compared, compared.out)
-        return FinishedStudy(compared.out, page, {label: Run(path) for label, path in compared.folders.items()})
-    jobs = jobs or execution.default_jobs()
-    finished = repeated_runs.run(loaded, folder, count=count or 1, jobs=jobs, cluster=cluster, resume=resume, **chosen)
+    finished = run(loaded, folder, trials=trials, jobs=jobs, cluster=cluster, resume=resume, **chosen)
+    if isinstance(finished, StudyResult):
+        _raise(finished, finished.out)
+        return FinishedStudy(finished.out, finished.report, {}, as_text(finished.as_rich()))
+    from mast_zenoh.report.html import write_study_report  # drawing libraries are slow to load
+
+    page = write_study_report(finished.out, finished.folders)
     _raise(finished, finished.out)
-    return FinishedStudy(finished.out, finished.report, {}, as_text(finished.as_rich()))
+    return FinishedStudy(finished.out, page, {label: Run(path) for label, path in finished.folders.items()})
+
+
+def run(
+    study: Study,
+    out: Path | None,
+    *,
+    trials: int | None,
+    jobs: int | None,
+    cluster: str | None,
+    resume: bool,
+    **options: Any,
+) -> ComparisonResult | StudyResult:
+    """Run every configuration once, or trials of all if their number is given, or an option of trials.
+
+    options: of `run_once` and `trials.run`
+    """
+    count = trials or study.trials
+    if count is None and not (jobs or cluster or resume):
+        return run_once(study, out, **options)
+    jobs = jobs or execution.default_jobs()
+    return repeated_runs.run(study, out, count=count or 1, jobs=jobs, cluster=cluster, resume=resume, **options)
 
 
 def _raise(finished: Any, folder: Path) -> None:
@@ -137,3 +167,75 @@ def _raise(finished: Any, folder: Path) -> None:
     except MastError as error:
         error.add_note(f"The results of the others are in {folder}.")
         raise
+
+
+@dataclass(frozen=True)
+class ComparisonResult:
+    """A finished study: its folder, and the run of each configuration by label."""
+
+    out: Path
+    runs: dict[str, launcher.Run]
+
+    @property
+    def folders(self) -> dict[str, Path]:
+        """The run folder of each configuration."""
+        return {label: finished.folder for label, finished in self.runs.items()}
+
+    def raise_failures(self) -> None:
+        """Raises HandlerFailed if handlers failed in any run and that was not allowed."""
+        failed = [f"in run {label}, {finished.error}" for label, finished in self.runs.items() if finished.error]
+        if failed:
+            raise HandlerFailed("\n".join(failed))
+
+
+def run_once(
+    study: Study,
+    out: Path | None = None,
+    *,
+    seed: int | None = None,
+    frames: int | None = None,
+    runtime: str | None = None,
+    allow_failures: bool = False,
+    record: bool = False,
+    console: Console | None = None,
+) -> ComparisonResult:
+    """Run every configuration once, in the first scene, in its own run folder.
+
+    All configurations are resolved and validated before the first run starts. Arguments that are not None override
+    the study's own. record: write every message to messages.mcap
+    If a run fails, its error is raised after its run folder has been written. Failed handlers do not stop the other
+    runs: `ComparisonResult.raise_failures` raises their error.
+    """
+    seed = study.seed if seed is None else seed
+    frames = frames or study.frames
+    resolved = {each.label: _resolve(study, each, seed, frames, record) for each in study.configurations}
+    folder = new_folder(out, study.name)
+    runs: dict[str, launcher.Run] = {}
+    chosen_runtime = runtime or study.runtime or "mesh"
+
+    def write_status(status: str) -> None:
+        run_folder.write_json(folder / "study.json", {"name": study.name, "status": status, "runs": list(runs)})
+
+    with ending.status_written(write_status):
+        for configuration in study.configurations:
+            label = configuration.label
+            settings = (*study.scenes[0].settings, *configuration.settings)
+            command = run_command(configuration.scenario, settings, seed, frames)
+            finished = launcher.run(
+                resolved[label],
+                folder / label,
+                command=[*command, "--runtime", chosen_runtime, *([] if record else ["--no-record"])],
+                runtime=chosen_runtime,
+                allow_failures=allow_failures,
+                console=console,
+            )
+            if finished.error and not isinstance(finished.error, HandlerFailed):
+                raise finished.error
+            runs[label] = finished
+    return ComparisonResult(folder, runs)
+
+
+def _resolve(study: Study, configuration: Configuration, seed: int, frames: int | None, record: bool) -> Resolved:
+    """The fully resolved run of one configuration."""
+    file, loaded = scenario.load(configuration.scenario, (*study.scenes[0].settings, *configuration.settings))
+    return scenario.resolve(file, loaded | {"name": configuration.label}, seed=seed, frames=frames, record=record)

@@ -9,7 +9,9 @@ Values are arrays (..., scenes, seeds), one value per trial, none missing; leadi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -17,11 +19,18 @@ from numpy.typing import ArrayLike
 from scipy.special import betaincinv, stdtr, stdtrit
 
 from mast_zenoh.arrays.states import Bools, Floats
-from mast_zenoh.metrics.study_results import MIN_SEEDS, NEGLIGIBLE
+from mast_zenoh.metrics import CAUSES
+from mast_zenoh.metrics.study_results import MIN_SEEDS, NEGLIGIBLE, Estimate, Series
+from mast_zenoh.study.numbers import ACHIEVED, DEFENCE, DRIVING, NAN
 
 CONFIDENCE = 0.95
 #: Minimum number of seeds for an interval, and of scenes for an interval over other scenes.
 MIN_CLUSTERS = MIN_SEEDS
+
+#: Scores that are lengths or counts; user-defined metrics may have any range.
+_NOT_NEGATIVE = frozenset({"fn", "fp", "tp", "rmse_m", "id_switches", "ospa_m", "gospa_m"})
+_SPLITS = ("fn_split.", "fp_split.", "id_switches_split.")
+_DIFFERENCES = ("_iob", "_ioe")
 
 _UPPER = 0.5 + CONFIDENCE / 2.0
 
@@ -41,7 +50,7 @@ class Interval(NamedTuple):
     high: Floats
 
 
-def pooled(parts: Sequence[Moments]) -> tuple[float, float]:
+def pooled_moments(parts: Sequence[Moments]) -> tuple[float, float]:
     """Mean and standard deviation of the frames of all trials; NaN without any."""
     n = np.array([part.n for part in parts], np.float64)
     if n.sum() == 0.0:
@@ -160,3 +169,71 @@ def _negligible(error: Floats, mean: Floats) -> Bools:
 def _t_interval(mean: Floats, error: Floats, degrees: Floats) -> Interval:
     half = stdtrit(degrees, _UPPER) * error
     return Interval(mean - half, mean + half)
+
+
+# -- estimates ---------------------------------------------------------------------------------------------------------
+
+
+def trial_estimate(
+    values: Floats, bounds: tuple[float, float], *, rate: bool = False, paired: bool = False
+) -> Estimate:
+    """The mean over trials and its intervals, from an array (scenes, seeds), NaN where a trial has no value.
+
+    bounds: smallest and largest possible value;  rate: whether values are 0 or 1
+    paired: whether values are differences, which have a p-value, and an exact interval of the share of trials with 0.
+            If that is more than half, the mean has no interval and no p-value: the interval would be too narrow
+    """
+    known = ~np.isnan(values)
+    nonempty_scenes = known.any(axis=1)
+    complete = values[nonempty_scenes][:, known[nonempty_scenes].all(axis=0)]
+    scenes, seeds = complete.shape
+    left_out = values.shape[1] - seeds
+    if not complete.size:
+        return Estimate(left_out=left_out)
+    mean = float(complete.mean())
+    low, high = rate_interval(complete) if rate else over_seeds(complete)
+    scenes_interval = (NAN, NAN) if rate else over_scenes(complete)
+    low, high, wide_low, wide_high = np.clip([low, high, *scenes_interval], *bounds).tolist()
+    estimate = Estimate(
+        mean=mean,
+        trial_mean=mean,
+        low=low,
+        high=high,
+        scenes_low=wide_low,
+        scenes_high=wide_high,
+        scenes=scenes,
+        seeds=seeds,
+        left_out=left_out,
+        rate=rate,
+    )
+    if not paired:
+        return estimate
+    unchanged = zeros(complete)
+    zero_low, zero_high = map(float, rate_interval(unchanged))
+    estimate = replace(
+        estimate,
+        p=float(p_value_of_zero_mean(complete)),
+        zero_share=float(unchanged.mean()),
+        zero_low=zero_low,
+        zero_high=zero_high,
+    )
+    return estimate.without_interval() if estimate.mostly_zero else estimate
+
+
+def value_range(series: Series) -> tuple[float, float]:
+    """(smallest, largest) possible value of a series; infinite where unknown.
+
+    Counts, lengths and times are at least 0, shares are 0 to 1, differences can have either sign.
+    """
+    metric = series.metric
+    if metric.endswith(_DIFFERENCES):
+        return -math.inf, math.inf
+    if series.estimator == DEFENCE:
+        return 0.0, math.inf
+    if series.estimator == ACHIEVED or metric.startswith(f"{DRIVING}."):
+        share = "share" in metric or metric.endswith("_seen_by_others")
+        return 0.0, 1.0 if share else math.inf
+    if metric in ("completeness", "precision", "recall", "samota"):
+        return 0.0, 1.0
+    is_cause_count = metric.partition(" ")[2] in CAUSES
+    return (0.0 if metric in _NOT_NEGATIVE or metric.startswith(_SPLITS) or is_cause_count else -math.inf), math.inf

@@ -3,28 +3,28 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow
 
+from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import TrialsFailed
 from mast_zenoh.launch.tables import to_arrow
-from mast_zenoh.metrics.study_results import FailedTrial, IdleAttack, StudyFacts, StudyRow
+from mast_zenoh.metrics.study_results import Estimate, FailedTrial, IdleAttack, Series, StudyFacts, StudyRow
 from mast_zenoh.run_files import write_bytes
-from mast_zenoh.study import results
-from mast_zenoh.study.defences.kinds import Collection, kind_named
-from mast_zenoh.study.defences.study_files import StudyFiles
+from mast_zenoh.study import numbers, statistics
+from mast_zenoh.study.defences import kinds
 from mast_zenoh.study.definition import Study
-from mast_zenoh.study.numbers import ACHIEVED
-from mast_zenoh.study.parameters import ParameterColumns
-from mast_zenoh.study.store import Store
-from mast_zenoh.study.summary import Samples
-from mast_zenoh.study.table_file import TableFile
+from mast_zenoh.study.numbers import ACHIEVED, COMPROMISED, DEFENCE, NAN, SELECTIVE, Number, ego
+from mast_zenoh.study.store import Store, TableFile
 from mast_zenoh.study.trial import Outcome, Trial
+
+Value = int | float | str
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class StudyResult:
     facts: StudyFacts
     files: list[Path]
     report: Path
-    defences: StudyFiles | None = None
+    defences: kinds.StudyFiles | None = None
 
     def as_rich(self) -> Any:
         """The main tables for the terminal."""
@@ -71,7 +71,8 @@ def write(study: Study, store: Store, trials: Sequence[Trial], failures: Mapping
     seeds = tuple(sorted({trial.seed for trial in trials}))
     collection = None
     if study.cells:
-        collection = kind_named(study.evaluation).collect(study.cells, [scene.label for scene in study.scenes], seeds)
+        scenes = [scene.label for scene in study.scenes]
+        collection = kinds.collection_of(study.evaluation)(study.cells, scenes, seeds)
     done, rows = _write_parquet(study, store, trials, seeds, collection)
     facts = StudyFacts(
         name=study.name,
@@ -112,14 +113,14 @@ def write(study: Study, store: Store, trials: Sequence[Trial], failures: Mapping
 
 
 def _write_parquet(
-    study: Study, store: Store, trials: Sequence[Trial], seeds: Sequence[int], collection: Collection | None
+    study: Study, store: Store, trials: Sequence[Trial], seeds: Sequence[int], collection: kinds.Collection | None
 ) -> tuple[Counter[str], list[StudyRow]]:
     """Write results.parquet and frames.parquet; add the trials to `collection`.
 
     Returns the numbers of finished trials by configuration, and the table rows.
     Only the trials of one scene and seed are in memory at a time.
     """
-    trial_schema = to_arrow(results.columns(trials[0], [])).schema
+    trial_schema = to_arrow(numbers.columns(trials[0], [])).schema
     frame_schema = pyarrow.schema([*list(trial_schema)[:3], *store.frame_schema(trials)])
     per_trial, per_frame = (ParameterColumns(study, schema.names) for schema in (trial_schema, frame_schema))
     done: Counter[str] = Counter()
@@ -132,17 +133,79 @@ def _write_parquet(
             baseline = next((each for each in group if each.trial.configuration == study.baseline), None)
             for outcome in group:
                 label = outcome.trial.configuration
-                trial_numbers = results.values(outcome, baseline)
+                trial_numbers = numbers.values(outcome, baseline)
                 attacked = outcome.trial.idle is None  # an attack that never began neither succeeded nor failed
                 samples.add(
                     outcome, trial_numbers if attacked else [n for n in trial_numbers if n.estimator != ACHIEVED]
                 )
-                trial_file.append(per_trial.add(to_arrow(results.columns(outcome.trial, trial_numbers)), label))
-                frame_file.append(per_frame.add(to_arrow(results.frames(outcome)), label))
+                trial_file.append(per_trial.add(to_arrow(numbers.columns(outcome.trial, trial_numbers)), label))
+                frame_file.append(per_frame.add(to_arrow(numbers.frames(outcome)), label))
                 done[label] += 1
                 if collection is not None:
                     collection.add(outcome)
     return done, samples.rows()
+
+
+class Samples:
+    """The reported numbers: of the ego, compromised agents, achievements and the defence."""
+
+    def __init__(self, study: Study, seeds: Sequence[int]) -> None:
+        """seeds: the planned seeds of every configuration and scene."""
+        self._study = study
+        self._scene = {scene.label: index for index, scene in enumerate(study.scenes)}
+        self._seed = {seed: index for index, seed in enumerate(seeds)}
+        self._cells: dict[str, dict[Series, Floats]] = {each.label: {} for each in study.configurations}
+        self._rates: set[Series] = set()
+        self._ego = ""
+
+    def add(self, outcome: Outcome, trial_numbers: Iterable[Number]) -> None:
+        """Add the numbers of a trial, `results.values`."""
+        self._ego = agent = self._ego or ego(outcome.metrics)
+        trial = outcome.trial
+        cell = self._scene[trial.scene], self._seed[trial.seed]
+        cells = self._cells[trial.configuration]
+        for number in trial_numbers:
+            if number.metric in SELECTIVE:
+                continue
+            if number.owner in (agent, COMPROMISED) or number.estimator in (ACHIEVED, DEFENCE):
+                series = Series(*number[:3])
+                if series not in cells:
+                    cells[series] = np.full((3, len(self._scene), len(self._seed)), NAN)
+                cells[series][:, *cell] = number.value, number.std, number.frames
+                if number.binary:
+                    self._rates.add(series)
+
+    def rows(self) -> list[StudyRow]:
+        """A row per configuration."""
+        return [
+            StudyRow(
+                label=configuration.label,
+                run=configuration.run,
+                point=dict(configuration.point),
+                estimates={
+                    series: _estimate(series, *cell, rate=series in self._rates)
+                    for series, cell in self._cells[configuration.label].items()
+                },
+                ego=self._ego or "ego",
+            )
+            for configuration in self._study.configurations
+        ]
+
+
+def _estimate(series: Series, values: Floats, stds: Floats, frames: Floats, *, rate: bool) -> Estimate:
+    """The estimate of a series from arrays (scenes, seeds).
+
+    NaN where a trial has no value.
+
+    Statistics over frames use all trials. Statistics over trials use the seeds that have a value in every scene with
+    any value. Bounds are clipped to the possible range of the metric.
+    """
+    pooled = ~np.isnan(values) & ~np.isnan(stds) & (frames > 0)
+    over_frames = [statistics.Moments(*each) for each in zip(frames[pooled], values[pooled], stds[pooled], strict=True)]
+    mean, std = statistics.pooled_moments(over_frames)
+    bounds = statistics.value_range(series)
+    estimate = statistics.trial_estimate(values, bounds, rate=rate, paired=series.metric.endswith("_iob"))
+    return replace(estimate, mean=mean if over_frames else estimate.trial_mean, std=std)
 
 
 def _by_scene_and_seed(store: Store, trials: Sequence[Trial]) -> Iterator[list[Outcome]]:
@@ -178,3 +241,55 @@ def _idle_attacks(trials: Sequence[Trial]) -> tuple[IdleAttack, ...]:
 def _failed_trial(trial: Trial, error: str) -> FailedTrial:
     """A failed trial for the tables, its error on one line."""
     return FailedTrial(trial.configuration, trial.scene, trial.seed, " ".join(error.split()), trial.command())
+
+
+def parameters(study: Study) -> dict[str, dict[str, Value]]:
+    """The values of each parameter by configuration label.
+
+    A parameter whose values are not all numbers has text. Configurations of runs that do not sweep the parameter are
+    absent.
+    """
+    result: dict[str, dict[str, Any]] = {}
+    for configuration in study.configurations:
+        for name, value in configuration.point:
+            result.setdefault(name, {})[configuration.label] = value
+    return {name: values if _numeric(values) else _as_text(values) for name, values in result.items()}
+
+
+def _numeric(values: dict[str, Any]) -> bool:
+    return all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in values.values())
+
+
+def _as_text(values: dict[str, Any]) -> dict[str, Value]:
+    return {label: str(value) for label, value in values.items()}
+
+
+class ParameterColumns:
+    """Inserts a column per parameter after a table's first column.
+
+    Values are null where a parameter does not apply. A parameter with the same name as one of the table's columns
+    (user-defined metrics add columns) becomes `grid.<name>`.
+    """
+
+    def __init__(self, study: Study, reserved: Collection[str]) -> None:
+        """reserved: names of the table's own columns."""
+        self._values = {
+            f"grid.{name}" if name in reserved else name: column for name, column in parameters(study).items()
+        }
+        self._types = {name: pyarrow.array(list(column.values())).type for name, column in self._values.items()}
+
+    def schema(self, table_schema: pyarrow.Schema) -> pyarrow.Schema:
+        """`table_schema` with the parameter columns added."""
+        fields = [pyarrow.field(name, self._column(name, "", 0).type) for name in self._values]
+        return pyarrow.schema([table_schema.field(0), *fields, *list(table_schema)[1:]])
+
+    def add(self, table: pyarrow.Table, configuration: str) -> pyarrow.Table:
+        """`table` with the parameter columns added; all its rows belong to one configuration."""
+        for position, name in enumerate(self._values, 1):
+            table = table.add_column(position, name, self._column(name, configuration, len(table)))
+        return table
+
+    def _column(self, name: str, configuration: str, rows: int) -> pyarrow.Array:
+        value = pyarrow.scalar(self._values[name].get(configuration), self._types[name])
+        column = pyarrow.repeat(value, rows)
+        return column.dictionary_encode() if pyarrow.types.is_string(column.type) else column

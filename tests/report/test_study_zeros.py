@@ -19,7 +19,7 @@ from mast_zenoh.report.narrative.study import compare, other_changes, result
 from mast_zenoh.report.study_page import write_page
 from mast_zenoh.report.tables import study
 from mast_zenoh.report.tables.study_rows import over_trials
-from mast_zenoh.study.summary import trial_estimate
+from mast_zenoh.study.statistics import trial_estimate
 
 UNLIMITED = (-np.inf, np.inf)
 #: Added missed objects of one scene with 20 seeds: 16 are 0.

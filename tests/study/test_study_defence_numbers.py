@@ -13,9 +13,9 @@ from mast_zenoh.metrics.study_results import StudyRow
 from mast_zenoh.report.html import write_study_report
 from mast_zenoh.report.narrative.study import compare
 from mast_zenoh.report.tables.study import sections
-from mast_zenoh.study import comparison, definition, results
-from mast_zenoh.study.numbers import numbers
-from mast_zenoh.study.summary import Samples
+from mast_zenoh.study import definition, interface
+from mast_zenoh.study.numbers import numbers, values
+from mast_zenoh.study.tables import Samples
 
 
 def integrity(delays_s: list[float | None], false_alarms: int = 0) -> dict[str, Any]:
@@ -54,7 +54,7 @@ def rows(defended: bool) -> list[StudyRow]:
             trial = outcome(label, 0, seed)
             if defended:
                 trial.metrics["integrity"] = integrity(delays_s)  # type: ignore[index]
-            samples.add(trial, results.values(trial, None))
+            samples.add(trial, values(trial, None))
     return samples.rows()
 
 
@@ -81,7 +81,7 @@ def test_the_page_of_compared_runs_says_what_the_defence_of_each_did(tmp_path: P
         "    defended = dict(scenario='defended', parameters=dict(defence='SequentialConsistency'))\n"
         "    return dict(name='defended', runs=dict(defended=defended), frames=12)\n"
     )
-    finished = comparison.run(definition.load(str(path)), tmp_path / "out", runtime="inproc")
+    finished = interface.run_once(definition.load(str(path)), tmp_path / "out", runtime="inproc")
     page = write_study_report(finished.out, finished.folders).read_text("utf-8")
     assert "Trust in the agents" in page
     assert "No honest agent was suspended" in page

@@ -10,7 +10,7 @@ import pytest
 
 from mast_zenoh.cli import app
 from mast_zenoh.errors import HandlerFailed
-from mast_zenoh.study import comparison, definition, trials
+from mast_zenoh.study import definition, interface, trials
 
 pytestmark = pytest.mark.heavy
 
@@ -69,12 +69,12 @@ def noted(ended: trials.StudyResult) -> list[dict]:
 
 
 def test_comparison_finishes_all_runs_before_raising(study, tmp_path: Path) -> None:
-    ended = comparison.run(study, tmp_path / "out", runtime="inproc")
+    ended = interface.run_once(study, tmp_path / "out", runtime="inproc")
     assert set(ended.folders) == {"first", "baseline"}
     assert all((folder / "metrics.json").is_file() for folder in ended.folders.values())
     with pytest.raises(HandlerFailed, match="in run first, handlers failed"):
         ended.raise_failures()
-    comparison.run(study, tmp_path / "allowed", runtime="inproc", allow_failures=True).raise_failures()
+    interface.run_once(study, tmp_path / "allowed", runtime="inproc", allow_failures=True).raise_failures()
 
 
 @pytest.mark.parametrize("words", [(), ("--trials", "1", "--jobs", "1")], ids=["single runs", "trials"])

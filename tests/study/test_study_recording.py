@@ -11,7 +11,7 @@ from small_study import tables, write_small
 
 from mast_zenoh.errors import ConfigurationError, RunFolderError
 from mast_zenoh.messagelog.reader import file_of
-from mast_zenoh.study import comparison, definition, trials
+from mast_zenoh.study import definition, interface, trials
 from mast_zenoh.study.store import Store
 
 pytestmark = pytest.mark.heavy
@@ -60,9 +60,9 @@ def test_recorded_trials_are_refused_on_a_cluster(small: definition.Study, tmp_p
 
 
 def test_runs_of_single_configurations_are_recorded_or_say_how_to(small: definition.Study, tmp_path: Path) -> None:
-    kept = comparison.run(small, tmp_path / "kept", runtime="inproc", record=True)
+    kept = interface.run_once(small, tmp_path / "kept", runtime="inproc", record=True)
     assert all(file_of(folder) for folder in kept.folders.values())
-    plain = comparison.run(small, tmp_path / "plain", runtime="inproc")
+    plain = interface.run_once(small, tmp_path / "plain", runtime="inproc")
     with pytest.raises(RunFolderError) as caught:
         file_of(plain.folders["attacked-1-5.0"])
     command = str(caught.value).rpartition("with a recording: ")[2]

@@ -9,11 +9,9 @@ from pyarrow import parquet
 from synthetic_outcomes import FRAMES, outcome, study
 
 from mast_zenoh.launch.tables import to_arrow
-from mast_zenoh.study import results
-from mast_zenoh.study.numbers import Number, numbers
-from mast_zenoh.study.parameters import ParameterColumns
-from mast_zenoh.study.summary import Samples
-from mast_zenoh.study.table_file import TableFile
+from mast_zenoh.study.numbers import Number, numbers, values
+from mast_zenoh.study.store import TableFile
+from mast_zenoh.study.tables import ParameterColumns, Samples
 
 NAN = float("nan")
 
@@ -56,7 +54,7 @@ def test_every_number_of_the_ego_has_an_increment_over_the_baseline_of_its_trial
     attacked = {"my_metric": 5.0, "seen": True}
     before = outcome("baseline", 0, 0, fp=1.0, agents={"mission": {"my_metric": 2.0, "seen": False}})
     after = outcome("attacked", 0, 0, fp=4.0, agents={"mission": attacked, "picture": {"only_here": 1.0}})
-    by_series = {(v.estimator, v.metric): v for v in results.values(after, before) if v.owner == "ego"}
+    by_series = {(v.estimator, v.metric): v for v in values(after, before) if v.owner == "ego"}
     assert by_series["picture", "fp_iob"][3:6] == (3.0, 0.0, FRAMES), "frame by frame, in the scored frames"
     assert by_series["mission", "fp_iob"].value == 3.0
     assert by_series["local", "fp_iob"].value == 0.0
@@ -65,8 +63,8 @@ def test_every_number_of_the_ego_has_an_increment_over_the_baseline_of_its_trial
     assert by_series["mission", "seen_iob"].value == 1.0
     assert by_series["picture", "fp_ioe"].value == 4.0
     assert ("picture", "only_here_iob") not in by_series, "the baseline has no such number"
-    assert not any(v.metric.endswith("_iob") for v in results.values(before, before)), "the baseline itself"
-    assert not any(v.metric.endswith("_iob") for v in results.values(after, None)), "its baseline failed"
+    assert not any(v.metric.endswith("_iob") for v in values(before, before)), "the baseline itself"
+    assert not any(v.metric.endswith("_iob") for v in values(after, None)), "its baseline failed"
 
 
 def test_each_parameter_of_the_grid_is_a_column_of_its_type() -> None:
@@ -124,7 +122,7 @@ def summary(outcomes, seeds: int, scenes: int = 2):
     samples = Samples(study({"attacked": {}}, scenes), range(seeds))
     of = {(each.trial.configuration, each.trial.scene, each.trial.seed): each for each in outcomes}
     for (_, scene, seed), each in of.items():
-        samples.add(each, results.values(each, of.get(("baseline", scene, seed))))
+        samples.add(each, values(each, of.get(("baseline", scene, seed))))
     return {row.label: row for row in samples.rows()}
 
 

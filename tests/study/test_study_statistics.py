@@ -12,7 +12,7 @@ from mast_zenoh.study.statistics import (
     over_scenes,
     over_seeds,
     p_value_of_zero_mean,
-    pooled,
+    pooled_moments,
     rate_interval,
 )
 
@@ -25,9 +25,9 @@ def test_pooled_moments_of_trials_equal_the_moments_of_all_frames() -> None:
     rng = np.random.default_rng(0)
     trials = [rng.normal(k, 1.0 + k, 5 + 3 * k) for k in range(4)]
     everything = np.concatenate(trials)
-    result = pooled([Moments(len(t), float(t.mean()), float(t.std())) for t in trials])
+    result = pooled_moments([Moments(len(t), float(t.mean()), float(t.std())) for t in trials])
     assert result == pytest.approx((everything.mean(), everything.std()))
-    assert np.isnan(pooled([])).all()
+    assert np.isnan(pooled_moments([])).all()
 
 
 def test_interval_over_seeds_is_students_t_over_the_averages_of_the_seeds() -> None:

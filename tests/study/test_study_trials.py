@@ -18,7 +18,7 @@ from small_study import TABLES, tables, write_small
 from mast_zenoh.cli import app
 from mast_zenoh.errors import ConfigurationError, Interrupted, RunFolderError, TrialsFailed
 from mast_zenoh.metrics.record import ESTIMATORS, LOCAL, PICTURE, RECEIVED
-from mast_zenoh.study import definition, identity, trial_run, trials
+from mast_zenoh.study import definition, execution, trial, trials
 from mast_zenoh.study.trial import Outcome, Trial
 
 pytestmark = pytest.mark.heavy
@@ -46,19 +46,19 @@ def whole(small: definition.Study, tmp_path_factory: pytest.TempPathFactory) -> 
 def trials_run(monkeypatch: pytest.MonkeyPatch) -> list[Trial]:
     """The trials that are run, and not reused, from here on."""
     executed: list[Trial] = []
-    run = trial_run.run
+    run = execution.run
 
     def record(each: Trial) -> Outcome:
         executed.append(each)
         return run(each)
 
-    monkeypatch.setattr(trial_run, "run", record)
+    monkeypatch.setattr(execution, "run", record)
     return executed
 
 
 def interrupt(monkeypatch: pytest.MonkeyPatch, after: int) -> None:
     """Simulate Ctrl-C in the trial that follows `after` completed ones."""
-    run, done = trial_run.run, []
+    run, done = execution.run, []
 
     def interrupted(each: Trial) -> Outcome:
         if len(done) == after:
@@ -66,7 +66,7 @@ def interrupt(monkeypatch: pytest.MonkeyPatch, after: int) -> None:
         done.append(each)
         return run(each)
 
-    monkeypatch.setattr(trial_run, "run", interrupted)
+    monkeypatch.setattr(execution, "run", interrupted)
 
 
 def test_an_attack_that_would_begin_after_the_last_frame_is_reported_and_has_no_success_rate(tmp_path: Path) -> None:
@@ -160,7 +160,7 @@ def test_a_trial_with_a_broken_file_is_run_again(small, whole, tmp_path: Path, t
 
 
 def test_failed_trial_is_reported_with_its_command_and_others_are_kept(small, monkeypatch, tmp_path: Path) -> None:
-    run = trial_run.run
+    run = execution.run
 
     def failing(each: Trial) -> Outcome:
         if each.configuration == "attacked-1-5.0" and each.seed == 1:
@@ -168,7 +168,7 @@ def test_failed_trial_is_reported_with_its_command_and_others_are_kept(small, mo
         return run(each)
 
     with monkeypatch.context() as patch:
-        patch.setattr(trial_run, "run", failing)
+        patch.setattr(execution, "run", failing)
         outcome = trials.run(small, tmp_path / "out", count=2)
     with pytest.raises(TrialsFailed, match="failed trials: 1;") as caught:
         outcome.raise_failures()
@@ -201,8 +201,8 @@ def test_the_command_of_a_trial_reproduces_its_numbers(small, whole, tmp_path: P
 
 
 def test_worker_with_different_code_or_versions_runs_no_trial(small) -> None:
-    planned = trials.plan.trials(small, count=1, seed=0, frames=8, runtime="inproc")
-    outcome = trial_run.run(replace(planned[0], environment=(("numpy", "0.1"),)))
+    planned = trials.plan(small, count=1, seed=0, frames=8, runtime="inproc")
+    outcome = execution.run(replace(planned[0], environment=(("numpy", "0.1"),)))
     assert "numpy: this worker has" in outcome.error
     assert "the study was started with 0.1" in outcome.error
 
@@ -225,7 +225,7 @@ def test_an_ineffective_attack_has_zero_increments_in_every_frame(small, tmp_pat
 def test_digest_covers_configuration_seed_frames_and_user_files(small, tmp_path: Path) -> None:
     def digests(study: definition.Study, **more) -> set[str]:
         options = dict(count=2, seed=0, frames=8, runtime="inproc") | more
-        return {each.digest for each in trials.plan.trials(study, **options)}
+        return {each.digest for each in trials.plan(study, **options)}
 
     first = digests(small)
     assert len(first) == 6
@@ -239,7 +239,7 @@ def test_digest_covers_configuration_seed_frames_and_user_files(small, tmp_path:
     variants = []
     for comment in ("one", "two"):
         (tmp_path / "own.py").write_text(f"# {comment}\n{OWN}")
-        identity.files_key.cache_clear()
+        trial.files_key.cache_clear()
         variants.append(digests(definition.load(str(tmp_path / "mine.py"))))
     assert not variants[0] & variants[1]
 
@@ -291,7 +291,7 @@ def test_the_command_line_prints_the_tables_and_names_the_files(small, tmp_path:
 
 
 def test_study_with_failed_trials_has_its_own_exit_code(small, tmp_path: Path, capsys, monkeypatch) -> None:
-    monkeypatch.setattr(trial_run, "_run_in_process", lambda *_: 1 / 0)
+    monkeypatch.setattr(execution, "_run_in_process", lambda *_: 1 / 0)
     monkeypatch.setattr(
         sys, "argv", ["mast", "study", str(small.path), "--trials", "1", "--jobs", "1", "--out", str(tmp_path / "out")]
     )
@@ -305,7 +305,7 @@ def test_study_with_failed_trials_has_its_own_exit_code(small, tmp_path: Path, c
 
 def test_an_idle_worker_imports_no_plotting_table_or_mesh_library() -> None:
     code = (
-        "import sys, mast_zenoh.study.trial_run\n"
+        "import sys, mast_zenoh.study.execution\n"
         "print([n for n in ('matplotlib', 'pyarrow', 'zenoh', 'rich', 'pandas', 'scipy.stats') if n in sys.modules])"
     )
     process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=os.environ)

@@ -13,10 +13,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import stats
 
 from mast_zenoh.arrays.states import Floats, Ints
-from mast_zenoh.metrics.study_results import BINOMIAL, BOOTSTRAP, MIN_SEEDS, NAN, POISSON, Measured
+from mast_zenoh.metrics.study_results import BINOMIAL, BOOTSTRAP, MIN_SEEDS, NAN, POISSON, Measured, Survival
 from mast_zenoh.study.statistics import CONFIDENCE, clopper_pearson
 
 #: Minimum number of trials for a bootstrap.
@@ -90,6 +89,8 @@ def pooled(statistic: Callable[[Ints], float], trials: int, limits: tuple[float,
 
 def rate(events: int, hours: float, trials: int) -> Measured:
     """Events per hour; NaN without hours."""
+    from scipy import stats  # slow to load
+
     if not hours > 0.0:
         return Measured()
     low = stats.chi2.ppf(_TAILS[0], 2 * events) / 2.0 if events else 0.0
@@ -128,6 +129,8 @@ def bootstrap(statistic: Callable[[Ints], Floats], count: int) -> tuple[float, f
     """
     if count < MIN_TRIALS:
         return NAN, NAN
+    from scipy import stats  # slow to load
+
     with np.errstate(invalid="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", stats.DegenerateDataWarning)  # of SciPy's interval, if a value is infinite
         drawn = stats.bootstrap(
@@ -160,3 +163,25 @@ def _bound_at_limit(value: float, trials: int, bounds: tuple[float, float]) -> t
 def _ratio(part: Floats, whole: Floats) -> Floats:
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(np.where(whole > 0.0, part / whole, np.nan))
+
+
+def kaplan_meier(time_s: ArrayLike, detected: ArrayLike) -> Survival:
+    """The survival curve of n times.
+
+    time_s: (n,) s until detection, or for which it was watched in vain;  detected: (n,) bool
+    A time at which one is detected and another censored counts both as watched. Raises ValueError for negative times.
+    """
+    times, events = np.asarray(time_s, np.float64).ravel(), np.asarray(detected, bool).ravel()
+    if len(times) != len(events):
+        raise ValueError(f"detected: found {len(events)}, expected {len(times)}, one for each time")
+    if not (times >= 0.0).all():
+        raise ValueError("time_s: found a negative time or NaN, expected 0 or more")
+    at = np.unique(times[events])
+    watched = (times[None, :] >= at[:, None]).sum(axis=1)
+    now = (times[events][None, :] == at[:, None]).sum(axis=1)
+    share = np.cumprod(1.0 - now / np.maximum(watched, 1))
+    curve_times, curve = np.concatenate([[0.0], at]), np.concatenate([[1.0], share])
+    last = float(times.max(initial=0.0))
+    if last > curve_times[-1]:
+        curve_times, curve = np.append(curve_times, last), np.append(curve, curve[-1])
+    return Survival(curve_times, curve, int(events.sum()), len(times))

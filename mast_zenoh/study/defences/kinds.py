@@ -1,92 +1,118 @@
-"""The kinds of studies of defences: what is evaluated in each trial, and what is collected from all of them.
+"""What all kinds of studies of defences have: cells, an evaluation of each trial, and a collection of all trials.
 
-A new kind is a folder with its cells, its evaluation and its collection, and a line in KINDS.
+A kind is a module of this package, with a subclass of DefenceCell, what differs between its configurations, and a
+subclass of `Collection` of this name. It loads SciPy's statistics, tables and drawing libraries only when they are
+needed: scenarios import its cells.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
+from itertools import product
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from mast_zenoh.study.defences.breakdown.cell import BreakdownCell
-from mast_zenoh.study.defences.drift.cell import DriftCell
-from mast_zenoh.study.defences.matrix.cells import Cell
-from mast_zenoh.study.defences.study_files import StudyFiles
-from mast_zenoh.study.trial import Outcome
+from mast_zenoh.metrics.study_results import size_of
+from mast_zenoh.run_files import write_bytes
+from mast_zenoh.study.trial import Outcome, TrialKey
+
+if TYPE_CHECKING:
+    from mast_zenoh.report.figures.drawing import RenderedFigure
+    from mast_zenoh.report.tables.text_table import ResultTables
 
 
-class Collection(Protocol):
-    """Collects the trials of a study, and writes its tables and figures."""
+class DefenceCell:
+    """One configuration of a study of defences; subclasses are frozen dataclasses.
 
-    def add(self, outcome: Outcome) -> None:
-        """Add a finished trial."""
+    kind: name of its module in this package
+    """
 
-    def write(self, folder: Path) -> StudyFiles:
-        """Write the files into the study's folder."""
+    __slots__ = ()
+    kind: ClassVar[str]
+
+    @property
+    def label(self) -> str:
+        """The label of its configuration."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True)
-class Kind:
-    """A kind of study of defences.
+class StudyFiles:
+    """What a study of defences wrote: figures for the page, names of all files, and the tables for the terminal."""
 
-    name:       of the kind, and of its folder in this package
-    cell:       class of its cells: what differs between its configurations
-    collection: class in its module `collection`, see `Collection`; made from the cells by label of configuration, and
-                the scenes and seeds planned for every cell
-    recorded:   whether its evaluation needs all messages of a run
-    undisturbed: in its module `records`, the name of the part `defence` of a trial in which nothing lies and nothing is
-                faulty, which is then neither recorded nor evaluated; "": every trial is evaluated
+    figures: Mapping[str, RenderedFigure]
+    names: Sequence[str]
+    as_rich: Callable[[], Any]
 
-    The function `evaluate` of its module `trial` evaluates a trial. These modules are loaded when they are needed:
-    SciPy's statistics and drawing libraries are slow to load.
+
+class Collection(ABC):
+    """Evaluates each trial of a study, collects all of them, and writes its tables and figures.
+
+    name: of the files
+    recorded: whether the evaluation needs all messages of a run
+    without_lies: the part `defence` of a trial in which nothing lies and nothing is faulty, which is then neither
+                  recorded nor evaluated; None: every trial is evaluated
     """
 
-    name: str
-    cell: type
-    collection: str
-    recorded: bool = False
-    undisturbed: str = ""
+    name: ClassVar[str]
+    recorded: ClassVar[bool] = False
+    without_lies: ClassVar[Mapping[str, Any] | None] = None
 
-    def evaluate(self, folder: Path, metrics: Mapping[str, Any], compromised: Sequence[str]) -> dict[str, Any]:
+    def __init__(self, cells: Mapping[str, Any], scenes: Sequence[str], seeds: Sequence[int]) -> None:
+        """cells: by label of configuration;  scenes, seeds: planned for every cell."""
+        self.size = size_of(len(seeds), len(scenes))
+        #: records of the trials that are done, by cell, in any order
+        self.records: dict[Any, dict[TrialKey, Any]] = {cell: {} for cell in cells.values()}
+        #: the trials planned for every cell, with their place in the order of the study
+        self.order = {TrialKey(scene, seed): index for index, (scene, seed) in enumerate(product(scenes, seeds))}
+        self._cells = dict(cells)
+
+    @staticmethod
+    @abstractmethod
+    def evaluate(folder: Path, metrics: Mapping[str, Any], compromised: Sequence[str]) -> dict[str, Any]:
         """The part `defence` of a trial's metrics.
 
-        folder: of the run;  compromised: names of the agents with an adversary, whether it lied or not
+        folder: of its run;  compromised: names of the agents with an adversary, whether it lied or not
         """
-        part: dict[str, Any] = self._module("trial").evaluate(folder, metrics, compromised)
-        return part
 
-    def without_lies(self) -> dict[str, Any]:
-        """The part `defence` of a trial in which nothing lies and nothing is faulty; only with `undisturbed`."""
-        part: dict[str, Any] = getattr(self._module("records"), self.undisturbed)
-        return part
+    def add(self, outcome: Outcome) -> None:
+        """Add a finished trial."""
+        cell = self._cells[outcome.trial.configuration]
+        self.records[cell][outcome.trial.key] = self.record(cell, outcome)
 
-    def collect(self, cells: Mapping[str, Any], scenes: Sequence[str], seeds: Sequence[int]) -> Collection:
-        """An empty collection; cells: by label of configuration;  scenes, seeds: planned for every cell."""
-        collection: Collection = getattr(self._module("collection"), self.collection)(cells, scenes, seeds)
-        return collection
+    @abstractmethod
+    def record(self, cell: Any, outcome: Outcome) -> Any:
+        """What the table needs of one trial."""
 
-    def _module(self, name: str) -> Any:
-        return import_module(f"{__package__}.{self.name}.{name}")
+    @abstractmethod
+    def table(self) -> Any:
+        """The table of all trials."""
+
+    @abstractmethod
+    def tables(self, table: Any) -> ResultTables:
+        """The table as text."""
+
+    def figures(self, table: Any) -> Mapping[str, RenderedFigure]:
+        """The figures of a table."""
+        return {}
+
+    def write(self, folder: Path) -> StudyFiles:
+        """Write tables and figures into the study's folder."""
+        table = self.table()
+        tables, figures = self.tables(table), self.figures(table)
+        texts = tables.texts(self.name)
+        for name, text in texts.items():
+            write_bytes(folder / name, text.encode())
+        for figure in figures.values():
+            figure.save(folder)
+        names = [*texts, *(name for figure in figures.values() for name in figure.names)]
+        return StudyFiles(figures, names, tables.as_rich)
 
 
-#: All kinds. The matrix is recorded because messages have the sizes of false objects, which decide how many agents
-#: would see them. Without a recording, every false object counts as a car (`api.observability`): under `coordinated`,
-#: this changes `outnumbered`.
-KINDS = (
-    Kind("matrix", Cell, "MatrixCollection", recorded=True, undisturbed="NO_LIES"),
-    Kind("drift", DriftCell, "DriftCollection"),
-    Kind("breakdown", BreakdownCell, "BreakdownCollection"),
-)
-
-
-def kind_of(cell: object) -> Kind | None:
-    """The kind of study that has such cells; None if there is none."""
-    return next((kind for kind in KINDS if isinstance(cell, kind.cell)), None)
-
-
-def kind_named(name: str) -> Kind:
-    """The kind of study with a name; raises KeyError for an unknown one."""
-    return {kind.name: kind for kind in KINDS}[name]
+def collection_of(kind: str) -> type[Collection]:
+    """The collection of a kind of study."""
+    collection: type[Collection] = import_module(f"{__package__}.{kind}").Collection
+    return collection

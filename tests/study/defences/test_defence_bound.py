@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from mast_zenoh.study.defences.bound import honest_majority
-from mast_zenoh.study.defences.placement import by_coverage
+from mast_zenoh.study.defences.choices import by_coverage, honest_majority
 
 #: Lidar returns of five objects at four agents.
 POINTS = np.array([[9, 9, 9, 0], [9, 0, 0, 0], [9, 9, 0, 0], [0, 0, 9, 9], [4, 0, 0, 0]])

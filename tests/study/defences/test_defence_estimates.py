@@ -10,7 +10,7 @@ from defence_outcomes import outcome
 
 from mast_zenoh.metrics.study_results import BINOMIAL, POISSON, DefenceMatrix, Measured
 from mast_zenoh.study.defences import Cell
-from mast_zenoh.study.defences.matrix.collection import MatrixCollection
+from mast_zenoh.study.defences.matrix import Collection
 
 SEEDS = range(5)
 CELLS = (
@@ -74,7 +74,7 @@ def metrics(
 
 @pytest.fixture
 def matrix() -> DefenceMatrix:
-    collection = MatrixCollection({cell.label: cell for cell in CELLS}, ["junction"], list(SEEDS))
+    collection = Collection({cell.label: cell for cell in CELLS}, ["junction"], list(SEEDS))
     for seed in SEEDS:
         noise = 0.1 * seed
         trials = {
@@ -87,7 +87,7 @@ def matrix() -> DefenceMatrix:
         }
         for cell, content in trials.items():
             collection.add(outcome(cell.label, "junction", seed, content))
-    return collection.matrix()
+    return collection.table()
 
 
 def measure(matrix: DefenceMatrix, defence: str, name: str, attack: str = "Ghost", count: int = 1) -> Measured:
@@ -135,11 +135,11 @@ def test_delays_and_characteristics_are_over_all_trials_of_a_defence(matrix: Def
 
 
 def test_a_failed_trial_is_left_out() -> None:
-    collection = MatrixCollection({cell.label: cell for cell in CELLS[:2]}, ["junction"], [0, 1])
+    collection = Collection({cell.label: cell for cell in CELLS[:2]}, ["junction"], [0, 1])
     collection.add(outcome(CELLS[0].label, "junction", 0, metrics(1.0)))
     collection.add(outcome(CELLS[1].label, "junction", 0, metrics(2.0, trusted=True)))
     collection.add(outcome(CELLS[1].label, "junction", 1, metrics(9.0, trusted=True)))
-    added = collection.matrix().rows[1].measures["fp_added"]
+    added = collection.table().rows[1].measures["fp_added"]
     assert (added.value, added.trials, added.left_out) == (1.0, 1, 1)
 
 
@@ -159,13 +159,13 @@ def played(*contents: dict[str, Any], cell: Cell = CELLS[-1]) -> DefenceMatrix:
     """A matrix of one attacked cell of `Wall`, a seed for each metrics.json, and the runs that it is compared with."""
     undefended = Cell("NoIntegrity", cell.attack, cell.n_adversaries, cell.placement, cell.budget)
     cells = {each.label: each for each in (Cell("NoIntegrity"), Cell("Wall"), undefended, cell)}
-    collection = MatrixCollection(cells, ["junction"], range(len(contents)))
+    collection = Collection(cells, ["junction"], range(len(contents)))
     for seed, content in enumerate(contents):
         for each in cells.values():
             trusted = each.defence == "Wall"
             other = metrics(3.0 if each.attack else 1.0, trusted=trusted, lied=bool(each.attack) and not cell.is_fault)
             collection.add(outcome(each.label, "junction", seed, content if each == cell else other))
-    return collection.matrix()
+    return collection.table()
 
 
 def test_an_honest_agent_is_framed_if_it_is_suspended_after_the_first_lie() -> None:
@@ -210,12 +210,12 @@ def test_the_summary_has_the_alarms_of_unattacked_runs_and_their_frames(matrix: 
 
 def test_the_runs_of_one_scene_and_seed_are_one_trial_of_a_defence() -> None:
     cells = [Cell("NoIntegrity"), *(Cell("Wall", attack, 1, "worst") for attack in ("a", "b", "c"))]
-    collection = MatrixCollection({cell.label: cell for cell in cells}, ["junction"], SEEDS)
+    collection = Collection({cell.label: cell for cell in cells}, ["junction"], SEEDS)
     for seed in SEEDS:
         for cell in cells:
             content = metrics(1.0, trusted=cell.defence == "Wall", lied=bool(cell.attack))
             collection.add(outcome(cell.label, "junction", seed, content))
-    (summary,) = collection.matrix().summaries
+    (summary,) = collection.table().summaries
     assert (summary.framed_by_minority.value, summary.framed_by_minority.trials) == (0.0, 15)
     assert summary.framed_by_minority.high == pytest.approx(1.0 - 0.025 ** (1 / 5))
 

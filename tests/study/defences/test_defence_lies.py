@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from mast_zenoh.study.defences.matrix.trial import detected_lies
+from mast_zenoh.study.defences.matrix_trial import detected_lies
 
 
 def lies(*rows: tuple[int, str, str, int, bool]) -> dict[str, Any]:

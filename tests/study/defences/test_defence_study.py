@@ -14,10 +14,9 @@ from mast_zenoh.config.registry import known_types
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.integrity import Integrity
 from mast_zenoh.integrity.calibration import refuse_calibration_data
-from mast_zenoh.study import definition, identity, plan, trial_run
-from mast_zenoh.study.defences import PLACEMENTS, place
-from mast_zenoh.study.defences.fault_presets import FAULTS
-from mast_zenoh.study.defences.matrix import records
+from mast_zenoh.study import definition, execution, trial, trials
+from mast_zenoh.study.defences import PLACEMENTS, matrix, place
+from mast_zenoh.study.defences.choices import FAULTS
 
 DEFENCE = """
 from mast_zenoh.integrity import NoIntegrity
@@ -35,9 +34,9 @@ class Polite(PassThrough):
 SMALL = ["defences=NoIntegrity,KOfN", "adversaries=coordinated", "counts=1", "n_infrastructure=2"]
 
 
-def trials(*settings: str, seed: int = 0, count: int = 1) -> list[plan.Trial]:
+def planned(*settings: str, seed: int = 0, count: int = 1) -> list[trials.Trial]:
     study = definition.load("defences", [*SMALL, *settings])
-    return plan.trials(study, count=count, seed=seed, frames=8, runtime="inproc")
+    return trials.plan(study, count=count, seed=seed, frames=8, runtime="inproc")
 
 
 def test_every_defence_meets_every_adversary_and_runs_alone() -> None:
@@ -108,22 +107,22 @@ def test_without_adversaries_or_faults_no_scene_is_recorded_for_their_placement(
 
 
 def test_an_unattacked_trial_writes_no_run_folder(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trial_run, "_run_in_folder", lambda *_: pytest.fail("recorded"))
-    (alone,) = trials("adversaries=", "defences=NoIntegrity")
-    outcome = trial_run.run(alone)
+    monkeypatch.setattr(execution, "_run_in_folder", lambda *_: pytest.fail("recorded"))
+    (alone,) = planned("adversaries=", "defences=NoIntegrity")
+    outcome = execution.run(alone)
     assert outcome.error == ""
-    assert outcome.metrics["defence"] == records.NO_LIES
+    assert outcome.metrics["defence"] == matrix.NO_LIES
     assert outcome.metrics["integrity"]["hours"] == pytest.approx(8 * 0.1 / 3600.0)
 
 
 def test_an_unattacked_trial_has_the_metrics_of_a_recorded_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    (alone,) = trials("adversaries=", "defences=NoIntegrity")
-    outcome = trial_run.run(alone)
-    monkeypatch.setattr(trial_run, "_is_disturbed", lambda _: True)
-    recorded = trial_run.run(alone)
+    (alone,) = planned("adversaries=", "defences=NoIntegrity")
+    outcome = execution.run(alone)
+    monkeypatch.setattr(execution, "_is_disturbed", lambda _: True)
+    recorded = execution.run(alone)
     same = {name: part for name, part in outcome.metrics.items() if name != "defence"}
     assert json.loads(json.dumps(same)) == {name: recorded.metrics[name] for name in same}
-    assert recorded.metrics["defence"].items() >= records.NO_LIES.items()
+    assert recorded.metrics["defence"].items() >= matrix.NO_LIES.items()
 
 
 def test_budgets_are_for_adversaries_that_have_one() -> None:
@@ -170,17 +169,17 @@ def test_a_full_preset_has_every_shipped_defence() -> None:
 
 def test_calibration_seeds_are_refused_before_anything_runs() -> None:
     with pytest.raises(ConfigurationError, match="seed 101: thresholds were calibrated on seeds 101 to 202"):
-        trials(seed=99, count=3)
-    assert trials(seed=99, count=2)
+        planned(seed=99, count=3)
+    assert planned(seed=99, count=2)
 
 
 def test_calibration_scenes_are_refused_before_anything_runs() -> None:
     with pytest.raises(ConfigurationError, match="scene intersection:3: thresholds were calibrated on the junctions"):
-        trials("scenes=intersection:4,intersection:3")
+        planned("scenes=intersection:4,intersection:3")
 
 
 def test_each_trial_has_the_placement_of_its_own_seed() -> None:
-    settings = [trial.settings for trial in trials(count=2)]
+    settings = [trial.settings for trial in planned(count=2)]
     assert {"placement_seed=0" in each for each in settings} == {True, False}
     assert all("placement_frames=8" in each for each in settings)
 
@@ -205,11 +204,11 @@ def test_a_file_joins_the_matrix(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(DEFENCE)
     (tmp_path / "polite.py").write_text(ATTACK)
     files = [f"defences={tmp_path / 'mine.py'}:Mine", f"adversaries={tmp_path / 'polite.py'}"]
-    first = {trial.configuration: trial.digest for trial in trials(*files)}
+    first = {trial.configuration: trial.digest for trial in planned(*files)}
     assert list(first) == ["NoIntegrity alone", "NoIntegrity polite 1 worst", "Mine alone", "Mine polite 1 worst"]
     (tmp_path / "mine.py").write_text(DEFENCE + "\n# changed\n")
-    identity.files_key.cache_clear()  # as in a new process
-    second = {trial.configuration: trial.digest for trial in trials(*files)}
+    trial.files_key.cache_clear()  # as in a new process
+    second = {trial.configuration: trial.digest for trial in planned(*files)}
     assert second["Mine alone"] != first["Mine alone"], "a changed file is another trial"
     assert second["NoIntegrity alone"] == first["NoIntegrity alone"]
 
@@ -217,7 +216,7 @@ def test_a_file_joins_the_matrix(tmp_path: Path) -> None:
 def test_a_file_without_a_defence_is_refused(tmp_path: Path) -> None:
     (tmp_path / "polite.py").write_text(ATTACK)
     with pytest.raises(ConfigurationError, match="defines 0 classes of type Integrity"):
-        trials(f"defences={tmp_path / 'polite.py'}")
+        planned(f"defences={tmp_path / 'polite.py'}")
 
 
 def test_a_defence_with_parameters_has_them_in_its_name() -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mast_zenoh.study.defences.survival import kaplan_meier
+from mast_zenoh.study.defences.intervals import kaplan_meier
 
 
 def test_without_censoring_it_is_the_share_left() -> None:

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 import mast_zenoh as mast
-from mast_zenoh.study.defences.matrix.traces import MAX_AGENTS, panel, suspends, trace
-from mast_zenoh.study.defences.matrix.trial import outnumbered
+from mast_zenoh.study.defences.matrix import MAX_AGENTS, panel, suspends
+from mast_zenoh.study.defences.matrix_trial import outnumbered, trace
 
 
 def kept(**changes: Any) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from mast_zenoh.report.figures.defences import figure_of_breakdown
 from mast_zenoh.report.tables.limits import breakdown_tables
 from mast_zenoh.study import definition
 from mast_zenoh.study.defences import BreakdownCell, sensors_of
-from mast_zenoh.study.defences.breakdown.collection import BreakdownCollection
+from mast_zenoh.study.defences.breakdown import Collection
 
 AGENTS = ("ego", "infra_1", "infra_2", "infra_3", "infra_4")
 
@@ -57,7 +57,7 @@ def table(*trials: tuple[int, str, dict[str, Any], tuple[int, int]]) -> Breakdow
     cells = [BreakdownCell("Lie" if liars else "", 5, liars, 0.5) for liars in sorted({each[0] for each in trials})]
     if not any(cell.liars for cell in cells):
         cells.append(BreakdownCell("Lie", 5, 4, 0.5))
-    collection = BreakdownCollection({cell.label: cell for cell in cells}, ["a"], [0])
+    collection = Collection({cell.label: cell for cell in cells}, ["a"], [0])
     for liars, scene, content, errors in trials:
         label = next(cell.label for cell in cells if cell.liars == liars)
         collection.add(outcome(label, scene, 0, content, per_frame(*errors)))

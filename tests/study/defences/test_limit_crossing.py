@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mast_zenoh.study.defences.breakdown.crossing import crossing
+from mast_zenoh.study.defences.breakdown import crossing
 
 
 def test_a_crossing_lies_between_its_neighbours() -> None:

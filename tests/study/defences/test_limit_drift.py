@@ -14,9 +14,9 @@ from mast_zenoh import scenario
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.metrics.study_results import DriftRow
 from mast_zenoh.report.tables.limits import drift_tables
-from mast_zenoh.study import definition, plan
+from mast_zenoh.study import definition, trials
 from mast_zenoh.study.defences import DriftCell
-from mast_zenoh.study.defences.drift.collection import DriftCollection
+from mast_zenoh.study.defences.drift import Collection
 
 OFFSET, DRIFT = DriftCell(0.5), DriftCell(2.0, 0.1)
 
@@ -39,9 +39,9 @@ def trial(suspended_s: float | None, viewers: int = 2, frames: int = 201) -> dic
 
 def rows(cell: DriftCell, *trials: dict[str, Any]) -> dict[str, DriftRow]:
     """The rows by number of viewers."""
-    collection = DriftCollection({cell.label: cell}, ["junction"], [0])
-    for each in trials:
-        collection.add(outcome(cell.label, "junction", 0, {"defence": each}))
+    collection = Collection({cell.label: cell}, ["junction"], range(len(trials)))
+    for seed, each in enumerate(trials):
+        collection.add(outcome(cell.label, "junction", seed, {"defence": each}))
     return {row.viewers: row for row in collection.table().rows}
 
 
@@ -87,9 +87,9 @@ def test_a_run_without_a_lie_counts_nowhere() -> None:
 
 
 def test_what_fewer_than_half_notice_is_not_reached() -> None:
-    collection = DriftCollection({OFFSET.label: OFFSET}, ["junction"], [0])
-    for suspended_s in (8.0, None, None):
-        collection.add(outcome(OFFSET.label, "junction", 0, {"defence": trial(suspended_s)}))
+    collection = Collection({OFFSET.label: OFFSET}, ["junction"], range(3))
+    for seed, suspended_s in enumerate((8.0, None, None)):
+        collection.add(outcome(OFFSET.label, "junction", seed, {"defence": trial(suspended_s)}))
     table = collection.table()
     assert math.isinf(next(row for row in table.rows if row.viewers == "2").delay_s.value)
     assert "not reached" in drift_tables(table).as_markdown()
@@ -114,7 +114,7 @@ def test_the_liar_moves_one_object_and_hears_nothing_of_its_suspension() -> None
 def test_calibration_data_are_refused(name: str) -> None:
     study = definition.load(name, ["scenes=intersection:3"])
     with pytest.raises(ConfigurationError, match="intersection:3: thresholds were calibrated"):
-        plan.trials(study, count=1, seed=0, frames=8, runtime="inproc")
+        trials.plan(study, count=1, seed=0, frames=8, runtime="inproc")
 
 
 def test_a_small_study_is_carried_out(tmp_path: Path) -> None:

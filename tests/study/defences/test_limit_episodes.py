@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mast_zenoh.study.defences.drift.episodes import Episode, ViewerRange, episodes
+from mast_zenoh.study.defences.drift import Episode, ViewerRange, episodes
 
 PERIOD_S = 0.1
 TWO, TWO_OR_MORE, ANY = ViewerRange(2, 2), ViewerRange(2, None), ViewerRange(1, None)

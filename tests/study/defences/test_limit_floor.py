@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mast_zenoh.study.defences.drift.floor import (
+from mast_zenoh.study.defences.drift import (
     EVIDENCE,
     INDEPENDENT_PER_S,
     TRACK_SD_M,

@@ -1,7 +1,8 @@
-"""The lies of one run: which could be noticed, which were detected, and what they left in the picture."""
+"""The lies of one run: which could be noticed, which were detected, what they left in the picture, and the trust."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,11 +17,17 @@ from mast_zenoh.config.resolved import RECORDING
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch.tables import from_arrow
 from mast_zenoh.metrics.boxes import Places, nearest
+from mast_zenoh.metrics.study_results import AgentTrustSeries, Spans
+from mast_zenoh.report.trust_facts import trust_in_agents
 from mast_zenoh.scenes.recording import Recording
-from mast_zenoh.study.defences.bound import honest_majority
-from mast_zenoh.study.defences.matrix.traces import trace
+from mast_zenoh.study.defences.choices import honest_majority
 from mast_zenoh.study.numbers import ego, scored_frames
+from mast_zenoh.viewer.run import RunRecord
 
+#: States that the figure shows.
+_DRAWN_STATES = ("faulty", "suspended")
+#: s, from one kept value of the log-odds to the next. Spans are exact.
+_STEP_S = 0.2
 #: m, from a false object on the wires to the one of the command centre or of the picture that stands for it.
 GATE_M = 2.0
 
@@ -41,7 +48,7 @@ def evaluate(folder: Path, metrics: Mapping[str, Any], compromised: Sequence[str
     honest_majority: share of the objects that more honest agents see than compromised ones; 1.0 without adversaries
     outnumbered: share of the observable lies, by object and frame, of which liars have more viewers than honest agents;
             None: there is no observable lie
-    trust:  see `traces.trace`
+    trust:  see `trace`
     """
     run = Run(folder)
     seen = observability(run)
@@ -135,3 +142,28 @@ def _false_objects(run: Run, lies: _Columns, metrics: Mapping[str, Any]) -> dict
 
 def _positions(columns: _Columns, rows: Bools) -> NDArray[np.float64]:
     return np.column_stack([columns[axis][rows] for axis in "xyz"]).astype(np.float64).reshape(-1, 3)
+
+
+def trace(folder: Path) -> dict[str, Any] | None:
+    """The trust in each agent of a run, as JSON values; None: nobody is judged."""
+    agents, end_s = trust_in_agents(RunRecord.load(folder), _DRAWN_STATES, "log_odds")
+    if not agents:
+        return None
+    return {"end_s": round(end_s, 6), "agents": {agent.agent: _agent_trace(agent) for agent in agents}}
+
+
+def _agent_trace(agent: AgentTrustSeries) -> dict[str, Any]:
+    period_s = float(np.diff(agent.time_s).min(initial=_STEP_S))
+    every = max(1, round(_STEP_S / period_s)) if period_s > 0.0 else 1
+    values = [None if math.isnan(value) else round(value, 2) for value in agent.value[::every].tolist()]
+    return {
+        "time_s": np.round(agent.time_s[::every], 3).tolist(),
+        "log_odds": values,
+        "states": {state: _round_spans(spans) for state, spans in agent.states.items()},
+        "lies": _round_spans(agent.lies),
+        "faults": [[kind, *span] for (kind, *times) in agent.faults for span in _round_spans([(times[0], times[1])])],
+    }
+
+
+def _round_spans(spans: Spans) -> list[list[float]]:
+    return [[round(start, 3), round(stop, 3)] for start, stop in spans]

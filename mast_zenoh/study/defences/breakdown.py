@@ -1,4 +1,4 @@
-"""Where a defence breaks, from the trials of all numbers of agents and liars."""
+"""With how many liars a defence breaks, next to the share at which honest viewers lose their majority."""
 
 from __future__ import annotations
 
@@ -6,20 +6,50 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from mast_zenoh.config.resolved import RECORDING
 from mast_zenoh.metrics import Table
-from mast_zenoh.metrics.study_results import BreakdownPoint, BreakdownRow, BreakdownTable, Measured, size_of
-from mast_zenoh.report.tables.limits import breakdown_tables
-from mast_zenoh.study.defences.breakdown.cell import BreakdownCell
-from mast_zenoh.study.defences.breakdown.crossing import crossing
+from mast_zenoh.metrics.study_results import BreakdownPoint, BreakdownRow, BreakdownTable, Measured
+from mast_zenoh.scenes.recording import Recording
+from mast_zenoh.study.defences import kinds
+from mast_zenoh.study.defences.choices import honest_majority
 from mast_zenoh.study.defences.intervals import pooled, share_of_trials
-from mast_zenoh.study.defences.study_files import StudyFiles, write_files
 from mast_zenoh.study.numbers import ego, scored_frames
 from mast_zenoh.study.trial import Outcome, TrialKey
 
-_ROUNDING_S = 1e-6
+if TYPE_CHECKING:
+    from mast_zenoh.report.figures.drawing import RenderedFigure
+    from mast_zenoh.report.tables.text_table import ResultTables
+
+#: Half of the trials, and half of the objects.
+HALF = 0.5
+_ROUNDING, _ROUNDING_S = 1e-12, 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class BreakdownCell(kinds.DefenceCell):
+    """A number of liars among a number of agents, the ego included.
+
+    attack: its short name; "" without liars;  attack_start_s: s of scene time
+    """
+
+    kind = "breakdown"
+
+    attack: str
+    agents: int
+    liars: int
+    attack_start_s: float
+
+    @property
+    def label(self) -> str:
+        """The label of its configuration."""
+        return (
+            f"{self.agents} agents {self.attack} {self.liars}" if self.liars else f"{self.agents} agents without liars"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,71 +112,75 @@ class BreakdownRecord:
         )
 
 
-class BreakdownCollection:
-    """The records of all trials by cell, scene and seed."""
+class Collection(kinds.Collection):
+    """Broken trials and breakdown points."""
 
-    def __init__(self, cells: Mapping[str, BreakdownCell], scenes: Sequence[str], seeds: Sequence[int]) -> None:
-        """cells: by label of configuration;  scenes, seeds: planned for every cell."""
-        self._cells, self._size = dict(cells), size_of(len(seeds), len(scenes))
-        self._records: dict[BreakdownCell, dict[TrialKey, BreakdownRecord]] = {cell: {} for cell in cells.values()}
+    name = "breakdown"
 
-    def add(self, outcome: Outcome) -> None:
-        """Add a finished trial."""
-        cell = self._cells[outcome.trial.configuration]
-        self._records[cell][outcome.trial.key] = BreakdownRecord.of(cell, outcome)
+    @staticmethod
+    def evaluate(folder: Path, metrics: Mapping[str, Any], compromised: Sequence[str]) -> dict[str, Any]:
+        """The part `defence` of a trial's metrics.
 
-    def write(self, folder: Path) -> StudyFiles:
-        """Write the tables and the figure into the study's folder."""
-        from mast_zenoh.report.figures.defences import figure_of_breakdown  # drawing libraries are slow to load
+        honest_majority: share of the objects that more honest agents see than compromised ones; 1.0 without adversaries
+        compromised: names of the agents with an adversary
+        frames_s: s of scene time of each frame
+        """
+        recording = Recording.load(folder / RECORDING)
+        times_s = (recording.times_ns - recording.times_ns[0]) * 1e-9
+        return {
+            "honest_majority": honest_majority(
+                recording.points, [name in compromised for name in recording.agent_names]
+            ),
+            "compromised": sorted(compromised),
+            "frames_s": np.round(times_s, 9).tolist(),
+        }
 
-        table = self.table()
-        tables = breakdown_tables(table)
+    def record(self, cell: BreakdownCell, outcome: Outcome) -> BreakdownRecord:
+        return BreakdownRecord.of(cell, outcome)
+
+    def tables(self, table: BreakdownTable) -> ResultTables:
+        from mast_zenoh.report.tables.limits import breakdown_tables
+
+        return breakdown_tables(table)
+
+    def figures(self, table: BreakdownTable) -> Mapping[str, RenderedFigure]:
+        from mast_zenoh.report.figures.defences import figure_of_breakdown
+
         figure = figure_of_breakdown(table)
-        return write_files(folder, tables.texts("breakdown"), {figure.name: figure}, tables.as_rich)
+        return {figure.name: figure}
 
     def table(self) -> BreakdownTable:
         """A row for each cell, and a breakdown point for each attack and number of agents."""
-        attacks = dict.fromkeys(cell.attack for cell in self._records if cell.attack)
         rows, points = [], {}
-        for attack in attacks:
-            for agents in dict.fromkeys(cell.agents for cell in self._records):
-                cells = [c for c in self._records if c.agents == agents and c.attack in ("", attack)]
+        for attack in dict.fromkeys(cell.attack for cell in self.records if cell.attack):
+            for agents in dict.fromkeys(cell.agents for cell in self.records):
+                cells = [c for c in self.records if c.agents == agents and c.attack in ("", attack)]
                 cells.sort(key=lambda cell: cell.liars)
-                without_liars = next((self._records[cell] for cell in cells if not cell.liars), {})
-                trials = {cell.liars: _trials(self._records[cell], without_liars) for cell in cells}
+                without_liars = next((self.records[cell] for cell in cells if not cell.liars), {})
+                trials = {
+                    cell.liars: {
+                        key: _Trial(record, record.honest_first(without_liars.get(key)))
+                        for key, record in self.records[cell].items()
+                    }
+                    for cell in cells
+                }
                 rows += [_row(attack, agents, liars, list(each.values())) for liars, each in trials.items()]
                 if any(trials.values()):
                     points[attack, agents] = _point(attack, agents, trials)
-        return BreakdownTable(rows, points, self._size)
+        return BreakdownTable(rows, points, self.size)
 
 
 @dataclass(frozen=True, slots=True)
 class _Trial:
     """A trial next to the one without liars of the same scene and seed."""
 
-    worse: bool
+    record: BreakdownRecord
     honest_first: bool
-    honest_suspended: float
-    honest_majority: float
 
     @property
     def broken(self) -> bool:
         """Whether the defence did more harm than good, or punished the wrong agent."""
-        return self.worse or self.honest_first
-
-
-def _trials(
-    records: Mapping[TrialKey, BreakdownRecord], without_liars: Mapping[TrialKey, BreakdownRecord]
-) -> dict[TrialKey, _Trial]:
-    return {
-        key: _Trial(
-            worse=each.worse,
-            honest_first=each.honest_first(without_liars.get(key)),
-            honest_suspended=each.honest_suspended,
-            honest_majority=each.honest_majority,
-        )
-        for key, each in records.items()
-    }
+        return self.record.worse or self.honest_first
 
 
 def _row(attack: str, agents: int, liars: int, trials: Sequence[_Trial]) -> BreakdownRow:
@@ -159,10 +193,10 @@ def _row(attack: str, agents: int, liars: int, trials: Sequence[_Trial]) -> Brea
         liars=liars,
         trials=len(trials),
         broken=share(each.broken for each in trials),
-        worse=share(each.worse for each in trials),
+        worse=share(each.record.worse for each in trials),
         honest_first=share(each.honest_first for each in trials),
-        honest_suspended=_mean([each.honest_suspended for each in trials]),
-        honest_majority=_mean([each.honest_majority for each in trials]),
+        honest_suspended=_mean([each.record.honest_suspended for each in trials]),
+        honest_majority=_mean([each.record.honest_majority for each in trials]),
     )
 
 
@@ -175,7 +209,7 @@ def _point(attack: str, agents: int, by_liars: Mapping[int, Mapping[TrialKey, _T
         return _crossing(shares, chosen, lambda trial: float(trial.broken))
 
     def bound(chosen: Sequence[TrialKey]) -> float:
-        return _crossing(shares, chosen, lambda trial: 1.0 - trial.honest_majority)
+        return _crossing(shares, chosen, lambda trial: 1.0 - trial.record.honest_majority)
 
     def difference(chosen: Sequence[TrialKey]) -> float:
         of_bound = bound(chosen)
@@ -211,3 +245,26 @@ def _errors(per_frame: Table, agent: str, estimator: str, frames: range) -> floa
     rows = (per_frame["agent"] == agent) & (per_frame["estimator"] == estimator)
     rows &= (per_frame["frame"] >= frames.start) & (per_frame["frame"] < frames.stop)
     return float(per_frame["fn"][rows].sum() + per_frame["fp"][rows].sum())
+
+
+def crossing(x: ArrayLike, y: ArrayLike) -> float:
+    """The smallest x at which y reaches one half, by linear interpolation; infinite if it never does.
+
+    x: (n,) ascending;  y: (n,)
+
+    A breakdown point is the smallest share that breaks a defence, so a later fall of y changes nothing. With few trials
+    a chance peak makes it smaller, which is the safe side. If y is one half or more from the first x on, that is the
+    answer. Raises ValueError for no points.
+    """
+    at, share = np.asarray(x, np.float64), np.asarray(y, np.float64)
+    if not len(at):
+        raise ValueError("x: found no points, expected one or more")
+    reached = share >= HALF - _ROUNDING
+    if not reached.any():
+        return math.inf
+    after = int(reached.argmax())
+    if after == 0:
+        return float(at[0])
+    before = after - 1
+    fraction = min(1.0, (HALF - share[before]) / (share[after] - share[before]))
+    return float(at[before] + fraction * (at[after] - at[before]))

@@ -1,0 +1,373 @@
+"""How soon a displaced object is noticed, next to the least delay that is possible.
+
+Episodes. An episode is the time for which a displaced object was in view of witnesses, honest agents that see it,
+before its liar was suspended. Its clock starts at the first frame in which enough of them see it while it is
+displaced, so that nothing was known of it before. It stops when the liar is suspended: a detection. It ends without a
+detection (censored) when the object is no longer displaced, when the number of honest viewers leaves the range, or
+with the run. Interruptions up to GAP_S do not count, as five returns come and go, and tracks outlive them. When an
+episode ends does not depend on the defence, as the attack does not hear of its suspension. So nothing is selected by
+leaving out episodes that could not last long enough.
+
+The floor is the least delay with which any detector can notice. The differences between two agents' tracks of one
+object have a standard deviation of TRACK_SD_M in each direction, and change so slowly that a second has
+INDEPENDENT_PER_S independent ones (both measured on unattacked runs). A sequential test with one false alarm per hour
+must collect the logarithm of the number of independent samples in an hour. Each sample of an offset of d metres adds
+d^2 / (2 TRACK_SD_M^2) on average. Several witnesses shorten the delay by the cube root of their number. For a drift
+this holds if the liar's own track is exact. For a constant offset it is close to the factor 2 J / (J + 1) of J
+witnesses and a liar with the same noise: for two to four witnesses, the two differ by 6 % at most.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mast_zenoh.arrays.states import Floats, Ints
+from mast_zenoh.metrics.study_results import NAN, DriftRow, DriftTable, Measured
+from mast_zenoh.study.defences import kinds
+from mast_zenoh.study.defences.intervals import kaplan_meier, pooled, share_of_trials
+from mast_zenoh.study.trial import Outcome
+
+if TYPE_CHECKING:
+    from mast_zenoh.report.tables.text_table import ResultTables
+
+#: s within which an offset should be detected.
+LIMIT_S = 10.0
+#: s, longest interruption within an episode.
+GAP_S = 0.5
+#: Honest viewers from which a majority against the liar is possible: evidence before counts for nobody.
+DECISIVE = 2
+#: m, standard deviation in each direction of the difference between two honest tracks of one object.
+TRACK_SD_M = 0.29
+#: Independent differences per second.
+INDEPENDENT_PER_S = 1.1
+#: One false alarm per hour: what the sum of log-likelihood ratios must reach.
+EVIDENCE = math.log(3600.0 * INDEPENDENT_PER_S)
+_ROUNDING_S = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class DriftCell(kinds.DefenceCell):
+    """One liar that displaces one object at a time.
+
+    offset_m: the largest offset;  rate_mps: m/s by which it grows; None: at once
+    agents:   number of agents, the ego included
+    """
+
+    kind = "drift"
+
+    offset_m: float
+    rate_mps: float | None = None
+    agents: int = 5
+
+    @property
+    def label(self) -> str:
+        """The label of its configuration."""
+        lie = f"offset {self.offset_m:g} m" if self.rate_mps is None else f"drift {self.rate_mps:g} mps"
+        return f"{self.agents} agents {lie}"
+
+
+def _offsets(table: Mapping[str, NDArray[Any]]) -> dict[tuple[int, int], float]:
+    """m in the plane by which a track was moved, by frame and id; table: of attacks."""
+    rows = np.flatnonzero(np.isin(table["effect"], ("moved", "altered")) & (table["role"] != "link"))
+    shift = np.hypot(*(table[f"after_{axis}"][rows] - table[f"before_{axis}"][rows] for axis in "xy"))
+    keys = zip(table["frame"][rows].tolist(), table["id"][rows].tolist(), strict=True)
+    return dict(zip(keys, np.nan_to_num(shift).tolist(), strict=True))
+
+
+@dataclass(frozen=True, slots=True)
+class ViewerRange:
+    """A range of numbers of honest viewers: at least `least`, at most `most` (None: any number)."""
+
+    least: int
+    most: int | None
+
+    @property
+    def title(self) -> str:
+        """How tables call it."""
+        if self.most is None:
+            return f"{self.least} or more"
+        return str(self.least)
+
+
+@dataclass(frozen=True, slots=True)
+class Episode:
+    """An object that was displaced in view of witnesses.
+
+    length_s:  for how long, whether the liar was suspended or not
+    watched_s: until the suspension, or else `length_s`;  detected: whether the liar was suspended
+    speed_up:  mean of `speed_up` over the watched time: one witness alone would need that much longer
+    offset_m:  largest offset in the watched time
+    """
+
+    length_s: float
+    watched_s: float
+    detected: bool
+    speed_up: float
+    offset_m: float
+
+    def judged_within(self, limit_s: float) -> bool:
+        """Whether it lasted long enough to say if it is detected within a time."""
+        return self.length_s >= limit_s - _ROUNDING_S
+
+    def detected_within(self, limit_s: float) -> bool:
+        """Whether its liar was suspended within a time."""
+        return self.detected and self.watched_s <= limit_s + _ROUNDING_S
+
+
+#: Two or more: a majority against the liar. One or more: everything that could be noticed at all.
+_OPEN_RANGES = (ViewerRange(2, None), ViewerRange(1, None))
+
+
+@dataclass(frozen=True, slots=True)
+class DriftRecord:
+    """What the tables need of one trial: the content of `evaluate`."""
+
+    first_lie_s: float | None
+    suspended_s: float | None
+    end_s: float
+    displaced: Mapping[str, Sequence[Any]]
+
+    def episodes(self, viewer_range: ViewerRange) -> list[Episode]:
+        """The displaced objects in view of a number of honest agents."""
+        time_s, track, viewers, offset_m = (self.displaced[name] for name in ("time_s", "track", "viewers", "offset_m"))
+        return episodes(time_s, track, viewers, offset_m, self.suspended_s, viewer_range)
+
+    def delay(self) -> tuple[float, bool] | None:
+        """s from the first lie to the suspension, or to the end of the run, and whether there was one; None: no lie."""
+        if self.first_lie_s is None:
+            return None
+        detected = self.suspended_s is not None
+        until_s = self.suspended_s if self.suspended_s is not None else self.end_s
+        return max(until_s - self.first_lie_s, 0.0), detected
+
+
+class Collection(kinds.Collection):
+    """Delays of all trials next to the floor."""
+
+    name = "drift"
+
+    @staticmethod
+    def evaluate(folder: Path, metrics: Mapping[str, Any], compromised: Sequence[str]) -> dict[str, Any]:
+        """The part `defence` of a trial's metrics.
+
+        first_lie_s, suspended_s: s of scene time, of the only liar; None: never
+        end_s:    s, the last frame
+        displaced: columns of a row for each displaced track and frame: time_s, track, viewers (honest agents that see
+                  the real object), offset_m (in the plane)
+        """
+        from mast_zenoh.api.observability import observability  # PyArrow is slow to load
+        from mast_zenoh.api.runs import Run
+        from mast_zenoh.launch.tables import from_arrow
+
+        run = Run(folder)
+        lies = from_arrow(observability(run).lies)
+        moved = np.flatnonzero(np.isin(lies["effect"], ("moved", "altered")))
+        offset = _offsets(from_arrow(run.attacks))
+        keys = zip(lies["frame"][moved].tolist(), lies["id"][moved].tolist(), strict=True)
+        liars = [each for each in metrics["integrity"]["agents"].values() if each["lied"]]
+        first, delay = (liars[0]["first_lie_s"], liars[0]["suspended_after_s"]) if liars else (None, None)
+        return {
+            "first_lie_s": first,
+            "suspended_s": None if delay is None else round(first + delay, 9),
+            "end_s": float(from_arrow(run.trust)["time_s"].max()),
+            "displaced": {
+                "time_s": lies["time_s"][moved].tolist(),
+                "track": lies["id"][moved].tolist(),
+                "viewers": lies["honest_viewers"][moved].tolist(),
+                "offset_m": [round(offset.get(key, 0.0), 6) for key in keys],
+            },
+        }
+
+    def record(self, cell: DriftCell, outcome: Outcome) -> DriftRecord:
+        return DriftRecord(**outcome.metrics["defence"])
+
+    def tables(self, table: DriftTable) -> ResultTables:
+        from mast_zenoh.report.tables.limits import drift_tables
+
+        return drift_tables(table)
+
+    def table(self) -> DriftTable:
+        """The rows of all cells: whole runs, exact numbers of viewers, and open ranges."""
+        rows = []
+        for cell, by_trial in self.records.items():
+            records = list(by_trial.values())
+            rows.append(_whole_runs(cell, records))
+            most = max((max(record.displaced["viewers"], default=0) for record in records), default=0)
+            for viewers in (*(ViewerRange(count, count) for count in range(1, most + 1)), *_OPEN_RANGES):
+                rows.append(_row(cell, viewers, [record.episodes(viewers) for record in records]))
+        return DriftTable(rows, LIMIT_S, self.size)
+
+
+def one_witness_floor_s(cell: DriftCell) -> float:
+    """s until one witness can know."""
+    return offset_floor_s(cell.offset_m) if cell.rate_mps is None else drift_floor_s(cell.rate_mps)
+
+
+def _whole_runs(cell: DriftCell, records: Sequence[DriftRecord]) -> DriftRow:
+    delays = [delay for record in records if (delay := record.delay()) is not None]
+    return DriftRow(
+        label=cell.label,
+        offset_m=cell.offset_m,
+        rate_mps=cell.rate_mps,
+        viewers="",
+        episodes=len(delays),
+        detected=sum(detected for _, detected in delays),
+        trials=len(delays),
+        delay_s=_bootstrap(delays, _median),
+        floor_s=NAN,
+        ratio=Measured(),
+        offset_reached_m=Measured(),
+        floor_m=NAN,
+        judged=len(delays),
+        within=share_of_trials(sum(detected and delay <= LIMIT_S + 1e-6 for delay, detected in delays), len(delays)),
+        noticed=_bootstrap(delays, _noticed),
+    )
+
+
+def _row(cell: DriftCell, viewers: ViewerRange, by_trial: Sequence[Sequence[Episode]]) -> DriftRow:
+    """A row of one range of viewers; by_trial: the episodes of each trial, which may have none."""
+    trials = [each for each in by_trial if each]
+    every = [episode for each in trials for episode in each]
+    single_s = one_witness_floor_s(cell)
+    weight = sum(episode.watched_s for episode in every)
+    speed_up = sum(episode.speed_up * episode.watched_s for episode in every) / weight if weight else NAN
+    floor_s = single_s / speed_up if speed_up else NAN
+
+    def times(units: Sequence[Sequence[Episode]]) -> list[tuple[float, bool]]:
+        return [(episode.watched_s, episode.detected) for unit in units for episode in unit]
+
+    def median(value: Callable[[Episode], float]) -> Callable[[Sequence[Sequence[Episode]]], float]:
+        return lambda units: _median([(value(e), e.detected) for unit in units for e in unit])
+
+    # The first object of each trial that lasted long enough: trials are independent, objects of one trial are not.
+    judged = [each for trial in trials if (each := next((e for e in trial if e.judged_within(LIMIT_S)), None))]
+    drifting = cell.rate_mps is not None
+    return DriftRow(
+        label=cell.label,
+        offset_m=cell.offset_m,
+        rate_mps=cell.rate_mps,
+        viewers=viewers.title,
+        episodes=len(every),
+        detected=sum(episode.detected for episode in every),
+        trials=len(trials),
+        delay_s=_bootstrap(trials, median(lambda e: e.watched_s)),
+        floor_s=floor_s,
+        ratio=_bootstrap(trials, median(lambda e: e.watched_s * e.speed_up / single_s)),
+        offset_reached_m=_bootstrap(trials, median(lambda e: e.offset_m)) if drifting else Measured(),
+        floor_m=floor_s * cell.rate_mps if cell.rate_mps is not None else NAN,
+        judged=len(judged),
+        within=share_of_trials(sum(each.detected_within(LIMIT_S) for each in judged), len(judged)),
+        noticed=_bootstrap(trials, lambda units: _noticed(times(units))),
+    )
+
+
+def _bootstrap(trials: Sequence[Any], statistic: Callable[[Any], float]) -> Measured:
+    return pooled(lambda rows: statistic([trials[row] for row in rows.tolist()]), len(trials))
+
+
+def _median(times: Sequence[tuple[float, bool]]) -> float:
+    """Median of times, some of them censored: infinite if fewer than half were detected, NaN without any."""
+    if not times:
+        return NAN
+    median = kaplan_meier(*zip(*times, strict=True)).median_s
+    return math.inf if math.isnan(median) else median
+
+
+def _noticed(times: Sequence[tuple[float, bool]]) -> float:
+    """Share detected within LIMIT_S, of times of which some are censored; NaN if none was watched for that long."""
+    if not times:
+        return NAN
+    curve = kaplan_meier(*zip(*times, strict=True))
+    if curve.time_s[-1] < LIMIT_S - 1e-6 and curve.undetected[-1] > 0.0:
+        return NAN
+    return 1.0 - float(curve.undetected[curve.time_s <= LIMIT_S + 1e-6][-1])
+
+
+def episodes(
+    time_s: ArrayLike,
+    track: ArrayLike,
+    viewers: ArrayLike,
+    offset_m: ArrayLike,
+    suspended_s: float | None,
+    viewer_range: ViewerRange,
+) -> list[Episode]:
+    """The episodes of one run in order of their beginning, at most one for each track of the liar.
+
+    time_s, track, viewers, offset_m: (n,) a row for each displaced track and frame: s, id, honest viewers, and m
+    suspended_s: time at which the liar was suspended; None: never. Tracks displaced later are left out.
+    """
+    times, ids = np.asarray(time_s, np.float64), np.asarray(track)
+    seen_by, offset = np.asarray(viewers, np.int64), np.asarray(offset_m, np.float64)
+    end_s = math.inf if suspended_s is None else suspended_s
+    result = []
+    for each in dict.fromkeys(ids.tolist()):
+        rows = np.flatnonzero(ids == each)
+        rows = rows[np.argsort(times[rows], kind="stable")]
+        period = _period(times, rows, seen_by[rows], viewer_range)
+        if period is not None and times[period[0]] < end_s - _ROUNDING_S:
+            result.append((float(times[period[0]]), _episode(times[period], seen_by[period], offset[period], end_s)))
+    return [episode for _, episode in sorted(result, key=lambda pair: pair[0])]
+
+
+def _period(times: Floats, rows: Ints, seen_by: Ints, viewer_range: ViewerRange) -> Ints | None:
+    """The rows of a track's episode; None if it has none, or was known before."""
+    inside = seen_by >= viewer_range.least
+    if viewer_range.most is not None:
+        inside &= seen_by <= viewer_range.most
+    if not inside.any():
+        return None
+    first = int(inside.argmax())
+    if (seen_by[:first] >= min(DECISIVE, viewer_range.least)).any():
+        return None
+    last = first
+    for index in (np.flatnonzero(inside[first + 1 :]) + first + 1).tolist():
+        if times[rows[index]] - times[rows[last]] > GAP_S + _ROUNDING_S:
+            break
+        last = index
+    return rows[first : last + 1]
+
+
+def _episode(times: Floats, seen_by: Ints, offset: Floats, end_s: float) -> Episode:
+    length_s = float(times[-1] - times[0])
+    detected = bool(end_s <= times[-1] + _ROUNDING_S)
+    watched = times <= end_s + _ROUNDING_S
+    return Episode(
+        round(length_s, 9),
+        round(float(end_s - times[0]) if detected else length_s, 9),
+        detected,
+        float(speed_up(seen_by[watched]).mean()),
+        float(offset[watched].max()),
+    )
+
+
+def offset_floor_s(offset_m: float) -> float:
+    """s until one witness can know of a constant offset; raises ValueError unless it is positive."""
+    _check("offset_m", offset_m)
+    return EVIDENCE / (INDEPENDENT_PER_S * offset_m**2 / (2.0 * TRACK_SD_M**2))
+
+
+def drift_floor_s(rate_mps: float) -> float:
+    """s until one witness can know of an offset that grows by `rate_mps`; raises ValueError unless it is positive.
+
+    The evidence after t s is the integral of that of the offset: INDEPENDENT_PER_S rate^2 t^3 / (6 TRACK_SD_M^2).
+    """
+    _check("rate_mps", rate_mps)
+    return math.cbrt(6.0 * TRACK_SD_M**2 * EVIDENCE / (INDEPENDENT_PER_S * rate_mps**2))
+
+
+def speed_up(witnesses: ArrayLike) -> Floats:
+    """(...) factor by which several witnesses shorten the delay; 0 without any, as nobody can ever know."""
+    factor: Floats = np.cbrt(np.asarray(witnesses, np.float64))
+    return factor
+
+
+def _check(name: str, value: float) -> None:
+    if not 0.0 < value < math.inf:
+        raise ValueError(f"{name}: found {value}, expected more than 0")

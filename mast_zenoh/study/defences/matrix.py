@@ -1,0 +1,555 @@
+"""Every defence against every adversary: what each defence is worth.
+
+A group holds the records of one pair of scene and seed: one for a cell, several for a defence. Groups are the trials of
+`intervals`: runs of the same scene and seed are not independent.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mast_zenoh.arrays.states import Floats, Ints
+from mast_zenoh.errors import ConfigurationError, nearest
+from mast_zenoh.metrics.study_results import (
+    AgentTrustSeries,
+    DefenceMatrix,
+    DefenceRoc,
+    DefenceRow,
+    DefenceSummary,
+    Measured,
+    Survival,
+    TrustPanel,
+)
+from mast_zenoh.metrics.trust import auc, partial_auc, roc
+from mast_zenoh.study.defences import intervals, kinds
+from mast_zenoh.study.defences.choices import PLACEMENTS, PREFIX, Choice, check_fault, has_budget, short_name
+from mast_zenoh.study.defences.intervals import kaplan_meier
+from mast_zenoh.study.numbers import ego
+from mast_zenoh.study.trial import Outcome, TrialKey
+
+if TYPE_CHECKING:
+    from mast_zenoh.report.figures.drawing import RenderedFigure
+    from mast_zenoh.report.tables.text_table import ResultTables
+
+#: The command centre without a defence: the reference of all others.
+UNDEFENDED = "NoIntegrity"
+#: Label of the configuration without defence and without attack.
+BASELINE = f"{UNDEFENDED} alone"
+#: Panels of trust over time.
+MAX_PANELS = 12
+#: Agents in a panel.
+MAX_AGENTS = 5
+#: False alarms per hour below which the partial area under the characteristic is taken.
+ALARMS_PER_HOUR = 1.0
+#: Liars are below the local majority in a trial if they outnumber the honest viewers of fewer than this share of the
+#: lies that an honest agent could notice.
+MAJORITY = 0.5
+
+#: Scores of the ego's picture, per frame and in m.
+SCORES = ("fn", "fp", "ospa_m")
+
+#: The part `defence` of the metrics of a trial in which nothing lies and nothing is faulty, see `evaluate`.
+NO_LIES: dict[str, Any] = {
+    "lies": {"all": 0, "observable": 0, "detected": 0},
+    "agents": {},
+    "false": {"identifiable": 0.0, "unidentifiable": 0.0},
+    "honest_majority": 1.0,
+    "outnumbered": None,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Cell(kinds.DefenceCell):
+    """One configuration of the matrix.
+
+    defence, attack: short names; attack: "" without adversaries, or a fault: then faulty agents take their places
+    n_adversaries, placement: how many agents are compromised, and which (`choices.PLACEMENTS`)
+    budget:          lies per second of each adversary; None: the attack's own, or it has none
+    """
+
+    kind = "matrix"
+
+    defence: str
+    attack: str = ""
+    n_adversaries: int = 0
+    placement: str = ""
+    budget: float | None = None
+
+    @property
+    def is_fault(self) -> bool:
+        """Whether its agents are faulty and nobody lies."""
+        return self.attack.startswith(PREFIX)
+
+    @property
+    def lies(self) -> bool:
+        """Whether it has adversaries."""
+        return bool(self.attack) and not self.is_fault
+
+    @property
+    def label(self) -> str:
+        """The label of its configuration."""
+        if not self.attack:
+            return f"{self.defence} alone"
+        budget = "" if self.budget is None else f" budget {self.budget:g}"
+        attack = self.attack.replace(":", " ")
+        return f"{self.defence} {attack} {self.n_adversaries} {self.placement}{budget}"
+
+
+def matrix_study(
+    *,
+    defences: Sequence[Choice],
+    adversaries: Sequence[Choice],
+    counts: Sequence[int],
+    placements: Sequence[str],
+    budgets: Sequence[float | None],
+    parameters: Mapping[str, Any],
+) -> dict[str, Any]:
+    """The keys `runs`, `cells` and `baseline` of a study of every defence against every adversary.
+
+    adversaries: none for runs without an attack alone
+    counts: numbers of adversaries; 0 stands for one run per defence without an attack, and is always included
+    budgets: of each adversary that has one;  parameters: of the scenario, for all runs
+    Raises ConfigurationError.
+    """
+    for placement in placements:
+        if placement not in PLACEMENTS:
+            raise ConfigurationError(f"placements: found {placement!r}{nearest(placement, PLACEMENTS)}")
+    for count in counts:
+        if type(count) is not int or count < 0:
+            raise ConfigurationError(f"counts: found {count!r}, expected whole numbers, 0 or more")
+    if UNDEFENDED not in defences:  # the reference of all others
+        defences = [UNDEFENDED, *defences]
+    runs: dict[str, Any] = {}
+    cells: dict[str, Cell] = {}
+    for cell, defence, attack in _cells(defences, adversaries, counts, placements, budgets):
+        if cell.label in cells:
+            raise ConfigurationError(f"two configurations are called {cell.label!r}: expected each choice once")
+        own: dict[str, Any] = {"defence": defence, "n_adversaries": cell.n_adversaries}
+        if attack is not None:
+            own |= _attacked(cell, attack)
+        runs[cell.label] = {"scenario": "defence_cell", "parameters": {**parameters, **own}}
+        cells[cell.label] = cell
+    return {"runs": runs, "cells": cells, "baseline": BASELINE}
+
+
+def _attacked(cell: Cell, attack: Choice) -> dict[str, Any]:
+    """The parameters of a scenario with adversaries, or with faulty agents in their places."""
+    if isinstance(attack, str) and attack.startswith(PREFIX):
+        fault = attack.removeprefix(PREFIX)
+        check_fault(fault)
+        return {"n_adversaries": 0, "fault": fault, "n_faulty": cell.n_adversaries, "placement": cell.placement}
+    return {"attack": attack, "placement": cell.placement, "budget": cell.budget}
+
+
+def _cells(
+    defences: Sequence[Choice],
+    adversaries: Sequence[Choice],
+    counts: Sequence[int],
+    placements: Sequence[str],
+    budgets: Sequence[float | None],
+) -> Iterator[tuple[Cell, Choice, Choice | None]]:
+    """The cells, each with its defence and its attack."""
+    for defence in defences:
+        yield Cell(short_name(defence)), defence, None
+        for attack in adversaries:
+            own_budgets = budgets if has_budget(attack) else (None,)
+            for count in sorted({*counts} - {0}):
+                for placement in placements:
+                    for budget in own_budgets:
+                        yield Cell(short_name(defence), short_name(attack), count, placement, budget), defence, attack
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrialRecord:
+    """What the matrix needs of one trial's metrics.
+
+    scores:    fn, fp per frame and ospa_m of the ego's picture, false objects inserted and identifiable or not
+    lies:      numbers of observable and detected lies
+    delays:    (s, whether it was suspended) of each agent with an observable lie, from that lie on
+    suspicion: (greatest score, whether it lied) of each agent that was honest or lied
+    state_seconds: s by conduct and state;  hours: of the run, 0 without trust;  frames: of the run
+    alarms:    suspensions of honest agents;  fault_alarms: of faulty agents that did not lie
+    wrongly_suspended: whether an agent that never lied was suspended, faulty or not
+    framed:    whether an agent that was honest was suspended after the first lie of the run, and itself never lied
+    outnumbered: share of the lies, by object and frame, of which liars have more viewers than honest agents; NaN: none
+    """
+
+    scores: Mapping[str, float]
+    lies: tuple[int, int]
+    delays: Sequence[tuple[float, bool]]
+    suspicion: Sequence[tuple[float, bool]]
+    state_seconds: Mapping[str, Mapping[str, float]]
+    hours: float
+    frames: int
+    alarms: int
+    fault_alarms: int
+    wrongly_suspended: bool
+    framed: bool
+    outnumbered: float
+
+    @classmethod
+    def of(cls, metrics: Mapping[str, Any]) -> TrialRecord:
+        """The record of a trial from its metrics.json with the part `defence`."""
+        part, trust = metrics["defence"], metrics.get("integrity", {})
+        picture = metrics["agents"][ego(metrics)]["picture"]
+        scores = {name: _number(picture[name]["mean"]) for name in SCORES}
+        scores |= {f"fp_{name}": value for name, value in part["false"].items()}
+        scores["honest_majority"] = part["honest_majority"]
+        watched = [each for each in part["agents"].values() if each["observed_s"] is not None]
+        judged = list(trust.get("agents", {}).values())
+        never_lied = [each["suspensions"] for each in judged if not each["lied"]]
+        first_lie_s = min((each["first_lie_s"] for each in part["agents"].values()), default=math.inf)
+        return cls(
+            scores=scores,
+            lies=(part["lies"]["observable"], part["lies"]["detected"]),
+            delays=[(each["observed_s"], each["suspended_after_s"] is not None) for each in watched],
+            suspicion=[
+                (_number(each["suspicion"]["max"]), each["lied"])
+                for each in judged
+                if each["lied"] or not each.get("faulty")
+            ],
+            state_seconds=trust.get("seconds", {}),
+            hours=trust.get("hours", 0.0),
+            frames=metrics["frames"],
+            alarms=trust.get("false_alarms", 0),
+            fault_alarms=sum(each["fault_alarms"] for each in judged),
+            wrongly_suspended=any(never_lied),
+            framed=any(
+                suspension["conduct"] == "honest" and suspension["from_s"] >= first_lie_s
+                for suspensions in never_lied
+                for suspension in suspensions
+            ),
+            outnumbered=_number(part["outnumbered"]),
+        )
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else float(value)
+
+
+Groups = Sequence[Sequence[TrialRecord]]
+
+
+class Collection(kinds.Collection):
+    """A row for each cell, and a summary for each defence."""
+
+    name = "defences"
+    #: Messages have the sizes of false objects, which decide how many agents would see them. Without a recording, every
+    #: false object counts as a car (`api.observability`): under `coordinated`, this changes `outnumbered`.
+    recorded = True
+    without_lies = NO_LIES
+
+    def __init__(self, cells: Mapping[str, Cell], scenes: Sequence[str], seeds: Sequence[int]) -> None:
+        super().__init__(cells, scenes, seeds)
+        #: of the first trial of each cell that has a trace
+        self._traces: dict[Cell, tuple[TrialKey, Mapping[str, Any]]] = {}
+        self._suspending: set[str] = set()
+
+    @staticmethod
+    def evaluate(folder: Path, metrics: Mapping[str, Any], compromised: Sequence[str]) -> dict[str, Any]:
+        from mast_zenoh.study.defences import matrix_trial  # PyArrow is slow to load
+
+        return matrix_trial.evaluate(folder, metrics, compromised)
+
+    def record(self, cell: Cell, outcome: Outcome) -> TrialRecord:
+        key, content = outcome.trial.key, outcome.metrics["defence"].get("trust")
+        if content is not None:
+            if cell not in self._traces or self.order[key] < self.order[self._traces[cell][0]]:
+                self._traces[cell] = key, content
+            if suspends(content):
+                self._suspending.add(cell.defence)
+        return TrialRecord.of(outcome.metrics)
+
+    def tables(self, table: DefenceMatrix) -> ResultTables:
+        from mast_zenoh.report.tables.defences import defence_tables
+
+        return defence_tables(table)
+
+    def figures(self, table: DefenceMatrix) -> Mapping[str, RenderedFigure]:
+        from mast_zenoh.report.figures.defences import figures_of_defences
+
+        return figures_of_defences(table)
+
+    def table(self) -> DefenceMatrix:
+        """The rows of all cells, each with the budget that does the most damage."""
+        groups: dict[tuple[str, str, int, str], list[Cell]] = {}
+        for cell in self.records:
+            groups.setdefault((cell.defence, cell.attack, cell.n_adversaries, cell.placement), []).append(cell)
+        worst = [(max(cells, key=self._mean_damage), len(cells)) for cells in groups.values()]
+        worst_cells = [cell for cell, _ in worst]
+        every = list(dict.fromkeys(cell.defence for cell in worst_cells))
+        defences = [name for name in every if name != UNDEFENDED]
+        trials = {name: self._by_trial(cell for cell in self.records if cell.defence == name) for name in every}
+        delays = {name: delay_curve(trials[name]) for name in defences}
+        panels, unshown = self._panels(worst_cells)
+        return DefenceMatrix(
+            rows=[self._row(cell, budgets) for cell, budgets in worst],
+            rocs=[curve for name in defences if (curve := characteristic(name, trials[name])) is not None],
+            delays={name: delay for name, delay in delays.items() if delay is not None},
+            summaries=[
+                self._summary(name, [each for each in worst_cells if each.defence == name]) for name in defences
+            ],
+            size=self.size,
+            state_shares={name: state_shares(each) for name, each in trials.items()},
+            panels=panels,
+            unshown=unshown,
+        )
+
+    def _values(self, cell: Cell, name: str) -> Floats:
+        """(trials,) a score of each planned trial in the order of the study, NaN where it failed."""
+        values = np.full(len(self.order), np.nan)
+        for key, record in self.records.get(cell, {}).items():
+            values[self.order[key]] = record.scores[name]
+        return values
+
+    def _mean_damage(self, cell: Cell) -> float:
+        added = self._added(cell, "fn") + self._added(cell, "fp")
+        known = added[~np.isnan(added)]
+        return float(known.mean()) if known.size else -math.inf
+
+    def _added(self, cell: Cell, name: str) -> Floats:
+        """A score minus that without attack and without defence, of the same scene and seed."""
+        return self._values(cell, name) - self._values(Cell(UNDEFENDED), name)
+
+    def _row(self, cell: Cell, budgets: int) -> DefenceRow:
+        undefended = _undefended(cell)
+        values = {f"{_stem(name)}_added{_unit(name)}": self._added(cell, name) for name in SCORES}
+        values["damage"] = values["fn_added"] + values["fp_added"]
+        for name in SCORES:
+            difference = self._values(cell, name) - self._values(undefended, name)
+            values[f"{_stem(name)}_vs_undefended{_unit(name)}"] = difference
+        for name in ("fp_identifiable", "fp_unidentifiable"):
+            values[name] = self._values(cell, name)
+        measures = {name: intervals.mean(each) for name, each in values.items()}
+        majority = self._values(cell, "honest_majority")
+        # Where nobody lies because agents are faulty, there is no bound.
+        measures["honest_majority"] = Measured() if cell.is_fault else intervals.mean(majority, (0.0, 1.0))
+        measures["identifiable_removed"] = self._removed([cell])
+        groups = self._by_trial([cell])
+        measures["lies_detected"] = lies_detected(groups)
+        measures["median_delay_s"] = median_delay(groups)
+        measures["honest_suspended_per_hour"] = alarms_per_hour(groups)
+        measures["faulty_suspended_per_hour"] = alarms_per_hour(groups, faulty=True)
+        measures |= shares_of_runs(groups, lies=cell.lies)
+        return DefenceRow(
+            defence=cell.defence,
+            attack=cell.attack,
+            n_adversaries=cell.n_adversaries,
+            placement=cell.placement,
+            budget=cell.budget,
+            budgets=budgets,
+            measures=measures,
+            state_seconds=_sum_seconds(record.state_seconds for record in self.records[cell].values()),
+            delay=delay_curve(groups),
+        )
+
+    def _summary(self, defence: str, cells: Sequence[Cell]) -> DefenceSummary:
+        """cells: of the rows of this defence."""
+        alone, attacked = Cell(defence), [cell for cell in cells if cell.lies]
+        lying, faulty = self._by_trial(attacked), self._by_trial(cell for cell in cells if cell.is_fault)
+        quiet = self._by_trial([alone] if alone in self.records else [])
+        return DefenceSummary(
+            defence=defence,
+            lies_detected=lies_detected(lying),
+            identifiable_removed=self._removed(attacked),
+            median_delay_s=median_delay(lying),
+            alarms_per_hour=alarms_per_hour(quiet),
+            frames=sum(record.frames for group in quiet for record in group if record.hours),
+            fn_added=intervals.mean(self._added(alone, "fn")),
+            fp_added=intervals.mean(self._added(alone, "fp")),
+            faults_suspended=shares_of_runs(faulty, lies=False)["wrongly_suspended"],
+            framed_by_minority=shares_of_runs(lying, lies=True)["framed_by_minority"],
+        )
+
+    def _removed(self, cells: Sequence[Cell]) -> Measured:
+        """Share of identifiable inserted objects of the undefended runs that are not in the defended ones.
+
+        cells: added up by scene and seed; a cell without a defence has none to remove
+        """
+        attacked = [cell for cell in cells if cell.lies and cell.defence != UNDEFENDED]
+        if not attacked:
+            return Measured()
+        pairs = np.array(
+            [[self._values(each, "fp_identifiable") for each in (cell, _undefended(cell))] for cell in attacked]
+        )
+        pairs[np.isnan(pairs).any(axis=1)[:, None].repeat(2, axis=1)] = np.nan
+        missing = np.isnan(pairs).all(axis=(0, 1))
+        remaining, inserted = (np.where(missing, np.nan, np.nansum(pairs[:, index], axis=0)) for index in (0, 1))
+        return intervals.one_minus(intervals.share(remaining, inserted))
+
+    def _by_trial(self, cells: Iterable[Cell]) -> list[list[TrialRecord]]:
+        """The records of cells, grouped by scene and seed."""
+        groups: dict[TrialKey, list[TrialRecord]] = {}
+        for cell in cells:
+            for key, record in self.records[cell].items():
+                groups.setdefault(key, []).append(record)
+        return [groups[key] for key in sorted(groups, key=self.order.__getitem__)]
+
+    def _panels(self, cells: Sequence[Cell]) -> tuple[list[TrustPanel], int]:
+        """The first trial of each defence that suspends under each adversary, and the number of pairs without a panel.
+
+        cells: of the rows
+        """
+        first: dict[tuple[str, str], Cell] = {}
+        for cell in cells:
+            if cell.attack and cell.defence in self._suspending and cell in self._traces:
+                first.setdefault((cell.attack, cell.defence), cell)
+        attacks = list(dict.fromkeys(cell.attack for cell in cells))
+        pairs = sorted(first, key=lambda pair: attacks.index(pair[0]))  # the defences of one adversary side by side
+        panels = [panel(self._traces[first[pair]][1], _title(first[pair])) for pair in pairs[:MAX_PANELS]]
+        return panels, len(pairs) - len(panels)
+
+
+def _undefended(cell: Cell) -> Cell:
+    return Cell(UNDEFENDED, cell.attack, cell.n_adversaries, cell.placement, cell.budget)
+
+
+def _title(cell: Cell) -> str:
+    return f"{cell.defence} against {cell.attack} ({cell.n_adversaries}, {cell.placement})"
+
+
+def _sum_seconds(parts: Iterable[Mapping[str, Mapping[str, float]]]) -> dict[str, dict[str, float]]:
+    """The sums of s by conduct and state."""
+    total: dict[str, dict[str, float]] = {}
+    for part in parts:
+        for conduct, states in part.items():
+            sums = total.setdefault(conduct, dict.fromkeys(states, 0.0))
+            for state, seconds in states.items():
+                sums[state] += seconds
+    return total
+
+
+def _stem(name: str) -> str:
+    return name.removesuffix("_m")
+
+
+def _unit(name: str) -> str:
+    return "_m" if name.endswith("_m") else ""
+
+
+def lies_detected(groups: Groups) -> Measured:
+    """The share of observable lies that were detected."""
+    lies = np.array([[sum(record.lies[index] for record in group) for group in groups] for index in (0, 1)])
+    return intervals.share(lies[1], lies[0])
+
+
+def median_delay(groups: Groups) -> Measured:
+    """The median delay; its upper bound is infinite if it is not known that half are detected."""
+    delays = [each for each in _delays(groups) if len(each)]
+
+    def median(rows: Ints) -> float:
+        drawn = np.concatenate([delays[row] for row in rows.tolist()])
+        value = kaplan_meier(drawn[:, 0], drawn[:, 1]).median_s
+        return math.inf if math.isnan(value) else value
+
+    measured = intervals.pooled(median, len(delays))
+    return measured._replace(value=math.nan) if math.isinf(measured.value) else measured
+
+
+def delay_curve(groups: Groups) -> Survival | None:
+    """The share of liars not suspended yet; None: nobody lied, or nobody was judged."""
+    delays = np.concatenate([np.zeros((0, 2)), *_delays(groups)])
+    if not len(delays):
+        return None
+    return kaplan_meier(delays[:, 0], delays[:, 1])
+
+
+def alarms_per_hour(groups: Groups, *, faulty: bool = False) -> Measured:
+    """Suspensions of honest agents, or of faulty ones."""
+    records = [record for group in groups for record in group if record.hours]
+    events = sum(record.fault_alarms if faulty else record.alarms for record in records)
+    return intervals.rate(events, sum(record.hours for record in records), len(records))
+
+
+def shares_of_runs(groups: Groups, *, lies: bool) -> dict[str, Measured]:
+    """The share of runs in which something happened, of those in which it can happen.
+
+    lies: whether agents lie in these runs
+    """
+
+    def share(happened: Callable[[TrialRecord], bool], counts: Callable[[TrialRecord], bool]) -> Measured:
+        return intervals.share_of_runs(
+            [[happened(each) for each in group if each.hours and counts(each)] for group in groups]
+        )
+
+    return {
+        "wrongly_suspended": share(lambda each: each.wrongly_suspended, lambda each: not lies),
+        "framed": share(lambda each: each.framed, lambda each: lies),
+        "framed_by_minority": share(lambda each: each.framed, lambda each: lies and each.outnumbered < MAJORITY),
+        "framed_by_majority": share(lambda each: each.framed, lambda each: lies and each.outnumbered >= MAJORITY),
+    }
+
+
+def state_shares(groups: Groups) -> dict[str, dict[str, Measured]]:
+    """By conduct and state of trust, the share of the time with this conduct."""
+    conducts = dict.fromkeys(name for group in groups for record in group for name in record.state_seconds)
+    return {conduct: shares for conduct in conducts if (shares := _states(groups, conduct))}
+
+
+def characteristic(defence: str, groups: Groups) -> DefenceRoc | None:
+    """The characteristic of one score for each agent and run; None if nobody lied, or scores are equal or unknown."""
+    judged = [group for group in groups if any(record.hours for record in group)]
+    parts = [np.array([pair for record in group for pair in record.suspicion]).reshape(-1, 2) for group in judged]
+    hours = np.array([sum(record.hours for record in group) for group in judged])
+    pairs = np.concatenate([np.zeros((0, 2)), *parts])
+    if not pairs[:, 1].any() or len(set(pairs[~np.isnan(pairs[:, 0]), 0].tolist())) < 2:
+        return None
+
+    def area(rows: Ints) -> float:
+        drawn = np.concatenate([parts[row] for row in rows.tolist()])
+        return auc(drawn[:, 0], drawn[:, 1])
+
+    def partial(rows: Ints) -> float:
+        drawn = np.concatenate([parts[row] for row in rows.tolist()])
+        return partial_auc(drawn[:, 0], drawn[:, 1], float(hours[rows].sum()), ALARMS_PER_HOUR)
+
+    whole, below = (intervals.pooled(statistic, len(parts), (0.0, 1.0)) for statistic in (area, partial))
+    return DefenceRoc(defence, roc(pairs[:, 0], pairs[:, 1]), whole, below, float(hours.sum()))
+
+
+def _delays(groups: Groups) -> list[Floats]:
+    """(n, 2) delays s, and whether each ended with a suspension, of each group."""
+    return [
+        np.array([each for record in group for each in record.delays], np.float64).reshape(-1, 2) for group in groups
+    ]
+
+
+def _states(groups: Groups, conduct: str) -> dict[str, Measured]:
+    """The shares of states; {} if no agent behaved like this."""
+    seconds = [
+        [record.state_seconds[conduct] for record in group if conduct in record.state_seconds] for group in groups
+    ]
+    states = dict.fromkeys(state for group in seconds for each in group for state in each)
+    sums = {state: np.array([sum(each[state] for each in group) for group in seconds]) for state in states}
+    whole = np.sum(list(sums.values()), axis=0)
+    return {state: intervals.share(part, whole) for state, part in sums.items()} if whole.any() else {}
+
+
+def panel(content: Mapping[str, Any], title: str) -> TrustPanel:
+    """The panel of a trace; of many agents, those that lied, were faulty or were judged to be so come first."""
+    agents = [_agent_series(name, each) for name, each in content["agents"].items()]
+    uneventful = [not (agent.lies or agent.faults or any(agent.states.values())) for agent in agents]
+    chosen = sorted(np.argsort(uneventful, kind="stable")[:MAX_AGENTS].tolist())
+    return TrustPanel(title, [agents[index] for index in chosen], len(agents) - len(chosen), content["end_s"])
+
+
+def suspends(content: Mapping[str, Any]) -> bool:
+    """Whether a trace has a suspension."""
+    return any(agent["states"]["suspended"] for agent in content["agents"].values())
+
+
+def _agent_series(name: str, content: Mapping[str, Any]) -> AgentTrustSeries:
+    return AgentTrustSeries(
+        name,
+        np.array(content["time_s"], np.float64),
+        np.array([math.nan if value is None else value for value in content["log_odds"]], np.float64),
+        {state: [(start, stop) for start, stop in spans] for state, spans in content["states"].items()},
+        [(start, stop) for start, stop in content["lies"]],
+        [(kind, start, stop) for kind, start, stop in content["faults"]],
+    )
