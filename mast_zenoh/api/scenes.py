@@ -20,7 +20,7 @@ from mast_zenoh.config import registry
 from mast_zenoh.config.scene_names import has_short_name, recognised
 from mast_zenoh.config.settings import nested
 from mast_zenoh.errors import ConfigurationError, SceneError, nearest
-from mast_zenoh.scenario.shape import RUN_DEFAULTS
+from mast_zenoh.scenario.reading import RUN_DEFAULTS
 from mast_zenoh.scenes import Recording, inspection
 from mast_zenoh.scenes.detection_tables import write_detections
 from mast_zenoh.scenes.making.sensor_types import SensorsByAgent

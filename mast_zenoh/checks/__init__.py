@@ -2,14 +2,10 @@
 
 See docs/faults.md.
 
-base         the outcome of a check
-evidence     the record of a run, read once
-collation    messages delivered in time are in the collation
-convergence  after the last heal, the picture converges to the reference picture
-reference    the reference picture: the picture of the same run without links and faults
-sequences    every gap and every duplicate is explained
-processes    no process is left running
-user_checks  checks in the files of a scenario
+evidence     the outcome of a check, and the record of a run, read once
+messages     messages delivered in time are in the collation; every gap and every duplicate is explained
+convergence  after the last heal, the picture converges to that of the same run without links and faults
+runs         no process is left running, and checks in the files of a scenario
 """
 
 from __future__ import annotations
@@ -17,13 +13,10 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from mast_zenoh.checks.base import Check
-from mast_zenoh.checks.collation import check_collation
 from mast_zenoh.checks.convergence import check_convergence
-from mast_zenoh.checks.evidence import Evidence
-from mast_zenoh.checks.processes import check_processes
-from mast_zenoh.checks.sequences import check_sequences
-from mast_zenoh.checks.user_checks import RunCheck, apply, of_scenario
+from mast_zenoh.checks.evidence import Check, Evidence
+from mast_zenoh.checks.messages import check_collation, check_sequences
+from mast_zenoh.checks.runs import RunCheck, apply, check_processes, of_scenario
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.run_files import write_bytes

@@ -1,4 +1,4 @@
-"""The record of a run: messages by key, reports of links, down times of nodes."""
+"""The outcome of a check, and the record of a run: messages by key, reports of links, down times of nodes."""
 
 from __future__ import annotations
 
@@ -21,6 +21,27 @@ from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.run_files import read_object
 from mast_zenoh.wiring.model import Wiring
+
+
+class Check(NamedTuple):
+    """The outcome of a check.
+
+    name:   name of the check
+    ok:     False: the check failed
+    detail: a sentence: the findings, or why nothing was checked
+    values: measured values, plain
+    """
+
+    name: str
+    ok: bool
+    detail: str
+    values: dict[str, Any]
+
+    @classmethod
+    def skipped(cls, name: str, reason: str) -> Check:
+        """The outcome if there was nothing to check."""
+        return cls(name, True, f"not checked: {reason}", {"checked": False})
+
 
 #: s of scene time by which events of a real-time run may be early or late.
 REALTIME_SLACK_S = 1.5

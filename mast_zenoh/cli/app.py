@@ -9,21 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from mast_zenoh.cli import (
-    animate,
-    completion,
-    deploy,
-    export,
-    intercept,
-    listing,
-    logs,
-    replay,
-    report,
-    scene,
-    view,
-    viewer_process,
-    wiring,
-)
+from mast_zenoh.cli import completion, deploy, runs, scenarios, view
 from mast_zenoh.cli.options import (
     Against,
     AllowChurn,
@@ -36,6 +22,7 @@ from mast_zenoh.cli.options import (
     Record,
     RecordStudy,
     Report,
+    RouterEndpoint,
     Runtime,
     Scenario,
     Secure,
@@ -46,6 +33,7 @@ from mast_zenoh.cli.options import (
     check_reference,
     conclude,
     reporting,
+    run_argument,
     show_notices,
     silenced,
     with_trust,
@@ -64,7 +52,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.add_typer(deploy.app, name="deploy")
-app.add_typer(scene.app, name="scene")
+app.add_typer(scenarios.app, name="scene")
 app.command()(deploy.doctor)
 
 
@@ -78,7 +66,7 @@ def run(
     mode: Mode = None,
     rate: Rate = None,
     out: Out = None,
-    endpoint: Annotated[str | None, typer.Option(help="Address of a running Zenoh router, tcp/HOST:PORT.")] = None,
+    endpoint: RouterEndpoint = None,
     secure: Secure = "open",
     report: Report = True,
     record: Record = True,
@@ -98,7 +86,7 @@ def run(
     check_environment(runtime, resolved.mode, secure, endpoint, viewed=shown)
     environment: dict[str, Any] = {"runtime": runtime, "endpoint": endpoint, "secure": secure}
     allowed: dict[str, Any] = {"allow_failures": allow_failures, "allow_churn": allow_churn}
-    with silenced(quiet), viewer_process.viewer(shown) as prepare:
+    with silenced(quiet), view.viewer(shown) as prepare:
         console = _err if quiet else _out
         finished = launcher.run(resolved, out, **environment, **allowed, prepare=prepare, console=console, quiet=quiet)
         conclude(finished, report=report, against=against, allow_failures=allow_failures)
@@ -141,44 +129,24 @@ def study(
             raise typer.BadParameter(problem, param_hint=study_file)
         _run_attackers(loaded, out, seed=seed, frames=frames)
         return
-    count = trials or loaded.trials
+    from mast_zenoh.study import interface
+
+    number: dict[str, Any] = {"trials": trials, "jobs": jobs, "cluster": cluster, "resume": resume}
     chosen: dict[str, Any] = {"frames": frames, "seed": seed, "runtime": runtime}
     chosen |= {"allow_failures": allow_failures, "record": record}
-    if count is None and not (jobs or cluster or resume):
-        _compare(loaded, out, **chosen)
-        return
-    from mast_zenoh.study import execution
-    from mast_zenoh.study import trials as study_trials
+    finished = interface.run(loaded, out, **number, **chosen, console=_out)
+    if isinstance(finished, interface.ComparisonResult):
+        with reporting(finished.out):
+            from mast_zenoh.report import html, terminal  # after the runs: drawing libraries are slow to load
 
-    finished = study_trials.run(
-        loaded,
-        out,
-        count=count or 1,
-        jobs=jobs or execution.default_jobs(),
-        cluster=cluster,
-        resume=resume,
-        console=_out,
-        **chosen,
-    )
-    _out.print(finished.as_rich())
-    for path in finished.files:
-        _out.print(str(path), markup=False, highlight=False)
-    _out.print(f"report: {finished.report}", markup=False, highlight=False)
-    finished.raise_failures()
-
-
-def _compare(loaded: Study, out: Path | None, **options: Any) -> None:
-    """Run every configuration once and compare the runs."""
-    from mast_zenoh.study import comparison
-
-    finished = comparison.run(loaded, out, console=_out, **options)
-    with reporting(finished.out):
-        from mast_zenoh.report import html, terminal  # after the runs: drawing libraries are slow to load
-
-        terminal.show(_out, finished.folders)
-        _out.print(f"report: {html.write_study_report(finished.out, finished.folders)}", highlight=False)
-    for label, run_ in finished.runs.items():
-        show_notices(run_, f"{label}: ")
+            terminal.show(_out, finished.folders)
+            _out.plain(f"report: {html.write_study_report(finished.out, finished.folders)}")
+        for label, run_ in finished.runs.items():
+            show_notices(run_, f"{label}: ")
+    else:
+        _out.print(finished.as_rich())
+        for path in (*finished.files, f"report: {finished.report}"):
+            _out.plain(path)
     finished.raise_failures()
 
 
@@ -189,16 +157,13 @@ def _run_attackers(loaded: Study, out: Path | None, **options: Any) -> None:
     effects = comparison.run(loaded, out, console=_out, **options)
     _out.print(effects.as_rich())
     for name in ("attempts.md", "attempts.csv"):
-        _out.print(str(effects.out / name), markup=False, highlight=False)
+        _out.plain(str(effects.out / name))
 
 
 @app.command()
 def diff(
-    run_a: Annotated[
-        Path,
-        typer.Argument(metavar="A", help="The folder of a run, or a recording.", autocompletion=completion.run_folders),
-    ],
-    run_b: Annotated[Path, typer.Argument(metavar="B", help="Another one.", autocompletion=completion.run_folders)],
+    run_a: Annotated[Path, run_argument("The folder of a run, or a recording.", "A")],
+    run_b: Annotated[Path, run_argument("Another one.", "B")],
     wire: Annotated[list[str] | None, typer.Option(metavar="GLOB", help="Wires to compare: cc/picture.")] = None,
     ignore: Annotated[list[str] | None, typer.Option(metavar="GLOB", help="Wires to leave out: 'attack/*'.")] = None,
     taps: Annotated[bool, typer.Option("--taps", help="Compare the hidden legs of intercepted wires too.")] = False,
@@ -214,27 +179,27 @@ def diff(
         before, reason = comparable(run_a, run_b)
         difference = compare(run_a, run_b, wires=wire or ("*",), ignore=ignore or (), taps=taps, before=before)
     except MastError as error:
-        _err.print(f"cannot compare: {error}", markup=False, highlight=False)
+        _err.plain(f"cannot compare: {error}")
         raise typer.Exit(2) from None
     for line in explain(difference):
-        _out.print(line, markup=False, highlight=False)
+        _out.plain(line)
     if reason and difference.first is None:
-        _err.print(f"not comparable from frame {before} onwards: {reason}", markup=False, highlight=False)
+        _err.plain(f"not comparable from frame {before} onwards: {reason}")
         raise typer.Exit(2)
     raise typer.Exit(0 if difference.first is None else 1)
 
 
-app.command()(wiring.wiring)
-app.command("list")(listing.list_kind)
-app.command()(export.export)
-app.command(cls=SecureCommand)(replay.replay)
+app.command()(scenarios.wiring)
+app.command("list")(scenarios.list_kind)
+app.command()(runs.export)
+app.command(cls=SecureCommand)(runs.replay)
 app.command()(view.view)
-app.command()(animate.animate)
-app.command()(animate.snapshot)
-app.command()(logs.logs)
-app.command()(intercept.intercept)
-app.command()(intercept.release)
-app.command()(report.report)
+app.command()(runs.animate)
+app.command()(runs.snapshot)
+app.command()(runs.logs)
+app.command()(runs.intercept)
+app.command()(runs.release)
+app.command()(runs.report)
 
 
 def carry_out() -> int:
@@ -257,7 +222,7 @@ def carry_out() -> int:
 def _show(error: MastError) -> int:
     _err.print(f"[bold red]error:[/] {type(error).__name__}:", end=" ")
     hint = f": {with_trust(sys.argv[1:])}" if isinstance(error, UntrustedCode) else ""
-    _err.print(f"{error}{hint}", markup=False, highlight=False)
+    _err.plain(f"{error}{hint}")
     return error.exit_code
 
 

@@ -11,7 +11,6 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from mast_zenoh.cli import completion
 from mast_zenoh.cli.options import (
     AllowChurn,
     AllowFailures,
@@ -22,6 +21,7 @@ from mast_zenoh.cli.options import (
     Rate,
     Record,
     Report,
+    RunPath,
     Scenario,
     Secure,
     SecureCommand,
@@ -39,9 +39,6 @@ app = typer.Typer(help="Run a scenario in containers or on other hosts.", no_arg
 Engine = Annotated[
     str,
     typer.Option(metavar="NAME|FILE", help="Where the nodes run: compose, swarm, ssh, or the file of your own engine."),
-]
-RunRecord = Annotated[
-    Path, typer.Argument(metavar="RUN", help="The folder of a run.", autocompletion=completion.run_folders)
 ]
 
 
@@ -148,8 +145,8 @@ def join(
             conclude(finished, report=True)
         finally:
             name = documents.container(run, documents.LAUNCHER)
-            _out.print(f"results: volume {documents.project(run)}-results; get them by", highlight=False)
-            _out.print(f"  docker cp {name}:{finished.folder} .", highlight=False)
+            _out.plain(f"results: volume {documents.project(run)}-results; get them by")
+            _out.plain(f"  docker cp {name}:{finished.folder} .")
 
 
 @app.command(hidden=True)
@@ -170,7 +167,7 @@ def certificates(
 
 
 @app.command()
-def status(run_folder: RunRecord, confirmed: Confirmed = False) -> None:
+def status(run_folder: RunPath, confirmed: Confirmed = False) -> None:
     """List the nodes of a run, their state and place."""
     kind, record = _deployed(run_folder, confirmed)
     table = Table("node", "state", "where", box=None)
@@ -178,13 +175,13 @@ def status(run_folder: RunRecord, confirmed: Confirmed = False) -> None:
         table.add_row(row["node"], row["state"], row["where"])
     from mast_zenoh.launch import liveness
 
-    _out.print(f"{record['id']}: {liveness.current_record(record)['status']}", highlight=False)
+    _out.plain(f"{record['id']}: {liveness.current_record(record)['status']}")
     _out.print(table)
 
 
 @app.command()
 def logs(
-    run_folder: RunRecord,
+    run_folder: RunPath,
     node: Annotated[str | None, typer.Argument(help="The node. Default: all.")] = None,
     follow: Annotated[bool, typer.Option("--follow", help="Continue with new output.")] = False,
     confirmed: Confirmed = False,
@@ -195,7 +192,7 @@ def logs(
 
 
 @app.command()
-def down(run_folder: RunRecord, confirmed: Confirmed = False) -> None:
+def down(run_folder: RunPath, confirmed: Confirmed = False) -> None:
     """Remove what is left of a run that lost its launcher or machine."""
     kind, record = _deployed(run_folder, confirmed)
     kind.down(run_folder, record)
@@ -205,7 +202,7 @@ def down(run_folder: RunRecord, confirmed: Confirmed = False) -> None:
         write_json(
             run_folder / "run.json", record | {"status": "failed", "message": "taken down by `mast deploy down`"}
         )
-    _out.print(f"{record['id']}: nothing is left", highlight=False)
+    _out.plain(f"{record['id']}: nothing is left")
 
 
 @app.command()
@@ -222,9 +219,9 @@ def image(
     base = base or images.BASE
     built = images.build_image(tag or images.TAG, base)
     added_mb = images.size_over_base(built, base) / 1e6
-    _out.print(f"image: {built}, {added_mb:.0f} MB over {base}", highlight=False)
+    _out.plain(f"image: {built}, {added_mb:.0f} MB over {base}")
     if launcher:
-        _out.print(f"image: {images.build_image(tag or images.TAG, base, launcher=True)}", highlight=False)
+        _out.plain(f"image: {images.build_image(tag or images.TAG, base, launcher=True)}")
 
 
 def doctor(

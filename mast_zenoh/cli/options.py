@@ -17,7 +17,6 @@ from rich.segment import Segment
 from typer.core import TyperCommand
 
 from mast_zenoh.cli import completion
-from mast_zenoh.control import failures
 from mast_zenoh.errors import HandlerFailed, Interrupted, NotComparable, RunFolderError
 from mast_zenoh.launch import ending
 from mast_zenoh.security import levels
@@ -45,6 +44,14 @@ class PlainConsole(Console):
     def print(self, *objects: Any, **options: Any) -> None:
         super().print(*(_CONTROL.sub("�", text) if isinstance(text, str) else text for text in objects), **options)
 
+    def plain(self, text: object) -> None:
+        """Print a line as it is, without markup."""
+        self.print(str(text), markup=False, highlight=False)
+
+    def warn(self, text: str, label: str = "") -> None:
+        """Print a line as a warning."""
+        self.print(f"{label}warning: {text}", style="bold yellow", markup=False, highlight=False)
+
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
         for segment in super().render(renderable, options):
             yield segment if segment.control else segment._replace(text=_CONTROL.sub("�", segment.text))
@@ -53,6 +60,16 @@ class PlainConsole(Console):
 out = PlainConsole(soft_wrap=True)
 err = PlainConsole(stderr=True, soft_wrap=True)
 
+
+def run_argument(help: str, metavar: str = "RUN") -> Any:
+    """An argument with the folder of a run."""
+    return typer.Argument(metavar=metavar, help=help, autocompletion=completion.run_folders)
+
+
+RunPath = Annotated[Path, run_argument("The folder of a run.")]
+RouterEndpoint = Annotated[
+    str | None, typer.Option("--endpoint", help="Address of a running Zenoh router, tcp/HOST:PORT.")
+]
 Settings = Annotated[
     list[str] | None,
     typer.Option(
@@ -147,12 +164,12 @@ def conclude(finished: Run, *, report: bool, against: str | None = None, allow_f
             refusal, reference = _show(finished, report=report, against=against)
     except RunFolderError as error:
         if finished.error:
-            err.print(f"warning: {error}", style="bold yellow", markup=False, highlight=False)
+            err.warn(str(error))
             raise finished.error from None
         raise
     if finished.error:
         if refusal:
-            err.print(f"warning: not compared: {refusal}", style="bold yellow", markup=False, highlight=False)
+            err.warn(f"not compared: {refusal}")
         raise finished.error
     if refusal:
         raise refusal
@@ -182,6 +199,8 @@ def reporting(folder: Path, command: str = "report") -> Iterator[None]:
     except (KeyboardInterrupt, OSError) as exception:
         raise ending.with_hint(exception, hint) from None
     except (TypeError, ValueError, LookupError, AttributeError, ArithmeticError) as exception:
+        from mast_zenoh.control import failures  # decodes messages: commands that run nothing do not load it
+
         description = failures.described(exception)
         raise RunFolderError(f"{folder}: the evaluator's results cannot be reported: {description}") from exception
 
@@ -201,9 +220,9 @@ def _show(finished: Run, *, report: bool, against: str | None) -> tuple[RunFolde
     if report:
         from mast_zenoh.report import html  # drawing libraries are slow to load
 
-        out.print(f"report: {html.write_page(run, reference=reference)}", highlight=False)
+        out.plain(f"report: {html.write_page(run, reference=reference)}")
     else:
-        out.print(f"run folder: {finished.folder}", highlight=False)
+        out.plain(f"run folder: {finished.folder}")
     show_notices(finished)
     return refusal, reference
 
@@ -283,5 +302,7 @@ def show_notices(finished: Run, label: str = "") -> None:
     for notice in notices:
         (err if out.quiet else out).print(f"{label}{notice}", style="yellow", markup=False, highlight=False)
     if finished.failures and not isinstance(finished.error, HandlerFailed):
+        from mast_zenoh.control import failures
+
         warning = failures.summary(finished.failures, finished.logs)
-        err.print(f"{label}warning: {warning}", style="bold yellow", markup=False, highlight=False)
+        err.warn(warning, label)

@@ -1,7 +1,7 @@
 """Puts a recorded run back on a mesh: recorded nodes before a cut, live nodes after it.
 
-cut         which nodes are played and which are live, and their wires;  ports: fits these to changed nodes
-scripts     what each played node sent, read from the recording;  findings: what the recording lacks
+cut         which nodes are played and which are live, and their wires, fitted to changed nodes
+scripts     what each played node sent, read from the recording, and what the recording lacks
 live        the live nodes, as recorded or changed by settings or a scenario file
 resolution  resolve: all that a replay needs before processes start
 """

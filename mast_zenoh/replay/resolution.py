@@ -21,10 +21,10 @@ from mast_zenoh.messagelog.script import Script
 from mast_zenoh.messages import user_types
 from mast_zenoh.messages.schemas import Schema
 from mast_zenoh.node import Node
-from mast_zenoh.replay import findings, ports
 from mast_zenoh.replay.cut import Cut, Place, cut
+from mast_zenoh.replay.cut import fitted as fit
 from mast_zenoh.replay.live import Live, live_nodes
-from mast_zenoh.replay.scripts import read_scripts
+from mast_zenoh.replay.scripts import first_three, of_run, read_scripts
 from mast_zenoh.runtime import player
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.wiring.insertion import never_inserted
@@ -96,7 +96,7 @@ def resolve(
     classes = {name: loading.node_class(Path(spec.file), spec.type) for name, spec in live.nodes.items()}
     messages = _messages(recorded.messages, classes)
     user_types.use(messages)
-    fitted = ports.fitted(never_inserted(division.wiring, division.live - kept), classes)
+    fitted = fit(never_inserted(division.wiring, division.live - kept), classes)
     division = Cut(division.played, frozenset(kept), fitted)
     planned = recorded.frames
     scripts = read_scripts(
@@ -128,14 +128,23 @@ def resolve(
     )
     for name, spec in live.nodes.items():
         build_node(spec, name)
-    notices = [
-        *findings.of_run(run, recorded),
-        *findings.of_rewired(sorted(rewired)),
-        *scripts.notices,
-        *findings.of_unconnected(_unconnected(fitted, recorded, live, classes)),
-        *findings.of_steps([step for step in recorded.steps if step not in steps and step.node in roles]),
-        *([] if scene else [f"{folder / RECORDING} cannot be read: the report shows no buildings and no camera view"]),
-    ]
+    unconnected = _unconnected(fitted, recorded, live, classes)
+    left_out = [f"{step.action} {step.node}" for step in recorded.steps if step not in steps and step.node in roles]
+    notices = of_run(run, recorded)
+    if rewired:
+        names = ", ".join(sorted(rewired))
+        notices.append(
+            f"{names} was inserted or removed during the recorded run: what its wires then carried is played, without "
+            "measuring its effect"
+        )
+    notices += scripts.notices
+    if unconnected:
+        notices.append(f"no recorded wire leads to {', '.join(unconnected)}: these inputs get no messages")
+    if left_out:
+        steps_left_out = first_three(left_out)
+        notices.append(f"not repeated: {steps_left_out}; what the nodes then sent, or did not send, is played")
+    if scene is None:
+        notices.append(f"{folder / RECORDING} cannot be read: the report shows no buildings and no camera view")
     origin = {
         "run": run.get("id"),
         "folder": str(folder.resolve()),

@@ -1,26 +1,34 @@
-"""Reads a recording once, and divides it into the scripts of the nodes that are played."""
+"""Reads a recording once, divides it into the scripts of played nodes, and says what it lacks."""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
-from mast_zenoh.config.resolved import DRIVER_ROLE
-from mast_zenoh.errors import RunFolderError
+import numpy as np
+
+from mast_zenoh.config.resolved import DRIVER_ROLE, Resolved
+from mast_zenoh.errors import MessageError, RunFolderError
+from mast_zenoh.launch.ending import RUNNING
+from mast_zenoh.launch.folder import versions
+from mast_zenoh.launch.notices import number, of_recording
 from mast_zenoh.links import WIRES
+from mast_zenoh.messagelog import churn
 from mast_zenoh.messagelog.format import MALFORMED
 from mast_zenoh.messagelog.reader import Recorded, is_whole, read
 from mast_zenoh.messagelog.script import Output, Script, path_of
 from mast_zenoh.messagelog.writer import FILE
-from mast_zenoh.replay import findings
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import Message
 from mast_zenoh.replay.cut import Cut
-from mast_zenoh.replay.link_reports import restricted
 from mast_zenoh.wiring.model import Wire
 
 #: Number of frames of an endless replay: weeks, at a thousand frames a second.
 ENDLESS_FRAMES = 10**9
+_PACKAGE = "mast-zenoh"
 
 
 @dataclass
@@ -96,14 +104,30 @@ def read_scripts(
         outputs, sent = _lines(name, cut, messages, n_frames, without_clock=roles[name] == DRIVER_ROLE)
         count = max(1, ENDLESS_FRAMES // n_frames) if repeats is None else repeats
         scripts[name] = Script(path_of(name), outputs, sent, times_ns, period_ns, count)
-    notices = [
-        *findings.of_extent(n_frames, recorded, planned, whole=whole),
-        *findings.of_clocks(sum(frame not in messages.times_ns for frame in range(n_frames))),
-        *findings.of_gaps({wire.key: _gap(messages.numbers[wire.key]) for wire in _played(cut)}),
-        *findings.of_silent(silent),
-        *findings.of_outsiders(messages.outsiders),
-    ]
+    notices = []
+    if recorded < planned and n_frames == recorded:
+        reason = "" if whole else " (its writer was killed, or the file was cut off)"
+        extent = f"after {number(recorded, 'whole frame')} of {planned}{reason}"
+        notices.append(f"the recording ends {extent}: these are played")
+    if missing := sum(frame not in messages.times_ns for frame in range(n_frames)):
+        frames_without = number(missing, "frame")
+        notices.append(f"no clock is recorded of {frames_without}: the times are multiples of the scene's period")
+    gaps = {wire.key: gap for wire in _played(cut) if (gap := _gap(messages.numbers[wire.key]))}
+    if gaps:
+        worst = max(sorted(gaps), key=lambda wire: gaps[wire])
+        where = f"{number(len(gaps), 'wire')} (most: {worst}, {gaps[worst]})"
+        notices.append(f"{number(sum(gaps.values()), 'message')} on {where} were not recorded, and are not played")
+    if silent:
+        notices.append(f"no message is recorded on {first_three(silent)}")
+    if messages.outsiders:
+        foreign = number(messages.outsiders, "message")
+        notices.append(f"{foreign} without the mark of the run's nodes are not played: outsiders sent them")
     return Scripts(scripts, n_frames, notices)
+
+
+def first_three(names: list[str]) -> str:
+    """The first three names, and how many more there are."""
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
 def _whole_frames(folder: Path, messages: Messages, whole: bool) -> int:
@@ -171,3 +195,54 @@ def _lines(
 def _gap(numbers: set[int]) -> int:
     """How many sequence numbers are missing before the last one."""
     return max(numbers, default=-1) + 1 - len(numbers)
+
+
+def restricted(payload: bytes, wires: Collection[str]) -> bytes:
+    """A link report with the rows about some wires alone; unchanged if it has no others, or is malformed.
+
+    wires: by message type
+    """
+    try:
+        header, body = codec.decode(payload, "link_report")
+    except MessageError:
+        return payload
+    kept = np.isin(body["port"], [index for index, message in enumerate(WIRES) if message in wires])
+    if kept.all():
+        return payload
+    return codec.encode(Message(header, {name: column[kept] for name, column in body.items()}))
+
+
+def of_run(record: Mapping[str, Any], resolved: Resolved) -> list[str]:
+    """A sentence for each circumstance of a recorded run that its replay does not share.
+
+    record: run.json
+    """
+    sentences = []
+    status, message = record.get("status"), str(record.get("message") or "")
+    if status == RUNNING:
+        sentences.append("the recorded run has not ended, by its run.json, and was started on another machine")
+    elif status != "ok":
+        reason = f": {message.splitlines()[0]}" if message else ""
+        sentences.append(f"the recorded run ended as {str(status).replace('_', ' ')!r}{reason}")
+    recorded_by, here = (record.get("versions") or {}).get(_PACKAGE), versions()[_PACKAGE]
+    if recorded_by != here:
+        sentences.append(
+            f"recorded by {_PACKAGE} {recorded_by or 'of an unknown version'}, replayed by {here}: live nodes may "
+            "compute other numbers"
+        )
+    if record.get("mode") == "realtime":
+        sentences.append(
+            "recorded in real time, where late messages are late: the picture depended on the speed of the machine and "
+            "may differ from the recorded one"
+        )
+    if resolved.network:
+        sentences.append(
+            "recorded on hosts in network namespaces, which are not set up again: messages are played as the recorder "
+            "received them, though other nodes may not have"
+        )
+    if record.get("churn"):
+        sentences.append(
+            f"{churn.sentence(record['churn'])} in the recorded run: in the replay these nodes stay, and played ones "
+            "send what was recorded"
+        )
+    return [*sentences, *of_recording(record)]

@@ -1,19 +1,25 @@
 """Reads scenario files and resolves all that a run needs before processes start.
 
     mast_zenoh.config.loading     runs the user's file
-    reading     load: calls its `scenario(...)` with the launch-time parameters, and applies dotted settings
-    shape       the valid keys
-    nodes       the nodes of the run
+    reading     load: calls its `scenario(...)` with the launch-time parameters, and applies dotted settings; valid keys
+    nodes       the nodes of the run, and what attackers know about the scene
     timeline    links, faults and attacks over time
     resolution  resolve: prepares the scene, builds every node once, and resolves the key of every port
 
 The result is a `mast_zenoh.config.resolved.Resolved`: processes get that as JSON, never the Python file.
 """
 
-from mast_zenoh.scenario.names import checked_name
-from mast_zenoh.scenario.reading import agents_of, choose_scene, load, load_values, victims_of
+from mast_zenoh.scenario.reading import (
+    MODES,
+    RUN_DEFAULTS,
+    agents_of,
+    checked_name,
+    choose_scene,
+    load,
+    load_values,
+    victims_of,
+)
 from mast_zenoh.scenario.resolution import resolve
-from mast_zenoh.scenario.shape import MODES, RUN_DEFAULTS
 
 __all__ = [
     "MODES",

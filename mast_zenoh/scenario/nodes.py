@@ -1,25 +1,30 @@
-"""The nodes of a scenario: their names, files and parameters."""
+"""The nodes of a scenario: their names, files and parameters, and what attackers know about the scene."""
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from mast_zenoh.arrays.geometry import quaternion_from_rotation
+from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.config import bundle, loading
 from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.errors import ConfigurationError, NodeFileError, nearest
 from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.metrics.achievement import ALL
 from mast_zenoh.pipelines.agent import DUE, IDLE
-from mast_zenoh.scenario.reconnaissance import surroundings_of
 from mast_zenoh.scenes.agents import best_pattern
 from mast_zenoh.scenes.recording import NO_MEASUREMENT, Recording
 from mast_zenoh.sensing import LidarSensor
 
 ON_EXIT = ("fail", "continue", "restart")
+
+#: s, between two rows of a route.
+ROUTE_STEP_S = 0.5
 
 _DEFAULT_ON_EXIT = {"agent": "continue", "adversary": "continue", "coordinator": "continue", "link": "continue"}
 _CONTROLS = ("type", "file", "on_exit", "role")
@@ -177,3 +182,61 @@ def node_spec(path: Path, name: str, role: str, config: Mapping[str, Any]) -> No
     if "agent" in parameters and "agent" not in inspect.signature(cls).parameters:
         raise NodeFileError(f"{place}: {cls.__name__} has no parameter `agent`, which selects its wire")
     return NodeSpec(role, str(file), cls.__name__, parameters, on_exit)
+
+
+def surroundings_of(recording: Recording, victims: Iterable[str]) -> dict[str, Any]:
+    """The parameters of `attacks.Surroundings`: buildings, sensors and routes.
+
+    victims: the attackers' agents. Buildings out of every sensor's range are left out.
+    """
+    times_s = (recording.times_ns - recording.times_ns[0]) * 1e-9
+    stride = max(1, round(ROUTE_STEP_S * 1e9 / recording.period_ns))
+    rows = np.unique([*range(0, len(times_s), stride), len(times_s) - 1])
+    agents: dict[str, Any] = {}
+    for index, agent in enumerate(recording.agents):
+        agents[agent.name] = {
+            **_of_sensor(agent.sensor),
+            "route": _route(recording, index, times_s, rows if agent.kind == "mobile" else rows[:1]),
+        }
+        if further := agent.sensors[1:]:
+            agents[agent.name]["further"] = {sensor.name: _of_sensor(sensor.lidar) for sensor in further}
+    near = _within_range(recording, rows)
+    return {
+        "scene": recording.name,
+        "agents": agents,
+        "victims": list(victims),
+        "buildings": [recording.buildings[index].round(3).tolist() for index in near],
+        "building_height": [float(recording.building_height[index]) for index in near],
+    }
+
+
+def _of_sensor(lidar: LidarSensor) -> dict[str, Any]:
+    """Field of view, range and mount of a sensor."""
+    return {
+        "limits_deg": [
+            *(lidar.azimuth_min_deg, lidar.azimuth_max_deg),
+            *(lidar.elevation_min_deg, lidar.elevation_max_deg),
+        ],
+        "max_range_m": lidar.max_range_m,
+        "mount_position": np.asarray(lidar.mount_position).tolist(),
+        "mount_rotation": np.asarray(lidar.mount_rotation).tolist(),
+    }
+
+
+def _route(recording: Recording, agent: int, times_s: Floats, rows: Ints) -> list[list[float]]:
+    rotation = quaternion_from_rotation(recording.agent_rotation[rows, agent])
+    table = np.column_stack([times_s[rows], recording.agent_position[rows, agent], rotation])
+    return [[round(float(value), 6) for value in row] for row in table]
+
+
+def _within_range(recording: Recording, rows: Ints) -> list[int]:
+    """Indices of buildings with a corner or wall centre ever in range of a sensor."""
+    near: list[int] = []
+    max_range_m = np.array([agent.sensor.max_range_m for agent in recording.agents])
+    positions = recording.agent_position[rows, :, :2]
+    for index, outline in enumerate(recording.buildings):
+        points = np.concatenate([outline, 0.5 * (outline + np.roll(outline, -1, axis=0))])
+        distance_m = np.linalg.norm(points - positions[..., None, :], axis=-1).min(axis=-1)
+        if (distance_m <= max_range_m).any():
+            near.append(index)
+    return near

@@ -1,4 +1,4 @@
-"""Reads a user's scenario file: runs it and applies the launch-time settings."""
+"""Reads a user's scenario file: runs it, applies the launch-time settings, and checks its keys."""
 
 from __future__ import annotations
 
@@ -11,10 +11,86 @@ from typing import Any
 from mast_zenoh import scenes
 from mast_zenoh.config import loading, registry
 from mast_zenoh.config.scene_names import parse_scene
-from mast_zenoh.config.settings import LISTS, from_values, set_dotted, split
+from mast_zenoh.config.settings import ALIASES, KEYS, LISTS, from_values, set_dotted, split
 from mast_zenoh.errors import ConfigurationError, MastError, nearest
-from mast_zenoh.scenario.shape import normalise_keys
+from mast_zenoh.run_files import MAX_NAME, REFUSED, is_name
 from mast_zenoh.scenes.agents import best_pattern
+
+
+def checked_name(name: object, place: str) -> str:
+    """Return a name; raises ConfigurationError if it could escape its folder or key."""
+    if not isinstance(name, str) or not is_name(name) or name[0] in "@-":
+        raise ConfigurationError(
+            f"{place}: found {name!r:.120}, expected at most {MAX_NAME} characters, none of / \\ * # ? $, "
+            "and no . @ or - at the beginning"
+        )
+    return name
+
+
+def name_of_file(stem: str) -> str:
+    """A valid name made from a file's stem, for a scenario or study without one."""
+    return REFUSED.sub("_", stem).lstrip(".@-")[:MAX_NAME] or "unnamed"
+
+
+MODES = ("lockstep", "realtime")
+
+#: The `run` part of a scenario.
+RUN_DEFAULTS: dict[str, Any] = {
+    "mode": "lockstep",
+    "rate": 1.0,
+    "frames": None,
+    "seed": 0,
+    "record": True,
+    "max_rows": None,
+}
+#: Keys whose values are dicts; `coordinator` may be None.
+_DICTS = (
+    *("broker", "command_center", "evaluator", "coordinator"),
+    *("agents", "adversaries", "nodes", "links", "hosts", "keyexpr", "run"),
+)
+
+
+def normalise_keys(scenario: Mapping[str, Any], place: str) -> dict[str, Any]:
+    """The scenario with alternative spellings of keys replaced by the usual ones."""
+    renamed = {ALIASES.get(key, key): value for key, value in scenario.items()}
+    if len(renamed) < len(scenario):
+        duplicates = [f"{key} and {usual}" for key, usual in ALIASES.items() if {key, usual} <= scenario.keys()]
+        raise ConfigurationError(f"{place}: {', '.join(duplicates)} are the same: expected one of them")
+    return renamed
+
+
+def checked(scenario: Mapping[str, Any], place: str) -> Mapping[str, Any]:
+    """Return a scenario; raises ConfigurationError for invalid keys or values."""
+    for key, value in scenario.items():
+        if key not in KEYS:
+            raise ConfigurationError(f"{place}: {key}: unknown key{nearest(str(key), KEYS)}")
+        if key == "coordinator" and value is None:
+            continue
+        if key in _DICTS and not isinstance(value, Mapping):
+            raise ConfigurationError(f"{place}: {key}: found {value!r}, expected a dict")
+    return scenario
+
+
+def check_run(options: Mapping[str, Any], place: str) -> None:
+    """Raise ConfigurationError for an invalid `run` part."""
+    for key in options:
+        if key not in RUN_DEFAULTS:
+            raise ConfigurationError(f"{place}: run.{key}: unknown key{nearest(key, RUN_DEFAULTS)}")
+    if options["mode"] not in MODES:
+        raise ConfigurationError(f"{place}: run.mode: found {options['mode']!r}{nearest(str(options['mode']), MODES)}")
+    rate, optional = options["rate"], [key for key in ("frames", "max_rows") if options[key] is not None]
+    for key, valid, expected in (
+        ("seed", _is_whole(options["seed"], 0), "a whole number from 0"),
+        *((key, _is_whole(options[key], 1), "a whole number from 1") for key in optional),
+        ("record", type(options["record"]) is bool, "True or False"),
+        ("rate", isinstance(rate, (int, float)) and 0 < rate < float("inf"), "a number above 0"),
+    ):
+        if not valid:
+            raise ConfigurationError(f"{place}: run.{key}: found {options[key]!r}, expected {expected}")
+
+
+def _is_whole(value: object, minimum: int) -> bool:
+    return type(value) is int and value >= minimum
 
 
 def choose_scene(scene: str | Mapping[str, Any], **options: Any) -> dict[str, Any]:

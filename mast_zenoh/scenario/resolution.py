@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterable, Mapping, Sequence
+import re
+from collections.abc import Collection, Iterable, Iterator, Mapping, MutableMapping, Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -18,18 +20,27 @@ from mast_zenoh.messages import user_types
 from mast_zenoh.messages.limits import LEEWAY_S, limits_for
 from mast_zenoh.messages.schemas import Schema
 from mast_zenoh.node import Node
-from mast_zenoh.scenario.builders import load_builders
-from mast_zenoh.scenario.names import checked_name, name_of_file
 from mast_zenoh.scenario.nodes import nodes_of, share_faults
-from mast_zenoh.scenario.reading import choose_scene
-from mast_zenoh.scenario.shape import RUN_DEFAULTS, check_run, checked, normalise_keys
+from mast_zenoh.scenario.reading import (
+    RUN_DEFAULTS,
+    check_run,
+    checked,
+    checked_name,
+    choose_scene,
+    name_of_file,
+    normalise_keys,
+)
 from mast_zenoh.scenario.timeline import rewrites, timeline_of
 from mast_zenoh.scenes.recording import Recording
+from mast_zenoh.tracking import StoneSoupTracker
+from mast_zenoh.tracking.stone_soup_tracker import INSTALL
 from mast_zenoh.wiring import endpoints, maps
 from mast_zenoh.wiring.model import ANY, Wiring, subject_of
 
 #: s, limit on what a node may add to times: a century.
 _MAX_RESTAMPS_S = 3e9
+#: A function that builds a Stone Soup tracker, named in a scenario as `builder="FILE.py:FUNCTION"`.
+_FUNCTION = re.compile(r"(?P<file>.+\.py):(?P<name>\w+)")
 
 
 def resolve(
@@ -233,3 +244,51 @@ def _shipped_ports() -> dict[str, set[str]]:
     """Ports of the shipped nodes by role; a user's node may lack any of them."""
     shipped = [loading.node_class(bundle.ROOT / "nodes" / name) for name in bundle.names("nodes")]
     return {cls.role: {*cls.inputs, *cls.outputs} for cls in shipped}
+
+
+def load_builders(scenario: Any, path: Path) -> tuple[Path, ...]:
+    """Load the files of all builders in a scenario, and give their absolute paths to it.
+
+    path: of the scenario. A file is searched in its folder, then in the current one.
+
+    Returns the files. Raises ConfigurationError for a missing file or function.
+    """
+    files = []
+    for parent, place in _named(scenario, ""):
+        match = _FUNCTION.fullmatch(parent["builder"])
+        assert match is not None
+        found = [folder / match["file"] for folder in (path.parent, Path()) if (folder / match["file"]).is_file()]
+        if not found:
+            raise ConfigurationError(f"{path}: {place}: no file {match['file']!r} next to it or in the current folder")
+        file = found[0].resolve()
+        functions = {name for name, value in vars(_module(file)).items() if callable(value)}
+        if match["name"] not in functions:
+            raise ConfigurationError(
+                f"{path}: {place}: {file} defines no function {match['name']!r}{nearest(match['name'], functions)}"
+            )
+        parent["builder"] = f"{file}:{match['name']}"
+        files.append(file)
+    return tuple(dict.fromkeys(files))
+
+
+def _module(file: Path) -> ModuleType:
+    try:
+        return loading.module(file)
+    except ConfigurationError as error:
+        missing = error.__cause__.name if isinstance(error.__cause__, ModuleNotFoundError) else None
+        if (missing or "").partition(".")[0] == "stonesoup":
+            raise ConfigurationError(f"{error}: {INSTALL}") from None
+        raise
+
+
+def _named(value: Any, place: str) -> Iterator[tuple[MutableMapping[str, Any], str]]:
+    """(dict, path of its `builder`) of all trackers that name a function, in nested dicts and lists."""
+    if isinstance(value, MutableMapping):
+        is_tracker = str(value.get("type")) in registry.known_types(StoneSoupTracker)
+        if is_tracker and isinstance(builder := value.get("builder"), str) and _FUNCTION.fullmatch(builder):
+            yield value, f"{place}.builder".lstrip(".")
+        for key, item in value.items():
+            yield from _named(item, f"{place}.{key}")
+    elif isinstance(value, (list, tuple)):
+        for index, item in enumerate(value):
+            yield from _named(item, f"{place}[{index}]")

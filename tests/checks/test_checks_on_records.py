@@ -25,7 +25,7 @@ from planted import (
 )
 
 from mast_zenoh import checks, scenes
-from mast_zenoh.checks import convergence, reference
+from mast_zenoh.checks import convergence
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.messagelog.reader import read
 from mast_zenoh.scenario import resolve
@@ -278,7 +278,7 @@ def test_a_run_that_ends_soon_after_the_heal_is_too_short_to_judge(run: Run, tmp
 def test_the_reference_is_the_picture_of_the_run_without_links_and_faults(run: Run, tmp_path: Path) -> None:
     folder, _ = recorded(tmp_path / "plain", frames=FRAMES)
     plain = {m.frame: m.payload for m in read(folder) if m.key == "cc/picture"}
-    pictures = reference.pictures(run[1], run[0])
+    pictures = convergence.pictures(run[1], run[0])
     assert pictures.keys() == plain.keys()
     from mast_zenoh.messages import codec
 
@@ -289,12 +289,12 @@ def test_the_reference_is_the_picture_of_the_run_without_links_and_faults(run: R
 def test_the_reference_has_no_links_and_links_of_user_maps_have_no_rules() -> None:
     resolved = resolve(*scenario(faults=FAULTS), frames=20, record=True)
     assert {spec.role for spec in resolved.nodes.values()} >= {"link", "recorder", "evaluator"}
-    reference_scenario = reference.without_faults(resolved)
+    reference_scenario = convergence.without_faults(resolved)
     assert not {spec.role for spec in reference_scenario.nodes.values()} & {"link", "recorder", "evaluator"}
     assert (reference_scenario.steps, reference_scenario.timeline) == ((), ())
     rewrite = dict(insert=[dict(wire="cc/picture", role="link", input="picture", output="picture_out")])
     bad = dict(role="link", rules_down=[dict(type="Loss", probability=0.5)])
-    own = reference.without_faults(
+    own = convergence.without_faults(
         resolve(*scenario(nodes=dict(bad=bad), keyexpr=dict(rewrites=[rewrite])), frames=3, record=True)
     )
     assert own.nodes["bad"].config["rules_down"] == []

@@ -10,7 +10,7 @@ import pytest
 
 import mast_zenoh as mast
 from mast_zenoh.checks import RunCheck
-from mast_zenoh.checks.user_checks import apply
+from mast_zenoh.checks.runs import apply
 
 SCENARIO = """
 from mast_zenoh.checks import RunCheck

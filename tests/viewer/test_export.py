@@ -12,7 +12,7 @@ import pytest
 
 import mast_zenoh as mast
 from mast_zenoh.cli import app
-from mast_zenoh.cli import export as command
+from mast_zenoh.cli import runs as command
 from mast_zenoh.errors import ExportError, RunFolderError
 from mast_zenoh.viewer.export import export
 from mast_zenoh.viewer.formats import FORMATS

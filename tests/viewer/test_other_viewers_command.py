@@ -14,7 +14,7 @@ import pytest
 import typer
 
 import mast_zenoh as mast
-from mast_zenoh.cli import view, viewer_process
+from mast_zenoh.cli import view
 from mast_zenoh.errors import RunFolderError
 
 
@@ -81,7 +81,7 @@ def test_a_viewer_shows_one_run(recorded: mast.Run, words: dict[str, Any]) -> No
 def test_options_are_refused_alike_for_finished_and_running_runs(
     words: dict[str, Any], message: str, status: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(viewer_process, "record_of", lambda folder: {"status": status})
+    monkeypatch.setattr(view, "record_of", lambda folder: {"status": status})
     with pytest.raises(typer.BadParameter, match=message):
         view.view(str(tmp_path), **words)
 
@@ -90,7 +90,7 @@ def test_options_are_refused_alike_for_finished_and_running_runs(
 def test_options_of_finished_runs_are_refused_for_running_ones(
     words: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(viewer_process, "record_of", lambda folder: {"status": "running"})
+    monkeypatch.setattr(view, "record_of", lambda folder: {"status": "running"})
     for target in (str(tmp_path), "tcp/127.0.0.1:1"):
         with pytest.raises(typer.BadParameter, match="expected a finished one for --frame, --rate and --loop"):
             view.view(target, **words)
@@ -98,7 +98,7 @@ def test_options_of_finished_runs_are_refused_for_running_ones(
 
 def test_two_runs_are_refused_while_one_is_running(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     statuses = {"done": "finished", "busy": "running"}
-    monkeypatch.setattr(viewer_process, "record_of", lambda folder: {"status": statuses[folder.name]})
+    monkeypatch.setattr(view, "record_of", lambda folder: {"status": statuses[folder.name]})
     for target, other in (("done", "busy"), ("busy", "done")):
         with pytest.raises(RunFolderError, match="busy: the run is still in progress"):
             view.view(str(tmp_path / target), tmp_path / other)

@@ -1,0 +1,367 @@
+"""Commands on the folder of a run: report, export, films, logs, interception and replay."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from mast_zenoh.cli import completion, standard_streams
+from mast_zenoh.cli.options import (
+    Against,
+    AllowChurn,
+    AllowFailures,
+    Confirmed,
+    Frames,
+    Mode,
+    Out,
+    Rate,
+    Record,
+    Report,
+    RouterEndpoint,
+    RunPath,
+    Runtime,
+    Secure,
+    allowed_code,
+    check_environment,
+    check_reference,
+    conclude,
+    escaped,
+    reference_folder,
+    reporting,
+    run_argument,
+)
+from mast_zenoh.cli.options import err as _err
+from mast_zenoh.cli.options import out as _out
+from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.launch import stop_signals
+from mast_zenoh.run_files import reading
+from mast_zenoh.viewer.formats import FormatName
+
+if TYPE_CHECKING:
+    from mast_zenoh.report.film.look import Look
+
+
+_POLL_S = 0.2  # for new lines of logs
+
+FinishedRun = Annotated[Path, run_argument("The folder of a finished run.")]
+RunningRun = Annotated[Path, run_argument("The folder of a running run.")]
+
+# Options of films and stills
+Agent = Annotated[str | None, typer.Option(help="Whose estimates to show. Default: the main agent.")]
+Estimates = Annotated[
+    list[str] | None,
+    typer.Option("--estimate", metavar="NAME", help="Up to three, side by side: local, picture, mission, truth, …"),
+]
+Beside = Annotated[
+    Path | None, typer.Option("--against", metavar="OTHER", help="Another run, beside the first at the same time.")
+]
+Camera = Annotated[bool, typer.Option("--camera", help="Add the agent's camera view.")]
+Window = Annotated[
+    str, typer.Option(metavar="fit|follow[:HALF]|X,Y,HALF", help="Which part of the scene; half of its height in m.")
+]
+Theme = Annotated[str, typer.Option(metavar="dark|light", help="The ground.")]
+Size = Annotated[str | None, typer.Option(metavar="WIDTHxHEIGHT[px|in|cm|mm]", help="Of the image: 1280x720, 18x10cm.")]
+Dpi = Annotated[int, typer.Option(help="Pixels per inch; text keeps its size in points.")]
+Plain = Annotated[bool, typer.Option("--plain", help="Panels and legend alone: no title, numbers, strips or caption.")]
+Title = Annotated[str | None, typer.Option(help="In place of the run's name and the agent's.")]
+Captions = Annotated[
+    list[str] | None,
+    typer.Option("--caption", metavar="FRAME:TEXT", help="A caption from this frame until the next event."),
+]
+
+
+def report(
+    run_folder: RunPath,
+    frame: Annotated[int | None, typer.Option(min=0, help="The frame that figures show.")] = None,
+    against: Against = None,
+    measure: Annotated[bool, typer.Option("--measure", help="Measure the run again, from its recording.")] = False,
+    figures: Annotated[list[Path] | None, typer.Option(help="A Python file whose figures are added.")] = None,
+    confirmed: Confirmed = False,
+) -> None:
+    """Write the report of a run again, compared with another run if one is named.
+
+    A run without metrics is measured first, if it was recorded.
+    """
+    from mast_zenoh.launch import measurement
+    from mast_zenoh.report import html, terminal
+
+    check_reference(against)
+    if missing := next((file for file in figures or () if not file.is_file()), None):
+        raise ConfigurationError(f"no file {str(missing)!r}: --figures expects a Python file")
+    allowed = allowed_code(*(figures or ()), confirmed=confirmed)
+    if measure or measurement.can_fill_in(run_folder):
+        for refused in measurement.measure(run_folder, allowed):
+            _err.plain(f"warning: {refused}")
+        _out.plain(f"measured: {run_folder / measurement.METRICS}")
+    other = None if against is None else reference_folder(run_folder, against, allowed)
+    with reporting(run_folder):
+        if other is not None:
+            terminal.show_run(_out, run_folder, other)
+        _out.plain(f"report: {html.write_report(run_folder, frame, other, figures or ())}")
+    if warning := terminal.failure(run_folder):
+        _err.warn(warning)
+
+
+def export(
+    run_folder: FinishedRun,
+    to: Annotated[FormatName, typer.Option(help="The format, see docs/exports.md.")],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="PATH", help="The new file or folder.")],
+) -> None:
+    """Write a finished run in another format."""
+    from mast_zenoh.viewer import export as formats
+
+    with reading(run_folder):
+        exported = formats.export(run_folder, to, out)
+    for path in exported.paths:
+        _out.plain(f"exported: {path}")
+    for sentence in exported.missing:
+        _err.warn(sentence)
+
+
+def animate(
+    run_folder: FinishedRun,
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="A new file: .mp4, .gif or .webm.")],
+    agent: Agent = None,
+    estimates: Estimates = None,
+    against: Beside = None,
+    camera: Camera = False,
+    window: Window = "fit",
+    theme: Theme = "dark",
+    size: Size = None,
+    dpi: Dpi = 100,
+    plain: Plain = False,
+    title: Title = None,
+    captions: Captions = None,
+    start: Annotated[int | None, typer.Option("--from", metavar="FRAME", help="The first frame.")] = None,
+    end: Annotated[int | None, typer.Option("--to", metavar="FRAME", help="The last frame.")] = None,
+    speed: Annotated[float, typer.Option(help="Speed over that of the scene.")] = 1.0,
+    fps: Annotated[float | None, typer.Option(help="Images per second. Default: every frame, at most 30.")] = None,
+) -> None:
+    """Write a film of a finished run."""
+    from mast_zenoh.report.film import writing  # drawing libraries are slow to load
+
+    look = _look(
+        estimates,
+        captions,
+        agent=agent,
+        camera=camera,
+        window=window,
+        theme=theme,
+        size=size,
+        dpi=dpi,
+        plain=plain,
+        title=title,
+    )
+    with reading(run_folder):
+        images = writing.animate(run_folder, out, look, against, start=start, end=end, speed=speed, fps=fps)
+    _out.plain(f"film: {out} ({images} images, {out.stat().st_size / 1e6:.1f} MB)")
+
+
+def snapshot(
+    run_folder: FinishedRun,
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="A new file: .pdf, .svg or .png.")],
+    frame: Annotated[int | None, typer.Option(help="The frame. Default: the one that the report shows.")] = None,
+    agent: Agent = None,
+    estimates: Estimates = None,
+    against: Beside = None,
+    camera: Camera = False,
+    window: Window = "fit",
+    theme: Theme = "light",
+    size: Size = None,
+    dpi: Dpi = 100,
+    plain: Plain = False,
+    title: Title = None,
+    captions: Captions = None,
+) -> None:
+    """Write one frame of a finished run as a figure."""
+    from mast_zenoh.report.film import writing
+
+    look = _look(
+        estimates,
+        captions,
+        agent=agent,
+        camera=camera,
+        window=window,
+        theme=theme,
+        size=size,
+        dpi=dpi,
+        plain=plain,
+        title=title,
+    )
+    with reading(run_folder):
+        shown = writing.snapshot(run_folder, out, look, frame, against)
+    _out.plain(f"frame {shown}: {out}")
+
+
+def _look(estimates: list[str] | None, captions: list[str] | None, **options: Any) -> Look:
+    from mast_zenoh.report.film.look import Look
+
+    return Look(estimates=tuple(estimates or ("picture",)), captions=tuple(captions or ()), **options)
+
+
+def logs(
+    run_folder: RunPath,
+    node: Annotated[
+        str | None,
+        typer.Argument(metavar="[NODE]", help="The node. Default: all.", autocompletion=completion.logged_nodes),
+    ] = None,
+    follow: Annotated[
+        bool, typer.Option("--follow", "-f", help="Continue with new lines until the run ends, or Ctrl-C.")
+    ] = False,
+) -> None:
+    """Print the logs of a run's nodes, in the order of time; of all nodes with their names."""
+    from mast_zenoh.launch.log_reading import RunLogs
+
+    run_logs = RunLogs(run_folder, node)
+    printed = False
+    received: list[int] = []  # no exception: it could come while a line is being written, and repeat it
+    with suppress(KeyboardInterrupt), stop_signals.second_interrupts(received):
+        running = True
+        while running and not received and standard_streams.is_read():
+            running = follow and run_logs.running  # asked first: a node may log until the run ends
+            for line in run_logs.new_lines(partial=not running):
+                prefix = f"{line.node}  " if node is None else ""
+                sys.stdout.write(f"{escaped(prefix + line.text)}\n")
+                printed = True
+                if received:
+                    break
+            sys.stdout.flush()
+            if running and not received:
+                threading.Event().wait(_POLL_S)
+    if not (printed or run_logs.problems or received):
+        sentence = "no node has written to its log" if node is None else f"{node} has not written to its log"
+        _err.plain(sentence)
+    for log, problem in run_logs.problems.items():
+        _err.warn(f"{run_folder / log}: {problem}")
+
+
+def intercept(
+    run_folder: RunningRun,
+    wire: Annotated[str, typer.Option(help="The wire to intercept: agent/infra_2/tracks.")],
+    node: Annotated[
+        str,
+        typer.Option(
+            "--with", metavar="NODE.py|ATTACK", help="A node's file; or an attack: its name, FILE.py or FILE.py:CLASS."
+        ),
+    ],
+    name: Annotated[str | None, typer.Option(help="Name of the new node. Default: its file's, with a number.")] = None,
+    input: Annotated[str | None, typer.Option(metavar="PORT", help="Its input port for the wire's messages.")] = None,
+    output: Annotated[str | None, typer.Option(metavar="PORT", help="Its output port for the wire's messages.")] = None,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A parameter of the node, or a dotted path.")
+    ] = None,
+    confirmed: Confirmed = False,
+) -> None:
+    """Insert a node into a wire during a run; no message is lost or duplicated."""
+    from mast_zenoh.launch import live_interception
+
+    result = live_interception.intercept(
+        run_folder,
+        wire,
+        node,
+        name=name,
+        input=input,
+        output=output,
+        settings=settings or (),
+        allowed=allowed_code(node.partition(":")[0], confirmed=confirmed),
+    )
+    _show_result(f"{result['node']} is on", result)
+
+
+def release(
+    run_folder: RunningRun,
+    name: Annotated[str | None, typer.Option(help="The node to release.")] = None,
+    wire: Annotated[
+        str | None, typer.Option(help="Instead of a name: the wire whose only inserted node is released.")
+    ] = None,
+    confirmed: Confirmed = False,
+) -> None:
+    """Release a node from its wires during a run, after its messages are forwarded."""
+    from mast_zenoh.launch import live_interception
+
+    if (name is None) == (wire is None):
+        raise typer.BadParameter("expected either --name or --wire", param_hint="--name / --wire")
+    result = live_interception.release(run_folder, name=name, wire=wire, allowed=allowed_code(confirmed=confirmed))
+    _show_result(f"{result['node']} is off", result)
+
+
+def _show_result(subject: str, result: dict[str, Any]) -> None:
+    wires = ", ".join(result["wires"])
+    _out.plain(f"{subject} {wires} from frame {result['frame']} on ({result['took_ms']:.1f} ms)")
+
+
+def replay(
+    run_folder: Annotated[Path, run_argument("The folder of a recorded run.")],
+    place: Annotated[
+        Literal["agents", "simulator"],
+        typer.Option("--from", help="Play what the agents sent, or what the simulator sent. All after it is live."),
+    ] = "agents",
+    scenario: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE", help="A scenario file; its broker, command centre, evaluator and agents are live."
+        ),
+    ] = None,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A setting of a live node, as a dotted path.")
+    ] = None,
+    frames: Frames = None,
+    loop: Annotated[bool, typer.Option("--loop", help="Repeat the recording until Ctrl-C, or --times.")] = False,
+    times: Annotated[int | None, typer.Option(min=1, help="How often to play the recording.")] = None,
+    runtime: Runtime = "mesh",
+    mode: Mode = None,
+    rate: Rate = None,
+    out: Out = None,
+    endpoint: RouterEndpoint = None,
+    secure: Secure = "open",
+    report: Report = True,
+    record: Record = True,
+    allow_failures: AllowFailures = False,
+    allow_churn: AllowChurn = False,
+    against: Annotated[
+        str | None, typer.Option(metavar="RUN", help="Compare with another run, such as the recorded one.")
+    ] = None,
+    confirmed: Confirmed = False,
+) -> None:
+    """Play a recorded run to live nodes, such as a changed command centre.
+
+    Lock-step, or real time with --rate. Without changes, a lock-step recording gives the recorded picture.
+    """
+    from mast_zenoh import replay as replays
+    from mast_zenoh.launch import run as launcher
+
+    if against == "twin":
+        raise typer.BadParameter(
+            "a replay has no twin: expected the recorded run, or another one", param_hint="--against"
+        )
+    check_reference(against)
+    if mode == "lockstep" and rate is not None:
+        raise typer.BadParameter("lock-step waits for every node: expected --mode realtime", param_hint="--rate")
+    chosen = mode or ("lockstep" if rate is None else "realtime")
+    check_environment(runtime, chosen, secure, endpoint)
+    files = [value for _, is_set, value in (item.partition(".file=") for item in settings or ()) if is_set]
+    prepared = replays.resolve(
+        run_folder,
+        place,
+        scenario=scenario,
+        settings=settings or (),
+        frames=frames,
+        repeats=times or (None if loop else 1),
+        mode=chosen,
+        rate=1.0 if rate is None else rate,
+        record=record,
+        allowed=allowed_code(scenario, *files, confirmed=confirmed),
+    )
+    for line in prepared.lines():
+        _out.plain(line)
+    for notice in prepared.notices:
+        _err.warn(notice)
+    environment: dict[str, Any] = {"runtime": runtime, "endpoint": endpoint, "secure": secure}
+    allowed: dict[str, Any] = {"allow_failures": allow_failures, "allow_churn": allow_churn}
+    finished = launcher.run(prepared.resolved, out, **environment, **allowed, console=_out, replay=prepared.record())
+    conclude(finished, report=report, against=against, allow_failures=allow_failures)
