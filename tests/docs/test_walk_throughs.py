@@ -1,0 +1,150 @@
+"""Pages whose files and commands are run in order, as a reader would, and whose numbers are checked."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import imageio_ffmpeg
+import pytest
+from containers import base
+from page_commands import play_page
+from PIL import Image
+
+from mast_zenoh import scenario
+from mast_zenoh.deploy.ssh import hostsfile
+from mast_zenoh.messagelog.difference import compare
+
+pytestmark = [pytest.mark.heavy, pytest.mark.timeout(300)]
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+def page(name: str) -> str:
+    return (DOCS / f"{name}.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.mesh
+def test_the_tutorial_works_as_written(tmp_path: Path) -> None:
+    folder = play_page(page("tutorial"), tmp_path, least=10)
+    assert (folder / "study" / "report.html").is_file()
+
+
+def test_the_page_on_films_works_as_written(tmp_path: Path) -> None:
+    folder = play_page(page("animations"), tmp_path, least=5)
+    for name, count in (("film.gif", 60), ("slow.gif", 21), ("both.gif", 16)):
+        with Image.open(folder / name) as film:
+            assert film.n_frames == count
+    for name, count in (("film.mp4", 16), ("compared.webm", 26)):
+        assert imageio_ffmpeg.count_frames_and_secs(str(folder / name))[0] == count
+    assert (folder / "figure.pdf").read_bytes().startswith(b"%PDF")
+    assert (folder / "ego.pdf").read_bytes().startswith(b"%PDF")
+    assert "<svg" in (folder / "figure.svg").read_text()
+    assert (folder / "figure.png").stat().st_size > 10_000
+    printed = (folder / "printed").read_text()
+    assert "film: film.mp4 (16 images" in printed
+    assert "frame 45: figure.svg" in printed
+
+
+# -- replays -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def replayed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder in which the page on replays was played."""
+    return play_page(page("replay"), tmp_path_factory.mktemp("replay"), least=6)
+
+
+@pytest.mark.mesh
+def test_the_page_on_replays_works_as_written(replayed: Path) -> None:
+    printed = (replayed / "printed").read_text()
+    assert "equal: 60 messages" in printed
+    for changed in ("pipeline.clustering.assign_radius", "file, type", "file, type, witnesses"):
+        assert f"live: broker, command_center (changed: {changed}), evaluator, recorder" in printed
+    assert compare(replayed / "recorded", replayed / "same", wires=("cc/picture",)).first is None
+    assert compare(replayed / "recorded", replayed / "wider", wires=("cc/picture",)).first is not None
+
+
+@pytest.mark.mesh
+def test_the_table_of_replays_has_the_measured_numbers(replayed: Path) -> None:
+    for row, measure in (("false (FP)", "fp"), ("missed (FN)", "fn")):
+        numbers = [f"{picture(replayed, run, measure):.2f}" for run in ("recorded", "witnessed", "strict")]
+        assert f"| {row} | {' | '.join(numbers)} |" in page("replay")
+
+
+# -- the tutorial on defences ------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def defended(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder in which the tutorial on defences was played."""
+    folder = play_page(page("tutorial_defence"), tmp_path_factory.mktemp("defence"), least=9)
+    printed = (folder / "printed").read_text()
+    assert "4 passed" in printed
+    assert printed.count("withheld objects per frame") == 2
+    return folder
+
+
+def picture(folder: Path, run: str, measure: str = "fp") -> float:
+    """A mean per frame of the picture near the ego."""
+    metrics = json.loads((folder / run / "metrics.json").read_text())
+    return float(metrics["agents"]["ego"]["picture"][measure]["mean"])
+
+
+def test_the_defence_stops_the_naive_adversary_and_not_the_one_that_knows_it(defended: Path) -> None:
+    assert picture(defended, "naive_undefended") > 2.0
+    assert picture(defended, "naive_defended") < 0.3 * picture(defended, "naive_undefended")
+    assert picture(defended, "adaptive_undefended") > 1.0
+    assert picture(defended, "adaptive_defended") > 0.9 * picture(defended, "adaptive_undefended")
+    assert picture(defended, "quiet_defended", "fn") == picture(defended, "adaptive_undefended", "fn"), "no cost"
+
+
+def test_the_table_of_the_tutorial_has_the_measured_numbers(defended: Path) -> None:
+    rows = {"`UncoordinatedAttack`": "naive", "`FewWitnesses`": "adaptive"}
+    for row, run in rows.items():
+        (numbers,) = re.findall(rf"^\| {row} \| ([\d.]+) \| ([\d.]+) \|$", page("tutorial_defence"), flags=re.M)
+        for defence, number in zip(("undefended", "defended"), numbers, strict=True):
+            assert picture(defended, f"{run}_{defence}") == pytest.approx(float(number), abs=0.3)
+    (quiet,) = re.findall(r"^\| none \| [\d.]+ \| ([\d.]+) \|$", page("tutorial_defence"), flags=re.M)
+    assert picture(defended, "quiet_defended") == pytest.approx(float(quiet), abs=0.1)
+
+
+def test_the_liar_is_trusted_less_only_if_it_is_naive(defended: Path) -> None:
+    found = re.findall(r"^(\w+)_defended (\{.*\})$", (defended / "printed").read_text(), flags=re.M)
+    trust = {run: json.loads(text.replace("'", '"')) for run, text in found}
+    least = {run: min(values[agent] for agent in values if agent != "infra_1") for run, values in trust.items()}
+    assert trust["naive"]["infra_1"] < least["naive"]
+    assert trust["adaptive"]["infra_1"] >= least["adaptive"]
+
+
+# -- deployment --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.mesh
+@pytest.mark.timeout(600)
+def test_every_command_of_the_page_on_deployment_for_one_machine_works_as_written(tmp_path: Path) -> None:
+    here = base()
+    environment = os.environ | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    blocks = re.findall(r"^```console( image)?\n(.*?)^```$", page("deploy"), flags=re.S | re.M)
+    assert len(blocks) >= 3
+    for image, text in blocks:
+        for line in text.splitlines():
+            assert line.startswith("$ ")
+            command = line[2:].replace("python:3.12-slim", here) if image else line[2:]
+            process = subprocess.run(
+                command, shell=True, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+            )
+            assert process.returncode == 0, f"{line}\n{process.stdout}{process.stderr}"
+    assert (tmp_path / "composed" / "report.html").is_file()
+
+
+def test_the_example_of_the_page_on_deployment_places_nodes_as_described() -> None:
+    text = re.findall(r"^```toml\n(.*?)^```$", page("deploy"), flags=re.S | re.M)[0]
+    path, loaded = scenario.load("uncoordinated")
+    nodes = scenario.resolve(path, loaded, frames=2, record=True).nodes
+    placed = hostsfile.parse(text, "hosts.toml").placed(nodes)
+    assert {spec.role for name, spec in nodes.items() if placed[name] == "there"} == {"agent", "adversary"}
