@@ -152,31 +152,29 @@ def test_a_run_under_nohup_survives_its_terminal(out: Path) -> None:
 
 @pytest.mark.parametrize(
     ("stream", "case"),
-    [("stdout", "reader of standard output gone (`head -0`)"), ("stderr", "reader of standard error gone")],
+    [
+        ("stdout", "reader of standard output gone (`head -0`)"),
+        ("stderr", "reader of standard error gone"),
+        ("full", "standard output on a full disk (`> /dev/full`)"),
+        *((closed, "standard output or error closed (`>&-`)") for closed in ("1", "2", "0 1 2")),
+    ],
 )
-def test_a_closed_pipe_does_not_fail_the_run(out: Path, stream: str, case: str) -> None:
+def test_a_stream_that_takes_nothing_does_not_fail_the_run(out: Path, stream: str, case: str) -> None:
+    """A full disk is an error, but the run is kept; the descriptor of a closed stream is not used again."""
     reading, writing = os.pipe()
     os.close(reading)
-    try:
-        outcome = FinishedCommand(out, (*MAST, *RUN), **{stream: writing})
-    finally:
-        os.close(writing)
-    outcome.assert_matches(ending(case))
-
-
-@pytest.mark.parametrize("descriptors", [(1,), (2,), (0, 1, 2)])
-def test_a_closed_stream_does_not_fail_the_run_and_its_descriptor_is_not_reused(
-    out: Path, descriptors: tuple[int]
-) -> None:
-    outcome = FinishedCommand(out, (*MAST, *RUN), preexec_fn=lambda: [os.close(number) for number in descriptors])
-    outcome.assert_matches(ending("standard output or error closed (`>&-`)"))
-
-
-def test_standard_output_on_a_full_disk_is_an_error_but_the_run_is_kept(out: Path) -> None:
+    options: dict[str, object] = {stream: writing}
     with Path("/dev/full").open("w") as full:
-        outcome = FinishedCommand(out, (*MAST, *RUN), stdout=full)
-    outcome.assert_matches(ending("standard output on a full disk (`> /dev/full`)"))
-    assert "standard output: No space left on device" in outcome.text
+        if stream == "full":
+            options = {"stdout": full}
+        elif case.endswith("closed (`>&-`)"):
+            options = {"preexec_fn": lambda: [os.close(int(number)) for number in stream.split()]}
+        try:
+            outcome = FinishedCommand(out, (*MAST, *RUN), **options)
+        finally:
+            os.close(writing)
+    outcome.assert_matches(ending(case))
+    assert ("standard output: No space left on device" in outcome.text) == (stream == "full")
 
 
 def test_a_disk_that_is_full_from_the_start_leaves_no_run_folder(out: Path) -> None:
