@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 import swarm_launch
-import swarms
+from containers import built
 from equal_runs import assert_equal
 from launched import Launched, eventually
 
@@ -28,8 +28,14 @@ pytestmark = [pytest.mark.heavy, pytest.mark.mesh, pytest.mark.timeout(420)]
 
 @pytest.fixture(scope="module")
 def image() -> Iterator[str]:
-    with swarms.swarm() as tag:
-        yield tag
+    """The tag of the image in a swarm of this one machine; an existing swarm is kept."""
+    tag = built()
+    made = docker("info", "--format", "{{.Swarm.LocalNodeState}}").strip() == "inactive"
+    if made:
+        docker("swarm", "init", "--advertise-addr", "127.0.0.1")
+    yield tag
+    if made:
+        docker("swarm", "leave", "--force")
 
 
 @pytest.fixture(autouse=True)
