@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Generator
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
@@ -383,26 +384,24 @@ class DriverProtocol(NodeProtocol):
         return super()._outcome() | facts | {"sent_ns": self.scene.sent_ns, "churn": self.membership.churn}
 
 
+@dataclass(eq=False)
 class SceneFrames:
     """Prepares each frame while the mesh handles the previous one.
 
     Until it is sent, a frame is only bytes in this process: no node can act on it too early.
 
-    send:    sends a message;  wall_ns: the wall clock
+    send_message: sends it;  wall_ns: the wall clock
     sent:    messages of the current epoch, by key
     sent_ns: times when the newest frames were sent, ns on the wall clock
     """
 
-    def __init__(
-        self, source: Source, context: Context, send: Callable[[Outgoing], None], wall_ns: Callable[[], int]
-    ) -> None:
-        self.sent: Counter[str] = Counter()
-        self.sent_ns: dict[int, int] = {}
-        self._source = source
-        self._context = context
-        self._send = send
-        self._wall_ns = wall_ns
-        self._ready: list[Outgoing] | None = None
+    source: Source
+    context: Context
+    send_message: Callable[[Outgoing], None]
+    wall_ns: Callable[[], int]
+    sent: Counter[str] = field(default_factory=Counter)
+    sent_ns: dict[int, int] = field(default_factory=dict)
+    _ready: list[Outgoing] | None = None
 
     def keep(self, message: Outgoing) -> None:
         """Keep what the source publishes until its frame is sent."""
@@ -412,7 +411,7 @@ class SceneFrames:
     def prepare(self) -> None:
         """Prepare the next frame; at the end of the scene it has no messages."""
         self._ready = []
-        self._source.advance(self._context)
+        self.source.advance(self.context)
 
     def send(self, number: int) -> bool:
         """Send the prepared frame as frame `number`; False if there is none."""
@@ -420,9 +419,9 @@ class SceneFrames:
             self.prepare()
         if not self._ready:
             return False
-        self.sent_ns[number] = self._wall_ns()
+        self.sent_ns[number] = self.wall_ns()
         self.sent_ns.pop(number - MAX_FRAMES, None)
         for message in self._ready:
-            self._send(message)
+            self.send_message(message)
             self.sent[message.key] += 1
         return True
