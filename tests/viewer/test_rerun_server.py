@@ -1,4 +1,4 @@
-"""Recordings for Rerun over HTTP: whole ones and growing ones, in its web viewer, and for a client that is too slow."""
+"""Recordings for Rerun over HTTP: whole ones and growing ones, in its web viewer out of the installed package."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from PIL import Image
 from rerun.chunk import RrdReader
 
 import mast_zenoh as mast
+from mast_zenoh.errors import ExportError
 from mast_zenoh.viewer.export import rrd
 from mast_zenoh.viewer.recorded import RecordedRun
 from mast_zenoh.viewer.servers import rerun
@@ -153,3 +154,12 @@ def test_the_web_viewer_shows_the_boxes_and_reaches_no_other_host(file: Path) ->
         assert all(address.startswith(server.url) for address in answered)
         page.close()
         server.shutdown()
+
+
+def test_a_web_viewer_that_fails_at_once_is_reported_with_its_last_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "rerun_cli.py").write_text("import sys\nsys.exit('error: no web viewer in this build')\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    with pytest.raises(ExportError, match="the program ended: error: no web viewer in this build: use the native"):
+        web_viewer_files()
