@@ -3,22 +3,14 @@
 from dataclasses import replace
 from pathlib import Path
 
-import commonroad_writer
-import dair_writer
-import kitti_writer
-import label_twins
 import numpy as np
-import opv2v_writer
 import pytest
-import sumo_writer
-import tumtraf_writer
-import urbaning_writer
 from PIL import Image
 from typer.testing import CliRunner
 
 import mast_zenoh as mast
 from mast_zenoh.cli.app import app
-from mast_zenoh.config.scene_names import recognised, short_names
+from mast_zenoh.config.scene_names import recognised
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes import from_arrays
 from mast_zenoh.scenes.inspection import contents, problems
@@ -112,29 +104,6 @@ def test_written_detections_are_replayed(tmp_path: Path) -> None:
 def test_a_frame_that_is_not_there_is_refused() -> None:
     with pytest.raises(ConfigurationError, match="frame is 6, expected 0 to 5"):
         mast.scene(times_s=TIMES, position=np.zeros((6, 1, 2))).birdseye(6)
-
-
-SOURCE = label_twins.source
-TWINS = {
-    "opv2v": lambda folder: opv2v_writer.write_opv2v(SOURCE(), folder),
-    "v2xreal": lambda folder: opv2v_writer.write_v2xreal(SOURCE(), folder),
-    "multiv2x": lambda folder: opv2v_writer.write_multiv2x(SOURCE(), folder),
-    "v2v4real": lambda folder: opv2v_writer.write_v2v4real(SOURCE(), folder),
-    "dair": lambda folder: dair_writer.write_spd(folder, SOURCE(), 2),
-    "rcooper": lambda folder: dair_writer.write_rcooper(folder, SOURCE(), 2),
-    "tumtraf": lambda folder: tumtraf_writer.write(folder, SOURCE()) and folder,
-    "urbaning": lambda folder: urbaning_writer.write(folder, SOURCE()),
-    "kitti": lambda folder: kitti_writer.write_kitti(SOURCE(), folder),
-    "sumo": lambda folder: sumo_writer.write_sumo(SOURCE(), folder),
-    "commonroad": lambda folder: commonroad_writer.write_commonroad(SOURCE(), folder.with_suffix(".xml")),
-}
-
-
-@pytest.mark.parametrize("name", TWINS)
-def test_every_data_set_is_recognised_by_its_files(name: str, tmp_path: Path) -> None:
-    path = TWINS[name](tmp_path / "scene")
-    assert recognised(str(path)) == f"{name}:{path}"
-    assert TWINS.keys() | {"intersection", "recording", "avstack", "av2"} == set(short_names())
 
 
 def test_other_files_are_refused(tmp_path: Path) -> None:

@@ -10,16 +10,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import commonroad_writer
-import dair_writer
-import kitti_writer
 import label_twins
 import mast_datasets
-import opv2v_writer
 import pytest
-import sumo_writer
-import tumtraf_writer
-import urbaning_writer
+from twins import TWINS
 
 from mast_zenoh import (
     attacks,
@@ -142,22 +136,6 @@ SCENES: dict[str, Callable[[], scenes.Scene]] = {
     "Intersection": scenes.Intersection,
     "AVstackScene": lambda: mast_datasets.AVstackScene(path=str(data("avstack_carla_fixture"))),
     "AV2Log": lambda: mast_datasets.AV2Log(path=str(min(path for path in data("av2_logs").iterdir() if path.is_dir()))),
-}
-
-#: Writers of a recording into the layout of a data set without originals, by the scene that reads it. They return the
-#: scene's path.
-TWINS: dict[str, Callable[[Path, scenes.Recording], Path]] = {
-    "OPV2VScene": lambda folder, source: opv2v_writer.write_opv2v(source, folder),
-    "V2XRealScene": lambda folder, source: opv2v_writer.write_v2xreal(source, folder),
-    "MultiV2XScene": lambda folder, source: opv2v_writer.write_multiv2x(source, folder),
-    "V2V4RealScene": lambda folder, source: opv2v_writer.write_v2v4real(source, folder),
-    "DAIRScene": lambda folder, source: dair_writer.write_spd(folder, source, len(source)),
-    "RCooperScene": lambda folder, source: dair_writer.write_rcooper(folder, source, len(source)),
-    "KittiTracking": lambda folder, source: kitti_writer.write_kitti(source, folder),
-    "CommonRoadScenario": lambda folder, source: commonroad_writer.write_commonroad(source, folder.with_suffix(".xml")),
-    "SumoTrace": lambda folder, source: sumo_writer.write_sumo(source, folder),
-    "TUMTrafV2X": lambda folder, source: tumtraf_writer.write(folder, source) and folder,
-    "UrbanIngV2X": lambda folder, source: urbaning_writer.write(folder, source) and folder,
 }
 
 

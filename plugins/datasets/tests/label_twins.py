@@ -2,17 +2,13 @@
 
 import contextlib
 import json
-from collections.abc import Callable
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from hypothesis import strategies as st
 
-import mast_zenoh as mast
 from mast_zenoh.arrays.geometry import wrap_angle
-from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes.generated.intersection import Intersection
 from mast_zenoh.scenes.making.observe import World, lidar_visibility
 from mast_zenoh.scenes.recording import Recording
@@ -90,14 +86,6 @@ def _assert_same_visibility(read: Recording, columns: list[int]) -> None:
     assert (expected >= 5).any(axis=0).all(), "every agent sees something"
 
 
-def play(scenario: str, scene: dict[str, Any], out: Path, **parameters: Any) -> dict[str, Any]:
-    """Scores of the picture at the ego, of a run in this process."""
-    mast.run(scenario, scene=scene, frames=FRAMES, seed=0, out=out, record=False, **parameters)
-    metrics = json.loads((out / "metrics.json").read_text())
-    assert metrics["frames"] == FRAMES
-    return metrics["agents"]["ego"]["picture"]
-
-
 EXTREME = [None, True, 0, -1, 1e308, -1e308, 10**400, float("nan"), float("inf"), "", "\x00", "\ud800", "1", [], {}]
 ANYTHING = st.sampled_from(EXTREME) | st.recursive(
     st.integers() | st.floats() | st.text(max_size=4),
@@ -139,14 +127,3 @@ def _collect(value: Any, places: list[tuple[Any, Any]]) -> None:
     for key, inner in items:
         places.append((value, key))
         _collect(inner, places)
-
-
-def assert_read_or_refused(file: Path, damage: tuple[str, Any], read: Callable[[], Recording]) -> None:
-    """A damaged file is read, or refused; it is undamaged afterwards."""
-    content = file.read_bytes()
-    try:
-        file.write_bytes(damaged(content, damage))
-        with contextlib.suppress(SceneError, ConfigurationError):
-            read()
-    finally:
-        file.write_bytes(content)

@@ -1,6 +1,5 @@
 """Reading CommonRoad scenarios, and refusal of damaged ones."""
 
-import contextlib
 import gzip
 from collections.abc import Callable
 from pathlib import Path
@@ -9,11 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from commonroad_writer import write_commonroad
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from mast_datasets import CommonRoadScenario
 from reference_data import reference
-from scored_run import SCENARIOS, play_scored
 from twin_source import assert_equal_truth, flat_twin_source, returns_of
 
 from mast_zenoh.arrays.states import CLASS_INDEX
@@ -245,30 +241,6 @@ def test_a_path_without_a_single_scenario_is_refused(tmp_path: Path) -> None:
 def test_agents_that_cannot_be_are_refused(parameters: dict, message: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=message):
         read(tmp_path / "road.xml", ROAD, **parameters)
-
-
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(
-    position=st.integers(0, len(ROAD) - 1),
-    replaced=st.integers(0, 30),
-    text=st.one_of(
-        st.binary(max_size=6),
-        st.sampled_from([b"<", b">", b"&a;", b"<!DOCTYPE x>", b"-1", b"1e400", b"9" * 30, b"<x>", b"</x>", b"\x00"]),
-    ),
-)
-def test_any_change_of_bytes_is_read_or_refused(position: int, replaced: int, text: bytes, tmp_path: Path) -> None:
-    content = ROAD.encode()
-    with contextlib.suppress(SceneError, ConfigurationError):
-        read(tmp_path / "fuzzed.xml", content[:position] + text + content[position + replaced :])
-
-
-@pytest.mark.parametrize("name", SCENARIOS)
-def test_a_twin_plays_without_and_with_attacks(name: str, twin: Path, tmp_path: Path) -> None:
-    agents = play_scored(tmp_path, name, f"commonroad:{twin}", frames=len(flat_twin_source()))
-    assert set(agents) == {"ego", "mobile_1", "mobile_2", "infra_1", "infra_2"}
-    picture = agents["ego"]["picture"]
-    assert picture["tp"]["mean"] > 2
-    assert name == "baseline" or picture["fp"]["mean"] > 0.3  # objects that the attack adds
 
 
 def test_real_scenarios_are_read_and_their_vehicles_move_as_stated() -> None:

@@ -10,14 +10,11 @@ from typing import Any
 import dair_writer as writer
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from mast_datasets import DAIRScene, RCooperScene
 from mast_datasets.dair import linked, matched, numbered
 from mast_datasets.dair_files import CLASS_OF_TYPE, LEFT_OUT
 from mast_zenoh.testing.scenes import check_scene
 
-import mast_zenoh as mast
 from mast_zenoh.arrays.geometry import heading, wrap_angle
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.errors import ConfigurationError, SceneError
@@ -553,70 +550,6 @@ def test_rcooper_frames_far_apart_are_a_gap(short: Path, tmp_path: Path) -> None
         files[-1].rename(files[-1].with_name("1692685345.5.json"))
     with pytest.raises(SceneError, match=r"coop/seq-4: frame 1692685345.5.json: found a gap of 1.300 s after frame"):
         read_rcooper(root)
-
-
-FUZZED = {
-    "spd": (read_spd, (PAIRS, CAR, LABELS, POLE_LABELS, MOUNT, POSE)),
-    "c": (read_c, (PAIRS, WORLD_LABELS, POLE)),
-    "rcooper": (read_rcooper, (COOP, OWN, CALIBRATION)),
-}
-VALUES = st.one_of(
-    st.sampled_from([None, True, 0, -1, 1e308, 10**400, "", "-1", "nan", "\x00", "../x", [], {}, [[]], [None] * 3]),
-    st.floats(),
-    st.text(max_size=3),
-)
-
-
-@st.composite
-def mutated(draw: st.DrawFn, content: bytes) -> bytes:
-    """A file with bytes or a value changed."""
-    if draw(st.booleans()):
-        at = draw(st.integers(0, len(content)))
-        return content[:at] + draw(st.binary(max_size=4)) + content[at + draw(st.integers(0, 40)) :]
-    root = [json.loads(content)]
-    holder, key = root, 0
-    for _ in range(draw(st.integers(0, 5))):
-        inner = holder[key]
-        if not isinstance(inner, (list, dict)) or not inner:
-            break
-        holder = inner
-        key = draw(st.sampled_from(sorted(inner) if isinstance(inner, dict) else range(len(inner))))
-    holder[key] = draw(VALUES)
-    return json.dumps(root[0]).encode()
-
-
-@settings(max_examples=120)
-@given(data=st.data())
-def test_any_change_of_a_file_is_read_or_refused(short: Path, data: st.DataObject) -> None:
-    name = data.draw(st.sampled_from(sorted(FUZZED)))
-    read, files = FUZZED[name]
-    file = short / name / data.draw(st.sampled_from(files))
-    content = file.read_bytes()
-    try:
-        file.write_bytes(data.draw(mutated(content)))
-        read(short / name).validate()
-    except (SceneError, ConfigurationError):
-        pass
-    finally:
-        file.write_bytes(content)
-
-
-SCENES = {
-    "spd": dict(type="DAIRScene", path="spd"),
-    "c": dict(type="DAIRScene", path="c", link_radius_m=2.0),
-    "rcooper": dict(type="RCooperScene", path="rcooper"),
-}
-
-
-@pytest.mark.parametrize("twin", sorted(SCENES))
-@pytest.mark.parametrize("name", ["baseline", "coordinated", "uncoordinated"])
-def test_baseline_and_attacks_play_on_the_twins(twins: Path, tmp_path: Path, twin: str, name: str) -> None:
-    attack: dict[str, Any] = {} if name == "baseline" else dict(n_adversaries=1, attack_start_s=0.5)
-    scene = SCENES[twin] | {"path": str(twins / twin)}
-    played = mast.run(name, scene=scene, out=tmp_path / "run", record=False, **attack)
-    picture = played.summary["agents"]["ego"]["picture"]
-    assert picture["tp"]["mean"] > 5
-    assert (picture["fp"]["mean"] > 1) == (name != "baseline")
 
 
 def test_the_shared_recording_is_sound(original: Recording) -> None:

@@ -1,17 +1,13 @@
 """Reading sequences of the KITTI tracking benchmark, and refusal of damaged ones."""
 
-import contextlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from kitti_writer import IMU_HEIGHT_M, LIDAR_IN_IMU, imu_positions, write_kitti
 from mast_datasets import KittiTracking
-from scored_run import SCENARIOS, play_scored
 from twin_source import twin_source
 
 from mast_zenoh.arrays.states import CLASSES
@@ -220,35 +216,6 @@ def test_missing_files_and_several_sequences_are_refused(tmp_path: Path) -> None
 def test_parts_and_agents_that_are_not_there_are_refused(parameters: dict, message: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=message):
         read(write(tmp_path), **parameters)
-
-
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(
-    file=st.sampled_from(sorted(FILES)),
-    fraction=st.floats(0.0, 1.0),
-    replaced=st.integers(0, 30),
-    text=st.one_of(
-        st.binary(max_size=6),
-        st.sampled_from([b" ", b"\n", b"-", b"--1", b"1e400", b"9" * 30, b"\x00", b"nan", b"-1e4"]),
-    ),
-)
-def test_any_change_of_bytes_is_read_or_refused(
-    file: str, fraction: float, replaced: int, text: bytes, tmp_path: Path
-) -> None:
-    content = FILES[file].encode()
-    position = int(fraction * len(content))
-    write(tmp_path, **{file: content[:position] + text + content[position + replaced :]})
-    with contextlib.suppress(SceneError, ConfigurationError):
-        read(tmp_path)
-
-
-@pytest.mark.parametrize("name", SCENARIOS)
-def test_a_twin_plays_without_and_with_attacks(name: str, twin: Path, tmp_path: Path) -> None:
-    agents = play_scored(tmp_path, name, f"kitti:{twin}", frames=len(twin_source()))
-    assert set(agents) == {"ego", "mobile_1", "mobile_2", "infra_1", "infra_2"}
-    picture = agents["ego"]["picture"]
-    assert picture["tp"]["mean"] > 2
-    assert name == "baseline" or picture["fp"]["mean"] > 0.3  # objects that the attack adds
 
 
 def test_the_twin_has_the_lidar_above_the_ground_as_the_reader_expects() -> None:

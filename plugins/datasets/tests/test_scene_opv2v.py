@@ -12,8 +12,6 @@ import numpy as np
 import opv2v_writer as writer
 import pytest
 import yaml
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from mast_datasets import MultiV2XScene, OPV2VScene, V2V4RealScene, V2XRealScene
 
 from mast_zenoh.arrays.geometry import wrap_angle
@@ -516,48 +514,3 @@ def test_a_path_that_is_no_scenario_is_refused(tmp_path: Path, short_twins: Any)
         shutil.copytree(short_twins[OPV2VScene], tmp_path / name)
     with pytest.raises(SceneError, match="2 scenarios, expected one"):
         read(OPV2VScene, tmp_path)
-
-
-VALUES = st.sampled_from(
-    ["", "-1", "1e400", ".nan", "[]", "{}", "null", "true", "--5", "!!python/tuple [1]", "*id001", "&id001 x", "9" * 50]
-)
-
-
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(data=st.data())
-@pytest.mark.parametrize("cls", WRITERS, ids=lambda cls: cls.__name__)
-def test_any_mutation_of_a_file_is_read_or_refused(cls: Any, short_twins: Any, tmp_path: Path, data: Any) -> None:
-    folder = tmp_path / "scenario"
-    if not folder.exists():
-        shutil.copytree(short_twins[cls], folder)
-    files = sorted(path for path in folder.glob("*/*.yaml") if "70" in path.stem or "1" in path.stem)
-    file = data.draw(st.sampled_from(files))
-    before = file.read_bytes()
-    text = bytearray(before)
-    for _ in range(data.draw(st.integers(1, 3))):
-        place = data.draw(st.integers(0, len(text) - 1))
-        if data.draw(st.booleans()):
-            text[place : place + data.draw(st.integers(0, 3))] = data.draw(st.binary(max_size=4))
-        else:  # another value of a line
-            start = text.rfind(b" ", 0, place) + 1
-            end = text.find(b"\n", start)
-            text[start:end] = data.draw(VALUES).encode()
-    file.write_bytes(bytes(text))
-    try:
-        read(cls, folder, last_frame=data.draw(st.sampled_from([None, 70 if cls in DOUBLED else 1])))
-    except (SceneError, ConfigurationError):
-        pass
-    finally:
-        file.write_bytes(before)
-
-
-@pytest.mark.parametrize("cls", WRITERS, ids=lambda cls: cls.__name__)
-def test_baseline_and_both_attacks_play_a_scenario(play: Any, cls: Any, twins: Any) -> None:
-    shared = dict(frames=FRAMES, seed=1, scene=f"{SHORT_NAMES[cls]}:{twins[cls]}", report=False)
-    runs = [play("baseline", **shared)]
-    runs += [play(name, n_adversaries=1, attack_start_s=0.5, **shared) for name in ("uncoordinated", "coordinated")]
-    scores = [run.summary["agents"]["ego"]["picture"] for run in runs]
-    assert [run.status for run in runs] == ["ok"] * 3
-    assert min(score["tp"]["mean"] for score in scores) > 10
-    assert scores[0]["fp"]["mean"] < 1
-    assert min(score["fp"]["mean"] for score in scores[1:]) > scores[0]["fp"]["mean"] + 0.3

@@ -1,6 +1,5 @@
 """Reading floating-car data of SUMO, and refusal of damaged ones."""
 
-import contextlib
 import gzip
 from collections.abc import Callable
 from pathlib import Path
@@ -8,11 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from mast_datasets import SumoTrace
 from reference_data import reference
-from scored_run import SCENARIOS, play_scored
 from sumo_writer import write_sumo
 from twin_source import assert_equal_truth, returns_of, twin_source
 
@@ -284,40 +280,6 @@ def test_a_window_that_no_vehicle_spans_is_refused(folder: Path) -> None:
     (folder / "fcd.xml").write_text('<fcd-export><timestep time="0"/><timestep time="1"/></fcd-export>')
     with pytest.raises(SceneError, match=r"fcd\.xml: found no car, truck or bus with a box in all 2 frames"):
         read(folder)
-
-
-FUZZED = {"fcd.xml": TRACE, "types.rou.xml": TYPES, "town.poly.xml": HOUSES, "fcd.csv": TABLE}
-
-
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(
-    file=st.sampled_from(sorted(FUZZED)),
-    fraction=st.floats(0.0, 1.0),
-    replaced=st.integers(0, 30),
-    text=st.one_of(
-        st.binary(max_size=6),
-        st.sampled_from([b"<", b">", b"&a;", b'"', b";", b",", b"\n", b"-1", b"1e400", b"9" * 30, b"\x00", b"inf"]),
-    ),
-)
-def test_any_change_of_bytes_is_read_or_refused(
-    file: str, fraction: float, replaced: int, text: bytes, tmp_path: Path
-) -> None:
-    for name, content in FUZZED.items():
-        (tmp_path / name).write_text(content)
-    content = FUZZED[file].encode()
-    position = int(fraction * len(content))
-    (tmp_path / file).write_bytes(content[:position] + text + content[position + replaced :])
-    with contextlib.suppress(SceneError, ConfigurationError):
-        read(tmp_path / ("fcd.csv" if file == "fcd.csv" else "fcd.xml"))
-
-
-@pytest.mark.parametrize("name", SCENARIOS)
-def test_a_twin_plays_without_and_with_attacks(name: str, twin: Path, tmp_path: Path) -> None:
-    agents = play_scored(tmp_path, name, f"sumo:{twin}", frames=len(twin_source()))
-    assert set(agents) == {"ego", "mobile_1", "mobile_2", "infra_1", "infra_2"}
-    picture = agents["ego"]["picture"]
-    assert picture["tp"]["mean"] > 2
-    assert name == "baseline" or picture["fp"]["mean"] > 0.3  # objects that the attack adds
 
 
 @pytest.mark.parametrize(

@@ -2,15 +2,12 @@
 
 import json
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from label_twins import DAMAGE, FRAMES, assert_read_or_refused, assert_same, play, source
+from label_twins import FRAMES, assert_same, source
 from mast_datasets import traffic, tumtraf
 from mast_datasets.tumtraf import TUMTrafV2X
 from tumtraf_writer import CAR, LABELS, POLE, write
@@ -355,33 +352,3 @@ def test_scenes_beyond_the_limits_are_refused(
     monkeypatch.setattr(module, limit, 3)
     with pytest.raises(SceneError, match=message):
         read(split)
-
-
-@settings(max_examples=150)
-@given(damage=DAMAGE, number=st.integers(0, 2))
-def test_a_damaged_file_is_read_or_refused(damaged_split: Path, damage: tuple[str, Any], number: int) -> None:
-    assert_read_or_refused(files(damaged_split)[number], damage, partial(read, damaged_split, n_infrastructure=0))
-
-
-@pytest.fixture(scope="module")
-def damaged_split(twin: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("damaged")
-    (folder / LABELS).mkdir(parents=True)
-    for file in files(twin)[:3]:
-        (folder / LABELS / file.name).write_bytes(file.read_bytes())
-    return folder
-
-
-@pytest.mark.parametrize(
-    ("scenario", "parameters"),
-    [
-        ("baseline", {}),
-        ("coordinated", dict(n_adversaries=1, attack_start_s=0.3)),
-        ("uncoordinated", dict(n_adversaries=1, attack_start_s=0.3)),
-    ],
-)
-def test_a_twin_plays_with_and_without_attacks(
-    twin: Path, tmp_path: Path, scenario: str, parameters: dict[str, Any]
-) -> None:
-    picture = play(scenario, dict(type="TUMTrafV2X", path=str(twin)), tmp_path / "run", **parameters)
-    assert picture["tp"]["mean"] > 1

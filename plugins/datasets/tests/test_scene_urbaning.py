@@ -4,15 +4,12 @@ import csv
 import json
 import shutil
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from label_twins import DAMAGE, FRAMES, assert_read_or_refused, assert_same, play, source
+from label_twins import FRAMES, assert_same, source
 from mast_datasets import traffic, urbaning
 from mast_datasets.urbaning import UrbanIngV2X
 from urbaning_writer import POLES, SEQUENCE, SHIFT, TIME_MS, write, write_timesync
@@ -323,25 +320,3 @@ def test_scenes_beyond_the_limits_are_refused(
     monkeypatch.setattr(module, limit, 3)
     with pytest.raises(SceneError, match=message):
         read(twin)
-
-
-@pytest.fixture(scope="module")
-def damaged_root(twin: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return Path(shutil.copytree(twin, tmp_path_factory.mktemp("damaged") / "UrbanIng-V2X"))
-
-
-@settings(max_examples=150)
-@given(damage=DAMAGE, file=st.sampled_from([TIMESYNC, CALIBRATION, STATE, LABELS, LABELS, OWN]))
-def test_a_damaged_file_is_read_or_refused(damaged_root: Path, damage: tuple[str, Any], file: str) -> None:
-    assert_read_or_refused(damaged_root / file, damage, partial(read, damaged_root, 2, n_infrastructure=1))
-
-
-@pytest.mark.parametrize(
-    ("scenario", "parameters"),
-    [("baseline", {}), ("coordinated", dict(attack_start_s=0.3)), ("uncoordinated", dict(attack_start_s=0.3))],
-)
-def test_a_twin_plays_with_and_without_attacks(
-    twin: Path, tmp_path: Path, scenario: str, parameters: dict[str, Any]
-) -> None:
-    picture = play(scenario, dict(type="UrbanIngV2X", path=str(twin)), tmp_path / "run", **parameters)
-    assert picture["tp"]["mean"] > 1
