@@ -13,7 +13,7 @@ import pytest
 from mast_datasets import DAIRScene, RCooperScene
 from mast_datasets.dair import linked, matched, numbered
 from mast_datasets.dair_files import CLASS_OF_TYPE, LEFT_OUT
-from mast_zenoh.testing.scenes import check_scene
+from mast_zenoh.testing import check_scene
 
 from mast_zenoh.arrays.geometry import heading, wrap_angle
 from mast_zenoh.arrays.states import CLASSES
