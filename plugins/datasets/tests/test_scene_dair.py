@@ -13,7 +13,6 @@ import pytest
 from mast_datasets import DAIRScene, RCooperScene
 from mast_datasets.dair import linked, matched, numbered
 from mast_datasets.dair_files import CLASS_OF_TYPE, LEFT_OUT
-from mast_zenoh.testing import check_scene
 
 from mast_zenoh.arrays.geometry import heading, wrap_angle
 from mast_zenoh.arrays.states import CLASSES
@@ -21,6 +20,7 @@ from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes import Intersection, Recording
 from mast_zenoh.scenes.recording import NO_MEASUREMENT
 from mast_zenoh.sensing import CleanDetector, sensor_pose, to_world
+from mast_zenoh.testing import check_scene
 
 FRAMES, FEW = 16, 4
 SEEN = writer.SEEN
