@@ -17,7 +17,8 @@ from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.effects import Pose
 from mast_zenoh.evaluation import Evaluation, RunData
 from mast_zenoh.metrics import AttributionLimits, Consistency, CutOff, Driving, Metric, Record, Scorer, Series
-from mast_zenoh.metrics.record import LOCAL, MISSION, PICTURE, PICTURE_RECEIVED, RECEIVED, Snapshot
+from mast_zenoh.metrics.estimates import LOCAL, MISSION, PICTURE, PICTURE_RECEIVED, RECEIVED
+from mast_zenoh.metrics.record import Snapshot
 from mast_zenoh.metrics.trust import TrustUpdate
 from mast_zenoh.node import Context, Node, Overheard
 from mast_zenoh.runtime.mesh.hosting import main

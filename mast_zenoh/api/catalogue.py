@@ -21,9 +21,9 @@ from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.faults import Fault
 from mast_zenoh.faults.network import HostPartition
 from mast_zenoh.messages.schemas import BUILT_IN, Schema
+from mast_zenoh.metrics.measures import MEASURES
 from mast_zenoh.node import Node
 from mast_zenoh.pipelines import AgentPipeline, MissionEstimator, Pipeline
-from mast_zenoh.report.tables.scores import MEASURES
 
 #: Units by the end of a parameter's name, longest first.
 _SUFFIXES = {
@@ -210,23 +210,6 @@ KINDS = (*_BASES, "messages", *_FILES)
 _WIDTH = 80  # of the text of an entry
 _MAX_ASSIGNMENT = 34  # of a parameter with its default, beside its meaning
 
-_MEASURES = {
-    "fn": "Objects in range of the agent that no track matches, per frame",
-    "fp": "Tracks in range of the agent that match no object, per frame",
-    "tp": "Objects in range of the agent that a track matches, per frame",
-    "rmse_m": "Root mean square distance of the centres of matched pairs, in m",
-    "id_switches": "Number of times that an object is matched by a different track than before",
-    "precision": "Share of the tracks that match an object, 0 to 1",
-    "recall": "Share of the objects that a track matches, 0 to 1",
-    "mota": "1 minus the missed objects, false tracks and identity switches per object (CLEAR MOT), at most 1",
-    "completeness": "Share of an object's frames in which it is matched, 0 to 1, mean over objects",
-    "ospa_m": "OSPA: distance between the set of objects and the set of tracks, per object, in m",
-    "gospa_m": "GOSPA: the same summed over the objects, in m",
-    "amota": "Tracking accuracy averaged over levels of recall, with the tracks ranked by their scores, at most 1",
-    "samota": "The same, with the accuracy at each level relative to the best one possible there, 0 to 1",
-    "amotp_m": "Mean distance of the centres of matched pairs, averaged over levels of recall, in m",
-}
-
 
 @dataclass(frozen=True, slots=True)
 class Entry:
@@ -358,8 +341,8 @@ def _special(kind: str) -> Iterator[Entry]:
             both = "up and down" if ways["up"] == ways["down"] else "up"
             yield Entry(name, "profiles of an agent's link", f"{both}: {rules}")
     if kind == "metrics":
-        for measure in MEASURES:
-            yield Entry(measure.key, "always computed, for every estimate of every agent", _MEASURES[measure.key])
+        for measure in MEASURES.values():
+            yield Entry(measure.label, "always computed, for every estimate of every agent", summary(type(measure)))
 
 
 def _messages() -> Iterator[Entry]:

@@ -47,7 +47,7 @@ class Comparison:
         """
         rows = [
             {
-                "metric": row.measure.key,
+                "metric": row.measure.label,
                 "run": row.run,
                 "estimate": estimate,
                 "mean": cell.value.mean,

@@ -41,12 +41,10 @@ from mast_zenoh.metrics import (
     cause_names,
     causes_of,
     driving,
-    user_metrics,
 )
 from mast_zenoh.metrics.attributor import Withheld
-from mast_zenoh.metrics.ranking import rankings
+from mast_zenoh.metrics.measures import MEASURES, ScoredRun, check, estimates_of, frame_keys, measured, per_frame
 from mast_zenoh.metrics.record import TruthTable
-from mast_zenoh.metrics.scores import COLUMNS
 from mast_zenoh.metrics.trust import Fault, TrustUpdate
 from mast_zenoh.wiring.model import agent_of
 
@@ -189,7 +187,7 @@ class Evaluation:
         for age_s in (self.picture_age_s, *self.picture_ages_s.values()):
             if not 0.0 <= age_s < np.inf:
                 raise ValueError(f"picture_age_s: found {age_s}, expected 0 or more")
-        user_metrics.check(self.metrics, COLUMNS)
+        check(self.metrics)
 
     def of(self, data: RunData) -> dict[str, Any]:
         """Evaluate a run.
@@ -301,7 +299,7 @@ class _Results:
         updates = [data.trust[frame] for frame in sorted(data.trust)]
         return {
             "same_as": _nested(scores.same_as),
-            "metrics": scores.per_frame(),
+            "metrics": per_frame(scores),
             "objects": self._objects(),
             "attacks": attacks(self.effects, agreement, data.roles, data.period_s),
             **(trust.tables(updates, data.times_ns) if updates else {}),
@@ -370,18 +368,18 @@ class _Results:
         The summary is by agent and estimator.
         """
         data, scores, labels = self.data, self.scores, self.labels
-        summary, per_frame = scores.summary(scored), scores.per_frame()
-        causes = causes_of(scores, labels.cause, labels.switch_cause, scores.frames[scored])
-        ranked = rankings(scores, scored)
-        for (agent, estimator), row in scores.every_series.items():
-            summary[agent][estimator] |= ranked[row] | causes[row]
         counts = np.zeros(len(scores.frames), bool)
         counts[scored] = True
-        per_frame["scored"] = np.tile(counts, len(scores.every_series))
-        agents, metrics = data.record.agents, self.settings.metrics
-        values, failed = user_metrics.values(metrics, scores, labels, self.truth, agents, counts, data.period_s)
-        user_metrics.add_to(summary, per_frame, scores, values, counts)
-        return summary, per_frame, failed
+        own, estimates = self.settings.metrics, []
+        if own:
+            estimates = estimates_of(scores, labels, self.truth, data.record.agents, counts, data.period_s)
+        summary, columns, failed = measured([*MEASURES.values(), *own], ScoredRun(scores, scored, estimates))
+        causes = causes_of(scores, labels.cause, labels.switch_cause, scores.frames[scored])
+        for (agent, estimator), row in scores.every_series.items():
+            summary[agent][estimator] |= causes[row]
+        table = frame_keys(scores) | columns
+        table["scored"] = np.tile(counts, len(scores.every_series))
+        return summary, table, failed
 
     def _trust(self, scored: slice) -> tuple[dict[str, Any], dict[str, Any]]:
         """The metrics and the tables of a command centre that judges agents; empty without one."""

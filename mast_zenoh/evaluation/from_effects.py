@@ -14,20 +14,16 @@ from mast_zenoh.effects.passages import Spoof
 from mast_zenoh.effects.table import insertions
 from mast_zenoh.metrics import AttributionLimits, Boxes, Manipulations
 from mast_zenoh.metrics.boxes import Places, nearest, occurs
-from mast_zenoh.metrics.manipulations import COLUMNS, INSERTED, KINDS, MOVED, REMOVED
-from mast_zenoh.metrics.record import (
+from mast_zenoh.metrics.estimates import (
+    BEHIND_DOWNLINK,
+    FROM_CENTRE,
     LOCAL,
-    MISSION,
-    PICTURE,
-    PICTURE_ON_ARRIVAL,
-    PICTURE_RECEIVED,
     RECEIVED,
-    TruthTable,
 )
+from mast_zenoh.metrics.manipulations import COLUMNS, INSERTED, KINDS, MOVED, REMOVED
+from mast_zenoh.metrics.record import TruthTable
 from mast_zenoh.wiring.model import Passage, agent_of
 
-_FROM_CENTER = (PICTURE, PICTURE_RECEIVED, PICTURE_ON_ARRIVAL, MISSION)
-_FROM_DOWNLINK = (PICTURE_RECEIVED, PICTURE_ON_ARRIVAL, MISSION)
 #: Ports of messages that no estimate depends on: the truth, and estimates, which are scored at their source.
 _WITHOUT_ESTIMATE = ("truth", "mission", "report", "observation", "directive")
 
@@ -49,13 +45,13 @@ def influence(passages: Sequence[Passage], series: Sequence[tuple[str, str]], is
 def _influences(passage: Passage, agent: str, estimator: str, is_link: bool) -> bool:
     own, port = agent == agent_of(passage.subject), passage.port
     if port in ("detections", "pose"):
-        return own or estimator in _FROM_CENTER
+        return own or estimator in FROM_CENTRE
     if port == "tracks":
-        return (own and estimator == RECEIVED) or (not is_link and estimator in _FROM_CENTER)
+        return (own and estimator == RECEIVED) or (not is_link and estimator in FROM_CENTRE)
     if port in ("status", "collated"):
-        return not is_link and estimator in _FROM_CENTER
+        return not is_link and estimator in FROM_CENTRE
     if port == "picture":
-        return estimator in _FROM_DOWNLINK and passage.before in ("", agent)
+        return estimator in BEHIND_DOWNLINK and passage.before in ("", agent)
     return port not in _WITHOUT_ESTIMATE and (estimator != LOCAL or port == "clock")
 
 

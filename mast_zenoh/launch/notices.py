@@ -20,9 +20,8 @@ from mast_zenoh.control.results import EVALUATOR
 from mast_zenoh.integrity import Integrity
 from mast_zenoh.messagelog import churn
 from mast_zenoh.metrics import Metric
-from mast_zenoh.metrics.estimates import subject_of
-from mast_zenoh.metrics.record import LOCAL
-from mast_zenoh.metrics.user_metrics import label_of
+from mast_zenoh.metrics.estimates import LOCAL, subject_of
+from mast_zenoh.metrics.measures import label_of
 from mast_zenoh.scenario.timeline import attack_starts
 from mast_zenoh.scenes.recording import SEEN_RETURNS, Recording
 from mast_zenoh.tracking.base import OVERCONFIDENT, Innovations

@@ -26,7 +26,8 @@ from mast_zenoh.launch.supervisor import Child
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Message
 from mast_zenoh.metrics import Record, Scorer, Series
-from mast_zenoh.metrics.record import PICTURE_RECEIVED, Snapshot
+from mast_zenoh.metrics.estimates import PICTURE_RECEIVED
+from mast_zenoh.metrics.record import Snapshot
 from mast_zenoh.runtime.host import Outgoing
 from mast_zenoh.runtime.protocol.traffic import stamp_of
 from mast_zenoh.wiring.model import TAP, Wiring

@@ -15,7 +15,7 @@
     achievement results of each adversary
     driving     effects of errors on driving
     trust       the command centre's trust compared with the agents' conduct; ROC curves
-    user_metrics  user-defined metrics
+    measures    every metric as a class: key, words, unit, range, and what it computes
     increments  errors added by an attack
     study_results    the results of studies, as reports show them
 
@@ -29,12 +29,13 @@ from mast_zenoh.metrics.causes import ATTACK_CAUSES, CAUSES, DEFENCE_CAUSES, FAU
 from mast_zenoh.metrics.consistency import Consistency
 from mast_zenoh.metrics.cut_off import CutOff, CutOffObjects, Presence
 from mast_zenoh.metrics.driving import Driving
+from mast_zenoh.metrics.estimates import ESTIMATORS
 from mast_zenoh.metrics.increments import increments
 from mast_zenoh.metrics.manipulations import Manipulations
-from mast_zenoh.metrics.record import ESTIMATORS, Record, Series
+from mast_zenoh.metrics.measures import Estimate, FrameMetric, Metric, RunMetric
+from mast_zenoh.metrics.record import Record, Series
 from mast_zenoh.metrics.scores import OUTCOMES, Scores, Table
 from mast_zenoh.metrics.scoring import Scorer
-from mast_zenoh.metrics.user_metrics import Estimate, FrameMetric, Metric, RunMetric
 
 __all__ = [
     "ATTACK_CAUSES",

@@ -13,8 +13,9 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.metrics.boxes import Places, find, nearest
+from mast_zenoh.metrics.estimates import MISSION, PICTURE
 from mast_zenoh.metrics.manipulations import ALTERED, INSERTED, KINDS, MOVED, REMOVED, Manipulations
-from mast_zenoh.metrics.record import MISSION, PICTURE, TruthTable
+from mast_zenoh.metrics.record import TruthTable
 from mast_zenoh.metrics.scores import MATCHED, MISSED, UNEVALUATED, Scores, Table, Texts
 
 

@@ -26,8 +26,9 @@ from mast_zenoh.metrics.causes import (
     joined_names,
 )
 from mast_zenoh.metrics.cut_off import CutOffObjects
+from mast_zenoh.metrics.estimates import LOCAL, RECEIVED
 from mast_zenoh.metrics.manipulations import ALTERED, INSERTED, MOVED, Manipulations
-from mast_zenoh.metrics.record import LOCAL, RECEIVED, TruthTable
+from mast_zenoh.metrics.record import TruthTable
 from mast_zenoh.metrics.scores import FALSE, MATCHED, MISSED, UNEVALUATED, Scores, Texts
 from mast_zenoh.metrics.trust import TrustHistory, TrustUpdate, lasting
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from mast_zenoh.arrays.chi_square import TWO_SIDED, mean_bounds
 from mast_zenoh.arrays.states import Floats, Ints
-from mast_zenoh.metrics.record import LOCAL, MISSION, PICTURE, RECEIVED, rank_of
+from mast_zenoh.metrics.estimates import LOCAL, MISSION, PICTURE, RECEIVED, rank_of
 from mast_zenoh.metrics.scores import MatchedPairs
 from mast_zenoh.tracking.base import LIMIT, OVERCAUTIOUS, OVERCONFIDENT
 

@@ -13,7 +13,8 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Ints
 from mast_zenoh.metrics.boxes import find, occurs
-from mast_zenoh.metrics.record import LOCAL, TruthTable
+from mast_zenoh.metrics.estimates import LOCAL
+from mast_zenoh.metrics.record import TruthTable
 from mast_zenoh.metrics.scores import MATCHED, Scores
 
 #: Roles needed to compute a picture.

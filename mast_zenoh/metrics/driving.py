@@ -16,7 +16,8 @@ from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.kernels import kernel
 from mast_zenoh.metrics.boxes import Boxes, birdseye_intersection, find
 from mast_zenoh.metrics.causes import ATTACK_CAUSES, Labels
-from mast_zenoh.metrics.record import LOCAL, MISSION, Record, Series, TruthTable
+from mast_zenoh.metrics.estimates import LOCAL, MISSION
+from mast_zenoh.metrics.record import Record, Series, TruthTable
 from mast_zenoh.metrics.scores import FALSE, MISSED, Scores, Table
 
 #: m/s; a slower vehicle counts as stationary and need not brake.

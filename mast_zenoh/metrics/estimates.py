@@ -20,6 +20,7 @@ class EstimateName(NamedTuple):
     panel:   as the title of a picture
     subject: as the subject of a sentence
     place:   as the place of errors
+    noun:    inside a sentence
     agent:   as the subject, with the name of the agent
     """
 
@@ -27,38 +28,50 @@ class EstimateName(NamedTuple):
     panel: str
     subject: str
     place: str
+    noun: str
     agent: str = "{} ({estimate})"
 
 
 ESTIMATES = {
     LOCAL: EstimateName(
-        "ego alone", "the ego alone: its own tracks", "the ego alone", "in what the ego sees alone", "{}"
+        "ego alone",
+        "the ego alone: its own tracks",
+        "the ego alone",
+        "in what the ego sees alone",
+        "what the ego sees alone",
+        "{}",
     ),
     RECEIVED: EstimateName(
         "alone, as received",
         "the ego's tracks as they are received",
         "received",
         "in the ego's tracks as they are received",
+        "the ego's tracks as they are received",
         "{} as received",
     ),
-    PICTURE: EstimateName("picture", "the common picture", "the picture", "in the common picture", "the picture"),
+    PICTURE: EstimateName(
+        "picture", "the common picture", "the picture", "in the common picture", "the picture", "the picture"
+    ),
     PICTURE_RECEIVED: EstimateName(
         "picture as received",
         "the picture as the ego receives it",
         "the picture that the ego receives",
         "in the picture that the ego receives",
+        "the picture that the ego receives",
     ),
     PICTURE_ON_ARRIVAL: EstimateName(
         "picture on arrival",
         "the picture when it reaches the ego",
         "the picture that the ego holds",
         "in the picture when it reaches the ego",
+        "the picture on arrival",
     ),
     MISSION: EstimateName(
         "ego with picture",
         "the ego with the picture",
         "the ego with the picture",
         "for the ego with the picture",
+        "what the ego acts on",
         "the mission estimate of {}",
     ),
 }

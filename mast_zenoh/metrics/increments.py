@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats
-from mast_zenoh.metrics.record import PICTURE
+from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.metrics.scores import Table, mean_and_std
 
 COUNTS = ("fn", "fp", "tp")

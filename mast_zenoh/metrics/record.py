@@ -12,21 +12,7 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.metrics.boxes import Boxes
-
-#: An agent's estimate from its own sensors alone, as computed, and as received by the broker.
-LOCAL, RECEIVED = "local", "received"
-#: The command centre's picture: as computed, by its frame, shared by all agents; as received by an agent; and the
-#: newest one available to the agent in each frame, which may be about an earlier frame.
-PICTURE, PICTURE_RECEIVED, PICTURE_ON_ARRIVAL = "picture", "picture_received", "picture_on_arrival"
-#: An agent's estimate from its own sensors and the picture together.
-MISSION = "mission"
-#: In order of computation: each estimate is made from earlier ones.
-ESTIMATORS = (LOCAL, RECEIVED, PICTURE, PICTURE_RECEIVED, PICTURE_ON_ARRIVAL, MISSION)
-
-
-def rank_of(estimator: str) -> int:
-    """Index of an estimator in ESTIMATORS; others come last."""
-    return ESTIMATORS.index(estimator) if estimator in ESTIMATORS else len(ESTIMATORS)
+from mast_zenoh.metrics.estimates import PICTURE_ON_ARRIVAL, PICTURE_RECEIVED
 
 
 class Series(NamedTuple):

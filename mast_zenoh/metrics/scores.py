@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.metrics.boxes import Boxes, centre_distance
-from mast_zenoh.metrics.record import TrackTable, TruthTable, rank_of
+from mast_zenoh.metrics.estimates import rank_of
+from mast_zenoh.metrics.record import TrackTable, TruthTable
 
 
 class PairErrors(NamedTuple):
@@ -90,35 +91,9 @@ class Sources(NamedTuple):
         )
 
 
-def clear_mot(tp: int, fp: int, fn: int, id_switches: int) -> dict[str, float | None]:
-    """Precision, recall and MOTA of one estimate of a run.
-
-    tp, fp, fn: matched pairs, false tracks and missed objects, summed over the frames; id_switches: identity switches
-
-        precision = tp / (tp + fp)
-        recall    = tp / (tp + fn)
-        mota      = 1 - (fn + fp + id_switches) / (tp + fn)     at most 1; negative with more errors than objects
-
-    None where the denominator is 0.
-    """
-    tracks, objects = tp + fp, tp + fn
-    return {
-        "precision": tp / tracks if tracks else None,
-        "recall": tp / objects if objects else None,
-        "mota": 1.0 - (fn + fp + id_switches) / objects if objects else None,
-    }
-
-
 #: A table: one array per column, all of one length.
 Table = dict[str, NDArray[Any]]
 Texts = NDArray[Any]  # of str
-
-#: The columns of the table per frame, and the other entries of a summary.
-COLUMNS = (
-    *("frame", "agent", "estimator", "fn", "fp", "tp", "rmse_m", "id_switches", "ospa_m", "gospa_m", "scored"),
-    *("precision", "recall", "mota", "completeness", "amota", "samota", "amotp_m"),
-    *("causes", "fn_split", "fp_split", "id_switches_split"),
-)
 
 #: Outcomes of boxes, by their code in `scoring`.
 OUTCOMES = ("matched", "missed", "false", "unevaluated")
@@ -260,57 +235,6 @@ class Scores:
             "yaw": boxes.yaw,
             "score": judged.score,
         }
-
-    def per_frame(self) -> Table:
-        """A row per series and frame.
-
-        Columns: frame, agent, estimator, fn, fp, tp, rmse_m (NaN without a pair), id_switches, ospa_m, gospa_m.
-        """
-        f, every = len(self.frames), self.every_series
-        rows = np.array(list(every.values()), np.int64)
-        error = np.divide(self.squared_error, self.tp, out=np.full(self.tp.shape, np.nan), where=self.tp > 0)
-        values = {
-            "fn": self.fn,
-            "fp": self.fp,
-            "tp": self.tp,
-            "rmse_m": np.sqrt(error),
-            "id_switches": self.id_switches,
-            "ospa_m": self.ospa_m,
-            "gospa_m": self.gospa_m,
-        }
-        return {
-            "frame": np.tile(self.frames, len(rows)),
-            "agent": np.repeat(np.array([agent for agent, _ in every], str), f),
-            "estimator": np.repeat(np.array([estimator for _, estimator in every], str), f),
-            **{name: value[rows].ravel() for name, value in values.items()},
-        }
-
-    def summary(self, scored: slice = slice(None)) -> dict[str, dict[str, dict[str, Any]]]:
-        """Summarise by agent and estimator.
-
-        By frame: fn, fp, tp, ospa_m, gospa_m as {"mean", "std"}.
-        Over the run: rmse_m of all pairs, the number of id_switches, precision, recall and mota (see `clear_mot`), and
-        completeness, the mean over truth objects of the fraction of their evaluated frames in which they are matched.
-
-        scored: the frames that count, such as all except the first ones. The standard deviation is over the frames
-        (divided by their number). Values that are undefined, without frames or pairs, are None (JSON null).
-        """
-        result: dict[str, dict[str, dict[str, Any]]] = {}
-        complete = self.seen.completeness(len(self.series), np.arange(len(self.frames))[scored])
-        names = ("fn", "fp", "tp", "ospa_m", "gospa_m")
-        spread = {name: means_and_stds(getattr(self, name)[:, scored]) for name in names}
-        for (agent, estimator), k in self.every_series.items():
-            pairs, false, missed, switches = (
-                int(counts[k, scored].sum()) for counts in (self.tp, self.fp, self.fn, self.id_switches)
-            )
-            result.setdefault(agent, {})[estimator] = {
-                **{name: spread[name][k] for name in names},
-                "rmse_m": float(np.sqrt(self.squared_error[k, scored].sum() / pairs)) if pairs else None,
-                "id_switches": switches,
-                **clear_mot(pairs, false, missed, switches),
-                "completeness": complete[k],
-            }
-        return result
 
 
 def means_and_stds(values: NDArray[Any]) -> list[dict[str, float | None]]:

@@ -256,7 +256,7 @@ class AgentTrustSeries:
 BOOTSTRAP, POISSON, BINOMIAL = "bootstrap over trials", "exact Poisson", "exact binomial"
 
 #: Measures of a cell, and their headings. Objects are counted per frame in the ego's picture.
-MEASURES = {
+DEFENCE_MEASURES = {
     "damage": "missed and false objects added",
     "fn_added": "FN added",
     "fp_added": "FP added",
@@ -331,7 +331,7 @@ class DefenceRow:
 
     attack:    "" without one;  budget: lies per second of each adversary, None: the attack's own
     budgets:   number of budgets that were tried
-    measures:  by name in MEASURES; damage is relative to no defence and no attack, with the same scene and seed
+    measures:  by name in DEFENCE_MEASURES; damage is relative to no defence and no attack, with the same scene and seed
     state_seconds: s by conduct (honest, faulty, lying) and state of trust, over all agents and trials; {}: no trust
     delay:     until liars are suspended, over all trials; None: there was no observable lie, or no trust
     """

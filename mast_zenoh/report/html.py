@@ -12,6 +12,7 @@ from urllib.parse import quote
 
 import numpy as np
 
+from mast_zenoh.metrics.estimates import ESTIMATES
 from mast_zenoh.report import comparison
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.figures.of_run import frame_choice, run_figures, save_user_figures, study_figures, user_figures
@@ -23,20 +24,17 @@ from mast_zenoh.report.page import render
 from mast_zenoh.report.run_facts import facts, facts_of_compared, healing
 from mast_zenoh.report.run_figure import FigureContext
 from mast_zenoh.report.tables.of_run import (
-    achieved_rows,
-    cause_groups,
-    cause_rows,
+    achieved_table,
+    cause_table,
     check_rows,
-    conduct_rows,
-    driving_rows,
-    estimate_rows,
-    late_rows,
-    latency_rows,
-    suspension_rows,
-    tracker_rows,
+    conduct_table,
+    confidence_tables,
+    driving_table,
+    latency_tables,
+    suspension_table,
     trust_sentences,
 )
-from mast_zenoh.report.tables.scores import ESTIMATES, Cell, ScoreTable, Value, number, score_table, signed
+from mast_zenoh.report.tables.scores import Cell, ScoreTable, Value, number, score_table, signed
 from mast_zenoh.report.tables.wiring import wire_rows
 from mast_zenoh.viewer.frame import Frame, has_boxes
 from mast_zenoh.viewer.interposers import BAD, EFFECTS, failure_lines, interposers, node_row
@@ -180,22 +178,20 @@ def _write_run(
         "figures": figures,
         "user_figures": own,
         **(_score_rows(scores) if run.metrics else {"rows": []}),
-        "confidence": (estimate_rows(run), tracker_rows(run)),
+        "confidence": confidence_tables(run),
         "interposers": interposers(run),
-        "suspensions": suspension_rows(run),
-        "conduct": conduct_rows(run),
+        "suspensions": suspension_table(run),
+        "conduct": conduct_table(run),
         "trust": trust_sentences(run),
-        "achieved": achieved_rows(run, reference.run if reference else None),
-        "driving": driving_rows(run, reference.run, reference.name) if reference else driving_rows(run),
+        "achieved": achieved_table(run, reference.run if reference else None),
+        "driving": driving_table(run, reference.run, reference.name) if reference else driving_table(run),
         "effects": EFFECTS,
         "bad_verdicts": BAD,
         "results": run.results,
-        "blamed": cause_groups(run.metrics),
-        "blame": cause_rows(run.metrics, cause_groups(run.metrics)) if run.faulted or run.withholds else [],
+        "blame": cause_table({run.label: run.metrics}) if run.faulted or run.withholds else None,
         "checks": check_rows(run.checks),
         "healed": healing(run),
-        "latency": latency_rows(run.metrics),
-        "late": late_rows(run.metrics),
+        "latency": latency_tables(run.metrics),
         "wires": wire_rows(run),
         "nodes": [(name, node_row(run, name)) for name in run.run.get("nodes", {})],
         "command": _command(run),
@@ -234,9 +230,9 @@ def _score_rows(table: ScoreTable) -> dict[str, Any]:
             change = None if cell.change.mean is None else signed(cell.change, row.measure)
             cells.append((number(cell.value, row.measure), spread(cell.value), change))
         over = signed(row.over_alone, row.measure), spread(row.over_alone), None
-        rows.append((row.measure.name, row.run, [*cells, over]))
+        rows.append((row.measure.heading, row.run, [*cells, over]))
     return {
-        "estimates": [ESTIMATES[name] for name in table.estimates],
+        "estimates": [ESTIMATES[name].column for name in table.estimates],
         "rows": rows,
         "runs": len(table.runs),
         "reference": table.reference,

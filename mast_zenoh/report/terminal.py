@@ -13,7 +13,7 @@ from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.narrative.adversaries import explanations
 from mast_zenoh.report.narrative.changes import effects, plural
 from mast_zenoh.report.narrative.run import defence_sentence, headline, reference_status, status
-from mast_zenoh.report.tables.of_run import cause_table, check_lines, suspension_lines
+from mast_zenoh.report.tables.of_run import causes_as_rich, check_lines, suspension_lines
 from mast_zenoh.report.tables.scores import as_rich, score_table
 from mast_zenoh.viewer.interposers import BAD, interposers
 from mast_zenoh.viewer.run import RunRecord
@@ -70,7 +70,7 @@ def show_loaded(console: Console, run: RunRecord, reference: Reference | None = 
 
 
 def _show_causes(console: Console, runs: Mapping[str, RunRecord], agent: str) -> None:
-    causes = cause_table({label: run.metrics for label, run in runs.items() if run.faulted or run.withholds}, agent)
+    causes = causes_as_rich({label: run.metrics for label, run in runs.items() if run.faulted or run.withholds}, agent)
     if causes is not None:
         console.print(causes)
 

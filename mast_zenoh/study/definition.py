@@ -11,6 +11,7 @@ from typing import Any
 from mast_zenoh.config import loading
 from mast_zenoh.config.settings import from_values, split
 from mast_zenoh.errors import ConfigurationError, nearest
+from mast_zenoh.metrics.measures import MEASURES
 from mast_zenoh.scenario.reading import checked_name, name_of_file
 from mast_zenoh.security.levels import LEVELS
 from mast_zenoh.study.defences.kinds import DefenceCell
@@ -35,7 +36,7 @@ RUNTIMES = ("mesh", "inproc")
 #: Columns of results.parquet, frames.parquet and table.csv: no parameter of a grid may have one of these names.
 COLUMNS = {
     *("configuration", "scene", "seed", "who", "estimator", "metric", "value", "std", "frames"),
-    *("frame", "agent", "fn", "fp", "tp", "rmse_m", "id_switches", "ospa_m", "gospa_m", "scored"),
+    *("frame", "agent", "scored", *(name for name, measure in MEASURES.items() if measure.axis)),
     *("mean", "std_over_frames", "mean_over_trials", "low", "high", "scenes_low", "scenes_high", "p", "p_holm"),
     *("zero_share", "zero_low", "zero_high"),
     *("scenes", "seeds", "seeds_left_out"),

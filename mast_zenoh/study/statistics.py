@@ -20,6 +20,7 @@ from scipy.special import betaincinv, stdtr, stdtrit
 
 from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.metrics import CAUSES
+from mast_zenoh.metrics.measures import MEASURES
 from mast_zenoh.metrics.study_results import MIN_SEEDS, NEGLIGIBLE, Estimate, Series
 from mast_zenoh.study.numbers import ACHIEVED, DEFENCE, DRIVING, NAN
 
@@ -27,8 +28,6 @@ CONFIDENCE = 0.95
 #: Minimum number of seeds for an interval, and of scenes for an interval over other scenes.
 MIN_CLUSTERS = MIN_SEEDS
 
-#: Scores that are lengths or counts; user-defined metrics may have any range.
-_NOT_NEGATIVE = frozenset({"fn", "fp", "tp", "rmse_m", "id_switches", "ospa_m", "gospa_m"})
 _SPLITS = ("fn_split.", "fp_split.", "id_switches_split.")
 _DIFFERENCES = ("_iob", "_ioe")
 
@@ -233,7 +232,7 @@ def value_range(series: Series) -> tuple[float, float]:
     if series.estimator == ACHIEVED or metric.startswith(f"{DRIVING}."):
         share = "share" in metric or metric.endswith("_seen_by_others")
         return 0.0, 1.0 if share else math.inf
-    if metric in ("completeness", "precision", "recall", "samota"):
-        return 0.0, 1.0
+    if metric in MEASURES:
+        return MEASURES[metric].range
     is_cause_count = metric.partition(" ")[2] in CAUSES
-    return (0.0 if metric in _NOT_NEGATIVE or metric.startswith(_SPLITS) or is_cause_count else -math.inf), math.inf
+    return (0.0 if metric.startswith(_SPLITS) or is_cause_count else -math.inf), math.inf

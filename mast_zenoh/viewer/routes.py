@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from mast_zenoh.metrics.record import LOCAL, MISSION, PICTURE, PICTURE_RECEIVED, RECEIVED, Series
+from mast_zenoh.metrics.estimates import LOCAL, MISSION, PICTURE, PICTURE_RECEIVED, RECEIVED
+from mast_zenoh.metrics.record import Series
 from mast_zenoh.wiring.model import Wire, Wiring
 
 #: The objects of the scene, as a series like the estimates; and what else frames are made of.

@@ -17,7 +17,7 @@ from mast_zenoh.config import bundle, registry
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.faults.network import HOST_FAULTS
 from mast_zenoh.messages.schemas import BUILT_IN
-from mast_zenoh.report.tables.scores import MEASURES
+from mast_zenoh.metrics.measures import MEASURES
 
 BASES: dict[str, list[type]] = {
     "attacks": [
@@ -73,7 +73,7 @@ def test_every_class_is_listed_with_all_its_parameters(kind: str, bases: list[ty
 def test_entries_without_a_class_are_listed_too() -> None:
     assert set(links.PROFILES) <= set(mast.list("links").names)
     assert set(HOST_FAULTS) <= set(mast.list("faults").names)
-    assert {measure.key for measure in MEASURES} <= set(mast.list("metrics").names)
+    assert MEASURES.keys() <= set(mast.list("metrics").names)
     for kind in ("scenarios", "studies"):
         assert [f"{name}.py" for name in mast.list(kind).names] == bundle.names(kind)
 

@@ -7,6 +7,7 @@ import pytest
 from metric_oracles import cars
 
 from mast_zenoh.metrics import Record, Scorer, Series
+from mast_zenoh.metrics.measures import summary_of
 from mast_zenoh.metrics.record import Snapshot
 
 FIRST, SECOND, FAR = (0.0, 0.0), (10.0, 0.0), (40.0, 0.0)
@@ -18,7 +19,7 @@ def summary(truth: list, picture: list, scored: slice = slice(None)) -> dict:
         seen = np.full((len(objects), 1), 10)
         record.add_truth(frame, cars(*objects), seen, np.zeros((1, 3)), np.array([-1]))
         record.add(frame, [Series("", "picture")], Snapshot.of(cars(*tracks.values(), id=list(tracks))))
-    return Scorer().score(record).summary(scored)["ego"]["picture"]
+    return summary_of(Scorer().score(record), scored)["ego"]["picture"]
 
 
 def test_precision_recall_and_mota_count_all_scored_frames_together() -> None:

@@ -10,6 +10,7 @@ from metric_oracles import cars
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.metrics import Record, Scorer, Series
+from mast_zenoh.metrics.measures import summary_of
 from mast_zenoh.metrics.record import Snapshot
 
 
@@ -18,7 +19,7 @@ def summary(truth: list[ObjectStates], picture: list[ObjectStates], scored: slic
     for frame, (objects, believed) in enumerate(zip(truth, picture, strict=True)):
         record.add_truth(frame, objects, np.full((len(objects), 1), 9), np.zeros((1, 3)), np.array([-1]))
         record.add(frame, [Series("", "picture")], Snapshot.of(believed))
-    return Scorer().score(record).summary(scored)["ego"]["picture"]
+    return summary_of(Scorer().score(record), scored)["ego"]["picture"]
 
 
 BOTH = cars((0.0, 0.0), (20.0, 0.0), id=[1, 2])

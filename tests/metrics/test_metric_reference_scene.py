@@ -13,6 +13,7 @@ import pytest
 from mast_zenoh.arrays.geometry import rotation_from_quaternion, to_world
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.metrics import Record, Scorer, Series
+from mast_zenoh.metrics.measures import per_frame, summary_of
 from mast_zenoh.metrics.record import Snapshot
 
 DATA = Path(os.environ.get("MAST_DATA", Path(__file__).parents[3] / "shared" / "data"))
@@ -62,10 +63,10 @@ def test_the_egos_detections_score_as_labelled(scene):
     assert frames.tolist() == list(range(7, 141))
     # Other evaluations of this scene report sums of 1.93 FN + 11.93 TP, and 1.44 + 12.42.
     assert (scores.fn + scores.tp)[:, scored].mean() == pytest.approx(13.86, abs=0.005)
-    table = {name: column[np.isin(scores.per_frame()["frame"], frames)] for name, column in scores.per_frame().items()}
+    table = {name: column[np.isin(per_frame(scores)["frame"], frames)] for name, column in per_frame(scores).items()}
     for k, frame in enumerate(table["frame"]):
         # Clutter at the position of an undetected object counts as its detection.
         assert labelled[frame] <= table["tp"][k] <= labelled[frame] + clutter[frame]
         assert table["fp"][k] <= clutter[frame]
     assert sum(table["tp"]) - sum(labelled[frame] for frame in table["frame"]) <= 3
-    assert scores.summary(scored)["ego"]["local"]["rmse_m"] == pytest.approx(0.3 * np.sqrt(2.0), rel=0.05)
+    assert summary_of(scores, scored)["ego"]["local"]["rmse_m"] == pytest.approx(0.3 * np.sqrt(2.0), rel=0.05)

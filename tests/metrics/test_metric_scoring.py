@@ -12,6 +12,7 @@ from metric_oracles import best_pairs, cars
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.metrics import CenterDistanceAssigner, IoU3DGreedyAssigner, Record, Scorer, Series, SetDistance
+from mast_zenoh.metrics.measures import per_frame, summary_of
 from mast_zenoh.metrics.record import Snapshot
 
 
@@ -26,7 +27,7 @@ def record(truth: list[ObjectStates], picture: list[ObjectStates], *, points=Non
 
 
 def counts(scores, agent="ego", estimator="picture"):
-    table = scores.per_frame()
+    table = per_frame(scores)
     selected = (table["agent"] == agent) & (table["estimator"] == estimator)
     return [tuple(int(table[name][k]) for name in ("fn", "fp", "tp")) for k in np.flatnonzero(selected)]
 
@@ -41,7 +42,7 @@ def test_scores_of_a_small_frame_computed_by_hand():
     tracks = cars((0.0, 0.6), (10.8, 0.0), (30.0, 0.0), id=[7, 8, 9])
     scores = Scorer().score(record([truth], [tracks]))
     assert counts(scores) == [(1, 1, 2)]
-    assert scores.per_frame()["rmse_m"] == pytest.approx([np.sqrt((0.36 + 0.64) / 2)])
+    assert per_frame(scores)["rmse_m"] == pytest.approx([np.sqrt((0.36 + 0.64) / 2)])
     assert outcomes(scores) == {
         ("truth", "matched", 1, 7),
         ("truth", "matched", 2, 8),
@@ -59,12 +60,12 @@ def test_errors_of_height_count_in_three_dimensions_only():
     run = record([truth], [tracks])
     flat = Scorer().score(run)
     assert counts(flat) == [(0, 0, 2)]
-    assert flat.per_frame()["rmse_m"] == pytest.approx([np.sqrt(0.36 / 2)])
+    assert per_frame(flat)["rmse_m"] == pytest.approx([np.sqrt(0.36 / 2)])
     solid = Scorer(assigner=CenterDistanceAssigner(dimensions=3), distance=SetDistance(dimensions=3)).score(run)
     assert counts(solid) == [(1, 1, 1)]
-    assert solid.per_frame()["rmse_m"] == pytest.approx([1.0])
-    assert solid.per_frame()["ospa_m"] == pytest.approx([np.sqrt((1.0 + 25.0) / 2)])
-    assert flat.per_frame()["ospa_m"] == pytest.approx([np.sqrt(0.36 / 2)])
+    assert per_frame(solid)["rmse_m"] == pytest.approx([1.0])
+    assert per_frame(solid)["ospa_m"] == pytest.approx([np.sqrt((1.0 + 25.0) / 2)])
+    assert per_frame(flat)["ospa_m"] == pytest.approx([np.sqrt(0.36 / 2)])
 
 
 def test_only_objects_and_tracks_in_range_count():
@@ -135,7 +136,7 @@ def test_identity_switches_are_counted_per_agent():
         run.add_truth(frame, cars((0.0, 0.0)), np.array([[9, 9]]), np.zeros((2, 3)), np.array([-1, -1]))
         run.add(frame, [Series("ego", "local")], Snapshot.of(cars((0.0, 0.0), id=[frame])))
         run.add(frame, [Series("infra_1", "local")], Snapshot.of(cars((0.0, 0.0), id=[5])))
-    summary = Scorer().score(run).summary()
+    summary = summary_of(Scorer().score(run))
     assert summary["ego"]["local"]["id_switches"] == 1
     assert summary["infra_1"]["local"]["id_switches"] == 0
 
@@ -143,7 +144,7 @@ def test_identity_switches_are_counted_per_agent():
 @pytest.mark.parametrize("scored", [slice(9, 5), slice(0, 0), slice(3, 3)])
 def test_without_scored_frames_the_summary_is_empty(scored):
     truth = [cars((0.0, 0.0))] * 5
-    summary = Scorer().score(record(truth, truth)).summary(scored)
+    summary = summary_of(Scorer().score(record(truth, truth)), scored)
     assert summary["ego"]["picture"]["fn"] == {"mean": None, "std": None}
     json.dumps(summary, allow_nan=False)
 
@@ -163,7 +164,7 @@ def test_estimates_with_the_same_messages_are_scored_once_and_are_in_all_tables(
     assert scores.series == (("ego", "local"),)
     assert scores.same_as == {("ego", "received"): ("ego", "local")}
     assert counts(scores, estimator="received") == counts(scores, estimator="local") == [(0, 0, 1)] * 3
-    assert scores.summary()["ego"]["received"] == scores.summary()["ego"]["local"]
+    assert summary_of(scores)["ego"]["received"] == summary_of(scores)["ego"]["local"]
     assert set(scores.objects()["estimator"]) == {"local"}
 
 
@@ -220,25 +221,25 @@ def test_a_frame_without_a_message_has_no_tracks():
 def test_rmse_covers_all_pairs_of_the_run_and_is_null_without_any():
     truth = [cars((0.0, 0.0), (9.0, 0.0)), cars((0.0, 0.0))]
     scores = Scorer().score(record(truth, [cars((0.3, 0.0), (9.0, 0.4)), cars((0.0, 1.2))]))
-    assert scores.summary()["ego"]["picture"]["rmse_m"] == pytest.approx(np.sqrt((0.09 + 0.16 + 1.44) / 3))
+    assert summary_of(scores)["ego"]["picture"]["rmse_m"] == pytest.approx(np.sqrt((0.09 + 0.16 + 1.44) / 3))
     none = Scorer().score(record(truth, [ObjectStates.empty()] * 2))
-    assert none.summary()["ego"]["picture"]["rmse_m"] is None
-    assert np.isnan(none.per_frame()["rmse_m"]).all()
-    json.dumps(none.summary(), allow_nan=False)
+    assert summary_of(none)["ego"]["picture"]["rmse_m"] is None
+    assert np.isnan(per_frame(none)["rmse_m"]).all()
+    json.dumps(summary_of(none), allow_nan=False)
 
 
 def test_the_summary_has_mean_and_deviation_over_frames():
     truth = [cars((0.0, 0.0), (9.0, 0.0))] * 2
-    summary = Scorer().score(record(truth, [cars((0.0, 0.0)), ObjectStates.empty()])).summary()
+    summary = summary_of(Scorer().score(record(truth, [cars((0.0, 0.0)), ObjectStates.empty()])))
     assert summary["ego"]["picture"]["fn"] == {"mean": 1.5, "std": 0.5}
     assert summary["ego"]["picture"]["tp"] == {"mean": 0.5, "std": 0.5}
 
 
 def test_the_summary_can_cover_some_frames_while_tables_have_all():
     scores = Scorer().score(record([cars((0.0, 0.0))] * 4, [ObjectStates.empty(), *[cars((0.0, 0.6))] * 3]))
-    summary = scores.summary(slice(1, 4))["ego"]["picture"]
+    summary = summary_of(scores, slice(1, 4))["ego"]["picture"]
     assert (summary["fn"]["mean"], summary["tp"]["mean"], summary["rmse_m"]) == (0.0, 1.0, pytest.approx(0.6))
-    assert len(scores.per_frame()["frame"]) == 4
+    assert len(per_frame(scores)["frame"]) == 4
 
 
 def test_matching_by_overlap_can_be_configured():
@@ -256,7 +257,7 @@ def test_truth_that_does_not_match_the_agents_is_refused():
 
 
 def test_a_record_without_truth_has_no_frames():
-    assert Scorer().score(Record(["ego"])).summary() == {}
+    assert summary_of(Scorer().score(Record(["ego"]))) == {}
 
 
 # Against plain loops
@@ -298,7 +299,7 @@ def random_run(seed: int, shuffled: bool = False) -> tuple[Record, list]:
 def test_counts_equal_plain_loops(seed, include_self, ignore_unseen):
     run, frames = random_run(seed)
     scorer = Scorer(range_m=7.0, min_points=5, include_self=include_self, ignore_unseen=ignore_unseen)
-    table = scorer.score(run).per_frame()
+    table = per_frame(scorer.score(run))
     place = {name: k for k, name in enumerate(("ego", "infra_1", "infra_2"))}
     assert len(table["frame"]) == 3 * 3 * 4
     for k in range(len(table["frame"])):
@@ -336,7 +337,7 @@ def test_counts_equal_plain_loops(seed, include_self, ignore_unseen):
 def test_neither_the_order_of_rows_nor_of_messages_matters(seed):
     straight = Scorer(range_m=7.0, ignore_unseen=True).score(random_run(seed)[0])
     shuffled = Scorer(range_m=7.0, ignore_unseen=True).score(random_run(seed, shuffled=True)[0])
-    assert json.dumps(straight.summary()) == json.dumps(shuffled.summary())
+    assert json.dumps(summary_of(straight)) == json.dumps(summary_of(shuffled))
     for name, column in straight.objects().items():
         assert np.array_equal(column, shuffled.objects()[name], equal_nan=column.dtype.kind == "f"), name
 
@@ -345,7 +346,7 @@ def test_neither_the_order_of_rows_nor_of_messages_matters(seed):
 @given(st.integers(0, 10**6))
 def test_every_box_has_one_outcome_and_outcomes_add_up_to_the_counts(seed):
     scores = Scorer(range_m=7.0).score(random_run(seed)[0])
-    t, counted = scores.objects(), scores.per_frame()
+    t, counted = scores.objects(), per_frame(scores)
     for k in range(len(counted["frame"])):
         selected = np.all([t[name] == counted[name][k] for name in ("frame", "agent", "estimator")], axis=0)
 

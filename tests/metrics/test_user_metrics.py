@@ -21,11 +21,10 @@ from mast_zenoh.metrics import (
     RunMetric,
     Scorer,
     Series,
-    user_metrics,
 )
 from mast_zenoh.metrics.manipulations import no_manipulations
+from mast_zenoh.metrics.measures import ErrorsNearby, LongestMiss, ScoredRun, check, estimates_of, measured
 from mast_zenoh.metrics.record import Snapshot
-from mast_zenoh.metrics.user_metrics import ErrorsNearby, LongestMiss
 
 
 class Told(FrameMetric):
@@ -65,11 +64,10 @@ def computed(metrics: list[Any], tracked: list[list[bool]], scored: list[bool] |
         AttributionLimits(), scores, no_manipulations(len(scores.series)), truth, record.agents, 0.1
     ).labels()
     counts = np.ones(len(tracked), bool) if scored is None else np.array(scored)
-    values, errors = user_metrics.values(metrics, scores, labels, truth, record.agents, counts, 0.1)
+    estimates = estimates_of(scores, labels, truth, record.agents, counts, 0.1)
+    summary, table, errors = measured(metrics, ScoredRun(scores, counts, estimates))
     for error in errors.values():
         raise error
-    summary, table = scores.summary(), scores.per_frame()
-    user_metrics.add_to(summary, table, scores, values, counts)
     return summary["ego"]["local"], table
 
 
@@ -157,10 +155,10 @@ def test_metric_names_come_from_classes_or_parameters_and_are_unique() -> None:
 
     assert FPNear30m().label == "fpnear30m"
     with pytest.raises(ValueError, match="'rmse_m', which is the name of a built-in"):
-        user_metrics.check([Named()], ("rmse_m",))
+        check([Named()])
     with pytest.raises(ValueError, match="'longest_miss' twice"):
-        user_metrics.check([LongestMiss(), LongestMiss()], ())
-    user_metrics.check([LongestMiss(), ErrorsNearby()], ("rmse_m",))
+        check([LongestMiss(), LongestMiss()])
+    check([LongestMiss(), ErrorsNearby()])
 
 
 @pytest.mark.parametrize("value", [["a"] * 2, [None, "b"], np.zeros(3)], ids=["text", "None and text", "too many"])
@@ -175,4 +173,4 @@ def test_a_metric_named_like_a_built_in_one_is_refused() -> None:
         """A metric whose column name is `fn`."""
 
     with pytest.raises(ValueError, match=r"FN is called 'fn', which is the name of a built-in metric"):
-        user_metrics.check([FN(0.0)], ["fn"])
+        check([FN(0.0)])

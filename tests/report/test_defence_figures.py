@@ -11,8 +11,9 @@ from matplotlib.colors import to_rgb
 from matplotlib.patches import Rectangle
 
 from mast_zenoh.report.figures.defences import figures_of_defences
-from mast_zenoh.report.figures.style import ADVERSARY_ON_LIGHT, Figure
+from mast_zenoh.report.figures.style import Figure
 from mast_zenoh.report.figures.trust import LOG_ODDS, draw_agent, legend, trust_figure
+from mast_zenoh.viewer.palette import ADVERSARY_ON_LIGHT
 
 
 def test_every_figure_is_drawn_and_names_the_worst_adversary_in_words() -> None:

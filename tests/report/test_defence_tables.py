@@ -11,7 +11,7 @@ import pytest
 from defence_samples import matrix, row, summary
 
 from mast_zenoh.api.comparisons import as_text
-from mast_zenoh.metrics.study_results import BOOTSTRAP, MEASURES, Measured
+from mast_zenoh.metrics.study_results import BOOTSTRAP, DEFENCE_MEASURES, Measured
 from mast_zenoh.report.tables.defences import defence_tables
 from mast_zenoh.report.tables.text_table import measured, median_delay
 
@@ -80,7 +80,7 @@ def test_the_defence_that_judges_nobody_has_no_row_for_framing() -> None:
 def test_the_csv_has_every_measure_of_every_cell_with_bounds_and_method() -> None:
     lines = list(csv.DictReader(io.StringIO(defence_tables(matrix()).as_csv())))
     cell = [line for line in lines if (line["defence"], line["attack"]) == ("Wall", "Ghost")]
-    assert [line["measure"] for line in cell] == list(MEASURES)
+    assert [line["measure"] for line in cell] == list(DEFENCE_MEASURES)
     detected = next(line for line in cell if line["measure"] == "lies_detected")
     assert [detected[name] for name in ("value", "low", "high", "interval", "trials")] == [
         *("0.97", "0.95", "0.99", "bootstrap over trials", "48")

@@ -19,7 +19,7 @@ from mast_zenoh.report.html import write_page, write_report
 from mast_zenoh.report.narrative import changes
 from mast_zenoh.report.narrative.adversaries import explanations
 from mast_zenoh.report.narrative.run import reading
-from mast_zenoh.report.tables.of_run import achieved_rows, driving_rows
+from mast_zenoh.report.tables.of_run import achieved_table, driving_table
 from mast_zenoh.report.tables.text_table import DASH
 from mast_zenoh.report.terminal import show_loaded
 from mast_zenoh.viewer.run import RunRecord
@@ -72,16 +72,14 @@ def test_duplicate_beyond_the_gate_is_false_and_not_in_the_rmse(
 
 def test_table_has_a_row_per_adversary_and_one_for_all(attacked: RunRecord) -> None:
     attacked.metrics["achieved"] = {"adversary_1": ACHIEVED, "adversary_2": ACHIEVED, "all": ACHIEVED}
-    rows = achieved_rows(attacked)
-    assert [row.adversary for row in rows] == ["adversary_1", "adversary_2", "all together"]
-    row = rows[0]
-    assert (row.inserted, row.accepted, row.believed_s) == ("4", ("100%", "50%"), ("9.2", DASH))
-    assert (row.hidden, row.missed, row.moved, row.error_m) == ("0", (DASH, DASH), "2", ("0.50", "0.25"))
-    assert (row.first_s, row.switches) == (("0.2", DASH), ("3", "0"))
+    rows = [line.cells for line in achieved_table(attacked)[0].lines]
+    assert [row[0] for row in rows] == ["adversary_1", "adversary_2", "all together"]
+    inserted, hidden, moved = ("4", "100% / 50%", f"9.2 / {DASH}"), ("0", f"{DASH} / {DASH}"), ("2", "0.50 / 0.25")
+    assert rows[0][1:] == (*inserted, *hidden, *moved, f"0.2 / {DASH}", "3 / 0")
 
 
 def test_run_without_adversaries_has_no_achievement_table(run_folder: Callable[..., Path]) -> None:
-    assert achieved_rows(RunRecord.load(run_folder())) == []
+    assert achieved_table(RunRecord.load(run_folder()))[0].lines == []
 
 
 def idle(run: RunRecord, received: int = 40) -> RunRecord:
@@ -208,10 +206,9 @@ def test_unreachable_estimates_show_dashes(attacked: RunRecord) -> None:
         picture = next(wire for wire in attacked.wiring["wires"] if wire["key"] == "cc/picture")
         picture["interposers"].append(name)
         picture["legs"].append(leg)
-        both = achieved_rows(attacked)
-        assert both[-1].accepted == ((DASH, "50%") if name == "adversary_2" else ("100%", "50%"))
-    row = both[0]
-    assert (row.accepted, row.error_m, row.switches) == ((DASH, "50%"), (DASH, "0.25"), (DASH, "0"))
+        both = [line.cells for line in achieved_table(attacked)[0].lines]
+        assert both[-1][2] == (f"{DASH} / 50%" if name == "adversary_2" else "100% / 50%")
+    assert (both[0][2], both[0][7], both[0][9]) == (f"{DASH} / 50%", f"{DASH} / 0.25", f"{DASH} / 0")
 
 
 def seen_by(run: RunRecord, *agents: str) -> None:
@@ -326,33 +323,33 @@ DRIVES = {
 
 
 def test_driving_has_a_row_for_the_truth_and_each_estimate(attacked: RunRecord) -> None:
-    assert driving_rows(attacked) == []
+    assert driving_table(attacked).lines == []
     attacked.metrics["driving"] = {"ego": DRIVES}
-    truth, mission = driving_rows(attacked)
-    assert (truth.estimate, truth.false, truth.ttc_s, truth.needless) == ("truth", DASH, "never", DASH)
-    assert (mission.estimate, mission.false, mission.ttc_s) == ("ego with picture", "0.50", "0.4")
-    assert (mission.needless, mission.omitted) == ("25.0% (12.5% by attack)", "0.0%")
+    truth, mission = (line.cells for line in driving_table(attacked).lines)
+    assert truth == ("truth", "2.00", DASH, DASH, DASH, "never", "0.0%", DASH, DASH)
+    corridor = "2.50", "0.50", "0.00", DASH, "0.4"
+    assert mission == ("ego with picture", *corridor, "25.0%", "25.0% (12.5% by attack)", "0.0%")
 
 
 def test_driving_is_compared_with_another_run(run_folder: Callable[..., Path], attacked: RunRecord) -> None:
     reference = RunRecord.load(run_folder())
     attacked.metrics["driving"] = {"ego": DRIVES}
-    assert len(driving_rows(attacked, reference, "unattacked")) == 2, "the other run's value is unknown"
+    assert len(driving_table(attacked, reference, "unattacked").lines) == 2, "the other run's value is unknown"
     mission = DRIVES["mission"] | {"needless_brake_share": 0.125, "brake_share": 0.3, "min_ttc_s": None}
     reference.metrics["driving"] = {"ego": {"truth": DRIVES["truth"], "mission": mission}}
-    rows = driving_rows(attacked, reference, "unattacked")
-    assert [(row.estimate, row.run) for row in rows] == [
+    rows = [line.cells for line in driving_table(attacked, reference, "unattacked").lines]
+    assert [row[:2] for row in rows] == [
         ("truth", "unattacked"),
         ("truth", attacked.label),
         ("ego with picture", "unattacked"),
         ("ego with picture", attacked.label),
     ]
-    assert [row.brake for row in rows] == ["0.0%", "0.0% (+0.0)", "30.0%", "25.0% (\u22125.0)"]
-    assert (rows[2].needless, rows[3].needless) == (
+    assert [row[7] for row in rows] == ["0.0%", "0.0% (+0.0)", "30.0%", "25.0% (\u22125.0)"]
+    assert (rows[2][8], rows[3][8]) == (
         "12.5% (12.5% by attack)",
         "25.0% (+12.5) (12.5% by attack; 12.5% more than unattacked, not attributed)",
     )
-    assert (rows[2].ttc_s, rows[3].ttc_s, rows[3].objects) == ("never", "0.4", "2.50 (+0.00)")
+    assert (rows[2][6], rows[3][6], rows[3][2]) == ("never", "0.4", "2.50 (+0.00)")
 
 
 @pytest.mark.parametrize(
@@ -366,8 +363,8 @@ def test_unattributed_increase_of_needless_braking_is_reported(
     share = "needless_brake_share"
     attacked.metrics["driving"] = {"ego": {"mission": {share: after, f"{share}_attack": attack}}}
     reference.metrics["driving"] = {"ego": {"mission": {share: before, f"{share}_attack": 0.0}}}
-    row = driving_rows(attacked, reference, "unattacked")[-1]
-    assert (f"{more} more than unattacked, not attributed" in row.needless) == bool(more)
+    needless = driving_table(attacked, reference, "unattacked").lines[-1].cells[8]
+    assert (f"{more} more than unattacked, not attributed" in needless) == bool(more)
     often = f"The ego with the picture brakes needlessly in {more} of the scored frames"
     sentence = f"{often} more than unattacked, not attributed."
     sentences = reading(attacked, Reference(reference, "unattacked"))
@@ -378,7 +375,7 @@ def test_unattributed_increase_of_needless_braking_is_reported(
 def test_objects_overlapping_the_ego_have_their_own_column(attacked: RunRecord) -> None:
     mission = DRIVES["mission"] | {"overlapping_objects": 0.75}
     attacked.metrics["driving"] = {"ego": {"mission": mission}}
-    assert driving_rows(attacked)[0].overlapping == "0.75"
+    assert driving_table(attacked).lines[0].cells[4] == "0.75"
     metrics = json.loads((attacked.path / "metrics.json").read_text())
     (attacked.path / "metrics.json").write_text(json.dumps(metrics | {"driving": {"ego": {"mission": mission}}}))
     assert "overlapping<br>the ego" in write_report(attacked.path).read_text()
@@ -418,4 +415,4 @@ def test_older_runs_have_unknown_achievements(run_folder: Callable[..., Path]) -
     (folder / "metrics.json").write_text(json.dumps(metrics))
     run = RunRecord.load(folder)
     assert any("what attacks achieved is not known" in sentence for sentence in run.missing)
-    assert {row.why for row in achieved_rows(run)} == {("what it did was not measured",)}
+    assert {why for _, why in achieved_table(run)[1]} == {"what it did was not measured"}

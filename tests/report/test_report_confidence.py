@@ -12,7 +12,7 @@ import pytest
 
 from mast_zenoh.metrics import Consistency
 from mast_zenoh.report.html import write_report
-from mast_zenoh.report.tables.of_run import estimate_rows, tracker_rows
+from mast_zenoh.report.tables.of_run import confidence_tables
 from mast_zenoh.report.tables.text_table import DASH
 from mast_zenoh.tracking import Innovations
 from mast_zenoh.viewer.run import RunRecord
@@ -42,20 +42,22 @@ def folder(run_folder: Callable[..., Path]) -> Path:
 
 
 def test_each_estimate_has_a_row_with_its_verdict(folder: Path) -> None:
-    picture, received, unknown = estimate_rows(RunRecord.load(folder))
-    assert [row.estimate for row in (picture, received, unknown)] == ["the picture", "infra_1 as received", "infra_2"]
-    assert picture.verdict == "velocity: overcautious"
-    assert received.verdict == "position: overconfident; velocity: overconfident"
-    assert float(received.factor.split()[0]) == pytest.approx(3.0, rel=0.2)
+    lines = confidence_tables(RunRecord.load(folder))[0].lines
+    assert [line.style for line in lines] == ["", "bad", ""]
+    picture, received, unknown = (line.cells for line in lines)
+    assert [cells[0] for cells in (picture, received, unknown)] == ["the picture", "infra_1 as received", "infra_2"]
+    assert picture[-1] == "velocity: overcautious"
+    assert received[-1] == "position: overconfident; velocity: overconfident"
+    assert float(received[2].split()[0]) == pytest.approx(3.0, rel=0.2)
     assert set(unknown[1:7]) == {DASH}
-    assert (unknown.pairs, unknown.verdict) == (0, "")
+    assert unknown[7:] == ("0", "")
 
 
 def test_each_tracker_has_a_row(folder: Path) -> None:
-    ego, silent = tracker_rows(RunRecord.load(folder))
-    assert ego.nis.startswith("1.90 (")
-    assert (ego.pairs, ego.sudden, ego.verdict) == (100, 1, "")
-    assert (silent.nis, silent.pairs) == (DASH, 0)
+    ego, silent = (line.cells for line in confidence_tables(RunRecord.load(folder))[1].lines)
+    assert ego[1].startswith("1.90 (")
+    assert ego[3:] == ("100", "1", "")
+    assert silent[1:4:2] == (DASH, "0")
 
 
 def test_the_page_has_both_tables_and_says_what_is_left_out(folder: Path) -> None:
@@ -67,5 +69,5 @@ def test_the_page_has_both_tables_and_says_what_is_left_out(folder: Path) -> Non
 
 def test_runs_of_earlier_versions_have_no_such_section(run_folder: Callable[..., Path]) -> None:
     run = run_folder()
-    assert (estimate_rows(RunRecord.load(run)), tracker_rows(RunRecord.load(run))) == ([], [])
+    assert [table.lines for table in confidence_tables(RunRecord.load(run))] == [[], []]
     assert 'id="confidence"' not in write_report(run).read_text()

@@ -23,7 +23,7 @@ from mast_zenoh.report.figures.over_time import causes_over_time, counts_over_ti
 from mast_zenoh.report.figures.timeaxis import Band, bands, lanes, place_bands
 from mast_zenoh.report.html import write_report
 from mast_zenoh.report.narrative.run import reading
-from mast_zenoh.report.tables.of_run import cause_rows, check_lines, check_rows, late_rows, latency_rows
+from mast_zenoh.report.tables.of_run import cause_table, check_lines, check_rows, latency_tables
 from mast_zenoh.report.tables.text_table import DASH
 from mast_zenoh.viewer.run import RunRecord
 
@@ -83,7 +83,7 @@ def test_the_page_has_the_split_the_checks_and_the_latency(attacked_and_faulted:
     assert "<strong>failed</strong>" in page
     assert "converged to the unfaulted one 0.4 s after the heal" in page
     assert '<code>agent/ego/tracks</code></td><td class="num">1.50</td>' in page
-    assert '<td>infra_1</td><td class="num">17</td>' in page
+    assert '<th scope="row">infra_1</th><td class="num">17</td>' in page
     assert (attacked_and_faulted / "figures" / "causes.png").is_file()
 
 
@@ -211,13 +211,12 @@ def test_failed_checks_come_first_and_skipped_ones_last() -> None:
 
 
 def test_missing_metrics_have_no_row() -> None:
-    assert cause_rows({}) == []
-    assert cause_rows({"agents": {"ego": {"picture": {"fn": {"mean": 1.0}}, "local": {}}}}) == []
+    assert cause_table({"run": {}}).lines == []
+    assert cause_table({"run": {"agents": {"ego": {"picture": {"fn": {"mean": 1.0}}, "local": {}}}}}).lines == []
     nothing = dict.fromkeys(("fault", "attack", "natural"))
-    (row,) = cause_rows({"agents": {"ego": {"picture": {"fn_split": nothing, "fp_split": nothing}}}})
-    assert row.missed == (DASH, DASH, DASH)
-    assert latency_rows({"latency_ms": {"sim_to_picture": {"p50": 1.0}}}) == []
-    assert late_rows({}) == []
+    (line,) = cause_table({"run": {"agents": {"ego": {"picture": {"fn_split": nothing, "fp_split": nothing}}}}}).lines
+    assert line.cells == ("ego", *[DASH] * 6)
+    assert [table.lines for table in latency_tables({"latency_ms": {"sim_to_picture": {"p50": 1.0}}})] == [[], [], []]
 
 
 def shown(*folders: Path) -> str:

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from mast_zenoh.metrics.estimates import MAIN
 from mast_zenoh.report import as_markdown, as_rich
-from mast_zenoh.report.tables.scores import ALWAYS, ScoreTable, score_table
+from mast_zenoh.report.tables.scores import ScoreTable, score_table
 from mast_zenoh.report.terminal import show
 
 Counts = tuple[float, float, float]
@@ -47,7 +48,7 @@ def test_every_estimate_has_its_change_over_the_reference_and_the_picture_over_t
     assert change(table, "fn", estimate="mission") == pytest.approx(0.3)
     assert change(table, "fp", estimate="local") == 0.0
     assert change(table, "fp", run="baseline") is None
-    (row,) = (row for row in table.rows if (row.measure.key, row.run) == ("fp", "uncoordinated"))
+    (row,) = (row for row in table.rows if (row.measure.label, row.run) == ("fp", "uncoordinated"))
     assert row.over_alone.mean == pytest.approx(9.15)
 
 
@@ -75,7 +76,7 @@ def counts(fp: list[int], first: int = 0) -> dict[str, Any]:
 def test_counts_per_frame_give_the_spread_of_changes() -> None:
     table = score_table(RUNS, counts={"baseline": counts([0, 1, 0]), "uncoordinated": counts([0, 4, 6])})
     assert table.cell("fp", "uncoordinated", "picture").change.std == pytest.approx(np.std([0, 3, 6]))
-    (row,) = (row for row in table.rows if (row.measure.key, row.run) == ("fp", "uncoordinated"))
+    (row,) = (row for row in table.rows if (row.measure.label, row.run) == ("fp", "uncoordinated"))
     assert row.over_alone.std == pytest.approx(np.std([0, 4, 6]))
 
 
@@ -96,7 +97,7 @@ def test_the_picture_in_transit_has_a_column_if_something_changed_it() -> None:
         "mission",
     )
     both = {"ego": {"picture_received": "picture", "picture_on_arrival": "picture"}}
-    assert score_table({"run": run | {"same_as": both}}).estimates == ALWAYS
+    assert score_table({"run": run | {"same_as": both}}).estimates == MAIN
 
 
 def test_a_picture_changed_without_delay_is_shown_as_received() -> None:

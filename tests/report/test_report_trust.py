@@ -18,14 +18,15 @@ from rich.console import Console
 from mast_zenoh.launch.tables import write_table
 from mast_zenoh.report import terminal
 from mast_zenoh.report.figures.drawing import birdseye_figure
-from mast_zenoh.report.figures.style import STATES, WITHHELD, png
+from mast_zenoh.report.figures.style import png
 from mast_zenoh.report.figures.trust import trust_over_time
 from mast_zenoh.report.figures.view import frame_view
 from mast_zenoh.report.html import write_report
 from mast_zenoh.report.narrative.run import defence_sentence
-from mast_zenoh.report.tables.of_run import conduct_rows, suspension_lines, suspension_rows, trust_sentences
+from mast_zenoh.report.tables.of_run import conduct_table, suspension_lines, suspension_table, trust_sentences
 from mast_zenoh.report.trust_facts import judged_agents
 from mast_zenoh.viewer.events import fault_spans, lie_spans, state_spans, states_at, withheld_at
+from mast_zenoh.viewer.palette import STATES, WITHHELD
 from mast_zenoh.viewer.run import RunRecord
 
 AGENTS = ("ego", "infra_1", "infra_2", "infra_3", "infra_4")
@@ -144,7 +145,7 @@ def test_without_trust_the_picture_has_no_state_colours(run_folder: Callable[...
     assert view is not None
     assert pixels(png(birdseye_figure(view)), STATES["suspended"]) == 0
     assert trust_over_time(run, 33) is None
-    assert trust_sentences(run) == suspension_rows(run) == suspension_lines(run) == []
+    assert trust_sentences(run) == suspension_table(run).lines == suspension_lines(run) == []
     assert defence_sentence(run) == ""
     assert "trust.parquet" not in " ".join(run.missing)
 
@@ -167,14 +168,11 @@ def test_the_chart_has_a_row_for_each_agent_with_its_suspensions_and_faults(fold
 
 
 def test_every_suspension_has_a_row_with_its_reason(folder: Path) -> None:
-    rows = suspension_rows(RunRecord.load(folder))
-    assert [(row.agent, row.from_s, row.until_s, row.conduct, row.after_s) for row in rows] == [
-        ("infra_2", "1.0", "1.2", "honest", "\u2013"),
-        ("infra_1", "2.0", "3.0", "lying", "0.5"),
-        ("infra_1", "3.5", "end", "lying", "\u2013"),
+    assert suspension_table(RunRecord.load(folder)).lines == [
+        (("infra_2", "1.0", "1.2", "honest", "\u2013", REASON), "bad"),
+        (("infra_1", "2.0", "3.0", "lying", "0.5", REASON), ""),
+        (("infra_1", "3.5", "end", "lying", "\u2013", REASON), ""),
     ]
-    assert [row.false_alarm for row in rows] == [True, False, False]
-    assert {row.reason for row in rows} == {REASON}
 
 
 def test_the_terminal_names_suspensions_with_their_reasons(folder: Path) -> None:
@@ -227,9 +225,10 @@ def test_the_last_lines_of_a_run_without_defence_name_none(folder: Path) -> None
 
 
 def test_seconds_of_conduct_without_any_are_left_out(folder: Path) -> None:
-    states, rows = conduct_rows(RunRecord.load(folder))
-    assert states == ["unknown", "trusted", "faulty", "suspended"]
-    assert rows == [("honest", ["0.0", "14.0", "0.0", "0.2"]), ("lying", ["0.0", "3.4", "0.0", "1.4"])]
+    table = conduct_table(RunRecord.load(folder))
+    assert [head.text for head in table.heads[1:]] == ["unknown", "trusted", "faulty", "suspended"]
+    cells = [line.cells for line in table.lines]
+    assert cells == [("honest", "0.0", "14.0", "0.0", "0.2"), ("lying", "0.0", "3.4", "0.0", "1.4")]
 
 
 def test_the_page_states_missed_liars_false_alarms_and_withheld_objects(folder: Path) -> None:

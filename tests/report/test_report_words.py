@@ -55,7 +55,7 @@ def test_headline_of_an_attacked_run_names_largest_change_and_adversary(run_fold
 def test_sentences_give_the_numbers_of_the_table(run_folder: Callable[..., Path]) -> None:
     runs = {"baseline": RunRecord.load(run_folder()), "uncoordinated": RunRecord.load(run_folder("uncoordinated"))}
     table = score_table({label: run.metrics for label, run in runs.items()})
-    rows = {(row.measure.key, row.run): row for row in table.rows}
+    rows = {(row.measure.label, row.run): row for row in table.rows}
     cells = rows["fn", "baseline"].cells
     missed = [number(cells[name].value, rows["fn", "baseline"].measure) for name in ("picture", "local", "mission")]
     assert re.findall(r"\d+\.\d+", headline(runs["baseline"])) == missed

@@ -17,7 +17,7 @@ from small_study import TABLES, tables, write_small
 
 from mast_zenoh.cli import app
 from mast_zenoh.errors import ConfigurationError, Interrupted, RunFolderError, TrialsFailed
-from mast_zenoh.metrics.record import ESTIMATORS, LOCAL, PICTURE, RECEIVED
+from mast_zenoh.metrics.estimates import ESTIMATORS, LOCAL, PICTURE, RECEIVED
 from mast_zenoh.study import definition, execution, trial, trials
 from mast_zenoh.study.trial import Outcome, Trial
 

@@ -16,24 +16,26 @@ from matplotlib.ticker import MultipleLocator
 
 from mast_zenoh.arrays.geometry import box_corners, heading
 from mast_zenoh.arrays.states import Bools, Floats
-from mast_zenoh.report.figures.style import (
-    BUILDING,
-    FAINT,
-    GRID,
-    GROUND,
-    OUTCOME_LABELS,
-    STATES,
-    WITHHELD,
-    Figure,
-    dark_axes,
-    plain,
-)
+from mast_zenoh.metrics.estimates import OWN
+from mast_zenoh.report.figures.style import Figure, dark_axes, plain
 from mast_zenoh.scenes.recording import SEEN_RETURNS, Recording
 from mast_zenoh.sensing import sensor_pose, to_world
 from mast_zenoh.viewer.events import states_at, withheld_at
 from mast_zenoh.viewer.frame import Boxes, Frame, Marks
 from mast_zenoh.viewer.interposers import adversaries_by_agent, interposers
-from mast_zenoh.viewer.palette import ADVERSARY, AGENT, BUILDING_EDGE, OUTCOME_COLOURS
+from mast_zenoh.viewer.palette import (
+    ADVERSARY,
+    AGENT,
+    BUILDING,
+    BUILDING_EDGE,
+    FAINT,
+    GRID,
+    GROUND,
+    OUTCOME_COLOURS,
+    OUTCOME_LABELS,
+    STATES,
+    WITHHELD,
+)
 
 #: Minimum length and width of drawn boxes, m, so that pedestrians are visible.
 _SMALLEST = 1.4
@@ -69,7 +71,7 @@ def draw_birdseye(axes: Axes, view: Frame, estimator: str, window: tuple[float, 
         )
     for order, (outcome, colour) in enumerate(OUTCOME_COLOURS.items()):
         _draw_outcome(axes, view.boxes[estimator][outcome], outcome, colour, 3 + 0.1 * order)
-    if estimator not in ("local", "received"):
+    if estimator not in OWN:
         _draw_withheld(axes, view)
     _draw_attack(axes, view.marks(estimator))
     _draw_agents(axes, view, window)

@@ -12,10 +12,9 @@ from matplotlib.colors import to_rgb, to_rgba
 
 from mast_zenoh.arrays.geometry import along_and_across, box_corners, heading, to_world
 from mast_zenoh.arrays.states import Floats
-from mast_zenoh.report.figures.style import BUILDING, GROUND
 from mast_zenoh.sensing.sensors import Camera
 from mast_zenoh.viewer.frame import Boxes, Frame
-from mast_zenoh.viewer.palette import ADVERSARY, BUILDING_EDGE, OUTCOME_COLOURS
+from mast_zenoh.viewer.palette import ADVERSARY, BUILDING, BUILDING_EDGE, GROUND, OUTCOME_COLOURS
 
 
 def clip_polygon(corners: Floats, side: Floats) -> Floats:

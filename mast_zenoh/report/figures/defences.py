@@ -6,19 +6,16 @@ import math
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import Normalize
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from mast_zenoh.metrics.study_results import BreakdownRow, BreakdownTable, DefenceMatrix, DefenceRow
 from mast_zenoh.report.figures.drawing import RenderedFigure, render
-from mast_zenoh.report.figures.style import INK, LOCAL, RUN_COLOURS, Figure, light_axes, plain
+from mast_zenoh.report.figures.style import LINE_STYLES, MARKERS, Figure, heat_map, light_axes, plain
 from mast_zenoh.report.figures.trust import trust_figure
 from mast_zenoh.report.tables.text_table import number
+from mast_zenoh.viewer.palette import INK, LOCAL, RUN_COLOURS
 
-_STYLES = ("-", (0, (6, 1.5)), (0, (2, 1)), (0, (6, 1, 1, 1)))
-_MARKERS = ("o", "s", "^", "D", "v", "P", "X")
-_HEAT = "PuOr_r"
 _ADDED = "missed and false objects added\nper frame, picture"
 
 
@@ -49,7 +46,6 @@ def _heat_maps(matrix: DefenceMatrix) -> RenderedFigure:
     scale = max((size for size in sizes if not math.isnan(size)), default=0.0) or 1.0
     for line, placement in zip(grid, placements, strict=True):
         for axes, count in zip(line, counts, strict=True):
-            axes.set_facecolor("#e8e8e8")  # unknown values
             cells = [[matrix.row(defence, attack, count, placement) for attack in attacks] for defence in defences]
             _heat_map(axes, cells, scale)
             axes.set_title(f"{_agents(count)}, {placement}", fontsize=9.5, color=INK, loc="left")
@@ -57,7 +53,6 @@ def _heat_maps(matrix: DefenceMatrix) -> RenderedFigure:
             axes.set_yticks(range(len(defences)), [plain(name) for name in defences])
             for text in axes.get_xticklabels():
                 text.set(rotation=30, ha="right", rotation_mode="anchor")
-            axes.tick_params(length=0, labelsize=9)
     caption = (
         "Missed and false objects that each adversary adds to the ego's picture per frame, compared with no attack and "
         f"no defence ({matrix.size}). Brackets: the 95 % interval contains 0, or there is none."
@@ -66,18 +61,14 @@ def _heat_maps(matrix: DefenceMatrix) -> RenderedFigure:
 
 
 def _heat_map(axes: Axes, cells: list[list[DefenceRow | None]], scale: float) -> None:
+    def text(row: DefenceRow | None) -> str:
+        if row is None or math.isnan(_mean(row, "damage")):
+            return ""
+        damage = row.measures["damage"]
+        return number(damage.value) if damage.differs_from_zero else f"({number(damage.value)})"
+
     means = np.array([[_mean(row, "damage") for row in line] for line in cells])
-    axes.imshow(means, cmap=_HEAT, norm=Normalize(-scale, scale), aspect="auto")
-    for y, line in enumerate(cells):
-        for x, row in enumerate(line):
-            if row is None or math.isnan(means[y, x]):
-                continue
-            damage = row.measures["damage"]
-            text, certain = number(damage.value), damage.differs_from_zero
-            colour = "white" if abs(means[y, x]) > 0.75 * scale else INK
-            axes.text(x, y, text if certain else f"({text})", ha="center", va="center", fontsize=8.5, color=colour)
-    for spine in axes.spines.values():
-        spine.set_visible(False)
+    heat_map(axes, means, [[text(row) for row in line] for line in cells], scale)
 
 
 def _damage(matrix: DefenceMatrix) -> RenderedFigure:
@@ -132,8 +123,8 @@ def _curve(
         mean,
         yerr=bars if len(known) else None,
         color=RUN_COLOURS[colour % len(RUN_COLOURS)],
-        marker=_MARKERS[colour % len(_MARKERS)],
-        linestyle=_STYLES[style % len(_STYLES)],
+        marker=MARKERS[colour % len(MARKERS)],
+        linestyle=LINE_STYLES[style % len(LINE_STYLES)],
         markersize=4.5,
         linewidth=1.6,
         capsize=3,
@@ -152,7 +143,7 @@ def _bound(axes: Axes, matrix: DefenceMatrix, counts: list[int]) -> None:
                 if row.n_adversaries == count and (count == 0 or row.placement == placement)
             ]
             values.append(next((share for share in shares if not math.isnan(share)), math.nan))
-        style = _STYLES[index % len(_STYLES)]
+        style = LINE_STYLES[index % len(LINE_STYLES)]
         axes.plot(counts, values, color=INK, linestyle=style, marker=".", label=plain(placement))
     axes.set_ylim(0.0, 1.05)
     axes.set_title("honest majority (share of objects)", fontsize=9.5, color=INK, loc="left")
@@ -170,7 +161,7 @@ def _delays(matrix: DefenceMatrix) -> RenderedFigure:
             100.0 * delay.undetected,
             where="post",
             color=RUN_COLOURS[index % len(RUN_COLOURS)],
-            linestyle=_STYLES[index % len(_STYLES)],
+            linestyle=LINE_STYLES[index % len(LINE_STYLES)],
             linewidth=1.8,
             label=plain(f"{defence}: {delay.detections} of {delay.watched}"),
         )
@@ -201,7 +192,7 @@ def _rocs(matrix: DefenceMatrix) -> RenderedFigure:
             100.0 * each.roc.false_positive_rate,
             100.0 * each.roc.true_positive_rate,
             color=RUN_COLOURS[index % len(RUN_COLOURS)],
-            linestyle=_STYLES[index % len(_STYLES)],
+            linestyle=LINE_STYLES[index % len(LINE_STYLES)],
             linewidth=1.8,
             label=plain(f"{each.defence}: AUC {number(each.auc.value)}"),
         )
@@ -237,7 +228,6 @@ def _agents(count: object) -> str:
 
 
 _BOUND_STYLE = (0, (4, 2))
-_SIZE_MARKERS = ("o", "s", "^", "D", "v", "P")
 #: Percentage points by which the curves of different numbers of agents are moved apart, so that bars do not overlap.
 _APART = 0.5
 
@@ -286,7 +276,7 @@ def _breakdown_curve(axes: Axes, rows: list[BreakdownRow], index: int, shift: fl
         broken[:, 0],
         yerr=np.abs(broken[:, 1:].T - broken[:, 0]),
         color=colour,
-        marker=_SIZE_MARKERS[index % len(_SIZE_MARKERS)],
+        marker=MARKERS[index % len(MARKERS)],
         markersize=4.5,
         linewidth=1.6,
         elinewidth=0.9,

@@ -8,17 +8,9 @@ from matplotlib.axes import Axes
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 from matplotlib.path import Path as Curve
 
-from mast_zenoh.report.figures.style import (
-    ADVERSARY_ON_LIGHT,
-    FAINT,
-    FAULT_ON_LIGHT,
-    INK,
-    LOCAL,
-    RUN_COLOURS,
-    Figure,
-    plain,
-)
+from mast_zenoh.report.figures.style import Figure, plain
 from mast_zenoh.report.tables.wiring import FLOW, GAP, HIGH, ROW, WIDE, Layout, Spot, layout, live_frames
+from mast_zenoh.viewer.palette import ADVERSARY_ON_LIGHT, FAINT, FAULT_ON_LIGHT, INK, LOCAL, RUN_COLOURS
 from mast_zenoh.viewer.run import RunRecord
 
 _HALF = WIDE / 2

@@ -10,22 +10,17 @@ from pathlib import Path
 from matplotlib import figure as figures
 from matplotlib.axes import Axes
 
+from mast_zenoh.metrics.estimates import ESTIMATES
+from mast_zenoh.metrics.measures import MEASURES
 from mast_zenoh.report.figures.birdseye import draw_birdseye, key
 from mast_zenoh.report.figures.camera import draw_camera, ego_eye
-from mast_zenoh.report.figures.style import FAINT, GROUND, Figure, pdf, plain, png, svg
+from mast_zenoh.report.figures.style import Figure, pdf, plain, png, svg
 from mast_zenoh.report.figures.view import window
-from mast_zenoh.report.tables.scores import MEASURES, ScoreTable, number
+from mast_zenoh.report.tables.scores import ScoreTable, number
 from mast_zenoh.run_files import subfolder, write_bytes
 from mast_zenoh.viewer.frame import Frame
+from mast_zenoh.viewer.palette import FAINT, GROUND
 
-_PANELS = {
-    "local": "the ego alone: its own tracks",
-    "picture": "the common picture",
-    "received": "the ego's tracks as they are received",
-    "picture_received": "the picture as the ego receives it",
-    "picture_on_arrival": "the picture when it reaches the ego",
-    "mission": "the ego with the picture",
-}
 _WHITE = "#f2f5f9"
 
 
@@ -127,7 +122,7 @@ def birdseye_figure(view: Frame) -> Figure:
         draw_birdseye(axes, view, estimator, shared_window)
         if index:
             axes.set_ylabel("")
-        _title(axes, _PANELS[estimator], view, when=index == 0)
+        _title(axes, ESTIMATES[estimator].panel, view, when=index == 0)
     return figure
 
 
@@ -150,7 +145,7 @@ def camera_figure(view: Frame) -> Figure | None:
     for index, estimator in enumerate(estimates):
         axes = _panel(figure, 0.15, 0.36 + index * (height + 0.42), 11.7, height)
         draw_camera(axes, view, estimator, eye)
-        _title(axes, _PANELS[estimator], view)
+        _title(axes, ESTIMATES[estimator].panel, view)
     return figure
 
 
@@ -190,8 +185,9 @@ def _numbers(figure: Figure, selection: tuple[ScoreTable, str, str], left: float
         ("tp", "matched", "#7db2ff"),
         ("rmse_m", "RMSE (m)", _WHITE),
     )
-    keys = {measure.key: measure for measure in MEASURES}
-    values = [(number(table.cell(key, run, estimate).value, keys[key]), name, colour) for key, name, colour in columns]
+    values = [
+        (number(table.cell(key, run, estimate).value, MEASURES[key]), name, colour) for key, name, colour in columns
+    ]
     for index, (value, name, colour) in enumerate(values):
         x = (left + width * (index + 0.5) / len(values)) / w
         figure.text(x, 1 - top / h, value, color=colour, fontsize=17, ha="center", va="top", fontweight="bold")

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure as MatplotlibFigure
 from mast_zenoh.config import loading, plugins
 from mast_zenoh.control.failures import described, location
 from mast_zenoh.errors import RunFolderError
+from mast_zenoh.metrics.estimates import ESTIMATES, IN_TRANSIT, LOCAL, PICTURE, column_name
 from mast_zenoh.report.figures.diagram import draw_wiring
 from mast_zenoh.report.figures.drawing import (
     RenderedFigure,
@@ -25,8 +26,9 @@ from mast_zenoh.report.figures.drawing import (
 from mast_zenoh.report.figures.over_time import SMOOTH, causes_over_time, counts_over_time, driving_over_time
 from mast_zenoh.report.figures.style import Figure
 from mast_zenoh.report.figures.trust import trust_over_time
+from mast_zenoh.report.narrative.changes import capital
 from mast_zenoh.report.run_figure import SECTIONS, FigureContext, RunFigure
-from mast_zenoh.report.tables.scores import ESTIMATES, ScoreTable
+from mast_zenoh.report.tables.scores import ScoreTable
 from mast_zenoh.run_files import check_plain, read_json, write_bytes
 from mast_zenoh.viewer.events import states_at, suspensions
 from mast_zenoh.viewer.frame import Frame
@@ -49,7 +51,7 @@ class Birdseye(RunFigure):
     def alt(self, context: FigureContext) -> str:
         assert context.view is not None
         view = context.view
-        tallies = ". ".join(f"{ESTIMATES[name].capitalize()}: {tally(view, name)}" for name in view.boxes)
+        tallies = ". ".join(f"{ESTIMATES[name].column.capitalize()}: {tally(view, name)}" for name in view.boxes)
         return f"Bird's-eye view, {view.time_label}. {tallies}."
 
     def caption(self, context: FigureContext) -> str:
@@ -182,9 +184,8 @@ def rendered(figure: RunFigure, context: FigureContext) -> RenderedFigure | None
 
 def _the_picture(view: Frame) -> str:
     """The picture that a view shows, in words."""
-    variants = {"picture_received": "as the ego receives it", "picture_on_arrival": "when it reaches the ego"}
-    variant = next((way for name, way in variants.items() if name in view.boxes), "")
-    return f"the common picture {variant}".strip()
+    name = next((name for name in IN_TRANSIT if name in view.boxes), PICTURE)
+    return ESTIMATES[name].panel.replace("the picture", "the common picture")
 
 
 def counts_caption(runs: Sequence[RunRecord]) -> str:
@@ -314,7 +315,6 @@ _CHOICE_ATTACKED = (
     "The frame is the scored one, since the first change by an adversary, with the most errors {where}{beyond}"
 )
 _CHOICE_CLEAN = "The frame is the scored one in which the picture spares the ego the most errors"
-_FULL_NAMES = {"local": "The ego alone", "picture": "The common picture", "mission": "The ego with the picture"}
 
 
 def study_figures(
@@ -329,16 +329,17 @@ def study_figures(
     figures = []
     if views:
         tallies = "; ".join(f"{label}: {tally(view, estimate)}" for label, view in views.items())
-        name = _FULL_NAMES[estimate]
+        name = capital(ESTIMATES[estimate].panel.partition(":")[0])
         caption = f"{name} in the same frame of every run; under it, means per frame over the scored frames."
         if chosen:
             beyond = f" less those of {table.reference} in the same frame"
-            caption += f" {_CHOICE_ATTACKED.format(where=f'of the {ESTIMATES[estimate]}', beyond=beyond)}."
+            caption += f" {_CHOICE_ATTACKED.format(where=f'of the {ESTIMATES[estimate].column}', beyond=beyond)}."
         alt = f"Bird's-eye views side by side, {next(iter(views.values())).time_label}. {tallies}."
         figures.append(render("side_by_side", side_by_side_figure(views, table, estimate), alt, caption))
     over_time = counts_over_time(runs, next(iter(views.values())).index if views else None, estimate)
     if over_time is not None:
-        alt = f"Missed objects, false objects and RMSE over time: ego alone, and {ESTIMATES[estimate]} of every run."
+        names = tuple(ESTIMATES[each].column for each in (LOCAL, estimate))
+        alt = f"Missed objects, false objects and RMSE over time: {names[0]}, and {names[1]} of every run."
         figures.append(render("counts", over_time, alt, counts_caption(list(runs.values()))))
     return {each.name: each for each in figures}
 
@@ -351,7 +352,7 @@ def frame_choice(run: RunRecord, estimate: str, reference: str = "") -> str:
     if not run.attack_frames and not reference:
         return f"{_CHOICE_CLEAN}."
     beyond = f" beyond those of {reference} in the same frame" if reference else ""
-    sentence = _CHOICE_ATTACKED.format(where=f"of the {ESTIMATES.get(estimate, estimate)}", beyond=beyond)
+    sentence = _CHOICE_ATTACKED.format(where=f"of the {column_name(estimate)}", beyond=beyond)
     return (
         sentence.replace(", since the first change by an adversary,", "") + "."
         if not run.attack_frames

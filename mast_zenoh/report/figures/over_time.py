@@ -11,34 +11,18 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from mast_zenoh.metrics import ATTACK_CAUSES, CAUSES, DEFENCE_CAUSES, FAULT_CAUSES
-from mast_zenoh.report.figures.style import (
-    ADVERSARY_ON_LIGHT,
-    FAULT_ON_LIGHT,
-    INK,
-    LOCAL,
-    RUN_COLOURS,
-    Figure,
-    light_axes,
-    plain,
-)
+from mast_zenoh.metrics.estimates import ESTIMATES, OWN
+from mast_zenoh.metrics.measures import measure_named
+from mast_zenoh.report.figures.style import Figure, light_axes, plain
 from mast_zenoh.report.figures.timeaxis import HATCH, bands, fault_legend, padded, rows_over_time, shade
 from mast_zenoh.report.narrative.changes import scored
 from mast_zenoh.report.tables.of_run import DRIVEN_BY
-from mast_zenoh.report.tables.scores import ESTIMATES, shown_estimates
+from mast_zenoh.report.tables.scores import shown_estimates
+from mast_zenoh.viewer.palette import ADVERSARY_ON_LIGHT, FAULT_ON_LIGHT, INK, LOCAL, RUN_COLOURS
 from mast_zenoh.viewer.run import RunRecord, Table, rows
 
-_LABELS = {
-    "fn": "missed objects\nper frame",
-    "fp": "false objects\nper frame",
-    "tp": "matched objects\nper frame",
-    "rmse_m": "RMSE (m)",
-    "id_switches": "identity switches\nper frame",
-    "ospa_m": "OSPA (m)",
-    "gospa_m": "GOSPA (m)",
-}
 #: Columns that the report shows.
 REPORT_COLUMNS = ("fn", "fp", "rmse_m")
-_WHOLE = ("fn", "fp", "tp", "id_switches")
 _STYLES = ("-", (0, (6, 1.5)), (0, (2, 1)), (0, (6, 1, 1, 1)), "-", (0, (6, 1.5)))
 #: The bold lines are means over this many past frames. Future frames are not used, so that no line rises before an
 #: attack begins.
@@ -72,6 +56,7 @@ def counts_over_time(
     figure, axes = rows_over_time(len(columns), 1.66 if len(columns) > 1 else 3.0, marked, *extent)
     attacked = [times(run, np.array(run.attack_frames)) for run in runs.values() if run.attack_frames]
     for axis, column in zip(axes, columns, strict=True):
+        measure = measure_named(column)
         light_axes(axis)
         shade(axis, marked, *extent)
         if attacked:
@@ -83,15 +68,15 @@ def counts_over_time(
         if frame is not None:
             first = next(iter(runs_with_counts.values()))
             axis.axvline(float(times(first, np.array([frame]))[0]), color=INK, linewidth=0.9, label="frame shown")
-        axis.set_ylabel(_LABELS.get(column, plain(column.replace("_", " "))), fontsize=10, color=INK)
+        axis.set_ylabel(measure.axis or plain(measure.heading), fontsize=10, color=INK)
         axis.set_ylim(0.0, _top(lines, column))
         axis.set_xlim(*padded(*extent))
-        axis.yaxis.set_major_locator(MaxNLocator(4, integer=column in _WHOLE))
+        axis.yaxis.set_major_locator(MaxNLocator(4, integer=measure.whole))
     axes[-1].set_xlabel("time (s)" if timed else "frame", fontsize=10, color=INK)
     handles, labels = axes[0].get_legend_handles_labels()
     if marked:
         handles, labels = [fault_legend(), *handles], ["fault", *labels]
-    figure.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.055, 1.0), ncols=7, frameon=False, fontsize=10)
+    legend_above(figure, dict(zip(labels, handles, strict=True)), 7)
     return figure
 
 
@@ -119,16 +104,14 @@ def _lines(runs: Mapping[str, RunRecord], estimate: str) -> list[tuple[str, RunR
     first = next(iter(runs.values()))
     lines = [("ego alone", first, first.counts_of("local"), _ALONE)]
     if len(runs) == 1:
-        names = [
-            name for name in shown_estimates([first.metrics], first.ego or "") if name not in ("local", "received")
-        ]
+        names = [name for name in shown_estimates([first.metrics], first.ego or "") if name not in OWN]
         for index, name in enumerate(names):
             line_style = _LineStyle(RUN_COLOURS[index], _STYLES[index], 2.4 if name == "picture" else 1.6)
-            lines.append((ESTIMATES[name], first, first.counts_of(name), line_style))
+            lines.append((ESTIMATES[name].column, first, first.counts_of(name), line_style))
     else:
         for index, (label, run) in enumerate(runs.items()):
             line_style = _LineStyle(RUN_COLOURS[index % len(RUN_COLOURS)], _STYLES[index % len(_STYLES)])
-            lines.append((f"{ESTIMATES[estimate]}, {label}", run, run.counts_of(estimate), line_style))
+            lines.append((f"{ESTIMATES[estimate].column}, {label}", run, run.counts_of(estimate), line_style))
     return [(name, run, counts, line_style) for name, run, counts, line_style in lines if counts is not None]
 
 
@@ -158,6 +141,35 @@ _CAUSE_COLOURS = {
 }
 
 
+def legend_above(figure: Figure, handles: Mapping[str, Any], columns: int, **style: Any) -> None:
+    """A legend above stacked charts; handles: by label."""
+    style = {"frameon": False, "fontsize": 10, "ncols": columns} | style
+    figure.legend(list(handles.values()), list(handles), loc="upper left", bbox_to_anchor=(0.055, 1.0), **style)
+
+
+def _handles(axes: Sequence[Axes]) -> dict[str, Any]:
+    """The legend entries of all charts by label."""
+    return {label: handle for axis in axes for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)}
+
+
+def _rows_of(
+    run: RunRecord, frames: NDArray[Any], count: int, height: float, frame: int | None
+) -> tuple[Figure, Sequence[Axes], NDArray[np.float64]]:
+    """A figure of stacked charts of a run, with its faults and a line at `frame`, and the times of its frames."""
+    seconds = run.seconds(frames)
+    times: NDArray[np.float64] = frames.astype(np.float64) if seconds is None else seconds
+    marked, extent = bands([run], timed=seconds is not None), (float(times[0]), float(times[-1]))
+    figure, axes = rows_over_time(count, height, marked, *extent)
+    for axis in axes:
+        light_axes(axis)
+        shade(axis, marked, *extent, hatch=False)
+        axis.set_xlim(*padded(*extent))
+        if frame is not None:
+            axis.axvline(float(np.interp(frame, frames, times)), color=INK, linewidth=0.9)
+    axes[-1].set_xlabel("frame" if seconds is None else "time (s)", fontsize=10, color=INK)
+    return figure, axes, times
+
+
 def causes_over_time(run: RunRecord, frame: int | None) -> Figure | None:
     """Missed and false objects of the ego's picture by time, stacked by cause.
 
@@ -169,17 +181,11 @@ def causes_over_time(run: RunRecord, frame: int | None) -> Figure | None:
     if not (run.faulted or run.withholds) or counts is None or objects is None or "cause" not in objects:
         return None
     frames = counts["frame"].astype(np.int64)
-    seconds = run.seconds(frames)
-    times: NDArray[np.float64] = frames.astype(np.float64) if seconds is None else seconds
-    marked = bands([run], timed=seconds is not None)
-    extent = float(times[0]), float(times[-1])
-    figure, axes = rows_over_time(len(_CAUSE_ROWS), 1.9, marked, *extent)
+    figure, axes, times = _rows_of(run, frames, len(_CAUSE_ROWS), 1.9, frame)
     in_picture = objects["estimator"] == "picture"
     first, last = run.metrics.get("scored_frames") or (frames[0], frames[-1])
     scored = (frames >= first) & (frames <= last)
     for axis, (kind, outcome, label) in zip(axes, _CAUSE_ROWS, strict=True):
-        light_axes(axis)
-        shade(axis, marked, *extent, hatch=False)
         errors = in_picture & (objects["kind"] == kind) & (objects["outcome"] == outcome)
         below = np.zeros(len(frames))
         for cause, colour in _CAUSE_COLOURS.items():
@@ -190,27 +196,12 @@ def causes_over_time(run: RunRecord, frame: int | None) -> Figure | None:
             hatch: dict[str, Any] = {"hatch": HATCH, "edgecolor": FAULT_ON_LIGHT} if cause in FAULT_CAUSES else {}
             axis.fill_between(times, below, above, step="mid", facecolor=colour, linewidth=0, label=cause, **hatch)
             below = above
-        if frame is not None:
-            time = np.interp(frame, frames, times)
-            axis.axvline(float(time), color=INK, linewidth=0.9)
         axis.set_ylabel(f"{label}\nper frame", fontsize=10, color=INK)
         axis.set_ylim(0.0, max(1.08 * below[scored].max(initial=0.0), 2.0))
-        axis.set_xlim(*padded(*extent))
         axis.yaxis.set_major_locator(MaxNLocator(4, integer=True))
-    axes[-1].set_xlabel("frame" if seconds is None else "time (s)", fontsize=10, color=INK)
-    handles = {label: handle for axis in axes for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)}
-    order = [cause for cause in _CAUSE_COLOURS if cause in handles]
-    figure.legend(
-        [handles[cause] for cause in order],
-        order,
-        loc="upper left",
-        bbox_to_anchor=(0.055, 1.0),
-        ncols=9,
-        frameon=False,
-        fontsize=10,
-        columnspacing=1.3,
-        handlelength=1.5,
-    )
+    handles = _handles(axes)
+    order = {cause: handles[cause] for cause in _CAUSE_COLOURS if cause in handles}
+    legend_above(figure, order, 9, columnspacing=1.3, handlelength=1.5)
     return figure
 
 
@@ -235,38 +226,15 @@ def driving_over_time(run: RunRecord, frame: int | None) -> Figure | None:
         name: rows(ego_rows, ego_rows["estimate"] == name) for name in DRIVEN_BY if np.any(ego_rows["estimate"] == name)
     }
     frames = parts[next(iter(parts))]["frame"].astype(np.int64)
-    seconds = run.seconds(frames)
-    times = frames.astype(np.float64) if seconds is None else seconds
-    marked = bands([run], timed=seconds is not None)
-    extent = float(times[0]), float(times[-1])
-    figure, axes = rows_over_time(3, 1.5, marked, *extent)
-    for axis in axes:
-        light_axes(axis)
-        shade(axis, marked, *extent, hatch=False)
-        axis.set_xlim(*padded(*extent))
-        if frame is not None:
-            axis.axvline(float(np.interp(frame, frames, times)), color=INK, linewidth=0.9)
-        if run.attack_frames is not None:
-            first, last = np.interp(run.attack_frames, frames, times)
+    figure, axes, times = _rows_of(run, frames, 3, 1.5, frame)
+    if run.attack_frames is not None:
+        first, last = np.interp(run.attack_frames, frames, times)
+        for axis in axes:
             axis.axvspan(float(first), float(last), color=ADVERSARY_ON_LIGHT, alpha=0.07, linewidth=0)
     _draw_collision(axes[0], times, parts)
     _draw_corridor(axes[1], times, parts, scored(run, frames))
     _draw_braking(axes[2], times, parts)
-    axes[-1].set_xlabel("frame" if seconds is None else "time (s)", fontsize=10, color=INK)
-    handles: dict[str, Any] = {}
-    for axis in axes:
-        handles |= {label: handle for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)}
-    figure.legend(
-        list(handles.values()),
-        list(handles),
-        loc="upper left",
-        bbox_to_anchor=(0.055, 1.0),
-        ncols=8,
-        frameon=False,
-        fontsize=9,
-        columnspacing=1.0,
-        handlelength=1.6,
-    )
+    legend_above(figure, _handles(axes), 8, fontsize=9, columnspacing=1.0, handlelength=1.6)
     return figure
 
 

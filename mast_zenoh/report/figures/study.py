@@ -10,14 +10,14 @@ from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import Normalize
 from matplotlib.figure import SubFigure
 from matplotlib.ticker import MaxNLocator, NullLocator
 
 from mast_zenoh.metrics.study_results import MIN_SEEDS, Estimate, StudyFacts, StudyRow, plural
 from mast_zenoh.report.figures.drawing import RenderedFigure, render
-from mast_zenoh.report.figures.style import INK, LOCAL, RUN_COLOURS, Figure, light_axes, plain
+from mast_zenoh.report.figures.style import LINE_STYLES, MARKERS, Figure, heat_map, light_axes, plain
 from mast_zenoh.report.tables.study_rows import PAPER, Column, over_trials
+from mast_zenoh.viewer.palette import INK, LOCAL, RUN_COLOURS
 
 #: Two numeric parameters with this many values each make a heat map instead of curves.
 MIN_FOR_HEAT_MAP = 4
@@ -151,10 +151,6 @@ def text_of(value: object) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-_STYLES = ("-", (0, (6, 1.5)), (0, (2, 1)), (0, (6, 1, 1, 1)))
-_MARKERS = ("o", "s", "^", "D", "v", "P", "X")
-#: Diverging, and safe for colour-blind readers.
-_HEAT = "PuOr_r"
 #: A range of positive values with more than this ratio is drawn on a logarithmic axis.
 _LOG_FROM = 50.0
 
@@ -352,8 +348,8 @@ def _curves(axes: Axes, panel: Panel, column: Column) -> None:
             mean,
             yerr=np.nan_to_num([mean - low, high - mean]),
             color=RUN_COLOURS[(index + 1) % len(RUN_COLOURS)],  # the first colour is the baseline's
-            marker=_MARKERS[index % len(_MARKERS)],
-            linestyle=_STYLES[index % len(_STYLES)] if panel.numeric else "none",
+            marker=MARKERS[index % len(MARKERS)],
+            linestyle=LINE_STYLES[index % len(LINE_STYLES)] if panel.numeric else "none",
             markersize=5,
             linewidth=1.8,
             capsize=3,
@@ -379,30 +375,15 @@ def _curves(axes: Axes, panel: Panel, column: Column) -> None:
 def _heat_map(axes: Axes, panel: Panel, column: Column, scale: float) -> None:
     """Means as colours and numbers, in brackets if the interval contains 0 or is none."""
     means = np.full((len(panel.curves), len(panel.ticks)), np.nan)
+    texts = [[""] * len(panel.ticks) for _ in panel.curves]
     for y, curve in enumerate(panel.curves):
         for row in curve.rows:
-            means[y, panel.ticks.index(row.point[panel.x])] = column.of(row).trial_mean
-    axes.set_facecolor("#e8e8e8")  # unknown values
-    axes.imshow(means, cmap=_HEAT, norm=Normalize(-scale, scale), origin="lower", aspect="auto")
-    for y, curve in enumerate(panel.curves):
-        for row in curve.rows:
-            estimate = column.of(row)
-            if math.isnan(estimate.trial_mean):
-                continue
-            significant = estimate.low > 0.0 or estimate.high < 0.0
-            dark = abs(estimate.trial_mean) > 0.75 * scale
-            text = f"{100 * estimate.trial_mean:.0f}" if estimate.rate else f"{estimate.trial_mean:.3g}"
-            axes.text(
-                panel.ticks.index(row.point[panel.x]),
-                y,
-                (text if significant else f"({text})").replace("-", "\u2212"),
-                ha="center",
-                va="center",
-                fontsize=8.5,
-                color="white" if dark else INK,
-            )
+            x, estimate = panel.ticks.index(row.point[panel.x]), column.of(row)
+            means[y, x] = estimate.trial_mean
+            if not math.isnan(estimate.trial_mean):
+                text = f"{100 * estimate.trial_mean:.0f}" if estimate.rate else f"{estimate.trial_mean:.3g}"
+                significant = estimate.low > 0.0 or estimate.high < 0.0
+                texts[y][x] = (text if significant else f"({text})").replace("-", "\u2212")
+    heat_map(axes, means, texts, scale, origin="lower")
     axes.set_xticks(range(len(panel.ticks)), [plain(text_of(tick)) for tick in panel.ticks])
     axes.set_yticks(range(len(panel.curves)), [plain(curve.label.partition(" = ")[2]) for curve in panel.curves])
-    axes.tick_params(length=0, labelsize=9)
-    for spine in axes.spines.values():
-        spine.set_visible(False)

@@ -6,6 +6,8 @@ Figures use only matplotlib's object interface, so no global state changes.
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib import figure as figures
@@ -14,26 +16,11 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.colors import Normalize
 from PIL import Image
 
-from mast_zenoh.viewer.palette import ADVERSARY as ADVERSARY
-from mast_zenoh.viewer.palette import ADVERSARY_ON_LIGHT as ADVERSARY_ON_LIGHT
-from mast_zenoh.viewer.palette import AGENT as AGENT
-from mast_zenoh.viewer.palette import BUILDING as BUILDING
-from mast_zenoh.viewer.palette import BUILDING_EDGE as BUILDING_EDGE
-from mast_zenoh.viewer.palette import FAINT as FAINT
-from mast_zenoh.viewer.palette import FAULT_ON_LIGHT as FAULT_ON_LIGHT
-from mast_zenoh.viewer.palette import GRID as GRID
-from mast_zenoh.viewer.palette import GROUND as GROUND
-from mast_zenoh.viewer.palette import INK as INK
-from mast_zenoh.viewer.palette import LOCAL as LOCAL
-from mast_zenoh.viewer.palette import OUTCOME_COLOURS as OUTCOME_COLOURS
-from mast_zenoh.viewer.palette import OUTCOME_LABELS as OUTCOME_LABELS
-from mast_zenoh.viewer.palette import PALE as PALE
-from mast_zenoh.viewer.palette import RUN_COLOURS as RUN_COLOURS
-from mast_zenoh.viewer.palette import STATES as STATES
-from mast_zenoh.viewer.palette import STATES_ON_LIGHT as STATES_ON_LIGHT
-from mast_zenoh.viewer.palette import WITHHELD as WITHHELD
+from mast_zenoh.arrays.states import Floats
+from mast_zenoh.viewer.palette import BUILDING_EDGE, FAINT, GROUND, INK, PALE
 
 DPI = 110
 #: Of PNG files, 0 to 9: higher levels take twice as long for little gain.
@@ -63,6 +50,26 @@ def light_axes(axes: Axes) -> None:
         spine.set_color(INK)
     axes.grid(axis="y", color=PALE, linewidth=0.8)
     axes.set_axisbelow(True)
+
+
+#: Of curves that one chart shows.
+LINE_STYLES = ("-", (0, (6, 1.5)), (0, (2, 1)), (0, (6, 1, 1, 1)))
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+#: Of heat maps: diverging, and safe for colour-blind readers.
+_HEAT = "PuOr_r"
+
+
+def heat_map(axes: Axes, means: Floats, texts: Sequence[Sequence[str]], scale: float, **how: Any) -> None:
+    """Means (y, x) as colours up to `scale`, and as texts; NaN: unknown."""
+    axes.set_facecolor("#e8e8e8")  # unknown values
+    axes.imshow(means, cmap=_HEAT, norm=Normalize(-scale, scale), aspect="auto", **how)
+    for y, line in enumerate(texts):
+        for x, text in enumerate(line):
+            colour = "white" if abs(means[y, x]) > 0.75 * scale else INK
+            axes.text(x, y, text, ha="center", va="center", fontsize=8.5, color=colour)
+    axes.tick_params(length=0, labelsize=9)
+    for spine in axes.spines.values():
+        spine.set_visible(False)
 
 
 def plain(text: object) -> str:

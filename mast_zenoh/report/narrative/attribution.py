@@ -238,9 +238,9 @@ def causes(run: RunRecord, change: Change, reference: RunRecord | None = None) -
     names = [by_name[name].description if name in by_name else name for name in culprits]
     descriptions = names if len(names) <= _MAX_CULPRITS else [f"{count(len(names))} adversaries"]
     own_displacement = reference is None and change.kind == DISPLACED and not descriptions
-    if change.is_fault or own_displacement:
-        descriptions = descriptions + _faults(run, any_effect=own_displacement and not change.is_fault)
-    if change.is_withheld:
+    if change.due_to("fault") or own_displacement:
+        descriptions = descriptions + _faults(run, any_effect=own_displacement and not change.due_to("fault"))
+    if change.due_to("withheld"):
         descriptions = [*descriptions, _defence(run, change)]
     return descriptions or ["adversaries"] if reference is None else descriptions
 
@@ -255,12 +255,12 @@ def culprit_names(run: RunRecord, change: Change, reference: RunRecord | None = 
     acting = [each.name for each in interposers(run) if each.changed and not each.is_link]
     measured = [name for name, rows in change.by.most_common() if rows >= MIN_CULPRIT_SHARE * total] or acting
     if reference is None:
-        return measured if change.is_attack else []
+        return measured if change.due_to("attack") else []
     if change.amount <= 0.0 or other_differences(run, reference):
         return []
     # Real-time runs also differ by timing, so only measured effects count.
     exact = run.scenario.get("mode", "lockstep") == "lockstep"
-    candidates = measured if change.is_attack else acting if exact else []
+    candidates = measured if change.due_to("attack") else acting if exact else []
     added = attacking_nodes(run) - attacking_nodes(reference)
     return [name for name in candidates if name in added and reaches(run, name, change.estimate, change.agent)]
 

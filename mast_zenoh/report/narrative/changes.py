@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from mast_zenoh.report.tables.scores import ESTIMATES
+from mast_zenoh.metrics.estimates import ESTIMATES, IN_TRANSIT, place_of
 from mast_zenoh.viewer.interposers import EFFECTS, OF_OBJECTS, Interposer
 from mast_zenoh.viewer.run import RunRecord
 
@@ -26,9 +27,8 @@ MIN_SAME_SHARE = 0.8
 #: Smallest share of a change for attacks or faults to be named as its cause; and smallest share of an attack's effect
 #: for an adversary to be named.
 MIN_NAMED_SHARE, MIN_CULPRIT_SHARE = 0.2, 0.05
-#: Estimates of the picture between the command centre and the agent; and the smallest share of their change in the
-#: command centre's picture, or in what the agent acts on, for the change to be named there instead.
-IN_TRANSIT = ("picture_received", "picture_on_arrival")
+#: Smallest share of a change of the picture in transit in the command centre's picture, or in what the agent acts on,
+#: for the change to be named there instead.
 MIN_TRANSFERRED_SHARE = 0.2
 
 
@@ -45,8 +45,7 @@ class Change:
 
     amount: false, missed: objects per frame; displaced: m, of the RMSE; identity: switches in the run
     weight: objects per frame, see OBJECT_M2; below zero: fewer errors
-    attack, fault, withheld: the parts of `amount` due to attacks, to links and faults, and to what the command centre
-            withheld; None: not measured
+    parts:  the parts of `amount` due to each group of causes, where they were measured
     by:     rows by responsible adversary; may be empty
     """
 
@@ -55,35 +54,22 @@ class Change:
     kind: str
     amount: float
     weight: float
-    attack: float | None = None
-    fault: float | None = None
-    withheld: float | None = None
+    parts: Mapping[str, float] = field(default_factory=dict)
     by: Counter[str] = field(default_factory=Counter)
 
-    @property
-    def is_attack(self) -> bool:
-        """Whether attacks cause a share of at least MIN_NAMED_SHARE."""
-        return self.attack is not None and _share(self.attack, self.amount) >= MIN_NAMED_SHARE
-
-    @property
-    def is_fault(self) -> bool:
-        """Whether links and faults cause a share of at least MIN_NAMED_SHARE."""
-        return self.fault is not None and _share(self.fault, self.amount) >= MIN_NAMED_SHARE
-
-    @property
-    def is_withheld(self) -> bool:
-        """Whether the command centre withheld a share of at least MIN_NAMED_SHARE."""
-        return self.withheld is not None and _share(self.withheld, self.amount) >= MIN_NAMED_SHARE
+    def due_to(self, group: str) -> bool:
+        """Whether a group of causes has a share of at least MIN_NAMED_SHARE: attack, fault or withheld."""
+        return bool(self.amount) and self.parts.get(group, -math.inf) / self.amount >= MIN_NAMED_SHARE
 
 
 def against(run: RunRecord, reference: RunRecord, agents: Iterable[str] | None = None) -> list[Change]:
     """Changes of scores over a reference run of the same scene; by default the ego's."""
-    changes = []
-    for agent in agents or [run.ego or ""]:
-        for estimate in ESTIMATES:
-            here, there = run.summary(estimate, agent), reference.summary(estimate, agent)
-            changes += between(run, here, there, agent, estimate)
-    return changes
+    return [
+        change
+        for agent in agents or [run.ego or ""]
+        for estimate in ESTIMATES
+        for change in between(run, run.summary(estimate, agent), reference.summary(estimate, agent), agent, estimate)
+    ]
 
 
 def between(
@@ -92,18 +78,16 @@ def between(
     """Changes of one summary of metrics.json over another with as many frames."""
     changes = []
     for kind, key in KEYS.items():
-        value, reference_value = _mean(here.get(key)), _mean(there.get(key))
-        if value is None or reference_value is None:
+        value, before = _mean(here.get(key)), _mean(there.get(key))
+        if value is None or before is None:
             continue
-        weight = _weight(run, kind, here, value) - _weight(run, kind, there, reference_value)
-        attack, fault, withheld = (_part(here, kind, group, there) for group in _GROUPS)
-        if kind == DISPLACED:
-            attack = _displacement(run, estimate)[0] if agent == run.ego else None
-        changes.append(
-            _change(
-                run, agent or run.ego or "", estimate, kind, (value - reference_value, weight, attack, fault, withheld)
-            )
-        )
+        weight = _weight(run, kind, here, value) - _weight(run, kind, there, before)
+        parts, old = _split(here, kind), _split(there, kind)
+        parts = {group: part - old.get(group, 0.0) for group, part in parts.items()}
+        if kind == DISPLACED and agent == run.ego:
+            displacement = _displacement(run, estimate)[0]
+            parts = {} if displacement is None else {"attack": displacement}
+        changes.append(_change(run, agent or run.ego or "", estimate, kind, value - before, weight, parts))
     return changes
 
 
@@ -114,16 +98,14 @@ def attributed(run: RunRecord, agents: Iterable[str] | None = None) -> list[Chan
         for estimate in ESTIMATES:
             here = run.summary(estimate, agent)
             for kind in (FALSE, MISSED, IDENTITY):
-                attack, fault, withheld = (_part(here, kind, group) for group in _GROUPS)
-                if attack is not None and fault is not None:
-                    amount = attack + fault + (withheld or 0.0)  # a run of an earlier version does not have it
+                if {"attack", "fault"} <= (parts := _split(here, kind)).keys():
+                    amount = sum(parts.values())
                     weight = _weight(run, kind, here, amount)
-                    changes.append(_change(run, agent, estimate, kind, (amount, weight, attack, fault, withheld)))
+                    changes.append(_change(run, agent, estimate, kind, amount, weight, parts))
             displacement_m, weight = _displacement(run, estimate) if agent == run.ego else (None, 0.0)
             if displacement_m is not None:
-                changes.append(
-                    _change(run, agent, estimate, DISPLACED, (displacement_m, weight, displacement_m, 0.0, 0.0))
-                )
+                parts = {"attack": displacement_m, "fault": 0.0, "withheld": 0.0}
+                changes.append(_change(run, agent, estimate, DISPLACED, displacement_m, weight, parts))
     return changes
 
 
@@ -171,14 +153,10 @@ def largest_change(run: RunRecord, reference: RunRecord | None) -> Change | None
 
 
 def _change(
-    run: RunRecord,
-    agent: str,
-    estimate: str,
-    kind: str,
-    numbers: tuple[float, float, float | None, float | None, float | None],
+    run: RunRecord, agent: str, estimate: str, kind: str, amount: float, weight: float, parts: Mapping[str, float]
 ) -> Change:
-    by = culprits(run, estimate, kind) if agent == run.ego and numbers[2] else Counter[str]()
-    return Change(agent, estimate, kind, *numbers, by)
+    by = culprits(run, estimate, kind) if agent == run.ego and parts.get("attack") else Counter[str]()
+    return Change(agent, estimate, kind, amount, weight, parts, by)
 
 
 def culprits(run: RunRecord, estimate: str, kind: str) -> Counter[str]:
@@ -261,12 +239,10 @@ def _frames(run: RunRecord) -> int:
     return run.scored_frames[1] - run.scored_frames[0] + 1
 
 
-def _part(summary: Summary, kind: str, group: str, reference: Summary | None = None) -> float | None:
-    """The part of a score due to a group of causes over a reference; None: unknown."""
-    here = (summary.get(f"{KEYS[kind]}_split") or {}).get(group)
-    if reference is None or here is None:
-        return here
-    return float(here - ((reference.get(f"{KEYS[kind]}_split") or {}).get(group) or 0.0))
+def _split(summary: Summary, kind: str) -> dict[str, float]:
+    """The parts of a score due to each group of causes, where they are known."""
+    split = summary.get(f"{KEYS[kind]}_split") or {}
+    return {group: split[group] for group in _GROUPS if split.get(group) is not None}
 
 
 def _mean(value: object) -> float | None:
@@ -275,30 +251,9 @@ def _mean(value: object) -> float | None:
     return float(value) if isinstance(value, (int, float)) else None
 
 
-def _share(part: float, whole: float) -> float:
-    return part / whole if whole else 0.0
-
-
 _NUMBERS = ["no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve"]
 #: Objects per frame; smaller differences are not notable beside a larger one.
 NOTHING = 0.05
-
-_WHERE = {
-    "local": "in what the ego sees alone",
-    "received": "in the ego's tracks as they are received",
-    "picture": "in the common picture",
-    "picture_received": "in the picture that the ego receives",
-    "picture_on_arrival": "in the picture when it reaches the ego",
-    "mission": "for the ego with the picture",
-}
-
-OWNERS = {
-    "local": "the ego alone has",
-    "picture": "the picture has",
-    "picture_received": "the picture that the ego receives has",
-    "picture_on_arrival": "the picture that the ego holds has",
-    "mission": "the ego with the picture has",
-}
 
 
 def count(number: int) -> str:
@@ -331,37 +286,20 @@ def small(number: float) -> str:
     return f"{number:.2g}" if number >= 0.0005 else "less than 0.001"
 
 
-def place(change: Change, ego: str | None) -> str:
-    """The estimate of a change, as a phrase."""
-    text = _WHERE.get(change.estimate, f"in {change.estimate}")
-    return (
-        text if change.agent == ego else text.replace("the ego's", f"{change.agent}'s").replace("the ego", change.agent)
-    )
+def amount(change: Change, ego: str | None, *, where: bool = True, more: bool = False) -> str:
+    """The amount of a change: `5.50 false objects a frame in the common picture`.
 
-
-def amount(change: Change, ego: str | None, *, where: bool = True) -> str:
-    """The amount of a change: `5.50 false objects a frame in the common picture`."""
-    at = f" {place(change, ego)}" if where else ""
-    size = abs(change.amount)
+    more: as a difference: `5.50 more false objects a frame in the common picture`
+    """
+    size, unit = abs(change.amount), ""
+    word = "more" if change.amount > 0 else "less" if change.kind == DISPLACED else "fewer"
     if change.kind == DISPLACED:
-        return f"an RMSE that is at least {size:.2f} m larger{at}"
-    if change.kind == IDENTITY:
-        return f"{size:.0f} identity switch{'' if round(size) == 1 else 'es'}{at}"
-    return f"{objects(size, change.kind)} a frame{at}"
-
-
-def more_or_less(change: Change, ego: str | None, *, where: bool = True) -> str:
-    """A difference: `5.50 more false objects a frame in the common picture`."""
-    at = f" {place(change, ego)}" if where else ""
-    size, rises = abs(change.amount), change.amount > 0
-    if change.kind == DISPLACED:
-        return f"{small(size)} m {'more' if rises else 'less'} RMSE{at}"
-    word = "more" if rises else "fewer"
-    if change.kind == IDENTITY:
-        return f"{size:.0f} {word} identity switch{'' if round(size) == 1 else 'es'}{at}"
-    noun = objects(size, change.kind)
-    number, _, suffix = noun.partition(f" {change.kind}")
-    return f"{number} {word} {change.kind}{suffix} a frame{at}"
+        text = f"{small(size)} m {word} RMSE" if more else f"an RMSE that is at least {size:.2f} m larger"
+    elif change.kind == IDENTITY:
+        text = f"{size:.0f} {f'{word} ' if more else ''}identity switch{'' if round(size) == 1 else 'es'}"
+    else:
+        text, unit = objects(size, f"{word} {change.kind}" if more else change.kind), " a frame"
+    return f"{text}{unit}{f' {place_of(change.estimate, change.agent, ego)}' if where else ''}"
 
 
 def plural(number: int, noun: str) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh.messagelog import churn
+from mast_zenoh.metrics.estimates import ESTIMATES, IN_TRANSIT, LOCAL, MAIN, MISSION, PICTURE
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.narrative.adversaries import late_start_s
 from mast_zenoh.report.narrative.attribution import cause_clause, causes, due_to_causes
@@ -15,11 +16,9 @@ from mast_zenoh.report.narrative.changes import (
     DISPLACED,
     FALSE,
     IDENTITY,
-    IN_TRANSIT,
     KEYS,
     MISSED,
     NOTHING,
-    OWNERS,
     Change,
     against,
     amount,
@@ -31,7 +30,6 @@ from mast_zenoh.report.narrative.changes import (
     join_names,
     largest,
     largest_change,
-    more_or_less,
     objects,
     plural,
     scored,
@@ -65,22 +63,30 @@ def compromised(run: RunRecord) -> str:
     return " and ".join(places)
 
 
+#: How a run that did not end well failed, by its status.
+_FAILED = {
+    "killed": "The run was cut off: its launcher ended before it could record the outcome",
+    "running": "The run is still in progress, or was cut off: its outcome is not known",
+}
+_ENDS = {
+    "running": "has not ended",
+    "killed": "was cut off",
+    "interrupted": "was interrupted",
+    "ok": "was measured from part of its recording",
+}
+
+
 def status(run: RunRecord) -> str:
     """How a run failed, in a sentence without a full stop; empty: it did not."""
-    failed = {name: failures_of(node) for name, node in run.run.get("nodes", {}).items() if failures_of(node)}
-    if failed:
-        names = [f"{name} failed in {plural(frames_of(entries), 'frame')}" for name, entries in failed.items()]
+    failed = {name: failures_of(node) for name, node in run.run.get("nodes", {}).items()}
+    if names := [f"{name} failed in {plural(frames_of(each), 'frame')}" for name, each in failed.items() if each]:
         return f"Handlers of {join_names(names)}: the numbers may be wrong"
     if lost := run.lost:
         return f"{churn.sentence(lost)}: from then on it is not the run that the scenario describes"
     state, partial = run.run.get("status", "ok"), _partly_recorded(run)
     if state == "ok":
         return capital(partial)
-    text = f"The run did not end well ({state}): read the numbers with that in mind"
-    if state == "killed":
-        text = "The run was cut off: its launcher ended before it could record the outcome"
-    elif state == "running":
-        text = "The run is still in progress, or was cut off: its outcome is not known"
+    text = _FAILED.get(state, f"The run did not end well ({state}): read the numbers with that in mind")
     return f"{text}; {partial}" if partial else text
 
 
@@ -99,14 +105,7 @@ def reference_status(reference: Reference | None) -> str:
     """`compared with unattacked, which failed`; empty: no reference, or it ended well."""
     if reference is None or not status(reference.run):
         return ""
-    state = reference.run.run.get("status")
-    ends = {
-        "running": "has not ended",
-        "killed": "was cut off",
-        "interrupted": "was interrupted",
-        "ok": "was measured from part of its recording",
-    }
-    return f"compared with {reference.name}, which {ends.get(str(state), 'failed')}"
+    return f"compared with {reference.name}, which {_ENDS.get(str(reference.run.run.get('status')), 'failed')}"
 
 
 #: Agents that the sentence names.
@@ -155,16 +154,16 @@ def attack_sentences(run: RunRecord, change: Change | None) -> list[str]:
         return []
     first, last = run.attack_frames
     times = run.seconds(np.array(run.attack_frames))
-    start, end = (
-        (f"frame {first}", f"frame {last}") if times is None else (f"t = {times[0]:.1f} s", f"{times[1]:.1f} s")
-    )
+    start, end = f"frame {first}", f"frame {last}"
+    if times is not None:
+        start, end = f"t = {times[0]:.1f} s", f"{times[1]:.1f} s"
     active = [each.description for each in interposers(run) if each.changed and not each.is_link]
     if not active:  # metrics.json is damaged
         active = sorted(set(run.attacks["interposer"].tolist()))
     when = f"from {start} to {end}" if first != last else f"{'in' if times is None else 'at'} {start}"
-    did = f"while {'it' if len(active) == 1 else 'they'} did"
     scores = _scores(run, change)
-    sentences = [f"{join_names(active)} changed messages {when}{f'; {did}, {scores}' if scores else ''}."]
+    during = f"; while {'it' if len(active) == 1 else 'they'} did, {scores}" if scores else ""
+    sentences = [f"{join_names(active)} changed messages {when}{during}."]
     attacked, total = _attacked_frames(run)
     if total and 2 * attacked < total:
         sentences.append(f"{attacked} of the {total} scored frames {'is' if attacked == 1 else 'are'} attacked.")
@@ -200,7 +199,7 @@ def _scores(run: RunRecord, change: Change | None) -> str:
         if kind != DISPLACED or not matched.sum():
             return ""
         text = f"an RMSE of {float(np.sqrt((squared * matched).sum() / matched.sum())):.2f} m"
-    return f"{OWNERS.get(estimate, f'{estimate} has')} {text}"
+    return f"{ESTIMATES[estimate].subject} has {text}"
 
 
 def while_attacked(
@@ -242,53 +241,53 @@ def headline(run: RunRecord, reference: Reference | None = None) -> str:
 
 
 def result(run: RunRecord, reference: Reference | None = None) -> str:
-    """The largest change and its cause, in a sentence without a full stop.
-
-    It begins with the reference if that failed.
-    """
+    """The largest change and its cause, in a sentence without a full stop; after the reference if that failed."""
     unsound = reference_status(reference)
     return f"{capital(unsound)}: {_result(run, reference)}" if unsound else _result(run, reference)
 
 
 def _result(run: RunRecord, reference: Reference | None) -> str:
-    picture = run.summary("picture")
-    if not picture:
+    if not run.summary("picture"):
+        why = "this run did not get as far as its evaluation"
         if run.metrics_damaged:
-            return "No scores: metrics.json is damaged"
-        if run.metrics:  # from a user-defined evaluator
-            return "No scores: metrics.json holds none of the common picture"
-        return "No scores: this run did not get as far as its evaluation"
+            why = "metrics.json is damaged"
+        elif run.metrics:  # from a user-defined evaluator
+            why = "metrics.json holds none of the common picture"
+        return f"No scores: {why}"
     places, change = compromised(run), _largest(run, reference)
-    start = f"{places} compromised: " if places else ""
     if change is None:
         return _unchanged(run, places, reference)
-    limits = _limits(run, reference, change)
+    what = amount(change, run.ego, more=reference is not None)
     if reference is not None:
-        cause = cause_clause(run, change, reference.run)
-        return capital(f"{start}{more_or_less(change, run.ego)} than {reference.name}{cause}{limits}")
-    return capital(f"{start}{amount(change, run.ego)} {due_to_causes(run, [change])}{limits}")
+        what += f" than {reference.name}{cause_clause(run, change, reference.run)}"
+    else:
+        what += f" {due_to_causes(run, [change])}"
+    return capital(f"{places} compromised: " * bool(places) + what + _limits(run, reference, change))
+
+
+def _changes(run: RunRecord, reference: Reference | None) -> list[Change]:
+    """The changes for the ego, over a reference or by the run's own measurements."""
+    return attributed(run) if reference is None else against(run, reference.run)
 
 
 def _limits(run: RunRecord, reference: Reference | None, change: Change) -> str:
     """The effect of a change of the picture in transit on its use; empty for others."""
     if change.estimate not in IN_TRANSIT or change.agent != run.ego:
         return ""
-    all_changes = attributed(run) if reference is None else against(run, reference.run)
+    all_changes = _changes(run, reference)
     changed = {each.estimate for each in all_changes if each.weight != 0.0}
     present = [name for name in ("picture_on_arrival", "mission") if run.summary(name)]
     unchanged = [name for name in present if name not in changed | {change.estimate}]
-    names = {"picture_on_arrival": "the picture on arrival", "mission": "what the ego acts on"}
     if unchanged:
         verb = "do not" if len(unchanged) > 1 else "does not"
-        return f"; {join_names([names[name] for name in unchanged])} {verb} change"
+        return f"; {join_names([ESTIMATES[name].noun for name in unchanged])} {verb} change"
     acted_on = [each for each in all_changes if each.estimate == "mission" and each.weight != 0.0]
     kinds = dict.fromkeys([change.kind, FALSE, MISSED, IDENTITY])
     relevant = [each for kind in kinds for each in acted_on if each.kind == kind] or acted_on
     if not relevant:
         return ""
-    if reference is None:
-        return f"; in what the ego acts on, {join_names([amount(each, run.ego, where=False) for each in relevant])}"
-    return f"; in what the ego acts on, {join_names([more_or_less(each, run.ego, where=False) for each in relevant])}"
+    amounts = [amount(each, run.ego, where=False, more=reference is not None) for each in relevant]
+    return f"; in what the ego acts on, {join_names(amounts)}"
 
 
 def _largest(run: RunRecord, reference: Reference | None) -> Change | None:
@@ -329,34 +328,25 @@ def _same_scores(run: RunRecord, reference: RunRecord, name: str) -> str:
 
 
 def _missed_sentence(run: RunRecord) -> str:
-    def missed(estimate: str) -> float | None:
-        mean = run.summary(estimate).get("fn", {}).get("mean")
-        return None if mean is None else float(mean)
-
-    alone, picture, both = missed("local"), missed("picture"), missed("mission")
-    if picture is None:
+    missed = {name: run.summary(name).get("fn", {}).get("mean") for name in MAIN}
+    if missed[PICTURE] is None:
         return "missed objects were not scored"
-    parts = [f"the common picture misses {objects(picture)} a frame"]
-    parts += [f"the ego alone {alone:.2f}"] if alone is not None else []
-    parts += [f"the ego with the picture {both:.2f}"] if both is not None else []
-    return ", ".join(parts)
+    others = [f"{ESTIMATES[name].subject} {missed[name]:.2f}" for name in (LOCAL, MISSION) if missed[name] is not None]
+    return ", ".join([f"the common picture misses {objects(missed[PICTURE])} a frame", *others])
 
 
 def reading(run: RunRecord, reference: Reference | None = None) -> list[str]:
     """Sentences on one run."""
     sentences = [f"{result(run, reference)}."] if status(run) else []
-    sentences += (
-        [f"{capital(_missed_sentence(run))}."] if run.summary("picture") and not _is_missed(run, reference) else []
-    )
+    if run.summary("picture") and not _is_missed(run, reference):
+        sentences.append(f"{capital(_missed_sentence(run))}.")
     sentences += _other_changes(run, reference) + _transit(run) + _blame(run)
     sentences += attack_sentences(run, _largest(run, reference))
-    more = unattributed_braking(run, reference.run, reference.name) if reference else ""
-    sentences += [f"{capital(more)}."] if more else []
+    if more := unattributed_braking(run, reference.run, reference.name) if reference else "":
+        sentences.append(f"{capital(more)}.")
     sentences += _verdicts(interposers(run))
     failed = [row.name for row in check_rows(run.checks) if row.outcome == "failed"]
-    if failed:
-        sentences.append(f"Some checks failed: {join_names(failed)}.")
-    return sentences
+    return sentences + ([f"Some checks failed: {join_names(failed)}."] if failed else [])
 
 
 def _is_missed(run: RunRecord, reference: Reference | None) -> bool:
@@ -366,7 +356,7 @@ def _is_missed(run: RunRecord, reference: Reference | None) -> bool:
 
 def _other_changes(run: RunRecord, reference: Reference | None) -> list[str]:
     """The largest notable change of each kind that the headline does not name."""
-    all_changes = attributed(run) if reference is None else against(run, reference.run)
+    all_changes = _changes(run, reference)
     main = largest(all_changes)
     if main is None:
         return []
@@ -375,16 +365,13 @@ def _other_changes(run: RunRecord, reference: Reference | None) -> list[str]:
         change = largest([each for each in all_changes if each.kind == kind and each.estimate != "local"])
         if change is not None and kind != main.kind and abs(change.weight) >= NOTHING / 2:
             by_cause.setdefault(tuple(causes(run, change, reference.run if reference else None)), []).append(change)
-    if reference is None:
-        clauses = [
-            (join_names([amount(each, run.ego) for each in group]), due_to_causes(run, group))
-            for group in by_cause.values()
-        ]
-        return [f"{capital(text)} {why}." for text, why in clauses]
     sentences = []
-    for cause, group in by_cause.items():  # the headline explains missing causes
-        text = join_names([more_or_less(each, run.ego) for each in group])
-        sentences.append(f"{capital(text)} than {reference.name}{f', due to {join_names(cause)}' if cause else ''}.")
+    for cause, group in by_cause.items():
+        text = capital(join_names([amount(each, run.ego, more=reference is not None) for each in group]))
+        if reference is None:
+            sentences.append(f"{text} {due_to_causes(run, group)}.")
+        else:  # the headline explains missing causes
+            sentences.append(f"{text} than {reference.name}{f', due to {join_names(cause)}' if cause else ''}.")
     return sentences
 
 
@@ -397,25 +384,25 @@ def _transit(run: RunRecord) -> list[str]:
             continue
         notable = [each for each in between(run, run.summary(estimate), sent) if abs(each.weight) >= NOTHING]
         if notable:
-            differs = join_names([more_or_less(each, run.ego, where=False) for each in notable])
+            differs = join_names([amount(each, run.ego, where=False, more=True) for each in notable])
             sentences.append(f"The picture {where} has {differs} than when the command centre sent it.")
     return sentences[-1:]
 
 
+_VERDICTS = {
+    "silent": "{} changed messages and reported nothing.",
+    "disagrees": "What {} reported does not match what was measured.",
+    "crashed": "{} crashed.",
+}
+
+
 def _verdicts(all_interposers: Sequence[Interposer]) -> list[str]:
     """Sentences on interposers whose reports are missing or wrong, or that failed."""
-    sentences = []
-    for verdict, text in (
-        ("silent", "{} changed messages and reported nothing"),
-        ("disagrees", "What {} reported does not match what was measured"),
-        ("crashed", "{} crashed"),
-    ):
-        names = [each.name for each in all_interposers if each.verdict == verdict]
-        if names:
-            sentences.append(f"{text.format(join_names(names))}.")
-    failed = [f"{each.name}'s handlers failed in {plural(each.failed_frames, 'frame')}" for each in all_interposers]
-    return sentences + [
-        f"{text}." for each, text in zip(all_interposers, failed, strict=True) if each.verdict == "failed"
+    names = {verdict: [each.name for each in all_interposers if each.verdict == verdict] for verdict in _VERDICTS}
+    return [text.format(join_names(names[verdict])) for verdict, text in _VERDICTS.items() if names[verdict]] + [
+        f"{each.name}'s handlers failed in {plural(each.failed_frames, 'frame')}."
+        for each in all_interposers
+        if each.verdict == "failed"
     ]
 
 
@@ -439,52 +426,40 @@ def study_headline(runs: Mapping[str, RunRecord], table: ScoreTable) -> str:
     failed = [label for label, run in runs.items() if status(run)]
     if failed:
         return capital(f"{join_names(failed)} did not end well: the numbers may be wrong")
-    largest_changes = _changes(runs, table)
-    if not largest_changes:
+    reference = runs.get(table.reference or "")
+    changes = {label: largest_change(run, reference) for label, run in runs.items() if run is not reference}
+    known = [(label, change) for label, change in changes.items() if change is not None and reference is not None]
+    if not known:
         return f"{capital(count(len(runs)))} runs compared"
-    label, change = max(largest_changes.items(), key=lambda item: abs(item[1].weight))
+    label, change = max(known, key=lambda item: abs(item[1].weight))
     places = compromised(runs[label])
-    start = f"{places} compromised ({label}): " if places else f"{label}: "
-    return capital(f"{start}{more_or_less(change, runs[label].ego)} than {table.reference}")
-
-
-def _changes(runs: Mapping[str, RunRecord], table: ScoreTable) -> dict[str, Change]:
-    """The largest change of each run over the reference, without unchanged runs."""
-    if table.reference is None:
-        return {}
-    others = {label: run for label, run in runs.items() if label != table.reference}
-    largest_changes = {label: largest_change(run, runs[table.reference]) for label, run in others.items()}
-    return {label: change for label, change in largest_changes.items() if change is not None}
+    start = f"{places} compromised ({label})" if places else label
+    return capital(f"{start}: {amount(change, runs[label].ego, more=True)} than {table.reference}")
 
 
 def study_reading(runs: Mapping[str, RunRecord], table: ScoreTable) -> list[str]:
     """Sentences on several runs."""
-    sentences = []
-    reference = runs.get(table.reference or "")
-    if reference is not None and reference.summary("picture"):
-        sentences.append(f"In run {table.reference}, {_missed_sentence(reference)}.")
+    name = table.reference or ""
+    reference = runs.get(name)
+    if reference is None:
+        return []
+    sentences = [f"In run {name}, {_missed_sentence(reference)}."] if reference.summary("picture") else []
     for label, run in runs.items():
-        if run is reference or reference is None or not run.summary("picture"):
+        if run is reference or not run.summary("picture"):
             continue
         places, change = compromised(run), largest_change(run, reference)
         where = f" ({places} compromised)" if places else ""
         if change is None:
-            sentences.append(f"Run {label}{where}: {_same_scores(run, reference, table.reference or '')}.")
+            sentences.append(f"Run {label}{where}: {_same_scores(run, reference, name)}.")
             continue
         during = while_attacked(run, KEYS[change.kind], reference, estimate=change.estimate)
-        lasts = f" ({during:+.2f} while the attack lasts)".replace("-", "\u2212") if _counts(change, during) else ""
-        sentences.append(
-            f"In run {label}{where}, {more_or_less(change, run.ego)}{lasts}{cause_clause(run, change, reference)}."
-        )
-    if reference is not None and len(runs) > 1 and reference.summary("local"):
+        lasts = ""
+        if during is not None and change.kind in (FALSE, MISSED):
+            lasts = f" ({during:+.2f} while the attack lasts)".replace("-", "\u2212")
+        what = amount(change, run.ego, more=True)
+        sentences.append(f"In run {label}{where}, {what}{lasts}{cause_clause(run, change, reference)}.")
+    if len(runs) > 1 and reference.summary("local"):
         own = {str([run.summary("local").get(key) for key in ("fn", "fp", "tp")]) for run in runs.values()}
-        sentences.append(
-            "The ego's own tracks score the same in every run."
-            if len(own) == 1
-            else "The ego's own tracks do not score the same in every run: see the table."
-        )
+        same = "score the same in every run" if len(own) == 1 else "do not score the same in every run: see the table"
+        sentences.append(f"The ego's own tracks {same}.")
     return sentences
-
-
-def _counts(change: Change, during: float | None) -> bool:
-    return during is not None and change.kind in (FALSE, MISSED)

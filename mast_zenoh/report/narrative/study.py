@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from mast_zenoh.metrics.estimates import ESTIMATES, LOCAL, MISSION, PICTURE
 from mast_zenoh.metrics.study_results import Estimate, IdleAttack, Series, StudyFacts, StudyRow, plural
 from mast_zenoh.report.tables.study_rows import ADDED, ALL_SCORES, ESTIMATORS, PAPER, Column, bounds, columns_of, value
 
@@ -86,8 +87,7 @@ _CHANGES = {
 #: Metrics of the headline in order of priority, each with the smallest change to report.
 _HEADLINES = ((("fp_iob", "fn_iob"), 0.0), (("id_switches_iob",), 0.0), (("rmse_m_iob",), 0.01))
 #: Estimates in order of priority: what the ego acts on comes first.
-_WHERE = {"mission": "the ego with the picture has", "picture": "the picture has", "local": "the ego alone has"}
-_SCORES_OF = {"mission": "what the ego acts on", "picture": "the picture", "local": "what the ego sees alone"}
+_PRIORITY = (MISSION, PICTURE, LOCAL)
 
 _Change = tuple[StudyRow, Column]
 
@@ -176,12 +176,12 @@ def _compared(change: _Change) -> str:
     """The group of changes of which this one is the largest."""
     metrics = next(metrics for metrics, _ in _HEADLINES if change[1].metric in metrics)
     names = " or ".join(_CHANGES[metric][0] for metric in metrics).replace(" objects or ", " or ")
-    return f"{names} in {_SCORES_OF[change[1].estimator]}"
+    return f"{names} in {ESTIMATES[change[1].estimator].noun}"
 
 
 def _estimates_of(rows: Sequence[StudyRow], metric: str) -> list[Estimate]:
     """All known estimates of a metric."""
-    estimates = [Column("", metric, estimator).of(row) for row in rows for estimator in _WHERE]
+    estimates = [Column("", metric, estimator).of(row) for row in rows for estimator in _PRIORITY]
     return [each for each in estimates if not math.isnan(each.trial_mean)]
 
 
@@ -199,7 +199,7 @@ def _largest(rows: Sequence[StudyRow], metrics: Sequence[str], comparisons: Comp
 
     comparisons: if given, only significant changes
     """
-    for estimator in _WHERE:
+    for estimator in _PRIORITY:
         changes = [(row, Column("", metric, estimator)) for row in rows for metric in metrics]
         known = [(row, column) for row, column in changes if not math.isnan(column.of(row).trial_mean)]
         if comparisons:
@@ -218,7 +218,7 @@ def _sentence(change: _Change) -> str:
     positive = replace(estimate, trial_mean=sign * estimate.trial_mean, low=ends[0], high=ends[1])
     more = "more" if sign > 0 else "less" if column.metric == "rmse_m_iob" else "fewer"
     text = _CHANGES[column.metric][1].format(size=value(positive), more=more)
-    clause = f"in {row.label} {_WHERE[column.estimator]} {text}"
+    clause = f"in {row.label} {ESTIMATES[column.estimator].subject} has {text}"
     if estimate.certain:
         return f"{clause} than the baseline, in all {estimate.seeds} seeds; no spread, so no interval"
     return f"{clause} {bounds(positive)} than the baseline"

@@ -5,7 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from mast_zenoh.metrics.study_results import BINOMIAL, MEASURES, DefenceMatrix, DefenceRow, DefenceSummary, Measured
+from mast_zenoh.metrics.study_results import (
+    BINOMIAL,
+    DEFENCE_MEASURES,
+    DefenceMatrix,
+    DefenceRow,
+    DefenceSummary,
+    Measured,
+)
 from mast_zenoh.report.tables.text_table import DASH, ResultTables, TextTable, digits, measured, median_delay, number
 
 #: Measures of each table.
@@ -45,10 +52,15 @@ def damage(matrix: DefenceMatrix) -> Iterator[TextTable]:
 def summary(matrix: DefenceMatrix) -> TextTable:
     """What each defence is worth, over all rows."""
     headings = [
-        *("defence", MEASURES["lies_detected"], MEASURES["median_delay_s"], MEASURES["identifiable_removed"]),
+        *(
+            "defence",
+            DEFENCE_MEASURES["lies_detected"],
+            DEFENCE_MEASURES["median_delay_s"],
+            DEFENCE_MEASURES["identifiable_removed"],
+        ),
         *("false alarms per hour without an attack", "frames", "FN added without an attack"),
         *("FP added without an attack", "runs with faults that suspend an agent (share)"),
-        MEASURES["framed_by_minority"],
+        DEFENCE_MEASURES["framed_by_minority"],
     ]
     about = (
         "Over all adversaries above, each with its most harmful budget. False alarms are suspensions of honest agents "
@@ -74,7 +86,7 @@ def _summary(each: DefenceSummary) -> list[str]:
 
 def _costs(matrix: DefenceMatrix) -> TextTable:
     lines = [[row.defence, *(_measure(row, name) for name in _COSTS)] for row in matrix.rows if not row.attack]
-    headings = ["defence", *(MEASURES[name] for name in _COSTS)]
+    headings = ["defence", *(DEFENCE_MEASURES[name] for name in _COSTS)]
     return TextTable("Cost without an attack", "Compared with no defence, per frame.", headings, lines, 1)
 
 
@@ -89,7 +101,7 @@ def _detection(matrix: DefenceMatrix) -> TextTable:
         "Lies that an honest agent could notice, and whether their object was withheld or their agent suspended; the "
         "time from the first of them to the suspension of its agent; how many of the liars were suspended."
     )
-    headings = [*_CELL, "budget", *(MEASURES[name] for name in _DETECTION), "suspended"]
+    headings = [*_CELL, "budget", *(DEFENCE_MEASURES[name] for name in _DETECTION), "suspended"]
     return TextTable("Detection", about, headings, lines, 5)
 
 
@@ -101,14 +113,14 @@ def _framing(matrix: DefenceMatrix) -> TextTable:
         "An honest agent is framed if it is suspended after the first lie of a run. Liars are in the local majority if "
         "they outnumber the honest viewers of at least half of the lies that an honest agent could notice."
     )
-    return TextTable("Framing", about, [*_CELL, *(MEASURES[name] for name in _FRAMING)], lines, 4)
+    return TextTable("Framing", about, [*_CELL, *(DEFENCE_MEASURES[name] for name in _FRAMING)], lines, 4)
 
 
 def _faults(matrix: DefenceMatrix) -> TextTable:
     rows = [row for row in matrix.rows if any(row.state_seconds.get("faulty", {}).values())]
     lines = [[*_cell_of(row), *(_measure(row, name) for name in _FAULTS)] for row in rows]
     about = "Agents with a natural fault that did not lie."
-    return TextTable("Faults", about, [*_CELL, *(MEASURES[name] for name in _FAULTS)], lines, 4)
+    return TextTable("Faults", about, [*_CELL, *(DEFENCE_MEASURES[name] for name in _FAULTS)], lines, 4)
 
 
 def _states_by_conduct(matrix: DefenceMatrix) -> TextTable:
@@ -190,7 +202,7 @@ def defence_tables(matrix: DefenceMatrix) -> ResultTables:
 def _csv_lines(matrix: DefenceMatrix) -> Iterator[list[object]]:
     for row in matrix.rows:
         cell = [getattr(row, name) for name in _CSV_CELL]
-        for name in MEASURES:
+        for name in DEFENCE_MEASURES:
             yield [*cell, name, *_digits(row.measures.get(name, Measured()))]
         for conduct, states in row.state_seconds.items():
             for state, seconds in states.items():

@@ -2,152 +2,111 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from mast_zenoh.metrics.estimates import subject_of
+from mast_zenoh.metrics.estimates import ESTIMATES, LOCAL, MISSION, TRUTH, subject_of
 from mast_zenoh.report.narrative.adversaries import explanations
 from mast_zenoh.report.narrative.attribution import reaches
-from mast_zenoh.report.tables.text_table import DASH
+from mast_zenoh.report.tables.text_table import DASH, Head, Line, PageTable
+from mast_zenoh.tracking.base import OVERCONFIDENT
 from mast_zenoh.viewer.events import suspensions
 from mast_zenoh.viewer.interposers import interposers
 from mast_zenoh.viewer.run import RunRecord
 
 ALL = "all"
+_ACHIEVED = (
+    Head("adversary", kind="text"),
+    *(Head("number", "inserted objects"), Head("accepted", "inserted objects"), Head("for (s)", "inserted objects")),
+    *(Head("number", "hidden objects"), Head("missed", "hidden objects")),
+    *(Head("number", "moved objects"), Head("off by (m)", "moved objects")),
+    *(Head("first\nsuccess (s)"), Head("identity\nswitches")),
+)
 
 
-class AchievedRow(NamedTuple):
-    """What one adversary achieved, as text.
+def achieved_table(run: RunRecord, reference: RunRecord | None = None) -> tuple[PageTable, list[tuple[str, str]]]:
+    """A line per interposer other than links, and a total if there are several; and reasons for limited effects.
 
-    Pairs are for the picture ("centre") and for the ego with the picture, in this order.
-
-    inserted, hidden, moved: number of objects manipulated in this way
-    accepted: share of the inserted objects followed by a track;  believed_s: s, mean duration of that
-    missed:   share of the hidden objects that were missed
-    error_m:  m, mean error of the moved objects' tracks
-    first_s:  s, from its first change to its first success
-    switches: identity switches due to it
-    why:      reasons for limited effects; may be empty
-    """
-
-    adversary: str
-    inserted: str
-    accepted: tuple[str, str]
-    believed_s: tuple[str, str]
-    hidden: str
-    missed: tuple[str, str]
-    moved: str
-    error_m: tuple[str, str]
-    first_s: tuple[str, str]
-    switches: tuple[str, str]
-    why: tuple[str, ...]
-
-
-def achieved_rows(run: RunRecord, reference: RunRecord | None = None) -> list[AchievedRow]:
-    """A row per interposer other than links, and a total if there are several.
-
+    No lines if nothing was measured. Reasons: (adversary, reason).
     reference: the run that this one is compared with, see `explanations`
     """
     achieved: Mapping[str, Mapping[str, Any]] = run.metrics.get("achieved", {})
     why = explanations(run, reference)
     names = [each.name for each in interposers(run) if not each.is_link]
     centre = [name for name in names if reaches(run, name, "picture")]
-    rows = [
-        _row(name, achieved.get(name, {}), why.get(name, ()), in_picture=name in centre)
-        for name in names
-        if name in achieved or name in why
-    ]
-    if len(rows) > 1 and ALL in achieved:
-        rows.append(_row("all together", achieved[ALL], (), in_picture=bool(centre)))
-    return rows
+    names = [name for name in names if name in achieved or name in why]
+    lines = [_achieved(name, achieved.get(name, {}), in_picture=name in centre) for name in names]
+    if len(lines) > 1 and ALL in achieved:
+        lines.append(_achieved("all together", achieved[ALL], in_picture=bool(centre)))
+    if all(line.cells[1] == DASH for line in lines):
+        lines = []
+    return PageTable(_ACHIEVED, lines), [(name, text) for name in names for text in why.get(name, ())]
 
 
-def _row(name: str, each: Mapping[str, Any], why: tuple[str, ...], *, in_picture: bool) -> AchievedRow:
+def _achieved(name: str, each: Mapping[str, Any], *, in_picture: bool) -> Line:
     """in_picture: whether it can affect the command centre's picture."""
 
-    def both(key: str, form: str) -> tuple[str, str]:
+    def number(key: str) -> str:
+        return str(each.get(key, DASH))
+
+    def both(key: str, form: str) -> str:
         values = [each.get(f"{key}_centre") if in_picture else None, each.get(f"{key}_ego")]
-        centre, ego = (DASH if value is None else form.format(value) for value in values)
-        return centre, ego
+        return " / ".join(DASH if value is None else form.format(value) for value in values)
 
-    return AchievedRow(
-        adversary=name,
-        inserted=str(each.get("inserted", DASH)),
-        accepted=both("inserted_share", "{:.0%}"),
-        believed_s=both("inserted_s", "{:.1f}"),
-        hidden=str(each.get("hidden", DASH)),
-        missed=both("hidden_share", "{:.0%}"),
-        moved=str(each.get("moved", DASH)),
-        error_m=both("moved_error_m", "{:.2f}"),
-        first_s=both("first_success_s", "{:.1f}"),
-        switches=both("id_switches", "{}"),
-        why=why,
-    )
+    inserted = number("inserted"), both("inserted_share", "{:.0%}"), both("inserted_s", "{:.1f}")
+    hidden = number("hidden"), both("hidden_share", "{:.0%}")
+    moved = number("moved"), both("moved_error_m", "{:.2f}")
+    return Line((name, *inserted, *hidden, *moved, both("first_success_s", "{:.1f}"), both("id_switches", "{}")))
 
 
-class EstimateRow(NamedTuple):
-    """One estimate; the verdict of either quantity is in words, empty: none.
-
-    nees, factor, typical: of position;  v_nees, v_factor, v_typical: of velocity; with their 95 % intervals
-    """
-
-    estimate: str
-    nees: str
-    factor: str
-    typical: str
-    v_nees: str
-    v_factor: str
-    v_typical: str
-    pairs: int
-    verdict: str
-
-
-class TrackerRow(NamedTuple):
-    """The tracker of one node; nis with its bounds."""
-
-    node: str
-    nis: str
-    factor: str
-    pairs: int
-    sudden: int
-    verdict: str
+_NEES = ("NEES\n(bounds)", "times more\nconfident", "typically")
+_ESTIMATES = (
+    Head("estimate", kind="text"),
+    *(Head(text, group) for group in ("position", "velocity") for text in _NEES),
+    *(Head("pairs"), Head("verdict", kind="text")),
+)
+_TRACKERS = (
+    Head("tracker of", kind="text"),
+    *(
+        Head("NIS\n(bounds)"),
+        Head("times more\nconfident"),
+        Head("pairs"),
+        Head("sudden"),
+        Head("verdict", kind="text"),
+    ),
+)
 
 
-def estimate_rows(run: RunRecord) -> list[EstimateRow]:
-    """A row for each estimate of each agent; empty for a run of an earlier version."""
-    rows = []
+def confidence_tables(run: RunRecord) -> tuple[PageTable, PageTable]:
+    """How confident estimates, and the trackers of nodes, are compared with their accuracy."""
+    lines = []
     for agent, estimates in run.metrics.get("consistency", {}).items():
         for estimate, summaries in estimates.items():
             position, velocity = summaries["position"], summaries["velocity"]
-            verdicts = [f"{name}: {each['verdict']}" for name, each in summaries.items() if each["verdict"]]
-            rows.append(
-                EstimateRow(
-                    subject_of(agent, estimate),
-                    *_numbers(position),
-                    *_numbers(velocity),
-                    position["pairs"],
-                    "; ".join(verdicts),
-                )
+            verdict = "; ".join(f"{name}: {each['verdict']}" for name, each in summaries.items() if each["verdict"])
+            cells = (
+                subject_of(agent, estimate),
+                *_numbers(position),
+                *_numbers(velocity),
+                str(position["pairs"]),
+                verdict,
             )
-    return rows
-
-
-def tracker_rows(run: RunRecord) -> list[TrackerRow]:
-    """A row for each node with a tracker that tells; empty for a run of an earlier version."""
-    return [
-        TrackerRow(
-            name,
-            _with_range(each, "nis", "low", "high"),
-            _with_range(each, "factor", "factor_low", "factor_high"),
-            each["pairs"],
-            each["sudden"],
-            each["verdict"] or "",
+            lines.append(Line(cells, "bad" if OVERCONFIDENT in verdict else ""))
+    trackers = [
+        Line(
+            (
+                *(name, _with_range(each, "nis", "low", "high")),
+                *(_with_range(each, "factor", "factor_low", "factor_high"), str(each["pairs"]), str(each["sudden"])),
+                each["verdict"] or "",
+            ),
+            "bad" if each["verdict"] == OVERCONFIDENT else "",
         )
         for name, each in run.run.get("innovations", {}).items()
     ]
+    return PageTable(_ESTIMATES, lines), PageTable(_TRACKERS, trackers)
 
 
 def _numbers(summary: Mapping[str, Any]) -> tuple[str, str, str]:
@@ -171,50 +130,36 @@ def _number(value: float | None) -> str:
 
 
 #: Estimates by which a vehicle might drive, and their names.
-DRIVEN_BY = {"truth": "truth", "local": "ego alone", "mission": "ego with picture"}
+DRIVEN_BY = {TRUTH: TRUTH, **{name: ESTIMATES[name].column for name in (LOCAL, MISSION)}}
 
 _WRONG_BRAKING = {"needless_brake_share": "brakes needlessly", "missed_brake_share": "fails to brake when it must"}
 #: Shares below this count as none.
 _MIN_SHARE = 0.0005
 
 
-class DrivingRow(NamedTuple):
-    """Driving metrics of an estimate; in parentheses, the change from a reference.
-
-    run: label of the run
-    objects, false, missed: all, false and missed objects in the vehicle's corridor, per frame
-    overlapping: objects per frame that overlap the vehicle itself
-    ttc_s: minimum time to collision, s
-    brake: share of the frames with braking;  needless, omitted: share with needless and with omitted braking, with the
-           part due to attacks, and the unattributed increase over the reference
-    """
-
-    estimate: str
-    run: str
-    objects: str
-    false: str
-    missed: str
-    overlapping: str
-    ttc_s: str
-    brake: str
-    needless: str
-    omitted: str
+_DRIVING = (
+    *("objects in\ncorridor", "false", "missed", "overlapping\nthe ego", "least time to\ncollision (s)", "brakes"),
+    *("needlessly", "omits to"),
+)
 
 
-def driving_rows(run: RunRecord, reference: RunRecord | None = None, name: str = "") -> list[DrivingRow]:
-    """Rows for the truth, the ego alone and the ego with the picture.
+def driving_table(run: RunRecord, reference: RunRecord | None = None, name: str = "") -> PageTable:
+    """Lines for the truth, the ego alone and the ego with the picture; in parentheses, the change from a reference.
 
-    Empty if the ego is not a vehicle.
-    reference: the run that this one is compared with, labelled `name`; it gets a row per estimate as well
+    None if the ego is not a vehicle. Wrong braking has the part due to attacks, and the unattributed increase over the
+    reference.
+    reference: the run that this one is compared with, labelled `name`; it gets a line per estimate as well
     """
     own, references = _summaries(run), _summaries(reference)
-    result = []
+    lines = []
     for estimate, label in DRIVEN_BY.items():
         if estimate in own and estimate in references:
-            result.append(_driving_row(label, name, references[estimate], {}, name))
+            lines.append(_driving((label, name), references[estimate], {}, name))
         if estimate in own:
-            result.append(_driving_row(label, run.label, own[estimate], references.get(estimate, {}), name))
-    return result
+            labels = (label, run.label) if reference is not None else (label,)
+            lines.append(_driving(labels, own[estimate], references.get(estimate, {}), name))
+    heads = [Head("by", kind="text"), *([Head("run", kind="text")] if reference is not None else [])]
+    return PageTable([*heads, *map(Head, _DRIVING)], lines, dense=False)
 
 
 def driving_differs(run: RunRecord, reference: RunRecord) -> bool:
@@ -241,9 +186,7 @@ def _unattributed(summary: dict[str, Any], reference_summary: dict[str, Any], ke
     return increase if increase >= _MIN_SHARE else 0.0
 
 
-def _driving_row(
-    estimate: str, run: str, summary: dict[str, Any], reference_summary: dict[str, Any], reference: str
-) -> DrivingRow:
+def _driving(labels: Sequence[str], summary: dict[str, Any], reference_summary: dict[str, Any], reference: str) -> Line:
     def text(key: str, digits: int, scale: float = 1.0, missing: str = DASH) -> str:
         value, before = summary.get(key), reference_summary.get(key)
         unit = "%" if scale != 1.0 else ""
@@ -261,18 +204,9 @@ def _driving_row(
         notes += [f"{increase:.1%} more than {reference}, not attributed"] if increase else []
         return text(key, 1, 100.0) + (f" ({'; '.join(notes)})" if notes else "")
 
-    return DrivingRow(
-        estimate,
-        run,
-        text("corridor_objects", 2),
-        text("corridor_false", 2),
-        text("corridor_missed", 2),
-        text("overlapping_objects", 2),
-        text("min_ttc_s", 1, missing="never"),
-        text("brake_share", 1, 100.0),
-        share("needless_brake_share"),
-        share("missed_brake_share"),
-    )
+    counts = (text(key, 2) for key in ("corridor_objects", "corridor_false", "corridor_missed", "overlapping_objects"))
+    ttc, brake = text("min_ttc_s", 1, missing="never"), text("brake_share", 1, 100.0)
+    return Line((*labels, *counts, ttc, brake, share("needless_brake_share"), share("missed_brake_share")))
 
 
 def braking_by_attack(run: RunRecord) -> str:
@@ -293,58 +227,44 @@ def _braking(shares: dict[str, float | None]) -> str:
     return f"the ego with the picture {' and '.join(parts)}" if parts else ""
 
 
-_NONE = "\u2013"
 #: Suspensions that the terminal shows.
 _MOST_LINES = 8
 
 
-class SuspensionRow(NamedTuple):
-    """A suspension as the page shows it.
-
-    false_alarm: whether the agent was honest
-    """
-
-    agent: str
-    from_s: str
-    until_s: str
-    conduct: str
-    after_s: str
-    reason: str
-    false_alarm: bool
+_SUSPENSIONS = (
+    *(Head("suspended agent", kind="text"), Head("from (s)"), Head("to (s)"), Head("it was", kind="text")),
+    *(Head("after its\nfirst lie (s)"), Head("reason", kind="words")),
+)
 
 
-def suspension_rows(run: RunRecord) -> list[SuspensionRow]:
-    """All suspensions, with the reason that the command centre gave for each."""
+def suspension_table(run: RunRecord) -> PageTable:
+    """All suspensions, with the reason that the command centre gave for each; false alarms are bad."""
     agents = run.metrics.get("integrity", {}).get("agents", {})
-    result, detected = [], set()
+    lines, detected = [], set()
     for each in suspensions(run):
         agent = each["agent"]
         delay_s = agents[agent].get("suspended_after_s")
         first = delay_s is not None and agent not in detected and each["from_s"] >= agents[agent]["first_lie_s"]
         detected |= {agent} if first else set()
-        result.append(
-            SuspensionRow(
-                agent,
-                f"{each['from_s']:.1f}",
-                "end" if each["until_s"] is None else f"{each['until_s']:.1f}",
-                each["conduct"],
-                f"{delay_s:.1f}" if first else _NONE,
-                each["reason"] or _NONE,
-                each["conduct"] == "honest",
-            )
+        until, after = (
+            "end" if each["until_s"] is None else f"{each['until_s']:.1f}",
+            f"{delay_s:.1f}" if first else DASH,
         )
-    return result
+        cells = agent, f"{each['from_s']:.1f}", until, each["conduct"], after, each["reason"] or DASH
+        lines.append(Line(cells, "bad" if each["conduct"] == "honest" else ""))
+    return PageTable(_SUSPENSIONS, lines)
 
 
-def conduct_rows(run: RunRecord) -> tuple[list[str], list[tuple[str, list[str]]]]:
-    """States, and for each conduct the seconds of all agents in each state; ([], []) without trust."""
+def conduct_table(run: RunRecord) -> PageTable:
+    """The seconds of all agents by conduct and state."""
     seconds = run.metrics.get("integrity", {}).get("seconds", {})
     states = list(next(iter(seconds.values()), {}))
-    return states, [
-        (conduct, [f"{of_state[state]:.1f}" for state in states])
+    lines = [
+        Line((conduct, *(f"{of_state[state]:.1f}" for state in states)))
         for conduct, of_state in seconds.items()
         if any(of_state.values())
     ]
+    return PageTable([Head("seconds of all agents", kind="text"), *map(Head, states)], lines)
 
 
 def trust_sentences(run: RunRecord) -> list[str]:
@@ -369,12 +289,11 @@ def trust_sentences(run: RunRecord) -> list[str]:
 
 def suspension_lines(run: RunRecord) -> list[str]:
     """Which agents the command centre suspended, when and why, a line each."""
-    lines = [
-        f"the command centre suspended {row.agent} ({row.conduct}) at {row.from_s} s"
-        + (f", {row.after_s} s after its first lie" if row.after_s != _NONE else "")
-        + (f": {row.reason}" if row.reason != _NONE else "")
-        for row in suspension_rows(run)
-    ]
+    lines = []
+    for (agent, from_s, _, conduct, after_s, reason), _ in suspension_table(run).lines:
+        after = "" if after_s == DASH else f", {after_s} s after its first lie"
+        why = "" if reason == DASH else f": {reason}"
+        lines.append(f"the command centre suspended {agent} ({conduct}) at {from_s} s{after}{why}")
     more = f"  and {len(lines) - _MOST_LINES} suspensions more, see the report"
     return [*lines[:_MOST_LINES], more] if len(lines) > _MOST_LINES else lines
 
@@ -382,17 +301,8 @@ def suspension_lines(run: RunRecord) -> list[str]:
 #: Groups of causes, as in `fn_split` and `fp_split` of metrics.json.
 CAUSE_GROUPS = ("fault", "attack", "natural")
 _WITH_DEFENCE = ("fault", "attack", "withheld", "natural")
-_PERCENTILES = ("p50", "p95", "p99")
 _MAIN_WIRES = ("tracks", "collated", "picture")
 _SPLITS = (("fn_split", "missed"), ("fp_split", "false"))
-
-
-class CauseRow(NamedTuple):
-    """Missed and false objects per frame of one agent's picture, by group of causes."""
-
-    agent: str
-    missed: tuple[str, ...]
-    false: tuple[str, ...]
 
 
 class CheckRow(NamedTuple):
@@ -403,21 +313,6 @@ class CheckRow(NamedTuple):
     detail: str
 
 
-class LatencyRow(NamedTuple):
-    """Latency of a wire in ms, from the simulator's frame to the frame's message.
-
-    n: frames
-    main: whether the wire is between the agents and the picture
-    """
-
-    wire: str
-    p50: str
-    p95: str
-    p99: str
-    n: str
-    main: bool
-
-
 def cause_groups(*summaries: Mapping[str, Any]) -> tuple[str, ...]:
     """The groups of causes in the tables of some runs: with "withheld" if objects were withheld in any."""
     pictures = [each.get("picture", {}) for metrics in summaries for each in metrics.get("agents", {}).values()]
@@ -425,15 +320,21 @@ def cause_groups(*summaries: Mapping[str, Any]) -> tuple[str, ...]:
     return _WITH_DEFENCE if withheld else CAUSE_GROUPS
 
 
-def cause_rows(metrics: Mapping[str, Any], groups: tuple[str, ...] = CAUSE_GROUPS) -> list[CauseRow]:
-    """A row per agent whose picture has causes of errors; groups: of its causes."""
-    rows = []
-    for agent, estimators in metrics.get("agents", {}).items():
-        splits = [estimators.get("picture", {}).get(name) for name, _ in _SPLITS]
-        if all(splits):
-            missed, false = (tuple(_two_decimals(each.get(group)) for group in groups) for each in splits if each)
-            rows.append(CauseRow(agent, missed, false))
-    return rows
+def cause_table(runs: Mapping[str, Mapping[str, Any]], agent: str | None = None) -> PageTable:
+    """Missed and false objects per frame in the picture of each agent by group of causes, of those with known causes.
+
+    runs: metrics by label; agent: only of this one, a line per run
+    """
+    groups = cause_groups(*runs.values())
+    lines = []
+    for label, metrics in runs.items():
+        for name, estimators in metrics.get("agents", {}).items():
+            splits = [estimators.get("picture", {}).get(key) for key, _ in _SPLITS]
+            if all(splits) and agent in (None, name):
+                numbers = [_two_decimals(each.get(group)) for each in splits for group in groups]
+                lines.append(Line((label if agent else name, *numbers)))
+    heads = [Head(group, error) for _, error in _SPLITS for group in groups]
+    return PageTable([Head("picture of", kind="text"), *heads], lines, dense=False)
 
 
 def check_rows(checks: Mapping[str, Any]) -> list[CheckRow]:
@@ -447,46 +348,42 @@ def check_rows(checks: Mapping[str, Any]) -> list[CheckRow]:
     return sorted(rows, key=lambda row: ("failed", "ok", "not checked").index(row.outcome))
 
 
-def latency_rows(metrics: Mapping[str, Any]) -> list[LatencyRow]:
-    """A row per wire whose latency was measured, in the order of metrics.json."""
-    wires = metrics.get("latency_ms", {}).get("by_wire") or {}
-    rows = []
-    for wire, summary in wires.items():
-        p50, p95, p99 = (summary.get(p) for p in _PERCENTILES)
-        if p50 is not None:
-            main = wire.rpartition("/")[2] in _MAIN_WIRES
-            rows.append(
-                LatencyRow(
-                    wire, _two_decimals(p50), _two_decimals(p95), _two_decimals(p99), str(summary.get("n", DASH)), main
-                )
-            )
-    return rows
+_PERCENTILES = ("p50", "p95", "p99")
 
 
-def late_rows(metrics: Mapping[str, Any]) -> list[tuple[str, int]]:
-    """(agent, number of its messages after the broker's latency budget)."""
-    return [(str(agent), int(number)) for agent, number in (metrics.get("late") or {}).items()]
+def latency_tables(metrics: Mapping[str, Any]) -> tuple[PageTable, PageTable, PageTable]:
+    """Latency from the simulator's frame to its message, of the wires between agents and picture and of the others.
 
-
-def cause_table(metrics: Mapping[str, Mapping[str, Any]], agent: str) -> Table | None:
-    """Terminal table of the causes of an agent's errors; None: not known.
-
-    A row per run.
-
-    metrics: by the run's label
+    The third: late messages by agent.
     """
-    groups = cause_groups(*metrics.values())
-    rows = {label: row for label, each in metrics.items() for row in cause_rows(each, groups) if row.agent == agent}
-    if not rows:
+    heads = [Head("wire", kind="code"), *(Head(f"{p[1:]} % (ms)") for p in _PERCENTILES), Head("frames")]
+    wires = metrics.get("latency_ms", {}).get("by_wire") or {}
+    lines = [
+        Line((wire, *(_two_decimals(summary.get(p)) for p in _PERCENTILES), str(summary.get("n", DASH))))
+        for wire, summary in wires.items()
+        if summary.get("p50") is not None
+    ]
+    main = [line for line in lines if line.cells[0].rpartition("/")[2] in _MAIN_WIRES]
+    others = [line for line in lines if line not in main]
+    late = [Line((str(agent), str(int(number)))) for agent, number in (metrics.get("late") or {}).items()]
+    by_wire, others_by_wire = (PageTable(heads, each, dense=False) for each in (main, others))
+    late_heads = Head("agent", kind="text"), Head("late messages")
+    return by_wire, others_by_wire, PageTable(late_heads, late, dense=False)
+
+
+def causes_as_rich(runs: Mapping[str, Mapping[str, Any]], agent: str) -> Table | None:
+    """Terminal table of the causes of an agent's errors, a line per run; None: not known."""
+    source = cause_table(runs, agent)
+    if not source.lines:
         return None
     title = "Causes of missed and false objects, per frame in the picture"
     table = Table(title=title, title_justify="left", title_style="dim", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.add_column("", justify="left", no_wrap=True)
-    for _, error in _SPLITS:
-        for index, group in enumerate(groups):
-            table.add_column(f"{error if index == 0 else ''}\n{group}", justify="right")
-    for label, row in rows.items():
-        table.add_row(label, *row.missed, *row.false)
+    for group, heads in source.groups[1:]:
+        for index, head in enumerate(heads):
+            table.add_column(f"{group if index == 0 else ''}\n{head.text}", justify="right")
+    for line in source.lines:
+        table.add_row(*line.cells)
     return table
 
 

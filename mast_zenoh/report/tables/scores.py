@@ -13,51 +13,9 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Group
 from rich.table import Table
 
-from mast_zenoh.metrics.record import LOCAL, MISSION, PICTURE, PICTURE_ON_ARRIVAL, PICTURE_RECEIVED, RECEIVED
-from mast_zenoh.metrics.scores import COLUMNS
+from mast_zenoh.metrics.estimates import ESTIMATES, LOCAL, MAIN, PICTURE, PICTURE_ON_ARRIVAL, PICTURE_RECEIVED
+from mast_zenoh.metrics.measures import COLUMNS, MEASURES, Measure, measure_named
 from mast_zenoh.report.tables.text_table import DASH
-
-#: Estimates that have a column, in processing order, and their names.
-ESTIMATES = {
-    LOCAL: "ego alone",
-    RECEIVED: "alone, as received",
-    PICTURE: "picture",
-    PICTURE_RECEIVED: "picture as received",
-    PICTURE_ON_ARRIVAL: "picture on arrival",
-    MISSION: "ego with picture",
-}
-#: Estimates that always have a column; the others have one if something in transit changed them.
-ALWAYS = (LOCAL, PICTURE, MISSION)
-
-
-class Measure(NamedTuple):
-    """A metric as a row.
-
-    key: in metrics.json; brief: whether the terminal shows it
-    """
-
-    key: str
-    name: str
-    brief: bool = True
-    digits: int = 2
-
-
-MEASURES = (
-    Measure("fn", "missed (FN)"),
-    Measure("fp", "false (FP)"),
-    Measure("tp", "matched (TP)"),
-    Measure("rmse_m", "RMSE m"),
-    Measure("id_switches", "ID switches", digits=0),
-    Measure("precision", "precision"),
-    Measure("recall", "recall"),
-    Measure("mota", "MOTA"),
-    Measure("completeness", "completeness", brief=False),
-    Measure("ospa_m", "OSPA m", brief=False),
-    Measure("gospa_m", "GOSPA m", brief=False),
-    Measure("amota", "AMOTA", brief=False),
-    Measure("samota", "sAMOTA", brief=False),
-    Measure("amotp_m", "AMOTP m", brief=False),
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +70,7 @@ class ScoreTable:
     def cell(self, key: str, run: str, estimate: str) -> Cell:
         """The cell of a metric, a run and an estimate; empty where there is none."""
         for row in self.rows:
-            if (row.measure.key, row.run) == (key, run):
+            if (row.measure.label, row.run) == (key, run):
                 return row.cells.get(estimate, Cell(Value(), Value()))
         return Cell(Value(), Value())
 
@@ -168,12 +126,12 @@ def score_table(
 def measures(scores: Iterable[Mapping[str, Mapping[str, Any]]]) -> list[Measure]:
     """The metrics of runs: our own, then the user-defined ones that any of them has."""
     own = [name for of_run in scores for of_one in of_run.values() for name in of_one if name not in COLUMNS]
-    return [*MEASURES, *(Measure(name, name.replace("_", " ")) for name in dict.fromkeys(own))]
+    return [*MEASURES.values(), *map(measure_named, dict.fromkeys(own))]
 
 
 def shown_estimates(metrics: Iterable[Mapping[str, Any]], agent: str) -> tuple[str, ...]:
-    """Estimates with a column: those in ALWAYS, and any that differ from all others."""
-    names = set(ALWAYS)
+    """Estimates with a column: those in MAIN, and any that differ from all others."""
+    names = set(MAIN)
     for summary in metrics:
         same = summary.get("same_as", {}).get(agent, {})
         own = {name for name in summary.get("agents", {}).get(agent, {}) if name not in same}
@@ -185,7 +143,7 @@ def shown_estimates(metrics: Iterable[Mapping[str, Any]], agent: str) -> tuple[s
 
 def _value(scores: Mapping[str, Any], estimate: str, measure: Measure) -> Value | None:
     """None: the run does not have the estimate."""
-    return Value.of(scores[estimate].get(measure.key)) if estimate in scores else None
+    return Value.of(scores[estimate].get(measure.label)) if estimate in scores else None
 
 
 def _scored(counts: Counts, metrics: Mapping[str, Any], agent: str) -> dict[str, dict[str, NDArray[Any]]]:
@@ -217,11 +175,11 @@ def _difference(
         own_counts is not None
         and other_counts is not None
         and value.std is not None
-        and measure.key in own_counts
-        and measure.key in other_counts
+        and measure.label in own_counts
+        and measure.label in other_counts
     ):
         _, here, there = np.intersect1d(own_counts["frame"], other_counts["frame"], return_indices=True)
-        differences = own_counts[measure.key][here].astype(np.float64) - other_counts[measure.key][there]
+        differences = own_counts[measure.label][here].astype(np.float64) - other_counts[measure.label][there]
         std = float(np.std(differences)) if len(differences) else None
     return Value(value.mean - other.mean, std)
 
@@ -246,8 +204,8 @@ def as_rich(table: ScoreTable) -> Group:
     """Main metrics for a terminal of 80 columns, with changes over a reference if any."""
     if len(table.runs) < 2:
         return Group(_terminal_table(table, table.estimates, NOTE))
-    others = [name for name in table.estimates if name not in ALWAYS]
-    tables = [_terminal_table(table, ALWAYS, f"{NOTE}; in brackets: more than {table.reference}")]
+    others = [name for name in table.estimates if name not in MAIN]
+    tables = [_terminal_table(table, MAIN, f"{NOTE}; in brackets: more than {table.reference}")]
     return Group(*tables, *([_terminal_table(table, others, "The same in transit")] if others else []))
 
 
@@ -259,13 +217,13 @@ def _terminal_table(table: ScoreTable, estimates: Sequence[str], title: str) -> 
     if several:
         result.add_column("run", no_wrap=True)
     for name in estimates:
-        result.add_column(ESTIMATES[name], justify="right")
+        result.add_column(ESTIMATES[name].column, justify="right")
     for index, row in enumerate(table.rows):
         if row.measure.brief:
             place = index % len(table.runs)
             texts = [_terminal_cell(row, name, changes=several) for name in estimates]
             last = several and place == len(table.runs) - 1
-            result.add_row(row.measure.name if place == 0 else "", *([row.run] * several), *texts, end_section=last)
+            result.add_row(row.measure.heading if place == 0 else "", *([row.run] * several), *texts, end_section=last)
     return result
 
 
@@ -282,7 +240,7 @@ def as_markdown(table: ScoreTable) -> str:
     heads += ["picture over ego alone"]
     lines = ["| " + " | ".join(heads) + " |", "|---|---|" + "---:|" * (len(heads) - 2)]
     for row in table.rows:
-        texts = [row.measure.name, row.run.replace("\\", "\\\\").replace("|", "\\|").replace("\n", " ")]
+        texts = [row.measure.heading, row.run.replace("\\", "\\\\").replace("|", "\\|").replace("\n", " ")]
         for name in table.estimates:
             cell = row.cells.get(name, Cell(Value(), Value()))
             texts.append(number(cell.value, row.measure))
@@ -292,5 +250,5 @@ def as_markdown(table: ScoreTable) -> str:
 
 
 def _heads(estimate: str, table: ScoreTable) -> Sequence[str]:
-    name = ESTIMATES[estimate]
+    name = ESTIMATES[estimate].column
     return (name, f"{name} over {table.reference}") if table.reference else (name,)

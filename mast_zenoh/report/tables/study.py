@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from mast_zenoh.metrics import CAUSES
-from mast_zenoh.metrics.scores import COLUMNS
+from mast_zenoh.metrics.measures import COLUMNS
 from mast_zenoh.metrics.study_results import Estimate, Series, StudyFacts, StudyRow, shares
 from mast_zenoh.report.narrative.study import (
     Comparisons,

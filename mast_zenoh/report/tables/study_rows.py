@@ -6,6 +6,8 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
+from mast_zenoh.metrics.estimates import ESTIMATES, MAIN
+from mast_zenoh.metrics.measures import MEASURES
 from mast_zenoh.metrics.study_results import MIN_SEEDS, Estimate, StudyRow
 from mast_zenoh.report.tables.text_table import DASH, number
 
@@ -33,14 +35,14 @@ class Column(NamedTuple):
 Groups = tuple[tuple[str, tuple[Column, ...]], ...]
 
 #: The estimates of the ego that tables compare, and their names.
-ESTIMATORS = {"local": "ego alone", "picture": "picture", "mission": "ego with the picture"}
+ESTIMATORS = {name: ESTIMATES[name].subject.removeprefix("the ") for name in MAIN}
 
-_SCORES = (("FN", "fn"), ("FP", "fp"), ("TP", "tp"), ("RMSE m", "rmse_m"), ("ID sw.", "id_switches"))
-_DISTANCES = (("OSPA m", "ospa_m"), ("GOSPA m", "gospa_m"), ("complete", "completeness"))
+_SCORES = ("fn", "fp", "tp", "rmse_m", "id_switches")
+_DISTANCES = ("ospa_m", "gospa_m", "completeness")
 
 
-def _of(estimator: str, metrics: Iterable[tuple[str, str]], suffix: str = "") -> tuple[Column, ...]:
-    return tuple(Column(heading, metric + suffix, estimator) for heading, metric in metrics)
+def _of(estimator: str, metrics: Iterable[str], suffix: str = "") -> tuple[Column, ...]:
+    return tuple(Column(MEASURES[metric].short, metric + suffix, estimator) for metric in metrics)
 
 
 #: The scores of each estimate, and their increments over the baseline.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 import math
 import textwrap
 from collections.abc import Iterable, Sequence
@@ -49,6 +50,44 @@ class TextTable(NamedTuple):
             result.add_column(heading, justify="left" if index == 0 else "right", width=width)
         for line in self.lines:
             result.add_row(*line)
+        return result
+
+
+class Head(NamedTuple):
+    """A column of a table on a page: its heading, the group that it is in, and its kind: num, text, words or code."""
+
+    text: str
+    group: str = ""
+    kind: str = "num"
+
+
+class Line(NamedTuple):
+    """A line of a table on a page; style: "bad", "hostile" or none."""
+
+    cells: Sequence[str]
+    style: str = ""
+
+
+class PageTable(NamedTuple):
+    """A table on a page; its first column names the lines."""
+
+    heads: Sequence[Head]
+    lines: Sequence[Line]
+    dense: bool = True
+
+    @property
+    def groups(self) -> list[tuple[str, list[Head]]]:
+        """The columns in groups; those without a group have an empty name."""
+        return [(name, list(heads)) for name, heads in itertools.groupby(self.heads, key=lambda head: head.group)]
+
+    @property
+    def classes(self) -> list[str]:
+        """The style of each column: its kind, and whether a group begins, or ends before it."""
+        grouped, result, previous = any(head.group for head in self.heads), [], None
+        for head in self.heads:
+            first = grouped and previous is not None and not (head.group and head.group == previous)
+            result.append(" ".join([head.kind] * (head.kind != "text") + ["first"] * first))
+            previous = head.group
         return result
 
 

@@ -37,7 +37,8 @@ from foxglove.messages import (
 from PIL import Image
 
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
-from mast_zenoh.metrics.record import PICTURE, Series
+from mast_zenoh.metrics.estimates import PICTURE
+from mast_zenoh.metrics.record import Series
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import Camera
 from mast_zenoh.viewer.export.columns import (

@@ -12,7 +12,8 @@ import rerun
 import rerun.blueprint as views
 
 from mast_zenoh.arrays.states import Ints, ObjectStates
-from mast_zenoh.metrics.record import PICTURE, Series
+from mast_zenoh.metrics.estimates import PICTURE
+from mast_zenoh.metrics.record import Series
 from mast_zenoh.viewer.export.columns import cameras, class_names, colours, missed, quaternions, wall_lines
 from mast_zenoh.viewer.frame import Frame, FramedRun
 from mast_zenoh.viewer.palette import ADVERSARY, BUILDING_EDGE, GROUND, OUTCOME_COLOURS, rgb

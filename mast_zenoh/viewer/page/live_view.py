@@ -16,7 +16,7 @@ import zenoh
 from mast_zenoh.arrays.states import Floats, ObjectStates
 from mast_zenoh.config.allowed_code import SHIPPED, AllowedCode
 from mast_zenoh.errors import ConfigurationError, MastError
-from mast_zenoh.metrics.record import ESTIMATORS
+from mast_zenoh.metrics.estimates import ESTIMATORS
 from mast_zenoh.scenes.recording import truth_states
 from mast_zenoh.viewer.events import spans
 from mast_zenoh.viewer.frame import Frame

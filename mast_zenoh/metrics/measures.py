@@ -1,0 +1,572 @@
+"""Metrics, one class each: its key, words and unit, and what it computes for every estimate of every agent.
+
+Users' metrics go the same way as ours: `measured` puts their values into metrics.json and metrics.parquet, and tables
+and figures take what they show from there. Pure; see docs/metrics.md.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mast_zenoh.arrays.states import Bools, Floats, Ints
+from mast_zenoh.metrics.causes import Labels, cause_names
+from mast_zenoh.metrics.ranking import rankings
+from mast_zenoh.metrics.record import TruthTable
+from mast_zenoh.metrics.scores import OUTCOMES, Scores, Table, Texts, mean_and_std, means_and_stds
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """One estimate of one agent over f frames: n boxes of truth objects and tracks.
+
+    agent, estimator: their names;  frames: (f,) int64;  period_s: s, frame period
+    scored:   (f,) bool, the frames that count in summaries
+    frame:    (n,) int64, row of `frames`
+    is_track: (n,) bool, a track instead of a truth object
+    outcome:  (n,) str, "matched", "missed", "false" or "unevaluated"
+    id, match_id: (n,) int64, of the box and of its match, -1: none
+    position: (n, 3) m and size (n, 3) m, world frame;  yaw: (n,) rad;  score: (n,), NaN for truth objects
+    range_m:  (n,) m, from the agent, in the bird's-eye view
+    cause:    (n,) str, of false tracks and missed objects, one of CAUSES
+    """
+
+    agent: str
+    estimator: str
+    frames: Ints
+    period_s: float
+    scored: Bools
+    frame: Ints
+    is_track: Bools
+    outcome: Texts
+    id: Ints
+    match_id: Ints
+    position: Floats
+    size: Floats
+    yaw: Floats
+    score: Floats
+    range_m: Floats
+    cause: Texts
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            value = getattr(self, each.name)
+            if isinstance(value, np.ndarray):  # all metrics get the same arrays
+                value = value.view()
+                value.flags.writeable = False
+                object.__setattr__(self, each.name, value)
+
+    def count(self, boxes: Bools) -> Floats:
+        """Number (f,) of boxes selected by a mask (n,) in each frame."""
+        return np.bincount(self.frame[boxes], minlength=len(self.frames)).astype(np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class ScoredRun:
+    """What metrics are computed from.
+
+    scored:    the frames that count in summaries, such as all except the first ones
+    estimates: of each of `scores.series`, for users' metrics; empty without any
+    """
+
+    scores: Scores
+    scored: slice = field(default_factory=lambda: slice(None))
+    estimates: Sequence[Estimate] = ()
+
+    @cached_property
+    def counts(self) -> Bools:
+        """(f,) the frames that count."""
+        counts = np.zeros(len(self.scores.frames), bool)
+        counts[self.scored] = True
+        return counts
+
+    @cached_property
+    def totals(self) -> list[tuple[int, int, int, int]]:
+        """tp, fp, fn and identity switches of each series over the scored frames."""
+        scores = self.scores
+        sums = (counts[:, self.scored].sum(axis=1) for counts in (scores.tp, scores.fp, scores.fn, scores.id_switches))
+        return list(zip(*(each.tolist() for each in sums), strict=True))
+
+    @cached_property
+    def ranked(self) -> list[dict[str, Any]]:
+        """`rankings` over the scored frames."""
+        n = len(self.scores.frames)
+        return rankings(self.scores, slice(*self.scored.indices(n)[:2]))
+
+
+class Measured(NamedTuple):
+    """The values of a metric for each of s series: in summaries, and (s, f) by frame (None: one for the run)."""
+
+    summaries: list[Any]
+    frames: NDArray[Any] | None = None
+
+
+class Measure(ABC):
+    """Base class of all metrics.
+
+    name:    its key in metrics.json and metrics.parquet; by default the class's, in lower case with underscores
+    unit:    of its values
+    heading: in tables, by default the name;  short: in tables of studies;  axis: the label of a chart over time
+    digits:  decimals in tables;  brief: whether the terminal shows it;  whole: whether its values are whole numbers
+    range:   smallest and largest possible value
+    """
+
+    name: ClassVar[str] = ""
+    unit: ClassVar[str] = ""
+    heading: str = ""
+    short: ClassVar[str] = ""
+    axis: ClassVar[str] = ""
+    digits: ClassVar[int] = 2
+    brief: ClassVar[bool] = True
+    whole: ClassVar[bool] = False
+    range: ClassVar[tuple[float, float]] = (-math.inf, math.inf)
+
+    @property
+    def label(self) -> str:
+        """Name of the metric in tables."""
+        return self.name or label_of(type(self))
+
+    @abstractmethod
+    def measured(self, run: ScoredRun) -> Measured:
+        """Its values for each of `run.scores.series`, plain or None (undefined)."""
+
+
+def label_of(cls: type[Measure]) -> str:
+    """Name in tables of the metrics of a class."""
+    return cls.name or re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", cls.__name__).lower()
+
+
+class _OfFrames(Measure):
+    """Values of frames, (s, f) in `Scores`; its summary is their mean and standard deviation over the scored ones."""
+
+    range = (0.0, math.inf)
+
+    def measured(self, run: ScoredRun) -> Measured:
+        values = getattr(run.scores, self.name)
+        return Measured(means_and_stds(values[:, run.scored]), values)
+
+
+class Missed(_OfFrames):
+    """Objects in range of the agent that no track matches, per frame"""
+
+    name, unit, heading, short, axis = "fn", "objects", "missed (FN)", "FN", "missed objects\nper frame"
+    whole = True
+
+
+class FalseTracks(_OfFrames):
+    """Tracks in range of the agent that match no object, per frame"""
+
+    name, unit, heading, short, axis = "fp", "objects", "false (FP)", "FP", "false objects\nper frame"
+    whole = True
+
+
+class Matched(_OfFrames):
+    """Objects in range of the agent that a track matches, per frame"""
+
+    name, unit, heading, short, axis = "tp", "objects", "matched (TP)", "TP", "matched objects\nper frame"
+    whole = True
+
+
+class Rmse(Measure):
+    """Root mean square distance of the centres of matched pairs, in m"""
+
+    name, unit, heading, short, axis = "rmse_m", "m", "RMSE m", "RMSE m", "RMSE (m)"
+    range = (0.0, math.inf)
+
+    def measured(self, run: ScoredRun) -> Measured:
+        squared, pairs = run.scores.squared_error, run.scores.tp
+        mean = np.divide(squared, pairs, out=np.full(pairs.shape, np.nan), where=pairs > 0)
+        sums = [row[run.scored].sum() for row in squared]
+        over_run = [
+            float(np.sqrt(total / tp)) if tp else None for total, (tp, *_) in zip(sums, run.totals, strict=True)
+        ]
+        return Measured(over_run, np.sqrt(mean))
+
+
+class IdSwitches(Measure):
+    """Number of times that an object is matched by a different track than before"""
+
+    name, heading, short, axis = "id_switches", "ID switches", "ID sw.", "identity switches\nper frame"
+    digits, whole, range = 0, True, (0.0, math.inf)
+
+    def measured(self, run: ScoredRun) -> Measured:
+        return Measured([switches for *_, switches in run.totals], run.scores.id_switches)
+
+
+class _OfTotals(Measure):
+    """A ratio of the numbers of matched pairs, errors and objects of the whole run; None where it is undefined."""
+
+    range = (0.0, 1.0)
+
+    @abstractmethod
+    def ratio(self, tp: int, fp: int, fn: int, id_switches: int) -> tuple[int, int]:
+        """Numerator and denominator."""
+
+    def measured(self, run: ScoredRun) -> Measured:
+        ratios = (self.ratio(*totals) for totals in run.totals)
+        return Measured([above / below if below else None for above, below in ratios])
+
+
+class Precision(_OfTotals):
+    """Share of the tracks that match an object, 0 to 1"""
+
+    heading = "precision"
+
+    def ratio(self, tp: int, fp: int, fn: int, id_switches: int) -> tuple[int, int]:
+        return tp, tp + fp
+
+
+class Recall(_OfTotals):
+    """Share of the objects that a track matches, 0 to 1"""
+
+    heading = "recall"
+
+    def ratio(self, tp: int, fp: int, fn: int, id_switches: int) -> tuple[int, int]:
+        return tp, tp + fn
+
+
+class Mota(Measure):
+    """1 minus the missed objects, false tracks and identity switches per object (CLEAR MOT), at most 1
+
+    Bernardin and Stiefelhagen, "Evaluating Multiple Object Tracking Performance: The CLEAR MOT Metrics", EURASIP
+    Journal on Image and Video Processing 2008, section 2.1.3. Negative with more errors than objects.
+    """
+
+    heading = "MOTA"
+
+    def measured(self, run: ScoredRun) -> Measured:
+        return Measured(
+            [1.0 - (fn + fp + switches) / (tp + fn) if tp + fn else None for tp, fp, fn, switches in run.totals]
+        )
+
+
+class Completeness(Measure):
+    """Share of an object's frames in which it is matched, 0 to 1, mean over objects"""
+
+    heading, short, brief, range = "completeness", "complete", False, (0.0, 1.0)
+
+    def measured(self, run: ScoredRun) -> Measured:
+        frames = np.arange(len(run.scores.frames))[run.scored]
+        return Measured(run.scores.seen.completeness(len(run.scores.series), frames))
+
+
+class Ospa(_OfFrames):
+    """OSPA: distance between the set of objects and the set of tracks, per object, in m"""
+
+    name, unit, heading, short, axis, brief = "ospa_m", "m", "OSPA m", "OSPA m", "OSPA (m)", False
+
+
+class Gospa(_OfFrames):
+    """GOSPA: the same summed over the objects, in m"""
+
+    name, unit, heading, short, axis, brief = "gospa_m", "m", "GOSPA m", "GOSPA m", "GOSPA (m)", False
+
+
+class _Ranked(Measure):
+    """One of the values of `ranking.ranked_accuracy`."""
+
+    brief = False
+
+    def measured(self, run: ScoredRun) -> Measured:
+        return Measured([each[self.label] for each in run.ranked])
+
+
+class Amota(_Ranked):
+    """Tracking accuracy averaged over levels of recall, with the tracks ranked by their scores, at most 1"""
+
+    heading = "AMOTA"
+
+
+class Samota(_Ranked):
+    """The same, with the accuracy at each level relative to the best one possible there, 0 to 1"""
+
+    heading, range = "sAMOTA", (0.0, 1.0)
+
+
+class Amotp(_Ranked):
+    """Mean distance of the centres of matched pairs, averaged over levels of recall, in m"""
+
+    name, unit, heading = "amotp_m", "m", "AMOTP m"
+
+
+#: Our metrics by name, in the order of tables.
+MEASURES: dict[str, Measure] = {
+    measure.label: measure
+    for measure in (
+        *(Missed(), FalseTracks(), Matched(), Rmse(), IdSwitches(), Precision(), Recall(), Mota(), Completeness()),
+        *(Ospa(), Gospa(), Amota(), Samota(), Amotp()),
+    )
+}
+#: Names that users' metrics cannot have: columns of the table per frame, and entries of a summary.
+COLUMNS = (
+    *("frame", "agent", "estimator", "scored", *MEASURES, "causes"),
+    *("fn_split", "fp_split", "id_switches_split"),
+)
+
+
+class StoredMeasure(Measure):
+    """A metric of which only the values are known, such as a user's in a run folder."""
+
+    def __init__(self, key: str) -> None:
+        self.key = key
+        self.heading = key.replace("_", " ")
+
+    @property
+    def label(self) -> str:
+        return self.key
+
+    def measured(self, run: ScoredRun) -> Measured:
+        raise NotImplementedError
+
+
+def measure_named(key: str) -> Measure:
+    """Our metric of this name, or what is known of a user's."""
+    return MEASURES.get(key) or StoredMeasure(key)
+
+
+class Metric(Measure):
+    """Base class of user-defined metrics; subclass FrameMetric or RunMetric instead.
+
+    The class is in a scenario's file or in a file next to it, and named in the scenario:
+    `evaluator=dict(metrics=[dict(type="MyMetric")])`.
+
+    name: name in tables; by default the class's, in lower case with underscores
+    unit: of its values, for readers of the class; tables and figures do not print it
+    """
+
+    @abstractmethod
+    def value(self, estimate: Estimate) -> Floats | float | None:
+        """Values (f,), one per frame, or a single one for the run.
+
+        Raises ValueError for anything else.
+        """
+
+
+class InvalidMetricValue(ValueError):
+    """A metric returned an invalid value. about: the user's method that returned it."""
+
+    def __init__(self, text: str, about: Callable[..., Any]) -> None:
+        super().__init__(text)
+        self.about = about
+
+
+class FrameMetric(Metric):
+    """A metric with a value in every frame.
+
+    Its mean and standard deviation are over the scored frames.
+    """
+
+    @abstractmethod
+    def per_frame(self, estimate: Estimate) -> Floats:
+        """Values (f,), NaN where the metric is undefined."""
+
+    def measured(self, run: ScoredRun) -> Measured:
+        frames = len(run.scores.frames)
+        values = np.array([self.value(estimate) for estimate in run.estimates]).reshape(len(run.estimates), frames)
+        counts = run.counts & np.isfinite(values)
+        return Measured([mean_and_std(row[mask]) for row, mask in zip(values, counts, strict=True)], values)
+
+    def value(self, estimate: Estimate) -> Floats:
+        returned = self.per_frame(estimate)
+        try:
+            values = np.asarray(returned, np.float64)
+        except (ValueError, TypeError) as error:
+            name = type(self).__name__
+            text = f"{name}.per_frame: found {_describe(returned)}, expected numbers: {error}"
+            raise InvalidMetricValue(text, type(self).per_frame) from None
+        if values.shape != estimate.frames.shape:
+            name = type(self).__name__
+            text = f"{name}.per_frame: found shape {values.shape}, expected {estimate.frames.shape}"
+            raise InvalidMetricValue(text, type(self).per_frame)
+        return values
+
+
+def _describe(returned: object) -> str:
+    """Describe a returned value by its type and its first element's type."""
+    first = next(iter(returned), None) if isinstance(returned, (list, tuple, np.ndarray)) else None
+    return type(returned).__name__ if first is None else f"a {type(returned).__name__} of {type(first).__name__}"
+
+
+class RunMetric(Metric):
+    """A metric with one value for the whole run."""
+
+    @abstractmethod
+    def per_run(self, estimate: Estimate) -> float | None:
+        """The value over the scored frames; None: undefined."""
+
+    def measured(self, run: ScoredRun) -> Measured:
+        return Measured([self.value(estimate) for estimate in run.estimates])
+
+    def value(self, estimate: Estimate) -> float | None:
+        value = self.per_run(estimate)
+        if value is not None and not isinstance(value, (int, float, np.floating, np.integer)):
+            name = type(self).__name__
+            text = f"{name}.per_run: found {type(value).__name__}, expected a number or None"
+            raise InvalidMetricValue(text, type(self).per_run)
+        return None if value is None else float(value)
+
+
+class ErrorsNearby(FrameMetric):
+    """Missed objects and false tracks within a distance of the agent.
+
+    distance_m: from the agent, in the bird's-eye view
+    """
+
+    unit = "objects"
+
+    def __init__(self, *, distance_m: float = 30.0) -> None:
+        if not distance_m > 0.0:
+            raise ValueError(f"distance_m: found {distance_m}, expected more than 0")
+        self.distance_m = distance_m
+
+    def per_frame(self, estimate: Estimate) -> Floats:
+        wrong = np.isin(estimate.outcome, ("missed", "false"))
+        return estimate.count(wrong & (estimate.range_m <= self.distance_m))
+
+
+class LongestMiss(RunMetric):
+    """The longest uninterrupted time for which one object was missed, s."""
+
+    unit = "s"
+
+    def per_run(self, estimate: Estimate) -> float | None:
+        rows = np.flatnonzero((estimate.outcome == "missed") & estimate.scored[estimate.frame])
+        if not len(rows):
+            return 0.0
+        order = rows[np.lexsort((estimate.frame[rows], estimate.id[rows]))]
+        breaks = (np.diff(estimate.id[order]) != 0) | (np.diff(estimate.frame[order]) != 1)
+        lengths = np.diff(np.flatnonzero(np.concatenate([[True], breaks, [True]])))
+        return float(lengths.max() * estimate.period_s)
+
+
+def check(metrics: Sequence[Metric], known: Sequence[str] = COLUMNS) -> None:
+    """Raise ValueError for duplicate names of metrics, and for names of built-in ones."""
+    labels = [metric.label for metric in metrics]
+    for metric, label in zip(metrics, labels, strict=True):
+        if label.endswith("_iob") or label.startswith("success_"):
+            raise ValueError(f"metrics: found {label!r}: names of this form are reserved for studies")
+        if label in known:
+            raise ValueError(
+                f"metrics: {type(metric).__name__} is called {label!r}, which is the name of a built-in metric: "
+                "expected another `name`, or another name of the class"
+            )
+        if labels.count(label) > 1:
+            raise ValueError(f"metrics: found {label!r} twice, expected a unique name for each metric")
+
+
+def measured(
+    metrics: Sequence[Measure], run: ScoredRun
+) -> tuple[dict[str, dict[str, dict[str, Any]]], Table, dict[str, BaseException]]:
+    """Values of metrics: summaries by agent, estimator and name, columns of the table per frame, and errors by name.
+
+    The table has a row per series (equal ones included) and frame. A metric that raises is undefined for every series:
+    NaN in every frame, or None.
+    """
+    every = run.scores.every_series
+    rows = np.array(list(every.values()), np.int64)
+    summary: dict[str, dict[str, dict[str, Any]]] = {}
+    for agent, estimator in every:
+        summary.setdefault(agent, {})[estimator] = {}
+    table: Table = {}
+    errors: dict[str, BaseException] = {}
+    for metric in metrics:
+        try:
+            values = metric.measured(run)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # GeneratorExit and CancelledError are not Exceptions
+            if not isinstance(metric, Metric):
+                raise
+            errors[metric.label], values = error, _undefined(metric, run.scores)
+        for (agent, estimator), row in every.items():
+            summary[agent][estimator][metric.label] = values.summaries[row]
+        if values.frames is not None:
+            table[metric.label] = values.frames[rows].ravel()
+    return summary, table, errors
+
+
+def _undefined(metric: Metric, scores: Scores) -> Measured:
+    shape = len(scores.series), len(scores.frames)
+    if isinstance(metric, FrameMetric):
+        return Measured([mean_and_std(np.zeros(0))] * shape[0], np.full(shape, np.nan))
+    return Measured([None] * shape[0])
+
+
+def summary_of(scores: Scores, scored: slice = slice(None)) -> dict[str, dict[str, dict[str, Any]]]:
+    """Our metrics by agent, estimator and name: per frame as {"mean", "std"} over the scored frames, or over the run.
+
+    The standard deviation is divided by the number of frames. Values that are undefined, without frames or pairs, are
+    None (JSON null).
+    """
+    return measured([*MEASURES.values()], ScoredRun(scores, scored))[0]
+
+
+def per_frame(scores: Scores) -> Table:
+    """A row per series and frame.
+
+    Columns: frame, agent, estimator, fn, fp, tp, rmse_m (NaN without a pair), id_switches, ospa_m, gospa_m.
+    """
+    return frame_keys(scores) | measured([each for each in MEASURES.values() if each.axis], ScoredRun(scores))[1]
+
+
+def frame_keys(scores: Scores) -> Table:
+    """The columns frame, agent and estimator of the table per frame."""
+    every, f = list(scores.every_series), len(scores.frames)
+    return {
+        "frame": np.tile(scores.frames, len(every)),
+        "agent": np.repeat(np.array([agent for agent, _ in every], str), f),
+        "estimator": np.repeat(np.array([estimator for _, estimator in every], str), f),
+    }
+
+
+def estimates_of(
+    scores: Scores, labels: Labels, truth: TruthTable, agents: Sequence[str], scored: Bools, period_s: float
+) -> list[Estimate]:
+    """The estimates of `scores.series`, for users' metrics."""
+    return [_estimate(row, scores, labels, truth, agents, scored, period_s) for row in range(len(scores.series))]
+
+
+def _estimate(
+    row: int,
+    scores: Scores,
+    labels: Labels,
+    truth: TruthTable,
+    agents: Sequence[str],
+    scored: Bools,
+    period_s: float,
+) -> Estimate:
+    agent, estimator = scores.series[row]
+    judged = scores.judged
+    rows = np.flatnonzero(judged.series == row)
+    boxes = judged.boxes.select(rows)
+    frame = np.searchsorted(scores.frames, judged.frame[rows])
+    at = truth.agent_position[frame, agents.index(agent)]
+    frames, counted = scores.frames.copy(), scored.copy()
+    for shared in (frames, counted):  # between metrics
+        shared.flags.writeable = False
+    return Estimate(
+        agent=agent,
+        estimator=estimator,
+        frames=frames,
+        period_s=period_s,
+        scored=counted,
+        frame=frame,
+        is_track=judged.is_track[rows],
+        outcome=np.array(OUTCOMES)[judged.outcome[rows]],
+        id=boxes.id,
+        match_id=judged.match_id[rows],
+        position=boxes.position,
+        size=boxes.size,
+        yaw=boxes.yaw,
+        score=judged.score[rows],
+        range_m=np.hypot(*(boxes.position - at)[:, :2].T),
+        cause=cause_names(labels.cause[rows]).astype(str),
+    )
