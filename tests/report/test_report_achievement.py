@@ -109,7 +109,7 @@ def test_attack_settings_reveal_a_start_after_the_end(attacked: RunRecord) -> No
 
 
 def test_reason_for_an_adversary_that_failed_first(attacked: RunRecord) -> None:
-    attacked.run["nodes"]["adversary_1"]["failures"] = {"detections": 3}
+    attacked.run["nodes"]["adversary_1"]["failures"] = [{"handler": "detections", "count": 3}]
     assert why(idle(attacked), None) == "it changed nothing: detections failed 3 times"
     attacked.run["nodes"]["adversary_1"] |= {"failures": [], "exit": 1, "ended": "exit code 1"}
     assert why(idle(attacked), None) == "it crashed before it changed anything: exit code 1"

@@ -135,7 +135,8 @@ def test_the_speed_shown_is_the_runs_not_the_scenes_frame_rate(run_folder: RunFo
 
 
 def test_a_single_failure_is_worded_in_the_singular(run_folder: RunFolderFixture) -> None:
-    failed = {"role": "agent", "pid": 77, "exit": 0, "ended": "ok", "restarts": 0, "failures": {"on_pose": 1}}
+    failed = {"role": "agent", "pid": 77, "exit": 0, "ended": "ok", "restarts": 0, "failures": []}
+    failed["failures"] = [{"handler": "on_pose", "count": 1, "exception": "ValueError: no", "where": "agent.py:7"}]
     page = Page(write_report(run_folder(nodes={"infra_2": failed})))
     assert "infra_2.on_pose failed once: " in page.text
 

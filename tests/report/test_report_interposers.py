@@ -115,7 +115,7 @@ def test_intended_exit_is_not_a_crash(node: dict[str, Any]) -> None:
 FREQUENCIES = [
     ({"failures": [FAILURE]}, "on_tracks failed 4 times in 4 frames (1 to 4)"),
     ({"failures": [FAILURE | {"count": 1, "frames": 1, "last_frame": 1}]}, "on_tracks failed once in frame 1"),
-    ({"failures": {"tracks": 1}}, "tracks failed once"),
+    ({"failures": [{"handler": "tracks", "count": 1}]}, "tracks failed once"),
 ]
 
 
