@@ -49,7 +49,7 @@ class PhantomAttack(AdaptiveAttack):
     #: where phantoms are placed
     region: Region
 
-    def __init__(self, *, budget: float, start_s: float, speed_mps: float) -> None:
+    def __init__(self, *, budget: float = 2.0, start_s: float = 4.0, speed_mps: float = 5.0) -> None:
         super().__init__(budget=budget, start_s=start_s)
         check("0 or more, finite", speed_mps=speed_mps)
         self._shape = Shape(30.0, speed_mps, BOX)
@@ -128,9 +128,6 @@ class BlindSpot(PhantomAttack):
     """
 
     region = REGIONS["outnumbered"]
-
-    def __init__(self, *, budget: float = 2.0, start_s: float = 4.0, speed_mps: float = 5.0) -> None:
-        super().__init__(budget=budget, start_s=start_s, speed_mps=speed_mps)
 
     def _given_up(self, moment: Moment, phantoms: ObjectStates) -> Bools:
         if len(phantoms) == 0:

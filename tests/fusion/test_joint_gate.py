@@ -180,6 +180,7 @@ WRONG = [(0, 0, 0.8, -12), (0.3, 0, 0.8, -12), (0.1, 0, 0.8, 12)]
         (WRONG, [0, 1, 1], [0, 0, 1], None),  # agent 1 sees both
         ([(0, 0, 0.8, -12), (0.3, 0, 0.8, -12), (0.1, 1.6, 0.8, 12)], [0, 1, 2], [0, 0, 1], None),  # in the next lane
         ([(0, 0, 0.8, -12), (0.3, 0, 0.8, -12), (0.1, 0, 6.3, -12)], [0, 1, 2], [0, 0, 1], None),  # on the level above
+        ([(0, 0, 0.8, 0), (0.1, 0, 0.8, 0), (0, 0.1, 3.4, 0)], [0, 1, 2], [0, 0, 1], None),  # on the deck above
         ([(0, 0, 0.8, -12), (0.3, 0, 0.8, -12), (0.1, 0, 0.8, -11)], [0, 1, 2], [0, 0, 1], None),  # no contradiction
     ],
 )
@@ -201,11 +202,6 @@ def test_tracks_that_would_not_be_reported_contradict_nobody():
     vague = states.covariance.copy()
     vague[:2, :2, :2] = 0.8 * np.eye(2)
     assert without_contradicted(states.with_(covariance=vague), np.arange(3), np.array([0, 0, 1]), None) is None
-
-
-def test_a_car_on_the_deck_above_contradicts_nobody():
-    rows = [(0, 0, 0.8, 0), (0.1, 0, 0.8, 0), (0, 0.1, 3.4, 0)]
-    assert without_contradicted(tracks(rows), np.arange(3), np.array([0, 0, 1]), None) is None
 
 
 def test_a_cluster_that_is_left_out_contradicts_no_other():

@@ -13,22 +13,32 @@ from mast_zenoh.integrity.fault_or_lie import largest_groups
 AGENTS = ("a", "b", "c", "d")
 
 
+def seen_by(
+    agents: int, place: np.ndarray, speed: np.ndarray, frame: int, random: np.random.Generator
+) -> tuple[ObjectStates, np.ndarray, np.ndarray]:
+    """The tracks of cars that all of some agents see, with errors of 0.15 m; the agent and the car of each."""
+    cars = len(place)
+    n = agents * cars
+    true = np.column_stack([place + speed * 0.1 * frame, np.full(cars, 0.75)])
+    labels = np.tile(np.arange(cars), agents)
+    states = ObjectStates.of(
+        np.tile(true, (agents, 1)) + np.column_stack([random.normal(0.0, 0.15, (n, 2)), np.zeros(n)]),
+        id=labels,
+        velocity=np.column_stack([np.tile(speed, (agents, 1)), np.zeros(n)]),
+        size=np.tile(CAR, (n, 1)),
+        covariance=np.tile(np.diag(VARIANCE), (n, 1, 1)),
+    )
+    return states, np.repeat(np.arange(agents), cars), labels
+
+
 def assessed(fault: tuple[float, float, float, float], lies: int = 0, frames: int = 60, standing: int = 0):
     """Four agents that all see twelve cars, most of them moving; `d` has a fault and moves some tracks by 1.5 m."""
     random = np.random.default_rng(3)
     place, speed = random.uniform(-60.0, 60.0, (12, 2)), random.uniform(-12.0, 12.0, (12, 2))
     speed[:standing] = 0.0
-    stage, agent = FaultOrLie(), np.repeat(np.arange(4), 12)
-    labels = np.tile(np.arange(12), 4)
+    stage = FaultOrLie()
     for frame in range(frames):
-        true = np.column_stack([place + speed * 0.1 * frame, np.full(12, 0.75)])
-        states = ObjectStates.of(
-            np.tile(true, (4, 1)) + np.column_stack([random.normal(0.0, 0.15, (48, 2)), np.zeros(48)]),
-            id=labels,
-            velocity=np.column_stack([np.tile(speed, (4, 1)), np.zeros(48)]),
-            size=np.tile(CAR, (48, 1)),
-            covariance=np.tile(np.diag(VARIANCE), (48, 1, 1)),
-        )
+        states, agent, labels = seen_by(4, place, speed, frame, random)
         states = without_fault(states, agent == 3, -np.array(fault), states.position[agent == 3, :2].mean(axis=0))
         moved = states.position.copy()
         moved[(agent == 3) & (labels < lies), 0] += 1.5
@@ -78,20 +88,10 @@ def test_two_that_move_all_their_tracks_alike_blame_no_other(shift: tuple[float,
     random = np.random.default_rng(4)
     names, cars = ("a", "b", "c", "d", "e"), 10
     place, speed = random.uniform(-60.0, 60.0, (cars, 2)), random.uniform(-12.0, 12.0, (cars, 2))
-    stage, agent, labels = FaultOrLie(), np.repeat(np.arange(5), cars), np.tile(np.arange(cars), 5)
+    stage = FaultOrLie()
     for frame in range(60):
-        true = np.column_stack([place + speed * 0.1 * frame, np.full(cars, 0.75)])
-        position = np.tile(true, (5, 1)) + np.column_stack(
-            [random.normal(0.0, 0.15, (5 * cars, 2)), np.zeros(5 * cars)]
-        )
-        position[agent >= 3, :2] += shift
-        states = ObjectStates.of(
-            position,
-            id=labels,
-            velocity=np.column_stack([np.tile(speed, (5, 1)), np.zeros(5 * cars)]),
-            size=np.tile(CAR, (5 * cars, 1)),
-            covariance=np.tile(np.diag(VARIANCE), (5 * cars, 1, 1)),
-        )
+        states, agent, labels = seen_by(5, place, speed, frame, random)
+        states.position[agent >= 3, :2] += shift
         # An honest agent shares more of its objects with the two than with the other honest ones.
         shared = (agent > 0) | (labels < 6)
         rows = np.flatnonzero(shared & ~((agent == 1) & (labels < 4)))
@@ -111,17 +111,10 @@ def test_agents_that_left_or_send_no_tracks_do_not_disturb_the_search_for_a_faul
         early = frame < 40
         names = ("a", "b", "c", "d", "e", "f") if early else ("a", "d", "e", "f")
         senders = [row for row in range(len(names)) if early or names[row] != "a"]
-        agent, labels = np.repeat(senders, cars), np.tile(np.arange(cars), len(senders))
-        position = np.column_stack([np.tile(place, (len(senders), 1)), np.full(len(agent), 0.75)])
-        position[:, :2] += random.normal(0.0, 0.15, (len(agent), 2))
+        states, agent, labels = seen_by(len(senders), place, np.zeros((cars, 2)), frame, random)
+        agent = np.array(senders)[agent]
         if not early:
-            position[agent == names.index("f"), 0] += 1.0
-        states = ObjectStates.of(
-            position,
-            id=labels,
-            size=np.tile(CAR, (len(agent), 1)),
-            covariance=np.tile(np.diag(VARIANCE), (len(agent), 1, 1)),
-        )
+            states.position[agent == names.index("f"), 0] += 1.0
         corrected, _ = stage.correct(frame * STEP_NS, states, agent, names, {})
         last = stage.assess(Batch(frame * STEP_NS, corrected, agent, labels, names, (None,) * len(names))).agents
     assert (last.state == FAULTY).tolist() == [False, False, False, True]

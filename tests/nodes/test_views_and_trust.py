@@ -135,7 +135,7 @@ def test_invalid_trust_is_a_failure_of_the_command_centre_not_a_lost_message(res
             return replace(sound, agents=replace(sound.agents, mean=np.full(len(given.agents), 95.0)))
 
     centre = Bench(resolved, "command_center")
-    centre.host.node.pipeline._integrity = Percent()
+    centre.host.node.pipeline.integrity = Percent()
     centre.play(0, views=views(), collated=batch())
     (failure,) = centre.host.failures.values()
     assert "Percent.assess: agents.mean is not from 0 to 1" in failure.exception

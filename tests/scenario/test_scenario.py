@@ -331,7 +331,7 @@ def test_user_defined_algorithms_can_be_named_by_type(tmp_path: Path) -> None:
     assert tiny().modules == ()
     run = Run(resolved_scenario)
     assert not run.failures
-    assert type(run.nodes["command_center"].pipeline._group_tracking._tracker).__name__ == "MyTracker"
+    assert type(run.nodes["command_center"].pipeline.group_tracking.tracker).__name__ == "MyTracker"
 
 
 OWN_PIPELINE = """
