@@ -125,9 +125,7 @@ def check_here(launcher_environment: Mapping[str, str] = os.environ) -> None:
 
 def check_manager() -> None:
     """Raise EngineError if this machine does not manage a swarm."""
-    state, _, manages = docker("info", "--format", "{{.Swarm.LocalNodeState}} {{.Swarm.ControlAvailable}}").partition(
-        " "
-    )
+    state, manages = docker("info", "--format", "{{.Swarm.LocalNodeState}} {{.Swarm.ControlAvailable}}").split()
     if state == "inactive":
         raise EngineError(
             "this machine is not in a swarm: create one with `docker swarm init --advertise-addr 127.0.0.1`, or "
@@ -135,7 +133,7 @@ def check_manager() -> None:
         )
     if state != "active":
         raise EngineError(f"the swarm of this machine is {state}: expected active; see `docker info`")
-    if manages.strip() != "true":
+    if manages != "true":
         raise EngineError(
             "this machine is a worker of its swarm: start the run on a manager, or `docker node promote` it"
         )
@@ -194,9 +192,8 @@ def image_reference(image: str) -> str:
 
     With the name alone, every machine would look it up in a registry.
     """
-    digests, _, identity = docker("image", "inspect", "--format", "{{json .RepoDigests}}\t{{.Id}}", image).partition(
-        "\t"
-    )
+    found = docker("image", "inspect", "--format", "{{json .RepoDigests}}\t{{.Id}}", image)
+    digests, _, identity = found.partition("\t")
     known = json.loads(digests)
     return str(known[0]) if known else identity.strip()
 
