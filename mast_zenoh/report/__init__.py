@@ -8,7 +8,7 @@ figures/           the pictures and charts of runs and of studies
 film/              films and stills of runs
 tables/            rows and cells, for every output
 narrative/         results in words
-html, study_page   the pages, which page renders from templates/
+html               the pages, rendered from templates/
 terminal           results on the terminal
 """
 

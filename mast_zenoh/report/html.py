@@ -1,27 +1,31 @@
-"""Writes the HTML reports of runs and of compared runs, with their figures as PNG."""
+"""Writes the self-contained HTML pages of runs, of compared runs and of studies, with their figures as PNG."""
 
 from __future__ import annotations
 
 import json
 import os
+import re
 import shlex
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from mast_zenoh.metrics.estimates import ESTIMATES
+from mast_zenoh.metrics.study_results import StudyFacts, StudyRow, plural
 from mast_zenoh.report import comparison
 from mast_zenoh.report.comparison import Reference
+from mast_zenoh.report.figures.drawing import RenderedFigure
 from mast_zenoh.report.figures.of_run import frame_choice, run_figures, save_user_figures, study_figures, user_figures
 from mast_zenoh.report.figures.view import PANELS, check_frame, choose_common_frame, choose_frame, frame_view, settled
 from mast_zenoh.report.narrative.adversaries import attack_description
 from mast_zenoh.report.narrative.changes import largest_change
 from mast_zenoh.report.narrative.run import headline, reading, reference_status, study_headline, study_reading
-from mast_zenoh.report.page import render
-from mast_zenoh.report.run_facts import facts, facts_of_compared, healing
+from mast_zenoh.report.narrative.study import compare, comparisons_made, other_changes, reservations, result, titled
 from mast_zenoh.report.run_figure import FigureContext
 from mast_zenoh.report.tables.of_run import (
     achieved_table,
@@ -35,12 +39,106 @@ from mast_zenoh.report.tables.of_run import (
     trust_sentences,
 )
 from mast_zenoh.report.tables.scores import Cell, ScoreTable, Value, number, score_table, signed
+from mast_zenoh.report.tables.study import sections, side_by_side
 from mast_zenoh.report.tables.wiring import wire_rows
+from mast_zenoh.run_files import write_bytes
+from mast_zenoh.version import __version__
 from mast_zenoh.viewer.frame import Frame, has_boxes
 from mast_zenoh.viewer.interposers import BAD, EFFECTS, failure_lines, interposers, node_row
 from mast_zenoh.viewer.page.block import run_block
 from mast_zenoh.viewer.page.page import ViewerParts, viewer_parts
 from mast_zenoh.viewer.run import RunRecord
+
+#: Where a template wants its table of contents, and a heading that it lists.
+_CONTENTS = "<!-- contents -->"
+_HEADING = re.compile(r'<h2 id="([\w-]+)">(.*?)</h2>')
+
+
+def render(template: str, content: Mapping[str, Any], folder: Path) -> Path:
+    """Write `report.html` into a folder, which is created if needed; returns the path."""
+    page = page_text(template, content)
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "report.html"
+    write_bytes(path, page.encode("utf-8", "surrogateescape"))  # paths that are not UTF-8
+    return path
+
+
+def page_text(template: str, content: Mapping[str, Any]) -> str:
+    """The page as text."""
+    page = environment().get_template(template).render(content, version=__version__)
+    return page.replace(_CONTENTS, _table_of_contents(page), 1)
+
+
+def _table_of_contents(page: str) -> str:
+    """Links to all sections of a page; empty for fewer than three."""
+    links = [f'<li><a href="#{name}">{title}</a></li>' for name, title in _HEADING.findall(page)]
+    return f'<nav class="contents" aria-label="contents"><ul>{"".join(links)}</ul></nav>' if len(links) > 2 else ""
+
+
+@cache
+def environment() -> Environment:
+    """The templates of this package, with HTML escaping."""
+    return Environment(
+        loader=PackageLoader("mast_zenoh.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+
+
+def facts(run: RunRecord) -> list[str]:
+    """What identifies a run: id, status, scene, length, seed, mode and speed."""
+    facts = [f"run {run.run['id']}"] if "id" in run.run else []
+    facts += [str(run.run["status"])] if "status" in run.run else []
+    facts += [f"scene {run.recording.name}"] if run.recording else []
+    facts += [_frames_in_words(run)] if "frames" in run.metrics else []
+    facts += [f"seed {run.run['seed']}"] if "seed" in run.run else []
+    facts += [_origin(run.run["replay"])] if run.run.get("replay") else []
+    facts += [f"{run.run['mode']} on {run.run.get('runtime', 'mesh')}"] if "mode" in run.run else []
+    unsigned = run.run.get("unsigned_control")
+    facts += [f"{unsigned} control messages obeyed without a signature"] if unsigned else []
+    speed = run.run.get("timings", {}).get("frames_per_second")
+    facts += [f"{speed:.0f} frames/s"] if speed else []
+    latency = run.metrics.get("latency_ms", {}).get("sim_to_picture", {})
+    if latency.get("p50") is not None and latency.get("p99"):  # lock-step has no latency: scene time stands still
+        facts.append(f"simulator to picture {latency['p50']:.1f} ms (99 %: {latency['p99']:.1f} ms)")
+    ages = run.metrics.get("picture_age_s", {})
+    age = ages.get("ego", next(iter(ages.values()), {}))
+    facts += [f"pictures used at an age of {age['mean']:.2f} s (at most {age['max']:.2f} s)"] if age.get("max") else []
+    return facts
+
+
+def _origin(replay: Mapping[str, Any]) -> str:
+    """What a replay replays."""
+    changed = ", ".join(f"{node} ({', '.join(keys)})" for node, keys in replay.get("changed", {}).items())
+    return f"replay of run {replay.get('run')} from the {replay.get('from')}" + (
+        f", changed: {changed}" if changed else ""
+    )
+
+
+def healing(run: RunRecord) -> list[str]:
+    """When faults healed, and how soon the picture then equalled the fault-free one."""
+    heals, converged = run.checks.get("heals_s") or [], run.checks.get("converged_after_s")
+    facts = [f"healed at {', '.join(f'{each:g}' for each in heals)} s"] if heals else []
+    if isinstance(converged, (int, float)):
+        facts.append(f"the picture converged to the unfaulted one {converged:.1f} s after the heal")
+    return facts
+
+
+def facts_of_compared(runs: Mapping[str, RunRecord]) -> list[str]:
+    """What compared runs have in common, and which of them failed; runs: by label."""
+    facts = [f"{len(runs)} runs"]
+    scenes = {run.recording.name for run in runs.values() if run.recording}
+    seeds = {str(run.run["seed"]) for run in runs.values() if "seed" in run.run}
+    frames = {_frames_in_words(run) for run in runs.values() if "frames" in run.metrics}
+    facts += [f"scene {', '.join(sorted(scenes))}"] if scenes else []
+    facts += [f"seed {', '.join(sorted(seeds))}"] if seeds else []
+    facts += [f"each {frames.pop()}"] if len(frames) == 1 else []
+    bad = [label for label, run in runs.items() if run.run.get("status") != "ok"]
+    return facts + ([f"did not end well: {', '.join(bad)}"] if bad else [])
+
+
+def _frames_in_words(run: RunRecord) -> str:
+    scored = run.metrics.get("scored_frames")
+    return f"{run.metrics['frames']} frames" + (f", scored from {scored[0]} to {scored[-1]}" if scored else "")
+
 
 #: Runs of a study that its viewer holds.
 _MOST_IN_VIEWER = 4
@@ -242,3 +340,61 @@ def _score_rows(table: ScoreTable) -> dict[str, Any]:
 def _command(run: RunRecord) -> str | None:
     command = run.run.get("command")
     return shlex.join(map(str, command)) if isinstance(command, list) else command
+
+
+#: Files of the study's folder that the page links to, if they are there.
+_STUDY_FILES = ("table.csv", "table.md", "table.tex", "results.parquet", "frames.parquet")
+#: This many failed trials are listed; the others are collapsed.
+_SHOWN_AT_ONCE = 10
+
+
+def write_trials_page(
+    folder: Path, rows: Sequence[StudyRow], facts: StudyFacts, figures: Mapping[str, RenderedFigure]
+) -> Path:
+    """Write `report.html` into the folder of a study, and return its path.
+
+    figures: of `figures_over_trials`, by name
+    """
+    rows, facts = titled(rows, facts)
+    comparisons = compare(rows, facts.baseline)
+    tables = sections(rows, facts.baseline, comparisons)
+    scores = side_by_side(rows)
+    content = {
+        "title": f"Study {facts.name}",
+        "headline": result(rows, facts, comparisons).removesuffix("."),
+        "facts": _study_facts(facts),
+        "failures": facts.failures,
+        "failed": facts.failed,
+        "shown_at_once": _SHOWN_AT_ONCE,
+        "reservations": reservations(rows, facts),
+        "reading": other_changes(rows, facts, comparisons),
+        "figures": figures,
+        "added": [each for each in tables if each.title.startswith("What the attack adds")],
+        "comparisons": comparisons_made(comparisons),
+        "scores": scores if scores.lines else None,
+        "others": [each for each in tables if not each.title.startswith(("What the attack adds", "Scores"))],
+        "configurations": [
+            (label, scenario, settings, facts.done.get(label, 0), facts.planned)
+            for label, (scenario, settings) in facts.configurations.items()
+        ],
+        "baseline": facts.baseline,
+        "scenes": facts.scenes,
+        "tables": [name for name in _STUDY_FILES if (folder / name).is_file()],
+        "environment": facts.environment,
+    }
+    return render("study_trials.html.j2", content, folder)
+
+
+def _study_facts(facts: StudyFacts) -> list[str]:
+    seeds = f"{facts.seeds[0]} to {facts.seeds[-1]}" if len(facts.seeds) > 1 else str(facts.seeds[0])
+    done = sum(facts.done.values())
+    return [
+        f"study {facts.name}",
+        plural(len(facts.configurations), "configuration"),
+        facts.size,
+        f"seeds {seeds}" if len(facts.seeds) > 1 else f"seed {seeds}",
+        f"{done} of {facts.trials} trials have results" if done < facts.trials else plural(done, "trial"),
+        f"{facts.frames} frames each" if facts.frames else "all frames of each scene",
+        f"runtime {facts.runtime}",
+        f"mast-zenoh {facts.environment.get('mast-zenoh', 'unknown')}",
+    ]

@@ -64,8 +64,8 @@ def write(study: Study, store: Store, trials: Sequence[Trial], failures: Mapping
     trials:   those planned, all of one scene and seed together
     failures: by digest, the error of a trial that failed
     """
-    from mast_zenoh.report import study_page  # drawing libraries are slow to load
     from mast_zenoh.report.figures.study import figures_over_trials
+    from mast_zenoh.report.html import write_trials_page  # drawing libraries are slow to load
     from mast_zenoh.report.tables import study as study_table
 
     seeds = tuple(sorted({trial.seed for trial in trials}))
@@ -108,7 +108,7 @@ def write(study: Study, store: Store, trials: Sequence[Trial], failures: Mapping
     if of_defences is not None:
         figures = dict(of_defences.figures)
         names += of_defences.names
-    report = study_page.write_page(store.folder, rows, facts, figures)
+    report = write_trials_page(store.folder, rows, facts, figures)
     return StudyResult(store.folder, rows, facts, [store.folder / name for name in names], report, of_defences)
 
 

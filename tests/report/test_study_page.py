@@ -10,7 +10,7 @@ from study_samples import BASELINE, facts, grid
 
 from mast_zenoh.metrics.study_results import FailedTrial
 from mast_zenoh.report.figures.study import figures_over_trials
-from mast_zenoh.report.study_page import write_page
+from mast_zenoh.report.html import write_trials_page
 
 ROWS = [BASELINE, *grid("uncoordinated", n=(1, 2), false_positives=(1.0, 5.0, 20.0))]
 FAILED = [
@@ -44,7 +44,7 @@ class Page(HTMLParser):
 def page(tmp_path: Path):
     def write(failed=()) -> Page:
         study_facts = facts(ROWS, failed)
-        return Page(write_page(tmp_path, ROWS, study_facts, figures_over_trials(ROWS, study_facts)))
+        return Page(write_trials_page(tmp_path, ROWS, study_facts, figures_over_trials(ROWS, study_facts)))
 
     return write
 

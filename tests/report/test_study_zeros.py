@@ -15,8 +15,8 @@ from study_samples import BASELINE, facts, grid
 
 from mast_zenoh.metrics.study_results import Series
 from mast_zenoh.report.figures.study import figures_over_trials
+from mast_zenoh.report.html import write_trials_page
 from mast_zenoh.report.narrative.study import compare, other_changes, result
-from mast_zenoh.report.study_page import write_page
 from mast_zenoh.report.tables import study
 from mast_zenoh.report.tables.study_rows import over_trials
 from mast_zenoh.study.statistics import trial_estimate
@@ -74,7 +74,7 @@ def test_scores_and_few_seeds_are_not_counted() -> None:
 
 
 def test_terminal_markdown_and_html_tables_warn_of_means_that_are_mostly_zero(tmp_path: Path) -> None:
-    page = write_page(tmp_path, rows(), facts(rows()), figures_over_trials(rows(), facts(rows())))
+    page = write_trials_page(tmp_path, rows(), facts(rows()), figures_over_trials(rows(), facts(rows())))
     texts = (terminal(), study.as_markdown(rows(), facts(rows())), page.read_text("utf-8"))
     for text in texts:
         assert SHARE in text
