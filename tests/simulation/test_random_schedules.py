@@ -8,8 +8,7 @@ from endings_table import ending
 from mast_zenoh.errors import StallError
 from mast_zenoh.testing.simulation import Disturbance, Schedule, World, check, explore, play, random_schedule
 from mast_zenoh.testing.simulation.promises import undisturbed
-from mast_zenoh.testing.simulation.schedule import KINDS
-from mast_zenoh.testing.simulation.world import small_world
+from mast_zenoh.testing.simulation.world import KINDS, small_world
 
 SEEDS = 1000  # among all worlds
 

@@ -1,7 +1,6 @@
 """A mesh without processes: plays whole runs in one thread and in virtual time, and looks for broken promises.
 
-world       what is simulated: `World.of(resolved)`, or a small one
-schedule    what disturbs a run: `random_schedule(seed, world)`
+world       what is simulated: `World.of(resolved)`, or a small one; what disturbs it: `random_schedule(seed, world)`
 simulation  `play(world, schedule)`: the run with the protocols of the nodes, the driver and the launcher
             network: messages, tokens, declarations;  processes: of nodes;  launcher
 promises    `check`: what must hold of every run;  `explore`: many seeds;  `simplest`: fewer disturbances;
@@ -9,9 +8,8 @@ promises    `check`: what must hold of every run;  `explore`: many seeds;  `simp
 """
 
 from mast_zenoh.testing.simulation.promises import check, explore, find, simplest, undisturbed
-from mast_zenoh.testing.simulation.schedule import Disturbance, Schedule, random_schedule
 from mast_zenoh.testing.simulation.simulation import Outcome, play
-from mast_zenoh.testing.simulation.world import World, small_world, small_worlds
+from mast_zenoh.testing.simulation.world import Disturbance, Schedule, World, random_schedule, small_world, small_worlds
 
 __all__ = [
     "Disturbance",

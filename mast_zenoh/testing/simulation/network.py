@@ -14,7 +14,7 @@ from random import Random
 from typing import Any, Generic, Protocol, TypeVar
 
 from mast_zenoh.runtime.protocol.traffic import Event
-from mast_zenoh.testing.simulation.schedule import Schedule
+from mast_zenoh.testing.simulation.world import Schedule
 
 S = 1_000_000_000  #: ns in a second
 LEASE_NS = 2 * S  #: after which the token of a node whose link is cut disappears, where nodes are not waited for

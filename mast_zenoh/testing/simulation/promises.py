@@ -9,9 +9,8 @@ from typing import NamedTuple
 from mast_zenoh.control import failures
 from mast_zenoh.messagelog.churn import LOST
 from mast_zenoh.testing.comparison import first_difference
-from mast_zenoh.testing.simulation.schedule import Schedule, random_schedule
 from mast_zenoh.testing.simulation.simulation import Outcome, play
-from mast_zenoh.testing.simulation.world import COUNTS, World
+from mast_zenoh.testing.simulation.world import COUNTS, Schedule, World, random_schedule
 from mast_zenoh.wiring.model import Wiring
 
 #: Errors with which a run may end; docs/endings.md and docs/exit_codes.md describe them.

@@ -18,8 +18,7 @@ from mast_zenoh.runtime.protocol.traffic import Event
 from mast_zenoh.testing.simulation.launcher import SimulatedLauncher
 from mast_zenoh.testing.simulation.network import LEASE_NS, Network, S, VirtualTime
 from mast_zenoh.testing.simulation.processes import SimulatedMesh, SimulatedProcess
-from mast_zenoh.testing.simulation.schedule import Disturbance, Schedule
-from mast_zenoh.testing.simulation.world import World
+from mast_zenoh.testing.simulation.world import Disturbance, Schedule, World
 
 LONGEST_S = 400.0  #: virtual time by which every run has ended
 _UNHEARD = 3  # frames in a row without a node that is there
