@@ -33,7 +33,7 @@ if __name__ == "__main__":
     image, options, out = sys.argv[1:]
     told: dict[str, Any] = json.loads(options)
     secure = told.pop("secure", "open")
-    ended = run.run(resolved(**told), Path(out), engine=Swarm(image, patience_s=5.0), secure=secure)
+    ended = run.run(resolved(**told), Path(out), engine=Swarm(image, patience_s=10.0), secure=secure)
     if ended.error:
         sys.stderr.write(f"{type(ended.error).__name__}: {ended.error}\n")
         sys.exit(ended.error.exit_code)
