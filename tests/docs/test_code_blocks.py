@@ -223,7 +223,7 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "exports.md": [None],  # test_export_labels.py
     "faults.md": [part_of_a_scenario, part_of_a_scenario, random_faults, fault_of_ones_own],
     "links.md": [part_of_a_scenario, None],  # test_page_examples.py
-    "metrics.md": [None],  # test_measurement_pages.py
+    "metrics.md": [None],  # test_facts_of_pages.py
     "network.md": [whole_scenario],
     "python.md": [None] * 13,  # test_page_examples.py
     "recording.md": [messages_of_a_run],

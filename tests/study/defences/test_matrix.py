@@ -1,16 +1,151 @@
-"""Numbers of the cells of a matrix, from synthetic trials."""
+"""Every defence against every adversary: lies, traces and estimates of trials."""
 
 from __future__ import annotations
 
+import json
 import math
 from typing import Any
 
+import numpy as np
 import pytest
 from defence_outcomes import outcome
 
+import mast_zenoh as mast
 from mast_zenoh.metrics.study_results import BINOMIAL, POISSON, DefenceMatrix, Measured
 from mast_zenoh.study.defences import Cell
-from mast_zenoh.study.defences.matrix import Collection
+from mast_zenoh.study.defences.choices import by_coverage, honest_majority
+from mast_zenoh.study.defences.matrix import MAX_AGENTS, Collection, panel, suspends
+from mast_zenoh.study.defences.matrix_trial import detected_lies, outnumbered, trace
+
+#: Lidar returns of five objects at four agents.
+POINTS = np.array([[9, 9, 9, 0], [9, 0, 0, 0], [9, 9, 0, 0], [0, 0, 9, 9], [4, 0, 0, 0]])
+
+
+def test_everything_has_an_honest_majority_without_liars() -> None:
+    assert honest_majority(POINTS, [False] * 4) == 1.0
+
+
+def test_a_tie_is_no_majority() -> None:
+    # Agent 0 lies: outnumbered at object 0 alone; tied at object 2, alone at object 1, absent at object 3.
+    assert honest_majority(POINTS, [True, False, False, False]) == 2 / 4
+
+
+def test_objects_that_nobody_sees_do_not_count() -> None:
+    assert np.isnan(honest_majority(POINTS[4:], [False] * 4))
+
+
+def test_agents_that_cover_more_objects_come_first() -> None:
+    assert by_coverage(POINTS).tolist() == [0, 1, 2, 3]
+    assert by_coverage(POINTS[3:4]).tolist() == [2, 3, 0, 1]
+
+
+def lies(*rows: tuple[int, str, str, int, bool]) -> dict[str, Any]:
+    """Columns of lies from rows of frame, agent, effect, id, observable."""
+    frame, agent, effect, id_, observable = zip(*rows, strict=True)
+    return {
+        "frame": np.array(frame),
+        "agent": np.array(agent, object),
+        "effect": np.array(effect, object),
+        "id": np.array(id_),
+        "observable": np.array(observable),
+    }
+
+
+NEVER = [False] * 3
+
+
+def test_a_lie_is_all_that_one_agent_tells_about_one_object() -> None:
+    claims = lies((1, "a", "inserted", 7, True), (2, "a", "inserted", 7, True), (2, "b", "inserted", 7, False))
+    assert detected_lies(claims, np.array(NEVER), np.array(NEVER)) == {"all": 2, "observable": 1, "detected": 0}
+
+
+def test_withholding_the_object_detects_the_lie() -> None:
+    claims = lies((1, "a", "inserted", 7, True), (2, "a", "inserted", 7, True), (2, "a", "inserted", 8, True))
+    counts = detected_lies(claims, np.array([False, True, False]), np.array(NEVER))
+    assert counts == {"all": 2, "observable": 2, "detected": 1}
+
+
+def test_an_object_withheld_for_a_moment_is_no_detected_lie() -> None:
+    claims = lies(*((frame, "a", "inserted", 7, True) for frame in range(3)))
+    assert detected_lies(claims, np.array([False, True, False]), np.array(NEVER))["detected"] == 0
+    assert detected_lies(claims, np.array([False, True, True]), np.array(NEVER))["detected"] == 1
+
+
+def test_a_detection_before_the_lie_was_observable_is_chance() -> None:
+    claims = lies((1, "a", "inserted", 7, False), (2, "a", "inserted", 7, True), (3, "a", "inserted", 7, False))
+    assert detected_lies(claims, np.array([True, False, False]), np.array(NEVER))["detected"] == 0
+    assert detected_lies(claims, np.array([False, False, True]), np.array(NEVER))["detected"] == 1
+
+
+def test_a_removed_object_is_detected_by_suspension_alone() -> None:
+    claims = lies((1, "a", "removed", 7, True), (2, "a", "removed", 7, True), (3, "a", "removed", 7, True))
+    assert detected_lies(claims, np.array([True] * 3), np.array(NEVER))["detected"] == 0
+    assert detected_lies(claims, np.array(NEVER), np.array([False, True, False]))["detected"] == 1
+
+
+def test_a_run_without_lies_has_none() -> None:
+    none = {name: column[:0] for name, column in lies((1, "a", "inserted", 7, True)).items()}
+    empty = np.zeros(0, bool)
+    assert detected_lies(none, empty, empty) == {"all": 0, "observable": 0, "detected": 0}
+
+
+def kept(**changes: Any) -> dict[str, Any]:
+    """The trace of one honest agent, changed."""
+    quiet = dict(time_s=[0.0, 0.2], log_odds=[None, 4.0], states={"faulty": [], "suspended": []}, lies=[], faults=[])
+    return quiet | changes
+
+
+def test_of_many_agents_those_that_lie_fail_or_are_suspended_are_shown() -> None:
+    agents = {f"agent_{index}": kept() for index in range(9)}
+    agents["agent_6"] = kept(lies=[[1.0, 2.0]])
+    agents["agent_7"] = kept(faults=[["Loss", 1.0, 2.0]])
+    agents["agent_8"] = kept(states={"faulty": [], "suspended": [[1.0, 2.0]]})
+    drawn = panel({"end_s": 3.0, "agents": agents}, "title")
+    assert [agent.agent for agent in drawn.agents] == ["agent_0", "agent_1", "agent_6", "agent_7", "agent_8"]
+    assert (len(drawn.agents), drawn.left_out) == (MAX_AGENTS, 4)
+    assert suspends({"agents": agents})
+    assert not suspends({"agents": {"agent_0": kept()}})
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> mast.Run:
+    """A run of 4 s whose liar begins at 2 s."""
+    settings = dict(attack="uncoordinated", placement="poles", n_adversaries=1, attack_start_s=2.0)
+    folder = tmp_path_factory.mktemp("traces") / "run"
+    options = dict(frames=40, runtime="inproc", seed=0, out=folder, scene="intersection:8")
+    return mast.run("defence_cell", defence="FaultOrLie", **options, **settings)  # type: ignore[arg-type]
+
+
+def test_a_trace_survives_json_and_has_lies_and_suspensions(run: mast.Run) -> None:
+    content = trace(run.path)
+    assert content is not None
+    content = json.loads(json.dumps(content, allow_nan=False))
+    drawn = panel(content, "title")
+    agents = {agent.agent: agent for agent in drawn.agents}
+    assert list(agents) == ["ego", "infra_1", "infra_2", "infra_3", "infra_4"]
+    assert drawn.end_s == pytest.approx(4.0)
+    (begin, end), *_ = agents["infra_1"].lies
+    assert begin == pytest.approx(2.0, abs=0.3)
+    assert suspends(content)
+    assert begin <= agents["infra_1"].states["suspended"][0][0] < 4.0
+    assert agents["infra_1"].value[-1] < 0.0 < agents["infra_2"].value[-1]
+    assert len(agents["ego"].time_s) == pytest.approx(20, abs=1), "twice as coarse as the frames"
+    assert end <= 4.1
+
+
+def test_a_trace_is_small(run: mast.Run) -> None:
+    content = trace(run.path)
+    assert content is not None
+    assert len(json.dumps(content)) < 4000, "every trial of a study keeps it"
+
+
+def test_only_observable_lies_can_be_outnumbered() -> None:
+    lies: dict[str, Any] = dict(
+        observable=[True, True, True, False], honest_viewers=[2, 1, 1, 0], lying_viewers=[1, 1, 2, 3]
+    )
+    assert outnumbered(lies) == pytest.approx(1 / 3), "a tie outnumbers nobody"
+    assert outnumbered({name: column[3:] for name, column in lies.items()}) is None
+
 
 SEEDS = range(5)
 CELLS = (

@@ -1,0 +1,235 @@
+"""Pages, the citation and the pictures agree with the package."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import json
+import re
+import shlex
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pictures
+import pytest
+import yaml
+from PIL import Image
+
+from mast_zenoh import scenario
+from mast_zenoh.config.registry import known_types
+from mast_zenoh.effects import EFFECTS
+from mast_zenoh.integrity import STATES, Integrity
+from mast_zenoh.integrity.calibration import discoveries
+from mast_zenoh.integrity.sequential import CONTRADICTION_TAIL, FALSE_ALARMS_PER_HOUR, OFFSET_TAIL
+from mast_zenoh.launch import run as launcher
+from mast_zenoh.launch.tables import read_table
+from mast_zenoh.metrics.causes import CAUSES
+
+ROOT = Path(__file__).parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+CITATION = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+
+#: Required keys of the format, and the optional ones that a package can use.
+REQUIRED = {"cff-version", "message", "title", "authors"}
+OPTIONAL = {
+    "type",
+    "abstract",
+    "version",
+    "license",
+    "keywords",
+    "date-released",
+    "repository-code",
+    "url",
+    "references",
+}
+
+
+def test_the_citation_has_all_required_keys_and_no_unknown_ones() -> None:
+    assert CITATION["cff-version"] == "1.2.0"
+    assert CITATION["type"] == "software"
+    assert REQUIRED <= CITATION.keys() <= REQUIRED | OPTIONAL
+    lists = {"authors", "keywords", "references"}
+    assert all(isinstance(CITATION[name], str) and CITATION[name] for name in CITATION.keys() - lists)
+    assert CITATION["authors"], "at least one"
+    for author in CITATION["authors"]:
+        assert "name" in author or {"family-names", "given-names"} <= author.keys(), "an entity, or a person"
+    assert len(set(CITATION["keywords"])) == len(CITATION["keywords"]), "the format allows no duplicates"
+
+
+def test_the_paper_is_cited_with_its_authors() -> None:
+    (paper,) = CITATION["references"]
+    assert {"type", "title", "authors"} <= paper.keys(), "required for every reference"
+    assert all({"family-names", "given-names"} <= author.keys() for author in paper["authors"])
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert all(f"{author['given-names']} {author['family-names']}" in readme for author in paper["authors"])
+
+
+def test_the_citation_has_the_version_and_licence_of_the_package() -> None:
+    assert CITATION["version"] == PROJECT["version"]
+    assert CITATION["license"] == PROJECT["license"]
+    assert PROJECT["name"] in CITATION["title"]
+
+
+PAGE = (Path(__file__).parents[2] / "docs" / "defences.md").read_text(encoding="utf-8")
+SHIPPED = {name: cls for name, cls in known_types(Integrity).items() if cls.__module__.startswith("mast_zenoh.")}
+README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+COMMANDS = [
+    *re.findall(r"^\$ mast run (\S+) (.*)$", PAGE, flags=re.M),
+    *re.findall(r"/mast run (defended) (.*)$", README, flags=re.M),
+]
+
+
+def section(name: str) -> str:
+    return PAGE.split(f"\n### {name}\n", 1)[1].split("\n### ", 1)[0]
+
+
+@pytest.mark.parametrize("name", sorted(SHIPPED.keys() - {"NoIntegrity"}))
+def test_every_stage_has_a_section_with_its_parameters_and_defaults(name: str) -> None:
+    rows = re.findall(r"^\| `(\w+)` \| ([^|]+) \| [^|]*\| [^|]+ \|$", section(name), flags=re.M)
+    documented = {parameter: ast.literal_eval(default) for parameter, default in rows}
+    parameters = inspect.signature(SHIPPED[name]).parameters
+    assert documented == {parameter: value.default for parameter, value in parameters.items()}
+    assert "*Catches*" in section(name)
+    assert "*Weaknesses*" in section(name)
+
+
+def test_the_page_lists_all_states() -> None:
+    assert re.findall(r"^\| `(\w+)` \| [^|]+ \| [^|]+ \|$", section("Trust"), flags=re.M) == list(STATES)
+
+
+def test_the_readme_says_how_many_stages_there_are() -> None:
+    numbers = ("seven", "eight", "nine", "ten", "eleven", "twelve")
+    assert f"one of {numbers[len(SHIPPED) - 1 - 7]}\n" in README, "NoIntegrity does not count"
+
+
+@pytest.mark.parametrize(("name", "words"), COMMANDS)
+def test_every_run_of_the_page_and_of_the_readme_is_a_valid_scenario(name: str, words: str) -> None:
+    path, content = scenario.load(name, [word for word in shlex.split(words) if word != "--set"])
+    assert scenario.resolve(path, content, frames=2).nodes
+
+
+def test_the_stated_alarm_limits_follow_from_the_calibrated_tails() -> None:
+    (stated,) = re.findall(r"from ([\d.]+)\s+object-seconds .*? statistic\s+of\s+(\d+)\.", PAGE, flags=re.S)
+    for tail, limit, step in zip((CONTRADICTION_TAIL, OFFSET_TAIL), map(float, stated), (0.01, 1.0), strict=True):
+        for value, alarm in ((limit - step, False), (limit + step, True)):
+            rates = tail.rate(np.array([value] + 9 * [0.0]))  # ten statistics, nine of them without evidence
+            assert discoveries(rates, FALSE_ALARMS_PER_HOUR)[0] == alarm
+
+
+DOCS = Path(__file__).parents[2] / "docs"
+METRICS = (DOCS / "metrics.md").read_text(encoding="utf-8")
+EFFECTS_PAGE = (DOCS / "effects.md").read_text(encoding="utf-8")
+
+SCENARIO = """
+from mast_zenoh.scenario import load
+
+{metric}
+
+def scenario():
+    return dict(load("coordinated")[1]) | dict(evaluator=dict({options}))
+"""
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of a scenario with the page's examples of metrics and driving."""
+    (metric,) = re.findall(r"^```python\n(.*?)^```$", METRICS, flags=re.S | re.M)
+    options = re.findall(r"`evaluator=dict\(((?:metrics|driving)=.*?)\)`", METRICS)
+    assert len(options) == 2
+    folder = tmp_path_factory.mktemp("pages")
+    (folder / "mine.py").write_text(SCENARIO.format(metric=metric, options=", ".join(options)))
+    path, content = scenario.load(str(folder / "mine.py"))
+    outcome = launcher.run(scenario.resolve(path, content, frames=80), folder / "run", runtime="inproc")
+    assert outcome.error is None
+    return outcome.folder
+
+
+def named_in(text: str, heading: str) -> set[str]:
+    """The names in the first column of the table below a heading."""
+    part = text.split(f"\n{heading}\n", 1)[1].split("\n## ", 1)[0]
+    cells = [line.split("|")[1] for line in part.splitlines() if line.startswith("| `")]
+    return {name for cell in cells for name in re.findall(r"`([^`]+)`", cell)}
+
+
+def test_the_example_metric_is_in_the_summary_and_the_table(run: Path) -> None:
+    table = read_table(run / "metrics.parquet")
+    metrics = json.loads((run / "metrics.json").read_text())
+    assert "false_nearby" in table
+    of_agents = [estimates["picture"]["false_nearby"]["mean"] for estimates in metrics["agents"].values()]
+    assert max(of_agents) > 0.0
+
+
+def test_the_page_lists_all_columns_and_effects_of_attacks(run: Path) -> None:
+    columns = set(read_table(run / "attacks.parquet"))
+    documented = named_in(EFFECTS_PAGE, "## attacks.parquet")
+    spelled_out = {f"{side}_{axis}" for side in ("before", "after") for axis in "xyz"}
+    assert (documented - {"before_x", "after_z"}) | spelled_out == columns
+    effects = named_in(EFFECTS_PAGE, "## Effects on objects") | named_in(EFFECTS_PAGE, "## Effects on messages")
+    assert {name for name in effects if name != "columns"} == set(EFFECTS)
+
+
+def test_the_page_lists_all_columns_of_the_tables(run: Path) -> None:
+    for name in ("targets", "driving"):
+        (documented,) = re.findall(rf"^`{name}\.parquet` has (.*?)\n\n", METRICS, flags=re.S | re.M)
+        for column in read_table(run / f"{name}.parquet"):
+            stem = column.removesuffix("_centre").removesuffix("_ego")
+            assert re.search(rf"\b{stem}\b", documented), f"{name}.parquet: {column} is not on the page"
+
+
+def test_the_page_lists_all_causes() -> None:
+    section = METRICS.split("## Causes of errors")[1].split("## Cut off")[0]
+    assert {cause for cause in CAUSES if f"`{cause}`" not in section} == set()
+
+
+def test_achievements_and_consequences_for_driving_are_documented(run: Path) -> None:
+    metrics = json.loads((run / "metrics.json").read_text())
+    achieved: dict[str, Any] = metrics["achieved"]["all"]
+    documented = named_in(METRICS, "## What an attack achieved")
+    stems = {name.rstrip("…").removesuffix("_centre").rstrip("_") for name in documented} | {"inserted_frames"}
+    for key in achieved:
+        stem = key.removesuffix("_centre").removesuffix("_ego")
+        assert stem in stems or stem.endswith("_frames"), f"achieved: {key} is not on the page"
+    documented = {name.replace("…", "") for name in named_in(METRICS, "## What it would mean for driving")}
+    for key in metrics["driving"]["ego"]["mission"]:
+        assert key in documented or key.removesuffix("_attack") in documented, f"driving: {key} is not on the page"
+
+
+PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
+SUFFIXES = (".png", ".svg", ".gif", ".jpg", ".webp", ".mp4", ".webm")
+
+
+def references() -> dict[Path, list[tuple[str, str]]]:
+    """By picture, the pages that show it, with its description."""
+    found: dict[Path, list[tuple[str, str]]] = {}
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        assert "<img" not in text, f"{page.name}: expected ![description](path)"
+        for description, target in re.findall(r"!\[([^\]]*)\]\(([^)]+)\)", text):
+            found.setdefault((page.parent / target).resolve(), []).append((page.name, description))
+    return found
+
+
+def test_every_picture_has_a_recipe_a_page_and_a_description() -> None:
+    files = {path for path in (ROOT / "docs").rglob("*") if path.suffix in SUFFIXES}
+    shown = references()
+    assert files == set(shown), "a picture that no page shows, or that does not exist"
+    assert files == {pictures.FOLDER / name for name in pictures.RECIPES}, "a picture without a recipe, or the reverse"
+    for path, places in shown.items():
+        for page, description in places:
+            assert len(description) > 30, f"{page}: {path.name} needs a description for those who cannot see it"
+
+
+def test_the_film_of_an_interception_is_small_and_readable() -> None:
+    path = pictures.FOLDER / "interception.gif"
+    assert path.stat().st_size < 3e6
+    with Image.open(path) as film:
+        assert film.width == 800
+        assert 60 <= film.n_frames <= 150
+        assert film.info["loop"] == 0
+
+
+def test_an_unknown_picture_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert pictures.main(["interception.png"]) == 2
+    assert "no recipe for 'interception.png'; did you mean 'interception.gif'?" in capsys.readouterr().err
