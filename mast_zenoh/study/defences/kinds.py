@@ -64,7 +64,7 @@ class Collection(ABC):
     def __init__(self, cells: Mapping[str, Any], scenes: Sequence[str], seeds: Sequence[int]) -> None:
         """cells: by label of configuration;  scenes, seeds: planned for every cell."""
         self.size = size_of(len(seeds), len(scenes))
-        #: records of the trials that are done, by cell, in any order
+        #: records of the trials that are done, by cell, in the order in which they were added
         self.records: dict[Any, dict[TrialKey, Any]] = {cell: {} for cell in cells.values()}
         #: the trials planned for every cell, with their place in the order of the study
         self.order = {TrialKey(scene, seed): index for index, (scene, seed) in enumerate(product(scenes, seeds))}
