@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import shutil
+import subprocess
 from collections.abc import Callable
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -36,12 +40,19 @@ FACES = {
 }
 
 
-def test_random_polygons_are_cut_as_numpy_cuts_them(clipping: Callable[[str, list[Any]], Any]) -> None:
+@pytest.mark.skipif(shutil.which("node") is None, reason="node is not installed")
+def test_random_polygons_are_cut_as_numpy_cuts_them() -> None:
     rng = np.random.default_rng(3)
-    for count in rng.integers(3, 9, 40).tolist():
-        polygon = rng.normal(0.0, 10.0, (count, 3))
-        found = np.reshape(clipping("clipPolygon", [polygon.tolist(), 0, NEAR]), (-1, 3))
-        assert found == pytest.approx(clip_polygon(polygon, polygon[:, 0] - NEAR))
+    polygons = [rng.normal(0.0, 10.0, (count, 3)) for count in rng.integers(3, 9, 40).tolist()]
+    module = Path(str(resources.files("mast_zenoh.viewer.page") / "js" / "perspective.js")).as_uri()
+    points = json.dumps([polygon.tolist() for polygon in polygons])
+    script = f"""import {{ clipPolygon }} from "{module}";
+    console.log(JSON.stringify({points}.map((polygon) => clipPolygon(polygon, (point) => point[0] - {NEAR}))));"""
+    ended = subprocess.run(
+        ["node", "--input-type=module", "-e", script], capture_output=True, text=True, timeout=60, check=True
+    )
+    for polygon, found in zip(polygons, json.loads(ended.stdout), strict=True):
+        assert np.reshape(found, (-1, 3)) == pytest.approx(clip_polygon(polygon, polygon[:, 0] - NEAR))
 
 
 class RecordedCamera:
