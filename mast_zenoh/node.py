@@ -153,7 +153,7 @@ class Node:
     def restamps_s(self, duration_s: float) -> float:
         """Largest error, s, that the node may add to header times in a run of that length.
 
-        Receivers reject messages whose time is off by more than the sum over all nodes plus `timespan.LEEWAY_S`.
+        Receivers reject messages whose time is off by more than the sum over all nodes plus `limits.LEEWAY_S`.
         """
         return 0.0
 

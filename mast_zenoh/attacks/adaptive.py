@@ -128,7 +128,7 @@ class Lies:
 class AdaptiveAttack(ObservingAttack):
     """Base of attacks with a budget, whose claimed views agree with their lies.
 
-    A subclass says in `lie` what to claim in a message, at most as many lies as `budget.admit` allows; it may learn in
+    A subclass says in `lie` what to claim in a message, at most as many lies as `Budget.admit` allows; it may learn in
     `observe`. `numbers` gives unused numbers for targets, `stream` random numbers, `known_objects` the picture.
 
     budget:  lies per second: one lie is one object inserted, hidden or changed for one second

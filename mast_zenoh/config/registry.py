@@ -141,12 +141,13 @@ def _signature(cls: type) -> _Signature:
     if cls not in _SIGNATURES:
         own = inspect.signature(cls).parameters.values()
         parameters = {p.name: p for p in own if p.kind is not p.VAR_KEYWORD}
-        hints = typing.get_type_hints(getattr(cls, "__init__"))  # noqa: B009 (mypy takes cls for an instance)
-        if len(parameters) < len(own):
-            line = [each for each in cls.__mro__[:-1] if "__init__" in vars(each)]
-            if len(line) > 1:
-                inherited, of_inherited = _signature(line[1])
-                parameters, hints = {**inherited, **parameters}, {**of_inherited, **hints}
+        line = [each for each in cls.__mro__[:-1] if "__init__" in vars(each)] or [object]
+        # Fields that a dataclass inherits are annotated with names of the module of their own class.
+        generated = "__dataclass_params__" in vars(line[0]) and getattr(line[0], "__dataclass_params__").init  # noqa: B009
+        hints = typing.get_type_hints(line[0] if generated else vars(line[0])["__init__"])
+        if len(parameters) < len(own) and len(line) > 1:
+            inherited, of_inherited = _signature(line[1])
+            parameters, hints = {**inherited, **parameters}, {**of_inherited, **hints}
         _SIGNATURES[cls] = parameters, hints
     return _SIGNATURES[cls]
 

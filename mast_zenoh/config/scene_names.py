@@ -97,7 +97,7 @@ def _known() -> dict[str, type[scenes.Scene]]:
     known: dict[str, type[scenes.Scene]] = {}
     for cls in registry.known_types(scenes.Scene).values():
         assert issubclass(cls, scenes.Scene)
-        if not (short := cls.short_name):
+        if not (short := vars(cls).get("short_name")):  # that of a base class names the base
             continue
         if (other := known.get(short)) is not None:
             raise PluginError(

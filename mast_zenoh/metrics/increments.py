@@ -29,7 +29,7 @@ def increments(
 ) -> dict[str, Any]:
     """Increments of one attacked run as mean and standard deviation over frames.
 
-    baseline, attacked: tables per frame (`Scores.per_frame`) of two runs of the same scene and seed
+    baseline, attacked: tables per frame (`measures.per_frame`) of two runs of the same scene and seed
     agent:              name of the agent
     compromised:        the agents whose wires were attacked
     estimator, alone:   the agent's estimator under attack, and its independent one

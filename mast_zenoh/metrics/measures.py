@@ -478,6 +478,7 @@ def measured(
     table: Table = {}
     errors: dict[str, BaseException] = {}
     for metric in metrics:
+        label = metric.label
         try:
             values = metric.measured(run)
         except KeyboardInterrupt:
@@ -485,11 +486,11 @@ def measured(
         except BaseException as error:  # GeneratorExit and CancelledError are not Exceptions
             if not isinstance(metric, Metric):
                 raise
-            errors[metric.label], values = error, _undefined(metric, run.scores)
+            errors[label], values = error, _undefined(metric, run.scores)
         for (agent, estimator), row in every.items():
-            summary[agent][estimator][metric.label] = values.summaries[row]
+            summary[agent][estimator][label] = values.summaries[row]
         if values.frames is not None:
-            table[metric.label] = values.frames[rows].ravel()
+            table[label] = values.frames[rows].ravel()
     return summary, table, errors
 
 

@@ -1,6 +1,7 @@
 """Objects are built from dicts; invalid dicts are refused with the path."""
 
 import importlib
+import importlib.util
 import inspect
 import pkgutil
 import subprocess
@@ -12,8 +13,11 @@ from typing import Literal
 import pytest
 
 import mast_zenoh
+from mast_zenoh.attacks import Attack
 from mast_zenoh.config import registry
+from mast_zenoh.config.scene_names import parse_scene
 from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.scenes import Intersection
 
 
 class Animal(ABC):
@@ -109,3 +113,29 @@ class Unfinished(Animal):
 def test_a_class_that_lacks_a_method_is_refused_with_the_method() -> None:
     with pytest.raises(ConfigurationError, match=r"pet\.type: Unfinished does not define legs"):
         registry.build(dict(type="Unfinished"), Animal, "pet")
+
+
+def test_a_dataclass_inherits_fields_whose_types_its_own_module_does_not_know(tmp_path: Path) -> None:
+    """As that of a user who derives an attack from ours, and imports only that."""
+    module = tmp_path / "mine.py"
+    module.write_text(
+        "from __future__ import annotations\nfrom dataclasses import dataclass\n"
+        "from mast_zenoh.attacks import Attack, UncoordinatedAttack\n"
+        "@dataclass(kw_only=True, eq=False)\nclass Louder(UncoordinatedAttack):\n    gain: float = 1.0\n"
+    )
+    spec = importlib.util.spec_from_file_location("mine", module)
+    assert spec is not None
+    assert spec.loader is not None
+    loaded = sys.modules["mine"] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(loaded)
+    attack = registry.build(
+        {"type": loaded.Louder, "gain": 2, "selection": {"type": "UncoordinatedSelection"}}, Attack, "attack"
+    )
+    assert (attack.gain, type(attack.selection).__name__) == (2.0, "UncoordinatedSelection")
+
+
+def test_a_class_derived_from_a_scene_does_not_take_its_short_name() -> None:
+    class Slower(Intersection):
+        pass
+
+    assert parse_scene("intersection") == {"type": "Intersection"}

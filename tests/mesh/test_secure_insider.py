@@ -64,6 +64,18 @@ def test_forged_reports_of_an_insider_stop_an_open_run_but_no_secure_one(infiltr
 @pytest.mark.heavy
 @pytest.mark.mesh
 @pytest.mark.skipif(not ALL, reason="make insiders")
+@pytest.mark.parametrize("level", ["tls", "mtls"])
+@pytest.mark.parametrize("role", INSIDERS)
+def test_certificates_alone_stop_only_insiders_that_imitate_the_launcher(
+    infiltrated: Infiltration, role: str, level: str
+) -> None:
+    _, _, finding = infiltrated(level, INSIDERS[role])
+    assert finding.succeeded == (role not in ("broker", "command_center")), finding
+
+
+@pytest.mark.heavy
+@pytest.mark.mesh
+@pytest.mark.skipif(not ALL, reason="make insiders")
 def test_lies_of_an_insider_about_itself_end_the_run_and_name_it(infiltrated: Infiltration) -> None:
     assert infiltrated("acl", "infra_1", own=True)[2].verdict == "ends the run, and is named"
 

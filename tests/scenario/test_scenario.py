@@ -486,10 +486,6 @@ INVALID_WIRING: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
         lambda s: s["keyexpr"].update(rewrites=["on_track.toml"]),
         r"did you mean 'on_tracks\.toml'",
     ),
-    "a renamed rewrite": (
-        lambda s: s["keyexpr"].update(rewrites=["coordinated.toml"]),
-        r"coordinated\.toml: .* use 'on_tracks\.toml' and 'coordination\.toml' instead",
-    ),
     "a rewrite in the scenario": (
         lambda s: s["keyexpr"].update(rewrites=[{"inserts": []}]),
         r"keyexpr\.rewrites\[0\]: unknown key 'inserts'; did you mean 'insert'",
