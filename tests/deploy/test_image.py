@@ -12,6 +12,7 @@ import pytest
 from containers import base, built
 
 from mast_zenoh import version
+from mast_zenoh.config import plugins
 from mast_zenoh.deploy import docker as image
 from mast_zenoh.deploy import wheel
 from mast_zenoh.deploy.docker import docker
@@ -71,7 +72,7 @@ def test_the_wheel_always_has_the_same_sources_and_entry_points(tmp_path: Path) 
 
 @pytest.mark.mesh
 @pytest.mark.timeout(600)
-def test_the_image_is_small_and_holds_these_sources_and_only_node_requirements() -> None:
+def test_the_image_is_small_and_holds_these_sources_their_plugins_and_only_node_requirements() -> None:
     on, tag = base(), built()
     assert image.size_over_base(tag, on) < LARGEST
     assert docker("image", "inspect", "--format", "{{.Config.User}} {{.Config.Entrypoint}}", tag).split() == [
@@ -85,10 +86,11 @@ def test_the_image_is_small_and_holds_these_sources_and_only_node_requirements()
     )
     fingerprint, *there = docker("run", "--rm", "--network=none", "--entrypoint=python3", tag, "-c", code).split()
     assert fingerprint == version.fingerprint()
-    assert set(there) - {"pip", "setuptools", "wheel", "mast-zenoh"} == needed()
+    carried = {"mast-zenoh", *(plugin.distribution.partition(" ")[0] for plugin in plugins.installed())}
+    assert set(there) - {"pip", "setuptools", "wheel"} == needed() | carried
 
 
 @pytest.mark.mesh
 def test_an_image_of_other_sources_is_refused_and_both_are_named() -> None:
     with pytest.raises(EngineError, match=r"holds mast-zenoh .*\(sources unknown\), expected .*mast deploy image"):
-        image.check(base())
+        image.check_image(base())
