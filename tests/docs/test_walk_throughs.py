@@ -30,7 +30,7 @@ def page(name: str) -> str:
 
 @pytest.mark.mesh
 def test_the_tutorial_works_as_written(tmp_path: Path) -> None:
-    folder = play_page(page("tutorial"), tmp_path, least=10)
+    folder = play_page(page("tutorial"), tmp_path, least=9)
     assert (folder / "study" / "report.html").is_file()
 
 

@@ -29,7 +29,7 @@ from mast_zenoh import (
     testing,
     tracking,
 )
-from mast_zenoh.config import bundle, loading, registry
+from mast_zenoh.config import bundle, loading, plugins, registry
 from mast_zenoh.testing import samples
 from mast_zenoh.testing.simulation import World, explore
 
@@ -69,7 +69,11 @@ NEEDED: dict[str, Any] = {
 def shipped(base: type) -> list[Any]:
     """Shipped classes that can be named where a base is expected."""
     classes = registry.known_types(base).items()
-    return [pytest.param(cls, base, id=name) for name, cls in classes if cls.__module__.startswith("mast_zenoh.")]
+    return [
+        pytest.param(cls, base, id=name)
+        for name, cls in classes
+        if cls.__module__.startswith(("mast_zenoh.", "mast_datasets."))
+    ]
 
 
 def made(cls: type, base: type) -> Any:
@@ -146,6 +150,7 @@ def test_a_shipped_reader_of_a_data_set_conforms(name: str, tmp_path: Path) -> N
 
 
 def test_every_shipped_scene_is_checked() -> None:
+    plugins.load()
     assert {each.id for each in shipped(scenes.Scene)} == SCENES.keys() | TWINS.keys()
 
 

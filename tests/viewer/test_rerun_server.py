@@ -79,9 +79,11 @@ class Live:
     """A run whose frames come when the test allows it."""
 
     def __init__(self, run: RecordedRun) -> None:
-        self.agents, self.ego, self.topics, self.scored = run.agents, run.ego, run.topics, run.scored
-        self.scene, self.name, self.frames = run.scene, run.name, list(run)
+        self._run, self.frames = run, list(run)
         self.going_on = threading.Event()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._run, name)
 
     def __iter__(self) -> Iterator[Any]:
         yield from self.frames[:10]
