@@ -117,33 +117,34 @@ def not_found(message: str, name: str) -> ConfigurationError:
     if name in _expected:
         reasons.append(f"it is in the plugin {_expected[name]}, which this host does not have: install it here")
     elif name in DATA_SETS:
-        reasons.append(data_set_missing(name))
+        needed = "needs the plugin mast-zenoh-datasets, expected: pip install 'mast-zenoh[datasets]'"
+        reasons.append(f"reading {DATA_SETS[name].reads} {needed}")
     return PluginError(f"{message}: {'; '.join(reasons)}") if reasons else ConfigurationError(message)
 
 
-#: Classes of our plugin for data sets, for the error if it is not installed: what they read.
+class DataSet(NamedTuple):
+    """A class of our plugin for data sets: the short name of its scenes, and what it reads."""
+
+    short_name: str
+    reads: str
+
+
+#: The classes of our plugin for data sets, for the error if it is not installed.
 DATA_SETS = {
-    "AVstackScene": "the CARLA layout of AVstack",
-    "AV2Log": "Argoverse 2",
-    "KittiTracking": "KITTI",
-    "CommonRoadScenario": "CommonRoad",
-    "SumoTrace": "traces of SUMO",
-    "OPV2VScene": "OPV2V",
-    "V2XRealScene": "V2X-Real",
-    "MultiV2XScene": "Multi-V2X",
-    "V2V4RealScene": "V2V4Real",
-    "DAIRScene": "DAIR-V2X-C and V2X-Seq-SPD",
-    "RCooperScene": "RCooper",
-    "TUMTrafV2X": "TUMTraf V2X",
-    "UrbanIngV2X": "UrbanIng-V2X",
+    "AVstackScene": DataSet("avstack", "the CARLA layout of AVstack"),
+    "AV2Log": DataSet("av2", "Argoverse 2"),
+    "KittiTracking": DataSet("kitti", "KITTI"),
+    "CommonRoadScenario": DataSet("commonroad", "CommonRoad"),
+    "SumoTrace": DataSet("sumo", "traces of SUMO"),
+    "OPV2VScene": DataSet("opv2v", "OPV2V"),
+    "V2XRealScene": DataSet("v2xreal", "V2X-Real"),
+    "MultiV2XScene": DataSet("multiv2x", "Multi-V2X"),
+    "V2V4RealScene": DataSet("v2v4real", "V2V4Real"),
+    "DAIRScene": DataSet("dair", "DAIR-V2X-C and V2X-Seq-SPD"),
+    "RCooperScene": DataSet("rcooper", "RCooper"),
+    "TUMTrafV2X": DataSet("tumtraf", "TUMTraf V2X"),
+    "UrbanIngV2X": DataSet("urbaning", "UrbanIng-V2X"),
 }
-
-
-def data_set_missing(cls: str) -> str:
-    """What to install for one of DATA_SETS."""
-    return (
-        f"reading {DATA_SETS[cls]} needs the plugin mast-zenoh-datasets, expected: pip install 'mast-zenoh[datasets]'"
-    )
 
 
 def _package(module: str) -> str:

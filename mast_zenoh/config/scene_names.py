@@ -10,22 +10,8 @@ from mast_zenoh import scenes
 from mast_zenoh.config import plugins, registry
 from mast_zenoh.errors import ConfigurationError, PluginError, SceneError, nearest
 
-#: Short names of scenes of our plugin for data sets, for the error if it is not installed.
-_DATA_SETS = {
-    "avstack": "AVstackScene",
-    "av2": "AV2Log",
-    "kitti": "KittiTracking",
-    "commonroad": "CommonRoadScenario",
-    "sumo": "SumoTrace",
-    "opv2v": "OPV2VScene",
-    "v2xreal": "V2XRealScene",
-    "multiv2x": "MultiV2XScene",
-    "v2v4real": "V2V4RealScene",
-    "dair": "DAIRScene",
-    "rcooper": "RCooperScene",
-    "tumtraf": "TUMTrafV2X",
-    "urbaning": "UrbanIngV2X",
-}
+#: Short names of scenes of our plugin for data sets, with their classes, for the error if it is not installed.
+_DATA_SETS = {data_set.short_name: name for name, data_set in plugins.DATA_SETS.items()}
 
 
 def short_names() -> dict[str, type[scenes.Scene]]:

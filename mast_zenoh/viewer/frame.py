@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -233,11 +234,12 @@ def _grouped(table: Table | None, names: Sequence[str]) -> dict[tuple[Any, ...],
 
 
 @dataclass(frozen=True, eq=False)
-class FramedRun(RunRecord):
+class FramedRun(RunRecord, ABC):
     """A run with its frames one after the other: `RecordedRun` of a finished one, or `LiveRun` as they come."""
 
+    @abstractmethod
     def __iter__(self) -> Iterator[Frame]:
-        raise NotImplementedError
+        """The frames in order."""
 
     @property
     def main_agent(self) -> str:
