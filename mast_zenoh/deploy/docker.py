@@ -150,7 +150,7 @@ class DockerEngine(DeploymentEngine):
     patience_s: how long they run without the launcher, s
     """
 
-    def __init__(self, image: str = TAG, patience_s: float = 10.0) -> None:
+    def __init__(self, image: str = TAG, patience_s: float = 30.0) -> None:
         self.image = image
         self.patience_s = patience_s
 

@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from pathlib import Path
 
 import psutil
@@ -22,11 +23,17 @@ FRAMES = "6"
 WHAT = ("coordinated", "n_infrastructure=2", "n_adversaries=1", "attack_start_s=0.2")
 
 
+def command_of(pid: int) -> list[str]:
+    """The command of a node's process; [] as long as it has that of the process that forked it."""
+    command = psutil.Process(pid).cmdline()
+    return command if "--name" in command else []
+
+
 def credentials(record: dict) -> list[Path]:
     """The credential folders of a run's processes."""
     folders = []
     for node in record["nodes"].values():
-        command = psutil.Process(node["pid"]).cmdline()
+        command = eventually(partial(command_of, node["pid"]), "the node's process has its own command")
         assert not any("PRIVATE" in word for word in command)
         folders.append(Path(command[command.index("--credentials") + 1]))
     return folders

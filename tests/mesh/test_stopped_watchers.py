@@ -39,9 +39,10 @@ config.insert_json5("scouting/multicast/enabled", "false")
 config.insert_json5("connect/endpoints", f'["{sys.argv[1]}"]')
 session = zenoh.open(config)
 """
-_STRANGER = f"{_CLIENT}{_LISTENS}\nsys.stdin.read()"
-#: A client that takes a message every 0.2 s, one that claims to be the node of the second argument, then listens, and
-#: one that also suspends itself as soon as it has received a message.
+#: A client that suspends itself as soon as it has received a message, one that takes a message every 0.2 s, one that
+#: claims to be the node of the second argument, then listens, and one that also suspends itself.
+_SUSPENDS = "import os, signal; received.recv(); os.kill(os.getpid(), signal.SIGSTOP)"
+_SUSPENDED = f"{_CLIENT}{_LISTENS}\n{_SUSPENDS}"
 _TRICKLE = f"""{_CLIENT}
 slow = zenoh.handlers.Callback(lambda _: time.sleep(0.2), indirect=False)
 received = session.declare_subscriber('**', slow)
@@ -53,7 +54,7 @@ token = session.liveliness().declare_token(sys.argv[2])
 {_LISTENS}
 """
 _CLAIMANT = f"{_CLAIMS}sys.stdin.read()"
-_SUSPENDED_CLAIMANT = f"{_CLAIMS}import os, signal; received.recv(); os.kill(os.getpid(), signal.SIGSTOP)"
+_SUSPENDED_CLAIMANT = f"{_CLAIMS}{_SUSPENDS}"
 
 
 @contextmanager
@@ -117,27 +118,30 @@ def disconnected(run: Launched, undisturbed: Path) -> str:
     return str(sentence)
 
 
-@pytest.mark.parametrize("program", [_STRANGER, _TRICKLE], ids=["suspended", "slow"])
+@contextmanager
+def watched(run: Launched, endpoint: str, program: str, *arguments: str) -> Iterator[None]:
+    """A run in progress with a client: no frame is played until the client is there."""
+    run.until(run.recorded, "frames are played")
+    simulator = run.record()["nodes"]["simulator"]["pid"]
+    os.kill(simulator, signal.SIGSTOP)
+    with watching(program, endpoint, *arguments):
+        os.kill(simulator, signal.SIGCONT)
+        yield
+
+
+@pytest.mark.parametrize("program", [_SUSPENDED, _TRICKLE], ids=["suspended", "slow"])
 def test_a_run_goes_on_without_a_client_that_does_not_read_in_time_and_names_it(
     begun: tuple[Launched, str], undisturbed: Path, program: str
 ) -> None:
-    run, endpoint = begun
-    with watching(program, endpoint) as stranger:
-        if program == _STRANGER:
-            run.until(run.recorded, "frames are played")
-            stranger.send_signal(signal.SIGSTOP)
-        assert "did not read in time what it subscribed to" in disconnected(run, undisturbed)
+    with watched(*begun, program):
+        assert "did not read in time what it subscribed to" in disconnected(begun[0], undisturbed)
 
 
 def test_a_suspended_client_that_claims_to_be_a_node_is_disconnected(
     begun: tuple[Launched, str], undisturbed: Path
 ) -> None:
     run, endpoint = begun
-    run.until(run.recorded, "frames are played")
-    simulator = run.record()["nodes"]["simulator"]["pid"]
-    os.kill(simulator, signal.SIGSTOP)  # else the run might be over before the claimant is there
-    with watching(_SUSPENDED_CLAIMANT, endpoint, f"mast/{run.record()['id']}/alive/infra_1"):
-        os.kill(simulator, signal.SIGCONT)
+    with watched(run, endpoint, _SUSPENDED_CLAIMANT, f"mast/{run.record()['id']}/alive/infra_1"):
         assert "did not read in time what it subscribed to" in disconnected(run, undisturbed)
 
 

@@ -20,6 +20,7 @@ import faulthandler
 import gc
 import logging
 import os
+import select
 import shutil
 import signal
 import sys
@@ -44,6 +45,9 @@ from mast_zenoh.runtime.protocol.actions import ORPHAN_GRACE_S
 from mast_zenoh.security import explain
 from mast_zenoh.security.control_keys import ControlKeys
 from mast_zenoh.security.credentials import CONTROL, Credentials
+
+#: From the end of the launcher's router to that of the launcher, s.
+_LAUNCHER_END_S = 0.5
 
 #: Niceness of a node that publishes nothing: no frame waits for it, so other nodes have priority.
 LISTENER_NICENESS = 10
@@ -217,8 +221,19 @@ def main(node: type[Node] | None = None) -> None:
 def run(node: type[Node] | None, arguments: argparse.Namespace) -> None:
     """Build the node from its run folder and host it until it is told to stop."""
     processes: list[ZenohProcess] = []
-    if not arguments.stay:  # first of all: the launcher may be killed while this process is starting
-        threading.Thread(target=_leave_with_launcher, args=(processes, arguments.credentials), daemon=True).start()
+    watcher = threading.Thread(target=_leave_with_launcher, args=(processes, arguments.credentials), daemon=True)
+    if not arguments.stay:
+        watcher.start()  # first of all: the launcher may be killed while this process is starting
+    try:
+        _host(node, arguments, processes)
+    except Exception:  # perhaps because the launcher has ended: then the watcher must get to delete the credentials
+        if not arguments.stay and arguments.credentials and select.select([0], [], [], _LAUNCHER_END_S)[0]:
+            watcher.join()
+        raise
+
+
+def _host(node: type[Node] | None, arguments: argparse.Namespace, processes: list[ZenohProcess]) -> None:
+    """Build and host the node; its process is appended as soon as it exists."""
     os.chdir(arguments.run_folder)
     resolved = Resolved.read(Path(), OWN_RUN, arguments.name)
     instance = build(resolved, arguments.name, f"{arguments.run_folder}/scenario.json", node)
