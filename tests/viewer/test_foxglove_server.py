@@ -59,19 +59,24 @@ class Client:
     async def read(self) -> Any:
         return await asyncio.wait_for(self.connection.read_message(), 30)
 
-    async def until_state(self, status: int) -> tuple[dict[str, list[int]], list[int]]:
-        """By topic the times of its messages, and the times of the server, up to a state of the playback."""
+    async def until_state(self, status: int, last_ns: int | None = None) -> tuple[dict[str, list[int]], list[int]]:
+        """By topic the times of its messages, and the times of the server, up to a state of the playback.
+
+        last_ns: also up to the picture and the server's time of the last frame, which the state may overtake
+        """
         messages: dict[str, list[int]] = {}
-        times = []
-        while True:
+        times: list[int] = []
+        reached = False
+        while not reached or (last_ns and not messages.get("/cc/picture", [0])[-1] == last_ns == times[-1]):
             data = await self.read()
             if data[0] == MESSAGE:
                 number, time_ns = struct.unpack("<IQ", data[1:13])
                 messages.setdefault(self.topics[number], []).append(time_ns)
             elif data[0] == TIME:
                 times.append(struct.unpack("<Q", data[1:9])[0])
-            elif data[0] == STATE and data[1] == status:
-                return messages, times
+            elif data[0] == STATE:
+                reached |= data[1] == status
+        return messages, times
 
     async def control(self, *, play: bool, seek_ns: int) -> None:
         request = struct.pack("<BBfBQI", 3, not play, 50.0, True, seek_ns, 1) + b"r"
@@ -102,12 +107,12 @@ def test_a_client_gets_every_frame_and_may_go_back_when_it_has_ended(
 
     async def scenario() -> None:
         client = await Client.connect(server, number_of_channels(run))
-        messages, _ = await client.until_state(ENDED)
+        messages, _ = await client.until_state(ENDED, times[-1])
         assert messages["/cc/picture"][-1] == times[-1]
         assert set(messages["/cc/picture"]) <= set(times)
         await client.control(play=True, seek_ns=times[10])
         await client.until_state(PLAYING)
-        messages, server_times = await client.until_state(ENDED)
+        messages, server_times = await client.until_state(ENDED, times[-1])
         assert messages["/cc/picture"] == server_times == times[10:]
         await client.control(play=False, seek_ns=times[5] + 1)
         await client.until_state(PAUSED)
