@@ -112,7 +112,6 @@ class Rule(ABC):
     """
 
     fate: ClassVar[str]  #: its effect on a message: one of links.FATES
-    draws: ClassVar[bool] = False  #: whether it needs random numbers for every message
     of_sender: ClassVar[bool] = False  #: whether these are the sender's: the same for its tracks and its view
     needs_size: ClassVar[bool] = False  #: whether it needs the size of the message
     needs_position: ClassVar[bool] = False  #: whether it needs the position of the agent

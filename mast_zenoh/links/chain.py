@@ -54,7 +54,9 @@ class Chain:
         self._draws: list[_Draws | None] = []
         for rule in self.rules:
             name = type(rule).__name__
-            self._draws.append(_Draws(rule, rng, (name, of_type[name])) if rule.draws else None)
+            self._draws.append(
+                _Draws(rule, rng, (name, of_type[name])) if type(rule).sample is not Rule.sample else None
+            )
             of_type[name] += 1
         self._number = -1  # of the newest message
         self._last_ns = 0  # when the last message that does not overtake leaves

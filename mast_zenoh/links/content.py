@@ -52,7 +52,6 @@ class PoseError(Rule):
     """
 
     fate = "altered"
-    draws = True
     of_sender = True
     needs_position = True
     needs_frame = True
@@ -92,7 +91,6 @@ class Corrupt(Rule):
     """
 
     fate = "corrupted"
-    draws = True
 
     def __init__(self, probability: float, flips: int = 1, at: float = 0.0, until: float | None = None) -> None:
         super().__init__(at, until)
@@ -205,7 +203,6 @@ class GhostDetections(Rule):
     """
 
     fate = "edited"
-    draws = True
     needs_position = True
     needs_detections = True
 

@@ -25,7 +25,6 @@ class Delay(Rule):
     """
 
     fate = "delayed"
-    draws = True
 
     def __init__(
         self,
@@ -105,7 +104,6 @@ class Reorder(Rule):
     """
 
     fate = "delayed"
-    draws = True
 
     def __init__(self, probability: float, by_s: float, at: float = 0.0, until: float | None = None) -> None:
         super().__init__(at, until)
@@ -144,7 +142,6 @@ class Loss(Rule):
     """Drops messages independently. probability: that a message is lost."""
 
     fate = "dropped"
-    draws = True
 
     def __init__(self, probability: float, at: float = 0.0, until: float | None = None) -> None:
         super().__init__(at, until)
@@ -172,7 +169,6 @@ class GilbertElliott(Rule):
     """
 
     fate = "dropped"
-    draws = True
 
     def __init__(
         self,
@@ -269,7 +265,6 @@ class Duplicate(Rule):
     """
 
     fate = "duplicated"
-    draws = True
 
     def __init__(self, probability: float, copies: int = 1, at: float = 0.0, until: float | None = None) -> None:
         super().__init__(at, until)
