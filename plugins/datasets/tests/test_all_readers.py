@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import contextlib
 from pathlib import Path
+from typing import Any
 
+import av2_writer
+import carla_writer
 import dair_writer
 import label_twins
 import mast_datasets
+import numpy as np
 import pytest
 import sumo_writer
 from hypothesis import given, settings
@@ -17,9 +21,9 @@ from twins import TWINS
 import mast_zenoh as mast
 from mast_zenoh.config.scene_names import recognised
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes import Intersection
-from mast_zenoh.scenes.recording import Recording
+from mast_zenoh.scenes import Intersection, Scene
 from mast_zenoh.sensing import CleanDetector
+from mast_zenoh.testing import check_scene
 
 #: Texts that replace a word of a file.
 WORDS = ["", "-1", "1e400", "nan", ".nan", "9" * 50, "null", "[]", "{}", "--5", "<x>", "&a;", "<!DOCTYPE x>", "\x00"]
@@ -31,6 +35,11 @@ LAYOUTS = {
     "DAIRScene, DAIR-V2X-C": lambda folder, source: dair_writer.write_c(folder, source, len(source)),
     "SumoTrace, CSV": lambda folder, source: sumo_writer.write_sumo(source, folder, "csv"),
 }
+#: Small scenes of the others.
+OTHERS = {
+    "AV2Log": lambda folder, source: av2_writer.write_log(folder),
+    "AVstackScene": lambda folder, source: carla_writer.write_run(folder),
+}
 
 
 @pytest.fixture(scope="module")
@@ -38,21 +47,49 @@ def twins(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """By type of scene and layout, four frames of a junction with two vehicles and two poles as agents."""
     source = Intersection(scene_index=0, n_infrastructure=2, n_mobile=1).record(0, 4)
     return {
-        name: write(tmp_path_factory.mktemp("twin") / "scene", source) for name, write in {**TWINS, **LAYOUTS}.items()
+        name: write(tmp_path_factory.mktemp("twin") / "scene", source)
+        for name, write in {**TWINS, **LAYOUTS, **OTHERS}.items()
     }
 
 
-def read(name: str, path: Path) -> Recording:
+def scene(name: str, path: Path, **options: Any) -> Scene:
     kind, _, layout = name.partition(", ")
-    options = dict(link_radius_m=2.0) if layout == "DAIR-V2X-C" else {}
-    return getattr(mast_datasets, kind)(path=str(path), detector=CleanDetector(), **options).record(0, None)
+    options |= dict(link_radius_m=2.0) if layout == "DAIR-V2X-C" else {}
+    return getattr(mast_datasets, kind)(path=str(path), detector=CleanDetector(), **options)
 
 
-def test_every_data_set_is_recognised_by_its_files_and_read(twins: dict[str, Path]) -> None:
+def test_every_data_set_is_recognised_by_its_files(twins: dict[str, Path]) -> None:
     for name, path in twins.items():
         assert recognised(str(path)) == f"{getattr(mast_datasets, name.partition(', ')[0]).short_name}:{path}"
-        assert len(read(name, path)) == 4
-    assert TWINS.keys() | {"AV2Log", "AVstackScene"} == set(mast_datasets.__all__), "no other reader has a twin"
+    assert {*TWINS, *OTHERS} == set(mast_datasets.__all__)
+
+
+def test_a_path_that_does_not_exist_is_refused_by_name(twins: dict[str, Path]) -> None:
+    for name, path in twins.items():
+        missing = path.with_name("nowhere")
+        with pytest.raises(SceneError, match=f"{missing}: (no such f|found no folder)"):
+            scene(name, missing).record(0, None)
+
+
+def test_scenes_are_repeatable_and_shorter_ones_are_their_beginning(twins: dict[str, Path]) -> None:
+    for name, path in twins.items():
+        check_scene(scene(name, path))
+        short, whole = (scene(name, path).record(0, frames) for frames in (2, None))
+        np.testing.assert_array_equal(short.truth_at(1).velocity, whole.truth_at(1).velocity)
+        np.testing.assert_array_equal(short.points_at(1), whole.points_at(1))
+        total = len(whole)
+        with pytest.raises(ConfigurationError, match=f"{total + 1} frames requested, the scene has {total}"):
+            scene(name, path).record(0, total + 1)
+
+
+def test_agents_that_the_data_does_not_have_are_refused(twins: dict[str, Path]) -> None:
+    for name, path in twins.items():
+        if name != "V2V4RealScene":  # which has no poles
+            assert scene(name, path, n_mobile=0, n_infrastructure=1).record(0, 1).agent_names == ("ego", "infra_1")
+        for option in ("n_mobile", "n_infrastructure"):
+            for count in (-1, 99):
+                with pytest.raises(ConfigurationError, match=f"{option} is {count}, expected 0"):
+                    scene(name, path, **{option: count}).record(0, None)
 
 
 @settings(max_examples=70, deadline=None)
@@ -74,7 +111,7 @@ def test_a_damaged_file_is_read_or_refused(name: str, twins: dict[str, Path], da
     try:
         file.write_bytes(changed)
         with contextlib.suppress(SceneError, ConfigurationError):
-            read(name, path).validate()
+            scene(name, path).record(0, None).validate()
     finally:
         file.write_bytes(content)
 

@@ -1,4 +1,4 @@
-"""Values of JSON files are checked, and messages say where they are."""
+"""Values of JSON files are checked, among them 4 x 4 matrices in every documented form; messages say where they are."""
 
 import contextlib
 from pathlib import Path
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from mast_datasets.files import Element, read_json
+from mast_datasets.files import Element, read_json, read_listed_pose, read_pose
 
 from mast_zenoh.errors import SceneError
 
@@ -116,3 +116,44 @@ def test_a_missing_or_binary_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "x").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(SceneError, match="utf-8"):
         read_json(tmp_path / "x")
+
+
+#: 90 degrees to the left, at (5, 6, 7).
+ROWS = [[0.0, -1.0, 0.0, 5.0], [1.0, 0.0, 0.0, 6.0], [0.0, 0.0, 1.0, 7.0], [0.0, 0.0, 0.0, 1.0]]
+BY_ROWS = [0.0, -1.0, 0.0, 5.0, 1.0, 0.0, 0.0, 6.0, 0.0, 0.0, 1.0, 7.0, 0.0, 0.0, 0.0, 1.0]
+BY_COLUMNS = [0.0, 1.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 5.0, 6.0, 7.0, 1.0]
+
+
+@pytest.mark.parametrize("value", [ROWS, BY_ROWS, BY_COLUMNS])
+def test_rows_and_lists_in_either_order_are_the_same_pose(value: list) -> None:
+    position, rotation = read_listed_pose(element(value))
+    assert position.tolist() == [5.0, 6.0, 7.0]
+    np.testing.assert_allclose(rotation @ [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], atol=1e-12)
+
+
+def test_the_identity_may_be_a_list() -> None:
+    position, rotation = read_listed_pose(element(np.eye(4).ravel().tolist()))
+    assert position.tolist() == [0.0, 0.0, 0.0]
+    np.testing.assert_array_equal(rotation, np.eye(3))
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        (BY_ROWS[:15], "expected 4 rows of 4 numbers, or 16 numbers"),
+        ("identity", "found 'identity', expected 4 rows"),
+        ([*BY_ROWS[:12], 1.0, 2.0, 3.0, 1.0], "whose last row is 0, 0, 0, 1"),
+        ([number if k % 4 < 3 else float(k == 15) for k, number in enumerate(BY_ROWS)], "order of 16 numbers cannot"),
+        ([*BY_ROWS[:3], 1e9, *BY_ROWS[4:]], r"\[3\]: found 1000000000.0, expected a finite number from"),
+        ([*BY_ROWS[:3], None, *BY_ROWS[4:]], r"\[3\]: found None, expected a finite number"),
+        ([ROWS[0], ROWS[0], *ROWS[2:]], "expected an orthonormal, right-handed rotation matrix"),
+    ],
+)
+def test_an_impossible_matrix_is_refused_with_its_place(value: object, message: str) -> None:
+    with pytest.raises(SceneError, match=rf"labels.json: frames.3.*{message}"):
+        read_listed_pose(element(value))
+
+
+def test_a_list_of_16_numbers_is_refused_where_rows_are_documented() -> None:
+    with pytest.raises(SceneError, match=r"frames.3: found .*, expected a list of 4"):
+        read_pose(element(BY_ROWS))

@@ -24,6 +24,9 @@ PLAIN = st.recursive(
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(TEXT | st.integers(), inner, max_size=4),
     max_leaves=15,
 )
+BOMB = "a: &a [x, x, x, x, x, x, x, x, x, x]\n" + "".join(
+    f"{chr(k + 1)}: &{chr(k + 1)} [{', '.join([f'*{chr(k)}'] * 10)}]\n" for k in range(ord("a"), ord("i"))
+)
 OPTIONS = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
@@ -67,14 +70,8 @@ def test_numbers_are_those_that_numpy_wrote(tmp_path: Path, number: Any) -> None
 
 def test_numbers_in_other_spellings_are_numbers(tmp_path: Path) -> None:
     assert value(tmp_path, "[1e5, -2.5E-3, .5, 1., +3, 000068, '4', .inf]") == [
-        1e5,
-        -2.5e-3,
-        0.5,
-        1.0,
-        3,
-        "000068",
-        "4",
-        float("inf"),
+        *(1e5, -2.5e-3, 0.5, 1.0, 3),
+        *("000068", "4", float("inf")),
     ]
 
 
@@ -112,11 +109,37 @@ def test_a_file_cannot_run_anything(tmp_path: Path) -> None:
         ("a: !!python/name:numpy.ndarray 'x'", "found the tag"),
         ("{", "not YAML: .*line 2"),
         ("a: \x07", "not YAML"),
+        (b"a: \xff\xfe", r"000000\.yaml: .*utf-8"),
+        ("", "found 0 documents, expected one"),
+        ("--- 1\n--- 2\n", "found 2 documents"),
+        ("lidar_pose: *a", r"found the alias \*a"),
+        ("a: !mine 1", "line 1: found the tag !mine, expected text or a number"),
+        (BOMB, r"line \d+: more than 2000000 values, aliases included"),
     ],
 )
-def test_other_values_are_refused_with_their_line(tmp_path: Path, text: str, message: str) -> None:
+def test_other_values_are_refused_with_their_line(tmp_path: Path, text: str | bytes, message: str) -> None:
     with pytest.raises(SceneError, match=message):
         value(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("- 4\n    - 4\n", "- 4\n    - 400000\n", r"line \d+: found 128 bytes of NumPy data, expected 1600000 of 8"),
+        ("- 4\n    - 4\n", "- 4\n    - x\n", "found a NumPy array of shape"),
+        ("- f8", "- O8", "found NumPy numbers of type O8, expected one of b1"),
+        ("- <", "- '?'", "unknown byte order"),
+        ("numpy.ndarray", "numpy.matrix", "found the tag .*name:numpy.matrix"),
+        ("multiarray._reconstruct", "multiarray.fromfile", r"line \d+: found the tag .*fromfile"),
+        ("AAAAAAAA8D8", "%%%%", "found binary data that is not base64"),
+        ("!!binary |\n    AAAA", "|\n    AAAA", "found 0 bytes of NumPy data, expected 16 of 8"),
+    ],
+)
+def test_damaged_arrays_are_refused_with_their_line(tmp_path: Path, old: str, new: str, message: str) -> None:
+    whole = yaml.dump({"a": np.eye(4)})
+    assert old in whole
+    with pytest.raises(SceneError, match=message):
+        value(tmp_path, whole.replace(old, new, 1))
 
 
 def test_a_large_file_is_refused(tmp_path: Path) -> None:

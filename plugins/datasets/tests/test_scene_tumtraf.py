@@ -118,7 +118,6 @@ def test_fewer_agents_play_if_asked(twin: Path) -> None:
     [
         (dict(n_infrastructure=2), "n_infrastructure is 2, expected 0 to 1: the scene has 1 poles"),
         (dict(n_mobile=1), "n_mobile is 1, expected 0 to 0: the scene has 0 cars besides the ego"),
-        (dict(n_mobile=-1), "n_mobile is -1"),
         (dict(sequence=1), "sequence is 1, expected 0 to 0"),
         (dict(max_gap_s=0), "max_gap_s is 0, expected a number above 0"),
         (dict(lidars=[CAR, CAR]), "expected each of them once"),
@@ -127,17 +126,6 @@ def test_fewer_agents_play_if_asked(twin: Path) -> None:
 def test_impossible_parameters_are_refused(twin: Path, parameters: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigurationError, match=f"train: .*{message}"):
         read(twin, **parameters)
-
-
-def test_more_frames_than_there_are_are_refused(twin: Path) -> None:
-    with pytest.raises(ConfigurationError, match="13 frames requested, the scene has 12"):
-        TUMTrafV2X(path=str(twin)).record(0, FRAMES + 1)
-
-
-def test_a_shorter_recording_is_the_start_of_a_longer_one(twin: Path) -> None:
-    short, whole = TUMTrafV2X(path=str(twin)).record(0, 2), read(twin)
-    np.testing.assert_array_equal(short.truth_at(1).velocity, whole.truth_at(1).velocity)
-    np.testing.assert_array_equal(short.points_at(1), whole.points_at(1))
 
 
 def test_a_gap_divides_sequences_and_one_is_chosen(twin: Path, tmp_path: Path) -> None:
@@ -229,51 +217,26 @@ def value(index: int, number: Any) -> Callable[[OpenLabel], object]:
     return lambda content: first(content)["cuboid"]["val"].__setitem__(index, number)
 
 
-IDENTITY = np.eye(4).tolist()
-TURNED = [0.0, -1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]
-
-
-def matrix4x4(numbers: Any) -> Callable[[OpenLabel], object]:
-    return put(transform, transform_src_to_dst={"matrix4x4": numbers})
-
-
 @pytest.mark.parametrize(
     ("edit", "message"),
     [
-        (lambda content: content.pop("frames"), "openlabel: frames is missing"),
-        (lambda content: content.update(frames=[1]), r"openlabel.frames: found \[1\], expected an object"),
         (lambda content: content.update(frames={"a": frame(content)}), "openlabel.frames: found 'a', expected a whole"),
-        (lambda content: frame(content).pop("frame_properties"), "frames.2: frame_properties is missing"),
-        (lambda content: frame(content)["frame_properties"].pop("timestamp"), "timestamp is missing"),
-        (lambda content: frame(content)["frame_properties"].update(timestamp=-1), "timestamp: found -1, expected"),
-        (lambda content: frame(content)["frame_properties"].update(timestamp="now"), "timestamp: found 'now'"),
         (lambda content: frame(content)["frame_properties"].update(timestamp=7), "expected a time later than 16886"),
         (lambda content: frame(content)["frame_properties"].pop("transforms"), f"found no coordinate system '{CAR}'"),
         (lambda content: content.pop("coordinate_systems"), f"the root above {CAR} is '{POLE}', expected 's110_base'"),
         (put(pole, pose_wrt_parent={}), "s110_lidar_ouster_south.pose_wrt_parent: matrix4x4 is missing"),
-        (lambda content: pole(content).pop("pose_wrt_parent"), f"{POLE}: pose_wrt_parent is missing"),
-        (put(pole, pose_wrt_parent={"matrix4x4": IDENTITY}), f"{POLE} is at .*expected .*: poles do not move"),
+        (
+            put(pole, pose_wrt_parent={"matrix4x4": np.eye(4).tolist()}),
+            f"{POLE} is at .*expected .*: poles do not move",
+        ),
         (put(pole, parent=CAR), "expected a tree of coordinate systems"),
         (put(transform, src=POLE, dst=CAR), f"the root above {CAR} is '{CAR}', expected 's110_base'"),
-        (put(transform, src=3), "found 3, expected text"),
-        (matrix4x4([0.0] * 15), "matrix4x4: found .*, expected 4 rows of 4 numbers, or 16 numbers"),
-        (matrix4x4([0.0] * 16), "expected 16 numbers of a 4 x 4 matrix whose last row is 0, 0, 0, 1"),
-        (matrix4x4(TURNED), "without a translation, the order of 16 numbers cannot be known"),
-        (matrix4x4(np.diag([1, 1, -1, 1]).tolist()), "expected an orthonormal, right-handed rotation"),
-        (matrix4x4(np.diag([2, 1, 1, 1]).ravel().tolist()), "expected an orthonormal, right-handed rotation"),
-        (matrix4x4([*IDENTITY[:3], [0, 0, 1, 1]]), "whose last row is 0, 0, 0, 1"),
-        (matrix4x4([[1e200] * 4] * 4), r"matrix4x4\[0\]\[0\]: found 1e\+200, expected a finite number from"),
-        (put(frame, objects=[]), r"objects: found \[\], expected an object"),
-        (lambda content: first(content).pop("cuboid"), r"objects.\d+.object_data: cuboid is missing"),
-        (lambda content: first(content).pop("type"), "object_data: type is missing"),
+        (put(transform, transform_src_to_dst={"matrix4x4": [0.0] * 15}), "matrix4x4: found .*, expected 4 rows of 4"),
         (put(first, cuboid=[1, 2]), r"cuboid: found \[1, 2\], expected a list of 1"),
         (put(first, coordinate_system="s110_bas"), "coordinate system 's110_bas', .*did you mean 's110_base'"),
         (put(first, cuboid={"val": [0.0] * 9}), "cuboid.val: found .*, expected a list of 10"),
-        (value(0, None), r"cuboid.val\[0:3\]\[0\]: found None, expected a finite number"),
         (value(2, 1e9), r"cuboid.val\[0:3\]\[2\]: found 1000000000.0, expected a finite number from"),
         (value(6, 2.0), r"cuboid.val\[3:7\]: found .*, expected a quaternion x, y, z, w of length 1"),
-        (value(7, 0), r"cuboid.val\[7:10\]: found .*, expected 3 numbers above 0"),
-        (value(9, -1.5), r"cuboid.val\[7:10\]: found .*, expected 3 numbers above 0"),
         (value(8, 1e4), r"cuboid.val\[7:10\]: found .*, expected 3 numbers above 0, at most 200"),
     ],
 )
@@ -286,32 +249,7 @@ def test_a_damaged_frame_is_refused_with_file_place_and_reason(
         read(split)
 
 
-@pytest.mark.parametrize(
-    ("edit", "message"),
-    [
-        (lambda content: content[:100], "not JSON: "),
-        (lambda content: b"", "not JSON: "),
-        (lambda content: b"\xff\xfe" + content, "can't decode byte"),
-        (lambda content: b"[" * 100_000, "not JSON: maximum recursion"),
-        (
-            lambda content: content.replace(b'"objects": {', b'"objects": {"7": 1, "7": 2, '),
-            "found '7' twice, expected",
-        ),
-        (lambda content: content.replace(b'"timestamp": 1', b'"timestamp": NaN, "x": 1'), "found NaN, expected"),
-        (lambda content: b"[]", r"found \[\], expected an object"),
-        (lambda content: b"{}", "openlabel is missing"),
-    ],
-)
-def test_a_file_that_is_no_labels_is_refused_by_name(split: Path, edit: Callable[[bytes], bytes], message: str) -> None:
-    file = files(split)[1]
-    file.write_bytes(edit(file.read_bytes()))
-    with pytest.raises(SceneError, match=f"{file.name}: .*{message}"):
-        read(split)
-
-
 def test_missing_folders_and_labels_are_refused_by_name(split: Path, tmp_path: Path) -> None:
-    with pytest.raises(SceneError, match="nowhere: no such folder"):
-        read(tmp_path / "nowhere")
     with pytest.raises(
         SceneError, match=r"found no label files \*.json, expected them there or in labels_point_clouds"
     ):

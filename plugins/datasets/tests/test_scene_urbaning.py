@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from damages import GONE, Damage, assert_refused, value
 from label_twins import FRAMES, assert_same, source
 from mast_datasets import traffic, urbaning
 from mast_datasets.urbaning import UrbanIngV2X
-from urbaning_writer import POLES, SEQUENCE, SHIFT, TIME_MS, write, write_timesync
+from urbaning_writer import SEQUENCE, SHIFT, TIME_MS, write, write_timesync
 
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.errors import ConfigurationError, SceneError
@@ -108,19 +109,11 @@ def test_fewer_agents_play_if_asked_and_the_other_car_stays_an_object(twin: Path
     [
         (dict(n_infrastructure=3), "n_infrastructure is 3, expected 0 to 2: the scene has 2 lidars on poles"),
         (dict(n_mobile=2), "n_mobile is 2, expected 0 to 1: the scene has 1 cars besides the ego"),
-        (dict(n_mobile=-1), "n_mobile is -1, expected 0 to 1"),
-        (dict(frames=FRAMES + 1), "13 frames requested, the scene has 12"),
     ],
 )
 def test_more_than_there_is_is_refused(twin: Path, parameters: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigurationError, match=message):
         read(twin, **parameters)
-
-
-def test_a_shorter_recording_is_the_start_of_a_longer_one(twin: Path) -> None:
-    short, whole = read(twin, 2), read(twin)
-    np.testing.assert_array_equal(short.truth_at(1).velocity, whole.truth_at(1).velocity)
-    np.testing.assert_array_equal(short.points_at(1), whole.points_at(1))
 
 
 def test_a_car_has_a_box_in_every_frame_although_its_labels_have_gaps(root: Path) -> None:
@@ -176,8 +169,8 @@ def test_an_unknown_type_is_read_and_a_van_is_a_car(root: Path) -> None:
     assert (classes[number], classes[source().agents[0].object_id]) == ("unknown", "car")
 
 
-def cell(row: int, column: int, text: str) -> Edit:
-    return lambda rows: rows[row].__setitem__(column, text)
+def cell(row: int, column: int, new: str) -> Edit:
+    return lambda rows: rows[row].__setitem__(column, new)
 
 
 def drop_frame(rows: list[list[str]]) -> None:
@@ -188,7 +181,6 @@ def drop_frame(rows: list[list[str]]) -> None:
 @pytest.mark.parametrize(
     ("edit", "message"),
     [
-        (cell(1, 3, "later"), "row timestamp_ms, frame 2: found 'later', expected milliseconds"),
         (cell(1, 3, ""), "row timestamp_ms, frame 2: found '', expected milliseconds"),
         (cell(1, 3, "999999999999999"), "row timestamp_ms, frame 2: found '999999999999999', expected milliseconds"),
         (cell(1, 3, str(TIME_MS)), f"row timestamp_ms, frame 2: found {TIME_MS}, expected a time after"),
@@ -197,9 +189,7 @@ def drop_frame(rows: list[list[str]]) -> None:
         (lambda rows: rows[2].pop(), "line 3: found 12 cells, expected 13"),
         (lambda rows: rows.append(rows[2]), "line 7: found 'crossing2_11_lidar' again, expected each row once"),
         (lambda rows: rows.__delitem__(slice(4, 6)), "found no row vehicle<number>_state"),
-        (lambda rows: rows.clear(), "found no row timestamp_ms"),
         (lambda rows: [row.__delitem__(slice(1, None)) for row in rows], "found 0 frames, expected 1 to"),
-        (cell(4, 3, ""), "row vehicle1_state, frame 2: found '', expected a file name <milliseconds>.json"),
         (cell(4, 3, "../1.json"), r"row vehicle1_state, frame 2: found '\.\./1\.json', expected a file name"),
         (cell(4, 3, f"{TIME_MS}.json"), f"frame 2: found '{TIME_MS}.json', expected a time within 50 ms of"),
     ],
@@ -210,91 +200,57 @@ def test_a_damaged_table_of_frames_is_refused_with_file_row_and_frame(root: Path
         read(root)
 
 
-def other(**values: Any) -> Edit:
-    return lambda content: other_track(content).update(values)
+def tracks(edit: Edit) -> Damage:
+    """A change of the labels."""
+
+    def changed(content: Any) -> Any:
+        edit(content)
+        return content
+
+    return value(LABELS, "", changed)
 
 
-def item(name: str, row: int, value: Any) -> Edit:
+def other(**values: Any) -> Damage:
+    return tracks(lambda content: other_track(content).update(values))
+
+
+def item(name: str, row: int, new: Any) -> Damage:
     """A value of a list of a track that is no car with a lidar."""
-    return lambda content: other_track(content)[name].__setitem__(row, value)
-
-
-def extrinsics(name: str, **values: Any) -> Edit:
-    return lambda content: content[name].update(extrinsics=values)
+    return tracks(lambda content: other_track(content)[name].__setitem__(row, new))
 
 
 @pytest.mark.parametrize(
-    ("file", "edit", "message"),
+    ("damage", "message"),
     [
-        (LABELS, lambda content: content.pop("tracks"), "tracks is missing"),
-        (LABELS, lambda content: content.update(tracks={}), r"tracks: found {}, expected a list"),
-        (LABELS, lambda content: other_track(content).pop("track_id"), r"tracks\[\d+\]: track_id is missing"),
-        (LABELS, other(track_id=-1), "track_id: found -1, expected a whole number, 0 or more"),
-        (LABELS, other(track_id=1.5), "track_id: found 1.5, expected a whole number"),
-        (LABELS, lambda c: c["tracks"].append(other_track(c)), "track_id: found .*, expected an id that no other"),
-        (LABELS, other(object_type=3), "object_type: found 3, expected text"),
-        (LABELS, item("timestamps", 1, 7.0), r"timestamps\[1\]: found 7.0, expected the time of a frame"),
-        (LABELS, item("timestamps", 1, TIME_MS / 1000), r"timestamps\[1\]: .*expected a time after the one before"),
-        (LABELS, item("timestamps", 1, TIME_MS / 1000 + 0.03), r"timestamps\[1\]: .*expected the time of a frame"),
-        (LABELS, item("timestamps", 1, None), r"timestamps\[1\]: found None, expected a finite number"),
-        (LABELS, lambda c: other_track(c)["positions"].pop(), "positions: found .*, expected a list of 12"),
-        (LABELS, item("positions", 2, [1.0, 2.0]), r"positions\[2\]: found \[1.0, 2.0\], expected a list of 3"),
-        (LABELS, item("positions", 2, [1.0, 2.0, 1e12]), r"positions\[2\]\[2\]: found .*, expected a finite number fr"),
-        (LABELS, item("orientations", 2, "north"), r"orientations\[2\]: found 'north', expected a finite number"),
-        (LABELS, item("orientations", 2, [0.0]), r"orientations\[2\]: found \[0.0\], expected a finite number"),
-        (LABELS, lambda c: other_track(c)["orientations"].pop(), "orientations: found .*, expected a list of 12"),
-        (LABELS, other(dimensions=[[4, 2, 1.5]] * 2), "dimensions: found .*, expected a list of 12"),
-        (LABELS, other(dimensions=[[4, 0, 1.5]]), r"dimensions\[0\]: found .*, expected 3 numbers above 0"),
+        (tracks(lambda c: c["tracks"].append(other_track(c))), "track_id: found .*, expected an id that no other"),
+        (item("timestamps", 1, TIME_MS / 1000), r"timestamps\[1\]: .*expected a time after the one before"),
+        (item("timestamps", 1, TIME_MS / 1000 + 0.03), r"timestamps\[1\]: .*expected the time of a frame"),
+        (tracks(lambda c: other_track(c)["orientations"].pop()), "orientations: found .*, expected a list of 12"),
+        (item("positions", 2, [1.0, 2.0, 1e12]), r"positions\[2\]\[2\]: found .*, expected a finite number fr"),
+        (other(dimensions=[[4, 2, 1.5]] * 2), "dimensions: found .*, expected a list of 12"),
+        (other(dimensions=[[4, 2, 900]]), r"dimensions\[0\]: found .*, expected 3 numbers above 0, at most 200"),
         (
-            LABELS,
-            other(dimensions=[[4, 2, 900]]),
-            r"dimensions\[0\]: found .*, expected 3 numbers above 0, at most 200",
-        ),
-        (
-            LABELS,
-            lambda content: own_track(content)["positions"].__setitem__(2, SHIFT.tolist()),
+            tracks(lambda content: own_track(content)["positions"].__setitem__(2, SHIFT.tolist())),
             r"positions\[2\]: found .*, expected a position within 2 m of vehicle1 in its state",
         ),
-        (STATE, lambda content: content.pop("gTv"), "gTv is missing"),
-        (STATE, lambda content: content.update(gTv=[[1.0] * 4] * 3), "gTv: found .*, expected a list of 4"),
-        (STATE, lambda content: content["gTv"].__setitem__(0, [2, 0, 0, 0]), "gTv: .*expected an orthonormal"),
-        (STATE, lambda content: content["gTv"].__setitem__(3, [1, 0, 0, 1]), "gTv: .*last row is 0, 0, 0, 1"),
-        (STATE, lambda content: content["gTv"][0].__setitem__(3, 1e200), r"gTv\[0\]\[3\]: found 1e\+200, expected a"),
-        (CALIBRATION, lambda c: c.pop(POLES[1]), "crossing2_31_lidar is missing"),
-        (CALIBRATION, extrinsics(POLES[0]), "crossing2_11_lidar.extrinsics: gTl is missing"),
-        (CALIBRATION, lambda c: c.pop("vehicle2_middle_lidar"), "found 0 sensors vehicle2_…_lidar, expected one"),
-        (CALIBRATION, lambda c: c.update(vehicle1_top_lidar={}), "found 2 sensors vehicle1_…_lidar, expected one"),
-        (CALIBRATION, extrinsics("vehicle1_middle_lidar", gTl=0), "vehicle1_middle_lidar.extrinsics: vTl is missing"),
-        (OWN, lambda content: content.pop(SEQUENCE), f"{SEQUENCE} is missing"),
-        (OWN, lambda content: content.update({SEQUENCE: 5}), f"{SEQUENCE}: found 5, expected an object"),
-        (OWN, lambda content: content[SEQUENCE].update(vehicle1=[1]), "vehicle1: found .*expected a whole number"),
-        (
-            OWN,
-            lambda content: content[SEQUENCE].update(vehicle2=content[SEQUENCE]["vehicle1"]),
-            "expected a different track for each vehicle",
-        ),
+        (value(CALIBRATION, "vehicle2_middle_lidar", GONE), "found 0 sensors vehicle2_…_lidar, expected one"),
+        (value(CALIBRATION, "crossing2_11_lidar.extrinsics", {}), "crossing2_11_lidar.extrinsics: gTl is missing"),
+        (value(OWN, SEQUENCE, {"vehicle1": 3, "vehicle2": "3"}), "expected a different track for each vehicle"),
     ],
 )
-def test_a_damaged_file_is_refused_with_its_place_and_reason(root: Path, file: str, edit: Edit, message: str) -> None:
-    change(root / file, edit)
-    with pytest.raises(SceneError, match=f"{Path(file).name}: .*{message}"):
-        read(root)
+def test_a_damaged_file_is_refused_with_its_place_and_reason(root: Path, damage: Damage, message: str) -> None:
+    assert_refused(read, root, damage, message)
 
 
-@pytest.mark.parametrize("file", [TIMESYNC, CALIBRATION, STATE, LABELS, OWN])
-def test_a_missing_or_unreadable_file_is_refused_by_name(root: Path, file: str) -> None:
-    for content in (b"\xff\xfe\x00", b'"', b"[" * 100_000):
-        (root / file).write_bytes(content)
+def test_a_missing_file_is_refused_by_name(root: Path) -> None:
+    for file in (TIMESYNC, CALIBRATION, STATE, LABELS, OWN):
+        (root / file).rename(root / "moved")
         with pytest.raises(SceneError, match=Path(file).name):
             read(root)
-    (root / file).unlink()
-    with pytest.raises(SceneError, match=Path(file).name):
-        read(root)
+        (root / "moved").rename(root / file)
 
 
 def test_a_missing_folder_is_refused_by_name(root: Path) -> None:
-    with pytest.raises(SceneError, match="nowhere: no such folder"):
-        read(root / "nowhere")
     with pytest.raises(SceneError, match=r"labels: found 0 sequences dataset/\*/timesync_info.csv"):
         read(root / "labels")
 

@@ -44,14 +44,27 @@ def test_entities_are_refused_before_any_is_expanded(file: Path) -> None:
         list(read_xml(file, "r", ()))
 
 
-def test_deep_nesting_and_elements_with_too_many_parts_are_refused(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    file.write_text("<r>" * 100_000)
-    with pytest.raises(SceneError, match="file: line 1: <r>: found more than 50 nested elements"):
-        list(read_xml(file, "r", ()))
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "line 1: not XML: no element found"),
+        ("<r><b></r>", "line 1: not XML: mismatched tag"),
+        ('<?xml version="1.0" encoding="nothing"?><r/>', "line 1: not XML: "),
+        ("<s/>", "line 1: <s>: found this root, expected <r>"),
+        ("<r>" * 100_000, "line 1: <r>: found more than 50 nested elements"),
+        ("<r>\n<b>" + "<c/>" * 101 + "</b></r>", "line 2: <b>: found more than 100 elements in it"),
+        ("<r>\n<b><c/><c/></b></r>", "line 2: <b>: found <c> 2 times, expected it once"),
+        ("<r>\n<b><d/><e/></b></r>", "line 2: <b>: <c> is missing; found d, e"),
+        ("<r>\n<b><c x='1' y='2'/></b></r>", "line 2: <c>: attribute a is missing; found x, y"),
+    ],
+)
+def test_damaged_files_are_refused_with_their_line(
+    file: Path, text: str, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("mast_datasets.xml_files._MAX_PARTS", 100)
-    file.write_text("<r>\n<b>" + "<c/>" * 101 + "</b></r>")
-    with pytest.raises(SceneError, match="line 2: <b>: found more than 100 elements in it"):
-        list(read_xml(file, "r", ("b",)))
+    file.write_text(text)
+    with pytest.raises(SceneError, match=f"file: {message}"):
+        [element.child("c").attribute("a") for element in read_xml(file, "r", ("b",)) if element.tag == "b"]
 
 
 @pytest.mark.parametrize("content", ['<b a="{}"/>', "<b>{}</b>", '<b><c a="{}"/></b>'])
@@ -79,8 +92,11 @@ def test_bytes_that_are_not_text_and_lines_without_end_are_refused(file: Path) -
         list(read_lines(file))
 
 
-def test_a_missing_file_is_refused(file: Path) -> None:
+def test_a_missing_or_truncated_file_is_refused(file: Path) -> None:
     with pytest.raises(SceneError, match=r"file: cannot be read: .*No such file"):
+        list(read_pieces(file))
+    file.write_bytes(gzip.compress(b"<r/>" * 1000)[:-20])
+    with pytest.raises(SceneError, match="file: cannot be read: "):
         list(read_pieces(file))
 
 
