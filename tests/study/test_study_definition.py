@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -112,3 +114,12 @@ def test_shipped_studies_are_valid(name: str, labels: int) -> None:
 def test_the_scenes_of_the_monte_carlo_study_can_be_chosen() -> None:
     study = definition.load("monte_carlo", ["scenes=avstack:a, intersection:5"])
     assert [place.label for place in study.scenes] == ["avstack:a", "intersection:5"]
+
+
+def test_an_idle_worker_imports_no_plotting_table_or_mesh_library() -> None:
+    code = (
+        "import sys, mast_zenoh.study.execution, mast_zenoh.study.defences\n"
+        "print([n for n in ('matplotlib', 'pyarrow', 'zenoh', 'rich', 'pandas', 'scipy.stats') if n in sys.modules])"
+    )
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert process.stdout.strip() == "[]"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 import shlex
 import subprocess
 import sys
@@ -301,15 +300,6 @@ def test_study_with_failed_trials_has_its_own_exit_code(small, tmp_path: Path, c
     output = capsys.readouterr()
     assert "mast run uncoordinated --set" in output.err
     assert "3 of 3 trials failed" in output.out
-
-
-def test_an_idle_worker_imports_no_plotting_table_or_mesh_library() -> None:
-    code = (
-        "import sys, mast_zenoh.study.execution\n"
-        "print([n for n in ('matplotlib', 'pyarrow', 'zenoh', 'rich', 'pandas', 'scipy.stats') if n in sys.modules])"
-    )
-    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=os.environ)
-    assert process.stdout.strip() == "[]"
 
 
 def test_without_dask_several_jobs_are_rejected_with_install_hint(small, tmp_path: Path, monkeypatch) -> None:

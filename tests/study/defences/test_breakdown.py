@@ -22,21 +22,18 @@ from mast_zenoh.study.defences import BreakdownCell, sensors_of
 from mast_zenoh.study.defences.breakdown import Collection, crossing
 
 
-def test_a_crossing_lies_between_its_neighbours() -> None:
-    assert crossing([0.2, 0.4, 0.6], [0.0, 0.25, 0.75]) == pytest.approx(0.5)
-    assert crossing([0.2, 0.4], [0.0, 0.5]) == pytest.approx(0.4)
-
-
-def test_a_crossing_is_the_first_one() -> None:
-    assert crossing([0.0, 0.2, 0.4, 0.6], [0.0, 1.0, 0.0, 1.0]) == pytest.approx(0.1)
-
-
-def test_what_is_never_reached_is_infinite() -> None:
-    assert crossing([0.0, 0.5], [0.0, 0.49]) == math.inf
-
-
-def test_what_is_reached_from_the_beginning_is_there() -> None:
-    assert crossing([0.0, 0.5], [0.7, 1.0]) == 0.0
+@pytest.mark.parametrize(
+    ("x", "shares", "at"),
+    [
+        ([0.2, 0.4, 0.6], [0.0, 0.25, 0.75], 0.5),
+        ([0.2, 0.4], [0.0, 0.5], 0.4),
+        ([0.0, 0.2, 0.4, 0.6], [0.0, 1.0, 0.0, 1.0], 0.1),  # the first one
+        ([0.0, 0.5], [0.0, 0.49], math.inf),
+        ([0.0, 0.5], [0.7, 1.0], 0.0),  # from the beginning
+    ],
+)
+def test_a_crossing_lies_between_its_neighbours(x: list[float], shares: list[float], at: float) -> None:
+    assert crossing(x, shares) == pytest.approx(at)
 
 
 def test_a_crossing_of_nothing_is_refused() -> None:
@@ -101,12 +98,8 @@ def table(*trials: tuple[int, str, dict[str, Any], tuple[int, int]]) -> Breakdow
 
 def test_a_picture_worse_than_the_ego_alone_is_broken() -> None:
     without_liars, worse = table((0, "a", metrics(0), (2, 4)), (1, "a", metrics(1), (5, 4))).rows
-    assert (without_liars.broken.value, worse.broken.value, worse.worse.value, worse.honest_first.value) == (
-        0.0,
-        1.0,
-        1.0,
-        0.0,
-    )
+    assert without_liars.broken.value == worse.honest_first.value == 0.0
+    assert worse.broken.value == worse.worse.value == 1.0
 
 
 def test_an_honest_agent_suspended_before_any_liar_is_broken() -> None:
@@ -175,18 +168,9 @@ def test_all_agents_but_the_ego_have_a_pole_or_a_car() -> None:
 
 
 def test_a_small_study_with_different_numbers_of_agents_is_carried_out(tmp_path: Path) -> None:
-    finished = mast.study(
-        "breakdown",
-        trials=1,
-        jobs=1,
-        frames=14,
-        out=tmp_path / "study",
-        scenes="intersection:60",
-        agents=(2, 3),
-        shares=(0.0, 0.6),
-        adversaries="coordinated",
-        attack_start_s=0.3,
-    )
+    settings = dict(agents=(2, 3), shares=(0.0, 0.6), adversaries="coordinated", attack_start_s=0.3)
+    options = dict(trials=1, jobs=1, frames=14, out=tmp_path / "study", scenes="intersection:60")
+    finished = mast.study("breakdown", **options, **settings)  # type: ignore[arg-type]
     names = {path.name for path in finished.path.iterdir()}
     assert {"breakdown.md", "breakdown.csv", "breakdown.png", "report.html"} <= names
     text = (finished.path / "breakdown.csv").read_text()

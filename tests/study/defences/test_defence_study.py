@@ -15,8 +15,9 @@ from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.integrity import Integrity
 from mast_zenoh.integrity.calibration import refuse_calibration_data
 from mast_zenoh.study import definition, execution, trial, trials
-from mast_zenoh.study.defences import PLACEMENTS, matrix, place
+from mast_zenoh.study.defences import PLACEMENTS, BreakdownCell, Cell, DriftCell, matrix, place
 from mast_zenoh.study.defences.choices import FAULTS
+from mast_zenoh.study.defences.kinds import DefenceCell, collection_of
 
 DEFENCE = """
 from mast_zenoh.integrity import NoIntegrity
@@ -30,7 +31,9 @@ from mast_zenoh.attacks import PassThrough
 class Polite(PassThrough):
     '''Relays every message unchanged.'''
 """
+CELLS = (Cell("NoIntegrity"), DriftCell(0.5), BreakdownCell("", 5, 0, 4.0))
 #: Settings of a study with the baseline, a second defence, and one run of each under attack.
+FAULTY_LABELS = ["NoIntegrity alone", "NoIntegrity fault ghosts 2 worst", "KOfN alone", "KOfN fault ghosts 2 worst"]
 SMALL = ["defences=NoIntegrity,KOfN", "adversaries=coordinated", "counts=1", "n_infrastructure=2"]
 
 
@@ -39,16 +42,28 @@ def planned(*settings: str, seed: int = 0, count: int = 1) -> list[trials.Trial]
     return trials.plan(study, count=count, seed=seed, frames=8, runtime="inproc")
 
 
-def test_every_defence_meets_every_adversary_and_runs_alone() -> None:
-    study = definition.load("defences", ["defences=KOfN", "adversaries=coordinated,BlindSpot", "counts=(0, 2)"])
-    assert [each.label for each in study.configurations] == [
-        "NoIntegrity alone",
-        "NoIntegrity coordinated 2 worst",
-        "NoIntegrity BlindSpot 2 worst budget 2",
-        "KOfN alone",
-        "KOfN coordinated 2 worst",
-        "KOfN BlindSpot 2 worst budget 2",
-    ]
+@pytest.mark.parametrize(
+    ("settings", "labels"),
+    [
+        (
+            ["defences=KOfN", "adversaries=coordinated,BlindSpot", "counts=(0, 2)"],
+            [
+                *("NoIntegrity alone", "NoIntegrity coordinated 2 worst", "NoIntegrity BlindSpot 2 worst budget 2"),
+                *("KOfN alone", "KOfN coordinated 2 worst", "KOfN BlindSpot 2 worst budget 2"),
+            ],
+        ),
+        (["defences=KOfN", "adversaries="], ["NoIntegrity alone", "KOfN alone"]),
+        (["preset=alarms"], ["NoIntegrity alone", "FaultOrLie alone"]),
+        (
+            ["defences=['KOfN', {'type': 'KOfN', 'k': 3}]", "counts=()"],
+            ["NoIntegrity alone", "KOfN alone", "KOfN k=3 alone"],
+        ),
+        ([*SMALL[:1], "adversaries=fault:ghosts", "counts=2"], FAULTY_LABELS),
+    ],
+)
+def test_every_defence_meets_every_adversary_and_runs_alone(settings: list[str], labels: list[str]) -> None:
+    study = definition.load("defences", settings)
+    assert [each.label for each in study.configurations] == labels
     assert study.baseline == "NoIntegrity alone"
 
 
@@ -62,15 +77,9 @@ def test_every_preset_is_short_to_name_and_uses_no_calibration_data(preset: str)
     refuse_calibration_data(range(study.seed, study.seed + (study.trials or 1)), scene, preset)
 
 
-def test_the_preset_alarms_plays_108000_unattacked_frames_and_what_they_are_compared_with() -> None:
+def test_the_preset_alarms_plays_108000_unattacked_frames() -> None:
     study = definition.load("defences", ["preset=alarms"])
-    assert [each.label for each in study.configurations] == ["NoIntegrity alone", "FaultOrLie alone"]
     assert len(study.scenes) * (study.trials or 0) * (study.frames or 0) == 108_000
-
-
-def test_no_adversaries_means_runs_without_an_attack() -> None:
-    study = definition.load("defences", ["defences=KOfN", "adversaries="])
-    assert [each.label for each in study.configurations] == ["NoIntegrity alone", "KOfN alone"]
 
 
 def test_todays_attacks_are_on_tracks_alone_and_have_no_budget() -> None:
@@ -88,36 +97,30 @@ def test_todays_attacks_are_on_tracks_alone_and_have_no_budget() -> None:
     assert not content.get("coordinator")
 
 
-def test_an_unattacked_run_has_no_coordinator() -> None:
-    _, content = scenario.load("defence_cell", ["scene=intersection:4", "n_adversaries=0"])
-    assert not content.get("coordinator")
-
-
-def test_without_adversaries_or_faults_no_scene_is_recorded_for_their_placement(
+def test_an_unattacked_run_has_no_coordinator_and_records_no_scene_for_placement(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     frames: list[int | None] = []
     prepare = scenes.prepare
     monkeypatch.setattr(scenes, "prepare", lambda *arguments: (frames.append(arguments[2]), prepare(*arguments))[1])
     settings = ["scene=intersection:4", "placement=worst", "placement_frames=9"]
-    scenario.load("defence_cell", [*settings, "n_adversaries=0"])
+    _, content = scenario.load("defence_cell", [*settings, "n_adversaries=0"])
+    assert not content.get("coordinator")
     assert set(frames) == {1}, "for the agents' names"
     scenario.load("defence_cell", [*settings, "n_adversaries=1"])
     assert 9 in frames
 
 
-def test_an_unattacked_trial_writes_no_run_folder(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(execution, "_run_in_folder", lambda *_: pytest.fail("recorded"))
+def test_an_unattacked_trial_writes_no_run_folder_and_has_the_metrics_of_a_recorded_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     (alone,) = planned("adversaries=", "defences=NoIntegrity")
-    outcome = execution.run(alone)
+    with monkeypatch.context() as patch:
+        patch.setattr(execution, "_run_in_folder", lambda *_: pytest.fail("recorded"))
+        outcome = execution.run(alone)
     assert outcome.error == ""
     assert outcome.metrics["defence"] == matrix.NO_LIES
     assert outcome.metrics["integrity"]["hours"] == pytest.approx(8 * 0.1 / 3600.0)
-
-
-def test_an_unattacked_trial_has_the_metrics_of_a_recorded_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    (alone,) = planned("adversaries=", "defences=NoIntegrity")
-    outcome = execution.run(alone)
     monkeypatch.setattr(execution, "_is_disturbed", lambda _: True)
     recorded = execution.run(alone)
     same = {name: part for name, part in outcome.metrics.items() if name != "defence"}
@@ -133,7 +136,6 @@ def test_budgets_are_for_adversaries_that_have_one() -> None:
 
 def test_a_fault_takes_the_places_of_adversaries() -> None:
     study = definition.load("defences", [*SMALL[:1], "adversaries=fault:ghosts", "counts=2"])
-    assert [each.label for each in study.configurations][1] == "NoIntegrity fault ghosts 2 worst"
     settings = [*study.configurations[1].settings, "scene=intersection:4", "placement_frames=8"]
     _, content = scenario.load("defence_cell", settings)
     assert content["adversaries"] == {}
@@ -148,17 +150,11 @@ def test_a_fault_beside_an_attack_is_that_of_an_honest_agent() -> None:
     assert not liars & set(content["faults"][0]["nodes"])
 
 
-@pytest.mark.parametrize("fault", FAULTS)
-def test_every_fault_is_accepted_by_the_scenario(fault: str) -> None:
-    path, content = scenario.load(
-        "defence_cell", [f"fault={fault}", "n_infrastructure=2", "n_adversaries=0", "attack_start_s=0.1"]
-    )
-    assert scenario.resolve(path, content, frames=4).timeline
-
-
-def test_an_unknown_fault_names_the_known_ones() -> None:
-    with pytest.raises(ConfigurationError, match="fault: found 'fog'"):
-        definition.load("defences", ["adversaries=fault:fog"])
+def test_every_fault_is_accepted_by_the_scenario() -> None:
+    for fault in FAULTS:
+        settings = [f"fault={fault}", "n_infrastructure=2", "n_adversaries=0", "attack_start_s=0.1"]
+        path, content = scenario.load("defence_cell", settings)
+        assert scenario.resolve(path, content, frames=4).timeline
 
 
 def test_a_full_preset_has_every_shipped_defence() -> None:
@@ -167,15 +163,24 @@ def test_a_full_preset_has_every_shipped_defence() -> None:
     assert {cell.defence for cell in study.cells.values()} == shipped
 
 
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ("adversaries=fault:fog", "fault: found 'fog'"),
+        ("placements=best", r"placements: found 'best'.*random"),
+        ("scenes=intersection:4,intersection:3", "scene intersection:3: thresholds were calibrated on the junctions"),
+        (f"defences={__file__}", "defines 0 classes of type Integrity"),
+    ],
+)
+def test_an_invalid_choice_is_refused_before_anything_runs(settings: str, message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        planned(settings)
+
+
 def test_calibration_seeds_are_refused_before_anything_runs() -> None:
     with pytest.raises(ConfigurationError, match="seed 101: thresholds were calibrated on seeds 101 to 202"):
         planned(seed=99, count=3)
     assert planned(seed=99, count=2)
-
-
-def test_calibration_scenes_are_refused_before_anything_runs() -> None:
-    with pytest.raises(ConfigurationError, match="scene intersection:3: thresholds were calibrated on the junctions"):
-        planned("scenes=intersection:4,intersection:3")
 
 
 def test_each_trial_has_the_placement_of_its_own_seed() -> None:
@@ -195,11 +200,6 @@ def test_random_placements_depend_on_the_seed() -> None:
     assert len({place("intersection:4", 1, "random", seed) for seed in range(20)}) == 4
 
 
-def test_an_unknown_placement_names_the_known_ones() -> None:
-    with pytest.raises(ConfigurationError, match=r"placements: found 'best'.*random"):
-        definition.load("defences", ["placements=best"])
-
-
 def test_a_file_joins_the_matrix(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(DEFENCE)
     (tmp_path / "polite.py").write_text(ATTACK)
@@ -213,16 +213,18 @@ def test_a_file_joins_the_matrix(tmp_path: Path) -> None:
     assert second["NoIntegrity alone"] == first["NoIntegrity alone"]
 
 
-def test_a_file_without_a_defence_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "polite.py").write_text(ATTACK)
-    with pytest.raises(ConfigurationError, match="defines 0 classes of type Integrity"):
-        planned(f"defences={tmp_path / 'polite.py'}")
-
-
-def test_a_defence_with_parameters_has_them_in_its_name() -> None:
+def test_a_defence_with_parameters_is_built_with_them() -> None:
     study = definition.load("defences", ["defences=['KOfN', {'type': 'KOfN', 'k': 3}]", "counts=()"])
-    assert [each.label for each in study.configurations] == ["NoIntegrity alone", "KOfN alone", "KOfN k=3 alone"]
     assert "defence={'type': 'KOfN', 'k': 3}" in study.configurations[2].settings
+
+
+@pytest.mark.parametrize("cell", CELLS, ids=lambda cell: cell.kind)
+def test_every_kind_writes_its_tables_even_of_no_trial(cell: DefenceCell, tmp_path: Path) -> None:
+    collection = collection_of(cell.kind)
+    files = collection({}, ["junction"], [0]).write(tmp_path)
+    assert {*files.names} == {path.name for path in tmp_path.iterdir()}
+    assert {Path(name).suffix for name in files.names} >= {".md", ".csv", ".tex"}
+    assert collection.without_lies is None or collection.without_lies["lies"]["all"] == 0
 
 
 def test_a_small_study_is_carried_out_and_resumed(tmp_path: Path) -> None:

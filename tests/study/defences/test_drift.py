@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 import mast_zenoh as mast
 from mast_zenoh import scenario
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.metrics.study_results import DriftRow
+from mast_zenoh.metrics.study_results import DriftRow, DriftTable
 from mast_zenoh.report.tables.limits import drift_tables
 from mast_zenoh.study import definition, trials
 from mast_zenoh.study.defences import DriftCell
@@ -33,14 +33,17 @@ from mast_zenoh.study.defences.drift import (
 )
 
 
-@pytest.mark.parametrize(("offset_m", "delay_s"), [(0.3, 14.07), (0.5, 5.07), (1.0, 1.27)])
-def test_a_constant_offset_takes_as_long_as_its_evidence(offset_m: float, delay_s: float) -> None:
-    assert offset_floor_s(offset_m) == pytest.approx(delay_s, abs=0.01)
-
-
-@pytest.mark.parametrize(("rate_mps", "offset_m"), [(0.05, 0.57), (0.1, 0.72), (0.2, 0.91)])
-def test_a_drift_reaches_an_offset_before_anybody_can_know(rate_mps: float, offset_m: float) -> None:
-    assert rate_mps * drift_floor_s(rate_mps) == pytest.approx(offset_m, abs=0.01)
+def test_the_least_delay_is_that_of_enough_evidence_and_a_drift_goes_further_meanwhile() -> None:
+    for offset_m, delay_s in ((0.3, 14.07), (0.5, 5.07), (1.0, 1.27)):
+        assert offset_floor_s(offset_m) == pytest.approx(delay_s, abs=0.01)
+    for rate_mps, offset_m in ((0.05, 0.57), (0.1, 0.72), (0.2, 0.91)):
+        assert rate_mps * drift_floor_s(rate_mps) == pytest.approx(offset_m, abs=0.01)
+    assert speed_up([0, 1, 8]).tolist() == pytest.approx([0.0, 1.0, 2.0]), "eight witnesses need half the time"
+    for wrong in (0.0, -1.0, math.inf, math.nan):
+        with pytest.raises(ValueError, match="offset_m"):
+            offset_floor_s(wrong)
+        with pytest.raises(ValueError, match="rate_mps"):
+            drift_floor_s(wrong)
 
 
 @given(st.floats(0.01, 1.0))
@@ -52,20 +55,8 @@ def test_the_evidence_of_a_drift_is_the_sum_of_that_of_its_offsets(rate_mps: flo
     assert evidence == pytest.approx(EVIDENCE, rel=1e-4)
 
 
-def test_eight_witnesses_need_half_the_time_and_none_never_know() -> None:
-    assert speed_up([0, 1, 8]).tolist() == pytest.approx([0.0, 1.0, 2.0])
-
-
-@pytest.mark.parametrize("wrong", [0.0, -1.0, float("inf"), float("nan")])
-def test_what_does_not_move_has_no_floor(wrong: float) -> None:
-    with pytest.raises(ValueError, match="offset_m"):
-        offset_floor_s(wrong)
-    with pytest.raises(ValueError, match="rate_mps"):
-        drift_floor_s(wrong)
-
-
 PERIOD_S = 0.1
-TWO, TWO_OR_MORE, ANY = ViewerRange(2, 2), ViewerRange(2, None), ViewerRange(1, None)
+ONE, TWO, TWO_OR_MORE, ANY = ViewerRange(1, 1), ViewerRange(2, 2), ViewerRange(2, None), ViewerRange(1, None)
 
 
 def of(
@@ -78,44 +69,35 @@ def of(
     return episodes(times, [7] * len(frames), [count for _, count in frames], offset, suspended_s, viewer_range)
 
 
-def test_an_episode_ends_with_the_suspension() -> None:
+@pytest.mark.parametrize(
+    ("viewers", "suspended_s", "viewer_range", "expected"),
+    [
+        ("2" * 21, 5.5, TWO, (2.0, 1.5, True)),
+        ("2" * 21, None, TWO, (2.0, 2.0, False)),
+        ("2" * 21, 9.0, TWO, (2.0, 2.0, False)),  # a suspension after its end is no detection
+        ("2" * 21, 4.0, TWO, None),  # what is displaced after the suspension is left out
+        ("-" * 10 + "2" * 11, 4.5, TWO, None),
+        ("2" * 11 + "1111" + "2" * 6, None, TWO, (2.0, 2.0, False)),  # others end it after half a second
+        ("2" * 11 + "11111" + "2" * 6, None, TWO, (1.0, 1.0, False)),
+        ("2" * 11 + "-----" + "2" * 6, None, TWO, (1.0, 1.0, False)),
+        ("3333" + "2" * 11, None, TWO, None),  # three agents saw it before
+        ("1111" + "2" * 11, None, TWO, (1.0, 1.0, False)),  # one witness decides nothing
+        ("0000" + "1" * 11, None, ONE, (1.0, 1.0, False)),
+        ("2222" + "1" * 11, None, ONE, None),
+        ("22223334441112222", None, TWO_OR_MORE, (1.6, 1.6, False)),
+    ],
+)
+def test_an_episode_ends_with_the_suspension_or_with_other_viewers(
+    viewers: str, suspended_s: float | None, viewer_range: ViewerRange, expected: tuple[float, float, bool] | None
+) -> None:
+    result = of(viewers, suspended_s, viewer_range)
+    assert [(e.length_s, e.watched_s, e.detected) for e in result][:1] == ([expected] if expected else [])
+
+
+def test_an_episode_has_the_offset_at_its_end_and_the_mean_speed_up_of_its_viewers() -> None:
     (episode,) = of("2" * 21, suspended_s=5.5)
-    assert (episode.length_s, episode.watched_s, episode.detected) == (2.0, 1.5, True)
     assert episode.offset_m == pytest.approx(1.6)
     assert episode.speed_up == pytest.approx(2.0 ** (1.0 / 3.0))
-
-
-def test_without_a_suspension_it_is_censored_at_its_end() -> None:
-    (episode,) = of("2" * 21)
-    assert (episode.length_s, episode.watched_s, episode.detected) == (2.0, 2.0, False)
-
-
-def test_a_suspension_after_its_end_is_no_detection() -> None:
-    (episode,) = of("2" * 21, suspended_s=9.0)
-    assert (episode.watched_s, episode.detected) == (2.0, False)
-
-
-def test_what_is_displaced_after_the_suspension_is_left_out() -> None:
-    assert of("2" * 21, suspended_s=4.0) == []
-    assert of("----------" + "2" * 11, suspended_s=4.5) == []
-
-
-def test_another_number_of_viewers_ends_it_after_half_a_second() -> None:
-    assert of("2" * 11 + "1111" + "2" * 6)[0].length_s == 2.0
-    assert of("2" * 11 + "11111" + "2" * 6)[0].length_s == 1.0
-    assert of("2" * 11 + "-----" + "2" * 6)[0].length_s == 1.0
-
-
-def test_a_clock_starts_only_where_nothing_was_known_before() -> None:
-    assert of("3333" + "2" * 11) == [], "three agents saw it before"
-    assert of("1111" + "2" * 11)[0].length_s == 1.0, "one witness decides nothing"
-    assert of("0000" + "1" * 11, viewer_range=ViewerRange(1, 1))[0].length_s == 1.0
-    assert of("2222" + "1" * 11, viewer_range=ViewerRange(1, 1)) == []
-
-
-def test_an_open_range_goes_on_while_viewers_change() -> None:
-    (episode,) = of("22223334441112222", viewer_range=TWO_OR_MORE)
-    assert episode.length_s == 1.6
     (episode,) = of("1" * 10 + "8" * 10, viewer_range=ANY)
     assert episode.speed_up == pytest.approx(1.5), "one witness, then eight: mean of 1 and 2"
 
@@ -124,6 +106,7 @@ def test_each_track_has_its_own_clock() -> None:
     times = [4.0, 4.1, 4.2, 5.0, 5.1, 5.2]
     result = episodes(times, [1, 1, 1, 2, 2, 2], [2] * 6, [0.5] * 6, 5.1, TWO)
     assert [(each.watched_s, each.detected) for each in result] == [(0.2, False), (0.1, True)]
+    assert episodes([], [], [], [], None, ANY) == []
 
 
 def test_only_what_lasts_long_enough_is_judged() -> None:
@@ -133,10 +116,6 @@ def test_only_what_lasts_long_enough_is_judged() -> None:
     assert long.judged_within(10.0)
     assert long.detected_within(10.0)
     assert not long.detected_within(9.9)
-
-
-def test_nothing_displaced_has_no_episodes() -> None:
-    assert episodes([], [], [], [], None, ANY) == []
 
 
 @given(st.text("01234-", min_size=1, max_size=60), st.integers(0, 70))
@@ -181,12 +160,16 @@ def trial(suspended_s: float | None, viewers: int = 2, frames: int = 201) -> dic
     }
 
 
-def rows(cell: DriftCell, *trials: dict[str, Any]) -> dict[str, DriftRow]:
-    """The rows by number of viewers."""
+def table(cell: DriftCell, *trials: dict[str, Any]) -> DriftTable:
     collection = Collection({cell.label: cell}, ["junction"], range(len(trials)))
     for seed, each in enumerate(trials):
         collection.add(outcome(cell.label, "junction", seed, {"defence": each}))
-    return {row.viewers: row for row in collection.table().rows}
+    return collection.table()
+
+
+def rows(cell: DriftCell, *trials: dict[str, Any]) -> dict[str, DriftRow]:
+    """The rows by number of viewers."""
+    return {row.viewers: row for row in table(cell, *trials).rows}
 
 
 def test_delays_are_compared_with_the_floor_of_as_many_witnesses() -> None:
@@ -203,11 +186,8 @@ def test_the_share_within_ten_seconds_counts_runs_that_last_as_long() -> None:
     assert (row.judged, row.within.value) == (3, pytest.approx(1.0 / 3.0))
     # One of four is noticed after 4 s; the one that ends after 4.9 s is censored.
     assert row.noticed.value == pytest.approx(0.25)
-
-
-def test_a_share_is_unknown_if_nobody_was_watched_for_as_long() -> None:
-    row = rows(OFFSET, trial(8.0, frames=50), trial(None, frames=50))["2"]
-    assert not row.noticed.known
+    unknown = rows(OFFSET, trial(8.0, frames=50), trial(None, frames=50))["2"]
+    assert not unknown.noticed.known, "nobody was watched for as long"
     assert rows(OFFSET, trial(8.0, frames=50))["2"].noticed.value == 1.0
 
 
@@ -231,14 +211,12 @@ def test_a_run_without_a_lie_counts_nowhere() -> None:
 
 
 def test_what_fewer_than_half_notice_is_not_reached() -> None:
-    collection = Collection({OFFSET.label: OFFSET}, ["junction"], range(3))
-    for seed, suspended_s in enumerate((8.0, None, None)):
-        collection.add(outcome(OFFSET.label, "junction", seed, {"defence": trial(suspended_s)}))
-    table = collection.table()
-    assert math.isinf(next(row for row in table.rows if row.viewers == "2").delay_s.value)
-    assert "not reached" in drift_tables(table).as_markdown()
-    assert ",inf," in drift_tables(table).as_csv()
-    latex = drift_tables(table).as_latex()
+    result = table(OFFSET, trial(8.0), trial(None), trial(None))
+    assert math.isinf(next(row for row in result.rows if row.viewers == "2").delay_s.value)
+    written = drift_tables(result)
+    assert "not reached" in written.as_markdown()
+    assert ",inf," in written.as_csv()
+    latex = written.as_latex()
     assert latex.count(r"\begin{tabular}") == latex.count(r"\end{tabular}") == 2
     assert "not reached & " in latex
 
@@ -262,18 +240,8 @@ def test_calibration_data_are_refused(name: str) -> None:
 
 
 def test_a_small_study_is_carried_out(tmp_path: Path) -> None:
-    finished = mast.study(
-        "drift",
-        trials=1,
-        jobs=1,
-        frames=20,
-        out=tmp_path / "study",
-        scenes="intersection:60",
-        agents=(3,),
-        offsets_m=(1.0,),
-        rates_mps=(),
-        attack_start_s=0.5,
-    )
+    settings = dict(scenes="intersection:60", agents=(3,), offsets_m=(1.0,), rates_mps=(), attack_start_s=0.5)
+    finished = mast.study("drift", trials=1, jobs=1, frames=20, out=tmp_path / "study", **settings)  # type: ignore[arg-type]
     assert {"drift.md", "drift.csv", "report.html"} <= {path.name for path in finished.path.iterdir()}
     lines = (finished.path / "drift.csv").read_text().splitlines()
     assert lines[1].startswith("3 agents offset 1 m,1.0,,,1,0,1,1,"), "a run of two seconds with a lie, and no alarm"

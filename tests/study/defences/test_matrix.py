@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from defence_outcomes import outcome
+from numpy.typing import NDArray
 
 import mast_zenoh as mast
 from mast_zenoh.metrics.study_results import BINOMIAL, POISSON, DefenceMatrix, Measured
@@ -21,17 +22,11 @@ from mast_zenoh.study.defences.matrix_trial import detected_lies, outnumbered, t
 POINTS = np.array([[9, 9, 9, 0], [9, 0, 0, 0], [9, 9, 0, 0], [0, 0, 9, 9], [4, 0, 0, 0]])
 
 
-def test_everything_has_an_honest_majority_without_liars() -> None:
+def test_an_honest_majority_is_the_share_of_seen_objects_where_liars_are_outnumbered() -> None:
     assert honest_majority(POINTS, [False] * 4) == 1.0
-
-
-def test_a_tie_is_no_majority() -> None:
     # Agent 0 lies: outnumbered at object 0 alone; tied at object 2, alone at object 1, absent at object 3.
-    assert honest_majority(POINTS, [True, False, False, False]) == 2 / 4
-
-
-def test_objects_that_nobody_sees_do_not_count() -> None:
-    assert np.isnan(honest_majority(POINTS[4:], [False] * 4))
+    assert honest_majority(POINTS, [True, False, False, False]) == 2 / 4, "a tie is no majority"
+    assert np.isnan(honest_majority(POINTS[4:], [False] * 4)), "objects that nobody sees do not count"
 
 
 def test_agents_that_cover_more_objects_come_first() -> None:
@@ -39,54 +34,45 @@ def test_agents_that_cover_more_objects_come_first() -> None:
     assert by_coverage(POINTS[3:4]).tolist() == [2, 3, 0, 1]
 
 
-def lies(*rows: tuple[int, str, str, int, bool]) -> dict[str, Any]:
-    """Columns of lies from rows of frame, agent, effect, id, observable."""
-    frame, agent, effect, id_, observable = zip(*rows, strict=True)
-    return {
-        "frame": np.array(frame),
-        "agent": np.array(agent, object),
-        "effect": np.array(effect, object),
-        "id": np.array(id_),
-        "observable": np.array(observable),
-    }
+#: Of one agent, about one object: the effect, whether it could be observed in three frames, in which frames the object
+#: was withheld and the agent suspended, and whether that detects the lie.
+DETECTED = [
+    ("inserted", "ooo", "---", "---", 0),
+    ("inserted", "ooo", "-x-", "---", 0),  # withheld for a moment
+    ("inserted", "ooo", "-xx", "---", 1),
+    ("inserted", "-o-", "x--", "---", 0),  # by chance, before it could be observed
+    ("inserted", "-o-", "--x", "---", 1),
+    ("removed", "ooo", "xxx", "---", 0),  # by suspension alone
+    ("removed", "ooo", "---", "-x-", 1),
+]
 
 
-NEVER = [False] * 3
+def lies(*rows: tuple[str, str, int, bool]) -> dict[str, Any]:
+    """Columns of lies from rows of agent, effect, id, observable; one more frame each."""
+    agent, effect, id_, observable = (np.array(column) for column in zip(*rows, strict=True))
+    return dict(frame=np.arange(len(rows)), agent=agent, effect=effect, id=id_, observable=observable)
+
+
+def marked(text: str) -> NDArray[np.bool_]:
+    return np.array([each != "-" for each in text], bool)
+
+
+@pytest.mark.parametrize(("effect", "observable", "withheld", "suspended", "detected"), DETECTED)
+def test_a_lie_is_detected_by_suspension_or_by_withholding_its_object(
+    effect: str, observable: str, withheld: str, suspended: str, detected: int
+) -> None:
+    claims = lies(*(("a", effect, 7, bool(each)) for each in marked(observable)))
+    counts = detected_lies(claims, marked(withheld), marked(suspended))
+    assert counts == {"all": 1, "observable": 1, "detected": detected}
 
 
 def test_a_lie_is_all_that_one_agent_tells_about_one_object() -> None:
-    claims = lies((1, "a", "inserted", 7, True), (2, "a", "inserted", 7, True), (2, "b", "inserted", 7, False))
-    assert detected_lies(claims, np.array(NEVER), np.array(NEVER)) == {"all": 2, "observable": 1, "detected": 0}
-
-
-def test_withholding_the_object_detects_the_lie() -> None:
-    claims = lies((1, "a", "inserted", 7, True), (2, "a", "inserted", 7, True), (2, "a", "inserted", 8, True))
-    counts = detected_lies(claims, np.array([False, True, False]), np.array(NEVER))
-    assert counts == {"all": 2, "observable": 2, "detected": 1}
-
-
-def test_an_object_withheld_for_a_moment_is_no_detected_lie() -> None:
-    claims = lies(*((frame, "a", "inserted", 7, True) for frame in range(3)))
-    assert detected_lies(claims, np.array([False, True, False]), np.array(NEVER))["detected"] == 0
-    assert detected_lies(claims, np.array([False, True, True]), np.array(NEVER))["detected"] == 1
-
-
-def test_a_detection_before_the_lie_was_observable_is_chance() -> None:
-    claims = lies((1, "a", "inserted", 7, False), (2, "a", "inserted", 7, True), (3, "a", "inserted", 7, False))
-    assert detected_lies(claims, np.array([True, False, False]), np.array(NEVER))["detected"] == 0
-    assert detected_lies(claims, np.array([False, False, True]), np.array(NEVER))["detected"] == 1
-
-
-def test_a_removed_object_is_detected_by_suspension_alone() -> None:
-    claims = lies((1, "a", "removed", 7, True), (2, "a", "removed", 7, True), (3, "a", "removed", 7, True))
-    assert detected_lies(claims, np.array([True] * 3), np.array(NEVER))["detected"] == 0
-    assert detected_lies(claims, np.array(NEVER), np.array([False, True, False]))["detected"] == 1
-
-
-def test_a_run_without_lies_has_none() -> None:
-    none = {name: column[:0] for name, column in lies((1, "a", "inserted", 7, True)).items()}
-    empty = np.zeros(0, bool)
-    assert detected_lies(none, empty, empty) == {"all": 0, "observable": 0, "detected": 0}
+    claims = lies(("a", "inserted", 7, True), ("a", "inserted", 7, True), ("b", "inserted", 7, False))
+    assert detected_lies(claims, marked("---"), marked("---")) == {"all": 2, "observable": 1, "detected": 0}
+    claims = lies(("a", "inserted", 7, True), ("a", "inserted", 7, True), ("a", "inserted", 8, True))
+    assert detected_lies(claims, marked("-x-"), marked("---")) == {"all": 2, "observable": 2, "detected": 1}
+    none = {name: column[:0] for name, column in claims.items()}
+    assert detected_lies(none, marked(""), marked("")) == {"all": 0, "observable": 0, "detected": 0}
 
 
 def kept(**changes: Any) -> dict[str, Any]:
@@ -119,7 +105,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> mast.Run:
 def test_a_trace_survives_json_and_has_lies_and_suspensions(run: mast.Run) -> None:
     content = trace(run.path)
     assert content is not None
-    content = json.loads(json.dumps(content, allow_nan=False))
+    text = json.dumps(content, allow_nan=False)
+    assert len(text) < 4000, "every trial of a study keeps it"
+    content = json.loads(text)
     drawn = panel(content, "title")
     agents = {agent.agent: agent for agent in drawn.agents}
     assert list(agents) == ["ego", "infra_1", "infra_2", "infra_3", "infra_4"]
@@ -131,12 +119,6 @@ def test_a_trace_survives_json_and_has_lies_and_suspensions(run: mast.Run) -> No
     assert agents["infra_1"].value[-1] < 0.0 < agents["infra_2"].value[-1]
     assert len(agents["ego"].time_s) == pytest.approx(20, abs=1), "twice as coarse as the frames"
     assert end <= 4.1
-
-
-def test_a_trace_is_small(run: mast.Run) -> None:
-    content = trace(run.path)
-    assert content is not None
-    assert len(json.dumps(content)) < 4000, "every trial of a study keeps it"
 
 
 def test_only_observable_lies_can_be_outnumbered() -> None:
@@ -250,6 +232,7 @@ def test_the_cost_is_the_damage_without_an_attack(matrix: DefenceMatrix) -> None
     assert matrix.row("Wall", "Ghost", 0, "worst").attack == ""  # type: ignore[union-attr]
     assert measure(matrix, "Wall", "fp_added", count=0).value == pytest.approx(0.5)
     assert measure(matrix, "Wall", "faulty_suspended_per_hour", count=0).value == pytest.approx(200.0)
+    assert math.isnan(measure(matrix, "Wall", "lies_detected", count=0).value), "none is observable"
 
 
 def test_rates_have_the_exact_interval_of_a_poisson_count(matrix: DefenceMatrix) -> None:
@@ -259,7 +242,7 @@ def test_rates_have_the_exact_interval_of_a_poisson_count(matrix: DefenceMatrix)
     assert (alarms.low, alarms.high) == (pytest.approx(0.0253 / 0.05, rel=1e-3), pytest.approx(5.572 / 0.05, rel=1e-3))
 
 
-def test_delays_and_characteristics_are_over_all_trials_of_a_defence(matrix: DefenceMatrix) -> None:
+def test_delays_characteristics_and_time_in_each_state_are_over_all_trials_of_a_defence(matrix: DefenceMatrix) -> None:
     assert set(matrix.delays) == {"Wall"}, "without trust nobody is watched"
     delay = matrix.delays["Wall"]
     assert (delay.detections, delay.watched, delay.median_s) == (5, 10, 1.0)
@@ -267,6 +250,9 @@ def test_delays_and_characteristics_are_over_all_trials_of_a_defence(matrix: Def
     assert (curve.defence, curve.auc.value) == ("Wall", 1.0)
     assert math.isnan(curve.auc.low), "a perfect separation in all trials does not say how good it is in others"
     assert curve.hours == pytest.approx(15 * 0.01)
+    assert set(matrix.state_shares["Wall"]) == {"honest"}
+    assert matrix.state_shares["Wall"]["honest"]["suspended"].value == pytest.approx(0.1)
+    assert matrix.state_shares["NoIntegrity"] == {}
 
 
 def test_a_failed_trial_is_left_out() -> None:
@@ -276,10 +262,6 @@ def test_a_failed_trial_is_left_out() -> None:
     collection.add(outcome(CELLS[1].label, "junction", 1, metrics(9.0, trusted=True)))
     added = collection.table().rows[1].measures["fp_added"]
     assert (added.value, added.trials, added.left_out) == (1.0, 1, 1)
-
-
-def test_lies_are_not_detected_where_none_is_observable(matrix: DefenceMatrix) -> None:
-    assert math.isnan(measure(matrix, "Wall", "lies_detected", count=0).value)
 
 
 def test_the_share_removed_is_relative_to_the_undefended_run_with_the_same_seed(matrix: DefenceMatrix) -> None:
@@ -353,12 +335,6 @@ def test_the_runs_of_one_scene_and_seed_are_one_trial_of_a_defence() -> None:
     (summary,) = collection.table().summaries
     assert (summary.framed_by_minority.value, summary.framed_by_minority.trials) == (0.0, 15)
     assert summary.framed_by_minority.high == pytest.approx(1.0 - 0.025 ** (1 / 5))
-
-
-def test_the_time_in_each_state_is_a_share_with_an_interval(matrix: DefenceMatrix) -> None:
-    assert set(matrix.state_shares["Wall"]) == {"honest"}
-    assert matrix.state_shares["Wall"]["honest"]["suspended"].value == pytest.approx(0.1)
-    assert matrix.state_shares["NoIntegrity"] == {}
 
 
 def test_an_unknown_median_delay_has_at_most_a_lower_bound() -> None:
