@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import threading
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -145,18 +146,7 @@ def animate(
     """Write a film of a finished run."""
     from mast_zenoh.report.film import writing  # drawing libraries are slow to load
 
-    look = _look(
-        estimates,
-        captions,
-        agent=agent,
-        camera=camera,
-        window=window,
-        theme=theme,
-        size=size,
-        dpi=dpi,
-        plain=plain,
-        title=title,
-    )
+    look = _look(locals())
     with reading(run_folder):
         images = writing.animate(run_folder, out, look, against, start=start, end=end, speed=speed, fps=fps)
     _out.plain(f"film: {out} ({images} images, {out.stat().st_size / 1e6:.1f} MB)")
@@ -181,27 +171,22 @@ def snapshot(
     """Write one frame of a finished run as a figure."""
     from mast_zenoh.report.film import writing
 
-    look = _look(
-        estimates,
-        captions,
-        agent=agent,
-        camera=camera,
-        window=window,
-        theme=theme,
-        size=size,
-        dpi=dpi,
-        plain=plain,
-        title=title,
-    )
+    look = _look(locals())
     with reading(run_folder):
         shown = writing.snapshot(run_folder, out, look, frame, against)
     _out.plain(f"frame {shown}: {out}")
 
 
-def _look(estimates: list[str] | None, captions: list[str] | None, **options: Any) -> Look:
+_LOOK = ("agent", "camera", "window", "theme", "size", "dpi", "plain", "title")
+
+
+def _look(options: Mapping[str, Any]) -> Look:
+    """What a film or a still shows, by the options of its command."""
     from mast_zenoh.report.film.look import Look
 
-    return Look(estimates=tuple(estimates or ("picture",)), captions=tuple(captions or ()), **options)
+    estimates, captions = (tuple(options[name] or ()) for name in ("estimates", "captions"))
+    chosen = {name: options[name] for name in _LOOK}
+    return Look(estimates=estimates or ("picture",), captions=captions, **chosen)
 
 
 def logs(

@@ -128,137 +128,126 @@ def _call(path: Path, function: Callable[..., Any], parameters: Mapping[str, Any
         raise
     except Exception as error:
         raise ConfigurationError(f"{path}: study(...): {type(error).__name__}: {error}") from error
-    return _validated(path, content)
+    try:
+        return _validated(path, content)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{path}: {error}") from None
+
+
+def _check(valid: object, problem: str) -> None:
+    """Raise ConfigurationError with the problem of an entry that is not valid."""
+    if not valid:
+        raise ConfigurationError(problem)
 
 
 def _validated(path: Path, content: Any) -> Study:
-    if not isinstance(content, dict) or not isinstance(content.get("runs"), dict) or not content["runs"]:
-        raise ConfigurationError(f"{path}: study(...) must return a dict with `runs`: label to dict(scenario=…)")
+    runs = content.get("runs") if isinstance(content, dict) else None
+    _check(runs and isinstance(runs, dict), "study(...) must return a dict with `runs`: label to dict(scenario=…)")
     for key in content:
-        if key not in KEYS:
-            raise ConfigurationError(f"{path}: {key}: unknown key{nearest(str(key), KEYS)}")
+        _check(key in KEYS, f"{key}: unknown key{nearest(str(key), KEYS)}")
     configurations = tuple(each for label, run in content["runs"].items() for each in _expand(path, label, run))
-    labels = [checked_name(each.label, f"{path}: runs") for each in configurations]
-    if len(set(labels)) < len(labels):
-        duplicate = next(label for label in labels if labels.count(label) > 1)
-        raise ConfigurationError(f"{path}: runs: two configurations are called {duplicate!r}")
+    labels = [checked_name(each.label, "runs") for each in configurations]
+    duplicate = next((label for label in labels if labels.count(label) > 1), None)
+    _check(duplicate is None, f"runs: two configurations are called {duplicate!r}")
     baseline = content.get("baseline", "baseline" if "baseline" in labels else labels[0])
-    if baseline not in labels:
-        raise ConfigurationError(f"{path}: baseline: found {baseline!r}{nearest(str(baseline), labels)}")
-    scenes = content.get("scenes", [{}])
-    if not isinstance(scenes, (list, tuple)) or not scenes:
-        raise ConfigurationError(f"{path}: scenes: found {scenes!r}, expected a list of short names or dicts")
-    if content.get("runtime", "mesh") not in RUNTIMES:
-        raise ConfigurationError(f"{path}: runtime: found {content['runtime']!r}{nearest('', RUNTIMES)}")
+    _check(baseline in labels, f"baseline: found {baseline!r}{nearest(str(baseline), labels)}")
+    runtime = content.get("runtime")
+    _check(runtime in RUNTIMES or "runtime" not in content, f"runtime: found {runtime!r}{nearest('', RUNTIMES)}")
+    per_trial = content.get("per_trial", {})
+    known = isinstance(per_trial, Mapping) and set(per_trial) <= set(PER_TRIAL)
+    _check(known, f"per_trial: found {per_trial!r}, expected a dict with {', '.join(PER_TRIAL)}")
     return Study(
         path=path,
-        name=checked_name(content.get("name", name_of_file(path.stem)), f"{path}: name"),
+        name=checked_name(content.get("name", name_of_file(path.stem)), "name"),
         configurations=configurations,
         baseline=baseline,
-        scenes=_scenes(path, scenes),
-        trials=_integer(path, content, "trials", 1),
-        seed=_integer(path, content, "seed", 0) or 0,
-        frames=_integer(path, content, "frames", 1),
-        runtime=content.get("runtime"),
-        security=_levels(path, content.get("security", ())),
-        cells=_cells(path, content.get("cells", {}), labels),
-        per_trial=_per_trial(path, content.get("per_trial", {})),
+        scenes=_scenes(content.get("scenes", [{}])),
+        trials=_integer(content, "trials", 1),
+        seed=_integer(content, "seed", 0) or 0,
+        frames=_integer(content, "frames", 1),
+        runtime=runtime,
+        security=_levels(content.get("security", ())),
+        cells=_cells(content.get("cells", {}), labels),
+        per_trial=dict(per_trial),
     )
 
 
-def _levels(path: Path, content: Any) -> tuple[str, ...]:
+def _levels(content: Any) -> tuple[str, ...]:
     """The security levels, without duplicates."""
-    if not isinstance(content, (list, tuple)):
-        raise ConfigurationError(f"{path}: security: found {content!r}, expected a list of {', '.join(LEVELS)}")
+    expected = f"expected a list of {', '.join(LEVELS)}"
+    _check(isinstance(content, (list, tuple)), f"security: found {content!r}, {expected}")
     for level in content:
-        if level not in LEVELS:
-            raise ConfigurationError(f"{path}: security: found {level!r}{nearest(str(level), LEVELS)}")
+        _check(level in LEVELS, f"security: found {level!r}{nearest(str(level), LEVELS)}")
     return tuple(dict.fromkeys(content))
 
 
-def _cells(path: Path, content: Any, labels: Sequence[str]) -> dict[str, DefenceCell]:
+def _cells(content: Any, labels: Sequence[str]) -> dict[str, DefenceCell]:
     """The cells of all configurations, or of none."""
-    if not isinstance(content, Mapping) or not all(isinstance(cell, DefenceCell) for cell in content.values()):
-        raise ConfigurationError(f"{path}: cells: found {content!r:.120}, expected label to {DefenceCell.__name__}")
-    if len({type(cell) for cell in content.values()}) > 1:
-        raise ConfigurationError(f"{path}: cells: expected cells of one class, found several")
-    if content and set(content) != set(labels):
-        different = sorted(set(content) ^ set(labels))[0]
-        raise ConfigurationError(f"{path}: cells: {different!r}: expected exactly the labels of `runs`")
-    return dict(content)
-
-
-def _per_trial(path: Path, content: Any) -> dict[str, str]:
-    if not isinstance(content, Mapping) or not set(content) <= set(PER_TRIAL):
-        raise ConfigurationError(f"{path}: per_trial: found {content!r}, expected a dict with {', '.join(PER_TRIAL)}")
+    valid = isinstance(content, Mapping) and all(isinstance(cell, DefenceCell) for cell in content.values())
+    _check(valid, f"cells: found {content!r:.120}, expected label to {DefenceCell.__name__}")
+    _check(len({type(cell) for cell in content.values()}) <= 1, "cells: expected cells of one class, found several")
+    different = sorted(set(content) ^ set(labels)) if content else []
+    _check(not different, f"cells: {different[0] if different else ''!r}: expected exactly the labels of `runs`")
     return dict(content)
 
 
 def _expand(path: Path, label: Any, run: Any) -> list[Configuration]:
     """The configurations of one run: one for each point of its grid."""
-    if not isinstance(run, dict) or "scenario" not in run:
-        raise ConfigurationError(f"{path}: runs.{label}: found {run!r}, expected dict(scenario=…, parameters=…)")
+    place = f"runs.{label}"
+    valid = isinstance(run, dict) and "scenario" in run
+    _check(valid, f"{place}: found {run!r}, expected dict(scenario=…, parameters=…)")
     for key in run:
-        if key not in RUN_KEYS:
-            raise ConfigurationError(f"{path}: runs.{label}.{key}: unknown key{nearest(str(key), RUN_KEYS)}")
-    for key in ("parameters", "grid"):
-        if not isinstance(run.get(key, {}), Mapping):
-            raise ConfigurationError(f"{path}: runs.{label}.{key}: found {run[key]!r}, expected a dict")
-    grid = run.get("grid", {})
+        _check(key in RUN_KEYS, f"{place}.{key}: unknown key{nearest(str(key), RUN_KEYS)}")
+    parameters, grid = run.get("parameters", {}), run.get("grid", {})
+    for key, values in (("parameters", parameters), ("grid", grid)):
+        _check(isinstance(values, Mapping), f"{place}.{key}: found {values!r}, expected a dict")
     for name, values in grid.items():
-        if not isinstance(values, (list, tuple)) or not values:
-            raise ConfigurationError(f"{path}: runs.{label}.grid.{name}: found {values!r}, expected a list of values")
-        if name in COLUMNS:
-            suggestion = _SUGGESTIONS.get(name, "")
-            raise ConfigurationError(
-                f"{path}: runs.{label}.grid.{name}: the tables of results have a column of this name, "
-                f"expected another{suggestion}"
-            )
+        listed = isinstance(values, (list, tuple)) and values
+        _check(listed, f"{place}.grid.{name}: found {values!r}, expected a list of values")
+        reserved = "the tables of results have a column of this name, expected another"
+        _check(name not in COLUMNS, f"{place}.grid.{name}: {reserved}{_SUGGESTIONS.get(name, '')}")
     configurations = []
     for values in itertools.product(*grid.values()):
         point = dict(zip(grid, values, strict=True))
-        settings = _settings({**run.get("parameters", {}), **point})
         name = "-".join([str(label), *map(str, values)])
-        if "/" in name or name in ("", ".", ".."):
-            raise ConfigurationError(f"{path}: runs: found the label {name!r}, expected one that can name a folder")
+        is_folder = "/" not in name and name not in ("", ".", "..")
+        _check(is_folder, f"runs: found the label {name!r}, expected one that can name a folder")
         sibling = path.parent / str(run["scenario"])  # scenario paths are relative to the study file
         scenario_file = str(sibling) if sibling.is_file() else str(run["scenario"])
+        settings = _settings({**parameters, **point})
         configurations.append(Configuration(name, str(label), scenario_file, settings, tuple(point.items())))
     return configurations
 
 
-def _scenes(path: Path, scenes: Sequence[Any]) -> tuple[StudyScene, ...]:
+def _scenes(content: Any) -> tuple[StudyScene, ...]:
     """The scenes, with unique labels.
 
     Labels are the settings' values, or keys and values if the values alone are ambiguous.
     """
-    labelled = [_scene(path, index, content) for index, content in enumerate(scenes)]
-    if len({scene.label for scene in labelled}) < len(labelled):
-        labelled = [StudyScene(", ".join(scene.settings) or "default", scene.settings) for scene in labelled]
+    valid = isinstance(content, (list, tuple)) and content
+    _check(valid, f"scenes: found {content!r}, expected a list of short names or dicts")
+    scenes = [{"scene": scene} if isinstance(scene, str) else scene for scene in content]
+    for index, scene in enumerate(scenes):
+        expected = "expected a short name or a dict"
+        _check(isinstance(scene, Mapping), f"scenes[{index}]: found {scene!r}, {expected}")
+    labels = [", ".join(map(str, scene.values())) for scene in scenes]
+    if len(set(labels)) < len(labels):
+        labels = [", ".join(_settings(scene)) for scene in scenes]
+    labelled = [StudyScene(label or "default", _settings(scene)) for label, scene in zip(labels, scenes, strict=True)]
     for index, scene in enumerate(labelled):
         first = labelled.index(scene)
-        if first < index:
-            raise ConfigurationError(
-                f"{path}: scenes[{index}]: the same as scenes[{first}] ({scene.label}), expected each scene once"
-            )
+        expected = f"the same as scenes[{first}] ({scene.label}), expected each scene once"
+        _check(first == index, f"scenes[{index}]: {expected}")
     return tuple(labelled)
-
-
-def _scene(path: Path, index: int, scene: Any) -> StudyScene:
-    if isinstance(scene, str):
-        scene = {"scene": scene}
-    if not isinstance(scene, Mapping):
-        raise ConfigurationError(f"{path}: scenes[{index}]: found {scene!r}, expected a short name or a dict")
-    return StudyScene(", ".join(str(value) for value in scene.values()) or "default", _settings(scene))
 
 
 def _settings(parameters: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(f"{key}={value}" for key, value in parameters.items())
 
 
-def _integer(path: Path, content: Mapping[str, Any], key: str, minimum: int) -> int | None:
+def _integer(content: Mapping[str, Any], key: str, minimum: int) -> int | None:
     """An optional integer of at least `minimum`."""
     value = content.get(key)
-    if value is not None and (type(value) is not int or value < minimum):
-        raise ConfigurationError(f"{path}: {key}: found {value!r}, expected a whole number from {minimum}")
+    valid = value is None or (type(value) is int and value >= minimum)
+    _check(valid, f"{key}: found {value!r}, expected a whole number from {minimum}")
     return value
