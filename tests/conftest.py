@@ -86,3 +86,22 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Itera
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(folder))
         yield folder
+
+
+@pytest.fixture
+def mast(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> Callable[..., tuple[int, str, str]]:
+    """Run a command in this process and in an empty folder; returns exit code, stdout and stderr."""
+    from mast_zenoh.cli import app
+
+    monkeypatch.chdir(tmp_path)
+
+    def run(*words: str) -> tuple[int, str, str]:
+        monkeypatch.setattr("sys.argv", ["mast", *words])
+        with pytest.raises(SystemExit) as raised:
+            app.main()
+        printed = capsys.readouterr()
+        return int(raised.value.code or 0), printed.out, printed.err
+
+    return run

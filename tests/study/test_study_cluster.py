@@ -128,17 +128,8 @@ def test_a_scheduler_and_two_workers_started_by_hand_run_the_study(
     study_file: Path, reference: dict[str, bytes], tmp_path: Path
 ) -> None:
     where = tmp_path / "scheduler.json"
-    with dask(
-        "scheduler",
-        "--host",
-        "127.0.0.1",
-        "--port",
-        "0",
-        "--no-dashboard",
-        "--scheduler-file",
-        str(where),
-        cwd=tmp_path,
-    ):
+    words = ("scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(where))
+    with dask(*words, cwd=tmp_path):
         wait_until(lambda: address_in(where) != "", "the scheduler")
         joined = ("worker", "--scheduler-file", str(where), "--nthreads", "1", "--no-dashboard", "--no-nanny")
         with dask(*joined, cwd=tmp_path), dask(*joined, cwd=tmp_path):
@@ -149,8 +140,6 @@ def test_a_scheduler_and_two_workers_started_by_hand_run_the_study(
 
 
 def test_unreachable_cluster_is_named(study_file: Path, tmp_path: Path, monkeypatch) -> None:
-    from mast_zenoh.study import execution
-
     monkeypatch.setattr(execution, "_CONNECT_S", 1)
     loaded = definition.load(str(study_file))
     with pytest.raises(StartError, match=r"--cluster tcp://127\.0\.0\.1:1: no Dask scheduler answers there"):

@@ -8,7 +8,6 @@ from pathlib import Path
 import failing
 import pytest
 
-from mast_zenoh.cli import app
 from mast_zenoh.errors import HandlerFailed
 from mast_zenoh.study import definition, interface, trials
 
@@ -34,38 +33,26 @@ def study(tmp_path: Path) -> definition.Study:
     return definition.load(str(tmp_path / "study.py"))
 
 
-def test_failed_handler_of_a_trial_is_reported_with_location_and_command(study, tmp_path: Path) -> None:
-    outcome = trials.run(study, tmp_path / "out", count=1)
-    (failed,) = outcome.facts.failed
-    assert failed.configuration == "first"
-    assert failed.error.startswith("HandlerFailed: handlers failed, so the numbers may be wrong:")
-    assert MESSAGE in failed.error
-    assert f"{tmp_path / 'attack.py'}:" in failed.error
-    assert "--allow-failures" not in failed.command
-
-
 @pytest.mark.mesh
-def test_failed_handler_of_a_mesh_trial_is_reported(study, tmp_path: Path) -> None:
-    reasons = [
-        trials.run(study, tmp_path / runtime, count=1, runtime=runtime).facts.failed[0].error
-        for runtime in ("inproc", "mesh")
-    ]
-    assert reasons[0] == reasons[1]
+def test_failed_handler_of_a_trial_is_reported_with_location_and_command_on_a_mesh_too(study, tmp_path: Path) -> None:
+    failed, on_mesh = (
+        trials.run(study, tmp_path / runtime, count=1, runtime=runtime).facts.failed for runtime in ("inproc", "mesh")
+    )
+    assert [each.configuration for each in failed] == ["first"]
+    assert failed[0].error.startswith("HandlerFailed: handlers failed, so the numbers may be wrong:")
+    assert MESSAGE in failed[0].error
+    assert f"{tmp_path / 'attack.py'}:" in failed[0].error
+    assert "--allow-failures" not in failed[0].command
+    assert [each.error for each in on_mesh] == [failed[0].error]
 
 
 def test_trials_with_allowed_failures_are_repeated_once_failures_are_not_allowed(study, tmp_path: Path) -> None:
-    outcome = trials.run(study, tmp_path / "out", count=1, allow_failures=True)
-    assert outcome.facts.failed == ()
-    again = trials.run(study, tmp_path / "out", count=1, resume=True)
-    assert [failed.configuration for failed in again.facts.failed] == ["first"]
-    allowed = trials.run(study, tmp_path / "out", count=1, resume=True, allow_failures=True)
-    assert allowed.facts.failed == ()
-    commands = {each["configuration"]: each["command"] for each in noted(allowed)}
-    assert "--allow-failures" in commands["first"]
-
-
-def noted(ended: trials.StudyResult) -> list[dict]:
-    return json.loads((ended.out / "study.json").read_text())["trials"]
+    for allowed in (True, False, True):
+        outcome = trials.run(study, tmp_path / "out", count=1, resume=True, allow_failures=allowed)
+        assert [failed.configuration for failed in outcome.facts.failed] == ([] if allowed else ["first"])
+        noted = json.loads((outcome.out / "study.json").read_text())["trials"]
+        (command,) = (each["command"] for each in noted if each["configuration"] == "first")
+        assert ("--allow-failures" in command) == allowed
 
 
 def test_comparison_finishes_all_runs_before_raising(study, tmp_path: Path) -> None:
@@ -77,27 +64,20 @@ def test_comparison_finishes_all_runs_before_raising(study, tmp_path: Path) -> N
     interface.run_once(study, tmp_path / "allowed", runtime="inproc", allow_failures=True).raise_failures()
 
 
-@pytest.mark.parametrize("words", [(), ("--trials", "1", "--jobs", "1")], ids=["single runs", "trials"])
-@pytest.mark.parametrize("allowed", [False, True])
+@pytest.mark.parametrize(("words", "code", "result"), [((), 30, "report.html"), (("--trials", "1"), 24, "table.md")])
 def test_command_line_writes_all_results_and_exits_with_the_failure_code(
-    study, tmp_path: Path, monkeypatch, capsys, words: tuple[str, ...], allowed: bool
+    mast, study, tmp_path: Path, words: tuple[str, ...], code: int, result: str
 ) -> None:
-    more = (*words, *(["--allow-failures"] if allowed else []))
-    command = ["mast", "study", str(study.path), "--runtime", "inproc", "--out", str(tmp_path / "out"), *more]
-    monkeypatch.setattr("sys.argv", command)
-    with pytest.raises(SystemExit) as raised:
-        app.main()
-    captured = capsys.readouterr()
-    assert int(raised.value.code or 0) == (0 if allowed else 24 if words else 30)
-    assert MESSAGE in captured.err + captured.out, "at least a warning"
-    assert "Traceback" not in captured.err
-    written = tmp_path / "out" / ("table.md" if words else "report.html")
-    assert written.is_file()
+    for allowed in ((), ("--allow-failures",)):
+        out = tmp_path / f"out{len(allowed)}"
+        jobs = ("--jobs", "1") if words else ()
+        ended = mast("study", str(study.path), "--runtime", "inproc", "--out", str(out), *words, *jobs, *allowed)
+        assert ended[0] == (0 if allowed else code)
+        assert MESSAGE in ended[1] + ended[2], "at least a warning"
+        assert "Traceback" not in ended[2]
+        assert (out / result).is_file()
 
 
-def test_rogue_study_rejects_allow_failures(tmp_path: Path, monkeypatch, capsys) -> None:
-    monkeypatch.setattr("sys.argv", ["mast", "study", "rogue", "--allow-failures"])
-    with pytest.raises(SystemExit) as raised:
-        app.main()
-    assert raised.value.code == 2
-    assert "Traceback" not in capsys.readouterr().err
+def test_rogue_study_rejects_allow_failures(mast) -> None:
+    code, _, err = mast("study", "rogue", "--allow-failures")
+    assert (code, "Traceback" in err) == (2, False)

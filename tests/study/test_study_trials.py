@@ -14,7 +14,6 @@ import pytest
 from pyarrow import parquet
 from small_study import TABLES, tables, write_small
 
-from mast_zenoh.cli import app
 from mast_zenoh.errors import ConfigurationError, Interrupted, RunFolderError, TrialsFailed
 from mast_zenoh.metrics.estimates import ESTIMATORS, LOCAL, PICTURE, RECEIVED
 from mast_zenoh.study import definition, execution, trial, trials
@@ -30,17 +29,6 @@ def scenario():
 """
 
 
-@pytest.fixture(scope="module")
-def small(tmp_path_factory: pytest.TempPathFactory) -> definition.Study:
-    return definition.load(str(write_small(tmp_path_factory.mktemp("study"))))
-
-
-@pytest.fixture(scope="module")
-def whole(small: definition.Study, tmp_path_factory: pytest.TempPathFactory) -> trials.StudyResult:
-    """The study, run without interruption."""
-    return trials.run(small, tmp_path_factory.mktemp("whole") / "out", count=2)
-
-
 @pytest.fixture
 def trials_run(monkeypatch: pytest.MonkeyPatch) -> list[Trial]:
     """The trials that are run, and not reused, from here on."""
@@ -53,19 +41,6 @@ def trials_run(monkeypatch: pytest.MonkeyPatch) -> list[Trial]:
 
     monkeypatch.setattr(execution, "run", record)
     return executed
-
-
-def interrupt(monkeypatch: pytest.MonkeyPatch, after: int) -> None:
-    """Simulate Ctrl-C in the trial that follows `after` completed ones."""
-    run, done = execution.run, []
-
-    def interrupted(each: Trial) -> Outcome:
-        if len(done) == after:
-            raise KeyboardInterrupt
-        done.append(each)
-        return run(each)
-
-    monkeypatch.setattr(execution, "run", interrupted)
 
 
 def test_an_attack_that_would_begin_after_the_last_frame_is_reported_and_has_no_success_rate(tmp_path: Path) -> None:
@@ -83,10 +58,6 @@ def test_an_attack_that_would_begin_after_the_last_frame_is_reported_and_has_no_
     assert "never began" in outcome.report.read_text()
 
 
-def test_an_attack_that_begins_before_the_end_is_not_idle(whole: trials.StudyResult) -> None:
-    assert whole.facts.idle == ()
-
-
 def test_every_configuration_is_run_with_every_seed_and_every_metric_has_a_row(whole: trials.StudyResult) -> None:
     table = parquet.read_table(whole.out / "results.parquet").to_pydict()
     cells = set(zip(table["configuration"], table["seed"], strict=True))
@@ -96,6 +67,7 @@ def test_every_configuration_is_run_with_every_seed_and_every_metric_has_a_row(w
     assert {"fn_iob", "fp_ioe", "tp_iob", "cafn_iob", "cafp_iob", "rmse_m_iob", "id_switches_iob"} <= rows
     frames = parquet.read_table(whole.out / "frames.parquet")
     of_pole = (LOCAL, RECEIVED, PICTURE)
+    assert whole.facts.idle == (), "its attacks begin before the end"
     assert len(frames) == 6 * 8 * len([*ESTIMATORS, *of_pole]), "trials, frames, estimators of the ego and a pole"
 
 
@@ -106,11 +78,8 @@ def test_every_parameter_of_the_grid_has_a_column_in_every_table(whole: trials.S
         rows = set(zip(*(column.to_pylist() for column in table.columns[:3]), strict=True))
         assert rows == {("baseline", None, None), ("attacked-1-5.0", 1, 5.0), ("attacked-1-20.0", 1, 20.0)}
     lines = list(csv.DictReader((whole.out / "table.csv").open()))
-    assert {(line["n_adversaries"], line["false_positives"]) for line in lines} == {
-        ("", ""),
-        ("1", "5.0"),
-        ("1", "20.0"),
-    }
+    points = {(line["n_adversaries"], line["false_positives"]) for line in lines}
+    assert points == {("", ""), ("1", "5.0"), ("1", "20.0")}
 
 
 def test_reserved_parameter_names_are_the_column_names_of_the_tables(whole: trials.StudyResult) -> None:
@@ -124,8 +93,15 @@ def test_reserved_parameter_names_are_the_column_names_of_the_tables(whole: tria
 def test_interrupted_study_resumes_without_repeating_trials(
     small, whole, monkeypatch, tmp_path: Path, trials_run
 ) -> None:
+    run = execution.run
+
+    def interrupted(each: Trial) -> Outcome:
+        if len(trials_run) == 3:
+            raise KeyboardInterrupt
+        return run(each)
+
     with monkeypatch.context() as patch:
-        interrupt(patch, after=3)
+        patch.setattr(execution, "run", interrupted)
         with pytest.raises(Interrupted, match="--resume"):
             trials.run(small, tmp_path / "out", count=2)
     assert len(trials_run) == 3
@@ -137,25 +113,19 @@ def test_interrupted_study_resumes_without_repeating_trials(
     assert (tmp_path / "out" / "report.html").read_bytes() == whole.report.read_bytes()
 
 
-def test_more_seeds_can_be_added_later(small, whole, tmp_path: Path, trials_run) -> None:
+def test_more_seeds_can_be_added_later_and_a_trial_with_a_broken_file_is_run_again(
+    small, whole, tmp_path: Path, trials_run
+) -> None:
     trials.run(small, tmp_path / "out", count=1)
-    trials_run.clear()
-    trials.run(small, tmp_path / "out", count=2, resume=True)
-    assert {each.seed for each in trials_run} == {1}
-    assert tables(tmp_path / "out") == tables(whole.out)
-
-
-def test_a_trial_with_a_broken_file_is_run_again(small, whole, tmp_path: Path, trials_run) -> None:
-    trials.run(small, tmp_path / "out", count=2)
     files = sorted((tmp_path / "out" / "trials").iterdir())
     files[0].write_bytes(files[0].read_bytes()[:-20])
     files[1].unlink()
     (tmp_path / "out" / "trials" / ".half-written").write_bytes(b"PAR1")
     trials_run.clear()
     trials.run(small, tmp_path / "out", count=2, resume=True)
-    assert len(trials_run) == 2
+    assert sorted(each.seed for each in trials_run) == [0, 0, 1, 1, 1]
     assert tables(tmp_path / "out") == tables(whole.out)
-    assert sorted((tmp_path / "out" / "trials").iterdir()) == files
+    assert {path.name for path in (tmp_path / "out" / "trials").iterdir()} > {path.name for path in files}
 
 
 def test_failed_trial_is_reported_with_its_command_and_others_are_kept(small, monkeypatch, tmp_path: Path) -> None:
@@ -275,31 +245,21 @@ def test_used_folder_and_folder_of_another_study_are_rejected(small, whole, tmp_
         trials.run(small, tmp_path, count=1, resume=True)
 
 
-def test_the_command_line_prints_the_tables_and_names_the_files(small, tmp_path: Path, capsys, monkeypatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(
-        sys, "argv", ["mast", "study", str(small.path), "--trials", "1", "--jobs", "1", "--out", str(tmp_path / "out")]
-    )
-    with pytest.raises(SystemExit) as raised:
-        app.main()
-    assert raised.value.code in (0, None)
-    output = capsys.readouterr().out
+def test_the_command_line_prints_the_tables_and_names_the_files(mast, small, tmp_path: Path) -> None:
+    words = ("study", str(small.path), "--trials", "1", "--jobs", "1", "--out", str(tmp_path / "out"))
+    code, output, _ = mast(*words)
+    assert code == 0
     for word in ("CAFP IoB", "attacked-1-20.0", "Causes of false objects", "OSPA", "(n < 5)", *TABLES):
         assert word in output
     assert f"report: {tmp_path / 'out' / 'report.html'}" in output
 
 
-def test_study_with_failed_trials_has_its_own_exit_code(small, tmp_path: Path, capsys, monkeypatch) -> None:
+def test_study_with_failed_trials_has_its_own_exit_code(mast, small, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr(execution, "_run_in_process", lambda *_: 1 / 0)
-    monkeypatch.setattr(
-        sys, "argv", ["mast", "study", str(small.path), "--trials", "1", "--jobs", "1", "--out", str(tmp_path / "out")]
-    )
-    with pytest.raises(SystemExit) as raised:
-        app.main()
-    assert raised.value.code == TrialsFailed.exit_code == 24
-    output = capsys.readouterr()
-    assert "mast run uncoordinated --set" in output.err
-    assert "3 of 3 trials failed" in output.out
+    code, output, err = mast("study", str(small.path), "--trials", "1", "--jobs", "1", "--out", str(tmp_path / "out"))
+    assert code == TrialsFailed.exit_code == 24
+    assert "mast run uncoordinated --set" in err
+    assert "3 of 3 trials failed" in output
 
 
 def test_without_dask_several_jobs_are_rejected_with_install_hint(small, tmp_path: Path, monkeypatch) -> None:
