@@ -1,6 +1,6 @@
 """Counts and errors of every estimate, computed from a run's recording.
 
-Shares no code with mast_zenoh.metrics: one plain loop over objects and tracks, and one use of py-motmetrics.
+Shares no code with mast_zenoh.metrics, and uses py-motmetrics.
 """
 
 from __future__ import annotations
@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import math
 from collections import defaultdict
-from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -127,68 +126,9 @@ def _frame(truth: Any, agent: int, tracks: Objects) -> Frame:
     return Frame(there, {id_: place for id_, place in tracks.items() if near(*place)})
 
 
-# -- a plain loop --------------------------------------------------------------------------------------------------
-
-
-def by_loop(frames: list[Frame]) -> list[Row]:
-    """The scores of one estimate: most pairs first, then least distance."""
-    last: dict[int, int] = {}
-    rows = []
-    for frame in frames:
-        pairs = _pairs(frame)
-        squares = sum(_apart(frame, *pair) ** 2 for pair in pairs)
-        switches = sum(last.get(truth, track) != track for truth, track in pairs)
-        last.update(pairs)
-        rmse = math.sqrt(squares / len(pairs)) if pairs else math.nan
-        rows.append(Row(len(frame.truth) - len(pairs), len(frame.tracks) - len(pairs), len(pairs), rmse, switches))
-    return rows
-
-
 def _apart(frame: Frame, truth: int, track: int) -> float:
     (x, y), (u, v) = frame.truth[truth], frame.tracks[track]
     return math.hypot(x - u, y - v)
-
-
-def _pairs(frame: Frame) -> list[tuple[int, int]]:
-    near = {t: [k for k in frame.tracks if _apart(frame, t, k) <= GATE_M] for t in frame.truth}
-    pairs: list[tuple[int, int]] = []
-    left = [truth for truth in near if near[truth]]
-    while left:
-        # Objects that compete for tracks, directly or transitively.
-        together = [left.pop()]
-        tracks = set(near[together[0]])
-        grown = True
-        while grown:
-            more = [truth for truth in left if tracks & set(near[truth])]
-            grown = bool(more)
-            for truth in more:
-                left.remove(truth)
-                together.append(truth)
-                tracks.update(near[truth])
-        pairs += _best(frame, tuple(together), near)
-    return pairs
-
-
-def _best(frame: Frame, truths: tuple[int, ...], near: dict[int, list[int]]) -> list[tuple[int, int]]:
-    """The best pairs of some objects, by exhaustive search."""
-
-    @cache
-    def best(k: int, taken: frozenset[int]) -> tuple[int, float, tuple[tuple[int, int], ...]]:
-        if k == len(truths):
-            return 0, 0.0, ()
-        choice = best(k + 1, taken)
-        for track in near[truths[k]]:
-            if track not in taken:
-                count, cost, pairs = best(k + 1, taken | {track})
-                cost += _apart(frame, truths[k], track)
-                if (-count - 1, cost) < (-choice[0], choice[1]):
-                    choice = count + 1, cost, ((truths[k], track), *pairs)
-        return choice
-
-    return list(best(0, frozenset())[2])
-
-
-# -- py-motmetrics -------------------------------------------------------------------------------------------------
 
 
 def by_motmetrics(estimates: dict[Series, list[Frame]]) -> dict[Series, list[Row]]:

@@ -186,3 +186,16 @@ def test_user_metrics_are_in_the_summary_and_tables_of_every_estimate(once: Once
             assert summary["ahead"]["std"] == pytest.approx(np.std(values[first : last + 1]), abs=1e-12)
             assert summary["highest_id"] == objects["id"][rows].max()
     assert max(per_frame["ahead"]) > 0
+
+
+def test_driving_is_summarised_over_the_scored_frames_of_its_table(once: Once) -> None:
+    attacked = once("uncoordinated", "attack_start_s=0.5")
+    table, (first, last) = attacked.table("driving"), attacked.metrics["scored_frames"]
+    assert set(attacked.metrics["driving"]) == {"ego"}, "poles do not drive"
+    assert len(table["frame"]) == 3 * attacked.metrics["frames"]
+    for estimate, summary in attacked.metrics["driving"]["ego"].items():
+        rows = (table["estimate"] == estimate) & (table["frame"] >= first) & (table["frame"] <= last)
+        assert rows.sum() == last - first + 1
+        for name, column in (("corridor_objects", "objects"), ("brake_share", "brake")):
+            assert summary[name] == pytest.approx(table[column][rows].mean())
+    assert table["false"].max() > 0

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from shapely import LineString, affinity
-from shapely.geometry import box
+from metric_worlds import outline
+from shapely import LineString
 
 from mast_zenoh.metrics import Driving
 from mast_zenoh.metrics.driving import (
     STANDING_MPS,
-    Ahead,
     Objects,
     SafeDistance,
     TimeToCollision,
@@ -49,15 +48,6 @@ def objects(*rows: tuple[int, float, float, float, float, float], velocity=(0.0,
         np.column_stack([table[:, 4:6], np.full(n, 1.5)]),
         table[:, 3],
     )
-
-
-def ahead_of(where: Vehicle, what: Objects, **how: float) -> Ahead:
-    return Driving(**how).ahead(where, what)
-
-
-def outline(x: float, y: float, yaw: float, length: float, width: float):
-    shape = box(-length / 2, -width / 2, length / 2, width / 2)
-    return affinity.translate(affinity.rotate(shape, yaw, origin=(0, 0), use_radians=True), x, y)
 
 
 def path_from(where: Vehicle, frame: int, horizon_m: float) -> LineString:
@@ -102,7 +92,9 @@ def test_objects_that_touch_the_path_with_its_width_are_in_the_corridor(
     assume(abs(gap - horizon) > 1.0)
     assume(abs(forward) > 3.0)
     assume(math.hypot(x - where.position[frame, 0], y - where.position[frame, 1]) > 2.5)
-    obstacles = ahead_of(where, objects((frame, x, y, direction + turn, *size)), horizon_m=horizon, margin_m=margin)
+    obstacles = Driving(horizon_m=horizon, margin_m=margin).ahead(
+        where, objects((frame, x, y, direction + turn, *size))
+    )
     itself = outline(*where.position[frame, :2], where.heading[frame], LENGTH, WIDTH)
     overlaps = itself.intersection(body).area > 1e-6
     assume(overlaps or itself.distance(body) > 0.01)
@@ -113,43 +105,38 @@ def test_objects_that_touch_the_path_with_its_width_are_in_the_corridor(
         assert obstacles.gap_m[0] == pytest.approx(max(gap, 0.0), abs=0.05 if math.isinf(radius) else 0.6)
 
 
-def test_an_object_ahead_where_the_path_bends_is_not_in_the_corridor() -> None:
-    where = vehicle(radius_m=12.0, speed=5.0, heading=0.0)
-    obstacles = ahead_of(where, objects((0, 9.0, 0.0, 0.0, 0.6, 0.6), (0, 9.0, 4.0, 0.0, 0.6, 0.6)))
-    assert obstacles.row.tolist() == [1]
+@pytest.mark.parametrize(
+    ("where", "rows", "inside"),
+    [
+        (vehicle(12.0, 5.0, heading=0.0), [(0, 9.0, 0.0, 0.0, 0.6, 0.6), (0, 9.0, 4.0, 0.0, 0.6, 0.6)], [1]),
+        (vehicle(heading=0.0), [(5, 5.0 + dx, 0.0, 0.0, 4.5, 1.8) for dx in (0.0, 1.9, -5.0, 12.0)], [3]),
+        (vehicle(speed=0.0, heading=math.pi / 2), [(9, 0.0, 5.0, 0.0, 4.5, 1.8), (9, 5.0, 0.0, 0.0, 4.5, 1.8)], [0]),
+    ],
+    ids=["where the path bends", "not itself or behind it", "straight ahead of a stationary vehicle"],
+)
+def test_the_corridor_follows_the_path_ahead(where: Vehicle, rows: list, inside: list[int]) -> None:
+    assert Driving().ahead(where, objects(*rows)).row.tolist() == inside
 
 
 def test_an_object_beside_a_self_crossing_path_is_reached_on_the_return() -> None:
     """A circle of 75 m: from frame 100 (50 m) the object at the start is 25 m ahead."""
-    where = vehicle(radius_m=12.0, speed=5.0, frames=200, heading=0.0)
-    obstacles = ahead_of(where, objects((100, 0.0, 0.0, 0.0, 4.5, 1.8)))
+    obstacles = Driving().ahead(vehicle(12.0, 5.0, 200, 0.0), objects((100, 0.0, 0.0, 0.0, 4.5, 1.8)))
     assert obstacles.gap_m == pytest.approx([2 * math.pi * 12.0 - 50.0 - 4.5], abs=0.6)
 
 
-def test_the_vehicle_itself_and_objects_behind_it_are_not_in_its_corridor() -> None:
-    where = vehicle(heading=0.0)
-    rows = [(5, 5.0 + dx, 0.0, 0.0, 4.5, 1.8) for dx in (0.0, 1.9, -5.0, 12.0)]
-    assert ahead_of(where, objects(*rows)).row.tolist() == [3]
-
-
-def test_a_stationary_vehicle_has_a_straight_corridor_and_need_not_brake() -> None:
-    where = vehicle(speed=0.0, heading=math.pi / 2)
-    obstacles = ahead_of(where, objects((50, 0.0, 5.0, 0.0, 4.5, 1.8), (50, 5.0, 0.0, 0.0, 4.5, 1.8)))
-    assert obstacles.row.tolist() == [0]
+def test_a_stationary_vehicle_need_not_brake() -> None:
+    obstacles = Driving().ahead(vehicle(speed=0.0, heading=math.pi / 2), objects((50, 0.0, 5.0, 0.0, 4.5, 1.8)))
     assert obstacles.gap_m == pytest.approx([5.0 - 0.9 - LENGTH / 2])
     assert not obstacles.brake.any()
     assert np.isinf(obstacles.ttc_s).all()
 
 
-def test_closing_speed_is_measured_along_the_path() -> None:
-    where = vehicle(speed=10.0, heading=0.0)
-    still, same, across, towards = (
-        ahead_of(where, objects((0, 30.0, 0.0, 0.0, 4.5, 1.8), velocity=each)).ttc_s[0]
-        for each in ((0.0, 0.0), (10.0, 0.0), (0.0, 8.0), (-5.0, 0.0))
-    )
-    assert still == across == pytest.approx((30.0 - 4.5) / 10.0)
-    assert math.isinf(same)
-    assert towards == pytest.approx((30.0 - 4.5) / 15.0)
+@pytest.mark.parametrize(
+    ("velocity", "closing"), [((0.0, 0.0), 10.0), ((10.0, 0.0), 0.0), ((0.0, 8.0), 10.0), ((-5.0, 0.0), 15.0)]
+)
+def test_closing_speed_is_measured_along_the_path(velocity: tuple[float, float], closing: float) -> None:
+    ahead = Driving().ahead(vehicle(heading=0.0), objects((0, 30.0, 0.0, 0.0, 4.5, 1.8), velocity=velocity))
+    assert ahead.ttc_s == pytest.approx([(30.0 - 4.5) / closing if closing else math.inf])
 
 
 SPEED = st.floats(0.0, 40.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from metric_oracles import best_pairs, boxes, iou, outline
+from metric_worlds import best_pairs, boxes, overlap
 from scipy.optimize import linear_sum_assignment
 
 from mast_zenoh.metrics import (
@@ -17,7 +17,7 @@ from mast_zenoh.metrics import (
     birdseye_intersection,
     iou_3d,
 )
-from mast_zenoh.metrics.boxes import pairs_within
+from mast_zenoh.metrics.boxes import find, occurs, pairs_within
 
 
 def scattered(n: int, rng: np.random.Generator, spread: float, group=0) -> Boxes:
@@ -69,38 +69,25 @@ def test_in_three_dimensions_the_gate_and_the_distance_include_the_height():
     assert len(CenterDistanceAssigner(dimensions=3).assign(truth, tracks.select(slice(2, 3)))) == 0
 
 
-@pytest.mark.parametrize("assigner", [CenterDistanceAssigner, SetDistance])
-def test_other_dimensions_are_refused(assigner):
-    with pytest.raises(ValueError, match="dimensions: found 1, expected 2"):
-        assigner(dimensions=1)
-
-
-def test_the_gate_is_inclusive():
-    truth = boxes([[0.0, 0.0]])
-    assert len(CenterDistanceAssigner(gate_m=2.0).assign(truth, boxes([[2.0, 0.0]]))) == 1
-    assert len(CenterDistanceAssigner(gate_m=2.0).assign(truth, boxes([[2.0 + 1e-9, 0.0]]))) == 0
-
-
-def test_two_pairs_are_preferred_to_one_nearer_pair():
-    truth, tracks = boxes([[0.0, 0.0], [1.9, 0.0]]), boxes([[0.1, 0.0], [-1.8, 0.0]])
-    assert CenterDistanceAssigner(gate_m=2.0).assign(truth, tracks).tolist() == [[0, 1], [1, 0]]
-
-
-def test_height_does_not_affect_the_distance():
-    assert len(CenterDistanceAssigner().assign(boxes([[0.0, 0.0, 0.0]]), boxes([[0.0, 0.0, 50.0]]))) == 1
+@pytest.mark.parametrize(
+    ("truth", "tracks", "pairs"),
+    [
+        ([[0.0, 0.0]], [[2.0, 0.0]], [[0, 0]]),
+        ([[0.0, 0.0]], [[2.0 + 1e-9, 0.0]], []),
+        ([[0.0, 0.0], [1.9, 0.0]], [[0.1, 0.0], [-1.8, 0.0]], [[0, 1], [1, 0]]),
+        ([[0.0, 0.0, 0.0]], [[0.0, 0.0, 50.0]], [[0, 0]]),
+    ],
+    ids=["the gate is inclusive", "farther", "two pairs instead of one nearer pair", "height does not count"],
+)
+def test_pairs_of_a_few_boxes(truth, tracks, pairs):
+    assert CenterDistanceAssigner(gate_m=2.0).assign(boxes(truth), boxes(tracks)).tolist() == pairs
 
 
 @pytest.mark.parametrize("assigner", [CenterDistanceAssigner(), IoU3DGreedyAssigner()])
-def test_boxes_of_different_groups_are_never_paired(assigner):
-    assert len(assigner.assign(boxes([[0.0, 0.0]], group=0), boxes([[0.0, 0.0]], group=1))) == 0
-
-
-@pytest.mark.parametrize("assigner", [CenterDistanceAssigner(), IoU3DGreedyAssigner()])
-def test_empty_sets_have_no_pairs(assigner):
-    none = boxes(np.zeros((0, 3)))
-    assert assigner.assign(none, none).shape == (0, 2)
-    assert assigner.assign(none, boxes([[0.0, 0.0]])).shape == (0, 2)
-    assert assigner.assign(boxes([[0.0, 0.0]]), none).shape == (0, 2)
+def test_boxes_of_different_groups_are_never_paired_and_empty_sets_have_no_pairs(assigner):
+    none, one = boxes(np.zeros((0, 3))), boxes([[0.0, 0.0]])
+    for truth, tracks in ((one, boxes([[0.0, 0.0]], group=1)), (none, none), (none, one), (one, none)):
+        assert assigner.assign(truth, tracks).shape == (0, 2)
 
 
 @settings(max_examples=40)
@@ -128,8 +115,7 @@ def test_overlap_agrees_with_shapely(seed, far):
     areas = birdseye_intersection(a, b)
     volumes = iou_3d(a, b)
     for k in range(6):
-        assert areas[k] == pytest.approx(outline(a, k).intersection(outline(b, k)).area, abs=1e-6)
-        assert volumes[k] == pytest.approx(iou(a, k, b, k), abs=1e-6)
+        assert (areas[k], volumes[k]) == pytest.approx(overlap(a, k, b, k), abs=1e-6)
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.3, np.pi / 2, np.pi, -2.0])
@@ -145,9 +131,6 @@ def test_overlap_of_shifted_contained_touching_and_separate_boxes():
     b.size[1] = (2.0, 1.0, 2.0)
     assert birdseye_intersection(a, b) == pytest.approx([4.0, 2.0, 0.0, 0.0, 8.0])
     assert iou_3d(a, b) == pytest.approx([1 / 3, 0.25, 0.0, 0.0, 1 / 3])
-
-
-def test_boxes_without_volume_overlap_nothing():
     flat = boxes([[0.0, 0.0]], size=(0.0, 0.0, 0.0))
     assert iou_3d(flat, flat).tolist() == [0.0]
 
@@ -157,7 +140,7 @@ def test_boxes_without_volume_overlap_nothing():
 def test_the_greedy_assigner_takes_the_best_remaining_overlap(n, m, seed):
     rng = np.random.default_rng(seed)
     truth, tracks = scattered(n, rng, 5.0), scattered(m, rng, 5.0)
-    left = {(i, j): iou(truth, i, tracks, j) for i in range(n) for j in range(m)}
+    left = {(i, j): overlap(truth, i, tracks, j)[1] for i in range(n) for j in range(m)}
     expected = set()
     while left:
         i, j = max(left, key=left.__getitem__)
@@ -169,10 +152,19 @@ def test_the_greedy_assigner_takes_the_best_remaining_overlap(n, m, seed):
 
 
 @pytest.mark.parametrize(
-    ("cls", "arguments"), [(CenterDistanceAssigner, {"gate_m": 0.0}), (IoU3DGreedyAssigner, {"threshold": 1.5})]
+    ("cls", "arguments", "problem"),
+    [
+        (CenterDistanceAssigner, {"gate_m": 0.0}, "gate_m: found 0"),
+        (IoU3DGreedyAssigner, {"threshold": 1.5}, "threshold: found 1.5"),
+        (CenterDistanceAssigner, {"dimensions": 1}, "dimensions: found 1, expected 2"),
+        (SetDistance, {"dimensions": 1}, "dimensions: found 1, expected 2"),
+        (SetDistance, {"c": 0.0}, "c: found 0"),
+        (SetDistance, {"p": 0.5}, "p: found 0.5"),
+        (SetDistance, {"alpha": 3.0}, "alpha: found 3"),
+    ],
 )
-def test_invalid_limits_are_refused(cls, arguments):
-    with pytest.raises(ValueError, match=f"{next(iter(arguments))}: found"):
+def test_invalid_limits_are_refused(cls, arguments, problem):
+    with pytest.raises(ValueError, match=problem):
         cls(**arguments)
 
 
@@ -195,3 +187,20 @@ def test_near_pairs_are_all_ordered_pairs_of_a_group_within_the_radius(seed, rad
     assert np.all(apart[i, j] <= radius * (1 + 1e-6) + 1e-5)
     assert same[i, j].all()
     assert np.array_equal(np.lexsort((j, i)), np.arange(len(i)))
+
+
+@pytest.mark.parametrize("far", [1, 1 << 31, 1 << 61])
+def test_find_returns_the_last_equal_row(far):
+    random = np.random.default_rng(far)
+    keys, among = ([random.integers(-3, 4, n) * far for _ in range(3)] for n in (200, 150))
+    row = {key: k for k, key in enumerate(zip(*map(np.ndarray.tolist, among), strict=True))}
+    expected = [row.get(key, -1) for key in zip(*map(np.ndarray.tolist, keys), strict=True)]
+    assert max(expected) >= 0
+    assert find(tuple(keys), tuple(among)).tolist() == expected
+    assert occurs(tuple(keys), tuple(among)).tolist() == [each >= 0 for each in expected]
+
+
+def test_find_in_empty_tables_returns_nothing():
+    none, one = (np.zeros(0, np.int64),), (np.ones(1, np.int64),)
+    assert find(one, none).tolist() == [-1]
+    assert find(none, one).tolist() == []

@@ -3,36 +3,28 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pytest
-from measured import Row, effects, explained, labelled, passage
-from metric_oracles import cars
+from metric_worlds import LOCAL, NOTHING, PICTURE, Row, cars, effects, explained, labelled, passage, recorded
 
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.metrics import Record, Series, causes_of
+from mast_zenoh.evaluation.from_effects import influence, without_unseen
+from mast_zenoh.metrics import ESTIMATORS, Record, Series, causes_of
 from mast_zenoh.metrics.attributor import Withheld
-from mast_zenoh.metrics.record import Snapshot
 from mast_zenoh.metrics.trust import TrustUpdate
 
-NOTHING = ObjectStates.empty()
+Place = tuple[float, float]
+Error = tuple[int, str, str, str]
 
 
-def recorded(truth, picture, local=None, points=None) -> Record:
-    """A run of the ego alone.
-
-    truth, picture: a set of cars for each frame; local: the ego's own tracks, by default those of the picture that
-    are within 1 m of a true object
-    """
-    record = Record(["ego"])
-    for frame, (objects, tracks) in enumerate(zip(truth, picture, strict=True)):
-        n_points = np.full((len(objects), 1), 50) if points is None else np.array(points[frame]).reshape(-1, 1)
-        record.add_truth(frame, objects, n_points, np.zeros((1, 3)), np.array([-1]))
-        record.add(frame, [Series("", "picture")], Snapshot.of(tracks))
-        record.add(
-            frame, [Series("ego", "local")], Snapshot.of(good(objects, tracks) if local is None else local[frame])
-        )
-    return record
+def run_of(truth, picture, local=None, points: Any = 50) -> Record:
+    """A run of the ego alone; local: its own tracks, by default those of the picture within 1 m of a true object."""
+    own = [good(*each) for each in zip(truth, picture, strict=True)] if local is None else local
+    return recorded(truth, {PICTURE: picture, LOCAL: own}, points=points)
 
 
 def good(objects: ObjectStates, tracks: ObjectStates) -> ObjectStates:
@@ -41,191 +33,244 @@ def good(objects: ObjectStates, tracks: ObjectStates) -> ObjectStates:
     return tracks.select((apart <= 1.0).any(axis=1))
 
 
-def cause_table(truth, picture, manipulations: tuple[Row, ...] | list[Row] = (), local=None, points=None):
-    """The table of objects, with the causes of their errors."""
-    return explained(recorded(truth, picture, local, points), effects(*manipulations))
-
-
-def causes(table, estimator: str = "picture") -> list[tuple[int, str, str, str]]:
+def causes(table, estimator: str = "picture") -> list[Error]:
     """Frame, kind, cause and adversary of the rows of an estimate that have a cause."""
     selected = {name: column[table["estimator"] == estimator] for name, column in table.items()}
     names = ("frame", "kind", "cause", "by")
     return [tuple(row) for row in zip(*(selected[name].tolist() for name in names), strict=True) if row[2]]
 
 
+def lies(
+    effect: str, frames: Iterable[int], at: Place | Callable[[int], Place], more: Place = (0.0, 0.0), by: str = "eve"
+) -> list[Row]:
+    """What an adversary does to an object in some frames."""
+    return [(by, frame, effect, 0, at(frame) if callable(at) else at, more) for frame in frames]
+
+
+def errors(frames: Iterable[int], kind: str, cause: str, by: str = "") -> list[Error]:
+    return [(frame, kind, cause, by) for frame in frames]
+
+
+@dataclass
+class Case:
+    """A run of the ego alone, what adversaries did, and the causes of the errors of the picture."""
+
+    truth: list[ObjectStates]
+    picture: list[ObjectStates]
+    expected: list[Error]
+    lies: list[Row] = field(default_factory=list)
+    points: Any = 50
+    local: list[ObjectStates] | None = None
+
+
 CAR = cars((0.0, 0.0), id=[1])
+HERE, FAR = (0.0, 0.0), (40.0, 0.0)
+FALSE = cars(HERE, FAR, id=[5, 6])
+#: A track that follows an object which an adversary shows driving away from the car, from frame 12 on.
+DIVERTED = [cars((0.0 if frame < 12 else 2.0 * (frame - 10), 0.0), id=[5]) for frame in range(16)]
+AWAY = lies("inserted", range(12, 16), lambda frame: (2.0 * (frame - 11), 0.0), (20.0, 0.0))
+
+CASES = {
+    "a false track of nothing is clutter": Case([CAR], [FALSE], errors([0], "track", "clutter")),
+    "correct tracks have no cause": Case([CAR] * 12, [CAR] * 12, []),
+    "a second track of an object is a duplicate": Case(
+        [CAR], [cars(HERE, (2.9, 0.0), id=[5, 6])], errors([0], "track", "duplicate")
+    ),
+    "a third track farther away is clutter": Case(
+        [CAR], [cars(HERE, (3.1, 0.0), id=[5, 6])], errors([0], "track", "clutter")
+    ),
+    "new objects have no track yet, and departed ones still have one": Case(
+        [NOTHING] * 3 + [CAR] * 5 + [NOTHING] * 2,
+        [NOTHING] * 5 + [CAR] * 5,
+        errors([3, 4], "truth", "lag") + errors([8, 9], "track", "lag"),
+    ),
+    "an object has no track yet for a second": Case(
+        [NOTHING] + [CAR] * 12,
+        [NOTHING] * 13,
+        errors(range(1, 11), "truth", "lag") + errors([11, 12], "truth", "occlusion or range"),
+    ),
+    "a track too far from its object lags, and the object is missed": Case(
+        [CAR] * 12, [*[CAR] * 11, cars((5.9, 0.0), id=[1])], errors([11], "truth", "lag") + errors([11], "track", "lag")
+    ),
+    "one farther away is a missed object, and a track of something else": Case(
+        [CAR] * 12,
+        [*[CAR] * 11, cars((6.1, 0.0), id=[1])],
+        errors([11], "truth", "occlusion or range") + errors([11], "track", "lag"),
+    ),
+    "a track of an unseen object is due to occlusion or range": Case(
+        [CAR, CAR], [CAR, CAR], errors([1], "track", "occlusion or range"), points=[[50], [0]]
+    ),
+    "so is a track that was of it and coasts": Case(
+        [CAR, CAR],
+        [CAR, cars((20.0, 0.0), id=[1])],
+        errors([1], "track", "occlusion or range"),
+        points=[[50], [0]],
+    ),
+    "an object that no agent tracks is missed due to occlusion or range": Case(
+        [CAR] * 12, [*[CAR] * 11, NOTHING], errors([11], "truth", "occlusion or range"), local=[*[CAR] * 11, NOTHING]
+    ),
+    "one that an agent tracks, due to the fusion": Case(
+        [CAR] * 12, [*[CAR] * 11, NOTHING], errors([11], "truth", "fusion"), local=[CAR] * 12
+    ),
+    "a track of an inserted object is attributed to its adversary, others are not": Case(
+        [CAR],
+        [cars(HERE, (38.1, 0.0), (-40.0, 1.9), (0.0, 60.0), (42.1, 0.0), id=[5, 6, 7, 8, 9])],
+        [
+            *errors([0], "track", "inserted", "eve"),
+            *errors([0], "track", "inserted", "mallory"),
+            *errors([0, 0], "track", "clutter"),
+        ],
+        [*lies("inserted", [0], FAR), *lies("inserted", [0], (-40.0, 0.0), by="mallory")],
+    ),
+    "an object that two adversaries insert is attributed to both": Case(
+        [CAR],
+        [FALSE],
+        errors([0], "track", "inserted", "eve+mallory"),
+        [*lies("inserted", [0], FAR, by="mallory"), *lies("inserted", [0], (40.2, 0.0))],
+    ),
+    "of two inserted objects the nearer one is the cause": Case(
+        [CAR],
+        [FALSE],
+        errors([0], "track", "inserted", "eve"),
+        [*lies("inserted", [0], (41.0, 0.0), by="mallory"), *lies("inserted", [0], FAR)],
+    ),
+    "the false track of an object that ends and curves away is attributed to its adversary": Case(
+        [CAR] * 30,
+        [cars(HERE, (60.0 + frame, 0.5 * max(frame - 9, 0)), id=[5, 6]) for frame in range(30)],
+        errors(range(30), "track", "inserted", "eve"),
+        lies("inserted", range(10), lambda frame: (60.0 + frame, 0.0), (10.0, 0.0)),
+    ),
+    "a false track is natural before the first insertion": Case(
+        [CAR] * 10,
+        [FALSE] * 10,
+        errors(range(5), "track", "clutter") + errors(range(5, 10), "track", "inserted", "eve"),
+        lies("inserted", range(5, 10), FAR),
+    ),
+    "a false track is not attributed for more than four seconds after its extrapolation": Case(
+        [CAR] * 100,
+        [FALSE] * 100,
+        errors(range(81), "track", "inserted", "eve") + errors(range(81, 100), "track", "clutter"),
+        lies("inserted", [0], FAR),
+    ),
+    "a false track is not attributed after it has matched a real object": Case(
+        [CAR, cars(HERE, (55.0, 0.0), id=[1, 2]), CAR],
+        [cars(HERE, (x, 0.0), id=[5, 6]) for x in (40.0, 55.0, 70.0)],
+        errors([0], "track", "inserted", "eve") + errors([2], "track", "lag"),
+        lies("inserted", [0], FAR),
+    ),
+    "a hidden object is missed because of the attack, for a second after it": Case(
+        [CAR] * 28,
+        [CAR if frame < 14 else NOTHING for frame in range(28)],
+        errors(range(14, 26), "truth", "removed", "eve") + errors([26, 27], "truth", "occlusion or range"),
+        lies("removed", [14, 15], (3.9, 0.0)),
+    ),
+    "an object is not hidden by the removal of something farther away": Case(
+        [CAR] * 17,
+        [CAR if frame < 14 else NOTHING for frame in range(17)],
+        errors(range(14, 17), "truth", "occlusion or range"),
+        lies("removed", [14, 15], (4.1, 0.0)),
+    ),
+    "a displaced object is a false track and a missed object": Case(
+        [CAR],
+        [cars((30.0, 0.5), id=[5])],
+        errors([0], "truth", "moved", "eve") + errors([0], "track", "moved", "eve"),
+        lies("moved", [0], (30.0, 0.0), HERE),
+    ),
+    "a displacement of less than half a metre is none": Case(
+        [CAR], [cars((3.0, 0.0), id=[5])], errors([0], "truth", "lag") + errors([0], "track", "lag"),
+        lies("moved", [0], (0.4, 0.0), HERE),
+    ),
+    "the track of a false object that is moved is false without the move too": Case(
+        [CAR], [FALSE], errors([0], "track", "clutter"), lies("moved", [0], (41.0, 0.0), FAR)
+    ),
+    "a track that is as near the true position as the false one is not due to the move": Case(
+        [CAR],
+        [cars(HERE, (1.5, 0.0), id=[5, 6])],
+        errors([0], "track", "duplicate"),
+        lies("moved", [0], (3.0, 0.0), HERE),
+    ),
+    "an object whose track is diverted is attributed to the adversary": Case(
+        [CAR] * 16,
+        DIVERTED,
+        [each for frame in range(12, 16) for kind in ("truth", "track") for each in
+         errors([frame], kind, "inserted", "eve")],
+        AWAY,
+    ),
+    "the track of a hidden object becomes inaccurate because of the attack": Case(
+        [CAR] * 2,
+        [CAR, cars((20.0, 0.0), id=[1])],
+        errors([1], "truth", "removed", "eve") + errors([1], "track", "removed", "eve"),
+        lies("removed", [1], HERE),
+    ),
+    "that of an unseen object does not": Case(
+        [CAR] * 2,
+        [CAR, cars((20.0, 0.0), id=[1])],
+        errors([1], "track", "occlusion or range"),
+        lies("removed", [1], HERE),
+        points=[[50], [0]],
+    ),
+    "a false track at the false position of an unseen object is not due to the move": Case(
+        [CAR], [cars((30.0, 0.0), id=[5])], errors([0], "track", "clutter"), lies("moved", [0], (30.0, 0.0), HERE), 0
+    ),
+    "there are no causes without frames": Case([], [], []),
+    "there are no causes without objects": Case([NOTHING], [NOTHING], []),
+}  # fmt: skip
 
 
-def test_errors_and_only_errors_have_a_cause() -> None:
-    table = cause_table([CAR], [cars((0.1, 0.0), (40.0, 0.0), id=[5, 6])], local=[cars((0.1, 0.0), id=[5])])
-    assert causes(table) == [(0, "track", "clutter", "")]
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+def test_each_error_of_the_picture_has_its_cause(case: Case) -> None:
+    table = explained(run_of(case.truth, case.picture, case.local, case.points), effects(*case.lies))
+    assert Counter(causes(table)) == Counter(case.expected)
+
+
+def test_estimates_have_their_own_causes() -> None:
+    table = explained(run_of([CAR], [FALSE], local=[cars((0.1, 0.0), id=[5])]), effects())
     assert causes(table, "local") == []
-    table = cause_table([CAR] * 12, [CAR] * 12, local=[CAR] * 11 + [cars((0.0, 40.0), id=[6])])
+    table = explained(run_of([CAR] * 12, [CAR] * 12, local=[CAR] * 11 + [cars((0.0, 40.0), id=[6])]), effects())
     assert causes(table) == []
     assert causes(table, "local") == [(11, "truth", "tracking", ""), (11, "track", "clutter", "")]
 
 
-def test_a_track_of_an_inserted_object_is_attributed_to_its_adversary() -> None:
-    manipulations = [
-        ("eve", 0, "inserted", 0, (40.0, 0.0), (0.0, 0.0)),
-        ("mallory", 0, "inserted", 0, (-40.0, 0.0), (0.0, 0.0)),
-    ]
-    table = cause_table(
-        [CAR], [cars((0.0, 0.0), (39.0, 0.0), (-40.0, 1.0), (0.0, 60.0), id=[5, 6, 7, 8])], manipulations
-    )
-    assert Counter(causes(table)) == Counter(
-        [
-            (0, "track", "inserted", "eve"),
-            (0, "track", "inserted", "mallory"),
-            (0, "track", "clutter", ""),
-        ]
-    )
-
-
-def test_an_object_inserted_by_two_adversaries_is_attributed_to_both() -> None:
-    manipulations = [(name, 0, "inserted", 0, (40.0, 0.0), (0.0, 0.0)) for name in ("mallory", "eve")]
-    table = cause_table([CAR], [cars((0.0, 0.0), (40.0, 0.0), id=[5, 6])], manipulations)
-    assert causes(table) == [(0, "track", "inserted", "eve+mallory")]
-
-
-def test_a_coasting_false_track_is_still_attributed_to_its_adversary() -> None:
-    """The false object ends at 69 m; its track continues and curves away."""
-    manipulations = [("eve", frame, "inserted", 3, (60.0 + frame, 0.0), (10.0, 0.0)) for frame in range(10)]
-    picture = [cars((0.0, 0.0), (60.0 + frame, 0.5 * max(frame - 9, 0)), id=[5, 6]) for frame in range(30)]
-    table = cause_table([CAR] * 30, picture, manipulations)
-    assert causes(table) == [(frame, "track", "inserted", "eve") for frame in range(30)]
-
-
-def test_a_false_track_before_the_first_insertion_is_natural() -> None:
-    """A clutter track is at 40 m; from frame 5 an object is inserted there."""
-    manipulations = [("eve", frame, "inserted", 3, (40.0, 0.0), (0.0, 0.0)) for frame in range(5, 10)]
-    picture = [cars((0.0, 0.0), (40.0, 0.0), id=[5, 6])] * 10
-    rows = causes(cause_table([CAR] * 10, picture, manipulations))
-    assert rows == [
-        *((frame, "track", "clutter", "") for frame in range(5)),
-        *((frame, "track", "inserted", "eve") for frame in range(5, 10)),
-    ]
-
-
-def test_a_false_track_that_lasts_too_long_is_not_attributed() -> None:
-    manipulations = [("eve", 0, "inserted", 3, (40.0, 0.0), (0.0, 0.0))]
-    picture = [cars((0.0, 0.0), (40.0, 0.0), id=[5, 6])] * 100
-    assert causes(cause_table([CAR] * 100, picture, manipulations))[-1] == (99, "track", "clutter", "")
-
-
-def test_a_false_track_that_has_matched_a_real_object_is_not_attributed() -> None:
-    manipulations = [("eve", 0, "inserted", 3, (40.0, 0.0), (0.0, 0.0))]
-    truth = [CAR, cars((0.0, 0.0), (55.0, 0.0), id=[1, 2]), CAR]
-    picture = [cars((0.0, 0.0), (x, 0.0), id=[5, 6]) for x in (40.0, 55.0, 70.0)]
-    assert causes(cause_table(truth, picture, manipulations)) == [
-        (0, "track", "inserted", "eve"),
-        (2, "track", "lag", ""),
-    ]
-
-
-def test_a_missed_hidden_object_is_attributed_to_the_attack() -> None:
-    manipulations = [("eve", frame, "removed", 0, (0.5, 0.0), (0.0, 0.0)) for frame in (14, 15)]
-    picture = [CAR if frame < 14 else NOTHING for frame in range(17)]
-    assert causes(cause_table([CAR] * 17, picture, manipulations)) == [
-        (f, "truth", "removed", "eve") for f in (14, 15, 16)
-    ]
-
-
-def test_a_displaced_object_causes_a_false_track_and_a_missed_object() -> None:
-    manipulations = [("eve", 0, "moved", 0, (30.0, 0.0), (0.0, 0.0))]
-    table = cause_table([CAR], [cars((30.0, 0.5), id=[5])], manipulations)
-    assert causes(table) == [(0, "truth", "moved", "eve"), (0, "track", "moved", "eve")]
-
-
-def test_an_object_with_a_displaced_track_is_attributed_to_the_adversary() -> None:
-    manipulations = [("eve", frame, "inserted", 0, (2.0 * (frame - 11), 0.0), (20.0, 0.0)) for frame in range(12, 16)]
-    picture = [cars((0.0 if frame < 12 else 2.0 * (frame - 10), 0.0), id=[5]) for frame in range(16)]
-    rows = [row for row in causes(cause_table([CAR] * 16, picture, manipulations)) if row[1] == "truth"]
-    assert rows == [(frame, "truth", "inserted", "eve") for frame in range(12, 16)]
-
-
 def test_the_causes_of_one_agent_do_not_depend_on_another_without_estimates() -> None:
-    manipulations = [("eve", frame, "inserted", 0, (2.0 * (frame - 11), 0.0), (20.0, 0.0)) for frame in range(12, 16)]
-    truth = cars((0.0, 0.0), (-500.0, 0.0), id=[1, 9])
-    record = Record(["apart", "ego"])
-    for frame in range(16):
-        record.add_truth(frame, truth, np.full((2, 2), 50), np.array([[-500.0, 0, 0], [0, 0, 0]]), np.array([-1, -1]))
-        tracks = cars((0.0 if frame < 12 else 2.0 * (frame - 10), 0.0), id=[5])
-        record.add(frame, [Series("", "picture")], Snapshot.of(tracks))
-    table = explained(record, effects(*manipulations))
+    truth = [cars(HERE, (-500.0, 0.0), id=[1, 9])] * 16
+    places = np.array([[-500.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    table = explained(recorded(truth, {PICTURE: DIVERTED}, agents=["apart", "ego"], places=places), effects(*AWAY))
     selected = (table["agent"] == "ego") & (table["kind"] == "truth") & (table["cause"] != "")
     assert set(zip(table["cause"][selected].tolist(), table["by"][selected].tolist(), strict=True)) == {
         ("inserted", "eve")
     }
 
 
-def test_a_second_track_of_an_object_is_a_duplicate() -> None:
-    assert causes(cause_table([CAR], [cars((0.0, 0.0), (2.5, 0.0), id=[5, 6])])) == [(0, "track", "duplicate", "")]
-
-
-def test_new_objects_have_no_track_yet_and_departed_ones_still_have_one() -> None:
-    truth = [NOTHING] * 3 + [CAR] * 5 + [NOTHING] * 2
-    picture = [NOTHING] * 5 + [CAR] * 5
-    assert causes(cause_table(truth, picture)) == [
-        (3, "truth", "lag", ""),
-        (4, "truth", "lag", ""),
-        (8, "track", "lag", ""),
-        (9, "track", "lag", ""),
-    ]
-
-
-def test_a_track_too_far_from_its_object_lags_and_the_object_is_missed() -> None:
-    rows = causes(cause_table([CAR] * 12, [*[CAR] * 11, cars((4.0, 0.0), id=[1])]))
-    assert rows == [(11, "truth", "lag", ""), (11, "track", "lag", "")]
-
-
-def test_a_track_of_an_unseen_object_is_due_to_occlusion_or_range() -> None:
-    table = cause_table([CAR, CAR], [CAR, CAR], points=[[50], [0]])
-    assert causes(table) == [(1, "track", "occlusion or range", "")]
-
-
-@pytest.mark.parametrize(("local", "cause"), [(NOTHING, "occlusion or range"), (CAR, "fusion")])
-def test_a_miss_is_due_to_occlusion_if_no_agent_tracks_the_object_otherwise_to_fusion(local, cause: str) -> None:
-    rows = causes(cause_table([CAR] * 12, [*[CAR] * 11, NOTHING], local=[*[CAR] * 11, local]))
-    assert rows == [(11, "truth", cause, "")]
-
-
 def test_the_order_of_the_effects_does_not_matter() -> None:
     rng = np.random.default_rng(0)
     truth = [cars(*rng.uniform(-50, 50, (6, 2))) for _ in range(8)]
     picture = [cars(*rng.uniform(-50, 50, (9, 2))) for _ in range(8)]
-    manipulations = [
+    done = [
         (str(rng.choice(["eve", "mallory"])), int(rng.integers(8)), str(rng.choice(["inserted", "removed"])), k,
          tuple(rng.uniform(-50, 50, 2)), (1.0, 0.0))
         for k in range(40)
     ]  # fmt: skip
-    assert causes(cause_table(truth, picture, manipulations)) == causes(
-        cause_table(truth, picture, manipulations[::-1])
-    )
+    one, other = (causes(explained(run_of(truth, picture), effects(*rows))) for rows in (done, done[::-1]))
+    assert one == other
 
 
 def test_causes_are_counted_by_estimate_in_the_scored_frames() -> None:
-    manipulations = [("eve", frame, "inserted", 0, (40.0, 0.0), (0.0, 0.0)) for frame in range(2, 9)]
-    picture = [
-        cars((0.0, 0.0), *([(40.0, 0.0)] if frame >= 5 else []), id=[1, 2][: 1 + (frame >= 5)]) for frame in range(9)
-    ]
-    scores, _, labels, _ = labelled(recorded([CAR] * 9, picture, local=[CAR] * 9), effects(*manipulations))
+    picture = [FALSE if frame >= 5 else CAR for frame in range(9)]
+    record = run_of([CAR] * 9, picture, local=[CAR] * 9)
+    scores, _, labels, _ = labelled(record, effects(*lies("inserted", range(2, 9), FAR)))
     counted = causes_of(scores, labels.cause, labels.switch_cause, np.arange(8))
     by_series = dict(zip(scores.series, counted, strict=True))
-    assert by_series["ego", "picture"]["causes"] == {"fp": {"inserted": 3}, "fn": {}, "id_switches": {}}
+    assert by_series["ego", "picture"]["causes"] == {"fp": {"inserted": 3}, "fn": {}, "id_switches": {"tracking": 1}}
     assert by_series["ego", "picture"]["fp_split"] == {"fault": 0.0, "attack": 3 / 8, "withheld": 0.0, "natural": 0.0}
     assert by_series["ego", "local"]["causes"] == {"fp": {}, "fn": {}, "id_switches": {}}
 
 
 def test_an_attack_on_one_agents_detections_does_not_affect_another_agents_own_tracks() -> None:
-    record = Record(["ego", "infra_1"])
-    wrong = cars((40.0, 0.0), id=[7])
-    for frame in range(3):
-        record.add_truth(frame, NOTHING, np.zeros((0, 2)), np.zeros((2, 3)), np.array([-1, -1]))
-        for series in (Series("", "picture"), Series("ego", "local"), Series("infra_1", "local")):
-            record.add(frame, [series], Snapshot.of(wrong))
-    manipulations = [("eve", frame, "inserted", -1, (40.0, 0.0), (0.0, 0.0)) for frame in range(3)]
-    measured_effects = effects(*manipulations, passages=[passage("eve", "detections", "infra_1")], of=[0, 0, 0])
+    series = (PICTURE, LOCAL, Series("infra_1", "local"))
+    record = recorded([NOTHING] * 3, dict.fromkeys(series, [cars(FAR, id=[7])] * 3), agents=["ego", "infra_1"])
+    measured_effects = effects(
+        *lies("inserted", range(3), FAR), passages=[passage("eve", "detections", "infra_1")], of=[0, 0, 0]
+    )
     table = explained(record, measured_effects)
 
     def cause(agent: str, estimator: str) -> set[str]:
@@ -236,32 +281,85 @@ def test_an_attack_on_one_agents_detections_does_not_affect_another_agents_own_t
     assert cause("ego", "local") == {"clutter"}
 
 
+CENTRE = ["picture", "picture_received", "picture_on_arrival", "mission"]
+
+
+@pytest.mark.parametrize(
+    ("port", "subject", "before", "is_link", "affected"),
+    [
+        ("detections", "ego", "", False, ["local", "received", *CENTRE]),
+        ("pose", "other", "", True, CENTRE),
+        ("tracks", "ego", "", False, ["received", *CENTRE]),
+        ("tracks", "ego", "", True, ["received"]),
+        ("tracks", "other", "", False, CENTRE),
+        ("collated", "centre", "", False, CENTRE),
+        ("collated", "centre", "", True, []),
+        ("picture", "centre", "", False, CENTRE[1:]),
+        ("picture", "centre", "ego", True, CENTRE[1:]),
+        ("picture", "centre", "other", False, []),
+        ("mission", "ego", "", False, []),
+        ("clock", "ego", "", False, ["local", "received", *CENTRE]),
+        ("of_a_user", "ego", "", False, ["received", *CENTRE]),
+    ],
+)
+def test_an_interposer_affects_the_estimates_behind_its_wire(
+    port: str, subject: str, before: str, is_link: bool, affected: list[str]
+) -> None:
+    series = [("ego", estimator) for estimator in ESTIMATORS]
+    (mask,) = influence([passage("eve", port, subject, before)], series, np.array([is_link]))
+    assert [estimator for estimator, each in zip(ESTIMATORS, mask, strict=True) if each] == affected
+
+
+@pytest.mark.parametrize(
+    ("seen", "removed", "hidden"), [(8, 3, True), (7, 3, False), (8, 2, False)], ids=["enough", "unseen", "too few"]
+)
+def test_removed_detections_hide_an_object_only_from_an_agent_that_would_track_it(
+    seen: int, removed: int, hidden: bool
+) -> None:
+    """Of the last second it has to see the object in most frames, and three detections make a track."""
+    n = 30
+    points = [[4 if n - 10 <= frame < n - seen else 5] for frame in range(n)]
+    record = run_of([CAR] * n, [CAR] * n, points=points)
+    done = effects(*lies("removed", [9, *range(n - removed, n)], HERE), passages=[passage("eve", "detections", "ego")])
+    scores, _, _, manipulations = labelled(record, done)
+    truth = record.truth(scores.frames)
+    left = without_unseen(manipulations, done, record.agents, truth, scores.frames, 5, 10)
+    assert (left.object[left.frame == n - 1] >= 0).tolist() == [hidden]
+
+
+def test_an_object_that_the_broker_receives_is_not_hidden_by_a_removal_before_it() -> None:
+    record = run_of([CAR] * 12, [*[CAR] * 11, NOTHING], local=[CAR] * 12)
+    removed = effects(*lies("removed", [11], HERE), passages=[passage("eve", "detections", "ego")])
+    assert causes(explained(record, removed)) == errors([11], "truth", "fusion")
+
+
+@pytest.mark.parametrize(("points", "cause"), [(4, "occlusion or range"), (5, "tracking")])
+def test_an_agents_own_miss_is_due_to_its_tracking_if_its_sensor_sees_the_object(points: int, cause: str) -> None:
+    own = [*[CAR] * 11, NOTHING]
+    record = recorded([CAR] * 12, {LOCAL: own}, agents=["ego", "infra_1"], points=np.array([[points, 50]]))
+    assert causes(explained(record, effects()), "local") == errors([11], "truth", cause)
+
+
 def test_objects_moved_by_a_link_are_faults_without_an_adversary() -> None:
-    manipulations = [("link_1", 0, "moved", 0, (30.0, 0.0), (0.0, 0.0))]
-    moved = effects(*manipulations, passages=[passage("link_1", "detections", "ego")], of=[0])
-    table = explained(recorded([CAR], [cars((30.0, 0.5), id=[5])]), moved, {"link_1": "link"})
+    moved = effects(
+        *lies("moved", [0], (30.0, 0.0), HERE, by="link_1"), passages=[passage("link_1", "detections", "ego")]
+    )
+    table = explained(run_of([CAR], [cars((30.0, 0.5), id=[5])]), moved, {"link_1": "link"})
     assert causes(table) == [(0, "truth", "link or fault", ""), (0, "track", "link or fault", "")]
 
 
-@pytest.mark.parametrize(("same_object", "cause"), [(True, "removed"), (False, "tracking")])
-def test_an_identity_switch_after_hiding_is_attributed_to_the_adversary(same_object: bool, cause: str) -> None:
-    manipulations = [
-        ("eve", frame, "removed", 0, (0.0 if same_object else 50.0, 0.0), (0.0, 0.0)) for frame in range(4, 8)
-    ]
-    picture = [cars((0.0, 0.0), id=[5 if frame < 6 else 6]) for frame in range(12)]
-    scores, _, labels, _ = labelled(recorded([CAR] * 12, picture, local=[CAR] * 12), effects(*manipulations))
+@pytest.mark.parametrize(("hidden", "cause"), [(HERE, "removed"), ((50.0, 0.0), "tracking")])
+def test_an_identity_switch_after_hiding_is_attributed_to_the_adversary(hidden: Place, cause: str) -> None:
+    picture = [cars(HERE, id=[5 if frame < 6 else 6]) for frame in range(12)]
+    record = run_of([CAR] * 12, picture, local=[CAR] * 12)
+    scores, _, labels, _ = labelled(record, effects(*lies("removed", range(4, 8), hidden)))
     assert scores.series[int(scores.switches.series[0])] == ("ego", "picture")
     assert [(int(f), int(i)) for f, i in zip(scores.switches.frame, scores.switches.truth_id, strict=True)] == [(6, 1)]
     assert causes_of(scores, labels.cause, labels.switch_cause, np.arange(12))[0]["causes"]["id_switches"] == {cause: 1}
-    assert labels.switch_by.tolist() == ["eve" if same_object else ""]
+    assert labels.switch_by.tolist() == ["eve" if cause == "removed" else ""]
 
 
-def test_an_empty_run_has_no_causes() -> None:
-    assert causes(cause_table([], [])) == []
-    assert causes(cause_table([NOTHING], [NOTHING])) == []
-
-
-def trust(frame: int, withheld: tuple[tuple[float, float], ...] = (), suspended: bool = False) -> TrustUpdate:
+def trust(frame: int, withheld: tuple[Place, ...] = (), suspended: bool = False) -> TrustUpdate:
     """A message about trust in infra_1 and infra_2, of whom the second may be suspended."""
     n = len(withheld)
     return TrustUpdate(
@@ -277,28 +375,26 @@ def trust(frame: int, withheld: tuple[tuple[float, float], ...] = (), suspended:
     )
 
 
-def defended(frames: int, reporting: tuple[str, ...], updates: list[TrustUpdate]) -> list[tuple[int, str, str, str]]:
-    """Causes of errors where agents report a car that is not in the picture."""
+WITHHELD = [trust(frame, ((0.4, 0.0), (30.0, 0.0))) for frame in range(12)]
+SUSPENDED = [trust(frame, suspended=True) for frame in range(12)]
+
+
+@pytest.mark.parametrize(
+    ("reporting", "updates", "cause", "by"),
+    [
+        (("infra_1", "infra_2"), WITHHELD, "withheld", "infra_1+infra_2"),
+        (("infra_2",), SUSPENDED, "withheld", "infra_2"),
+        (("infra_1", "infra_2"), SUSPENDED, "removed", "eve"),
+        ((), SUSPENDED, "removed", "eve"),
+    ],
+    ids=["withheld", "reported by a suspended agent alone", "reported by another too", "hidden by an adversary"],
+)
+def test_a_missed_object_that_the_command_centre_has_is_not_attributed_to_the_attack(
+    reporting: tuple[str, ...], updates: list[TrustUpdate], cause: str, by: str
+) -> None:
     agents = ("infra_1", "infra_2")
-    record = Record(agents)
-    for frame in range(frames):
-        record.add_truth(frame, CAR, np.full((1, 2), 50), np.zeros((2, 3)), np.array([-1, -1]))
-        record.add(frame, [Series("", "picture")], Snapshot.of(NOTHING))
-        for agent in agents:
-            record.add(frame, [Series(agent, "local")], Snapshot.of(CAR if agent in reporting else NOTHING))
-    eve = [("eve", frame, "removed", 0, (0.5, 0.0), (0.0, 0.0)) for frame in range(frames)]
-    withheld = Withheld.of(updates, agents, np.arange(frames), 3)
-    return causes(explained(record, effects(*eve), withheld=withheld))[: frames - 10]
-
-
-def test_a_missed_object_that_the_command_centre_withheld_is_not_attributed_to_the_attack() -> None:
-    updates = [trust(frame, ((0.4, 0.0), (30.0, 0.0))) for frame in range(12)]
-    rows = defended(12, ("infra_1", "infra_2"), updates)
-    assert rows == [(frame, "truth", "withheld", "infra_1+infra_2") for frame in range(2)]
-
-
-def test_a_missed_object_that_only_a_suspended_agent_reports_is_withheld() -> None:
-    updates = [trust(frame, suspended=True) for frame in range(12)]
-    assert defended(12, ("infra_2",), updates) == [(frame, "truth", "withheld", "infra_2") for frame in range(2)]
-    assert {cause for _, _, cause, _ in defended(12, ("infra_1", "infra_2"), updates)} != {"withheld"}
-    assert {cause for _, _, cause, _ in defended(12, (), updates)} == {"removed"}
+    tracks = {Series(agent, "local"): [CAR if agent in reporting else NOTHING] * 12 for agent in agents}
+    record = recorded([CAR] * 12, {PICTURE: [NOTHING] * 12} | tracks, agents=agents)
+    withheld = Withheld.of(updates, agents, np.arange(12), 3)
+    table = explained(record, effects(*lies("removed", range(12), (0.5, 0.0))), withheld=withheld)
+    assert causes(table)[:2] == errors([0, 1], "truth", cause, by)

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from metric_oracles import cars
+from metric_worlds import cars
 
 from mast_zenoh.metrics import Record, Scorer, Series
 from mast_zenoh.metrics.measures import summary_of

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from metric_oracles import cars
+from metric_worlds import cars
 
 from mast_zenoh.arrays.chi_square import mean_bounds
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates

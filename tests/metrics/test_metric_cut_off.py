@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from measured import Row, effects, explained, labelled, passage
-from metric_oracles import cars
+from metric_worlds import Row, cars, effects, explained, labelled, passage
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.effects import Effects

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from metric_oracles import cars
+from metric_worlds import cars
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.metrics import CenterDistanceAssigner, Record, Scorer, Series

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from metric_oracles import best_pairs, cars
+from metric_worlds import best_pairs, cars
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.metrics import CenterDistanceAssigner, IoU3DGreedyAssigner, Record, Scorer, Series, SetDistance

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from metric_oracles import cars
+from metric_worlds import cars
 
 from mast_zenoh.control.failures import location
 from mast_zenoh.metrics import (

@@ -1,0 +1,36 @@
+"""Errors in every estimate are split by cause, in every shipped scenario."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+
+import pytest
+from played import Played
+from shipped import HARMLESS
+
+from mast_zenoh.metrics import ATTACK_CAUSES
+
+pytestmark = pytest.mark.heavy
+
+
+def test_errors_in_every_estimate_are_split_into_fault_attack_and_natural(
+    shipped: Callable[..., tuple[Played, object]], variant: tuple[str, ...]
+) -> None:
+    played, _ = shipped(variant)
+    frames = 1 + played.metrics["scored_frames"][1] - played.metrics["scored_frames"][0]
+    for agent, estimators in played.agents.items():
+        for estimator, estimate in estimators.items():
+            for what, total in (
+                ("fp", estimate["fp"]["mean"]),
+                ("fn", estimate["fn"]["mean"]),
+                ("id_switches", estimate["id_switches"]),
+            ):
+                split = estimate[f"{what}_split"]
+                assert sum(split.values()) == pytest.approx(total, abs=1e-9), (agent, estimator, what)
+                counts = Counter(estimate["causes"][what])
+                per = 1 if what == "id_switches" else frames
+                assert split["attack"] == pytest.approx(sum(counts[cause] for cause in ATTACK_CAUSES) / per)
+                assert split["fault"] == pytest.approx(counts["link or fault"] / per)
+    causes = Counter(played.table("objects")["cause"].tolist())
+    assert bool(set(causes) & set(ATTACK_CAUSES)) == (variant[0] not in HARMLESS)
