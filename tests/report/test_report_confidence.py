@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -26,8 +25,6 @@ def summary(scale: float, n: int = 400) -> dict[str, Any]:
 
 @pytest.fixture
 def folder(run_folder: Callable[..., Path]) -> Path:
-    path = run_folder("uncoordinated")
-    file = path / "metrics.json"
     none = Consistency().nees_summary(np.full(3, np.nan), np.zeros(3, int), 0.1)
     consistency = {
         "ego": {"picture": {"position": summary(0.9), "velocity": summary(0.1)}},
@@ -35,10 +32,7 @@ def folder(run_folder: Callable[..., Path]) -> Path:
         "infra_2": {"local": {"position": none, "velocity": none}},
     }
     innovations = {"ego": Innovations(190.0, 100, 1).summary(), "infra_1": Innovations().summary()}
-    file.write_text(json.dumps(json.loads(file.read_text()) | {"consistency": consistency}))
-    record = path / "run.json"
-    record.write_text(json.dumps(json.loads(record.read_text()) | {"innovations": innovations}))
-    return path
+    return run_folder("uncoordinated", metrics={"consistency": consistency}, run={"innovations": innovations})
 
 
 def test_each_estimate_has_a_row_with_its_verdict(folder: Path) -> None:

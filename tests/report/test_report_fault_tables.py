@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow
-import pyarrow.parquet
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
+from run_samples import edit
 
+from mast_zenoh.launch.tables import read_table, write_table
 from mast_zenoh.report import terminal
 from mast_zenoh.report.figures.over_time import causes_over_time, counts_over_time
 from mast_zenoh.report.figures.timeaxis import Band, bands, lanes, place_bands
@@ -42,30 +42,26 @@ CHECKS = {
 }
 
 
-def edit(path: Path, **more: Any) -> None:
-    path.write_text(json.dumps(json.loads(path.read_text("utf-8")) | more), "utf-8")
-
-
 def faulted(folder: Path, *timeline: dict[str, Any], checks: dict[str, Any] | None = None) -> Path:
     """Add faults to a run: timeline, causes, split, latency and checks."""
-    edit(folder / "scenario.json", timeline=list(timeline), period_ns=100_000_000)
-    metrics = json.loads((folder / "metrics.json").read_text("utf-8"))
-    metrics["agents"]["ego"]["picture"] |= {
+    split = {
         "fn_split": {"fault": 0.75, "attack": 0.25, "natural": 0.5},
         "fp_split": {"fault": 0.0, "attack": 7.5, "natural": 0.125},
     }
-    metrics["latency_ms"]["by_wire"] = {"agent/ego/tracks": {"p50": 1.5, "p95": 2.5, "p99": 3.25, "n": 40}, "clock": {}}
-    metrics["late"] = {"ego": 0, "infra_1": 17}
-    edit(folder / "metrics.json", **metrics)
-    path = folder / "objects.parquet"
-    table = pyarrow.parquet.read_table(path).drop_columns(["cause"])
-    wrong = np.isin(table.column("outcome").to_numpy(), ("missed", "false"))
-    wrong &= table.column("estimator").to_numpy() == "picture"
-    cause = np.where(wrong, np.where(table.column("kind").to_numpy() == "track", "inserted", "link or fault"), "")
-    pyarrow.parquet.write_table(table.append_column("cause", pyarrow.array(cause)), path)
+    by_wire = {"agent/ego/tracks": {"p50": 1.5, "p95": 2.5, "p99": 3.25, "n": 40}, "clock": {}}
+    metrics = {"agents": {"ego": {"picture": split}}, "latency_ms": {"by_wire": by_wire}}
+    edit(folder, scenario=timed(*timeline), metrics=metrics | {"late": {"ego": 0, "infra_1": 17}})
+    table = read_table(folder / "objects.parquet")
+    wrong = np.isin(table["outcome"], ("missed", "false")) & (table["estimator"] == "picture")
+    cause = np.where(wrong, np.where(table["kind"] == "track", "inserted", "link or fault"), "")
+    write_table(folder / "objects.parquet", table | {"cause": cause.astype(object)})
     if checks is not None:
         (folder / "checks.json").write_text(json.dumps(checks), "utf-8")
     return folder
+
+
+def timed(*timeline: dict[str, Any]) -> dict[str, Any]:
+    return {"timeline": list(timeline), "period_ns": 100_000_000}
 
 
 @pytest.fixture
@@ -90,7 +86,7 @@ def test_the_page_has_the_split_the_checks_and_the_latency(attacked_and_faulted:
 @pytest.mark.parametrize("attack", ["", "uncoordinated"])
 def test_run_without_links_and_faults_has_no_such_sections(run_folder: Callable[..., Path], attack: str) -> None:
     folder = run_folder(attack)
-    edit(folder / "scenario.json", timeline=[ATTACK] if attack else [], period_ns=100_000_000)
+    edit(folder, scenario=timed(*[ATTACK] if attack else []))
     run = RunRecord.load(folder)
     assert not run.faulted
     assert bands([run], timed=True) == []
@@ -148,9 +144,9 @@ def test_missed_objects_are_stacked_by_cause(attacked_and_faulted: Path) -> None
 
 def test_run_without_causes_has_no_chart_of_causes(run_folder: Callable[..., Path]) -> None:
     folder = run_folder()
-    edit(folder / "scenario.json", timeline=[PARTITION])
-    path = folder / "objects.parquet"
-    pyarrow.parquet.write_table(pyarrow.parquet.read_table(path).drop_columns(["cause", "by"]), path)
+    edit(folder, scenario={"timeline": [PARTITION]})
+    table = read_table(folder / "objects.parquet")
+    write_table(folder / "objects.parquet", {name: table[name] for name in table if name not in ("cause", "by")})
     assert causes_over_time(RunRecord.load(folder), None) is None
     assert ">Checks</h2>" not in write_report(folder).read_text("utf-8")
 

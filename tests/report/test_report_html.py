@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import hashlib
 import html
-import json
 import re
 from collections.abc import Callable
 from html.parser import HTMLParser
@@ -13,6 +12,7 @@ from pathlib import Path
 from urllib.parse import unquote
 
 import pytest
+from run_samples import edit
 
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch.tables import read_table, write_table
@@ -86,16 +86,11 @@ def assert_self_contained(page: Page, folder: Path) -> None:
     assert "@import" not in page.source
 
 
-def test_run_report_is_self_contained(run_folder: RunFolderFixture) -> None:
+def test_run_report_is_self_contained_and_its_figures_are_saved(run_folder: RunFolderFixture) -> None:
     folder = run_folder("uncoordinated")
     page = Page(write_report(folder))
     assert_self_contained(page, folder)
     assert all(link.startswith(("data:", "#")) for link in page.links)
-
-
-def test_every_figure_is_in_the_page_and_saved_as_png(run_folder: RunFolderFixture) -> None:
-    folder = run_folder("uncoordinated")
-    page = Page(write_report(folder))
     saved = {path.stem: path.read_bytes() for path in (folder / "figures").glob("*.png")}
     assert set(saved) == {"birdseye", "camera", "counts", "wiring"}
     for name, data in saved.items():
@@ -104,12 +99,15 @@ def test_every_figure_is_in_the_page_and_saved_as_png(run_folder: RunFolderFixtu
         assert data in page.embedded or (folder / "figures" / f"{name}.svg").read_bytes() in page.embedded
     assert len(page.images) == len(saved)
     assert all(len(image["alt"] or "") > 30 for image in page.images)
+    headings = re.findall(r'<h2 id="([\w-]+)">', page.source)
+    assert {"frames", "scores", "wiring", "reproduce"} <= set(headings)
+    assert [link[1:] for link in page.links if link.startswith("#")] == headings
 
 
 def test_a_run_report_states_the_result_and_how_every_node_ended(run_folder: RunFolderFixture) -> None:
     killed = {"role": "agent", "pid": 77, "exit": -9, "ended": "killed by signal 9", "restarts": 2}
     killed |= {"last_frame": 21, "rejected": {"agent/infra_2/pose: truncated": 3}, "foreign": {}, "failures": []}
-    page = Page(write_report(run_folder("uncoordinated", nodes={"infra_2": killed})))
+    page = Page(write_report(run_folder("uncoordinated", run={"nodes": {"infra_2": lambda _: killed}})))
     assert (
         "Two of four roadside sensors compromised: 6.25 false objects a frame in the common picture are due"
         in page.text
@@ -128,24 +126,15 @@ def test_a_run_report_states_the_result_and_how_every_node_ended(run_folder: Run
 def test_the_speed_shown_is_the_runs_not_the_scenes_frame_rate(run_folder: RunFolderFixture) -> None:
     folder = run_folder()
     assert "frames/s" not in Page(write_report(folder)).text
-    run = json.loads((folder / "run.json").read_text())
-    run["timings"]["frames_per_second"] = 87.4
-    (folder / "run.json").write_text(json.dumps(run))
+    edit(folder, run={"timings": {"frames_per_second": 87.4}})
     assert "87 frames/s" in Page(write_report(folder)).text
 
 
 def test_a_single_failure_is_worded_in_the_singular(run_folder: RunFolderFixture) -> None:
     failed = {"role": "agent", "pid": 77, "exit": 0, "ended": "ok", "restarts": 0, "failures": []}
     failed["failures"] = [{"handler": "on_pose", "count": 1, "exception": "ValueError: no", "where": "agent.py:7"}]
-    page = Page(write_report(run_folder(nodes={"infra_2": failed})))
+    page = Page(write_report(run_folder(run={"nodes": {"infra_2": lambda _: failed}})))
     assert "infra_2.on_pose failed once: " in page.text
-
-
-def test_a_table_of_contents_leads_to_every_section(run_folder: RunFolderFixture) -> None:
-    page = Page(write_report(run_folder("uncoordinated")))
-    headings = re.findall(r'<h2 id="([\w-]+)">', page.source)
-    assert {"frames", "scores", "wiring", "reproduce"} <= set(headings)
-    assert [link[1:] for link in page.links if link.startswith("#")] == headings
 
 
 def test_a_run_whose_numbers_cannot_be_packed_has_a_report_without_the_viewer(run_folder: RunFolderFixture) -> None:
@@ -168,14 +157,14 @@ def test_the_same_run_gives_the_same_report_byte_for_byte(run_folder: RunFolderF
 def test_names_are_escaped_in_html(run_folder: RunFolderFixture) -> None:
     evil = '<script>alert("x")</script>'
     node = {"role": evil, "pid": 1, "exit": 1, "ended": evil, "restarts": 0}
-    folder = run_folder("uncoordinated", nodes={evil: node, "$x^{": node})
-    for name in ("run.json", "scenario.json", "wiring.json"):
-        data = json.loads((folder / name).read_text())
-        data |= {"id": evil, "status": evil, "message": evil, "command": [evil]} if name == "run.json" else {evil: evil}
-        if name == "wiring.json":
-            ends = {"publisher": evil, "subscribers": [evil, "$x^{"], "interposers": [evil]}
-            data["wires"].append({"key": evil, "message": evil} | ends)
-        (folder / name).write_text(json.dumps(data))
+    ends = {"publisher": evil, "subscribers": [evil, "$x^{"], "interposers": [evil]}
+    wire = {"key": evil, "message": evil} | ends
+    folder = run_folder(
+        "uncoordinated",
+        run={"id": evil, "status": evil, "message": evil, "command": [evil], "nodes": {evil: node, "$x^{": node}},
+        scenario={evil: evil},
+        wiring={evil: evil, "wires": lambda wires: [*wires, wire]},
+    )
     page = Page(write_report(folder))
     assert_self_contained(page, folder)
     assert "<script>alert" not in page.source
@@ -195,30 +184,25 @@ MISSING = {
 
 
 @pytest.mark.parametrize("name", sorted(MISSING))
-def test_a_missing_file_is_named_and_everything_else_is_shown(run_folder: RunFolderFixture, name: str) -> None:
-    folder = run_folder("uncoordinated")
-    (folder / name).unlink()
-    page = Page(write_report(folder))
-    assert f"{name} is absent" in page.text
-    drawn = {path.stem for path in (folder / "figures").glob("*.png")}
-    assert drawn == {"birdseye", "camera", "counts", "wiring"} - MISSING[name]
-
-
-@pytest.mark.parametrize("name", sorted(MISSING))
-def test_a_truncated_file_is_named(run_folder: RunFolderFixture, name: str) -> None:
+def test_a_truncated_or_missing_file_is_named_and_everything_else_is_shown(
+    run_folder: RunFolderFixture, name: str
+) -> None:
     folder = run_folder("uncoordinated")
     (folder / name).write_bytes((folder / name).read_bytes()[:-20])
     (problem,) = RunRecord.load(folder).missing
     assert problem.startswith(f"{name} cannot be read")
+    (folder / name).unlink()
+    assert f"{name} is absent" in Page(write_report(folder)).text
+    drawn = {path.stem for path in (folder / "figures").glob("*.png")}
+    assert drawn == {"birdseye", "camera", "counts", "wiring"} - MISSING[name]
 
 
 def test_an_interrupted_run_still_has_a_report(run_folder: RunFolderFixture) -> None:
     folder = run_folder("uncoordinated")
-    run = json.loads((folder / "run.json").read_text())
-    for path in [*folder.glob("*.parquet"), *folder.glob("*.npz"), folder / "metrics.json", folder / "wiring.json"]:
+    for path in [*folder.glob("*.parquet"), *folder.glob("*.npz")]:
         path.unlink()
-    run |= {"status": "interrupted", "message": "stopped by Ctrl-C in frame 12"}
-    (folder / "run.json").write_text(json.dumps(run))
+    interrupted = {"status": "interrupted", "message": "stopped by Ctrl-C in frame 12"}
+    edit(folder, run=interrupted, metrics=..., wiring=...)
     page = Page(write_report(folder))
     assert "stopped by Ctrl-C in frame 12" in page.text
     assert "No scores" in page.text

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Rectangle
 from rich.console import Console
+from run_samples import edit
 
 from mast_zenoh.launch.tables import write_table
 from mast_zenoh.report import terminal
@@ -83,13 +83,9 @@ def folder(run_folder: Callable[..., Path]) -> Path:
     place = dict(x=np.full(FRAMES, -30.0), y=np.full(FRAMES, -40.0), withheld=np.arange(FRAMES) >= DETECTED)
     frames = dict(frame=np.arange(FRAMES), id=np.full(FRAMES, 7))
     write_table(path / "trust_objects.parquet", frames | boxes | place)
-    metrics = json.loads((path / "metrics.json").read_text())
-    (path / "metrics.json").write_text(json.dumps(metrics | {"integrity": INTEGRITY}))
-    scenario = json.loads((path / "scenario.json").read_text())
     faults = {"infra_4": [["BlindSector", 2.5, None], ["Loss", 0.5, 1.0]]}
-    scenario["nodes"] = {"evaluator": {"config": {"faults": faults}}}
-    (path / "scenario.json").write_text(json.dumps(scenario))
-    return path
+    evaluator = {"nodes": {"evaluator": {"config": {"faults": faults}}}}
+    return edit(path, metrics={"integrity": INTEGRITY}, scenario=evaluator)
 
 
 def pixels(picture: bytes, colour: str) -> int:
@@ -180,48 +176,29 @@ def test_the_terminal_names_suspensions_with_their_reasons(folder: Path) -> None
     assert lines[1] == (f"the command centre suspended infra_1 (lying) at 2.0 s, 0.5 s after its first lie: {REASON}")
 
 
-def last_line(folder: Path) -> str:
-    """What the terminal prints last of a run."""
-    console = Console(file=io.StringIO(), width=1000)
-    terminal.show_run(console, folder)
-    assert isinstance(console.file, io.StringIO)
-    return console.file.getvalue().splitlines()[-1]
-
-
-def configure(folder: Path, defence: str, integrity: dict[str, Any]) -> None:
-    """Give the run a defence, and what was measured of it."""
-    scenario = json.loads((folder / "scenario.json").read_text())
-    scenario["nodes"]["command_center"] = {"config": {"pipeline": {"integrity": {"type": defence}}}}
-    (folder / "scenario.json").write_text(json.dumps(scenario))
-    metrics = json.loads((folder / "metrics.json").read_text())
-    (folder / "metrics.json").write_text(json.dumps(metrics | {"integrity": integrity}))
+def last_line(folder: Path, defence: str, integrity: dict[str, Any]) -> str:
+    """What the terminal prints last of a run with a defence, and with what was measured of it."""
+    centre = {"command_center": {"config": {"pipeline": {"integrity": {"type": defence}}}}}
+    edit(folder, scenario={"nodes": centre}, metrics={"integrity": lambda _: integrity})
+    page = io.StringIO()
+    terminal.show_run(Console(file=page, width=1000), folder)
+    return page.getvalue().splitlines()[-1]
 
 
 def test_the_last_line_says_which_agents_the_defence_suspended_when_and_what_it_withheld(folder: Path) -> None:
-    configure(folder, "FreeSpace", INTEGRITY)
-    assert last_line(folder) == (
+    assert last_line(folder, "FreeSpace", INTEGRITY) == (
         "FreeSpace suspended two agents, infra_1 (0.5 s after its first lie) and infra_2 (while honest), "
         "although infra_3 lied, and withheld 1.50 false and 0.25 true objects a frame."
     )
-
-
-def test_a_defence_that_did_nothing_is_said_to_have_done_nothing(folder: Path) -> None:
     nothing = {"agents": {"ego": of_agent()}, "withheld": {"true": 0.0, "false": 0.0}}
-    configure(folder, "FreeSpace", INTEGRITY | nothing)
-    assert last_line(folder) == "FreeSpace suspended no agent and withheld nothing."
-
-
-def test_many_suspended_agents_are_counted(folder: Path) -> None:
+    assert last_line(folder, "FreeSpace", INTEGRITY | nothing) == "FreeSpace suspended no agent and withheld nothing."
     alarm = of_agent(suspensions=[suspension(1.0, None, "honest")])
-    configure(folder, "KOfN", INTEGRITY | {"agents": {f"infra_{number}": alarm for number in range(15)}})
-    assert last_line(folder).startswith("KOfN suspended 15 agents, infra_0 (while honest), ")
-    assert "infra_7 (while honest) and 7 more, and withheld" in last_line(folder)
-
-
-def test_the_last_lines_of_a_run_without_defence_name_none(folder: Path) -> None:
-    configure(folder, "NoIntegrity", INTEGRITY)
-    assert "NoIntegrity" not in last_line(folder)
-    assert "withheld" not in last_line(folder)
+    many = last_line(folder, "KOfN", INTEGRITY | {"agents": {f"infra_{number}": alarm for number in range(15)}})
+    assert many.startswith("KOfN suspended 15 agents, infra_0 (while honest), ")
+    assert "infra_7 (while honest) and 7 more, and withheld" in many
+    none = last_line(folder, "NoIntegrity", INTEGRITY)
+    assert "NoIntegrity" not in none
+    assert "withheld" not in none
 
 
 def test_seconds_of_conduct_without_any_are_left_out(folder: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 from collections.abc import Callable
@@ -79,13 +78,6 @@ class Lost(RunFigure):
 """
 
 
-def named_by(folder: Path, file: Path) -> Path:
-    """A run folder whose scenario names a file of the user."""
-    scenario = json.loads((folder / "scenario.json").read_text())
-    (folder / "scenario.json").write_text(json.dumps(scenario | {"modules": [str(file)]}))
-    return folder
-
-
 def written(path: Path, text: str, after: str = "time") -> Path:
     path.write_text(text.replace("AFTER", after))
     return path
@@ -114,13 +106,13 @@ def test_a_report_without_user_figures_is_unchanged(run_folder: Folder, tmp_path
 def test_figures_of_a_loaded_scenario_are_drawn(run_folder: Folder, tmp_path: Path) -> None:
     file = written(tmp_path / "mine.py", FIGURES)
     loading.module(file)
-    page = write_report(named_by(run_folder(), file), frame=7).read_text()
+    page = write_report(run_folder(scenario={"modules": [str(file)]}), frame=7).read_text()
     assert 'id="blank"' in page
 
 
 def test_a_file_that_a_run_folder_names_is_not_run(run_folder: Folder, tmp_path: Path) -> None:
     file = written(tmp_path / "evil.py", FIGURES + f"\nopen({str(tmp_path / 'was here')!r}, 'w')\n")
-    assert 'id="blank"' not in write_report(named_by(run_folder(), file)).read_text()
+    assert 'id="blank"' not in write_report(run_folder(scenario={"modules": [str(file)]})).read_text()
     assert not (tmp_path / "was here").exists()
 
 
