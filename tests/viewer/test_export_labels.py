@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import trackeval
 from mast_datasets.kitti import KittiTracking, read_calibration, read_labels, read_poses
+from mast_datasets.traffic import Labels
 from mast_datasets.tumtraf import read_frames
 from plain_record import CLASSES, PlainRecord, assert_same_boxes
 from vcd import core as vcd
@@ -217,12 +218,15 @@ def test_the_tumtraf_reader_reads_openlabel_with_the_agents_poses(
     (tmp_path / "truth.json").write_bytes((openlabel / "truth.json").read_bytes())
     frames = read_frames(tmp_path)
     assert [frame.time_ns for frame in frames] == [record.times_ns[frame] for frame in record.frames]
+    labels = Labels(tmp_path)
     for number, frame in enumerate(frames):
+        frame.add_boxes(number, labels, "world", "world")
+    read, _ = labels.boxes()
+    for number, (frame, rows) in enumerate(zip(frames, read.rows_by_frame(len(frames)), strict=True)):
         boxes = record.boxes["truth"][number]
-        cuboids = sorted(frame.cuboids, key=lambda cuboid: int(cuboid.track))
-        assert [int(cuboid.track) for cuboid in cuboids] == boxes.number.tolist()
-        np.testing.assert_allclose([cuboid.position for cuboid in cuboids], boxes.box[:, :3], atol=1e-9)
-        assert [cuboid.class_id for cuboid in cuboids] == boxes.columns["class_id"].tolist()
+        assert read.id[rows].tolist() == boxes.number.tolist()
+        np.testing.assert_allclose(read.position[rows], boxes.box[:, :3], atol=1e-9)
+        assert read.class_id[rows].tolist() == boxes.columns["class_id"].tolist()
         root, position, _ = frame.coordinates.locate("infra_2")
         assert root == "world"
         np.testing.assert_allclose(position, record.poses["infra_2"][number][0], atol=1e-9)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ class Boxes:
     size:     (N, 3) m, length, width, height
     yaw:      (N,) rad
     class_id: (N,) uint8, index into CLASSES
-    velocity: (N, 3) m/s; rows of NaN are computed from the positions
+    velocity: (N, 3) m/s; rows of NaN, or all of them without any, are computed from the positions
     """
 
     frame: Ints
@@ -35,14 +35,18 @@ class Boxes:
     size: Floats
     yaw: Floats
     class_id: NDArray[np.uint8]
-    velocity: Floats
+    velocity: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+
+    def __post_init__(self) -> None:
+        if not len(self.velocity):
+            object.__setattr__(self, "velocity", np.full((len(self.id), 3), np.nan))
 
     def __len__(self) -> int:
         return len(self.id)
 
     def select(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> Boxes:
         """The boxes of the given rows, in that order."""
-        return Boxes(*(getattr(self, field.name)[rows] for field in fields(self)))
+        return Boxes(*(getattr(self, column.name)[rows] for column in fields(self)))
 
     def rows_of(self, number: int) -> NDArray[np.intp]:
         """The rows of one object, in the order of the frames."""
@@ -68,13 +72,12 @@ class Boxes:
             size=np.tile(size, (frames, 1)),
             yaw=yaw,
             class_id=np.full(frames, class_id, np.uint8),
-            velocity=np.full((frames, 3), np.nan),
         )
 
     @classmethod
     def concatenate(cls, parts: Sequence[Boxes]) -> Boxes:
         """All boxes of the parts, in order."""
-        return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
+        return cls(*(np.concatenate([getattr(part, column.name) for part in parts]) for column in fields(cls)))
 
     def validate(self, name: str, frames: int) -> None:
         """Raise SceneError for the first box that cannot be.
@@ -82,11 +85,11 @@ class Boxes:
         name: of the scene, for the message; frames: how many it has
         """
         n = len(self.id)
-        for field, width in (("position", 3), ("size", 3), ("velocity", 3), ("frame", 0), ("yaw", 0), ("class_id", 0)):
-            shape, expected = getattr(self, field).shape, (n, width) if width else (n,)
+        for column, width in (("position", 3), ("size", 3), ("velocity", 3), ("frame", 0), ("yaw", 0), ("class_id", 0)):
+            shape, expected = getattr(self, column).shape, (n, width) if width else (n,)
             if shape != expected:
-                raise SceneError(f"{name}: {field} of the boxes has shape {shape}, expected {expected}")
-        for field, invalid, expectation in (
+                raise SceneError(f"{name}: {column} of the boxes has shape {shape}, expected {expected}")
+        for column, invalid, expectation in (
             ("frame", (self.frame < 0) | (self.frame >= frames), f"0 to {frames - 1}"),
             ("id", self.id < 0, "0 or more"),
             ("position", ~np.isfinite(self.position).all(axis=1), "finite numbers"),
@@ -98,7 +101,7 @@ class Boxes:
             if invalid.any():
                 row = int(np.flatnonzero(invalid)[0])
                 place = f"frame {self.frame[row]}, object {self.id[row]}"
-                raise SceneError(f"{name}: {place}: {field} is {getattr(self, field)[row]}, expected {expectation}")
+                raise SceneError(f"{name}: {place}: {column} is {getattr(self, column)[row]}, expected {expectation}")
         order = np.lexsort((self.id, self.frame))
         repeated = np.flatnonzero((np.diff(self.frame[order]) == 0) & (np.diff(self.id[order]) == 0))
         if len(repeated):
@@ -259,7 +262,7 @@ def _world(name: str, times_ns: Ints, boxes: Boxes, kept: int, order: NDArray[np
         boxes.id[by_time], boxes.position[by_time], boxes.velocity[by_time], times_ns[boxes.frame[by_time]]
     )
     names = ("id", "position", "size", "yaw", "class_id")
-    columns = {field: getattr(boxes, field)[order] for field in names} | {"velocity": velocity[order]}
+    columns = {column: getattr(boxes, column)[order] for column in names} | {"velocity": velocity[order]}
     return World(
         name=name,
         agents=(),
@@ -282,12 +285,12 @@ def _check(name: str, times_ns: Ints, boxes: Boxes, paths: Sequence[AgentPath]) 
         place = f"{name}: agent {path.agent.name}"
         expected = {"position": (frames, 3), "rotation": (frames, 3, 3), "velocity": (frames, 3)}
         expected |= {"points": (len(boxes),), "ground": (frames,)}
-        for field, shape in expected.items():
-            values = getattr(path, field)
+        for column, shape in expected.items():
+            values = getattr(path, column)
             if values is not None and values.shape != shape:
-                raise SceneError(f"{place}: {field} has shape {values.shape}, expected {shape}")
+                raise SceneError(f"{place}: {column} has shape {values.shape}, expected {shape}")
             if values is not None and not np.isfinite(values).all():
-                raise SceneError(f"{place}: {field} contains a number that is not finite")
+                raise SceneError(f"{place}: {column} contains a number that is not finite")
         shear = np.abs(path.rotation @ np.swapaxes(path.rotation, 1, 2) - np.eye(3)).max(axis=(1, 2))
         invalid = (shear > _MAX_SHEAR) | (np.linalg.det(path.rotation) < 0)
         if invalid.any():

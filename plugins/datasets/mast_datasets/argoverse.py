@@ -5,7 +5,6 @@ Wilson et al.: Argoverse 2, NeurIPS Datasets and Benchmarks 2021.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,15 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mast_datasets.traffic import agent_counts, nearest_vehicles
+from mast_datasets.files import find_folder, only
+from mast_datasets.traffic import TrafficScene
 from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
 from mast_zenoh.errors import SceneError
-from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.making.assembly import AgentPath, Boxes, assemble
-from mast_zenoh.scenes.making.virtual_agents import poles
 from mast_zenoh.scenes.recording import Recording, SceneAgent
-from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
+from mast_zenoh.sensing import Camera, LidarSensor
 
 POSES = "city_SE3_egovehicle.feather"
 _POSE = {**dict.fromkeys(("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m"), "float"), "timestamp_ns": "int"}
@@ -85,15 +83,9 @@ def find_log(path: Path) -> tuple[Path, Path]:
 
     path: its folder, or a folder that holds a single log
     """
-    if not path.is_dir():
-        raise SceneError(f"{path}: no such folder")
-    folders = [folder for folder in (path, *sorted(path.iterdir())) if folder.is_dir() and (folder / POSES).is_file()]
-    if len(folders) != 1:
-        raise SceneError(f"{path}: {len(folders)} logs with a file {POSES}, expected one")
-    annotations = sorted(folders[0].glob("annotations*.feather"))
-    if len(annotations) != 1:
-        raise SceneError(f"{folders[0]}: {len(annotations)} files annotations*.feather, expected one")
-    return annotations[0], folders[0] / POSES
+    folder = find_folder(path, f"logs with a file {POSES}", lambda folder: (folder / POSES).is_file())
+    annotations = only(folder, "files annotations*.feather", sorted(folder.glob("annotations*.feather")))
+    return annotations, folder / POSES
 
 
 def read_poses(path: Path, times_ns: Ints) -> tuple[Floats, Floats]:
@@ -221,18 +213,12 @@ _EGO_LIDAR = LidarSensor(
 )
 _EGO_CAMERA = Camera(mount_position=np.array([1.6, 0.0, 1.4]))
 
-_DETECTOR = DetectionModel()
 
-
-class AV2Log(Scene):
+@dataclass(kw_only=True, eq=False)
+class AV2Log(TrafficScene):
     """An Argoverse 2 sensor log: a real car in real traffic, to which virtual agents are added.
 
     path:             the folder of a log, with annotations*.feather and city_SE3_egovehicle.feather
-    n_infrastructure: virtual poles along the ego's path, 15 m above the ground there, looking 30 degrees down, 0 to 16;
-                      None: 4
-    n_mobile:         recorded vehicles that get a lidar on the roof, besides the ego, the ones nearest to it that are
-                      annotated in every frame of the log; None: 0
-    detector:         the model that generates detections from lidar visibility
 
     The world's origin is on the ground below the ego's first position. The ego's visibility is the number of lidar
     returns in the data set; that of the other agents comes from ray casting against the other boxes (the data has no
@@ -242,24 +228,8 @@ class AV2Log(Scene):
     short_name = "av2"
     files = (("city_SE3_egovehicle.feather",), ("*/city_SE3_egovehicle.feather",))
 
-    def __init__(
-        self,
-        *,
-        path: str,
-        n_infrastructure: int | None = None,
-        n_mobile: int | None = None,
-        detector: Detector = _DETECTOR,
-    ) -> None:
-        self.path = Path(path)
-        self.n_infrastructure, self.n_mobile = agent_counts("AV2Log", n_infrastructure, n_mobile)
-        self.detector = detector
-
-    def inputs(self) -> Sequence[Path]:
-        """The log's folder."""
-        return (self.path,)
-
     def record(self, seed: int, frames: int | None) -> Recording:
-        file, pose_file = find_log(self.path)
+        file, pose_file = find_log(self.root)
         annotations = read_annotations(file)
         city, rotation = read_poses(pose_file, annotations.times_ns)
         axle = city - city[0] + [0.0, 0.0, _AXLE_HEIGHT_M]
@@ -271,10 +241,8 @@ class AV2Log(Scene):
             points=np.concatenate([np.zeros(len(axle), np.int32), annotations.points.astype(np.int32)]),
             ground=axle[:, 2] - _AXLE_HEIGHT_M,
         )
-        others = nearest_vehicles(boxes, _EGO_ID, len(axle), self.n_mobile, self.path)
-        roadside = poles(boxes, axle[:, :2], heading(rotation), self.n_infrastructure)
+        paths = self.agents(boxes, ego, self.root)
         name = file.parent.name
-        paths = [ego, *others, *roadside]
         return assemble(name, annotations.times_ns, boxes, paths, self.detector, seed=seed, frames=frames)
 
 
@@ -290,6 +258,5 @@ def _boxes(annotations: Annotations, axle: Floats, rotation: Floats) -> Boxes:
         size=annotations.size,
         yaw=heading(rotation[frame] @ annotations.rotation),
         class_id=annotations.class_id,
-        velocity=np.full_like(position, np.nan),
     )
     return Boxes.concatenate([ego, traffic])

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,28 +20,28 @@ from mast_datasets.avstack_files import (
     read_seen,
     read_visibility,
 )
+from mast_datasets.traffic import ABOVE_0, DataSetScene
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.making.assembly import fill_velocity
 from mast_zenoh.scenes.making.observe import World, detect, lidar_visibility, make_recording
 from mast_zenoh.scenes.own_detections import read_json_lines
 from mast_zenoh.scenes.recording import SEEN_RETURNS, Recording, SceneAgent, truth_states
 from mast_zenoh.scenes.recording_file import check_counts
-from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
+from mast_zenoh.sensing import Camera, LidarSensor
 
 #: Object id of agent 0; agent k, if it is an object, has this plus k. The layout numbers agents and objects
 #: separately, both from 0, and its original reader gives the ego this id.
 EGO_ID = 99999
 
 _MAX_MOUNT_ERROR_M = 0.05  # between a sensor's position in its calibration and according to the agent's state
-_DETECTOR = DetectionModel()
 _ARCHIVES = (".tar", ".tar.gz", ".tgz", ".tar.bz2", ".tar.xz")
 #: Converts a camera's optical axes (x right, y down, z forward) to x forward, y left, z up.
 _OPTICAL = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 
 
-class AVstackScene(Scene):
+@dataclass(kw_only=True, eq=False)
+class AVstackScene(DataSetScene):
     """A scene in the CARLA multi-agent layout.
 
     With its accompanying files, see docs/scenes.md.
@@ -63,35 +62,18 @@ class AVstackScene(Scene):
     short_name = "avstack"
     files = (("objects/objectstate-*.txt",), ("*/objects/objectstate-*.txt",))
 
+    replay: bool = True
+    max_unpacked_mb: float = 1000.0
+
+    def __post_init__(self) -> None:
+        self.check(max_unpacked_mb=ABOVE_0)
+
     @classmethod
     def recognises(cls, path: Path) -> bool:
         return super().recognises(path) or (path.is_file() and path.name.endswith(_ARCHIVES))
 
-    def __init__(
-        self,
-        *,
-        path: str,
-        n_infrastructure: int | None = None,
-        n_mobile: int | None = None,
-        replay: bool = True,
-        detector: Detector = _DETECTOR,
-        max_unpacked_mb: float = 1000.0,
-    ) -> None:
-        if not isinstance(max_unpacked_mb, (int, float)) or not 0 < max_unpacked_mb < float("inf"):
-            raise ConfigurationError(f"{path}: max_unpacked_mb is {max_unpacked_mb!r}, expected a number above 0")
-        self.path = Path(path)
-        self.n_infrastructure = n_infrastructure
-        self.n_mobile = n_mobile
-        self.replay = replay
-        self.detector = detector
-        self.max_unpacked_mb = max_unpacked_mb
-
-    def inputs(self) -> Sequence[Path]:
-        """The archive or the folder."""
-        return (self.path,)
-
     def record(self, seed: int, frames: int | None) -> Recording:
-        with open_layout(self.path, self.max_unpacked_mb) as layout:
+        with open_layout(self.root, self.max_unpacked_mb) as layout:
             return self._record(layout, seed, frames)
 
     def _record(self, layout: Layout, seed: int, frames: int | None) -> Recording:
@@ -102,7 +84,7 @@ class AVstackScene(Scene):
             numbers = numbers[:frames]
         times, actors, objects = _read_states(layout, numbers)
         agents = self._agents(actors[0], layout.run)
-        world, ground = _world(layout, self.path.name, numbers, times, agents, actors, objects)
+        world, ground = _world(layout, self.root.name, numbers, times, agents, actors, objects)
         points = _points(layout, world, numbers, agents)
         file = layout.accompanying_file("detections.jsonl") if self.replay else None
         if file is None:

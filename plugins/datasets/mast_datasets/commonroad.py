@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from mast_datasets.traffic import HEIGHT_OF_CLASS, add_agents, agent_counts, busiest_vehicle, with_origin_at
+from mast_datasets.files import find_file
+from mast_datasets.traffic import HEIGHT_OF_CLASS, TrafficScene, busiest_vehicle, ego_in_traffic
 from mast_datasets.xml_files import XmlElement, has_root, read_xml
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.making.assembly import Boxes, assemble
 from mast_zenoh.scenes.making.virtual_agents import VEHICLE_CLASSES
 from mast_zenoh.scenes.recording import Recording
-from mast_zenoh.sensing import DetectionModel, Detector
 
 _MAX_COORDINATE_M = 1e8
 _MAX_SIZE_M = 1000.0
@@ -51,10 +50,11 @@ def read_outline(shape: XmlElement) -> Outline:
     centre = part.get_child("center")
     middle = np.zeros(2) if centre is None else read_point(centre)
     if part.tag == "circle":
-        return Outline(np.full(2, 2 * _length(part.child("radius"))), middle, 0.0)
+        return Outline(np.full(2, 2 * part.child("radius").text.positive(_MAX_SIZE_M)), middle, 0.0)
     angle = part.get_child("orientation")
     yaw = 0.0 if angle is None else angle.text.number(-1e3, 1e3)
-    return Outline(np.array([_length(part.child("length")), _length(part.child("width"))]), middle, yaw)
+    size = np.array([part.child(side).text.positive(_MAX_SIZE_M) for side in ("length", "width")])
+    return Outline(size, middle, yaw)
 
 
 def read_polygon(polygon: XmlElement) -> Floats:
@@ -70,13 +70,6 @@ def read_polygon(polygon: XmlElement) -> Floats:
 def read_point(point: XmlElement) -> Floats:
     """(2,) m of an element with <x> and <y>."""
     return np.array([point.child(axis).text.number(-_MAX_COORDINATE_M, _MAX_COORDINATE_M) for axis in ("x", "y")])
-
-
-def _length(element: XmlElement) -> float:
-    value = element.text.number(0.0, _MAX_SIZE_M)
-    if value == 0.0:
-        element.text.fail("a length above 0")
-    return value
 
 
 _VERSIONS = ("2018b", "2020a")
@@ -141,15 +134,7 @@ class ScenarioFile:
 
 def find_scenario(path: Path) -> Path:
     """The scenario at `path`: a file, or a folder with a single file *.xml or *.xml.gz."""
-    if path.is_file():
-        return path
-    if not path.is_dir():
-        raise SceneError(f"{path}: no such file or folder")
-    files = sorted(file for file in path.iterdir() if file.name.endswith((".xml", ".xml.gz")))
-    if len(files) != 1:
-        names = ", ".join(file.name for file in files[:10]) or "none"
-        raise SceneError(f"{path}: found {len(files)} files *.xml ({names}), expected one; add its name to the path")
-    return files[0]
+    return find_file(path, "files *.xml", lambda file: file.name.endswith((".xml", ".xml.gz")))
 
 
 def read_scenario(path: Path) -> ScenarioFile:
@@ -244,23 +229,18 @@ def _velocities(states: list[XmlElement], angle: Floats) -> Floats:
     return velocity
 
 
-_DETECTOR = DetectionModel()
 _MAX_BOXES = 2_000_000
 _MAX_IDS = 30  # in a message
 
 
-class CommonRoadScenario(Scene):
+@dataclass(kw_only=True, eq=False)
+class CommonRoadScenario(TrafficScene):
     """A CommonRoad scenario: recorded or simulated traffic without sensors, to which virtual agents are added.
 
     path:              the scenario (.xml, .xml.gz), or a folder with a single one
     ego:               id of the dynamic obstacle that is the ego; None: of those there for the longest, the one with
                        the most others within 50 m. The scene consists of the time steps at which the ego is there
-    n_infrastructure:  virtual poles along the ego's route, 15 m above the ground, looking 30 degrees down, 0 to 16;
-                       None: 4
-    n_mobile:          vehicles that get a lidar on the roof, besides the ego, the nearest ones that are there in every
-                       frame; None: 0
     building_height_m: of the outlines of buildings, if there are any
-    detector:          the model that generates detections from lidar visibility
 
     Scenarios are flat: the ground is at z = 0, and heights depend on the class. The position in a state is that of the
     origin of the shape, usually its middle, and the orientation is counter-clockwise from x, in rad (documentation of
@@ -270,47 +250,30 @@ class CommonRoadScenario(Scene):
 
     short_name = "commonroad"
 
+    ego: int | None = None
+    building_height_m: float = 12.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.check(building_height_m=(0.1, 1000.0))
+
     @classmethod
     def recognises(cls, path: Path) -> bool:
         return has_root(path, "commonRoad")
 
-    def __init__(
-        self,
-        *,
-        path: str,
-        ego: int | None = None,
-        n_infrastructure: int | None = None,
-        n_mobile: int | None = None,
-        building_height_m: float = 12.0,
-        detector: Detector = _DETECTOR,
-    ) -> None:
-        self.counts = agent_counts("CommonRoadScenario", n_infrastructure, n_mobile)
-        if not 0.0 < building_height_m <= 1000.0:
-            raise ConfigurationError(
-                f"CommonRoadScenario: building_height_m is {building_height_m}, expected above 0, up to 1000"
-            )
-        self.path = Path(path)
-        self.ego = ego
-        self.building_height_m = building_height_m
-        self.detector = detector
-
-    def inputs(self) -> Sequence[Path]:
-        """The scenario, or its folder."""
-        return (self.path,)
-
     def record(self, seed: int, frames: int | None) -> Recording:
-        file = find_scenario(self.path)
+        file = find_scenario(self.root)
         scenario = read_scenario(file)
         start, count = self._window(scenario, file)
         boxes = _boxes(scenario.obstacles, start, count, file)
         ego = busiest_vehicle(boxes, count, file) if self.ego is None else self.ego
         origin = np.array([*boxes.position[(boxes.id == ego) & (boxes.frame == 0), :2][0], 0.0])
-        boxes = with_origin_at(boxes, origin)
+        boxes = replace(boxes, position=boxes.position - origin)
         return assemble(
             scenario.name,
             np.round(np.arange(count) * scenario.step_s * 1e9).astype(np.int64),
             boxes,
-            add_agents(boxes, ego, count, self.counts, file),
+            self.agents(boxes, ego_in_traffic(boxes, ego, count, file), file),
             self.detector,
             seed=seed,
             frames=frames,

@@ -26,25 +26,14 @@ from mast_datasets.dair_files import (
     track_of,
 )
 from mast_datasets.files import Element
-from mast_datasets.traffic import listed_returns
+from mast_datasets.traffic import ABOVE_0, DataSetScene, Labels, listed_returns
 from mast_zenoh.arrays.geometry import along_and_across, heading, rotation_from_yaw, to_world
 from mast_zenoh.arrays.matching import greedy_matching
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.making.assembly import AgentPath, Boxes, assemble, ground_level
 from mast_zenoh.scenes.recording import Recording, SceneAgent
-from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
-
-
-def check_limit(owner: str, name: str, value: float) -> float:
-    """A limit above 0 as a float. Raises ConfigurationError for anything else.
-
-    owner: type of the scene; name: of its parameter
-    """
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < float("inf"):
-        raise ConfigurationError(f"{owner}: {name} is {value!r}, expected a number above 0")
-    return float(value)
+from mast_zenoh.sensing import Camera, LidarSensor
 
 
 def check_times(path: Path, names: Sequence[str], times_ns: Ints, max_gap_s: float) -> None:
@@ -77,18 +66,6 @@ def check_differences(path: Path, names: Sequence[str], agent: str, difference_s
             f"{path}: frame {names[far[0]]}: the frame of {agent} is {difference_s[far[0]]:+.3f} s away, "
             f"expected at most {limit_s:g} s (max_time_difference_s)"
         )
-
-
-_MAX_DIGITS = 15  # of a name that is kept as an id
-
-
-def numbered(names: Sequence[str]) -> Ints:
-    """Ids (n,) of tracks: their names if all are whole numbers, otherwise from 1 in the order of the names."""
-    distinct = sorted(set(names))
-    if all(len(name) <= _MAX_DIGITS and name.isascii() and name.isdigit() for name in distinct):
-        return np.array([int(name) for name in names], np.int64)
-    index = {name: number for number, name in enumerate(distinct, start=1)}
-    return np.array([index[name] for name in names], np.int64)
 
 
 def linked(frame: Ints, position: Floats, class_id: Ints, times_ns: Ints, radius_m: float) -> Ints:
@@ -167,27 +144,18 @@ class Truth:
     known: Bools
 
 
-def labelled_boxes(frame: int, labels: list[Element], pose: tuple[Floats, Floats] | None) -> Boxes:
-    """The boxes of a frame's labels in the world frame, without ids (0).
+def add_labels(labels: Labels, frame: int, found: list[Element], pose: tuple[Floats, Floats] | None) -> Floats:
+    """Add the boxes of a frame's labels in the world frame, and return their middles (n, 3) m.
 
     pose: position (3,) and rotation (3, 3) of the frame of the labels; None: they are in the world frame
     """
-    found = [box(label) for label in labels]
-    n = len(found)
-    position = np.array([middle for middle, _, _ in found]).reshape(n, 3)
-    yaw = np.array([angle for _, _, angle in found])
-    if pose is not None:
-        position = to_world(position, *pose)
-        yaw = np.array([float(heading(pose[1] @ rotation_from_yaw(angle))) for angle in yaw])
-    return Boxes(
-        frame=np.full(n, frame, np.int64),
-        id=np.zeros(n, np.int64),
-        position=position,
-        size=np.array([size for _, size, _ in found]).reshape(n, 3),
-        yaw=yaw,
-        class_id=np.array([class_of(label) for label in labels], np.uint8),
-        velocity=np.full((n, 3), np.nan),
-    )
+    boxes = [box(label) for label in found]
+    position = np.array([middle for middle, _, _ in boxes]).reshape(-1, 3)
+    position = position if pose is None else to_world(position, *pose)
+    for label, middle, (_, size, yaw) in zip(found, position, boxes, strict=True):
+        angle = yaw if pose is None else float(heading(pose[1] @ rotation_from_yaw(yaw)))
+        labels.add(frame, track_of(label), middle, size, angle, class_of(label))
+    return position
 
 
 def positions(labels: list[Element], position: Floats, rotation: Floats) -> Floats:
@@ -203,26 +171,33 @@ def read_truth(
 
     match_m: of labels without references to the sides' tracks; link_m: of labels without ids, None: refused
     """
-    boxes, seen, names, files = [], [], [], []
+    cooperative, seen, places = Labels(layout.root / "cooperative"), [], []
     for frame, pair in enumerate(pairs):
         file = layout.cooperative_labels(pair)
         labels = read_labels(file)
         pose = car.position[frame], car.rotation[frame]
-        boxes.append(labelled_boxes(frame, labels, None if layout.in_world else pose))
+        position = add_labels(cooperative, frame, labels, None if layout.in_world else pose)
         sides = (
             _Side(layout.vehicle_labels(pair), *pose, _REFERENCES[0]),
             _Side(layout.infrastructure_labels(pair), pole.position[frame], pole.rotation[frame], _REFERENCES[1]),
         )
-        seen.append(np.stack([side.sees(labels, boxes[-1].position, match_m) for side in sides], axis=1))
-        names += [track_of(label) for label in labels]
-        files += [f"{file}: {label.place}" for label in labels]
-    everything = Boxes.concatenate(boxes)
-    if not len(everything):
+        seen.append(np.stack([side.sees(labels, position, match_m) for side in sides], axis=1))
+        places += [f"{file}: {label.place}" for label in labels]
+    if not places:
         folder = layout.cooperative_labels(pairs[0]).parent
         raise SceneError(f"{folder}: found no labels in {len(pairs)} frames, expected at least one")
-    ids = _ids(names, files, everything, times_ns, link_m)
-    known = np.ones((len(everything), 2), bool)
-    return Truth(replace(everything, id=ids), np.concatenate(seen), known)
+    boxes, _ = cooperative.boxes()
+    if "" in cooperative.tracks:
+        if any(cooperative.tracks) or link_m is None:
+            without = places[cooperative.tracks.index("")]
+            raise SceneError(
+                f"{without}: track_id is missing, expected one in every label: without, no "
+                "object can be followed over time. DAIR-V2X-C has none; link_radius_m makes ids by distance, see "
+                "docs/scenes_dair.md"
+            )
+        ids = linked(boxes.frame, boxes.position, boxes.class_id.astype(np.int64), times_ns, link_m)
+        boxes = replace(boxes, id=ids)
+    return Truth(boxes, np.concatenate(seen), np.ones((len(boxes), 2), bool))
 
 
 @dataclass(frozen=True)
@@ -252,19 +227,6 @@ class _Side:
             if seen[row] and name not in tracks:
                 element.fail(f"-1, or the track of a label in {self.path}")
         return seen
-
-
-def _ids(names: list[str], places: list[str], boxes: Boxes, times_ns: Ints, link_m: float | None) -> Ints:
-    """Ids (N,) from the names of tracks, or by linking boxes if there are none at all."""
-    if all(names):
-        return numbered(names)
-    if any(names) or link_m is None:
-        without = places[names.index("")]
-        raise SceneError(
-            f"{without}: track_id is missing, expected one in every label: without, no object can be followed over "
-            "time. DAIR-V2X-C has none; link_radius_m makes ids by distance, see docs/scenes_dair.md"
-        )
-    return linked(boxes.frame, boxes.position, boxes.class_id.astype(np.int64), times_ns, link_m)
 
 
 def with_car(truth: Truth, car: Poses) -> tuple[Truth, int]:
@@ -323,11 +285,11 @@ _POLE_LIDAR = LidarSensor(
     max_range_m=200.0,
 )
 _CAMERA = Camera(mount_position=_ORIGIN)
-_DETECTOR = DetectionModel()
 _NO_LIMIT = 10**40
 
 
-class DAIRScene(Scene):
+@dataclass(kw_only=True, eq=False)
+class DAIRScene(DataSetScene):
     """A sequence of V2X-Seq-SPD or DAIR-V2X-C: a car and a pole, with cooperative labels.
 
     path:                  the folder of the data set, or a folder that holds a single one; the name of a sequence may
@@ -352,53 +314,45 @@ class DAIRScene(Scene):
     short_name = "dair"
     files = (("cooperative/data_info.json",),)
 
-    def __init__(
-        self,
-        *,
-        path: str,
-        sequence: str | int | None = None,
-        n_infrastructure: int | None = None,
-        n_mobile: int | None = None,
-        detector: Detector = _DETECTOR,
-        first_frame: int | None = None,
-        last_frame: int | None = None,
-        max_time_difference_s: float = 0.2,
-        max_gap_s: float = 0.15,
-        match_radius_m: float = 2.0,
-        link_radius_m: float | None = None,
-    ) -> None:
-        for name, value, highest in (("n_infrastructure", n_infrastructure, 1), ("n_mobile", n_mobile, 0)):
+    sequence: str | int | None = None
+    first_frame: int | None = None
+    last_frame: int | None = None
+    max_time_difference_s: float = 0.2
+    max_gap_s: float = 0.15
+    match_radius_m: float = 2.0
+    link_radius_m: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, value, highest in (("n_infrastructure", self.n_infrastructure, 1), ("n_mobile", self.n_mobile, 0)):
             if value is not None and not 0 <= value <= highest:
                 raise ConfigurationError(
                     f"DAIRScene: {name} is {value}, expected {'0' if highest == 0 else '0 or 1'}: "
                     "the data has one car and one pole"
                 )
-        self.path, named = split_path(Path(path))
-        self.sequence = named if sequence is None else str(sequence)
-        if named not in (None, self.sequence):
-            raise ConfigurationError(f"{path}: sequence is {self.sequence!r}, expected {named!r} as in the path")
-        self.n_infrastructure = 1 if n_infrastructure is None else n_infrastructure
-        self.detector = detector
-        self.first_frame = first_frame
-        self.last_frame = last_frame
-        self.max_time_difference_s = check_limit("DAIRScene", "max_time_difference_s", max_time_difference_s)
-        self.max_gap_s = check_limit("DAIRScene", "max_gap_s", max_gap_s)
-        self.match_radius_m = check_limit("DAIRScene", "match_radius_m", match_radius_m)
-        self.link_radius_m = None if link_radius_m is None else check_limit("DAIRScene", "link_radius_m", link_radius_m)
+        self.check(max_time_difference_s=ABOVE_0, max_gap_s=ABOVE_0, match_radius_m=ABOVE_0, link_radius_m=ABOVE_0)
+        _, named = split_path(self.root)
+        if None not in (named, self.sequence) and named != str(self.sequence):
+            raise ConfigurationError(
+                f"{self.path}: sequence is {str(self.sequence)!r}, expected {named!r} as in the path"
+            )
 
     def inputs(self) -> Sequence[Path]:
         """The data set's folder."""
-        return (self.path,)
+        return (split_path(self.root)[0],)
+
+    def _chosen(self) -> str | None:
+        """The name of the sequence; None: the only one."""
+        return split_path(self.root)[1] if self.sequence is None else str(self.sequence)
 
     def time_differences_s(self) -> Floats:
         """(F,) s that each frame of the pole is later than the car's frame it is paired with.
 
         Raises SceneError and ConfigurationError as `record` does.
         """
-        return clocks(self._pairs(open_layout(self.path)))[1]
+        return clocks(self._pairs(open_layout(self.inputs()[0])))[1]
 
     def record(self, seed: int, frames: int | None) -> Recording:
-        layout = open_layout(self.path)
+        layout = open_layout(self.inputs()[0])
         pairs = self._pairs(layout)
         times, _ = clocks(pairs)
         car, pole = _poses(layout, pairs)
@@ -418,16 +372,16 @@ class DAIRScene(Scene):
             replace(
                 path, points=listed_returns(truth.boxes, path, truth.seen[:, column], ~truth.known[:, column], frames)
             )
-            for column, path in enumerate(paths[: 1 + self.n_infrastructure])
+            for column, path in enumerate(paths if self.n_infrastructure != 0 else paths[:1])
         ]
-        name = f"{layout.root.name} {self.sequence or ''}".strip()
+        name = f"{layout.root.name} {self._chosen() or ''}".strip()
         return assemble(name, times, truth.boxes, seen, self.detector, seed=seed, frames=frames)
 
     def _pairs(self, layout: Layout) -> list[Pair]:
         """The pairs of the requested frames, with times checked."""
         first = -1 if self.first_frame is None else self.first_frame
         last = _NO_LIMIT if self.last_frame is None else self.last_frame
-        pairs = read_pairs(layout, self.sequence)
+        pairs = read_pairs(layout, self._chosen())
         chosen = [pair for pair in pairs if first <= frame_number(pair.vehicle) <= last]
         if not chosen:
             raise ConfigurationError(

@@ -14,13 +14,12 @@ from pathlib import Path
 
 import numpy as np
 
-from mast_datasets.files import Element, read_json
+from mast_datasets.files import MAX_COORDINATE_M, Element, TextElement, choose_name, find_folder, read_json
 from mast_zenoh.arrays.geometry import rotation_from_yaw
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
-from mast_zenoh.errors import ConfigurationError, SceneError, nearest
+from mast_zenoh.errors import SceneError
 
 MAX_LABELS = 5_000  # in one file
-MAX_EXTENT_M = 1e8  # of a coordinate
 
 #: Types by class, in lower case. A van is a car; three wheels and a motor count as a motorcycle.
 _TYPES = {
@@ -59,17 +58,10 @@ def class_of(label: Element) -> int:
     return CLASS_OF_TYPE.get(type_of(label), 0)
 
 
-def number(element: Element, low: float = -MAX_EXTENT_M, high: float = MAX_EXTENT_M) -> float:
+def number(element: Element, low: float = -MAX_COORDINATE_M, high: float = MAX_COORDINATE_M) -> float:
     """A finite number, which some files of the family write as text."""
-    value = element.value
-    if isinstance(value, str):
-        try:
-            value = float(value)
-        except ValueError:
-            element.fail("a number")
-        if not math.isfinite(value) or not low <= value <= high:
-            element.fail(f"a finite number from {low:g} to {high:g}")
-        return value
+    if isinstance(element.value, str):
+        element = TextElement(element.value, element.path, element.place)
     return element.number(low, high)
 
 
@@ -96,9 +88,7 @@ def box(label: Element) -> tuple[Floats, Floats, float]:
 
 def _box_of_corners(element: Element) -> tuple[Floats, Floats, float]:
     """The upright box nearest to eight corners, see `_CORNERS`."""
-    corners = element.matrix(8, 3)
-    if np.abs(corners).max() > MAX_EXTENT_M:
-        element.fail(f"numbers from {-MAX_EXTENT_M:g} to {MAX_EXTENT_M:g}")
+    corners = element.matrix(8, 3, MAX_COORDINATE_M)
     forward, left = corners[0] - corners[3], corners[0] - corners[1]
     size = np.array([np.linalg.norm(forward), np.linalg.norm(left), np.linalg.norm(corners[4] - corners[0])])
     if size.min() <= 0:
@@ -115,7 +105,7 @@ def track_of(label: Element, key: str = "track_id") -> str:
     element = label.get(key)
     if element is None:
         return ""
-    name = str(element.integer()) if isinstance(element.value, (int, float)) else element.text()
+    name = element.name(low=-1)
     if not 1 <= len(name) <= 100:
         element.fail("a name of 1 to 100 characters")
     return name
@@ -213,21 +203,14 @@ def split_path(path: Path) -> tuple[Path, str | None]:
 
 def open_layout(path: Path) -> Layout:
     """The data set at `path`: its folder, or a folder that holds a single one."""
-    if not os.path.isdir(path):
-        raise SceneError(f"{path}: no such folder")
-    try:
-        roots = [folder for folder in (path, *sorted(path.iterdir())) if (folder / PAIRS).is_file()]
-        if len(roots) != 1:
-            raise SceneError(f"{path}: found {len(roots)} data sets with a file {PAIRS}, expected one")
-        kinds = [name for name in ("label", "label_world") if (roots[0] / "cooperative" / name).is_dir()]
-    except OSError as error:
-        raise SceneError(f"{path}: {error}") from error
+    root = find_folder(path, f"data sets with a file {PAIRS}", lambda folder: (folder / PAIRS).is_file())
+    kinds = [name for name in ("label", "label_world") if (root / "cooperative" / name).is_dir()]
     if len(kinds) != 1:
         raise SceneError(
-            f"{roots[0] / 'cooperative'}: found {len(kinds)} of the folders label (V2X-Seq-SPD) and label_world "
+            f"{root / 'cooperative'}: found {len(kinds)} of the folders label (V2X-Seq-SPD) and label_world "
             "(DAIR-V2X-C), expected one"
         )
-    return Layout(roots[0], kinds[0] == "label_world")
+    return Layout(root, kinds[0] == "label_world")
 
 
 def read_pairs(layout: Layout, sequence: str | None) -> list[Pair]:
@@ -247,7 +230,7 @@ def read_pairs(layout: Layout, sequence: str | None) -> list[Pair]:
         if pair.vehicle in members:
             raise SceneError(f"{file}: {entry.place}: found frame {pair.vehicle} of the car twice, expected it once")
         members[pair.vehicle] = pair, pole_group
-    chosen = chosen_name(layout.root, "sequence", list(groups), sequence)
+    chosen = choose_name(layout.root, "sequence", groups, sequence)
     poles = sorted({pole_group for _, pole_group in groups[chosen].values()})
     if len(poles) != 1:
         raise SceneError(
@@ -269,18 +252,6 @@ def frame_number(name: str) -> int:
     return int("0" + "".join(character for character in name if character.isdigit()))
 
 
-def chosen_name(place: Path, parameter: str, names: list[str], value: str | None) -> str:
-    """One of the names: a parameter's value, or the only one. Raises ConfigurationError; place: for the message"""
-    names = sorted(names)
-    known = ", ".join(names[:_SHOWN]) + (", …" if len(names) > _SHOWN else "")
-    if value is None and len(names) > 1:
-        raise ConfigurationError(f"{place}: {parameter} is not given, expected one of {len(names)}: {known}")
-    if value is not None and value not in names:
-        hint = nearest(value, names)
-        raise ConfigurationError(f"{place}: unknown {parameter} {value!r}{hint}, expected one of {len(names)}: {known}")
-    return names[0] if value is None else value
-
-
 def _side(path: Path) -> dict[str, Element]:
     """The frames of one side, by name."""
     frames: dict[str, Element] = {}
@@ -294,15 +265,12 @@ def _side(path: Path) -> dict[str, Element]:
 
 def _frame(entry: Element) -> str:
     """The name of an entry's frame: its `frame_id`, otherwise the name of its point cloud."""
-    known = entry.get("frame_id")
-    return _name(entry["pointcloud_path"]) if known is None else _name(known)
+    return _name(entry.get("frame_id") or entry["pointcloud_path"])
 
 
 def _name(element: Element) -> str:
     """A name, or the name of the file at a path, that is safe as the name of a file."""
-    whole = isinstance(element.value, int) and not isinstance(element.value, bool)
-    text = str(element.integer(0)) if whole else element.text()
-    name = text.rsplit("/", 1)[-1].removesuffix(".pcd")
+    name = element.name().rsplit("/", 1)[-1].removesuffix(".pcd")
     if not _NAME.fullmatch(name):
         element.fail("a name of 1 to 40 letters, digits and _")
     return name

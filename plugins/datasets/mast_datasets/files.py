@@ -7,19 +7,20 @@ import json
 import math
 import re
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import IO, Any, NoReturn, cast
 
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats
-from mast_zenoh.errors import SceneError, nearest
+from mast_zenoh.errors import ConfigurationError, SceneError, nearest
 from mast_zenoh.scenes.detection_tables import MAX_FILE_BYTES, read_text
 
 #: Limit on one line of a text file, bytes.
 MAX_LINE = 100_000
 _PIECE = 1 << 18
+_MAX_NAMES = 20  # in a message
 _GZIP = b"\x1f\x8b"
 
 
@@ -66,15 +67,61 @@ def _decoded(line: bytes, path: Path, number: int) -> str:
         raise SceneError(f"{path}: line {number}: {error}") from error
 
 
+def entries(folder: Path) -> list[Path]:
+    """The contents of a folder in the order of their names, without hidden ones. Raises SceneError without a folder."""
+    try:
+        return sorted(entry for entry in folder.iterdir() if not entry.name.startswith("."))
+    except OSError as error:
+        raise SceneError(f"{folder}: {error}") from error
+
+
+def find_folder(path: Path, what: str, is_one: Callable[[Path], bool]) -> Path:
+    """`path` or a folder in it, whichever is the only one. what: it is, in the plural. Raises SceneError."""
+    if not path.is_dir():
+        raise SceneError(f"{path}: no such folder")
+    return only(path, what, [folder for folder in (path, *entries(path)) if folder.is_dir() and is_one(folder)])
+
+
+def find_file(path: Path, what: str, is_one: Callable[[Path], bool]) -> Path:
+    """The file `path`, or the only one in that folder. what: it is, in the plural. Raises SceneError."""
+    if not path.is_dir() and not path.is_file():
+        raise SceneError(f"{path}: no such file or folder")
+    return path if path.is_file() else only(path, what, [file for file in entries(path) if is_one(file)])
+
+
+def only(path: Path, what: str, matches: Sequence[Path]) -> Path:
+    """The only match. path: where it was searched; what: it is, in the plural. Raises SceneError for none or more."""
+    if len(matches) != 1:
+        names = ", ".join(match.name for match in matches[:_MAX_NAMES]) or "none"
+        raise SceneError(f"{path}: found {len(matches)} {what} ({names}), expected one; add its name to the path")
+    return matches[0]
+
+
+def choose_name(place: Path, parameter: str, names: Iterable[str], value: str | None) -> str:
+    """One of the names: the value of a parameter, or the only one if that is None. place: for the message
+
+    Raises SceneError without names, and ConfigurationError for another value, or for none if there are several.
+    """
+    names = sorted(names)
+    known = ", ".join(names[:_MAX_NAMES]) + (", …" if len(names) > _MAX_NAMES else "")
+    if not names:
+        raise SceneError(f"{place}: found no {parameter}, expected at least one")
+    if value is None and len(names) > 1:
+        raise ConfigurationError(f"{place}: {parameter} is not given, expected one of {len(names)}: {known}")
+    if value is not None and value not in names:
+        hint = nearest(value, names)
+        raise ConfigurationError(f"{place}: unknown {parameter} {value!r}{hint}, expected one of {len(names)}: {known}")
+    return names[0] if value is None else value
+
+
 def _opened(path: Path) -> IO[bytes]:
     with path.open("rb") as file:
         start = file.read(len(_GZIP))
     return cast("IO[bytes]", gzip.open(path, "rb")) if start == _GZIP else path.open("rb")
 
 
-_MAX_NAMES = 20  # of the members of an object in a message
 _MAX_SHOWN = 80  # characters of a value in a message
-_WHOLE = re.compile("-?[0-9]+")
+_WHOLE = re.compile("-?[0-9]+", re.ASCII)
 _MAX_SHEAR = 1e-2  # of a rotation matrix, per element of its product with its transpose; files round
 
 
@@ -127,32 +174,31 @@ class Element:
 
     def number(self, low: float = -math.inf, high: float = math.inf) -> float:
         """A finite number from `low` to `high`."""
-        value = self.value
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
-            self.fail(_number("a finite number", low, high))
+        value = self._as_number()
         try:
-            number = float(value)
+            if _is_number(value, (int, float)) and low <= value <= high and math.isfinite(value):
+                return float(value)
         except OverflowError:
-            number = math.inf
-        if not math.isfinite(number):
-            self.fail(_number("a finite number", low, high))
+            pass
+        return self.fail(_number("a finite number", low, high))
+
+    def positive(self, high: float) -> float:
+        """A number above 0, at most `high`."""
+        number = self.number(0.0, high)
+        if number == 0.0:
+            self.fail("a size above 0")
         return number
 
     def integer(self, low: float = -(2**63), high: float = 2**63 - 1) -> int:
         """A whole number from `low` to `high`; text of digits is one, too."""
-        value = self.value
-        if (
-            isinstance(value, str)
-            and len(value) < 20
-            and (digits := value.removeprefix("-")).isascii()
-            and digits.isdigit()
-        ):
-            value = int(value)
-        if isinstance(value, float) and value.is_integer():
-            value = int(value)
-        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+        value = self._as_integer()
+        if not _is_number(value, int) or not low <= value <= high:
             self.fail(_number("a whole number", low, high))
-        return value
+        return int(value)
+
+    def name(self, low: float = 0) -> str:
+        """A name: text, or a whole number from `low` as text."""
+        return self.value if isinstance(self.value, str) else str(self.integer(low))
 
     def text(self, choices: Sequence[str] = ()) -> str:
         """Text, one of the choices if there are any."""
@@ -162,36 +208,48 @@ class Element:
             self.fail(f"one of {', '.join(choices)}")
         return self.value
 
-    def vector(self, count: int) -> Floats:
-        """(count,) finite numbers from a list."""
-        return np.array([element.number() for element in self.elements(count)])
+    def vector(self, count: int, limit: float = math.inf) -> Floats:
+        """(count,) finite numbers from a list, from -limit to limit."""
+        return np.array([element.number(-limit, limit) for element in self.elements(count)])
 
-    def size(self, count: int = 3) -> Floats:
-        """(count,) finite numbers above 0, m."""
-        size = self.vector(count)
-        if size.min() <= 0:
-            self.fail(f"{count} numbers above 0")
+    def size(self, high: float = math.inf) -> Floats:
+        """(3,) finite numbers above 0, at most `high`, m."""
+        size = self.vector(3)
+        if size.min() <= 0 or size.max() > high:
+            self.fail("3 numbers above 0" + (f", at most {high:g}" if size.max() > high else ""))
         return size
 
-    def matrix(self, rows: int, columns: int) -> Floats:
+    def matrix(self, rows: int, columns: int, limit: float = math.inf) -> Floats:
         """(rows, columns) finite numbers from a list of lists."""
-        return np.array([row.vector(columns) for row in self.elements(rows)])
+        return np.array([row.vector(columns, limit) for row in self.elements(rows)])
 
     def rotation(self) -> Floats:
         """(3, 3) rotation matrix, made exactly orthonormal."""
         return orthonormal(self.matrix(3, 3), self)
 
-    def rigid(self) -> tuple[Floats, Floats]:
-        """Position (3,) m and rotation (3, 3) of a 4 x 4 matrix."""
-        matrix = self.matrix(4, 4)
-        if np.abs(matrix[3] - [0.0, 0.0, 0.0, 1.0]).max() > _MAX_SHEAR:
+    def rigid(self, limit: float = math.inf) -> tuple[Floats, Floats]:
+        """Position (3,) m and rotation (3, 3) of a 4 x 4 matrix, whose numbers are from -limit to limit."""
+        matrix = self.matrix(4, 4, limit)
+        if np.abs(matrix[3] - _LAST).max() > _MAX_SHEAR:
             self.fail("a 4 x 4 matrix whose last row is 0, 0, 0, 1")
         return matrix[:3, 3], orthonormal(matrix[:3, :3], self)
+
+    def _as_number(self) -> Any:
+        return self.value
+
+    def _as_integer(self) -> Any:
+        value = self.value
+        whole = isinstance(value, str) and len(value) < 20 and _WHOLE.fullmatch(value)
+        return int(value) if whole or (isinstance(value, float) and value.is_integer()) else value
 
     def _object(self) -> dict[Any, Any]:
         if not isinstance(self.value, dict):
             self.fail("an object with named values")
         return self.value
+
+
+def _is_number(value: object, kind: Any) -> bool:
+    return isinstance(value, kind) and not isinstance(value, bool)
 
 
 def orthonormal(matrix: Floats, element: Element) -> Floats:
@@ -248,47 +306,17 @@ class TextElement(Element):
     Space around a number is ignored; "nan", "inf" and digits of other scripts are not numbers.
     """
 
-    def number(self, low: float = -math.inf, high: float = math.inf) -> float:
-        """A finite number from `low` to `high`."""
-        if not _NUMBER.fullmatch(self.value.strip()):
-            return super().number(low, high)
-        return self._decoded(float(self.value)).number(low, high)
+    def _as_number(self) -> Any:
+        return float(self.value) if _NUMBER.fullmatch(self.value.strip()) else None
 
-    def integer(self, low: float = -(2**63), high: float = 2**63 - 1) -> int:
-        """A whole number from `low` to `high`, without a decimal point."""
-        text = self.value.strip()
-        return self._decoded(int(text) if _INTEGER.fullmatch(text) else math.nan).integer(low, high)
-
-    def _decoded(self, value: float) -> _Decoded:
-        return _Decoded(value, self)
-
-
-class _Decoded(Element):
-    """A decoded number, which a message shows as it is in the file."""
-
-    def __init__(self, value: float, source: TextElement) -> None:
-        super().__init__(value, source.path, source.place)
-        self._source = source
-
-    def fail(self, expected: str) -> NoReturn:
-        self._source.fail(expected)
+    def _as_integer(self) -> Any:
+        return int(self.value) if _INTEGER.fullmatch(self.value.strip()) else None
 
 
 #: Limit on a coordinate, m: far beyond any map projection, and its square is far below the limit of a number.
 MAX_COORDINATE_M = 1e8
 _LAST = np.array([0.0, 0.0, 0.0, 1.0])
 _ROUNDING = 1e-6  # of the last row of a matrix, and of a symmetric one
-
-
-def read_pose(element: Element) -> tuple[Floats, Floats]:
-    """Position (3,) m and rotation (3, 3) of a 4 x 4 matrix that is a list of 4 rows.
-
-    Raises SceneError, with the place in the file, unless it is a rotation and a translation.
-    """
-    for row in element.elements(4):
-        for value in row.elements(4):
-            value.number(-MAX_COORDINATE_M, MAX_COORDINATE_M)
-    return element.rigid()
 
 
 def read_listed_pose(element: Element) -> tuple[Floats, Floats]:
@@ -300,9 +328,8 @@ def read_listed_pose(element: Element) -> tuple[Floats, Floats]:
     if not isinstance(element.value, list) or len(element.value) not in (4, 16):
         element.fail("4 rows of 4 numbers, or 16 numbers")
     if len(element.value) == 4:
-        return read_pose(element)
-    numbers = [value.number(-MAX_COORDINATE_M, MAX_COORDINATE_M) for value in element.elements()]
-    matrix = np.array(numbers).reshape(4, 4)
+        return element.rigid(MAX_COORDINATE_M)
+    matrix = element.vector(16, MAX_COORDINATE_M).reshape(4, 4)
     by_rows, by_columns = (bool(np.abs(end - _LAST).max() <= _ROUNDING) for end in (matrix[3], matrix[:, 3]))
     if not by_rows and not by_columns:
         element.fail("16 numbers of a 4 x 4 matrix whose last row is 0, 0, 0, 1")

@@ -12,17 +12,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mast_datasets.files import TextElement, orthonormal, read_lines
-from mast_datasets.traffic import agent_counts, listed_returns, nearest_vehicles
+from mast_datasets.files import TextElement, choose_name, orthonormal, read_lines
+from mast_datasets.traffic import TrafficScene, listed_returns
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.detection_tables import MAX_FILE_BYTES
 from mast_zenoh.scenes.making.assembly import AgentPath, Boxes, assemble
-from mast_zenoh.scenes.making.virtual_agents import poles
 from mast_zenoh.scenes.recording import Recording, SceneAgent
-from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
+from mast_zenoh.sensing import Camera, LidarSensor
 
 _MAX_ROWS = 1_000_000
 _MAX_CALIBRATION_BYTES = 1_000_000
@@ -106,20 +104,13 @@ def read_labels(path: Path, frames: int) -> Labels:
         seen.add((frame, track))
         if len(rows) >= _MAX_ROWS:
             raise SceneError(f"{path}: found more than {_MAX_ROWS} labels, expected at most as many")
-        sizes = [_size(row[name]) for name in ("length", "width", "height")]
+        sizes = [row[name].positive(_MAX_SIZE_M) for name in ("length", "width", "height")]
         place = [row[name].number(-_MAX_COORDINATE_M, _MAX_COORDINATE_M) for name in ("x", "y", "z")]
         occluded = row["occluded"].integer(-1, 3)
         rows.append((frame, track, CLASS_INDEX[kind], occluded, *sizes, *place, row["rotation_y"].number(-1e3, 1e3)))
     table = np.array(rows, np.float64).reshape(-1, 11)
     frame_of, track_of, class_of, occlusion = table[:, :4].astype(np.int64).T
     return Labels(frame_of, track_of, class_of.astype(np.uint8), occlusion, table[:, 4:7], table[:, 7:10], table[:, 10])
-
-
-def _size(value: TextElement) -> float:
-    number = value.number(0.0, _MAX_SIZE_M)
-    if number == 0.0:
-        value.fail("a size above 0")
-    return number
 
 
 def read_calibration(path: Path) -> Calibration:
@@ -206,7 +197,6 @@ def _rows(path: Path, max_bytes: int = MAX_FILE_BYTES) -> Iterator[tuple[int, li
             yield number, fields
 
 
-_DETECTOR = DetectionModel()
 _PERIOD_NS = 100_000_000  # the benchmark has no times; its sensors run at 10 Hz
 _FILES = ("label_02", "calib", "oxts")
 _MIN_POINTS = 5
@@ -219,18 +209,14 @@ _LIDAR_HEIGHT_M = 1.73  # of the lidar above the ground
 _EGO_LIDAR = LidarSensor(elevation_min_deg=-24.8, elevation_max_deg=2.0, max_range_m=120.0)
 
 
-class KittiTracking(Scene):
+@dataclass(kw_only=True, eq=False)
+class KittiTracking(TrafficScene):
     """A sequence of the KITTI tracking benchmark: a real car in real traffic, to which virtual agents are added.
 
     path:             the folder with label_02, calib and oxts, such as "training"
     sequence:         name of the sequence, such as "0004"; None: the only one
     first_frame:      of the sequence that is used
     last_frame:       of the sequence that is used, itself included; None: the last
-    n_infrastructure: virtual poles along the ego's path, 15 m above the ground, looking 30 degrees down, 0 to 16;
-                      None: 4
-    n_mobile:         labelled vehicles that get a lidar on the roof, besides the ego, the nearest that are labelled in
-                      every frame used; None: 0
-    detector:         the model that generates detections from lidar visibility
 
     Labels are in the axes of the rectified camera (x right, y down, z ahead), at the middle of the underside, with the
     rotation about the downward axis ("readme" of the tracking development kit). They are converted by the calibration
@@ -243,31 +229,21 @@ class KittiTracking(Scene):
     short_name = "kitti"
     files = (("label_02/*.txt", "oxts/*.txt"),)
 
-    def __init__(
-        self,
-        *,
-        path: str,
-        sequence: str | None = None,
-        first_frame: int = 0,
-        last_frame: int | None = None,
-        n_infrastructure: int | None = None,
-        n_mobile: int | None = None,
-        detector: Detector = _DETECTOR,
-    ) -> None:
-        self.counts = agent_counts("KittiTracking", n_infrastructure, n_mobile)
-        if first_frame < 0 or (last_frame is not None and last_frame < first_frame):
+    sequence: str | None = None
+    first_frame: int = 0
+    last_frame: int | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.first_frame < 0 or (self.last_frame is not None and self.last_frame < self.first_frame):
             raise ConfigurationError(
-                f"KittiTracking: first_frame, last_frame are {first_frame}, {last_frame}, expected 0 or more, ascending"
+                f"KittiTracking: first_frame, last_frame are {self.first_frame}, {self.last_frame}, "
+                "expected 0 or more, ascending"
             )
-        self.path = Path(path)
-        self.sequence = sequence
-        self.first_frame = first_frame
-        self.last_frame = last_frame
-        self.detector = detector
 
     def inputs(self) -> Sequence[Path]:
         """The folders of labels, calibrations and positions."""
-        return tuple(self.path / name for name in _FILES)
+        return tuple(self.root / name for name in _FILES)
 
     def record(self, seed: int, frames: int | None) -> Recording:
         labels_file, calibration_file, poses_file = self._find()
@@ -290,25 +266,16 @@ class KittiTracking(Scene):
         name = f"kitti-{labels_file.stem}"
         visible = (occluded >= 0) & (occluded <= _MAX_OCCLUSION)
         ego = replace(ego, points=listed_returns(boxes, ego, visible, ~visible, frames))
-        n_infrastructure, n_mobile = self.counts
-        others = nearest_vehicles(boxes, 0, count, n_mobile, labels_file)
-        roadside = poles(boxes, position[:, :2], heading(rotation), n_infrastructure)
-        paths = [ego, *others, *roadside]
+        paths = self.agents(boxes, ego, labels_file)
         return assemble(name, times_ns, boxes, paths, self.detector, seed=seed, frames=frames)
 
     def _find(self) -> tuple[Path, Path, Path]:
         """Files of labels, calibration and positions of the sequence."""
-        folder = self.path / _FILES[0]
+        folder = self.root / _FILES[0]
         if not folder.is_dir():
-            raise SceneError(f"{self.path}: found no folder {_FILES[0]}, expected {', '.join(_FILES)} in it")
-        names = sorted(file.stem for file in folder.glob("*.txt"))
-        known = ", ".join(names[:30]) or "none"
-        if self.sequence is None and len(names) != 1:
-            raise SceneError(f"{folder}: found {len(names)} sequences ({known}), expected one; choose it with sequence")
-        sequence = names[0] if self.sequence is None else self.sequence
-        if sequence not in names:
-            raise ConfigurationError(f"{folder}: sequence is {sequence!r}, expected one of {known}")
-        labels, calibration, poses = (self.path / kind / f"{sequence}.txt" for kind in _FILES)
+            raise SceneError(f"{self.root}: found no folder {_FILES[0]}, expected {', '.join(_FILES)} in it")
+        sequence = choose_name(folder, "sequence", (file.stem for file in folder.glob("*.txt")), self.sequence)
+        labels, calibration, poses = (self.root / kind / f"{sequence}.txt" for kind in _FILES)
         return labels, calibration, poses
 
     def _window(self, frames: int, file: Path) -> slice:
@@ -347,6 +314,5 @@ def _boxes(
         size=size,
         yaw=np.arctan2(direction[:, 1], direction[:, 0]),
         class_id=labels.class_id[keep],
-        velocity=np.full_like(centre, np.nan),
     )
     return Boxes.concatenate([ego, others]), np.concatenate([np.full(frames, 3), labels.occluded[keep]])

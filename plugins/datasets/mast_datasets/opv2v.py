@@ -17,13 +17,14 @@ from mast_datasets.opv2v_files import (
     V2V4REAL,
     V2X_REAL,
     AgentFolder,
-    AgentPose,
     Labels,
+    Poses,
     Variant,
     check_frames,
     choose_frames,
+    file_of_frame,
     find_scenario,
-    map_file,
+    joined_poses,
     map_files,
     read_labels,
     read_pose,
@@ -31,35 +32,16 @@ from mast_datasets.opv2v_files import (
 )
 from mast_datasets.opv2v_traffic import Listed, OwnCar, check_ids_last, check_numbers, claim, missing_boxes, shared_ids
 from mast_datasets.opv2v_yaml import read_yaml
-from mast_datasets.traffic import listed_returns
-from mast_zenoh.arrays.states import Bools, Floats, Ints
+from mast_datasets.traffic import DataSetScene, listed_returns
+from mast_zenoh.arrays.states import Bools, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.making.assembly import AgentPath, Boxes, assemble
 from mast_zenoh.scenes.recording import Recording, SceneAgent
-from mast_zenoh.scenes.recording_file import check_counts
-from mast_zenoh.sensing import Camera, DetectionModel, Detector
+from mast_zenoh.sensing import Camera
 
 _MAX_MOUNT_ERROR_M = 0.5  # between a lidar's place on its car in two frames
 _MAX_POLE_STEP_M = 1.0  # of a pole, which does not move
 _CAMERA_BELOW_LIDAR_M = 0.2
-
-
-@dataclass(frozen=True, eq=False)
-class Poses:
-    """Poses of A agents in F frames: position (F, A, 3) m of the body, lidar (F, A, 3) m, rotation (F, A, 3, 3)."""
-
-    position: Floats
-    lidar: Floats
-    rotation: Floats
-
-    @classmethod
-    def of(cls, poses: Sequence[Sequence[AgentPose]]) -> Poses:
-        """The poses of the agents for each frame."""
-        return cls(*(np.array([[getattr(each, name) for each in now] for now in poses]) for name in _POSE))
-
-
-_POSE = ("position", "lidar", "rotation")
 
 
 def agent_path(
@@ -103,40 +85,24 @@ def agent_path(
     return AgentPath(agent, position, rotation)
 
 
-_DETECTOR = DetectionModel()
+@dataclass(kw_only=True, eq=False)
+class ScenarioFolder(DataSetScene):
+    """What the scenes of the family have in common: parameters, the choice of agents and frames.
 
+    ego:                     number of the car that is the ego; None: the lowest
+    first_frame, last_frame: numbers of the frames to begin and to end with; None: all
+    rate_hz:                 frames per second; the files do not state it
+    """
 
-class ScenarioFolder(Scene):
-    """What the scenes of the family have in common: parameters, the choice of agents and frames."""
+    variant: ClassVar[Variant]
 
-    variant: Variant
+    ego: int | None = None
+    first_frame: int | None = None
+    last_frame: int | None = None
+    rate_hz: float = 10.0
 
-    def __init__(
-        self,
-        *,
-        path: str,
-        n_infrastructure: int | None = None,
-        n_mobile: int | None = None,
-        ego: int | None = None,
-        first_frame: int | None = None,
-        last_frame: int | None = None,
-        rate_hz: float = 10.0,
-        detector: Detector = _DETECTOR,
-    ) -> None:
-        if isinstance(rate_hz, bool) or not isinstance(rate_hz, (int, float)) or not 0.01 <= rate_hz <= 1000:
-            raise ConfigurationError(f"{path}: rate_hz is {rate_hz!r}, expected 0.01 to 1000")
-        self.path = Path(path)
-        self.n_infrastructure = n_infrastructure
-        self.n_mobile = n_mobile
-        self.ego = ego
-        self.first_frame = first_frame
-        self.last_frame = last_frame
-        self.rate_hz = rate_hz
-        self.detector = detector
-
-    def inputs(self) -> Sequence[Path]:
-        """The scenario's folder."""
-        return (self.path,)
+    def __post_init__(self) -> None:
+        self.check(rate_hz=(0.01, 1000.0))
 
     @abstractmethod
     def record(self, seed: int, frames: int | None) -> Recording: ...
@@ -156,25 +122,18 @@ class ScenarioFolder(Scene):
         chosen = cars[0] if self.ego is None else next(car for car in cars if car.number == self.ego)
         return [chosen, *(agent for agent in agents if agent is not chosen)]
 
-    def _playing(self, folder: Path, agents: Sequence[AgentFolder]) -> list[int]:
+    def _playing(self, agents: Sequence[AgentFolder]) -> list[int]:
         """Columns of the agents that play, the ego first, then other cars, then poles."""
-        cars = [column for column, agent in enumerate(agents) if not agent.is_pole and column > 0]
-        poles = [column for column, agent in enumerate(agents) if agent.is_pole]
-        kinds = "cars besides the ego", "poles"
-        check_counts(folder, (self.n_mobile, len(cars)), (self.n_infrastructure, len(poles)), kinds)
-        return [0, *cars[: self.n_mobile], *poles[: self.n_infrastructure]]
+        columns = range(len(agents))
+        cars = [column for column in columns if not agents[column].is_pole]
+        cars, poles = self.playing(cars, [column for column in columns if agents[column].is_pole])
+        return [*cars, *poles]
 
 
 class OPV2VScene(ScenarioFolder):
     """A scenario of OPV2V or V2XSet, simulated in CARLA. See docs/scenes_opv2v.md.
 
-    path:             the folder of a scenario, or a folder with a single one
-    n_infrastructure: poles to use, the first ones; None: all
-    n_mobile:         cars besides the ego to use, the first ones; None: all
-    ego:              number of the car that is the ego; None: the lowest
-    first_frame, last_frame: numbers of the frames to begin and to end with; None: all
-    rate_hz:          frames per second; the files do not state it
-    detector:         the model that generates detections from lidar visibility
+    path: the folder of a scenario, or a folder with a single one
 
     The world is CARLA's, with y inverted. An object that an agent lists was hit by its lidar: it gets the returns that
     ray casting gives, at least 5. All objects are cars.
@@ -186,11 +145,11 @@ class OPV2VScene(ScenarioFolder):
     variant = OPV2V
 
     def record(self, seed: int, frames: int | None) -> Recording:
-        folder, agents = find_scenario(self.path)
+        folder, agents = find_scenario(self.root)
         agents = self._ego_first(folder, agents)
         numbers = choose_frames(agents[0], self.first_frame, self.last_frame)
         check_frames(agents, numbers)
-        playing = self._playing(folder, agents)
+        playing = self._playing(agents)
         poses, labels = _read(agents, numbers, self._variant())
         boxes, seen, cars = self._traffic(agents, numbers, poses, Listed.of(labels))
         times = self._times(numbers)
@@ -228,6 +187,7 @@ class OPV2VScene(ScenarioFolder):
         return Boxes.concatenate([boxes, *added]), seen, dict(zip(columns, own, strict=True))
 
 
+@dataclass(kw_only=True, eq=False)
 class V2XRealScene(OPV2VScene):
     """A scenario of V2X-Real, recorded by real cars and poles. See docs/scenes_opv2v.md.
 
@@ -243,30 +203,7 @@ class V2XRealScene(OPV2VScene):
 
     variant = V2X_REAL
 
-    def __init__(
-        self,
-        *,
-        path: str,
-        n_infrastructure: int | None = None,
-        n_mobile: int | None = None,
-        ego: int | None = None,
-        first_frame: int | None = None,
-        last_frame: int | None = None,
-        rate_hz: float = 10.0,
-        detector: Detector = _DETECTOR,
-        left_handed: bool = True,
-    ) -> None:
-        super().__init__(
-            path=path,
-            n_infrastructure=n_infrastructure,
-            n_mobile=n_mobile,
-            ego=ego,
-            first_frame=first_frame,
-            last_frame=last_frame,
-            rate_hz=rate_hz,
-            detector=detector,
-        )
-        self.left_handed = left_handed
+    left_handed: bool = True
 
     def _variant(self) -> Variant:
         return replace(self.variant, left_handed=self.left_handed)
@@ -294,7 +231,7 @@ def _read(agents: Sequence[AgentFolder], numbers: Sequence[int], variant: Varian
         now = [read_pose(each, variant, agent.is_pole) for each, agent in zip(contents, agents, strict=True)]
         labels.append([read_labels(each, variant, pose) for each, pose in zip(contents, now, strict=True)])
         poses.append(now)
-    return Poses.of(poses), labels
+    return joined_poses(poses), labels
 
 
 class MultiV2XScene(ScenarioFolder):
@@ -303,10 +240,6 @@ class MultiV2XScene(ScenarioFolder):
     path:             the folder of a town, with cav_<number>, rsu_<number> and map, or a folder with a single one
     n_infrastructure: poles to use, the ones nearest to the ego in the first frame; None: all
     n_mobile:         cars besides the ego to use, the nearest ones; None: all
-    ego:              number of the car that is the ego; None: the lowest
-    first_frame, last_frame: numbers of the frames to begin and to end with; None: all frames of the ego
-    rate_hz:          frames per second; the files do not state it
-    detector:         the model that generates detections from lidar visibility
 
     The world is CARLA's, with y inverted. The objects are those of the map. An agent has the lidar returns that its
     view files count; without any, ray casting decides. Agents that are not there in all of the frames are no agents.
@@ -318,14 +251,14 @@ class MultiV2XScene(ScenarioFolder):
     variant = MULTI_V2X
 
     def record(self, seed: int, frames: int | None) -> Recording:
-        folder, agents = find_scenario(self.path)
+        folder, agents = find_scenario(self.root)
         agents = self._ego_first(folder, agents)
         numbers = choose_frames(agents[0], self.first_frame, self.last_frame)
         agents = self._nearest_first([agent for agent in agents if agent.covers(numbers)], numbers[0])
-        playing = self._playing(folder, agents)
+        playing = self._playing(agents)
         agents, playing = [agents[column] for column in playing], list(range(len(playing)))
         check_frames(agents, numbers)
-        poses = Poses.of([[self._pose(agent, number) for agent in agents] for number in numbers])
+        poses = joined_poses([[self._pose(agent, number) for agent in agents] for number in numbers])
         cars = {
             column: OwnCar(agent.number, poses.position[:, column], poses.rotation[:, column], agent.number)
             for column, agent in enumerate(agents)
@@ -341,7 +274,7 @@ class MultiV2XScene(ScenarioFolder):
             paths.append(replace(path, points=points))
         return assemble(folder.name, times, boxes, paths, self.detector, seed=seed, frames=frames)
 
-    def _pose(self, agent: AgentFolder, number: int) -> AgentPose:
+    def _pose(self, agent: AgentFolder, number: int) -> Poses:
         return read_pose(read_yaml(agent.file(number)), self.variant, agent.is_pole)
 
     def _nearest_first(self, agents: Sequence[AgentFolder], number: int) -> list[AgentFolder]:
@@ -355,7 +288,7 @@ class MultiV2XScene(ScenarioFolder):
         files = map_files(folder)
 
         def file_of(frame: int, _: int) -> Path:
-            return map_file(folder, files, numbers[frame])
+            return file_of_frame(folder / "map", files, numbers[frame])
 
         contents = [read_yaml(file_of(frame, 0)) for frame in range(len(numbers))]
         listed = Listed.of([[read_labels(content, self.variant, None)] for content in contents])

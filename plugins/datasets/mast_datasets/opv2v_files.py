@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
@@ -14,7 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from mast_datasets.files import Element
+from mast_datasets.files import Element, entries, find_folder
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
@@ -152,11 +151,6 @@ def pose(element: Element, left_handed: bool) -> tuple[Floats, Floats]:
     return (position * _FLIP if left_handed else position), rotation
 
 
-def positions(place: Floats, left_handed: bool) -> Floats:
-    """(n, 3) m with y to the left."""
-    return place * _FLIP if left_handed else place
-
-
 def rotations(angle: Floats, left_handed: bool) -> Floats:
     """(n, 3, 3) active rotations of angles (n, 3), roll, yaw and pitch in degrees.
 
@@ -200,11 +194,11 @@ class AgentFolder:
 
     def file(self, frame: int) -> Path:
         """The file of a frame. Raises SceneError if there is none."""
-        return _file(self.folder, self.files, frame, "")
+        return file_of_frame(self.folder, self.files, frame)
 
     def view(self, frame: int) -> Path:
         """The file of what the agent sees in a frame. Raises SceneError if there is none."""
-        return _file(self.folder, self.views, frame, "_view")
+        return file_of_frame(self.folder, self.views, frame, "_view")
 
     def covers(self, frames: Sequence[int]) -> bool:
         """Whether the agent is there from the first to the last of the frames."""
@@ -216,17 +210,10 @@ def find_scenario(path: Path) -> tuple[Path, list[AgentFolder]]:
 
     path: the scenario's folder, or a folder that holds a single one
     """
-    if not path.is_dir():
-        raise SceneError(f"{path}: no such folder")
-    candidates = [path, *sorted(child for child in _children(path) if child.is_dir())]
-    scenarios = [folder for folder in candidates if any(map(_is_agent, _children(folder)))]
+    what = "scenarios, folders of agents' folders with files <frame>.yaml"
     # The agents of the scenario itself have files, no agents.
-    if len(scenarios) != 1:
-        raise SceneError(
-            f"{path}: {len(scenarios)} scenarios, expected one: a folder of agents' folders with files <frame>.yaml"
-        )
-    folder = scenarios[0]
-    agents = [_agent(child) for child in sorted(_children(folder)) if _is_agent(child)]
+    folder = find_folder(path, what, lambda folder: any(map(_is_agent, entries(folder))))
+    agents = [_agent(child) for child in entries(folder) if _is_agent(child)]
     if len(agents) > _MAX_AGENTS:
         raise SceneError(f"{folder}: found {len(agents)} agents, expected at most {_MAX_AGENTS}")
     agents.sort(key=lambda agent: (agent.is_pole, abs(agent.number)))
@@ -242,11 +229,6 @@ def map_files(folder: Path) -> dict[int, Path]:
     if not files:
         raise SceneError(f"{folder / 'map'}: no files <frame>.yaml, expected one with all objects of each frame")
     return files
-
-
-def map_file(folder: Path, files: dict[int, Path], frame: int) -> Path:
-    """The file of all objects in a frame. Raises SceneError if there is none."""
-    return _file(folder / "map", files, frame, "")
 
 
 def choose_frames(agent: AgentFolder, first: int | None, last: int | None) -> list[int]:
@@ -285,18 +267,11 @@ def check_frames(agents: Sequence[AgentFolder], frames: Sequence[int]) -> None:
             raise SceneError(f"{agent.files[extra[0]]}: the ego has no frame {extra[0]}, expected the same frames")
 
 
-def _children(folder: Path) -> list[Path]:
-    try:
-        return [Path(entry.path) for entry in os.scandir(folder) if not entry.name.startswith(".")]
-    except OSError as error:
-        raise SceneError(f"{folder}: {error}") from error
-
-
 def _is_agent(folder: Path) -> bool:
     return (
         bool(_AGENT.fullmatch(folder.name))
         and folder.is_dir()
-        and any(_FRAME.fullmatch(child.name) for child in _children(folder))
+        and any(_FRAME.fullmatch(child.name) for child in entries(folder))
     )
 
 
@@ -309,7 +284,7 @@ def _agent(folder: Path) -> AgentFolder:
 def _frames(folder: Path, pattern: re.Pattern[str]) -> dict[int, Path]:
     """Files by the number in their names, ascending."""
     files: dict[int, Path] = {}
-    for path in sorted(_children(folder)):
+    for path in entries(folder):
         match = pattern.fullmatch(path.name)
         if match is None:
             continue
@@ -322,14 +297,11 @@ def _frames(folder: Path, pattern: re.Pattern[str]) -> dict[int, Path]:
     return dict(sorted(files.items()))
 
 
-def _file(folder: Path, files: dict[int, Path], frame: int, ending: str) -> Path:
+def file_of_frame(folder: Path, files: dict[int, Path], frame: int, ending: str = "") -> Path:
+    """The file of a frame. Raises SceneError if there is none."""
     if frame not in files:
-        raise SceneError(
-            f"{folder}: no file for frame {frame}, expected {frame:06d}{ending}.yaml: "
-            "agents that appear or disappear cannot be played"
-            if not ending
-            else f"{folder}: no file for frame {frame}, expected {frame:06d}{ending}.yaml"
-        )
+        reason = "" if ending else ": agents that appear or disappear cannot be played"
+        raise SceneError(f"{folder}: no file for frame {frame}, expected {frame:06d}{ending}.yaml{reason}")
     return files[frame]
 
 
@@ -362,24 +334,33 @@ class Labels:
 
 
 @dataclass(frozen=True, eq=False)
-class AgentPose:
-    """Where an agent is: position (3,) m of its body, lidar (3,) m, and rotation (3, 3) of its lidar, in the world."""
+class Poses:
+    """Poses of agents in the world: position (…, 3) m of the body, lidar (…, 3) m, and rotation (…, 3, 3) of the lidar.
+
+    The axes before are none for one agent in one frame, or F frames and A agents.
+    """
 
     position: Floats
     lidar: Floats
     rotation: Floats
 
 
-def read_pose(content: Element, variant: Variant, is_pole: bool) -> AgentPose:
+def joined_poses(poses: Sequence[Sequence[Poses]]) -> Poses:
+    """The poses of the agents for each frame as one."""
+    names = [column.name for column in fields(Poses)]
+    return Poses(*(np.array([[getattr(each, name) for each in now] for now in poses]) for name in names))
+
+
+def read_pose(content: Element, variant: Variant, is_pole: bool) -> Poses:
     """The pose of an agent in a file."""
     lidar, rotation = pose(content["lidar_pose"], variant.left_handed)
     if variant.body is None or is_pole:
-        return AgentPose(lidar, lidar, rotation)
+        return Poses(lidar, lidar, rotation)
     body, _ = pose(content[variant.body], variant.left_handed)
-    return AgentPose(body, lidar, rotation)
+    return Poses(body, lidar, rotation)
 
 
-def read_labels(content: Element, variant: Variant, agent: AgentPose | None) -> Labels:
+def read_labels(content: Element, variant: Variant, agent: Poses | None) -> Labels:
     """The objects in a file, without those that are not road users.
 
     agent: whose file it is; needed if places are in the frame of its lidar
@@ -408,7 +389,7 @@ def read_labels(content: Element, variant: Variant, agent: AgentPose | None) -> 
         rows.append([*numbers(each["location"], 3), *numbers(each["center"], 3), *extent, *numbers(each["angle"], 3)])
     _check_unique(ids, listed)
     table = np.array(rows, np.float64).reshape(-1, 12)
-    position = positions(table[:, :3] + table[:, 3:6], variant.left_handed)
+    position = (table[:, :3] + table[:, 3:6]) * (_FLIP if variant.left_handed else 1.0)
     rotation = rotations(table[:, 9:], variant.left_handed)
     if variant.objects_in == "lidar" and agent is not None:
         position = agent.lidar + position @ agent.rotation.T

@@ -85,7 +85,6 @@ class Listed:
             size=labels.size,
             yaw=labels.yaw,
             class_id=labels.class_id,
-            velocity=np.full_like(labels.position, np.nan),
         )
 
 
@@ -206,7 +205,6 @@ def missing_boxes(boxes: Boxes, car: OwnCar, variant: Variant) -> Boxes:
         size=np.tile(size, (len(frames), 1)),
         yaw=heading(car.rotation[frames]),
         class_id=np.full(len(frames), class_id, np.uint8),
-        velocity=np.full_like(position, np.nan),
     )
 
 

@@ -5,21 +5,21 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from mast_datasets.dair import check_differences, check_limit, check_times, labelled_boxes, matched, numbered, positions
-from mast_datasets.dair_files import chosen_name, read_labels, read_transform, track_of
-from mast_datasets.traffic import listed_returns
+from mast_datasets.dair import add_labels, check_differences, check_times, matched, positions
+from mast_datasets.dair_files import read_labels, read_transform, track_of
+from mast_datasets.files import choose_name, entries
+from mast_datasets.traffic import ABOVE_0, DataSetScene, Labels, listed_returns
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.making.assembly import Boxes, assemble
 from mast_zenoh.scenes.making.virtual_agents import standing
 from mast_zenoh.scenes.recording import Recording
-from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
+from mast_zenoh.sensing import Camera, LidarSensor
 
 _COOPERATIVE = "coop"
 _CALIBRATION = "calib/lidar2world"
@@ -29,10 +29,10 @@ _LIDAR = LidarSensor(
     mount_position=np.zeros(3), elevation_min_deg=-40.0, elevation_max_deg=15.0, channels=80, max_range_m=200.0
 )
 _CAMERA = Camera(mount_position=np.zeros(3))
-_DETECTOR = DetectionModel()
 
 
-class RCooperScene(Scene):
+@dataclass(kw_only=True, eq=False)
+class RCooperScene(DataSetScene):
     """A sequence of RCooper: two to four poles, with cooperative labels.
 
     path:                  the folder of the data set, with calib and labels (or label); the names of a site and of a
@@ -54,35 +54,24 @@ class RCooperScene(Scene):
     short_name = "rcooper"
     files = (("calib/lidar2world/*.json",),)
 
-    def __init__(
-        self,
-        *,
-        path: str,
-        site: str | None = None,
-        sequence: str | None = None,
-        n_infrastructure: int | None = None,
-        n_mobile: int | None = None,
-        detector: Detector = _DETECTOR,
-        max_time_difference_s: float = 0.2,
-        max_gap_s: float = 0.15,
-        match_radius_m: float = 2.0,
-    ) -> None:
-        if n_mobile:
-            raise ConfigurationError(f"RCooperScene: n_mobile is {n_mobile}, expected 0: the data has only poles")
-        self.path, *named = _split_path(Path(path))
-        self.site, self.sequence = site or named[0], sequence or named[1]
-        for name, value, expected in (("site", site, named[0]), ("sequence", sequence, named[1])):
+    site: str | None = None
+    sequence: str | None = None
+    max_time_difference_s: float = 0.2
+    max_gap_s: float = 0.15
+    match_radius_m: float = 2.0
+
+    def __post_init__(self) -> None:
+        if self.n_mobile:
+            raise ConfigurationError(f"RCooperScene: n_mobile is {self.n_mobile}, expected 0: the data has only poles")
+        self.check(max_time_difference_s=ABOVE_0, max_gap_s=ABOVE_0, match_radius_m=ABOVE_0)
+        for name, expected in zip(("site", "sequence"), _split_path(self.root)[1:], strict=True):
+            value = getattr(self, name)
             if None not in (value, expected) and value != expected:
-                raise ConfigurationError(f"{path}: {name} is {value!r}, expected {expected!r} as in the path")
-        self.n_infrastructure = n_infrastructure
-        self.detector = detector
-        self.max_time_difference_s = check_limit("RCooperScene", "max_time_difference_s", max_time_difference_s)
-        self.max_gap_s = check_limit("RCooperScene", "max_gap_s", max_gap_s)
-        self.match_radius_m = check_limit("RCooperScene", "match_radius_m", match_radius_m)
+                raise ConfigurationError(f"{self.path}: {name} is {value!r}, expected {expected!r} as in the path")
 
     def inputs(self) -> Sequence[Path]:
         """The data set's folder."""
-        return (self.path,)
+        return (_split_path(self.root)[0],)
 
     def time_differences_s(self) -> dict[str, Floats]:
         """(F,) s that each frame of a pole is later than the cooperative frame, by the pole's number in the data.
@@ -102,11 +91,12 @@ class RCooperScene(Scene):
 
     def record(self, seed: int, frames: int | None) -> Recording:
         folder, agents, sequence = self._folders()
+        (root,) = self.inputs()
         self.time_differences_s()
         cooperative = folder / _COOPERATIVE / sequence
         times, files = self._frames(cooperative)
         check_times(cooperative, [file.name for file in files], times, self.max_gap_s)
-        poses = [read_transform(self.path / _CALIBRATION / f"{agent}.json") for agent in agents]
+        poses = [read_transform(root / _CALIBRATION / f"{agent}.json") for agent in agents]
         boxes = _truth(files, poses[0])
         paths = []
         for column, (agent, pose) in enumerate(zip(agents, poses, strict=True)):
@@ -122,11 +112,12 @@ class RCooperScene(Scene):
 
     def _folders(self) -> tuple[Path, list[str], str]:
         """The folder of the site's labels, the poles that play, and the name of the sequence."""
-        if not os.path.isdir(self.path):
-            raise SceneError(f"{self.path}: no such folder")
-        labels = self.path / "labels"
-        labels = labels if os.path.isdir(labels) else self.path / "label"
-        folder = labels / _chosen(labels, "site", self.site)
+        root, site, sequence = _split_path(self.root)
+        if not os.path.isdir(root):
+            raise SceneError(f"{root}: no such folder")
+        labels = root / "labels"
+        labels = labels if os.path.isdir(labels) else root / "label"
+        folder = labels / _chosen(labels, "site", self.site or site)
         agents = folder.name.split("-")
         for name in (*agents, _COOPERATIVE):
             if not os.path.isdir(folder / name):
@@ -140,7 +131,7 @@ class RCooperScene(Scene):
                 f"the site has {others} poles besides the ego"
             )
         count = others if self.n_infrastructure is None else self.n_infrastructure
-        sequence = _chosen(folder / _COOPERATIVE, "sequence", self.sequence)
+        sequence = _chosen(folder / _COOPERATIVE, "sequence", self.sequence or sequence)
         return folder, agents[: 1 + count], sequence
 
     def _frames(self, folder: Path, count: int | None = None) -> tuple[Ints, list[Path]]:
@@ -148,7 +139,7 @@ class RCooperScene(Scene):
 
         count: how many are expected
         """
-        files = _entries(folder)
+        files = entries(folder)
         if not 1 <= len(files) <= _MAX_FRAMES:
             raise SceneError(f"{folder}: found {len(files)} frames, expected 1 to {_MAX_FRAMES}")
         if count is not None and len(files) != count:
@@ -168,34 +159,21 @@ def _split_path(path: Path) -> tuple[Path, str | None, str | None]:
 
 def _truth(files: list[Path], pose: tuple[Floats, Floats]) -> Boxes:
     """The cooperative boxes in the world frame. pose: of the first pole."""
-    boxes, names = [], []
+    truth = Labels(files[0].parent)
     for frame, file in enumerate(files):
         labels = read_labels(file)
-        boxes.append(labelled_boxes(frame, labels, pose))
         for label in labels:
-            names.append(track_of(label))
-            if not names[-1]:
+            if not track_of(label):
                 label["track_id"].fail("a name or a number")
-    everything = Boxes.concatenate(boxes)
-    if not names:
+        add_labels(truth, frame, labels, pose)
+    if not truth.tracks:
         raise SceneError(f"{files[0].parent}: found no labels in {len(files)} frames, expected at least one")
-    return replace(everything, id=numbered(names))
+    return truth.boxes()[0]
 
 
 def _chosen(folder: Path, parameter: str, value: str | None) -> str:
     """The name of a folder in `folder`: a parameter's value, or the only one."""
-    names = [entry.name for entry in _entries(folder) if os.path.isdir(entry)]
-    if not names:
-        raise SceneError(f"{folder}: found no folders, expected one for every {parameter}")
-    return chosen_name(folder, parameter, names, value)
-
-
-def _entries(folder: Path) -> list[Path]:
-    """The contents of a folder in the order of their names, without hidden ones."""
-    try:
-        return sorted(entry for entry in folder.iterdir() if not entry.name.startswith("."))
-    except OSError as error:
-        raise SceneError(f"{folder}: {error}") from error
+    return choose_name(folder, parameter, (entry.name for entry in entries(folder) if os.path.isdir(entry)), value)
 
 
 def _time(file: Path) -> int:

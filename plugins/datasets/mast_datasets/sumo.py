@@ -3,30 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from mast_datasets.files import find_file
 from mast_datasets.sumo_files import (
+    MAX_SIZE_M,
     VEHICLE_CLASSES,
     Row,
     VehicleType,
     VehicleTypes,
-    positive,
     read_buildings,
     read_steps,
     sizes,
     type_of_class,
 )
-from mast_datasets.traffic import add_agents, agent_counts, busiest_vehicle, near_route, with_origin_at
+from mast_datasets.traffic import TrafficScene, busiest_vehicle, ego_in_traffic, near_route
 from mast_datasets.xml_files import has_root
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.making.assembly import Boxes, assemble
 from mast_zenoh.scenes.recording import Recording
-from mast_zenoh.sensing import DetectionModel, Detector
 
 _MAX_ROWS = 2_000_000
 _MAX_COORDINATE_M = 1e8
@@ -201,7 +200,7 @@ class _Rows:
         kind = self._known[name.value]
         if "length" not in row:
             return kind
-        length, width, height = (positive(row[part]) for part in ("length", "width", "height"))
+        length, width, height = (row[part].positive(MAX_SIZE_M) for part in ("length", "width", "height"))
         return VehicleType((length, width, height), kind.class_id)
 
     def trace(self, times_ns: Ints) -> Trace:
@@ -221,11 +220,11 @@ class _Rows:
         )
 
 
-_DETECTOR = DetectionModel()
 _SUFFIXES = (".xml", ".xml.gz", ".csv", ".csv.gz")
 
 
-class SumoTrace(Scene):
+@dataclass(kw_only=True, eq=False)
+class SumoTrace(TrafficScene):
     """Traffic simulated by SUMO, from its floating-car data (FCD), to which virtual agents are added.
 
     path:              the trace (.xml or .csv, or either with .gz), or a folder with a single one with "fcd" in its
@@ -235,12 +234,7 @@ class SumoTrace(Scene):
     duration_s:        of the scene; None: to the end of the trace, 20 s at most
     ego:               name of the vehicle that is the ego; None: the one with the most others within 50 m
     radius_m:          objects are there while they are within this distance of any point of the ego's route, 20 to 2000
-    n_infrastructure:  virtual poles along the ego's route, 15 m above the ground, looking 30 degrees down, 0 to 16;
-                       None: 4
-    n_mobile:          vehicles that get a lidar on the roof, besides the ego, the nearest ones that are there in every
-                       frame; None: 0
     building_height_m: of the outlines of buildings without a height
-    detector:          the model that generates detections from lidar visibility
 
     SUMO's position is the middle of the front bumper, and its angle is in degrees clockwise from north ("FCDOutput" in
     its documentation); a box is half its length behind that, and its yaw is 90 degrees minus the angle. Velocities are
@@ -252,46 +246,28 @@ class SumoTrace(Scene):
     short_name = "sumo"
     files = (("*fcd*.xml*",), ("*fcd*.csv*",))
 
+    start_s: float | None = None
+    duration_s: float | None = None
+    ego: str | None = None
+    radius_m: float = 150.0
+    building_height_m: float = 12.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.check(
+            start_s=(0.0, 1e9), duration_s=(0.001, 1e5), radius_m=(20.0, 2000.0), building_height_m=(0.1, 1000.0)
+        )
+
     @classmethod
     def recognises(cls, path: Path) -> bool:
         return super().recognises(path) or has_root(path, "fcd-export")
 
-    def __init__(
-        self,
-        *,
-        path: str,
-        start_s: float | None = None,
-        duration_s: float | None = None,
-        ego: str | None = None,
-        radius_m: float = 150.0,
-        n_infrastructure: int | None = None,
-        n_mobile: int | None = None,
-        building_height_m: float = 12.0,
-        detector: Detector = _DETECTOR,
-    ) -> None:
-        self.counts = agent_counts("SumoTrace", n_infrastructure, n_mobile)
-        for name, value, low, high in (
-            ("start_s", start_s, 0.0, 1e9),
-            ("duration_s", duration_s, 0.001, 1e5),
-            ("radius_m", radius_m, 20.0, 2000.0),
-            ("building_height_m", building_height_m, 0.1, 1000.0),
-        ):
-            if value is not None and not low <= value <= high:
-                raise ConfigurationError(f"SumoTrace: {name} is {value}, expected {low:g} to {high:g}")
-        self.path = Path(path)
-        self.start_s = start_s
-        self.duration_s = duration_s
-        self.ego = ego
-        self.radius_m = radius_m
-        self.building_height_m = building_height_m
-        self.detector = detector
-
     def inputs(self) -> Sequence[Path]:
         """The folder of the trace."""
-        return (self.path.parent if self.path.is_file() else self.path,)
+        return (self.root.parent if self.root.is_file() else self.root,)
 
     def record(self, seed: int, frames: int | None) -> Recording:
-        file = _find_trace(self.path)
+        file = _find_trace(self.root)
         types = VehicleTypes([*_beside(file, ".rou.xml"), *_beside(file, ".add.xml")])
         trace = read_trace(file, types, self.start_s, self.duration_s)
         count = len(trace.times_ns)
@@ -304,12 +280,13 @@ class SumoTrace(Scene):
         outlines, heights = read_buildings(
             _beside(file, ".poly.xml"), route[:, :2], self.radius_m, self.building_height_m
         )
-        boxes = with_origin_at(boxes, origin)
+        boxes = replace(boxes, position=boxes.position - origin)
+        ego_path = ego_in_traffic(boxes, ego, count, file, lambda number: trace.names[number - 1])
         return assemble(
             file.name.partition(".")[0],
             trace.times_ns,
             boxes,
-            add_agents(boxes, ego, count, self.counts, file, lambda number: trace.names[number - 1]),
+            self.agents(boxes, ego_path, file),
             self.detector,
             seed=seed,
             frames=frames,
@@ -327,20 +304,10 @@ class SumoTrace(Scene):
 
 
 def _find_trace(path: Path) -> Path:
-    if path.is_file():
-        if not path.name.endswith(_SUFFIXES):
-            raise SceneError(f"{path}: found another kind of file, expected {', '.join(_SUFFIXES)}")
-        return path
-    if not path.is_dir():
-        raise SceneError(f"{path}: no such file or folder")
-    files = sorted(file for file in path.iterdir() if "fcd" in file.name.lower() and file.name.endswith(_SUFFIXES))
-    if len(files) != 1:
-        names = ", ".join(file.name for file in files[:10]) or "none"
-        raise SceneError(
-            f"{path}: found {len(files)} traces *fcd*.xml or *fcd*.csv ({names}), expected one; "
-            "add its name to the path"
-        )
-    return files[0]
+    if path.is_file() and not path.name.endswith(_SUFFIXES):
+        raise SceneError(f"{path}: found another kind of file, expected {', '.join(_SUFFIXES)}")
+    what = "traces *fcd*.xml or *fcd*.csv"
+    return find_file(path, what, lambda file: "fcd" in file.name.lower() and file.name.endswith(_SUFFIXES))
 
 
 def _beside(file: Path, suffix: str) -> list[Path]:

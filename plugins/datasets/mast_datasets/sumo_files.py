@@ -255,16 +255,8 @@ def read_size(element: XmlElement, default: tuple[float, float, float]) -> tuple
     values = []
     for name, otherwise in zip(("length", "width", "height"), default, strict=True):
         value = element.get_attribute(name)
-        values.append(otherwise if value is None else positive(value))
+        values.append(otherwise if value is None else value.positive(MAX_SIZE_M))
     return values[0], values[1], values[2]
-
-
-def positive(value: TextElement) -> float:
-    """A size above 0, m."""
-    number = value.number(0.0, MAX_SIZE_M)
-    if number == 0.0:
-        value.fail("a size above 0")
-    return number
 
 
 def sizes(types: Sequence[VehicleType]) -> Floats:

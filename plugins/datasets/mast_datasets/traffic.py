@@ -2,49 +2,129 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import replace
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mast_datasets.files import MAX_COORDINATE_M, Element
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.errors import ConfigurationError, SceneError
+from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.making.assembly import AgentPath, Boxes
 from mast_zenoh.scenes.making.virtual_agents import MAX_POLES, poles, vehicle, vehicles_throughout
 from mast_zenoh.scenes.recording import SEEN_RETURNS
-from mast_zenoh.sensing import lidar_points, sensor_pose
+from mast_zenoh.scenes.recording_file import check_counts
+from mast_zenoh.sensing import DetectionModel, Detector, lidar_points, sensor_pose
 
 #: Limits on one scene: a single object, and all of its boxes.
 MAX_SIZE_M = 200.0
 MAX_BOXES = 5_000_000
 
 
-def read_point(element: Element) -> Floats:
-    """(3,) m, of a list of coordinates."""
-    return np.array([value.number(-MAX_COORDINATE_M, MAX_COORDINATE_M) for value in element.elements(3)])
+#: Of a number: any above 0.
+ABOVE_0 = (5e-324, math.inf)
+_DETECTOR = DetectionModel()
+T = TypeVar("T")
 
 
-def read_size(element: Element) -> Floats:
-    """(3,) m, of a list of length, width and height."""
-    size = element.size()
-    if size.max() > MAX_SIZE_M:
-        element.fail(f"3 numbers above 0, at most {MAX_SIZE_M:g}")
-    return size
+@dataclass(kw_only=True, eq=False)
+class DataSetScene(Scene):
+    """A scene in the files of a data set.
+
+    path:             of its files
+    n_infrastructure: poles to use, the first ones; None: all
+    n_mobile:         cars besides the ego to use, the first ones; None: all
+    detector:         the model that generates detections from lidar visibility
+    """
+
+    path: str
+    n_infrastructure: int | None = None
+    n_mobile: int | None = None
+    detector: Detector = _DETECTOR
+
+    @property
+    def root(self) -> Path:
+        """The path."""
+        return Path(self.path)
+
+    def inputs(self) -> Sequence[Path]:
+        """The file or folder at the path."""
+        return (self.root,)
+
+    def check(self, **limits: tuple[float, float]) -> None:
+        """Raise ConfigurationError for a parameter that is no number within its limits, nor None if that is usual."""
+        for name, (low, high) in limits.items():
+            value = getattr(self, name)
+            if value is None and getattr(type(self), name) is None:
+                continue
+            is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+            if not is_number or not low <= value <= high or not math.isfinite(value):
+                expected = f"{low:g} or more" if math.isinf(high) else f"{low:g} to {high:g}"
+                expected = "a number above 0" if (low, high) == ABOVE_0 else expected
+                raise ConfigurationError(f"{type(self).__name__}: {name} is {value!r}, expected {expected}")
+
+    def playing(self, cars: Sequence[T], poles: Sequence[T], pole: str = "poles") -> tuple[list[T], list[T]]:
+        """The cars, the ego first, and the poles that are agents. pole: what those are called, for the message
+
+        Raises ConfigurationError if there are fewer than requested.
+        """
+        kinds = "cars besides the ego", pole
+        check_counts(self.path, (self.n_mobile, len(cars) - 1), (self.n_infrastructure, len(poles)), kinds)
+        kept = len(cars) if self.n_mobile is None else 1 + self.n_mobile
+        return list(cars[:kept]), list(poles[: self.n_infrastructure])
+
+
+@dataclass(kw_only=True, eq=False)
+class TrafficScene(DataSetScene):
+    """Traffic in the files of a data set, to which virtual agents are added.
+
+    n_infrastructure: virtual poles along the ego's path, 15 m above the ground, looking 30 degrees down, 0 to 16;
+                      None: 4
+    n_mobile:         vehicles of the traffic that get a lidar on the roof, besides the ego, the ones nearest to it that
+                      have a box in every frame; None: 0
+    """
+
+    def __post_init__(self) -> None:
+        self.check(n_infrastructure=(0, MAX_POLES), n_mobile=(0, math.inf))
+
+    def agents(self, boxes: Boxes, ego: AgentPath, path: Path) -> list[AgentPath]:
+        """The ego, the vehicles nearest to it, and poles beside its path. path: of the data, for the message
+
+        Raises ConfigurationError if there are not enough vehicles.
+        """
+        frames, count = len(ego.position), self.n_mobile or 0
+        others = vehicles_throughout(boxes, frames)
+        others = others[others != ego.agent.object_id]
+        if count > len(others):
+            raise ConfigurationError(
+                f"{path}: n_mobile is {count}, expected 0 to {len(others)}: {len(others)} vehicles besides the ego "
+                f"have a box in all {frames} frames"
+            )
+        own = boxes.position[boxes.rows_of(ego.agent.object_id)]
+        distance = [np.linalg.norm(boxes.position[boxes.rows_of(number)] - own, axis=1).mean() for number in others]
+        nearest = others[np.argsort(distance, kind="stable")][:count]
+        n_poles = _DEFAULT_POLES if self.n_infrastructure is None else self.n_infrastructure
+        return [
+            ego,
+            *(vehicle(f"mobile_{k}", boxes, int(number)) for k, number in enumerate(nearest, start=1)),
+            *poles(boxes, ego.position[:, :2], heading(ego.rotation), n_poles),
+        ]
 
 
 class Labels:
     """Boxes in the world frame, of tracks that the data set names by text.
 
-    path: of the file or folder that they are from, for messages
+    path: of the file or folder that they are from, for messages; tracks: name of that of each box
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._tracks: list[str] = []
+        self.tracks: list[str] = []
         self._frames: list[int] = []
         self._positions: list[Floats] = []
         self._sizes: list[Floats] = []
@@ -56,9 +136,9 @@ class Labels:
 
         frame: row of the scene's frames; position: (3,) m, middle of the box; size: (3,) m l w h; yaw: rad
         """
-        if len(self._tracks) >= MAX_BOXES:
+        if len(self.tracks) >= MAX_BOXES:
             raise SceneError(f"{self._path}: found more than {MAX_BOXES} boxes, expected at most that many")
-        self._tracks.append(track)
+        self.tracks.append(track)
         self._frames.append(frame)
         self._positions.append(position)
         self._sizes.append(size)
@@ -71,19 +151,18 @@ class Labels:
         If all names are whole numbers, these are the ids; otherwise tracks are numbered from 1, in the order of their
         names.
         """
-        names = sorted({*self._tracks, *others})
+        names = sorted({*self.tracks, *others})
         numbers = [int(name) for name in names if len(name) <= 15 and name.isascii() and name.isdigit()]
         keep = len(numbers) == len(names) == len(set(numbers))
         ids = dict(zip(names, numbers if keep else range(1, len(names) + 1), strict=True))
-        n = len(self._tracks)
+        n = len(self.tracks)
         return Boxes(
             frame=np.array(self._frames, np.int64),
-            id=np.array([ids[track] for track in self._tracks], np.int64),
+            id=np.array([ids[track] for track in self.tracks], np.int64),
             position=np.array(self._positions).reshape(n, 3),
             size=np.array(self._sizes).reshape(n, 3),
             yaw=np.array(self._yaws, np.float64),
             class_id=np.array(self._classes, np.uint8),
-            velocity=np.full((n, 3), np.nan),
         ), ids
 
 
@@ -92,20 +171,6 @@ HEIGHT_OF_CLASS = np.array([1.5, 1.5, 2.4, 3.4, 1.5, 1.7, 1.719])
 _DEFAULT_POLES = 4
 _NEAR_M = 50.0  # an ego has others this near,
 _MOVING = 1 / 3  # and moves at least this part of the way of the vehicle that moves farthest
-
-
-def agent_counts(kind: str, n_infrastructure: int | None, n_mobile: int | None) -> tuple[int, int]:
-    """Numbers of poles and of vehicles besides the ego; None means 4 and 0.
-
-    kind: of scene, for the message. Raises ConfigurationError for numbers that cannot be.
-    """
-    n_infrastructure = _DEFAULT_POLES if n_infrastructure is None else n_infrastructure
-    n_mobile = n_mobile or 0
-    if not 0 <= n_infrastructure <= MAX_POLES:
-        raise ConfigurationError(f"{kind}: n_infrastructure is {n_infrastructure}, expected 0 to {MAX_POLES}")
-    if n_mobile < 0:
-        raise ConfigurationError(f"{kind}: n_mobile is {n_mobile}, expected 0 or more")
-    return n_infrastructure, n_mobile
 
 
 def busiest_vehicle(boxes: Boxes, frames: int, path: Path) -> int:
@@ -147,53 +212,18 @@ def near_route(boxes: Boxes, route: Floats, radius: float) -> Bools:
     return near
 
 
-def with_origin_at(boxes: Boxes, origin: Floats) -> Boxes:
-    """The boxes relative to `origin` (3,) m."""
-    return replace(boxes, position=boxes.position - origin)
+def ego_in_traffic(boxes: Boxes, ego: int, frames: int, path: Path, name_of: Callable[[int], str] = str) -> AgentPath:
+    """The vehicle that is the ego, with a lidar on the roof.
 
+    ego: id of its object; path: of the data; name_of: an object's name in the data; the last two for the message
 
-def add_agents(
-    boxes: Boxes, ego: int, frames: int, counts: tuple[int, int], path: Path, name_of: Callable[[int], str] = str
-) -> list[AgentPath]:
-    """The ego, the vehicles nearest to it, and poles beside its route.
-
-    ego: id of its object; counts: of poles, and of vehicles besides the ego; path: of the data; name_of: an object's
-    name in the data; the last two for messages
-
-    All vehicles have a lidar on the roof, and need a box in each of the frames. Raises ConfigurationError if there are
-    not enough.
+    Raises ConfigurationError unless it is a vehicle with a box in each of the frames.
     """
     if ego not in vehicles_throughout(boxes, frames):
         raise ConfigurationError(
             f"{path}: ego is {name_of(ego)}, expected a car, truck or bus with a box in all {frames} frames"
         )
-    n_infrastructure, n_mobile = counts
-    first = vehicle("ego", boxes, ego)
-    route = first.position[:, :2]
-    return [
-        first,
-        *nearest_vehicles(boxes, ego, frames, n_mobile, path),
-        *poles(boxes, route, heading(first.rotation), n_infrastructure),
-    ]
-
-
-def nearest_vehicles(boxes: Boxes, ego: int, frames: int, count: int, path: Path) -> list[AgentPath]:
-    """The vehicles nearest to the ego as agents "mobile_1", "mobile_2", …; each has a box in all frames.
-
-    ego: id of its object, which has one, too. Raises ConfigurationError if there are fewer than `count`; path: of the
-    data, for the message.
-    """
-    others = vehicles_throughout(boxes, frames)
-    others = others[others != ego]
-    if count > len(others):
-        raise ConfigurationError(
-            f"{path}: n_mobile is {count}, expected 0 to {len(others)}: {len(others)} vehicles besides the ego "
-            f"have a box in all {frames} frames"
-        )
-    own = boxes.position[boxes.rows_of(ego)]
-    distance = [np.linalg.norm(boxes.position[boxes.rows_of(number)] - own, axis=1).mean() for number in others]
-    nearest = others[np.argsort(distance, kind="stable")][:count]
-    return [vehicle(f"mobile_{k}", boxes, int(number)) for k, number in enumerate(nearest, start=1)]
+    return vehicle("ego", boxes, ego)
 
 
 def listed_returns(

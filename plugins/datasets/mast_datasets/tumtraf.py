@@ -8,17 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from mast_datasets.files import Element, read_json, read_listed_pose
-from mast_datasets.traffic import Labels, read_point, read_size
+from mast_datasets.files import MAX_COORDINATE_M, Element, read_json, read_listed_pose
+from mast_datasets.traffic import ABOVE_0, MAX_SIZE_M, DataSetScene, Labels
 from mast_zenoh.arrays.geometry import along_and_across, heading, rotation_from_quaternion
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats
 from mast_zenoh.errors import ConfigurationError, SceneError, nearest
-from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.making.assembly import AgentPath, Boxes, assemble
 from mast_zenoh.scenes.making.virtual_agents import standing
 from mast_zenoh.scenes.recording import Recording, SceneAgent
-from mast_zenoh.scenes.recording_file import check_counts
-from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
+from mast_zenoh.sensing import Camera, LidarSensor
 
 _BETWEEN = "_to_"
 
@@ -109,28 +107,53 @@ CLASS_OF_TYPE = {kind: CLASS_INDEX[name] for name, kinds in _TYPES.items() for k
 
 
 @dataclass(frozen=True, eq=False)
-class Cuboid:
-    """A labelled object in a coordinate system.
-
-    system: its name; None: that of all labels;  position: (3,) m, middle;  rotation: (3, 3) active;  size: (3,) m l w h
-    """
-
-    track: str
-    class_id: int
-    system: str | None
-    position: Floats
-    rotation: Floats
-    size: Floats
-
-
-@dataclass(frozen=True, eq=False)
 class Frame:
-    """A labelled frame. properties: where it is in the file, for messages."""
+    """A labelled frame.
+
+    properties: where it is in the file, for messages; objects: of the frame, by track, and of the whole file
+    """
 
     time_ns: int
     properties: Element
     coordinates: Coordinates
-    cuboids: list[Cuboid]
+    objects: Element | None
+    described: Element | None
+
+    def add_boxes(self, row: int, labels: Labels, system: str, root: str) -> None:
+        """Add the labelled boxes in the root's frame.
+
+        row: of the frame; system: coordinate system of labels that name none; root: the one above all
+        """
+        located: dict[str, tuple[Floats, Floats]] = {}
+        for track, element in self.objects.members() if self.objects else ():
+            data = element["object_data"]
+            cuboid = data["cuboid"]
+            if isinstance(cuboid.value, list):
+                (cuboid,) = cuboid.elements(1)
+            named = next((place for place in (cuboid, data, element) if place.get("coordinate_system")), None)
+            name = named["coordinate_system"].text() if named else system
+            if name not in located:
+                found, position, rotation = self.coordinates.locate(name)
+                self.check_root(name, found, root)
+                located[name] = position, rotation
+            position, rotation = located[name]
+            middle, turn, size = _cuboid(cuboid["val"])
+            yaw = float(heading(rotation @ turn))
+            labels.add(row, track, position + rotation @ middle, size, yaw, self._class_of(track, data))
+
+    def check_root(self, name: str, found: str, root: str) -> None:
+        """Raise SceneError unless the root found above a coordinate system is that of the first frame, and stands."""
+        place = f"{self.properties.path}: {self.properties.place}"
+        if found != root:
+            raise SceneError(f"{place}: the root above {name} is {found!r}, expected {root!r} as in the first frame")
+        if root.startswith("vehicle"):
+            raise SceneError(f"{place}: the root above {name} is {root!r}, which moves: expected one that does not")
+
+    def _class_of(self, track: str, data: Element) -> int:
+        """The class of an object; its type is with it, as in TUMTraf, or in the file's objects, as in the standard."""
+        described = self.described.get(track) if self.described else None
+        kind = data["type"] if described is None or data.get("type") else described["type"]
+        return CLASS_OF_TYPE.get(kind.text().lower(), CLASS_INDEX["unknown"])
 
 
 def find_labels(path: Path) -> Path:
@@ -166,51 +189,28 @@ def read_frames(folder: Path) -> list[Frame]:
 
 def _frames(file: Path) -> Iterator[Frame]:
     openlabel = read_json(file)["openlabel"]
-    numbered = [(Element(key, file, "openlabel.frames").integer(0), frame) for key, frame in _members(openlabel)]
+    frames = openlabel["frames"].members()
+    numbered = [(Element(key, file, "openlabel.frames").integer(0), frame) for key, frame in frames]
     for _, frame in sorted(numbered, key=lambda item: item[0]):
         properties = frame["frame_properties"]
-        objects = frame.get("objects")
-        yield Frame(
-            # Microseconds, since a number of seconds since 1970 has no more digits than that.
-            round(properties["timestamp"].number(0, _MAX_TIME_S) * 1e6) * 1000,
-            properties,
-            Coordinates(openlabel, properties),
-            [_cuboid(track, element, openlabel) for track, element in objects.members()] if objects else [],
-        )
+        # Microseconds, since a number of seconds since 1970 has no more digits than that.
+        time_ns = round(properties["timestamp"].number(0, _MAX_TIME_S) * 1e6) * 1000
+        coordinates = Coordinates(openlabel, properties)
+        yield Frame(time_ns, properties, coordinates, frame.get("objects"), openlabel.get("objects"))
 
 
-def _members(openlabel: Element) -> Iterator[tuple[str, Element]]:
-    return openlabel["frames"].members()
-
-
-def _cuboid(track: str, element: Element, openlabel: Element) -> Cuboid:
-    """An object of a frame; its type is with it, as in TUMTraf, or in the file's objects, as in the standard."""
-    data = element["object_data"]
-    objects = openlabel.get("objects")
-    described = objects.get(track) if objects else None
-    kind = data["type"] if described is None or data.get("type") is not None else described["type"]
-    cuboid = data["cuboid"]
-    if isinstance(cuboid.value, list):
-        (cuboid,) = cuboid.elements(1)
-    value = cuboid["val"]
+def _cuboid(value: Element) -> tuple[Floats, Floats, Floats]:
+    """Position (3,) m, active rotation (3, 3) and size (3,) m of the numbers of a box."""
     value.elements(10)
     position, quaternion, size = (
         Element(value.value[a:b], value.path, f"{value.place}[{a}:{b}]") for a, b in ((0, 3), (3, 7), (7, 10))
     )
-    named = next((place for place in (cuboid, data, element) if place.get("coordinate_system") is not None), None)
-    return Cuboid(
-        track,
-        CLASS_OF_TYPE.get(kind.text().lower(), CLASS_INDEX["unknown"]),
-        named["coordinate_system"].text() if named else None,
-        read_point(position),
-        _rotation(quaternion),
-        read_size(size),
-    )
+    return position.vector(3, MAX_COORDINATE_M), _rotation(quaternion), size.size(MAX_SIZE_M)
 
 
 def _rotation(element: Element) -> Floats:
     """(3, 3) active rotation of a quaternion x, y, z, w."""
-    quaternion = np.array([value.number(-2, 2) for value in element.elements(4)])
+    quaternion = element.vector(4, 2)
     if abs(float(np.linalg.norm(quaternion)) - 1.0) > _MAX_LENGTH_ERROR:
         element.fail("a quaternion x, y, z, w of length 1")
     return rotation_from_quaternion(np.roll(quaternion, 1))
@@ -253,23 +253,20 @@ def _below(boxes: Boxes, lidar: Floats) -> Bools:
 _CAR_LIDAR = LidarSensor(elevation_min_deg=-25.0, elevation_max_deg=15.0, channels=32)
 _POLE_LIDAR = LidarSensor(mount_position=np.zeros(3), elevation_min_deg=-22.5, elevation_max_deg=0.0, max_range_m=120.0)
 _MAX_DRIFT = 0.05  # m, and elements of the rotation matrix: of a pole's lidar in a sequence
-_DETECTOR = DetectionModel()
 
 Poses = tuple[Floats, Floats]  # (F, 3) m and (F, 3, 3)
 
 
-class TUMTrafV2X(Scene):
+@dataclass(kw_only=True, eq=False)
+class TUMTrafV2X(DataSetScene):
     """A sequence of TUMTraf-V2X: a car and a pole at a junction, labelled in their registered point cloud.
 
-    path:             the folder of a split (train, val, test), or the one with its label files
-    n_infrastructure: number of poles to use, the first ones; None: all
-    n_mobile:         number of cars besides the ego to use, the first ones; None: all
-    sequence:         number of the sequence in the folder, from 0; None: the only one
-    max_gap_s:        a longer time between two frames begins a new sequence
-    lidars:           coordinate systems that are agents, those of cars beginning with "vehicle"; None: those in the
-                      name of the label folder, LIDAR_and_LIDAR_registered
-    label_system:     coordinate system of labels that name none; None: that of the first of the lidars
-    detector:         the model that generates detections from lidar visibility
+    path:         the folder of a split (train, val, test), or the one with its label files
+    sequence:     number of the sequence in the folder, from 0; None: the only one
+    max_gap_s:    a longer time between two frames begins a new sequence
+    lidars:       coordinate systems that are agents, those of cars beginning with "vehicle"; None: those in the
+                  name of the label folder, LIDAR_and_LIDAR_registered
+    label_system: coordinate system of labels that name none; None: that of the first of the lidars
 
     The world is the root of the coordinate systems, shifted so that its origin is on the ground below the ego's first
     position. All agents see by ray casting against the other boxes: the labels do not tell who saw an object, and the
@@ -279,38 +276,23 @@ class TUMTrafV2X(Scene):
     short_name = "tumtraf"
     files = (("labels_point_clouds/*/*.json",),)
 
-    def __init__(
-        self,
-        *,
-        path: str,
-        n_infrastructure: int | None = None,
-        n_mobile: int | None = None,
-        sequence: int | None = None,
-        max_gap_s: float = 0.15,
-        lidars: Sequence[str] | None = None,
-        label_system: str | None = None,
-        detector: Detector = _DETECTOR,
-    ) -> None:
-        if not isinstance(max_gap_s, (int, float)) or not 0 < max_gap_s < float("inf"):
-            raise ConfigurationError(f"{path}: max_gap_s is {max_gap_s!r}, expected a number above 0")
-        self.path = Path(path)
-        self.n_infrastructure = n_infrastructure
-        self.n_mobile = n_mobile
-        self.sequence = sequence
-        self.max_gap_s = max_gap_s
-        self.lidars = None if lidars is None else tuple(lidars)
-        self.label_system = label_system
-        self.detector = detector
+    sequence: int | None = None
+    max_gap_s: float = 0.15
+    lidars: tuple[str, ...] | None = None
+    label_system: str | None = None
+
+    def __post_init__(self) -> None:
+        self.check(max_gap_s=ABOVE_0)
 
     def inputs(self) -> Sequence[Path]:
         """The folder with the labels; that of the split, if there is none."""
         try:
-            return (find_labels(self.path),)
+            return (find_labels(self.root),)
         except SceneError:
-            return (self.path,)
+            return (self.root,)
 
     def record(self, seed: int, frames: int | None) -> Recording:
-        folder = find_labels(self.path)
+        folder = find_labels(self.root)
         cars, playing, poles = self._agents(folder)
         number, sequence = self._sequence(folder, read_frames(folder))
         names = [*cars, *poles]
@@ -330,7 +312,7 @@ class TUMTrafV2X(Scene):
             paths.append(standing(f"infra_{k}", _POLE_LIDAR, position[0], rotation[0], len(position)))
         times = np.array([frame.time_ns for frame in sequence], np.int64)
         return assemble(
-            f"{self.path.absolute().name}_{number}", times, boxes, paths, self.detector, seed=seed, frames=frames
+            f"{self.root.absolute().name}_{number}", times, boxes, paths, self.detector, seed=seed, frames=frames
         )
 
     def _agents(self, folder: Path) -> tuple[list[str], list[str], list[str]]:
@@ -342,10 +324,7 @@ class TUMTrafV2X(Scene):
         poles = [name for name in lidars if not name.startswith("vehicle")]
         if not cars:
             raise SceneError(f"{folder}: found the lidars {list(lidars)}, expected at least one of a car, vehicle…")
-        kinds = "cars besides the ego", "poles"
-        check_counts(self.path, (self.n_mobile, len(cars) - 1), (self.n_infrastructure, len(poles)), kinds)
-        kept = len(cars) if self.n_mobile is None else 1 + self.n_mobile
-        return cars, cars[:kept], poles[: self.n_infrastructure]
+        return cars, *self.playing(cars, poles)
 
     def _sequence(self, folder: Path, frames: list[Frame]) -> tuple[int, list[Frame]]:
         """The number and the frames of the chosen sequence."""
@@ -381,19 +360,11 @@ def _poses(frames: list[Frame], names: list[str]) -> tuple[str, dict[str, Poses]
     for name in names:
         located = [frame.coordinates.locate(name) for frame in frames]
         for frame, (found, _, _) in zip(frames, located, strict=True):
-            _check_root(frame, name, found, root)
+            frame.check_root(name, found, root)
         poses[name] = np.stack([position for _, position, _ in located]), np.stack([turn for _, _, turn in located])
         if not name.startswith("vehicle"):
             _check_still(frames, name, *poses[name])
     return root, poses
-
-
-def _check_root(frame: Frame, name: str, found: str, root: str) -> None:
-    place = f"{frame.properties.path}: {frame.properties.place}"
-    if found != root:
-        raise SceneError(f"{place}: the root above {name} is {found!r}, expected {root!r} as in the first frame")
-    if root.startswith("vehicle"):
-        raise SceneError(f"{place}: the root above {name} is {root!r}, which moves: expected one that does not")
 
 
 def _check_still(frames: list[Frame], name: str, position: Floats, rotation: Floats) -> None:
@@ -411,14 +382,7 @@ def _boxes(folder: Path, frames: list[Frame], label_system: str, root: str) -> B
     """The labelled boxes in the root's frame."""
     labels = Labels(folder)
     for row, frame in enumerate(frames):
-        systems = {cuboid.system or label_system for cuboid in frame.cuboids}
-        located = {name: frame.coordinates.locate(name) for name in sorted(systems)}
-        for name, (found, _, _) in located.items():
-            _check_root(frame, name, found, root)
-        for cuboid in frame.cuboids:
-            _, position, rotation = located[cuboid.system or label_system]
-            middle, yaw = position + rotation @ cuboid.position, float(heading(rotation @ cuboid.rotation))
-            labels.add(row, cuboid.track, middle, cuboid.size, yaw, cuboid.class_id)
+        frame.add_boxes(row, labels, label_system, root)
     return labels.boxes()[0]
 
 
@@ -426,8 +390,7 @@ def _shift(boxes: Boxes, poses: dict[str, Poses], ego: str, own: int) -> tuple[B
     """Boxes and poses with the origin on the ground below the ego's lidar in the first frame."""
     row = np.flatnonzero((boxes.id == own) & (boxes.frame == 0))[0]
     origin = np.append(poses[ego][0][0, :2], boxes.position[row, 2] - boxes.size[row, 2] / 2)
-    names = ("frame", "id", "size", "yaw", "class_id", "velocity")
-    shifted = Boxes(position=boxes.position - origin, **{name: getattr(boxes, name) for name in names})
+    shifted = replace(boxes, position=boxes.position - origin)
     return shifted, {name: (position - origin, rotation) for name, (position, rotation) in poses.items()}
 
 

@@ -11,18 +11,16 @@ from pathlib import Path
 
 import numpy as np
 
-from mast_datasets.files import Element, read_json, read_pose
-from mast_datasets.traffic import Labels, read_point, read_size
+from mast_datasets.files import MAX_COORDINATE_M, Element, choose_name, read_json
+from mast_datasets.traffic import MAX_SIZE_M, DataSetScene, Labels
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError, nearest
-from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.detection_tables import read_text
 from mast_zenoh.scenes.making.assembly import AgentPath, Boxes, assemble
 from mast_zenoh.scenes.making.virtual_agents import standing
 from mast_zenoh.scenes.recording import Recording, SceneAgent
-from mast_zenoh.scenes.recording_file import check_counts
-from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
+from mast_zenoh.sensing import Camera, LidarSensor
 
 TIMESYNC = "timesync_info.csv"
 _TIME = "timestamp_ms"
@@ -60,17 +58,8 @@ def find_sequence(path: Path, name: str | None) -> Files:
             raise ConfigurationError(f"{path}: sequence is {name!r}, expected {path.name!r}: the path is that sequence")
     else:
         root = path
-        folders = sorted((root / "dataset").glob(f"*/{TIMESYNC}"))
-        names = [file.parent.name for file in folders]
-        if name is not None and name not in names:
-            raise ConfigurationError(
-                f"{path}: sequence is {name!r}, expected a folder in dataset{nearest(name, names)}"
-            )
-        if name is None and len(names) != 1:
-            raise SceneError(
-                f"{path}: found {len(names)} sequences dataset/*/{TIMESYNC}, expected one, or the parameter sequence"
-            )
-        folder = root / "dataset" / (name or names[0])
+        names = (file.parent.name for file in (root / "dataset").glob(f"*/{TIMESYNC}"))
+        folder = root / "dataset" / choose_name(root / "dataset" / "*" / TIMESYNC, "sequence", names, name)
     return Files(
         folder,
         root / "labels" / f"{folder.name}.json",
@@ -125,7 +114,7 @@ def read_states(folder: Path, vehicle: str, timesync: Timesync) -> tuple[Floats,
             raise SceneError(f"{place}: found {cell[:80]!r}, expected a file name <milliseconds>.json")
         if abs(int(match[1]) - time) > _MAX_STATE_OFFSET_MS:
             raise SceneError(f"{place}: found {cell!r}, expected a time within {_MAX_STATE_OFFSET_MS} ms of {time}")
-        poses.append(read_pose(read_json(folder / f"{vehicle}_state" / match[0])["gTv"]))
+        poses.append(read_json(folder / f"{vehicle}_state" / match[0])["gTv"].rigid(MAX_COORDINATE_M))
     return np.stack([position for position, _ in poses]), np.stack([rotation for _, rotation in poses])
 
 
@@ -135,12 +124,12 @@ def read_vehicle_lidar(path: Path, vehicle: str) -> tuple[Floats, Floats]:
     names = [name for name, _ in calibration.members() if name.startswith(f"{vehicle}_") and name.endswith("_lidar")]
     if len(names) != 1:
         raise SceneError(f"{path}: found {len(names)} sensors {vehicle}_…_lidar, expected one")
-    return read_pose(calibration[names[0]]["extrinsics"]["vTl"])
+    return calibration[names[0]]["extrinsics"]["vTl"].rigid(MAX_COORDINATE_M)
 
 
 def read_pole_lidar(path: Path, name: str) -> tuple[Floats, Floats]:
     """Position (3,) m and rotation (3, 3) of a pole's lidar in the global frame, from gTl in calibration.json."""
-    return read_pose(read_json(path)[name]["extrinsics"]["gTl"])
+    return read_json(path)[name]["extrinsics"]["gTl"].rigid(MAX_COORDINATE_M)
 
 
 def read_av_tracks(files: Files, vehicles: list[str]) -> dict[str, str]:
@@ -150,7 +139,7 @@ def read_av_tracks(files: Files, vehicles: list[str]) -> dict[str, str]:
     for vehicle in vehicles:
         track = sequence.get(vehicle)
         if track is not None:
-            tracks[vehicle] = str(track.integer(0)) if not isinstance(track.value, str) else track.text()
+            tracks[vehicle] = track.name()
     if len(set(tracks.values())) != len(tracks):
         sequence.fail("a different track for each vehicle")
     return tracks
@@ -161,7 +150,7 @@ def read_av_size(files: Files, vehicle: str) -> Floats | None:
     if not files.av_data.is_file():
         return None
     data = read_json(files.av_data).get(vehicle)
-    return None if data is None else read_size(data["size"])
+    return None if data is None else data["size"].size(MAX_SIZE_M)
 
 
 def _milliseconds(path: Path, frame: int, cell: str) -> int:
@@ -258,7 +247,6 @@ def _errors(times_ms: list[int]) -> range:
 
 
 def _track(element: Element, frame_at: Mapping[int, int]) -> Track:
-    name = element["track_id"]
     frames = [_frame(time, frame_at) for time in element["timestamps"].elements()]
     for row in range(1, len(frames)):
         if frames[row] <= frames[row - 1]:
@@ -266,12 +254,12 @@ def _track(element: Element, frame_at: Mapping[int, int]) -> Track:
     n = len(frames)
     dimensions = element["dimensions"]
     single = isinstance(dimensions.value, list) and len(dimensions.value) == 1
-    sizes = _column(dimensions, 1 if single else n, read_size, 3)
+    sizes = _column(dimensions, 1 if single else n, lambda value: value.size(MAX_SIZE_M), 3)
     return Track(
-        name.text() if isinstance(name.value, str) else str(name.integer(0)),
+        element["track_id"].name(),
         CLASS_OF_TYPE.get(element["object_type"].text(), CLASS_INDEX["unknown"]),
         np.array(frames, np.int64),
-        _column(element["positions"], n, read_point, 3),
+        _column(element["positions"], n, lambda value: value.vector(3, MAX_COORDINATE_M), 3),
         np.repeat(sizes, n, axis=0) if single else sizes,
         _column(element["orientations"], n, lambda value: value.number(-_MAX_ANGLE, _MAX_ANGLE), 0),
         element,
@@ -298,17 +286,15 @@ _POLE_LIDAR = LidarSensor(mount_position=np.zeros(3), elevation_min_deg=-45.0, e
 #: l w h of a car with neither a label nor an entry in av_vehicle_data.json.
 _CAR_SIZE = np.array([4.8, 1.9, 1.7])
 _MAX_LABEL_ERROR_M = 2.0  # between the label of a car and its own state
-_DETECTOR = DetectionModel()
 
 
-class UrbanIngV2X(Scene):
+@dataclass(kw_only=True, eq=False)
+class UrbanIngV2X(DataSetScene):
     """A sequence of UrbanIng-V2X: one or two cars and the lidars of poles at a crossing.
 
     path:             the folder of the data set, or dataset/<sequence> in it
     n_infrastructure: number of pole lidars to use, the first ones by name; None: all
-    n_mobile:         number of cars besides the ego to use, the first ones; None: all
     sequence:         name of the sequence; None: the only one
-    detector:         the model that generates detections from lidar visibility
 
     The ego is the first vehicle; each lidar on a pole is an agent. The world is the crossing's global frame, shifted
     so that its origin is on the ground below the ego's first position. All agents see by ray casting against the other
@@ -318,33 +304,20 @@ class UrbanIngV2X(Scene):
     short_name = "urbaning"
     files = (("labels_av_track_ids.json",), ("timesync_info.csv", "calibration.json"))
 
-    def __init__(
-        self,
-        *,
-        path: str,
-        n_infrastructure: int | None = None,
-        n_mobile: int | None = None,
-        sequence: str | None = None,
-        detector: Detector = _DETECTOR,
-    ) -> None:
-        self.path = Path(path)
-        self.n_infrastructure = n_infrastructure
-        self.n_mobile = n_mobile
-        self.sequence = sequence
-        self.detector = detector
+    sequence: str | None = None
 
     def inputs(self) -> Sequence[Path]:
         """The sequence's folder and the files about it; `path`, if there is none."""
         try:
-            files = find_sequence(self.path, self.sequence)
+            files = find_sequence(self.root, self.sequence)
         except (SceneError, ConfigurationError):
-            return (self.path,)
+            return (self.root,)
         return (files.folder, files.labels, files.av_tracks, files.av_data)
 
     def record(self, seed: int, frames: int | None) -> Recording:
-        files = find_sequence(self.path, self.sequence)
+        files = find_sequence(self.root, self.sequence)
         timesync = read_timesync(files.folder / TIMESYNC)
-        vehicles, lidars = self._agents(list(timesync.states), timesync.lidars)
+        vehicles, lidars = self.playing(list(timesync.states), timesync.lidars, "lidars on poles")
         poses = {name: read_states(files.folder, name, timesync) for name in timesync.states}
         own_tracks = read_av_tracks(files, list(poses))
         boxes, objects = _boxes(files, read_tracks(files.labels, timesync.times_ms), poses, own_tracks)
@@ -364,13 +337,6 @@ class UrbanIngV2X(Scene):
             paths.append(standing(f"infra_{k}", _POLE_LIDAR, position - origin, rotation, len(timesync.times_ms)))
         times = np.array(timesync.times_ms, np.int64) * 1_000_000
         return assemble(files.folder.name, times, boxes, paths, self.detector, seed=seed, frames=frames)
-
-    def _agents(self, vehicles: list[str], lidars: list[str]) -> tuple[list[str], list[str]]:
-        """The vehicles and the pole lidars that play."""
-        kinds = "cars besides the ego", "lidars on poles"
-        check_counts(self.path, (self.n_mobile, len(vehicles) - 1), (self.n_infrastructure, len(lidars)), kinds)
-        kept = len(vehicles) if self.n_mobile is None else 1 + self.n_mobile
-        return vehicles[:kept], lidars[: self.n_infrastructure]
 
 
 def _boxes(

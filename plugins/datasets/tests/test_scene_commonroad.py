@@ -157,7 +157,7 @@ def test_compressed_scenarios_and_folders_with_a_single_one_are_read(tmp_path: P
         ('"0.1"', '"0"', "line 2: <commonRoad>: timeStepSize: found '0', expected a finite number from 0.001"),
         ('id="2"', 'id="1"', "line 14: <dynamicObstacle>: id 1 occurs twice"),
         ("<type>car", "<type>spaceship", "line 3: <type>: found 'spaceship', expected one of car, taxi"),
-        ("<length>4", "<length>0", "line 3: <length>: found '0', expected a length above 0"),
+        ("<length>4", "<length>0", "line 3: <length>: found '0', expected a size above 0"),
         ("<width>2", "<width>-2", "line 3: <width>: found '-2', expected a finite number from 0 to 1000"),
         ("<rectangle>", "<rectangle/><rectangle>", "<shape>: found rectangle, rectangle, expected one of"),
         ("<x>0.0", "<x>1e99", "line 3: <x>: found '1e99', expected a finite number from"),
@@ -193,7 +193,7 @@ def test_a_path_without_a_single_scenario_is_refused(tmp_path: Path) -> None:
             r"road\.xml: n_mobile is 2, expected 0 to 1: 1 vehicles besides the ego have a box in all 5",
         ),
         (dict(ego=12), r"road\.xml: ego is 12, expected the id of a dynamic vehicle: 1, 2, 3"),
-        (dict(building_height_m=0.0), "building_height_m is 0.0, expected above 0"),
+        (dict(building_height_m=0.0), "building_height_m is 0.0, expected 0.1 to 1000"),
     ],
 )
 def test_agents_that_cannot_be_are_refused(parameters: dict, message: str, tmp_path: Path) -> None:

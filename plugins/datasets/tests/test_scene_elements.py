@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from mast_datasets.files import Element, read_json, read_listed_pose, read_pose
+from mast_datasets.files import Element, read_json, read_listed_pose
 
 from mast_zenoh.errors import SceneError
 
@@ -156,4 +156,4 @@ def test_an_impossible_matrix_is_refused_with_its_place(value: object, message: 
 
 def test_a_list_of_16_numbers_is_refused_where_rows_are_documented() -> None:
     with pytest.raises(SceneError, match=r"frames.3: found .*, expected a list of 4"):
-        read_pose(element(BY_ROWS))
+        element(BY_ROWS).rigid()

@@ -260,7 +260,7 @@ DAMAGES: list[tuple[type[Scene], Damage, str]] = [
     (OPV2VScene, content("6/00068.yaml", b"{}"), r"found frame 68 twice, also 0+68\.yaml|000068"),
     (OPV2VScene, content("06/000068.yaml", b"{}")._replace(file=""), r"found agent 6 twice, also 06|06: found"),
     (OPV2VScene, without_folders("6", "9", "20"), "all 1 agents are"),
-    (OPV2VScene, without_folders("6", "9", "20", "-3"), "0 scenarios, expected"),
+    (OPV2VScene, without_folders("6", "9", "20", "-3"), "found 0 scenarios"),
     (OPV2VScene, value(FILE, "lidar_pose", ["x"] * 6), r"lidar_pose\[0\]: found 'x', expected a finite number"),
     (OPV2VScene, value(FILE, "lidar_pose", [1e300] * 6), r"lidar_pose\[0\]: found 1e\+300, expected"),
     (OPV2VScene, value(FILE, "lidar_pose", [0.0] * 6), "lidar_pose is .* m from where"),
@@ -306,5 +306,5 @@ def test_a_damaged_scenario_is_refused_with_file_and_place(
 def test_a_path_that_is_no_scenario_is_refused(tmp_path: Path, short_twins: Any) -> None:
     for name in ("a", "b"):
         shutil.copytree(short_twins[OPV2VScene], tmp_path / name)
-    with pytest.raises(SceneError, match="2 scenarios, expected one"):
+    with pytest.raises(SceneError, match="found 2 scenarios"):
         read(OPV2VScene, tmp_path)

@@ -85,14 +85,12 @@ def test_the_folder_of_a_sequence_is_found_in_its_data_set(twin: Path) -> None:
 
 def test_one_of_several_sequences_is_chosen_by_name(root: Path) -> None:
     shutil.copytree(root / "dataset" / SEQUENCE, root / "dataset" / "other")
-    with pytest.raises(SceneError, match=r"found 2 sequences dataset/\*/timesync_info.csv, expected one, or the param"):
+    with pytest.raises(ConfigurationError, match=f"sequence is not given, expected one of 2: {SEQUENCE}, other"):
         read(root)
     assert read(root, 1, sequence=SEQUENCE).name == SEQUENCE
     with pytest.raises(SceneError, match=r"labels_av_track_ids.json: other is missing"):
         read(root, sequence="other")
-    with pytest.raises(
-        ConfigurationError, match="sequence is 'othr', expected a folder in dataset; did you mean 'othe"
-    ):
+    with pytest.raises(ConfigurationError, match="unknown sequence 'othr'; did you mean 'other'"):
         read(root, sequence="othr")
     with pytest.raises(ConfigurationError, match=r"sequence is 'other', expected '2024.*: the path is that sequence"):
         read(root / "dataset" / SEQUENCE, sequence="other")
@@ -251,7 +249,9 @@ def test_a_missing_file_is_refused_by_name(root: Path) -> None:
 
 
 def test_a_missing_folder_is_refused_by_name(root: Path) -> None:
-    with pytest.raises(SceneError, match=r"labels: found 0 sequences dataset/\*/timesync_info.csv"):
+    with pytest.raises(
+        SceneError, match=r"labels/dataset/\*/timesync_info.csv: found no sequence, expected at least one"
+    ):
         read(root / "labels")
 
 
