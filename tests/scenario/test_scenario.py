@@ -2,7 +2,6 @@
 
 import inspect
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -111,7 +110,7 @@ def test_an_invalid_setting_is_refused_with_the_nearest_name(tmp_path: Path, set
 
 
 def value_at(content: Any, path: str) -> Any:
-    for step in path.split("."):
+    for step in filter(None, path.split(".")):
         content = content[step]
     return content
 
@@ -390,146 +389,85 @@ def test_a_user_defined_algorithm_may_be_in_the_file_of_a_user_defined_node(tmp_
 # -- invalid scenarios are refused --------------------------------------------------------------------------------
 
 
-def scenario_with(change: Callable[[dict[str, Any]], Any]) -> dict[str, Any]:
+EVE = dict(agent="ego", attack=dict(type="PassThrough"))
+CLUSTERING = "command_center.pipeline.clustering"
+
+#: What is put where in a scenario, and how it is refused, after the name of the file.
+INVALID: list[tuple[Any, Any, str]] = [
+    ("agent", {}, "agent: unknown key; did you mean 'agents'"),
+    (3, {}, "3: unknown key"),
+    ("broker", "fast", "broker: found 'fast', expected a dict"),
+    ("agents", [1], r"agents: found \[1\], expected a dict"),
+    ("scene", "intersecton", r"scene 'intersecton': unknown name .*'intersection'"),
+    ("scene", 3, "scene: found 3, expected a short name or a dict"),
+    ("scene", dict(type="TinyScen"), r"scene\.type: .*did you mean 'TinyScene'"),
+    ("scene", dict(type=[1]), r"scene\.type: no Scene named \[1\]"),
+    (
+        "scene",
+        dict(type="Intersection", n_infrastructure=99),
+        "scene: Intersection: n_infrastructure is 99",
+    ),
+    ("agents", {"infra_*": AGENT}, "agents: no entry for 'ego'"),
+    ("agents", {"*": 3}, "agents: ego: found 3, expected a dict"),
+    ("broker.patiens", 1, "broker.patiens: .*did you mean 'patience'"),
+    ("command_center", {}, "command_center: CommandCenter needs pipeline"),
+    ("broker.patience", -1, "broker: Broker: patience: found -1, expected 0 or more"),
+    (f"{CLUSTERING}.type", "SampledAssigmentCluster", rf"{CLUSTERING}\.type: .*'SampledAssignmentClusterer'"),
+    (f"{CLUSTERING}.7", 1, rf"{CLUSTERING}\.7: SampledAssignmentClusterer has no such parameter"),
+    (
+        "adversaries.adversary_1.agent",
+        "infra_9",
+        r"adversaries\..* no agent 'infra_9' .* mean 'infra_[12]'",
+    ),
+    ("adversaries.adversary_1.agent", None, r"adversaries\.adversary_1\.agent: no agent 'None'"),
+    ("adversaries.eve", "PassThrough", r"adversaries\.eve: found 'PassThrough', expected a dict"),
+    ("adversaries", {1: EVE}, "adversaries: found the name 1, expected a string"),
+    ("adversaries.ego", EVE, "ego: another node already has this name"),
+    ("adversaries.evaluator", EVE, "evaluator: another node already has this name"),
+    ("nodes", dict(broker=dict(role="broker")), "broker: another node already has this name"),
+    ("nodes", dict(tap=3), "nodes.tap: found 3, expected a dict"),
+    ("run.speed", 2, "run.speed: unknown key"),
+    ("run.mode", "lock-step", "run.mode: found 'lock-step'; did you mean 'lockstep'"),
+    ("run.seed", -1, "run.seed: found -1, expected a whole number from 0"),
+    ("run.seed", "x", "run.seed: found 'x'"),
+    ("run.frames", 0, "run.frames: found 0, expected a whole number from 1"),
+    ("run.rate", 0, "run.rate: found 0, expected a number above 0"),
+    ("broker.on_exit", "go on", r"broker\.on_exit: found 'go on'"),
+    ("keyexpr.rewrites", "on_tracks.toml", "keyexpr.rewrites: found 'on_tracks.toml', expected a list"),
+]
+INVALID_NODES: list[tuple[str, Any, str]] = [
+    ("broker.file", "brokr.py", r"broker: no node file 'brokr\.py'; did you mean 'broker\.py'"),
+    ("broker.file", "agent.py", "broker: Agent in .* has the role 'agent', expected 'broker'"),
+    ("broker.type", "Broke", "defines no node 'Broke'; did you mean 'Broker'"),
+    ("broker.type", 3, "type is 3, expected the name of a node"),
+    ("nodes", dict(x=dict(role="spy")), r"x: no node file 'spy\.py'"),
+    ("nodes", dict(x={}), "x: no node file"),
+]
+INVALID_WIRING: list[tuple[str, Any, str]] = [
+    ("keyexpr.map", "testbd.toml", r"testbd\.toml: no such .*did you mean 'testbed\.toml'"),
+    ("keyexpr.rewrites", ["on_track.toml"], r"did you mean 'on_tracks\.toml'"),
+    ("keyexpr.rewrites", [{"inserts": []}], r"keyexpr\.rewrites\[0\]: unknown key 'inserts'; did you mean 'insert'"),
+]
+
+
+@pytest.mark.parametrize(
+    ("kind", "code", "place", "value", "reason"),
+    [
+        *((ConfigurationError, 10, place, value, rf"uncoordinated\.py: {reason}") for place, value, reason in INVALID),
+        *((NodeFileError, 12, *row) for row in INVALID_NODES),
+        *((WiringError, 11, *row) for row in INVALID_WIRING),
+    ],
+)
+def test_an_error_in_a_scenario_is_reported_with_its_path(
+    kind: type[MastError], code: int, place: Any, value: Any, reason: str
+) -> None:
     _, content = load("uncoordinated", ["n_adversaries=1"])
     content["scene"] = dict(TINY)
-    change(content)
-    return content
-
-
-INVALID_SCENARIOS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
-    "a key": (lambda s: s.update(agent={}), "agent: unknown key; did you mean 'agents'"),
-    "a key that is not a string": (lambda s: s.update({3: {}}), "3: unknown key"),
-    "a string instead of a dict": (lambda s: s.update(broker="fast"), "broker: found 'fast', expected a dict"),
-    "a list instead of a dict": (lambda s: s.update(agents=[1]), r"agents: found \[1\], expected a dict"),
-    "a scene": (lambda s: s.update(scene="intersecton"), r"scene 'intersecton': unknown name .*'intersection'"),
-    "a scene that is a number": (lambda s: s.update(scene=3), "scene: found 3, expected a short name or a dict"),
-    "a scene's type": (lambda s: s.update(scene=dict(type="TinyScen")), r"scene\.type: .*did you mean 'TinyScene'"),
-    "a scene's type that is a list": (lambda s: s.update(scene=dict(type=[1])), r"scene\.type: no Scene named \[1\]"),
-    "a scene's parameter": (
-        lambda s: s.update(scene=dict(type="Intersection", n_infrastructure=99)),
-        "scene: Intersection: n_infrastructure is 99, expected 0 to 88",
-    ),
-    "an agent without an entry": (lambda s: s.update(agents={"infra_*": AGENT}), "agents: no entry for 'ego'"),
-    "an agent's configuration": (lambda s: s.update(agents={"*": 3}), "agents: ego: found 3, expected a dict"),
-    "a parameter of a node": (lambda s: s["broker"].update(patiens=1), "broker.patiens: .*did you mean 'patience'"),
-    "a parameter that is missing": (
-        lambda s: s.update(command_center={}),
-        "command_center: CommandCenter needs pipeline",
-    ),
-    "a value": (lambda s: s["broker"].update(patience=-1), "broker: Broker: patience: found -1, expected 0 or more"),
-    "an algorithm": (
-        lambda s: s["command_center"]["pipeline"]["clustering"].update(type="SampledAssigmentClusterer"),
-        r"command_center\.pipeline\.clustering\.type: .*did you mean 'SampledAssignmentClusterer'",
-    ),
-    "a parameter's name": (
-        lambda s: s["command_center"]["pipeline"]["clustering"].update({7: 1}),
-        r"command_center\.pipeline\.clustering\.7: SampledAssignmentClusterer has no such parameter",
-    ),
-    "an adversary's agent": (
-        lambda s: s["adversaries"]["adversary_1"].update(agent="infra_9"),
-        r"adversaries\.adversary_1\.agent: no agent 'infra_9' in this scene; did you mean 'infra_[12]'",
-    ),
-    "an adversary without an agent": (
-        lambda s: s["adversaries"]["adversary_1"].pop("agent"),
-        r"adversaries\.adversary_1\.agent: no agent 'None'",
-    ),
-    "an adversary that is not a dict": (
-        lambda s: s["adversaries"].update(eve="PassThrough"),
-        r"adversaries\.eve: found 'PassThrough', expected a dict",
-    ),
-    "an adversary's name": (
-        lambda s: s["adversaries"].update({1: dict(agent="ego")}),
-        "adversaries: found the name 1, expected a string",
-    ),
-    "an adversary with the name of an agent": (
-        lambda s: s["adversaries"].update(ego=dict(agent="ego", attack=dict(type="PassThrough"))),
-        "ego: another node already has this name",
-    ),
-    "an adversary with the name of the evaluator": (
-        lambda s: s["adversaries"].update(evaluator=dict(agent="ego", attack=dict(type="PassThrough"))),
-        "evaluator: another node already has this name",
-    ),
-    "a duplicate node name": (
-        lambda s: s.update(nodes=dict(broker=dict(role="broker"))),
-        "broker: another node already has this name",
-    ),
-    "a node that is not a dict": (lambda s: s.update(nodes=dict(tap=3)), "nodes.tap: found 3, expected a dict"),
-    "a run's key": (lambda s: s["run"].update(speed=2), "run.speed: unknown key"),
-    "a mode": (lambda s: s["run"].update(mode="lock-step"), "run.mode: found 'lock-step'; did you mean 'lockstep'"),
-    "a seed": (lambda s: s["run"].update(seed=-1), "run.seed: found -1, expected a whole number from 0"),
-    "a seed that is not a number": (lambda s: s["run"].update(seed="x"), "run.seed: found 'x'"),
-    "a number of frames": (lambda s: s["run"].update(frames=0), "run.frames: found 0, expected a whole number from 1"),
-    "a rate": (lambda s: s["run"].update(rate=0), "run.rate: found 0, expected a number above 0"),
-    "an exit policy": (lambda s: s["broker"].update(on_exit="go on"), r"broker\.on_exit: found 'go on'"),
-}
-INVALID_NODES: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
-    "a file": (
-        lambda s: s["broker"].update(file="brokr.py"),
-        r"broker: no node file 'brokr\.py'; did you mean 'broker\.py'",
-    ),
-    "a role": (
-        lambda s: s["broker"].update(file="agent.py"),
-        "broker: Agent in .* has the role 'agent', expected 'broker'",
-    ),
-    "a type": (lambda s: s["broker"].update(type="Broke"), "defines no node 'Broke'; did you mean 'Broker'"),
-    "a type that is a number": (lambda s: s["broker"].update(type=3), "type is 3, expected the name of a node"),
-    "an unknown role": (lambda s: s.update(nodes=dict(x=dict(role="spy"))), r"x: no node file 'spy\.py'"),
-    "no role": (lambda s: s.update(nodes=dict(x=dict())), "x: no node file"),
-}
-INVALID_WIRING: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
-    "a map": (
-        lambda s: s["keyexpr"].update(map="testbd.toml"),
-        r"testbd\.toml: no such .*did you mean 'testbed\.toml'",
-    ),
-    "a rewrite": (
-        lambda s: s["keyexpr"].update(rewrites=["on_track.toml"]),
-        r"did you mean 'on_tracks\.toml'",
-    ),
-    "a rewrite in the scenario": (
-        lambda s: s["keyexpr"].update(rewrites=[{"inserts": []}]),
-        r"keyexpr\.rewrites\[0\]: unknown key 'inserts'; did you mean 'insert'",
-    ),
-}
-
-
-def refused(change: Callable[[dict[str, Any]], Any]) -> MastError:
-    with pytest.raises(MastError) as caught:
-        resolve(bundle.ROOT / "scenarios" / "uncoordinated.py", scenario_with(change))
-    return caught.value
-
-
-@pytest.mark.parametrize("case", INVALID_SCENARIOS)
-def test_an_error_in_a_scenario_is_reported_with_its_path(case: str) -> None:
-    change, reason = INVALID_SCENARIOS[case]
-    error = refused(change)
-    assert type(error) is ConfigurationError
-    assert error.exit_code == 10
-    with pytest.raises(ConfigurationError, match=rf"uncoordinated\.py: {reason}"):
-        raise error
-
-
-@pytest.mark.parametrize("case", INVALID_NODES)
-def test_an_error_in_a_node_is_reported_with_its_path(case: str) -> None:
-    change, reason = INVALID_NODES[case]
-    error = refused(change)
-    assert error.exit_code == 12
-    with pytest.raises(NodeFileError, match=reason):
-        raise error
-
-
-@pytest.mark.parametrize("case", INVALID_WIRING)
-def test_an_error_in_the_wiring_is_reported_with_its_path(case: str) -> None:
-    change, reason = INVALID_WIRING[case]
-    error = refused(change)
-    assert error.exit_code == 11
-    with pytest.raises(WiringError, match=reason):
-        raise error
-
-
-def test_rewrites_are_a_list() -> None:
-    error = refused(lambda s: s["keyexpr"].update(rewrites="on_tracks.toml"))
-    assert "keyexpr.rewrites: found 'on_tracks.toml', expected a list" in str(error)
+    *steps, last = place.split(".") if isinstance(place, str) else [place]
+    value_at(content, ".".join(steps))[last] = value
+    with pytest.raises(MastError, match=reason) as caught:
+        resolve(bundle.ROOT / "scenarios" / "uncoordinated.py", content)
+    assert (type(caught.value), caught.value.exit_code) == (kind, code)
 
 
 @pytest.mark.parametrize(
