@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib import patheffects
@@ -12,6 +13,7 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import to_rgba
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Wedge
+from matplotlib.text import Annotation
 from matplotlib.ticker import MultipleLocator
 
 from mast_zenoh.arrays.geometry import box_corners, heading
@@ -37,13 +39,12 @@ from mast_zenoh.viewer.palette import (
     WITHHELD,
 )
 
-#: Minimum length and width of drawn boxes, m, so that pedestrians are visible.
-_SMALLEST = 1.4
-
+#: m, minimum length and width of drawn boxes, so that pedestrians are visible; the line ahead of a box.
+SMALLEST_M, _AHEAD_M = 1.4, 1.2
 #: Drawing order of marks of adversaries: above buildings, below boxes.
 _MARKS = 2.5
 #: Line style of withheld objects.
-_DASHED = (0, (3.0, 2.0))
+DASHED = (0, (3.0, 2.0))
 
 _HALO = [patheffects.withStroke(linewidth=2.5, foreground=GROUND)]
 
@@ -70,59 +71,56 @@ def draw_birdseye(axes: Axes, view: Frame, estimator: str, window: tuple[float, 
             PolyCollection(list(recording.buildings), facecolors=BUILDING, edgecolors=BUILDING_EDGE, zorder=1)
         )
     for order, (outcome, colour) in enumerate(OUTCOME_COLOURS.items()):
-        _draw_outcome(axes, view.boxes[estimator][outcome], outcome, colour, 3 + 0.1 * order)
+        BoxArtists(axes, colour, 3 + 0.1 * order, outcome).show(view.boxes[estimator][outcome])
     if estimator not in OWN:
-        _draw_withheld(axes, view)
+        withheld = outlines(Boxes(*withheld_at(view.run, view.index)))
+        axes.add_collection(PolyCollection(list(withheld), **withheld_style(WITHHELD), zorder=3.5))
     _draw_attack(axes, view.marks(estimator))
     _draw_agents(axes, view, window)
 
 
-def _draw_outcome(axes: Axes, boxes: Boxes, outcome: str, colour: str, zorder: float) -> None:
-    filled = outcome in ("truth missed", "track false")
-    width = 1.3 if outcome == "track matched" else 1.6
-    draw_boxes(axes, boxes, colour, zorder, width=width, filled=filled, crossed=outcome == "track false")
+def outlines(boxes: Boxes) -> Floats:
+    """(n, 4, 2) m, corners from above."""
+    corners: Floats = box_corners(boxes.position, np.maximum(boxes.size, SMALLEST_M), boxes.yaw)[:, :4, :2]
+    return corners
 
 
-def draw_boxes(
-    axes: Axes,
-    boxes: Boxes,
-    colour: str,
-    zorder: float,
-    *,
-    width: float,
-    filled: bool = False,
-    crossed: bool = False,
-) -> None:
-    """Outlines with a line ahead. crossed: crossed out as well, for colour-blind readers"""
-    if not len(boxes):
-        return
-    size = np.maximum(boxes.size, _SMALLEST)
-    corners = box_corners(boxes.position, size, boxes.yaw)[:, :4, :2]
-    axes.add_collection(
-        PolyCollection(
-            list(corners),
-            facecolors=to_rgba(colour, 0.35 if filled else 0.0),
-            edgecolors=colour,
-            linewidths=width,
-            zorder=zorder,
-        )
-    )
-    ahead = np.stack([np.cos(boxes.yaw), np.sin(boxes.yaw)], axis=1)
-    centre = boxes.position[:, :2]
-    ticks = np.stack([centre, centre + ahead * (size[:, :1] / 2 + 1.2)], axis=1)
-    lines = [ticks]
-    if crossed:
-        lines += [corners[:, [0, 2]], corners[:, [1, 3]]]
-    axes.add_collection(LineCollection(list(np.concatenate(lines)), colors=colour, linewidths=1.1, zorder=zorder))
+def withheld_style(colour: str) -> dict[str, Any]:
+    """How objects are drawn that the command centre withholds."""
+    return {"facecolors": "none", "edgecolors": colour, "linewidths": 1.2, "linestyles": [DASHED]}
 
 
-def _draw_withheld(axes: Axes, view: Frame) -> None:
-    position, size, yaw = withheld_at(view.run, view.index)
-    if len(yaw):
-        corners = box_corners(position, np.maximum(size, _SMALLEST), yaw)[:, :4, :2]
-        boxes = PolyCollection(list(corners), facecolors="none", edgecolors=WITHHELD, linewidths=1.2, zorder=3.5)
-        boxes.set_linestyle(_DASHED)
-        axes.add_collection(boxes)
+def face(outcome: str, colour: str) -> tuple[float, float, float, float]:
+    """RGBA, the inside of boxes: errors are filled."""
+    return to_rgba(colour, 0.35 if outcome in ("truth missed", "track false") else 0.0)
+
+
+class BoxArtists:
+    """Outlines of boxes with a line ahead; false tracks are crossed out, for colour-blind readers.
+
+    outcome: of the boxes, empty: of a scene;  scale: of lines
+    """
+
+    def __init__(self, axes: Axes, colour: str, zorder: float, outcome: str = "", scale: float = 1.0) -> None:
+        self.crossed = outcome == "track false"
+        width = {"": 1.2, "track matched": 1.3}.get(outcome, 1.6) * scale
+        faces = [face(outcome, colour)]
+        self.outlines = PolyCollection([], facecolors=faces, edgecolors=colour, linewidths=width, zorder=zorder)
+        self.lines = LineCollection([], colors=colour, linewidths=1.1 * scale, zorder=zorder)
+        self.artists = (self.outlines, self.lines)
+        for artist in self.artists:
+            axes.add_collection(artist)
+
+    def show(self, boxes: Boxes) -> None:
+        """Draw these boxes."""
+        corners = outlines(boxes)
+        self.outlines.set_verts(list(corners))
+        ahead = np.stack([np.cos(boxes.yaw), np.sin(boxes.yaw)], axis=1)
+        centre, length = boxes.position[:, :2], np.maximum(boxes.size[:, :1], SMALLEST_M)
+        lines = [np.stack([centre, centre + ahead * (length / 2 + _AHEAD_M)], axis=1)]
+        if self.crossed:
+            lines += [corners[:, [0, 2]], corners[:, [1, 3]]]
+        self.lines.set_segments(list(np.concatenate(lines)))
 
 
 def _draw_attack(axes: Axes, marks: Marks) -> None:
@@ -160,20 +158,13 @@ def _draw_agents(axes: Axes, view: Frame, window: tuple[float, float, float]) ->
             wedge = Wedge((position[0], position[1]), agent.sensor.max_range_m, start, start + sector)
             wedge.set(facecolor="none", edgecolor=to_rgba(colour, 0.3), linewidth=0.8, zorder=2)
             axes.add_patch(wedge)
-        marker, face = ("^", colour) if agent.kind == "static" else ("o", "none")
-        axes.plot(position[0], position[1], marker, ms=9, mfc=face, mec=colour, mew=1.5, zorder=5)
-        # The name goes behind the agent, away from where it looks and the observed traffic.
-        behind = -np.array([np.cos(turn), np.sin(turn)])
-        inside = np.abs(position[:2] + behind * 0.25 * half - [x, y]) < half
-        letters = max(map(len, label.split("\n")))
-        side = free_side(occupied, position, letters, half, np.where(inside, behind, -behind) > 0)
-        axes.annotate(
+        marker, inside = ("^", colour) if agent.kind == "static" else ("o", "none")
+        axes.plot(position[0], position[1], marker, ms=9, mfc=inside, mec=colour, mew=1.5, zorder=5)
+        name = axes.annotate(
             plain(label),
-            (position[0], position[1]),
-            (7 if side[0] else -7, 4 if side[1] else -4),
+            (0, 0),
+            (0, 0),
             textcoords="offset points",
-            ha="left" if side[0] else "right",
-            va="bottom" if side[1] else "top",
             color=name_colour,
             fontsize=10,
             linespacing=1.0,
@@ -181,19 +172,53 @@ def _draw_agents(axes: Axes, view: Frame, window: tuple[float, float, float]) ->
             path_effects=_HALO,
             zorder=6,
         )
+        place_name(name, position, half, occupied, side_behind(position, turn, half, (x, y), (half, half)))
 
 
-def free_side(
-    occupied: list[tuple[float, float, float, float]], at: Floats, letters: int, half: float, preferred: Bools
+def side_behind(
+    at: Floats, turn: float, half: float, centre: tuple[float, float], reach: tuple[float, float]
+) -> tuple[bool, bool]:
+    """(right, above): the side behind an agent, away from where it looks and the observed traffic.
+
+    turn: rad, where it looks;  half, centre, reach: m, of the window; near its edge, the other side is better
+    """
+    behind = -np.array([np.cos(turn), np.sin(turn)])
+    inside = np.abs(at[:2] + behind * 0.25 * half - centre) < reach
+    right, above = np.where(inside, behind, -behind) > 0
+    return bool(right), bool(above)
+
+
+def place_name(
+    name: Annotation,
+    at: Floats,
+    half: float,
+    occupied: list[tuple[float, float, float, float]],
+    preferred: tuple[bool, bool] = (True, True),
+    gap: int = 7,
+) -> None:
+    """Put a name beside a position, at the preferred side (right, above) if no earlier name is there.
+
+    half: m, of the window;  gap: points;  occupied: boxes of earlier names, to which its own is added
+    """
+    right, above = _free_side(occupied, at, max(map(len, name.get_text().split("\n"))), half, preferred)
+    name.xy = (float(at[0]), float(at[1]))
+    name.xyann = (gap if right else -gap, 4 if above else -4)
+    name.set(ha="left" if right else "right", va="bottom" if above else "top")
+
+
+def _free_side(
+    occupied: list[tuple[float, float, float, float]],
+    at: Floats,
+    letters: int,
+    half: float,
+    preferred: tuple[bool, bool],
 ) -> tuple[bool, bool]:
     """(right, above): the side of a position where a label does not overlap others.
-
-    preferred: used if free
 
     occupied: boxes of earlier labels (left, right, bottom, top), m; the new one is appended
     """
     width, height, gap = 0.045 * letters * half, 0.09 * half, 0.03 * half
-    right, above = bool(preferred[0]), bool(preferred[1])
+    right, above = preferred
     for choice in ((right, above), (right, not above), (not right, above), (not right, not above)):
         left = at[0] + gap if choice[0] else at[0] - gap - width
         low = at[1] + gap if choice[1] else at[1] - gap - height
@@ -206,38 +231,46 @@ def free_side(
 
 def key(views: Sequence[Frame], *, agents: bool = True) -> list[Artist]:
     """Legend handles for `views`: all outcomes, and agents and attacks if present."""
-    handles: list[Artist] = []
-    for outcome in ("truth matched", "track matched", "truth missed", "track false", "unevaluated"):
-        if outcome == "unevaluated" and not any(len(of[outcome]) for v in views for of in v.boxes.values()):
-            continue
-        colour = OUTCOME_COLOURS[outcome]
-        filled = to_rgba(colour, 0.35 if outcome in ("truth missed", "track false") else 0.0)
-        handles.append(Patch(facecolor=filled, edgecolor=colour, linewidth=1.5, label=OUTCOME_LABELS[outcome]))
+    shown = {name for view in views for of in view.boxes.values() for name, boxes in of.items() if len(boxes)}
+    handles = outcome_handles(OUTCOME_COLOURS, shown)
     if agents and any(v.run.recording is not None for v in views):
         states = {state for v in views for state in states_at(v.run, v.index).values()}
-        handles.append(_marker("o", WITHHELD if states else AGENT, "vehicle with sensors", hollow=True))
-        handles.append(_marker("^", WITHHELD if states else AGENT, "roadside sensor"))
+        handles.append(mark_handle("o", WITHHELD if states else AGENT, "vehicle with sensors", hollow=True))
+        handles.append(mark_handle("^", WITHHELD if states else AGENT, "roadside sensor"))
         attacked = any(adversaries_by_agent(interposers(v.run)) for v in views)
-        handles += [_marker("^", STATES[state], f"{state} agent") for state in STATES if state in states]
+        handles += [mark_handle("^", STATES[state], f"{state} agent") for state in STATES if state in states]
         if attacked:
             name = Line2D([], [], linestyle="", marker="$name$", ms=24, mew=0.0, color=ADVERSARY)
             name.set_label("adversary on its wire")
-            handles.append(name if states else _marker("^", ADVERSARY, "adversary on its wire"))
+            handles.append(name if states else mark_handle("^", ADVERSARY, "adversary on its wire"))
     if any(len(withheld_at(v.run, v.index)[2]) for v in views):
-        handles.append(Patch(facecolor="none", edgecolor=WITHHELD, linewidth=1.2, linestyle=_DASHED, label="withheld"))
-    marks = [v.before.joined(v.behind) for v in views]
-    if any(len(each.added) for each in marks):
-        handles.append(_marker("D", ADVERSARY, "inserted by adversary", hollow=True))
-    if any(len(each.removed) for each in marks):
-        handles.append(_marker("x", ADVERSARY, "removed by adversary"))
-    if any(len(each.moved) for each in marks):
-        handles.append(_marker("$\\rightarrow$", ADVERSARY, "moved by adversary"))
-    return handles
+        handles.append(Patch(facecolor="none", edgecolor=WITHHELD, linewidth=1.2, linestyle=DASHED, label="withheld"))
+    return handles + manipulation_handles([v.before.joined(v.behind) for v in views], ADVERSARY)
 
 
-def _marker(marker: str, colour: str, label: str, *, hollow: bool = False) -> Line2D:
-    face = "none" if hollow else colour
-    return Line2D([], [], linestyle="", marker=marker, ms=8, mfc=face, mec=colour, mew=1.5, label=label)
+def outcome_handles(colours: Mapping[str, str], shown: Collection[str]) -> list[Artist]:
+    """Legend handles for the outcomes of boxes; unevaluated ones only if they are shown."""
+    return [
+        Patch(facecolor=face(name, colours[name]), edgecolor=colours[name], linewidth=1.5, label=OUTCOME_LABELS[name])
+        for name in ("truth matched", "track matched", "truth missed", "track false", "unevaluated")
+        if name != "unevaluated" or name in shown
+    ]
+
+
+def manipulation_handles(marks: Sequence[Marks], colour: str, size: float = 8) -> list[Artist]:
+    """Legend handles for what adversaries did."""
+    kinds = (("added", "D", "inserted"), ("removed", "x", "removed"), ("moved", "$\\rightarrow$", "moved"))
+    return [
+        mark_handle(marker, colour, f"{done} by adversary", hollow=marker == "D", size=size)
+        for kind, marker, done in kinds
+        if any(len(getattr(each, kind)) for each in marks)
+    ]
+
+
+def mark_handle(marker: str, colour: str, label: str, *, hollow: bool = False, size: float = 8) -> Line2D:
+    """A legend handle for a mark; hollow: its outline alone."""
+    inside = "none" if hollow else colour
+    return Line2D([], [], linestyle="", marker=marker, ms=size, mfc=inside, mec=colour, mew=1.5, label=label)
 
 
 _SEEN, _UNSEEN, _DETECTION = OUTCOME_COLOURS["truth matched"], OUTCOME_COLOURS["unevaluated"], "#56b4e9"
@@ -269,11 +302,13 @@ def scene_figure(recording: Recording, frame: int) -> Figure:
     axes.add_collection(walls)
     for chosen, colour in ((~seen, _UNSEEN), (seen, _SEEN)):
         boxes = Boxes(truth.position[chosen], truth.size[chosen], truth.yaw[chosen])
-        draw_boxes(axes, boxes, colour, 3, width=1.2)
+        BoxArtists(axes, colour, 3).show(boxes)
     occupied: list[tuple[float, float, float, float]] = []
     for column, agent in enumerate(recording.agents):
         _draw_scene_agent(axes, recording, frame, column)
-        _write_name(axes, recording, frame, column, half, occupied)
+        name = axes.annotate(plain(agent.name), (0, 0), (0, 0), textcoords="offset points")
+        name.set(color=AGENT, fontsize=9, zorder=6)
+        place_name(name, recording.agent_position[frame, column], half, occupied, gap=6)
         pose = recording.agent_position[frame, column], recording.agent_rotation[frame, column]
         for row in range(len(agent.sensors)):
             sensor = sensor_pose(*pose, *recording.mount_at(frame, column, row))
@@ -291,7 +326,7 @@ def scene_figure(recording: Recording, frame: int) -> Figure:
 
 
 def _draw_scene_agent(axes: Axes, recording: Recording, frame: int, column: int) -> None:
-    """A marker, the name, and the sensor's sector at its true range."""
+    """A marker, and the sensor's sector at its true range."""
     agent = recording.agents[column]
     x, y = recording.agent_position[frame, column, :2]
     facing = float(np.degrees(heading(recording.agent_rotation[frame, column] @ agent.sensor.mount_rotation)))
@@ -299,29 +334,5 @@ def _draw_scene_agent(axes: Axes, recording: Recording, frame: int, column: int)
     sector = Wedge((x, y), agent.sensor.max_range_m, low, high, zorder=2)
     sector.set(facecolor=to_rgba(AGENT, 0.03), edgecolor=to_rgba(AGENT, 0.3), linewidth=0.7)
     axes.add_patch(sector)
-    marker, face = ("^", AGENT) if agent.kind == "static" else ("o", "none")
-    axes.plot(x, y, marker, ms=8, mfc=face, mec=AGENT, mew=1.4, zorder=5)
-
-
-def _write_name(
-    axes: Axes,
-    recording: Recording,
-    frame: int,
-    column: int,
-    half: float,
-    occupied: list[tuple[float, float, float, float]],
-) -> None:
-    """An agent's name where no other is. half: m, of the window; occupied: by earlier names"""
-    name, at = recording.agents[column].name, recording.agent_position[frame, column, :2]
-    right, above = free_side(occupied, at, len(name), half, np.array([True, True]))
-    axes.annotate(
-        plain(name),
-        (at[0], at[1]),
-        (6 if right else -6, 4 if above else -4),
-        textcoords="offset points",
-        ha="left" if right else "right",
-        va="bottom" if above else "top",
-        color=AGENT,
-        fontsize=9,
-        zorder=6,
-    )
+    marker, inside = ("^", AGENT) if agent.kind == "static" else ("o", "none")
+    axes.plot(x, y, marker, ms=8, mfc=inside, mec=AGENT, mew=1.4, zorder=5)

@@ -12,9 +12,9 @@ from matplotlib.patches import Rectangle
 from matplotlib.text import Annotation
 from matplotlib.ticker import MaxNLocator, MultipleLocator, NullLocator
 
-from mast_zenoh.arrays.geometry import box_corners, heading
+from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import Floats
-from mast_zenoh.report.figures.birdseye import free_side
+from mast_zenoh.report.figures.birdseye import BoxArtists, outlines, place_name, side_behind, withheld_style
 from mast_zenoh.report.figures.camera import draw_camera, ego_eye
 from mast_zenoh.report.figures.style import plain
 from mast_zenoh.report.film.look import Theme
@@ -80,27 +80,11 @@ class AgentMarks:
             trouble = "down" if agent.name in down else state if state in ("faulty", "suspended") else ""
             label = f"{agent.name}\n{trouble}" if trouble else agent.name
             name.set(text=plain(label), color=adversary or colour, fontweight="bold" if adversary else "normal")
-            _place(name, position, turn, window, occupied)
+            reach = window.across, window.up  # the side depends on nothing but the frame
+            preferred = side_behind(position, turn, window.half, (window.x, window.y), reach)
+            place_name(name, position, window.half, occupied, preferred)
         self._ranges.set_segments(outlines)
         self._ranges.set_color(colours)
-
-
-def _place(
-    name: Annotation,
-    position: Floats,
-    turn: float,
-    window: Window,
-    occupied: list[tuple[float, float, float, float]],
-) -> None:
-    """Put a name behind the agent, where no earlier name is. It depends on nothing but the frame."""
-    behind = -np.array([np.cos(turn), np.sin(turn)])
-    offset = np.abs(position[:2] + behind * 0.25 * window.half - [window.x, window.y])
-    preferred = np.where(offset < [window.across, window.up], behind, -behind) > 0
-    letters = max(map(len, name.get_text().split("\n")))
-    right, above = free_side(occupied, position, letters, window.half, preferred)
-    name.xy = (float(position[0]), float(position[1]))
-    name.xyann = (7 if right else -7, 4 if above else -4)
-    name.set(ha="left" if right else "right", va="bottom" if above else "top")
 
 
 def _sector(position: Floats, turn: float, sensor: LidarSensor) -> Floats:
@@ -113,17 +97,12 @@ def _sector(position: Floats, turn: float, sensor: LidarSensor) -> Floats:
     return np.concatenate([position[None, :2], arc, position[None, :2]])
 
 
-#: m, least length and width of drawn boxes, so that pedestrians are visible.
-SMALLEST_M = 1.4
 #: Outcomes that are marked at the edge if they are outside the window: the numbers below count them.
 ERRORS = ("truth missed", "track false")
-#: m, the line ahead of a box.
-_AHEAD_M = 1.2
 #: m, distance of the lines of the grid.
 _GRID_M = 20.0
 #: Inches: in smaller panels marks are smaller; how much at most.
 _LARGE_INCHES, _LEAST_SCALE = 3.4, 0.55
-_DASHED = (0, (3.0, 2.0))
 
 
 class BirdseyePanel:
@@ -137,7 +116,7 @@ class BirdseyePanel:
         scale = _scale(axes)
         self._draw_ground(theme)
         self.outcomes = {
-            outcome: _BoxArtists(axes, colour, outcome, 3 + 0.1 * order, scale)
+            outcome: BoxArtists(axes, colour, 3 + 0.1 * order, outcome, scale)
             for order, (outcome, colour) in enumerate(theme.outcomes.items())
         }
         self.outside = {
@@ -145,8 +124,7 @@ class BirdseyePanel:
         }
         for outcome, points in self.outside.items():
             points.set(markerfacecolor=theme.outcomes[outcome], clip_on=False)
-        self._withheld = PolyCollection([], facecolors="none", edgecolors=theme.withheld, linewidths=1.2, zorder=3.6)
-        self._withheld.set_linestyle(_DASHED)
+        self._withheld = PolyCollection([], **withheld_style(theme.withheld), zorder=3.6)
         axes.add_collection(self._withheld)
         self.inserted = _points(axes, "D", theme.adversary, 11.0 * scale, 1.3 * scale)
         self.removed = _points(axes, "x", theme.adversary, 9.0 * scale, 2.0 * scale)
@@ -201,9 +179,8 @@ class BirdseyePanel:
                 at = boxes.position[:, :2]
                 edge = np.clip(at, *window.corners)
                 self.outside[outcome].set_data(*edge[(edge != at).any(axis=1)].T)
-        position, size, yaw = withheld_at(view.run, frame)
         shown = self.take.estimate not in ("local", "received")
-        self._withheld.set_verts(list(_outlines(Boxes(position, size, yaw))) if shown else [])
+        self._withheld.set_verts(list(outlines(Boxes(*withheld_at(view.run, frame)))) if shown else [])
         marks = view.marks(self.take.estimate)
         self.inserted.set_data(marks.added[:, 0], marks.added[:, 1])
         self.removed.set_data(marks.removed[:, 0], marks.removed[:, 1])
@@ -213,44 +190,12 @@ class BirdseyePanel:
         self._over.set_visible(over)
 
 
-class _BoxArtists:
-    """Outlines with a line ahead; errors are filled, and false tracks are crossed out for colour-blind readers."""
-
-    def __init__(self, axes: Axes, colour: str, outcome: str, zorder: float, scale: float) -> None:
-        self.crossed = outcome == "track false"
-        filled = outcome in ("truth missed", "track false")
-        width = (1.3 if outcome == "track matched" else 1.6) * scale
-        face = to_rgba(colour, 0.35 if filled else 0.0)
-        self.outlines = PolyCollection([], facecolors=[face], edgecolors=colour, linewidths=width, zorder=zorder)
-        self.lines = LineCollection([], colors=colour, linewidths=1.1 * scale, zorder=zorder)
-        self.artists = (self.outlines, self.lines)
-        for artist in self.artists:
-            axes.add_collection(artist)
-
-    def show(self, boxes: Boxes) -> None:
-        """Draw these boxes."""
-        corners = _outlines(boxes)
-        self.outlines.set_verts(list(corners))
-        ahead = np.stack([np.cos(boxes.yaw), np.sin(boxes.yaw)], axis=1)
-        centre, length = boxes.position[:, :2], np.maximum(boxes.size[:, :1], SMALLEST_M)
-        lines = [np.stack([centre, centre + ahead * (length / 2 + _AHEAD_M)], axis=1)]
-        if self.crossed:
-            lines += [corners[:, [0, 2]], corners[:, [1, 3]]]
-        self.lines.set_segments(list(np.concatenate(lines)))
-
-
 def _scale(axes: Axes) -> float:
     """Size of marks over that in a large panel."""
     figure = axes.get_figure()
     assert figure is not None
     inches = min(axes.bbox.width, axes.bbox.height) / figure.dpi
     return min(max(inches / _LARGE_INCHES, _LEAST_SCALE), 1.0)
-
-
-def _outlines(boxes: Boxes) -> Floats:
-    """(n, 4, 2) m, corners from above."""
-    corners: Floats = box_corners(boxes.position, np.maximum(boxes.size, SMALLEST_M), boxes.yaw)[:, :4, :2]
-    return corners
 
 
 def _arrows(moved: Floats, window: Window) -> Floats:

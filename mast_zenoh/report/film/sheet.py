@@ -11,19 +11,18 @@ from matplotlib import figure as figures
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgba
-from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.text import Text
 
 from mast_zenoh.errors import ConfigurationError, RunFolderError
 from mast_zenoh.metrics.estimates import TRUTH
+from mast_zenoh.report.figures.birdseye import manipulation_handles, mark_handle, outcome_handles
 from mast_zenoh.report.figures.style import Figure, plain
 from mast_zenoh.report.film.look import Look, Theme
 from mast_zenoh.report.film.panels import BirdseyePanel, CameraPanel, Strip, image_crop_aspect
 from mast_zenoh.report.film.takes import Attacks, Captions, Framing, Take, framing
 from mast_zenoh.viewer.events import states_at, withheld_at
 from mast_zenoh.viewer.frame import Frame
-from mast_zenoh.viewer.palette import OUTCOME_LABELS
 
 #: Left and right of the panels; between them; between a bird's-eye view and a camera view.
 MARGIN, GAP, CAMERA_GAP = 0.12, 0.14, 0.06
@@ -102,10 +101,10 @@ def layout(look: Look, panels: int, legend: float, aspect: float | None, *, seve
     return Layout(width, height, panel, head, title, view, camera, counts, strip)
 
 
-#: In the order of the legend.
-_OUTCOMES = ("truth matched", "track matched", "truth missed", "track false", "unevaluated")
 #: Inches for each point of the font's size: width of a letter, of an entry's symbol and gaps; height of a line.
 _LETTER, _ENTRY, _LINE = 0.0081, 0.056, 0.0235
+#: Points, size of marks in the legend.
+_MARK = 7
 #: Inches, least width of a figure with text of the ordinary size; points, that size and the one of narrow figures.
 _NARROW, _SIZE, _SMALL_SIZE = 5.0, 9.0, 7.0
 
@@ -119,34 +118,33 @@ def legend_entries(
     if all(take.estimate == TRUTH for take in takes):
         handles: list[Artist] = [Patch(facecolor="none", edgecolor=theme.outcomes["truth matched"], label="object")]
     else:
-        handles = [_outcome(name, theme) for name in _OUTCOMES if name != "unevaluated" or name in shown]
+        handles = outcome_handles(theme.outcomes, shown)
     if any(take.run.recording is not None for take in takes):
         states = {state for take, view in views for state in states_at(take.run, view.index).values()}
         colour = theme.withheld if states else theme.agent
         kinds = {agent.kind for take in takes if take.run.recording for agent in take.run.recording.agents}
-        handles += [_mark("o", colour, "vehicle with sensors", hollow=True)] if kinds - {"static"} else []
-        handles += [_mark("^", colour, "roadside sensor")] if "static" in kinds else []
-        handles += [_mark("^", theme.states[state], f"{state} agent") for state in theme.states if state in states]
+        handles += (
+            [mark_handle("o", colour, "vehicle with sensors", hollow=True, size=_MARK)] if kinds - {"static"} else []
+        )
+        handles += [mark_handle("^", colour, "roadside sensor", size=_MARK)] if "static" in kinds else []
+        handles += [
+            mark_handle("^", theme.states[state], f"{state} agent", size=_MARK)
+            for state in theme.states
+            if state in states
+        ]
     return handles + _conduct(views, attacks, theme)
 
 
 def _conduct(views: Sequence[tuple[Take, Frame]], attacks: Sequence[Attacks], theme: Theme) -> list[Artist]:
     handles: list[Artist] = []
     if any(each.possible for each in attacks):
-        handles.append(_mark("^", theme.adversary, "adversary on its wire"))
+        handles.append(mark_handle("^", theme.adversary, "adversary on its wire", size=_MARK))
         band = Patch(facecolor=to_rgba(theme.adversary, 0.28), edgecolor=theme.adversary, label="attack")
         handles.append(band)
     if any(len(withheld_at(view.run, view.index)[2]) for _, view in views):
         handles.append(Patch(facecolor="none", edgecolor=theme.withheld, linestyle="--", label="withheld"))
     marks = [view.marks(take.estimate) for take, view in views]
-    for kind, marker, label in (
-        ("added", "D", "inserted by adversary"),
-        ("removed", "x", "removed by adversary"),
-        ("moved", "$\\rightarrow$", "moved by adversary"),
-    ):
-        if any(len(getattr(each, kind)) for each in marks):
-            handles.append(_mark(marker, theme.adversary, label, hollow=marker == "D"))
-    return handles
+    return handles + manipulation_handles(marks, theme.adversary, _MARK)
 
 
 def _legend_lines(handles: Sequence[Artist], width: float) -> int:
@@ -195,17 +193,6 @@ def draw_legend(figure: figures.Figure, handles: Sequence[Artist], theme: Theme)
 
 def _width(entry: Artist) -> float:
     return _ENTRY + _LETTER * len(str(entry.get_label()))
-
-
-def _outcome(name: str, theme: Theme) -> Patch:
-    colour = theme.outcomes[name]
-    face = to_rgba(colour, 0.35 if name in ("truth missed", "track false") else 0.0)
-    return Patch(facecolor=face, edgecolor=colour, linewidth=1.5, label=OUTCOME_LABELS[name])
-
-
-def _mark(marker: str, colour: str, label: str, *, hollow: bool = False) -> Line2D:
-    face = "none" if hollow else colour
-    return Line2D([], [], linestyle="", marker=marker, ms=7, mfc=face, mec=colour, mew=1.5, label=label)
 
 
 #: Inches between the left edge of a panel and its strip, for the labels of the axis.
