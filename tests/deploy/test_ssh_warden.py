@@ -19,15 +19,17 @@ from typing import Any
 
 import psutil
 import pytest
+from launched import eventually
 
 pytestmark = pytest.mark.mesh
-SLEEP = [sys.executable, "-c", "import signal, sys; print('up', flush=True); signal.pause()"]
+SLEEP = "import signal, sys; print('up', flush=True); signal.pause()"
 
 
 class Attached:
     """A connection to a supervisor, like the launcher's."""
 
     def __init__(self, folder: Path, **offsets: int) -> None:
+        self.folder = folder
         self.there = socket.socket(socket.AF_UNIX)
         self.there.settimeout(30.0)
         self.there.connect(str(folder / "control"))
@@ -64,16 +66,16 @@ class Attached:
 
 
 @pytest.fixture
-def serve() -> Iterator[Callable[..., Path]]:
-    """Starts supervisors in short folders, as socket paths are limited."""
+def serve() -> Iterator[Callable[..., Attached]]:
+    """Starts a supervisor in a short folder, as socket paths are limited, and connects to it."""
     top = Path(tempfile.mkdtemp(prefix="mast_w"))
 
-    def start(patience_s: float = 600.0, umask: int = -1) -> Path:
+    def start(patience_s: float = 600.0, umask: int = -1) -> Attached:
         folder = top / "runs" / "r" / "h"
         (top / "runs").mkdir()
         command = [sys.executable, "-m", "mast_zenoh.deploy.ssh.warden", str(folder), str(patience_s)]
         subprocess.run(command, check=True, timeout=60, umask=umask)
-        return folder
+        return Attached(folder)
 
     yield start
     for control in top.glob("runs/r/h/control"):
@@ -101,124 +103,100 @@ def of(top: Path) -> list[psutil.Process]:
     return pids
 
 
-def started(attached: Attached, name: str, *argv: str) -> int:
-    answer = attached.request(f"start {name}", "start", name=name, argv=list(argv or SLEEP), env={"WORD": "given"})
+def started(attached: Attached, name: str, program: str = SLEEP) -> int:
+    argv = [sys.executable, "-c", program]
+    answer = attached.request(f"start {name}", "start", name=name, argv=argv, env={"WORD": "given"})
     return int(answer["pid"])
 
 
-def wait_for_exit(pid: int) -> bool:
-    """Wait until a process has ended."""
-    deadline = time.monotonic() + 30.0
-    while psutil.pid_exists(pid) and psutil.Process(pid).status() != psutil.STATUS_ZOMBIE:
-        if time.monotonic() > deadline:
-            return False
-        threading.Event().wait(0.05)
-    return True
+def has_ended(pid: int) -> bool:
+    return not psutil.pid_exists(pid) or psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
 
 
 def test_a_repeated_command_is_executed_once(serve) -> None:
-    folder = serve()
-    first = Attached(folder)
+    first = serve()
     pid = started(first, "ego")
     first.close()  # the answer may have been lost
-    again = Attached(folder)
+    again = Attached(first.folder)
     assert started(again, "ego") == pid
-    assert again.request("another", "start", name="ego", argv=SLEEP, env={})["error"] == "ego is already running"
+    assert again.request("another", "start", name="ego", argv=["true"], env={})["error"] == "ego is already running"
     assert "error" in again.request("none", "start", name="other", argv=["/does/not/exist"], env={})
     again.request("leave", "leave", grace_s=10.0)
     assert again.wait_until_closed()
-    assert wait_for_exit(pid)
-    assert not folder.parent.exists(), "only files that other runs may need remain"
-    assert folder.parent.parent.exists()
+    eventually(lambda: has_ended(pid), "its node has ended", 30.0)
+    assert not first.folder.parent.exists(), "only files that other runs may need remain"
+    assert first.folder.parent.parent.exists()
 
 
-def test_only_the_owner_can_read_a_runs_files_on_a_host_with_any_umask(serve) -> None:
-    folder = serve(umask=0)
-    attached = Attached(folder)
-    program = "import pathlib, sys; pathlib.Path('written').touch(); sys.exit(0)"
-    started(attached, "ego", sys.executable, "-c", program)
-    attached.wait(lambda event: event.get("node") == "ego" and event["exit"] == 0)
+def test_a_node_gets_its_environment_and_folder_which_only_the_owner_can_read_and_reports_its_exit_code(serve) -> None:
+    attached = serve(umask=0)
+    program = (
+        "import os, pathlib, sys; pathlib.Path('written').touch()\n"
+        "print(os.environ['WORD'], os.environ['TMPDIR'], os.getcwd(), flush=True); sys.exit(5)"
+    )
+    started(attached, "ego", program)
+    assert attached.wait(lambda event: event.get("node") == "ego")["exit"] == 5
+    output = "".join(line["text"] for line in attached.heard if line.get("log") == "ego")
+    folder = attached.folder
+    assert output == f"given {folder}/tmp/ego {folder}\n", "output arrives before the exit event"
     permissions = {path: path.stat().st_mode & 0o777 for path in (folder.parent, folder, *folder.rglob("*"))}
     assert {"control", "logs", "ego.log", "@warden.log", "written"} <= {path.name for path in permissions}
     assert {str(path): oct(mode) for path, mode in permissions.items() if mode & 0o077} == {}
-    attached.close()
-
-
-def test_nodes_get_their_environment_and_folder_and_report_their_exit_code(serve) -> None:
-    folder = serve()
-    attached = Attached(folder)
-    program = "import os, sys; print(os.environ['WORD'], os.environ['TMPDIR'], os.getcwd(), flush=True); sys.exit(5)"
-    started(attached, "ego", sys.executable, "-c", program)
-    assert attached.wait(lambda output: output.get("node") == "ego")["exit"] == 5
-    output = "".join(line["text"] for line in attached.heard if line.get("log") == "ego")
-    assert output == f"given {folder}/tmp/ego {folder}\n", "output arrives before the exit event"
-    attached.close()
 
 
 def test_logs_continue_from_the_last_connection(serve) -> None:
-    folder = serve()
-    first = Attached(folder)
+    first = serve()
     program = "for i in range(10_000): print(i, 'ä' * 20)\nprint('end', flush=True)\nimport signal; signal.pause()"
-    started(first, "ego", sys.executable, "-c", program)
+    started(first, "ego", program)
     pieces = [first.wait(lambda event: "log" in event)]
     first.close()
     offset = pieces[0]["offset"] + len(pieces[0]["text"].encode("latin-1"))
-    second = Attached(folder, ego=offset)
+    second = Attached(first.folder, ego=offset)
     content = pieces[0]["text"]
     while not content.endswith("end\n"):
         content += second.wait(lambda event: "log" in event)["text"]
     expected = "".join(f"{i} {'ä' * 20}\n" for i in range(10_000)) + "end\n"
     assert content.encode("latin-1").decode() == expected
-    second.close()
 
 
 def test_nodes_that_do_not_exit_are_killed_after_the_grace_period_even_if_stopped(serve) -> None:
-    attached = Attached(serve())
+    attached = serve()
     program = (
         "import signal\nsignal.signal(signal.SIGTERM, signal.SIG_IGN)\nprint('up', flush=True)\nwhile 1: signal.pause()"
     )
-    pids = [started(attached, "deaf", sys.executable, "-c", program), started(attached, "still")]
+    pids = [started(attached, "deaf", program), started(attached, "still")]
     for _ in range(2):
         attached.wait(lambda event: event.get("text") == "up\n")
     attached.request("stop", "signal", names=["still"], number=int(signal.SIGSTOP))
     attached.request("leave", "leave", grace_s=0.5)
     codes = {event["node"]: event["exit"] for event in attached.heard if "node" in event}
     assert codes == {"deaf": -signal.SIGKILL, "still": -signal.SIGTERM}
-    assert all(wait_for_exit(pid) for pid in pids)
-    attached.close()
+    eventually(lambda: all(map(has_ended, pids)), "both have ended", 30.0)
 
 
 def test_without_a_launcher_it_ends_all_nodes_even_if_a_stopped_one_saw_the_launcher(serve) -> None:
-    folder = serve(patience_s=1.0)
-    attached = Attached(folder)
+    attached = serve(patience_s=1.0)
     pid = started(attached, "ego")
-    (folder / "tmp" / "ego" / "mast-up").touch()
+    (attached.folder / "tmp" / "ego" / "mast-up").touch()
     attached.wait(lambda event: event.get("text") == "up\n")
     os.kill(pid, signal.SIGSTOP)
     attached.close()
-    assert wait_for_exit(pid)
-    deadline = time.monotonic() + 30.0
-    while folder.exists() and time.monotonic() < deadline:
-        threading.Event().wait(0.05)
-    assert not folder.exists()
+    eventually(lambda: has_ended(pid), "its node has ended", 30.0)
+    eventually(lambda: not attached.folder.exists(), "it has removed its folder", 30.0)
 
 
 def test_it_survives_without_a_connection_while_a_node_sees_the_launcher(serve) -> None:
-    folder = serve(patience_s=0.5)
-    attached = Attached(folder)
+    attached = serve(patience_s=0.5)
     started(attached, "ego")
-    (folder / "tmp" / "ego" / "mast-up").touch()
+    (attached.folder / "tmp" / "ego" / "mast-up").touch()
     attached.close()
     threading.Event().wait(2.0)  # several times its timeout
-    again = Attached(folder)
+    again = Attached(attached.folder)
     assert again.request("state", "state")["nodes"][0]["exit"] is None
-    again.close()
 
 
 def test_its_nodes_die_with_it(serve) -> None:
-    folder = serve()
-    attached = Attached(folder)
+    attached = serve()
     pid = started(attached, "ego")
     os.kill(attached.heard[0]["warden"], signal.SIGKILL)
-    assert wait_for_exit(pid)
-    attached.close()
+    eventually(lambda: has_ended(pid), "its node has ended", 30.0)
