@@ -9,35 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from mast_zenoh.cli import completion, deploy, runs, scenarios, view
-from mast_zenoh.cli.options import (
-    Against,
-    AllowChurn,
-    AllowFailures,
-    Frames,
-    Mode,
-    Out,
-    Quiet,
-    Rate,
-    Record,
-    RecordStudy,
-    Report,
-    RouterEndpoint,
-    Runtime,
-    Scenario,
-    Secure,
-    SecureCommand,
-    Seed,
-    Settings,
-    check_environment,
-    check_reference,
-    conclude,
-    reporting,
-    run_argument,
-    show_notices,
-    silenced,
-    with_trust,
-)
+from mast_zenoh.cli import completion, deploy, options, runs, scenarios, view
 from mast_zenoh.cli.options import err as _err
 from mast_zenoh.cli.options import out as _out
 from mast_zenoh.errors import Interrupted, MastError, UntrustedCode
@@ -56,40 +28,40 @@ app.add_typer(scenarios.app, name="scene")
 app.command()(deploy.doctor)
 
 
-@app.command(cls=SecureCommand)
+@app.command(cls=options.SecureCommand)
 def run(
-    scenario_file: Scenario,
-    settings: Settings = None,
-    frames: Frames = None,
-    seed: Seed = None,
-    runtime: Runtime = "mesh",
-    mode: Mode = None,
-    rate: Rate = None,
-    out: Out = None,
-    endpoint: RouterEndpoint = None,
-    secure: Secure = "open",
-    report: Report = True,
-    record: Record = True,
-    allow_failures: AllowFailures = False,
-    allow_churn: AllowChurn = False,
-    against: Against = None,
+    scenario_file: options.Scenario,
+    settings: options.Settings = None,
+    frames: options.Frames = None,
+    seed: options.Seed = None,
+    runtime: options.Runtime = "mesh",
+    mode: options.Mode = None,
+    rate: options.Rate = None,
+    out: options.Out = None,
+    endpoint: options.RouterEndpoint = None,
+    secure: options.Secure = "open",
+    report: options.Report = True,
+    record: options.Record = True,
+    allow_failures: options.AllowFailures = False,
+    allow_churn: options.AllowChurn = False,
+    against: options.Against = None,
     shown: Annotated[bool, typer.Option("--view", help="Show the run in a browser while it is running.")] = False,
-    quiet: Quiet = False,
+    quiet: options.Quiet = False,
 ) -> None:
     """Run a scenario; results, logs and a report go to a run folder."""
     from mast_zenoh import scenario
     from mast_zenoh.launch import run as launcher
 
-    check_reference(against)
+    options.check_reference(against)
     path, loaded = scenario.load(scenario_file, settings or ())
     resolved = scenario.resolve(path, loaded, seed=seed, frames=frames, mode=mode, rate=rate, record=record)
-    check_environment(runtime, resolved.mode, secure, endpoint, viewed=shown)
+    options.check_environment(runtime, resolved.mode, secure, endpoint, viewed=shown)
     environment: dict[str, Any] = {"runtime": runtime, "endpoint": endpoint, "secure": secure}
     allowed: dict[str, Any] = {"allow_failures": allow_failures, "allow_churn": allow_churn}
-    with silenced(quiet), view.viewer(shown) as prepare:
+    with options.silenced(quiet), view.viewer(shown) as prepare:
         console = _err if quiet else _out
         finished = launcher.run(resolved, out, **environment, **allowed, prepare=prepare, console=console, quiet=quiet)
-        conclude(finished, report=report, against=against, allow_failures=allow_failures)
+        options.conclude(finished, report=report, against=against, allow_failures=allow_failures)
 
 
 @app.command()
@@ -100,19 +72,19 @@ def study(
             help="A study file, or the name of a shipped one: case_study, …", autocompletion=completion.studies
         ),
     ],
-    settings: Settings = None,
+    settings: options.Settings = None,
     trials: Annotated[int | None, typer.Option(min=1, help="Seeds for each configuration and scene.")] = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="Concurrent trials; all cores if dask is installed.")] = None,
     cluster: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Address of a Dask scheduler, tcp://HOST:8786.")
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Continue the unfinished study in --out.")] = False,
-    frames: Frames = None,
-    seed: Seed = None,
+    frames: options.Frames = None,
+    seed: options.Seed = None,
     runtime: Annotated[Literal["mesh", "inproc"] | None, typer.Option(help="Overrides the study's runtime.")] = None,
-    out: Out = None,
-    record: RecordStudy = False,
-    allow_failures: AllowFailures = False,
+    out: options.Out = None,
+    record: options.RecordStudy = False,
+    allow_failures: options.AllowFailures = False,
 ) -> None:
     """Run the scenarios of a study and compare them.
 
@@ -122,9 +94,9 @@ def study(
 
     loaded = definition.load(study_file, settings or ())
     if loaded.security:
-        options = {"--trials": trials, "--jobs": jobs, "--cluster": cluster, "--resume": resume, "--record": record}
-        options |= {"--allow-failures": allow_failures, "--runtime": runtime == "inproc"}
-        if invalid := [name for name, value in options.items() if value]:
+        words = {"--trials": trials, "--jobs": jobs, "--cluster": cluster, "--resume": resume, "--record": record}
+        words |= {"--allow-failures": allow_failures, "--runtime": runtime == "inproc"}
+        if invalid := [name for name, value in words.items() if value]:
             problem = f"attackers run once at each level, on the mesh: expected no {', '.join(invalid)}"
             raise typer.BadParameter(problem, param_hint=study_file)
         _run_attackers(loaded, out, seed=seed, frames=frames)
@@ -136,13 +108,13 @@ def study(
     chosen |= {"allow_failures": allow_failures, "record": record}
     finished = interface.run(loaded, out, **number, **chosen, console=_out)
     if isinstance(finished, interface.ComparisonResult):
-        with reporting(finished.out):
+        with options.reporting(finished.out):
             from mast_zenoh.report import html, terminal  # after the runs: drawing libraries are slow to load
 
             terminal.show(_out, finished.folders)
             _out.plain(f"report: {html.write_study_report(finished.out, finished.folders)}")
         for label, run_ in finished.runs.items():
-            show_notices(run_, f"{label}: ")
+            options.show_notices(run_, f"{label}: ")
     else:
         _out.print(finished.as_rich())
         for path in (*finished.files, f"report: {finished.report}"):
@@ -150,11 +122,11 @@ def study(
     finished.raise_failures()
 
 
-def _run_attackers(loaded: Study, out: Path | None, **options: Any) -> None:
+def _run_attackers(loaded: Study, out: Path | None, **chosen: Any) -> None:
     """Run every configuration at every security level, with the outsider of its scenario file."""
     from mast_zenoh.study.outsider import comparison
 
-    effects = comparison.run(loaded, out, console=_out, **options)
+    effects = comparison.run(loaded, out, console=_out, **chosen)
     _out.print(effects.as_rich())
     for name in ("attempts.md", "attempts.csv"):
         _out.plain(str(effects.out / name))
@@ -162,8 +134,8 @@ def _run_attackers(loaded: Study, out: Path | None, **options: Any) -> None:
 
 @app.command()
 def diff(
-    run_a: Annotated[Path, run_argument("The folder of a run, or a recording.", "A")],
-    run_b: Annotated[Path, run_argument("Another one.", "B")],
+    run_a: Annotated[Path, options.run_argument("The folder of a run, or a recording.", "A")],
+    run_b: Annotated[Path, options.run_argument("Another one.", "B")],
     wire: Annotated[list[str] | None, typer.Option(metavar="GLOB", help="Wires to compare: cc/picture.")] = None,
     ignore: Annotated[list[str] | None, typer.Option(metavar="GLOB", help="Wires to leave out: 'attack/*'.")] = None,
     taps: Annotated[bool, typer.Option("--taps", help="Compare the hidden legs of intercepted wires too.")] = False,
@@ -192,7 +164,7 @@ def diff(
 app.command()(scenarios.wiring)
 app.command("list")(scenarios.list_kind)
 app.command()(runs.export)
-app.command(cls=SecureCommand)(runs.replay)
+app.command(cls=options.SecureCommand)(runs.replay)
 app.command()(view.view)
 app.command()(runs.animate)
 app.command()(runs.snapshot)
@@ -221,7 +193,7 @@ def carry_out() -> int:
 
 def _show(error: MastError) -> int:
     _err.print(f"[bold red]error:[/] {type(error).__name__}:", end=" ")
-    hint = f": {with_trust(sys.argv[1:])}" if isinstance(error, UntrustedCode) else ""
+    hint = f": {options.with_trust(sys.argv[1:])}" if isinstance(error, UntrustedCode) else ""
     _err.plain(f"{error}{hint}")
     return error.exit_code
 

@@ -11,25 +11,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from mast_zenoh.cli.options import (
-    AllowChurn,
-    AllowFailures,
-    Confirmed,
-    Frames,
-    Mode,
-    Out,
-    Rate,
-    Record,
-    Report,
-    RunPath,
-    Scenario,
-    Secure,
-    SecureCommand,
-    Seed,
-    Settings,
-    allowed_code,
-    conclude,
-)
+from mast_zenoh.cli import options
 from mast_zenoh.cli.options import out as _out
 from mast_zenoh.errors import ConfigurationError, RunFolderError
 from mast_zenoh.run_files import read_json
@@ -42,17 +24,17 @@ Engine = Annotated[
 ]
 
 
-@app.command(cls=SecureCommand)
+@app.command(cls=options.SecureCommand)
 def up(
-    scenario_file: Scenario,
-    settings: Settings = None,
+    scenario_file: options.Scenario,
+    settings: options.Settings = None,
     engine: Engine = "compose",
-    frames: Frames = None,
-    seed: Seed = None,
-    mode: Mode = None,
-    rate: Rate = None,
-    out: Out = None,
-    secure: Secure = "open",
+    frames: options.Frames = None,
+    seed: options.Seed = None,
+    mode: options.Mode = None,
+    rate: options.Rate = None,
+    out: options.Out = None,
+    secure: options.Secure = "open",
     image: Annotated[
         str | None, typer.Option(help="Image of all containers. Default: the one built by `mast deploy image`.")
     ] = None,
@@ -66,10 +48,10 @@ def up(
         typer.Option(metavar="KEY=VALUE", help="A parameter of the engine, such as your own engine's."),
     ] = None,
     patience: Annotated[float | None, typer.Option(help="Seconds that nodes run without this launcher.")] = None,
-    report: Report = True,
-    record: Record = True,
-    allow_failures: AllowFailures = False,
-    allow_churn: AllowChurn = False,
+    report: options.Report = True,
+    record: options.Record = True,
+    allow_failures: options.AllowFailures = False,
+    allow_churn: options.AllowChurn = False,
 ) -> None:
     """Run a scenario in containers or on other hosts, collect results and clean up."""
     from mast_zenoh import scenario
@@ -79,26 +61,26 @@ def up(
 
     path, loaded = scenario.load(scenario_file, settings or ())
     resolved = scenario.resolve(path, loaded, seed=seed, frames=frames, mode=mode, rate=rate, record=record)
-    options = {"image": image, "hosts": hosts, "place": _placements(place), "patience_s": patience}
+    chosen = {"image": image, "hosts": hosts, "place": _placements(place), "patience_s": patience}
     kind = engines.load(engine)
-    parameters = {name: value for name, value in options.items() if value is not None}
+    parameters = {name: value for name, value in chosen.items() if value is not None}
     _check_options(kind, parameters)
-    chosen = engines.make(kind, parameters | engines.options(kind, option or ()))
+    platform = engines.make(kind, parameters | engines.options(kind, option or ()))
     check_space(out or Path("runs"), needed_space(resolved))
     allowed: dict[str, Any] = {"allow_failures": allow_failures, "allow_churn": allow_churn}
-    finished = run.run(resolved, out, engine=chosen, secure=secure, **allowed, console=_out)
-    conclude(finished, report=report)
+    finished = run.run(resolved, out, engine=platform, secure=secure, **allowed, console=_out)
+    options.conclude(finished, report=report)
 
 
 RunName = Annotated[str, typer.Option("--run", help="Id of the run.")]
 
 
-@app.command(cls=SecureCommand)
+@app.command(cls=options.SecureCommand)
 def write(
-    scenario_file: Scenario,
-    settings: Settings = None,
-    frames: Frames = None,
-    secure: Secure = "open",
+    scenario_file: options.Scenario,
+    settings: options.Settings = None,
+    frames: options.Frames = None,
+    secure: options.Secure = "open",
     image: Annotated[str | None, typer.Option(help="Image of the nodes; the launcher's is IMAGE-launcher.")] = None,
     run: Annotated[str | None, typer.Option(help="Name of the run. Default: that of the scenario.")] = None,
 ) -> None:
@@ -115,19 +97,19 @@ def write(
     launcher = documents.Launcher(
         str(path) if own else scenario_file, tuple(settings or ()), folder=str(path.parent) if own else None
     )
-    options: dict[str, Any] = {"secure": secure, "patience_s": inside.PATIENCE_S, "launcher": launcher}
+    more: dict[str, Any] = {"secure": secure, "patience_s": inside.PATIENCE_S, "launcher": launcher}
     name = resolved.name if run is None else scenario.checked_name(run, "--run")
-    typer.echo(documents.compose_text(resolved, name, image=image or TAG, **options), nl=False)
+    typer.echo(documents.compose_text(resolved, name, image=image or TAG, **more), nl=False)
 
 
 @app.command(hidden=True)
 def join(
-    scenario_file: Scenario,
+    scenario_file: options.Scenario,
     endpoint: Annotated[str, typer.Option(help="Of the router.")],
     run: RunName,
-    settings: Settings = None,
-    frames: Frames = None,
-    secure: Secure = "open",
+    settings: options.Settings = None,
+    frames: options.Frames = None,
+    secure: options.Secure = "open",
     credentials: Annotated[Path | None, typer.Option(help="Folder of the launcher's credentials.")] = None,
 ) -> None:
     """Play a run whose nodes Compose has started: the launcher of a compose file."""
@@ -142,7 +124,7 @@ def join(
         engine = inside.Inside(run, session, endpoint, credentials)
         finished = launch.run(resolved, engine=engine, secure=secure, console=_out)
         try:
-            conclude(finished, report=True)
+            options.conclude(finished, report=True)
         finally:
             name = documents.container(run, documents.LAUNCHER)
             _out.plain(f"results: volume {documents.project(run)}-results; get them by")
@@ -151,10 +133,10 @@ def join(
 
 @app.command(hidden=True)
 def certificates(
-    scenario_file: Scenario,
+    scenario_file: options.Scenario,
     run: RunName,
-    settings: Settings = None,
-    secure: Secure = "acl",
+    settings: options.Settings = None,
+    secure: options.Secure = "acl",
 ) -> None:
     """Make the credentials of all services of a compose file, and keep them in memory."""
     from mast_zenoh import scenario
@@ -167,7 +149,7 @@ def certificates(
 
 
 @app.command()
-def status(run_folder: RunPath, confirmed: Confirmed = False) -> None:
+def status(run_folder: options.RunPath, confirmed: options.Confirmed = False) -> None:
     """List the nodes of a run, their state and place."""
     kind, record = _deployed(run_folder, confirmed)
     table = Table("node", "state", "where", box=None)
@@ -181,10 +163,10 @@ def status(run_folder: RunPath, confirmed: Confirmed = False) -> None:
 
 @app.command()
 def logs(
-    run_folder: RunPath,
+    run_folder: options.RunPath,
     node: Annotated[str | None, typer.Argument(help="The node. Default: all.")] = None,
     follow: Annotated[bool, typer.Option("--follow", help="Continue with new output.")] = False,
-    confirmed: Confirmed = False,
+    confirmed: options.Confirmed = False,
 ) -> None:
     """Print the logs of a run's nodes."""
     kind, record = _deployed(run_folder, confirmed)
@@ -192,7 +174,7 @@ def logs(
 
 
 @app.command()
-def down(run_folder: RunPath, confirmed: Confirmed = False) -> None:
+def down(run_folder: options.RunPath, confirmed: options.Confirmed = False) -> None:
     """Remove what is left of a run that lost its launcher or machine."""
     kind, record = _deployed(run_folder, confirmed)
     kind.down(run_folder, record)
@@ -256,7 +238,7 @@ def _deployed(folder: Path, confirmed: bool) -> tuple[Any, dict[str, Any]]:
     if "engine" not in deployment or "id" not in record:
         raise RunFolderError(f"{folder / 'run.json'}: names no engine or no id, expected those of a deployed run")
     engine = str(deployment["engine"])
-    allowed = allowed_code(confirmed=confirmed)
+    allowed = options.allowed_code(confirmed=confirmed)
     places = ", ".join([engine, *(deployment.get("hosts") or ())])
     liveness.check_from_here(folder, record, allowed, f"where it was deployed: {places}")
     if engine not in engines.names():
@@ -265,10 +247,10 @@ def _deployed(folder: Path, confirmed: bool) -> tuple[Any, dict[str, Any]]:
     return engines.load(engine), record
 
 
-def _check_options(kind: Any, options: dict[str, Any]) -> None:
+def _check_options(kind: Any, parameters: dict[str, Any]) -> None:
     """Raise BadParameter for an option that the engine does not have."""
     accepted = inspect.signature(kind).parameters
-    for name in options:
+    for name in parameters:
         if name not in accepted:
             raise typer.BadParameter(
                 f"engine {kind.name} has no such option", param_hint=f"--{name.removesuffix('_s')}"

@@ -11,31 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from mast_zenoh.cli import completion, standard_streams
-from mast_zenoh.cli.options import (
-    Against,
-    AllowChurn,
-    AllowFailures,
-    Confirmed,
-    Frames,
-    Mode,
-    Out,
-    Rate,
-    Record,
-    Report,
-    RouterEndpoint,
-    RunPath,
-    Runtime,
-    Secure,
-    allowed_code,
-    check_environment,
-    check_reference,
-    conclude,
-    escaped,
-    reference_folder,
-    reporting,
-    run_argument,
-)
+from mast_zenoh.cli import completion, options, standard_streams
 from mast_zenoh.cli.options import err as _err
 from mast_zenoh.cli.options import out as _out
 from mast_zenoh.errors import ConfigurationError
@@ -49,8 +25,8 @@ if TYPE_CHECKING:
 
 _POLL_S = 0.2  # for new lines of logs
 
-FinishedRun = Annotated[Path, run_argument("The folder of a finished run.")]
-RunningRun = Annotated[Path, run_argument("The folder of a running run.")]
+FinishedRun = Annotated[Path, options.run_argument("The folder of a finished run.")]
+RunningRun = Annotated[Path, options.run_argument("The folder of a running run.")]
 
 # Options of films and stills
 Agent = Annotated[str | None, typer.Option(help="Whose estimates to show. Default: the main agent.")]
@@ -77,12 +53,12 @@ Captions = Annotated[
 
 
 def report(
-    run_folder: RunPath,
+    run_folder: options.RunPath,
     frame: Annotated[int | None, typer.Option(min=0, help="The frame that figures show.")] = None,
-    against: Against = None,
+    against: options.Against = None,
     measure: Annotated[bool, typer.Option("--measure", help="Measure the run again, from its recording.")] = False,
     figures: Annotated[list[Path] | None, typer.Option(help="A Python file whose figures are added.")] = None,
-    confirmed: Confirmed = False,
+    confirmed: options.Confirmed = False,
 ) -> None:
     """Write the report of a run again, compared with another run if one is named.
 
@@ -91,16 +67,16 @@ def report(
     from mast_zenoh.launch import measurement
     from mast_zenoh.report import html, terminal
 
-    check_reference(against)
+    options.check_reference(against)
     if missing := next((file for file in figures or () if not file.is_file()), None):
         raise ConfigurationError(f"no file {str(missing)!r}: --figures expects a Python file")
-    allowed = allowed_code(*(figures or ()), confirmed=confirmed)
+    allowed = options.allowed_code(*(figures or ()), confirmed=confirmed)
     if measure or measurement.can_fill_in(run_folder):
         for refused in measurement.measure(run_folder, allowed):
             _err.plain(f"warning: {refused}")
         _out.plain(f"measured: {run_folder / measurement.METRICS}")
-    other = None if against is None else reference_folder(run_folder, against, allowed)
-    with reporting(run_folder):
+    other = None if against is None else options.reference_folder(run_folder, against, allowed)
+    with options.reporting(run_folder):
         if other is not None:
             terminal.show_run(_out, run_folder, other)
         _out.plain(f"report: {html.write_report(run_folder, frame, other, figures or ())}")
@@ -180,17 +156,17 @@ def snapshot(
 _LOOK = ("agent", "camera", "window", "theme", "size", "dpi", "plain", "title")
 
 
-def _look(options: Mapping[str, Any]) -> Look:
+def _look(values: Mapping[str, Any]) -> Look:
     """What a film or a still shows, by the options of its command."""
     from mast_zenoh.report.film.look import Look
 
-    estimates, captions = (tuple(options[name] or ()) for name in ("estimates", "captions"))
-    chosen = {name: options[name] for name in _LOOK}
+    estimates, captions = (tuple(values[name] or ()) for name in ("estimates", "captions"))
+    chosen = {name: values[name] for name in _LOOK}
     return Look(estimates=estimates or ("picture",), captions=captions, **chosen)
 
 
 def logs(
-    run_folder: RunPath,
+    run_folder: options.RunPath,
     node: Annotated[
         str | None,
         typer.Argument(metavar="[NODE]", help="The node. Default: all.", autocompletion=completion.logged_nodes),
@@ -211,7 +187,7 @@ def logs(
             running = follow and run_logs.running  # asked first: a node may log until the run ends
             for line in run_logs.new_lines(partial=not running):
                 prefix = f"{line.node}  " if node is None else ""
-                sys.stdout.write(f"{escaped(prefix + line.text)}\n")
+                sys.stdout.write(f"{options.escaped(prefix + line.text)}\n")
                 printed = True
                 if received:
                     break
@@ -240,7 +216,7 @@ def intercept(
     settings: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A parameter of the node, or a dotted path.")
     ] = None,
-    confirmed: Confirmed = False,
+    confirmed: options.Confirmed = False,
 ) -> None:
     """Insert a node into a wire during a run; no message is lost or duplicated."""
     from mast_zenoh.launch import live_interception
@@ -253,7 +229,7 @@ def intercept(
         input=input,
         output=output,
         settings=settings or (),
-        allowed=allowed_code(node.partition(":")[0], confirmed=confirmed),
+        allowed=options.allowed_code(node.partition(":")[0], confirmed=confirmed),
     )
     _show_result(f"{result['node']} is on", result)
 
@@ -264,14 +240,16 @@ def release(
     wire: Annotated[
         str | None, typer.Option(help="Instead of a name: the wire whose only inserted node is released.")
     ] = None,
-    confirmed: Confirmed = False,
+    confirmed: options.Confirmed = False,
 ) -> None:
     """Release a node from its wires during a run, after its messages are forwarded."""
     from mast_zenoh.launch import live_interception
 
     if (name is None) == (wire is None):
         raise typer.BadParameter("expected either --name or --wire", param_hint="--name / --wire")
-    result = live_interception.release(run_folder, name=name, wire=wire, allowed=allowed_code(confirmed=confirmed))
+    result = live_interception.release(
+        run_folder, name=name, wire=wire, allowed=options.allowed_code(confirmed=confirmed)
+    )
     _show_result(f"{result['node']} is off", result)
 
 
@@ -281,7 +259,7 @@ def _show_result(subject: str, result: dict[str, Any]) -> None:
 
 
 def replay(
-    run_folder: Annotated[Path, run_argument("The folder of a recorded run.")],
+    run_folder: Annotated[Path, options.run_argument("The folder of a recorded run.")],
     place: Annotated[
         Literal["agents", "simulator"],
         typer.Option("--from", help="Play what the agents sent, or what the simulator sent. All after it is live."),
@@ -295,23 +273,23 @@ def replay(
     settings: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A setting of a live node, as a dotted path.")
     ] = None,
-    frames: Frames = None,
+    frames: options.Frames = None,
     loop: Annotated[bool, typer.Option("--loop", help="Repeat the recording until Ctrl-C, or --times.")] = False,
     times: Annotated[int | None, typer.Option(min=1, help="How often to play the recording.")] = None,
-    runtime: Runtime = "mesh",
-    mode: Mode = None,
-    rate: Rate = None,
-    out: Out = None,
-    endpoint: RouterEndpoint = None,
-    secure: Secure = "open",
-    report: Report = True,
-    record: Record = True,
-    allow_failures: AllowFailures = False,
-    allow_churn: AllowChurn = False,
+    runtime: options.Runtime = "mesh",
+    mode: options.Mode = None,
+    rate: options.Rate = None,
+    out: options.Out = None,
+    endpoint: options.RouterEndpoint = None,
+    secure: options.Secure = "open",
+    report: options.Report = True,
+    record: options.Record = True,
+    allow_failures: options.AllowFailures = False,
+    allow_churn: options.AllowChurn = False,
     against: Annotated[
         str | None, typer.Option(metavar="RUN", help="Compare with another run, such as the recorded one.")
     ] = None,
-    confirmed: Confirmed = False,
+    confirmed: options.Confirmed = False,
 ) -> None:
     """Play a recorded run to live nodes, such as a changed command centre.
 
@@ -324,11 +302,11 @@ def replay(
         raise typer.BadParameter(
             "a replay has no twin: expected the recorded run, or another one", param_hint="--against"
         )
-    check_reference(against)
+    options.check_reference(against)
     if mode == "lockstep" and rate is not None:
         raise typer.BadParameter("lock-step waits for every node: expected --mode realtime", param_hint="--rate")
     chosen = mode or ("lockstep" if rate is None else "realtime")
-    check_environment(runtime, chosen, secure, endpoint)
+    options.check_environment(runtime, chosen, secure, endpoint)
     files = [value for _, is_set, value in (item.partition(".file=") for item in settings or ()) if is_set]
     prepared = replays.resolve(
         run_folder,
@@ -340,7 +318,7 @@ def replay(
         mode=chosen,
         rate=1.0 if rate is None else rate,
         record=record,
-        allowed=allowed_code(scenario, *files, confirmed=confirmed),
+        allowed=options.allowed_code(scenario, *files, confirmed=confirmed),
     )
     for line in prepared.lines():
         _out.plain(line)
@@ -349,4 +327,4 @@ def replay(
     environment: dict[str, Any] = {"runtime": runtime, "endpoint": endpoint, "secure": secure}
     allowed: dict[str, Any] = {"allow_failures": allow_failures, "allow_churn": allow_churn}
     finished = launcher.run(prepared.resolved, out, **environment, **allowed, console=_out, replay=prepared.record())
-    conclude(finished, report=report, against=against, allow_failures=allow_failures)
+    options.conclude(finished, report=report, against=against, allow_failures=allow_failures)

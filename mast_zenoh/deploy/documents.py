@@ -163,8 +163,6 @@ def compose(
     user: str = USER,
     environment: Mapping[str, str] | None = None,
     patience_s: float = 10.0,
-    cpus: float = 1.0,
-    memory: str = "1g",
     launcher: Launcher | None = None,
 ) -> dict[str, Any]:
     """The compose file of a run as plain values.
@@ -172,7 +170,6 @@ def compose(
     user:     UID:GID of all processes inside; on a secure mesh it must own the credentials
     environment: variables of all processes inside, besides the image's own
     patience_s: how long nodes run without a launcher, s; extended by the longest disconnection of each node
-    cpus, memory: limits of each container
     launcher: the launcher inside; None: it is outside
 
     Raises ConfigurationError for a node's name that Compose does not allow.
@@ -190,8 +187,8 @@ def compose(
         cap_drop=["ALL"],
         security_opt=["no-new-privileges:true"],
         restart="no",
-        cpus=cpus,
-        mem_limit=memory,
+        cpus=1.0,
+        mem_limit="1g",
         pids_limit=200,
         healthcheck={
             "test": ["CMD", "test", "-e", f"/tmp/{UP}"],
@@ -388,7 +385,7 @@ def stack(
     place:  by node, the value of the label `mast.host` that its machine must have
     absent: nodes that do not start with the run
     options: settings of the compose file: image (NAME@DIGEST, or the id of an image that every machine has), secure,
-             environment, patience_s, cpus, memory
+             environment, patience_s
 
     Raises ConfigurationError for a node's name that a swarm does not allow.
     """

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tiny_world import TinyScene
 
 from mast_zenoh import checks
 from mast_zenoh.checks import Check
@@ -37,7 +37,7 @@ def scenario(**keys: Any) -> tuple[Path, dict[str, Any]]:
     from mast_zenoh import scenario as scenarios
 
     path, content = scenarios.load("baseline", ["n_infrastructure=2"])
-    return path, {**content, "scene": dict(type="TinyScene", n_infrastructure=2), **keys}
+    return path, {**content, "scene": dict(type=TinyScene.__name__, n_infrastructure=2), **keys}
 
 
 def recorded(out: Path, *, frames: int = FRAMES, record: bool = True, **keys: Any) -> tuple[Path, Resolved]:
@@ -114,8 +114,3 @@ def without_row(body: dict[str, Any]) -> dict[str, Any]:
 def checked(folder: Path, resolved: Resolved) -> dict[str, Check]:
     """The checks of a run, by name."""
     return {check.name: check for check in checks.run(folder, resolved)}
-
-
-def in_real_time(resolved: Resolved) -> Resolved:
-    """Mark the run as paced in real time."""
-    return replace(resolved, mode="realtime")

@@ -1,12 +1,14 @@
-"""Composed runs equal local runs and leave nothing behind. Needs Docker."""
+"""Composed runs, and those of shipped files by themselves, equal local ones and leave nothing behind. Needs Docker."""
 
 from __future__ import annotations
 
 import json
 import os
 import signal
-from collections.abc import Callable
+import subprocess
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from containers import built, mast, remnants_of
@@ -14,6 +16,8 @@ from equal_runs import assert_equal
 from launched import MAST, Launched, eventually
 
 from mast_zenoh import scenario
+from mast_zenoh.deploy.compose import command
+from mast_zenoh.deploy.compose_inside import EXAMPLES
 from mast_zenoh.deploy.docker import docker
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.messagelog.reader import read
@@ -21,7 +25,12 @@ from mast_zenoh.runtime.mesh.hosting import UP
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh, pytest.mark.timeout(600)]
 SMALL = ("n_infrastructure=2", "n_adversaries=1", "attack_start_s=0.1")
-FAULTED = ("n_infrastructure=2", "attack_start_s=0.1", "partition_s=0.2", "partition_until_s=0.4", "kill_s=0.5")
+PARTITION = ("n_infrastructure=2", "attack_start_s=0.1", "partition_s=0.2", "partition_until_s=0.4")
+RESTARTED = (*PARTITION, "kill_s=0.5", "restart_after_s=0.3")
+FOLDER = Path(__file__).parents[2] / "deploy" / "compose"
+FRAMES = 5
+
+Compose = Callable[..., "subprocess.CompletedProcess[str]"]
 
 
 @pytest.fixture
@@ -48,28 +57,31 @@ def here(name: str, of: tuple[str, ...], frames: int, out: Path) -> launcher.Run
     return outcome
 
 
+def ended(run: Launched, expected: int = 0) -> dict[str, Any]:
+    """run.json of a run that has ended with this code, and of which nothing is left."""
+    code, output = run.end()
+    assert code == expected, output
+    record = run.record()
+    assert not remnants_of(record["id"])
+    return record
+
+
 def test_a_secure_composed_run_equals_the_local_one_exactly(up, tmp_path: Path) -> None:
     run = up("uncoordinated", "--frames", "5", "--secure", *settings(SMALL))
     plain = here("uncoordinated", SMALL, 5, tmp_path / "here")
-    code, output = run.end()
-    assert code == 0, output
+    record = ended(run)
     assert_equal(plain.folder, run.out)
-    record = run.record()
     assert record["security"] == "acl"
     assert all(node["exit"] == 0 and node["container"] and node["clock"] for node in record["nodes"].values())
-    assert not remnants_of(record["id"])
 
 
 def test_a_restarted_node_takes_part_as_in_a_local_run(up, tmp_path: Path) -> None:
-    words = [*FAULTED, "restart_after_s=0.3"]
-    run = up("attack_during_partition", "--frames", "10", *settings(tuple(words)))
-    plain = here("attack_during_partition", tuple(words), 10, tmp_path / "here")
-    code, output = run.end()
-    assert code == 0, output
-    assert [step["action"] for step in run.record()["steps"]] == ["kill", "start"]
-    assert run.record()["nodes"]["infra_2"]["restarts"] == 1
+    run = up("attack_during_partition", "--frames", "10", *settings(RESTARTED))
+    plain = here("attack_during_partition", RESTARTED, 10, tmp_path / "here")
+    record = ended(run)
+    assert [step["action"] for step in record["steps"]] == ["kill", "start"]
+    assert record["nodes"]["infra_2"]["restarts"] == 1
     assert_equal(plain.folder, run.out)
-    assert not remnants_of(run.record()["id"])
 
 
 FAULTY = """
@@ -91,19 +103,14 @@ def faulty(folder: Path, kind: str, **times: float) -> str:
 
 def test_a_paused_node_stops_and_continues(up, tmp_path: Path) -> None:
     run = up(faulty(tmp_path, "Pause", at=0.5, until=2.0), "--mode", "realtime", "--frames", "40")
-    code, output = run.end()
-    assert code == 0, output
-    assert [step["action"] for step in run.record()["steps"]] == ["pause", "resume"]
+    assert [step["action"] for step in ended(run)["steps"]] == ["pause", "resume"]
     spoken = {message.frame for message in read(run.out / "messages.mcap") if message.key == "agent/infra_1/tracks"}
     assert max(spoken) > 30, "the run continues"
-    assert not remnants_of(run.record()["id"])
 
 
 def test_a_disconnected_node_is_silent_and_returns(up, tmp_path: Path) -> None:
     run = up(faulty(tmp_path, "Unplug", at=2.0, until=5.0), "--mode", "realtime", "--frames", "110")
-    code, output = run.end()
-    assert code == 0, output
-    record = run.record()
+    record = ended(run)
     assert [step["action"] for step in record["steps"]] == ["disconnect", "connect"]
     assert record["nodes"]["infra_1"]["exit"] == 0
     assert record["nodes"]["infra_1"]["restarts"] == 0, "it is the same process"
@@ -113,7 +120,6 @@ def test_a_disconnected_node_is_silent_and_returns(up, tmp_path: Path) -> None:
     assert max(frames) >= 105, "it reconnects by itself and rejoins at the current frame"
     checks = json.loads((run.out / "checks.json").read_text())["checks"]
     assert all(check["ok"] for check in checks), checks
-    assert not remnants_of(record["id"])
 
 
 def test_a_node_disconnected_at_the_end_still_delivers_its_results(up, tmp_path: Path) -> None:
@@ -126,11 +132,8 @@ def test_a_node_disconnected_at_the_end_still_delivers_its_results(up, tmp_path:
     )
     eventually(lambda: UP not in docker("exec", where, "ls", "/tmp"), "the node has noticed")
     run.process.send_signal(signal.SIGINT)
-    code, output = run.end()
-    assert code == 130, output
-    record = run.record()
-    assert record["nodes"]["infra_1"]["last_frame"] is not None, record["nodes"]["infra_1"]
-    assert not remnants_of(record["id"])
+    node = ended(run, 130)["nodes"]["infra_1"]
+    assert node["last_frame"] is not None, node
 
 
 def test_ctrl_c_keeps_the_results_obtained_so_far_and_leaves_nothing_running(up) -> None:
@@ -150,13 +153,10 @@ def test_ctrl_c_keeps_the_results_obtained_so_far_and_leaves_nothing_running(up)
     foreign = docker("run", "--detach", "--name", f"foreign-{os.getpid()}", *words).strip()
     try:
         run.process.send_signal(signal.SIGINT)
-        code, output = run.end()
-        assert code == 130, output
-        assert not remnants_of(record["id"]), "also with a foreign container on a network of the run"
+        assert ended(run, 130)["status"] == "interrupted", "also with a foreign container on a network of the run"
         assert docker("inspect", "--format", "{{.State.Running}}", foreign).strip() == "true", "it is not ours to end"
     finally:
         docker("rm", "--force", foreign)
-    assert run.record()["status"] == "interrupted"
     assert json.loads((run.out / "metrics.json").read_text())["frames"] > 0
     assert sum(1 for _ in read(recording)) > 0
     assert not [path for path in run.out.rglob("*") if path.is_file() and b"PRIVATE KEY" in path.read_bytes()]
@@ -179,3 +179,75 @@ def test_nodes_of_a_killed_launcher_exit_and_down_removes_the_remainder(up) -> N
     assert not remnants_of(record["id"])
     assert not (run.out / "credentials").exists()
     assert mast("deploy", "down", str(run.out)).returncode == 0, "repeating it does no harm"
+
+
+# -- docker-compose up on a file, without mast ----------------------------------------------------------------------
+
+
+@pytest.fixture
+def compose() -> Iterator[Compose]:
+    """Runs docker-compose on a file, in a project of its own; afterwards nothing of it is left."""
+    files: list[Path] = []
+    environment = {"MAST_IMAGE": built(launcher=True), "MAST_FRAMES": str(FRAMES), "COMPOSE_HTTP_TIMEOUT": "240"}
+
+    def run(file: Path, *words: str, **variables: str) -> subprocess.CompletedProcess[str]:
+        files.append(file)
+        environ = os.environ | environment | {"COMPOSE_PROJECT_NAME": f"test-{file.stem}"} | variables
+        words = (*command(), "--file", str(file), *words)
+        return subprocess.run(words, env=environ, capture_output=True, text=True, timeout=400, check=False)
+
+    yield run
+    for file in dict.fromkeys(files):
+        run(file, "down", "--volumes")
+        assert not remnants_of(file.stem)
+
+
+def codes(run: str) -> dict[str, str]:
+    """The state of every container of a run, all of which have ended."""
+    rows = docker("ps", "--all", "--filter", f"label=org.mast-zenoh.run={run}", "--format", "{{.Names}}\t{{.Status}}")
+    return {name: state.split(") ")[0] for name, state in (row.split("\t") for row in rows.splitlines())}
+
+
+def results(run: str, output: str, folder: Path) -> Path:
+    """The run folder, copied as the output says."""
+    (line,) = [line.partition("| ")[2] for line in output.splitlines() if "docker cp" in line]
+    _, cp, source, _ = line.split()
+    docker(cp, source, str(folder / run))
+    return folder / run
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_docker_compose_up_on_a_shipped_file_ends_by_itself_with_results(
+    compose: Compose, name: str, tmp_path: Path
+) -> None:
+    process = compose(FOLDER / f"{name}.yml", "up", "--no-color")
+    assert process.returncode == 0, process.stdout + process.stderr
+    states = codes(name)
+    assert f"mast-{name}-launcher" in states
+    assert set(states.values()) == {"Exited (0"}, (states, process.stdout)
+    out = results(name, process.stdout, tmp_path)
+    record = json.loads((out / "run.json").read_text())
+    assert record["status"] == "ok", record["message"]
+    assert record["security"] == EXAMPLES[name][1]
+    assert (out / "report.html").is_file()
+    assert_equal(here(EXAMPLES[name][0], (), FRAMES, tmp_path / "here").folder, out)
+    assert not [path for path in out.rglob("*") if path.is_file() and b"PRIVATE KEY" in path.read_bytes()]
+
+
+def test_a_node_that_the_scenario_kills_starts_again_in_its_container(compose: Compose, tmp_path: Path) -> None:
+    file = tmp_path / "killed.yml"
+    words = ("attack_during_partition", *settings(RESTARTED), "--secure", "--run", "killed")
+    file.write_text(mast("deploy", "write", *words).stdout)
+    process = compose(file, "up", "--no-color", MAST_FRAMES="10")
+    assert process.returncode == 0, process.stdout + process.stderr
+    out = results("killed", process.stdout, tmp_path)
+    record = json.loads((out / "run.json").read_text())
+    assert [step["action"] for step in record["steps"]] == ["kill", "start"]
+    assert record["nodes"]["infra_2"]["restarts"] == 1
+    assert_equal(here("attack_during_partition", RESTARTED, 10, tmp_path / "here").folder, out)
+
+
+def test_the_exit_code_of_the_launcher_is_that_of_compose(compose: Compose) -> None:
+    process = compose(FOLDER / "baseline.yml", "up", "--exit-code-from", "launcher", MAST_FRAMES="0")
+    assert process.returncode == 2, process.stdout + process.stderr
+    assert all(state.startswith("Exited") for state in codes("baseline").values())

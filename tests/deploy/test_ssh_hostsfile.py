@@ -102,18 +102,15 @@ def test_nodes_are_placed_by_name_then_by_role_then_in_turn() -> None:
     assert everywhere == {"simulator": "h0", "ego": "h1", "infra_1": "h0", "infra_2": "h0", "broker": "h1"}
 
 
-@pytest.mark.parametrize(
-    ("of", "expected"),
-    [
+def test_a_placement_that_contradicts_the_scenario_is_refused() -> None:
+    for of, expected in (
         (('nodes = ["infra_11"]',), "h.toml: hosts.h0.nodes[0]: no node 'infra_11'; did you mean 'infra_1'?"),
         (('roles = ["agnt"]',), "h.toml: hosts.h0.roles[0]: there is no role 'agnt'; did you mean 'agent'?"),
         (('nodes = ["ego"]', 'nodes = ["e*"]'), "h.toml: hosts.h1.nodes[0]: ego is already on h0"),
-    ],
-)
-def test_a_placement_that_contradicts_the_scenario_is_refused(of: tuple[str, ...], expected: str) -> None:
-    with pytest.raises(ConfigurationError) as refused:
-        placed(*of)
-    assert expected in str(refused.value)
+    ):
+        with pytest.raises(ConfigurationError) as refused:
+            placed(*of)
+        assert expected in str(refused.value)
 
 
 @given(st.lists(st.sampled_from(["", "spread = true", 'roles = ["agent"]', 'nodes = ["ego"]']), min_size=1, max_size=5))

@@ -158,25 +158,23 @@ def test_a_router_that_ended_on_a_host_is_named_with_its_host_instead_of_a_node(
 KILLED = "task: non-zero exit (137)"
 
 
-def line(identity: str, state: str, error: str = "") -> str:
-    return f"{identity}\t{documents.service_name(RUN, 'infra_1')}.1\there\tRunning\t{state}\t{error}"
-
-
 @pytest.mark.parametrize(
-    ("state", "code", "refused"),
+    ("state", "error", "code", "refused"),
     [
-        (("Running 3 seconds ago",), None, ""),
-        (("Preparing less than a second ago",), None, ""),
-        (("Complete 2 seconds ago",), 0, ""),
-        (("Failed 2 seconds ago", '"task: non-zero exit (3)"'), 3, ""),
-        (("Failed 2 seconds ago", f'"{KILLED}"'), -9, ""),
-        (("Failed 1 second ago", f'"{KILLED}: dockerexec: unhealthy container"'), -9, ""),
-        (("Rejected 1 second ago", '"No such image: x"'), 125, "here: No such image: x; no registry has it"),
-        (("Shutdown 1 second ago",), -15, ""),
+        ("Running 3 seconds ago", "", None, ""),
+        ("Preparing less than a second ago", "", None, ""),
+        ("Complete 2 seconds ago", "", 0, ""),
+        ("Failed 2 seconds ago", "task: non-zero exit (3)", 3, ""),
+        ("Failed 2 seconds ago", KILLED, -9, ""),
+        ("Failed 1 second ago", f"{KILLED}: dockerexec: unhealthy container", -9, ""),
+        ("Rejected 1 second ago", "No such image: x", 125, "here: No such image: x; no registry has it"),
+        ("Shutdown 1 second ago", "", -15, ""),
     ],
 )
-def test_the_exit_code_of_a_task_is_read_from_docker(state: tuple[str, ...], code: int | None, refused: str) -> None:
-    (task,) = swarm.parse_tasks(STACK, [line("t1", *state)])["infra_1"]
+def test_the_exit_code_of_a_task_is_read_from_docker(state: str, error: str, code: int | None, refused: str) -> None:
+    name = f"{documents.service_name(RUN, 'infra_1')}.1"
+    line = "\t".join(["t1", name, "here", "Running", state, f'"{error}"' if error else ""])
+    (task,) = swarm.parse_tasks(STACK, [line])["infra_1"]
     assert task.exit == code
     assert task.refused.partition(": `docker save`")[0] == refused
 
@@ -260,23 +258,23 @@ def test_a_node_without_a_suitable_machine_ends_the_run_with_the_reason(services
         services.running()
 
 
-def test_a_lock_step_run_does_not_survive_its_router(services: Services, dockerd: Dockerd) -> None:
+def test_a_lock_step_run_does_not_survive_its_router_and_a_real_time_run_waits_for_it_for_a_limited_time(
+    services: Services, dockerd: Dockerd
+) -> None:
+    ended = pytest.raises(EngineError, match=r"the router has ended: killed by signal 9 .*; see logs/router\.log")
+    there, failed = dockerd.router, dockerd.router._replace(state="failed", error=KILLED)
     dockerd.say(("t1", "running", ""))
     assert services.running()
-    dockerd.router = dockerd.router._replace(state="failed", error=KILLED)
+    dockerd.router = failed
     dockerd.say(("t1", "running", ""))
-    with pytest.raises(EngineError, match=r"the router has ended: killed by signal 9 .*; see logs/router\.log"):
+    with ended:
         services.running()
-
-
-def test_a_real_time_run_waits_for_its_router_for_a_limited_time(services: Services, dockerd: Dockerd) -> None:
     services.context.resolved.mode = "realtime"  # type: ignore[misc]
-    there, failed = dockerd.router, dockerd.router._replace(state="failed", error=KILLED)
     for dockerd.router in (there, failed, failed, there, failed, failed, failed):
         dockerd.say(("t1", "running", ""))
         assert services.running()
     dockerd.now += 10.0
-    with pytest.raises(EngineError, match="the router has ended"):
+    with ended:
         services.running()
 
 
@@ -310,11 +308,7 @@ def test_docker_may_be_unavailable_only_for_a_short_time(
 
 def test_a_machine_without_a_swarm_has_only_containers_of_a_stack(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
-
-    def docker(*words: str, **_: Any) -> str:
-        asked.append(words[0])
-        return "inactive" if words[0] == "info" else ""
-
-    monkeypatch.setattr(swarm, "docker", docker)
+    answers = {"info": "inactive"}
+    monkeypatch.setattr(swarm, "docker", lambda *words, **_: (asked.append(words[0]), answers.get(words[0], ""))[1])
     swarm.remove_stack("mast-1")
     assert asked == ["info", "container", "network"]

@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import imageio_ffmpeg
 import pytest
 from containers import base
+from launched import eventually
 from page_commands import play_page
 from PIL import Image
 
@@ -121,24 +124,51 @@ def test_the_liar_is_trusted_less_only_if_it_is_naive(defended: Path) -> None:
     assert trust["adaptive"]["infra_1"] >= least["adaptive"]
 
 
-# -- deployment --------------------------------------------------------------------------------------------------------
+# -- commands that are not in one terminal, or not on one machine ------------------------------------------------------
+
+
+def shell(line: str, folder: Path) -> None:
+    """Run the command of a line in a folder."""
+    environment = os.environ | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    options: dict[str, Any] = dict(shell=True, capture_output=True, text=True, check=False)
+    process = subprocess.run(line.removeprefix("$ "), cwd=folder, env=environment, **options)
+    assert process.returncode == 0, f"{line}\n{process.stdout}{process.stderr}"
+
+
+@pytest.mark.mesh
+def test_every_file_and_command_of_the_page_on_interception_works_as_written(tmp_path: Path) -> None:
+    example = page("interception").split("## An example")[1].split("\n## ")[0]
+    blocks = re.findall(r"^```(console terminal=1|console|python file=(\S+))\n(.*?)^```$", example, flags=re.S | re.M)
+    assert len(blocks) == len(re.findall(r"^```\w", example, flags=re.M)) == 4, "a block that no test runs"
+    (_, _, first), *files, (_, _, others) = blocks
+    environment = os.environ | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    run = subprocess.Popen(first.removeprefix("$ ").split(), cwd=tmp_path, env=environment, stdout=subprocess.DEVNULL)
+    record = tmp_path / "watched" / "run.json"
+    try:
+        for _, file, text in files:
+            (tmp_path / file).write_text(text)
+        eventually(lambda: record.is_file() and json.loads(record.read_text())["nodes"], "the run begins", 60.0)
+        for line in others.splitlines():
+            shell(line, tmp_path)
+    finally:
+        run.send_signal(signal.SIGINT)
+        run.wait(60)
+    did = [(entry["action"], entry["node"]) for entry in json.loads(record.read_text())["interceptions"]]
+    assert did == [(action, name) for name in ("half_1", "late", "mallory") for action in ("intercept", "release")]
+    measured = json.loads((tmp_path / "watched" / "metrics.json").read_text())["interposers"]["late"]
+    assert measured["effects"]["moved"] > 0
 
 
 @pytest.mark.mesh
 @pytest.mark.timeout(600)
 def test_every_command_of_the_page_on_deployment_for_one_machine_works_as_written(tmp_path: Path) -> None:
     here = base()
-    environment = os.environ | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
     blocks = re.findall(r"^```console( image)?\n(.*?)^```$", page("deploy"), flags=re.S | re.M)
     assert len(blocks) >= 3
     for image, text in blocks:
         for line in text.splitlines():
             assert line.startswith("$ ")
-            command = line[2:].replace("python:3.12-slim", here) if image else line[2:]
-            process = subprocess.run(
-                command, shell=True, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
-            )
-            assert process.returncode == 0, f"{line}\n{process.stdout}{process.stderr}"
+            shell(line.replace("python:3.12-slim", here) if image else line, tmp_path)
     assert (tmp_path / "composed" / "report.html").is_file()
 
 

@@ -23,18 +23,12 @@ from mast_zenoh.messages.limits import Timespan
 from mast_zenoh.study import definition
 from mast_zenoh.study.outsider import comparison
 from mast_zenoh.study.outsider.attacked_run import Detour, attacker_errors
-from mast_zenoh.study.outsider.attempts import Attempt, Outcome, RogueRouter, Sybil
+from mast_zenoh.study.outsider.attempts import Outcome, RogueRouter, Sybil
 from mast_zenoh.study.outsider.comparison import STRAY
 
 BASELINE = "loading.function('scenarios', 'baseline', 'scenario')"
 INJECT = "dict(type='Inject', name='a', wire='cc/picture')"
-
-
-def listed(tmp_path: Path, *attempts: str) -> list[Attempt]:
-    """Load the attempts of a scenario file that lists these."""
-    file = tmp_path / "mine.py"
-    file.write_text(f"def scenario():\n    return {{}}\ndef outsider():\n    return [{', '.join(attempts)}]\n")
-    return comparison.load(str(file))
+SECOND = INJECT.replace("'a'", "'b'")
 
 
 def test_shipped_outsider_makes_every_attempt_of_the_threat_model() -> None:
@@ -46,33 +40,24 @@ def test_shipped_outsider_makes_every_attempt_of_the_threat_model() -> None:
 
 
 @pytest.mark.parametrize(
-    ("listed", "message"),
+    ("outsider", "message"),
     [
         ("", "lists no attempts: expected a function `outsider`"),
-        ("def outsider():\n    return 7", "returned int, expected a list of dicts"),
+        ("7", "returned int, expected a list of dicts"),
+        (f"[{INJECT}, {INJECT}]", "two attempts have the name 'a'"),
+        (f"[{INJECT}, {SECOND}]", "two attempts have the key 'cc/picture'"),
+        ("[dict(type='Injekt')]", "'Inject'"),
+        (f"[{INJECT.replace('wire', 'wires')}]", "'wire'"),
     ],
 )
-def test_study_without_attempts_or_with_invalid_ones_is_rejected(tmp_path: Path, listed: str, message: str) -> None:
-    (tmp_path / "mine.py").write_text(f"from mast_zenoh.config import loading\n_, scenario = {BASELINE}\n{listed}\n")
+def test_missing_invalid_or_ambiguous_attempts_are_rejected(tmp_path: Path, outsider: str, message: str) -> None:
+    function = f"def outsider():\n    return {outsider}" if outsider else ""
+    (tmp_path / "mine.py").write_text(f"from mast_zenoh.config import loading\n_, scenario = {BASELINE}\n{function}\n")
     content = f"dict(name='s', runs=dict(a=dict(scenario={str(tmp_path / 'mine.py')!r})), security=['acl'])"
     (tmp_path / "s.py").write_text(f"def study():\n    return {content}\n")
     with pytest.raises(ConfigurationError, match=message):
         comparison.run(definition.load(str(tmp_path / "s.py")), tmp_path / "out")
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize(
-    ("attempts", "message"),
-    [
-        ((INJECT, INJECT), "two attempts have the name 'a'"),
-        ((INJECT, INJECT.replace("'a'", "'b'")), "two attempts have the key 'cc/picture'"),
-        (("dict(type='Injekt')",), "'Inject'"),
-        ((INJECT.replace("wire", "wires"),), "'wire'"),
-    ],
-)
-def test_invalid_or_ambiguous_attempts_are_rejected(tmp_path: Path, attempts, message: str) -> None:
-    with pytest.raises(ConfigurationError, match=message):
-        listed(tmp_path, *attempts)
 
 
 def test_interrupted_study_keeps_its_rows_and_status(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -109,18 +94,9 @@ def test_study_levels_are_validated(tmp_path: Path) -> None:
     assert definition.load("case_study").security == ()
 
 
-@pytest.mark.parametrize(
-    ("outcome", "succeeded"),
-    [
-        (Outcome(), False),
-        (Outcome(admitted=True, sent=20, expected=20), False),
-        (Outcome(reached=1), True),
-        (Outcome(heard=1), True),
-        (Outcome(lured=1), True),
-    ],
-)
-def test_attempt_succeeds_if_any_message_was_injected_overheard_or_diverted(outcome: Outcome, succeeded: bool) -> None:
-    assert outcome.succeeded is succeeded
+def test_attempt_succeeds_if_any_message_was_injected_overheard_or_diverted() -> None:
+    assert not any(each.succeeded for each in (Outcome(), Outcome(admitted=True, sent=20, expected=20)))
+    assert all(each.succeeded for each in (Outcome(reached=1), Outcome(heard=1), Outcome(lured=1)))
 
 
 EFFECTS = comparison.Effects(
@@ -177,10 +153,10 @@ def test_two_invented_agents_claim_different_places() -> None:
     assert np.array_equal(places[0], places[2])
 
 
-@pytest.mark.parametrize("wrong", [dict(objects=-1), dict(messages=0)])
-def test_impossible_numbers_are_refused(wrong: dict[str, int]) -> None:
-    with pytest.raises(ValueError, match="objects, messages"):
-        Sybil("a", "infra_3", **wrong)
+def test_impossible_numbers_are_refused() -> None:
+    for wrong in (dict(objects=-1), dict(messages=0)):
+        with pytest.raises(ValueError, match="objects, messages"):
+            Sybil("a", "infra_3", **wrong)
 
 
 def test_the_agents_that_the_outsider_plays_are_absent_at_first() -> None:

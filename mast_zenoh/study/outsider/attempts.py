@@ -168,7 +168,7 @@ class AskRouter(Attempt):
             return Outcome(True, heard=sum(not str(reply.key_expr).startswith(own_prefix) for reply in replies))
 
 
-class RogueRouter(Attempt):
+class RogueRouter(Inject):
     """Redirect a node's connection to a rogue router, itself a client of the real one.
 
     node: the redirected node; wire: key of messages forged for it; shows: credentials of the rogue router
@@ -177,15 +177,8 @@ class RogueRouter(Attempt):
     by_certificate = False
 
     def __init__(self, name: str, node: str, wire: str, shows: str = NOTHING, messages: int = 20) -> None:
-        super().__init__(name, shows)
-        self.node = node
-        self.wire = wire
-        self.messages = messages
-        self.detour_node = node
-
-    @property
-    def key(self) -> str:
-        return self.wire
+        super().__init__(name, wire, shows, messages)
+        self.node = self.detour_node = node
 
     def make(self, attacked_run: AttackedRun) -> Outcome:
         outcome = Outcome(key=self.wire, expected=self.messages * attacked_run.subscriber_count(self.wire))
