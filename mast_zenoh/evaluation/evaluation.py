@@ -44,7 +44,6 @@ from mast_zenoh.metrics import (
 )
 from mast_zenoh.metrics.attributor import Withheld
 from mast_zenoh.metrics.measures import MEASURES, ScoredRun, check, estimates_of, frame_keys, measured, per_frame
-from mast_zenoh.metrics.record import TruthTable
 from mast_zenoh.metrics.trust import Fault, TrustUpdate
 from mast_zenoh.wiring.model import agent_of
 
@@ -209,39 +208,35 @@ class Evaluation:
         ages_s = {agent: self.picture_ages_s.get(agent, self.picture_age_s) for agent in data.record.agents}
         data.record.hold_pictures({agent: round(age_s * 1e9) for agent, age_s in ages_s.items()}, data.times_ns)
         scores = self.scorer.score(data.record)
-        truth, agents = scores.pairs.truth, data.record.agents
+        truth, agents, min_points = scores.truth, scores.agents, self.scorer.min_points
         effects = _measured(data, scores)
         from_absence = effects_of_absence(effects, data.presence.absences(scores.frames), scores.frames)
         interposed = manipulations(
             effects,
             data.roles,
             scores.series,
-            truth.boxes.in_group(scores.frames[truth.boxes.group]),
+            truth.boxes.in_group(scores.truth_frame),
             data.period_s,
             from_absence,
             self.attribution,
         )
         spoofs = [meter.effects.spoofs for meter in data.meter.meters]
         duration = round(self.attribution.coast_s / data.period_s)
-        interposed = add_pose_manipulations(
-            interposed, effects, spoofs, truth, agents, scores.frames, self.scorer.min_points, duration
-        )
+        interposed = add_pose_manipulations(interposed, effects, spoofs, scores, min_points, duration)
         updates = [data.trust[frame] for frame in sorted(data.trust)]
-        displaced = displaced_by_links(interposed, effects, agents, truth, scores.frames)
+        displaced = displaced_by_links(interposed, effects, scores)
         begin = round(self.attribution.begin_s / data.period_s)
         attributor = Attributor(
             self.attribution,
             scores,
-            without_unseen(interposed, effects, agents, truth, scores.frames, self.scorer.min_points, begin),
-            truth,
-            agents,
+            without_unseen(interposed, effects, scores, min_points, begin),
             data.period_s,
-            cut_off_objects(self.cut_off, data, scores, truth, effects, displaced, self.scorer.min_points),
-            self.scorer.min_points,
+            cut_off_objects(self.cut_off, data, scores, effects, displaced, min_points),
+            min_points,
             Withheld.of(updates, agents, scores.frames, SUSPENDED),
             np.asarray(displaced.any(axis=1)),
         )
-        return _Results(self, data, scores, truth, effects, from_absence, interposed, attributor.labels())
+        return _Results(self, data, scores, effects, from_absence, interposed, attributor.labels())
 
     def scored(self, frames: int) -> slice:
         """The scored ones among `frames` frames."""
@@ -254,16 +249,10 @@ class Evaluation:
 
 
 def cut_off_objects(
-    cut_off: CutOff,
-    data: RunData,
-    scores: Scores,
-    truth: TruthTable,
-    effects: Effects,
-    displaced: Bools,
-    min_points: int,
+    cut_off: CutOff, data: RunData, scores: Scores, effects: Effects, displaced: Bools, min_points: int
 ) -> CutOffObjects:
     """Objects known only to agents whose tracks links did not deliver, or displaced (n, a)."""
-    agents, frames = data.record.agents, scores.frames
+    agents, frames = scores.agents, scores.frames
     silent = data.presence.absent(agents, frames) | stopped_by_links(effects, data.roles, agents, frames)
     within = cut_off.useful_age_s / data.period_s + 1e-6
     sent = [
@@ -271,7 +260,7 @@ def cut_off_objects(
         for frame in frames.tolist()
     ]
     undelivered = ~np.array(sent, bool).reshape(len(frames), len(agents))
-    return cut_off.objects(scores, truth, agents, frames, data.period_s, silent, undelivered, min_points, displaced)
+    return cut_off.objects(scores, data.period_s, silent, undelivered, min_points, displaced)
 
 
 def _measured(data: RunData, scores: Scores) -> Effects:
@@ -287,7 +276,6 @@ class _Results:
     settings: Evaluation
     data: RunData
     scores: Scores
-    truth: TruthTable
     effects: Effects
     from_absence: Bools
     manipulations: Manipulations
@@ -314,19 +302,11 @@ class _Results:
         scored = self.settings.scored(len(frames))
         last = int(frames.max(initial=-1))
         agreement = reports.compare(self.effects, data.attack_reports, data.link_reports, WIRES)
+        scorer = self.settings.scorer
         targets = achievement.targets(
-            scores,
-            labels.cause,
-            labels.by,
-            manipulations,
-            self.truth,
-            data.record.agents,
-            data.ego,
-            self._victims(),
-            self.settings.scorer.range_m,
-            self.settings.scorer.min_points,
+            scores, labels, manipulations, data.ego, self._victims(), scorer.range_m, scorer.min_points
         )
-        drives = driving.drives(self.settings.driving, data.record, scores, labels, self.truth)
+        drives = driving.drives(self.settings.driving, data.record, scores, labels)
         summary, per_frame, failed_metrics = self._scored(scored)
         integrity, trust_tables = self._trust(scored)
         return {
@@ -336,9 +316,7 @@ class _Results:
                 "settled": self.settings.settled(len(frames)),
                 "agents": summary,
                 "same_as": _nested(scores.same_as),
-                "achieved": achievement.summary(
-                    targets, manipulations.culprits, scores, labels.switch_by, data.ego, data.period_s, scored
-                ),
+                "achieved": achievement.summary(targets, scores, labels.switch_by, data.ego, data.period_s, scored),
                 "driving": driving.summary(drives, scored),
                 "consistency": self.settings.consistency.summary(
                     scores.pairs, scores.series, data.ego, scored, data.period_s
@@ -353,7 +331,7 @@ class _Results:
                 "metrics": per_frame,
                 "objects": self._objects(),
                 "attacks": attacks(self.effects, agreement, data.roles, data.period_s),
-                "targets": targets.table(manipulations.culprits),
+                "targets": targets.table(),
                 "driving": driving.table(drives, frames),
                 **trust_tables,
             },
@@ -372,7 +350,7 @@ class _Results:
         counts[scored] = True
         own, estimates = self.settings.metrics, []
         if own:
-            estimates = estimates_of(scores, labels, self.truth, data.record.agents, counts, data.period_s)
+            estimates = estimates_of(scores, labels, counts, data.period_s)
         summary, columns, failed = measured([*MEASURES.values(), *own], ScoredRun(scores, scored, estimates))
         causes = causes_of(scores, labels.cause, labels.switch_cause, scores.frames[scored])
         for (agent, estimator), row in scores.every_series.items():
@@ -394,7 +372,7 @@ class _Results:
             updates, lies, settings.faults, agents, frames, data.times_ns, data.period_s, settings.attribution.coast_s
         )
         part["withheld"] = trust.withheld(
-            tables["trust_objects"], self.truth, frames, scored, settings.scorer.min_points
+            tables["trust_objects"], self.scores.truth, frames, scored, settings.scorer.min_points
         )
         return {"integrity": part}, tables
 

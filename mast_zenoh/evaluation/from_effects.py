@@ -12,7 +12,7 @@ from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.effects import EFFECTS, Effects
 from mast_zenoh.effects.passages import Spoof
 from mast_zenoh.effects.table import insertions
-from mast_zenoh.metrics import AttributionLimits, Boxes, Manipulations
+from mast_zenoh.metrics import AttributionLimits, Boxes, Manipulations, Scores
 from mast_zenoh.metrics.boxes import Places, nearest, occurs
 from mast_zenoh.metrics.estimates import (
     BEHIND_DOWNLINK,
@@ -167,48 +167,36 @@ def stopped_by_links(effects: Effects, roles: Mapping[str, str], agents: Sequenc
     return result
 
 
-def displaced_by_links(
-    manipulations: Manipulations, effects: Effects, agents: Sequence[str], truth: TruthTable, frames: Ints
-) -> Bools:
-    """Whether a link moved an agent's track of a truth object: (n, a) of n rows of `truth`.
-
-    truth: of (f,) `frames`
-    """
-    result = np.zeros((len(truth.boxes.id), len(agents)), bool)
+def displaced_by_links(manipulations: Manipulations, effects: Effects, scores: Scores) -> Bools:
+    """Whether a link moved an agent's track of a truth object: (n, a) of n rows of the truth."""
+    keys, agents = (scores.truth.boxes.id, scores.truth_frame), scores.agents
+    result = np.zeros((len(keys[0]), len(agents)), bool)
     moved = (manipulations.kind == MOVED) & (manipulations.culprit < 0)
     for index, passage in enumerate(effects.passages):
         rows = (moved & (manipulations.passage == index)).nonzero()[0]
         if len(rows) and passage.port == "tracks" and passage.subject in agents:
-            keys = truth.boxes.id, frames[truth.boxes.group]
-            result[:, list(agents).index(passage.subject)] |= occurs(
-                keys, (manipulations.object[rows], manipulations.frame[rows])
-            )
+            places = manipulations.object[rows], manipulations.frame[rows]
+            result[:, agents.index(passage.subject)] |= occurs(keys, places)
     return result
 
 
 def without_unseen(
-    manipulations: Manipulations,
-    effects: Effects,
-    agents: Sequence[str],
-    truth: TruthTable,
-    frames: Ints,
-    min_points: int,
-    begin: int,
+    manipulations: Manipulations, effects: Effects, scores: Scores, min_points: int, begin: int
 ) -> Manipulations:
     """Manipulations in which a detection that was removed stands for an object only if the agent would track it.
 
     That is if its sensor has seen the object in most of the last `begin` frames: a single detection makes no track.
-    truth: of (f,) `frames`;  min_points: lidar points from which an agent sees an object
+    min_points: lidar points from which an agent sees an object
     """
     object_ids = manipulations.object.copy()
     removed = (manipulations.kind == REMOVED) & (object_ids >= 0)
-    truth_keys = truth.boxes.id, frames[truth.boxes.group]
+    truth_keys, agents = (scores.truth.boxes.id, scores.truth_frame), scores.agents
     for index, passage in enumerate(effects.passages):
         rows = (removed & (manipulations.passage == index)).nonzero()[0]
         agent = agent_of(passage.subject)
         if not len(rows) or passage.message != "detections" or agent not in agents:
             continue
-        seen = truth.points[:, list(agents).index(agent)] >= min_points
+        seen = scores.truth.points[:, agents.index(agent)] >= min_points
         seen_keys = truth_keys[0][seen], truth_keys[1][seen]
         ids, frame = object_ids[rows], manipulations.frame[rows]
         count = sum(occurs((ids, frame - back), seen_keys).astype(np.int64) for back in range(begin))
@@ -226,24 +214,21 @@ def add_pose_manipulations(
     manipulations: Manipulations,
     effects: Effects,
     spoofs: Sequence[Sequence[Spoof]],
-    truth: TruthTable,
-    agents: Sequence[str],
-    frames: Ints,
+    scores: Scores,
     min_points: int,
     lasts: int,
 ) -> Manipulations:
     """Add the objects that an agent misplaces or omits because of a false pose.
 
-    spoofs: by passage of `effects`;  truth: of (f,) frames, of which `agents` are the columns
+    spoofs: by passage of `effects`
     min_points: lidar points from which an agent sees an object;  lasts: frames for which it counts after its own
     """
-    parts = [manipulations]
-    of_frame = frames[truth.boxes.group]
+    parts, truth, of_frame, agents = [manipulations], scores.truth, scores.truth_frame, scores.agents
     for index, passage in enumerate(effects.passages):
         if passage.message != "pose" or passage.subject not in agents:
             continue
         culprit = manipulations.culprits.index(passage.node) if passage.node in manipulations.culprits else -1
-        seen = truth.points[:, list(agents).index(passage.subject)] >= min_points
+        seen = truth.points[:, agents.index(passage.subject)] >= min_points
         withheld_rows = effects.rows(*_WITHHELD)
         withheld = np.isin(of_frame, effects.frame[withheld_rows[effects.passage[withheld_rows] == index]])
         groups = [((seen & withheld).nonzero()[0], REMOVED, truth.boxes.position)]
@@ -267,17 +252,8 @@ def add_pose_manipulations(
                     lasts=np.full(n, lasts),
                 )
             )
-    return concatenate_manipulations(parts) if len(parts) > 1 else manipulations
-
-
-def concatenate_manipulations(parts: Sequence[Manipulations]) -> Manipulations:
-    """Concatenate manipulations that share culprits and reach."""
-    return Manipulations(
-        parts[0].culprits,
-        parts[0].reach,
-        parts[0].shown,
-        *(np.concatenate([getattr(part, name) for part in parts]) for name in COLUMNS),
-    )
+    columns = (np.concatenate([getattr(part, name) for part in parts]) for name in COLUMNS)
+    return Manipulations(manipulations.culprits, manipulations.reach, manipulations.shown, *columns)
 
 
 def _apparent_positions(spoof: Spoof, truth: TruthTable) -> Floats:

@@ -5,7 +5,6 @@ Pure; see docs/metrics.md.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,27 +12,25 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.metrics.boxes import Places, find, nearest
+from mast_zenoh.metrics.causes import Labels
 from mast_zenoh.metrics.estimates import MISSION, PICTURE
 from mast_zenoh.metrics.manipulations import ALTERED, INSERTED, KINDS, MOVED, REMOVED, Manipulations
-from mast_zenoh.metrics.record import TruthTable
 from mast_zenoh.metrics.scores import MATCHED, MISSED, UNEVALUATED, Scores, Table, Texts
+
+#: m, maximum distance between an inserted object and its false track, as in `AttributionLimits.lie_m`.
+ACCEPTED_M = 5.0
+#: m; an object with a larger error of its estimate counts as displaced: half the gate of the metrics.
+DISPLACED_M = 1.0
 
 
 def false_track_errors(
-    scores: Scores,
-    tracks: Bools,
-    by: Texts,
-    manipulations: Manipulations,
-    targets: Ints,
-    truth: Ints,
-    *,
-    near_m: float,
-    off_m: float,
+    scores: Scores, tracks: Bools, by: Texts, manipulations: Manipulations, targets: Ints, truth: Ints
 ) -> Floats:
     """(n,) m, distance between each displaced object and its false track; NaN: none.
 
-    A false track caused by an adversary belongs to the nearest object that this adversary moved, within `near_m` of its
-    false position, if the track is nearer to the false than to the true position and more than `off_m` from the latter.
+    A false track caused by an adversary belongs to the nearest object that this adversary moved, within ACCEPTED_M of
+    its false position, if the track is nearer to the false than to the true position, and more than DISPLACED_M from
+    the latter.
 
     tracks:         (m,) bool, the rows of `scores.judged` that are such tracks
     by:             (m,) the adversaries responsible for each row
@@ -48,22 +45,16 @@ def false_track_errors(
         track_rows = np.flatnonzero(tracks)
         track_rows = track_rows[np.array([name in each.split("+") for each in by[track_rows].tolist()], bool)]
         places = Places(judged.frame[track_rows], judged.boxes.position[track_rows])
-        at, distance = nearest(places, Places(manipulations.frame[moved], manipulations.position[moved]), near_m)
+        at, distance = nearest(places, Places(manipulations.frame[moved], manipulations.position[moved]), ACCEPTED_M)
         track_rows, target, distance = track_rows[at >= 0], row_of[moved[at[at >= 0]]], distance[at >= 0]
         track_rows, target, distance = track_rows[target >= 0], target[target >= 0], distance[target >= 0]
         offset = (judged.boxes.position[track_rows] - judged.boxes.position[truth[target]])[:, :2]
         error = np.hypot(offset[:, 0], offset[:, 1])
-        follows = (error > off_m) & (distance < error)
+        follows = (error > DISPLACED_M) & (distance < error)
         for k in np.flatnonzero(follows)[np.argsort(distance[follows], kind="stable")].tolist():
             if distance[k] < nearest_m[target[k]]:
                 nearest_m[target[k]], result[target[k]] = distance[k], error[k]
     return result
-
-
-#: m, maximum distance between an inserted object and its false track, as in `AttributionLimits.lie_m`.
-ACCEPTED_M = 5.0
-#: m; an object with a larger error of its estimate counts as displaced: half the gate of the metrics.
-DISPLACED_M = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,8 +63,7 @@ class Targets:
 
     Several passages of one adversary count once.
 
-    adversary: (n,) row of `Manipulations.culprits`;  kind: (n,) index into KINDS
-    frame, object: (n,), see Manipulations;  position: (n, 3) m, world frame, as manipulated, or before if hidden
+    attacks:   n manipulations by adversaries
     believed:  by estimate, (n,) bool: an inserted object is present, a hidden one is missed, a moved one is missed, off
                by more than DISPLACED_M, or has a false track at its manipulated position
     judged:    by estimate, (n,) bool: whether `believed` is defined: the object is in range and evaluated
@@ -82,24 +72,21 @@ class Targets:
     by_others: (n,) bool: an agent whose wires this adversary does not intercept sees the object; False for inserted
     """
 
-    adversary: Ints
-    kind: Ints
-    frame: Ints
-    object: Ints
-    position: Floats
+    attacks: Manipulations
     believed: dict[str, Bools]
     judged: dict[str, Bools]
     error_m: dict[str, Floats]
     by_others: Bools
 
-    def table(self, culprits: tuple[str, ...]) -> Table:
+    def table(self) -> Table:
         """The columns of targets.parquet."""
+        attacks = self.attacks
         columns: Table = {
-            "adversary": np.array([*culprits, ""], object)[self.adversary],
-            "kind": np.array(KINDS, object)[self.kind],
-            "object": self.object,
-            "frame": self.frame,
-            **{axis: self.position[:, i] for i, axis in enumerate("xyz")},
+            "adversary": np.array([*attacks.culprits, ""], object)[attacks.culprit],
+            "kind": np.array(KINDS, object)[attacks.kind],
+            "object": attacks.object,
+            "frame": attacks.frame,
+            **{axis: attacks.position[:, i] for i, axis in enumerate("xyz")},
             "seen_by_others": self.by_others,
         }
         for name in self.believed:
@@ -111,11 +98,8 @@ class Targets:
 
 def targets(
     scores: Scores,
-    cause: Ints,
-    by: Texts,
+    labels: Labels,
     manipulations: Manipulations,
-    truth: TruthTable,
-    agents: Sequence[str],
     ego: str,
     victims: dict[str, set[int]],
     range_m: float,
@@ -124,8 +108,6 @@ def targets(
     """Evaluate every manipulated object in the picture and the ego's estimate.
 
     The ego's estimate is the mission-critical one.
-    cause, by: of the rows of `scores.judged`
-    truth:   of the frames of `scores`, of which `agents` are the columns
     ego:     name of the agent with the mission-critical estimate
     victims: by adversary, columns of the agents whose wires it intercepts
     range_m: m, from an agent to the objects that its estimates are scored on
@@ -142,23 +124,11 @@ def targets(
     picture = np.array([estimator == PICTURE for _, estimator in scores.series], bool)
     mission = np.array([each == (ego, MISSION) for each in scores.series], bool)
     believed, judged, error = {}, {}, {}
+    column = np.array([scores.agents.index(agent) for agent, _ in scores.series], np.int64)
     for name, chosen in (("centre", picture), ("ego", mission)):
-        scorers = [
-            agents.index(agent) for (agent, _), is_chosen in zip(scores.series, chosen, strict=True) if is_chosen
-        ]
-        within = _in_range(attacks, truth.agent_position[:, scorers], scores.frames, range_m)
-        believed[name], judged[name], error[name] = _judge(scores, cause, by, attacks, chosen, within)
-    return Targets(
-        attacks.culprit,
-        attacks.kind,
-        attacks.frame,
-        attacks.object,
-        attacks.position,
-        believed,
-        judged,
-        error,
-        _seen_by_others(attacks, truth, scores.frames, victims, min_points),
-    )
+        within = _in_range(attacks, scores.truth.agent_position[:, column[chosen]], scores.frames, range_m)
+        believed[name], judged[name], error[name] = _judge(scores, labels, attacks, chosen, within)
+    return Targets(attacks, believed, judged, error, _seen_by_others(attacks, scores, victims, min_points))
 
 
 def _in_range(manipulations: Manipulations, place: Floats, frames: Ints, range_m: float) -> Bools:
@@ -174,7 +144,7 @@ def _in_range(manipulations: Manipulations, place: Floats, frames: Ints, range_m
 
 
 def _judge(
-    scores: Scores, cause: Ints, by: Texts, manipulations: Manipulations, chosen: Bools, within: Bools
+    scores: Scores, labels: Labels, manipulations: Manipulations, chosen: Bools, within: Bools
 ) -> tuple[Bools, Bools, Floats]:
     """Whether manipulations are believed, whether that is defined, and the error m.
 
@@ -182,7 +152,7 @@ def _judge(
 
     within: (n,) bool, whether it is in range of any agent of these series
     """
-    judged, inside = scores.judged, chosen[scores.judged.series]
+    judged, inside, cause = scores.judged, chosen[scores.judged.series], labels.cause
     believed, defined = np.zeros(len(manipulations), bool), np.zeros(len(manipulations), bool)
     error = np.full(len(manipulations), np.nan)
     inserted = np.flatnonzero(manipulations.kind == INSERTED)
@@ -208,16 +178,8 @@ def _judge(
     displaced = np.isin(manipulations.kind[real_rows], (MOVED, ALTERED)) & (
         np.nan_to_num(error[real_rows]) > DISPLACED_M
     )
-    false_track_error = false_track_errors(
-        scores,
-        inside & (cause == MOVED) & judged.is_track,
-        by,
-        manipulations,
-        real_rows,
-        row,
-        near_m=ACCEPTED_M,
-        off_m=DISPLACED_M,
-    )
+    tracks = inside & (cause == MOVED) & judged.is_track
+    false_track_error = false_track_errors(scores, tracks, labels.by, manipulations, real_rows, row)
     error[real_rows] = np.where(np.isfinite(false_track_error), false_track_error, error[real_rows])
     believed[real_rows] = missed | displaced | np.isfinite(false_track_error)
     return believed, defined, error
@@ -238,10 +200,10 @@ def _error(scores: Scores, rows: Ints, tracks: Ints) -> Floats:
 
 
 def _seen_by_others(
-    manipulations: Manipulations, truth: TruthTable, frames: Ints, victims: dict[str, set[int]], min_points: int
+    manipulations: Manipulations, scores: Scores, victims: dict[str, set[int]], min_points: int
 ) -> Bools:
-    boxes = truth.boxes
-    at = find((manipulations.object, manipulations.frame), (boxes.id, frames[boxes.group]))
+    truth = scores.truth
+    at = find((manipulations.object, manipulations.frame), (truth.boxes.id, scores.truth_frame))
     result = np.zeros(len(manipulations), bool)
     for index, name in enumerate(manipulations.culprits):
         free = [column for column in range(truth.points.shape[1]) if column not in victims.get(name, set())]
@@ -259,7 +221,6 @@ LASTING_S = 1.0
 
 def summary(
     targets_: Targets,
-    culprits: tuple[str, ...],
     scores: Scores,
     switch_by: Texts,
     ego: str,
@@ -273,15 +234,18 @@ def summary(
     switch_by: the adversaries responsible for each of `scores.switches`
     scored:    the frames in which identity switches count, as in the summary of scores
     """
+    attacks, culprits = targets_.attacks, targets_.attacks.culprits
     if not culprits:
         return {}
-    real = (targets_.kind == INSERTED) | (targets_.object >= 0)
-    groups = {name: (real & (targets_.adversary == index)).nonzero()[0] for index, name in enumerate(culprits)}
+    real = (attacks.kind == INSERTED) | (attacks.object >= 0)
+    groups = {name: (real & (attacks.culprit == index)).nonzero()[0] for index, name in enumerate(culprits)}
     counts = np.zeros(len(scores.frames), bool)
     counts[scored] = True
     result = {}
     merged = _merge(targets_, real.nonzero()[0])
-    by_name = {name: (targets_, rows) for name, rows in groups.items()} | {ALL: (merged, np.arange(len(merged.kind)))}
+    by_name = {name: (targets_, rows) for name, rows in groups.items()} | {
+        ALL: (merged, np.arange(len(merged.attacks)))
+    }
     for name, (targets_of, rows) in by_name.items():
         attributed = np.array([by != "" if name == ALL else name in by.split("+") for by in switch_by.tolist()], bool)
         result[name] = _results(targets_of, rows, period_s)
@@ -299,7 +263,7 @@ def _merge(targets_: Targets, rows: Ints) -> Targets:
     A merged target is believed if any of its parts is; its error is the largest.
     """
     _, first, group = np.unique(
-        np.column_stack([targets_.kind, targets_.object, targets_.frame])[rows],
+        np.column_stack([targets_.attacks.kind, targets_.attacks.object, targets_.attacks.frame])[rows],
         axis=0,
         return_index=True,
         return_inverse=True,
@@ -310,11 +274,7 @@ def _merge(targets_: Targets, rows: Ints) -> Targets:
         np.fmax.at(error[name], group, values[rows])
     first_rows = rows[first]
     return Targets(
-        targets_.adversary[first_rows],
-        targets_.kind[first_rows],
-        targets_.frame[first_rows],
-        targets_.object[first_rows],
-        targets_.position[first_rows],
+        targets_.attacks.select(first_rows),
         believed,
         {name: values[first_rows] for name, values in targets_.judged.items()},
         error,
@@ -324,6 +284,7 @@ def _merge(targets_: Targets, rows: Ints) -> Targets:
 
 def _results(targets_: Targets, rows: Ints, period_s: float) -> dict[str, Any]:
     result: dict[str, Any] = {}
+    attacks = targets_.attacks
     success = dict.fromkeys(targets_.believed, rows[:0])
     for kind_name, kinds in (
         ("inserted", (INSERTED,)),
@@ -331,8 +292,8 @@ def _results(targets_: Targets, rows: Ints, period_s: float) -> dict[str, Any]:
         ("moved", (MOVED,)),
         ("altered", (ALTERED,)),
     ):
-        of_kind = rows[np.isin(targets_.kind[rows], kinds)]
-        objects, object_row = np.unique(targets_.object[of_kind], return_inverse=True)
+        of_kind = rows[np.isin(attacks.kind[rows], kinds)]
+        objects, object_row = np.unique(attacks.object[of_kind], return_inverse=True)
         result[kind_name] = len(objects)
         if not len(objects):
             continue
@@ -365,6 +326,6 @@ def _results(targets_: Targets, rows: Ints, period_s: float) -> dict[str, Any]:
             result[f"{kind_name}_seen_by_others"] = float(targets_.by_others[of_kind].mean())
     for estimate_name, hits in success.items():
         result[f"success_{estimate_name}"] = bool(len(hits))
-        delay_frames = targets_.frame[hits].min() - targets_.frame[rows].min() if len(hits) else None
+        delay_frames = attacks.frame[hits].min() - attacks.frame[rows].min() if len(hits) else None
         result[f"first_success_s_{estimate_name}"] = None if delay_frames is None else float(delay_frames * period_s)
     return result

@@ -28,7 +28,6 @@ from mast_zenoh.metrics.causes import (
 from mast_zenoh.metrics.cut_off import CutOffObjects
 from mast_zenoh.metrics.estimates import LOCAL, RECEIVED
 from mast_zenoh.metrics.manipulations import ALTERED, INSERTED, MOVED, Manipulations
-from mast_zenoh.metrics.record import TruthTable
 from mast_zenoh.metrics.scores import FALSE, MATCHED, MISSED, UNEVALUATED, Scores, Texts
 from mast_zenoh.metrics.trust import TrustHistory, TrustUpdate, lasting
 
@@ -185,7 +184,6 @@ class Withheld:
     def set_causes(
         self,
         scores: Scores,
-        agents: Sequence[str],
         truths: Histories,
         missed: Bools,
         limits: tuple[float, int],
@@ -201,19 +199,19 @@ class Withheld:
         rows, (radius, lasts) = missed.nonzero()[0], limits
         frame = truths.frame[rows]
         tracked = nearest(Places(frame, truths.position[rows]), self.places, radius)[0] >= 0
-        by_agent = reporting(scores, agents, truths.id[rows], frame)
+        by_agent = reporting(scores, truths.id[rows], frame)
         suspended = lasting(self.suspended, lasts)[frame]
         chosen = tracked | (by_agent.any(axis=1) & ~(by_agent & ~suspended).any(axis=1))
         cause[truths.row[rows[chosen]]] = WITHHELD
-        by[truths.row[rows[chosen]]] = joined_names(agents, by_agent[chosen])
+        by[truths.row[rows[chosen]]] = joined_names(scores.agents, by_agent[chosen])
 
 
-def reporting(scores: Scores, agents: Sequence[str], truth_id: Ints, frame: Ints) -> Bools:
+def reporting(scores: Scores, truth_id: Ints, frame: Ints) -> Bools:
     """Whether the broker received a good track of each of n objects in frames from each agent: (n, a)."""
     judged, series = scores.judged, scores.every_series
-    result = np.zeros((len(truth_id), len(agents)), bool)
+    result = np.zeros((len(truth_id), len(scores.agents)), bool)
     matched = np.flatnonzero(~judged.is_track & (judged.outcome == MATCHED))
-    for column, agent in enumerate(agents):
+    for column, agent in enumerate(scores.agents):
         received = series.get((agent, RECEIVED), series.get((agent, LOCAL), -1))
         own = matched[judged.series[matched] == received]
         result[:, column] = occurs((truth_id, frame), (judged.id[own], judged.frame[own]))
@@ -224,12 +222,11 @@ class Attributor:
     """The attribution of one run.
 
     manipulations: those of all interposers; their series are those of `scores`
-    truth:    of the frames of `scores`, with `agents` as its columns
     period_s: s, frame period
     cut_off_objects:  objects known only to disconnected agents; None: no agent was disconnected
     min_points: lidar points from which an agent sees an object
     withheld: by the command centre; None: it has no integrity stage
-    displaced: (n,) rows of `truth` of which a link moved a track; None: none
+    displaced: (n,) rows of the truth of which a link moved a track; None: none
     """
 
     def __init__(
@@ -237,16 +234,14 @@ class Attributor:
         limits: AttributionLimits,
         scores: Scores,
         manipulations: Manipulations,
-        truth: TruthTable,
-        agents: Sequence[str],
         period_s: float,
         cut_off_objects: CutOffObjects | None = None,
         min_points: int = 5,
         withheld: Withheld | None = None,
         displaced: Bools | None = None,
     ) -> None:
-        self.min_points, self.agents, self.withheld = min_points, tuple(agents), withheld
-        self.limits, self.scores, self.manipulations, self.truth = limits, scores, manipulations, truth
+        self.min_points, self.withheld = min_points, withheld
+        self.limits, self.scores, self.manipulations, self.truth = limits, scores, manipulations, scores.truth
         self.period_s, self.cut_off_objects = period_s, cut_off_objects or CutOffObjects.nothing()
         self.coast, self.begin = round(limits.coast_s / period_s), round(limits.begin_s / period_s)
         self.span = int(scores.frames.max(initial=0)) + 1
@@ -258,11 +253,11 @@ class Attributor:
         #: whether a series is computed from an agent's own sensor alone
         self.own = np.array([estimator in (LOCAL, RECEIVED) for _, estimator in scores.series], bool)
         self.local = np.array([estimator == LOCAL for _, estimator in scores.series], bool)
-        self.column = np.array([agents.index(agent) for agent, _ in scores.series], np.int64)
-        self.truth_frame = scores.frames[truth.boxes.group]
+        self.column = np.array([scores.agents.index(agent) for agent, _ in scores.series], np.int64)
+        self.truth_frame = scores.truth_frame
         rows = np.zeros(0, np.int64) if displaced is None else displaced.nonzero()[0]
         #: ids and frames of truth objects of which a link moved an agent's track
-        self.displaced = truth.boxes.id[rows], self.truth_frame[rows]
+        self.displaced = self.truth.boxes.id[rows], self.truth_frame[rows]
 
     def labels(self) -> Labels:
         """The cause of every false track, missed object and identity switch of every estimate of the run."""
@@ -281,7 +276,7 @@ class Attributor:
         if self.withheld is not None:
             central = missed & ~self.own[self.truths.series]
             limits = self.limits.withheld_m, self.begin
-            self.withheld.set_causes(self.scores, self.agents, self.truths, central, limits, cause, names_by)
+            self.withheld.set_causes(self.scores, self.truths, central, limits, cause, names_by)
         return Labels(cause, names_by, switch_cause, joined_names(names, switch_by))
 
     def _switches(self, track_cause: Ints, track_by: Bools) -> tuple[Ints, Bools]:
@@ -441,7 +436,7 @@ class Attributor:
         rows = missed.nonzero()[0]
         received = ~self.own[truths.series[rows]]
         if len(self.manipulations):
-            received &= reporting(self.scores, self.agents, truths.id[rows], truths.frame[rows]).any(axis=1)
+            received &= reporting(self.scores, truths.id[rows], truths.frame[rows]).any(axis=1)
         self._blame_hiding(
             truths.id[rows], truths.frame[rows], truths.series[rows], rows, cause, by, self.begin, received
         )

@@ -14,7 +14,6 @@ import numpy as np
 from mast_zenoh.arrays.states import Bools, Ints
 from mast_zenoh.metrics.boxes import find, occurs
 from mast_zenoh.metrics.estimates import LOCAL
-from mast_zenoh.metrics.record import TruthTable
 from mast_zenoh.metrics.scores import MATCHED, Scores
 
 #: Roles needed to compute a picture.
@@ -67,9 +66,6 @@ class CutOff:
     def objects(
         self,
         scores: Scores,
-        truth: TruthTable,
-        agents: Sequence[str],
-        frames: Ints,
         period_s: float,
         silent: Bools,
         undelivered: Bools,
@@ -82,30 +78,29 @@ class CutOff:
         An agent knows the objects in its own tracks. If these were not received, and during the recovery after that,
         the objects that its sensor sees are used instead.
 
-        scores:     the scores, for the agents' own tracks
-        truth:      of (f,) `frames`, ascending
+        scores:     the scores of f frames, for the agents' own tracks
         period_s:   s, frame period
         silent:     (f, a) of a agents: its tracks did not reach the broker in time
         undelivered:    (f, a) its tracks were not received in time by any node, including the evaluator
         min_points: lidar points from which an agent sees an object
-        displaced:  (n, a) the agent's tracks of the object of n rows of `truth` arrived elsewhere; None: nowhere
+        displaced:  (n, a) the agent's tracks of the object of n rows of the truth arrived elsewhere; None: nowhere
         """
         missing = self.missing(silent, undelivered, period_s)
         if not missing.any() and (displaced is None or not displaced.any()):
             return CutOffObjects.nothing()
-        ids, row = truth.boxes.id, truth.boxes.group
-        judged = scores.judged
-        tracked = np.zeros((len(ids), len(agents)), bool)
-        for k, agent in enumerate(agents):
+        judged, truth = scores.judged, scores.truth
+        ids, row, frame = truth.boxes.id, truth.boxes.group, scores.truth_frame
+        tracked = np.zeros((len(ids), len(scores.agents)), bool)
+        for k, agent in enumerate(scores.agents):
             series = scores.every_series.get((agent, LOCAL), -1)
             own = (judged.series == series) & ~judged.is_track & (judged.outcome == MATCHED)
-            tracked[:, k] = occurs((ids, frames[row]), (judged.id[own], judged.frame[own]))
+            tracked[:, k] = occurs((ids, frame), (judged.id[own], judged.frame[own]))
         disconnected = missing[row] if displaced is None else missing[row] | displaced
         undelivered_rows = self._extend_through_recovery(undelivered, period_s)[row]
         tracked_by_missing = np.asarray((disconnected & tracked).any(axis=1))
         seen_by_missing = (disconnected & undelivered_rows & (truth.points >= min_points)).any(axis=1)
         only_missing = (tracked_by_missing | seen_by_missing) & ~(~disconnected & tracked).any(axis=1)
-        return CutOffObjects(ids[only_missing], frames[row[only_missing]], tracked_by_missing[only_missing])
+        return CutOffObjects(ids[only_missing], frame[only_missing], tracked_by_missing[only_missing])
 
     def missing(self, silent: Bools, undelivered: Bools, period_s: float) -> Bools:
         """Whether an agent's tracks are missing from the picture: (f, a).

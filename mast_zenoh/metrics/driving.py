@@ -297,15 +297,14 @@ class Drive(NamedTuple):
     attacked: Bools
 
 
-def drives(
-    driving: Driving, record: Record, scores: Scores, labels: Labels, truth: TruthTable
-) -> dict[tuple[str, str], Drive]:
+def drives(driving: Driving, record: Record, scores: Scores, labels: Labels) -> dict[tuple[str, str], Drive]:
     """The behaviour of each vehicle among the agents, by (agent, estimate).
 
     "truth" is one of the estimates.
-    truth: of the frames of `scores`. Only agents that are objects of the scene in all frames are vehicles.
+    Only agents that are objects of the scene in all frames are vehicles.
     """
     result: dict[tuple[str, str], Drive] = {}
+    truth = scores.truth
     for column, agent in enumerate(record.agents):
         vehicle = _vehicle(truth, column, len(scores.frames))
         if vehicle is None:

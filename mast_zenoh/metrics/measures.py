@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.metrics.causes import Labels, cause_names
 from mast_zenoh.metrics.ranking import rankings
-from mast_zenoh.metrics.record import TruthTable
 from mast_zenoh.metrics.scores import OUTCOMES, Scores, Table, Texts, mean_and_std, means_and_stds
 
 
@@ -254,8 +253,7 @@ class Completeness(Measure):
     heading, short, brief, range = "completeness", "complete", False, (0.0, 1.0)
 
     def measured(self, run: ScoredRun) -> Measured:
-        frames = np.arange(len(run.scores.frames))[run.scored]
-        return Measured(run.scores.seen.completeness(len(run.scores.series), frames))
+        return Measured(run.scores.completeness(run.scored))
 
 
 class Ospa(_OfFrames):
@@ -528,28 +526,18 @@ def frame_keys(scores: Scores) -> Table:
     }
 
 
-def estimates_of(
-    scores: Scores, labels: Labels, truth: TruthTable, agents: Sequence[str], scored: Bools, period_s: float
-) -> list[Estimate]:
+def estimates_of(scores: Scores, labels: Labels, scored: Bools, period_s: float) -> list[Estimate]:
     """The estimates of `scores.series`, for users' metrics."""
-    return [_estimate(row, scores, labels, truth, agents, scored, period_s) for row in range(len(scores.series))]
+    return [_estimate(row, scores, labels, scored, period_s) for row in range(len(scores.series))]
 
 
-def _estimate(
-    row: int,
-    scores: Scores,
-    labels: Labels,
-    truth: TruthTable,
-    agents: Sequence[str],
-    scored: Bools,
-    period_s: float,
-) -> Estimate:
+def _estimate(row: int, scores: Scores, labels: Labels, scored: Bools, period_s: float) -> Estimate:
     agent, estimator = scores.series[row]
     judged = scores.judged
     rows = np.flatnonzero(judged.series == row)
     boxes = judged.boxes.select(rows)
     frame = np.searchsorted(scores.frames, judged.frame[rows])
-    at = truth.agent_position[frame, agents.index(agent)]
+    at = scores.truth.agent_position[frame, scores.agents.index(agent)]
     frames, counted = scores.frames.copy(), scored.copy()
     for shared in (frames, counted):  # between metrics
         shared.flags.writeable = False

@@ -72,25 +72,6 @@ class MatchedPairs(NamedTuple):
         return self.truth_rows.take(self.truth_box[first:last]), self.track_rows.take(self.track_box[first:last])
 
 
-class Sources(NamedTuple):
-    """Where the boxes of a layout come from.
-
-    truth, tracks: the tables;  truth_rows, track_rows: the row there of each truth object and track of the layout
-    """
-
-    truth: TruthTable
-    tracks: TrackTable
-    truth_rows: Ints
-    track_rows: Ints
-
-    def pairs(self, group: Ints, pairs: Ints, n_frames: int, dimensions: int) -> MatchedPairs:
-        """The pairs (n, 2) of a truth object and a track of the layout; group: (n,), dimensions: see `MatchedPairs`."""
-        truth_box, track_box = pairs.T
-        return MatchedPairs(
-            group, n_frames, truth_box, track_box, self.truth_rows, self.track_rows, self.truth, self.tracks, dimensions
-        )
-
-
 #: A table: one array per column, all of one length.
 Table = dict[str, NDArray[Any]]
 Texts = NDArray[Any]  # of str
@@ -98,39 +79,6 @@ Texts = NDArray[Any]  # of str
 #: Outcomes of boxes, by their code in `scoring`.
 OUTCOMES = ("matched", "missed", "false", "unevaluated")
 MATCHED, MISSED, FALSE, UNEVALUATED = range(len(OUTCOMES))
-
-
-@dataclass(frozen=True, slots=True)
-class EvaluatedObjects:
-    """n evaluated truth objects, each in one series and frame.
-
-    series, frame: (n,) rows of `Scores.series` and `Scores.frames`; id: (n,) of the object; matched: (n,) bool
-    """
-
-    series: Ints
-    frame: Ints
-    id: Ints
-    matched: Bools
-
-    def completeness(self, n_series: int, frames: Ints) -> list[float | None]:
-        """Completeness, 0 to 1, of each series.
-
-        The mean over its objects of the fraction of matched frames.
-        frames: rows of `Scores.frames` that count. None for a series without objects.
-        """
-        counts = np.zeros(max(int(table.max(initial=-1)) for table in (self.frame, frames)) + 1, bool)
-        counts[frames] = True
-        rows = counts[self.frame].nonzero()[0]
-        ids, code = np.unique(self.id[rows], return_inverse=True)
-        cell, shape = self.series[rows] * len(ids) + code, (n_series, len(ids))
-        total = np.bincount(cell, minlength=n_series * len(ids)).reshape(shape)
-        matched = np.bincount(cell, self.matched[rows], minlength=n_series * len(ids)).reshape(shape)
-        return [
-            float(np.mean(matched_frames[evaluated_frames > 0] / evaluated_frames[evaluated_frames > 0]))
-            if evaluated_frames.any()
-            else None
-            for matched_frames, evaluated_frames in zip(matched, total, strict=True)
-        ]
 
 
 class Judged(NamedTuple):
@@ -183,10 +131,10 @@ class Scores:
     squared_error: (s, f) m^2, summed over the pairs of the frame
     id_switches:   (s, f) int64
     ospa_m, gospa_m: (s, f) m, distances between the sets of truth objects and tracks
-    seen:          a row per series, frame and evaluated truth object
     switches:      a row per identity switch
     judged:        every box of every series
     pairs:         the matched pairs, with the tables that they come from
+    agents:        names, in the order of the columns of the truth
     same_as:       other series, each with the one of `series` that has the same messages and therefore scores; they
                    are in the table per frame and in the summary, but have no separate boxes
     """
@@ -200,11 +148,35 @@ class Scores:
     id_switches: Ints
     ospa_m: Floats
     gospa_m: Floats
-    seen: EvaluatedObjects
     switches: Switches
     judged: Judged
     pairs: MatchedPairs
+    agents: tuple[str, ...]
     same_as: Mapping[tuple[str, str], tuple[str, str]]
+
+    @property
+    def truth(self) -> TruthTable:
+        """The truth of `frames`."""
+        return self.pairs.truth
+
+    @property
+    def truth_frame(self) -> Ints:
+        """Frame numbers (n,) of the rows of `truth`."""
+        return self.frames[self.truth.boxes.group]
+
+    def completeness(self, scored: slice) -> list[float | None]:
+        """Of each series the mean over its objects of the fraction of matched frames, 0 to 1; None without objects."""
+        judged, n = self.judged, len(self.series)
+        evaluated = ~judged.is_track & np.isin(judged.outcome, (MATCHED, MISSED))
+        rows = np.flatnonzero(evaluated & np.isin(judged.frame, self.frames[scored]))
+        ids, code = np.unique(judged.id[rows], return_inverse=True)
+        cell, shape = judged.series[rows] * len(ids) + code, (n, len(ids))
+        total = np.bincount(cell, minlength=n * len(ids)).reshape(shape)
+        matched = np.bincount(cell, judged.outcome[rows] == MATCHED, minlength=n * len(ids)).reshape(shape)
+        return [
+            float(np.mean(matched_frames[frames > 0] / frames[frames > 0])) if frames.any() else None
+            for matched_frames, frames in zip(matched, total, strict=True)
+        ]
 
     @property
     def every_series(self) -> dict[tuple[str, str], int]:

@@ -10,17 +10,16 @@ import numpy as np
 from mast_zenoh.arrays.states import Bools, Floats, Ints, row_order
 from mast_zenoh.metrics.assignment import Assigner, CenterDistanceAssigner, SetDistance
 from mast_zenoh.metrics.boxes import Boxes, centre_distance
-from mast_zenoh.metrics.record import Record, Series, TruthTable
+from mast_zenoh.metrics.record import Record, Series, TrackTable, TruthTable
 from mast_zenoh.metrics.scores import (
     FALSE,
     MATCHED,
     MISSED,
     OUTCOMES,
     UNEVALUATED,
-    EvaluatedObjects,
     Judged,
+    MatchedPairs,
     Scores,
-    Sources,
     Switches,
 )
 
@@ -91,10 +90,9 @@ class Scorer:
         all_boxes = Boxes.join([table.boxes, boxes])
         truth_rows, unevaluated, excused, track_rows = ([each[kind] for each in rows] for kind in range(4))
         layout = _Layout.of(tuple(names), frames, all_boxes, (truth_rows, unevaluated, track_rows), excused)
-        sources = Sources(
-            table, tracks, _concatenate_rows(truth_rows), order.take(_concatenate_rows(track_rows) - len(table.boxes))
-        )
-        return _compare(self.assigner, self.distance, layout, sources, same_as)
+        of_truth, of_tracks = (_concatenate_rows(each) for each in (truth_rows, track_rows))
+        tables = of_truth, order.take(of_tracks - len(table.boxes)), table, tracks
+        return _compare(self.assigner, self.distance, layout, tables, record.agents, same_as)
 
     def _truth_masks(self, table: TruthTable, agent: int) -> tuple[Bools, Bools, Bools]:
         """Masks of the truth rows: near an agent, evaluated, and excused.
@@ -193,10 +191,11 @@ def _compare(
     assigner: Assigner,
     distance: SetDistance,
     layout: _Layout,
-    sources: Sources,
+    tables: tuple[Ints, Ints, TruthTable, TrackTable],
+    agents: tuple[str, ...],
     same_as: dict[tuple[str, str], tuple[str, str]],
 ) -> Scores:
-    """Score a layout."""
+    """Score a layout; tables: the rows of its truth objects and tracks in the tables that follow."""
     truth, tracks, excused = layout.truth, layout.tracks, layout.excused
     pairs = assigner.assign(truth, tracks)
     # Floating-point sums depend on the order of their terms, so pairs are sorted by id.
@@ -238,17 +237,15 @@ def _compare(
         id_switches=count(group[switched]),
         ospa_m=ospa.reshape(shape),
         gospa_m=gospa.reshape(shape),
-        seen=EvaluatedObjects(*np.divmod(truth.group, max(shape[1], 1)), truth.id, truth_outcome == MATCHED),
         switches=Switches(
             *np.divmod(group[switched], max(shape[1], 1)),
             truth.id[pairs[switched, 0]],
             before,
             tracks.id[pairs[switched, 1]],
         ),
-        judged=_judged(
-            layout, (truth_outcome, of_truth), (track_outcome, of_track), sources.tracks.score[sources.track_rows]
-        ),
-        pairs=sources.pairs(group, pairs, shape[1], assigner.dimensions),
+        judged=_judged(layout, (truth_outcome, of_truth), (track_outcome, of_track), tables[3].score[tables[1]]),
+        pairs=MatchedPairs(group, shape[1], pairs[:, 0], pairs[:, 1], *tables, assigner.dimensions),
+        agents=agents,
         same_as=same_as,
     )
 

@@ -108,13 +108,12 @@ def explained(record: Record, measured: Effects, roles: dict[str, str] | None = 
 def labelled(record: Record, measured: Effects, roles: dict[str, str] | None = None, **more):
     """(scores, table of objects with causes, labels, manipulations) of a record."""
     scores: Scores = Scorer().score(record)
-    truth = record.truth(scores.frames)
-    boxes = truth.boxes.in_group(scores.frames[truth.boxes.group])
+    boxes = scores.truth.boxes.in_group(scores.truth_frame)
     known = {way.node: "adversary" for way in measured.passages} | (roles or {})
     done = manipulations(
         measured, known, scores.series, boxes, PERIOD_S, np.zeros(len(measured), bool), AttributionLimits()
     )
-    labels = Attributor(AttributionLimits(), scores, done, truth, record.agents, PERIOD_S, **more).labels()
+    labels = Attributor(AttributionLimits(), scores, done, PERIOD_S, **more).labels()
     return scores, scores.objects() | {"cause": cause_names(labels.cause), "by": labels.by}, labels, done
 
 

@@ -54,10 +54,9 @@ def achieved(
         places=np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0]]),
     )
     scores, _, labels, done = labelled(record, effects(*lies, **wires))
-    truth = record.truth(scores.frames)
     victims = {name: {1} for name in done.culprits}
-    targets = achievement.targets(scores, labels.cause, labels.by, done, truth, record.agents, "ego", victims, 100.0, 5)
-    return achievement.summary(targets, done.culprits, scores, labels.switch_by, "ego", PERIOD_S, scored)
+    targets = achievement.targets(scores, labels, done, "ego", victims, 100.0, 5)
+    return achievement.summary(targets, scores, labels.switch_by, "ego", PERIOD_S, scored)
 
 
 def lies(effect: str, frames: Any, at: tuple[float, float], more: tuple[float, float] = (0.0, 0.0), by="eve", id=7):

@@ -38,7 +38,7 @@ def driven(
     )  # fmt: skip
     measured_effects = effects(*(lies or []), passages=[passage("eve", "detections", "ego")] if lies else ())
     scores, _, labels, _ = labelled(record, measured_effects)
-    return driving_metrics.drives(Driving(), record, scores, labels, record.truth(scores.frames))
+    return driving_metrics.drives(Driving(), record, scores, labels)
 
 
 def shown(effect: str, at: tuple[float, float]) -> list[Row]:
@@ -110,7 +110,7 @@ def test_a_past_collision_cannot_be_braked_for_even_by_the_truth() -> None:
 def test_an_agent_that_is_not_an_object_of_the_scene_is_no_vehicle() -> None:
     record = recorded([cars(CAR)], {Series("pole", "local"): [NOTHING]}, agents=["pole"])
     scores, _, labels, _ = labelled(record, effects())
-    assert driving_metrics.drives(Driving(), record, scores, labels, record.truth(scores.frames)) == {}
+    assert driving_metrics.drives(Driving(), record, scores, labels) == {}
 
 
 def test_the_summary_covers_the_scored_frames() -> None:
@@ -153,5 +153,5 @@ def test_series_without_messages_are_left_out() -> None:
     record.add_truth(0, cars(ego(0)), np.full((1, 1), 50), np.zeros((1, 3)), np.array([0]))
     record.add(0, [Series("", "picture")], Snapshot.of(NOTHING))
     scores, _, labels, _ = labelled(record, effects())
-    drives = driving_metrics.drives(Driving(), record, scores, labels, record.truth(scores.frames))
+    drives = driving_metrics.drives(Driving(), record, scores, labels)
     assert list(drives) == [("ego", "truth")]

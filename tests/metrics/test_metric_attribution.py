@@ -322,8 +322,7 @@ def test_removed_detections_hide_an_object_only_from_an_agent_that_would_track_i
     record = run_of([CAR] * n, [CAR] * n, points=points)
     done = effects(*lies("removed", [9, *range(n - removed, n)], HERE), passages=[passage("eve", "detections", "ego")])
     scores, _, _, manipulations = labelled(record, done)
-    truth = record.truth(scores.frames)
-    left = without_unseen(manipulations, done, record.agents, truth, scores.frames, 5, 10)
+    left = without_unseen(manipulations, done, scores, 5, 10)
     assert (left.object[left.frame == n - 1] >= 0).tolist() == [hidden]
 
 

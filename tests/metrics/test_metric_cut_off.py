@@ -57,7 +57,7 @@ def judged(*, silent, attacks=(), unheard=None, **world):
 def severed(record: Record, silent: np.ndarray, unheard: np.ndarray | None = None) -> CutOffObjects:
     scores = Scorer().score(record)
     unheard = np.zeros_like(silent) if unheard is None else unheard
-    return CutOff().objects(scores, record.truth(scores.frames), AGENTS, scores.frames, PERIOD_S, silent, unheard)
+    return CutOff().objects(scores, PERIOD_S, silent, unheard)
 
 
 def cut(agent: str = "infra_1", when: slice = CUT) -> np.ndarray:

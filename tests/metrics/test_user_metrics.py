@@ -59,12 +59,10 @@ def computed(metrics: list[Any], tracked: list[list[bool]], scored: list[bool] |
         believed = [place for place, there in zip(places, which, strict=True) if there]
         record.add(frame, [Series("ego", "local")], Snapshot.of(cars(*believed)))
     scores = Scorer().score(record)
-    truth = record.truth(scores.frames)
-    labels = Attributor(
-        AttributionLimits(), scores, no_manipulations(len(scores.series)), truth, record.agents, 0.1
-    ).labels()
+    manipulations = no_manipulations(len(scores.series))
+    labels = Attributor(AttributionLimits(), scores, manipulations, 0.1).labels()
     counts = np.ones(len(tracked), bool) if scored is None else np.array(scored)
-    estimates = estimates_of(scores, labels, truth, record.agents, counts, 0.1)
+    estimates = estimates_of(scores, labels, counts, 0.1)
     summary, table, errors = measured(metrics, ScoredRun(scores, counts, estimates))
     for error in errors.values():
         raise error
