@@ -4,28 +4,18 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tracked_objects import INVALID_COVARIANCES, MATURE, cars, centre, nanoseconds
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.fusion import (
     CheckedCovariances,
     CovarianceCheck,
-    CovarianceIntersectionFusion,
-    GroupTrackerWrapper,
     ReportedCovariances,
-    SampledAssignmentClusterer,
 )
-from mast_zenoh.pipelines import CommandCenterPipeline
-from mast_zenoh.tracking import KalmanBoxTracker3D
 
-#: Variances of a track that is a second old, in the order of the state.
-MATURE = np.diag([0.05, 0.05, 0.02, 0.05, 0.05, 0.05, 0.6, 0.6, 0.05])
 NAMES = tuple("abcde")
 CARS = np.array([[15.0 * x, 15.0 * y] for x in range(4) for y in range(4)])
 FRAMES = 20
-
-
-def nanoseconds(frame: int) -> int:
-    return frame * 100_000_000
 
 
 def reported(
@@ -40,14 +30,8 @@ def reported(
     place = np.tile(CARS, (agents, 1)) + random.normal(0.0, std_m, (len(agent), 2))
     place[:, 0] += [offset.get(each, 0.0) for each in agent.tolist()]
     scale = np.array([factor.get(each, 1.0) for each in agent.tolist()])
-    states = ObjectStates.of(
-        np.column_stack([place, np.full(len(agent), 0.8)]),
-        id=np.tile(np.arange(len(CARS)), agents),
-        size=np.tile([4.5, 1.8, 1.5], (len(agent), 1)),
-        covariance=MATURE * scale[:, None, None],
-        score=np.full(len(agent), 0.99),
-        class_id=np.ones(len(agent), np.uint8),
-    )
+    covariance = MATURE * scale[:, None, None]
+    states = cars(place, covariance=covariance, id=np.tile(np.arange(len(CARS)), agents))
     return states, agent
 
 
@@ -67,13 +51,10 @@ def variances(states: ObjectStates, agents: int) -> list[float]:
 
 def picture(covariances: CovarianceCheck, agents: int, offset: dict[int, float], factor: dict[int, float]):
     """The last picture of the cars."""
-    tracker = GroupTrackerWrapper(fusion=CovarianceIntersectionFusion(), tracker=KalmanBoxTracker3D())
-    centre = CommandCenterPipeline(
-        clustering=SampledAssignmentClusterer(), group_tracking=tracker, covariances=covariances
-    )
+    pipeline = centre(covariances=covariances)
     for frame in range(FRAMES):
         states, agent = reported(agents, frame, offset, factor)
-        result, _ = centre.step(nanoseconds(frame), states, agent, NAMES[:agents])
+        result, _ = pipeline.step(nanoseconds(frame), states, agent, NAMES[:agents])
     return result
 
 
@@ -209,10 +190,7 @@ def test_the_number_of_absent_agents_that_are_known_is_limited():
 
 covariances = st.sampled_from(
     [
-        np.zeros((9, 9)),
-        -np.eye(9),
-        np.full((9, 9), 1e300),
-        np.triu(np.full((9, 9), 5.0)),
+        *INVALID_COVARIANCES.values(),
         MATURE * 1e-6,
         MATURE + 0.0499 * (np.eye(9)[[1, 0, *range(2, 9)]] - np.diag([0.0, 0.0, *[1.0] * 7])),  # x and y nearly equal
         MATURE,

@@ -2,17 +2,16 @@
 
 import numpy as np
 import pytest
+from tracked_objects import INVALID_COVARIANCES, assert_same_bits, cars, centre, nanoseconds
 
-from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.arrays.states import ObjectStates, concatenate
 from mast_zenoh.fusion import (
     BestMemberFusion,
     CovarianceIntersectionFusion,
     GroupTracker,
     GroupTrackerWrapper,
-    SampledAssignmentClusterer,
     UnfilteredGroupTracker,
 )
-from mast_zenoh.pipelines import CommandCenterPipeline
 from mast_zenoh.tracking import KalmanBoxTracker3D
 
 NAMES = ("ego", "infra_1", "infra_2")
@@ -26,31 +25,13 @@ def unfiltered() -> GroupTracker:
     return UnfilteredGroupTracker(fusion=BestMemberFusion())
 
 
-def centre(group: GroupTracker) -> CommandCenterPipeline:
-    return CommandCenterPipeline(clustering=SampledAssignmentClusterer(), group_tracking=group)
-
-
-def nanoseconds(frame: int) -> int:
-    return frame * 100_000_000
-
-
 def tracks(xy, variance: float = 0.05, speed: float = 0.0) -> ObjectStates:
     """Tracks of cars at `xy` (n, 2) m that drive along x."""
-    xy = np.asarray(xy, float).reshape(-1, 2)
-    n = len(xy)
-    return ObjectStates.of(
-        np.column_stack([xy, np.full(n, 0.8)]),
-        size=np.tile([4.5, 1.8, 1.5], (n, 1)),
-        velocity=np.tile([speed, 0.0, 0.0], (n, 1)),
-        covariance=np.tile(variance * np.eye(9), (n, 1, 1)),
-        score=np.full(n, 0.99),
-        class_id=np.ones(n, np.uint8),
-    )
+    return cars(xy, (speed, 0.0), variance * np.eye(9))
 
 
 def of_agents(*parts: ObjectStates) -> tuple[ObjectStates, np.ndarray]:
-    columns = {name: np.concatenate([part.columns()[name] for part in parts]) for name in parts[0].columns()}
-    return ObjectStates(**columns), np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+    return concatenate(parts), np.repeat(np.arange(len(parts)), [len(part) for part in parts])
 
 
 @pytest.mark.parametrize("group", [wrapper, unfiltered])
@@ -81,11 +62,7 @@ def test_the_picture_has_the_covariance_of_the_fusion():
 
 
 @pytest.mark.parametrize("group", [wrapper, unfiltered])
-@pytest.mark.parametrize(
-    "covariance",
-    [np.zeros((9, 9)), -np.eye(9), np.full((9, 9), 1e300), np.triu(np.full((9, 9), 5.0)), np.diag([1e-300] * 9)],
-    ids=["none", "negative", "huge", "not symmetric", "tiny"],
-)
+@pytest.mark.parametrize("covariance", INVALID_COVARIANCES.values(), ids=INVALID_COVARIANCES)
 def test_invalid_covariances_do_not_spoil_the_picture(group, covariance):
     pipeline = centre(group())
     for frame in range(6):
@@ -137,8 +114,7 @@ def test_the_order_of_rows_and_agents_does_not_matter(group):
         names = tuple(NAMES[k] for k in order)
         other = b.step(nanoseconds(frame), states.select(rows), np.argsort(order)[agent][rows], names)
         assert one[1].tobytes() == other[1].tobytes()
-        for name, column in one[0].columns().items():
-            assert column.tobytes() == other[0].columns()[name].tobytes(), name
+        assert_same_bits(one[0], other[0])
 
 
 def test_an_unfiltered_object_returns_under_its_id_at_its_predicted_position():

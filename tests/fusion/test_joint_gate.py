@@ -4,40 +4,27 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tracked_objects import INVALID_COVARIANCES, MATURE, STEP_S, cars, centre, nanoseconds
 
 from mast_zenoh.arrays.states import ObjectStates, concatenate
 from mast_zenoh.fusion import (
     Clusterer,
-    CovarianceIntersectionFusion,
     DBSCANClusterer,
-    GroupTrackerWrapper,
     SampledAssignmentClusterer,
 )
 from mast_zenoh.fusion.clustering import without_contradicted
-from mast_zenoh.pipelines import CommandCenterPipeline
-from mast_zenoh.tracking import KalmanBoxTracker3D
 
 CLUSTERERS = [SampledAssignmentClusterer(), DBSCANClusterer()]
-STEP_S = 0.1
-#: Variances of a track that is a second old, and of one that is three frames old, in the order of the state.
-MATURE = np.diag([0.05, 0.05, 0.02, 0.05, 0.05, 0.05, 0.6, 0.6, 0.05])
+#: Variances of a track that is three frames old.
 YOUNG = np.diag([0.15, 0.15, 0.04, 0.05, 0.05, 0.05, 30.0, 4.0, 0.2])
 
 
 def tracks(rows: list[tuple[float, float, float, float]], young: tuple[int, ...] = ()) -> ObjectStates:
     """Tracks of cars at (x, y, z) m with a speed along x, m/s."""
-    values = np.array(rows)
-    covariance = np.tile(MATURE, (len(rows), 1, 1))
+    values, covariance = np.array(rows), np.tile(MATURE, (len(rows), 1, 1))
     covariance[list(young)] = YOUNG
-    return ObjectStates.of(
-        values[:, :3],
-        id=np.zeros(len(rows), np.int64),
-        velocity=np.column_stack([values[:, 3], np.zeros((len(rows), 2))]),
-        size=np.tile([4.5, 1.8, 1.5], (len(rows), 1)),
-        covariance=covariance,
-        score=np.full(len(rows), 0.99),
-        class_id=np.ones(len(rows), np.uint8),
-    )
+    velocity = np.column_stack([values[:, 3], np.zeros(len(rows))])
+    return cars(values[:, :3], velocity, covariance, id=np.zeros(len(rows), np.int64))
 
 
 def labels(clusterer: Clusterer, rows: list[tuple[float, float, float, float]], young: tuple[int, ...] = ()) -> list:
@@ -117,7 +104,7 @@ def test_members_agree_and_the_order_of_tracks_does_not_matter(rows, clusterer, 
     np.testing.assert_array_equal(clusterer.cluster(states.select(order), agent[order]), label[order])
 
 
-@pytest.mark.parametrize("covariance", [np.zeros((9, 9)), -np.eye(9), np.full((9, 9), 1e300), np.triu(np.ones((9, 9)))])
+@pytest.mark.parametrize("covariance", INVALID_COVARIANCES.values(), ids=INVALID_COVARIANCES)
 @pytest.mark.parametrize("clusterer", CLUSTERERS)
 def test_invalid_covariances_are_survived(clusterer, covariance):
     states = tracks([(0, 0, 0.8, 12), (0.3, 1.6, 0.8, -12), (0.1, 0.2, 0.8, 12)])
@@ -137,20 +124,13 @@ def test_a_flood_of_tracks_that_contradict_each_other_is_clustered(clusterer):
     assert label[-2] != label[-1]
 
 
-def centre() -> CommandCenterPipeline:
-    return CommandCenterPipeline(
-        clustering=SampledAssignmentClusterer(),
-        group_tracking=GroupTrackerWrapper(fusion=CovarianceIntersectionFusion(), tracker=KalmanBoxTracker3D()),
-    )
-
-
 def test_the_picture_keeps_vehicles_apart_that_pass_each_other():
     """Each is seen by two agents that do not see the other, 1.5 m beside it."""
     pipeline = centre()
     for frame in range(60):
         x = 12.0 * (STEP_S * frame - 3.0)
         states = tracks([(x, 0, 0.8, 12), (x + 0.2, 0.1, 0.8, 12), (-x, 1.5, 0.8, -12), (0.2 - x, 1.6, 0.8, -12)])
-        picture, support = pipeline.step(round(frame * STEP_S * 1e9), states, np.arange(4), ("a", "b", "c", "d"))
+        picture, support = pipeline.step(nanoseconds(frame), states, np.arange(4), ("a", "b", "c", "d"))
         if frame >= 2:
             assert support.tolist() == [2, 2]
             assert picture.id.tolist() == [0, 1]
@@ -162,7 +142,7 @@ def test_a_track_that_jumps_to_an_oncoming_vehicle_is_neither_fused_nor_in_the_p
     for frame in range(40):
         x = -12.0 * STEP_S * frame
         states = tracks([(x, 0, 0.8, -12), (x + 0.2, 0.1, 0.8, -12), (x - 0.1, 0.1, 0.8, 12 if frame >= 20 else -12)])
-        picture, support = pipeline.step(round(frame * STEP_S * 1e9), states, np.arange(3), ("a", "b", "c"))
+        picture, support = pipeline.step(nanoseconds(frame), states, np.arange(3), ("a", "b", "c"))
         if frame >= 2:
             assert picture.id.tolist() == [0]
             assert support.tolist() == [2 if frame >= 20 else 3]

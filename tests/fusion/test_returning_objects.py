@@ -2,40 +2,16 @@
 
 import numpy as np
 import pytest
+from tracked_objects import MATURE, STEP_S, cars, centre, nanoseconds
 
-from mast_zenoh.arrays.states import CLASS_INDEX, Floats, ObjectStates, concatenate
-from mast_zenoh.fusion import CovarianceIntersectionFusion, GroupTrackerWrapper, SampledAssignmentClusterer
+from mast_zenoh.arrays.states import CLASS_INDEX, ObjectStates, concatenate
 from mast_zenoh.fusion.group_tracking import RETURN_GATE, ReturningObjects
 from mast_zenoh.pipelines import CommandCenterPipeline
-from mast_zenoh.tracking import KalmanBoxTracker3D, classes
+from mast_zenoh.tracking import classes
 from mast_zenoh.tracking.kalman import process_noise
 from mast_zenoh.tracking.tracks import known_class
 
-STEP_S = 0.1
-MATURE = np.diag([0.05, 0.05, 0.02, 0.05, 0.05, 0.05, 0.6, 0.6, 0.05])
 LOST_S = 4.0
-
-
-def states(position: Floats, velocity: Floats, ids: list[int], class_name: str = "car") -> ObjectStates:
-    """Objects at (n, 2) m with velocities (n, 2) m/s."""
-    n = len(position)
-    return ObjectStates.of(
-        np.column_stack([position, np.full(n, 0.8)]),
-        id=np.array(ids),
-        velocity=np.column_stack([velocity, np.zeros(n)]),
-        size=np.tile([4.5, 1.8, 1.5], (n, 1)),
-        yaw=np.arctan2(velocity[:, 1], velocity[:, 0]),
-        covariance=np.tile(MATURE, (n, 1, 1)),
-        score=np.full(n, 0.99),
-        class_id=np.full(n, CLASS_INDEX[class_name], np.uint8),
-    )
-
-
-def centre(id_memory_s: float = 4.0) -> CommandCenterPipeline:
-    tracker = GroupTrackerWrapper(
-        fusion=CovarianceIntersectionFusion(), tracker=KalmanBoxTracker3D(), id_memory_s=id_memory_s
-    )
-    return CommandCenterPipeline(clustering=SampledAssignmentClusterer(), group_tracking=tracker)
 
 
 def pictured_ids(pipeline: CommandCenterPipeline, hidden_s: float, speed: float, turn: float = 0.0) -> set[int]:
@@ -48,12 +24,16 @@ def pictured_ids(pipeline: CommandCenterPipeline, hidden_s: float, speed: float,
         velocity = speed * np.array([np.cos(heading), np.sin(heading)])
         place = place + STEP_S * velocity
         seen = [
-            states(place + random.normal(0, 0.1, (1, 2)), velocity + random.normal(0, 0.3, (1, 2)), [int(elapsed >= 0)])
+            cars(
+                place + random.normal(0, 0.1, (1, 2)),
+                velocity + random.normal(0, 0.3, (1, 2)),
+                id=np.array([int(elapsed >= 0)]),
+            )
             for _ in range(2)
             if not hidden
         ]
         picture, _ = pipeline.step(
-            round(frame * STEP_S * 1e9),
+            nanoseconds(frame),
             concatenate(seen) if seen else ObjectStates.empty(),
             np.arange(len(seen)),
             ("a", "b"),
@@ -78,9 +58,9 @@ def test_parked_cars_whose_boxes_nearly_touch_keep_their_ids():
     random, pipeline = np.random.default_rng(1), centre()
     place = np.array([[0.0, 0.0], [0.0, 2.0], [0.0, 4.0]])
     for frame in range(100):
-        seen = [states(place + random.normal(0, 0.2, (3, 2)), np.zeros((3, 2)), [0, 1, 2]) for _ in range(3)]
+        seen = [cars(place + random.normal(0, 0.2, (3, 2)), id=np.arange(3)) for _ in range(3)]
         picture, support = pipeline.step(
-            round(frame * STEP_S * 1e9), concatenate(seen), np.repeat(np.arange(3), 3), ("a", "b", "c")
+            nanoseconds(frame), concatenate(seen), np.repeat(np.arange(3), 3), ("a", "b", "c")
         )
         if frame > 1:
             assert picture.id.tolist() == [0, 1, 2]
@@ -93,9 +73,7 @@ def given(
     """The ids of the tracker's objects (id, x, y, speed along x)."""
     values = np.array(objects, float).reshape(-1, 4)
     velocity = np.column_stack([values[:, 3], np.zeros(len(values))])
-    picture = (
-        states(values[:, 1:3], velocity, values[:, 0].astype(int).tolist(), name) if objects else ObjectStates.empty()
-    )
+    picture = cars(values[:, 1:3], velocity, kind=name, id=values[:, 0].astype(int))
     return returning.ids_for(round(time_s * 1e9), picture).tolist()
 
 

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from tracking_worlds import detected, matched, nanoseconds
+from tracked_objects import assert_same_bits, nanoseconds
+from tracking_worlds import detected, matched
 
 from mast_zenoh.arrays.states import Detections, ObjectStates
 from mast_zenoh.tracking import Innovations, KalmanBoxTracker3D
@@ -53,14 +54,6 @@ def test_the_estimate_approaches_the_true_noise(std_m: float) -> None:
     assert np.sqrt(tracker._noise.variance[2:]) == pytest.approx([0.2, 0.3, 0.3, 0.3])
 
 
-def same_bits(one: list[ObjectStates], other: list[ObjectStates]) -> bool:
-    return all(
-        column.tobytes() == b.columns()[name].tobytes()
-        for a, b in zip(one, other, strict=True)
-        for name, column in a.columns().items()
-    )
-
-
 @pytest.mark.parametrize(("std_m", "reported_m"), [(0.1, 0.0), (0.4, 0.0), (0.5, 0.0), (1.0, 1.0), (1.0, 0.3)])
 def test_nothing_changes_near_the_default_or_where_covariances_are_reported(
     std_m: float, reported_m: float, monkeypatch: pytest.MonkeyPatch
@@ -70,14 +63,16 @@ def test_nothing_changes_near_the_default_or_where_covariances_are_reported(
         with_estimate = followed(frames, KalmanBoxTracker3D())[0]
         with monkeypatch.context() as patch:
             patch.setattr(DetectionNoise, "learn", lambda *_: None)
-            assert same_bits(with_estimate, followed(frames, KalmanBoxTracker3D())[0])
+            for one, other in zip(with_estimate, followed(frames, KalmanBoxTracker3D())[0], strict=True):
+                assert_same_bits(one, other)
 
 
 def test_the_order_of_noisy_detections_does_not_matter() -> None:
     random = np.random.default_rng(1)
     frames = world(1.0)
     shuffled = [each.select(random.permutation(len(each))) for each in frames]
-    assert same_bits(followed(frames, KalmanBoxTracker3D())[0], followed(shuffled, KalmanBoxTracker3D())[0])
+    for one, other in zip(*(followed(each, KalmanBoxTracker3D())[0] for each in (frames, shuffled)), strict=True):
+        assert_same_bits(one, other)
 
 
 def test_the_estimate_is_bounded_and_returns_to_the_default() -> None:

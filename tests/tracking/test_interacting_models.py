@@ -6,7 +6,8 @@ from filterpy.kalman import IMMEstimator, KalmanFilter
 from scipy.linalg import expm
 from test_tracking_parts import some_tracks
 from test_tracking_traffic import junction
-from tracking_worlds import detected, nanoseconds, watch
+from tracked_objects import nanoseconds
+from tracking_worlds import detected, watch
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.config.registry import build

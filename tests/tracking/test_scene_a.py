@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 from reference_scene import Frames, read, run, score, unpacked
+from tracked_objects import assert_same_bits
 
-from mast_zenoh.arrays.states import Detections, ObjectStates, concatenate
+from mast_zenoh.arrays.states import ObjectStates, concatenate
 from mast_zenoh.fusion import (
     BestMemberFusion,
     Clusterer,
@@ -18,7 +19,7 @@ from mast_zenoh.fusion import (
     UnfilteredGroupTracker,
 )
 from mast_zenoh.pipelines import CommandCenterPipeline
-from mast_zenoh.tracking import FilterpyBoxTracker3D, KalmanBoxTracker3D, Tracker
+from mast_zenoh.tracking import KalmanBoxTracker3D
 
 
 @pytest.fixture(scope="module")
@@ -27,14 +28,12 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Frames:
 
 
 def pipeline(
-    tracker: type[Tracker] = KalmanBoxTracker3D,
-    clustering: Clusterer | None = None,
-    fusion: Fusion | None = None,
-    covariances: CovarianceCheck | None = None,
+    clustering: Clusterer | None = None, fusion: Fusion | None = None, covariances: CovarianceCheck | None = None
 ) -> CommandCenterPipeline:
+    tracking = GroupTrackerWrapper(fusion=fusion or CovarianceIntersectionFusion(), tracker=KalmanBoxTracker3D())
     return CommandCenterPipeline(
         clustering=clustering or SampledAssignmentClusterer(assign_radius=2.0),
-        group_tracking=GroupTrackerWrapper(fusion=fusion or CovarianceIntersectionFusion(), tracker=tracker()),
+        group_tracking=tracking,
         covariances=covariances,
     )
 
@@ -115,53 +114,3 @@ def run_again(scene: Frames, tracks: list[list[ObjectStates]], centre: CommandCe
 def test_ids_are_sorted_and_unique(result):
     for picture in result[1]:
         assert (np.diff(picture.id) > 0).all()
-
-
-def test_filterpy_gives_the_same_tracks_and_picture(scene, result):
-    frames = 60
-    tracks, pictures = run(scene, FilterpyBoxTracker3D, pipeline(FilterpyBoxTracker3D), frames)
-    for ours, reference in zip(result[1], pictures, strict=False):
-        assert_close(ours, reference)
-    for our_tracks, reference_tracks in zip(result[0], tracks, strict=False):
-        for ours, reference in zip(our_tracks, reference_tracks, strict=True):
-            assert_close(ours, reference)
-
-
-def assert_close(a: ObjectStates, b: ObjectStates) -> None:
-    np.testing.assert_array_equal(a.id, b.id)
-    for name in ("position", "velocity", "size", "yaw", "covariance", "score"):
-        np.testing.assert_allclose(getattr(a, name), getattr(b, name), rtol=0, atol=1e-9)
-
-
-def test_results_do_not_depend_on_the_order_of_arrival(scene, result):
-    frames = 50
-    random = np.random.default_rng(3)
-    shuffled = Frames(scene.time_ns, [], scene.view, scene.truth, scene.ego)
-    for detections in scene.detections:
-        shuffled.detections.append([shuffle(one, random) for one in detections])
-    tracks, pictures = run(shuffled, KalmanBoxTracker3D, ShuffledPipeline(pipeline(), random), frames)
-    for frame in range(frames):
-        assert_same_bits(result[1][frame], pictures[frame])
-        for ours, other in zip(result[0][frame], tracks[frame], strict=True):
-            assert_same_bits(ours, other)
-
-
-def shuffle(detections: Detections, random: np.random.Generator) -> Detections:
-    return detections.select(random.permutation(len(detections)))
-
-
-class ShuffledPipeline(CommandCenterPipeline):
-    """Gives a pipeline tracks and agents in random order."""
-
-    def __init__(self, inner: CommandCenterPipeline, random: np.random.Generator) -> None:
-        self.inner, self.random = inner, random
-
-    def step(self, time_ns, states, agent, agents, weights=None):
-        rows, order = self.random.permutation(len(states)), self.random.permutation(len(agents))
-        renamed = np.argsort(order)[agent]
-        return self.inner.step(time_ns, states.select(rows), renamed[rows], tuple(agents[one] for one in order))
-
-
-def assert_same_bits(a: ObjectStates, b: ObjectStates) -> None:
-    for name, column in a.columns().items():
-        assert column.tobytes() == b.columns()[name].tobytes(), name

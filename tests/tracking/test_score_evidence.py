@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 from scipy.optimize import isotonic_regression
-from tracking_worlds import detected, joined, matched, nanoseconds
+from tracked_objects import assert_same_bits, nanoseconds
+from tracking_worlds import detected, joined, matched
 
 from mast_zenoh.arrays.states import Detections, ObjectStates
 from mast_zenoh.tracking import KalmanBoxTracker3D, tracks
@@ -124,8 +125,8 @@ def test_constant_scores_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ScoreCalibration, "add", lambda *_: None)
     unscored = states_of(frames, 0.9)
     for one, other, third in zip(high, low, unscored, strict=True):
-        for name, column in one.columns().items():
-            assert column.tobytes() == other.columns()[name].tobytes() == third.columns()[name].tobytes(), name
+        assert_same_bits(one, other)
+        assert_same_bits(one, third)
 
 
 def test_a_false_detection_that_never_ends_does_not_make_others_with_its_score_credible() -> None:

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from launched import Launched
 from scipy.stats import uniform
-from tracking_worlds import detected, joined, nanoseconds
+from tracked_objects import assert_same_bits, nanoseconds
+from tracking_worlds import detected, joined
 
 from mast_zenoh import scenario
 from mast_zenoh.arrays.states import CLASS_INDEX, COVARIANCE_ORDER, Detections, ObjectStates
@@ -189,8 +189,7 @@ def test_skipping_distant_pairs_does_not_change_the_tracks(monkeypatch: pytest.M
             tracks = tracker.step(nanoseconds(frame), detected(crowd + random.normal(0.0, 1.0, crowd.shape)))
         results.append(tracks)
     assert len(results[0]) > 5
-    for name, column in results[0].columns().items():
-        assert column.tobytes() == results[1].columns()[name].tobytes(), name
+    assert_same_bits(*results)
 
 
 def test_random_numbers_are_the_trackers_own() -> None:
@@ -370,15 +369,3 @@ def test_a_builders_files_reach_nodes_on_other_hosts(mine: Callable[[str], Path]
     content = sent["scenario.json"]
     assert isinstance(content, bytes)
     assert b'"builder": "files/0/my_tracker.py:build"' in content
-
-
-@pytest.mark.mesh
-def test_a_run_on_the_mesh_equals_one_in_one_process(
-    start: Callable[..., Launched], mine: Callable[[str], Path], tmp_path: Path
-) -> None:
-    file = mine("my_tracker.py:nearest")
-    run = start(sys.executable, "-m", "mast_zenoh", "run", str(file), "--frames", str(FRAMES), "--no-report", "--out")
-    code, output = run.end()
-    assert code == 0, output
-    here = launcher.run(resolved(file), tmp_path / "here", runtime="inproc")
-    assert_equal(run.out, here.folder)

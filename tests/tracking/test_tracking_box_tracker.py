@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tracking_worlds import detected, joined, nanoseconds
+from tracked_objects import INVALID_COVARIANCES, assert_close, assert_same_bits, cars, nanoseconds
+from tracking_worlds import detected, joined
 
 from mast_zenoh.arrays.geometry import rotation_from_yaw
 from mast_zenoh.arrays.states import CLASS_INDEX, Detections, ObjectStates
@@ -205,8 +206,7 @@ def test_the_order_of_detections_does_not_matter(kind, frames, random):
         order = random.sample(range(len(seen)), len(seen))
         one = a.step(nanoseconds(frame), seen, view())
         other = b.step(nanoseconds(frame), seen.select(np.array(order, int)), view())
-        for name, column in one.columns().items():
-            assert column.tobytes() == other.columns()[name].tobytes()
+        assert_same_bits(one, other)
 
 
 @settings(max_examples=40)
@@ -218,12 +218,6 @@ def test_filterpy_agrees_for_any_detections(frames):
         one, other = a.step(nanoseconds(frame), seen, view()), b.step(nanoseconds(frame), seen, view())
         assert_close(one, other)
         assert_close(a.step_states(nanoseconds(frame), one), b.step_states(nanoseconds(frame), other))
-
-
-def assert_close(a: ObjectStates, b: ObjectStates) -> None:
-    np.testing.assert_array_equal(a.id, b.id)
-    for name in ("position", "velocity", "size", "yaw", "covariance", "score"):
-        np.testing.assert_allclose(getattr(a, name), getattr(b, name), rtol=0, atol=1e-9)
 
 
 def test_matched_gives_the_row_used_to_update_each_track():
@@ -296,22 +290,10 @@ def test_thousands_of_detections_are_processed():
 # -- full states
 
 
-def states(xy, velocity=(0.0, 0.0, 0.0), variance: float = 0.04, score: float = 0.99) -> ObjectStates:
-    seen = detected(xy)
-    return ObjectStates.of(
-        seen.position,
-        size=seen.size,
-        velocity=np.tile(np.asarray(velocity, float), (len(seen), 1)),
-        class_id=seen.class_id,
-        covariance=np.tile(np.eye(9) * variance, (len(seen), 1, 1)),
-        score=np.full(len(seen), score),
-    )
-
-
 def test_repeated_states_are_not_counted_as_new_evidence():
     tracker = KalmanBoxTracker3D()
     for frame in range(50):
-        tracks = tracker.step_states(nanoseconds(frame), states([10.0, 0.0]))
+        tracks = tracker.step_states(nanoseconds(frame), cars([10.0, 0.0], covariance=0.04 * np.eye(9)))
     # Fifty independent measurements would reduce it to a fraction of one; repeated ones must not.
     assert tracks.covariance[0, 0, 0] > 0.5 * 0.04
 
@@ -319,20 +301,16 @@ def test_repeated_states_are_not_counted_as_new_evidence():
 def test_states_contribute_their_velocity():
     tracker = KalmanBoxTracker3D()
     for frame in range(3):
-        tracks = tracker.step_states(nanoseconds(frame), states([2.0 * frame, 0.0], (20.0, 0.0, 0.0)))
+        tracks = tracker.step_states(nanoseconds(frame), cars([2.0 * frame, 0.0], (20.0, 0.0), 0.04 * np.eye(9)))
     np.testing.assert_allclose(tracks.velocity[0], [20.0, 0.0, 0.0], atol=1e-6)
 
 
 def test_a_state_with_a_low_score_is_not_confirmed_at_once():
     tracker = KalmanBoxTracker3D()
-    assert len(tracker.step_states(0, states([10.0, 0.0], score=0.5))) == 0
+    assert len(tracker.step_states(0, cars([10.0, 0.0], score=np.array([0.5])))) == 0
 
 
-@pytest.mark.parametrize(
-    "covariance",
-    [np.zeros((9, 9)), -np.eye(9), np.full((9, 9), 1e300), np.triu(np.full((9, 9), 5.0)), np.diag([1e-300] * 9)],
-    ids=["none", "negative", "huge", "not symmetric", "tiny"],
-)
+@pytest.mark.parametrize("covariance", INVALID_COVARIANCES.values(), ids=INVALID_COVARIANCES)
 def test_invalid_covariances_do_not_stop_the_tracker(covariance):
     tracker = KalmanBoxTracker3D()
     for frame in range(6):

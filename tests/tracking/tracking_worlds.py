@@ -4,12 +4,12 @@ from collections.abc import Callable
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
+from tracked_objects import STEP_S, nanoseconds
 
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import CLASS_INDEX, Detections, ObjectStates
 from mast_zenoh.tracking import Tracker
 
-STEP_S = 0.1
 SIZE = {"car": (4.5, 1.8, 1.5), "pedestrian": (0.6, 0.6, 1.7), "bicycle": (1.8, 0.6, 1.7), "truck": (9.0, 2.5, 3.2)}
 
 #: The position and heading of an object at a time in s: x, y (m), heading (rad).
@@ -32,10 +32,6 @@ def detected(xy: object, yaw: object = 0.0, kind: str = "car", covariance: np.nd
 
 def joined(*parts: Detections) -> Detections:
     return Detections(*(np.concatenate([p.columns()[name] for p in parts]) for name in parts[0].columns()))
-
-
-def nanoseconds(frame: int) -> int:
-    return frame * round(STEP_S * 1e9)
 
 
 def straight(x: float, y: float, yaw: float, speed: float) -> Path:
