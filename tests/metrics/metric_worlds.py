@@ -33,14 +33,14 @@ def cars(*positions, id=None, **columns) -> ObjectStates:
 
 def recorded(
     truth: Sequence[ObjectStates],
-    estimates: Mapping[Series, Sequence[ObjectStates]],
+    estimates: Mapping[Any, Sequence[ObjectStates]],
     *,
     agents: Sequence[str] = ("ego",),
     points: Any = 50,
     places: Any = (0.0, 0.0, 0.0),
     own: Any = -1,
 ) -> Record:
-    """A run, from its truth by frame and the tracks of each series by frame.
+    """A run, from its truth by frame, and the tracks of each series (or of several with the same messages) by frame.
 
     points, places, own: of `Record.add_truth`, for all objects and agents, or a list of them by frame
     """
@@ -52,7 +52,7 @@ def recorded(
         position = np.broadcast_to(np.asarray(place, float), (a, 3))
         record.add_truth(frame, objects, seen, position, np.broadcast_to(np.asarray(owned, np.int64), a))
         for series, tracks in estimates.items():
-            record.add(frame, [series], Snapshot.of(tracks[frame]))
+            record.add(frame, [series] if isinstance(series, Series) else series, Snapshot.of(tracks[frame]))
     return record
 
 

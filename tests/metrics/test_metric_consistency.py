@@ -8,14 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from metric_worlds import cars
+from metric_worlds import LOCAL, NOTHING, PICTURE, cars, recorded
 
 from mast_zenoh.arrays.chi_square import mean_bounds
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.integrity.calibration import SAMPLES_PER_S
 from mast_zenoh.metrics import Consistency, Record, Scorer, Series
 from mast_zenoh.metrics.consistency import MAX_NEES, nees
-from mast_zenoh.metrics.record import Snapshot
 from mast_zenoh.tracking import kalman, tracks
 
 PERIOD_S = 0.1
@@ -172,22 +171,18 @@ def states(position: Floats, velocity: Floats, variance: float) -> ObjectStates:
     )
 
 
-def recorded(variance: float, frames: int = 60, missing: bool = False) -> tuple[Record, dict[str, Any]]:
+AGENTS = ("ego", "car", "pole")
+
+
+def run_of(variance: float, frames: int = 60, missing: bool = False) -> tuple[Record, dict[str, Any]]:
     """A run of a car and two other agents; tracks have unit errors in x, and of 2 m/s in the velocity along y."""
-    record = Record(["ego", "car", "pole"])
-    record.expect([Series("ego", "local"), Series("", "picture")])
     place = 20.0 * np.arange(4.0)[:, None] * np.array([1.0, 0.0])
-    offset = np.array([1.0, 0.0])
-    for frame in range(frames):
-        truth = states(place, np.zeros((4, 2)), 0.0)
-        record.add_truth(frame, truth, np.full((4, 3), 9), np.zeros((3, 3)), np.array([-1, 3, -1]))
-        tracks_ = states(place + offset, np.tile([0.0, 2.0], (4, 1)), variance)
-        if missing:
-            tracks_ = ObjectStates.empty()
-        record.add(frame, [Series("ego", "local"), Series("ego", "received")], Snapshot.of(tracks_))
-        record.add(frame, [Series("car", "mission")], Snapshot.of(tracks_))
-        record.add(frame, [Series("pole", "mission")], Snapshot.of(tracks_))
-        record.add(frame, [Series("", "picture")], Snapshot.of(tracks_))
+    tracks_ = states(place + np.array([1.0, 0.0]), np.tile([0.0, 2.0], (4, 1)), variance)
+    series = [(LOCAL, Series("ego", "received")), Series("car", "mission"), Series("pole", "mission"), PICTURE]
+    estimates = dict.fromkeys(series, [NOTHING if missing else tracks_] * frames)
+    truth = [states(place, np.zeros((4, 2)), 0.0)] * frames
+    record = recorded(truth, estimates, agents=AGENTS, own=np.array([-1, 3, -1]))
+    record.expect([LOCAL, PICTURE])
     return record, of_record(record)
 
 
@@ -200,7 +195,7 @@ def of_record(record: Record, scored: slice | None = None) -> dict[str, Any]:
 
 
 def test_position_and_velocity_of_every_estimate_are_compared_over_matched_pairs() -> None:
-    record, found = recorded(0.25)
+    record, found = run_of(0.25)
     estimates = {agent: list(by) for agent, by in found.items()}
     assert estimates == {"ego": ["local", "picture"], "car": ["mission"], "pole": ["mission"]}
     for each in (found["ego"]["local"], found["ego"]["picture"], found["car"]["mission"]):
@@ -211,22 +206,19 @@ def test_position_and_velocity_of_every_estimate_are_compared_over_matched_pairs
 
 
 def test_false_tracks_do_not_count() -> None:
-    record = Record(["ego"])
-    place = np.array([[0.0, 0.0], [50.0, 0.0]])
-    for frame in range(40):
-        record.add_truth(frame, cars((0.0, 0.0)), np.full((1, 1), 9), np.zeros((1, 3)), np.array([-1]))
-        record.add(frame, [Series("ego", "local")], Snapshot.of(states(place, np.zeros((2, 2)), 1e-6)))
+    local = states(np.array([[0.0, 0.0], [50.0, 0.0]]), np.zeros((2, 2)), 1e-6)
+    record = recorded([cars((0.0, 0.0))] * 40, {LOCAL: [local] * 40})
     assert of_record(record)["ego"]["local"]["position"]["nees"] == 0.0
 
 
 @pytest.mark.parametrize("variance", [0.0, -1.0])
 def test_estimates_without_a_usable_covariance_are_counted_and_left_out(variance: float) -> None:
-    found = recorded(variance)[1]["ego"]["local"]["position"]
+    found = run_of(variance)[1]["ego"]["local"]["position"]
     assert (found["pairs"], found["without_covariance"]) == (0, 240)
     assert (found["nees"], found["factor"], found["verdict"]) == (None, None, None)
 
 
 def test_runs_without_frames_or_tracks_have_undefined_values() -> None:
-    assert recorded(1.0, frames=0)[1]["ego"]["picture"]["position"]["nees"] is None
-    found = recorded(1.0, missing=True)[1]["ego"]["picture"]["velocity"]
+    assert run_of(1.0, frames=0)[1]["ego"]["picture"]["position"]["nees"] is None
+    found = run_of(1.0, missing=True)[1]["ego"]["picture"]["velocity"]
     assert (found["pairs"], found["nees"], found["samples"]) == (0, None, 0.0)

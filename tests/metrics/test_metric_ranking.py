@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from metric_worlds import cars
+from metric_worlds import PICTURE, cars, recorded
 
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.metrics import CenterDistanceAssigner, Record, Scorer, Series
+from mast_zenoh.metrics import CenterDistanceAssigner, Scorer
 from mast_zenoh.metrics.ranking import LEVELS, ranked_accuracy, rankings
-from mast_zenoh.metrics.record import Snapshot
 
 FRAMES = 20
 
@@ -94,10 +93,7 @@ def test_a_perfect_tracker_has_about_half_in_accuracy_if_its_confidences_differ(
 
 def ranked(picture: list[ObjectStates], scored: slice, dimensions: int = 2) -> dict[str, float | None]:
     """The picture's ranking; one object stands at the origin in every frame."""
-    record, truth = Record(["ego"]), cars((0.0, 0.0), id=[1])
-    for frame, states in enumerate(picture):
-        record.add_truth(frame, truth, np.full((1, 1), 9), np.zeros((1, 3)), np.array([-1]))
-        record.add(frame, [Series("", "picture")], Snapshot.of(states))
+    record = recorded([cars((0.0, 0.0), id=[1])] * len(picture), {PICTURE: picture})
     scores = Scorer(assigner=CenterDistanceAssigner(dimensions=dimensions)).score(record)
     return rankings(scores, scored)[scores.every_series["ego", "picture"]]
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from metric_worlds import best_pairs, cars
+from metric_worlds import LOCAL, NOTHING, PICTURE, best_pairs, cars, recorded
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.metrics import CenterDistanceAssigner, IoU3DGreedyAssigner, Record, Scorer, Series, SetDistance
@@ -16,14 +16,14 @@ from mast_zenoh.metrics.measures import per_frame, summary_of
 from mast_zenoh.metrics.record import Snapshot
 
 
-def record(truth: list[ObjectStates], picture: list[ObjectStates], *, points=None, own=-1, position=(0.0, 0.0, 0.0)):
-    """A run of one agent, the ego; `points` (a list per frame) sets visibility."""
-    result = Record(["ego"])
-    for frame, (objects, states) in enumerate(zip(truth, picture, strict=True)):
-        seen = np.full(len(objects), 10) if points is None else np.array(points[frame])
-        result.add_truth(frame, objects, seen.reshape(-1, 1), np.array([position]), np.array([own]))
-        result.add(frame, [Series("", "picture")], Snapshot.of(states))
-    return result
+def record(truth: list[ObjectStates], picture: list[ObjectStates], **more) -> Record:
+    """A run of one agent, the ego."""
+    return recorded(truth, {PICTURE: picture}, **more)
+
+
+def summary(truth: list[ObjectStates], picture: list[ObjectStates], scored: slice = slice(None)) -> dict:
+    numbers = summary_of(Scorer().score(record(truth, picture)), scored)["ego"]["picture"]
+    return json.loads(json.dumps(numbers, allow_nan=False))
 
 
 def counts(scores, agent="ego", estimator="picture"):
@@ -72,23 +72,18 @@ def test_only_objects_and_tracks_in_range_count():
     truth = cars((99.0, 0.0), (101.0, 0.0), id=[1, 2])
     tracks = cars((99.0, 0.0), (101.0, 0.0), (150.0, 0.0), id=[1, 2, 3])
     assert counts(Scorer(range_m=100.0).score(record([truth], [tracks]))) == [(0, 0, 1)]
-    assert counts(Scorer(range_m=100.0).score(record([truth], [tracks], position=(5.0, 0.0, 15.0)))) == [(0, 0, 2)]
+    assert counts(Scorer(range_m=100.0).score(record([truth], [tracks], places=(5.0, 0.0, 15.0)))) == [(0, 0, 2)]
 
 
 def test_range_moves_with_the_agent():
-    run = Record(["ego"])
-    for frame, x in enumerate((0.0, 200.0)):
-        place = np.array([[x, 0.0, 0.0]])
-        run.add_truth(frame, cars((0.0, 0.0)), np.array([[9]]), place, np.array([-1]))
-        run.add(frame, [Series("", "picture")], Snapshot.of(cars((0.0, 0.0))))
+    car = [cars((0.0, 0.0))] * 2
+    run = record(car, car, places=[(0.0, 0.0, 0.0), (200.0, 0.0, 0.0)])
     assert counts(Scorer().score(run)) == [(0, 0, 1), (0, 0, 0)]
 
 
 def test_objects_seen_by_at_least_one_agent_are_the_truth():
-    run = Record(["ego", "infra_1"])
-    points = np.array([[0, 5], [4, 4], [5, 0]])
-    run.add_truth(0, cars((0.0, 0.0), (10.0, 0.0), (20.0, 0.0)), points, np.zeros((2, 3)), np.array([-1, -1]))
-    run.add(0, [Series("", "picture")], Snapshot.of(ObjectStates.empty()))
+    truth = cars((0.0, 0.0), (10.0, 0.0), (20.0, 0.0))
+    run = recorded([truth], {PICTURE: [NOTHING]}, agents=["ego", "infra_1"], points=np.array([[0, 5], [4, 4], [5, 0]]))
     scores = Scorer(min_points=5).score(run)
     assert counts(scores) == [(2, 0, 0)]
     assert ("truth", "unevaluated", 1, -1) in outcomes(scores)
@@ -116,11 +111,9 @@ def test_an_unseen_object_excuses_one_track_only():
 
 
 def test_the_agent_is_in_its_own_truth_by_default():
-    def run():
-        return record([cars((0.0, 0.0), (9.0, 0.0), id=[42, 1])], [cars((0.1, 0.0), (9.0, 0.0))], own=42)
-
-    assert counts(Scorer().score(run())) == [(0, 0, 2)]
-    assert counts(Scorer(include_self=False).score(run())) == [(0, 0, 1)]
+    run = record([cars((0.0, 0.0), (9.0, 0.0), id=[42, 1])], [cars((0.1, 0.0), (9.0, 0.0))], own=42)
+    assert counts(Scorer().score(run)) == [(0, 0, 2)]
+    assert counts(Scorer(include_self=False).score(run)) == [(0, 0, 1)]
 
 
 def test_a_switch_is_counted_against_the_last_match_even_after_a_gap():
@@ -131,34 +124,28 @@ def test_a_switch_is_counted_against_the_last_match_even_after_a_gap():
 
 
 def test_identity_switches_are_counted_per_agent():
-    run = Record(["ego", "infra_1"])
-    for frame in range(2):
-        run.add_truth(frame, cars((0.0, 0.0)), np.array([[9, 9]]), np.zeros((2, 3)), np.array([-1, -1]))
-        run.add(frame, [Series("ego", "local")], Snapshot.of(cars((0.0, 0.0), id=[frame])))
-        run.add(frame, [Series("infra_1", "local")], Snapshot.of(cars((0.0, 0.0), id=[5])))
-    summary = summary_of(Scorer().score(run))
-    assert summary["ego"]["local"]["id_switches"] == 1
-    assert summary["infra_1"]["local"]["id_switches"] == 0
+    tracks = {LOCAL: [cars((0.0, 0.0), id=[k]) for k in (0, 1)], Series("infra_1", "local"): [cars((0.0, 0.0))] * 2}
+    run = recorded([cars((0.0, 0.0))] * 2, tracks, agents=["ego", "infra_1"])
+    numbers = summary_of(Scorer().score(run))
+    assert numbers["ego"]["local"]["id_switches"] == 1
+    assert numbers["infra_1"]["local"]["id_switches"] == 0
 
 
 @pytest.mark.parametrize("scored", [slice(9, 5), slice(0, 0), slice(3, 3)])
 def test_without_scored_frames_the_summary_is_empty(scored):
     truth = [cars((0.0, 0.0))] * 5
-    summary = summary_of(Scorer().score(record(truth, truth)), scored)
-    assert summary["ego"]["picture"]["fn"] == {"mean": None, "std": None}
-    json.dumps(summary, allow_nan=False)
+    assert summary(truth, truth, scored)["fn"] == {"mean": None, "std": None}
 
 
 def test_the_first_of_several_messages_about_a_frame_counts_as_in_the_broker():
     run = record([cars((0.0, 0.0))], [cars((0.0, 0.0))])
-    run.add(0, [Series("", "picture")], Snapshot.of(ObjectStates.empty()))
+    run.add(0, [Series("", "picture")], Snapshot.of(NOTHING))
     assert counts(Scorer().score(run)) == [(0, 0, 1)]
 
 
 def test_estimates_with_the_same_messages_are_scored_once_and_are_in_all_tables():
-    run = Record(["ego"])
+    run = recorded([cars((0.0, 0.0))] * 3, {})
     for frame in range(3):
-        run.add_truth(frame, cars((0.0, 0.0)), np.full((1, 1), 9), np.zeros((1, 3)), np.array([-1]))
         run.add(frame, [Series("ego", "local"), Series("ego", "received")], Snapshot.of(cars((0.1, 0.0))))
     scores = Scorer().score(run)
     assert scores.series == (("ego", "local"),)
@@ -169,9 +156,8 @@ def test_estimates_with_the_same_messages_are_scored_once_and_are_in_all_tables(
 
 
 def test_an_estimate_that_differs_in_one_frame_is_scored_separately():
-    run = Record(["ego"])
+    run = recorded([cars((0.0, 0.0))] * 3, {})
     for frame in range(3):
-        run.add_truth(frame, cars((0.0, 0.0)), np.full((1, 1), 9), np.zeros((1, 3)), np.array([-1]))
         both = [Series("ego", "local"), Series("ego", "received")][: 1 if frame == 1 else 2]
         run.add(frame, both, Snapshot.of(cars((0.1, 0.0))))
     scores = Scorer().score(run)
@@ -180,9 +166,7 @@ def test_an_estimate_that_differs_in_one_frame_is_scored_separately():
 
 
 def test_the_picture_on_arrival_is_the_newest_received_one_until_it_is_too_old():
-    run = Record(["ego"])
-    for frame in range(12):
-        run.add_truth(frame, cars((float(frame), 0.0)), np.full((1, 1), 9), np.zeros((1, 3)), np.array([-1]))
+    run = recorded([cars((float(frame), 0.0)) for frame in range(12)], {})
     for frame, step in ((0, 1), (1, 3), (2, 2), (3, 4)):  # the picture of frame 1 is overtaken by that of frame 2
         run.add(frame, [Series("ego", "picture_received")], Snapshot.of(cars((float(frame), 0.0))), step, frame * 100)
     run.hold_pictures({"ego": 400}, {frame: 100 * frame for frame in range(12)})
@@ -193,9 +177,7 @@ def test_the_picture_on_arrival_is_the_newest_received_one_until_it_is_too_old()
 
 
 def test_the_age_of_the_picture_on_arrival_follows_from_the_time_in_its_header():
-    run = Record(["ego"])
-    for frame in range(6):
-        run.add_truth(frame, cars((float(frame), 0.0)), np.full((1, 1), 9), np.zeros((1, 3)), np.array([-1]))
+    run = recorded([cars((float(frame), 0.0)) for frame in range(6)], {})
     for frame, time_ns in ((0, 0), (1, -300), (2, 500)):  # restamped into the past, and into the future
         run.add(frame, [Series("ego", "picture_received")], Snapshot.of(cars((float(frame), 0.0))), frame, time_ns)
     run.hold_pictures({"ego": 200}, {frame: 100 * frame for frame in range(6)})
@@ -222,7 +204,7 @@ def test_rmse_covers_all_pairs_of_the_run_and_is_null_without_any():
     truth = [cars((0.0, 0.0), (9.0, 0.0)), cars((0.0, 0.0))]
     scores = Scorer().score(record(truth, [cars((0.3, 0.0), (9.0, 0.4)), cars((0.0, 1.2))]))
     assert summary_of(scores)["ego"]["picture"]["rmse_m"] == pytest.approx(np.sqrt((0.09 + 0.16 + 1.44) / 3))
-    none = Scorer().score(record(truth, [ObjectStates.empty()] * 2))
+    none = Scorer().score(record(truth, [NOTHING] * 2))
     assert summary_of(none)["ego"]["picture"]["rmse_m"] is None
     assert np.isnan(per_frame(none)["rmse_m"]).all()
     json.dumps(summary_of(none), allow_nan=False)
@@ -230,15 +212,15 @@ def test_rmse_covers_all_pairs_of_the_run_and_is_null_without_any():
 
 def test_the_summary_has_mean_and_deviation_over_frames():
     truth = [cars((0.0, 0.0), (9.0, 0.0))] * 2
-    summary = summary_of(Scorer().score(record(truth, [cars((0.0, 0.0)), ObjectStates.empty()])))
-    assert summary["ego"]["picture"]["fn"] == {"mean": 1.5, "std": 0.5}
-    assert summary["ego"]["picture"]["tp"] == {"mean": 0.5, "std": 0.5}
+    numbers = summary(truth, [cars((0.0, 0.0)), NOTHING])
+    assert numbers["fn"] == {"mean": 1.5, "std": 0.5}
+    assert numbers["tp"] == {"mean": 0.5, "std": 0.5}
 
 
 def test_the_summary_can_cover_some_frames_while_tables_have_all():
-    scores = Scorer().score(record([cars((0.0, 0.0))] * 4, [ObjectStates.empty(), *[cars((0.0, 0.6))] * 3]))
-    summary = summary_of(scores, slice(1, 4))["ego"]["picture"]
-    assert (summary["fn"]["mean"], summary["tp"]["mean"], summary["rmse_m"]) == (0.0, 1.0, pytest.approx(0.6))
+    scores = Scorer().score(record([cars((0.0, 0.0))] * 4, [NOTHING, *[cars((0.0, 0.6))] * 3]))
+    numbers = summary_of(scores, slice(1, 4))["ego"]["picture"]
+    assert (numbers["fn"]["mean"], numbers["tp"]["mean"], numbers["rmse_m"]) == (0.0, 1.0, pytest.approx(0.6))
     assert len(per_frame(scores)["frame"]) == 4
 
 
@@ -258,6 +240,58 @@ def test_truth_that_does_not_match_the_agents_is_refused():
 
 def test_a_record_without_truth_has_no_frames():
     assert summary_of(Scorer().score(Record(["ego"]))) == {}
+
+
+FIRST, SECOND, AWAY = (0.0, 0.0), (10.0, 0.0), (40.0, 0.0)
+
+
+def test_precision_recall_and_mota_count_all_scored_frames_together() -> None:
+    truth = [cars(FIRST, SECOND)] * 4
+    # 5 pairs, 3 missed objects, 1 false track, and one identity switch: track 3 takes over the first object.
+    picture = [cars(FIRST, SECOND, id=[1, 2]), cars(FIRST, id=[1]), cars(FIRST, AWAY, id=[3, 4]), cars(FIRST, id=[3])]
+    numbers = summary(truth, picture)
+    assert numbers["precision"] == pytest.approx(5 / 6)
+    assert numbers["recall"] == pytest.approx(5 / 8)
+    assert numbers["mota"] == pytest.approx(1 - (3 + 1 + 1) / 8)
+    numbers = summary(truth, picture, slice(0, 2))
+    assert (numbers["precision"], numbers["recall"], numbers["mota"]) == (1.0, 0.75, 0.75)
+
+
+@pytest.mark.parametrize(
+    ("truth", "picture", "expected"),
+    [
+        (cars(FIRST), cars(SECOND, AWAY), [0.0, 0.0, -2.0]),
+        (NOTHING, NOTHING, [None, None, None]),
+        (cars(FIRST), NOTHING, [None, 0.0, 0.0]),
+    ],
+    ids=["more errors than objects", "without objects or tracks", "without tracks"],
+)
+def test_precision_recall_and_mota_at_their_limits(truth: ObjectStates, picture: ObjectStates, expected: list) -> None:
+    numbers = summary([truth], [picture])
+    assert [numbers[name] for name in ("precision", "recall", "mota")] == expected
+
+
+BOTH, ONE = cars((0.0, 0.0), (20.0, 0.0), id=[1, 2]), cars((0.0, 0.0), id=[1])
+
+
+@pytest.mark.parametrize(
+    ("truth", "picture", "scored", "share"),
+    [
+        ([BOTH] * 4, [BOTH, ONE, ONE, NOTHING], slice(None), (3 / 4 + 1 / 4) / 2),
+        ([BOTH, ONE, ONE, ONE], [ONE] * 4, slice(None), (1.0 + 0.0) / 2),
+        ([BOTH] * 4, [NOTHING, BOTH, BOTH, NOTHING], slice(1, 3), 1.0),
+        ([NOTHING] * 2, [ONE] * 2, slice(None), None),
+    ],
+    ids=["the matched share", "of equal weight however long seen", "in scored frames", "none without objects"],
+)
+def test_completeness_is_the_mean_over_objects_of_their_matched_share(truth, picture, scored, share) -> None:
+    assert summary(truth, picture, scored)["completeness"] == (share if share is None else pytest.approx(share))
+
+
+def test_set_distances_are_computed_per_frame_and_summarised_like_counts() -> None:
+    numbers, half = summary([BOTH, BOTH], [BOTH, ONE]), pytest.approx(np.sqrt(25 / 2) / 2)
+    assert numbers["ospa_m"] == {"mean": half, "std": half}
+    assert numbers["gospa_m"]["mean"] == half
 
 
 # Against plain loops
@@ -287,10 +321,7 @@ def random_run(seed: int, shuffled: bool = False) -> tuple[Record, list]:
         run.add_truth(int(frame), truth.select(rows), points[rows], place, own)
         for (agent, estimator), states in tracks.items():
             mixed = states.select(shuffle.permutation(len(states))) if shuffled else states
-            if agent:
-                run.add(int(frame), [Series(agent, estimator)], Snapshot.of(mixed))
-            else:
-                run.add(int(frame), [Series("", "picture")], Snapshot.of(mixed))
+            run.add(int(frame), [Series(agent, estimator)], Snapshot.of(mixed))
     return run, frames
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from metric_worlds import cars
+from metric_worlds import LOCAL, cars, recorded
 
 from mast_zenoh.control.failures import location
 from mast_zenoh.metrics import (
@@ -17,14 +17,11 @@ from mast_zenoh.metrics import (
     Attributor,
     Estimate,
     FrameMetric,
-    Record,
     RunMetric,
     Scorer,
-    Series,
 )
 from mast_zenoh.metrics.manipulations import no_manipulations
 from mast_zenoh.metrics.measures import ErrorsNearby, LongestMiss, ScoredRun, check, estimates_of, measured
-from mast_zenoh.metrics.record import Snapshot
 
 
 class Told(FrameMetric):
@@ -51,13 +48,10 @@ class ToldForRun(RunMetric):
 
 def computed(metrics: list[Any], tracked: list[list[bool]], scored: list[bool] | None = None):
     """(summary, table) of a run; the ego's objects are at 10 m, 20 m, …"""
-    record = Record(["ego"])
     n = len(tracked[0])
-    for frame, which in enumerate(tracked):
-        places = [(10.0 * (k + 1), 0.0) for k in range(n)]
-        record.add_truth(frame, cars(*places), np.full((n, 1), 50), np.zeros((1, 3)), np.array([-1]))
-        believed = [place for place, there in zip(places, which, strict=True) if there]
-        record.add(frame, [Series("ego", "local")], Snapshot.of(cars(*believed)))
+    places = [(10.0 * (k + 1), 0.0) for k in range(n)]
+    local = [cars(*(place for place, there in zip(places, which, strict=True) if there)) for which in tracked]
+    record = recorded([cars(*places)] * len(tracked), {LOCAL: local})
     scores = Scorer().score(record)
     manipulations = no_manipulations(len(scores.series))
     labels = Attributor(AttributionLimits(), scores, manipulations, 0.1).labels()
