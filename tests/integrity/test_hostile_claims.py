@@ -33,8 +33,21 @@ def honest(frame: int, *more: Track, age_s: float = 0.0) -> Batch:
     return batch([*tracks, *more], tuple(PLACES), views, frame=frame)
 
 
-def with_states(given: Batch, **columns: np.ndarray) -> Batch:
+def altered(given: Batch, rows: np.ndarray | int, **changes) -> Batch:
+    """A batch in which columns of some rows are functions of what they were, or other values."""
+    columns = {name: getattr(given.states, name).copy() for name in changes}
+    for name, change in changes.items():
+        columns[name][rows] = change(columns[name][rows]) if callable(change) else change
     return replace(given, states=given.states.with_(**columns))
+
+
+def of_d(frames: int, **changes) -> list[Batch]:
+    """Batches in which `d` alters its tracks."""
+    return [altered(given, given.agent == 3, **changes) for given in map(honest, range(frames))]
+
+
+def along_x(offset_m: float):
+    return lambda position: position + np.array([offset_m, 0.0, 0.0])
 
 
 def suspended(stage: Integrity, batches: list[Batch]) -> set[str]:
@@ -48,12 +61,7 @@ def suspended(stage: Integrity, batches: list[Batch]) -> set[str]:
 
 @pytest.mark.parametrize("stage", [*STAGES, FreeSpace])
 def test_false_heights_of_one_agent_do_not_frame_the_others(stage: type[Integrity]) -> None:
-    batches = []
-    for frame in range(60):
-        given = honest(frame)
-        position = given.states.position.copy()
-        position[given.agent == 3, 2] -= 15.0
-        batches.append(with_states(given, position=position))
+    batches = of_d(60, position=lambda position: position - np.array([0.0, 0.0, 15.0]))
     judge = stage()
     assert suspended(judge, batches) <= {"d"}
     assert not judge.assess(batches[-1]).objects.withheld.any()
@@ -61,34 +69,21 @@ def test_false_heights_of_one_agent_do_not_frame_the_others(stage: type[Integrit
 
 @pytest.mark.parametrize("deviation_m", [0.2, 2.0, 20.0])
 def test_a_phantom_is_refuted_however_uncertain_it_claims_to_be(deviation_m: float) -> None:
-    batches = []
-    for frame in range(60):
-        given = honest(frame, ("d", 2, PHANTOM))
-        covariance = given.states.covariance.copy()
-        covariance[-1, :2, :2] = np.eye(2) * deviation_m**2
-        batches.append(with_states(given, covariance=covariance))
+    covariance = np.eye(9) * np.repeat([deviation_m**2, 0.05], [2, 7])
+    batches = [altered(honest(frame, ("d", 2, PHANTOM)), -1, covariance=covariance) for frame in range(60)]
     assert suspended(SequentialConsistency(), batches) == {"d"}
 
 
 def test_an_offset_is_found_however_uncertain_its_track_claims_to_be() -> None:
-    batches = []
-    for frame in range(100):
-        given = honest(frame)
-        covariance, position = given.states.covariance.copy(), given.states.position.copy()
-        covariance[given.agent == 3] = np.eye(9) * 25.0
-        position[given.agent == 3, 0] += 1.8
-        batches.append(with_states(given, covariance=covariance, position=position))
+    batches = of_d(100, covariance=np.eye(9) * 25.0, position=along_x(1.8))
     assert suspended(SequentialConsistency(), batches) == {"d"}
 
 
 def test_an_offset_is_found_under_a_new_id_in_every_frame() -> None:
-    batches = []
-    for frame in range(100):
-        given = honest(frame)
-        position, id = given.states.position.copy(), given.states.id.copy()
-        position[given.agent == 3, 0] += 1.0
-        id[given.agent == 3] += 10 * frame
-        batches.append(with_states(given, position=position, id=id))
+    batches = [
+        altered(given, given.agent == 3, position=along_x(1.0), id=lambda id, frame=frame: id + 10 * frame)
+        for frame, given in enumerate(map(honest, range(100)))
+    ]
     assert suspended(SequentialConsistency(), batches) == {"d"}
 
 
@@ -108,35 +103,21 @@ def test_two_tracks_of_each_object_frame_nobody_and_are_a_lie() -> None:
 
 @pytest.mark.parametrize(("height_m", "size"), [(20.0, CAR), (0.75, (4.5, 1.8, 40.0)), (0.75, (0.0, 0.0, 0.0))])
 def test_what_no_road_user_can_be_is_withheld_and_a_lie(height_m: float, size: tuple[float, float, float]) -> None:
-    batches = []
-    for frame in range(60):
-        given = honest(frame, ("d", 2, PHANTOM))
-        position, sizes = given.states.position.copy(), given.states.size.copy()
-        position[-1, 2], sizes[-1] = height_m, size
-        batches.append(with_states(given, position=position, size=sizes))
+    place = (*PHANTOM, height_m)
+    batches = [altered(honest(frame, ("d", 2, PHANTOM)), -1, position=place, size=size) for frame in range(60)]
     stage = SequentialConsistency()
     assert suspended(stage, batches) == {"d"}
     assert stage.assess(batches[-1]).objects.withheld.tolist() == [False, False, True]
 
 
 def test_where_two_halves_disagree_about_a_position_nobody_is_off() -> None:
-    batches = []
-    for frame in range(200):
-        given = honest(frame)
-        position = given.states.position.copy()
-        position[given.agent >= 2, 0] += 0.6
-        batches.append(with_states(given, position=position))
+    batches = [altered(given, given.agent >= 2, position=along_x(0.6)) for given in map(honest, range(200))]
     assert suspended(SequentialConsistency(), batches) == set()
 
 
 def test_an_agent_that_stays_off_is_not_trusted_again() -> None:
     stage = SequentialConsistency(release_s=3.0)
-    states = []
-    for frame in range(200):
-        given = honest(frame)
-        position = given.states.position.copy()
-        position[given.agent == 3, 0] += 1.2
-        states.append(stage.assess(with_states(given, position=position)).agents.state.tolist()[3])
+    states = [stage.assess(each).agents.state.tolist()[3] for each in of_d(200, position=along_x(1.2))]
     first = states.index(SUSPENDED)
     assert set(states[first:]) == {SUSPENDED}
 

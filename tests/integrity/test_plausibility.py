@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from integrity_batches import Track, batch, view
@@ -70,7 +72,7 @@ def test_an_impossible_track_of_a_real_object_is_left_out_alone() -> None:
     size = each.states.size.copy()
     size[-1] = (40.0, 2.0, 2.0)
     states = each.states.with_(size=size)
-    assessment = Plausibility().assess(Batch(0, states, each.agent, each.labels, each.agents, each.views))
+    assessment = Plausibility().assess(replace(each, states=states))
     assert assessment.weights is not None
     assert assessment.weights.tolist() == [1.0, 1.0, 1.0, 1.0, 0.0]
     assert not assessment.objects.withheld.any()
@@ -81,7 +83,7 @@ def test_a_box_in_the_air_is_withheld() -> None:
     position = each.states.position.copy()
     position[-1, 2] += 8.0
     states = each.states.with_(position=position)
-    assert withheld(Plausibility(), Batch(0, states, each.agent, each.labels, each.agents, each.views))[2]
+    assert withheld(Plausibility(), replace(each, states=states))[2]
 
 
 def test_of_two_boxes_in_one_place_the_one_with_fewer_witnesses_is_odd_then_the_younger() -> None:

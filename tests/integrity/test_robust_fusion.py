@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from integrity_batches import Track, batch
@@ -51,7 +53,7 @@ def test_a_false_velocity_is_left_out_though_the_position_fits() -> None:
     velocity = each.states.velocity.copy()
     velocity[2] = (6.0, 0.0, 0.0)
     states = each.states.with_(velocity=velocity)
-    found = weights(RobustFusion(), Batch(0, states, each.agent, each.labels, each.agents, each.views))
+    found = weights(RobustFusion(), replace(each, states=states))
     assert (found > 0.0).tolist() == [True, True, False]
 
 
@@ -65,7 +67,7 @@ def test_a_track_that_claims_to_be_certain_does_not_decide() -> None:
     def fused(member_weights: np.ndarray | None) -> ObjectStates:
         return CovarianceIntersectionFusion().fuse(states, each.labels, member_weights)
 
-    found = weights(RobustFusion(), Batch(0, states, each.agent, each.labels, each.agents, each.views))
+    found = weights(RobustFusion(), replace(each, states=states))
     assert fused(None).position[0, 0] > 0.89
     assert found[2] > 0.0
     # Weiszfeld's weights are 5.0, 10 and 1.4; its information counts four times that of the others.
@@ -103,6 +105,6 @@ def test_an_impossible_covariance_breaks_nothing() -> None:
         covariance[2] *= factor
         covariance[1] = -covariance[0] - np.diag([0.09, 0.09, 0, 0, 0, 0, 0.25, 0.25, 0.0])
         states = each.states.with_(covariance=covariance)
-        found = weights(RobustFusion(), Batch(0, states, each.agent, each.labels, each.agents, each.views))
+        found = weights(RobustFusion(), replace(each, states=states))
         assert np.isfinite(found).all(), factor
         assert (found >= 0.0).all(), factor

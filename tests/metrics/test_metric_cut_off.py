@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
+from itertools import groupby
+
 import numpy as np
 import pytest
-from metric_worlds import Row, cars, effects, explained, labelled, passage
+from metric_worlds import NOTHING, PICTURE, Row, cars, effects, explained, labelled, passage, recorded
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.effects import Effects
 from mast_zenoh.evaluation.from_effects import stopped_by_links
 from mast_zenoh.metrics import CutOff, CutOffObjects, Presence, Record, Scorer, Series
 from mast_zenoh.metrics.causes import split
-from mast_zenoh.metrics.record import Snapshot
 
 AGENTS = ("ego", "infra_1", "infra_2")
 PERIOD_S = 0.1
 FRAMES = 60
 CUT = slice(20, 40)
-NOTHING = ObjectStates.empty()
 #: An object visible to infra_1 alone, and one visible to ego and infra_1.
 FAR, BOTH = 1, 2
 POINTS = {FAR: (0, 50, 0), BOTH: (50, 50, 0)}
@@ -33,22 +33,18 @@ def hidden(frames: range, at: tuple[float, float]) -> list[Row]:
     return [("eve", frame, "removed", 0, at, (0.0, 0.0)) for frame in frames]
 
 
-def recorded(*, local, picture, truth=lambda f: some(FAR, BOTH), points=POINTS) -> Record:
+def run_of(*, local, picture, truth=lambda f: some(FAR, BOTH), points=POINTS) -> Record:
     """local: (agent, frame) to tracks; picture, truth: frame to objects."""
-    record = Record(AGENTS)
-    for frame in range(FRAMES):
-        there = truth(frame)
-        hits = np.array([points[int(id_)] for id_ in there.id], np.int32).reshape(-1, len(AGENTS))
-        record.add_truth(frame, there, hits, np.zeros((3, 3)), np.full(3, -1))
-        record.add(frame, [Series("", "picture")], Snapshot.of(picture(frame)))
-        for agent in AGENTS:
-            record.add(frame, [Series(agent, "local")], Snapshot.of(local(agent, frame)))
-    return record
+    objects = [truth(frame) for frame in range(FRAMES)]
+    tracks = {Series(agent, "local"): [local(agent, frame) for frame in range(FRAMES)] for agent in AGENTS}
+    hits = [np.array([points[int(id_)] for id_ in each.id]).reshape(-1, len(AGENTS)) for each in objects]
+    tracks[PICTURE] = [picture(frame) for frame in range(FRAMES)]
+    return recorded(objects, tracks, agents=AGENTS, points=hits)
 
 
 def judged(*, silent, attacks=(), unheard=None, **world):
     """The objects of the ego's picture, with causes."""
-    record = recorded(**world)
+    record = run_of(**world)
     table = explained(record, effects(*attacks), cut_off_objects=severed(record, silent, unheard))
     rows = (table["agent"] == "ego") & (table["estimator"] == "picture")
     return {name: column[rows] for name, column in table.items()}
@@ -71,10 +67,17 @@ def holds(agent: str, frame: int) -> ObjectStates:
     return some(*(id_ for id_ in (FAR, BOTH) if POINTS[id_][AGENTS.index(agent)]))
 
 
-def missed(table, id_: int) -> dict[int, str]:
-    """By frame, the cause of a missed object."""
-    rows = (table["kind"] == "truth") & (table["outcome"] == "missed") & (table["id"] == id_)
-    return dict(zip(table["frame"][rows].tolist(), table["cause"][rows].tolist(), strict=True))
+def spans(table, kind: str, outcome: str, id_: int | None = None) -> list[tuple[int, int, str]]:
+    """First and last frame of each cause of the errors of one kind, in order."""
+    rows = (table["kind"] == kind) & (table["outcome"] == outcome) & ((table["id"] == id_) | (id_ is None))
+    pairs = sorted(zip(table["frame"][rows].tolist(), table["cause"][rows].tolist(), strict=True))
+    groups = [[frame for frame, _ in group] for _, group in groupby(pairs, key=lambda pair: pair[1])]
+    causes = [cause for cause, _ in groupby(cause for _, cause in pairs)]
+    return [(frames[0], frames[-1], cause) for frames, cause in zip(groups, causes, strict=True)]
+
+
+def missed(table, id_: int) -> list[tuple[int, int, str]]:
+    return spans(table, "truth", "missed", id_)
 
 
 def without(id_: int):
@@ -82,84 +85,107 @@ def without(id_: int):
     return lambda frame: some(*{FAR, BOTH} - {id_}) if CUT.start <= frame < CUT.stop else some(FAR, BOTH)
 
 
-def test_an_object_tracked_only_by_a_disconnected_agent_is_missed_due_to_the_fault() -> None:
-    table = judged(local=holds, picture=without(FAR), silent=cut())
-    assert missed(table, FAR) == dict.fromkeys(range(20, 40), "link or fault")
+FAULT, SIGHT = "link or fault", "occlusion or range"
 
 
-def test_an_object_tracked_by_a_connected_agent_is_not_due_to_the_fault() -> None:
-    table = judged(local=holds, picture=without(BOTH), silent=cut())
-    assert set(missed(table, BOTH).values()) == {"fusion"}
+def ego_nothing(agent: str, frame: int) -> ObjectStates:
+    return NOTHING if agent == "ego" else holds(agent, frame)
 
 
-def test_an_object_seen_but_not_tracked_by_another_agent_is_missed_due_to_the_fault() -> None:
-    def local(agent: str, frame: int) -> ObjectStates:
-        return NOTHING if agent == "ego" else holds(agent, frame)
-
-    table = judged(local=local, picture=without(BOTH), silent=cut())
-    assert set(missed(table, BOTH).values()) == {"link or fault"}
+def infra_nothing(agent: str, frame: int, until: int = FRAMES) -> ObjectStates:
+    return NOTHING if agent == "infra_1" and CUT.start <= frame < until else holds(agent, frame)
 
 
-def test_an_object_barely_seen_by_a_killed_agent_is_a_natural_miss() -> None:
-    def local(agent: str, frame: int) -> ObjectStates:
-        return some(BOTH) if agent == "ego" else NOTHING
-
-    points = {FAR: (50, 4, 0), BOTH: (50, 50, 0)}
-    table = judged(local=local, picture=without(FAR), silent=cut(), unheard=cut(), points=points)
-    assert set(missed(table, FAR).values()) == {"occlusion or range"}
+def both_from_25(frame: int) -> ObjectStates:
+    return some(FAR, BOTH) if frame >= 25 else some(BOTH)
 
 
-def test_a_killed_agent_is_judged_by_what_its_sensor_would_have_seen() -> None:
-    def local(agent: str, frame: int) -> ObjectStates:
-        return NOTHING if agent == "infra_1" and CUT.start <= frame < CUT.stop else holds(agent, frame)
-
-    table = judged(local=local, picture=without(FAR), silent=cut(), unheard=cut())
-    assert missed(table, FAR) == dict.fromkeys(range(20, 40), "link or fault")
-
-
-def test_a_restarted_agent_needs_a_second_to_track_objects() -> None:
-    def local(agent: str, frame: int) -> ObjectStates:
-        return NOTHING if agent == "infra_1" and frame >= CUT.start else holds(agent, frame)
-
-    def picture(frame: int) -> ObjectStates:
-        return some(FAR, BOTH) if frame < CUT.start else some(BOTH)
-
-    misses = missed(judged(local=local, picture=picture, silent=cut(), unheard=cut()), FAR)
-    assert {misses[frame] for frame in range(20, 50)} == {"link or fault"}
-    assert {misses[frame] for frame in range(50, FRAMES)} == {"occlusion or range"}
-
-
-def test_a_running_disconnected_agent_knows_only_the_objects_it_tracks() -> None:
-    def local(agent: str, frame: int) -> ObjectStates:
-        return NOTHING if agent == "infra_1" else holds(agent, frame)
-
-    misses = missed(judged(local=local, picture=without(FAR), silent=cut()), FAR)
-    assert set(misses.values()) == {"occlusion or range"}
-
-
-def test_an_object_new_in_the_view_of_a_killed_agent_is_at_first_missed_because_of_lag() -> None:
-    def truth(frame: int) -> ObjectStates:
-        return some(FAR, BOTH) if frame >= 25 else some(BOTH)
-
-    table = judged(
-        local=lambda a, f: some(BOTH), truth=truth, picture=lambda f: some(BOTH), silent=cut(), unheard=cut()
-    )
-    assert [missed(table, FAR)[frame] for frame in (25, 34, 35, 39)] == ["lag", "lag", "link or fault", "link or fault"]
-
-
-def test_an_object_already_tracked_by_a_disconnected_agent_is_missed_because_of_the_fault() -> None:
-    def truth(frame: int) -> ObjectStates:
-        return some(FAR, BOTH) if frame >= 25 else some(BOTH)
-
-    table = judged(local=holds, truth=truth, picture=lambda f: some(BOTH), silent=cut())
-    assert {missed(table, FAR)[frame] for frame in range(25, 40)} == {"link or fault"}
+@pytest.mark.parametrize(
+    ("world", "id_", "expected"),
+    [
+        (dict(local=holds, picture=without(FAR), silent=cut()), FAR, [(20, 39, FAULT)]),
+        (dict(local=holds, picture=without(BOTH), silent=cut()), BOTH, [(20, 39, "fusion")]),
+        (dict(local=ego_nothing, picture=without(BOTH), silent=cut()), BOTH, [(20, 39, FAULT)]),
+        (
+            dict(
+                local=lambda agent, _: some(BOTH) if agent == "ego" else NOTHING,
+                picture=without(FAR),
+                silent=cut(),
+                unheard=cut(),
+                points={FAR: (50, 4, 0), BOTH: (50, 50, 0)},
+            ),
+            FAR,
+            [(20, 39, SIGHT)],
+        ),
+        (
+            dict(
+                local=lambda agent, frame: infra_nothing(agent, frame, CUT.stop),
+                picture=without(FAR),
+                silent=cut(),
+                unheard=cut(),
+            ),
+            FAR,
+            [(20, 39, FAULT)],
+        ),
+        (
+            dict(
+                local=infra_nothing,
+                picture=lambda frame: some(FAR, BOTH) if frame < CUT.start else some(BOTH),
+                silent=cut(),
+                unheard=cut(),
+            ),
+            FAR,
+            [(20, 49, FAULT), (50, 59, SIGHT)],
+        ),
+        (
+            dict(
+                local=lambda agent, frame: NOTHING if agent == "infra_1" else holds(agent, frame),
+                picture=without(FAR),
+                silent=cut(),
+            ),
+            FAR,
+            [(20, 39, SIGHT)],
+        ),
+        (
+            dict(
+                local=lambda *_: some(BOTH),
+                truth=both_from_25,
+                picture=lambda _: some(BOTH),
+                silent=cut(),
+                unheard=cut(),
+            ),
+            FAR,
+            [(25, 34, "lag"), (35, 49, FAULT), (50, 59, SIGHT)],
+        ),
+        (
+            dict(local=holds, truth=both_from_25, picture=lambda _: some(BOTH), silent=cut()),
+            FAR,
+            [(25, 49, FAULT), (50, 59, "fusion")],
+        ),
+        (dict(local=holds, picture=without(FAR), silent=cut(when=slice(0, 0))), FAR, [(20, 39, "fusion")]),
+    ],
+    ids=[
+        "tracked by a disconnected agent alone",
+        "tracked by a connected agent too",
+        "seen but not tracked by another agent",
+        "barely seen by a killed agent",
+        "seen by the sensor of a killed agent",
+        "by a restarted agent, which needs a second",
+        "not tracked by a running disconnected agent",
+        "new in the view of a killed agent",
+        "new, but tracked by a disconnected agent",
+        "without a disconnection",
+    ],
+)
+def test_an_object_that_only_disconnected_agents_know_is_missed_due_to_the_fault(world, id_, expected) -> None:
+    assert missed(judged(**world), id_) == expected
 
 
 @pytest.mark.parametrize(("taken", "cause"), [(FAR, "removed"), (BOTH, "link or fault")])
 def test_hiding_during_a_disconnection_is_attributed_to_the_adversary(taken: int, cause: str) -> None:
     attacks = hidden(range(15, 45), PLACE[taken])
     table = judged(local=holds, picture=without(FAR), silent=cut(), attacks=attacks)
-    assert set(missed(table, FAR).values()) == {cause}
+    assert missed(table, FAR) == [(20, 39, cause)]
     rows = table["cause"] == "removed"
     assert set(table["by"][rows]) <= {"eve"}
 
@@ -180,8 +206,8 @@ def test_simultaneous_attack_partition_and_natural_errors_are_distinguished() ->
         silent=cut(),
         attacks=hidden(range(20, 40), places[2]),
     )
-    causes_by_id = {id_: set(missed(table, id_).values()) for id_ in places}
-    assert causes_by_id == {1: {"link or fault"}, 2: {"removed"}, 3: {"occlusion or range"}, 4: set()}
+    causes = {1: [(20, 39, FAULT)], 2: [(20, 39, "removed")], 3: [(20, 39, SIGHT)], 4: []}
+    assert {id_: missed(table, id_) for id_ in places} == causes
     missing = (table["kind"] == "truth") & (table["outcome"] == "missed")
     counted = dict(zip(*np.unique(table["cause"][missing], return_counts=True), strict=True))
     assert split(counted, FRAMES) == {
@@ -194,16 +220,10 @@ def test_simultaneous_attack_partition_and_natural_errors_are_distinguished() ->
 
 def test_own_tracks_of_an_agent_are_never_blamed_on_a_disconnection() -> None:
     """The ego's own misses are never due to the network."""
-    record = recorded(local=holds, picture=without(FAR))
+    record = run_of(local=holds, picture=without(FAR))
     _, table, _, _ = labelled(record, effects(), cut_off_objects=severed(record, cut()))
     own = (table["estimator"] == "local") & (table["cause"] != "")
     assert set(table["cause"][own]) == {"occlusion or range", "lag"}
-
-
-def test_without_a_disconnection_nothing_is_due_to_a_fault() -> None:
-    table = judged(local=holds, picture=without(FAR), silent=cut(when=slice(0, 0)))
-    assert "link or fault" not in table["cause"]
-    assert set(missed(table, FAR).values()) == {"fusion"}
 
 
 def drifting(id_: int):
@@ -218,29 +238,21 @@ def drifting(id_: int):
     return picture
 
 
-def false(table) -> dict[int, str]:
-    rows = (table["kind"] == "track") & (table["outcome"] == "false")
-    return dict(zip(table["frame"][rows].tolist(), table["cause"][rows].tolist(), strict=True))
-
-
-def test_a_drifting_track_whose_only_source_is_disconnected_is_due_to_the_fault() -> None:
-    """It leaves its object at frame 25; the agent returns at 40, effective 1 s later."""
-    false_tracks = false(judged(local=holds, picture=drifting(FAR), silent=cut()))
-    assert {false_tracks[frame] for frame in range(25, 50)} == {"link or fault"}
-    assert false_tracks[50] == "lag"
-
-
-def test_a_drifting_track_of_an_object_reported_by_another_agent_is_not_due_to_the_fault() -> None:
-    false_tracks = false(judged(local=holds, picture=drifting(BOTH), silent=cut()))
-    assert {false_tracks[frame] for frame in range(25, 40)} == {"lag"}
-
-
-def test_a_track_that_outlives_its_object_is_not_due_to_the_fault_for_a_while() -> None:
-    def truth(frame: int) -> ObjectStates:
-        return some(FAR, BOTH) if frame < 30 else some(BOTH)
-
-    false_tracks = false(judged(local=holds, truth=truth, picture=lambda f: some(FAR, BOTH), silent=cut()))
-    assert {false_tracks[frame] for frame in range(30, 40)} == {"lag"}
+@pytest.mark.parametrize(
+    ("world", "expected"),
+    [
+        (dict(picture=drifting(FAR)), [(25, 49, FAULT), (50, 59, "lag")]),
+        (dict(picture=drifting(BOTH)), [(25, 59, "lag")]),
+        (
+            dict(picture=lambda _: some(FAR, BOTH), truth=lambda f: some(FAR, BOTH) if f < 30 else some(BOTH)),
+            [(30, 59, "lag")],
+        ),
+    ],
+    ids=["its only source is disconnected until a second after", "another agent reports it", "it outlives its object"],
+)
+def test_a_drifting_track_whose_only_source_is_disconnected_is_due_to_the_fault(world, expected) -> None:
+    table = judged(local=holds, silent=cut(), **world)
+    assert [each for each in spans(table, "track", "false") if each[2] in (FAULT, "lag")] == expected
 
 
 # -- absent agents, by frame ------------------------------------------------------------------------------------------
