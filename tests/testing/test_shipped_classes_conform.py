@@ -10,10 +10,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import label_twins
 import mast_datasets
 import pytest
-from twins import TWINS
+from comparison import junction
+from layouts import TWINS
 
 from mast_zenoh import (
     attacks,
@@ -145,7 +145,7 @@ SCENES: dict[str, Callable[[], scenes.Scene]] = {
 
 @pytest.mark.parametrize("name", TWINS)
 def test_a_shipped_reader_of_a_data_set_conforms(name: str, tmp_path: Path) -> None:
-    path = TWINS[name](tmp_path / "scene", label_twins.source())
+    path = TWINS[name](tmp_path / "scene", junction())
     testing.check_scene(registry.known_types(scenes.Scene)[name](path=str(path)))
 
 

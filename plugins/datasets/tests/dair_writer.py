@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from comparison import lidar_pose
 
 from mast_zenoh.arrays.geometry import box_corners, rotation_from_yaw, to_local
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.scenes.recording import Recording
-from mast_zenoh.sensing import sensor_pose
 
 #: Names of the types, by class.
 DAIR_TYPES = ("Unknowns_movable", "Car", "Truck", "Bus", "Motorcyclist", "Cyclist", "Pedestrian")
@@ -22,13 +22,6 @@ OFFSET = np.array([0.4, -0.3])  # m, system_error_offset
 MOUNT = np.array([0.2, 0.1, 0.5]), rotation_from_yaw(-np.pi / 2)
 
 Pose = tuple[np.ndarray, np.ndarray]
-
-
-def lidar_pose(recording: Recording, frame: int, agent: int) -> Pose:
-    """Position and rotation of an agent's lidar in the world."""
-    mount = recording.agents[agent].sensor
-    pose = recording.agent_position[frame, agent], recording.agent_rotation[frame, agent]
-    return sensor_pose(*pose, mount.mount_position, mount.mount_rotation)
 
 
 def local_yaw(yaw: float, rotation: np.ndarray) -> float:

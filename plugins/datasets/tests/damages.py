@@ -1,5 +1,6 @@
-"""Damages of a data set: changes of text, of values in JSON and YAML, and of folders."""
+"""Damages of a data set: changes of text, of values in JSON and YAML, and of folders; some of them random."""
 
+import contextlib
 import json
 import re
 from collections.abc import Callable
@@ -8,6 +9,7 @@ from typing import Any, NamedTuple
 
 import pytest
 import yaml
+from hypothesis import strategies as st
 
 from mast_zenoh.errors import SceneError
 
@@ -85,3 +87,46 @@ def put(whole: Any, place: str, new: Any) -> None:
 
 def _key(holder: Any, step: str) -> Any:
     return step if step in holder or not step.isdigit() else int(step)
+
+
+EXTREME = [None, True, 0, -1, 1e308, -1e308, 10**400, float("nan"), float("inf"), "", "\x00", "\ud800", "1", [], {}]
+ANYTHING = st.sampled_from(EXTREME) | st.recursive(
+    st.integers() | st.floats() | st.text(max_size=4),
+    lambda inner: st.lists(inner, max_size=17) | st.dictionaries(st.text(max_size=4), inner, max_size=3),
+    max_leaves=20,
+)
+#: Changes of a file: bytes at places, its end cut off, or a value of its JSON replaced.
+DAMAGE = (
+    st.tuples(st.just("bytes"), st.lists(st.tuples(st.floats(0, 0.999), st.integers(0, 255)), min_size=1, max_size=4))
+    | st.tuples(st.just("cut"), st.floats(0, 1))
+    | st.tuples(st.just("value"), st.tuples(st.floats(0, 0.999), ANYTHING))
+    | st.tuples(st.just("value"), st.tuples(st.floats(0, 0.999), ANYTHING))
+)
+
+
+def damaged(content: bytes, damage: tuple[str, Any]) -> bytes:
+    """The content of a file with a change."""
+    kind, change = damage
+    if kind == "cut":
+        return content[: int(len(content) * change)]
+    if kind == "value":
+        with contextlib.suppress(ValueError):
+            places: list[tuple[Any, Any]] = []
+            whole = json.loads(content)
+            _collect(whole, places)
+            holder, key = places[int(len(places) * change[0])]
+            holder[key] = change[1]
+            return json.dumps(whole).encode()
+        return content
+    changed = bytearray(content)
+    for place, byte in change:
+        changed[int(len(content) * place)] = byte
+    return bytes(changed)
+
+
+def _collect(value: Any, places: list[tuple[Any, Any]]) -> None:
+    """All holders and keys of values in decoded JSON."""
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, inner in items:
+        places.append((value, key))
+        _collect(inner, places)

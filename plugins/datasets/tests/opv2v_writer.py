@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+from comparison import lidar_pose
 
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.scenes.recording import Recording
@@ -53,17 +54,12 @@ def carla_objects(recording: Recording, chosen: Sequence[int]) -> dict[int, dict
     return objects
 
 
-def lidar_position(recording: Recording, frame: int, column: int) -> Any:
-    mount = recording.agents[column].sensor.mount_position
-    return recording.agent_position[frame, column] + recording.agent_rotation[frame, column] @ mount
-
-
 def poses(recording: Recording, frame: int, column: int) -> dict[str, Any]:
     rotation = recording.agent_rotation[frame, column]
     return {
         "camera0": {"cords": [0.0] * 6, "extrinsic": np.eye(4).tolist(), "intrinsic": np.eye(3).tolist()},
         "ego_speed": 18.0,
-        "lidar_pose": carla_pose(lidar_position(recording, frame, column), rotation),
+        "lidar_pose": carla_pose(*lidar_pose(recording, frame, column)),
         "predicted_ego_pos": [0.0] * 6,
         "true_ego_pos": carla_pose(recording.agent_position[frame, column], rotation),
     }
@@ -131,7 +127,7 @@ def write_v2v4real(recording: Recording, folder: Path, alone: int = -1) -> Path:
     for column in range(2):
         order = {int(number): k for k, number in enumerate(np.unique(truth.id)[:: 1 - 2 * column])}
         for frame in range(len(recording)):
-            rotation, origin = recording.agent_rotation[frame, column], lidar_position(recording, frame, column)
+            rotation, origin = recording.agent_rotation[frame, column], lidar_pose(recording, frame, column)[0]
             matrix = np.eye(4)
             matrix[:3, :3], matrix[:3, 3] = rotation, origin
             vehicles = {}

@@ -9,19 +9,20 @@ from typing import Any
 import av2_writer
 import carla_writer
 import dair_writer
-import label_twins
 import mast_datasets
 import numpy as np
 import pytest
 import sumo_writer
+from comparison import junction
+from damages import DAMAGE, damaged
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from twins import TWINS
+from layouts import TWINS
 
 import mast_zenoh as mast
 from mast_zenoh.config.scene_names import recognised
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes import Intersection, Scene
+from mast_zenoh.scenes import Scene
 from mast_zenoh.sensing import CleanDetector
 from mast_zenoh.testing import check_scene
 
@@ -45,7 +46,7 @@ OTHERS = {
 @pytest.fixture(scope="module")
 def twins(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """By type of scene and layout, four frames of a junction with two vehicles and two poles as agents."""
-    source = Intersection(scene_index=0, n_infrastructure=2, n_mobile=1).record(0, 4)
+    source = junction(frames=4)
     return {
         name: write(tmp_path_factory.mktemp("twin") / "scene", source)
         for name, write in {**TWINS, **LAYOUTS, **OTHERS}.items()
@@ -101,7 +102,7 @@ def test_a_damaged_file_is_read_or_refused(name: str, twins: dict[str, Path], da
     file = data.draw(st.sampled_from(files))
     content = file.read_bytes()
     if data.draw(st.booleans()):
-        changed = label_twins.damaged(content, data.draw(label_twins.DAMAGE))
+        changed = damaged(content, data.draw(DAMAGE))
     else:
         start = content.rfind(b" ", 0, data.draw(st.integers(0, max(len(content) - 1, 0)))) + 1
         end = min(
@@ -118,7 +119,7 @@ def test_a_damaged_file_is_read_or_refused(name: str, twins: dict[str, Path], da
 
 @pytest.mark.parametrize("name", TWINS)
 def test_baseline_and_attacks_play_on_every_data_set(name: str, tmp_path: Path) -> None:
-    path = TWINS[name](tmp_path / "scene", label_twins.source())
+    path = TWINS[name](tmp_path / "scene", junction())
     scene = dict(type=name, path=str(path))
     pictures = []
     for scenario in ("baseline", "coordinated", "uncoordinated"):

@@ -5,14 +5,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from comparison import boxes_of, junction
 from damages import Damage, assert_refused, content, text
 from kitti_writer import IMU_HEIGHT_M, LIDAR_IN_IMU, imu_positions, write_kitti
 from mast_datasets import KittiTracking
-from twin_source import twin_source
 
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes.making.assembly import Boxes, assemble
+from mast_zenoh.scenes.making.assembly import assemble
 from mast_zenoh.scenes.making.virtual_agents import vehicle
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import CleanDetector
@@ -46,19 +46,13 @@ def read(path: Path, **parameters: Any) -> Recording:
     return KittiTracking(path=str(path), **{"n_infrastructure": 0} | parameters).record(0, None)
 
 
-def boxes_of(recording: Recording) -> Boxes:
-    truth = recording.truth
-    frame = np.repeat(np.arange(len(recording)), np.diff(recording.truth_start))
-    return Boxes(frame, truth.id, truth.position, truth.size, truth.yaw, truth.class_id, truth.velocity)
-
-
 @pytest.fixture(scope="session")
 def twin(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_kitti(twin_source(), tmp_path_factory.mktemp("kitti"))
+    return write_kitti(junction(n_infrastructure=0, n_mobile=2), tmp_path_factory.mktemp("kitti"))
 
 
 def test_a_twin_is_read_back(twin: Path) -> None:
-    source = twin_source()
+    source = junction(n_infrastructure=0, n_mobile=2)
     recording = read(twin, n_mobile=12)
     imu = imu_positions(source)
     shift = np.array([*imu[0, :2], 0.0])
@@ -81,7 +75,7 @@ def test_a_twin_is_read_back(twin: Path) -> None:
 
 
 def test_agents_see_what_is_labelled_as_visible_and_what_rays_hit(twin: Path) -> None:
-    source = twin_source()
+    source = junction(n_infrastructure=0, n_mobile=2)
     recording = read(twin, n_mobile=2)
     others = source.truth.id != source.agents[0].object_id
     seen = source.points[others, 0] >= 5

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from label_twins import FRAMES, assert_same, source
+from comparison import FRAMES, assert_same, assert_seen_without_buildings, junction
 from mast_datasets import traffic, tumtraf
 from mast_datasets.tumtraf import TUMTrafV2X
 from tumtraf_writer import CAR, LABELS, POLE, write
@@ -20,11 +20,18 @@ from mast_zenoh.scenes.recording import Recording
 OpenLabel = dict[str, Any]
 
 
+def assert_twin(read: Recording) -> None:
+    """The origin is the middle of the ego's underside in the first frame."""
+    _, columns = assert_same(read, junction(), junction().agent_position[0, 0])
+    assert list(columns.values()) == [0, 2]
+    assert_seen_without_buildings(read, junction(), list(columns.values()))
+
+
 @pytest.fixture(scope="module")
 def twin(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a split; tests do not change it."""
     folder = tmp_path_factory.mktemp("tumtraf") / "train"
-    write(folder, source())
+    write(folder, junction())
     return folder
 
 
@@ -74,20 +81,20 @@ def pole(content: OpenLabel) -> dict[str, Any]:
 
 
 def without_own(content: OpenLabel) -> None:
-    del objects(content)[str(source().agents[0].object_id)]
+    del objects(content)[str(junction().agents[0].object_id)]
 
 
 def test_a_twin_has_the_poses_boxes_ids_and_visibility_of_its_source(twin: Path) -> None:
     recording = read(twin)
     assert recording.agent_names == ("ego", "infra_1")
     assert len(recording) == FRAMES
-    assert_same(recording, [0, 2])
+    assert_twin(recording)
 
 
 @pytest.mark.parametrize("order", ["list", "list by columns"])
 def test_matrices_may_be_lists_of_16_numbers_in_either_order(tmp_path: Path, order: str) -> None:
-    write(tmp_path, source(), order=order)
-    assert_same(read(tmp_path), [0, 2])
+    write(tmp_path, junction(), order=order)
+    assert_twin(read(tmp_path))
 
 
 def test_the_label_folder_itself_and_the_older_name_of_its_parent_are_found(twin: Path, tmp_path: Path) -> None:
@@ -105,7 +112,7 @@ def test_one_file_may_have_all_frames(split: Path) -> None:
     whole["openlabel"]["frames"] = dict(reversed(whole["openlabel"]["frames"].items()))
     files(split)[0].write_text(json.dumps(whole))
     assert len(read(split)) == 4
-    assert_same(read(split), [0, 2])
+    assert_twin(read(split))
 
 
 def test_fewer_agents_play_if_asked(twin: Path) -> None:
@@ -144,7 +151,7 @@ def test_a_car_without_a_label_gets_a_box_below_its_lidar(split: Path) -> None:
         change(file, without_own)
     recording = read(split)
     own = recording.agents[0].object_id
-    assert own not in source().truth.id
+    assert own not in junction().truth.id
     for k in range(4):
         row = int(np.flatnonzero(recording.truth_at(k).id == own)[0])
         middle = recording.truth_at(k).position[row]
@@ -156,7 +163,7 @@ def test_a_car_without_a_label_gets_a_box_below_its_lidar(split: Path) -> None:
 def test_a_car_that_is_labelled_at_times_gets_a_box_of_its_own_throughout(split: Path) -> None:
     change(files(split)[2], without_own)
     recording = read(split)
-    assert source().agents[0].object_id not in recording.truth.id
+    assert junction().agents[0].object_id not in recording.truth.id
     assert np.count_nonzero(recording.truth.id == recording.agents[0].object_id) == 4
 
 
@@ -180,7 +187,7 @@ def test_a_cuboid_is_its_middle_then_a_quaternion_with_the_scalar_last_then_l_w_
     number = int(next(iter(objects(json.loads(files(split)[0].read_text())["openlabel"]))))
     truth = read(split).truth_at(0)
     row = truth.id.tolist().index(number)
-    expected = np.array([0.0, 10.0, 0.75]) - source().agent_position[0, 0]
+    expected = np.array([0.0, 10.0, 0.75]) - junction().agent_position[0, 0]
     np.testing.assert_allclose(truth.position[row], expected, atol=1e-6)
     np.testing.assert_allclose(truth.yaw[row], np.pi / 2)
     assert truth.size[row].tolist() == [4.0, 2.0, 1.5]

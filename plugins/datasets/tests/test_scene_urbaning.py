@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from comparison import FRAMES, assert_same, assert_seen_without_buildings, junction
 from damages import GONE, Damage, assert_refused, value
-from label_twins import FRAMES, assert_same, source
 from mast_datasets import traffic, urbaning
 from mast_datasets.urbaning import UrbanIngV2X
 from urbaning_writer import SEQUENCE, SHIFT, TIME_MS, write, write_timesync
@@ -29,11 +29,18 @@ OWN = "labels_av_track_ids.json"
 Edit = Callable[[Any], object]
 
 
+def assert_twin(read: Recording) -> None:
+    """The origin is the middle of the ego's underside in the first frame."""
+    _, columns = assert_same(read, junction(), junction().agent_position[0, 0])
+    assert list(columns.values()) == [0, 1, 2, 3]
+    assert_seen_without_buildings(read, junction(), list(columns.values()))
+
+
 @pytest.fixture(scope="module")
 def twin(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of the data set; tests do not change it."""
     root = tmp_path_factory.mktemp("urbaning")
-    write(root, source())
+    write(root, junction())
     return root
 
 
@@ -62,11 +69,11 @@ def change_cells(file: Path, edit: Edit) -> None:
 
 def own_track(content: Any) -> dict[str, Any]:
     """The track of the ego."""
-    return next(t for t in content["tracks"] if t["track_id"] == source().agents[0].object_id)
+    return next(t for t in content["tracks"] if t["track_id"] == junction().agents[0].object_id)
 
 
 def other_track(content: Any) -> dict[str, Any]:
-    return next(t for t in content["tracks"] if t["track_id"] not in [a.object_id for a in source().agents])
+    return next(t for t in content["tracks"] if t["track_id"] not in [a.object_id for a in junction().agents])
 
 
 def test_a_twin_has_the_poses_boxes_ids_and_visibility_of_its_source(twin: Path) -> None:
@@ -74,7 +81,7 @@ def test_a_twin_has_the_poses_boxes_ids_and_visibility_of_its_source(twin: Path)
     assert recording.name == SEQUENCE
     assert recording.agent_names == ("ego", "mobile_1", "infra_1", "infra_2")
     assert len(recording) == FRAMES
-    assert_same(recording, [0, 1, 2, 3])
+    assert_twin(recording)
 
 
 def test_the_folder_of_a_sequence_is_found_in_its_data_set(twin: Path) -> None:
@@ -99,7 +106,7 @@ def test_one_of_several_sequences_is_chosen_by_name(root: Path) -> None:
 def test_fewer_agents_play_if_asked_and_the_other_car_stays_an_object(twin: Path) -> None:
     recording = read(twin, 1, n_infrastructure=1, n_mobile=0)
     assert recording.agent_names == ("ego", "infra_1")
-    assert source().agents[1].object_id in recording.truth.id
+    assert junction().agents[1].object_id in recording.truth.id
 
 
 @pytest.mark.parametrize(
@@ -122,7 +129,7 @@ def test_a_car_has_a_box_in_every_frame_although_its_labels_have_gaps(root: Path
         track["dimensions"] = track["dimensions"][:1]
 
     change(root / LABELS, cut)
-    assert_same(read(root), [0, 1, 2, 3])
+    assert_twin(read(root))
 
 
 def test_a_car_without_labels_has_the_size_in_av_vehicle_data(root: Path) -> None:
@@ -131,7 +138,7 @@ def test_a_car_without_labels_has_the_size_in_av_vehicle_data(root: Path) -> Non
     change(root / LABELS, lambda content: content["tracks"].remove(own_track(content)))
     recording = read(root)
     own = recording.agents[0].object_id
-    assert own not in source().truth.id
+    assert own not in junction().truth.id
     assert recording.truth.size[recording.truth.id == own].tolist() == [[5.1, 2.1, 1.9]] * FRAMES
     (root / "av_vehicle_data.json").unlink()
     recording = read(root)
@@ -145,7 +152,7 @@ def test_the_cache_tracks_the_files_of_the_sequence(twin: Path) -> None:
 
 
 def test_tracks_with_text_for_a_name_are_numbered_by_it(root: Path) -> None:
-    names = {int(number): f"track-{int(number):06}" for number in np.unique(source().truth.id)}
+    names = {int(number): f"track-{int(number):06}" for number in np.unique(junction().truth.id)}
 
     def rename(content: Any) -> None:
         for track in content["tracks"]:
@@ -155,7 +162,7 @@ def test_tracks_with_text_for_a_name_are_numbered_by_it(root: Path) -> None:
     change(root / OWN, lambda content: content.update({SEQUENCE: {k: names[v] for k, v in content[SEQUENCE].items()}}))
     recording = read(root)
     assert np.unique(recording.truth.id).tolist() == list(range(1, len(names) + 1))
-    np.testing.assert_allclose(recording.truth_at(3).size, source().truth_at(3).size)
+    np.testing.assert_allclose(recording.truth_at(3).size, junction().truth_at(3).size)
 
 
 def test_an_unknown_type_is_read_and_a_van_is_a_car(root: Path) -> None:
@@ -164,7 +171,7 @@ def test_an_unknown_type_is_read_and_a_van_is_a_car(root: Path) -> None:
     recording = read(root, 1)
     classes = {int(number): CLASSES[k] for number, k in zip(recording.truth.id, recording.truth.class_id, strict=True)}
     number = other_track(json.loads((root / LABELS).read_text()))["track_id"]
-    assert (classes[number], classes[source().agents[0].object_id]) == ("unknown", "car")
+    assert (classes[number], classes[junction().agents[0].object_id]) == ("unknown", "car")
 
 
 def cell(row: int, column: int, new: str) -> Edit:

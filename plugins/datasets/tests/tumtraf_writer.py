@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from label_twins import lidar_pose, matrix
+from comparison import lidar_pose, matrix
 
 from mast_zenoh.arrays.geometry import quaternion_from_rotation, rotation_from_yaw
 from mast_zenoh.arrays.states import CLASSES

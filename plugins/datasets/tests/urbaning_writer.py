@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from label_twins import lidar_pose, matrix
+from comparison import lidar_pose, matrix
 
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.scenes.recording import Recording

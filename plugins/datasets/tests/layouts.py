@@ -1,4 +1,4 @@
-"""A generated recording in the layout of every data set, by the type of scene that reads it."""
+"""Writers of a recording into the layout of every data set, by the type of scene that reads it."""
 
 from collections.abc import Callable
 from pathlib import Path
