@@ -6,10 +6,9 @@ import functools
 import tracemalloc
 
 import pytest
-from decoders import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from insider.forgeries import DAMAGED, FALSE, MALFORMED, forgeries
+from insider.forgeries import DAMAGED, FALSE, MALFORMED, forgeries, refused
 from insider.position import Position, position
 
 from mast_zenoh import scenario, version

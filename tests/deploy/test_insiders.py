@@ -14,9 +14,7 @@ from typing import Any
 
 import pytest
 from compromised_run import NODES, RunOutcome, play, resolved
-from decoders import refused
-from insider.forgeries import Forgery, all_forgeries, false_results, falsehoods, send
-from insider.malformed import pack
+from insider.forgeries import Forgery, all_forgeries, false_results, falsehoods, pack, refused, send
 from insider.position import MARKER, Position, position
 
 from mast_zenoh import version

@@ -5,9 +5,9 @@ from __future__ import annotations
 import itertools
 from io import StringIO
 
-import pyarrow.parquet as pq
 import pytest
 import zenoh
+from drawn_statuses import console, drawn_statuses, evaluated
 from rich.console import Console
 
 from mast_zenoh import scenario
@@ -19,10 +19,6 @@ from mast_zenoh.wiring.model import Wiring
 
 DASH = "\u2013"
 SCORE = NewestScore("ego", 99, 3, 12, 27, 0.345, 12.4)
-
-
-def console(width: int, height: int = 24) -> Console:
-    return Console(force_terminal=True, width=width, height=height, file=StringIO())
 
 
 def shown(status: Status, width: int, height: int = 24, title: str = "a_run") -> list[str]:
@@ -177,22 +173,13 @@ def test_current_events_are_those_of_the_timeline_and_interceptions_those_that_l
 
 
 def test_the_score_on_the_terminal_is_that_of_the_evaluator(monkeypatch: pytest.MonkeyPatch, tmp_path) -> None:
-    monkeypatch.setattr(display, "_PERIOD_S", 0.0)
-    monkeypatch.setattr(display, "_SHARE", 1e9)
-    monkeypatch.setattr(observation, "_SCORE_PERIOD_S", 0.0)
-    monkeypatch.setattr(observation, "_SCORE_SHARE", 1e9)
-    drawn: list[Status] = []
-    lines = Display.lines
-    monkeypatch.setattr(Display, "lines", lambda self, *words: drawn.append(words[0]) or lines(self, *words))
+    drawn = drawn_statuses(monkeypatch)
     path, loaded = scenario.load("coordinated", ("attack_start_s=0.4",))
     resolved = scenario.resolve(path, loaded, frames=12)
     ended = run.run(resolved, tmp_path / "run", runtime="inproc", console=console(80))
     assert ended.error is None
-    table = pq.read_table(ended.folder / "metrics.parquet").to_pylist()
-    rows = [row for row in table if (row["agent"], row["estimator"]) == ("ego", "picture_received")]
-    expected = {row["frame"]: (row["fn"], row["fp"], row["tp"]) for row in rows}
     scores = {each.score.frame: each.score[2:5] for each in drawn if each.score is not None}
-    assert scores == expected
+    assert scores == evaluated(ended.folder)
     assert len(scores) == 12
     assert max(sum(counts) for counts in scores.values()) > 10
     assert drawn[-1].states["adversary_1"] == "attack"

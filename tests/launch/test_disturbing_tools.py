@@ -8,9 +8,7 @@ from pathlib import Path
 import endings
 import pytest
 import stopped
-
-from mast_zenoh import scenario
-from mast_zenoh.launch import run as launcher
+from equal_runs import run_alone
 
 ERROR = "error: NodeLost: infra_1 was lost before frame 3"
 
@@ -18,15 +16,11 @@ ERROR = "error: NodeLost: infra_1 was lost before frame 3"
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """The undisturbed run, an equal run, and a different one."""
-    folder = tmp_path_factory.mktemp("runs")
-    path, loaded = scenario.load("baseline", ["n_infrastructure=1"])
-    made = [
-        launcher.run(
-            scenario.resolve(path, loaded, frames=4, seed=seed, record=True), folder / str(number), runtime="inproc"
-        )
+    folder, options = tmp_path_factory.mktemp("runs"), dict(frames=4, record=True)
+    return [
+        run_alone(folder / str(number), "baseline", "n_infrastructure=1", seed=seed, **options)
         for number, seed in enumerate((1, 1, 2))
     ]
-    return [run.folder for run in made]
 
 
 def says(run: Path, **record: object) -> None:

@@ -11,8 +11,7 @@ from typing import Any
 from unittest.mock import MagicMock
 
 import pytest
-from decoders import refused
-from insider.forgeries import false_results, forgeries
+from insider.forgeries import false_results, forgeries, refused
 from insider.position import MARKER, Position, position
 from rich.console import Console
 

@@ -12,9 +12,8 @@ import msgpack
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tiny_world import TinyScene  # noqa: F401
+from tiny_world import tiny
 
-from mast_zenoh import scenario
 from mast_zenoh.config.allowed_code import SHIPPED
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.config.settings import nested
@@ -26,33 +25,12 @@ from mast_zenoh.messages import Schema
 from mast_zenoh.scenario.nodes import add_surroundings
 
 TRACKS = "agent/infra_1/tracks"
-AGENT = dict(
-    pipeline=dict(type="AgentPipeline", tracker=dict(type="KalmanBoxTracker3D"), mission=dict(type="PictureFirst"))
-)
-SCENARIO = dict(
-    scene=dict(type="TinyScene", n_infrastructure=2),
-    agents={"*": AGENT},
-    command_center=dict(
-        pipeline=dict(
-            type="CommandCenterPipeline",
-            clustering=dict(type="SampledAssignmentClusterer"),
-            group_tracking=dict(
-                type="GroupTrackerWrapper",
-                fusion=dict(type="CovarianceIntersectionFusion"),
-                tracker=dict(type="KalmanBoxTracker3D"),
-            ),
-        )
-    ),
-    evaluator=dict(scorer=dict(type="Scorer")),
-)
 ATTACK = ("attack.type=UncoordinatedAttack", "attack.start_s=0")
 
 
 @pytest.fixture(scope="module")
-def resolved(tmp_path_factory: pytest.TempPathFactory) -> Resolved:
-    file = tmp_path_factory.mktemp("scenario") / "mine.py"
-    file.touch()
-    return scenario.resolve(file, SCENARIO, frames=2)
+def resolved() -> Resolved:
+    return tiny(frames=2)
 
 
 def node_file(folder: Path, inputs: dict[str, str], outputs: dict[str, str], role: str = "link") -> str:
@@ -238,11 +216,9 @@ def test_a_run_that_cannot_be_changed_gives_the_reason(tmp_path: Path, record: d
     ],
 )
 def test_the_shipped_adversary_gets_its_agents_pose_and_overhears_nothing(
-    tmp_path: Path, wire: str, input: str, others: set[str]
+    wire: str, input: str, others: set[str]
 ) -> None:
-    (tmp_path / "mine.py").touch()
-    views = SCENARIO | dict(keyexpr=dict(rewrites=["views.toml"]))
-    resolved = scenario.resolve(tmp_path / "mine.py", views, frames=2)
+    resolved = tiny(frames=2, edit=lambda content: content.update(keyexpr=dict(rewrites=["views.toml"])))
     settings = (*ATTACK, "agent=ego") if wire == "cc/picture" else ATTACK
     _, _, place = plan(resolved, wire, "adversary.py", settings=settings)
     assert (place.input, place.output) == (input, f"{input}_out")

@@ -10,15 +10,18 @@ from typing import Any
 import failing
 import numpy as np
 import pytest
+from equal_runs import run_alone
 
 from mast_zenoh import scenario
 from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.control import results
+from mast_zenoh.control.results import collations, late
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch import conclusion, run
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.tables import read_arrow, read_table
 from mast_zenoh.run_files import read_json
+from mast_zenoh.wiring.model import Branch, Endpoint, Leg, Wire, Wiring
 
 METRICS = {"frames": 3, "agents": {}}
 TABLE = {"frame": np.arange(3), "rmse_m": np.array([0.5, np.nan, 1.0])}
@@ -138,10 +141,9 @@ def test_metrics_and_tables_of_another_node_do_not_replace_the_evaluators(tmp_pa
 def test_an_attack_without_targets_or_positions_is_reported(
     tmp_path: Path, name: str, setting: str, node: str, missing: str
 ) -> None:
-    file, content = scenario.load(name, [setting, "attack_start_s=1.0"])
-    outcome = run.run(scenario.resolve(file, content, frames=30), tmp_path / "run", runtime="inproc")
-    counts = json.loads((outcome.folder / f"results/{node}/results.json").read_text())
-    log = (outcome.folder / f"logs/{node}.log").read_text()
+    folder = run_alone(tmp_path / "run", name, setting, "attack_start_s=1.0", frames=30)
+    counts = json.loads((folder / f"results/{node}/results.json").read_text())
+    log = (folder / f"logs/{node}.log").read_text()
     assert missing in log
     if name == "hide_object":
         assert counts == {"selected": 0, "placed": 0, "wanted": 0}
@@ -227,3 +229,74 @@ def test_only_one_of_two_runs_that_start_in_the_same_folder_gets_it(
 @pytest.mark.parametrize("value", [{"a": -1}, {"a\nb": 1}, {"a": True}, {"a": 1.5}, [1], None])
 def test_invalid_counts_are_ignored(value: Any) -> None:
     assert results.counts_of(value) == {}
+
+
+MS = 1_000_000
+SENT = {0: 0, 1: 100 * MS, 2: 200 * MS}
+
+
+def wire(key: str, publisher: str, *subscribers: str) -> Wire:
+    return Wire(key, "", "status", (Leg(key, Endpoint(publisher, "out"), ends(*subscribers)),))
+
+
+def ends(*nodes: str) -> tuple[Endpoint, ...]:
+    return tuple(Endpoint(node, "in") for node in nodes)
+
+
+def came(key: str, *ms: float) -> dict[str, dict[int, int]]:
+    """Arrival of each frame's message, ms after the frame was sent."""
+    return {key: {frame: SENT[frame] + round(after * MS) for frame, after in enumerate(ms)}}
+
+
+def test_percentiles_cover_frames_that_were_sent_and_received() -> None:
+    percentiles = conclusion.percentiles(SENT, {0: 5 * MS, 2: 207 * MS, 9: 1})
+    assert percentiles == {"p50": 6.0, "p95": pytest.approx(6.9), "p99": pytest.approx(6.98), "n": 2}
+    assert conclusion.percentiles(SENT, {}) == {}
+
+
+def test_latency_is_measured_at_the_first_subscriber_with_arrivals() -> None:
+    wiring = Wiring((wire("a/tracks", "a", "evaluator", "broker", "cc"), wire("b", "broker"), wire("c", "cc")))
+    arrived = {"evaluator": came("a/tracks", 90.0), "broker": came("a/tracks", 3.0), "cc": came("a/tracks", 40.0)}
+    assert conclusion.by_wire(wiring, SENT, arrived)["a/tracks"] == {"p50": 3.0, "p95": 3.0, "p99": 3.0, "n": 1}
+    del arrived["broker"]
+    assert conclusion.by_wire(wiring, SENT, arrived)["a/tracks"]["p50"] == 40.0, "it was killed and returned nothing"
+
+
+def test_a_wire_with_only_listeners_is_measured_at_the_first_and_one_without_arrivals_is_omitted() -> None:
+    wiring = Wiring((wire("truth", "simulator", "evaluator", "watcher"), wire("dead", "x", "evaluator")))
+    arrived = {"evaluator": came("truth", 7.0), "watcher": came("truth", 1.0), "recorder": came("dead", 1.0)}
+    assert {key: by_frame["p50"] for key, by_frame in conclusion.by_wire(wiring, SENT, arrived).items()} == {
+        "truth": 7.0
+    }
+
+
+def test_latency_is_measured_after_interposers_on_trunk_and_branch() -> None:
+    trunk = (
+        Leg("a/tracks/@tap/0", Endpoint("a", "out"), ends("adversary")),
+        Leg("a/tracks", Endpoint("adversary", "out"), ends("link", "evaluator")),
+    )
+    leg = Leg("a/tracks/@tap/broker", Endpoint("link", "out"), ends("broker"))
+    branch = Branch(Endpoint("link", "in"), Endpoint("broker", "in"), (leg,))
+    wiring = Wiring((Wire("a/tracks", "a", "tracks", trunk, (branch,)), wire("cc", "broker", "evaluator")))
+    arrived = {
+        "adversary": came("a/tracks/@tap/0", 1.0),
+        "link": came("a/tracks", 2.0),
+        "broker": came("a/tracks/@tap/broker", 30.0),
+        "evaluator": came("a/tracks", 2.0),
+    }
+    assert conclusion.by_wire(wiring, SENT, arrived)["a/tracks"]["p50"] == 30.0
+
+
+def test_late_messages_are_counted_by_agent() -> None:
+    assert late([{"late": {"infra_2": 3, "ego": 1}}, {"late": {"ego": 2}}]) == {"ego": 3, "infra_2": 3}
+    assert late([]) == {}
+
+
+def test_only_counts_of_brokers_are_collations() -> None:
+    nodes = {name: NodeSpec(role, "", "", {}, "fail") for name, role in (("broker", "broker"), ("spy", "visualizer"))}
+    counted = {"late": {"ego": 1}}
+    handed_in = {"broker": {"collation": counted}, "spy": {"collation": 7}, "gone": {"collation": counted}}
+    assert collations(handed_in, nodes) == [counted]
+    assert collations({"broker": {"collation": "nonsense"}}, nodes) == []
+    odd = {"late": [1], "overdue": "many", "complete": 3}
+    assert collations({"broker": {"collation": odd}}, nodes) == [{"complete": 3, "late": {}}]

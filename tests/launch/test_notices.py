@@ -143,6 +143,9 @@ def test_notices_are_in_run_json_and_in_the_report(tmp_path: Path) -> None:
         notice["kind"]: notice for notice in json.loads((outcome.folder / "run.json").read_text())["notices"]
     }
     assert notices_by_kind["late"]["text"] == "10 messages of infra_1 came too late for their batch"
+    measured = json.loads((outcome.folder / "metrics.json").read_text())
+    assert measured["late"] == {"infra_1": 10}, "two of 12 are still in transit at the end"
+    assert (outcome.folder / "checks.json").is_file()
     assert notices_by_kind["rejected"]["text"].startswith(f"{notices_by_kind['rejected']['count']} messages on ")
     page = write_report(outcome.folder).read_text()
     assert "late: 10 messages of infra_1 came too late for their batch" in page
@@ -154,7 +157,9 @@ def test_a_run_too_short_to_leave_out_its_first_frames_has_a_notice(tmp_path: Pa
     file, content = scenario.load("baseline", ["n_infrastructure=1"])
     outcome = run.run(scenario.resolve(file, content, frames=frames), tmp_path / "run", runtime="inproc")
     notices_by_kind = {notice["kind"]: notice["text"] for notice in outcome.record["notices"]}
-    assert json.loads((outcome.folder / "metrics.json").read_text())["settled"] == (not expected)
+    measured = json.loads((outcome.folder / "metrics.json").read_text())
+    assert (measured["settled"], measured["late"]) == (not expected, {})
+    assert not (outcome.folder / "checks.json").exists(), "nothing to check without faults"
     assert ("unsettled" in notices_by_kind) == bool(expected)
     assert expected in notices_by_kind.get("unsettled", "")
 

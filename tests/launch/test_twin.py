@@ -9,22 +9,18 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from equal_runs import run_alone
 
-from mast_zenoh import scenario, version
+from mast_zenoh import version
 from mast_zenoh.config.allowed_code import OWN_RUN
 from mast_zenoh.errors import NotComparable
-from mast_zenoh.launch import run, twin
+from mast_zenoh.launch import twin
 
 FRAMES = 30
 
 
-def played(folder: Path, name: str, *settings: str, **changes: Any) -> Path:
-    """A run of a shipped scenario in one process, attacked from the start."""
-    path, loaded = scenario.load(name, settings)
-    resolved = scenario.resolve(path, loaded | changes, seed=3, frames=FRAMES)
-    outcome = run.run(resolved, folder, runtime="inproc")
-    assert outcome.error is None
-    return folder
+def played(folder: Path, name: str, *settings: str) -> Path:
+    return run_alone(folder, name, *settings, seed=3, frames=FRAMES)
 
 
 def results(folder: Path) -> dict[str, Any]:

@@ -15,7 +15,7 @@ import psutil
 import pytest
 from endings_table import ending
 from held_back import allow
-from launched import Launched, Observer, eventually
+from launched import Launched, eventually
 
 from mast_zenoh.launch.liveness import current_record
 from mast_zenoh.messagelog.reader import read
@@ -29,20 +29,9 @@ BASELINE = ("baseline", "--set", "n_infrastructure=2")
 PACED = ("--mode", "realtime", "--rate", "3", "--frames", "60")
 
 
-def at_frame(run: Launched, frame: int) -> dict:
-    """run.json when the run has reached a frame."""
-    record = run.started()
-    observer = Observer(record, "clock")
-    try:
-        eventually(lambda: observer.frame() >= frame, f"{frame} clocks")
-    finally:
-        observer.close()
-    return record
-
-
 def test_a_second_signal_ends_nodes_at_once_and_leaves_a_readable_recording(launch) -> None:
     run: Launched = launch(*BASELINE, *PACED)
-    at_frame(run, 10)
+    run.at_frame(10)
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         run.process.send_signal(number)
     code, output = run.end()
@@ -73,7 +62,7 @@ SHORT = "launcher suspended for less than 20 s and resumed, lock-step (Ctrl-Z, S
 
 def test_a_suspended_launcher_resumes_a_lock_step_run_without_effect(launch) -> None:
     run: Launched = launch(*BASELINE, "--frames", "150")
-    at_frame(run, 15)
+    run.at_frame(15)
     suspend(run, 5.0)
     code, output = run.end()
     assert (run.record()["status"], code) == ending(SHORT)
@@ -84,7 +73,7 @@ def test_a_suspended_launcher_resumes_a_lock_step_run_without_effect(launch) -> 
 
 def test_a_launcher_suspended_too_long_in_real_time_names_lost_nodes(launch) -> None:
     run: Launched = launch(*BASELINE, "--mode", "realtime", "--frames", "120")
-    at_frame(run, 15)
+    run.at_frame(15)
     suspend(run, 5.0)
     code, output = run.end()
     what = "launcher suspended for more than 2 s and resumed, real time"
@@ -99,7 +88,7 @@ def test_a_launcher_suspended_too_long_fails_a_run_with_remote_nodes(
 ) -> None:
     allow(tmp_path / "run_0", 20)
     run = start(sys.executable, held_back.__file__, "baseline", PYTHONPATH=os.pathsep.join(sys.path))
-    at_frame(run, 20)
+    run.at_frame(20)
     suspend(run, 5.0)
     allow(run.out, 1000)
     code, output = run.end()

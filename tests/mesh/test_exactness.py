@@ -7,24 +7,14 @@ import tarfile
 from pathlib import Path
 
 import pytest
+from equal_runs import assert_equal, run_alone
 from launched import Launched
 
-from mast_zenoh import scenario
-from mast_zenoh.launch import run as launcher
-from mast_zenoh.messagelog.difference import compare, explain
 from mast_zenoh.messagelog.reader import read
 
 pytestmark = pytest.mark.mesh
 DATA = Path(os.environ.get("MAST_DATA") or Path(__file__).parents[3] / "shared" / "data")
 FRAMES = 8
-
-
-def in_process(out: Path, name: str, *settings: str) -> Path:
-    """The same run in one process."""
-    path, loaded = scenario.load(name, settings)
-    outcome = launcher.run(scenario.resolve(path, loaded, frames=FRAMES, record=True), out, runtime="inproc")
-    assert outcome.error is None
-    return outcome.folder
 
 
 def on_mesh(launch, name: str, *settings: str) -> Path:
@@ -37,19 +27,12 @@ def on_mesh(launch, name: str, *settings: str) -> Path:
     return run.out
 
 
-def assert_equal(a: Path, b: Path) -> None:
-    difference = compare(a, b, taps=True)
-    assert difference.first is None, "\n".join(explain(difference))
-    assert difference.equal == len(list(read(a))) > 0
-
-
 def test_two_runs_on_the_mesh_and_one_in_one_process_are_equal(launch, tmp_path: Path) -> None:
     what = ("coordinated", "n_infrastructure=5", "n_adversaries=2", "attack_start_s=0.2")
     first, second = on_mesh(launch, *what), on_mesh(launch, *what)
     assert any(message.message == "attack_report" for message in read(first)), "a difference could show"
     assert_equal(first, second)
-    assert_equal(first, inproc := in_process(tmp_path / "inproc", *what))
-    assert (first / "metrics.json").read_bytes() == (inproc / "metrics.json").read_bytes()
+    assert_equal(first, run_alone(tmp_path / "inproc", *what, frames=FRAMES, record=True))
 
 
 def test_the_reference_scene_is_the_same_on_the_mesh_and_in_one_process(launch, tmp_path: Path) -> None:
@@ -59,4 +42,4 @@ def test_the_reference_scene_is_the_same_on_the_mesh_and_in_one_process(launch, 
     with tarfile.open(archive) as tar:
         tar.extractall(tmp_path, filter="data")
     what = ("uncoordinated", f"scene=avstack:{tmp_path / 'scene_a'}", "attack_start_s=0.2")
-    assert_equal(on_mesh(launch, *what), in_process(tmp_path / "inproc", *what))
+    assert_equal(on_mesh(launch, *what), run_alone(tmp_path / "inproc", *what, frames=FRAMES, record=True))

@@ -9,12 +9,10 @@ from pathlib import Path
 
 import psutil
 import pytest
+from equal_runs import assert_equal, run_alone
 from launched import Launched
 
-from mast_zenoh import scenario
 from mast_zenoh.control import flow
-from mast_zenoh.launch import run as launcher
-from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.runtime.mesh.session import open_client
 from mast_zenoh.security.credentials import Credentials
 from mast_zenoh.wiring.model import Wiring
@@ -50,11 +48,7 @@ def test_unsigned_messages_change_nothing_and_are_counted(launch, tmp_path: Path
         assert list(rewired) == []
         code, output = run.end()
     assert code == 0, output
-    path, loaded = scenario.load("baseline", ["n_infrastructure=1"])
-    sound = launcher.run(scenario.resolve(path, loaded, frames=20, record=True), tmp_path / "sound", runtime="inproc")
-    difference = compare(sound.folder, run.out)
-    assert difference.first is None
-    assert difference.equal > 0
+    assert_equal(run_alone(tmp_path / "sound", "baseline", "n_infrastructure=1", frames=20, record=True), run.out)
     final_record = run.record()
     assert final_record["unsigned_control"] == 0
     assert {key: count for key, (count, _) in final_record["invalid_control"].items()} == {"act": 1}

@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -15,16 +14,14 @@ from launched import Launched, Observer, eventually
 
 from mast_zenoh.errors import NotRunning, StartError
 from mast_zenoh.launch import live_interception
-from mast_zenoh.launch.tables import read_table
 from mast_zenoh.messagelog.reader import read
-from mast_zenoh.messages import codec
 from mast_zenoh.runtime.protocol.traffic import ATTACHMENT
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 LIVE = Path(__file__).parents[1] / "support" / "live"
 RELAY = str(LIVE / "relay.py")
 TRACKS, DETECTIONS = "agent/infra_1/tracks", "agent/infra_1/detections"
-TIMES = 50
+TIMES = 6
 
 
 @pytest.fixture
@@ -51,80 +48,33 @@ def stop(run: Launched) -> dict:
     return run.record()
 
 
-def gaps(numbers: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Gaps between frames in a list of (number, frame), which must be ordered."""
-    assert all(before[0] < after[0] for before, after in pairwise(numbers)), "in order, without duplicates"
-    return [(before[1], after[1]) for before, after in pairwise(numbers) if after[0] > before[0] + 1]
-
-
-def lost(run: Launched, observer: Observer) -> list[tuple[str, str, list[tuple[int, int]]]]:
-    """Gaps in the intercepted wires by hearer, unless it was congested at the time; asserts the order."""
-    recorded = [(m.key, (m.seq, m.frame)) for m in read(run.out) if not m.tap]
-    types = {wire["key"]: wire["message"] for wire in json.loads((run.out / "wiring.json").read_text())["wires"]}
-    seen = []
-    for key, sample in observer.samples:
-        header = codec.decode_header(sample.payload.to_bytes(), types[key])
-        seen.append((key, (header.seq, header.frame)))
-    table = read_table(run.out / "results" / "evaluator" / "heard.parquet")
-    heard = list(zip(table["wire"], zip(table["seq"].tolist(), table["frame"].tolist(), strict=True), strict=True))
-    all_gaps = [
-        (hearer, wire, gaps([number for key, number in messages if key == wire]))
-        for hearer, messages in (("stranger", seen), ("recorder", recorded), ("evaluator", heard))
-        for wire in sorted({key for key, _ in messages})
-    ]
-    heard_by = [(hearer, wire) for hearer, wire, _ in all_gaps if wire in (TRACKS, DETECTIONS)]
-    assert len(heard_by) == 5, "all three receive them, except detections, which the evaluator does not need"
-    # In real time, messages to a congested hearer are dropped, on all wires. Those nobody has touched show when it was.
-    congested = {hearer: [] for hearer, _, _ in all_gaps}
-    for hearer, wire, missing in all_gaps:
-        congested[hearer] += [] if wire in (TRACKS, DETECTIONS) else missing
-    return [
-        (hearer, wire, left)
-        for hearer, wire, missing in all_gaps
-        if wire in (TRACKS, DETECTIONS)
-        and (left := [gap for gap in missing if not any(overlap(gap, other) for other in congested[hearer])])
-    ]
-
-
-def kinds(observer: Observer, wire: str) -> set[tuple[str, ...]]:
-    """What a subscriber of a wire sees of its messages besides their content; asserts that no step is too early.
-
-    When they come is not compared: in real time a busy machine makes steps late.
-    """
-    seen = set()
-    for sample in (sample for key, sample in observer.samples if key == wire):
-        frame = codec.decode_header(sample.payload.to_bytes(), wire.rpartition("/")[2]).frame
-        mark, _, step = ATTACHMENT.unpack(sample.attachment.to_bytes())
-        assert step >= frame
-        quality = (sample.priority, sample.congestion_control, sample.express)
-        kind = (mark, sample.encoding, *quality, sample.source_info, sample.timestamp, sample.kind)
-        seen.add(tuple(map(str, kind)))
-    return seen
-
-
-def overlap(one: tuple[int, int], other: tuple[int, int]) -> bool:
-    """Whether two ranges of frames meet."""
-    return one[0] <= other[1] and other[0] <= one[1]
-
-
-@pytest.mark.timeout(600)
-def test_fifty_insertions_and_removals_lose_duplicate_and_reorder_nothing(going) -> None:
-    run, observer = going("--mode", "realtime", "--rate", "2")
+def test_insertions_and_removals_lose_duplicate_and_reorder_nothing_and_subscribers_see_nothing(going) -> None:
+    """Many more of them are in the simulated runs."""
+    run, observer = going("--mode", "lockstep")
     for i in range(TIMES):
         wire = (TRACKS, DETECTIONS)[i % 2]
-        settings = ("keeps=True",) if i % 5 == 0 else ()
-        interceptions = live_interception.intercept(run.out, wire, RELAY, name="mallory", settings=settings)
+        settings = ("keeps=True",) if i % 3 == 0 else ()
+        change = live_interception.intercept(run.out, wire, RELAY, name="mallory", settings=settings)
+        assert change["wires"] == [wire]
         reached = observer.frame() + 3
         eventually(lambda reached=reached: observer.frame() >= reached, "messages pass through the node")
-        assert interceptions["wires"] == [wire]
         assert live_interception.release(run.out, name="mallory")["node"] == "mallory"
     record = stop(run)
-    assert [interceptions["action"] for interceptions in record["interceptions"]] == ["intercept", "release"] * TIMES
-    taps = {wire: [m.seq for m in read(run.out) if m.tap and m.wire == wire] for wire in (TRACKS, DETECTIONS)}
-    assert all(len(numbers) >= 2 * TIMES // 2 for numbers in taps.values()), "it was on the wires"
-    assert all(len(set(numbers)) == len(numbers) for numbers in taps.values())
-    assert not lost(run, observer)
-    assert len(kinds(observer, TRACKS)) == len(kinds(observer, DETECTIONS)) == 1, "with the node and without it"
+    assert [change["action"] for change in record["interceptions"]] == ["intercept", "release"] * TIMES
+    recorded = list(read(run.out))
+    for wire in (TRACKS, DETECTIONS):
+        numbers = [message.seq for message in recorded if message.key == wire]
+        assert numbers == list(range(len(numbers)))
+        tapped = [message.seq for message in recorded if message.tap and message.wire == wire]
+        assert len(set(tapped)) == len(tapped) >= 3 * TIMES // 2, "it was on the wire"
+        kinds = set()
+        for sample in (sample for key, sample in observer.samples if key == wire):
+            mark, _, _ = ATTACHMENT.unpack(sample.attachment.to_bytes())
+            quality = (sample.priority, sample.congestion_control, sample.express)
+            kinds.add(
+                tuple(map(str, (mark, sample.encoding, *quality, sample.source_info, sample.timestamp, sample.kind)))
+            )
+        assert len(kinds) == 1, "with the node and without it"
     logs = "".join(path.read_text() for path in (run.out / "logs").iterdir())
     assert "may be lost" not in logs
     assert "Traceback" not in logs

@@ -15,13 +15,11 @@ from typing import Any
 import psutil
 import pytest
 from browser import chromium
+from equal_runs import assert_equal, run_alone
 from launched import MAST, Launched, eventually
 from websockets.sync.client import connect
 
-from mast_zenoh import scenario
-from mast_zenoh.launch import run as launcher
 from mast_zenoh.launch.tables import read_table
-from mast_zenoh.messagelog.difference import compare
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 _TIMEOUT_MS = 90_000
@@ -157,9 +155,7 @@ def test_a_viewer_of_a_secure_run_has_a_certificate_of_its_own_and_changes_nothi
     assert not credentials.exists(), "keys end with the run"
     alone = launch(*words, "--runtime", "inproc")
     assert alone.end()[0] == 0
-    difference = compare(alone.out, live.run.out, taps=True)
-    assert difference.first is None
-    assert difference.equal > 1000
+    assert_equal(alone.out, live.run.out)
 
 
 def test_a_killed_launcher_leaves_neither_its_viewer_nor_the_viewers_keys(launch: Callable[..., Launched]) -> None:
@@ -204,9 +200,8 @@ def test_a_router_shows_its_run_without_the_run_folder(launch: Callable[..., Lau
 
 
 def test_a_replay_is_shown_while_it_is_running(start: Callable[..., Launched], browser: Any, tmp_path: Path) -> None:
-    path, loaded = scenario.load("coordinated", ["n_infrastructure=2", "attack_start_s=0.5"])
-    resolved = scenario.resolve(path, loaded, frames=30, record=True)
-    recorded_run = launcher.run(resolved, tmp_path / "recorded", runtime="inproc").folder
+    what = ("coordinated", "n_infrastructure=2", "attack_start_s=0.5")
+    recorded_run = run_alone(tmp_path / "recorded", *what, frames=30, record=True)
     replay = start(*MAST, "replay", str(recorded_run), "--loop", "--rate", "1", "--no-report", "--out")
     replay.started()
     with viewing(browser, str(replay.out)) as page:

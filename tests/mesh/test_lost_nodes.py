@@ -9,6 +9,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from equal_runs import assert_equal, run_alone
 from launched import MAST, Launched
 
 from mast_zenoh.errors import RunFolderError
@@ -23,10 +24,7 @@ FRAMES = ("--frames", "100")  # the recorder writes 25 at a time
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory) -> Path:
     """The same run in one process."""
-    out = tmp_path_factory.mktemp("undisturbed") / "run"
-    command = [*MAST, "run", "baseline", *FRAMES, "--runtime", "inproc", "--no-report", "--out", str(out)]
-    subprocess.run(command, check=True, capture_output=True)
-    return out
+    return run_alone(tmp_path_factory.mktemp("undisturbed") / "run", "baseline", frames=100, record=True)
 
 
 def at_frame(run: Launched, frame: int) -> dict:
@@ -46,8 +44,7 @@ def recorded_frame(folder: Path) -> int:
 
 def test_nodes_suspended_with_full_queues_for_longer_than_any_lease_are_waited_for(launch, tmp_path: Path) -> None:
     """Zenoh's default closes a link on which a message has waited for 5 s."""
-    words = ("baseline", "--set", "n_infrastructure=12", *FRAMES)
-    run: Launched = launch(*words)
+    run: Launched = launch("baseline", "--set", "n_infrastructure=12", *FRAMES)
     nodes = at_frame(run, 1)["nodes"]
     victims = [nodes[name]["pid"] for name in ("recorder", "command_center")]
     for pid in victims:
@@ -59,10 +56,7 @@ def test_nodes_suspended_with_full_queues_for_longer_than_any_lease_are_waited_f
     code, output = run.end()
     assert code == 0, output
     assert run.record()["churn"] == []
-    twin = tmp_path / "twin"
-    command = [*MAST, "run", *words, "--runtime", "inproc", "--no-report", "--out", str(twin)]
-    subprocess.run(command, check=True, capture_output=True)
-    assert compare(run.out, twin).first is None
+    assert_equal(run.out, run_alone(tmp_path / "twin", "baseline", "n_infrastructure=12", frames=100, record=True))
 
 
 def test_a_node_lost_in_lock_step_fails_the_run_by_name(launch, undisturbed: Path) -> None:

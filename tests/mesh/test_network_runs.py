@@ -38,15 +38,6 @@ def two_hosts(launch) -> Iterator:
     assert [name for run in runs for name in leftovers_of(run.process.pid)] == []
 
 
-def at_frame(run: Launched, frame: int) -> None:
-    """Wait until the run has reached a frame."""
-    observer = Observer(run.started(), "clock")
-    try:
-        eventually(lambda: observer.frame() >= frame, f"{frame} clocks")
-    finally:
-        observer.close()
-
-
 class Stopwatch(Observer):
     """Records the arrival time of each message, ns."""
 
@@ -134,7 +125,7 @@ def test_a_slow_link_adds_twice_its_delay_to_a_round_trip(two_hosts) -> None:
 def test_a_run_that_ends_during_a_partition_heals_it_and_collects_all_results(two_hosts, how: str) -> None:
     run: Launched = two_hosts(40 if how == "scene ends" else 150, cut_s=0.5, partition_s=1000.0)
     if how == "Ctrl-C":
-        at_frame(run, 35)  # disconnected nodes have been given up
+        run.at_frame(35)  # disconnected nodes have been given up
         run.process.send_signal(signal.SIGINT)
     code, output = run.end()
     assert code == (0 if how == "scene ends" else 130), output
@@ -145,7 +136,7 @@ def test_a_run_that_ends_during_a_partition_heals_it_and_collects_all_results(tw
 
 def test_remnants_of_a_killed_launcher_are_empty_and_removed_by_the_next_run(two_hosts) -> None:
     run: Launched = two_hosts(100, partition_s=1000.0, hosts__west__delay_ms=5, hosts__west__delay_by="relay")
-    at_frame(run, 5)
+    run.at_frame(5)
     pids = run.pids()
     assert alive(pids) == pids
     run.kill()

@@ -8,10 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from equal_runs import run_alone
 from launched import Launched, Observer
-
-from mast_zenoh import scenario
-from mast_zenoh.launch import run as launcher
 
 pytestmark = pytest.mark.mesh
 FRAMES = 12
@@ -20,13 +18,6 @@ SHORT = ("--frames", str(FRAMES))
 
 def metrics(folder: Path) -> bytes:
     return (folder / "metrics.json").read_bytes()
-
-
-def in_process(out: Path, name: str, *settings: str, frames: int = FRAMES, seed: int | None = None) -> Path:
-    path, loaded = scenario.load(name, settings)
-    outcome = launcher.run(scenario.resolve(path, loaded, frames=frames, seed=seed), out, runtime="inproc")
-    assert outcome.error is None
-    return outcome.folder
 
 
 def test_every_role_runs_in_its_own_process_with_the_metrics_of_one_process_and_plain_output(
@@ -51,7 +42,9 @@ def test_every_role_runs_in_its_own_process_with_the_metrics_of_one_process_and_
     assert "\x1b[" not in output
     assert "FN" in output
     assert str(run.out) in output.replace("\n", "")
-    assert metrics(run.out) == metrics(in_process(tmp_path / "inproc", "uncoordinated", "n_adversaries=2", seed=3))
+    assert metrics(run.out) == metrics(
+        run_alone(tmp_path / "inproc", "uncoordinated", "n_adversaries=2", frames=FRAMES, seed=3)
+    )
 
 
 def test_simultaneous_runs_do_not_interfere_and_interposers_that_change_nothing_leave_no_trace(
@@ -79,7 +72,7 @@ def test_simultaneous_runs_do_not_interfere_and_interposers_that_change_nothing_
     assert plain.keys() == tapped.keys()
     for key in plain:
         assert plain[key] == tapped[key], key
-    assert metrics(runs[0].out) == metrics(in_process(tmp_path / "alone", "baseline", seed=1))
+    assert metrics(runs[0].out) == metrics(run_alone(tmp_path / "alone", "baseline", frames=FRAMES, seed=1))
     expected, measured = (json.loads(metrics(run.out)) for run in runs)
     assert all(interposer["effects"] == {} for interposer in measured.pop("interposers").values())
     assert not any(each["success_centre"] or each["success_ego"] for each in measured.pop("achieved").values())
@@ -111,7 +104,7 @@ def test_an_existing_router_can_be_used(launch, tmp_path: Path) -> None:
         run: Launched = launch("baseline", *SHORT, "--endpoint", endpoint)
         code, output = run.end()
     assert code == 0, output
-    assert metrics(run.out) == metrics(in_process(tmp_path / "inproc", "baseline"))
+    assert metrics(run.out) == metrics(run_alone(tmp_path / "inproc", "baseline", frames=FRAMES))
 
 
 def test_a_user_defined_node_next_to_the_scenario_takes_part(launch, tmp_path: Path) -> None:

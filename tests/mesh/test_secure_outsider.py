@@ -15,17 +15,25 @@ pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 NOWHERE = {"duplicate session id"}
 
 
+Outcomes = dict[str, comparison.Outcome]
+
+
+def outcomes_of(folder: Path, name: str, level: str) -> Outcomes:
+    """What each attempt on a run of a scenario achieved; no foreign message beyond the attempts may reach a node."""
+    path, loaded = scenario.load(name)
+    resolved = scenario.resolve(path, loaded)
+    outcomes = dict(comparison.run_outsider(resolved, folder / "run", level, comparison.load(name)))
+    assert outcomes.pop(comparison.STRAY).reached == 0
+    return outcomes
+
+
 @pytest.mark.parametrize("level", ["open", "acl"])
 def test_an_outsider_succeeds_in_an_open_run_and_fails_in_a_secure_one(tmp_path: Path, level: str) -> None:
-    path, loaded = scenario.load("rogue")
     attempts = comparison.load("rogue")
-    resolved = scenario.resolve(path, loaded)
-    outcomes = dict(comparison.run_outsider(resolved, tmp_path / "run", level, attempts))
-    stray = outcomes.pop(comparison.STRAY).reached
+    outcomes = outcomes_of(tmp_path, "rogue", level)
     assert outcomes.keys() == {attempt.name for attempt in attempts}
     succeeded = {name for name, outcome in outcomes.items() if outcome.succeeded}
     assert succeeded == (outcomes.keys() - NOWHERE if level == "open" else set()), outcomes
-    assert stray == 0, "no foreign message beyond the attempts has reached a node"
     if level == "open":
         sent = [outcome for outcome in outcomes.values() if outcome.sent]
         assert len(sent) >= 5
@@ -35,3 +43,20 @@ def test_an_outsider_succeeds_in_an_open_run_and_fails_in_a_secure_one(tmp_path:
         tried = {a.name for a in attempts if a.shows.startswith("infra_")} - NOWHERE
         assert admitted == tried, "a client with a node's certificate is admitted, but gains nothing"
         assert any(outcome.sent and not outcome.reached for outcome in outcomes.values())
+
+
+@pytest.mark.parametrize("level", ["open", "acl"])
+def test_an_outsider_plays_an_absent_agent_on_an_open_mesh_only(tmp_path: Path, level: str) -> None:
+    outcomes = outcomes_of(tmp_path, "sybil", level)
+    assert not outcomes.pop("agent that nobody knows").succeeded, "no node subscribes to its key"
+    assert len(outcomes) == 2
+    for outcome in outcomes.values():
+        if level == "open":
+            assert outcome.reached == outcome.expected > 0
+            assert outcome.heard >= outcome.sent // 2, "its tracks are in the broker's batches"
+        else:
+            assert not outcome.succeeded
+    if level == "acl":
+        stolen = outcomes["absent agent, another's key"]
+        assert stolen.admitted
+        assert stolen.sent > 0

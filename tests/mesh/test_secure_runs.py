@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 from datetime import UTC, datetime, timedelta
@@ -11,11 +10,10 @@ from pathlib import Path
 
 import psutil
 import pytest
+from equal_runs import assert_equal, run_alone
 from launched import Launched, eventually
 
 from mast_zenoh import scenario
-from mast_zenoh.launch import run as launcher
-from mast_zenoh.messagelog.difference import compare, explain
 from mast_zenoh.security.authority import Authority
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
@@ -41,19 +39,13 @@ def credentials(record: dict) -> list[Path]:
 
 @pytest.mark.parametrize("level", ["tls", "acl"])
 def test_a_secure_run_equals_the_open_one_exactly(launch, tmp_path: Path, level: str) -> None:
-    path, loaded = scenario.load(WHAT[0], WHAT[1:])
-    resolved = scenario.resolve(path, loaded, frames=int(FRAMES), record=True)
-    plain = launcher.run(resolved, tmp_path / "plain", runtime="inproc")
-    assert plain.error is None
+    plain = run_alone(tmp_path / "plain", *WHAT, frames=int(FRAMES), record=True)
     settings = [word for setting in WHAT[1:] for word in ("--set", setting)]
     run: Launched = launch(WHAT[0], "--frames", FRAMES, "--secure", level, *settings)
     folders = credentials(run.started())
     code, output = run.end()
     assert code == 0, output
-    difference = compare(plain.folder, run.out, taps=True)
-    assert difference.first is None, "\n".join(explain(difference))
-    assert difference.equal > 0
-    assert json.loads((run.out / "metrics.json").read_text()) == json.loads((plain.folder / "metrics.json").read_text())
+    assert_equal(plain, run.out)
     assert run.record()["security"] == level
     assert run.record()["endpoint"].startswith("tls/")
     assert all(not node["foreign"] and not node["rejected"] for node in run.record()["nodes"].values())

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import pytest
 import zenoh
+from equal_runs import assert_equal, run_alone
 from launched import MAST, Launched, eventually
 
 from mast_zenoh.errors import NotRunning
-from mast_zenoh.messagelog.difference import compare
 from mast_zenoh.runtime.mesh import session
 from mast_zenoh.runtime.mesh.session import open_client, open_router
 
@@ -94,9 +94,7 @@ _RUN = ("coordinated", "--set", "attack_start_s=0.5", "--set", "n_infrastructure
 def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The run of `_RUN` that nobody watches."""
     out = tmp_path_factory.mktemp("undisturbed") / "run"
-    words = (*_RUN, "--mode", "lockstep", "--no-report", "--runtime", "inproc")
-    subprocess.run([*MAST, "run", *words, "--out", str(out)], check=True, capture_output=True)
-    return out
+    return run_alone(out, _RUN[0], *_RUN[2:6:2], frames=int(_RUN[-1]), mode="lockstep", record=True)
 
 
 @pytest.fixture
@@ -110,8 +108,7 @@ def disconnected(run: Launched, undisturbed: Path) -> str:
     """The only sentence on a client that was disconnected, after the run has ended like the undisturbed one."""
     code, output = run.end()
     assert code == 0, output
-    assert compare(undisturbed, run.out, taps=True).first is None
-    assert (undisturbed / "metrics.json").read_bytes() == (run.out / "metrics.json").read_bytes()
+    assert_equal(undisturbed, run.out)
     assert not run.record()["churn"]
     (sentence,) = run.record()["disconnected"]
     assert sentence in {notice["text"] for notice in run.record()["notices"]}
@@ -152,7 +149,7 @@ def test_a_run_begins_with_a_node_whose_name_was_claimed_before_it_was_there(
     with watching(_CLAIMANT, endpoint, f"mast/{run.record()['id']}/alive/infra_1"):
         code, output = run.end()
     assert code == 0, output
-    assert compare(undisturbed, run.out, taps=True).first is None
+    assert_equal(undisturbed, run.out)
     assert not run.record()["churn"]
 
 

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from io import StringIO
 from pathlib import Path
 
-import pyarrow.parquet as pq
 import pytest
-from rich.console import Console
+from drawn_statuses import console, drawn_statuses, evaluated
 
 from mast_zenoh import scenario
-from mast_zenoh.launch import display, observation, run
-from mast_zenoh.launch.display import Display
-from mast_zenoh.launch.observation import Status
+from mast_zenoh.launch import run
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 SILENT = {"evaluator", "recorder"}
@@ -22,19 +18,12 @@ SILENT = {"evaluator", "recorder"}
 def test_rates_lags_and_the_score_are_those_of_the_run(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, mode: str, secure: str, frames: int
 ) -> None:
-    monkeypatch.setattr(display, "_PERIOD_S", 0.0)
-    monkeypatch.setattr(display, "_SHARE", 1e9)
-    monkeypatch.setattr(observation, "_SCORE_PERIOD_S", 0.0)
-    monkeypatch.setattr(observation, "_SCORE_SHARE", 1e9)
-    drawn: list[Status] = []
-    lines = Display.lines
-    monkeypatch.setattr(Display, "lines", lambda self, *words: drawn.append(words[0]) or lines(self, *words))
+    drawn = drawn_statuses(monkeypatch)
     path, loaded = scenario.load(
         "coordinated", ("n_infrastructure=2", "n_adversaries=1", f"attack_start_s={frames / 20}")
     )
     resolved = scenario.resolve(path, loaded, frames=frames, mode=mode, rate=2.0, record=True)
-    console = Console(force_terminal=True, width=80, height=24, file=StringIO())
-    ended = run.run(resolved, tmp_path / "run", secure=secure, console=console)
+    ended = run.run(resolved, tmp_path / "run", secure=secure, console=console(80))
     assert ended.error is None
     playing = [each for each in drawn if each.activities]
     heard = [each for each in playing if all(each.activities[name].drops is not None for name in ("ego", "broker"))]
@@ -49,9 +38,7 @@ def test_rates_lags_and_the_score_are_those_of_the_run(
         (each.frame > frames // 2, each.states["adversary_1"]) for each in playing if each.states["ego"] == "running"
     }
     assert states >= {(False, "running"), (True, "attack")}
-    table = pq.read_table(ended.folder / "metrics.parquet").to_pylist()
-    rows = [row for row in table if (row["agent"], row["estimator"]) == ("ego", "picture_received")]
-    expected = {row["frame"]: (row["fn"], row["fp"], row["tp"]) for row in rows}
+    expected = evaluated(ended.folder)
     scores = [each.score for each in playing if each.score is not None]
     assert len({each.frame for each in scores}) > 3
     assert all(each[2:5] == expected[each.frame] for each in scores)

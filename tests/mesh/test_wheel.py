@@ -17,6 +17,16 @@ ROOT = Path(__file__).parents[2]
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 
 
+def mast(site: Path, folder: Path, *words: str) -> str:
+    """The output of a command of an installed wheel."""
+    environment = {name: value for name, value in os.environ.items() if name != "MAST_KERNELS"}
+    command = [sys.executable, "-c", "from mast_zenoh.cli.app import main; main()", *words]
+    options = {"cwd": folder, "env": environment | {"PYTHONPATH": str(site)}, "capture_output": True, "text": True}
+    process = subprocess.run(command, check=False, **options)
+    assert process.returncode == 0, process.stdout + process.stderr
+    return process.stdout
+
+
 def test_a_wheel_in_an_empty_folder_runs_everything(tmp_path: Path) -> None:
     subprocess.run(
         [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(tmp_path / "dist"), str(ROOT)],
@@ -34,26 +44,15 @@ def test_a_wheel_in_an_empty_folder_runs_everything(tmp_path: Path) -> None:
         tops = {name.split("/")[0] for name in archive.namelist()}
     assert {top for top in tops if not top.endswith(".dist-info")} == {"mast_zenoh"}, "no generic names"
 
-    def mast(*words: str) -> str:
-        process = subprocess.run(
-            [sys.executable, "-c", "from mast_zenoh.cli.app import main; main()", *words],
-            cwd=work,
-            env=os.environ | {"PYTHONPATH": str(site)},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert process.returncode == 0, process.stdout + process.stderr
-        return process.stdout
-
-    mast("run", "coordinated", "--frames", "20", "--out", "run")
+    mast(site, work, "run", "coordinated", "--frames", "20", "--out", "run")
     scenario = (work / "run" / "scenario.json").read_text()
     assert str(site) in scenario, "the wheel's nodes are used"
     assert str(ROOT) not in scenario
     assert json.loads((work / "run" / "run.json").read_text())["versions"]["kernels"] == kernels.USED
     assert (work / "run" / "report.html").is_file()
-    assert "[adversary_1]" in mast("wiring", "uncoordinated")
-    assert "report:" in mast("study", "case_study", "--frames", "10", "--runtime", "inproc", "--out", "study")
+    assert "[adversary_1]" in mast(site, work, "wiring", "uncoordinated")
+    study = ("study", "case_study", "--frames", "10", "--runtime", "inproc", "--out", "study")
+    assert "report:" in mast(site, work, *study)
 
 
 def test_without_a_compiler_the_wheel_is_pure_python_and_runs(tmp_path: Path) -> None:
@@ -69,23 +68,5 @@ def test_without_a_compiler_the_wheel_is_pure_python_and_runs(tmp_path: Path) ->
     site = tmp_path / "site"
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(site)
-    ran = subprocess.run(
-        [
-            sys.executable,
-            "-c",
-            "from mast_zenoh.cli.app import main; main()",
-            "run",
-            "baseline",
-            "--frames",
-            "3",
-            "--out",
-            "run",
-        ],
-        cwd=tmp_path,
-        env={name: value for name, value in os.environ.items() if name != "MAST_KERNELS"} | {"PYTHONPATH": str(site)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert ran.returncode == 0, ran.stdout + ran.stderr
+    mast(site, tmp_path, "run", "baseline", "--frames", "3", "--out", "run")
     assert json.loads((tmp_path / "run" / "run.json").read_text())["versions"]["kernels"] == "numpy"

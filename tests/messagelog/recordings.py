@@ -1,4 +1,4 @@
-"""Recordings of runs in one process and of synthetic messages."""
+"""Recordings of synthetic messages."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from mast_zenoh import scenario
-from mast_zenoh.launch import run as launcher
 from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header
@@ -75,12 +73,3 @@ def write(path: Path, messages: list[tuple[str, bytes]]) -> Path:
             log.add_malformed(key, data, 2, 2 * PERIOD_NS, 2)
     log.close()
     return path
-
-
-def run(folder: Path, name: str, *settings: str, frames: int = 6, seed: int = 0) -> Path:
-    """The folder of a recorded run in one process."""
-    path, loaded = scenario.load(name, settings)
-    resolved = scenario.resolve(path, loaded, frames=frames, seed=seed, record=True)
-    outcome = launcher.run(resolved, folder, runtime="inproc")
-    assert outcome.error is None
-    return outcome.folder

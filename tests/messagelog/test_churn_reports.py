@@ -33,16 +33,11 @@ def test_a_lost_node_may_also_have_missed_the_previous_frame():
     assert churn.first_frames(EVENTS, "ego") == []
 
 
-def test_runs_are_not_comparable_after_a_gap_in_a_recording(tmp_path):
-    record = {"churn": EVENTS[2:], "recording": {"complete": False, "from_frame": 12}}
+@pytest.mark.parametrize("from_frame", [12, 59])
+def test_runs_are_not_comparable_after_a_gap_in_a_recording_also_where_a_node_was_lost(tmp_path, from_frame):
+    record = {"churn": EVENTS[2:], "recording": {"complete": False, "from_frame": from_frame}}
     (tmp_path / "run.json").write_text(json.dumps(record))
-    assert comparable(tmp_path) == (12, f"the recording of {tmp_path} is incomplete")
-
-
-def test_an_incomplete_recording_is_the_reason_where_a_node_was_lost_in_the_same_frame(tmp_path):
-    record = {"churn": EVENTS[2:], "recording": {"complete": False, "from_frame": 59}}
-    (tmp_path / "run.json").write_text(json.dumps(record))
-    assert comparable(tmp_path) == (59, f"the recording of {tmp_path} is incomplete")
+    assert comparable(tmp_path) == (from_frame, f"the recording of {tmp_path} is incomplete")
 
 
 def test_runs_are_comparable_up_to_the_first_loss_in_either(tmp_path):

@@ -8,22 +8,12 @@ import tarfile
 from pathlib import Path
 
 import pytest
-from recordings import run
+from equal_runs import assert_equal, run_alone
 from tiny_world import Run, tiny
-
-from mast_zenoh.messagelog.difference import compare, explain
-from mast_zenoh.messagelog.reader import read
 
 pytestmark = pytest.mark.heavy
 
 DATA = Path(os.environ.get("MAST_DATA") or Path(__file__).parents[3] / "shared" / "data")
-
-
-def equal(a: Path, b: Path, **options: bool) -> int:
-    """Assert that two runs are equal; returns the number of messages."""
-    difference = compare(a, b, **options)
-    assert difference.first is None, "\n".join(explain(difference))
-    return difference.equal
 
 
 @pytest.fixture(scope="session")
@@ -53,32 +43,6 @@ def test_a_thousand_delivery_orders_give_the_same_bytes() -> None:
         assert Run(resolved, encode=False, shuffle=shuffle).messages == plain.messages, f"order {shuffle}"
 
 
-@pytest.mark.parametrize("infrastructure", [1, 2, 5])
-@pytest.mark.parametrize("name", ["coordinated", "uncoordinated"])
-def test_repeating_a_run_gives_the_same_bytes(tmp_path: Path, name: str, infrastructure: int) -> None:
-    settings = (f"n_infrastructure={infrastructure}", "n_adversaries=1", "attack_start_s=0.2")
-    a, b, c = (run(tmp_path / x, name, *settings, seed=seed) for x, seed in (("a", 0), ("b", 0), ("c", 1)))
-    assert equal(a, b, taps=True) == len(list(read(a)))
-    assert compare(a, c).first is not None
-
-
-@pytest.mark.parametrize("infrastructure", [1, 2, 5])
-def test_interposers_that_change_nothing_leave_no_trace(tmp_path: Path, infrastructure: int) -> None:
-    setting = f"n_infrastructure={infrastructure}"
-    plain, tapped = (run(tmp_path / name, name, setting) for name in ("baseline", "passthrough"))
-    assert equal(plain, tapped) == len(list(read(plain)))
-    assert compare(plain, tapped, taps=True).only_b.total() == 6 * 2 * (infrastructure + 1)
-
-
-def test_additional_agents_change_nothing_for_the_others(tmp_path: Path) -> None:
-    runs = {n: run(tmp_path / str(n), "baseline", f"n_infrastructure={n}") for n in (1, 2, 5)}
-    payloads = {
-        n: {(m.key, m.frame): m.payload for m in read(folder) if m.message == "pose" or m.message == "clock"}
-        for n, folder in runs.items()
-    }
-    assert payloads[1].items() <= payloads[2].items() <= payloads[5].items()
-
-
 @pytest.mark.parametrize("scene", ["scene_a", "av2_log"])
 def test_a_recorded_scene_gives_the_same_run_from_a_copied_folder(
     tmp_path: Path, request: pytest.FixtureRequest, scene: str
@@ -87,8 +51,10 @@ def test_a_recorded_scene_gives_the_same_run_from_a_copied_folder(
     copy = tmp_path / "elsewhere" / original.name
     shutil.copytree(original, copy)
     kind = "avstack" if scene == "scene_a" else "av2"
-    a, b = (
-        run(tmp_path / name, "uncoordinated", f"scene={kind}:{folder}", "n_adversaries=1", "attack_start_s=0.2")
-        for name, folder in (("original", original), ("copy", copy))
+    attack = ("n_adversaries=1", "attack_start_s=0.2")
+    assert_equal(
+        *(
+            run_alone(tmp_path / name, "uncoordinated", f"scene={kind}:{folder}", *attack, frames=6, record=True)
+            for name, folder in (("original", original), ("copy", copy))
+        )
     )
-    assert equal(a, b, taps=True) > 100

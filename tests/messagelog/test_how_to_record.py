@@ -11,6 +11,7 @@ from mast_zenoh.errors import RunFolderError
 from mast_zenoh.messagelog.reader import file_of
 
 GENERAL = "repeat it without --no-record, or its study with --record"
+OUT = ["--out", "taken", "-o", "taken", "--out=taken"]
 
 
 def message(folder: Path, command: object) -> str:
@@ -20,26 +21,27 @@ def message(folder: Path, command: object) -> str:
     return str(caught.value)
 
 
-def test_a_run_without_recording_is_repeated_without_the_option_and_into_a_new_folder(tmp_path: Path) -> None:
-    command = "/x/bin/mast run coordinated --set n_adversaries=3 --seed 7 --no-record --out taken -o taken --out=taken"
-    assert message(tmp_path, command.split()).endswith(
-        "was not recorded: repeat it in a new folder with a recording: "
-        "mast run coordinated --set n_adversaries=3 --seed 7"
-    )
-
-
-def test_a_scenario_that_records_nothing_is_overruled(tmp_path: Path) -> None:
-    assert message(tmp_path, ["mast", "run", "mine.py"]).endswith("mast run mine.py --set run.record=true")
-
-
-def test_words_of_the_command_are_quoted(tmp_path: Path) -> None:
-    text = message(tmp_path, ["mast", "run", "a b.py", "--set", "x=[1, 2]; rm *", "--no-record"])
-    assert text.endswith("mast run 'a b.py' --set 'x=[1, 2]; rm *'")
-
-
-def test_a_python_call_is_repeated_with_its_argument(tmp_path: Path) -> None:
-    text = message(tmp_path, "mast_zenoh.run('baseline', frames=20)")
-    assert text.endswith("repeat it with record=True: mast_zenoh.run('baseline', frames=20)")
+@pytest.mark.parametrize(
+    ("command", "advice"),
+    [
+        (
+            ["/x/bin/mast", "run", "coordinated", "--set", "n=3", "--no-record", *OUT],
+            "repeat it in a new folder with a recording: mast run coordinated --set n=3",
+        ),
+        (["mast", "run", "mine.py"], "mast run mine.py --set run.record=true"),
+        (
+            ["mast", "run", "a b.py", "--set", "x=[1, 2]; rm *", "--no-record"],
+            "mast run 'a b.py' --set 'x=[1, 2]; rm *'",
+        ),
+        (
+            "mast_zenoh.run('baseline', frames=20)",
+            "repeat it with record=True: mast_zenoh.run('baseline', frames=20)",
+        ),
+    ],
+    ids=["mast run", "a scenario that records nothing", "quoted words", "a call in Python"],
+)
+def test_a_run_without_recording_is_repeated_with_one(tmp_path: Path, command: object, advice: str) -> None:
+    assert message(tmp_path, command).endswith(advice)
 
 
 @pytest.mark.parametrize(

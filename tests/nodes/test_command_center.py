@@ -23,13 +23,15 @@ def batch(*places_by_agent: tuple[tuple[float, float], ...]) -> dict[str, np.nda
     }
 
 
-def test_each_batch_gives_one_picture_about_the_same_frame(resolved) -> None:
+def test_each_batch_gives_one_picture_about_the_same_frame_and_a_second_one_none(resolved) -> None:
     centre = Bench(resolved, "command_center")
     for frame in range(3):
         assert centre.clock(frame) == []
         ((key, message),) = centre.send("collated", batch(((0.0, 0.0),), ((0.5, 0.0),)), frame)
         assert key == "cc/picture"
         assert (message.header.frame, message.header.time_ns) == (frame, frame * PERIOD_NS)
+        assert centre.send("collated", batch(((9.0, 0.0),)), frame) == []
+    assert not centre.host.failures
 
 
 def test_tracks_of_one_object_by_two_agents_become_one_object_with_support_two(resolved) -> None:
@@ -50,14 +52,6 @@ def test_an_empty_batch_gives_an_empty_picture(resolved) -> None:
         centre.clock(frame)
         ((_, message),) = centre.send("collated", empty, frame)
         assert len(message.body["id"]) == 0
-    assert not centre.host.failures
-
-
-def test_a_second_batch_of_a_frame_is_a_duplicate(resolved) -> None:
-    centre = Bench(resolved, "command_center")
-    centre.clock(0)
-    assert len(centre.send("collated", batch(((0.0, 0.0),)), 0)) == 1
-    assert centre.send("collated", batch(((9.0, 0.0),)), 0) == []
     assert not centre.host.failures
 
 

@@ -73,22 +73,14 @@ def test_the_coordinator_waits_for_a_silent_adversary_until_the_next_clock(resol
     assert [key for key, _ in observe(coordinator, 2, 1)] == list(DIRECTIVES), "it may send again"
 
 
-def test_the_coordinator_does_not_wait_for_a_dead_adversary_until_it_returns(resolved) -> None:
-    coordinator = Bench(resolved, "coordinator")
-    coordinator.clock(0)
-    coordinator.left("adversary_2", "adversary")
-    assert [key for key, _ in observe(coordinator, 1, 0)] == [DIRECTIVES[0]]
-    coordinator.host.joined("adversary_2", "adversary")
-    coordinator.clock(1)
-    assert observe(coordinator, 1, 1) == []
-    assert len(observe(coordinator, 2, 1)) == 2
-
-
-def test_the_coordinator_does_not_wait_for_an_adversary_that_has_not_joined(resolved) -> None:
-    without = replace(resolved, nodes={name: spec for name, spec in resolved.nodes.items() if name != "adversary_2"})
-    coordinator = Bench(without, "coordinator")
+@pytest.mark.parametrize("joined", [True, False])
+def test_the_coordinator_waits_for_no_adversary_that_has_died_or_not_joined(resolved, joined: bool) -> None:
+    nodes = {name: spec for name, spec in resolved.nodes.items() if joined or name != "adversary_2"}
+    coordinator = Bench(replace(resolved, nodes=nodes), "coordinator")
     assert coordinator.node.adversaries == {"adversary_1", "adversary_2"}
     coordinator.clock(0)
+    if joined:
+        coordinator.left("adversary_2", "adversary")
     assert [key for key, _ in observe(coordinator, 1, 0)] == [DIRECTIVES[0]]
     coordinator.host.joined("adversary_2", "adversary")
     coordinator.clock(1)

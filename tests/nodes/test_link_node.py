@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from tiny_world import PERIOD_NS, Bench, Run, picture, pose, tiny, tracks
 
@@ -86,19 +86,14 @@ def test_messages_from_and_to_the_agent_have_separate_rules() -> None:
     assert rows(link) == [(1, "tracks", 0, 0, "dropped", 0), (1, "picture", 0, 0, "duplicated", 0)]
 
 
-def test_a_delay_is_rounded_down_to_whole_frames() -> None:
-    link = bench(dict(type="Delay", mean_s=0.25, distribution="constant"))
-    assert link.send("tracks", tracks((1.0, 2.0)), 0) == []
-    assert link.clock(1)[0][0] == REPORT
-    ((key, message),) = link.clock(2)
-    assert (key, message.header.frame, message.header.seq) == (TRACKS, 0, 0)
-    assert rows(link) == [(1, "tracks", 0, 0, "delayed", 0)]
-
-
-def test_a_delay_within_a_frame_has_no_effect_in_lock_step() -> None:
-    link = bench(dict(type="Delay", mean_s=0.099, distribution="constant"))
-    assert [key for key, _ in link.send("tracks", tracks((1.0, 2.0)), 0)] == [TRACKS]
-    assert link.clock(1) == []
+@pytest.mark.parametrize(("mean_s", "frames"), [(0.25, 2), (0.099, 0)])
+def test_a_delay_is_rounded_down_to_whole_frames(mean_s: float, frames: int) -> None:
+    link = bench(dict(type="Delay", mean_s=mean_s, distribution="constant"))
+    published = [link.send("tracks", tracks((1.0, 2.0)), 0), link.clock(1), link.clock(2)]
+    assert [TRACKS in dict(messages) for messages in published] == [frame == frames for frame in range(3)]
+    (message,) = link.heard(TRACKS)
+    assert (message.header.frame, message.header.seq) == (0, 0)
+    assert rows(link) == ([(1, "tracks", 0, 0, "delayed", 0)] if frames else [])
 
 
 def test_reports_cover_the_previous_step_and_are_sorted() -> None:
@@ -137,17 +132,13 @@ def test_a_wrong_clock_and_pose_change_only_the_header_time_and_the_frame_of_ref
         assert np.array_equal(message.body[name], body[name])
     ((_, message),) = link.send("status", status(), 0)
     assert message.header.time_ns == 30_000_000
+    early = bench(dict(type="ClockSkew", offset_s=-5.0)).send("tracks", tracks(), 0)
+    assert early[0][1].header.time_ns == 0, "time does not become negative"
     link.clock(1)
     assert rows(link) == [
         (1, "tracks", 0, 0, "altered", 0),
         (1, "status", 0, 0, "altered", 0),
     ]
-
-
-def test_time_does_not_become_negative() -> None:
-    link = bench(dict(type="ClockSkew", offset_s=-5.0))
-    ((_, message),) = link.send("tracks", tracks(), 0)
-    assert message.header.time_ns == 0
 
 
 @pytest.mark.parametrize("encode", [True, False])
@@ -183,6 +174,7 @@ ANY_RULE: dict[str, dict[str, Any]] = {
     "RangeLimit": dict(range_m=35.0, gateways=[[20.0, 25.0, 15.0]]),
     "Reorder": dict(probability=0.4, by_s=0.15),
 }
+EVERY_RULE = [dict(type=name, **config) for name, config in ANY_RULE.items()]
 rules = st.lists(st.sampled_from(sorted(ANY_RULE)), max_size=5).map(
     lambda names: [dict(type=name, **ANY_RULE[name]) for name in names]
 )
@@ -194,6 +186,7 @@ def test_the_following_tests_cover_every_shipped_rule() -> None:
 
 
 @given(up=rules, down=rules, shuffle=st.integers(0, 1000), encode=st.booleans())
+@example(up=EVERY_RULE, down=EVERY_RULE, shuffle=1, encode=False)
 @settings(max_examples=12)
 def test_with_any_rules_a_run_does_not_depend_on_delivery_order_or_encoding(
     up: list[dict], down: list[dict], shuffle: int, encode: bool
@@ -203,16 +196,7 @@ def test_with_any_rules_a_run_does_not_depend_on_delivery_order_or_encoding(
     assert other.messages == plain.messages
     assert other.packed == plain.packed
     assert not plain.failures
-
-
-def test_a_link_with_all_rules_gives_the_same_run_in_any_order() -> None:
-    every = [dict(type=name, **given_) for name, given_ in ANY_RULE.items()]
-    resolved = world(every, every)
-    plain = Run(resolved)
-    assert not plain.failures
-    assert plain.messages[REPORT]
-    for shuffle in range(6):
-        assert Run(resolved, shuffle=shuffle, encode=bool(shuffle % 2)).messages == plain.messages
+    assert plain.messages[REPORT] or up != EVERY_RULE
 
 
 def test_links_without_rules_change_only_their_own_legs() -> None:

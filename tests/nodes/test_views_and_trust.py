@@ -5,9 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tiny_world import PERIOD_NS, Bench, states, tiny, tracks
+from tiny_world import PERIOD_NS, Bench, Run, states, tiny, tracks
 
-from mast_zenoh import scenario as scenarios
 from mast_zenoh.integrity import STATES, Assessment, Batch, NoIntegrity
 from mast_zenoh.integrity.views import collated_columns, view_columns, views_of
 from mast_zenoh.messages.schemas import text
@@ -142,23 +141,8 @@ def test_invalid_trust_is_a_failure_of_the_command_centre_not_a_lost_message(res
 
 
 def test_a_stage_that_trusts_everybody_changes_no_other_message() -> None:
-    def messages(name: str, *settings: str) -> dict[tuple, bytes]:
-        sent = {}
-
-        def tap(out) -> None:
-            header, body = out.payload
-            columns = b"".join(
-                bytes(np.ascontiguousarray(column).astype("S" if column.dtype == object else column.dtype))
-                for column in body.values()
-            )
-            sent[out.key, header.seq] = columns
-
-        path, content = scenarios.load(name, list(settings))
-        InProcess(scenarios.resolve(path, content, seed=3, frames=50), tap=tap).run()
-        return sent
-
-    settings = "n_infrastructure=2", "n_adversaries=1", "attack_start_s=1.0"
-    plain, judged = messages("coordinated", *settings), messages("defended", *settings)
+    settings = "n_adversaries=1", "attack_start_s=1.0"
+    plain, judged = (Run(tiny(name, *settings, frames=50)).messages for name in ("coordinated", "defended"))
     kinds = ("/sweep", "/view", "cc/views", "cc/trust")
-    assert {key: value for key, value in judged.items() if not key[0].endswith(kinds)} == plain
+    assert {key: messages for key, messages in judged.items() if not key.endswith(kinds)} == plain
     assert len(judged) > len(plain)

@@ -36,6 +36,16 @@ ENTRY = {
 }
 
 
+def hosting(node: Node, message: str = "clock", port: str = "clock") -> Host:
+    """A host of a node that receives one key."""
+    return Host("n", node, Ports({"s": Input(port, "a", message, "a")}, {}), 0, encode=False, emit=print)
+
+
+def send(host: Host, frame: int = 0, step: int = 0) -> None:
+    """Deliver a clock of this frame."""
+    host.deliver("s", Message(Header("clock", "a", frame, 0, 0), {}), step)
+
+
 def raised(call: Callable[[], Any]) -> BaseException:
     with pytest.raises(BaseException) as caught:  # noqa: PT011 (whatever it is)
         call()
@@ -93,10 +103,8 @@ def test_a_handler_with_wrong_parameters_is_located_where_it_is_defined() -> Non
 
         def on_clock(self, received: Received) -> None: ...
 
-    host = Host(
-        "wrong", Wrong(), Ports({"clock": Input("clock", "", "clock", "simulator")}, {}), 0, encode=False, emit=print
-    )
-    host.deliver("clock", Message(Header("clock", "simulator", 0, 0, 0), {}), 0)
+    host = hosting(Wrong())
+    send(host)
     where = host.failures["on_clock"].where
     assert where == f"{__file__}:{Wrong.on_clock.__code__.co_firstlineno}"
     assert "TypeError" in host.failures["on_clock"].exception
@@ -120,10 +128,8 @@ def test_no_error_of_a_handler_ends_the_process(error: BaseException) -> None:
         def on_clock(self, received: Received, context: Context) -> None:
             raise error
 
-    host = Host(
-        "leaver", Leaver(), Ports({"clock": Input("clock", "", "clock", "simulator")}, {}), 0, encode=False, emit=print
-    )
-    host.deliver("clock", Message(Header("clock", "simulator", 0, 0, 0), {}), 0)
+    host = hosting(Leaver())
+    send(host)
     assert host.failures["on_clock"].exception.startswith(type(error).__name__)
 
 
@@ -135,7 +141,7 @@ def test_a_node_without_a_clock_fails_in_the_frame_of_its_message() -> None:
             raise ValueError
 
     body = {"mobile": np.array([0]), "detections": np.array([1]), "tracks": np.array([2])}
-    host = Host("f", Fails(), Ports({"s": Input("status", "a", "status", "a")}, {}), 0, encode=False, emit=print)
+    host = hosting(Fails(), "status", "status")
     for frame, step in ((3, 3), (4, 6), (5, -1)):
         host.deliver("s", Message(Header("status", "a", frame, 0, 0), body), step)
     assert host.failures["on_status"].frames == {3, 6, -1}, "delayed: the frame in which it was forwarded"
@@ -148,10 +154,8 @@ def test_a_node_that_receives_every_key_fails_in_the_frame_of_its_message() -> N
         def on_everything(self, overheard: Overheard, context: Context) -> None:
             raise ValueError
 
-    host = Host(
-        "f", Fails(), Ports({"s": Input("everything", "", "clock", "simulator")}, {}), 0, encode=True, emit=print
-    )
-    host.deliver("s", Message(Header("clock", "simulator", 2, 0, 0), {}), 2)
+    host = hosting(Fails(), port="everything")
+    send(host, 2, 2)
     host.deliver("s", b"rubbish", 3)
     assert host.failures["on_everything"].frames == {2, 3}
     assert host.failures["on_everything"].count == 2
@@ -165,7 +169,7 @@ def test_unserialisable_results_are_a_failure_of_finish(returned: Any) -> None:
         def finish(self, context: Context) -> Any:
             return returned
 
-    host = Host("returns", Returns(), Ports({}, {}), 0, encode=True, emit=print)
+    host = hosting(Returns())
     assert host.finish() == {}
     assert host.failures["finish"].exception.startswith("TypeError: ")
     assert host.failures["finish"].where == f"{__file__}:{Returns.finish.__code__.co_firstlineno}"

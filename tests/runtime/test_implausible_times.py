@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tiny_world import PERIOD_NS, Bench, Run, detections, pose, states, tiny
+from tiny_world import PERIOD_NS, Bench, Run, states, tiny
 
 from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
@@ -52,33 +52,26 @@ def pictured(run: Run) -> list[int]:
     return [message.header.frame for message in run.decoded("cc/picture", "picture")]
 
 
-def all_but(*frames: int) -> list[int]:
-    return [frame for frame in range(FRAMES) if frame not in frames]
-
-
 @pytest.mark.parametrize("encode", [True, False])
-@pytest.mark.parametrize("by_ns", [10**17, 30 * SECOND, -3 * SECOND // 2])
-def test_a_batch_with_an_impossible_time_costs_one_picture(tmp_path: Path, by_ns: int, encode: bool) -> None:
-    run = Run(restamped(tmp_path, frames=1, by_ns=by_ns), encode=encode)
-    assert pictured(run) == all_but(WRONG)
-    assert run.rejected["command_center"] == {("cc/collated", "time"): 1}
+@pytest.mark.parametrize(
+    ("frames", "by_ns", "lost", "reason"),
+    [
+        *((1, by_ns, [WRONG], "time") for by_ns in (10**17, 30 * SECOND, -3 * SECOND // 2)),
+        (3, -SECOND // 2, [WRONG, WRONG + 1, WRONG + 2], "old"),
+        (1, SECOND // 2, [*range(WRONG + 1, WRONG + 5)], "old"),
+    ],
+    ids=["far in the future", "in the future", "in the past", "older than the newest", "ahead within the leeway"],
+)
+def test_a_batch_with_an_implausible_time_costs_only_pictures(
+    tmp_path: Path, frames: int, by_ns: int, lost: list[int], reason: str, encode: bool
+) -> None:
+    run = Run(restamped(tmp_path, frames=frames, by_ns=by_ns), encode=encode)
+    assert pictured(run) == [frame for frame in range(FRAMES) if frame not in lost]
+    assert run.rejected["command_center"] == {("cc/collated", reason): len(lost)}
     assert not run.failures
     meter = next(m for m in run.nodes["evaluator"].data.meter.meters if m.passage.node == "restamper")
-    assert [(e.effect, e.frame) for e in meter.effects.messages] == [(RESTAMPED, WRONG)]
-
-
-def test_batches_older_than_the_newest_are_omitted_without_a_failure(tmp_path: Path) -> None:
-    run = Run(restamped(tmp_path, frames=3, by_ns=-SECOND // 2))
-    assert pictured(run) == all_but(WRONG, WRONG + 1, WRONG + 2)
-    assert run.rejected["command_center"] == {("cc/collated", "old"): 3}
-    assert not run.failures
-
-
-def test_a_batch_ahead_within_the_leeway_only_supersedes_the_next_batches(tmp_path: Path) -> None:
-    run = Run(restamped(tmp_path, frames=1, by_ns=SECOND // 2))
-    assert pictured(run) == all_but(*range(WRONG + 1, WRONG + 5))
-    assert run.rejected["command_center"] == {("cc/collated", "old"): 4}
-    assert not run.failures
+    effects = [(e.effect, e.frame) for e in meter.effects.messages]
+    assert effects == [(RESTAMPED, frame) for frame in range(WRONG, WRONG + frames)]
 
 
 def test_the_declared_time_error_of_a_node_is_allowed(tmp_path: Path) -> None:
@@ -99,21 +92,6 @@ def test_a_scenario_with_a_faulty_clock_widens_the_tolerance() -> None:
     assert faulty.timespan.leeway_ns == 21 * SECOND
     assert Resolved.from_json(faulty.to_json(), faulty.wiring).timespan == faulty.timespan
     assert not Run(faulty).rejected
-
-
-def test_detections_of_a_later_frame_do_not_advance_an_agents_tracker() -> None:
-    agent = Bench(tiny(), "infra_1")
-    mount = detections((5.0, 0.0))
-    for frame in range(3):
-        agent.clock(frame)
-        agent.send("pose", pose(), frame)
-        if frame == 0:
-            forged = agent.message(agent.key("detections"), mount, 2, time_ns=3 * SECOND)
-            agent.deliver(agent.key("detections"), forged, step=0)
-        agent.send("detections", mount, frame)
-    times = [message.header.time_ns for message in agent.heard("agent/infra_1/tracks")]
-    assert times == [0, PERIOD_NS, 2 * PERIOD_NS]
-    assert not agent.host.failures
 
 
 @pytest.mark.parametrize("encode", [True, False])

@@ -46,7 +46,12 @@ def test_an_adversary_that_listens_to_poses_is_deterministic_in_any_order_of_del
         assert Run(resolved, shuffle=shuffle).messages == run.messages
 
 
-def test_a_defence_receives_the_brokers_messages_or_those_of_the_agents() -> None:
+def test_a_defence_receives_the_brokers_messages_or_those_of_the_agents_and_leaves_no_trace() -> None:
+    def unguarded(scenario: dict[str, Any]) -> None:
+        guarded(scenario)
+        scenario["nodes"] = {}
+        scenario["keyexpr"] = dict(rewrites=["on_tracks.toml"])
+
     run = Run(tiny(edit=guarded))
     assert not run.failures
     for name, leg in (("guard", ""), ("source_guard", "/@tap/0")):
@@ -59,15 +64,7 @@ def test_a_defence_receives_the_brokers_messages_or_those_of_the_agents() -> Non
             "infra_2": run.messages["agent/infra_2/tracks"],
         }
     assert run.messages["agent/infra_1/tracks"] != run.messages["agent/infra_1/tracks/@tap/0"]
-
-
-def test_listening_leaves_no_trace() -> None:
-    def unguarded(scenario: dict[str, Any]) -> None:
-        guarded(scenario)
-        scenario["nodes"] = {}
-        scenario["keyexpr"] = dict(rewrites=["on_tracks.toml"])
-
-    assert Run(tiny(edit=guarded)).messages == Run(tiny(edit=unguarded)).messages
+    assert Run(tiny(edit=unguarded)).messages == run.messages
 
 
 def test_an_adversary_on_one_named_agent_does_not_replace_the_others() -> None:

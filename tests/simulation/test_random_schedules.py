@@ -1,12 +1,26 @@
-"""Every run keeps its promises, whatever its schedule."""
+"""Every run keeps its promises, whatever its schedule, and a schedule that cannot be played is refused."""
 
 from __future__ import annotations
 
+import math
+
 import pytest
 from endings_table import ending
+from hypothesis import given
+from hypothesis import strategies as st
 
-from mast_zenoh.errors import StallError
-from mast_zenoh.testing.simulation import Disturbance, Schedule, World, check, explore, play, random_schedule
+from mast_zenoh import testing
+from mast_zenoh.errors import ConfigurationError, StallError
+from mast_zenoh.testing.simulation import (
+    Disturbance,
+    Schedule,
+    World,
+    check,
+    explore,
+    play,
+    random_schedule,
+    small_worlds,
+)
 from mast_zenoh.testing.simulation.promises import undisturbed
 from mast_zenoh.testing.simulation.world import KINDS, small_world
 
@@ -51,21 +65,6 @@ def disturbed(world: World, kind: str, node: str = "", *, at_s: float = 0.04, la
     schedule = Schedule(3, (Disturbance(at_s, kind, node, lasts_s),), calm=True)
     assert check(world, schedule) == []
     return play(world, schedule)
-
-
-def test_a_node_that_is_killed_and_restarted_is_told_as_lost_and_back(worlds: dict[str, World]) -> None:
-    outcome = disturbed(worlds["lockstep"], "kill", "a")
-    assert [event["what"] for event in outcome.churn] == ["lost", "back"]
-    assert "restarted" in outcome.notes[0]
-
-
-def test_a_run_fails_without_a_node_that_it_needs(worlds: dict[str, World]) -> None:
-    assert disturbed(worlds["lockstep"], "kill", "hub").error.startswith("NodeDied: hub killed by signal 9")
-
-
-def test_a_run_continues_without_a_node_that_may_end(worlds: dict[str, World]) -> None:
-    outcome = disturbed(worlds["lockstep"], "kill", "b")
-    assert (outcome.error, outcome.frames, list(outcome.lost)) == ("", 20, ["b"])
 
 
 def test_a_suspended_node_changes_nothing_in_lockstep(worlds: dict[str, World]) -> None:
@@ -124,12 +123,6 @@ def test_disturbances_that_met_nothing_are_told(worlds: dict[str, World]) -> Non
     assert play(worlds["lockstep"], Schedule(0, (absent, used, late))).missed == [absent, late]
 
 
-def test_a_stop_signal_ends_a_run_with_its_results(worlds: dict[str, World]) -> None:
-    outcome = disturbed(worlds["lockstep"], "interrupt")
-    assert outcome.error.startswith("Interrupted")
-    assert outcome.results.keys() == worlds["lockstep"].resolved.nodes.keys()
-
-
 def test_a_node_that_dies_after_its_results_were_taken_is_not_started_again(worlds: dict[str, World]) -> None:
     outcome = disturbed(worlds["lockstep"], "kill at stop", "a", lasts_s=0.00025)
     assert outcome.results == undisturbed(worlds["lockstep"]).results
@@ -137,13 +130,51 @@ def test_a_node_that_dies_after_its_results_were_taken_is_not_started_again(worl
     assert outcome.notes[0].endswith("at frame 19; its results had been taken")
 
 
-def test_nodes_end_without_their_launcher(worlds: dict[str, World]) -> None:
-    outcome = disturbed(worlds["lockstep"], "lose launcher")
-    assert (outcome.ended, outcome.launcher_lost) == (True, True)
-
-
 def test_a_full_inbox_drops_messages_and_says_so(worlds: dict[str, World]) -> None:
     schedule = Schedule(3, (Disturbance(0.07, "fill", "listener"), Disturbance(0.07, "suspend", "listener", 2.0)))
     outcome = play(worlds["lockstep"], schedule)
     assert check(worlds["lockstep"], schedule) == []
     assert any(reason.endswith("queued") for reason in outcome.rejected["listener"])
+
+
+@pytest.mark.parametrize(
+    ("disturbance", "message"),
+    [
+        (Disturbance(0.1, "kil", "a"), r"disturbances\[0\]: unknown kind 'kil'; did you mean 'kill'\?"),
+        (Disturbance(-0.1, "kill", "a"), r"disturbances\[0\]: found -0.1 s .*expected finite times"),
+        (Disturbance(0.1, "suspend", "a", math.nan), r"disturbances\[0\]: .*nan s, expected finite times"),
+        (Disturbance(0.1, "kill", "aa"), r"disturbances\[0\]: kill: unknown node 'aa'; did you mean 'a'\?"),
+        (Disturbance(0.1, "kill"), r"disturbances\[0\]: kill: unknown node ''; known: a, b, hub"),
+        (Disturbance(0.1, "intercept", "a"), r"disturbances\[0\]: intercept: unknown node 'a'; known: relay"),
+        (Disturbance(0.1, "interrupt", "a"), r"disturbances\[0\]: interrupt: found the node 'a', expected none"),
+    ],
+)
+def test_a_schedule_that_cannot_be_played_is_refused(
+    worlds: dict[str, World], disturbance: Disturbance, message: str
+) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        play(worlds["lockstep"], Schedule(0, (disturbance,)))
+
+
+def test_an_impossible_share_of_losses_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match=r"loss: found 2\.0, expected 0 to 0\.5"):
+        Schedule(0, loss=2.0)
+
+
+@pytest.mark.parametrize("number", ["many", -1, 0.5])
+def test_an_impossible_number_of_schedules_is_refused(number: object) -> None:
+    with pytest.raises(ConfigurationError, match="schedules: found"):
+        testing.check_scenario("baseline", frames=2, schedules=number)  # type: ignore[arg-type]
+
+
+@given(seed=st.integers(), name=st.sampled_from(["lockstep", "realtime"]))
+def test_a_random_schedule_fits_its_world_and_its_text_is_python(seed: int, name: str) -> None:
+    world = small_worlds()[name]
+    schedule = random_schedule(seed, world)
+    schedule.check(world)
+    assert eval(repr(schedule), {"Schedule": Schedule, "Disturbance": Disturbance}) == schedule
+
+
+def test_processes_that_stop_for_longer_than_the_driver_waits_may_stall_a_run() -> None:
+    short, long = (Schedule(0, (Disturbance(0.1, "suspend", "a", lasts_s),)) for lasts_s in (8.0, 40.0))
+    assert (short.harmless, long.harmless) == (True, False)

@@ -1,10 +1,12 @@
-"""Scenarios give the same messages and results on a simulated mesh and in one process, whatever the interleaving."""
+"""Scenarios give the same messages, results and failures on a simulated mesh as in one process."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
+import failing
 import pytest
 from simulated_runs import (
     assert_equals_one_process,
@@ -15,6 +17,9 @@ from simulated_runs import (
     resolve,
     schedule,
 )
+
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.runtime.inproc import InProcess
 
 DATA = Path(os.environ.get("MAST_DATA") or Path(__file__).parents[3] / "shared" / "data")
 #: Numbers of fault schedules; all after the first four are heavy.
@@ -81,7 +86,6 @@ def scenario(folder=""):
         ("rates", ("n_infrastructure=2",), 12),
         ("delayed", ("n_infrastructure=2",), 12),
     ],
-    ids=["baseline", "uncoordinated", "coordinated", "passthrough", "rates", "delayed"],
 )
 def test_a_scenario_gives_the_same_messages_and_results_as_in_one_process(
     name: str, settings: tuple[str, ...], frames: int
@@ -148,3 +152,53 @@ def test_a_random_schedule_of_faults_gives_the_same_messages_as_in_one_process(s
 def test_an_evaluator_that_gets_the_keys_of_many_frames_one_after_the_other_gives_the_same_results() -> None:
     resolved = resolve("chaos", "chaos_seed=8", "n_infrastructure=1")
     assert_equals_one_process(resolved, schedule(22, (0.055, "cut", "evaluator", 3.181)), in_one_process(resolved))
+
+
+def failures_in_one_process(resolved: Resolved) -> dict[str, Any]:
+    """The failures of handlers, by node."""
+    run = InProcess(resolved)
+    run.run()
+    return run.failures()
+
+
+@pytest.mark.parametrize(
+    ("name", "node", "handler", "counts"),
+    [
+        ("center", "command_center", "on_collated", (4, 4, 2, 11)),
+        ("evaluator", "evaluator", "finish", (1, 1, 11, 11)),
+    ],
+)
+def test_failures_of_handlers_equal_those_in_one_process(
+    name: str, node: str, handler: str, counts: tuple[int, ...], tmp_path: Path
+) -> None:
+    path = str(failing.write(name, tmp_path))
+    expected = failures_in_one_process(resolve(path, frames=12, recorded=False))
+    (entry,) = expected[node]
+    assert entry["handler"] == handler
+    assert tuple(entry[name] for name in ("count", "frames", "first_frame", "last_frame")) == counts
+    resolved = resolve(path, frames=12)
+    for each in harmless_schedules(resolved, 3):
+        _, outcome = on_simulated_mesh(resolved, each)
+        assert (outcome.error, outcome.frames, outcome.lost) == ("", 12, {}), "a run continues despite failures"
+        assert outcome.failures == expected, each
+        matching = [note for note in outcome.notes if f"{node}.{handler} failed once" in note]
+        assert len(matching) == 1, "the first failure of a handler is shown"
+
+
+def test_failures_in_a_handler_that_completes_a_frame_are_all_counted(tmp_path: Path) -> None:
+    """An attack begins when the last of a frame's messages arrives: detections or a pose, as the mesh delivers them."""
+    resolved = resolve(str(failing.write("attack", tmp_path)), frames=12)
+    for each in harmless_schedules(resolved, 4):
+        _, outcome = on_simulated_mesh(resolved, each)
+        assert (outcome.error, outcome.frames, outcome.lost) == ("", 12, {}), each
+        entries = outcome.failures.pop("eve")
+        assert outcome.failures == {}, each
+        assert {entry["handler"] for entry in entries} <= {"on_detections", "on_pose"}, each
+        assert all(entry["exception"].startswith("ValueError: no [plan] for frame ") for entry in entries), each
+        assert sum(entry["count"] for entry in entries) == sum(entry["frames"] for entry in entries) == 7, each
+        assert min(entry["first_frame"] for entry in entries) == 5, each
+        assert max(entry["last_frame"] for entry in entries) == 11, each
+        matching = [
+            note for note in outcome.notes if " failed once in frame " in note and "no \\[plan] for frame" in note
+        ]
+        assert len(matching) == len(entries), "the first failure of each handler is shown"

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from simulated_runs import (
     assert_same_messages,
     in_one_process,
+    listening,
     on_simulated_mesh,
     resolve,
     schedule,
@@ -20,7 +20,6 @@ from simulated_runs import (
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control.interception import Intercept
 from mast_zenoh.launch import live_interception
-from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.testing.simulation import World, check, play, small_world
 from mast_zenoh.wiring.insertion import Place
 
@@ -48,27 +47,6 @@ class Shover(Node):
 """
 
 
-class NumberListener(Node):
-    """Returns the numbers and frames of what it hears of agent a."""
-
-    role = "evaluator"
-    inputs = {"clock": "clock", "out": "status", "picture": "status"}
-
-    def __init__(self) -> None:
-        self.numbers: list[tuple[int, int]] = []
-
-    def on_clock(self, received: Received, context: Context) -> None: ...
-
-    def on_out(self, received: Received, context: Context) -> None:
-        if received.subject == "a":
-            self.numbers.append((received.message.header.seq, received.frame))
-
-    def on_picture(self, received: Received, context: Context) -> None: ...
-
-    def finish(self, context: Context) -> dict[str, Any]:
-        return {"numbers": self.numbers}
-
-
 def tapped(mode: str, frames: int) -> World:
     """The small world, in which relays can be inserted into what agent a sends and receives."""
     world = small_world(mode=mode, frames=frames)
@@ -80,12 +58,6 @@ def tapped(mode: str, frames: int) -> World:
         build=lambda name, spec: build("relay" if name == "relay_up" else name, spec),
         requests=(relay, relay._replace(name="relay_up", place=upstream)),
     )
-
-
-def listening(world: World) -> World:
-    """The same run, with a listener that returns numbers."""
-    build = world.build
-    return replace(world, build=lambda name, spec: NumberListener() if name == "listener" else build(name, spec))
 
 
 def request(resolved: Resolved, wire: str, file: str, name: str, *settings: str) -> Intercept:
@@ -214,7 +186,7 @@ def test_a_wire_recovers_after_its_inserted_node_is_killed(mode: str) -> None:
         assert [change["action"] for change in outcome.changes] == ["intercept", "heal"], seed
         assert any("healed without relay" in note for note in outcome.notes), seed
         healed = outcome.changes[-1]["frame"]
-        numbers = outcome.results["listener"]["numbers"]
+        numbers = outcome.results["listener"]["heard"]["a"]
         assert all(before < after for before, after in pairwise(numbers)), "in order, without duplicates"
         after = [frame for _, frame in numbers if frame > healed]
         assert after == list(range(healed + 1, frames)), "nothing is lost any more"

@@ -1,11 +1,23 @@
-"""Two runs are equal: every message, and the metrics."""
+"""Runs in one process, as `mast run` plays them, and whether two runs are equal: every message, and the metrics."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
+from mast_zenoh import scenario
+from mast_zenoh.launch import run
 from mast_zenoh.messagelog.difference import compare, explain
+from mast_zenoh.messagelog.reader import read
+
+
+def run_alone(out: Path, name: str, *settings: str, **options: Any) -> Path:
+    """The folder of a run of a scenario in one process, which must end well."""
+    path, loaded = scenario.load(name, settings)
+    ended = run.run(scenario.resolve(path, loaded, **options), out, runtime="inproc")
+    assert ended.error is None
+    return ended.folder
 
 
 def assert_equal(here: Path, there: Path, *, taps: bool = True, metrics: bool = True) -> None:
@@ -13,5 +25,6 @@ def assert_equal(here: Path, there: Path, *, taps: bool = True, metrics: bool = 
     difference = compare(here, there, taps=taps)
     assert difference.first is None, "\n".join(explain(difference))
     assert difference.equal > 0
+    assert not taps or difference.equal == len(list(read(here)))
     if metrics:
         assert json.loads((here / "metrics.json").read_text()) == json.loads((there / "metrics.json").read_text())

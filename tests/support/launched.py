@@ -65,6 +65,16 @@ class Launched:
         self.until(lambda: self.record().get("nodes"), "run.json names the nodes")
         return self.record()
 
+    def at_frame(self, frame: int) -> dict[str, Any]:
+        """run.json, once an open run has reached a frame."""
+        record = self.started()
+        observer = Observer(record, "clock")
+        try:
+            eventually(lambda: observer.frame() >= frame, f"{frame} clocks")
+        finally:
+            observer.close()
+        return record
+
     def recorded(self) -> bool:
         """Whether the recorder has reported: frames are played."""
         path = self.out / "messages.mcap"

@@ -13,7 +13,7 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import results
 from mast_zenoh.control.interception import Intercept
 from mast_zenoh.messages import codec
-from mast_zenoh.node import Context, Node, Overheard
+from mast_zenoh.node import Context, Node, Overheard, Received
 from mast_zenoh.runtime.host import Outgoing
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.testing.simulation import Disturbance, Outcome, Schedule, World, play, random_schedule
@@ -36,6 +36,32 @@ CHURN = (
     (12, "kill", "infra_2"),
     (13, "start", "ego"),
 )
+
+
+class Listener(Node):
+    """Returns the number and the frame of each message that it hears, by agent."""
+
+    role = "evaluator"
+    inputs = {"clock": "clock", "out": "status", "picture": "status"}
+
+    def __init__(self) -> None:
+        self.heard: dict[str, list[tuple[int, int]]] = {}
+
+    def on_clock(self, received: Received, context: Context) -> None: ...
+
+    def on_out(self, received: Received, context: Context) -> None:
+        self.heard.setdefault(received.subject, []).append((received.message.header.seq, received.frame))
+
+    def on_picture(self, received: Received, context: Context) -> None: ...
+
+    def finish(self, context: Context) -> dict[str, Any]:
+        return {"heard": self.heard}
+
+
+def listening(world: World) -> World:
+    """The same run, with a listener that returns what it heard."""
+    build = world.build
+    return replace(world, build=lambda name, spec: Listener() if name == "listener" else build(name, spec))
 
 
 class Sent(NamedTuple):

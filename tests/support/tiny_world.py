@@ -151,14 +151,6 @@ class Run:
         """All messages of a key."""
         return [codec.decode(payload, schema) for payload in self.messages[key]]
 
-    def of(self, *words: str) -> dict[str, list[bytes]]:
-        """Messages of keys with all `words` among their chunks, except tap legs."""
-        return {
-            key: payloads
-            for key, payloads in self.messages.items()
-            if "@tap" not in key and set(words) <= set(key.split("/"))
-        }
-
 
 class Bench:
     """One node of a scenario by itself; the test plays all other nodes.

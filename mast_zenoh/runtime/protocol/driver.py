@@ -54,6 +54,7 @@ def protocol_of(
 ) -> NodeProtocol:
     """The protocol of a node of a scenario; a Source drives its run."""
     lockstep = resolved.mode == "lockstep"
+    arguments: Any = (name, node, Wiring.from_json(resolved.wiring), resolved.seed, actions, inbox, clocks)
     options: dict[str, Any] = {
         "process": process,
         "signatures": signatures,
@@ -61,14 +62,13 @@ def protocol_of(
         "lockstep": lockstep,
         "timespan": resolved.timespan,
     }
-    wiring, seed = Wiring.from_json(resolved.wiring), resolved.seed
     protocol: NodeProtocol
     if isinstance(node, Source):
         expected = {other: spec.role for other, spec in resolved.nodes.items()}
-        options |= {"expected": expected, "rate": resolved.rate, "timetable": Timetable(resolved, lockstep=lockstep)}
-        protocol = DriverProtocol(name, node, wiring, seed, actions, inbox, clocks, **options)
+        timetable = Timetable(resolved, lockstep=lockstep)
+        protocol = DriverProtocol(*arguments, **options, expected=expected, rate=resolved.rate, timetable=timetable)
     else:
-        protocol = NodeProtocol(name, node, wiring, seed, actions, inbox, clocks, **options)
+        protocol = NodeProtocol(*arguments, **options)
     protocol.host.limits = RowLimits(resolved.max_rows)
     return protocol
 
@@ -86,10 +86,10 @@ class DriverState(Enum):
 class DriverProtocol(NodeProtocol):
     """A NodeProtocol whose node is a Source: it has no inputs and publishes in `advance`.
 
+    arguments, options: of NodeProtocol
     expected: name to role of all nodes
     timetable: the process steps; nodes that start later are not waited for at the beginning
     start_timeout_s, stall_timeout_s: how long to wait for nodes to start, and for the mesh to become quiet
-    options: of NodeProtocol
     """
 
     def __init__(
@@ -97,11 +97,7 @@ class DriverProtocol(NodeProtocol):
         name: str,
         node: Source,
         wiring: Wiring,
-        seed: int,
-        actions: Actions,
-        inbox: Inbox,
-        clocks: Clocks,
-        *,
+        *arguments: Any,
         expected: dict[str, str],
         rate: float,
         timetable: Timetable,
@@ -109,8 +105,8 @@ class DriverProtocol(NodeProtocol):
         stall_timeout_s: float = 30.0,
         **options: Any,
     ) -> None:
-        super().__init__(name, node, wiring, seed, actions, inbox, clocks, **options)
-        self.scene = SceneFrames(node, self.host, super()._emit, clocks.wall_ns)
+        super().__init__(name, node, wiring, *arguments, **options)
+        self.scene = SceneFrames(node, self.host, super()._emit, self.clocks.wall_ns)
         self.pacer = Pacer(wiring)
         self.membership = Membership(name, expected)
         self.timetable = timetable
@@ -121,8 +117,8 @@ class DriverProtocol(NodeProtocol):
         self.wall_s = 0.0
         self.fatal_problem = ""  # why the run must end, such as implausible counters of a node
         self.rewiring = Rewiring(
-            *(self.membership, self.pacer, self.follower, actions, self.host.log),
-            now_ns=clocks.monotonic_ns,
+            *(self.membership, self.pacer, self.follower, self.actions, self.host.log),
+            now_ns=self.clocks.monotonic_ns,
             frame=lambda: self.frames,
             begin_epoch=self._begin_epoch,
         )

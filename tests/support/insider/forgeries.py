@@ -9,11 +9,12 @@ from typing import Any, NamedTuple
 import msgpack
 import numpy as np
 import zenoh
+from damage import flipped, malformed
+from damage import refused as refused_by
 
-from insider.malformed import flipped, heavy, malformed, pack
 from insider.position import FAILURE, MARKER, RESULT, Position, valid_message
 from mast_zenoh import streams
-from mast_zenoh.control import CONTROLS
+from mast_zenoh.control import CONTROLS, failures, files, flow, interception, results
 from mast_zenoh.control.results import EVALUATOR
 
 #: Kinds sent as queries; all others are published.
@@ -24,6 +25,8 @@ MALFORMED, DAMAGED, FALSE = "malformed", "damaged", "false"
 
 #: With at least this many forgeries of a kind, some are heavy.
 _HEAVY_FROM = 100
+#: Size limit of payloads, bytes; enough for payloads that unpack to many times their size.
+HEAVY_BYTES = 8 << 20
 
 #: Share of forgeries on keys of other nodes, for kinds with a key per node.
 _FOREIGN = 0.2
@@ -54,23 +57,68 @@ def forgeries(control: str, position: Position, count: int, seed: int = 0) -> li
     For kinds with a key per node, most go to the node's own key.
     """
     random = streams.stream(seed, "forgeries", position.node, control)
-    valid, false_values = valid_message(control, position), falsehoods(control, position)
+    plain, false_values = valid_message(control, position), falsehoods(control, position)
+    valid, decode = pack(plain), decoder(control, position.node)
     offset = int(random.integers(len(false_values)))
     own_key, *foreign = keys(control, position)
     messages = [
-        Forgery(control, own_key, each, MALFORMED) for each in (heavy(valid, control) if count >= _HEAVY_FROM else ())
+        Forgery(control, own_key, each, MALFORMED) for each in (heavy(plain, control) if count >= _HEAVY_FROM else ())
     ]
     while len(messages) < count:
         defect = (MALFORMED, DAMAGED, FALSE)[len(messages) % 3]
         key = foreign[int(random.integers(len(foreign)))] if foreign and random.random() < _FOREIGN else own_key
         if defect == MALFORMED:
-            payload = malformed(valid, random)
+            payload = malformed(valid, decode, random)
         elif defect == DAMAGED:
             payload = flipped(valid, random)
         else:
             payload = pack(false_values[(offset + len(messages) // 3) % len(false_values)])
         messages.append(Forgery(control, key, payload, defect))
     return messages[:count]
+
+
+def decoder(control: str, node: str) -> Callable[[bytes], Any]:
+    """The decoder of messages of this kind from a node that does not drive the scene."""
+    return {
+        "counts": flow.decode_counts,
+        "epoch": flow.decode_epoch,
+        "failed": failures.decode_failure,
+        "stop": flow.decode_stop,
+        "leave": flow.decode_stop,
+        "act": flow.decode_act,
+        "result": lambda payload: results.decode_result(payload, node, drives=False),
+        "fetch": files.decode_fetch,
+        "file": files.decode_file,
+        "drain": flow.decode_drain,
+        "rewire": flow.decode_rewire,
+        "intercept": interception.sealed_parts,
+    }[control]
+
+
+def refused(control: str, node: str, payload: bytes) -> bool:
+    """Whether the decoder refuses a payload; any error but MessageError fails."""
+    return refused_by(decoder(control, node), payload)
+
+
+def pack(value: Any) -> bytes:
+    """The bytes of a valid value; a str stands for bare text."""
+    return value.encode() if isinstance(value, str) else results.pack(value)
+
+
+def heavy(value: Any, control: str) -> Iterator[bytes]:
+    """Payloads that exhaust the memory of receivers that unpack them unchecked."""
+    max_bytes = CONTROLS[control].max_bytes
+    if max_bytes < HEAVY_BYTES:
+        yield pack(value) + bytes(max_bytes)
+    if not isinstance(value, str):
+        size = min(max_bytes, HEAVY_BYTES) - (1 << 16)
+        inner = b"\xdc\x80\x00" + b"\x90" * (1 << 15)  # lists of accepted length
+        count = max(1, size // len(inner))
+        yield b"\xdc" + count.to_bytes(2, "big") + inner * count
+        if control == "result":
+            payload = b"\xdd" + size.to_bytes(4, "big") + b"\x90" * size
+            for code in (1, 2):  # of results: an array, and a column of text
+                yield results.pack(value | {"results": {"x": msgpack.ExtType(code, payload)}})
 
 
 def keys(control: str, position: Position) -> list[str]:

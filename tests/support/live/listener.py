@@ -1,4 +1,4 @@
-"""A user-written evaluator: returns all received messages in order."""
+"""A user-written evaluator that takes little time."""
 
 from typing import Any
 
@@ -14,20 +14,15 @@ class Listener(Node):
     inputs = {"everything": ANY}
 
     def __init__(self, agents: tuple[str, ...]) -> None:
-        self.heard: list[tuple[str, int, int]] = []
+        self.frames = 0
 
     def on_everything(self, message: Overheard, context: Context) -> None:
-        """Record a message of an agent or adversary, not on tap legs."""
-        if message.wire.message in ("tracks", "attack_report") and "@tap" not in message.key:
-            self.heard.append((message.key, message.header.seq, message.header.frame))
+        """Count the frames."""
+        self.frames = max(self.frames, message.header.frame + 1)
 
     def finish(self, context: Context) -> dict[str, Any]:
-        """The received messages, in order."""
-        wires, numbers, frames = zip(*self.heard, strict=True)
-        return {
-            "metrics": {"frames": max(frames) + 1},
-            "tables": {"heard": {"wire": wires, "seq": numbers, "frame": frames}},
-        }
+        """The number of frames."""
+        return {"metrics": {"frames": self.frames}}
 
 
 if __name__ == "__main__":

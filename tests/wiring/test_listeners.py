@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from ports import node
 
 from mast_zenoh.errors import WiringError
 from mast_zenoh.wiring import maps
@@ -17,12 +18,6 @@ from mast_zenoh.wiring.insertion import Place, insert, parties, remove
 from mast_zenoh.wiring.model import Input, Wiring, to_mermaid, to_text
 
 AGENTS = ("ego", "infra_1", "infra_2")
-
-
-def node(role: str, inputs: str = "", outputs: str = "", **options: str) -> NodeOptions:
-    """A node whose ports are given as `port:message` words."""
-    into, out = (dict(word.split(":") for word in words.split()) for words in (inputs, outputs))
-    return NodeOptions(role, options, into, out)
 
 
 def wire(key: str, message: str, publisher: str, *subscribers: str) -> dict[str, Any]:
