@@ -148,6 +148,22 @@ class Rule(ABC):
         """Apply the rule; returns zero or more copies, the message itself first."""
 
 
+class RandomRule(Rule):
+    """A rule that acts on some messages, drawn independently, with one uniform number for each.
+
+    probability: that it acts on a message
+    """
+
+    def __init__(self, probability: float, at: float = 0.0, until: float | None = None) -> None:
+        super().__init__(at, until)
+        expect_probability("probability", probability)
+        self.probability = probability
+
+    def sample(self, rng: np.random.Generator, count: int) -> Floats:
+        """Uniform random numbers (count, 1)."""
+        return rng.random((count, 1))
+
+
 def expect(name: str, value: object, condition: bool, expected: str) -> None:
     """Raise ValueError if a condition on a parameter does not hold."""
     if not condition:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mast_zenoh.arrays.geometry import heading, rotation_from_yaw, wrap_angle
 from mast_zenoh.arrays.states import CLASS_INDEX, Detections, Floats
 from mast_zenoh.errors import nearest
-from mast_zenoh.links.base import NANOSECONDS, Passage, Rule, Sensed, expect, expect_probability
+from mast_zenoh.links.base import NANOSECONDS, Passage, RandomRule, Rule, Sensed, expect, expect_probability
 from mast_zenoh.sensing import sensor_pose, to_sensor
 
 MAX_FLIPS = 1000
@@ -84,7 +84,7 @@ class PoseError(Rule):
         return (passage._replace(shift=(x + row[0], y + row[1]), turn=passage.turn + row[2]),)
 
 
-class Corrupt(Rule):
+class Corrupt(RandomRule):
     """Flips bits of some messages at random positions.
 
     probability: that a message is corrupted; flips: number of bits.
@@ -93,10 +93,8 @@ class Corrupt(Rule):
     fate = "corrupted"
 
     def __init__(self, probability: float, flips: int = 1, at: float = 0.0, until: float | None = None) -> None:
-        super().__init__(at, until)
-        expect_probability("probability", probability)
+        super().__init__(probability, at, until)
         expect("flips", flips, 1 <= flips <= MAX_FLIPS, f"1 to {MAX_FLIPS}")
-        self.probability = probability
         self.flips = flips
 
     def sample(self, rng: np.random.Generator, count: int) -> Floats:

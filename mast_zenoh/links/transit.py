@@ -9,7 +9,16 @@ from typing import Literal
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats
-from mast_zenoh.links.base import MAX_DELAY_S, NANOSECONDS, Passage, Rule, expect, expect_duration, expect_probability
+from mast_zenoh.links.base import (
+    MAX_DELAY_S,
+    NANOSECONDS,
+    Passage,
+    RandomRule,
+    Rule,
+    expect,
+    expect_duration,
+    expect_probability,
+)
 
 QUEUE_S = 0.5  #: s, default of `Bandwidth`, also of the fault
 
@@ -97,7 +106,7 @@ class Bandwidth(Rule):
         return (passage._replace(delay_ns=self._free_ns - passage.now_ns),)
 
 
-class Reorder(Rule):
+class Reorder(RandomRule):
     """Delays some messages so that later ones overtake them.
 
     probability: that a message is delayed; by_s: s, its delay.
@@ -106,15 +115,9 @@ class Reorder(Rule):
     fate = "delayed"
 
     def __init__(self, probability: float, by_s: float, at: float = 0.0, until: float | None = None) -> None:
-        super().__init__(at, until)
-        expect_probability("probability", probability)
+        super().__init__(probability, at, until)
         expect_duration("by_s", by_s)
-        self.probability = probability
         self._by_ns = round(by_s * NANOSECONDS)
-
-    def sample(self, rng: np.random.Generator, count: int) -> Floats:
-        """Uniform random numbers (count, 1)."""
-        return rng.random((count, 1))
 
     def apply(self, passage: Passage, row: Sequence[float]) -> tuple[Passage, ...]:
         if row[0] >= self.probability:
@@ -138,19 +141,10 @@ class Hold(Rule):
         return (passage._replace(delay_ns=max(passage.delay_ns, self._before_ns - passage.time_ns)),)
 
 
-class Loss(Rule):
+class Loss(RandomRule):
     """Drops messages independently. probability: that a message is lost."""
 
     fate = "dropped"
-
-    def __init__(self, probability: float, at: float = 0.0, until: float | None = None) -> None:
-        super().__init__(at, until)
-        expect_probability("probability", probability)
-        self.probability = probability
-
-    def sample(self, rng: np.random.Generator, count: int) -> Floats:
-        """Uniform random numbers (count, 1)."""
-        return rng.random((count, 1))
 
     def apply(self, passage: Passage, row: Sequence[float]) -> tuple[Passage, ...]:
         return () if row[0] < self.probability else (passage,)
@@ -246,9 +240,6 @@ class Cut(Rule):
 
     fate = "dropped"
 
-    def __init__(self, at: float = 0.0, until: float | None = None) -> None:
-        super().__init__(at, until)
-
     def apply(self, passage: Passage, row: Sequence[float]) -> tuple[Passage, ...]:
         return ()
 
@@ -257,7 +248,7 @@ MAX_COPIES = 1000
 FLOOD_COPIES = 5  #: default, also of the fault
 
 
-class Duplicate(Rule):
+class Duplicate(RandomRule):
     """Repeats some messages with the same number.
 
     Later rules act on each copy independently.
@@ -267,15 +258,9 @@ class Duplicate(Rule):
     fate = "duplicated"
 
     def __init__(self, probability: float, copies: int = 1, at: float = 0.0, until: float | None = None) -> None:
-        super().__init__(at, until)
-        expect_probability("probability", probability)
+        super().__init__(probability, at, until)
         expect("copies", copies, 1 <= copies <= MAX_COPIES, f"1 to {MAX_COPIES}")
-        self.probability = probability
         self.copies = copies
-
-    def sample(self, rng: np.random.Generator, count: int) -> Floats:
-        """Uniform random numbers (count, 1)."""
-        return rng.random((count, 1))
 
     def apply(self, passage: Passage, row: Sequence[float]) -> tuple[Passage, ...]:
         return (passage,) * (1 + self.copies) if row[0] < self.probability else (passage,)

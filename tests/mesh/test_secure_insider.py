@@ -55,7 +55,7 @@ def infiltrated(tmp_path_factory: pytest.TempPathFactory) -> Infiltration:
 @pytest.mark.parametrize("role", INSIDERS if ALL else ["link"])
 def test_forged_reports_of_an_insider_stop_an_open_run_but_no_secure_one(infiltrated: Infiltration, role: str) -> None:
     admitted, sent, finding = infiltrated("acl", INSIDERS[role])
-    assert (admitted, sent, finding.verdict) == (True, 30, "no effect")
+    assert (admitted, sent, finding.verdict) == (True, 120, "no effect")
     admitted, sent, finding = infiltrated("open", INSIDERS[role])
     assert admitted
     assert finding.succeeded, finding
@@ -66,11 +66,8 @@ def test_forged_reports_of_an_insider_stop_an_open_run_but_no_secure_one(infiltr
 @pytest.mark.skipif(not ALL, reason="make insiders")
 @pytest.mark.parametrize("level", ["tls", "mtls"])
 @pytest.mark.parametrize("role", INSIDERS)
-def test_certificates_alone_stop_only_insiders_that_imitate_the_launcher(
-    infiltrated: Infiltration, role: str, level: str
-) -> None:
-    _, _, finding = infiltrated(level, INSIDERS[role])
-    assert finding.succeeded == (role not in ("broker", "command_center")), finding
+def test_certificates_alone_stop_no_insider(infiltrated: Infiltration, role: str, level: str) -> None:
+    assert infiltrated(level, INSIDERS[role])[2].succeeded
 
 
 @pytest.mark.heavy
@@ -86,7 +83,7 @@ def test_forged_controls_are_false_either_in_the_nodes_own_name_or_in_other_name
     where = position(scenario.resolve(path, loaded, frames=1), node, "1.0")
     of_others = select_messages(where)
     own = select_messages(where, own=True)
-    assert len(of_others) == len(own) == 30
+    assert len(of_others) == len(own) == 120
     assert {each.control for each in of_others} == {*CONTROLS}
     assert all(each.defect == MALFORMED for each in of_others if each.sender == node)
     assert {each.sender for each in own} == {node}

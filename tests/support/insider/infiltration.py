@@ -74,7 +74,7 @@ class Finding:
         return self.verdict.startswith("succeeds")
 
 
-def select_messages(position: Position, *, own: bool = False, messages: int = 30, seed: int = 1) -> list[Forgery]:
+def select_messages(position: Position, *, own: bool = False, messages: int = 120, seed: int = 1) -> list[Forgery]:
     """Forged messages of a node: kinds take turns, in random order within each kind.
 
     own: true: false messages in the node's own name; false: messages in the names of other nodes, the driver and the
