@@ -86,99 +86,68 @@ def without(id_: int):
 
 
 FAULT, SIGHT = "link or fault", "occlusion or range"
+#: An agent that runs without a link during the cut, and one that is killed for its duration.
+SILENT, KILLED = dict(silent=cut()), dict(silent=cut(), unheard=cut())
 
 
-def ego_nothing(agent: str, frame: int) -> ObjectStates:
-    return NOTHING if agent == "ego" else holds(agent, frame)
-
-
-def infra_nothing(agent: str, frame: int, until: int = FRAMES) -> ObjectStates:
-    return NOTHING if agent == "infra_1" and CUT.start <= frame < until else holds(agent, frame)
+def without_tracks(agent: str, frames: slice = slice(FRAMES)):
+    """Tracks of what each agent sees, but one has none for some frames."""
+    inside = range(FRAMES)[frames]
+    return lambda each, frame: NOTHING if each == agent and frame in inside else holds(each, frame)
 
 
 def both_from_25(frame: int) -> ObjectStates:
     return some(FAR, BOTH) if frame >= 25 else some(BOTH)
 
 
-@pytest.mark.parametrize(
-    ("world", "id_", "expected"),
-    [
-        (dict(local=holds, picture=without(FAR), silent=cut()), FAR, [(20, 39, FAULT)]),
-        (dict(local=holds, picture=without(BOTH), silent=cut()), BOTH, [(20, 39, "fusion")]),
-        (dict(local=ego_nothing, picture=without(BOTH), silent=cut()), BOTH, [(20, 39, FAULT)]),
-        (
-            dict(
-                local=lambda agent, _: some(BOTH) if agent == "ego" else NOTHING,
-                picture=without(FAR),
-                silent=cut(),
-                unheard=cut(),
-                points={FAR: (50, 4, 0), BOTH: (50, 50, 0)},
-            ),
-            FAR,
-            [(20, 39, SIGHT)],
-        ),
-        (
-            dict(
-                local=lambda agent, frame: infra_nothing(agent, frame, CUT.stop),
-                picture=without(FAR),
-                silent=cut(),
-                unheard=cut(),
-            ),
-            FAR,
-            [(20, 39, FAULT)],
-        ),
-        (
-            dict(
-                local=infra_nothing,
-                picture=lambda frame: some(FAR, BOTH) if frame < CUT.start else some(BOTH),
-                silent=cut(),
-                unheard=cut(),
-            ),
-            FAR,
-            [(20, 49, FAULT), (50, 59, SIGHT)],
-        ),
-        (
-            dict(
-                local=lambda agent, frame: NOTHING if agent == "infra_1" else holds(agent, frame),
-                picture=without(FAR),
-                silent=cut(),
-            ),
-            FAR,
-            [(20, 39, SIGHT)],
-        ),
-        (
-            dict(
-                local=lambda *_: some(BOTH),
-                truth=both_from_25,
-                picture=lambda _: some(BOTH),
-                silent=cut(),
-                unheard=cut(),
-            ),
-            FAR,
-            [(25, 34, "lag"), (35, 49, FAULT), (50, 59, SIGHT)],
-        ),
-        (
-            dict(local=holds, truth=both_from_25, picture=lambda _: some(BOTH), silent=cut()),
-            FAR,
-            [(25, 49, FAULT), (50, 59, "fusion")],
-        ),
-        (dict(local=holds, picture=without(FAR), silent=cut(when=slice(0, 0))), FAR, [(20, 39, "fusion")]),
-    ],
-    ids=[
-        "tracked by a disconnected agent alone",
-        "tracked by a connected agent too",
-        "seen but not tracked by another agent",
-        "barely seen by a killed agent",
-        "seen by the sensor of a killed agent",
-        "by a restarted agent, which needs a second",
-        "not tracked by a running disconnected agent",
-        "new in the view of a killed agent",
-        "new, but tracked by a disconnected agent",
-        "without a disconnection",
-    ],
-)
-def test_an_object_that_only_disconnected_agents_know_is_missed_due_to_the_fault(world, id_, expected) -> None:
-    assert missed(judged(**world), id_) == expected
+def near_one(*_) -> ObjectStates:
+    return some(BOTH)
+
+
+def far_one_lost(frame: int) -> ObjectStates:
+    return some(FAR, BOTH) if frame < CUT.start else some(BOTH)
+
+
+def local_of_ego(agent: str, frame: int) -> ObjectStates:
+    return some(BOTH) if agent == "ego" else NOTHING
+
+
+BARELY = {FAR: (50, 4, 0), BOTH: (50, 50, 0)}
+CASES = {
+    "tracked by a disconnected agent alone": (SILENT, holds, without(FAR), FAR, [(20, 39, FAULT)]),
+    "tracked by a connected agent too": (SILENT, holds, without(BOTH), BOTH, [(20, 39, "fusion")]),
+    "seen but not tracked by another": (SILENT, without_tracks("ego"), without(BOTH), BOTH, [(20, 39, FAULT)]),
+    "barely seen by a killed agent": (
+        KILLED | dict(points=BARELY), local_of_ego, without(FAR), FAR, [(20, 39, SIGHT)],
+    ),
+    "seen by the sensor of a killed agent": (
+        KILLED, without_tracks("infra_1", CUT), without(FAR), FAR, [(20, 39, FAULT)],
+    ),
+    "lost by a restarted agent, which needs a second": (
+        KILLED, without_tracks("infra_1", slice(CUT.start, FRAMES)), far_one_lost, FAR,
+        [(20, 49, FAULT), (50, 59, SIGHT)],
+    ),
+    "not tracked by a running disconnected agent": (
+        SILENT, without_tracks("infra_1"), without(FAR), FAR, [(20, 39, SIGHT)],
+    ),
+    "new in the view of a killed agent": (
+        KILLED | dict(truth=both_from_25), near_one, near_one, FAR,
+        [(25, 34, "lag"), (35, 49, FAULT), (50, 59, SIGHT)],
+    ),
+    "new, but tracked by a disconnected agent": (
+        SILENT | dict(truth=both_from_25), holds, near_one, FAR, [(25, 49, FAULT), (50, 59, "fusion")],
+    ),
+    "missed without a disconnection": (
+        dict(silent=cut(when=slice(0, 0))), holds, without(FAR), FAR, [(20, 39, "fusion")],
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("world", "local", "picture", "id_", "expected"), CASES.values(), ids=CASES)
+def test_an_object_that_only_disconnected_agents_know_is_missed_due_to_the_fault(
+    world, local, picture, id_, expected
+) -> None:
+    assert missed(judged(local=local, picture=picture, **world), id_) == expected
 
 
 @pytest.mark.parametrize(("taken", "cause"), [(FAR, "removed"), (BOTH, "link or fault")])
