@@ -50,11 +50,3 @@ def test_an_attack_on_the_downlink_deceives_only_the_ego(downlink) -> None:
     achieved = downlink["metrics"]["achieved"]["all"]
     assert achieved["inserted_share_ego"] > 0.5
     assert achieved["inserted_share_centre"] == 0.0
-
-
-@pytest.mark.parametrize("name", ["hidden", "downlink"])
-def test_reports_of_adversaries_agree_with_measured_effects(name: str, request: pytest.FixtureRequest) -> None:
-    interposers = request.getfixturevalue(name)["metrics"]["interposers"]
-    verdicts = {name: each["agreement"] for name, each in interposers.items()}
-    assert set(verdicts.values()) <= {"agrees", "nothing to report"}, verdicts
-    assert "agrees" in verdicts.values()

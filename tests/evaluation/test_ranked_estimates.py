@@ -3,7 +3,6 @@
 from collections.abc import Callable
 
 import numpy as np
-import pyarrow.parquet as parquet
 import pytest
 from played import Played
 
@@ -24,10 +23,9 @@ def test_every_estimate_has_its_accuracy_over_recall(baseline: Played) -> None:
 
 @pytest.mark.parametrize("estimate", ["local", "picture", "mission"])
 def test_scores_differ_between_tracks_and_are_lower_for_false_ones(baseline: Played, estimate: str) -> None:
-    table = parquet.read_table(baseline.folder / "objects.parquet")
-    kind, name, outcome = (np.array(table[column]) for column in ("kind", "estimator", "outcome"))
-    score = np.array(table["score"])
-    tracks = (kind == "track") & (name == estimate)
+    table = baseline.table("objects")
+    outcome, score = table["outcome"], table["score"]
+    tracks = (table["kind"] == "track") & (table["estimator"] == estimate)
     assert (score[tracks] >= 0.0).all()
     assert (score[tracks] < 0.999).all()
     distinct, matched = len(np.unique(score[tracks])), np.count_nonzero(tracks & (outcome == "matched"))
@@ -36,9 +34,8 @@ def test_scores_differ_between_tracks_and_are_lower_for_false_ones(baseline: Pla
 
 
 def test_a_track_that_is_followed_for_longer_scores_higher(baseline: Played) -> None:
-    table = parquet.read_table(baseline.folder / "objects.parquet")
-    kind, name, agent = (np.array(table[column]) for column in ("kind", "estimator", "agent"))
-    rows = (kind == "track") & (name == "local") & (agent == "ego")
-    frame, track, score = (np.array(table[column])[rows] for column in ("frame", "id", "score"))
+    table = baseline.table("objects")
+    rows = (table["kind"] == "track") & (table["estimator"] == "local") & (table["agent"] == "ego")
+    frame, track, score = (table[column][rows] for column in ("frame", "id", "score"))
     first = np.array([frame[track == each].min() for each in track])
     assert score[frame == first].mean() + 0.1 < score[frame >= first + 20].mean()
