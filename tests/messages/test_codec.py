@@ -3,6 +3,7 @@
 import msgpack
 import numpy as np
 import pytest
+from damage import damaged
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -92,44 +93,21 @@ def test_received_columns_are_read_only() -> None:
         decoded.body["position"][0, 0] = 1.0
 
 
-@given(st.binary(max_size=400))
-@settings(max_examples=300)
-def test_random_bytes_are_refused(payload: bytes) -> None:
-    with pytest.raises(MessageError):
-        codec.decode(payload, "tracks")
-
-
-json_like = st.recursive(
-    st.none()
-    | st.booleans()
-    | st.integers(-(2**40), 2**40)
-    | st.floats()
-    | st.text(max_size=8)
-    | st.binary(max_size=8),
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=4),
-    max_leaves=12,
-)
-
-
-@given(st.dictionaries(st.sampled_from(["schema", "version", "source", "frame", "time_ns", "seq", "body"]), json_like))
-@settings(max_examples=300)
-def test_maps_with_arbitrary_fields_are_refused(fields: dict) -> None:
-    with pytest.raises(MessageError):
-        codec.decode(msgpack.packb(fields), "tracks")
-
-
-@given(st.integers(0, 400), st.integers(0, 255), st.integers(1, 3))
-@settings(max_examples=300)
-def test_a_damaged_message_is_refused_or_still_valid(place: int, value: int, copies: int) -> None:
-    payload = bytearray(codec.encode(message_of("detections", {"n": 3})))
-    payload[place : place + copies] = bytes([value]) * copies
-    try:
-        message = codec.decode(bytes(payload), "detections")
-    except MessageError:
-        return
-    for name, column in message.body.items():
-        if column.dtype == np.float64:
-            assert np.isfinite(column).all(), name
+@given(seed=st.integers(0, 1 << 32))
+@settings(max_examples=200)
+def test_a_damaged_message_is_refused_or_still_valid(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    for _ in range(5):
+        payload = damaged(codec.encode(message_of("detections", {"n": 3})), random)
+        try:
+            message = codec.decode(payload, "detections")
+        except MessageError:
+            continue
+        codec.check_values(message)
+        assert codec.decode(codec.encode(message), "detections").header == message.header
+        for name, column in message.body.items():
+            if column.dtype == np.float64:
+                assert np.isfinite(column).all(), name
 
 
 def outcome(payload: bytes) -> tuple | str:

@@ -53,12 +53,16 @@ def flipped(payload: bytes, random: Random) -> bytes:
     return bytes(damaged) or b"\xc1"
 
 
+def damaged(payload: bytes, random: Random) -> bytes:
+    """A short payload made of a valid one by any kind of damage; it may still be valid."""
+    return _MAKERS[int(random.integers(len(_MAKERS)))](payload, random)
+
+
 def malformed(payload: bytes, decode: Callable[[bytes], Any], random: Random) -> bytes:
     """A short payload that the decoder of a valid one refuses."""
-    while True:
-        damaged = _MAKERS[int(random.integers(len(_MAKERS)))](payload, random)
-        if refused(decode, damaged):
-            return damaged
+    while not refused(decode, made := damaged(payload, random)):
+        pass
+    return made
 
 
 def malformed_payloads(valid: Sequence[bytes], decode: Callable[[bytes], Any], seed: Sequence[int]) -> Iterator[bytes]:
