@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_datasets.files import find_folder, only
-from mast_datasets.traffic import TrafficScene
+from mast_datasets.traffic import TrafficScene, classes_of
 from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
 from mast_zenoh.errors import SceneError
@@ -32,27 +32,18 @@ _BOX = {
 }
 
 #: Categories by class. The two halves of an articulated lorry are two objects, as in the data.
-_CATEGORIES = {
-    "car": ("REGULAR_VEHICLE",),
-    "truck": ("LARGE_VEHICLE", "BOX_TRUCK", "TRUCK", "TRUCK_CAB", "VEHICULAR_TRAILER"),
-    "bus": ("BUS", "SCHOOL_BUS", "ARTICULATED_BUS"),
-    "motorcycle": ("MOTORCYCLE", "MOTORCYCLIST"),
-    "bicycle": ("BICYCLE", "BICYCLIST"),
-    "pedestrian": ("PEDESTRIAN", "OFFICIAL_SIGNALER", "STROLLER", "WHEELCHAIR"),
-}
-CLASS_OF_CATEGORY = {category: CLASS_INDEX[name] for name, group in _CATEGORIES.items() for category in group}
+CLASS_OF_CATEGORY = classes_of(
+    car="REGULAR_VEHICLE",
+    truck="LARGE_VEHICLE BOX_TRUCK TRUCK TRUCK_CAB VEHICULAR_TRAILER",
+    bus="BUS SCHOOL_BUS ARTICULATED_BUS",
+    motorcycle="MOTORCYCLE MOTORCYCLIST",
+    bicycle="BICYCLE BICYCLIST",
+    pedestrian="PEDESTRIAN OFFICIAL_SIGNALER STROLLER WHEELCHAIR",
+)
 #: Objects that are not road users, and the ego, whose box is derived from its pose.
 LEFT_OUT = (
-    "BOLLARD",
-    "CONSTRUCTION_BARREL",
-    "CONSTRUCTION_CONE",
-    "EGO_VEHICLE",
-    "MESSAGE_BOARD_TRAILER",
-    "MOBILE_PEDESTRIAN_CROSSING_SIGN",
-    "MOBILE_PEDESTRIAN_SIGN",
-    "SIGN",
-    "STOP_SIGN",
-    "TRAFFIC_LIGHT_TRAILER",
+    *("BOLLARD", "CONSTRUCTION_BARREL", "CONSTRUCTION_CONE", "EGO_VEHICLE", "MESSAGE_BOARD_TRAILER"),
+    *("MOBILE_PEDESTRIAN_CROSSING_SIGN", "MOBILE_PEDESTRIAN_SIGN", "SIGN", "STOP_SIGN", "TRAFFIC_LIGHT_TRAILER"),
 )
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from mast_datasets.files import find_file
-from mast_datasets.traffic import HEIGHT_OF_CLASS, TrafficScene, busiest_vehicle, ego_in_traffic
+from mast_datasets.traffic import HEIGHT_OF_CLASS, TrafficScene, busiest_vehicle, classes_of, ego_in_traffic
 from mast_datasets.xml_files import XmlElement, has_root, read_xml
-from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
+from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes.making.assembly import Boxes, assemble
 from mast_zenoh.scenes.making.virtual_agents import VEHICLE_CLASSES
@@ -77,25 +77,17 @@ _TAGS = ("obstacle", "dynamicObstacle", "staticObstacle", "environmentObstacle",
 _MAX_OBSTACLES = 10_000
 _MAX_STEP = 100_000  # number of the last time step
 
-#: Types of obstacles by class; None: not an object.
-CLASS_OF_TYPE = {
-    "car": "car",
-    "taxi": "car",
-    "priorityVehicle": "car",
-    "parkedVehicle": "car",
-    "truck": "truck",
-    "bus": "bus",
-    "motorcycle": "motorcycle",
-    "bicycle": "bicycle",
-    "pedestrian": "pedestrian",
-    "train": "unknown",
-    "unknown": "unknown",
-    "constructionZone": None,
-    "roadBoundary": None,
-    "building": None,
-    "pillar": None,
-    "median_strip": None,
-}
+CLASS_OF_TYPE = classes_of(
+    car="car taxi priorityVehicle parkedVehicle",
+    truck="truck",
+    bus="bus",
+    motorcycle="motorcycle",
+    bicycle="bicycle",
+    pedestrian="pedestrian",
+    unknown="train unknown",
+)
+#: Types of obstacles that are not road users.
+LEFT_OUT = ("constructionZone", "roadBoundary", "building", "pillar", "median_strip")
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,10 +160,10 @@ def read_scenario(path: Path) -> ScenarioFile:
 def _obstacle(element: XmlElement) -> Obstacle | None:
     """An obstacle; None if it is not a road user."""
     number = element.attribute("id").integer(0)
-    kind = element.child("type").text
-    if CLASS_OF_TYPE[kind.text(tuple(CLASS_OF_TYPE))] is None:
+    kind = element.child("type").text.text((*CLASS_OF_TYPE, *LEFT_OUT))
+    if kind in LEFT_OUT:
         return None
-    class_id = CLASS_INDEX[CLASS_OF_TYPE[kind.text()] or ""]
+    class_id = CLASS_OF_TYPE[kind]
     moving = element.tag == "dynamicObstacle"
     if element.tag == "obstacle":  # 2018b
         moving = element.child("role").text.text(("dynamic", "static")) == "dynamic"

@@ -26,7 +26,7 @@ from mast_datasets.dair_files import (
     track_of,
 )
 from mast_datasets.files import Element
-from mast_datasets.traffic import ABOVE_0, DataSetScene, Labels, listed_returns
+from mast_datasets.traffic import ABOVE_0, DataSetScene, Labels, check_times, listed_returns
 from mast_zenoh.arrays.geometry import along_and_across, heading, rotation_from_yaw, to_world
 from mast_zenoh.arrays.matching import greedy_matching
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats, Ints
@@ -34,25 +34,6 @@ from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes.making.assembly import AgentPath, Boxes, assemble, ground_level
 from mast_zenoh.scenes.recording import Recording, SceneAgent
 from mast_zenoh.sensing import Camera, LidarSensor
-
-
-def check_times(path: Path, names: Sequence[str], times_ns: Ints, max_gap_s: float) -> None:
-    """Raise SceneError if frames are not in the order of their times, or if some are missing between two.
-
-    path: of the file or folder that gives the times; names: (F,) of the frames; times_ns: (F,)
-    """
-    step = np.diff(times_ns) / 1e9
-    late = np.flatnonzero(step <= 0)
-    if len(late):
-        before, after = names[late[0]], names[late[0] + 1]
-        raise SceneError(f"{path}: frame {after}: time is not later than that of frame {before} before it")
-    gaps = np.flatnonzero(step > max_gap_s)
-    if len(gaps):
-        before, after = names[gaps[0]], names[gaps[0] + 1]
-        raise SceneError(
-            f"{path}: frame {after}: found a gap of {step[gaps[0]]:.3f} s after frame {before}, "
-            f"expected at most {max_gap_s:g} s (max_gap_s)"
-        )
 
 
 def check_differences(path: Path, names: Sequence[str], agent: str, difference_s: Floats, limit_s: float) -> None:
@@ -390,7 +371,7 @@ class DAIRScene(DataSetScene):
             )
         names = [pair.vehicle for pair in chosen]
         times, difference = clocks(chosen)
-        check_times(layout.clocks(VEHICLE), names, times, self.max_gap_s)
+        check_times(layout.clocks(VEHICLE), names, times, self.max_gap_s, "max_gap_s")
         check_differences(layout.clocks(INFRASTRUCTURE), names, "infra_1", difference, self.max_time_difference_s)
         return chosen
 

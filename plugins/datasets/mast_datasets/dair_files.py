@@ -15,22 +15,22 @@ from pathlib import Path
 import numpy as np
 
 from mast_datasets.files import MAX_COORDINATE_M, Element, TextElement, choose_name, find_folder, read_json
+from mast_datasets.traffic import classes_of
 from mast_zenoh.arrays.geometry import rotation_from_yaw
-from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
+from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.errors import SceneError
 
 MAX_LABELS = 5_000  # in one file
 
 #: Types by class, in lower case. A van is a car; three wheels and a motor count as a motorcycle.
-_TYPES = {
-    "car": ("car", "van"),
-    "truck": ("truck",),
-    "bus": ("bus",),
-    "motorcycle": ("motorcycle", "motorcyclist", "tricycle", "tricyclist"),
-    "bicycle": ("bicycle", "bicyclist", "cyclist"),
-    "pedestrian": ("pedestrian", "barrowlist"),
-}
-CLASS_OF_TYPE = {name: CLASS_INDEX[label] for label, group in _TYPES.items() for name in group}
+CLASS_OF_TYPE = classes_of(
+    car="car van",
+    truck="truck",
+    bus="bus",
+    motorcycle="motorcycle motorcyclist tricycle tricyclist",
+    bicycle="bicycle bicyclist cyclist",
+    pedestrian="pedestrian barrowlist",
+)
 #: Types that are not road users, in lower case.
 LEFT_OUT = ("trafficcone", "traffic_cone")
 

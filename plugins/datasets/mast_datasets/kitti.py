@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_datasets.files import TextElement, choose_name, orthonormal, read_lines
-from mast_datasets.traffic import TrafficScene, listed_returns
+from mast_datasets.traffic import TrafficScene, classes_of, listed_returns
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
@@ -34,19 +34,14 @@ _COLUMNS = (
     *("frame", "track", "type", "truncated", "occluded", "alpha", "left", "top", "right", "bottom"),
     *("height", "width", "length", "x", "y", "z", "rotation_y"),
 )
-#: Types by class; None: not an object.
-CLASS_OF_TYPE = {
-    "Car": "car",
-    "Van": "car",
-    "Truck": "truck",
-    "Pedestrian": "pedestrian",
-    "Person": "pedestrian",
-    "Person_sitting": "pedestrian",
-    "Cyclist": "bicycle",
-    "Tram": "unknown",
-    "Misc": "unknown",
-    "DontCare": None,
-}
+CLASS_OF_TYPE = classes_of(
+    car="Car Van",
+    truck="Truck",
+    pedestrian="Pedestrian Person Person_sitting",
+    bicycle="Cyclist",
+    unknown="Tram Misc",
+)
+_NO_OBJECT = "DontCare"
 #: Names of the matrices, in the tracking benchmark and in the object benchmark.
 _MATRICES = {
     "rectification": ("R_rect", "R0_rect"),
@@ -95,8 +90,8 @@ def read_labels(path: Path, frames: int) -> Labels:
             for name, text in zip(_COLUMNS, fields, strict=False)
         }
         frame = row["frame"].integer(0, frames - 1)
-        kind = CLASS_OF_TYPE[row["type"].text(tuple(CLASS_OF_TYPE))]
-        if kind is None:
+        kind = row["type"].text((*CLASS_OF_TYPE, _NO_OBJECT))
+        if kind == _NO_OBJECT:
             continue
         track = row["track"].integer(0, 10**9)
         if (frame, track) in seen:
@@ -107,7 +102,7 @@ def read_labels(path: Path, frames: int) -> Labels:
         sizes = [row[name].positive(_MAX_SIZE_M) for name in ("length", "width", "height")]
         place = [row[name].number(-_MAX_COORDINATE_M, _MAX_COORDINATE_M) for name in ("x", "y", "z")]
         occluded = row["occluded"].integer(-1, 3)
-        rows.append((frame, track, CLASS_INDEX[kind], occluded, *sizes, *place, row["rotation_y"].number(-1e3, 1e3)))
+        rows.append((frame, track, CLASS_OF_TYPE[kind], occluded, *sizes, *place, row["rotation_y"].number(-1e3, 1e3)))
     table = np.array(rows, np.float64).reshape(-1, 11)
     frame_of, track_of, class_of, occlusion = table[:, :4].astype(np.int64).T
     return Labels(frame_of, track_of, class_of.astype(np.uint8), occlusion, table[:, 4:7], table[:, 7:10], table[:, 10])

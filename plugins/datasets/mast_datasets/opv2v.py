@@ -17,7 +17,6 @@ from mast_datasets.opv2v_files import (
     V2V4REAL,
     V2X_REAL,
     AgentFolder,
-    Labels,
     Poses,
     Variant,
     check_frames,
@@ -150,8 +149,8 @@ class OPV2VScene(ScenarioFolder):
         numbers = choose_frames(agents[0], self.first_frame, self.last_frame)
         check_frames(agents, numbers)
         playing = self._playing(agents)
-        poses, labels = _read(agents, numbers, self._variant())
-        boxes, seen, cars = self._traffic(agents, numbers, poses, Listed.of(labels))
+        poses, listed = _read(agents, numbers, self._variant())
+        boxes, seen, cars = self._traffic(agents, numbers, poses, listed)
         times = self._times(numbers)
         check_ids_last(boxes, times, lambda frame: agents[0].file(numbers[frame]))
         paths = []
@@ -222,16 +221,16 @@ class V2V4RealScene(OPV2VScene):
     variant = V2V4REAL
 
 
-def _read(agents: Sequence[AgentFolder], numbers: Sequence[int], variant: Variant) -> tuple[Poses, list[list[Labels]]]:
-    """The poses of the agents, and what each lists, for each frame."""
-    labels: list[list[Labels]] = []
+def _read(agents: Sequence[AgentFolder], numbers: Sequence[int], variant: Variant) -> tuple[Poses, Listed]:
+    """The poses of the agents, and what they list, for each frame."""
+    labels = []
     poses = []
-    for number in numbers:
+    for frame, number in enumerate(numbers):
         contents = [read_yaml(agent.file(number)) for agent in agents]
         now = [read_pose(each, variant, agent.is_pole) for each, agent in zip(contents, agents, strict=True)]
-        labels.append([read_labels(each, variant, pose) for each, pose in zip(contents, now, strict=True)])
+        labels.append([read_labels(each, variant, pose, frame) for each, pose in zip(contents, now, strict=True)])
         poses.append(now)
-    return joined_poses(poses), labels
+    return joined_poses(poses), Listed.of(labels)
 
 
 class MultiV2XScene(ScenarioFolder):
@@ -290,8 +289,8 @@ class MultiV2XScene(ScenarioFolder):
         def file_of(frame: int, _: int) -> Path:
             return file_of_frame(folder / "map", files, numbers[frame])
 
-        contents = [read_yaml(file_of(frame, 0)) for frame in range(len(numbers))]
-        listed = Listed.of([[read_labels(content, self.variant, None)] for content in contents])
+        frames = range(len(numbers))
+        listed = Listed.of([[read_labels(read_yaml(file_of(frame, 0)), self.variant, None, frame)] for frame in frames])
         check_numbers(listed, cars, file_of)
         boxes, _ = listed.merged(self.variant.disagreement_m, file_of)
         return Boxes.concatenate([boxes, *(missing_boxes(boxes, car, self.variant) for car in cars)])

@@ -11,23 +11,23 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mast_datasets.files import Element, entries, find_folder
+from mast_datasets.traffic import classes_of
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
+from mast_zenoh.scenes.making.assembly import Boxes
 from mast_zenoh.sensing import LidarSensor
 
-_CLASSES = {
-    "car": ("car", "policecar", "longvehicle", "van"),
-    "truck": ("truck", "concretetruck", "pickuptruck", "semitruck"),
-    "bus": ("bus",),
-    "motorcycle": ("motorcycle", "motorcylerider", "motorcyclerider"),
-    "bicycle": ("bicycle", "bicyclerider", "cycle"),
-    "pedestrian": ("pedestrian", "child", "roadworker"),
-}
-_CLASS_OF_CATEGORY = {category: CLASS_INDEX[name] for name, group in _CLASSES.items() for category in group}
+_CLASS_OF_CATEGORY = classes_of(
+    car="car policecar longvehicle van",
+    truck="truck concretetruck pickuptruck semitruck",
+    bus="bus",
+    motorcycle="motorcycle motorcylerider motorcyclerider",
+    bicycle="bicycle bicyclerider cycle",
+    pedestrian="pedestrian child roadworker",
+)
 #: Categories of objects that are not road users.
 LEFT_OUT = ("constructioncart", "firehydrant", "trashcan")
 
@@ -38,11 +38,6 @@ _LINCOLN = np.array([4.902, 2.128, 1.511])
 def category_key(text: str) -> str:
     """A category in lower case without spaces, hyphens and underscores."""
     return "".join(letter for letter in text.lower() if letter not in " -_")
-
-
-def class_of(category: str) -> int:
-    """The class of a category, as written by `category_key`; 0 (unknown) if it is not known."""
-    return _CLASS_OF_CATEGORY.get(category, 0)
 
 
 def _lidar(low: float, high: float, max_range_m: float) -> LidarSensor:
@@ -311,29 +306,6 @@ _MAX_EXTENT_M = 1000.0
 
 
 @dataclass(frozen=True, eq=False)
-class Labels:
-    """n objects of one file, in the world frame.
-
-    id: (n,);  associated: (n,) id that agents share, -1 if there is none;  position: (n, 3) m middle of the box
-    size: (n, 3) m l w h;  yaw: (n,) rad;  class_id: (n,)
-    """
-
-    id: Ints
-    associated: Ints
-    position: Floats
-    size: Floats
-    yaw: Floats
-    class_id: NDArray[np.uint8]
-
-    def __len__(self) -> int:
-        return len(self.id)
-
-    def select(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> Labels:
-        """The objects of the given rows, in that order."""
-        return Labels(*(getattr(self, field.name)[rows] for field in fields(self)))
-
-
-@dataclass(frozen=True, eq=False)
 class Poses:
     """Poses of agents in the world: position (…, 3) m of the body, lidar (…, 3) m, and rotation (…, 3, 3) of the lidar.
 
@@ -360,10 +332,12 @@ def read_pose(content: Element, variant: Variant, is_pole: bool) -> Poses:
     return Poses(body, lidar, rotation)
 
 
-def read_labels(content: Element, variant: Variant, agent: Poses | None) -> Labels:
-    """The objects in a file, without those that are not road users.
+def read_labels(content: Element, variant: Variant, agent: Poses | None, frame: int) -> tuple[Boxes, Ints]:
+    """The objects in a file in the world frame, without those that are not road users.
 
-    agent: whose file it is; needed if places are in the frame of its lidar
+    agent: whose file it is; needed if places are in the frame of its lidar; frame: row of the frame of the boxes
+
+    Also returns the id (n,) of each that agents share, -1 if there is none.
     """
     listed = content[variant.objects]
     if listed.value is None or listed.value == []:  # as PyYAML may write none
@@ -385,7 +359,7 @@ def read_labels(content: Element, variant: Variant, agent: Poses | None) -> Labe
         shared = each.get("ass_id") if variant.associated else None
         ids.append(number)
         associated.append(-1 if shared is None else shared.integer(-1, _MAX_ID))
-        classes.append(CLASS_INDEX["car"] if category is None else class_of(category))
+        classes.append(CLASS_INDEX["car"] if category is None else _CLASS_OF_CATEGORY.get(category, 0))
         rows.append([*numbers(each["location"], 3), *numbers(each["center"], 3), *extent, *numbers(each["angle"], 3)])
     _check_unique(ids, listed)
     table = np.array(rows, np.float64).reshape(-1, 12)
@@ -394,14 +368,15 @@ def read_labels(content: Element, variant: Variant, agent: Poses | None) -> Labe
     if variant.objects_in == "lidar" and agent is not None:
         position = agent.lidar + position @ agent.rotation.T
         rotation = agent.rotation @ rotation
-    return Labels(
-        np.array(ids, np.int64),
-        np.array(associated, np.int64),
-        position,
-        2.0 * table[:, 6:9],
-        heading(rotation),
-        np.array(classes, np.uint8),
+    boxes = Boxes(
+        frame=np.full(len(ids), frame, np.int64),
+        id=np.array(ids, np.int64),
+        position=position,
+        size=2.0 * table[:, 6:9],
+        yaw=heading(rotation),
+        class_id=np.array(classes, np.uint8),
     )
+    return boxes, np.array(associated, np.int64)
 
 
 def read_visible(content: Element, known: Ints) -> dict[int, int]:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from mast_datasets.opv2v_files import Labels, Variant
+from mast_datasets.opv2v_files import Variant
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats, Ints
 from mast_zenoh.errors import SceneError
@@ -23,25 +23,25 @@ FileOf = Callable[[int, int], Path]
 
 @dataclass(frozen=True, eq=False)
 class Listed:
-    """N objects, as the agents list them. frame (N,): row of the frame; agent (N,): column of the agent."""
+    """N boxes, as the agents list them.
 
-    frame: Ints
+    agent: (N,) column of the agent;  associated: (N,) id that agents share, -1 if there is none
+    """
+
     agent: Ints
-    labels: Labels
+    associated: Ints
+    boxes: Boxes
 
     @classmethod
-    def of(cls, labels: Sequence[Sequence[Labels]]) -> Listed:
+    def of(cls, labels: Sequence[Sequence[tuple[Boxes, Ints]]]) -> Listed:
         """The objects in the files of each agent, for each frame."""
-        parts = [part for frame in labels for part in frame]
-        rows = np.array([len(part) for part in parts], np.int64)
-        count = len(labels[0])
-        joined = Labels(*(np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(Labels)))
-        place = np.repeat(np.arange(len(parts)), rows)
-        return cls(place // count, place % count, joined)
+        boxes, associated = zip(*(part for frame in labels for part in frame), strict=True)
+        agent = np.arange(len(boxes)) % len(labels[0])
+        return cls(np.repeat(agent, [*map(len, boxes)]), np.concatenate(associated), Boxes.concatenate(boxes))
 
     def with_id(self, number: Ints) -> Listed:
         """The same objects with other ids (N,)."""
-        return replace(self, labels=replace(self.labels, id=number))
+        return replace(self, boxes=replace(self.boxes, id=number))
 
     def merged(self, limit_m: float, file_of: FileOf) -> tuple[Boxes, Bools]:
         """One box for each object and frame, by frame and id, and whether each agent (column) lists it.
@@ -50,16 +50,16 @@ class Listed:
 
         Raises SceneError if they are further apart, and for an object that an agent lists twice.
         """
-        number, position = self.labels.id, self.labels.position
-        order = np.lexsort((self.agent, number, self.frame))
-        key = np.stack([self.frame[order], number[order]], axis=1)
+        frame, number, position = self.boxes.frame, self.boxes.id, self.boxes.position
+        order = np.lexsort((self.agent, number, frame))
+        key = np.stack([frame[order], number[order]], axis=1)
         first = np.ones(len(order), np.bool_)
         first[1:] = (np.diff(key, axis=0) != 0).any(axis=1)
         group = np.cumsum(first) - 1
         repeated = ~first[1:] & (np.diff(self.agent[order]) == 0)
         if repeated.any():
             row = order[1:][repeated][0]
-            file = file_of(int(self.frame[row]), int(self.agent[row]))
+            file = file_of(int(frame[row]), int(self.agent[row]))
             raise SceneError(f"{file}: found object {number[row]} twice, expected it once")
         chosen = order[first]
         apart = np.linalg.norm(position[order] - position[chosen][group], axis=1)
@@ -67,25 +67,14 @@ class Listed:
             worst = int(apart.argmax())
             row, other = order[worst], chosen[group[worst]]
             raise SceneError(
-                f"{file_of(int(self.frame[row]), int(self.agent[row]))}: object {number[row]} is {apart[worst]:.2f} m "
-                f"from where agent {file_of(int(self.frame[other]), int(self.agent[other])).parent.name} lists it, "
+                f"{file_of(int(frame[row]), int(self.agent[row]))}: object {number[row]} is {apart[worst]:.2f} m "
+                f"from where agent {file_of(int(frame[other]), int(self.agent[other])).parent.name} lists it, "
                 f"expected at most {limit_m:g} m"
             )
         agents = int(self.agent.max(initial=-1)) + 1
         seen = np.zeros((len(chosen), agents), np.bool_)
         seen[group, self.agent[order]] = True
-        return self._boxes(chosen), seen
-
-    def _boxes(self, rows: Ints) -> Boxes:
-        labels = self.labels.select(rows)
-        return Boxes(
-            frame=self.frame[rows],
-            id=labels.id,
-            position=labels.position,
-            size=labels.size,
-            yaw=labels.yaw,
-            class_id=labels.class_id,
-        )
+        return self.boxes.select(chosen), seen
 
 
 def check_ids_last(boxes: Boxes, times_ns: Ints, file_of: Callable[[int], Path]) -> None:
@@ -113,16 +102,16 @@ def shared_ids(listed: Listed) -> Ints:
     An associated id is kept. An object that has a single one in some frames keeps it in the others, too. All others
     get the next ids that are free, one for each object of each agent.
     """
-    pair = np.stack([listed.agent, listed.labels.id], axis=1)
+    pair = np.stack([listed.agent, listed.boxes.id], axis=1)
     own = np.unique(pair, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
-    shared = listed.labels.associated.copy()
+    shared = listed.associated.copy()
     pairs = np.unique(np.stack([own, shared], axis=1)[shared >= 0], axis=0)
     objects, index, count = np.unique(pairs[:, 0], return_index=True, return_counts=True)
     known = dict(zip(objects[count == 1].tolist(), pairs[index[count == 1], 1].tolist(), strict=True))
-    taken = set(zip(listed.frame.tolist(), listed.agent.tolist(), shared.tolist(), strict=True))
+    taken = set(zip(listed.boxes.frame.tolist(), listed.agent.tolist(), shared.tolist(), strict=True))
     for row in np.flatnonzero(shared < 0).tolist():
         candidate = known.get(int(own[row]), -1)
-        place = (int(listed.frame[row]), int(listed.agent[row]), candidate)
+        place = (int(listed.boxes.frame[row]), int(listed.agent[row]), candidate)
         if candidate >= 0 and place not in taken:
             shared[row] = candidate
             taken.add(place)
@@ -150,11 +139,11 @@ class OwnCar:
 def check_numbers(listed: Listed, cars: Sequence[OwnCar], file_of: FileOf) -> None:
     """Raise SceneError for a box with an agent's number that is not where the agent is."""
     for car in cars:
-        wrong = np.flatnonzero((listed.labels.id == car.number) & (_distance(listed, car) > _MAX_DISTANCE_M))
+        wrong = np.flatnonzero((listed.boxes.id == car.number) & (_distance(listed, car) > _MAX_DISTANCE_M))
         if len(wrong):
             row = int(wrong[0])
             raise SceneError(
-                f"{file_of(int(listed.frame[row]), int(listed.agent[row]))}: object {car.number} is "
+                f"{file_of(int(listed.boxes.frame[row]), int(listed.agent[row]))}: object {car.number} is "
                 f"{_distance(listed, car)[row]:.2f} m from agent {car.number}, "
                 f"expected at most {_MAX_DISTANCE_M:g} m: it is the same car"
             )
@@ -166,7 +155,7 @@ def claim(listed: Listed, cars: Sequence[OwnCar]) -> tuple[Listed, list[OwnCar]]
     A box of a car within 2 m of an agent is the agent's, of each file the nearest one. It keeps its id if all boxes
     with that id are the agent's; otherwise the agent's boxes get an id that no other object has.
     """
-    ids = listed.labels.id.copy()
+    ids = listed.boxes.id.copy()
     claimed: list[OwnCar] = []
     for car in cars:
         rows = _nearest(listed, _distance(listed, car))
@@ -219,16 +208,16 @@ def _upright(rotation: Floats) -> Floats:
 
 def _distance(listed: Listed, car: OwnCar) -> Floats:
     """(N,) m on the ground from the agent to each box."""
-    offset = listed.labels.position[:, :2] - car.position[listed.frame, :2]
+    offset = listed.boxes.position[:, :2] - car.position[listed.boxes.frame, :2]
     distance: Floats = np.hypot(offset[:, 0], offset[:, 1])
     return distance
 
 
 def _nearest(listed: Listed, distance: Floats) -> Ints:
     """Rows of the nearest car in each file, if it is near enough."""
-    near: Bools = (distance <= _MAX_DISTANCE_M) & (listed.labels.size[:, 0] >= _MIN_LENGTH_M)
-    rows = np.flatnonzero(near & np.isin(listed.labels.class_id, _CARS))
-    rows = rows[np.lexsort((distance[rows], listed.agent[rows], listed.frame[rows]))]
+    near: Bools = (distance <= _MAX_DISTANCE_M) & (listed.boxes.size[:, 0] >= _MIN_LENGTH_M)
+    rows = np.flatnonzero(near & np.isin(listed.boxes.class_id, _CARS))
+    rows = rows[np.lexsort((distance[rows], listed.agent[rows], listed.boxes.frame[rows]))]
     first = np.ones(len(rows), np.bool_)
-    first[1:] = (np.diff(listed.frame[rows]) != 0) | (np.diff(listed.agent[rows]) != 0)
+    first[1:] = (np.diff(listed.boxes.frame[rows]) != 0) | (np.diff(listed.agent[rows]) != 0)
     return rows[first]

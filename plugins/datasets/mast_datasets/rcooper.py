@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from mast_datasets.dair import add_labels, check_differences, check_times, matched, positions
+from mast_datasets.dair import add_labels, check_differences, matched, positions
 from mast_datasets.dair_files import read_labels, read_transform, track_of
 from mast_datasets.files import choose_name, entries
-from mast_datasets.traffic import ABOVE_0, DataSetScene, Labels, listed_returns
+from mast_datasets.traffic import ABOVE_0, DataSetScene, Labels, check_times, listed_returns
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes.making.assembly import Boxes, assemble
@@ -95,7 +95,7 @@ class RCooperScene(DataSetScene):
         self.time_differences_s()
         cooperative = folder / _COOPERATIVE / sequence
         times, files = self._frames(cooperative)
-        check_times(cooperative, [file.name for file in files], times, self.max_gap_s)
+        check_times(cooperative, [file.name for file in files], times, self.max_gap_s, "max_gap_s")
         poses = [read_transform(root / _CALIBRATION / f"{agent}.json") for agent in agents]
         boxes = _truth(files, poses[0])
         paths = []

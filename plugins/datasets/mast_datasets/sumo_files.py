@@ -7,6 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby, islice
 from pathlib import Path
 
 import numpy as np
@@ -33,8 +34,13 @@ _ALIASES = {
 _TIME = "timestep_time"
 _PREFIXES = ("vehicle_", "person_")
 
+#: Values of one object by SUMO's names; looking up one that is missing raises SceneError.
+Row = Mapping[str, TextElement]
+#: A time, and for each object whether it is a person, and its values.
+Step = tuple[TextElement, Iterator[tuple[bool, Row]]]
 
-def csv_rows(file: Path) -> Iterator[tuple[TextElement, bool, dict[str, TextElement]]]:
+
+def csv_rows(file: Path) -> Iterator[tuple[TextElement, bool, Row]]:
     """Time, whether it is a person, and the values by SUMO's names, of each row of a table.
 
     The columns are those of SUMO's tool xml2csv (timestep_time, vehicle_id, vehicle_x, …), or the same without
@@ -56,12 +62,12 @@ def csv_rows(file: Path) -> Iterator[tuple[TextElement, bool, dict[str, TextElem
             if present is None:
                 yield now, False, {}
                 continue
-            row = {
+            values = {
                 name: TextElement(fields[column], file, f"line {number}: {names[column]}")
                 for name, column in present[1].items()
                 if name != "time" and fields[column]
             }
-            yield now, present[0], row
+            yield now, present[0], _Row(values, f"{file}: line {number}: column")
     except csv.Error as error:
         raise SceneError(f"{file}: line {reader.line_num + 1}: not CSV: {error}") from error
 
@@ -95,11 +101,6 @@ def _columns(names: list[str], file: Path) -> list[tuple[bool, dict[str, int]]]:
 _MAX_NAMES = 12  # in a message
 _MAX_OBJECTS = 100_000  # at one time
 
-#: Values of one object by SUMO's names; looking up one that is missing raises SceneError.
-Row = Mapping[str, TextElement]
-#: A time, and for each object whether it is a person, and its values.
-Step = tuple[TextElement, Iterator[tuple[bool, Row]]]
-
 
 def read_steps(file: Path) -> Iterator[Step]:
     """The time steps of a trace, in the order of the file. Raises SceneError with file, line and reason."""
@@ -109,38 +110,23 @@ def read_steps(file: Path) -> Iterator[Step]:
 def _xml_steps(file: Path) -> Iterator[Step]:
     for step in read_xml(file, "fcd-export", ("timestep",)):
         if step.tag == "timestep":
-            rows = (
-                (
-                    part.tag == "person",
-                    _Row(
-                        {
-                            name: TextElement(value, file, f"{part.place}: {name}")
-                            for name, value in part.attributes.items()
-                        },
-                        f"{file}: {part.place}: attribute",
-                    ),
-                )
-                for part in step.children
-                if part.tag in ("vehicle", "person")
-            )
-            yield step.attribute("time"), rows
+            parts = (part for part in step.children if part.tag in ("vehicle", "person"))
+            yield step.attribute("time"), ((part.tag == "person", _xml_row(part)) for part in parts)
+
+
+def _xml_row(part: XmlElement) -> Row:
+    values = {name: part.attribute(name) for name in part.attributes}
+    return _Row(values, f"{part.path}: {part.place}: attribute")
 
 
 def _csv_steps(file: Path) -> Iterator[Step]:
     """The rows of a table, grouped by equal times."""
-    group: list[tuple[bool, Row]] = []
-    time: TextElement | None = None
-    for now, person, row in csv_rows(file):
-        if time is not None and now.value != time.value:
-            yield time, iter(group)
-            group = []
-        time = now
-        if len(group) >= _MAX_OBJECTS:
-            now.fail(f"at most {_MAX_OBJECTS} objects at one time")
-        if row:
-            group.append((person, _Row(row, f"{file}: {now.place.rpartition(':')[0]}: column")))
-    if time is not None:
-        yield time, iter(group)
+    for _, group in groupby(csv_rows(file), key=lambda row: row[0].value):
+        rows = list(islice(group, _MAX_OBJECTS + 1))
+        time = rows[0][0]
+        if len(rows) > _MAX_OBJECTS:
+            time.fail(f"at most {_MAX_OBJECTS} objects at one time")
+        yield time, ((person, row) for _, person, row in rows if row)
 
 
 class _Row(dict[str, TextElement]):

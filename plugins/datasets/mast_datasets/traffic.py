@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.arrays.geometry import heading
-from mast_zenoh.arrays.states import Bools, Floats
+from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.making.assembly import AgentPath, Boxes
@@ -24,6 +24,33 @@ from mast_zenoh.sensing import DetectionModel, Detector, lidar_points, sensor_po
 #: Limits on one scene: a single object, and all of its boxes.
 MAX_SIZE_M = 200.0
 MAX_BOXES = 5_000_000
+
+
+def classes_of(**types: str) -> dict[str, int]:
+    """The class, an index into CLASSES, by the name of a data set's type.
+
+    types: by class, the names of its types with spaces between them
+    """
+    return {name: CLASS_INDEX[label] for label, names in types.items() for name in names.split()}
+
+
+def check_times(place: object, names: Sequence[object], times_ns: Ints, max_gap_s: float, parameter: str = "") -> None:
+    """Raise SceneError if frames are not in the order of their times, or if some are missing between two.
+
+    place: of the times, for the message; names: (F,) of the frames; times_ns: (F,); parameter: that sets `max_gap_s`
+    """
+    step = np.diff(times_ns) / 1e9
+    late = np.flatnonzero(step <= 0)
+    if len(late):
+        before, after = names[late[0]], names[late[0] + 1]
+        raise SceneError(f"{place}: frame {after}: time is not later than that of frame {before} before it")
+    gaps = np.flatnonzero(step > max_gap_s)
+    if len(gaps):
+        before, after = names[gaps[0]], names[gaps[0] + 1]
+        raise SceneError(
+            f"{place}: frame {after}: found a gap of {step[gaps[0]]:.3f} s after frame {before}, "
+            f"expected at most {max_gap_s:g} s{parameter and f' ({parameter})'}"
+        )
 
 
 #: Of a number: any above 0.

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from mast_datasets.files import MAX_COORDINATE_M, Element, read_json, read_listed_pose
-from mast_datasets.traffic import ABOVE_0, MAX_SIZE_M, DataSetScene, Labels
+from mast_datasets.traffic import ABOVE_0, MAX_SIZE_M, DataSetScene, Labels, classes_of
 from mast_zenoh.arrays.geometry import along_and_across, heading, rotation_from_quaternion
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats
 from mast_zenoh.errors import ConfigurationError, SceneError, nearest
@@ -95,15 +95,9 @@ _SIDES = ("labels_point_clouds", "_labels_point_clouds")
 _REGISTERED = "s110_lidar_ouster_south_and_vehicle_lidar_robosense_registered"
 
 #: Classes by type, in lower case; all others are unknown.
-_TYPES = {
-    "car": ("car", "van"),
-    "truck": ("truck", "trailer"),
-    "bus": ("bus",),
-    "motorcycle": ("motorcycle",),
-    "bicycle": ("bicycle",),
-    "pedestrian": ("pedestrian",),
-}
-CLASS_OF_TYPE = {kind: CLASS_INDEX[name] for name, kinds in _TYPES.items() for kind in kinds}
+CLASS_OF_TYPE = classes_of(
+    car="car van", truck="truck trailer", bus="bus", motorcycle="motorcycle", bicycle="bicycle", pedestrian="pedestrian"
+)
 
 
 @dataclass(frozen=True, eq=False)

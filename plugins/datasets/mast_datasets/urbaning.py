@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from mast_datasets.files import MAX_COORDINATE_M, Element, choose_name, read_json
-from mast_datasets.traffic import MAX_SIZE_M, DataSetScene, Labels
+from mast_datasets.traffic import MAX_SIZE_M, DataSetScene, Labels, check_times, classes_of
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError, nearest
@@ -97,7 +97,9 @@ def read_timesync(path: Path) -> Timesync:
     if not 1 <= len(rows[_TIME]) <= _MAX_FRAMES:
         raise SceneError(f"{path}: found {len(rows[_TIME])} frames, expected 1 to {_MAX_FRAMES}")
     times = [_milliseconds(path, frame, cell) for frame, cell in enumerate(rows[_TIME])]
-    _check_steps(path, times)
+    times_ns = np.array(times, np.int64) * 1_000_000
+    period_s = float(np.median(np.diff(times_ns))) / 1e9 if len(times) > 1 else 0.0
+    check_times(f"{path}: row {_TIME}", range(len(times)), times_ns, _MAX_STEP * period_s)
     states = {name.removesuffix("_state"): rows[name] for name in sorted(rows) if _STATE_ROW.fullmatch(name)}
     if not states:
         raise SceneError(f"{path}: found no row vehicle<number>_state, expected at least one vehicle")
@@ -162,37 +164,19 @@ def _milliseconds(path: Path, frame: int, cell: str) -> int:
     return time
 
 
-def _check_steps(path: Path, times: list[int]) -> None:
-    """Raise SceneError for times that do not ascend, or that leave a frame out."""
-    steps = [later - earlier for earlier, later in pairwise(times)]
-    for frame, step in enumerate(steps, start=1):
-        if step <= 0:
-            raise SceneError(
-                f"{path}: row {_TIME}, frame {frame}: found {times[frame]}, expected a time after the last"
-            )
-    period = float(np.median(steps)) if steps else 0.0
-    for frame, step in enumerate(steps, start=1):
-        if step > _MAX_STEP * period:
-            raise SceneError(
-                f"{path}: row {_TIME}, frame {frame}: found a step of {step} ms, expected {period:g} ms: "
-                "a frame is missing"
-            )
-
-
 _MAX_TRACKS = 100_000
 _MAX_ANGLE = 1e4  # rad
 _MAX_TIME_ERROR_MS = 1
 
 #: Classes by type; all others are unknown.
-_TYPES = {
-    "car": ("Car", "Van"),
-    "truck": ("Truck", "Trailer"),
-    "bus": ("Bus",),
-    "motorcycle": ("Motorcycle",),
-    "bicycle": ("Cyclist", "EScooter"),
-    "pedestrian": ("Pedestrian", "OtherPedestrians"),
-}
-CLASS_OF_TYPE = {kind: CLASS_INDEX[name] for name, kinds in _TYPES.items() for kind in kinds}
+CLASS_OF_TYPE = classes_of(
+    car="Car Van",
+    truck="Truck Trailer",
+    bus="Bus",
+    motorcycle="Motorcycle",
+    bicycle="Cyclist EScooter",
+    pedestrian="Pedestrian OtherPedestrians",
+)
 
 
 @dataclass(frozen=True, eq=False)

@@ -145,7 +145,10 @@ def test_the_default_ego_has_the_most_company_of_those_that_move(folder: Path) -
     [
         (content("fcd.xml", b"<fcd-export/>"), "found no time step, expected at least one"),
         (text("fcd.xml", '"2.10"', '"2.00"'), "line 8: <timestep>: time: found '2.00', expected a time later than"),
-        (text("fcd.xml", '"2.40"', '"2.60"'), "found no time step between 2.3 and 2.6, expected one every 0.1 s"),
+        (
+            text("fcd.xml", '"2.40"', '"2.60"'),
+            "frame 2.6 s: found a gap of 0.300 s after frame 2.3 s",
+        ),
         (text("fcd.xml", 'x="100.00"', ""), "line 4: <vehicle>: attribute x is missing; found id, y, angle"),
         (text("fcd.xml", 'x="100.00"', 'x="1e300"'), "<vehicle>: x: found '1e300', expected a finite number from"),
         (text("fcd.xml", 'speed="10.00"', 'speed="900"'), "<vehicle>: speed: found '900', expected a finite number"),
