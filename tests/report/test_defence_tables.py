@@ -16,33 +16,30 @@ from mast_zenoh.report.tables.defences import defence_tables
 from mast_zenoh.report.tables.text_table import measured, median_delay
 
 
-def test_a_number_has_its_interval_or_why_there_is_none() -> None:
-    assert measured(Measured(4.2, 3.9, 4.6, 48)) == "4.20 [3.90, 4.60]"
-    assert measured(Measured(4.2, trials=4)) == "4.20 (n < 5)"
-    assert measured(Measured(0.0, trials=9)) == "0.00 (all equal)"
-    assert measured(Measured()) == "\u2013"
+@pytest.mark.parametrize(
+    ("number", "text"),
+    [
+        (Measured(4.2, 3.9, 4.6, 48), "4.20 [3.90, 4.60]"),
+        (Measured(4.2, trials=4), "4.20 (n < 5)"),
+        (Measured(0.0, trials=9), "0.00 (all equal)"),
+        (Measured(), "\u2013"),
+        (Measured(math.inf, 1.2, math.inf, 48), "not reached [1.20, \u221e)"),
+        (Measured(math.inf, math.inf, math.inf, 48), "not reached"),
+        (Measured(0.3, 0.2, math.inf, 48), "0.30 [0.20, \u221e)"),
+        (Measured(0.9912, 0.991, 0.9916, 48), "0.9912 [0.9910, 0.9916]"),
+    ],
+)
+def test_a_number_has_its_interval_or_why_there_is_none(number: Measured, text: str) -> None:
+    assert measured(number) == text
 
 
-def test_an_unbounded_number_and_an_unbounded_interval_are_open() -> None:
-    assert measured(Measured(math.inf, 1.2, math.inf, 48)) == "not reached [1.20, \u221e)"
-    assert measured(Measured(math.inf, math.inf, math.inf, 48)) == "not reached"
-    assert measured(Measured(0.3, 0.2, math.inf, 48)) == "0.30 [0.20, \u221e)"
-
-
-def test_a_narrow_interval_has_more_digits() -> None:
-    assert measured(Measured(0.9912, 0.991, 0.9916, 48)) == "0.9912 [0.9910, 0.9916]"
-
-
-def test_the_text_ends_with_the_summary() -> None:
+def test_text_and_terminal_end_with_the_summary() -> None:
     last = defence_tables(matrix()).as_markdown().split("\n\n")[-3:]
     assert last[0] == "## Summary"
     line = last[2].strip().splitlines()[-1]
     assert line.startswith("| Wall | 0.970 [0.950, 0.990] | 0.30 [0.20, 0.50] | 0.970 [0.950, 0.990] |")
     assert "| 0.40 [0.00, 1.20] | 108000 | 0.010 [0.000, 0.020] |" in line
     assert line.count("0.000 [0.000, 0.070] of 48") == 2
-
-
-def test_the_terminal_ends_with_the_summary_too() -> None:
     text = as_text(defence_tables(matrix()).as_rich())
     assert text.index("Damage, worst") < text.index("Summary")
     assert "0.40 [0.00, 1.20]" in text
@@ -90,10 +87,10 @@ def test_the_csv_has_every_measure_of_every_cell_with_bounds_and_method() -> Non
     assert {line["measure"] for line in lines} >= {"auc", "partial_auc", "seconds faulty suspended"}
 
 
-@pytest.mark.parametrize("text", ["Summary", "Detection", "ROC", "Framing", "Faults"])
-def test_latex_has_all_tables_with_escaped_text(text: str) -> None:
+def test_latex_has_all_tables_with_escaped_text() -> None:
     latex = defence_tables(matrix()).as_latex()
-    assert f"% {text}" in latex
+    for title in ("Summary", "Detection", "ROC", "Framing", "Faults"):
+        assert f"% {title}" in latex
     assert latex.count(r"\begin{tabular}") == latex.count(r"\end{tabular}") == 8
     for line in latex.splitlines():
         assert line.startswith("%") or "%" not in line.replace(r"\%", "")

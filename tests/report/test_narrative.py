@@ -15,7 +15,7 @@ from run_samples import edit
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.html import write_report
 from mast_zenoh.report.narrative.adversaries import attack_description
-from mast_zenoh.report.narrative.attribution import join_differences, other_differences, reaches
+from mast_zenoh.report.narrative.attribution import other_differences, reaches
 from mast_zenoh.report.narrative.changes import join_names
 from mast_zenoh.report.narrative.run import (
     compromised,
@@ -339,7 +339,7 @@ def test_a_study_names_the_strongest_attack_and_every_run(run_of: RunOf) -> None
 def test_names_are_joined_with_commas_and_and() -> None:
     joined = ["", "a", "a and b", "a, b and c"]
     assert [join_names(names) for names in ([], ["a"], ["a", "b"], ["a", "b", "c"])] == joined
-    assert [join_differences(tuple(names)) for names in ("abcde", "ab")] == ["a, b, c and 2 more", "a and b"]
+    assert [join_names(names, 3) for names in ("abcde", "ab")] == ["a, b, c and 2 more", "a and b"]
 
 
 def centre(radius: float, **more: Any) -> dict[str, Any]:

@@ -67,79 +67,54 @@ def test_measured_effects_are_compared_with_reports() -> None:
 
 FAILURE = {"handler": "on_tracks", "count": 4, "frames": 4, "first_frame": 1, "last_frame": 4}
 FAILURE |= {"exception": "ValueError: no", "where": "mine.py:3"}
-FAILED = {
-    "in frames that are known": ({"failures": [FAILURE], "exit": 0, "ended": "ok"}, "failed in 4 frames"),
-    "in one frame": (
-        {"failures": [FAILURE | {"count": 1, "frames": 1, "last_frame": 1}], "exit": 0, "ended": "ok"},
-        "failed in 1 frame",
-    ),
-}
-CRASHES = {
-    "its process ended": {"failures": [], "exit": 1, "ended": "exit code 1"},
-    "its process ended after a planned kill and restart": {
-        "exit": 1,
-        "ended": "killed by the scenario; killed by signal 9 (SIGKILL); exit code 1",
-    },
-}
-EXPECTED = {
-    "killed by the scenario": {"exit": -9, "ended": "killed by the scenario; killed by signal 9 (SIGKILL)"},
-    "released": {"exit": -15, "ended": "released; killed by signal 15 (SIGTERM)"},
-    "killed by the scenario, restarted, and well": {
-        "exit": 0,
-        "ended": "killed by the scenario; killed by signal 9 (SIGKILL); ok",
-    },
-}
+ONCE = FAILURE | {"count": 1, "frames": 1, "last_frame": 1}
+SIGKILL = "killed by the scenario; killed by signal 9 (SIGKILL)"
 
 
-@pytest.mark.parametrize("node", CRASHES.values(), ids=CRASHES)
-def test_crash_takes_precedence_over_reports(node: dict[str, Any]) -> None:
+@pytest.mark.parametrize(
+    ("node", "verdict", "sentence"),
+    [
+        ({"failures": [FAILURE], "exit": 0, "ended": "ok"}, "failed", "mallory's handlers failed in 4 frames."),
+        ({"failures": [ONCE], "exit": 0, "ended": "ok"}, "failed", "mallory's handlers failed in 1 frame."),
+        ({"failures": [], "exit": 1, "ended": "exit code 1"}, "crashed", "mallory crashed."),
+        ({"exit": 1, "ended": f"{SIGKILL}; exit code 1"}, "crashed", "mallory crashed."),
+        ({"exit": -9, "ended": SIGKILL}, "silent", ""),
+        ({"exit": -15, "ended": "released; killed by signal 15 (SIGTERM)"}, "silent", ""),
+        ({"exit": 0, "ended": f"{SIGKILL}; ok"}, "silent", ""),
+    ],
+)
+def test_failures_and_crashes_but_no_intended_exits_take_precedence_over_reports(
+    node: dict[str, Any], verdict: str, sentence: str
+) -> None:
     run = run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": MEASURED}, {"mallory": node})
-    assert only(run).verdict == "crashed"
-    assert "mallory crashed." in reading(run)
+    assert only(run).verdict == verdict
+    assert not sentence or sentence in reading(run)
+    assert sentence or exit_expected(node)
 
 
-@pytest.mark.parametrize(("node", "words"), FAILED.values(), ids=FAILED)
-def test_failed_handler_is_not_a_crash(node: dict[str, Any], words: str) -> None:
-    run = run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": MEASURED}, {"mallory": node})
-    assert only(run).verdict == "failed"
-    assert f"mallory's handlers {words}." in reading(run)
+def test_a_crash_states_how_often_a_handler_failed() -> None:
+    for failure, words in (
+        (FAILURE, "on_tracks failed 4 times in 4 frames (1 to 4)"),
+        (ONCE, "on_tracks failed once in frame 1"),
+        ({"handler": "tracks", "count": 1}, "tracks failed once"),
+    ):
+        nodes = {"mallory": {"failures": [failure]}}
+        run = run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": MEASURED}, nodes)
+        assert only(run).failures == words
 
 
-@pytest.mark.parametrize("node", EXPECTED.values(), ids=EXPECTED)
-def test_intended_exit_is_not_a_crash(node: dict[str, Any]) -> None:
-    run = run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": MEASURED}, {"mallory": node})
-    assert only(run).verdict == "silent"
-    assert exit_expected(node)
-
-
-FREQUENCIES = [
-    ({"failures": [FAILURE]}, "on_tracks failed 4 times in 4 frames (1 to 4)"),
-    ({"failures": [FAILURE | {"count": 1, "frames": 1, "last_frame": 1}]}, "on_tracks failed once in frame 1"),
-    ({"failures": [{"handler": "tracks", "count": 1}]}, "tracks failed once"),
-]
-
-
-@pytest.mark.parametrize(("node", "words"), FREQUENCIES)
-def test_a_crash_states_how_often_a_handler_failed(node: dict[str, Any], words: str) -> None:
-    run = run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": MEASURED}, {"mallory": node})
-    assert only(run).failures == words
-
-
-def test_adversary_on_the_downlink_is_described_by_its_victim() -> None:
+def test_adversary_on_the_downlink_is_described_by_its_victim_alone() -> None:
     run = run_of([wire("cc/picture", ("mallory",), before="ego")], {"mallory": MEASURED | {"wires": ["cc/picture"]}})
     assert only(run).before == ("ego",)
     assert adversaries_by_agent(interposers(run)) == {"ego": ("mallory",)}
     assert compromised(run) == "the picture's path to ego"
-
-
-def test_wire_table_names_the_only_subscriber_after_an_interposer() -> None:
-    run = run_of([wire("cc/picture", ("mallory",), before="ego")], {"mallory": MEASURED | {"wires": ["cc/picture"]}})
     (row,) = wire_rows(run)
     assert row.before == {"mallory": ("ego",)}
-    page = rendered_wires([row])
-    assert "<strong>mallory</strong> <small>(only before ego)</small>" in page
+    assert "<strong>mallory</strong> <small>(only before ego)</small>" in rendered_wires([row])
     assert only(run).place == "cc/picture only before ego"
-    assert only(run_of([wire("cc/picture", ("mallory",))])).place == "cc/picture"
+    on_trunk = run_of([wire("cc/picture", ("mallory",))])
+    assert only(on_trunk).place == "cc/picture"
+    assert compromised(on_trunk) == "the wire cc/picture"
 
 
 def rendered_wires(rows: list[WireRow]) -> str:
@@ -157,29 +132,32 @@ def targets(adversary: str, kind: str, objects: list[int]) -> dict[str, Any]:
     }
 
 
-def test_effects_distinguish_rows_objects_and_messages() -> None:
-    done = MEASURED | {"effects": {"inserted": 5, "moved": 3, "dropped": 2}}
-    run = run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": done})
-    assert effects(only(run)) == "5 rows of objects inserted, 3 rows of objects moved, 2 messages dropped"
-    object.__setattr__(run, "targets", targets("mallory", "inserted", [7, 7, 7, 8, 8]))
-    assert effects(only(run)) == "5 rows of 2 objects inserted, 3 rows of objects moved, 2 messages dropped"
-    one = MEASURED | {"effects": {"inserted": 1, "dropped": 1}}
-    run = run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": one})
-    object.__setattr__(run, "targets", targets("mallory", "inserted", [7]))
-    assert effects(only(run)) == "1 row of 1 object inserted, 1 message dropped"
-
-
-def test_clutter_is_not_an_object_and_rows_without_target_hide_the_number() -> None:
-    done = MEASURED | {"effects": {"removed": 3}}
-    run = run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": done})
-    object.__setattr__(run, "targets", targets("mallory", "removed", [7, 7, -1]))
-    assert effects(only(run)) == "3 rows of 1 object and of clutter removed"
-    object.__setattr__(run, "targets", targets("mallory", "removed", [7, 7]))
-    assert effects(only(run)) == "3 rows of objects removed"
-
-
-def test_interposer_on_a_wire_without_agent_is_described_by_the_wire() -> None:
-    assert compromised(run_of([wire("cc/picture", ("mallory",))])) == "the wire cc/picture"
+@pytest.mark.parametrize(
+    ("measured", "manipulated", "words"),
+    [
+        (
+            {"inserted": 5, "moved": 3, "dropped": 2},
+            None,
+            "5 rows of objects inserted, 3 rows of objects moved, 2 messages dropped",
+        ),
+        (
+            {"inserted": 5, "moved": 3, "dropped": 2},
+            ("inserted", [7, 7, 7, 8, 8]),
+            "5 rows of 2 objects inserted, 3 rows of objects moved, 2 messages dropped",
+        ),
+        ({"inserted": 1, "dropped": 1}, ("inserted", [7]), "1 row of 1 object inserted, 1 message dropped"),
+        ({"removed": 3}, ("removed", [7, 7, -1]), "3 rows of 1 object and of clutter removed"),
+        ({"removed": 3}, ("removed", [7, 7]), "3 rows of objects removed"),
+    ],
+)
+def test_effects_distinguish_rows_objects_clutter_and_messages(
+    measured: dict[str, int], manipulated: tuple[str, list[int]] | None, words: str
+) -> None:
+    """A row without target hides the number of objects."""
+    run = run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": MEASURED | {"effects": measured}})
+    if manipulated is not None:
+        object.__setattr__(run, "targets", targets("mallory", *manipulated))
+    assert effects(only(run)) == words
 
 
 LIVE = {"action": "intercept", "node": "mallory", "wires": ["agent/infra_1/tracks"], "frame": 44}

@@ -87,26 +87,19 @@ def test_changes_cover_the_scored_frames_of_both_runs() -> None:
 
 
 def test_the_picture_in_transit_has_a_column_if_something_changed_it() -> None:
-    late = scores((1.2, 0.25, 12.0), rmse_m=0.9)
-    run = metrics((1.2, 0.25, 12.0), picture_received=scores((1.2, 0.25, 12.0)), picture_on_arrival=late)
-    same = {"ego": {"picture_received": "picture"}}
-    assert score_table({"run": run | {"same_as": same}}).estimates == (
-        "local",
-        "picture",
-        "picture_on_arrival",
-        "mission",
-    )
-    both = {"ego": {"picture_received": "picture", "picture_on_arrival": "picture"}}
-    assert score_table({"run": run | {"same_as": both}}).estimates == MAIN
+    """As it arrives, or, if nothing was late, as it is received."""
 
+    def shown(change: dict[str, Any], **same: str) -> ScoreTable:
+        changed = scores((1.2, 0.25, 12.0)) | change
+        run = metrics((1.2, 0.25, 12.0), picture_received=changed, picture_on_arrival=changed)
+        return score_table({"run": run | {"same_as": {"ego": same}}})
 
-def test_a_picture_changed_without_delay_is_shown_as_received() -> None:
-    forged = scores((1.2, 5.25, 12.0))
-    run = metrics((1.2, 0.25, 12.0), picture_received=forged, picture_on_arrival=forged)
-    same = {"ego": {"picture_received": "picture_on_arrival"}}
-    table = score_table({"run": run | {"same_as": same}})
-    assert table.estimates == ("local", "picture", "picture_received", "mission")
-    assert table.cell("fp", "run", "picture_received").value.mean == 5.25
+    late = shown({"rmse_m": 0.9}, picture_received="picture")
+    assert late.estimates == ("local", "picture", "picture_on_arrival", "mission")
+    assert shown({}, picture_received="picture", picture_on_arrival="picture").estimates == MAIN
+    forged = shown({"fp": {"mean": 5.25, "std": 0.5}}, picture_received="picture_on_arrival")
+    assert forged.estimates == ("local", "picture", "picture_received", "mission")
+    assert forged.cell("fp", "run", "picture_received").value.mean == 5.25
 
 
 def test_user_defined_metrics_have_separate_rows() -> None:
@@ -134,19 +127,16 @@ def test_a_label_cannot_break_the_markdown() -> None:
     assert lines[2].startswith("| missed (FN) | a\\|b c |")
 
 
-def test_the_terminal_tables_fit_80_columns() -> None:
+def test_the_terminal_tables_fit_80_columns_and_one_run_has_no_changes() -> None:
     text = printed(score_table(RUNS | {"attack_during_partition": metrics((1.4, 2.2, 11.8))}))
     assert max(map(len, text.splitlines())) <= 80
     for number in ("9.65 (+9.40)", "12.00", "0.31"):
         assert number in text
     assert "…" not in text
-
-
-def test_terminal_table_of_one_run_has_three_estimates_and_no_changes() -> None:
-    text = printed(score_table({"run": RUNS["baseline"]}))
+    one = printed(score_table({"run": RUNS["baseline"]}))
     for heading in ("ego alone", "picture", "ego with"):
-        assert heading in text
-    assert "(+" not in text
+        assert heading in one
+    assert "(+" not in one
 
 
 def test_the_terminal_shows_run_folders(three_runs: dict[str, Path]) -> None:

@@ -27,50 +27,40 @@ def shown(rows=ROWS, failed=()) -> str:
     return page.getvalue()
 
 
+def test_numbers_have_two_decimals_and_no_negative_zero() -> None:
+    texts = ["1.00", "\u22120.50", "0.00", "\u2013"]
+    assert [number(value) for value in (1.005, -0.5, -0.001, float("nan"))] == texts
+
+
 @pytest.mark.parametrize(
-    ("value", "text"), [(1.005, "1.00"), (-0.5, "\u22120.50"), (-0.001, "0.00"), (float("nan"), "\u2013")]
+    ("numbers", "text"),
+    [
+        (Estimate(3.42, 1.2, 3.4, 3.1, 3.7, seeds=20), "3.40 [3.10, 3.70]"),
+        (Estimate(), "\u2013"),
+        (Estimate(3.4, 1.2, 3.4, seeds=4), "3.40 (n < 5)"),
+        (Estimate(0.0, 0.0, 0.0, seeds=20), "0.00 (all equal)"),
+        (Estimate(trial_mean=0.0163, low=0.0143, high=0.0183, seeds=20), "0.016 [0.014, 0.018]"),
+        (Estimate(trial_mean=0.9, low=0.683, high=0.988, seeds=20, rate=True), "90 % [68, 99]"),
+    ],
 )
-def test_numbers_have_two_decimals_and_no_negative_zero(value: float, text: str) -> None:
-    assert number(value) == text
+def test_estimates_show_their_interval_or_why_there_is_none(numbers: Estimate, text: str) -> None:
+    assert over_trials(numbers) == text
 
 
-def test_estimates_show_spread_over_frames_or_over_trials() -> None:
-    both = Estimate(3.42, 1.2, 3.4, 3.1, 3.7, seeds=20)
-    assert over_frames(both) == "3.42 ± 1.20"
-    assert over_trials(both) == "3.40 [3.10, 3.70]"
-    assert over_frames(Estimate()) == over_trials(Estimate()) == "\u2013"
+def test_estimates_show_their_spread_over_frames() -> None:
+    assert over_frames(Estimate(3.42, 1.2, 3.4, 3.1, 3.7, seeds=20)) == "3.42 ± 1.20"
+    assert over_frames(Estimate()) == "\u2013"
 
 
-def test_missing_intervals_are_explained() -> None:
-    assert over_trials(Estimate(3.4, 1.2, 3.4, seeds=4)) == "3.40 (n < 5)"
-    assert over_trials(Estimate(0.0, 0.0, 0.0, seeds=20)) == "0.00 (all equal)"
-
-
-def test_narrow_intervals_get_more_decimals() -> None:
-    assert over_trials(Estimate(trial_mean=0.0163, low=0.0143, high=0.0183, seeds=20)) == "0.016 [0.014, 0.018]"
-
-
-def test_success_rates_are_shown_in_per_cent() -> None:
-    assert over_trials(Estimate(trial_mean=0.9, low=0.683, high=0.988, seeds=20, rate=True)) == "90 % [68, 99]"
-
-
-def test_terminal_tables_fit_80_columns_and_have_both_spreads() -> None:
-    text = shown(failed=[FAILED])
-    assert max(map(len, text.splitlines())) <= 80
-    for part in ("9.00 ± 1.25*", "[8.50, 9.50]", "coordinated-3", "66.7 %", "90 %", "[70, 100]"):
-        assert part in text
-    assert "…" not in text
-
-
-def test_terminal_tables_of_long_labels_fit_too() -> None:
-    rows = [BASELINE, *grid("a_run_with_quite_a_long_name", n=(1, 2), false_positives=(5.0, 20.0))]
-    assert max(map(len, shown(rows).splitlines())) <= 80
-
-
-def test_terminal_names_failed_trials_first() -> None:
+def test_terminal_tables_fit_80_columns_name_failed_trials_first_and_have_both_spreads() -> None:
     text = shown(failed=[FAILED])
     assert text.lstrip().startswith("1 of 420 trials failed: coordinated-3 1 of 60.")
     assert "failed" not in shown()
+    for part in ("9.00 ± 1.25*", "[8.50, 9.50]", "coordinated-3", "66.7 %", "90 %", "[70, 100]"):
+        assert part in text
+    assert "…" not in text
+    long = [BASELINE, *grid("a_run_with_quite_a_long_name", n=(1, 2), false_positives=(5.0, 20.0))]
+    assert max(map(len, [*text.splitlines(), *shown(long).splitlines()])) <= 80
 
 
 def test_unchanged_estimates_of_the_ego_become_one_sentence() -> None:
@@ -166,13 +156,8 @@ def test_result_is_the_largest_significant_change_of_what_the_ego_acts_on() -> N
         "The largest change of false or missed objects in what the ego acts on: in uncoordinated-3 the ego with the "
         "picture has 9.00 more false objects a frame [8.50, 9.50] than the baseline."
     )
-
-
-def test_result_of_an_attack_that_reduces_something_is_worded_with_fewer() -> None:
-    fewer = row("a", {}, -2.0)
-    assert "2.00 fewer false objects a frame [1.50, 2.50]" in result(
-        [BASELINE, fewer], facts([BASELINE, fewer]), compare([BASELINE, fewer], "baseline")
-    )
+    fewer = [BASELINE, row("a", {}, -2.0)]
+    assert "2.00 fewer false objects a frame [1.50, 2.50]" in result(fewer, facts(fewer), compare(fewer, "baseline"))
 
 
 @pytest.mark.parametrize(
@@ -188,17 +173,13 @@ def test_result_of_an_attack_that_reduces_something_is_worded_with_fewer() -> No
     ],
 )
 def test_result_without_a_significant_change_is_stated(estimates: Estimate | None, text: str) -> None:
-    known = {Series("ego", "picture", "fp_iob"): estimates} if estimates else {}
-    rows = [BASELINE, StudyRow("a", "a", {}, known)]
-    assert text in result(rows, facts(rows), compare(rows, "baseline"))
+    assert text in words(**({"fp_iob": estimates} if estimates else {}))[0]
 
 
 def words(**increments: Estimate) -> tuple[str, list[str]]:
     """The result and other changes of a study in which `a` changes the picture."""
-    rows = [
-        BASELINE,
-        StudyRow("a", "a", {}, {Series("ego", "picture", name): each for name, each in increments.items()}),
-    ]
+    known = {Series("ego", "picture", name): each for name, each in increments.items()}
+    rows = [BASELINE, StudyRow("a", "a", {}, known)]
     comparisons = compare(rows, "baseline")
     return result(rows, facts(rows), comparisons), other_changes(rows, facts(rows), comparisons)
 
@@ -235,10 +216,9 @@ def test_equal_values_in_all_trials_are_reported_as_unchanged() -> None:
     assert not any("identity switches" in sentence for sentence in others), "too few for a statement"
 
 
-@pytest.mark.parametrize("same", [replace(SAME, seeds=4), replace(SAME, trial_mean=0.0), replace(SAME, low=0.5)])
-def test_differences_with_few_seeds_zero_mean_or_spread_are_not_certain(same: Estimate) -> None:
-    assert SAME.certain
-    assert not same.certain
+def test_differences_with_few_seeds_zero_mean_or_spread_are_not_certain() -> None:
+    uncertain = replace(SAME, seeds=4), replace(SAME, trial_mean=0.0), replace(SAME, low=0.5)
+    assert [each.certain for each in (SAME, *uncertain)] == [True, False, False, False]
 
 
 def test_seeds_left_out_are_reported_per_affected_number() -> None:

@@ -131,14 +131,15 @@ def _when(run: RunRecord, adversary: Interposer) -> str:
         frames = run.attacks["frame"][run.attacks["interposer"] == adversary.name]
         frames = frames[frames >= 0]
         if len(frames):
-            parts.append(_period(run, int(frames.min()), int(frames.max())))
+            parts.append(period(run, int(frames.min()), int(frames.max())))
     if adversary.live is not None:
         until = f", and removed in frame {adversary.released}" if adversary.released is not None else ""
         parts.append(f"after it was inserted live in frame {adversary.live}{until}")
     return "".join(f", {part}" for part in parts)
 
 
-def _period(run: RunRecord, first: int, last: int) -> str:
+def period(run: RunRecord, first: int, last: int) -> str:
+    """`from t = 1.5 s to 3.9 s`, of frames of the run; without its scene, `from frame 15 to 39`."""
     times = run.seconds(np.array([first, last]))
     if times is None:
         return f"in frame {first}" if first == last else f"from frame {first} to {last}"
@@ -151,9 +152,8 @@ def _faults(run: RunRecord) -> list[str]:
     faults: Sequence[Mapping[str, Any]] = [each for each in timeline or () if each.get("kind") == "fault"]
     if not faults:
         return []
-    named = [f"{each['label']} from t = {each['at_s']:g} s" for each in faults[:_NAMED]]
-    named += [f"{len(faults) - _NAMED} more"] * (len(faults) > _NAMED)
-    return [f"The scenario also has {'a fault' if len(faults) == 1 else 'faults'}: {join_names(named)}."]
+    named = [f"{each['label']} from t = {each['at_s']:g} s" for each in faults]
+    return [f"The scenario also has {'a fault' if len(faults) == 1 else 'faults'}: {join_names(named, _NAMED)}."]
 
 
 #: Lidar points with which an agent detects an object, as in `seen_by_others` of targets.parquet.

@@ -92,12 +92,6 @@ def other_differences(run: RunRecord, reference: RunRecord) -> tuple[str, ...]:
     return tuple(dict.fromkeys(differences))
 
 
-def join_differences(differences: tuple[str, ...]) -> str:
-    """`a, b, c and 2 more`."""
-    listed, more = list(differences[:_MAX_NAMED]), len(differences) - _MAX_NAMED
-    return join_names([*listed, f"{more} more"] if more > 0 else listed)
-
-
 def attacking_nodes(run: RunRecord) -> frozenset[str]:
     """Adversaries, their coordinators, and all other interposers except links."""
     return frozenset(_attackers(run))
@@ -217,7 +211,7 @@ def cause_clause(run: RunRecord, change: Change, reference: RunRecord) -> str:
     others = other_differences(run, reference)
     if others:
         also = "also " if attacking_nodes(run) - attacking_nodes(reference) else ""
-        return f"; not attributed: the runs {also}differ in {join_differences(others)}"
+        return f"; not attributed: the runs {also}differ in {join_names(others, _MAX_NAMED)}"
     if change.amount <= 0.0:
         return ""
     names = causes(run, change, reference)

@@ -10,7 +10,7 @@ import numpy as np
 from mast_zenoh.messagelog import churn
 from mast_zenoh.metrics.estimates import ESTIMATES, IN_TRANSIT, LOCAL, MAIN, MISSION, PICTURE
 from mast_zenoh.report.comparison import Reference
-from mast_zenoh.report.narrative.adversaries import late_start_s
+from mast_zenoh.report.narrative.adversaries import late_start_s, period
 from mast_zenoh.report.narrative.attribution import cause_clause, causes, due_to_causes
 from mast_zenoh.report.narrative.changes import (
     DISPLACED,
@@ -121,20 +121,14 @@ def defence_sentence(run: RunRecord) -> str:
     suspended = [name for name, agent in agents.items() if agent["suspensions"]]
     missed = [name for name, agent in agents.items() if agent["lied"] and agent["suspended_after_s"] is None]
     did = [f"suspended {count(len(suspended))} agent{'s' if len(suspended) > 1 else ''}"]
-    did += [_names([f"{name} ({_when(agents[name])})" for name in suspended])] if suspended else []
-    did += [f"although {_names(missed)} lied"] if missed else []
+    did += [join_names([f"{name} ({_when(agents[name])})" for name in suspended], _MOST_NAMES)] if suspended else []
+    did += [f"although {join_names(missed, _MOST_NAMES)} lied"] if missed else []
     text = ", ".join(did)
     if "withheld" in measured:
         false, true = measured["withheld"]["false"], measured["withheld"]["true"]
         what = f"{false:.2f} false and {true:.2f} true objects a frame" if false or true else "nothing"
         text += f"{',' if len(did) > 1 else ''} and withheld {what}"
     return f"{run.defence or 'The defence'} {text}."
-
-
-def _names(names: list[str]) -> str:
-    """All names, or the first of many and the number of the others."""
-    others = len(names) - _MOST_NAMES
-    return join_names([*names[:_MOST_NAMES], f"{others} more"] if others > 0 else names)
 
 
 def _when(agent: dict[str, Any]) -> str:
@@ -152,18 +146,12 @@ def attack_sentences(run: RunRecord, change: Change | None) -> list[str]:
     """
     if run.attacks is None or run.attack_frames is None:
         return []
-    first, last = run.attack_frames
-    times = run.seconds(np.array(run.attack_frames))
-    start, end = f"frame {first}", f"frame {last}"
-    if times is not None:
-        start, end = f"t = {times[0]:.1f} s", f"{times[1]:.1f} s"
     active = [each.description for each in interposers(run) if each.changed and not each.is_link]
     if not active:  # metrics.json is damaged
         active = sorted(set(run.attacks["interposer"].tolist()))
-    when = f"from {start} to {end}" if first != last else f"{'in' if times is None else 'at'} {start}"
     scores = _scores(run, change)
     during = f"; while {'it' if len(active) == 1 else 'they'} did, {scores}" if scores else ""
-    sentences = [f"{join_names(active)} changed messages {when}{during}."]
+    sentences = [f"{join_names(active)} changed messages {period(run, *run.attack_frames)}{during}."]
     attacked, total = _attacked_frames(run)
     if total and 2 * attacked < total:
         sentences.append(f"{attacked} of the {total} scored frames {'is' if attacked == 1 else 'are'} attacked.")
