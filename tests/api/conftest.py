@@ -5,10 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from judged import FAULTS
 
 import mast_zenoh as mast
-from mast_zenoh.scenario.reading import load
 
 FRAMES, SEED = 60, 3
 
@@ -26,11 +24,3 @@ def attacked(tmp_path_factory: pytest.TempPathFactory) -> mast.Run:
     out: Path = tmp_path_factory.mktemp("attacked") / "run"
     parameters = dict(n_infrastructure=2, n_adversaries=1, attack_start_s=2.0)
     return mast.run("uncoordinated", frames=FRAMES, seed=SEED, out=out, **parameters)
-
-
-@pytest.fixture(scope="session")
-def judged(tmp_path_factory: pytest.TempPathFactory) -> mast.Run:
-    """A run with one adversary and two faults, whose command centre judges agents."""
-    out: Path = tmp_path_factory.mktemp("judged") / "run"
-    _, scenario = load("defended", ["n_adversaries=1", "defence=SequentialConsistency"])
-    return mast.run(scenario | dict(faults=FAULTS), frames=90, seed=11, out=out)

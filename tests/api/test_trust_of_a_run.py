@@ -7,19 +7,32 @@ from typing import Any
 
 import numpy as np
 import pytest
-from judged import FAULTS, LOSS_S
 
 import mast_zenoh as mast
 from mast_zenoh.api.observability import observability
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch.measurement import measure
+from mast_zenoh.scenario.reading import load
 
 pytestmark = pytest.mark.heavy
 
+LOSS_S = (2.0, 3.0)
+FAULTS: list[dict[str, Any]] = [
+    dict(type="Loss", at=LOSS_S[0], until=LOSS_S[1], node="infra_2", probability=0.5),
+    dict(type="Delay", at=2.0, node="infra_3", mean_s=0.1, direction="down"),
+]
 COLUMNS = (
     *("frame", "time_s", "agent", "mean", "log_odds", "state", "reason"),
     *("fault_offset_x", "fault_offset_y", "fault_turn", "fault_delay", "fault_loss"),
 )
+
+
+@pytest.fixture(scope="module")
+def judged(tmp_path_factory: pytest.TempPathFactory) -> mast.Run:
+    """A run with one adversary and two faults, whose command centre judges agents."""
+    out = tmp_path_factory.mktemp("judged") / "run"
+    _, scenario = load("defended", ["n_adversaries=1", "defence=SequentialConsistency"])
+    return mast.run(scenario | dict(faults=FAULTS), frames=90, seed=11, out=out)
 
 
 def agents(run: mast.Run) -> dict[str, Any]:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import pytest
 from plain_record import PlainRecord
 
 import mast_zenoh as mast
+from mast_zenoh.viewer.export import export
 
 FRAMES = 30  # more than a chunk of the recording
 
@@ -23,6 +26,20 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> mast.Run:
 def record(recorded: mast.Run) -> PlainRecord:
     """What the recording of that run holds."""
     return PlainRecord(recorded.path)
+
+
+@pytest.fixture(scope="session")
+def exported_to(recorded: mast.Run, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Exports that run to a format, once; returns the path."""
+
+    @cache
+    def written(name: str) -> Path:
+        out = tmp_path_factory.mktemp(name) / {"foxglove": "run.mcap", "rrd": "run.rrd"}.get(name, name)
+        files = (out.with_name("run.layout.json"), out) if name == "foxglove" else (out,)
+        assert export(recorded.path, name, out).paths == files
+        return out
+
+    return written
 
 
 @pytest.fixture

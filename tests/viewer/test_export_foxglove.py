@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 from collections import Counter, defaultdict
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,21 +17,13 @@ from PIL import Image
 from plain_record import PlainRecord, assert_same_boxes
 
 import mast_zenoh as mast
-from mast_zenoh.viewer.export import export
 
 
 @pytest.fixture(scope="module")
-def exported(recorded: mast.Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("foxglove") / "run.mcap"
-    assert export(recorded.path, "foxglove", out).paths == (out.with_name("run.layout.json"), out)
-    return out
-
-
-@pytest.fixture(scope="module")
-def messages(exported: Path) -> dict[str, list[tuple[str, int, Any]]]:
+def messages(exported_to: Callable[[str], Path]) -> dict[str, list[tuple[str, int, Any]]]:
     """By topic: schema, log time and decoded content of each message."""
     result: dict[str, list[tuple[str, int, Any]]] = defaultdict(list)
-    with exported.open("rb") as file:
+    with exported_to("foxglove").open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         for schema, channel, message in reader.iter_messages():
             if schema.encoding == "protobuf":
@@ -156,8 +149,8 @@ def test_scores_are_series(messages: Any, recorded: mast.Run) -> None:
     assert [[each[name] for name in names] for each in series] == [[row[name] for name in names] for row in rows]
 
 
-def test_the_layout_shows_topics_of_the_file(exported: Path, messages: Any) -> None:
-    layout = json.loads(exported.with_name("run.layout.json").read_text())
+def test_the_layout_shows_topics_of_the_file(exported_to: Callable[[str], Path], messages: Any) -> None:
+    layout = json.loads(exported_to("foxglove").with_name("run.layout.json").read_text())
 
     def panels(node: Any) -> list[str]:
         return [node] if isinstance(node, str) else [*panels(node["first"]), *panels(node["second"])]

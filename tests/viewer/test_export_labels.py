@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,31 +18,22 @@ from mast_datasets.tumtraf import read_frames
 from plain_record import CLASSES, PlainRecord, assert_same_boxes
 from vcd import core as vcd
 
-import mast_zenoh as mast
-from mast_zenoh.viewer.export import export
-
 SEEN = 5  # lidar returns
 
 
-@pytest.fixture(scope="module")
-def kitti(recorded: mast.Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("labels") / "kitti"
-    export(recorded.path, "kitti", out)
-    return out
+@pytest.fixture
+def kitti(exported_to: Callable[[str], Path]) -> Path:
+    return exported_to("kitti")
 
 
-@pytest.fixture(scope="module")
-def mot(recorded: mast.Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("labels") / "mot"
-    export(recorded.path, "mot", out)
-    return out
+@pytest.fixture
+def mot(exported_to: Callable[[str], Path]) -> Path:
+    return exported_to("mot")
 
 
-@pytest.fixture(scope="module")
-def openlabel(recorded: mast.Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("labels") / "openlabel"
-    export(recorded.path, "openlabel", out)
-    return out
+@pytest.fixture
+def openlabel(exported_to: Callable[[str], Path]) -> Path:
+    return exported_to("openlabel")
 
 
 def own_object(record: PlainRecord) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,30 +14,25 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 
 import mast_zenoh as mast
-from mast_zenoh.viewer.export import export
 
 
 @pytest.fixture(scope="module")
-def bag(recorded: mast.Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("ros") / "bag"
-    export(recorded.path, "rosbag2", out)
-    return out
-
-
-@pytest.fixture(scope="module")
-def messages(bag: Path) -> dict[str, list[tuple[str, int, Any]]]:
+def messages(exported_to: Callable[[str], Path]) -> dict[str, list[tuple[str, int, Any]]]:
     """By topic: type, time and content of each message."""
     result: dict[str, list[tuple[str, int, Any]]] = defaultdict(list)
-    with AnyReader([bag]) as reader:
+    with AnyReader([exported_to("rosbag2")]) as reader:
         for connection, time, raw in reader.messages():
             content = reader.deserialize(raw, connection.msgtype)
             result[connection.topic].append((connection.msgtype, time, content))
     return result
 
 
-def yaw_of(turn: Any) -> float:
+def box_of(pose: Any, size: Any) -> list[float]:
+    """x y z l w h yaw"""
+    turn = pose.orientation
     assert turn.x == turn.y == 0
-    return float(2 * np.arctan2(turn.z, turn.w))
+    axes = [getattr(of, axis) for of in (pose.position, size) for axis in "xyz"]
+    return [*axes, float(2 * np.arctan2(turn.z, turn.w))]
 
 
 def test_detections_and_markers_are_the_recorded_boxes(messages: Any, record: PlainRecord) -> None:
@@ -47,36 +43,17 @@ def test_detections_and_markers_are_the_recorded_boxes(messages: Any, record: Pl
             assert kind == "vision_msgs/msg/Detection3DArray"
             assert array.header.frame_id == "world"
             assert array.header.stamp.sec * 10**9 + array.header.stamp.nanosec == time
-            each = array.detections
-            detected[frame_of[time]] = (
-                [int(detection.id) for detection in each],
-                [
-                    [
-                        *(getattr(detection.bbox.center.position, axis) for axis in "xyz"),
-                        *(getattr(detection.bbox.size, axis) for axis in "xyz"),
-                        yaw_of(detection.bbox.center.orientation),
-                    ]
-                    for detection in each
-                ],
-            )
+            boxes = [box_of(each.bbox.center, each.bbox.size) for each in array.detections]
+            detected[frame_of[time]] = [int(each.id) for each in array.detections], boxes
         for kind, time, array in messages[f"/{topic}/markers"]:
             assert kind == "visualization_msgs/msg/MarkerArray"
             first, *markers = array.markers
             assert first.action == 3  # removes those of the frame before
-            marked[frame_of[time]] = (
-                [marker.id for marker in markers],
-                [
-                    [
-                        *(getattr(marker.pose.position, axis) for axis in "xyz"),
-                        *(getattr(marker.scale, axis) for axis in "xyz"),
-                        yaw_of(marker.pose.orientation),
-                    ]
-                    for marker in markers
-                ],
-            )
-        assert set(detected) == set(marked) == set(record.frames)
-        assert_same_boxes(detected, record.boxes[name], 1e-9)
-        assert_same_boxes(marked, record.boxes[name], 1e-9)
+            boxes = [box_of(marker.pose, marker.scale) for marker in markers]
+            marked[frame_of[time]] = [marker.id for marker in markers], boxes
+        for found in (detected, marked):
+            assert set(found) == set(record.frames)
+            assert_same_boxes(found, record.boxes[name], 1e-9)
 
 
 def test_detections_have_class_score_and_covariance(messages: Any, record: PlainRecord) -> None:
@@ -115,7 +92,8 @@ def test_transforms_are_the_recorded_poses(messages: Any, record: PlainRecord) -
             assert same == pytest.approx(1.0, abs=1e-12)
 
 
-def test_the_bag_is_compressed(bag: Path) -> None:
+def test_the_bag_is_compressed(exported_to: Callable[[str], Path]) -> None:
+    bag = exported_to("rosbag2")
     with Reader(bag) as reader:
         size = sum(len(raw) for _, _, raw in reader.messages())
-    assert (bag / "bag.mcap").stat().st_size < size / 2
+    assert (bag / f"{bag.name}.mcap").stat().st_size < size / 2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,21 +13,13 @@ from plain_record import PlainRecord, assert_same_boxes
 from rerun.chunk import RrdReader
 
 import mast_zenoh as mast
-from mast_zenoh.viewer.export import export
 
 
 @pytest.fixture(scope="module")
-def exported(recorded: mast.Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("rerun") / "run.rrd"
-    export(recorded.path, "rrd", out)
-    return out
-
-
-@pytest.fixture(scope="module")
-def rows(exported: Path) -> dict[str, list[dict[str, Any]]]:
+def rows(exported_to: Callable[[str], Path]) -> dict[str, list[dict[str, Any]]]:
     """By entity, its rows, with components by name."""
     result: dict[str, list[dict[str, Any]]] = defaultdict(list)
-    for chunk in RrdReader(exported).stream():
+    for chunk in RrdReader(exported_to("rrd")).stream():
         result[chunk.entity_path.lstrip("/")] += chunk.to_record_batch().to_pylist()
     return result
 
@@ -105,8 +98,8 @@ def test_scores_log_and_inserted_objects_are_there(rows: Any, recorded: mast.Run
     assert sum(label.startswith("inserted by") for label in labels) == inserted > 20
 
 
-def test_the_blueprint_shows_entities_of_the_file(exported: Path, rows: Any) -> None:
-    reader = RrdReader(exported)
+def test_the_blueprint_shows_entities_of_the_file(exported_to: Callable[[str], Path], rows: Any) -> None:
+    reader = RrdReader(exported_to("rrd"))
     (blueprint,) = reader.blueprints()
     assert blueprint.application_id == reader.recordings()[0].application_id == "mast-zenoh"
     content = [row for chunk in reader.stream(store=blueprint) for row in without_times(chunk)]

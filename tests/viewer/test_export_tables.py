@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,6 @@ from plain_record import CLASSES, PlainRecord, assert_same_boxes
 from pyarrow import parquet
 
 import mast_zenoh as mast
-from mast_zenoh.viewer.export import export
 
 AXES = ("x", "y", "z", "l", "w", "h", "yaw")
 DEVIATIONS = ("x", "y", "z", "l", "w", "h", "vx", "vy", "vz")
@@ -30,9 +30,9 @@ def csv_rows(path: Path) -> list[dict[str, Any]]:
 
 @pytest.mark.parametrize("form", ["csv", "parquet"])
 def test_the_table_holds_every_object_with_all_its_numbers(
-    recorded: mast.Run, record: PlainRecord, out: Path, form: str
+    exported_to: Callable[[str], Path], record: PlainRecord, form: str
 ) -> None:
-    export(recorded.path, form, out)
+    out = exported_to(form)
     rows = csv_rows(out) if form == "csv" else parquet.read_table(out).to_pylist()
     by_name: dict[str, dict[int, list[dict[str, Any]]]] = {}
     for row in rows:
@@ -61,9 +61,10 @@ def test_the_table_holds_every_object_with_all_its_numbers(
                 np.testing.assert_allclose(deviations**2, variances, rtol=1e-12)
 
 
-def test_outcomes_of_the_table_are_those_of_the_evaluator(recorded: mast.Run, out: Path) -> None:
-    export(recorded.path, "parquet", out)
-    rows = parquet.read_table(out).to_pylist()
+def test_outcomes_of_the_table_are_those_of_the_evaluator(
+    recorded: mast.Run, exported_to: Callable[[str], Path]
+) -> None:
+    rows = parquet.read_table(exported_to("parquet")).to_pylist()
     judged = recorded.objects.to_pylist()
     for agent, estimate, as_agent in (("", "picture", "ego"), ("infra_1", "received", "infra_1")):
         found = sorted(

@@ -62,43 +62,28 @@ def test_rerun_gets_a_recording_and_a_page(recorded: mast.Run) -> None:
         assert process.wait(30) == 0
 
 
-@pytest.mark.parametrize("words", [{"foxglove": True, "rerun": True}, {"other": Path("other"), "rerun": True}])
-def test_a_viewer_shows_one_run(recorded: mast.Run, words: dict[str, Any]) -> None:
-    with pytest.raises(typer.BadParameter, match="expected one"):
-        view.view(str(recorded.path), **words)
-
-
-@pytest.mark.parametrize("status", ["running", "finished"])
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ({"foxglove": True, "browser": True}, "--frame and --open are for this testbed's own page"),
-        ({"rerun": True, "frame": 3}, "--frame and --open are for this testbed's own page"),
-        ({"loop": True}, "--rate and --loop are for --foxglove"),
-        ({"run": "some_id"}, "expected a router, such as tcp/HOST:7447, for --run"),
-    ],
-)
-def test_options_are_refused_alike_for_finished_and_running_runs(
-    words: dict[str, Any], message: str, status: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_options_that_do_not_fit_a_run_are_refused_by_name(
+    recorded: mast.Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(view, "record_of", lambda folder: {"status": status})
-    with pytest.raises(typer.BadParameter, match=message):
-        view.view(str(tmp_path), **words)
+    def refused(message: str, target: Path | str, **words: Any) -> None:
+        with pytest.raises(typer.BadParameter, match=message):
+            view.view(str(target), **words)
 
-
-@pytest.mark.parametrize("words", [{"frame": 3}, {"foxglove": True, "loop": True}, {"foxglove": True, "rate": 2.0}])
-def test_options_of_finished_runs_are_refused_for_running_ones(
-    words: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    refused("expected one", recorded.path, foxglove=True, rerun=True)
+    refused("expected one", recorded.path, other=Path("other"), rerun=True)
+    for status in ("running", "finished"):
+        monkeypatch.setattr(view, "record_of", lambda folder, status=status: {"status": status})
+        own_page = "--frame and --open are for this testbed's own page"
+        refused(own_page, tmp_path, foxglove=True, browser=True)
+        refused(own_page, tmp_path, rerun=True, frame=3)
+        refused("--rate and --loop are for --foxglove", tmp_path, loop=True)
+        refused("expected a router, such as tcp/HOST:7447, for --run", tmp_path, run="some_id")
     monkeypatch.setattr(view, "record_of", lambda folder: {"status": "running"})
-    for target in (str(tmp_path), "tcp/127.0.0.1:1"):
-        with pytest.raises(typer.BadParameter, match="expected a finished one for --frame, --rate and --loop"):
-            view.view(target, **words)
-
-
-def test_two_runs_are_refused_while_one_is_running(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for target in (tmp_path, "tcp/127.0.0.1:1"):
+        for words in ({"frame": 3}, {"foxglove": True, "loop": True}, {"foxglove": True, "rate": 2.0}):
+            refused("expected a finished one for --frame, --rate and --loop", target, **words)
     statuses = {"done": "finished", "busy": "running"}
     monkeypatch.setattr(view, "record_of", lambda folder: {"status": statuses[folder.name]})
-    for target, other in (("done", "busy"), ("busy", "done")):
+    for one, other in (("done", "busy"), ("busy", "done")):
         with pytest.raises(RunFolderError, match="busy: the run is still in progress"):
-            view.view(str(tmp_path / target), tmp_path / other)
+            view.view(str(tmp_path / one), tmp_path / other)

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import http.client
 import io
 import socket
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from browser import chromium
+from own_requests import answer
 from PIL import Image
 from rerun.chunk import RrdReader
 
 import mast_zenoh as mast
 from mast_zenoh.errors import ExportError
-from mast_zenoh.viewer.export import rrd
 from mast_zenoh.viewer.recorded import RecordedRun
 from mast_zenoh.viewer.servers import rerun
 from mast_zenoh.viewer.servers.rerun import FILES, RerunServer, RrdStream, web_viewer_files
@@ -31,24 +30,14 @@ def run(recorded: mast.Run) -> RecordedRun:
     return RecordedRun.load(recorded.path)
 
 
-@pytest.fixture(scope="module")
-def file(run: RecordedRun, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("rerun_server") / "run.rrd"
-    rrd.write(run, path)
-    return path
+@pytest.fixture
+def file(exported_to: Callable[[str], Path]) -> Path:
+    return exported_to("rrd")
 
 
 def started(server: RerunServer) -> RerunServer:
     threading.Thread(target=server.serve_forever, daemon=True).start()
     return server
-
-
-def answer(server: RerunServer, path: str, host: str = "127.0.0.1") -> http.client.HTTPResponse:
-    connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=60)
-    connection.putrequest("GET", path, skip_host=True)
-    connection.putheader("Host", f"{host}:{server.server_port}")
-    connection.endheaders()
-    return connection.getresponse()
 
 
 def frames_in(recording: bytes, path: Path) -> set[int]:
@@ -64,14 +53,14 @@ def frames_in(recording: bytes, path: Path) -> set[int]:
 
 def test_only_the_recording_is_served_and_only_to_this_computer(file: Path) -> None:
     with started(RerunServer(file, {})) as server:
-        response = answer(server, "/run.rrd")
+        response = answer(server.server_port, "/run.rrd")
         assert response.status == 200
         assert response.read() == file.read_bytes()
         assert "default-src 'none'" in (response.getheader("Content-Security-Policy") or "")
         assert server.server_address[0] == "127.0.0.1"
-        assert answer(server, "/run.rrd", host="attacker.example").status == 403
-        assert answer(server, "/../run.json").status == 404
-        assert answer(server, "/").status == 404
+        assert answer(server.server_port, "/run.rrd", host="attacker.example").status == 403
+        assert answer(server.server_port, "/../run.json").status == 404
+        assert answer(server.server_port, "/").status == 404
         server.shutdown()
 
 
@@ -97,12 +86,14 @@ def test_a_growing_recording_reaches_clients_while_the_run_goes_on(run: Recorded
     encoding = threading.Thread(target=stream.encode)
     encoding.start()
     with started(RerunServer(stream, {})) as server:
-        response = answer(server, "/run.rrd")
+        response = answer(server.server_port, "/run.rrd")
         data = response.read(100_000)  # before the run has ended
         live.going_on.set()
         encoding.join(60)
         assert frames_in(data + response.read(), tmp_path / "whole.rrd") == set(range(len(live.frames)))
-        assert frames_in(answer(server, "/run.rrd").read(), tmp_path / "late.rrd") == set(range(len(live.frames)))
+        assert frames_in(answer(server.server_port, "/run.rrd").read(), tmp_path / "late.rrd") == set(
+            range(len(live.frames))
+        )
         server.shutdown()
 
 

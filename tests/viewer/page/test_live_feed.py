@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import http.client
 import json
 import socket
 from collections.abc import Iterator
 
 import pytest
+from own_requests import answer
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
@@ -105,19 +105,11 @@ def test_other_pages_and_other_hosts_may_not_read_frames(server: LiveServer) -> 
         with pytest.raises(InvalidStatus, match="403"):
             connect(address, origin=origin)  # type: ignore[arg-type]
     connect(address, origin=f"http://{own}").close()  # type: ignore[arg-type]
-    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=20)
-    for host, path, status in (
-        ("attacker.example", "/", 403),
-        ("127.0.0.1", "/run.json", 404),
-        ("localhost", "/", 200),
-    ):
-        connection.request("GET", path, headers={"Host": f"{host}:{server.port}"})
-        response = connection.getresponse()
-        response.read()
-        assert response.status == status
-        connection.close()
-        if status == 200:
-            assert "connect-src 'self'" in (response.getheader("Content-Security-Policy") or "")
+    assert answer(server.port, "/", host="attacker.example").status == 403
+    assert answer(server.port, "/run.json").status == 404
+    page = answer(server.port, "/", host="localhost")
+    assert page.status == 200
+    assert "connect-src 'self'" in (page.getheader("Content-Security-Policy") or "")
 
 
 def test_more_pages_than_the_limit_are_refused(server: LiveServer) -> None:
