@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Mapping
-from pathlib import Path
+from dataclasses import replace
 
 import matplotlib.image
 import numpy as np
@@ -46,18 +46,20 @@ def panels(view: Frame) -> Mapping[str, np.ndarray]:
     }
 
 
-@pytest.fixture
-def attacked(run_folder: Callable[..., Path]) -> Frame:
-    view = frame_view(RunRecord.load(run_folder("uncoordinated")), 33)
+def view_of(run: RunRecord, frame: int = 33) -> Frame:
+    view = frame_view(run, frame)
     assert view is not None
     return view
 
 
 @pytest.fixture
-def clean(run_folder: Callable[..., Path]) -> Frame:
-    view = frame_view(RunRecord.load(run_folder()), 33)
-    assert view is not None
-    return view
+def attacked(run_of: Callable[..., RunRecord]) -> Frame:
+    return view_of(run_of("uncoordinated"))
+
+
+@pytest.fixture
+def clean(run_of: Callable[..., RunRecord]) -> Frame:
+    return view_of(run_of())
 
 
 def test_colours_follow_the_paper() -> None:
@@ -92,13 +94,10 @@ def test_missed_and_matched_objects_are_drawn_in_both_panels(clean: Frame) -> No
     assert pixels(drawn["local"], "truth missed") > pixels(drawn["picture"], "truth missed")
 
 
-def test_unevaluated_objects_are_green(run_folder: Callable[..., Path]) -> None:
-    run = RunRecord.load(run_folder())
-    with_one, without = frame_view(run, 27), frame_view(run, 28)
-    assert with_one is not None
-    assert without is not None
-    assert pixels(panels(with_one)["local"], "unevaluated") > 30
-    assert pixels(panels(without)["local"], "unevaluated") == 0
+def test_unevaluated_objects_are_green(run_of: Callable[..., RunRecord]) -> None:
+    with_one, without = (panels(view_of(run_of(), frame))["local"] for frame in (27, 28))
+    assert pixels(with_one, "unevaluated") > 30
+    assert pixels(without, "unevaluated") == 0
 
 
 def test_the_camera_sees_false_objects_ahead_in_the_picture_only(attacked: Frame) -> None:
@@ -128,19 +127,17 @@ def test_four_or_more_runs_use_more_rows(clean: Frame) -> None:
     assert len(seven.axes) == 7
 
 
-def test_counts_are_drawn_from_any_number_of_frames(run_folder: Callable[..., Path]) -> None:
-    run = RunRecord.load(run_folder())
+def test_counts_are_drawn_from_any_number_of_frames(run_of: Callable[..., RunRecord]) -> None:
+    run = run_of()
     assert run.counts is not None
     few = {name: column[:2] for name, column in run.counts.items()}
-    object.__setattr__(run, "counts", few)
-    figure = counts_over_time({"run": run}, 0)
+    figure = counts_over_time({"run": replace(run, counts=few)}, 0)
     assert figure is not None
     assert len(png(figure)) > 5000
 
 
-def test_smoothed_lines_do_not_rise_before_the_attack(run_folder: Callable[..., Path]) -> None:
-    run = RunRecord.load(run_folder("uncoordinated"))
-    figure = counts_over_time({"run": run}, None)
+def test_smoothed_lines_do_not_rise_before_the_attack(run_of: Callable[..., RunRecord]) -> None:
+    figure = counts_over_time({"run": run_of("uncoordinated")}, None)
     assert figure is not None
     bold = next(line for line in figure.axes[1].get_lines() if line.get_label() == "picture")
     time, false = bold.get_xdata(), bold.get_ydata()

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from mast_zenoh.report.figures.drawing import birdseye_figure, camera_figure
 from mast_zenoh.report.figures.view import choose_common_frame, choose_frame, frame_view, window
@@ -35,28 +36,29 @@ def a_run(
     return RunRecord(Path("run"), {}, {}, {}, metrics, counts, None, effects, None)
 
 
-def test_the_worst_frame_since_the_attack_began_is_shown() -> None:
-    assert choose_frame(a_run([(9, 9), (0, 0), (1, 2), (2, 2), (0, 4)], attack=[11, 14])) == 13
+WORST_AT_BOTH_ENDS = [(9, 9), (1, 0), (2, 0), (9, 9)]
+
+
+@pytest.mark.parametrize(
+    ("run", "frame"),
+    [
+        (a_run([(9, 9), (0, 0), (1, 2), (2, 2), (0, 4)], attack=[11, 14]), 13),  # the worst since the attack began
+        (a_run([(1, 0), (1, 0), (3, 0)], local=[(4, 0), (6, 0), (7, 0)]), 11),  # without an attack, the best
+        (a_run([(1, 0), (0, 0), (0, 0)], local=[(1, 0), (2, 0), (9, 0)], attack=[50]), 12),
+        (a_run(WORST_AT_BOTH_ENDS, attack=[10], scored=(11, 12)), 12),
+        (a_run(WORST_AT_BOTH_ENDS, scored=(11, 12)), 11),
+        (a_run([(9, 9)] * 2, scored=(20, 30)), None),
+    ],
+)
+def test_the_scored_frame_with_the_largest_effect_of_the_attack_or_benefit_is_shown(
+    run: RunRecord, frame: int | None
+) -> None:
+    assert choose_frame(run) == frame
 
 
 def test_with_a_baseline_the_frame_with_the_largest_difference_is_shown() -> None:
     baseline = a_run([(0, 0), (0, 0), (0, 0), (4, 0), (0, 1)])
     assert choose_frame(a_run([(0, 0), (0, 0), (1, 2), (4, 1), (0, 5)], attack=[11]), baseline) == 14
-
-
-def test_without_an_attack_the_frame_with_the_largest_benefit_is_shown() -> None:
-    assert choose_frame(a_run([(1, 0), (1, 0), (3, 0)], local=[(4, 0), (6, 0), (7, 0)])) == 11
-
-
-def test_attack_outside_scored_frames_does_not_affect_the_choice() -> None:
-    assert choose_frame(a_run([(1, 0), (0, 0), (0, 0)], local=[(1, 0), (2, 0), (9, 0)], attack=[50])) == 12
-
-
-def test_an_unscored_frame_is_never_chosen() -> None:
-    worst_first_and_last = [(9, 9), (1, 0), (2, 0), (9, 9)]
-    assert choose_frame(a_run(worst_first_and_last, attack=[10], scored=(11, 12))) == 12
-    assert choose_frame(a_run(worst_first_and_last, scored=(11, 12))) == 11
-    assert choose_frame(a_run([(9, 9)] * 2, scored=(20, 30))) is None
 
 
 def test_a_frame_in_which_effects_are_unsettled_is_never_chosen() -> None:

@@ -34,20 +34,20 @@ def test_two_parameters_make_a_curve_for_each_value_of_the_second() -> None:
     assert all(len({row.point["n_adversaries"] for row in curve.rows}) == 1 for curve in panel.curves)
 
 
-def test_two_numeric_parameters_of_four_values_make_a_heat_map() -> None:
-    (panel,) = panels([BASELINE, *grid("a", n=(1, 2, 3, 4), fp=(1.0, 2.0, 5.0, 10.0))], "baseline")
-    assert (panel.x, panel.y) == ("n", "fp")
-    (panel,) = panels([BASELINE, *grid("a", n=(1, 2, 3, 4), kind=("k", "l", "m", "o"))], "baseline")
-    assert panel.y == "", "categories have no order"
-
-
-def test_a_numeric_parameter_is_on_the_x_axis_and_categories_are_not_connected() -> None:
-    (panel,) = panels([BASELINE, *grid("a", kind=("far", "near", "all"), n=(1, 2))], "baseline")
-    assert (panel.x, panel.numeric) == ("n", True)
-    (panel,) = panels([BASELINE, *grid("a", kind=("far", "near"))], "baseline")
-    assert (panel.x, panel.ticks, panel.numeric) == ("kind", ("far", "near"), False)
-    (panel,) = panels([BASELINE, *grid("a", on=(True, False))], "baseline")
-    assert not panel.numeric
+@pytest.mark.parametrize(
+    ("values", "x", "y", "numeric"),
+    [
+        (dict(n=(1, 2, 3, 4), fp=(1.0, 2.0, 5.0, 10.0)), "n", "fp", True),  # a heat map
+        (dict(n=(1, 2, 3, 4), kind=("k", "l", "m", "o")), "n", "", True),  # categories have no order
+        (dict(kind=("far", "near", "all"), n=(1, 2)), "n", "", True),
+        (dict(kind=("far", "near")), "kind", "", False),
+        (dict(on=(True, False)), "on", "", False),
+    ],
+)
+def test_numbers_are_on_the_x_axis_and_categories_are_not_connected(values, x: str, y: str, numeric: bool) -> None:
+    (panel,) = panels([BASELINE, *grid("a", **values)], "baseline")
+    assert (panel.x, panel.y, panel.numeric) == (x, y, numeric)
+    assert y or panel.ticks == values[x]
 
 
 def test_additional_parameters_make_a_panel_for_each_choice() -> None:
@@ -77,22 +77,17 @@ def test_every_configuration_is_shown_exactly_once(grids, count: int) -> None:
     assert len(labels) == count + 1
 
 
-@pytest.mark.parametrize(
-    ("parameter", "label"),
-    [
-        ("n_adversaries", "number of adversaries"),
-        ("attack_start_s", "attack start (s)"),
-        ("command_center.pipeline.clustering.assign_radius_m", "clustering assign radius (m)"),
-        ("fraction_false_negatives", "fraction false negatives"),
-    ],
-)
-def test_parameters_are_labelled_in_words_with_their_unit(parameter: str, label: str) -> None:
-    assert label_of(parameter) == label
+def test_parameters_are_labelled_in_words_with_their_unit() -> None:
+    labels = {
+        "n_adversaries": "number of adversaries",
+        "attack_start_s": "attack start (s)",
+        "command_center.pipeline.clustering.assign_radius_m": "clustering assign radius (m)",
+        "fraction_false_negatives": "fraction false negatives",
+    }
+    assert {parameter: label_of(parameter) for parameter in labels} == labels
 
 
 def test_figures_are_reproducible_and_state_their_sample(monkeypatch: pytest.MonkeyPatch) -> None:
-    from mast_zenoh.report.figures import study
-
     rows = [BASELINE, *grid("a", n=(1, 2), fp=(1.0, 5.0, 20.0)), *grid("b", n=(1, 2, 3, 4), fp=(1.0, 2.0, 5.0, 9.0))]
     drawn = []
     pictures = study._draw
@@ -121,8 +116,6 @@ def test_figures_are_reproducible_and_state_their_sample(monkeypatch: pytest.Mon
 def test_figures_explain_missing_bars(
     monkeypatch: pytest.MonkeyPatch, seeds: int, half: float, footer: str, caption: str
 ) -> None:
-    from mast_zenoh.report.figures import study
-
     added = {Series("ego", "picture", "fp_iob"): estimate(2.0, half, seeds=seeds)}
     rows = [BASELINE, StudyRow("a", "a", {}, added)]
     footers = []

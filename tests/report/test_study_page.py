@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from parsed_page import Page
 from study_samples import BASELINE, facts, grid
 
 from mast_zenoh.metrics.study_results import FailedTrial
@@ -19,25 +19,6 @@ FAILED = [
     )
     for seed in range(12)
 ]
-
-
-class Page(HTMLParser):
-    """Tags, links and visible text of a page."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__()
-        self.source = path.read_text("utf-8")
-        self.tags: list[str] = []
-        self.links: list[str] = []
-        self.text = ""
-        self.feed(self.source)
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append(tag)
-        self.links += [value or "" for name, value in attrs if name in ("src", "href", "srcset")]
-
-    def handle_data(self, data: str) -> None:
-        self.text += data
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from collections.abc import Callable
@@ -83,16 +84,17 @@ def written(path: Path, text: str, after: str = "time") -> Path:
     return path
 
 
-@pytest.mark.parametrize("after", ["scores", "nodes"])
-def test_a_figure_follows_the_section_that_it_names(run_folder: Folder, tmp_path: Path, after: str) -> None:
-    file = written(tmp_path / f"figures_{after}.py", FIGURES, after)
-    page = write_report(run_folder(), figures=[file]).read_text()
-    assert '<h2 id="blank">Blank</h2>' in page
-    assert page.count("An empty chart of &lt;frame&gt; numbers.") == 2, "caption and alternative text, escaped"
-    headings = [part.split('"')[0] for part in page.split('<h2 id="')[1:]]
-    assert headings.index("blank") == headings.index(after) + 1
-    assert "nothing_to_show" not in page
-    assert "Unfinished" not in page
+def test_a_figure_follows_the_section_that_it_names(run_folder: Folder, tmp_path: Path) -> None:
+    folder = run_folder()
+    for after in ("scores", "nodes"):
+        file = written(tmp_path / f"figures_{after}.py", FIGURES, after)
+        page = write_report(folder, figures=[file]).read_text()
+        assert '<h2 id="blank">Blank</h2>' in page
+        assert page.count("An empty chart of &lt;frame&gt; numbers.") == 2, "caption and alternative text, escaped"
+        headings = [part.split('"')[0] for part in page.split('<h2 id="')[1:]]
+        assert headings.index("blank") == headings.index(after) + 1
+        assert "nothing_to_show" not in page
+        assert "Unfinished" not in page
 
 
 def test_a_report_without_user_figures_is_unchanged(run_folder: Folder, tmp_path: Path) -> None:
@@ -123,26 +125,26 @@ def test_a_later_report_shows_what_was_drawn_before(run_folder: Folder, tmp_path
     assert write_report(folder).read_bytes() == first
 
 
-@pytest.mark.parametrize(
-    "content",
-    [
-        "no JSON",
-        "{}",
-        "[1]",
-        '[{"name": "../../secret", "heading": "", "after": "time", "alt": "", "caption": ""}]',
-        '[{"name": "text", "heading": "", "after": "time", "alt": "", "caption": ""}]',
-        '[{"name": "absent", "heading": "", "after": "time", "alt": "", "caption": ""}]',
-        '[{"name": "birdseye", "heading": 1, "after": "time", "alt": "", "caption": ""}]',
-        '[{"name": "birdseye", "heading": "", "after": "elsewhere", "alt": "", "caption": ""}]',
-    ],
-)
-def test_a_broken_list_of_earlier_figures_is_left_out(run_folder: Folder, tmp_path: Path, content: str) -> None:
-    folder = run_folder()
+def test_a_broken_list_of_earlier_figures_is_left_out(run_folder: Folder, tmp_path: Path) -> None:
+    folder, good = run_folder(), {"name": "birdseye", "heading": "", "after": "time", "alt": "", "caption": ""}
     (tmp_path / "secret.png").write_bytes(PNG)
     for name, picture in (("text", b"no picture"), ("birdseye", PNG)):
         (folder / "figures" / f"{name}.png").write_bytes(picture)
-    (folder / "figures" / "user_figures.json").write_text(content)
-    assert user_figures(FigureContext(RunRecord.load(folder), None)) == []
+
+    def shown(content: str) -> int:
+        (folder / "figures" / "user_figures.json").write_text(content)
+        return len(user_figures(FigureContext(RunRecord.load(folder), None)))
+
+    assert shown(json.dumps([good])) == 1
+    for broken in (
+        {"name": "../../secret"},
+        {"name": "text"},
+        {"name": "absent"},
+        {"heading": 1},
+        {"after": "nowhere"},
+    ):
+        assert shown(json.dumps([good | broken])) == 0, broken
+    assert [shown(content) for content in ("no JSON", "{}", "[1]")] == [0, 0, 0]
 
 
 def test_a_figure_that_cannot_be_drawn_is_named_with_the_reason(run_folder: Folder, tmp_path: Path) -> None:
