@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import itertools
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
-from attack_worlds import SECOND, world
+from attack_worlds import SECOND, at, coverage_of, world
 from hypothesis import given
 from hypothesis import strategies as st
 
 from mast_zenoh.arrays.states import propagate
 from mast_zenoh.attacks import Surroundings
 from mast_zenoh.attacks.adaptive import SAVED_S, AdaptiveAttack, Budget, Lies, Moment
+from mast_zenoh.attacks.following import Follower
 from mast_zenoh.attacks.phantoms import BlindSpot, Sleeper
-from mast_zenoh.attacks.real_objects import Framing, Overconfidence, Replay, SlowDrift, StatePerturbation
+from mast_zenoh.attacks.real_objects import ChosenObjects, Framing, Overconfidence, Replay, SlowDrift, StatePerturbation
 from mast_zenoh.testing import check_attack
 
 
@@ -107,3 +112,17 @@ def test_framing_without_anybody_to_frame_is_honest() -> None:
     attack.inform(Surroundings())
     attack.bind(0, "adversary_1")
     assert all(len(attack.step(f, f * SECOND // 10, world(12), np.zeros(3)).report) == 0 for f in range(20))
+
+
+def test_an_object_that_is_chosen_already_is_not_chosen_again() -> None:
+    follower, numbers = Follower(3.0), itertools.count()
+    budget: Any = SimpleNamespace()
+    chosen = ChosenObjects(follower, budget, lambda n: np.array([next(numbers) for _ in range(n)]))
+    seen = at((0.0, 0.0), (20.0, 0.0), id=np.arange(2))
+    coverage, rows = coverage_of(np.zeros(3)), []
+    for frame, allowed in enumerate((1, 2)):
+        budget.admit = lambda active, wanted, allowed=allowed: allowed
+        follower.observe(seen, frame * SECOND)
+        moment = Moment(frame, frame * SECOND, 1.0, seen, np.ones(2, bool), coverage, np.zeros(3))
+        rows.append(chosen.update(moment, np.array([0.0, 1.0]))[1].tolist())
+    assert rows == [[0], [0, 1]]

@@ -122,7 +122,8 @@ def gated_pairs(random, n, m):
     i, j = pairs(random, n, m)
     dx, dy = (position[j, axis] - t[i, axis] for axis in (0, 1))
     boxes = position, covariances(random, m, 6), random.integers(0, 7, m)
-    model = association.AssociationModel(random.uniform(0, 2, 7), -4.6, -9.9, classes.CONFUSION)
+    jump = random.uniform(0, random.choice([2.0, 200.0]), 7)
+    model = association.AssociationModel(jump, -4.6, -9.9, classes.CONFUSION)
     return t, random.uniform(0.1, 0.98, n), boxes, (i, j, dx, dy), association.GATE, model
 
 
