@@ -32,29 +32,25 @@ def labels(clusterer: Clusterer, rows: list[tuple[float, float, float, float]], 
     return clusterer.cluster(tracks(rows, young), np.arange(len(rows))).tolist()
 
 
-@pytest.mark.parametrize("clusterer", CLUSTERERS)
-def test_two_levels_of_a_bridge_are_two_objects(clusterer):
-    assert labels(clusterer, [(0, 0, 0.8, 10), (0.3, 0, 6.3, 10), (0.1, 0.2, 0.7, 10)]) == [0, 1, 0]
+SAME_WAY, ONCOMING = (0, 0, 0.8, 12), (0.3, 1.6, 0.8, -12)
+GATED = {
+    "two levels of a bridge": ([(0, 0, 0.8, 10), (0.3, 0, 6.3, 10), (0.1, 0.2, 0.7, 10)], (), [0, 1, 0]),
+    "vehicles that pass in opposite directions": ([SAME_WAY, ONCOMING, (0.1, 0.2, 0.8, 12)], (), [0, 1, 0]),
+    "a track that has jumped to an oncoming vehicle, between the good ones": (
+        [(0.5, 0, 0.8, 12), (0, 0, 0.8, -12), (1.0, 0, 0.8, -12), (0.2, 0.3, 0.8, -12)], (), [0, 1, 1, 1],
+    ),
+    "a young track that agrees with others than the nearest": (
+        [SAME_WAY, (0.1, 0, 0.8, -9), (0.6, 0, 0.8, -12), (0.6, 0.2, 0.8, -12)], (1,), [0, 1, 1, 1],
+    ),
+    "an uncertain velocity": ([SAME_WAY, (0.2, 0, 0.8, 0)], (1,), [0, 0]),
+    "a certain velocity": ([SAME_WAY, (0.2, 0, 0.8, 0)], (), [0, 1]),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("clusterer", CLUSTERERS)
-def test_vehicles_that_pass_in_opposite_directions_are_two_objects(clusterer):
-    assert labels(clusterer, [(0, 0, 0.8, 12), (0.3, 1.6, 0.8, -12), (0.1, 0.2, 0.8, 12)]) == [0, 1, 0]
-
-
-@pytest.mark.parametrize("clusterer", CLUSTERERS)
-def test_a_track_that_has_jumped_to_an_oncoming_vehicle_stays_alone_and_divides_nobody(clusterer):
-    """It lies between the good tracks, nearer to each than they are to each other."""
-    assert labels(clusterer, [(0.5, 0, 0.8, 12), (0, 0, 0.8, -12), (1.0, 0, 0.8, -12), (0.2, 0.3, 0.8, -12)]) == [
-        0, 1, 1, 1,
-    ]  # fmt: skip
-
-
-@pytest.mark.parametrize("clusterer", CLUSTERERS)
-def test_a_young_track_joins_the_ones_that_it_agrees_with_not_the_nearest(clusterer):
-    """Its velocity is so uncertain that it could be of either object."""
-    rows = [(0, 0, 0.8, 12), (0.1, 0, 0.8, -9), (0.6, 0, 0.8, -12), (0.6, 0.2, 0.8, -12)]
-    assert labels(clusterer, rows, young=(1,)) == [0, 1, 1, 1]
+@pytest.mark.parametrize(("rows", "young", "expected"), GATED.values(), ids=GATED)
+def test_tracks_are_of_one_object_where_position_height_and_velocity_agree(clusterer, rows, young, expected):
+    assert labels(clusterer, rows, young) == expected
 
 
 @pytest.mark.parametrize("clusterer", CLUSTERERS)
@@ -65,14 +61,8 @@ def test_agents_with_a_small_pose_error_still_share_their_objects(clusterer):
     assert clusterer.cluster(honest, np.arange(3)).tolist() == [0, 0, 0]
 
 
-@pytest.mark.parametrize("clusterer", CLUSTERERS)
-def test_an_uncertain_velocity_divides_nobody(clusterer):
-    assert labels(clusterer, [(0, 0, 0.8, 12), (0.2, 0, 0.8, 0)], young=(1,)) == [0, 0]
-    assert labels(clusterer, [(0, 0, 0.8, 12), (0.2, 0, 0.8, 0)]) == [0, 1]
-
-
 def test_the_gate_is_a_parameter():
-    rows = [(0, 0, 0.8, 12.0), (0.3, 1.6, 0.8, -12.0)]
+    rows = [SAME_WAY, ONCOMING]
     assert labels(SampledAssignmentClusterer(gate=np.inf), rows) == [0, 0]
     assert labels(DBSCANClusterer(gate=np.inf), rows) == [0, 0]
     assert labels(SampledAssignmentClusterer(bias_mps=20.0), rows) == [0, 0]

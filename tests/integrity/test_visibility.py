@@ -12,35 +12,29 @@ def seen(place: tuple[float, float], *views: SweptView | None, error: float = 0.
     return sightings(np.array([[*place, 0.75]]), np.array([CAR]), np.zeros(1), views, np.array([error]))
 
 
-def test_a_free_place_is_seen_through_and_an_object_is_not() -> None:
-    found = seen((20.0, 0.0), view((0.0, 0.0)), view((0.0, 0.0), (20.0, 0.0, 2.3)))
-    assert found.fully_clear.tolist() == [[True, False]]
-    assert found.in_view.tolist() == [[True, True]]
+HERE = (0.0, 0.0)
+OLD = SweptView(view(HERE).view, view(HERE).free, age_s=2 * MAX_AGE_S)
+CASES = {
+    "a free place": ((20.0, 0.0), view(HERE), 0.0, (True, True)),
+    "an object": ((20.0, 0.0), view(HERE, (20.0, 0.0, 2.3)), 0.0, (True, False)),
+    "behind a wall": ((20.0, 0.0), view(HERE, (10.0, 0.0, 5.0)), 0.0, (False, False)),
+    "an object that is a little displaced": ((20.0, 1.5), view(HERE, (20.0, 0.0, 1.0)), 0.0, (None, False)),
+    "an object that is displaced": ((20.0, 6.0), view(HERE, (20.0, 0.0, 1.0)), 0.0, (None, True)),
+    "beside an object": ((20.0, 4.0), view(HERE, (20.0, 0.0, 1.0)), 0.0, (None, True)),
+    "beside an object, at an uncertain position": ((20.0, 4.0), view(HERE, (20.0, 0.0, 1.0)), 3.0, (None, False)),
+    "far away": ((FAR_M + 5.0, 0.0), view(HERE), 0.0, (None, False)),
+    "the own carrier": ((1.0, 0.0), view(HERE), 0.0, (None, False)),
+    "in an old view": ((20.0, 0.0), OLD, 0.0, (False, False)),
+    "without a view": ((20.0, 0.0), None, 0.0, (False, False)),
+}
 
 
-def test_what_stands_behind_a_wall_is_out_of_view() -> None:
-    found = seen((20.0, 0.0), view((0.0, 0.0), (10.0, 0.0, 5.0)))
-    assert not found.in_view.any()
-    assert not found.fully_clear.any()
-
-
-def test_an_object_that_is_a_little_displaced_is_not_seen_through() -> None:
-    assert not seen((20.0, 1.5), view((0.0, 0.0), (20.0, 0.0, 1.0))).fully_clear.any()
-    assert seen((20.0, 6.0), view((0.0, 0.0), (20.0, 0.0, 1.0))).fully_clear.all()
-
-
-def test_an_uncertain_position_is_given_more_room() -> None:
-    assert seen((20.0, 4.0), view((0.0, 0.0), (20.0, 0.0, 1.0))).fully_clear.all()
-    assert not seen((20.0, 4.0), view((0.0, 0.0), (20.0, 0.0, 1.0)), error=3.0).fully_clear.any()
-
-
-def test_far_objects_the_own_carrier_and_old_views_show_nothing() -> None:
-    assert not seen((FAR_M + 5.0, 0.0), view((0.0, 0.0))).fully_clear.any()
-    assert not seen((1.0, 0.0), view((0.0, 0.0))).fully_clear.any()
-    current = view((0.0, 0.0))
-    old = SweptView(current.view, current.free, age_s=2 * MAX_AGE_S)
-    assert not seen((20.0, 0.0), old).in_view.any()
-    assert not seen((20.0, 0.0), None).in_view.any()
+@pytest.mark.parametrize(("place", "swept", "error", "expected"), CASES.values(), ids=CASES)
+def test_what_a_view_shows_of_a_place(place, swept: SweptView | None, error: float, expected) -> None:
+    found = seen(place, swept, error=error)
+    in_view, fully_clear = expected
+    assert found.fully_clear.tolist() == [[fully_clear]]
+    assert in_view is None or found.in_view.tolist() == [[in_view]]
 
 
 def test_views_are_unchanged_by_their_messages() -> None:

@@ -30,29 +30,44 @@ def withheld(stage: Integrity, *batches: Batch) -> bool:
     return bool(assessment.objects.withheld[0])
 
 
-def test_k_of_the_agents_that_should_see_an_object_must_report_it() -> None:
-    assert withheld(KOfN(), batch(at_origin("a"), AGENTS, FULL)), "one of four"
-    assert not withheld(KOfN(), batch(at_origin("a", "b"), AGENTS, FULL)), "two of four"
-    assert withheld(KOfN(k=3), batch(at_origin("a", "b"), AGENTS, FULL)), "two of four, and three are needed"
-    assert not withheld(KOfN(k=3), batch(at_origin("a", "b"), AGENTS, {"a": FULL["a"]})), "both that should see it"
-    assert not withheld(KOfN(), batch(at_origin("a"), AGENTS, {"a": FULL["a"]})), "the only one that should see it"
+def looking(name: str, distance_m: float) -> dict:
+    return {"a": FULL["a"], name: view((distance_m, 0.0), (0.0, 0.0, 2.0))}
 
 
-def test_agents_that_see_free_space_vote_against() -> None:
-    views = {**FULL, "d": EMPTY["d"]}
-    assert withheld(KOfN(), batch(at_origin("a", "b"), AGENTS, views)), "two for, one against"
-    assert not withheld(KOfN(), batch(at_origin("a", "b", "c"), AGENTS, views)), "three for, one against"
+HIDDEN = {"a": FULL["a"], "b": view(PLACES["b"], (10.0, 0.0, 2.0))}
+DECISIONS = {
+    "one of four": (KOfN, {}, "a", FULL, True),
+    "two of four": (KOfN, {}, "ab", FULL, False),
+    "two of four, and three are needed": (KOfN, dict(k=3), "ab", FULL, True),
+    "both that should see it": (KOfN, dict(k=3), "ab", {"a": FULL["a"]}, False),
+    "the only one that should see it": (KOfN, {}, "a", {"a": FULL["a"]}, False),
+    "two for, one against": (KOfN, {}, "ab", {**FULL, "d": EMPTY["d"]}, True),
+    "three for, one against": (KOfN, {}, "abc", {**FULL, "d": EMPTY["d"]}, False),
+    "hidden from the other": (KOfN, {}, "a", HIDDEN, False),
+    "too far from the other": (KOfN, {}, "a", looking("b", 75.0), False),
+    "near the other": (KOfN, {}, "a", looking("b", 60.0), True),
+    "one against three that see through it": (FreeSpace, {}, "a", {**EMPTY, "a": FULL["a"]}, True),
+    "its own view contradicts it": (FreeSpace, {}, "a", {"a": EMPTY["a"]}, True),
+    "rays end at it": (FreeSpace, {}, "a", FULL, False),
+    "a tie": (FreeSpace, {}, "ab", {"c": EMPTY["c"], "d": EMPTY["d"]}, False),
+    "more witnesses than liars": (FreeSpace, {}, "ab", {"a": FULL["a"], "b": FULL["b"], "c": EMPTY["c"]}, False),
+    "a vote without views": (KOfN, {}, "a", {}, False),
+    "free space without views": (FreeSpace, {}, "a", {}, False),
+}
 
 
-def test_an_agent_is_not_expected_to_see_what_is_hidden_or_too_far() -> None:
-    hidden = {"a": FULL["a"], "b": view(PLACES["b"], (10.0, 0.0, 2.0))}
-    assert not withheld(KOfN(), batch(at_origin("a"), AGENTS, hidden))
-    far = {"a": FULL["a"], "b": view((75.0, 0.0), (0.0, 0.0, 2.0))}
-    assert not withheld(KOfN(), batch(at_origin("a"), AGENTS, far))
-    near = {"a": FULL["a"], "b": view((60.0, 0.0), (0.0, 0.0, 2.0))}
-    assert withheld(KOfN(), batch(at_origin("a"), AGENTS, near))
+@pytest.mark.parametrize(("stage", "parameters", "reporters", "views", "expected"), DECISIONS.values(), ids=DECISIONS)
+def test_an_object_is_withheld_if_too_few_report_it_or_more_see_through_it(
+    stage: type[Integrity], parameters: dict, reporters: str, views: dict, expected: bool
+) -> None:
+    judge = stage(**parameters)
+    assert withheld(judge, batch(at_origin(*reporters), AGENTS, views)) is expected
+    assert judge.assess(batch([], AGENTS, frame=1)).objects.trust.shape == (0,)
+
+
+def test_a_small_object_is_not_expected_where_a_car_is() -> None:
     pedestrian = {0: (0.6, 0.6, 1.75)}
-    assert not withheld(KOfN(), batch(at_origin("a"), AGENTS, near, size=pedestrian)), "a car has as many returns"
+    assert not withheld(KOfN(), batch(at_origin("a"), AGENTS, looking("b", 60.0), size=pedestrian))
 
 
 def test_small_objects_are_expected_at_the_range_at_which_they_have_as_many_returns_as_a_car() -> None:
@@ -60,13 +75,6 @@ def test_small_objects_are_expected_at_the_range_at_which_they_have_as_many_retu
         np.zeros((3, 3)), np.zeros((3, 3)), np.array([[4.5, 1.8, 1.5], [0.5, 0.45, 1.5], [12.0, 2.5, 3.0]]), np.zeros(3)
     )
     assert boxes.sight_range(70.0) == pytest.approx([70.0, 35.0, 70.0])
-
-
-def test_an_object_is_withheld_where_more_agents_see_through_it_than_report_it() -> None:
-    assert withheld(FreeSpace(), batch(at_origin("a"), AGENTS, {**EMPTY, "a": FULL["a"]})), "one against three"
-    assert withheld(FreeSpace(), batch(at_origin("a"), AGENTS, {"a": EMPTY["a"]})), "its own view contradicts it"
-    assert not withheld(FreeSpace(), batch(at_origin("a"), AGENTS, FULL))
-    assert not withheld(FreeSpace(), batch(at_origin("a", "b"), AGENTS, {"c": EMPTY["c"], "d": EMPTY["d"]})), "a tie"
 
 
 def test_a_dispute_between_two_agents_counts_against_neither() -> None:
@@ -95,11 +103,6 @@ def test_one_claim_accuses_nobody_of_a_removal() -> None:
     for frame in range(20):
         assessment = stage.assess(batch(at_origin("a"), AGENTS, FULL, frame=frame))
     assert assessment.agents.mean[1:].tolist() == [0.5] * 3
-
-
-def test_liars_cannot_remove_what_more_witnesses_report() -> None:
-    views = {"a": FULL["a"], "b": FULL["b"], "c": EMPTY["c"]}
-    assert not withheld(FreeSpace(), batch(at_origin("a", "b"), AGENTS, views))
 
 
 def test_a_claim_in_the_agents_own_free_space_is_left_out_of_the_fusion() -> None:
@@ -146,12 +149,6 @@ def test_an_old_view_shows_where_an_object_was() -> None:
     assert not seen_through(ClusterBoxes.of(moving), moving.views).any()
     standing = batch(at_origin("a"), AGENTS, {"d": old})
     assert seen_through(ClusterBoxes.of(standing), standing.views).tolist() == [[False, False, False, True]]
-
-
-@pytest.mark.parametrize("stage", [KOfN(), FreeSpace()])
-def test_without_views_every_object_is_accepted(stage: Integrity) -> None:
-    assert not withheld(stage, batch(at_origin("a"), AGENTS))
-    assert stage.assess(batch([], AGENTS, frame=1)).objects.trust.shape == (0,)
 
 
 def test_a_record_counts_an_object_once_a_second_and_forgets() -> None:
