@@ -70,10 +70,8 @@ class Mate(Integrity):
         self.reset()
 
     def reset(self) -> None:
-        self._objects = ObjectMemory(forget_s=self.return_s)
-        self._agents = AgentMemory(forget_s=self.return_s)
-        self._object_trust: Floats = np.zeros((0, 2))  # alpha, beta
-        self._agent_trust: Floats = np.zeros((0, 2))
+        self._objects = ObjectMemory(forget_s=self.return_s, trust=(PRIOR, PRIOR))  # alpha, beta
+        self._agents = AgentMemory(forget_s=self.return_s, trust=(PRIOR, PRIOR))
         self._frames_in_view: Ints = np.zeros((0, 0), np.int64)  # of each object, for each agent, without a break
         self._last_ns: int | None = None
 
@@ -88,21 +86,21 @@ class Mate(Integrity):
         assigned = self._assigned(batch, boxes)
         itself = ~assigned & (seen.distance < SELF_M)
         silent = ~assigned & ~itself & seen.in_view & (seen.distance <= RANGE_M)
-        weight = silence_weight(frames, seen.distance, self._objects.frames[objects])
+        weight = silence_weight(frames, seen.distance, self._objects.of.frames[objects])
         scale = min(elapsed / self.independent_s, 1.0) if self.independent_s else 1.0
 
-        object_trust, agent_trust = self._object_trust[objects], self._agent_trust[agents]
+        object_trust, agent_trust = self._objects.of.trust[objects], self._agents.of.trust[agents]
         about_agents = agent_evidence(object_trust, assigned, silent, weight)
         about_objects = object_evidence(agent_trust, assigned, itself, silent, weight)
-        self._object_trust = forgotten(self._object_trust, elapsed / self.return_s)
-        self._agent_trust = forgotten(self._agent_trust, elapsed / self.return_s)
-        self._agent_trust[agents] += scale * increments(*about_agents, AGENT_BIAS, AGENT_THRESHOLD, axis=0)
+        self._objects.of.trust = forgotten(self._objects.of.trust, elapsed / self.return_s)
+        self._agents.of.trust = forgotten(self._agents.of.trust, elapsed / self.return_s)
+        self._agents.of.trust[agents] += scale * increments(*about_agents, AGENT_BIAS, AGENT_THRESHOLD, axis=0)
         # An object with a single piece of evidence is not updated: an agent must not confirm itself.
         several = (assigned | itself | silent).sum(axis=1) > 1
         gained = increments(*about_objects, TRACK_BIAS, TRACK_THRESHOLD, axis=1)
-        self._object_trust[objects] += scale * gained * several[:, None]
+        self._objects.of.trust[objects] += scale * gained * several[:, None]
 
-        trust = mean(self._object_trust[objects])
+        trust = mean(self._objects.of.trust[objects])
         judged = ObjectTrust(
             trust,
             (assigned | itself | silent).sum(axis=1),
@@ -110,14 +108,12 @@ class Mate(Integrity):
             silent.sum(axis=1),
             np.asarray(trust < self.keep),
         )
-        return Assessment(None, AgentTrust.of(mean(self._agent_trust[agents])), judged)
+        return Assessment(None, AgentTrust.of(mean(self._agents.of.trust[agents])), judged)
 
     def _meet(self, batch: Batch, boxes: ClusterBoxes) -> tuple[Ints, Ints]:
         """Rows of the clusters (c,) and agents (a,); carries what is remembered of them."""
         objects = self._objects.follow(batch.time_ns, boxes.position, boxes.velocity)
         agents = self._agents.meet(batch.time_ns, batch.agents)
-        self._object_trust = self._objects.carry(self._object_trust, PRIOR)
-        self._agent_trust = self._agents.carry(self._agent_trust, PRIOR)
         self._frames_in_view = self._agents.carry(self._objects.carry(self._frames_in_view, 0), 0, axis=1)
         return objects, agents
 

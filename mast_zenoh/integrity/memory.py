@@ -1,15 +1,16 @@
 """What a stage remembers of objects and agents from batch to batch, and how often agents' claims have held up.
 
-Both memories give each object or agent a row. The rows of the next batch may be others: `carry` takes a stage's own
-arrays along.
+Both memories give each object or agent a row. The rows of the next batch may be others: a stage's own columns, named
+with their first values, are taken along, and `carry` does so with any array.
 
+    memory = ObjectMemory(doubt=0.0)                    # one value for each remembered object
     rows = memory.follow(time_ns, boxes.position, boxes.velocity)
-    self._doubt = memory.carry(self._doubt, new=0.0)    # one value for each remembered object
-    self._doubt[rows] += doubt                          # of the clusters of this batch
+    memory.of.doubt[rows] += doubt                      # of the clusters of this batch
 """
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -27,13 +28,22 @@ MAX_AGENTS = 1024
 _Number = TypeVar("_Number", bound=np.generic)
 
 
-class _Rows:
-    """Rows that are kept, dropped and added.
+#: First value of a column of times: that of the batch, ns.
+NOW = object()
 
-    origin: (m,) int64, the row of each before the last update; -1: new
+
+class _Rows:
+    """Rows that are kept, dropped and added, with columns of values.
+
+    columns: by name, the value of a row that was not there before, a number, several or NOW
+
+    origin: (m,) int64, the row of each before the last update; -1: new;  of: the columns, (m, ...) each
     """
 
-    def __init__(self) -> None:
+    def __init__(self, **columns: Any) -> None:
+        self._columns = columns
+        firsts = {name: np.asarray(0 if first is NOW else first) for name, first in columns.items()}
+        self.of = SimpleNamespace(**{name: np.zeros((0, *each.shape), each.dtype) for name, each in firsts.items()})
         self.origin: Ints = np.zeros(0, np.int64)
         self._unchanged = False  # whether all rows are the same as before the last update
 
@@ -53,6 +63,10 @@ class _Rows:
         after[known] = values[self.origin[known]]
         return np.moveaxis(after, 0, axis)
 
+    def _carry_columns(self, time_ns: int) -> None:
+        for name, first in self._columns.items():
+            setattr(self.of, name, self.carry(getattr(self.of, name), time_ns if first is NOW else first))
+
 
 class ObjectMemory(_Rows):
     """Follows clusters from batch to batch by predicted position, the nearest first.
@@ -61,20 +75,18 @@ class ObjectMemory(_Rows):
         radius by default: tracks of one object at one time are not farther apart
     acceleration_mps2: m/s², by which an object may accelerate; widens the gate with the time without a cluster
     forget_s: s, after which an object without a cluster is forgotten
+    columns: of the caller, see `_Rows`; besides them there are
 
     position: (m, 3) m, velocity: (m, 3) m/s, of the last cluster of each object
     first_ns, seen_ns: (m,) ns, times of its first and its last cluster; frames: (m,) number of batches with one
     number: (m,) that it keeps for ever, and no other object has
     """
 
-    def __init__(self, *, gate_m: float = 2.0, acceleration_mps2: float = 4.5, forget_s: float = 2.0) -> None:
-        super().__init__()
-        self.position: Floats = np.zeros((0, 3))
-        self.velocity: Floats = np.zeros((0, 3))
-        self.first_ns: Ints = np.zeros(0, np.int64)
-        self.seen_ns: Ints = np.zeros(0, np.int64)
-        self.frames: Ints = np.zeros(0, np.int64)
-        self.number: Ints = np.zeros(0, np.int64)
+    def __init__(
+        self, *, gate_m: float = 2.0, acceleration_mps2: float = 4.5, forget_s: float = 2.0, **columns: Any
+    ) -> None:
+        nowhere = (0.0, 0.0, 0.0)
+        super().__init__(position=nowhere, velocity=nowhere, first_ns=NOW, seen_ns=NOW, frames=0, number=-1, **columns)
         self._next = 0
         self._gate_m = gate_m
         self._acceleration = acceleration_mps2
@@ -85,58 +97,47 @@ class ObjectMemory(_Rows):
 
         position: (c, 3) m, velocity: (c, 3) m/s. The order of the clusters decides between equal distances.
         """
-        self._keep(_newest(self.seen_ns, time_ns - self._forget_ns, MAX_OBJECTS))
-        known, c = len(self), len(position)
-        gap = (time_ns - self.seen_ns) * 1e-9
-        predicted = self.position + self.velocity * gap[:, None]
+        of, c = self.of, len(position)
+        kept = _newest(of.seen_ns, time_ns - self._forget_ns, MAX_OBJECTS)
+        gap = (time_ns - of.seen_ns[kept]) * 1e-9
+        predicted = of.position[kept] + of.velocity[kept] * gap[:, None]
         gate = self._gate_m + 0.5 * self._acceleration * gap * gap
         i, j, dx, dy = neighbours(predicted, position, gate)
         chosen = greedy_matching(i, j, np.hypot(dx, dy))
         rows = np.full(c, -1, np.int64)
         rows[j[chosen]] = i[chosen]
         new = np.flatnonzero(rows < 0)
-        rows[new] = known + np.arange(len(new))
-        self.origin = np.concatenate([self.origin, np.full(len(new), -1)])
-        self.position = np.concatenate([self.position, position[new]])
-        self.velocity = np.concatenate([self.velocity, velocity[new]])
-        self.position[rows], self.velocity[rows] = position, velocity
-        self.first_ns = np.concatenate([self.first_ns, np.full(len(new), time_ns)])
-        self.seen_ns = np.concatenate([self.seen_ns, np.full(len(new), time_ns)])
-        self.seen_ns[rows] = time_ns
-        self.frames = np.concatenate([self.frames, np.zeros(len(new), np.int64)])
-        self.frames[rows] += 1
-        self.number = np.concatenate([self.number, self._next + np.arange(len(new))])
+        rows[new] = len(kept) + np.arange(len(new))
+        self._unchanged = len(kept) == len(self) and not len(new)
+        self.origin = np.concatenate([kept, np.full(len(new), -1)])
+        self._carry_columns(time_ns)
+        of.position[rows], of.velocity[rows], of.seen_ns[rows] = position, velocity, time_ns
+        of.frames[rows] += 1
+        of.number[rows[new]] = self._next + np.arange(len(new))
         self._next += len(new)
         return rows
 
     def age_s(self, time_ns: int) -> Floats:
         """(m,) s since the first cluster of each object."""
-        return np.asarray((time_ns - self.first_ns) * 1e-9)
-
-    def _keep(self, rows: Ints) -> None:
-        self.origin = rows
-        self.position, self.velocity = self.position[rows], self.velocity[rows]
-        self.first_ns, self.seen_ns = self.first_ns[rows], self.seen_ns[rows]
-        self.frames, self.number = self.frames[rows], self.number[rows]
+        return np.asarray((time_ns - self.of.first_ns) * 1e-9)
 
 
 class AgentMemory(_Rows):
     """Remembers agents by name.
 
-    forget_s: s, after which an absent agent is forgotten
+    forget_s: s, after which an absent agent is forgotten;  columns: of the caller, see `_Rows`
 
     names: of the m agents that are remembered
     """
 
-    def __init__(self, *, forget_s: float = 60.0) -> None:
-        super().__init__()
+    def __init__(self, *, forget_s: float = 60.0, **columns: Any) -> None:
+        super().__init__(seen_ns=NOW, **columns)
         self.names: tuple[str, ...] = ()
-        self._seen_ns: Ints = np.zeros(0, np.int64)
         self._forget_ns = round(forget_s * 1e9)
 
     def meet(self, time_ns: int, names: tuple[str, ...]) -> Ints:
         """(a,) row of each agent in a batch at `time_ns`."""
-        kept = _newest(self._seen_ns, time_ns - self._forget_ns, MAX_AGENTS)
+        kept = _newest(self.of.seen_ns, time_ns - self._forget_ns, MAX_AGENTS)
         self._unchanged = len(kept) == len(self.names)
         remembered = [self.names[row] for row in kept.tolist()]
         row_of = {name: row for row, name in enumerate(remembered)}
@@ -145,9 +146,9 @@ class AgentMemory(_Rows):
         self._unchanged = self._unchanged and not new
         self.names = (*remembered, *new)
         self.origin = np.concatenate([kept, np.full(len(new), -1, np.int64)])
-        self._seen_ns = np.concatenate([self._seen_ns[kept], np.full(len(new), time_ns)])
+        self._carry_columns(time_ns)
         rows = np.array([row_of[name] for name in names], np.int64)
-        self._seen_ns[rows] = time_ns
+        self.of.seen_ns[rows] = time_ns
         return rows
 
 
@@ -179,13 +180,12 @@ class BetaReputation:
 
     def reset(self) -> None:
         """Return to the initial state."""
-        self._agents = AgentMemory()
-        self._counts: Floats = np.zeros((0, 2))
+        self._agents = AgentMemory(counts=(0.0, 0.0))
         self._last_ns: int | None = None
 
     def mean(self, names: tuple[str, ...]) -> Floats:
         """(a,) the present mean of agents; 0.5 for unknown ones."""
-        known = dict(zip(self._agents.names, _mean(self._counts).tolist(), strict=True))
+        known = dict(zip(self._agents.names, _mean(self._agents.of.counts).tolist(), strict=True))
         return np.array([known.get(name, 0.5) for name in names], np.float64)
 
     def update(self, time_ns: int, names: tuple[str, ...], upheld: Floats, refuted: Floats) -> Floats:
@@ -197,9 +197,10 @@ class BetaReputation:
         elapsed = 0.0 if self._last_ns is None else (time_ns - self._last_ns) * 1e-9
         self._last_ns = time_ns
         rows = self._agents.meet(time_ns, names)
-        self._counts = self._agents.carry(self._counts, 0.0) * np.exp(-elapsed / self._memory_s)
-        self._counts[rows] += np.column_stack([upheld, refuted]) * min(elapsed / INDEPENDENT_S, 1.0)
-        return _mean(self._counts)[rows]
+        counts = self._agents.of.counts
+        counts *= np.exp(-elapsed / self._memory_s)
+        counts[rows] += np.column_stack([upheld, refuted]) * min(elapsed / INDEPENDENT_S, 1.0)
+        return _mean(counts)[rows]
 
 
 def _mean(counts: Floats) -> Floats:

@@ -12,7 +12,7 @@ from mast_zenoh.arrays.matching import neighbours
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.integrity.base import AgentTrust, Assessment, Batch, ClusterBoxes, Integrity, ObjectTrust
 from mast_zenoh.integrity.disputes import possible
-from mast_zenoh.integrity.memory import INDEPENDENT_S, BetaReputation, ObjectMemory
+from mast_zenoh.integrity.memory import INDEPENDENT_S, NOW, BetaReputation, ObjectMemory
 from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.integrity.visibility import TOLERANCES
 from mast_zenoh.tracking.tracks import ONE_OBJECT, overlap
@@ -71,11 +71,10 @@ class Plausibility(Integrity):
 
     def reset(self) -> None:
         self._record.reset()
-        self._objects = ObjectMemory()
-        self._alarms: Floats = np.zeros(0)
-        self._checked_ns: Ints = np.zeros(0, np.int64)  # time of the state that the next one is compared to
-        self._state: Floats = np.zeros((0, 8))  # that state, see `_states`
-        self._sudden_ns: Ints = np.zeros(0, np.int64)  # time until which an object is withheld
+        # state: that the next one is compared to, see `_states`;  checked_ns: its time
+        # sudden_ns: time until which an object is withheld
+        self._objects = ObjectMemory(alarms=0.0, checked_ns=NOW, state=(np.nan,) * 8, sudden_ns=0)
+        self._of = self._objects.of
         self._first_ns: int | None = None
         self._last_ns = 0
 
@@ -86,19 +85,19 @@ class Plausibility(Integrity):
         boxes = ClusterBoxes.of(batch, table)
         rows = self._follow(time_ns, boxes)
         witnesses = table.sum(axis=1)
-        elapsed: Floats = (time_ns - self._checked_ns[rows]) * np.float64(1e-9)
+        elapsed: Floats = (time_ns - self._of.checked_ns[rows]) * np.float64(1e-9)
         due = elapsed >= INDEPENDENT_S
         state = _states(batch, boxes, table)
-        odd = self._moves_oddly(state, elapsed, self._state[rows])
+        odd = self._moves_oddly(state, elapsed, self._of.state[rows])
         odd |= overlapping(boxes, witnesses, self._objects.age_s(time_ns)[rows])
-        self._alarms[rows] = np.minimum(self._alarms[rows] + (odd & due), _MOST_ALARMS)
-        due |= self._objects.frames[rows] == 1
-        self._state[rows[due]], self._checked_ns[rows[due]] = state[due], time_ns
+        self._of.alarms[rows] = np.minimum(self._of.alarms[rows] + (odd & due), _MOST_ALARMS)
+        due |= self._of.frames[rows] == 1
+        self._of.state[rows[due]], self._of.checked_ns[rows[due]] = state[due], time_ns
         unexpected = self._appears(batch, boxes, rows)
-        self._sudden_ns[rows[unexpected]] = time_ns + round(self.gap_s * 1e9)
-        self._sudden_ns[rows[witnesses > 1]] = 0
+        self._of.sudden_ns[rows[unexpected]] = time_ns + round(self.gap_s * 1e9)
+        self._of.sudden_ns[rows[witnesses > 1]] = 0
         impossible = witnesses == 0
-        withheld = impossible | (self._alarms[rows] > _ALARMS) | (self._sudden_ns[rows] > time_ns)
+        withheld = impossible | (self._of.alarms[rows] > _ALARMS) | (self._of.sudden_ns[rows] > time_ns)
         mean = self._record.update(
             time_ns,
             batch.agents,
@@ -116,10 +115,7 @@ class Plausibility(Integrity):
             self._first_ns = self._last_ns = time_ns
         rows = self._objects.follow(time_ns, boxes.position, boxes.velocity)
         leaked = (time_ns - self._last_ns) * 1e-9 / self.gap_s
-        self._alarms = np.maximum(self._objects.carry(self._alarms, 0.0) - leaked, 0.0)
-        self._checked_ns = self._objects.carry(self._checked_ns, time_ns)
-        self._state = self._objects.carry(self._state, np.nan)
-        self._sudden_ns = self._objects.carry(self._sudden_ns, 0)
+        self._of.alarms = np.maximum(self._of.alarms - leaked, 0.0)
         self._last_ns = time_ns
         return rows
 
@@ -143,7 +139,7 @@ class Plausibility(Integrity):
 
     def _appears(self, batch: Batch, boxes: ClusterBoxes, rows: Ints) -> Bools:
         """(c,) new objects of one agent that others would have seen before."""
-        new = (self._objects.frames[rows] == 1) & (batch.reported.sum(axis=1) == 1)
+        new = (self._of.frames[rows] == 1) & (batch.reported.sum(axis=1) == 1)
         assert self._first_ns is not None
         new &= (batch.time_ns - self._first_ns) * 1e-9 >= _START_S
         result = np.zeros(len(rows), np.bool_)

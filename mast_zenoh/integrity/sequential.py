@@ -20,7 +20,7 @@ from mast_zenoh.integrity.base import (
 )
 from mast_zenoh.integrity.calibration import EXCUSED_S, MAX_STEP_S, Tail, accumulate, discoveries
 from mast_zenoh.integrity.disputes import Disputes, disputes
-from mast_zenoh.integrity.memory import AgentMemory
+from mast_zenoh.integrity.memory import NOW, AgentMemory
 from mast_zenoh.integrity.offsets import OffsetSums, offsets
 from mast_zenoh.integrity.visibility import current, lenient_sightings, rays_at
 from mast_zenoh.integrity.voting import ExistenceVotes
@@ -86,21 +86,18 @@ class SequentialConsistency(Integrity):
         self.reset()
 
     def reset(self) -> None:
-        self._agents = AgentMemory(forget_s=600.0)
+        # clean_s: since the last alarm or evidence;  seen_s: for which the agent has been observed
+        # suspended_ns: time, ns, of the last suspension;  for_offset: whether that was for an offset alone
+        # quiet_ns: time, ns, of the last batch without evidence
+        numbers = dict.fromkeys(("contradictions", "clean_s", "offset", "seen_s"), 0.0)
+        flags = dict(suspended=False, for_offset=False)
+        self._agents = AgentMemory(forget_s=600.0, suspensions=0, suspended_ns=0, quiet_ns=NOW, **numbers, **flags)
+        self._of = self._agents.of
         self._existence = ExistenceVotes(self._agents)
         self._numbers: dict[str, int] = {}
         self._sums.reset()
         self._time_ns: int | None = None
-        self._contradictions = np.zeros(0)
-        self._clean_s = np.zeros(0)  # since the last alarm or evidence
-        self._suspensions = np.zeros(0, np.int64)
-        self._suspended = np.zeros(0, np.bool_)
-        self._offset = np.zeros(0)
-        self._suspended_ns = np.zeros(0, np.int64)  # time, ns, of the last suspension
-        self._for_offset = np.zeros(0, np.bool_)  # whether that was for an offset alone
         self._last = np.zeros(0), np.zeros(0)
-        self._quiet_ns = np.zeros(0, np.int64)  # time, ns, of the last batch without evidence
-        self._seen_s = np.zeros(0)  # for which the agent has been observed
         self._reasons: dict[str, str] = {}
 
     @property
@@ -113,16 +110,16 @@ class SequentialConsistency(Integrity):
             row = self._agents.names.index(agent)
             self._sums.forget(self._numbers[agent])
             assert self._time_ns is not None
-            recent = self._time_ns - self._suspended_ns[row] <= EXCUSED_S * 1e9
-            if self._suspended[row] and (recent or self._for_offset[row]):
-                self._contradictions[row], self._suspended[row] = 0.0, False
+            recent = self._time_ns - self._of.suspended_ns[row] <= EXCUSED_S * 1e9
+            if self._of.suspended[row] and (recent or self._of.for_offset[row]):
+                self._of.contradictions[row], self._of.suspended[row] = 0.0, False
                 self._reasons.pop(agent, None)
 
     def assess(self, batch: Batch) -> Assessment:
         dt = 0.0 if self._time_ns is None else min((batch.time_ns - self._time_ns) * 1e-9, MAX_STEP_S)
         self._time_ns = batch.time_ns
         rows = self._meet(batch)
-        vote = ~self._suspended[rows]
+        vote = ~self._of.suspended[rows]
         boxes = ClusterBoxes.of(batch, np.broadcast_to(vote, (batch.clusters, len(vote))))
         seen, own = lenient_sightings(batch, boxes)
         rays = rays_at(batch, boxes, current(batch.views))
@@ -135,18 +132,18 @@ class SequentialConsistency(Integrity):
         )
         count = contradictions.sum(axis=0)
         # An honest agent errs about one object at a time: several at once are much rarer.
-        total = accumulate(self._contradictions[rows], 0.5 * count * (count + 1), self.allowance, dt)
+        total = accumulate(self._of.contradictions[rows], 0.5 * count * (count + 1), self.allowance, dt)
         # Limited, so that it can be forgotten again.
-        self._contradictions[rows] = np.minimum(total, 2.0 * self._alarm_at(0, len(rows)))
-        self._last = self._contradictions[rows].copy(), offset
-        self._offset[rows] = offset
+        self._of.contradictions[rows] = np.minimum(total, 2.0 * self._alarm_at(0, len(rows)))
+        self._last = self._of.contradictions[rows].copy(), offset
+        self._of.offset[rows] = offset
         rates = np.stack([tail.rate(value) for tail, value in zip(self._tails, self._last, strict=True)], axis=1)
         alarms = rates <= self.false_alarms_per_hour / max(
             rates.size, 1
         )  # of suspended agents, which are tested for release alone
         alarms[vote] = discoveries(rates[vote], self.false_alarms_per_hour)
         self._update_suspensions(batch, rows, alarms, dispute, dt)
-        judged, weights = self._existence.count(batch, boxes, seen, rays, dispute.impossible, ~self._suspended, rows)
+        judged, weights = self._existence.count(batch, boxes, seen, rays, dispute.impossible, ~self._of.suspended, rows)
         return Assessment(weights, self._agent_trust(batch, rows, rates), judged)
 
     def _alarm_at(self, statistic: int, agents: int) -> float:
@@ -160,8 +157,8 @@ class SequentialConsistency(Integrity):
         Of two liars and one honest agent that report an object, the liars thus have no majority once they are off
         elsewhere, where others see the object, too.
         """
-        weight = np.clip(1.0 - self._offset[rows] / self._alarm_at(1, len(rows)), MIN_MEDIAN_WEIGHT, 1.0)
-        return np.asarray(np.where(self._suspended[rows], 0.0, weight))
+        weight = np.clip(1.0 - self._of.offset[rows] / self._alarm_at(1, len(rows)), MIN_MEDIAN_WEIGHT, 1.0)
+        return np.asarray(np.where(self._of.suspended[rows], 0.0, weight))
 
     def _meet(self, batch: Batch) -> Ints:
         """Rows (a,) of the agents of a batch; new ones have no record."""
@@ -171,23 +168,17 @@ class SequentialConsistency(Integrity):
             self._sums.reset()
         for name in batch.agents:
             self._numbers.setdefault(name, len(self._numbers))
-        carry = self._agents.carry
-        self._contradictions, self._clean_s = carry(self._contradictions, 0.0), carry(self._clean_s, 0.0)
-        self._suspensions, self._seen_s = carry(self._suspensions, 0), carry(self._seen_s, 0.0)
-        self._suspended, self._offset = carry(self._suspended, False), carry(self._offset, 0.0)
-        self._quiet_ns = carry(self._quiet_ns, batch.time_ns)
-        self._suspended_ns, self._for_offset = carry(self._suspended_ns, 0), carry(self._for_offset, False)
         return rows
 
     def _update_suspensions(self, batch: Batch, rows: Ints, alarms: Bools, dispute: Disputes, dt: float) -> None:
         """Suspend and release agents."""
-        self._seen_s[rows] += dt
+        self._of.seen_s[rows] += dt
         alarmed = alarms.any(axis=1)
-        self._quiet_ns[rows] = np.where(self._last[0] > 0.0, self._quiet_ns[rows], batch.time_ns)
-        self._clean_s[rows] = np.where(alarmed | (self._last[0] > 0.0), 0.0, self._clean_s[rows] + dt)
-        patience = self.release_s * 2.0 ** np.maximum(self._suspensions[rows] - 1, 0)
-        released = self._suspended[rows] & (self._clean_s[rows] >= patience)
-        new = alarmed & ~self._suspended[rows]
+        self._of.quiet_ns[rows] = np.where(self._last[0] > 0.0, self._of.quiet_ns[rows], batch.time_ns)
+        self._of.clean_s[rows] = np.where(alarmed | (self._last[0] > 0.0), 0.0, self._of.clean_s[rows] + dt)
+        patience = self.release_s * 2.0 ** np.maximum(self._of.suspensions[rows] - 1, 0)
+        released = self._of.suspended[rows] & (self._of.clean_s[rows] >= patience)
+        new = alarmed & ~self._of.suspended[rows]
         if new.any():
             # The worst first: the others may only look bad because it has moved the middle of their objects.
             worst = np.argmax(
@@ -197,10 +188,10 @@ class SequentialConsistency(Integrity):
             self._sums.reset()
         for row in np.flatnonzero(new).tolist():
             self._existence.keep_known(self._honest_until(rows[row], bool(alarms[row, 0])))
-        self._suspensions[rows] += new
-        self._suspended[rows] = (self._suspended[rows] | new) & ~released
-        self._suspended_ns[rows[new]] = batch.time_ns
-        self._for_offset[rows[new]] = ~alarms[new, 0]
+        self._of.suspensions[rows] += new
+        self._of.suspended[rows] = (self._of.suspended[rows] | new) & ~released
+        self._of.suspended_ns[rows[new]] = batch.time_ns
+        self._of.for_offset[rows[new]] = ~alarms[new, 0]
         for row in np.flatnonzero(released).tolist():
             self._reasons.pop(batch.agents[row], None)
         for row in np.flatnonzero(new).tolist():
@@ -210,7 +201,7 @@ class SequentialConsistency(Integrity):
         """Time, ns, until which there was no evidence against an agent that is suspended now."""
         assert self._time_ns is not None
         if lied:
-            return int(self._quiet_ns[row]) - round(GRACE_S * 1e9)
+            return int(self._of.quiet_ns[row]) - round(GRACE_S * 1e9)
         return self._time_ns - round(2.0 * self.offset_memory_s * 1e9)
 
     def _reason(self, row: int, alarms: Bools, dispute: Disputes) -> str:
@@ -222,11 +213,11 @@ class SequentialConsistency(Integrity):
         return f"{most}, {self._last[0][row]:.1f} object-seconds"
 
     def _agent_trust(self, batch: Batch, rows: Ints, rates: Floats) -> AgentTrust:
-        suspended = self._suspended[rows]
+        suspended = self._of.suspended[rows]
         least = np.log(np.maximum(rates, 1e-300) / self.false_alarms_per_hour).min(axis=1)
         log_odds = np.clip(least, -MAX_LOG_ODDS, MAX_LOG_ODDS)
         log_odds = np.where(suspended, np.minimum(log_odds, -1.0), log_odds)
-        state = np.where(suspended, SUSPENDED, np.where(self._seen_s[rows] >= 1.0, TRUSTED, UNKNOWN))
+        state = np.where(suspended, SUSPENDED, np.where(self._of.seen_s[rows] >= 1.0, TRUSTED, UNKNOWN))
         named = zip(batch.agents, suspended.tolist(), strict=True)
         reasons = tuple(self._reasons.get(name, "") if bad else "" for name, bad in named)
         return AgentTrust.of(1.0 / (1.0 + np.exp(-log_odds)), state.astype(np.uint8), reasons, log_odds=log_odds)

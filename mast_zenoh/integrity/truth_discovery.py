@@ -71,31 +71,27 @@ class TruthDiscovery(Integrity):
         self.reset()
 
     def reset(self) -> None:
-        self._agents = AgentMemory(forget_s=600.0)
-        self._log_odds = np.zeros(0)
-        self._suspended = np.zeros(0, np.bool_)
-        self._suspended_ns = np.zeros(0, np.int64)  # time, ns, of the last suspension
+        # suspended_ns: time, ns, of the last suspension
+        self._agents = AgentMemory(forget_s=600.0, log_odds=float(self.prior), suspended=False, suspended_ns=0)
+        self._of = self._agents.of
         self._time_ns: int | None = None
 
     def excuse(self, agent: str) -> None:
         if agent in self._agents.names:
             row = self._agents.names.index(agent)
             assert self._time_ns is not None
-            if not self._suspended[row] or self._time_ns - self._suspended_ns[row] <= EXCUSED_S * 1e9:
-                self._log_odds[row], self._suspended[row] = self.prior, False
+            if not self._of.suspended[row] or self._time_ns - self._of.suspended_ns[row] <= EXCUSED_S * 1e9:
+                self._of.log_odds[row], self._of.suspended[row] = self.prior, False
 
     def assess(self, batch: Batch) -> Assessment:
         dt = 0.0 if self._time_ns is None else min((batch.time_ns - self._time_ns) * 1e-9, MAX_STEP_S)
         self._time_ns = batch.time_ns
         rows = self._agents.meet(batch.time_ns, batch.agents)
-        self._log_odds = self._agents.carry(self._log_odds, self.prior)
-        self._suspended = self._agents.carry(self._suspended, False)
-        self._suspended_ns = self._agents.carry(self._suspended_ns, 0)
         anchored = np.isin(np.array(batch.agents), self.anchors)
         boxes = ClusterBoxes.of(batch)
         seen, own = lenient_sightings(batch, boxes)
         claims = votes(batch.reported, own, boxes.size, seen, rays_at(batch, boxes, current(batch.views)))
-        before = self.prior + (self._log_odds[rows] - self.prior) * np.exp(-dt / self.memory_s)
+        before = self.prior + (self._of.log_odds[rows] - self.prior) * np.exp(-dt / self.memory_s)
         before[anchored] = MAX_LOG_ODDS
         log_odds = before
         for _ in range(STEPS):
@@ -104,14 +100,14 @@ class TruthDiscovery(Integrity):
             wrong += (batch.reported & (claims < 0.0) & (exists < 0.0)[:, None]).sum(axis=0)
             change = dt * SAMPLES_PER_S * (self._gain * right - self._loss * wrong)
             log_odds = np.where(anchored, MAX_LOG_ODDS, np.clip(before + change, -MAX_LOG_ODDS, MAX_LOG_ODDS))
-        self._log_odds[rows] = log_odds
+        self._of.log_odds[rows] = log_odds
         low = log_odds < self.suspend_at
-        self._suspended_ns[rows[low & ~self._suspended[rows]]] = batch.time_ns
-        self._suspended[rows] = low | (self._suspended[rows] & (log_odds < 0.0))
+        self._of.suspended_ns[rows[low & ~self._of.suspended[rows]]] = batch.time_ns
+        self._of.suspended[rows] = low | (self._of.suspended[rows] & (log_odds < 0.0))
         return self._assessment(batch, rows, exists, claims, seen)
 
     def _assessment(self, batch: Batch, rows: Ints, exists: Floats, claims: Floats, seen: Sightings) -> Assessment:
-        log_odds, suspended = self._log_odds[rows], self._suspended[rows]
+        log_odds, suspended = self._of.log_odds[rows], self._of.suspended[rows]
         trusted = np.where(log_odds >= 0.5 * self.prior, TRUSTED, UNKNOWN)
         state = np.where(suspended, SUSPENDED, trusted).astype(np.uint8)
         reasons = tuple("its claims are refuted more often than an honest agent's" if s else "" for s in suspended)

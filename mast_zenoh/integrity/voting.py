@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.integrity.base import AgentTrust, Assessment, Batch, ClusterBoxes, Integrity, ObjectTrust
-from mast_zenoh.integrity.memory import AgentMemory, BetaReputation, ObjectMemory
+from mast_zenoh.integrity.memory import NOW, AgentMemory, BetaReputation, ObjectMemory
 from mast_zenoh.integrity.visibility import FAR_M, RayEvidence, Sightings, rays_at, sightings, silent_about
 
 #: s, over which the votes about an object are averaged.
@@ -25,12 +26,11 @@ class VoteMemory:
 
     memory_s: s, after which a vote counts 1/e; forget_s: s, after which an object without a cluster is forgotten
 
-    objects: the memory; balance: (m,) of each remembered object, mean of votes for it less votes against it
+    objects: the memory, with the column balance, mean of votes for an object less votes against it
     """
 
-    def __init__(self, memory_s: float, forget_s: float = 2.0) -> None:
-        self.objects = ObjectMemory(forget_s=forget_s)
-        self.balance: Floats = np.zeros(0)
+    def __init__(self, memory_s: float, forget_s: float = 2.0, **columns: Any) -> None:
+        self.objects = ObjectMemory(forget_s=forget_s, balance=np.nan, **columns)
         self._memory_s = memory_s
         self._time_ns: int | None = None
         self._kept = 1.0  # share of the balance before
@@ -40,18 +40,16 @@ class VoteMemory:
         elapsed = 0.0 if self._time_ns is None else (time_ns - self._time_ns) * 1e-9
         self._time_ns = time_ns
         self._kept = np.exp(-elapsed / self._memory_s)
-        rows = self.objects.follow(time_ns, boxes.position, boxes.velocity)
-        self.balance = self.objects.carry(self.balance, np.nan)
-        return rows
+        return self.objects.follow(time_ns, boxes.position, boxes.velocity)
 
     def vote(self, rows: Ints, balance: Floats) -> Floats:
         """(c,) mean votes for each object of a batch less votes against it, with those of this batch.
 
         rows: (c,) of the objects; balance: (c,) votes of this batch, which count in full for a new object
         """
-        before = self.balance[rows]
+        before = self.objects.of.balance[rows]
         after: Floats = np.where(np.isnan(before), balance, self._kept * before + (1.0 - self._kept) * balance)
-        self.balance[rows] = after
+        self.objects.of.balance[rows] = after
         return after
 
 
@@ -70,20 +68,19 @@ class ExistenceVotes:
 
     def __init__(self, agents: AgentMemory) -> None:
         self._agents = agents
-        self._votes = VoteMemory(MEMORY_S)
+        # known: whether nobody lied yet when it appeared
+        # claimed_ns: time, ns, at which a believed agent reported it last
+        self._votes = VoteMemory(MEMORY_S, known=False, claimed_ns=NOW)
+        self._of = self._votes.objects.of
         self._rows: Ints = np.zeros(0, np.int64)  # of the clusters of the last batch
         self._witnessed: Bools = np.zeros((0, 0), np.bool_)  # (m, k) which agents confirmed an object with another one
-        self._known: Bools = np.zeros(0, np.bool_)  # whether nobody lied yet when it appeared
-        self._claimed_ns = np.zeros(0, np.int64)  # time, ns, at which a believed agent reported it last
 
     def follow(self, time_ns: int, boxes: ClusterBoxes) -> Ints:
         """(c,) numbers of the objects of a batch's clusters, which they keep, see `ObjectMemory`."""
         self._rows = self._votes.follow(time_ns, boxes)
         objects = self._votes.objects
-        self._known = objects.carry(self._known, False)
-        self._claimed_ns = objects.carry(self._claimed_ns, time_ns)
         self._witnessed = self._agents.carry(objects.carry(self._witnessed, False), False, axis=1)
-        return objects.number[self._rows]
+        return np.asarray(objects.of.number[self._rows])
 
     def count(
         self,
@@ -109,9 +106,9 @@ class ExistenceVotes:
         together = claims.sum(axis=1) >= WITNESSES
         self._witnessed[rows[:, None], agent_rows] |= claims & together[:, None]
         claimed = claims.any(axis=1)
-        self._claimed_ns[rows] = np.where(claimed, batch.time_ns, self._claimed_ns[rows])
-        recent = batch.time_ns - self._claimed_ns[rows] <= ESTABLISHED_S * 1e9
-        established = self._known[rows] | (self._witnessed[rows] & believed).any(axis=1)
+        self._of.claimed_ns[rows] = np.where(claimed, batch.time_ns, self._of.claimed_ns[rows])
+        recent = batch.time_ns - self._of.claimed_ns[rows] <= ESTABLISHED_S * 1e9
+        established = self._of.known[rows] | (self._witnessed[rows] & believed).any(axis=1)
         withheld = (balance < 0.0) | ~(claimed | (established & recent))
         objects = ObjectTrust(
             (1.0 + confirming) / (2.0 + confirming + contradicting),
@@ -127,7 +124,7 @@ class ExistenceVotes:
 
         For the moment in which an agent is suspended: what it reported before it began to lie is no lie.
         """
-        self._known |= self._votes.objects.first_ns < before_ns
+        self._of.known |= self._of.first_ns < before_ns
 
 
 @dataclass(kw_only=True, eq=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mast_zenoh.integrity import memory as module
-from mast_zenoh.integrity.memory import AgentMemory, ObjectMemory
+from mast_zenoh.integrity.memory import NOW, AgentMemory, ObjectMemory
 
 STEP_NS = 100_000_000
 
@@ -19,24 +19,22 @@ def test_an_object_keeps_its_row_while_it_moves() -> None:
     for frame in range(10):
         rows = memory.follow(frame * STEP_NS, at((0.0, 0.0), (20.0, 0.5)) + velocity * (frame * 0.1), velocity)
         assert rows.tolist() == [0, 1], "they pass each other at the fifth frame"
-    assert memory.frames.tolist() == [10, 10]
+    assert memory.of.frames.tolist() == [10, 10]
     assert memory.age_s(9 * STEP_NS).tolist() == [0.9, 0.9]
 
 
 def test_values_follow_their_objects_through_arrival_and_forgetting() -> None:
-    memory, still = ObjectMemory(forget_s=1.0), at((0.0, 0.0))
-    values = memory.carry(np.zeros(0), 7.0)
+    memory, still = ObjectMemory(forget_s=1.0, doubt=7.0, since_ns=NOW), at((0.0, 0.0))
     memory.follow(0, at((0.0, 0.0)), still)
-    values = memory.carry(values, 7.0)
-    assert values.tolist() == [7.0]
-    values[0] = 1.0
+    assert memory.of.doubt.tolist() == [7.0]
+    memory.of.doubt[0] = 1.0
     rows = memory.follow(STEP_NS, at((50.0, 0.0)), still)
-    values = memory.carry(values, 7.0)
-    assert values[rows].tolist() == [7.0]
-    assert values.tolist() == [1.0, 7.0], "an object without a cluster is remembered"
+    assert memory.of.doubt[rows].tolist() == [7.0]
+    assert memory.of.doubt.tolist() == [1.0, 7.0], "an object without a cluster is remembered"
     memory.follow(11 * STEP_NS, at((50.0, 0.0)), still)
-    values = memory.carry(values, 9.0)
-    assert values.tolist() == [7.0], "the first was seen more than a second ago"
+    assert memory.of.doubt.tolist() == [7.0], "the first was seen more than a second ago"
+    assert memory.of.since_ns.tolist() == memory.of.first_ns.tolist() == [STEP_NS]
+    assert memory.of.number.tolist() == [1], "numbers are not used again"
 
 
 def test_a_value_for_each_agent_and_object_is_carried_along_either_axis() -> None:
@@ -73,7 +71,7 @@ def test_rows_do_not_depend_on_the_order_of_the_clusters() -> None:
         order = random.permutation(40)
         rows = memory.follow(frame * STEP_NS, position, 0.0 * position)
         others = shuffled.follow(frame * STEP_NS, position[order], 0.0 * position)
-        assert np.array_equal(memory.frames[rows[order]], shuffled.frames[others])
+        assert np.array_equal(memory.of.frames[rows[order]], shuffled.of.frames[others])
 
 
 def test_the_memory_is_bounded() -> None:
