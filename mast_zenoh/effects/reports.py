@@ -111,7 +111,7 @@ def _match_attacks(
     code = np.array(EFFECTS)[effects.code[rows]]
     group = node_row[rows] * span + frame[0][rows]
     measured = _events(code, effects.before[rows], effects.after[rows], group)
-    i, j = pairs_within(claimed.places.boxes(), measured.places.boxes(), SAME_PLACE_M)
+    i, j = pairs_within(claimed.places, measured.places, SAME_PLACE_M)
     distance = np.linalg.norm(claimed.places.position[i] - measured.places.position[j], axis=1)
     near = distance <= SAME_PLACE_M
     i, j, distance = i[near], j[near], distance[near]

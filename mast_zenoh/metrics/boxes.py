@@ -60,7 +60,7 @@ class Boxes:
         return self.select(order), order
 
 
-def pairs_within(a: Boxes, b: Boxes, radius: float) -> tuple[Ints, Ints]:
+def pairs_within(a: Boxes | Places, b: Boxes | Places, radius: float) -> tuple[Ints, Ints]:
     """Rows (i, j) of all pairs in a group at most `radius` m apart.
 
     The distance is between centres in the bird's-eye view. Sorted by i, then j. Rounding may add slightly more
@@ -205,14 +205,8 @@ class Places:
     group: Ints
     position: Floats
 
-    def boxes(self) -> Boxes:
-        """The positions as boxes without extent."""
-        n = len(self.group)
-        return Boxes(self.group, np.zeros(n, np.int64), self.position, np.zeros((n, 3)), np.zeros(n))
-
-    def select(self, mask: Bools | Ints) -> Places:
-        """The positions selected by a mask or an index array."""
-        return Places(self.group[mask], self.position[mask])
+    def __len__(self) -> int:
+        return len(self.group)
 
 
 def nearest(places: Places, among: Places, radius: float) -> tuple[Ints, Floats]:
@@ -221,7 +215,7 @@ def nearest(places: Places, among: Places, radius: float) -> tuple[Ints, Floats]
     The distance is that in the bird's-eye view. -1 and inf if none is within `radius` m.
     """
     row, distance = np.full(len(places.group), -1, np.int64), np.full(len(places.group), np.inf)
-    i, j = pairs_within(places.boxes(), among.boxes(), radius)
+    i, j = pairs_within(places, among, radius)
     pair_distance = centre_distance(places.position[i], among.position[j])
     order = np.lexsort((j, pair_distance, i))
     first = np.ones(len(i), bool)
