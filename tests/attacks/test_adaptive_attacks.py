@@ -103,18 +103,10 @@ def passages(attack: str) -> tuple[Passage, ...]:
     return tuple(result)
 
 
-def surroundings(attack: str, victims: tuple[str, ...] = VICTIMS) -> Surroundings:
-    """What the attackers of a run know."""
-    return next(
-        Surroundings(**(vars_of(node) | dict(victims=victims)))
-        for name, node in played(attack).nodes.items()
-        if name == "adversary_1"
-    )
-
-
-def vars_of(node: Any) -> dict[str, Any]:
+def surroundings() -> Surroundings:
+    """What the attackers know."""
     spec = scenario.resolve(*scenario.load("defended"), frames=2).nodes["adversary_1"]
-    return dict(spec.config["surroundings"])
+    return Surroundings(**(dict(spec.config["surroundings"]) | dict(victims=VICTIMS)))
 
 
 def rows_seen(objects: ObjectStates, view: SweptView) -> tuple[Bools, Bools]:
@@ -255,7 +247,7 @@ def test_a_replay_shows_objects_where_they_were() -> None:
 
 
 def test_a_ghost_is_in_the_lane_ahead_of_the_ego() -> None:
-    known, told = surroundings("GhostAhead"), 0
+    known, told = surroundings(), 0
     for passage in passages("GhostAhead"):
         path = path_ahead(Coverage(known, (), passage.frame * PERIOD_S))
         assert path is not None

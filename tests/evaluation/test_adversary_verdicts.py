@@ -68,12 +68,12 @@ from mast_zenoh.config import loading
 _, baseline = loading.function("scenarios", "baseline", "scenario")
 
 
-def scenario(one="silence", other="silence", hides=True):
+def scenario(one="silence", hides=True):
     return baseline(n_infrastructure=2) | dict(
         name="hidden",
         adversaries=dict(
             one=dict(file="hider.py", agent="infra_1", says=one, hides=hides),
-            other=dict(file="hider.py", agent="infra_2", says=other),
+            other=dict(file="hider.py", agent="infra_2", says="truth"),
         ),
         keyexpr=dict(map="testbed.toml", rewrites=["on_detections.toml"]),
     )
@@ -84,22 +84,23 @@ ACTIVE = 20  # frames in which they are active
 
 
 @pytest.mark.parametrize(
-    ("says", "agreement", "unreported", "unfounded"),
+    ("says", "hides", "agreement", "unreported", "unfounded"),
     [
-        ("silence", "silent", ACTIVE, 0),
-        ("truth", "agrees", 0, 0),
-        ("another", "disagrees", ACTIVE, ACTIVE),
-        ("more", "disagrees", 0, ACTIVE),
+        ("silence", True, "silent", ACTIVE, 0),
+        ("truth", True, "agrees", 0, 0),
+        ("another", True, "disagrees", ACTIVE, ACTIVE),
+        ("more", True, "disagrees", 0, ACTIVE),
+        ("truth", False, "disagrees", 0, ACTIVE),
     ],
 )
 def test_reports_of_an_adversary_are_compared_with_its_measured_effects(
-    tmp_path: Path, says: str, agreement: str, unreported: int, unfounded: int
+    tmp_path: Path, says: str, hides: bool, agreement: str, unreported: int, unfounded: int
 ) -> None:
-    """The verdict on `one` does not depend on `other`, which reports correctly."""
-    played = play(tmp_path, "hidden", f"one={says}", "other=truth", frames=FRAMES, **FILES)
+    """The verdict on `one` does not depend on `other`, which hides and reports correctly."""
+    played = play(tmp_path, "hidden", f"one={says}", f"hides={hides}", frames=FRAMES, **FILES)
     verdicts = played.metrics["interposers"]
     one = verdicts["one"]
-    assert one["effects"] == {"removed": ACTIVE}
+    assert one["effects"] == ({"removed": ACTIVE} if hides else {})
     # Reports about the last frame may not arrive before the run ends, so it does not count as unreported.
     assert one["agreement"] == agreement
     assert one["unreported"] == max(0, unreported - 1)
@@ -107,25 +108,18 @@ def test_reports_of_an_adversary_are_compared_with_its_measured_effects(
     assert verdicts["other"]["agreement"] == "agrees"
     table = played.table("attacks")
     selected = table["interposer"] == "one"
-    assert table["frame"][selected].tolist() == list(range(FRAMES - ACTIVE, FRAMES))
-    assert set(table["reported"][selected]) == {says in ("truth", "more")}
+    assert table["frame"][selected].tolist() == (list(range(FRAMES - ACTIVE, FRAMES)) if hides else [])
+    assert set(table["reported"][selected]) == ({says in ("truth", "more")} if hides else set())
+    blamed = {name for by in set(played.table("objects")["by"]) for name in by.split("+")}
+    assert hides or "one" not in blamed
     assert set(table["reported"][~selected]) == {True}
-
-
-def test_unfounded_reports_of_an_adversary_are_identified(tmp_path: Path) -> None:
-    played = play(tmp_path, "hidden", "one=truth", "other=silence", "hides=False", frames=FRAMES, **FILES)
-    verdict = played.metrics["interposers"]["one"]
-    assert (verdict["effects"], verdict["agreement"]) == ({}, "disagrees")
-    assert (verdict["reports"], verdict["unfounded"], verdict["unreported"]) == (ACTIVE, ACTIVE, 0)
-    assert "one" not in set(played.table("attacks")["interposer"])
-    assert "one" not in {name for by in set(played.table("objects")["by"]) for name in by.split("+")}
 
 
 def test_a_crashing_adversary_is_measured_as_dropping_messages_and_named(tmp_path: Path) -> None:
     """Its handler raises before relaying, so all later messages are dropped."""
     for file, text in FILES.items():
         (tmp_path / f"{file}.py").write_text(text)
-    path, content = scenario.load(str(tmp_path / "hidden.py"), ["one=crash", "other=truth"])
+    path, content = scenario.load(str(tmp_path / "hidden.py"), ["one=crash"])
     outcome = run.run(scenario.resolve(path, content, frames=FRAMES, seed=0), tmp_path / "run", runtime="inproc")
     assert isinstance(outcome.error, HandlerFailed)
     assert outcome.record["status"] == "handler_failures"
