@@ -238,20 +238,17 @@ def read_parquet(path: Path, agents: Sequence[str], first_frame: int) -> Detecti
     Raises SceneError with the column and the row.
     """
     table = _open(path)
-    for name in _NEEDED:
-        if name not in table.column_names:
-            raise SceneError(f"{path}: column {name} is missing{nearest(name, table.column_names)}")
-    columns = {name: _numbers(path, table, name) for name in ("x", "y", "z", "l", "w", "h", "yaw")}
+    columns = {name: read_column(path, table, name, "float64") for name in ("x", "y", "z", "l", "w", "h", "yaw")}
     count, given = table.num_rows, set(table.column_names)
-    classes = _texts(path, table, "class") if "class" in given else ["unknown"] * count
+    classes = read_column(path, table, "class", "string") if "class" in given else ["unknown"] * count
     return DetectionRows(
         place=[f"row {row}" for row in range(count)],
         frame=_whole_numbers(path, table, "frame") - first_frame,
-        agent=_rows_of_agents(path, _texts(path, table, "agent"), agents),
+        agent=_rows_of_agents(path, read_column(path, table, "agent", "string").tolist(), agents),
         position=np.column_stack([columns[name] for name in ("x", "y", "z")]),
         size=np.column_stack([columns[name] for name in ("l", "w", "h")]),
         yaw=columns["yaw"],
-        score=_numbers(path, table, "score") if "score" in given else np.ones(count),
+        score=read_column(path, table, "score", "float64") if "score" in given else np.ones(count),
         class_id=np.array([class_of(name) for name in classes], np.uint8),
         covariance=_covariance(path, table),
         truth_id=_whole_numbers(path, table, "truth_id") if "truth_id" in given else np.full(count, -1, np.int64),
@@ -273,37 +270,36 @@ def _open(path: Path) -> Any:
     return table
 
 
-def _numbers(path: Path, table: Any, name: str) -> NDArray[np.float64]:
+def read_column(path: Path, table: Any, name: str, kind: str) -> NDArray[Any]:
+    """A column of a table of pyarrow, as "float64", "int64" or "string". path: of its file, for the message
+
+    Raises SceneError if it is missing, has empty values or holds something else.
+    """
     import pyarrow
 
+    from mast_zenoh.unpacking import check_expanded
+
+    if name not in table.column_names:
+        raise SceneError(f"{path}: column {name} is missing{nearest(name, table.column_names)}")
     column = table[name]
     if column.null_count:
         raise SceneError(f"{path}: column {name} has {column.null_count} empty values")
     try:
-        return np.asarray(column.cast(pyarrow.float64()).to_numpy(), np.float64)
+        if kind == "string":
+            check_expanded(column)
+            return np.array(column.cast(kind).to_pylist(), np.str_)
+        return np.asarray(column.cast(kind).to_numpy(), kind)
     except (ValueError, pyarrow.ArrowException) as error:
-        raise SceneError(f"{path}: column {name} is not of numbers: {error}") from error
+        meaning = "text" if kind == "string" else "numbers"
+        raise SceneError(f"{path}: column {name} is not of {meaning}: {error}") from error
 
 
 def _whole_numbers(path: Path, table: Any, name: str) -> NDArray[np.int64]:
-    values = _numbers(path, table, name)
+    values = read_column(path, table, name, "float64")
     invalid = np.flatnonzero(~((values == np.round(values)) & (np.abs(values) < 2**53)))
     if len(invalid):
         raise SceneError(f"{path}: row {invalid[0]}: {name} is {values[invalid[0]]}, expected a whole number")
     return values.astype(np.int64)
-
-
-def _texts(path: Path, table: Any, name: str) -> list[str]:
-    import pyarrow
-
-    column = table[name]
-    if column.null_count:
-        raise SceneError(f"{path}: column {name} has {column.null_count} empty values")
-    try:
-        values: list[str] = column.cast(pyarrow.string()).to_pylist()
-    except (ValueError, pyarrow.ArrowException) as error:
-        raise SceneError(f"{path}: column {name} is not of text: {error}") from error
-    return values
 
 
 def _rows_of_agents(path: Path, names: Sequence[str], agents: Sequence[str]) -> NDArray[np.int64]:
@@ -323,5 +319,5 @@ def _covariance(path: Path, table: Any) -> NDArray[np.float64]:
         return np.zeros((table.num_rows, 3, 3))
     if len(given) < len(_COVARIANCE):
         raise SceneError(f"{path}: covariance has the columns {', '.join(given)}, expected {', '.join(_COVARIANCE)}")
-    xx, xy, xz, yy, yz, zz = (_numbers(path, table, name) for name in _COVARIANCE)
+    xx, xy, xz, yy, yz, zz = (read_column(path, table, name, "float64") for name in _COVARIANCE)
     return np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(-1, 3, 3)

@@ -17,18 +17,19 @@ from mast_datasets.traffic import TrafficScene, classes_of
 from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
 from mast_zenoh.errors import SceneError
+from mast_zenoh.scenes.detection_tables import read_column
 from mast_zenoh.scenes.making.assembly import AgentPath, Boxes, assemble
 from mast_zenoh.scenes.recording import Recording, SceneAgent
 from mast_zenoh.sensing import Camera, LidarSensor
 
 POSES = "city_SE3_egovehicle.feather"
-_POSE = {**dict.fromkeys(("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m"), "float"), "timestamp_ns": "int"}
+_POSE = {**dict.fromkeys(("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m"), "float64"), "timestamp_ns": "int64"}
 _BOX = {
     **_POSE,
-    **dict.fromkeys(("length_m", "width_m", "height_m"), "float"),
-    "track_uuid": "text",
-    "category": "text",
-    "num_interior_pts": "int",
+    **dict.fromkeys(("length_m", "width_m", "height_m"), "float64"),
+    "track_uuid": "string",
+    "category": "string",
+    "num_interior_pts": "int64",
 }
 
 #: Categories by class. The two halves of an articulated lorry are two objects, as in the data.
@@ -155,31 +156,17 @@ def _read(path: Path, expected: dict[str, str]) -> dict[str, NDArray[Any]]:
     # Imported here because it is slow and few processes of a run need it.
     import pyarrow
 
-    from mast_zenoh.unpacking import check_expanded, read_feather
+    from mast_zenoh.unpacking import read_feather
 
     try:
         table = read_feather(path)
     except (pyarrow.ArrowException, OSError) as error:
         raise SceneError(f"{path}: cannot be read as Feather: {error}") from error
-    columns: dict[str, NDArray[Any]] = {}
-    for name, kind in expected.items():
-        if name not in table.column_names:
-            raise SceneError(f"{path}: no column {name}; found {', '.join(table.column_names)}")
-        column = table[name]
-        if column.null_count:
-            raise SceneError(f"{path}: column {name} has {column.null_count} empty values")
-        try:
-            if kind == "text":
-                check_expanded(column)
-                values: NDArray[Any] = np.array(column.cast(pyarrow.string()).to_pylist(), dtype=np.str_)
-            else:
-                values = column.cast(pyarrow.float64() if kind == "float" else pyarrow.int64()).to_numpy()
-        except pyarrow.ArrowException as error:
-            raise SceneError(f"{path}: column {name}: {error}") from error
-        if kind == "float" and not np.isfinite(values).all():
+    columns = {name: read_column(path, table, name, kind) for name, kind in expected.items()}
+    for name, values in columns.items():
+        if expected[name] == "float64" and not np.isfinite(values).all():
             row = int(np.flatnonzero(~np.isfinite(values))[0])
             raise SceneError(f"{path}: column {name}, row {row} is {values[row]}, expected a finite number")
-        columns[name] = values
     return columns
 
 

@@ -152,11 +152,7 @@ class Labels:
     def __init__(self, path: Path) -> None:
         self._path = path
         self.tracks: list[str] = []
-        self._frames: list[int] = []
-        self._positions: list[Floats] = []
-        self._sizes: list[Floats] = []
-        self._yaws: list[float] = []
-        self._classes: list[int] = []
+        self._rows: list[tuple[int, Floats, Floats, float, int]] = []
 
     def add(self, frame: int, track: str, position: Floats, size: Floats, yaw: float, class_id: int) -> None:
         """Add a box. Raises SceneError if there are too many.
@@ -166,11 +162,7 @@ class Labels:
         if len(self.tracks) >= MAX_BOXES:
             raise SceneError(f"{self._path}: found more than {MAX_BOXES} boxes, expected at most that many")
         self.tracks.append(track)
-        self._frames.append(frame)
-        self._positions.append(position)
-        self._sizes.append(size)
-        self._yaws.append(yaw)
-        self._classes.append(class_id)
+        self._rows.append((frame, position, size, yaw, class_id))
 
     def boxes(self, others: Iterable[str] = ()) -> tuple[Boxes, dict[str, int]]:
         """All boxes, and the id of each track. others: tracks without boxes that need an id, too
@@ -182,14 +174,14 @@ class Labels:
         numbers = [int(name) for name in names if len(name) <= 15 and name.isascii() and name.isdigit()]
         keep = len(numbers) == len(names) == len(set(numbers))
         ids = dict(zip(names, numbers if keep else range(1, len(names) + 1), strict=True))
-        n = len(self.tracks)
+        frame, position, size, yaw, class_id = zip(*self._rows, strict=True) if self._rows else [()] * 5
         return Boxes(
-            frame=np.array(self._frames, np.int64),
+            frame=np.array(frame, np.int64),
             id=np.array([ids[track] for track in self.tracks], np.int64),
-            position=np.array(self._positions).reshape(n, 3),
-            size=np.array(self._sizes).reshape(n, 3),
-            yaw=np.array(self._yaws, np.float64),
-            class_id=np.array(self._classes, np.uint8),
+            position=np.array(position).reshape(-1, 3),
+            size=np.array(size).reshape(-1, 3),
+            yaw=np.array(yaw, np.float64),
+            class_id=np.array(class_id, np.uint8),
         ), ids
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from mast_datasets.files import MAX_COORDINATE_M, Element, choose_name, read_json
 from mast_datasets.traffic import MAX_SIZE_M, DataSetScene, Labels, check_times, classes_of
 from mast_zenoh.arrays.geometry import heading
-from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
+from mast_zenoh.arrays.states import CLASS_INDEX, Floats
 from mast_zenoh.errors import ConfigurationError, SceneError, nearest
 from mast_zenoh.scenes.detection_tables import read_text
 from mast_zenoh.scenes.making.assembly import AgentPath, Boxes, assemble
@@ -179,21 +179,8 @@ CLASS_OF_TYPE = classes_of(
 )
 
 
-@dataclass(frozen=True, eq=False)
-class Track:
-    """A track with n boxes.
-
-    frame: (n,) rows of the scene's frames;  position: (n, 3) m, middle;  size: (n, 3) m l w h;  yaw: (n,) rad
-    element: where it is, for messages
-    """
-
-    name: str
-    class_id: int
-    frame: Ints
-    position: Floats
-    size: Floats
-    yaw: Floats
-    element: Element
+#: The boxes of a track, without an id, and where it is in its file.
+Track = tuple[Boxes, Element]
 
 
 def read_tracks(path: Path, times_ms: list[int]) -> dict[str, Track]:
@@ -207,20 +194,11 @@ def read_tracks(path: Path, times_ms: list[int]) -> dict[str, Track]:
         Element(len(listed), path, "tracks").fail(f"at most {_MAX_TRACKS} tracks")
     tracks: dict[str, Track] = {}
     for element in listed:
-        track = _track(element, frame_at)
-        if track.name in tracks:
+        name = element["track_id"].name()
+        if name in tracks:
             element["track_id"].fail("an id that no other track has")
-        tracks[track.name] = track
+        tracks[name] = _boxes_of(element, frame_at), element
     return tracks
-
-
-def add_tracks(tracks: Mapping[str, Track], labels: Labels) -> None:
-    """Add the boxes of all tracks to `labels`."""
-    for name, track in tracks.items():
-        for row in range(len(track.frame)):
-            labels.add(
-                int(track.frame[row]), name, track.position[row], track.size[row], float(track.yaw[row]), track.class_id
-            )
 
 
 def _errors(times_ms: list[int]) -> range:
@@ -230,7 +208,7 @@ def _errors(times_ms: list[int]) -> range:
     return range(-error, error + 1)
 
 
-def _track(element: Element, frame_at: Mapping[int, int]) -> Track:
+def _boxes_of(element: Element, frame_at: Mapping[int, int]) -> Boxes:
     frames = [_frame(time, frame_at) for time in element["timestamps"].elements()]
     for row in range(1, len(frames)):
         if frames[row] <= frames[row - 1]:
@@ -239,14 +217,14 @@ def _track(element: Element, frame_at: Mapping[int, int]) -> Track:
     dimensions = element["dimensions"]
     single = isinstance(dimensions.value, list) and len(dimensions.value) == 1
     sizes = _column(dimensions, 1 if single else n, lambda value: value.size(MAX_SIZE_M), 3)
-    return Track(
-        element["track_id"].name(),
-        CLASS_OF_TYPE.get(element["object_type"].text(), CLASS_INDEX["unknown"]),
-        np.array(frames, np.int64),
-        _column(element["positions"], n, lambda value: value.vector(3, MAX_COORDINATE_M), 3),
-        np.repeat(sizes, n, axis=0) if single else sizes,
-        _column(element["orientations"], n, lambda value: value.number(-_MAX_ANGLE, _MAX_ANGLE), 0),
-        element,
+    class_id = CLASS_OF_TYPE.get(element["object_type"].text(), CLASS_INDEX["unknown"])
+    return Boxes(
+        frame=np.array(frames, np.int64),
+        id=np.zeros(n, np.int64),
+        position=_column(element["positions"], n, lambda value: value.vector(3, MAX_COORDINATE_M), 3),
+        size=np.repeat(sizes, n, axis=0) if single else sizes,
+        yaw=_column(element["orientations"], n, lambda value: value.number(-_MAX_ANGLE, _MAX_ANGLE), 0),
+        class_id=np.full(n, class_id, np.uint8),
     )
 
 
@@ -331,34 +309,34 @@ def _boxes(
     Such a vehicle has a box in every frame, from its own state, in place of its labels.
     """
     labels = Labels(files.labels)
-    add_tracks({name: track for name, track in tracks.items() if name not in own_tracks.values()}, labels)
-    boxes, ids = labels.boxes(own_tracks.values())
+    for name, (boxes, _) in tracks.items():
+        columns = boxes.frame.tolist(), boxes.position, boxes.size, boxes.yaw.tolist(), boxes.class_id.tolist()
+        for frame, *row in zip(*columns, strict=True) if name not in own_tracks.values() else ():
+            labels.add(frame, name, *row)
+    all_boxes, ids = labels.boxes(own_tracks.values())
     unused = max(ids.values(), default=0) + 1
-    parts, objects = [boxes], {}
+    parts, objects = [all_boxes], {}
     for k, (vehicle, (position, rotation)) in enumerate(poses.items()):
-        name = own_tracks.get(vehicle)
-        track = None if name is None else tracks.get(name)
-        if track is not None:
-            _check_label(vehicle, track, position)
-        objects[vehicle] = unused + k if name is None else ids[name]
-        size = track.size[0] if track is not None and len(track.size) else read_av_size(files, vehicle)
-        class_id = CLASS_INDEX["car"] if track is None else track.class_id
+        name = own_tracks.get(vehicle, "")
+        objects[vehicle] = ids[name] if name else unused + k
+        size, class_id = read_av_size(files, vehicle), CLASS_INDEX["car"]
+        if name in tracks and len(tracks[name][0]):
+            boxes, element = tracks[name]
+            _check_label(vehicle, boxes, element, position)
+            size, class_id = boxes.size[0], int(boxes.class_id[0])
         size = _CAR_SIZE if size is None else size
         parts.append(Boxes.throughout(objects[vehicle], position, size, heading(rotation), class_id))
     return Boxes.concatenate(parts), objects
 
 
-def _check_label(vehicle: str, track: Track, position: Floats) -> None:
+def _check_label(vehicle: str, boxes: Boxes, element: Element, position: Floats) -> None:
     """Raise SceneError if the label of a vehicle is elsewhere than its state. position: (F, 3) m"""
-    if not len(track.frame):
-        return
-    error = np.linalg.norm(track.position - position[track.frame], axis=1)
+    error = np.linalg.norm(boxes.position - position[boxes.frame], axis=1)
     row = int(error.argmax())
     if error[row] > _MAX_LABEL_ERROR_M:
-        place = track.element["positions"].elements()[row]
-        place.fail(
+        element["positions"].elements()[row].fail(
             f"a position within {_MAX_LABEL_ERROR_M:g} m of {vehicle} in its state, "
-            f"{np.round(position[track.frame[row]], 2).tolist()}"
+            f"{np.round(position[boxes.frame[row]], 2).tolist()}"
         )
 
 
