@@ -58,18 +58,14 @@ def pins(name: str, python: str) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("name", LOCKS)
-def test_every_entry_of_a_lock_file_is_one_version_with_hashes(name: str) -> None:
+def test_every_entry_of_a_lock_file_is_one_version_with_hashes_and_names_no_index_or_path(name: str) -> None:
     text = (ROOT / name).read_text(encoding="utf-8")
     entries = [line for line in text.replace("\\\n", " ").splitlines() if line and not line.lstrip().startswith("#")]
     assert len(entries) > 20
     for entry in entries:
         assert re.match(r"[\w.-]+==[^\s*;]+ ( *;[^#]*)?( *--hash=sha256:[0-9a-f]{64} *)+$", entry + " "), entry[:200]
-
-
-@pytest.mark.parametrize("name", LOCKS)
-def test_a_lock_file_names_no_index_and_no_path(name: str) -> None:
     for word in ("://", "--index", "--extra-index", "--find-links", "file:", " @ "):
-        assert word not in (ROOT / name).read_text(encoding="utf-8")
+        assert word not in text
 
 
 @pytest.mark.parametrize("python", PYTHONS)
@@ -85,46 +81,27 @@ def test_the_lock_file_satisfies_all_requirements_of_pyproject(name: str, python
         )
 
 
-@pytest.mark.parametrize("python", PYTHONS)
-def test_running_and_development_use_the_same_versions(python: str) -> None:
-    running, development = pins("requirements.txt", python), pins("requirements-dev.txt", python)
-    assert running.items() <= development.items(), "run `make lock`"
-    assert len(running) < len(development)
-
-
-def test_running_and_development_accept_the_same_hashes() -> None:
-    development = {
-        entry.partition(" ;")[0]: hashes for entry, hashes in hashes_by_entry("requirements-dev.txt").items()
-    }
+def test_running_and_development_use_the_same_versions_and_hashes() -> None:
+    for python in PYTHONS:
+        running, development = pins("requirements.txt", python), pins("requirements-dev.txt", python)
+        assert running.items() <= development.items(), "run `make lock`"
+        assert len(running) < len(development)
+    hashes_of = {entry.partition(" ;")[0]: hashes for entry, hashes in hashes_by_entry("requirements-dev.txt").items()}
     for entry, hashes in hashes_by_entry("requirements.txt").items():
-        assert hashes == development[entry.partition(" ;")[0]], entry
+        assert hashes == hashes_of[entry.partition(" ;")[0]], entry
 
 
-def test_the_lock_file_for_running_can_build_the_package() -> None:
-    build = {Requirement(text).name for text in PROJECT["build-system"]["requires"]}
-    assert build <= pins("requirements.txt", "3.11").keys()
+def test_the_lock_file_for_running_can_build_the_package_and_contains_no_development_tool() -> None:
+    running = pins("requirements.txt", "3.11").keys()
+    assert {Requirement(text).name for text in PROJECT["build-system"]["requires"]} <= running
+    assert not running & {"pytest", "ruff", "mypy", "hypothesis", "dask", "stonesoup"}
 
 
-@pytest.mark.parametrize("tool", ["pytest", "ruff", "mypy", "hypothesis", "dask", "stonesoup"])
-def test_the_lock_file_for_running_contains_no_development_tool(tool: str) -> None:
-    assert tool not in pins("requirements.txt", "3.11")
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        *PROJECT["build-system"]["requires"],
-        *PROJECT["project"]["dependencies"],
-        *(
-            text
-            for name, extra in PROJECT["project"]["optional-dependencies"].items()
-            if name != "dev"
-            for text in extra
-        ),
-    ],
-)
-def test_requirements_have_upper_bounds_where_a_major_version_could_break_the_package(text: str) -> None:
-    requirement = Requirement(text)
-    operators = {specifier.operator for specifier in requirement.specifier}
-    assert ">=" in operators
-    assert ("<" in operators) != (requirement.name in UNBOUNDED)
+def test_requirements_have_upper_bounds_where_a_major_version_could_break_the_package() -> None:
+    extras = PROJECT["project"]["optional-dependencies"]
+    texts = [*PROJECT["build-system"]["requires"], *PROJECT["project"]["dependencies"]]
+    for text in (*texts, *(text for name, extra in extras.items() if name != "dev" for text in extra)):
+        requirement = Requirement(text)
+        operators = {specifier.operator for specifier in requirement.specifier}
+        assert ">=" in operators, text
+        assert ("<" in operators) != (requirement.name in UNBOUNDED), text

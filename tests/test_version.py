@@ -5,8 +5,6 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-import pytest
-
 import mast_zenoh
 from mast_zenoh import version
 from mast_zenoh.layers import LAYERS, run_by_nodes
@@ -15,24 +13,19 @@ from mast_zenoh.study import trial
 PACKAGE = Path(mast_zenoh.__file__).parent
 
 
-def fingerprint_after_change(folder: Path, changed: str) -> str:
-    """The fingerprint of a copy of the package with one line added to a file."""
-    shutil.copytree(PACKAGE, folder / "copy", ignore=shutil.ignore_patterns("__pycache__", "*.so"))
-    with (folder / "copy" / changed).open("a") as file:
-        file.write("# changed\n")
-    return version.fingerprint(folder / "copy")
+RUN_BY_NODES = ("kernels/tracks.pyx", "kernels/arrays.pxd", "tracking/kalman.py", "node.py", "effects/passages.py")
+OTHERS = ("report/page.py", "cli/app.py", "launch/run.py", "__main__.py")
 
 
-@pytest.mark.parametrize(
-    "changed", ["kernels/tracks.pyx", "kernels/arrays.pxd", "tracking/kalman.py", "node.py", "effects/passages.py"]
-)
-def test_the_fingerprint_changes_with_sources_that_nodes_run(changed: str, tmp_path: Path) -> None:
-    assert fingerprint_after_change(tmp_path, changed) != version.fingerprint()
-
-
-@pytest.mark.parametrize("changed", ["report/page.py", "cli/app.py", "launch/run.py", "__main__.py"])
-def test_the_fingerprint_ignores_other_files(changed: str, tmp_path: Path) -> None:
-    assert fingerprint_after_change(tmp_path, changed) == version.fingerprint()
+def test_the_fingerprint_changes_exactly_with_the_sources_that_nodes_run(tmp_path: Path) -> None:
+    copy = shutil.copytree(PACKAGE, tmp_path / "copy", ignore=shutil.ignore_patterns("__pycache__", "*.so"))
+    for changed in (*OTHERS, *RUN_BY_NODES):
+        before = version.fingerprint(copy)
+        with (copy / changed).open("a") as file:
+            file.write("# changed\n")
+        version.fingerprint.cache_clear()
+        assert (version.fingerprint(copy) != before) == (changed in RUN_BY_NODES), changed
+    assert version.fingerprint(PACKAGE) == version.fingerprint()
 
 
 def test_nodes_run_every_layer_below_the_checks() -> None:

@@ -121,12 +121,9 @@ def test_tables_of_trials_are_joined_with_nulls_for_missing_columns(tmp_path, mo
     table = parquet.read_table(tmp_path / "t.parquet")
     assert table.to_pydict() == {"name": list("aabbcc"), "mine": [None, None, 1.0, 1.0, 2.0, 2.0]}
     assert parquet.read_metadata(tmp_path / "t.parquet").num_row_groups == 2
-
-
-def test_a_table_whose_writing_fails_leaves_no_file(tmp_path) -> None:
-    with pytest.raises(ZeroDivisionError), TableFile(tmp_path / "t.parquet", pyarrow.schema([("a", pyarrow.int64())])):
+    with pytest.raises(ZeroDivisionError), TableFile(tmp_path / "failed.parquet", schema):
         raise ZeroDivisionError
-    assert list(tmp_path.iterdir()) == []
+    assert [path.name for path in tmp_path.iterdir()] == ["t.parquet"]
 
 
 def summary(outcomes, seeds: int, scenes: int = 2):
@@ -310,11 +307,8 @@ def test_suspensions_delays_false_alarms_and_withheld_objects_are_numbers_of_the
         "withheld_false": 1.5,
         "withheld_true": 0.25,
     }
-
-
-def test_a_defence_that_suspends_nobody_has_no_delay() -> None:
-    listed = {each.metric: each.value for each in numbers({"integrity": integrity([None])})}
-    assert np.isnan(listed["delay_s"])
+    none = {each.metric: each.value for each in numbers({"integrity": integrity([None])})}
+    assert np.isnan(none["delay_s"]), "nobody is suspended"
 
 
 def rows(defended: bool) -> list[StudyRow]:
@@ -339,9 +333,9 @@ def test_the_table_of_a_study_has_the_defences_numbers_with_intervals() -> None:
     assert "baseline" in dict(table.lines), "false alarms without an attack"
 
 
-@pytest.mark.parametrize("title", ["What the defence did"])
-def test_studies_without_a_defence_have_no_such_table(title: str) -> None:
-    assert title not in {each.title for each in sections(rows(False), "baseline", compare(rows(False), "baseline"))}
+def test_studies_without_a_defence_have_no_such_table() -> None:
+    titles = {each.title for each in sections(rows(False), "baseline", compare(rows(False), "baseline"))}
+    assert "What the defence did" not in titles
 
 
 def test_the_page_of_compared_runs_says_what_the_defence_of_each_did(tmp_path: Path) -> None:

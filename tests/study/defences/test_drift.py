@@ -84,6 +84,7 @@ def of(
         ("1111" + "2" * 11, None, TWO, (1.0, 1.0, False)),  # one witness decides nothing
         ("0000" + "1" * 11, None, ONE, (1.0, 1.0, False)),
         ("2222" + "1" * 11, None, ONE, None),
+        ("2222" + "3" * 11, None, ViewerRange(3, 3), None),
         ("22223334441112222", None, TWO_OR_MORE, (1.6, 1.6, False)),
     ],
 )
