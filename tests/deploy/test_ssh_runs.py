@@ -21,7 +21,7 @@ from launched import Launched, eventually
 from ssh_hosts import NAMES, SshHosts
 
 from mast_zenoh.deploy import wheel
-from mast_zenoh.errors import EngineError, Interrupted
+from mast_zenoh.errors import EngineError
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.messagelog.reader import read
 
@@ -85,8 +85,7 @@ def test_a_secure_run_on_three_hosts_equals_a_run_in_one_process(launch, hosts: 
     modes = {stat.S_IMODE(os.stat(place).st_mode) for key in keys for place in (key.parent, key.parent.parent)}
     assert modes == {0o700}
     assert {stat.S_IMODE(os.stat(key).st_mode) for key in keys} == {0o600}
-    code, output = run.end()
-    assert code == 0, output
+    run.ended()
     record = run.record()
     assert [step["node"] for step in record["steps"]] == ["infra_1", "infra_2", "infra_2", "infra_1"]
     assert {name: node["restarts"] for name, node in record["nodes"].items() if node["restarts"]} == {
@@ -112,8 +111,7 @@ def test_a_host_cut_off_for_five_seconds_rejoins(launch, hosts: SshHosts) -> Non
     hosts.link("gamma", "down")
     threading.Event().wait(5.0)
     hosts.link("gamma", "up")
-    code, output = run.end()
-    assert code == 0, output
+    run.ended()
     record = run.record()
     assert {node["exit"] for node in record["nodes"].values()} == {0}
     assert {node["restarts"] for node in record["nodes"].values()} == {0}
@@ -165,9 +163,7 @@ def test_remnants_of_a_killed_launchers_run_end_by_themselves(launch, hosts: Ssh
 def test_ctrl_c_during_startup_leaves_nothing_on_hosts(launch, hosts: SshHosts) -> None:
     run: Launched = launch(n_infrastructure=1, places={}, secure="acl")
     run.until(lambda: [*hosts.folder.glob("*_home/runs/*/*/control")], "the first supervisor is running")
-    run.process.send_signal(signal.SIGINT)
-    code, output = run.end()
-    assert code == Interrupted.exit_code, output
+    run.interrupted()
     assert run.record()["status"] == "interrupted"
 
 
@@ -177,16 +173,14 @@ def test_a_killed_supervisor_ends_its_nodes_and_is_reported(launch, hosts: SshHo
     for process in hosts.processes("beta"):
         if "mast_zenoh.deploy.ssh.warden" in _cmdline(process):
             process.kill()
-    code, output = run.end()
-    assert code == 22, output
+    output = run.ended(22)
     assert "broker killed by signal 9" in output
     assert hosts.run(*PROGRAM, "down", str(run.out)).returncode == 0, "its folder"
 
 
 def test_an_unreachable_router_is_reported_before_nodes_start(launch) -> None:
     run: Launched = launch('[router]\naddress = "10.78.0.99"', n_infrastructure=1, places={})
-    code, output = run.end()
-    assert code == EngineError.exit_code, output
+    output = run.ended(EngineError.exit_code)
     assert "cannot reach the router at tcp/10.78.0.99:7447" in output
     assert "router.address" in output
     assert run.record()["nodes"] == {}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import psutil
@@ -78,16 +79,13 @@ def launch(start: Callable[..., Launched]) -> Callable[..., Launched]:
 def test_in_real_time_killed_nodes_restart_and_paused_nodes_resume(launch) -> None:
     steps = ((5, "kill", "infra_1"), (5, "pause", "infra_2"), (8, "resume", "infra_2"), (8, "start", "infra_1"))
     run: Launched = launch(*steps)
-    observer = Observer(run.started(), "agent/*/tracks")
-    try:
+    with closing(Observer(run.started(), "agent/*/tracks")) as observer:
 
         def newest(agent: str) -> int:
             heard = [s for key, s in observer.samples if key == f"agent/{agent}/tracks"]
             return codec.decode(heard[-1].payload.to_bytes(), "tracks").header.frame if heard else -1
 
         eventually(lambda: newest("infra_1") > 8 and newest("infra_2") > 8, "both nodes have returned")
-    finally:
-        observer.close()
     run.process.send_signal(signal.SIGINT)
     _, output = run.end(30.0)
     assert output.split() == ["interrupted"]

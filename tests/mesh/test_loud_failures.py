@@ -30,8 +30,7 @@ def test_failures_on_a_mesh_equal_those_in_one_process_and_set_the_exit_code(lau
         "    return attacked() | dict(faults=faults)\n"
     )
     run: Launched = launch(str(path), "--frames", "14", "--no-record")
-    code, output = run.end()
-    assert code == 30, output
+    output = run.ended(30)
     record = run.record()
     assert record["status"] == "handler_failures"
     assert "HandlerFailed: handlers failed, so the numbers may be wrong:\n  eve.on_detections failed 7 times" in output

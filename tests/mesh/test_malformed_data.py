@@ -5,11 +5,10 @@ from __future__ import annotations
 import itertools
 import json
 import random
-import signal
 from collections import Counter
+from contextlib import closing
 
 import pytest
-import zenoh
 from launched import Launched, Observer, eventually
 
 from mast_zenoh.messagelog.reader import read
@@ -33,20 +32,13 @@ def garbage(count: int) -> list[bytes]:
 
 def test_a_hundred_thousand_malformed_messages_are_counted_and_end_no_node(launch) -> None:
     run: Launched = launch("coordinated", "--mode", "realtime", "--set", "scene_index=1", "--no-record")
-    record = run.started()
-    observer = Observer(record, "clock")
-    try:
+    with closing(Observer(run.started(), "clock")) as observer:
         eventually(lambda: observer.frame() > 3, "frames are played")
         wiring = Wiring.from_json(json.loads((run.out / "wiring.json").read_text()))
         hearers = {leg.key: len(leg.subscribers) for _, leg in wiring.legs()}
         sent = dict.fromkeys(hearers, 0)
         payloads = itertools.cycle(garbage(500))
-        publishers = {
-            key: observer.session.declare_publisher(
-                observer.prefix + key, congestion_control=zenoh.CongestionControl.BLOCK
-            )
-            for key in hearers
-        }
+        publishers = {key: observer.publisher(key) for key in hearers}
 
         def put(key: str) -> None:
             publishers[key].put(next(payloads))
@@ -65,11 +57,7 @@ def test_a_hundred_thousand_malformed_messages_are_counted_and_end_no_node(launc
             line = f"rejected a message on {milestone}:"
             run.until(lambda line=line: line in log.read_text(), f"the evaluator has read all up to {milestone}")
             flooded.append(milestone)
-    finally:
-        observer.close()
-    run.process.send_signal(signal.SIGINT)
-    code, output = run.end()
-    assert code == 130, output
+    run.interrupted()
     nodes = run.record()["nodes"]
     assert all(node["ended"] == "ok" and not node["failures"] for node in nodes.values())
     expected = sum(sent[key] * hearers[key] for key in sent)
@@ -90,20 +78,14 @@ def test_a_hundred_thousand_malformed_messages_are_counted_and_end_no_node(launc
 def test_foreign_messages_are_recorded_unchanged_and_marked(launch) -> None:
     run: Launched = launch("baseline", "--mode", "realtime", "--frames", "40")
     record = run.started()
-    observer = Observer(record, "clock")
     sent = garbage(500)
-    try:
+    with closing(Observer(record, "clock")) as observer:
         eventually(lambda: observer.frame() > 3, "frames are played")
-        publisher = observer.session.declare_publisher(
-            observer.prefix + "cc/picture", congestion_control=zenoh.CongestionControl.BLOCK
-        )
+        publisher = observer.publisher("cc/picture")
         for payload in sent:
             publisher.put(payload)
         eventually(lambda: observer.frame() >= 30, "the run continues")
-    finally:
-        observer.close()
-    code, output = run.end()
-    assert code == 0, output
+    output = run.ended()
     assert run.record()["recorded"]["malformed"] == len(sent)
     marked = [message for message in read(run.out) if message.malformed]
     assert [message.payload for message in marked] == sent

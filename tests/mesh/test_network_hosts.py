@@ -191,8 +191,7 @@ def test_a_run_that_this_machine_cannot_support_is_refused_before_any_process_st
     (tmp_path / "bin" / "ip").symlink_to(shutil.which("ip"))
     monkeypatch.setenv("PATH", str(tmp_path / "bin"))
     run: Launched = launch("two_hosts", "--frames", "20")
-    code, output = run.end()
-    assert code == 25, output
+    output = run.ended(25)
     assert "partition of west: nft is missing: install nftables" in " ".join(output.split())
     assert run.record()["nodes"] == {}
     assert leftovers_of(run.process.pid) == []

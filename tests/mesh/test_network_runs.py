@@ -7,6 +7,7 @@ import signal
 import subprocess
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -63,12 +64,8 @@ class Stopwatch(Observer):
 
 def test_after_a_partition_of_five_seconds_the_picture_recovers_within_three(two_hosts) -> None:
     run: Launched = two_hosts(100, cut_s=1.5, partition_s=5.0)
-    watch = Stopwatch(run.started())
-    try:
-        code, output = run.end()
-    finally:
-        watch.close()
-    assert code == 0, output
+    with closing(Stopwatch(run.started())) as watch:
+        run.ended()
     for key in ("clock", "agent/infra_3/tracks"):
         assert watch.longest_silence_s(key) < 2.0, "agents that are not cut off continue during the partition"
     record = run.record()
@@ -99,12 +96,8 @@ def test_after_a_partition_of_five_seconds_the_picture_recovers_within_three(two
 def test_a_slow_link_adds_twice_its_delay_to_a_round_trip(two_hosts) -> None:
     settings = {"hosts__west__delay_ms": 20, "hosts__west__delay_by": "relay"}
     run: Launched = two_hosts(40, partition_s=0, **settings)
-    watch = Stopwatch(run.started())
-    try:
-        code, output = run.end()
-    finally:
-        watch.close()
-    assert code == 0, output
+    with closing(Stopwatch(run.started())) as watch:
+        run.ended()
     near, far = (np.concatenate([watch.delays_ms(agent) for agent in agents]) for agents in (("infra_3", "ego"), WEST))
     assert len(far) > 20
     # Detections cross to the agent, tracks back. The faster frames, as the machine may be busy; not the very fastest,
@@ -127,8 +120,7 @@ def test_a_run_that_ends_during_a_partition_heals_it_and_collects_all_results(tw
     if how == "Ctrl-C":
         run.at_frame(35)  # disconnected nodes have been given up
         run.process.send_signal(signal.SIGINT)
-    code, output = run.end()
-    assert code == (0 if how == "scene ends" else 130), output
+    run.ended(0 if how == "scene ends" else 130)
     record = run.record()
     assert all(node["exit"] == 0 and node["last_frame"] is not None for node in record["nodes"].values()), record
     assert (run.out / "metrics.json").is_file()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +25,7 @@ def test_every_role_runs_in_its_own_process_with_the_metrics_of_one_process_and_
     launch, tmp_path: Path
 ) -> None:
     run: Launched = launch("uncoordinated", "--set", "n_adversaries=2", *SHORT, "--seed", "3")
-    code, output = run.end()
-    assert code == 0, output
+    output = run.ended()
     record = run.record()
     roles = sorted(node["role"] for node in record["nodes"].values())
     assert roles == sorted(
@@ -55,11 +55,8 @@ def test_simultaneous_runs_do_not_interfere_and_interposers_that_change_nothing_
     observers = [Observer(run.started()) for run in runs]
     heard: list[dict[str, list[tuple[Any, ...]]]] = []
     for run, observer in zip(runs, observers, strict=True):
-        try:
-            code, output = run.end()
-        finally:
-            observer.close()
-        assert code == 0, output
+        with closing(observer):
+            run.ended()
         assert not any(node["foreign"] or node["rejected"] for node in run.record()["nodes"].values())
         by_key = defaultdict(list)
         for key, s in observer.samples:
@@ -83,8 +80,7 @@ def test_simultaneous_runs_do_not_interfere_and_interposers_that_change_nothing_
 
 def test_a_real_time_run_keeps_pace_and_measures_its_latency(launch) -> None:
     run: Launched = launch("baseline", "--frames", "40", "--mode", "realtime", "--rate", "2")
-    code, output = run.end()
-    assert code == 0, output
+    run.ended()
     scores = json.loads(metrics(run.out))
     assert scores["frames"] == 40
     assert scores["frames_per_second"] == pytest.approx(20, rel=0.2), "twice 10 Hz"
@@ -102,8 +98,7 @@ def test_an_existing_router_can_be_used(launch, tmp_path: Path) -> None:
     router, endpoint = open_router()
     with router:
         run: Launched = launch("baseline", *SHORT, "--endpoint", endpoint)
-        code, output = run.end()
-    assert code == 0, output
+        run.ended()
     assert metrics(run.out) == metrics(run_alone(tmp_path / "inproc", "baseline", frames=FRAMES))
 
 
@@ -138,8 +133,7 @@ def test_a_user_defined_node_next_to_the_scenario_takes_part(launch, tmp_path: P
         "    )\n"
     )
     run: Launched = launch(str(tmp_path / "mine.py"), *SHORT)
-    code, output = run.end()
-    assert code == 0, output
+    run.ended()
     agents = json.loads(metrics(run.out))["agents"]
     assert agents["infra_2"]["local"]["tp"]["mean"] == 0
     assert agents["infra_1"]["local"]["tp"]["mean"] > 0

@@ -61,15 +61,26 @@ def small_run(frames: int = 6) -> list[tuple[str, bytes]]:
     return [(key, payload(key, frame)) for frame in range(frames) for key in sorted(HEARS)]
 
 
-def write(path: Path, messages: list[tuple[str, bytes]]) -> Path:
-    """A recording of messages, some of which may be malformed."""
+def begun(path: Path) -> MessageLog:
+    """A recording that has begun."""
     log = MessageLog(path)
     log.begin(HEARS)
+    return log
+
+
+def add(log: MessageLog, messages: list[tuple[str, bytes]]) -> None:
+    """Add messages, some of which may be malformed."""
     for key, data in messages:
         try:
             header = codec.decode_header(data, HEARS[key].message)
             log.add(key, data, header, header.frame)
         except codec.MessageError:
             log.add_malformed(key, data, 2, 2 * PERIOD_NS, 2)
+
+
+def write(path: Path, messages: list[tuple[str, bytes]]) -> Path:
+    """A recording of messages, some of which may be malformed."""
+    log = begun(path)
+    add(log, messages)
     log.close()
     return path

@@ -17,7 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import Writer
-from recordings import HEARS, PERIOD_NS, TAP, payload, small_run, write
+from recordings import HEARS, PERIOD_NS, TAP, add, begun, payload, small_run, write
 
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.messagelog import writer
@@ -55,10 +55,7 @@ def test_a_key_added_later_is_recorded_like_the_others(tmp_path: Path) -> None:
     log.begin(hears)
     hears |= HEARS
     sent = small_run()
-    for key, sound in random.Random(1).sample(sent, len(sent)):
-        header = codec.decode_header(sound, HEARS[key].message)
-        log.add(key, sound, header, header.frame)
-    log.add_malformed(TAP, b"nonsense", 0, 0, 0)
+    add(log, [*random.Random(1).sample(sent, len(sent)), (TAP, b"nonsense")])
     log.close()
     messages = list(read(tmp_path / "run.mcap"))
     assert [(message.key, message.payload) for message in messages if not message.malformed] == sent
@@ -67,8 +64,7 @@ def test_a_key_added_later_is_recorded_like_the_others(tmp_path: Path) -> None:
 
 def test_the_step_in_which_a_message_was_sent_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(writer, "CHUNK_BYTES", 3000)
-    log = MessageLog(tmp_path / "run.mcap")
-    log.begin(HEARS)
+    log = begun(tmp_path / "run.mcap")
     steps = {}
     for number, (key, data) in enumerate(random.Random(3).sample(small_run(), len(small_run()))):
         header = codec.decode_header(data, HEARS[key].message)
@@ -97,12 +93,10 @@ happened = st.one_of(
 @given(events_sent=st.lists(happened, max_size=5))
 def test_events_are_kept_in_order(tmp_path_factory: pytest.TempPathFactory, events_sent: list[Event]) -> None:
     path = tmp_path_factory.mktemp("events") / "run.mcap"
-    log = MessageLog(path)
-    log.begin(HEARS)
+    log = begun(path)
     sent = small_run(3)
-    for number, (key, data) in enumerate(sent):
-        header = codec.decode_header(data, HEARS[key].message)
-        log.add(key, data, header, header.frame)
+    for number, message in enumerate(sent):
+        add(log, [message])
         if number < len(events_sent):
             log.add_event(events_sent[number])
     log.close()
@@ -123,8 +117,7 @@ def test_events_are_kept_in_order(tmp_path_factory: pytest.TempPathFactory, even
 )
 def test_invalid_metadata_is_refused_with_its_fault(tmp_path: Path, name: str, metadata: dict[str, str]) -> None:
     path = tmp_path / "run.mcap"
-    log = MessageLog(path)
-    log.begin(HEARS)
+    log = begun(path)
     log._writer.add_metadata(name, metadata)
     log.close()
     with pytest.raises(RunFolderError, match=r"run\.mcap: byte \d+: damaged metadata"):
@@ -220,14 +213,9 @@ def test_a_killed_process_leaves_all_whole_chunks(tmp_path: Path) -> None:
     program = (
         "import os, signal\n"
         "from pathlib import Path\n"
-        "from recordings import HEARS, small_run\n"
-        "from mast_zenoh.messages import codec\n"
-        "from mast_zenoh.messagelog.writer import MessageLog\n"
-        "log = MessageLog(Path('run.mcap'))\n"
-        "log.begin(HEARS)\n"
-        "for key, data in small_run(60):\n"
-        "    header = codec.decode_header(data, HEARS[key].message)\n"
-        "    log.add(key, data, header, header.frame)\n"
+        "from recordings import add, begun, small_run\n"
+        "log = begun(Path('run.mcap'))\n"
+        "add(log, small_run(60))\n"
         "os.kill(os.getpid(), signal.SIGKILL)\n"
     )
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parent)}
@@ -239,8 +227,7 @@ def test_a_killed_process_leaves_all_whole_chunks(tmp_path: Path) -> None:
 
 
 def test_a_recording_without_messages_is_readable(tmp_path: Path) -> None:
-    log = MessageLog(tmp_path / "run.mcap")
-    log.begin(HEARS)
+    log = begun(tmp_path / "run.mcap")
     assert list(read(tmp_path / "run.mcap")) == []
     log.close()
     assert list(read(tmp_path / "run.mcap")) == []
@@ -293,22 +280,15 @@ def test_a_recording_is_never_overwritten(tmp_path: Path) -> None:
 
 def test_a_recording_stays_readable_when_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(writer, "CHUNK_BYTES", 2000)
-    log = MessageLog(tmp_path / "run.mcap")
-    log.begin(HEARS)
+    log = begun(tmp_path / "run.mcap")
     sent = small_run(40)
-
-    def add(messages: list[tuple[str, bytes]]) -> None:
-        for key, data in messages:
-            header = codec.decode_header(data, HEARS[key].message)
-            log.add(key, data, header, header.frame)
-
-    add(sent[:100])
+    add(log, sent[:100])
 
     def full(self: Writer) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Writer, "flush", full)
-    add(sent[100:])
+    add(log, sent[100:])
     log.close()
     assert log.problem == f"{tmp_path / 'run.mcap'}: cannot be written: No space left on device"
     assert 0 < log.messages <= 100

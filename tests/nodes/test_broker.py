@@ -13,6 +13,7 @@ from mast_zenoh.errors import ConfigurationError
 
 COLLATED = "cc/collated"
 AGENTS = ("ego", "infra_1", "infra_2")
+BOTH = AGENTS[:2]
 STATUS = {"mobile": np.array([0]), "detections": np.array([0]), "tracks": np.array([0])}
 
 
@@ -29,6 +30,14 @@ def send_track(broker: Bench, agent: str, frame: int, *, step: int | None = None
     """Send one track of an agent, at its own position."""
     place = (x, 10.0 * AGENTS.index(agent))
     return broker.send("tracks", tracks(place, **more), frame, subject=agent, step=step)
+
+
+def play(broker: Bench, frame: int, agents: tuple[str, ...] = AGENTS, **more: Any):
+    """A frame with tracks of some agents; returns what the broker publishes."""
+    published = broker.clock(frame)
+    for agent in agents:
+        published += send_track(broker, agent, frame, **more)
+    return published
 
 
 def summary(messages: Any) -> list[tuple[int, dict[str, float]]]:
@@ -55,9 +64,7 @@ def test_a_batch_is_emitted_when_all_agents_have_sent_their_tracks(resolved) -> 
 
 def test_collated_tracks_are_in_the_world_frame(resolved) -> None:
     broker = bench(resolved)
-    broker.clock(0)
-    send_track(broker, "ego", 0)
-    send_track(broker, "infra_1", 0)
+    play(broker, 0, BOTH)
     turned = {"origin": np.array([100.0, 0.0, 0.0]), "rotation": quaternion_from_rotation(rotation_from_yaw(np.pi / 2))}
     body = tracks((10.0, 0.0), velocity=(5.0, 0.0)) | turned
     ((_, message),) = broker.send("tracks", body, 0, subject="infra_2")
@@ -68,9 +75,7 @@ def test_collated_tracks_are_in_the_world_frame(resolved) -> None:
 
 def test_the_broker_waits_for_a_silent_agent_until_the_next_clock(resolved) -> None:
     broker = bench(resolved)
-    broker.clock(0)
-    send_track(broker, "ego", 0)
-    send_track(broker, "infra_1", 0)
+    play(broker, 0, BOTH)
     assert summary(broker.clock(1)) == [(0, {"ego": 0.0, "infra_1": 0.0})]
     assert send_track(broker, "infra_2", 0, step=1) == [], "too late"
     results = broker.host.finish()["collation"]
@@ -80,16 +85,12 @@ def test_the_broker_waits_for_a_silent_agent_until_the_next_clock(resolved) -> N
 @pytest.mark.parametrize("leaves", [False, True])
 def test_the_last_tracks_of_a_silent_or_dead_agent_are_propagated_until_too_old(resolved, leaves: bool) -> None:
     broker = bench(resolved, max_age_s=0.25)
-    broker.clock(0)
-    for agent in AGENTS:
-        send_track(broker, agent, 0, velocity=(10.0, 0.0))
+    play(broker, 0, velocity=(10.0, 0.0))
     if leaves:
         broker.send("status", STATUS, 0, subject="infra_2")  # which does not bring it back
         broker.left("infra_2", "agent")
     for frame in range(1, 6):
-        broker.clock(frame)
-        for agent in ("ego", "infra_1"):
-            send_track(broker, agent, frame)
+        play(broker, frame, BOTH)
     batches = [message for message in broker.heard(COLLATED) if 0 < message.header.frame < 5]
     ages = [ages_by_agent.get("infra_2") for _, ages_by_agent in summary((COLLATED, batch) for batch in batches)]
     assert ages == [100.0, 200.0, None, None]
@@ -103,9 +104,7 @@ def test_the_last_tracks_of_a_silent_or_dead_agent_are_propagated_until_too_old(
 def test_late_tracks_are_in_the_next_batch_predicted_and_less_certain(resolved) -> None:
     broker = bench(resolved)
     for frame in range(4):
-        broker.clock(frame)
-        for agent in ("ego", "infra_1"):
-            send_track(broker, agent, frame)
+        play(broker, frame, BOTH)
         if frame >= 2:
             send_track(broker, "infra_2", frame - 2, step=frame, velocity=(10.0, 0.0))
     broker.clock(4)
@@ -121,10 +120,7 @@ def test_late_tracks_are_in_the_next_batch_predicted_and_less_certain(resolved) 
 def test_tracks_that_newer_ones_overtook_are_left_out(resolved) -> None:
     broker = bench(resolved)
     for frame in range(3):
-        broker.clock(frame)
-        for agent in AGENTS:
-            if (agent, frame) != ("infra_2", 0):
-                send_track(broker, agent, frame)
+        play(broker, frame, AGENTS if frame else BOTH)
     send_track(broker, "infra_2", 0, step=2)
     broker.clock(3)
     assert [message.body["age_ns"].tolist() for message in broker.heard(COLLATED)] == [[0, 0], [0, 0, 0], [0, 0, 0]]
@@ -132,17 +128,11 @@ def test_tracks_that_newer_ones_overtook_are_left_out(resolved) -> None:
 
 def test_the_broker_does_not_wait_for_an_agent_that_has_left_until_it_returns(resolved) -> None:
     broker = bench(resolved)
-    broker.clock(0)
-    send_track(broker, "ego", 0)
-    send_track(broker, "infra_1", 0)
+    play(broker, 0, BOTH)
     assert summary(broker.left("infra_2", "agent")) == [(0, {"ego": 0.0, "infra_1": 0.0})]
-    broker.clock(1)
-    send_track(broker, "ego", 1)
-    assert summary(send_track(broker, "infra_1", 1)) == [(1, {"ego": 0.0, "infra_1": 0.0})]
+    assert summary(play(broker, 1, BOTH)) == [(1, {"ego": 0.0, "infra_1": 0.0})]
     broker.host.joined("infra_2", "agent")
-    broker.clock(2)
-    send_track(broker, "ego", 2)
-    assert send_track(broker, "infra_1", 2) == []
+    assert play(broker, 2, BOTH) == []
     published = broker.send("tracks", tracks(), 2, subject="infra_2")
     assert summary(published) == [(2, dict.fromkeys(sorted(AGENTS), 0.0))], "an empty message counts"
 
@@ -150,10 +140,7 @@ def test_the_broker_does_not_wait_for_an_agent_that_has_left_until_it_returns(re
 def test_other_nodes_may_join_and_leave(resolved) -> None:
     broker = bench(resolved)
     broker.host.joined("recorder", "recorder")
-    broker.clock(0)
-    for agent in AGENTS:
-        published = send_track(broker, agent, 0)
-    assert len(published) == 1
+    assert len(play(broker, 0)) == 1
     assert broker.left("recorder", "recorder") == []
 
 
@@ -176,20 +163,13 @@ def test_the_tracks_of_a_new_agent_count_from_the_frame_after_its_first_ones(res
         broker.node.agents.discard("infra_2")
         published = []
         for frame in (0, 1):
-            broker.clock(frame)
-            for agent in ("infra_2", "ego", "infra_1") if newcomer_first else ("ego", "infra_1", "infra_2"):
-                published += send_track(broker, agent, frame)
+            published += play(broker, frame, ("infra_2", *BOTH) if newcomer_first else AGENTS)
         assert summary(published) == [(0, dict.fromkeys(("ego", "infra_1"), 0.0)), (1, dict.fromkeys(AGENTS, 0.0))]
 
 
 def test_with_latency_the_batch_is_of_the_earlier_time(resolved) -> None:
     broker = bench(resolved, latency_s=0.2)
-    published = []
-    for frame in range(5):
-        fresh = broker.clock(frame)
-        for agent in AGENTS:
-            fresh += send_track(broker, agent, frame, x=float(frame))
-        published.append(summary(fresh))
+    published = [summary(play(broker, frame, x=float(frame))) for frame in range(5)]
     whole = dict.fromkeys(sorted(AGENTS), 0.0)
     assert published == [[], [], [(0, whole)], [(1, whole)], [(2, whole)]]
     batch = broker.heard(COLLATED)[-1]
@@ -201,9 +181,7 @@ def test_with_latency_the_batch_is_of_the_earlier_time(resolved) -> None:
 def test_latency_and_patience_wait_for_more_clocks(resolved, config: dict[str, Any], clocks: int) -> None:
     for arrives in (True, False):
         broker = bench(resolved, **config)
-        broker.clock(0)
-        send_track(broker, "ego", 0)
-        send_track(broker, "infra_1", 0)
+        play(broker, 0, BOTH)
         for frame in range(1, clocks + 1):
             assert broker.clock(frame) == []
         if arrives:
@@ -214,12 +192,8 @@ def test_latency_and_patience_wait_for_more_clocks(resolved, config: dict[str, A
 
 def test_frames_are_emitted_in_order_even_if_a_later_one_is_complete_first(resolved) -> None:
     broker = bench(resolved, patience=3)
-    broker.clock(0)
-    for agent in ("ego", "infra_1"):
-        send_track(broker, agent, 0)
-    broker.clock(1)
-    for agent in AGENTS[:2]:
-        send_track(broker, agent, 1)
+    for frame in (0, 1):
+        play(broker, frame, BOTH)
     assert send_track(broker, "infra_2", 1) == [], "frame 0 still waits"
     assert [frame for frame, _ in summary(send_track(broker, "infra_2", 0, step=1))] == [0, 1]
 
@@ -235,8 +209,7 @@ def test_without_agents_there_is_an_empty_batch_every_frame(resolved) -> None:
 def test_overflowing_and_late_messages_are_counted(resolved) -> None:
     broker = bench(resolved, latency_s=0.5, capacity=2)
     for frame in range(4):
-        broker.clock(frame)
-        send_track(broker, "ego", frame)
+        play(broker, frame, ("ego",))
     assert broker.host.finish()["collation"] == {"complete": 0, "overdue": 0, "late": {}, "overflowed": 2, "absurd": 0}
 
 
@@ -244,8 +217,7 @@ def test_overflowing_and_late_messages_are_counted(resolved) -> None:
 def test_an_implausible_track_is_rejected_without_affecting_the_batch(resolved, column: str) -> None:
     broker = bench(resolved, max_age_s=1.0)
     for frame in range(4):
-        broker.clock(frame)
-        send_track(broker, "ego", frame)
+        play(broker, frame, ("ego",))
         if frame < 2:
             body = tracks((1.0, 0.0), (2.0, 0.0), (3.0, 0.0))
             body[column] = body[column].copy()
@@ -271,9 +243,7 @@ def say_at(broker: Bench, agent: str, frame: int, offset_s: float, **more: Any):
 def test_an_agent_with_a_wrong_clock_completes_its_batch_at_the_time_it_reports(resolved, offset_s: float) -> None:
     broker = bench(resolved, max_age_s=0.25)
     for frame in range(4, 8):
-        broker.clock(frame)
-        send_track(broker, "ego", frame)
-        send_track(broker, "infra_1", frame)
+        play(broker, frame, BOTH)
         ((_, batch),) = say_at(broker, "infra_2", frame, offset_s, velocity=(10.0, 0.0))
         assert batch.header.frame == frame
         assert batch.body["age_ns"].tolist() == [0, 0, round(-offset_s * 1e9)]
@@ -286,14 +256,9 @@ def test_an_agent_with_a_wrong_clock_completes_its_batch_at_the_time_it_reports(
 def test_a_clock_error_beyond_max_age_excludes_only_that_agent(resolved, offset_s: float) -> None:
     broker = bench(resolved, max_age_s=0.25)
     for frame in range(4, 7):
-        broker.clock(frame)
-        send_track(broker, "ego", frame)
-        send_track(broker, "infra_1", frame)
+        play(broker, frame, BOTH)
         assert summary(say_at(broker, "infra_2", frame, offset_s)) == [(frame, {"ego": 0.0, "infra_1": 0.0})]
-    broker.clock(7)
-    for agent in AGENTS:
-        published = send_track(broker, agent, 7)
-    assert summary(published) == [(7, dict.fromkeys(AGENTS, 0.0))], "a corrected clock is accepted again"
+    assert summary(play(broker, 7)) == [(7, dict.fromkeys(AGENTS, 0.0))], "a corrected clock is accepted again"
 
 
 def test_a_duplicate_message_changes_nothing(resolved) -> None:

@@ -50,19 +50,6 @@ def test_all_adversaries_get_the_same_plan_when_all_have_reported(resolved) -> N
         np.testing.assert_array_equal(column, second.body[name])
 
 
-def test_the_order_of_observations_changes_nothing(resolved) -> None:
-    outcomes = []
-    for order in ((1, 2), (2, 1)):
-        coordinator = Bench(resolved, "coordinator")
-        for frame in range(4):
-            coordinator.clock(frame)
-            for adversary in order:
-                observe(coordinator, adversary, frame)
-        outcomes.append(coordinator.payloads)
-    assert outcomes[0] == outcomes[1]
-    assert len(outcomes[0]) == 8
-
-
 def test_the_coordinator_waits_for_a_silent_adversary_until_the_next_clock(resolved) -> None:
     coordinator = Bench(resolved, "coordinator")
     coordinator.clock(0)

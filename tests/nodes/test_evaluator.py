@@ -350,11 +350,6 @@ def test_the_evaluator_subscribes_only_to_what_it_needs() -> None:
     assert not evaluator.host.failures
 
 
-def test_results_do_not_depend_on_the_delivery_order() -> None:
-    attacked = tiny("uncoordinated", "n_adversaries=2", "attack_start_s=0.2", "fraction_translations=0.5")
-    assert {Run(attacked, shuffle=order).packed for order in range(4)} == {Run(attacked, encode=False).packed}
-
-
 @pytest.mark.parametrize(
     ("config", "message"),
     [

@@ -42,7 +42,8 @@ def played(name: str, *settings: str, **options: Any) -> Run:
     return run
 
 
-KINDS = {"uncoordinated": ATTACKED, "coordinated": ATTACKED, "baseline": ()}
+BY_TWO = ("n_adversaries=2", "attack_start_s=0.2")
+KINDS = {"uncoordinated": (*BY_TWO, "fraction_translations=0.5"), "coordinated": BY_TWO, "baseline": ()}
 
 
 @pytest.mark.parametrize("name", KINDS)
@@ -124,6 +125,7 @@ def test_one_more_adversary_does_not_change_the_random_streams_of_others(name: s
         for agent in untouched:
             for what in ("detections", "tracks"):
                 assert run.messages[f"agent/{agent}/{what}"] == plain.messages[f"agent/{agent}/{what}"]
+        assert run.messages["cc/picture"] != plain.messages["cc/picture"]
     if name == "uncoordinated":
         for key in ("attack/adversary_1/report", "agent/infra_1/detections", "agent/infra_1/tracks"):
             assert one.messages[key] == two.messages[key]

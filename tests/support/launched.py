@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -68,11 +69,8 @@ class Launched:
     def at_frame(self, frame: int) -> dict[str, Any]:
         """run.json, once an open run has reached a frame."""
         record = self.started()
-        observer = Observer(record, "clock")
-        try:
+        with closing(Observer(record, "clock")) as observer:
             eventually(lambda: observer.frame() >= frame, f"{frame} clocks")
-        finally:
-            observer.close()
         return record
 
     def recorded(self) -> bool:
@@ -93,6 +91,17 @@ class Launched:
             pytest.fail(f"not ended within {seconds:.0f} s: {self.process.communicate(timeout=10.0)[0]}")
         return self.process.returncode, output
 
+    def ended(self, code: int = 0) -> str:
+        """Its output, after it has ended with this exit code."""
+        found, output = self.end()
+        assert found == code, f"exit code {found}: {output}"
+        return output
+
+    def interrupted(self) -> str:
+        """Its output, after Ctrl-C."""
+        self.process.send_signal(signal.SIGINT)
+        return self.ended(130)
+
     def kill(self) -> None:
         """Kill it unless it has ended."""
         with self.process:
@@ -111,6 +120,10 @@ class Observer:
 
     def _take(self, sample: zenoh.Sample) -> None:
         self.samples.append((str(sample.key_expr).removeprefix(self.prefix), sample))
+
+    def publisher(self, key: str) -> zenoh.Publisher:
+        """A publisher of a key, which blocks if the mesh is congested."""
+        return self.session.declare_publisher(self.prefix + key, congestion_control=zenoh.CongestionControl.BLOCK)
 
     def frame(self) -> int:
         """The number of clocks received."""

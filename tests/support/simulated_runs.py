@@ -167,16 +167,19 @@ def schedule(seed: int, *disturbances: tuple[Any, ...], calm: bool = False) -> S
     return Schedule(seed, tuple(Disturbance(*disturbance) for disturbance in disturbances), calm)
 
 
-def assert_equals_one_process(resolved: Resolved, schedule: Schedule, expected: Played) -> None:
-    """Play a scenario; assert that it ends well, and that every message and result is the same."""
-    played, outcome = on_simulated_mesh(resolved, schedule)
-    assert outcome.claims_to_be_exact(), (
-        f"{outcome.error} {outcome.lost} {outcome.churn} {outcome.rejected}\n{schedule}"
-    )
-    assert outcome.violations == []
-    assert_same_messages(played.messages, expected.messages, str(schedule))
-    different = [name for name, packed in expected.results.items() if played.results.get(name) != packed]
-    assert not different, f"different results of {different}\n{schedule}"
+def assert_equals_one_process(resolved: Resolved, *schedules: Schedule) -> Played:
+    """Play a scenario; assert that it ends well, and that every message and result is the same as in one process."""
+    expected = in_one_process(resolved)
+    for schedule in schedules or harmless_schedules(resolved, 2):
+        played, outcome = on_simulated_mesh(resolved, schedule)
+        assert outcome.claims_to_be_exact(), (
+            f"{outcome.error} {outcome.lost} {outcome.churn} {outcome.rejected}\n{schedule}"
+        )
+        assert outcome.violations == []
+        assert_same_messages(played.messages, expected.messages, str(schedule))
+        different = [name for name, packed in expected.results.items() if played.results.get(name) != packed]
+        assert not different, f"different results of {different}\n{schedule}"
+    return expected
 
 
 def assert_same_messages(found: list[Sent], expected: list[Sent], what: str = "") -> None:

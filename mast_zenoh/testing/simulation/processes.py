@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import hashlib
 import logging
 import traceback
-from abc import ABC, abstractmethod
-from collections import deque
+from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Collection, Iterable
 from contextlib import nullcontext
 from typing import Any, Protocol
 
 from mast_zenoh.config.resolved import NodeSpec, Resolved
+from mast_zenoh.control.flow import StopKind
 from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.launch.launcher_protocol import RunState
 from mast_zenoh.launch.supervisor import Child, Supervisor
+from mast_zenoh.messages import codec
 from mast_zenoh.runtime.protocol.actions import (
     DOZE_S,
     DRAIN_TIMEOUT_S,
@@ -27,10 +29,11 @@ from mast_zenoh.runtime.protocol.node import CLOCK
 from mast_zenoh.runtime.protocol.traffic import ATTACHMENT, Event, Inbox, Item
 from mast_zenoh.runtime.waiting import Limit, Room
 from mast_zenoh.testing.simulation.network import Network, VirtualTime
-from mast_zenoh.testing.simulation.world import World
+from mast_zenoh.testing.simulation.world import Schedule, World
 
 _FOREVER = 1 << 62
 _FULL = Limit(6, 1 << 20)  # of an inbox that is filled
+_UNHEARD = 3  # frames in a row without a node that is there
 
 KILLED, ORPHANED, CRASHED = -9, 3, 1  #: exit codes
 
@@ -47,46 +50,11 @@ class LauncherEnd(Protocol):
     def arrive_result(self, source: SimulatedProcess, results: bytes, answer: Callable[[str | None], None]) -> None:
         """Let results of a node arrive, and answer."""
 
+    def arrive_clock(self, frame: int) -> None:
+        """Let the clock of a frame arrive."""
 
-class SimulatedMesh(ABC):
-    """What processes and launcher find around them: virtual time, the network, each other, and a watch on promises.
-
-    run:    its id;  silent_log: a logger that writes nothing
-    driver: its process, once it has joined;  doomed: nodes that are killed some time after a stop reaches them, s
-    """
-
-    world: World
-    run: str
-    silent_log: logging.Logger
-    time: VirtualTime
-    network: Network[SimulatedProcess]
-    driver: SimulatedProcess | None
-    launcher: LauncherEnd
-    doomed: dict[str, float]
-
-    @abstractmethod
-    def current(self, node: str) -> SimulatedProcess | None:
-        """The running process of a node."""
-
-    @abstractmethod
-    def handle(self, process: SimulatedProcess, event: Event | None) -> None:
-        """Have a process handle an event."""
-
-    @abstractmethod
-    def token(self, process: SimulatedProcess, present: bool) -> None:
-        """Have a process's token appear, after its declarations, or go: for the driver and for the launcher."""
-
-    @abstractmethod
-    def note_published(self, process: SimulatedProcess, key: str, payload: bytes, step: int) -> None:
-        """Check what must hold when a message is published, and when a frame begins."""
-
-    @abstractmethod
-    def note_stop(self, process: SimulatedProcess, reason: str) -> None:
-        """Check what must hold when the driver ends a run in lock-step."""
-
-    @abstractmethod
-    def violate(self, sentence: str) -> None:
-        """Note a broken promise."""
+    def arrive_token(self, node: str, present: bool) -> None:
+        """Let a change of a node's token arrive."""
 
 
 class _NearlyFull(Room):
@@ -448,3 +416,126 @@ class SimulatedSupervisor(Supervisor[SimulatedChild]):
     def end(self, grace_s: float) -> None:
         for child in self.running():
             self.end_now(child)
+
+
+class SimulatedMesh:
+    """What processes and launcher find around them: virtual time, the network, each other, and a watch on promises.
+
+    run:    its id;  silent_log: a logger that writes nothing
+    driver: its process, once it has joined;  doomed: nodes that are killed some time after a stop reaches them, s
+    violations: broken promises;  streams: digest of the messages of each key
+    """
+
+    launcher: LauncherEnd
+
+    def __init__(self, world: World, schedule: Schedule) -> None:
+        self.world = world
+        self.run = "simulated"
+        self.silent_log = logging.Logger("simulated", logging.CRITICAL + 1)
+        self.lockstep = world.resolved.mode == "lockstep"
+        self.time = VirtualTime(schedule)
+        self.network = Network[SimulatedProcess](self.time, schedule, realtime=not self.lockstep)
+        self.violations: list[str] = []
+        self.driver: SimulatedProcess | None = None
+        self.frame = -1  # the newest
+        self._tokens: dict[str, SimulatedProcess] = {}
+        self._known: dict[str, SimulatedProcess] = {}  # by node, the process whose token the driver has noted
+        self._token_arrived: dict[str, SimulatedProcess | None] = {}  # the same for tokens that it has received
+        self.doomed: dict[str, float] = {}
+        self.streams = defaultdict[str, Any](hashlib.sha256)
+        self._unheard: Counter[str] = Counter()  # frames in a row that began without a node that is there
+
+    def running(self) -> list[SimulatedProcess]:
+        """The processes that run."""
+        return [process for process in self.network.processes if process.alive]
+
+    def current(self, node: str) -> SimulatedProcess | None:
+        """The running process of a node."""
+        return next((process for process in self.network.processes if process.name == node and process.alive), None)
+
+    def violate(self, sentence: str) -> None:
+        """Note a broken promise."""
+        self.violations.append(f"{self.time.now_ns * 1e-9:.4f} s: {sentence}")
+
+    def handle(self, process: SimulatedProcess, event: Event | None) -> None:
+        """Have a process handle an event."""
+        if event is not None and event[0] == "alive":
+            arrived = self._token_arrived.get(event[1])
+            self._known.pop(event[1], None)
+            if arrived is not None:
+                self._known[event[1]] = arrived
+        elif event is not None and event[0] == "epoch" and not process.protocol.epoch:
+            process.joined_frame = self.frame
+        process.protocol.handle(event)
+
+    def token(self, process: SimulatedProcess, present: bool) -> None:
+        """Have a process's token appear, after its declarations, or go: for the driver and for the launcher."""
+        name = process.name
+        least_ns = process.subscribed_ns if present else self.network.noticed_ns(name)
+        if present:
+            self._tokens[name] = process
+        else:
+            self._tokens.pop(name, None)
+        self.network.send(("alive", name), "", "", self.launcher.arrive_token, name, present, least_ns=least_ns)
+        if self.driver is not None:
+            self._tell_driver(self.driver, process, present)
+        elif isinstance(process.protocol, DriverProtocol):
+            self.driver = process
+            for there in self._tokens.values():
+                self._tell_driver(process, there, True)
+
+    def _tell_driver(self, driver: SimulatedProcess, process: SimulatedProcess, present: bool) -> None:
+        """Have a token appear or go; what goes is noticed by the router, whatever the link of its process does."""
+        name = process.name
+
+        def arrive() -> None:
+            self._token_arrived[name] = process if present else None
+            assert isinstance(driver.protocol, DriverProtocol)
+            driver.protocol.receive_presence(name, present)
+
+        stream = ("alive", name, driver)
+        source, least_ns = (name, process.subscribed_ns) if present else ("", self.network.noticed_ns(name))
+        self.network.send(stream, source, driver.name, lambda: driver.take_in(arrive), least_ns=least_ns)
+
+    def note_published(self, process: SimulatedProcess, key: str, payload: bytes, step: int) -> None:
+        """Check what must hold when a message is published, and when a frame begins."""
+        self.streams[key].update(payload)
+        if key == "clock" and isinstance(process.protocol, DriverProtocol):
+            self.frame = step
+            self.network.send((process, "clock", "launcher"), process.name, "", self.launcher.arrive_clock, step)
+            if self.lockstep:
+                self._check_frame(process.protocol, codec.decode_header(payload, "clock").frame)
+        elif self.lockstep and step <= process.joined_frame:
+            self.violate(f"{process.name} publishes for frame {step}, which had begun when it joined")
+
+    def _check_frame(self, driver: DriverProtocol, frame: int) -> None:
+        for process in self.running():
+            name = process.name
+            if name == driver.name or name not in driver.members or not process.publishes:
+                continue
+            waiting = self.network.in_transit[process, driver.epoch]
+            if waiting:
+                self.violate(f"frame {frame} begins with {waiting} messages on the way to {name}")
+            if process.protocol.epoch != driver.epoch and self._known.get(name) is process:
+                self.violate(f"frame {frame} begins although {name} has not entered epoch {driver.epoch}")
+        for name in self._outside(driver):
+            self._unheard[name] += 1
+            if self._unheard[name] == _UNHEARD and self._known[name].publishes:
+                self.violate(f"frame {frame} begins, the {_UNHEARD}rd one without {name}, which is there")
+
+    def note_stop(self, process: SimulatedProcess, reason: str) -> None:
+        """Check what must hold when the driver ends a run in lock-step."""
+        if self.lockstep and reason == StopKind.END.value and isinstance(process.protocol, DriverProtocol):
+            for name in self._outside(process.protocol):
+                if self._unheard[name]:
+                    self.violate(f"the run ends without {name}, which was there when the last frame began")
+
+    def _outside(self, driver: DriverProtocol) -> list[str]:
+        """The nodes whose tokens the driver has noted, and which are not in its epoch."""
+        outside = [
+            name
+            for name, process in self._known.items()
+            if process.alive and name in driver.membership.expected and process.protocol.epoch != driver.epoch
+        ]
+        self._unheard = Counter({name: self._unheard[name] for name in outside})
+        return outside

@@ -11,10 +11,11 @@ import numpy as np
 import zenoh
 from damage import flipped, malformed
 from damage import refused as refused_by
+from sound_controls import CODECS
 
 from insider.position import FAILURE, MARKER, RESULT, Position, valid_message
 from mast_zenoh import streams
-from mast_zenoh.control import CONTROLS, failures, files, flow, interception, results
+from mast_zenoh.control import CONTROLS, results
 from mast_zenoh.control.results import EVALUATOR
 
 #: Kinds sent as queries; all others are published.
@@ -79,20 +80,9 @@ def forgeries(control: str, position: Position, count: int, seed: int = 0) -> li
 
 def decoder(control: str, node: str) -> Callable[[bytes], Any]:
     """The decoder of messages of this kind from a node that does not drive the scene."""
-    return {
-        "counts": flow.decode_counts,
-        "epoch": flow.decode_epoch,
-        "failed": failures.decode_failure,
-        "stop": flow.decode_stop,
-        "leave": flow.decode_stop,
-        "act": flow.decode_act,
-        "result": lambda payload: results.decode_result(payload, node, drives=False),
-        "fetch": files.decode_fetch,
-        "file": files.decode_file,
-        "drain": flow.decode_drain,
-        "rewire": flow.decode_rewire,
-        "intercept": interception.sealed_parts,
-    }[control]
+    if control == "result":
+        return lambda payload: results.decode_result(payload, node, drives=False)
+    return CODECS[{"leave": "stop", "fetch": "join", "intercept": "sealed"}.get(control, control)][0]
 
 
 def refused(control: str, node: str, payload: bytes) -> bool:
@@ -250,10 +240,6 @@ def _failures() -> Iterator[dict[str, Any]]:
     yield FAILURE | {"where": "\x1b[2J" * 1000}
 
 
-def _counts(position: Position) -> Iterator[Any]:
-    yield from false_counts(position)
-
-
 def _epoch(position: Position) -> Iterator[Any]:
     strangers = {"stranger": "agent", position.driver: "agent"}
     for number in (1, 2, 3, (1 << 32) - 1):
@@ -335,7 +321,7 @@ def _intercept(position: Position) -> Iterator[Any]:
 
 
 _GENERATORS: dict[str, Callable[[Position], Iterator[Any]]] = {
-    "counts": _counts,
+    "counts": false_counts,
     "epoch": _epoch,
     "failed": _failed,
     "stop": _stop,
