@@ -481,8 +481,8 @@ def read_buildings(path: Path, scene: Path | None) -> tuple[tuple[Floats, ...], 
 
     The polygons are in the world frame. All have the height `building_height_m` of `scene.json`, by default 12 m.
     """
-    data = _load(path)
-    settings = _load(scene) if scene is not None else {}
+    data = _read(path)
+    settings = _read(scene) if scene is not None else {}
     outlines = []
     try:
         height = float(settings.get("building_height_m", _DEFAULT_HEIGHT_M))
@@ -498,10 +498,3 @@ def read_buildings(path: Path, scene: Path | None) -> tuple[tuple[Floats, ...], 
     except (ValueError, TypeError, AttributeError, IndexError) as error:
         raise SceneError(f"{path}: {reason(error)}") from error
     return tuple(outlines), np.full(len(outlines), height)
-
-
-def _load(path: Path) -> Any:
-    try:
-        return json.loads(path.read_text(encoding="utf-8"), parse_constant=reject_constant)
-    except (OSError, ValueError) as error:
-        raise SceneError(f"{path}: {error}") from error

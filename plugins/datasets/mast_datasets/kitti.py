@@ -29,6 +29,8 @@ _MAX_COORDINATE_M = 1e5
 _MAX_SIZE_M = 100.0
 _EARTH_RADIUS_M = 6378137.0
 _OXTS_COLUMNS = 30
+#: Largest numbers of the first columns.
+_LIMITS = {"latitude": 89.0, "longitude": 180.0, "altitude": 1e5, "roll": 7.0, "pitch": 7.0, "yaw": 7.0}
 #: Columns of a label; a score may follow.
 _COLUMNS = (
     *("frame", "track", "type", "truncated", "occluded", "alpha", "left", "top", "right", "bottom"),
@@ -146,18 +148,10 @@ def read_poses(path: Path) -> tuple[Floats, Floats]:
     for number, fields in _rows(path):
         if len(fields) != _OXTS_COLUMNS:
             raise SceneError(f"{path}: line {number}: found {len(fields)} values, expected {_OXTS_COLUMNS}")
-        limits = (
-            ("latitude", 89.0),
-            ("longitude", 180.0),
-            ("altitude", 1e5),
-            ("roll", 7.0),
-            ("pitch", 7.0),
-            ("yaw", 7.0),
-        )
         rows.append(
             [
                 TextElement(text, path, f"line {number}: {name}").number(-limit, limit)
-                for text, (name, limit) in zip(fields, limits, strict=False)
+                for text, (name, limit) in zip(fields, _LIMITS.items(), strict=False)
             ]
         )
         if len(rows) > _MAX_FRAMES:

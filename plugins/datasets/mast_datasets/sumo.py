@@ -137,11 +137,7 @@ class _Rows:
         self._file = file
         self._types = types
         self._known: dict[str, VehicleType] = {}
-        self._frame: list[int] = []
-        self._id: list[str] = []
-        self._numbers: list[tuple[float, float, float, float, float]] = []
-        self._kinds: list[VehicleType] = []
-        self._person: list[bool] = []
+        self._rows: list[tuple[int, str, tuple[float, float, float], float, float, VehicleType, bool]] = []
         self._has_heights = False
 
     def add(self, frame: int, rows: Iterator[tuple[bool, Row]]) -> None:
@@ -155,7 +151,7 @@ class _Rows:
             if unique in seen:
                 name.fail("every id once at a time")
             seen.add(unique)
-            if len(self._frame) >= _MAX_ROWS:
+            if len(self._rows) >= _MAX_ROWS:
                 raise SceneError(
                     f"{self._file}: found more than {_MAX_ROWS} rows in the window, expected at most as many; "
                     "choose a shorter duration_s"
@@ -164,15 +160,12 @@ class _Rows:
             z = self._height(row)
             speed = row["speed"].number(-_MAX_SPEED, _MAX_SPEED) if "speed" in row else np.nan
             angle = row["angle"].number(-360.0, 720.0)
-            self._frame.append(frame)
-            self._id.append(unique)
-            self._numbers.append((x, y, z, np.radians(90.0 - angle), speed))
-            self._kinds.append(self._kind(person, row))
-            self._person.append(person)
+            yaw = float(np.radians(90.0 - angle))
+            self._rows.append((frame, unique, (x, y, z), yaw, speed, self._kind(person, row), person))
 
     def _height(self, row: Row) -> float:
         """Height m of the road: 0 in a network without heights."""
-        if not self._numbers:
+        if not self._rows:
             self._has_heights = "z" in row
         if self._has_heights:
             return row["z"].number(-1e5, 1e5)
@@ -196,18 +189,18 @@ class _Rows:
 
     def trace(self, times_ns: Ints) -> Trace:
         """All rows."""
-        names, number = np.unique(np.array(self._id, dtype=np.str_), return_inverse=True)
-        numbers = np.array(self._numbers, np.float64).reshape(-1, 5)
+        frame, name, front, yaw, speed, types, person = zip(*self._rows, strict=True) if self._rows else [()] * 7
+        names, number = np.unique(np.array(name, dtype=np.str_), return_inverse=True)
         return Trace(
             times_ns=times_ns,
-            frame=np.array(self._frame, np.int64),
+            frame=np.array(frame, np.int64),
             id=number.astype(np.int64) + 1,
             names=names.tolist(),
-            front=numbers[:, :3],
-            yaw=numbers[:, 3],
-            speed=numbers[:, 4],
-            types=self._kinds,
-            person=np.array(self._person, bool),
+            front=np.array(front, np.float64).reshape(-1, 3),
+            yaw=np.array(yaw, np.float64),
+            speed=np.array(speed, np.float64),
+            types=list(types),
+            person=np.array(person, bool),
         )
 
 
