@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -89,10 +88,85 @@ class Scorer:
                     rows.append((*truth, in_range + (len(table.boxes) + series_rows.start)))
         all_boxes = Boxes.join([table.boxes, boxes])
         truth_rows, unevaluated, excused, track_rows = ([each[kind] for each in rows] for kind in range(4))
-        layout = _Layout.of(tuple(names), frames, all_boxes, (truth_rows, unevaluated, track_rows), excused)
+        shape = len(names), len(frames)
+        # The evaluated objects, then other objects in range (for figures), then the tracks in range.
+        picked = _arrange(all_boxes, [*truth_rows, *unevaluated, *track_rows], shape)
         of_truth, of_tracks = (_concatenate_rows(each) for each in (truth_rows, track_rows))
         tables = of_truth, order.take(of_tracks - len(table.boxes)), table, tracks
-        return _compare(self.assigner, self.distance, layout, tables, record.agents, same_as)
+        compared = picked, _arrange(all_boxes, excused, shape)
+        return self._compare(*compared, tables, tuple(names), frames, record.agents, same_as)
+
+    def _compare(
+        self,
+        boxes: Boxes,
+        excused: Boxes,
+        tables: tuple[Ints, Ints, TruthTable, TrackTable],
+        series: tuple[tuple[str, str], ...],
+        frames: Ints,
+        agents: tuple[str, ...],
+        same_as: dict[tuple[str, str], tuple[str, str]],
+    ) -> Scores:
+        """The scores of all series.
+
+        boxes: arranged evaluated objects, other objects and tracks;  excused: objects whose tracks are not false
+        tables: the rows of the evaluated objects and of the tracks in the tables that follow
+        """
+        assigner = self.assigner
+        truth = boxes.select(slice(0, len(tables[0])))
+        tracks = boxes.select(slice(len(boxes) - len(tables[1]), None))
+        pairs = assigner.assign(truth, tracks)
+        # Floating-point sums depend on the order of their terms, so pairs are sorted by id.
+        pairs = pairs[row_order(truth.id[pairs[:, 0]], truth.group[pairs[:, 0]])]
+        of_truth, of_track = np.full(len(truth), -1, np.int64), np.full(len(tracks), -1, np.int64)
+        of_truth[pairs[:, 0]] = tracks.id[pairs[:, 1]]
+        of_track[pairs[:, 1]] = truth.id[pairs[:, 0]]
+        truth_outcome = np.full(len(truth), MISSED, np.int64)
+        truth_outcome[pairs[:, 0]] = MATCHED
+        track_outcome = np.full(len(tracks), FALSE, np.int64)
+        track_outcome[pairs[:, 1]] = MATCHED
+
+        evaluated = tracks
+        if len(excused):
+            false_rows = np.flatnonzero(track_outcome == FALSE)
+            excused_pairs = assigner.assign(excused, tracks.select(false_rows))
+            track_outcome[false_rows[excused_pairs[:, 1]]] = UNEVALUATED
+            of_track[false_rows[excused_pairs[:, 1]]] = excused.id[excused_pairs[:, 0]]
+            evaluated = tracks.select(track_outcome != UNEVALUATED)
+
+        shape = len(series), len(frames)
+
+        def count(group: Ints) -> Ints:
+            return np.bincount(group, minlength=shape[0] * shape[1]).reshape(shape).astype(np.int64)
+
+        group = truth.group[pairs[:, 0]]
+        centres = truth.position.take(pairs[:, 0], 0), tracks.position.take(pairs[:, 1], 0)
+        distance_m = centre_distance(*centres, assigner.dimensions)
+        squared_error: Floats = np.bincount(group, distance_m**2, minlength=shape[0] * shape[1]).astype(np.float64)
+        ospa, gospa = self.distance.of(truth, evaluated, shape[0] * shape[1])
+        switched, before = _switches(group, truth.id[pairs[:, 0]], tracks.id[pairs[:, 1]], shape[1])
+        return Scores(
+            series=series,
+            frames=frames,
+            fn=count(truth.group[truth_outcome == MISSED]),
+            fp=count(tracks.group[track_outcome == FALSE]),
+            tp=count(group),
+            squared_error=squared_error.reshape(shape),
+            id_switches=count(group[switched]),
+            ospa_m=ospa.reshape(shape),
+            gospa_m=gospa.reshape(shape),
+            switches=Switches(
+                *np.divmod(group[switched], max(shape[1], 1)),
+                truth.id[pairs[switched, 0]],
+                before,
+                tracks.id[pairs[switched, 1]],
+            ),
+            judged=_judged(
+                boxes, frames, (truth_outcome, of_truth), (track_outcome, of_track), tables[3].score[tables[1]]
+            ),
+            pairs=MatchedPairs(group, shape[1], pairs[:, 0], pairs[:, 1], *tables, assigner.dimensions),
+            agents=agents,
+            same_as=same_as,
+        )
 
     def _truth_masks(self, table: TruthTable, agent: int) -> tuple[Bools, Bools, Bools]:
         """Masks of the truth rows: near an agent, evaluated, and excused.
@@ -130,53 +204,9 @@ def _distinct_series(record: Record, frames: Ints) -> tuple[list[Series], dict[t
     return distinct, same_as
 
 
-@dataclass(frozen=True, slots=True)
-class _Layout:
-    """Boxes of all series and frames as consecutive groups.
-
-    group = series · frames + frame
-    boxes:   the evaluated objects, then other objects in range (for figures), then the tracks in range
-    counts:  number of each of these three
-    excused: objects that are not evaluated and whose tracks are not false
-    """
-
-    series: tuple[tuple[str, str], ...]
-    frames: Ints
-    boxes: Boxes
-    counts: tuple[int, int, int]
-    excused: Boxes
-
-    @classmethod
-    def of(
-        cls,
-        series: tuple[tuple[str, str], ...],
-        frames: Ints,
-        boxes: Boxes,
-        kinds: Sequence[Sequence[Ints]],
-        excused: Sequence[Ints],
-    ) -> _Layout:
-        """The layout of rows of `boxes`.
-
-        kinds, excused: rows by series
-        """
-        picked = _arrange(boxes, [rows for kind in kinds for rows in kind], len(series), len(frames))
-        of_seen, of_others, of_tracks = (sum(map(len, kind)) for kind in kinds)
-        counts = of_seen, of_others, of_tracks
-        return cls(series, frames, picked, counts, _arrange(boxes, excused, len(series), len(frames)))
-
-    @property
-    def truth(self) -> Boxes:
-        """The evaluated objects."""
-        return self.boxes.select(slice(0, self.counts[0]))
-
-    @property
-    def tracks(self) -> Boxes:
-        """The tracks in range."""
-        return self.boxes.select(slice(len(self.boxes) - self.counts[2], None))
-
-
-def _arrange(boxes: Boxes, rows: Sequence[Ints], n_series: int, n_frames: int) -> Boxes:
-    """Arrange rows of `boxes` by series, or by kind and series, as in a layout."""
+def _arrange(boxes: Boxes, rows: Sequence[Ints], shape: tuple[int, int]) -> Boxes:
+    """Rows of `boxes`, given by series or by kind and series, with group = series · frames + frame."""
+    n_series, n_frames = shape
     series = np.repeat(np.arange(len(rows)) % max(n_series, 1), [len(each) for each in rows])
     picked = boxes.select(_concatenate_rows(rows))
     return picked.in_group(series * n_frames + picked.group % max(n_frames, 1))
@@ -185,69 +215,6 @@ def _arrange(boxes: Boxes, rows: Sequence[Ints], n_series: int, n_frames: int) -
 def _concatenate_rows(rows: Sequence[Ints]) -> Ints:
     """Concatenate the rows of all series."""
     return np.concatenate([np.zeros(0, np.int64), *rows])
-
-
-def _compare(
-    assigner: Assigner,
-    distance: SetDistance,
-    layout: _Layout,
-    tables: tuple[Ints, Ints, TruthTable, TrackTable],
-    agents: tuple[str, ...],
-    same_as: dict[tuple[str, str], tuple[str, str]],
-) -> Scores:
-    """Score a layout; tables: the rows of its truth objects and tracks in the tables that follow."""
-    truth, tracks, excused = layout.truth, layout.tracks, layout.excused
-    pairs = assigner.assign(truth, tracks)
-    # Floating-point sums depend on the order of their terms, so pairs are sorted by id.
-    pairs = pairs[row_order(truth.id[pairs[:, 0]], truth.group[pairs[:, 0]])]
-    of_truth, of_track = np.full(len(truth), -1, np.int64), np.full(len(tracks), -1, np.int64)
-    of_truth[pairs[:, 0]] = tracks.id[pairs[:, 1]]
-    of_track[pairs[:, 1]] = truth.id[pairs[:, 0]]
-    truth_outcome = np.full(len(truth), MISSED, np.int64)
-    truth_outcome[pairs[:, 0]] = MATCHED
-    track_outcome = np.full(len(tracks), FALSE, np.int64)
-    track_outcome[pairs[:, 1]] = MATCHED
-
-    evaluated = tracks
-    if len(excused):
-        false_rows = np.flatnonzero(track_outcome == FALSE)
-        excused_pairs = assigner.assign(excused, tracks.select(false_rows))
-        track_outcome[false_rows[excused_pairs[:, 1]]] = UNEVALUATED
-        of_track[false_rows[excused_pairs[:, 1]]] = excused.id[excused_pairs[:, 0]]
-        evaluated = tracks.select(track_outcome != UNEVALUATED)
-
-    shape = len(layout.series), len(layout.frames)
-
-    def count(group: Ints) -> Ints:
-        return np.bincount(group, minlength=shape[0] * shape[1]).reshape(shape).astype(np.int64)
-
-    group = truth.group[pairs[:, 0]]
-    centres = truth.position.take(pairs[:, 0], 0), tracks.position.take(pairs[:, 1], 0)
-    distance_m = centre_distance(*centres, assigner.dimensions)
-    squared_error: Floats = np.bincount(group, distance_m**2, minlength=shape[0] * shape[1]).astype(np.float64)
-    ospa, gospa = distance.of(truth, evaluated, shape[0] * shape[1])
-    switched, before = _switches(group, truth.id[pairs[:, 0]], tracks.id[pairs[:, 1]], shape[1])
-    return Scores(
-        series=layout.series,
-        frames=layout.frames,
-        fn=count(truth.group[truth_outcome == MISSED]),
-        fp=count(tracks.group[track_outcome == FALSE]),
-        tp=count(group),
-        squared_error=squared_error.reshape(shape),
-        id_switches=count(group[switched]),
-        ospa_m=ospa.reshape(shape),
-        gospa_m=gospa.reshape(shape),
-        switches=Switches(
-            *np.divmod(group[switched], max(shape[1], 1)),
-            truth.id[pairs[switched, 0]],
-            before,
-            tracks.id[pairs[switched, 1]],
-        ),
-        judged=_judged(layout, (truth_outcome, of_truth), (track_outcome, of_track), tables[3].score[tables[1]]),
-        pairs=MatchedPairs(group, shape[1], pairs[:, 0], pairs[:, 1], *tables, assigner.dimensions),
-        agents=agents,
-        same_as=same_as,
-    )
 
 
 def _switches(group: Ints, truth_id: Ints, track_id: Ints, n_frames: int) -> tuple[Ints, Ints]:
@@ -263,9 +230,9 @@ def _switches(group: Ints, truth_id: Ints, track_id: Ints, n_frames: int) -> tup
     return order[at + 1][by_pair], track_id[order[at]][by_pair]
 
 
-def _judged(layout: _Layout, truth: tuple[Ints, Ints], track: tuple[Ints, Ints], score: Floats) -> Judged:
+def _judged(boxes: Boxes, frames: Ints, truth: tuple[Ints, Ints], track: tuple[Ints, Ints], score: Floats) -> Judged:
     """All boxes sorted as in `Judged`; truth, track: outcome and matched id."""
-    boxes, others = layout.boxes, layout.counts[1]
+    others = len(boxes) - len(truth[0]) - len(score)
     is_track = np.arange(len(boxes)) >= len(boxes) - len(score)
     outcome = np.concatenate([truth[0], np.full(others, UNEVALUATED), track[0]])
     match = np.concatenate([truth[1], np.full(others, -1), track[1]])
@@ -273,8 +240,8 @@ def _judged(layout: _Layout, truth: tuple[Ints, Ints], track: tuple[Ints, Ints],
     sort_key = (boxes.group * 2 + is_track) * len(OUTCOMES) + outcome
     order = row_order(boxes.id, sort_key, ties=lambda: boxes.position.T[::-1])
     boxes = boxes.select(order)
-    series, frame = np.divmod(boxes.group, max(len(layout.frames), 1))
-    frame_number = layout.frames[frame] if len(frame) else frame
+    series, frame = np.divmod(boxes.group, max(len(frames), 1))
+    frame_number = frames[frame] if len(frame) else frame
     return Judged(
         series, frame_number, is_track.take(order), outcome.take(order), boxes, match.take(order), scores.take(order)
     )
