@@ -28,7 +28,8 @@ def test_a_frame_is_complete_when_all_members_have_contributed_once() -> None:
     assert gather.add(0, "a", 1) is None
     assert gather.add(0, "a", 9) is None, "ignored, and counted"
     assert gather.add(0, "b", 2) == {"a": 1, "b": 2}
-    assert gather.duplicates == 1
+    assert gather.add(0, "b", 3) is None
+    assert gather.duplicates == 2
 
 
 def test_an_incomplete_frame_expires_at_the_next_clock() -> None:

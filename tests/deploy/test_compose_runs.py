@@ -12,14 +12,12 @@ from typing import Any
 
 import pytest
 from containers import built, mast, remnants_of
-from equal_runs import assert_equal
+from equal_runs import assert_equal, run_alone
 from launched import MAST, Launched, eventually
 
-from mast_zenoh import scenario
 from mast_zenoh.deploy.compose import command
 from mast_zenoh.deploy.compose_inside import EXAMPLES
 from mast_zenoh.deploy.docker import docker
-from mast_zenoh.launch import run as launcher
 from mast_zenoh.messagelog.reader import read
 from mast_zenoh.runtime.mesh.hosting import UP
 
@@ -50,11 +48,9 @@ def settings(of: tuple[str, ...]) -> list[str]:
     return [word for setting in of for word in ("--set", setting)]
 
 
-def here(name: str, of: tuple[str, ...], frames: int, out: Path) -> launcher.Run:
-    path, loaded = scenario.load(name, of)
-    outcome = launcher.run(scenario.resolve(path, loaded, frames=frames, record=True), out, runtime="inproc")
-    assert outcome.error is None
-    return outcome
+def here(name: str, of: tuple[str, ...], frames: int, out: Path) -> Path:
+    """The folder of the same run in one process."""
+    return run_alone(out, name, *of, frames=frames, record=True)
 
 
 def ended(run: Launched, expected: int = 0) -> dict[str, Any]:
@@ -69,7 +65,7 @@ def test_a_secure_composed_run_equals_the_local_one_exactly(up, tmp_path: Path) 
     run = up("uncoordinated", "--frames", "5", "--secure", *settings(SMALL))
     plain = here("uncoordinated", SMALL, 5, tmp_path / "here")
     record = ended(run)
-    assert_equal(plain.folder, run.out)
+    assert_equal(plain, run.out)
     assert record["security"] == "acl"
     assert all(node["exit"] == 0 and node["container"] and node["clock"] for node in record["nodes"].values())
 
@@ -80,7 +76,7 @@ def test_a_restarted_node_takes_part_as_in_a_local_run(up, tmp_path: Path) -> No
     record = ended(run)
     assert [step["action"] for step in record["steps"]] == ["kill", "start"]
     assert record["nodes"]["infra_2"]["restarts"] == 1
-    assert_equal(plain.folder, run.out)
+    assert_equal(plain, run.out)
 
 
 FAULTY = """
@@ -229,7 +225,7 @@ def test_docker_compose_up_on_a_shipped_file_ends_by_itself_with_results(
     assert record["status"] == "ok", record["message"]
     assert record["security"] == EXAMPLES[name][1]
     assert (out / "report.html").is_file()
-    assert_equal(here(EXAMPLES[name][0], (), FRAMES, tmp_path / "here").folder, out)
+    assert_equal(here(EXAMPLES[name][0], (), FRAMES, tmp_path / "here"), out)
     assert not [path for path in out.rglob("*") if path.is_file() and b"PRIVATE KEY" in path.read_bytes()]
 
 
@@ -243,7 +239,7 @@ def test_a_node_that_the_scenario_kills_starts_again_in_its_container(compose: C
     record = json.loads((out / "run.json").read_text())
     assert [step["action"] for step in record["steps"]] == ["kill", "start"]
     assert record["nodes"]["infra_2"]["restarts"] == 1
-    assert_equal(here("attack_during_partition", RESTARTED, 10, tmp_path / "here").folder, out)
+    assert_equal(here("attack_during_partition", RESTARTED, 10, tmp_path / "here"), out)
 
 
 def test_the_exit_code_of_the_launcher_is_that_of_compose(compose: Compose) -> None:

@@ -8,15 +8,15 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
-import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
+from launched import eventually
 from small_study import tables, write_small
 
 from mast_zenoh.errors import StartError
@@ -53,23 +53,11 @@ def test_a_second_study_on_a_machine_gives_no_warning_of_ports_and_is_reachable_
     assert {each.laddr.ip for each in listening if each.status == psutil.CONN_LISTEN} == {"127.0.0.1"}
 
 
-def wait_until(condition: Callable[[], bool], what: str) -> None:
-    """Poll until a condition holds."""
-    pause, deadline = threading.Event(), time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < deadline, f"timed out waiting for {what}"
-        pause.wait(0.02)
-
-
-def mast(*words: str, cwd: Path) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "mast_zenoh", *words]
-    return subprocess.Popen(
-        command, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
-    )
-
-
-def study(study_file: Path, out: Path, *words: str) -> list[str]:
-    return ["study", str(study_file), "--trials", "4", "--out", str(out), *words]
+def study(study_file: Path, out: Path, *words: str) -> subprocess.Popen[str]:
+    """Start `mast study` with four seeds, in a process of its own."""
+    command = [sys.executable, "-m", "mast_zenoh", "study", str(study_file), "--trials", "4", "--out", str(out), *words]
+    pipes: dict[str, Any] = dict(stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    return subprocess.Popen(command, cwd=out.parent, start_new_session=True, **pipes)
 
 
 @pytest.mark.parametrize("stop", [signal.SIGKILL, signal.SIGINT])
@@ -77,8 +65,8 @@ def test_interrupted_study_of_two_jobs_resumes_with_equal_tables(
     study_file: Path, reference: dict[str, bytes], tmp_path: Path, stop: signal.Signals
 ) -> None:
     out = tmp_path / "out"
-    running = mast(*study(study_file, out, "--jobs", "2"), cwd=tmp_path)
-    wait_until(lambda: len(list((out / "trials").glob("[!.]*"))) >= 2 if out.exists() else False, "two trials")
+    running = study(study_file, out, "--jobs", "2")
+    eventually(lambda: len(list((out / "trials").glob("[!.]*"))) >= 2, "two trials", DEADLINE_S)
     workers = psutil.Process(running.pid).children(recursive=True)
     running.send_signal(stop)
     output, _ = running.communicate(timeout=DEADLINE_S)
@@ -89,7 +77,7 @@ def test_interrupted_study_of_two_jobs_resumes_with_equal_tables(
     if stop == signal.SIGINT:
         assert running.returncode == 130, output
         assert "--resume" in output
-    again = mast(*study(study_file, out, "--jobs", "1", "--resume"), cwd=tmp_path)
+    again = study(study_file, out, "--jobs", "1", "--resume")
     output, _ = again.communicate(timeout=DEADLINE_S)
     assert again.returncode == 0, output
     assert f"{len(finished)} of 12 trials are already done" in output or len(finished) == 12
@@ -130,10 +118,10 @@ def test_a_scheduler_and_two_workers_started_by_hand_run_the_study(
     where = tmp_path / "scheduler.json"
     words = ("scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(where))
     with dask(*words, cwd=tmp_path):
-        wait_until(lambda: address_in(where) != "", "the scheduler")
+        eventually(lambda: address_in(where), "the scheduler", DEADLINE_S)
         joined = ("worker", "--scheduler-file", str(where), "--nthreads", "1", "--no-dashboard", "--no-nanny")
         with dask(*joined, cwd=tmp_path), dask(*joined, cwd=tmp_path):
-            running = mast(*study(study_file, tmp_path / "out", "--cluster", address_in(where)), cwd=tmp_path)
+            running = study(study_file, tmp_path / "out", "--cluster", address_in(where))
             output, _ = running.communicate(timeout=DEADLINE_S)
             assert running.returncode == 0, output
     assert tables(tmp_path / "out") == reference

@@ -76,6 +76,7 @@ def test_scenes_with_equal_values_are_labelled_with_keys(load) -> None:
             r"scenes\[2\]: the same as scenes\[0\] \(scene=a\), expected each .* once",
         ),
         (runs() | {"trials": 0}, r"trials: found 0, expected a whole number from 1"),
+        (runs() | {"trials": 2.5}, r"trials: found 2.5, expected a whole number from 1"),
         (runs() | {"seed": -1}, r"seed: found -1, expected a whole number from 0"),
         (runs() | {"runtime": "cloud"}, r"runtime: found 'cloud'; known: inproc, mesh"),
         ({"runs": {"a/b": {"scenario": "baseline"}}}, r"found the label 'a/b', expected one that can name a folder"),
