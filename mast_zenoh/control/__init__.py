@@ -1,7 +1,8 @@
 """Encoders and decoders of the control messages of a run; pure functions.
 
 A decoder returns a value or raises MessageError, whatever bytes it is given: types, ranges and sizes are checked, and
-nothing more than expected is accepted. Each encoder is next to its decoder.
+nothing more than expected is accepted. Each encoder is next to its decoder; requests of a user are encoded in
+launch/live_interception.
 
 codec          strict decoding within limits;  types of the parts of messages;  counts refused messages
 flow           counts, epoch, act, stop, leave, drain, rewire: how frames, members and the wiring change; stop reasons

@@ -12,7 +12,7 @@ engine        base class of deployment engines;  file_server: files for their no
 netns         the hosts of a run as network namespaces
 reports       what nodes report: failures of handlers, results
 conclusion    writes the results at the end;  notices: what deserves attention
-ending        maps endings to a status and an exit code;  liveness: whether a launcher is alive
+ending        maps endings to a status and an exit code;  liveness: whether the launcher of a run.json is alive
 folder        the run folder;  tables: columns as Parquet;  log_reading: the logs of a run's nodes
 display       progress on the console;  observation: what it shows, measured on the wires
 measurement   measures a run again from its recording

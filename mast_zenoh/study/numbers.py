@@ -17,7 +17,7 @@ ACHIEVED = "achieved"
 DEFENCE = "defence"
 #: Prefix of metrics of an estimate's consequences for driving.
 DRIVING = "driving"
-#: s; a trial with a smaller minimum time to collision is critical: van der Horst (1990), see `braking.TimeToCollision`.
+#: s; a trial with a smaller minimum time to collision is critical: van der Horst (1990), see `metrics.driving`.
 CRITICAL_S = 1.5
 _MIN_TTC, _CRITICAL = "min_ttc_s", "critical"
 #: Metrics without a mean: a trial without a collision course has none, so a mean would skip it.

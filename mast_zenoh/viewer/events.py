@@ -34,7 +34,7 @@ class Event(NamedTuple):
 
 
 def happenings(run: RunRecord, periods: list[dict[str, Any]], times: Floats) -> list[Event]:
-    """Beginnings and ends of periods and of nodes' absences, in any order; periods, times: as for `events`."""
+    """Beginnings and ends of periods and of nodes' absences, in any order; periods, times: as for `spans`."""
     result = []
     for each in periods:
         for at, words in ((each["from_s"], each["begins"]), (each["until_s"], each["ends"])):

@@ -1,4 +1,4 @@
-"""All colours of runs, `#rrggbb`: of figures, films and files, and of the page, which gets them with its data."""
+"""Colours of what runs consist of, `#rrggbb`: in figures, films and files, and on the page (sent with its data)."""
 
 from __future__ import annotations
 

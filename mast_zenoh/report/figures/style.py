@@ -1,4 +1,4 @@
-"""Colours of all figures, and rendering to PNG and SVG.
+"""Style of all figures, and rendering to PNG and SVG.
 
 Figures use only matplotlib's object interface, so no global state changes.
 """

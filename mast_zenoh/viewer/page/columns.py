@@ -2,7 +2,7 @@
 
 A column is written as differences (where neighbours are alike), folded to non-negative numbers, and split into planes:
 first the lowest byte of every number, then the next. Planes of small differences are mostly zeros, so deflate removes
-them. The page's `columns.js` is the reader.
+them. The page's `js/run.js` is the reader.
 """
 
 from __future__ import annotations

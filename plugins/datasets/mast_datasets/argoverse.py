@@ -200,7 +200,7 @@ class AV2Log(TrafficScene):
 
     The world's origin is on the ground below the ego's first position. The ego's visibility is the number of lidar
     returns in the data set; that of the other agents comes from ray casting against the other boxes (the data has no
-    buildings). Traffic signs, cones and similar objects are left out (`files.LEFT_OUT`).
+    buildings). Traffic signs, cones and similar objects are left out (`LEFT_OUT`).
     """
 
     short_name = "av2"
