@@ -309,6 +309,8 @@ def test_every_delivery_order_gives_the_same_batches(resolved, data: st.DataObje
                 else:
                     send_track(broker, agent, about, step=frame, x=float(about), velocity=(about, 0.0))
         assert not broker.host.failures
+        agents = [message.body["agents"].tolist() for message in broker.heard(COLLATED)]
+        assert agents == [sorted(each) for each in agents]
         return broker.payloads
 
     assert play(lambda order: data.draw(st.permutations(order))) == play(list)
