@@ -210,14 +210,8 @@ def node_row(run: RunRecord, name: str) -> dict[str, Any]:
 def failure_lines(run: RunRecord) -> list[str]:
     """A line for each handler that failed."""
     nodes = run.run.get("nodes", {})
-    failed = {name: failures_of(node) for name, node in nodes.items() if node.get("failures")}
-    located = {name: [entry for entry in entries if "where" in entry] for name, entries in failed.items()}
-    lines = failures.lines(located, {name: nodes[name].get("log") or "not written" for name in located})
-    unlocated = [(name, entry) for name, entries in failed.items() for entry in entries if "where" not in entry]
-    return lines + [
-        f"{name}.{entry['handler']} failed {failures.how_often(entry)}: {entry['exception']}"
-        for name, entry in unlocated
-    ]
+    failed = {name: failures_of(node) for name, node in nodes.items()}
+    return failures.lines(failed, {name: nodes[name].get("log") or "not written" for name in failed})
 
 
 def _troubles(record: Mapping[str, Any]) -> str:

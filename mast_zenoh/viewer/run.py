@@ -30,15 +30,18 @@ from mast_zenoh.wiring.model import Wiring
 Table = dict[str, NDArray[Any]]
 
 _COUNTS = ("frame", "agent", "estimator", "fn", "fp", "tp", "rmse_m", "id_switches")
-_OBJECTS = ("frame", "agent", "estimator", "kind", "outcome", "id", "match_id", "x", "y", "z", "l", "w", "h", "yaw")
+_OBJECTS = (
+    *("frame", "agent", "estimator", "kind", "outcome", "id", "match_id"),
+    *("x", "y", "z", "l", "w", "h", "yaw", "cause", "by"),
+)
 _TARGETS = (
     *("adversary", "kind", "object", "frame", "x", "y", "seen_by_others"),
     *("believed_centre", "judged_centre", "error_m_centre", "believed_ego", "judged_ego", "error_m_ego"),
 )
-_TRUST = ("frame", "time_s", "agent", "mean", "state", "reason")
+_TRUST = ("frame", "time_s", "agent", "mean", "log_odds", "state", "reason")
 _JUDGED = ("frame", "id", "x", "y", "z", "l", "w", "h", "yaw", "withheld")
 _EFFECTS = (
-    *("interposer", "role", "frame", "effect"),
+    *("interposer", "role", "wire", "message", "before_subscriber", "frame", "effect"),
     *("before_x", "before_y", "before_z", "after_x", "after_y", "after_z"),
 )
 _DRIVING = ("frame", "agent", "estimate", "false", "missed", "ttc_s", "brake", "needless", "omitted")
@@ -66,7 +69,7 @@ class RunRecord:
     wiring:    wiring.json
     metrics:   metrics.json
     counts:    metrics.parquet: a row per frame, agent and estimator
-    objects:   objects.parquet: a row per box; only those of the ego. `cause` and `by` where the run has causes
+    objects:   objects.parquet: a row per box; only those of the ego
     effects:   attacks.parquet: a row per measured effect of an interposer
     recording: scene.npz
     missing:   one sentence for each file that is absent or unreadable, saying what the report lacks without it
@@ -111,11 +114,11 @@ class RunRecord:
         metrics = read("metrics.json", _json_object, "no table of means", {})
         counts = read("metrics.parquet", _counts, "no counts over time", None)
         recording = read("scene.npz", _scene, "no buildings, agents and camera view in the pictures", None)
-        objects = _table(_OBJECTS, _ego(metrics, counts, recording) or "", optional=("cause", "by"))
+        objects = _table(_OBJECTS, _ego(metrics, counts, recording) or "")
         boxes = read("objects.parquet", objects, "no outcomes of objects, no bird's-eye and camera views", None)
         intercepted = any(wire.get("interposers") for wire in wiring.get("wires", ()))
         changes = "what interposers changed is not marked"
-        effects = (read if intercepted else optional)("attacks.parquet", _effects, changes, None)
+        effects = (read if intercepted else optional)("attacks.parquet", _table(_EFFECTS), changes, None)
         if metrics and "achieved" not in metrics and effects is not None:
             reader.missing.append("metrics.json has no achievements: what attacks achieved is not known.")
         checks = optional("checks.json", _json_object, "what was checked is not known", {})
@@ -125,7 +128,6 @@ class RunRecord:
             table: Table | None = (read if metrics.get(metric) else optional)(name, columns, consequence, None)
             return table
 
-        trust = _table(_TRUST, optional=("log_odds",))
         return cls(
             path=path,
             run=liveness.current_record(run),
@@ -140,7 +142,7 @@ class RunRecord:
             targets=of("achieved", "targets.parquet", _table(_TARGETS), "what attacks achieved is not explained"),
             driving=of("driving", "driving.parquet", _table(_DRIVING), "no chart of driving"),
             results=_node_results(path / "results"),
-            trust=of("integrity", "trust.parquet", trust, "trust in agents is not shown"),
+            trust=of("integrity", "trust.parquet", _table(_TRUST), "trust in agents is not shown"),
             trust_objects=of("integrity", "trust_objects.parquet", _table(_JUDGED), "withheld objects are not shown"),
             missing=reader.missing,
         )
@@ -205,8 +207,7 @@ class RunRecord:
         if agent == self.ego:
             return self
         reader = _Reader(self.path)
-        boxes = _table(_OBJECTS, agent, optional=("cause", "by"))
-        objects = reader.read("objects.parquet", boxes, "no bird's-eye and camera views", None)
+        objects = reader.read("objects.parquet", _table(_OBJECTS, agent), "no bird's-eye and camera views", None)
         return replace(self, objects=objects, viewer=agent)
 
     @property
@@ -307,9 +308,7 @@ class RunRecord:
     @property
     def withholds(self) -> bool:
         """Whether objects are missed because the command centre withheld them."""
-        return (
-            self.objects is not None and "cause" in self.objects and bool((self.objects["cause"] == "withheld").any())
-        )
+        return self.objects is not None and bool((self.objects["cause"] == "withheld").any())
 
     @property
     def defence(self) -> str:
@@ -405,13 +404,6 @@ def _scene(path: Path) -> Recording:
     return Recording.load(check_plain(path))
 
 
-def _effects(path: Path) -> Table:
-    """The measured effects of interposers, links included; unknown wires, messages and subscribers are empty."""
-    of_wires = ("wire", "message", "before_subscriber")
-    table = _table(_EFFECTS, optional=of_wires)(path)
-    return {name: np.full(len(table["frame"]), "") for name in of_wires} | table
-
-
 def _counts(path: Path) -> Table:
     """The counts of metrics.parquet."""
     table = _table(_COUNTS)(path)
@@ -420,18 +412,15 @@ def _counts(path: Path) -> Table:
     return table
 
 
-def _table(columns: tuple[str, ...], agent: str = "", *, optional: tuple[str, ...] = ()) -> Callable[[Path], Table]:
-    """A reader of columns of a Parquet table, some `optional`, for one agent if given."""
+def _table(columns: tuple[str, ...], agent: str = "") -> Callable[[Path], Table]:
+    """A reader of columns of a Parquet table, for one agent if given."""
 
     def read(path: Path) -> Table:
         content = read_arrow(path)
-        missing = sorted(set(columns) - set(content.column_names))
-        if missing:
+        if missing := sorted(set(columns) - set(content.column_names)):
             raise ValueError(f"found no column {', '.join(missing)}")
-        present = (*columns, *(name for name in optional if name in content.column_names))
-        if not agent:
-            return from_arrow(content.select(present))
-        return from_arrow(content.select(present), from_arrow(content.select(["agent"]))["agent"] == agent)
+        own: Any = from_arrow(content.select(["agent"]))["agent"] == agent if agent else slice(None)
+        return from_arrow(content.select(columns), own)
 
     return read
 

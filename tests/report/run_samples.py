@@ -74,6 +74,12 @@ def save_table(path: Path, rows: list[tuple[Any, ...]], names: str) -> None:
     write_table(path, dict(zip(names.split(), columns, strict=True)))
 
 
+def changed(adversary: str, frame: int, effect: str) -> tuple[str | int, ...]:
+    """The first columns of a row of attacks.parquet."""
+    wire = f"agent/{VICTIMS[adversary]}/detections"
+    return adversary, "adversary", wire, "detections", "", frame, effect
+
+
 def score(recording: Recording, injected: dict[str, np.ndarray], rng: np.random.Generator) -> tuple[list, list, list]:
     """Rows of objects, counts and attacks; the ego's own sensor sees up to 45 m."""
     objects: list[tuple[Any, ...]] = []
@@ -105,11 +111,10 @@ def score(recording: Recording, injected: dict[str, np.ndarray], rng: np.random.
                         now = at + np.array([0.3, 0.1, 0.0]) * (frame - ATTACK_START)
                         if estimator == "picture":
                             add("track", "false", 900 + k, -1, now, 0.3 * k, adversary)
-                            effect = (adversary, "adversary", frame, "inserted", k)
-                            attacks.append((*effect, *nowhere, *now, 3.0, 1.0, 0.0))
+                            attacks.append((*changed(adversary, frame, "inserted"), *nowhere, *now))
                     if estimator == "picture":
                         removed = truth.position[5]
-                        attacks.append((adversary, "adversary", frame, "removed", 99, *removed, *nowhere, *nowhere))
+                        attacks.append((*changed(adversary, frame, "removed"), *removed, *nowhere))
             if frame % 9 == 0:
                 add("truth", "unevaluated", 77, -1, (60.0, -3.0, 0.75), 0.0)
             counts.append(
@@ -142,7 +147,7 @@ def summarise(counts: list[tuple[Any, ...]], attacks: list[tuple[Any, ...]]) -> 
     latency = {"sim_to_picture": {"p50": 2.13, "p99": 4.9}}
     interposers = {}
     for name, victim in VICTIMS.items():
-        effects = Counter(row[3] for row in attacks if row[0] == name)
+        effects = Counter(row[6] for row in attacks if row[0] == name)
         if effects:
             summary = {"messages": FRAMES, "effects": dict(effects), "reports": effects.total(), "agreement": "agrees"}
             summary |= {"unreported": 0, "unfounded": 0}
@@ -236,8 +241,9 @@ def write_run(folder: Path, attack: str = "") -> Path:
         "frame agent estimator kind outcome id match_id x y z l w h yaw score cause by",
     )
     if attack:
-        names = "interposer role frame effect label before_x before_y before_z after_x after_y after_z vx vy vz"
-        save_table(folder / "attacks.parquet", attacks, names)
+        names = "interposer role wire message before_subscriber frame effect"
+        places = "before_x before_y before_z after_x after_y after_z"
+        save_table(folder / "attacks.parquet", attacks, f"{names} {places}")
     return folder
 
 

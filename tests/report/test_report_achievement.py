@@ -73,7 +73,6 @@ def test_table_has_a_row_per_adversary_and_one_for_all(attacked: RunRecord, run_
 
 IDLE = {"role": "adversary", "wires": ["agent/infra_1/detections"], "messages": 40, "effects": {}}
 IDLE |= {"reports": 0, "agreement": "nothing to report", "unreported": 0, "unfounded": 0}
-PLANNED = {"label": "Attack", "kind": "attack", "at_s": 60.0, "until_s": None, "nodes": ["adversary_1"]}
 UNCHANGED = "it passed all 40 messages on unchanged"
 LATE = "its attack was to begin at 60 s, after the end of the run at 4.0 s"
 
@@ -96,7 +95,6 @@ def of_node(**changes: Any) -> dict[str, Any]:
     [
         (idle(), UNCHANGED),
         (idle(received=0), "no message reached it"),
-        (idle() | {"scenario": {"timeline": [PLANNED]}}, LATE),
         (idle() | starting_at(60.0), LATE),
         (idle() | starting_at(3.5), UNCHANGED),
         (

@@ -142,15 +142,6 @@ def test_missed_objects_are_stacked_by_cause(attacked_and_faulted: Path) -> None
         assert area.get_paths()[0].vertices[:, 1].max() == counts[column].max() > 0
 
 
-def test_run_without_causes_has_no_chart_of_causes(run_folder: Callable[..., Path]) -> None:
-    folder = run_folder()
-    edit(folder, scenario={"timeline": [PARTITION]})
-    table = read_table(folder / "objects.parquet")
-    write_table(folder / "objects.parquet", {name: table[name] for name in table if name not in ("cause", "by")})
-    assert causes_over_time(RunRecord.load(folder), None) is None
-    assert ">Checks</h2>" not in write_report(folder).read_text("utf-8")
-
-
 NAMES = (
     "",
     " ",

@@ -78,6 +78,7 @@ def folder(run_folder: Callable[..., Path]) -> Path:
     faulty = (agent == "infra_4") & (frame >= FAULTY)
     state = np.where(suspended, "suspended", np.where(faulty, "faulty", "trusted")).astype(object)
     columns = dict(frame=frame, time_s=frame * 0.1, agent=agent, mean=np.where(suspended, 0.1, 0.9), state=state)
+    columns |= dict(log_odds=np.where(suspended, -2.0, 2.0))
     write_table(path / "trust.parquet", columns | dict(reason=np.where(suspended, REASON, "").astype(object)))
     boxes = {name: np.full(FRAMES, value) for name, value in dict(l=6.0, w=4.0, h=1.5, z=0.75, yaw=0.0).items()}
     place = dict(x=np.full(FRAMES, -30.0), y=np.full(FRAMES, -40.0), withheld=np.arange(FRAMES) >= DETECTED)
@@ -156,11 +157,11 @@ def test_the_chart_has_a_row_for_each_agent_with_its_suspensions_and_faults(fold
         return [(patch.get_x(), patch.get_x() + patch.get_width()) for patch in patches]
 
     assert spans(0) == []
-    assert spans(1) == [pytest.approx((2.0, 4.0))]
+    assert spans(1) == [pytest.approx((2.0, 4.0)), pytest.approx((1.5, 4.0))], "suspended, and lying"
     assert spans(4) == [pytest.approx((2.5, 4.0)), pytest.approx((2.5, 4.0)), pytest.approx((0.5, 1.0))]
     assert [text.get_text() for text in figure.axes[4].texts] == ["BlindSector", "Loss"]
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert labels == ["trust, 0 to 1", "taken to be faulty", "suspended", "is faulty", "frame shown"]
+    assert labels == ["trust, 0 to 1", "taken to be faulty", "suspended", "lies", "is faulty", "frame shown"]
 
 
 def test_every_suspension_has_a_row_with_its_reason(folder: Path) -> None:

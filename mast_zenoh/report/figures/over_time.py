@@ -178,7 +178,7 @@ def causes_over_time(run: RunRecord, frame: int | None) -> Figure | None:
     Returns None if there is no link, fault or withheld object, or causes are not known.
     """
     objects, counts = run.objects, run.counts_of("picture")
-    if not (run.faulted or run.withholds) or counts is None or objects is None or "cause" not in objects:
+    if not (run.faulted or run.withholds) or counts is None or objects is None:
         return None
     frames = counts["frame"].astype(np.int64)
     figure, axes, times = _rows_of(run, frames, len(_CAUSE_ROWS), 1.9, frame)

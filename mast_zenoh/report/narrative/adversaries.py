@@ -107,7 +107,7 @@ def _places(run: RunRecord, adversary: Interposer) -> list[str]:
     """The messages that an adversary changed, in words."""
     wires: Mapping[str, Mapping[str, Any]] = {wire["key"]: wire for wire in run.wiring.get("wires", ())}
     changed: set[str] = set()
-    if run.attacks is not None and "wire" in run.attacks:
+    if run.attacks is not None:
         changed = set(run.attacks["wire"][run.attacks["interposer"] == adversary.name].tolist())
     places: dict[str, None] = {}
     for key in [key for key in adversary.wires if key in changed] or adversary.wires:
@@ -246,21 +246,10 @@ def _idle(run: RunRecord, interposer: Interposer) -> str:
 
 
 def late_start_s(run: RunRecord, interposer: Interposer) -> float | None:
-    """s, start of an attack planned for after the end of the run; None: otherwise.
-
-    Older runs list such attacks in the timeline; for others, the start is in the attack's settings.
-    """
-    starts = [
-        float(each["at_s"])
-        for each in run.timeline
-        if each["kind"] == "attack" and interposer.name in (each.get("nodes") or ())
-    ]
-    config = run.node_spec(interposer.name).get("config") or {}
-    attack = config.get("attack")
-    if not starts and isinstance(attack, Mapping) and isinstance(attack.get("start_s"), (int, float)):
-        starts = [float(attack["start_s"])]
-    duration = _duration_s(run)
-    return min(starts) if starts and duration and min(starts) >= duration else None
+    """s, start of an attack planned for after the end of the run; None: otherwise."""
+    attack = (run.node_spec(interposer.name).get("config") or {}).get("attack")
+    start = attack.get("start_s") if isinstance(attack, Mapping) else None
+    return float(start) if isinstance(start, (int, float)) and 0.0 < _duration_s(run) <= start else None
 
 
 def _duration_s(run: RunRecord) -> float:
@@ -354,7 +343,7 @@ def _moved(run: RunRecord, targets: Table, achieved: Mapping[str, Any]) -> list[
 
 def _only_downlink(run: RunRecord, targets: Table) -> bool:
     """Whether an adversary changed only pictures in transit."""
-    if run.attacks is None or "message" not in run.attacks or not len(targets["frame"]):
+    if run.attacks is None or not len(targets["frame"]):
         return False
     own_effects = run.attacks["interposer"] == targets["adversary"][0]
     return bool(np.all(run.attacks["message"][own_effects] == "picture"))

@@ -161,7 +161,7 @@ def _change(
 
 def culprits(run: RunRecord, estimate: str, kind: str) -> Counter[str]:
     """Number of the ego's errors of a kind in scored frames, by responsible adversary."""
-    if kind in (FALSE, MISSED) and run.objects is not None and "by" in run.objects:
+    if kind in (FALSE, MISSED) and run.objects is not None:
         outcome, box_kind = ("false", "track") if kind == FALSE else ("missed", "truth")
         table = run.objects
         selected = (
@@ -180,7 +180,7 @@ def culprits(run: RunRecord, estimate: str, kind: str) -> Counter[str]:
 
 def withheld_from(run: RunRecord, estimate: str) -> Counter[str]:
     """Number of the ego's missed objects in scored frames that the centre withheld, by agent that reported them."""
-    if run.objects is None or "by" not in run.objects:
+    if run.objects is None:
         return Counter()
     table = run.objects
     selected = (table["estimator"] == run.original(estimate)) & (table["cause"] == "withheld")

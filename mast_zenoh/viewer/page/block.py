@@ -452,11 +452,11 @@ def _add_manipulations(packer: Packer, run: RunRecord, first: int) -> dict[str, 
         order = np.lexsort((placed["frame"], placed["interposer"]))
         placed = {name: values[order] for name, values in placed.items()}
     none = np.zeros(0, str)
-    subscriber = placed.get("before_subscriber", none).astype(str)
-    adversaries, subscribers = (sorted(set(map(str, each))) for each in (placed.get("interposer", none), subscriber))
+    by, subscriber = placed.get("interposer", none), placed.get("before_subscriber", none)
+    adversaries, subscribers = (sorted(set(map(str, each))) for each in (by, subscriber))
     packer.add("effects.frame", placed.get("frame", np.zeros(0)) - first)
     packer.add("effects.effect", np.array([effects.index(each) for each in placed.get("effect", ())]))
-    packer.add("effects.by", np.array([adversaries.index(each) for each in placed.get("interposer", ())]))
+    packer.add("effects.by", np.array([adversaries.index(each) for each in by]))
     packer.add("effects.downlink", placed.get("message", none) == "picture")
     packer.add("effects.subscriber", np.array([subscribers.index(each) for each in subscriber]))
     for name in places:
