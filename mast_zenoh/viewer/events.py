@@ -10,7 +10,7 @@ import numpy as np
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.evaluation.trust import UPSTREAM
 from mast_zenoh.messagelog.churn import LOST
-from mast_zenoh.metrics.study_results import Spans
+from mast_zenoh.metrics.study_results import AgentTrustSeries, Spans
 from mast_zenoh.viewer.run import RunRecord, Table, agent_of, column, rows
 
 #: Manipulations that have a place, as verbs.
@@ -232,3 +232,31 @@ def _spans(active: Bools, times: Floats | Sequence[float]) -> Spans:
     edges = np.diff(active.astype(np.int8), prepend=0, append=0)
     starts, ends = np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist()
     return [(float(times[start]), float(times[end])) for start, end in zip(starts, ends, strict=True)]
+
+
+def judged_agents(run: RunRecord) -> list[str]:
+    """The agents in the trust table, those of the scene first and in its order."""
+    if run.trust is None:
+        return []
+    names = set(run.trust["agent"].tolist())
+    known = list(run.recording.agent_names) if run.recording else []
+    return [name for name in known if name in names] + sorted(names - set(known))
+
+
+def trust_in_agents(run: RunRecord, names: Sequence[str], value: str = "mean") -> tuple[list[AgentTrustSeries], float]:
+    """The trust in every judged agent, and the end of the run, s; [] without trust.
+
+    names: of the states of interest;  value: column of the trust table: mean or log_odds
+    """
+    if run.trust is None or not len(run.trust["agent"]):
+        return [], 0.0
+    end_s = float(column(run.trust, "time_s").max()) + run.period_s
+    agents = []
+    for agent in judged_agents(run):
+        table = rows(run.trust, run.trust["agent"] == agent)
+        states = {name: state_spans(table, name, end_s) for name in names}
+        times, values = column(table, "time_s"), column(table, value)
+        agents.append(
+            AgentTrustSeries(agent, times, values, states, lie_spans(run, agent), fault_spans(run, agent, end_s))
+        )
+    return agents, end_s

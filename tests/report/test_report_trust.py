@@ -24,8 +24,7 @@ from mast_zenoh.report.figures.view import frame_view
 from mast_zenoh.report.html import write_report
 from mast_zenoh.report.narrative.run import defence_sentence
 from mast_zenoh.report.tables.of_run import conduct_table, suspension_lines, suspension_table, trust_sentences
-from mast_zenoh.report.trust_facts import judged_agents
-from mast_zenoh.viewer.events import fault_spans, lie_spans, state_spans, states_at, withheld_at
+from mast_zenoh.viewer.events import fault_spans, judged_agents, lie_spans, state_spans, states_at, withheld_at
 from mast_zenoh.viewer.palette import STATES, WITHHELD
 from mast_zenoh.viewer.run import RunRecord
 
