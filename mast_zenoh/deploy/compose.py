@@ -16,7 +16,7 @@ from typing import Any
 
 from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.deploy import documents
-from mast_zenoh.deploy.docker import AT_A_TIME, USER, DockerEngine, docker, exit_code, run
+from mast_zenoh.deploy.docker import AT_A_TIME, TO_LOG, USER, DockerEngine, docker, exit_code, run
 from mast_zenoh.deploy.documents import LABEL, PORT, ROUTER
 from mast_zenoh.deploy.engine import DeployedNodes, numeric_environment, write_settings
 from mast_zenoh.errors import EngineError
@@ -117,14 +117,9 @@ class Container(Child):
 
     def follow(self, since: float) -> None:
         """Append its output since a time to its log."""
+        words = ["docker", "logs", "--follow", "--since", f"{since:.6f}", self.container]
         with self.log.open("ab") as log:
-            self.follower = subprocess.Popen(
-                ["docker", "logs", "--follow", "--since", f"{since:.6f}", self.container],
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-                start_new_session=True,
-            )
+            self.follower = subprocess.Popen(words, stdout=log, **TO_LOG)
 
     def close(self) -> None:
         """End the process that follows its output."""

@@ -30,6 +30,9 @@ LABEL = "org.mast-zenoh.code"
 #: Commands to the Docker engine at a time.
 AT_A_TIME = 4
 
+#: Options of a process whose standard output is a log: so are its errors, and Ctrl-C does not interrupt it.
+TO_LOG: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stderr": subprocess.STDOUT, "start_new_session": True}
+
 _TIMEOUT_S = 120.0
 _BUILD_S = 1200.0
 _LOG_S = 60.0

@@ -23,7 +23,7 @@ import zenoh
 
 from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.deploy import documents
-from mast_zenoh.deploy.docker import AT_A_TIME, TAG, DockerEngine, docker, exit_code
+from mast_zenoh.deploy.docker import AT_A_TIME, TAG, TO_LOG, DockerEngine, docker, exit_code
 from mast_zenoh.deploy.documents import HOST_LABEL, ROUTER, STOP_GRACE_S
 from mast_zenoh.deploy.engine import DeployedNodes, free_port, numeric_environment, write_settings
 from mast_zenoh.errors import ConfigurationError, EngineError, nearest
@@ -584,14 +584,7 @@ def _append_log(task: str, path: Path, refused: str = "") -> None:
             log.write(f"{refused}\n".encode())
             return
         try:
-            subprocess.run(
-                ["docker", "service", "logs", "--raw", task],
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-                check=False,
-                timeout=_LOG_S,
-                start_new_session=True,
-            )
+            words = ["docker", "service", "logs", "--raw", task]
+            subprocess.run(words, stdout=log, check=False, timeout=_LOG_S, **TO_LOG)
         except subprocess.TimeoutExpired:
             log.write(b"(Docker did not return all of it)\n")

@@ -77,10 +77,7 @@ class Store:
             "trials": [
                 {
                     "digest": trial.digest,
-                    "configuration": trial.configuration,
-                    "scene": trial.scene,
-                    "seed": trial.seed,
-                    "command": trial.command(),
+                    **trial.summary(),
                     **({"run": str(Path(trial.folder).relative_to(self.folder))} if trial.folder else {}),
                     **({"error": failures[trial.digest]} if trial.digest in failures else {}),
                 }
@@ -91,12 +88,8 @@ class Store:
 
     def save(self, outcome: Outcome) -> None:
         """Store the outcome of a trial."""
-        trial = outcome.trial
         metadata = {
-            "configuration": trial.configuration,
-            "scene": trial.scene,
-            "seed": trial.seed,
-            "command": trial.command(),
+            **outcome.trial.summary(),
             "compromised": list(outcome.compromised),
             "cpu_s": outcome.cpu_s,
             "warning": outcome.warning,
@@ -104,7 +97,7 @@ class Store:
         }
         table = to_arrow(outcome.per_frame)
         table = table.replace_schema_metadata({_METADATA: json.dumps(metadata, allow_nan=False).encode()})
-        write_parquet(self._path(trial), table)
+        write_parquet(self._path(outcome.trial), table)
 
     def load(self, trial: Trial) -> Outcome | None:
         """The stored outcome of a trial; None if absent, broken or with failures."""
@@ -114,14 +107,8 @@ class Store:
             columns = from_arrow(table)
             if metadata["warning"] and not trial.allow_failures:
                 return None
-            return Outcome(
-                trial,
-                metadata["metrics"],
-                columns,
-                tuple(metadata["compromised"]),
-                cpu_s=metadata["cpu_s"],
-                warning=metadata["warning"],
-            )
+            kept = {name: metadata[name] for name in ("metrics", "cpu_s", "warning")}
+            return Outcome(trial, per_frame=columns, compromised=tuple(metadata["compromised"]), **kept)
         except (OSError, ValueError, KeyError, TypeError, RunFolderError, pyarrow.ArrowException):
             return None
 

@@ -73,6 +73,11 @@ class Trial:
         """Its scene and seed."""
         return TrialKey(self.scene, self.seed)
 
+    def summary(self) -> dict[str, Any]:
+        """Its place in the study, and its command, as JSON values."""
+        place = {"configuration": self.configuration, "scene": self.scene, "seed": self.seed}
+        return place | {"command": self.command()}
+
     def command(self) -> str:
         """The command that runs this trial alone, with a run folder and a report."""
         allowed = ["--allow-failures"] if self.allow_failures else []
