@@ -96,9 +96,9 @@ def study(
     if loaded.security:
         words = {"--trials": trials, "--jobs": jobs, "--cluster": cluster, "--resume": resume, "--record": record}
         words |= {"--allow-failures": allow_failures, "--runtime": runtime == "inproc"}
-        if invalid := [name for name, value in words.items() if value]:
-            problem = f"attackers run once at each level, on the mesh: expected no {', '.join(invalid)}"
-            raise typer.BadParameter(problem, param_hint=study_file)
+        invalid = ", ".join(name for name, value in words.items() if value)
+        problem = f"attackers run once at each level, on the mesh: expected no {invalid}"
+        options.refuse(invalid, problem, study_file)
         _run_attackers(loaded, out, seed=seed, frames=frames)
         return
     from mast_zenoh.study import interface

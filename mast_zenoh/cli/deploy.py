@@ -64,7 +64,9 @@ def up(
     chosen = {"image": image, "hosts": hosts, "place": _placements(place), "patience_s": patience}
     kind = engines.load(engine)
     parameters = {name: value for name, value in chosen.items() if value is not None}
-    _check_options(kind, parameters)
+    accepted = inspect.signature(kind).parameters
+    for name in parameters:
+        options.refuse(name not in accepted, f"engine {kind.name} has no such option", f"--{name.removesuffix('_s')}")
     platform = engines.make(kind, parameters | engines.options(kind, option or ()))
     check_space(out or Path("runs"), needed_space(resolved))
     allowed: dict[str, Any] = {"allow_failures": allow_failures, "allow_churn": allow_churn}
@@ -245,16 +247,6 @@ def _deployed(folder: Path, confirmed: bool) -> tuple[Any, dict[str, Any]]:
         file, colon, name = engine.rpartition(":") if not engine.endswith(".py") else (engine, "", "")
         engine = f"{os.fspath(allowed.files_in(str(folder), None, [file])[file])}{colon}{name}"
     return engines.load(engine), record
-
-
-def _check_options(kind: Any, parameters: dict[str, Any]) -> None:
-    """Raise BadParameter for an option that the engine does not have."""
-    accepted = inspect.signature(kind).parameters
-    for name in parameters:
-        if name not in accepted:
-            raise typer.BadParameter(
-                f"engine {kind.name} has no such option", param_hint=f"--{name.removesuffix('_s')}"
-            )
 
 
 def _placements(words: list[str] | None) -> dict[str, str] | None:

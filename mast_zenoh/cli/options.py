@@ -137,20 +137,21 @@ class SecureCommand(TyperCommand):
         return super().parse_args(ctx, completed)
 
 
+def refuse(present: object, problem: str, hint: str | None = None) -> None:
+    """Raise a usage error for a problem, if it is present; hint: the option."""
+    if present:
+        raise typer.BadParameter(problem, param_hint=hint)
+
+
 def check_environment(runtime: str, mode: str, secure: str, endpoint: str | None, *, viewed: bool = False) -> None:
     """Raise a usage error for options that exclude each other."""
-    if runtime == "inproc" and mode == "realtime":
-        raise typer.BadParameter(
-            "real time needs the mesh: a single process has no network latency", param_hint="--mode"
-        )
-    if viewed and runtime == "inproc":
-        raise typer.BadParameter(
-            "a single process has no mesh to observe: view the run when it has finished (mast view RUN)",
-            param_hint="--view",
-        )
-    if secure != "open" and (runtime == "inproc" or endpoint):
-        problem = f"the router at {endpoint} belongs to another process" if endpoint else "one process has no mesh"
-        raise typer.BadParameter(f"a secure mesh has its own router: {problem}", param_hint="--secure")
+    alone = runtime == "inproc"
+    latency = "real time needs the mesh: a single process has no network latency"
+    refuse(alone and mode == "realtime", latency, "--mode")
+    observed = "a single process has no mesh to observe: view the run when it has finished (mast view RUN)"
+    refuse(alone and viewed, observed, "--view")
+    reason = f"the router at {endpoint} belongs to another process" if endpoint else "one process has no mesh"
+    refuse(secure != "open" and (alone or endpoint), f"a secure mesh has its own router: {reason}", "--secure")
 
 
 def conclude(finished: Run, *, report: bool, against: str | None = None, allow_failures: bool = False) -> None:

@@ -245,8 +245,7 @@ def release(
     """Release a node from its wires during a run, after its messages are forwarded."""
     from mast_zenoh.launch import live_interception
 
-    if (name is None) == (wire is None):
-        raise typer.BadParameter("expected either --name or --wire", param_hint="--name / --wire")
+    options.refuse((name is None) == (wire is None), "expected either --name or --wire", "--name / --wire")
     result = live_interception.release(
         run_folder, name=name, wire=wire, allowed=options.allowed_code(confirmed=confirmed)
     )
@@ -298,13 +297,10 @@ def replay(
     from mast_zenoh import replay as replays
     from mast_zenoh.launch import run as launcher
 
-    if against == "twin":
-        raise typer.BadParameter(
-            "a replay has no twin: expected the recorded run, or another one", param_hint="--against"
-        )
+    options.refuse(against == "twin", "a replay has no twin: expected the recorded run, or another one", "--against")
     options.check_reference(against)
-    if mode == "lockstep" and rate is not None:
-        raise typer.BadParameter("lock-step waits for every node: expected --mode realtime", param_hint="--rate")
+    exact = mode == "lockstep" and rate is not None
+    options.refuse(exact, "lock-step waits for every node: expected --mode realtime", "--rate")
     chosen = mode or ("lockstep" if rate is None else "realtime")
     options.check_environment(runtime, chosen, secure, endpoint)
     files = [value for _, is_set, value in (item.partition(".file=") for item in settings or ()) if is_set]

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mast_zenoh.cli.options import Confirmed, allowed_code, run_argument
+from mast_zenoh.cli.options import Confirmed, allowed_code, refuse, run_argument
 from mast_zenoh.cli.options import out as _out
 from mast_zenoh.errors import ConfigurationError, RunFolderError, UntrustedCode
 from mast_zenoh.run_files import read_object, reading
@@ -55,12 +55,10 @@ def view(
     Ctrl-C ends the viewer; it never ends the run.
     """
     folder, elsewhere = Path(target), foxglove or rerun
-    _refuse(
-        (foxglove and rerun, "found --foxglove and --rerun, expected one of them"),
-        (not foxglove and (rate != 1.0 or loop), "--rate and --loop are for --foxglove"),
-        (elsewhere and other is not None, "found two runs, expected one: other viewers show one run"),
-        (elsewhere and (frame is not None or browser), "--frame and --open are for this testbed's own page"),
-    )
+    refuse(foxglove and rerun, "found --foxglove and --rerun, expected one of them")
+    refuse(not foxglove and (rate != 1.0 or loop), "--rate and --loop are for --foxglove")
+    refuse(elsewhere and other is not None, "found two runs, expected one: other viewers show one run")
+    refuse(elsewhere and (frame is not None or browser), "--frame and --open are for this testbed's own page")
     remote = _is_router(target)
     if attached:
         allowed = allowed_code(confirmed=confirmed)
@@ -77,10 +75,8 @@ def view(
     if not remote and folder.is_dir() and not record:
         raise RunFolderError(f"{folder}: found no run.json: the run has not begun, or this is not the folder of a run")
     of_finished = frame is not None or rate != 1.0 or loop
-    _refuse(
-        (running and of_finished, "found a running run, expected a finished one for --frame, --rate and --loop"),
-        (bool(run) and not remote, f"found {target}, expected a router, such as tcp/HOST:7447, for --run"),
-    )
+    refuse(running and of_finished, "found a running run, expected a finished one for --frame, --rate and --loop")
+    refuse(run and not remote, f"found {target}, expected a router, such as tcp/HOST:7447, for --run")
     if running:
         if not remote:
             from mast_zenoh.launch.liveness import check_from_here
@@ -94,13 +90,6 @@ def view(
         _serve_to_other_viewers(folder, port, foxglove=foxglove, rate=rate, loop=loop)
     else:
         _show_finished([folder] if other is None else [folder, other], frame, port, browser)
-
-
-def _refuse(*problems: tuple[bool, str]) -> None:
-    """Raise BadParameter with the first problem that there is."""
-    for present, problem in problems:
-        if present:
-            raise typer.BadParameter(problem)
 
 
 def _is_router(target: str) -> bool:
