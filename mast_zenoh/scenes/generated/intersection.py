@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -91,6 +91,7 @@ _KINDS = {
 }
 
 
+@dataclass(kw_only=True, eq=False)
 class Intersection(Scene):
     """A signalised junction of about 200 x 200 m; needs no data.
 
@@ -114,51 +115,37 @@ class Intersection(Scene):
     short_name = "intersection"
     short_argument = "scene_index"
 
-    def __init__(
-        self,
-        *,
-        scene_index: int = 0,
-        n_infrastructure: int | None = None,
-        n_mobile: int | None = None,
-        n_vehicles: int | None = None,
-        n_bicycles: int | None = None,
-        n_pedestrians: int | None = None,
-        rate_hz: float = 10.0,
-        detector: Detector = _DETECTOR,
-        sensors: SensorsByAgent | None = None,
-    ) -> None:
-        n_infrastructure = _POLES if n_infrastructure is None else n_infrastructure
-        n_mobile = 0 if n_mobile is None else n_mobile
-        for name, value, limit in (
-            ("scene_index", scene_index, None),
-            ("n_infrastructure", n_infrastructure, len(_POLE_SITES) * len(_KINDS[_kind(scene_index)][0])),
-            ("n_mobile", n_mobile, None),
-            ("n_bicycles", n_bicycles or 0, None),
-            ("n_pedestrians", n_pedestrians or 0, None),
-        ):
+    scene_index: int = 0
+    n_infrastructure: int | None = None
+    n_mobile: int | None = None
+    n_vehicles: int | None = None
+    n_bicycles: int | None = None
+    n_pedestrians: int | None = None
+    rate_hz: float = 10.0
+    detector: Detector = _DETECTOR
+    sensors: SensorsByAgent | None = None
+
+    def __post_init__(self) -> None:
+        sites = len(_POLE_SITES) * len(_KINDS[_kind(self.scene_index)][0])
+        limits = {"scene_index": None, "n_infrastructure": sites}
+        for name, limit in (limits | dict.fromkeys(("n_mobile", "n_bicycles", "n_pedestrians"))).items():
+            value = getattr(self, name) or 0
             if value < 0 or (limit is not None and value > limit):
                 expected = "0 or more" if limit is None else f"0 to {limit}"
                 raise ConfigurationError(f"Intersection: {name} is {value}, expected {expected}")
-        if n_vehicles is not None and n_vehicles < 1 + n_mobile:
+        least = 1 + (self.n_mobile or 0)
+        if self.n_vehicles is not None and self.n_vehicles < least:
             raise ConfigurationError(
-                f"Intersection: n_vehicles is {n_vehicles}, expected {1 + n_mobile} or more: the ego and n_mobile"
+                f"Intersection: n_vehicles is {self.n_vehicles}, expected {least} or more: the ego and n_mobile"
             )
-        if not 1.0 <= rate_hz <= 100.0:
-            raise ConfigurationError(f"Intersection: rate_hz is {rate_hz}, expected 1 to 100")
-        self.scene_index = scene_index
-        self.n_infrastructure = n_infrastructure
-        self.n_mobile = n_mobile
-        self.n_vehicles = n_vehicles
-        self.n_bicycles = n_bicycles
-        self.n_pedestrians = n_pedestrians
-        self.rate_hz = rate_hz
-        self.detector = detector
-        self.sensors = sensors or {}
+        if not 1.0 <= self.rate_hz <= 100.0:
+            raise ConfigurationError(f"Intersection: rate_hz is {self.rate_hz}, expected 1 to 100")
 
     def record(self, seed: int, frames: int | None) -> Recording:
         frames = round(_WINDOW_S * self.rate_hz) if frames is None else frames
         if frames < 1:
             raise ConfigurationError(f"Intersection: {frames} frames, expected at least 1")
+        n_mobile = self.n_mobile or 0
         layout = stream(self.scene_index, "intersection")
         arms = _arms(self.scene_index, layout)
         density = layout.uniform(3.2, 4.8)  # motor vehicles per lane
@@ -168,14 +155,14 @@ class Intersection(Scene):
         movers, kinds = road_users(
             network,
             {
-                "vehicle": self._count("n_vehicles", max(round(lanes * density), _VEHICLES, 1 + self.n_mobile)),
+                "vehicle": self._count("n_vehicles", max(round(lanes * density), _VEHICLES, 1 + n_mobile)),
                 "bicycle": self._count("n_bicycles", int(layout.integers(3, 7))),
                 "pedestrian": self._count("n_pedestrians", int(layout.integers(7, 14))),
             },
             stream(seed, "intersection", self.scene_index, "movers"),
         )
         motion, ego, others = self._drive(network, movers, seed, frames)
-        motorised = [ego, *others[: self.n_mobile]]
+        motorised = [ego, *others[:n_mobile]]
         world = _world(
             f"intersection-{self.scene_index}",
             round(1e9 / self.rate_hz),
@@ -183,10 +170,10 @@ class Intersection(Scene):
             kinds,
             motion,
             motorised,
-            _poles(arms, self.n_infrastructure),
+            _poles(arms, _POLES if self.n_infrastructure is None else self.n_infrastructure),
             (buildings, heights),
         )
-        agents, rigs = equip(world.name, world.agents, self.sensors, world.times_ns, world.period_ns)
+        agents, rigs = equip(world.name, world.agents, self.sensors or {}, world.times_ns, world.period_ns)
         world = replace(world, agents=agents, rigs=rigs)
         points = lidar_visibility(world)
         return make_recording(world, points, *detect(world, points, self.detector, seed))

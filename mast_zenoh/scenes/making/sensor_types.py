@@ -92,6 +92,7 @@ def regular_times(place: str, frame_ns: int, rate_hz: float, phase_s: float) -> 
     return period_ns, phase_ns
 
 
+@dataclass(kw_only=True, eq=False)
 class Sensor(ABC):
     """Base of the types of sensors.
 
@@ -111,30 +112,24 @@ class Sensor(ABC):
     kind: ClassVar[str]
     assumed_probability: ClassVar[float | None] = None
 
-    def __init__(
-        self,
-        *,
-        name: str | None = None,
-        rate_hz: float | None = None,
-        phase_s: float = 0.0,
-        position: tuple[float, float, float] | None = None,
-        yaw_deg: float | None = None,
-        pitch_deg: float | None = None,
-        azimuth_deg: tuple[float, float] | None = None,
-        elevation_deg: tuple[float, float] | None = None,
-        range_m: float | None = None,
-        detector: Detector | None = None,
-        detection_probability: float | None = None,
-    ) -> None:
-        if rate_hz is None and phase_s != 0.0:
-            raise ValueError(f"phase_s: found {phase_s}, expected 0 for a sensor without rate_hz")
-        self.name = self.kind if name is None else name
-        self.rate_hz, self.phase_s = rate_hz, phase_s
-        self.position, self.yaw_deg, self.pitch_deg = position, yaw_deg, pitch_deg
-        self.azimuth_deg, self.elevation_deg, self.range_m = azimuth_deg, elevation_deg, range_m
-        self.detector = self.usual_detector() if detector is None else detector
-        given = detection_probability
-        self.detection_probability = self.assumed_probability if given is None else given
+    name: str | None = None
+    rate_hz: float | None = None
+    phase_s: float = 0.0
+    position: tuple[float, float, float] | None = None
+    yaw_deg: float | None = None
+    pitch_deg: float | None = None
+    azimuth_deg: tuple[float, float] | None = None
+    elevation_deg: tuple[float, float] | None = None
+    range_m: float | None = None
+    detector: Detector | None = None
+    detection_probability: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.rate_hz is None and self.phase_s != 0.0:
+            raise ValueError(f"phase_s: found {self.phase_s}, expected 0 for a sensor without rate_hz")
+        self.detector = self.usual_detector() if self.detector is None else self.detector
+        if self.detection_probability is None:
+            self.detection_probability = self.assumed_probability
 
     @abstractmethod
     def geometry(self, own: LidarSensor) -> LidarSensor:
@@ -161,7 +156,8 @@ class Sensor(ABC):
                 changes |= {f"{name}_min_deg": limits[0], f"{name}_max_deg": limits[1]}
         if self.range_m is not None:
             changes["max_range_m"] = self.range_m
-        return SceneSensor(self.name, self.kind, replace(lidar, **changes), self.detection_probability)  # type: ignore[arg-type]  # by name
+        name = self.kind if self.name is None else self.name
+        return SceneSensor(name, self.kind, replace(lidar, **changes), self.detection_probability)  # type: ignore[arg-type]  # by name
 
 
 #: Sensors by agent: a name or a pattern ("infra_*") to the sensors of each of these agents.
