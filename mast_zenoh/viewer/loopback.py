@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import getpass
 import socket
+from abc import ABC, abstractmethod
 from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -74,7 +75,7 @@ class LoopbackServer(ThreadingHTTPServer):
         return f"http://{LOOPBACK}:{self.server_port}/"
 
 
-class LoopbackHandler(BaseHTTPRequestHandler):
+class LoopbackHandler(BaseHTTPRequestHandler, ABC):
     """Answers requests to this computer's own names, and refuses others."""
 
     def handle(self) -> None:
@@ -89,9 +90,9 @@ class LoopbackHandler(BaseHTTPRequestHandler):
         else:
             self.send_error(HTTPStatus.FORBIDDEN, HOST_EXPECTED)
 
+    @abstractmethod
     def answer(self, path: str) -> None:
         """Answer a request for a path."""
-        raise NotImplementedError
 
     def send_content(self, content: bytes, kind: str, policy: str) -> None:
         """Send a whole answer.

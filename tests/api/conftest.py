@@ -24,3 +24,19 @@ def attacked(tmp_path_factory: pytest.TempPathFactory) -> mast.Run:
     out: Path = tmp_path_factory.mktemp("attacked") / "run"
     parameters = dict(n_infrastructure=2, n_adversaries=1, attack_start_s=2.0)
     return mast.run("uncoordinated", frames=FRAMES, seed=SEED, out=out, **parameters)
+
+
+@pytest.fixture
+def failing_scenario(tmp_path: Path) -> Path:
+    """A file of a scenario with a node whose handler always fails."""
+    (tmp_path / "failing.py").write_text(
+        "from mast_zenoh.node import Node\n\nclass Failing(Node):\n"
+        "    role = 'failing'\n    inputs = dict(everything='*')\n"
+        "    def on_everything(self, received, context):\n        raise KeyError('no')\n"
+    )
+    path = tmp_path / "bad.py"
+    path.write_text(
+        "from mast_zenoh.scenario import load\n\ndef scenario(n_infrastructure=1):\n"
+        "    return load('baseline', ['n_infrastructure=1'])[1] | dict(nodes=dict(bad=dict(role='failing')))\n"
+    )
+    return path

@@ -78,9 +78,8 @@ def test_entries_without_a_class_are_listed_too() -> None:
         assert [f"{name}.py" for name in mast.list(kind).names] == bundle.names(kind)
 
 
-@pytest.mark.parametrize(
-    ("name", "meaning", "unit"),
-    [
+def test_units_come_from_names_and_descriptions() -> None:
+    for name, meaning, unit in (
         ("start_s", "", "s"),
         ("sigma_mps2", "", "m/s²"),
         ("bits_per_s", "", "bit/s"),
@@ -90,10 +89,8 @@ def test_entries_without_a_class_are_listed_too() -> None:
         ("until", "s of scene time", "s"),
         ("region", "where they are put", ""),
         ("copies", "how many more", ""),
-    ],
-)
-def test_units_come_from_names_and_descriptions(name: str, meaning: str, unit: str) -> None:
-    assert unit_of(name, meaning) == unit
+    ):
+        assert unit_of(name, meaning) == unit
 
 
 def test_parameter_descriptions_are_read_from_lines_and_from_sentences() -> None:

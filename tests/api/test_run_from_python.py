@@ -96,28 +96,13 @@ def test_an_integer_is_accepted_as_a_float(tmp_path: Path) -> None:
     assert config["attack"]["start_s"] == 3.0
 
 
-def test_a_failed_run_raises_an_error_that_names_the_folder(tmp_path: Path) -> None:
-    node = """
-from mast_zenoh.node import Node
-
-class Failing(Node):
-    role = "failing"
-    inputs = {"everything": "*"}
-
-    def on_everything(self, received, context):
-        raise KeyError("no")
-"""
-    (tmp_path / "failing.py").write_text(node)
-    (tmp_path / "mine.py").write_text(
-        "from mast_zenoh.scenario import load\n\ndef scenario():\n"
-        "    return load('baseline', ['n_infrastructure=1'])[1] | dict(nodes=dict(bad=dict(role='failing')))\n"
-    )
+def test_a_failed_run_raises_an_error_that_names_the_folder(failing_scenario: Path, tmp_path: Path) -> None:
     with pytest.raises(HandlerFailed) as failed:
-        mast.run(tmp_path / "mine.py", frames=2, out=tmp_path / "run")
+        mast.run(failing_scenario, frames=2, out=tmp_path / "run")
     assert str(tmp_path / "run") in failed.value.__notes__[0]
     assert "allow_failures=True" in failed.value.__notes__[0]
     assert mast.open(tmp_path / "run").status == "handler_failures"
-    allowed = mast.run(tmp_path / "mine.py", frames=2, out=tmp_path / "allowed", allow_failures=True)
+    allowed = mast.run(failing_scenario, frames=2, out=tmp_path / "allowed", allow_failures=True)
     assert allowed.status == "ok"
 
 

@@ -68,26 +68,13 @@ def test_invalid_arguments_are_refused(study_file: Path, tmp_path: Path) -> None
         mast.study("rogue")
 
 
-def test_failed_trials_raise_an_error_that_names_the_folder(study_file: Path, tmp_path: Path) -> None:
+def test_failed_trials_raise_an_error_that_names_the_folder(
+    study_file: Path, failing_scenario: Path, tmp_path: Path
+) -> None:
     study_file.write_text(STUDY.replace("dict(n_infrastructure=1)", 'dict(n_infrastructure=1, scene="mine:1")'))
     with pytest.raises(ConfigurationError):
         mast.study(study_file, trials=1, jobs=1, out=tmp_path / "out")
-    failing = """
-from mast_zenoh.node import Node
-
-class Failing(Node):
-    role = "failing"
-    inputs = {"everything": "*"}
-
-    def on_everything(self, received, context):
-        raise KeyError("no")
-"""
-    (tmp_path / "failing.py").write_text(failing)
-    (tmp_path / "bad.py").write_text(
-        "from mast_zenoh.scenario import load\n\ndef scenario(n_infrastructure=1):\n"
-        "    return load('baseline', ['n_infrastructure=1'])[1] | dict(nodes=dict(bad=dict(role='failing')))\n"
-    )
-    study_file.write_text(STUDY.replace('scenario="baseline"', 'scenario="bad.py"'))
+    study_file.write_text(STUDY.replace('scenario="baseline"', f'scenario="{failing_scenario.name}"'))
     with pytest.raises(TrialsFailed, match="baseline") as failed:
         mast.study(study_file, trials=1, jobs=1, out=tmp_path / "failed")
     assert str(tmp_path / "failed") in failed.value.__notes__[0]

@@ -5,44 +5,27 @@ from __future__ import annotations
 import shutil
 import sys
 import typing
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from commands_in_process import command
 
 import mast_zenoh as mast
-from mast_zenoh.cli import app
-from mast_zenoh.cli import runs as command
+from mast_zenoh.cli import runs
 from mast_zenoh.errors import ExportError, RunFolderError
 from mast_zenoh.viewer.export import export
 from mast_zenoh.viewer.formats import FORMATS
 
-Mast = Callable[..., tuple[int, str, str]]
-
-
-@pytest.fixture
-def cli(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Mast:
-    """Run a command; returns exit code, stdout and stderr."""
-
-    def run(*words: str) -> tuple[int, str, str]:
-        monkeypatch.setattr("sys.argv", ["mast", *words])
-        with pytest.raises(SystemExit) as raised:
-            app.main()
-        printed = capsys.readouterr()
-        return int(raised.value.code or 0), printed.out, printed.err
-
-    return run
-
 
 def test_the_command_offers_every_format() -> None:
-    hint = typing.get_type_hints(command.export, include_extras=True)["to"]
+    hint = typing.get_type_hints(runs.export, include_extras=True)["to"]
     assert set(typing.get_args(typing.get_args(hint)[0])) == set(FORMATS)
 
 
-def test_the_command_names_what_it_wrote_and_what_is_missing(cli: Mast, recorded: mast.Run, tmp_path: Path) -> None:
+def test_the_command_names_what_it_wrote_and_what_is_missing(recorded: mast.Run, tmp_path: Path) -> None:
     folder = shutil.copytree(recorded.path, tmp_path / "copy")
     (folder / "objects.parquet").unlink()
-    code, out, err = cli("export", str(folder), "--to", "mot", "-o", str(tmp_path / "mot"))
+    code, out, err = command("export", str(folder), "--to", "mot", "-o", str(tmp_path / "mot"))
     assert code == 0
     assert f"exported: {tmp_path / 'mot'}" in out
     assert "warning: objects.parquet is absent: no outcomes of objects, no bird's-eye and camera views." in err
@@ -77,10 +60,10 @@ def test_a_write_error_leaves_nothing_behind(
         assert list(tmp_path.iterdir()) == [], name
 
 
-def test_nothing_is_overwritten(cli: Mast, recorded: mast.Run, tmp_path: Path) -> None:
+def test_nothing_is_overwritten(recorded: mast.Run, tmp_path: Path) -> None:
     kept = tmp_path / "run.mcap"
     kept.write_text("mine")
-    code, _, err = cli("export", str(recorded.path), "--to", "csv", "-o", str(kept))
+    code, _, err = command("export", str(recorded.path), "--to", "csv", "-o", str(kept))
     assert code == ExportError.exit_code
     assert "exists already: expected a new file or folder" in err
     (tmp_path / "new.layout.json").write_text("mine")
@@ -102,13 +85,13 @@ def test_a_folder_that_does_not_exist_and_an_unknown_format_are_named(recorded: 
     [("foxglove", "foxglove", "foxglove"), ("rosbag2", "rosbags", "rosbag2"), ("rrd", "rerun", "rerun")],
 )
 def test_a_package_that_is_not_installed_is_named_with_its_extra(
-    cli: Mast, recorded: mast.Run, out: Path, monkeypatch: pytest.MonkeyPatch, name: str, package: str, extra: str
+    recorded: mast.Run, out: Path, monkeypatch: pytest.MonkeyPatch, name: str, package: str, extra: str
 ) -> None:
     monkeypatch.delitem(sys.modules, f"mast_zenoh.viewer.export.{name}", raising=False)
     for module in [module for module in sys.modules if module.split(".")[0] == package]:
         monkeypatch.delitem(sys.modules, module)
     monkeypatch.setitem(sys.modules, package, None)
-    code, _, err = cli("export", str(recorded.path), "--to", name, "-o", str(out))
+    code, _, err = command("export", str(recorded.path), "--to", name, "-o", str(out))
     assert code == ExportError.exit_code
     assert f"{package} is not installed: pip install 'mast-zenoh[{extra}]'" in " ".join(err.split())
     assert not out.exists()
