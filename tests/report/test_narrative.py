@@ -339,7 +339,7 @@ def test_a_study_names_the_strongest_attack_and_every_run(run_of: RunOf) -> None
 def test_names_are_joined_with_commas_and_and() -> None:
     joined = ["", "a", "a and b", "a, b and c"]
     assert [join_names(names) for names in ([], ["a"], ["a", "b"], ["a", "b", "c"])] == joined
-    assert [join_names(names, 3) for names in ("abcde", "ab")] == ["a, b, c and 2 more", "a and b"]
+    assert [join_names(names, 3) for names in ("abcd", "abc")] == ["a, b, c and 1 more", "a, b and c"]
 
 
 def centre(radius: float, **more: Any) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from matplotlib.colors import to_rgb
 
 from mast_zenoh.arrays.geometry import rotation_from_yaw
+from mast_zenoh.report.figures.birdseye import face
 from mast_zenoh.report.figures.camera import Eye, clip_polygon
 from mast_zenoh.report.figures.drawing import birdseye_figure, camera_figure, render, side_by_side_figure
 from mast_zenoh.report.figures.over_time import counts_over_time
@@ -72,6 +73,11 @@ def test_colours_follow_the_paper() -> None:
     }.items():
         colour = np.array(to_rgb(OUTCOME_COLOURS[outcome]))
         assert np.abs(np.round(colour - 0.12) - [r, g, b]).max() == 0, outcome
+
+
+def test_errors_alone_are_filled() -> None:
+    filled = [outcome for outcome, colour in OUTCOME_COLOURS.items() if face(outcome, colour)[3] > 0.0]
+    assert filled == ["truth missed", "track false"]
 
 
 def test_false_tracks_and_insertions_are_absent_from_the_ego_alone_panel(attacked: Frame) -> None:
