@@ -284,6 +284,7 @@ def test_a_node_is_counted_as_returned_only_after_a_loss(driver: Hosted) -> None
     presence(driver, False, True)
     driver.handle_all()
     assert [each["what"] for each in driver.protocol.membership.churn] == ["lost", "back"]
+    assert not driver.protocol.membership.leaving
 
 
 def presence(driver: Hosted, *there: bool) -> None:

@@ -3,6 +3,7 @@
 import logging
 from collections import deque
 from contextlib import nullcontext
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -102,6 +103,15 @@ def test_a_floods_held_messages_are_bounded_and_take_no_other_sources_room() -> 
     assert host.node.got == [("b", 0), ("b", 0), ("a", 0)]
     host.deliver(KEY_B, big, LATER + 1)
     assert host.waiting == 1, "there is space again"
+
+
+def test_the_source_of_a_key_is_its_publisher_in_the_newest_wiring() -> None:
+    host, _ = hosting(Relay())
+    assert host.publisher(KEY_B) == "mallory"
+    *others, wire = WIRING.wires
+    legs = wire.legs[0], replace(wire.legs[1], publisher=Endpoint("eve", "tracks_out")), wire.legs[2]
+    host.rewired(Wiring((*others, replace(wire, legs=legs))))
+    assert host.publisher(KEY_B) == "eve"
 
 
 @pytest.mark.parametrize("encode", [True, False])
