@@ -4,9 +4,11 @@ import logging
 from collections import deque
 from contextlib import nullcontext
 from dataclasses import replace
+from unittest.mock import MagicMock, call
 
 import numpy as np
 import pytest
+import zenoh
 from hosted import Hosted
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -18,7 +20,7 @@ from mast_zenoh.messages.schemas import SCHEMAS, Header, Message, text
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime.host import Host, Outgoing
 from mast_zenoh.runtime.protocol.pacer import SETTLE_EVERY
-from mast_zenoh.runtime.protocol.traffic import Inbox, Item
+from mast_zenoh.runtime.protocol.traffic import ATTACHMENT, MARK, Inbox, Item, Outlets, stamp_of
 from mast_zenoh.runtime.waiting import DELAYED, EARLY, HELD, INBOX, Limit, Room
 from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
 
@@ -183,6 +185,12 @@ def test_messages_of_a_later_epoch_are_bounded_by_source(caplog: pytest.LogCaptu
     mesh.protocol.handle(("epoch", 2, {"relay": "link", "a": "agent"}, None))
     assert mesh.protocol.host.node.got == [("b", 0), ("b", 0), ("a", 0)]
     assert mesh.protocol.host.handled[KEY_B] == 4, "the driver does not wait for messages dropped in this epoch"
+    for _ in range(2):
+        mesh.protocol.receive_message(KEY_B, big, 3, -1)
+        mesh.handle_all()
+    mesh.protocol.handle(("epoch", 3, {"relay": "link", "a": "agent"}, None))
+    assert mesh.protocol.host.rejected == {(KEY_B, "early"): 4}, "there is space again"
+    assert mesh.protocol.host.handled[KEY_B] == 2
 
 
 def test_a_slow_node_keeps_no_more_of_a_flood_than_the_limit_of_its_source() -> None:
@@ -197,6 +205,36 @@ def test_a_slow_node_keeps_no_more_of_a_flood_than_the_limit_of_its_source() -> 
     assert mesh.protocol.host.node.got == [("b", 0)] * fits + [("a", 0)]
     assert mesh.protocol.host.rejected == {(KEY_B, "queued"): 30 - fits}
     assert mesh.protocol.host.handled[KEY_B] == 30
+    mesh.protocol.handle(("epoch", 2, {"relay": "link", "a": "agent"}, None))
+    assert mesh.protocol.host.handled[KEY_B] == 0
+    for _ in range(30):
+        mesh.protocol.receive_message(KEY_B, big, 3, -1)
+    mesh.handle_all()
+    assert mesh.protocol.host.handled[KEY_B] == 0
+    mesh.protocol.handle(("epoch", 3, {"relay": "link", "a": "agent"}, None))
+    assert mesh.protocol.host.handled[KEY_B] == 30, "those of the next epoch that were dropped count there"
+
+
+def test_held_back_messages_are_published_on_the_new_key_and_the_old_one_is_undeclared() -> None:
+    actions = MagicMock()
+    outlets = Outlets(WIRING, "relay", actions)
+    outlet = outlets["agent/a/tracks"]
+    outlet.held = []
+    outlets.send(Outgoing("agent/a/tracks", b"x", 3), 1)
+    assert not actions.mock_calls
+    assert outlets.move(outlet, "other") == 1
+    assert actions.mock_calls == [
+        call.publish("other", b"x", ATTACHMENT.pack(MARK, 1, 3)),
+        call.undeclare("agent/a/tracks"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("attachment", "stamp"),
+    [(ATTACHMENT.pack(MARK, 3, 7), (3, 7)), (ATTACHMENT.pack(b"XXXX", 3, 7), (-1, -1)), (b"short", (-1, -1))],
+)
+def test_only_a_stamp_of_this_testbed_is_believed(attachment: bytes, stamp: tuple[int, int]) -> None:
+    assert stamp_of(zenoh.ZBytes(attachment)) == stamp
 
 
 def test_forty_agents_in_a_large_scene_stay_far_below_every_limit() -> None:
