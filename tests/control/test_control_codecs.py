@@ -273,3 +273,9 @@ def test_the_place_of_an_invalid_value_is_reported_and_shortened() -> None:
     with pytest.raises(TypeError) as caught:
         results.checked({"x" * (1 << 20): [{1}]})
     assert len(str(caught.value)) < 300
+
+
+@pytest.mark.parametrize("kind", flow.StopKind)
+def test_the_reason_of_a_stop_is_read_as_it_was_written(kind: flow.StopKind) -> None:
+    reason = flow.StopReason(kind, "" if kind is flow.StopKind.END else "ego: late")
+    assert flow.decode_reason(flow.encode_reason(reason)) == reason

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import msgpack
 import numpy as np
 import pytest
@@ -83,3 +85,13 @@ def test_malformed_bytes_are_refused_at_once_or_on_access(cut: int, flip: int, b
 def test_an_oversized_message_is_refused_at_once() -> None:
     with pytest.raises(MessageError, match="at most"):
         codec.decode_lazily(encoded() + bytes(codec.MAX_BYTES), "status")
+
+
+@pytest.mark.parametrize(
+    ("largest", "beyond"),
+    [(dict(frame=(1 << 62) - 1), dict(frame=1 << 62)), (dict(source="x" * 256), dict(source="x" * 257))],
+)
+def test_the_numbers_and_the_name_in_a_header_are_limited(largest: dict[str, Any], beyond: dict[str, Any]) -> None:
+    assert codec.decode_header(encoded(**largest), "status")
+    with pytest.raises(MessageError, match="status: "):
+        codec.decode_header(encoded(**beyond), "status")

@@ -65,6 +65,7 @@ def test_times_and_frames_outside_the_run_are_rejected_on_arrival(
         (50, 5 * SECOND + SECOND),  # within the tolerance: a wrong clock, or an adversary
         (50, 5 * SECOND - SECOND),
         (20, 5 * SECOND),  # about an earlier frame, with the current time
+        (60, 6 * SECOND),  # ahead of the newest clock by the tolerance
     ],
 )
 def test_messages_with_possible_delays_and_clock_errors_are_accepted(frame: int, time_ns: int) -> None:
