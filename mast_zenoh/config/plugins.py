@@ -8,13 +8,16 @@ that may be that of its class is a PluginError.
 
 from __future__ import annotations
 
+import hashlib
 import importlib
+import importlib.util
 import inspect
 import logging
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from mast_zenoh.errors import ConfigurationError, PluginError
@@ -90,6 +93,30 @@ def used_by(names: Iterable[str]) -> dict[str, str]:
         return {}
     known = {cls.__name__: plugin.distribution for plugin in load().plugins for cls in _classes_of(plugin)}
     return {name: known[name] for name in sorted(set(names) & known.keys())}
+
+
+def versions_of(used: Mapping[str, str]) -> dict[str, str]:
+    """Versions here of the distributions of plugins, with a digest of their files; used: as from `used_by`"""
+    names = {each.rsplit(" ", 1)[0] for each in used.values()}
+    found: dict[str, tuple[str, set[str]]] = {}
+    for plugin in installed():
+        name, version = plugin.distribution.rsplit(" ", 1)
+        if name in names:
+            found.setdefault(name, (version, set()))[1].add(plugin.package)
+    return {name: f"{version} (sources {_digest(packages)})" for name, (version, packages) in found.items()}
+
+
+def _digest(packages: Iterable[str]) -> str:
+    """12 hexadecimal digits of the files of packages."""
+    digest = hashlib.blake2b(digest_size=6)
+    for package in sorted(packages):
+        spec = importlib.util.find_spec(package)
+        for place in map(Path, () if spec is None else spec.submodule_search_locations or [spec.origin or ""]):
+            files = [place] if place.is_file() else sorted(place.rglob("*"))
+            for file in (each for each in files if each.is_file() and "__pycache__" not in each.parts):
+                name = file.relative_to(place.parent).as_posix()
+                digest.update(name.encode() + b"\0" + hashlib.blake2b(file.read_bytes()).digest())
+    return digest.hexdigest()
 
 
 def classes_for(used: Mapping[str, str], base: type) -> list[Any]:

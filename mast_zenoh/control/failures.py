@@ -16,7 +16,7 @@ from typing import Any
 
 import msgspec
 
-from mast_zenoh.config import bundle
+from mast_zenoh.config import bundle, plugins
 from mast_zenoh.control import codec
 from mast_zenoh.control.codec import FrameOrNone, Id, Line, Message, Positive, ShortLine
 from mast_zenoh.errors import HandlerFailed
@@ -105,8 +105,8 @@ def location(error: BaseException, call: Callable[..., Any]) -> str:
 
     Without a user's file, the latter alone; without that, of `call`'s definition.
 
-    call: the handler that raised the error. Frames in the standard library, installed packages and the runtime are
-    skipped. An error about the return value of a function has the function in `about`.
+    call: the handler that raised the error. Frames in the standard library, in installed packages that are no plugins,
+    and in the runtime are skipped. An error about the return value of a function has the function in `about`.
     """
     if (about := getattr(error, "about", None)) is not None:
         return _definition(about)
@@ -128,7 +128,9 @@ def _is_node_code(file: str) -> bool:
     path = Path(file)
     if path.is_relative_to(_PACKAGE):
         return path.relative_to(_PACKAGE).parts[0] not in _PLUMBING
-    return path.is_absolute() and not path.is_relative_to(_PYTHON) and not _INSTALLED & set(path.parts)
+    if _INSTALLED & set(path.parts):
+        return any(plugin.package in (*path.parts, path.stem) for plugin in plugins.installed())
+    return path.is_absolute() and not path.is_relative_to(_PYTHON)
 
 
 def _is_shipped(file: str) -> bool:

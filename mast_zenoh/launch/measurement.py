@@ -12,6 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from mast_zenoh.config import plugins
 from mast_zenoh.config.allowed_code import SHIPPED, AllowedCode
 from mast_zenoh.config.resolved import Resolved, build_node
 from mast_zenoh.control import failures
@@ -174,9 +175,9 @@ def measure(folder: Path, allowed: AllowedCode = SHIPPED) -> list[str]:
     allowed: which of the code that the folder names may run: its evaluator, and classes of users
 
     Wall-clock times are kept as measured in the run. If the recording ends before the run did, `recording` in
-    metrics.json gives its extent. Returns a sentence for each refused table, and one if the recorder was lost in the
-    run. Raises RunFolderError if something is missing or damaged, or if metrics of more frames would be replaced, and
-    HandlerFailed if the evaluator fails, UntrustedCode.
+    metrics.json gives its extent. Returns a sentence for each refused table, one if the recorder was lost in the run,
+    and one for each plugin that has another version than in the run. Raises RunFolderError if something is missing or
+    damaged, or if metrics of more frames would be replaced, and HandlerFailed if the evaluator fails, UntrustedCode.
     """
     resolved = scenario_of(folder, allowed)
     if EVALUATOR not in resolved.nodes:
@@ -192,8 +193,14 @@ def measure(folder: Path, allowed: AllowedCode = SHIPPED) -> list[str]:
     kept: dict[str, Any] = {name: previous[name] for name in _NOT_RECORDED if name in previous}
     if incomplete:
         kept["recording"] = incomplete._asdict()
-    recorder_notices = notices.of_recording(run_folder.json_or_empty(folder / "run.json"))
-    return [*conclusion.write_results(folder, {EVALUATOR: results}, kept), *recorder_notices]
+    record = run_folder.json_or_empty(folder / "run.json")
+    recorded_by = record.get("versions") or {}
+    others = [
+        f"recorded by {name} {recorded_by.get(name) or 'of an unknown version'}, measured by {here}"
+        for name, here in plugins.versions_of(resolved.plugins).items()
+        if recorded_by.get(name) != here
+    ]
+    return [*conclusion.write_results(folder, {EVALUATOR: results}, kept), *notices.of_recording(record), *others]
 
 
 def scenario_of(folder: Path, allowed: AllowedCode = SHIPPED) -> Resolved:

@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from mast_zenoh import checks, kernels
+from mast_zenoh.config import plugins
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import failures
 from mast_zenoh.errors import BackendError, MastError, ResourcesExhausted
@@ -182,7 +183,7 @@ def run(
             "started": datetime.now(UTC).isoformat(timespec="seconds"),
             "command": command or [os.path.basename(sys.argv[0]), *sys.argv[1:]],
             "launcher": liveness.identity(),
-            "versions": run_folder.versions() | dict(each.rsplit(" ", 1) for each in resolved.plugins.values()),
+            "versions": run_folder.versions() | plugins.versions_of(resolved.plugins),
             "timings": {},
             "nodes": {},
             "churn": [],

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from mast_zenoh.config import plugins
 from mast_zenoh.config.resolved import DRIVER_ROLE, Resolved
 from mast_zenoh.errors import MessageError, RunFolderError
 from mast_zenoh.launch.ending import RUNNING
@@ -224,12 +225,13 @@ def of_run(record: Mapping[str, Any], resolved: Resolved) -> list[str]:
     elif status != "ok":
         reason = f": {message.splitlines()[0]}" if message else ""
         sentences.append(f"the recorded run ended as {str(status).replace('_', ' ')!r}{reason}")
-    recorded_by, here = (record.get("versions") or {}).get(_PACKAGE), versions()[_PACKAGE]
-    if recorded_by != here:
-        sentences.append(
-            f"recorded by {_PACKAGE} {recorded_by or 'of an unknown version'}, replayed by {here}: live nodes may "
-            "compute other numbers"
-        )
+    recorded_by = record.get("versions") or {}
+    for name, here in {_PACKAGE: versions()[_PACKAGE], **plugins.versions_of(resolved.plugins)}.items():
+        if recorded_by.get(name) != here:
+            sentences.append(
+                f"recorded by {name} {recorded_by.get(name) or 'of an unknown version'}, replayed by {here}: live "
+                "nodes may compute other numbers"
+            )
     if record.get("mode") == "realtime":
         sentences.append(
             "recorded in real time, where late messages are late: the picture depended on the speed of the machine and "

@@ -71,7 +71,7 @@ class Store:
                 each.label: {"scenario": each.scenario, "settings": list(each.settings)}
                 for each in study.configurations
             },
-            "environment": dict(trials[0].environment) if trials else {},
+            "environment": dict(pair for trial in trials for pair in trial.environment),
             "runtime": trials[0].runtime if trials else None,
             "frames": trials[0].frames if trials else None,
             "trials": [

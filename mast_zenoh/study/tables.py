@@ -84,7 +84,7 @@ def write(study: Study, store: Store, trials: Sequence[Trial], failures: Mapping
         runtime=trials[0].runtime,
         done=done,
         failed=tuple(_failed_trial(trial, failures[trial.digest]) for trial in trials if trial.digest in failures),
-        environment=dict(trials[0].environment),
+        environment=dict(pair for trial in trials for pair in trial.environment),
         other_scenes=_configurations_with_other_scenes(trials, study.baseline),
         idle=_idle_attacks(trials),
     )

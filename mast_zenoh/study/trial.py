@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from mast_zenoh import kernels, scenes
-from mast_zenoh.config import bundle
+from mast_zenoh.config import bundle, plugins
 from mast_zenoh.metrics import Table
 from mast_zenoh.version import fingerprint
 
@@ -111,9 +111,16 @@ class Outcome:
         return cls(trial, {}, {}, error=reason)
 
 
+def environment(used: Mapping[str, str]) -> dict[str, str]:
+    """Versions of Python, kernels and packages, and hashes of our code and files and of the plugins that are used.
+
+    used: as from `plugins.used_by`
+    """
+    return _environment() | plugins.versions_of(used)
+
+
 @cache
-def environment() -> dict[str, str]:
-    """Versions of Python, kernels and packages, and hashes of our code and files."""
+def _environment() -> dict[str, str]:
     versions = {"python": platform.python_version(), "kernels": kernels.USED} | {
         name: version(name) for name in _PACKAGES
     }
@@ -149,10 +156,18 @@ def user_files(path: Path, loaded: Mapping[str, Any], modules: Iterable[str] = (
 
 
 def digest_of(
-    loaded: Mapping[str, Any], files: str, seed: int, frames: int | None, runtime: str, *, evaluation: str = ""
+    loaded: Mapping[str, Any],
+    files: str,
+    seed: int,
+    frames: int | None,
+    runtime: str,
+    environment: Mapping[str, str],
+    *,
+    evaluation: str = "",
 ) -> str:
     """Digest of a scenario's content, files and run options; 40 hexadecimal digits.
 
+    environment: code and versions
     evaluation: module of `study.defences` by which the trial is evaluated; "": none
     """
     parts = {
@@ -161,7 +176,7 @@ def digest_of(
         "seed": seed,
         "frames": frames,
         "runtime": runtime,
-        "environment": environment(),
+        "environment": environment,
         **({"evaluation": evaluation} if evaluation else {}),
     }
     return _hash([json.dumps(parts, sort_keys=True, default=repr).encode()])

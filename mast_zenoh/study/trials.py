@@ -109,7 +109,6 @@ def plan(study: Study, *, count: int, seed: int, frames: int | None, runtime: st
     Every configuration is resolved in every scene with the first seed. Raises what `scenario.load` and
     `scenario.resolve` raise, and ConfigurationError for a study of defences on calibration data.
     """
-    environment = tuple(sorted(identity.environment().items()))
     by_seed: list[list[Trial]] = [[] for _ in range(count)]
     result = []
     for study_scene in study.scenes:
@@ -123,6 +122,7 @@ def plan(study: Study, *, count: int, seed: int, frames: int | None, runtime: st
             scene = registry.build(resolved.scene, scenes.Scene, f"{path}: scene")
             if study.cells:
                 refuse_calibration_data(range(seed, seed + count), resolved.scene, str(study.path))
+            environment = identity.environment(resolved.plugins)
             files = identity.files_key((*identity.user_files(path, loaded, resolved.modules), *scene.inputs()))
             idle = _idle_period(resolved)
             for index, seed_trials in enumerate(by_seed):
@@ -132,7 +132,7 @@ def plan(study: Study, *, count: int, seed: int, frames: int | None, runtime: st
                 seed_trials.append(
                     Trial(
                         digest=identity.digest_of(
-                            loaded, files, seed + index, frames, runtime, evaluation=study.evaluation
+                            loaded, files, seed + index, frames, runtime, environment, evaluation=study.evaluation
                         ),
                         configuration=configuration.label,
                         scene=study_scene.label,
@@ -142,7 +142,7 @@ def plan(study: Study, *, count: int, seed: int, frames: int | None, runtime: st
                         frames=frames,
                         runtime=runtime,
                         scene_key=identity.scene_key(scene),
-                        environment=environment,
+                        environment=tuple(sorted(environment.items())),
                         idle=idle,
                         evaluation=study.evaluation,
                     )

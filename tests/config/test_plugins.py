@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import json
 import os
 import re
@@ -14,7 +15,9 @@ import mast_datasets
 import pytest
 
 from mast_zenoh.config import plugins, registry, scene_names
+from mast_zenoh.control import failures
 from mast_zenoh.scenes import Scene
+from mast_zenoh.study import trial
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "plugins.md").read_text(encoding="utf-8")
@@ -75,10 +78,30 @@ def test_a_plugin_installed_with_pip_brings_a_scene_an_attack_and_a_metric(
     scenario = json.loads((tmp_path / "run" / "scenario.json").read_text())
     assert scenario["plugins"] == dict.fromkeys(("Convoy", "Nudge", "QuietShare"), "mast-roadside 1.0")
     assert not scenario["modules"], "plugins are found by name, not as files of the user"
-    assert json.loads((tmp_path / "run" / "run.json").read_text())["versions"]["mast-roadside"] == "1.0"
+    assert json.loads((tmp_path / "run" / "run.json").read_text())["versions"]["mast-roadside"].startswith(
+        "1.0 (sources "
+    )
     metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
     assert "quiet_share" in metrics["agents"]["ego"]["picture"]
     assert mast(roadside, "list", "scenes", "Convoy").strip() in PAGE
+
+
+def test_a_changed_plugin_makes_other_trials_and_its_lines_are_named_in_failures(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    site = tmp_path / "site-packages"
+    module = installed(site, "edited", "def step():\n    raise ValueError(1)\n") / "edited.py"
+    monkeypatch.syspath_prepend(site)
+    monkeypatch.setattr(plugins, "installed", lambda: (plugins.Plugin("edited", "edited", "edited 1.0"),))
+    step = importlib.import_module("edited").step
+    with pytest.raises(ValueError, match="1") as raised:
+        step()
+    assert failures.location(raised.value, step) == f"{module}:2"
+    before = trial.environment({"Edited": "edited 1.0"})
+    module.write_text("def step(): ...\n")
+    after = trial.environment({"Edited": "edited 1.0"})
+    assert {name for name in before if before[name] != after[name]} == {"edited"}
+    assert trial.environment({}).keys() == before.keys() - {"edited"}
 
 
 BROKEN = "import nowhere\n"

@@ -126,6 +126,9 @@ class Intersection(Scene):
     sensors: SensorsByAgent | None = None
 
     def __post_init__(self) -> None:
+        if self.n_infrastructure is None:  # scenes with equal recordings are equal
+            self.n_infrastructure = _POLES
+        self.n_mobile, self.sensors = self.n_mobile or 0, self.sensors or {}
         sites = len(_POLE_SITES) * len(_KINDS[_kind(self.scene_index)][0])
         limits = {"scene_index": None, "n_infrastructure": sites}
         for name, limit in (limits | dict.fromkeys(("n_mobile", "n_bicycles", "n_pedestrians"))).items():
