@@ -7,7 +7,7 @@ Each error that can end a command has its own exit code (docs/exit_codes.md).
     │   ├── WiringError          11   a key-expression map or rewrite is invalid
     │   ├── NodeFileError        12   a node's file is missing or does not define the node
     │   └── PluginError          35   a plugin is missing, cannot be imported, or has a class named like another one
-    ├── SceneError               13   a scene's data is missing, truncated or inconsistent
+    ├── SceneError               13   a scene's data is missing, truncated or inconsistent, or its code has failed
     ├── MessageError             14   bytes that are not a message of the expected schema
     ├── RunFolderError           15   a run folder is missing, incomplete or already in use
     │   ├── NotComparable        17   two runs cannot be compared
@@ -78,7 +78,7 @@ class PluginError(ConfigurationError):
 
 
 class SceneError(MastError):
-    """A scene's data is missing, truncated or inconsistent.
+    """A scene's data is missing, truncated or inconsistent, or its code has failed.
 
     Names the file, the line and the reason.
     """

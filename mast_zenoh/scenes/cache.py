@@ -10,13 +10,14 @@ import hashlib
 import os
 import sys
 import tempfile
+import traceback
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
 
 from mast_zenoh import sensing, streams
 from mast_zenoh.arrays import geometry, states
-from mast_zenoh.errors import SceneError
+from mast_zenoh.errors import MastError, SceneError, is_out_of_resources
 from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.making.observe import with_sweeps
 from mast_zenoh.scenes.recording import Recording
@@ -34,9 +35,10 @@ def prepare(scene: Scene, seed: int, frames: int | None, cache_key: str | None) 
 
     The cache is in $XDG_CACHE_HOME/mast-zenoh/scenes (or ~/.cache/...). Files are written atomically, so two processes
     may prepare the same scene at the same time. If a file is broken or missing, the scene is recorded again. A cache
-    that cannot be written is not an error. Raises what `Scene.record` raises.
+    that cannot be written is not an error. Raises what `Scene.record` raises; SceneError, with file and line, for
+    exceptions of a user's scene or its parts.
     """
-    return _cached(scene, seed, frames, cache_key, "", lambda: scene.record(seed, frames))
+    return _cached(scene, seed, frames, cache_key, "", lambda: _recorded(scene, seed, frames))
 
 
 def prepare_sweeps(
@@ -47,6 +49,27 @@ def prepare_sweeps(
     The other parameters are those with which it was prepared.
     """
     return _cached(scene, seed, frames, cache_key, ".sweeps", lambda: with_sweeps(recording))
+
+
+def _recorded(scene: Scene, seed: int, frames: int | None) -> Recording:
+    """The recording of a scene; raises SceneError, with file and line, where code of a user raises anything else."""
+    try:
+        return scene.record(seed, frames)
+    except Exception as error:
+        users = {type(part).__module__ for part in _parts(scene) if _is_of_user(type(part))}
+        trace = traceback.walk_tb(error.__traceback__)
+        places = [
+            f"{frame.f_code.co_filename}:{line}" for frame, line in trace if frame.f_globals.get("__name__") in users
+        ]
+        if isinstance(error, MastError) or is_out_of_resources(error) or not places:
+            raise
+        raise SceneError(f"{places[-1]}: {type(error).__name__}: {error}") from error
+
+
+def _is_of_user(cls: type) -> bool:
+    """Whether a class outside of this package derives from one of it."""
+    home, *bases = (each.__module__.startswith("mast_zenoh.") for each in cls.__mro__)
+    return any(bases) and not home
 
 
 def _cached(
@@ -62,7 +85,8 @@ def _cached(
             os.utime(path)
         return recording
     except SceneError:
-        recording = make()
+        pass  # recorded outside of the handler, so that errors of the scene do not begin with this one
+    recording = make()
     with contextlib.suppress(OSError):
         _store(recording, path)
     return recording

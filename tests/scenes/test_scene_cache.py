@@ -2,6 +2,7 @@
 
 import importlib
 import os
+import re
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mast_zenoh.errors import SceneError
 from mast_zenoh.scenes import cache, prepare
 from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.cache import cache_folder
@@ -42,6 +44,16 @@ def test_a_scene_is_recorded_once(recording: Recording) -> None:
     first, second = prepare(scene, 1, None, "a"), prepare(scene, 1, None, "a")
     assert scene.made == 1
     np.testing.assert_array_equal(first.truth.position, second.truth.position)
+
+
+def test_error_in_a_users_scene_names_its_file_and_line_alone() -> None:
+    scene = Counted(None)  # type: ignore[arg-type]
+    del scene.made
+    with pytest.raises(SceneError, match=rf"^{re.escape(__file__)}:\d+: AttributeError: .*made") as raised:
+        prepare(scene, 1, None, "a")
+    cause = raised.value.__cause__
+    assert isinstance(cause, AttributeError)
+    assert cause.__context__ is None, "not of a cache without the scene"
 
 
 def test_seed_configuration_and_length_are_part_of_the_cache_key(recording: Recording) -> None:
