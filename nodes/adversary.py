@@ -265,6 +265,9 @@ class Adversary(Node):
         latest = self.directives.get(context.frame)
         directive = latest[1] if latest else None
         tampering = victim.attack.step(received.frame, received.time_ns, objects, pose["position"], directive)
+        if not isinstance(tampering, Tampering):
+            name, returned = type(victim.attack).__name__, type(tampering).__name__
+            raise TypeError(f"{name}.step returned {returned}, expected a Tampering")
         if len(tampering.report):
             self.report(victim, tampering.report, received, context)
         return tampering

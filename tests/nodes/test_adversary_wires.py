@@ -285,3 +285,11 @@ def test_an_adversary_on_poses_subscribes_to_them_once() -> None:
     (wire,) = (wire for wire in wiring.wires if wire.key == "agent/infra_1/pose")
     assert [end.node for end in wire.legs[-1].subscribers] == ["adversary_1"]
     assert [end.node for end in wire.subscribers] == ["infra_1"]
+
+
+def test_an_attack_that_returns_nothing_is_named(resolved, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(HideFirst, "step", lambda *_: None)
+    adversary = Bench(resolved, "adversary_1")
+    adversary.play(0, pose=pose(), tracks=tracks(*PLACES))
+    (failure,) = adversary.host.failures.values()
+    assert failure.exception == "TypeError: HideFirst.step returned NoneType, expected a Tampering"
