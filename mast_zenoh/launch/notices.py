@@ -437,7 +437,7 @@ def _defences(run: _Played) -> Iterator[str]:
             wire.message == "views" and any(end.node == name for end in wire.subscribers) for wire in run.wiring.wires
         ):
             yield (
-                f"the defence {kind} gets no view of any agent, and its trust is not measured: no wire leads views to "
+                f"the defence {kind} judges without views, and its trust is not measured: no wire leads views to "
                 f"{name}, as views.toml does in keyexpr.rewrites"
             )
         elif run.resolved.recording is not None and not _seen_by_two(run.resolved.recording, run.frames):

@@ -94,7 +94,7 @@ CASES: dict[str, tuple[Edit, list[str]]] = {
     "a defence without views": (
         defend("KOfN"),
         [
-            "the defence KOfN gets no view of any agent, and its trust is not measured: no wire leads views to "
+            "the defence KOfN judges without views, and its trust is not measured: no wire leads views to "
             "command_center, as views.toml does in keyexpr.rewrites"
         ],
     ),

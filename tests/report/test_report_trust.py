@@ -191,7 +191,9 @@ def test_the_last_line_says_which_agents_the_defence_suspended_when_and_what_it_
         "although infra_3 lied, and withheld 1.50 false and 0.25 true objects a frame."
     )
     nothing = {"agents": {"ego": of_agent()}, "withheld": {"true": 0.0, "false": 0.0}}
-    assert last_line(folder, "FreeSpace", INTEGRITY | nothing) == "FreeSpace suspended no agent and withheld nothing."
+    assert last_line(folder, "FreeSpace", INTEGRITY | nothing) == (
+        "FreeSpace set no agent's state to suspended and withheld nothing."
+    )
     alarm = of_agent(suspensions=[suspension(1.0, None, "honest")])
     many = last_line(folder, "KOfN", INTEGRITY | {"agents": {f"infra_{number}": alarm for number in range(15)}})
     assert many.startswith("KOfN suspended 15 agents, infra_0 (while honest), ")

@@ -120,7 +120,8 @@ def defence_sentence(run: RunRecord) -> str:
     agents: dict[str, Any] = measured["agents"]
     suspended = [name for name, agent in agents.items() if agent["suspensions"]]
     missed = [name for name, agent in agents.items() if agent["lied"] and agent["suspended_after_s"] is None]
-    did = [f"suspended {count(len(suspended))} agent{'s' if len(suspended) > 1 else ''}"]
+    agents_suspended = f"suspended {count(len(suspended))} agent{'s' if len(suspended) > 1 else ''}"
+    did = [agents_suspended if suspended else "set no agent's state to suspended"]
     did += [join_names([f"{name} ({_when(agents[name])})" for name in suspended], _MOST_NAMES)] if suspended else []
     did += [f"although {join_names(missed, _MOST_NAMES)} lied"] if missed else []
     text = ", ".join(did)
