@@ -66,9 +66,12 @@ class Estimate:
     @property
     def unchanged(self) -> bool:
         """Whether an increment is 0 in every trial, of at least five seeds."""
-        if self.mostly_zero:
-            return self.zero_share == 1.0
-        return self.seeds >= MIN_SEEDS and self.trial_mean == 0.0 and math.isnan(self.low)
+        return self.seeds >= MIN_SEEDS and self.is_zero
+
+    @property
+    def is_zero(self) -> bool:
+        """Whether an increment is 0 in every trial."""
+        return self.zero_share == 1.0
 
     @property
     def certain(self) -> bool:

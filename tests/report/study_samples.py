@@ -31,7 +31,7 @@ def row(run: str, point: dict[str, Any], fp: float) -> StudyRow:
         estimates[Series("ego", estimator, "fp_iob")] = estimate(fp)
         estimates[Series("ego", estimator, "fn_iob")] = estimate(-0.004, 0.02, p=0.4)
     for metric in ("fn_iob", "fp_iob", "tp_iob", "rmse_m_iob", "id_switches_iob"):
-        estimates[Series("ego", "local", metric)] = Estimate(0.0, 0.0, 0.0, scenes=3, seeds=20)
+        estimates[Series("ego", "local", metric)] = Estimate(0.0, 0.0, 0.0, zero_share=1.0, scenes=3, seeds=20)
     return StudyRow("-".join([run, *map(str, point.values())]), run, point, estimates)
 
 

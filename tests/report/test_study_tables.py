@@ -163,12 +163,15 @@ def test_result_is_the_largest_significant_change_of_what_the_ego_acts_on() -> N
 @pytest.mark.parametrize(
     ("estimates", "text"),
     [
-        (estimate(0.1, 0.5, p=0.6), "No attack changes false or missed objects distinguishably, in 1 comparison"),
+        (estimate(0.1, 0.5, p=0.6), "in any estimate of the ego distinguishably, in 1 comparison"),
         (
             Estimate(4.0, 1.0, 4.0, seeds=3),
             "in the picture, too few seeds for an interval: in a the picture has 4.00 more false",
         ),
-        (Estimate(0.0, 0.0, 0.0, seeds=20), "No attack changes false or missed objects in any trial"),
+        (
+            Estimate(0.0, 0.0, 0.0, zero_share=1.0, seeds=20),
+            "No attack changes false or missed objects in any estimate of the ego, in any trial",
+        ),
         (None, "No trial has results for its baseline"),
     ],
 )
@@ -203,12 +206,12 @@ def test_headline_prefers_identity_switches_and_ignores_rmse_below_one_centimetr
     assert "0.10 more identity switches" in words(fp_iob=nothing, id_switches_iob=switches, rmse_m_iob=rmse)[0]
     assert "0.20 m more RMSE" in words(fp_iob=nothing, rmse_m_iob=rmse)[0]
     headline, others = words(fp_iob=nothing, rmse_m_iob=estimate(0.0006, 0.0002))
-    assert headline.startswith("No attack changes false or missed objects distinguishably")
+    assert headline.startswith("No attack changes false or missed objects in any estimate of the ego distinguishably")
     assert any(sentence.startswith("RMSE: in a the picture has 0.0006 m more") for sentence in others)
 
 
 def test_equal_values_in_all_trials_are_reported_as_unchanged() -> None:
-    equal = Estimate(0.0, 0.0, 0.0, scenes=1, seeds=5)
+    equal = Estimate(0.0, 0.0, 0.0, zero_share=1.0, scenes=1, seeds=5)
     _, others = words(fp_iob=estimate(2.0), fn_iob=estimate(0.0, p=0.9), id_switches_iob=equal)
     assert "Unchanged in all trials: identity switches." in others
     assert "Not distinguishable from the baseline: missed objects." in others

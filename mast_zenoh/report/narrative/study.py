@@ -121,6 +121,9 @@ def _attacked(rows: Sequence[StudyRow], facts: StudyFacts) -> list[StudyRow]:
     return [row for row in rows if row.label != facts.baseline and row.label not in facts.never_attacked]
 
 
+_NO_CHANGE = "No attack changes false or missed objects in any estimate of the ego"
+
+
 def _result(rows: Sequence[StudyRow], attacked: Sequence[StudyRow], comparisons: Comparisons) -> str:
     if not attacked:
         return f"{plural(len(rows), 'configuration')}, nothing to compare."
@@ -129,13 +132,12 @@ def _result(rows: Sequence[StudyRow], attacked: Sequence[StudyRow], comparisons:
         return f"The largest change of {_compared(headline)}: {_sentence(headline)}."
     any_change = _largest(attacked, ("fp_iob", "fn_iob"), None)
     if not any_change:
+        if _estimates_of(attacked, "fp_iob") or _estimates_of(attacked, "fn_iob"):
+            return f"{_NO_CHANGE}, in any trial."
         return "No trial has results for its baseline, so there is nothing to compare."
-    greatest = any_change[1].of(any_change[0])
-    if greatest.trial_mean == 0.0 and math.isnan(greatest.low):
-        return "No attack changes false or missed objects in any trial."
     if comparisons.count:
-        comparison_count = plural(comparisons.count, "comparison")
-        return f"No attack changes false or missed objects distinguishably, in {comparison_count} with the baseline."
+        return f"{_NO_CHANGE} distinguishably, in {plural(comparisons.count, 'comparison')} with the baseline."
+    greatest = any_change[1].of(any_change[0])
     reason = "0 in most trials" if greatest.mostly_zero else "too few seeds for an interval"
     return f"The largest change of {_compared(any_change)}, {reason}: {_sentence(any_change)}."
 
@@ -197,13 +199,15 @@ def _headline(rows: Sequence[StudyRow], comparisons: Comparisons) -> _Change | N
 def _largest(rows: Sequence[StudyRow], metrics: Sequence[str], comparisons: Comparisons | None) -> _Change | None:
     """The largest change in the first estimate that has any.
 
-    comparisons: if given, only significant changes
+    comparisons: if given, only significant changes; else all but those that are 0 in every trial
     """
     for estimator in _PRIORITY:
         changes = [(row, Column("", metric, estimator)) for row in rows for metric in metrics]
         known = [(row, column) for row, column in changes if not math.isnan(column.of(row).trial_mean)]
         if comparisons:
             known = [each for each in known if comparisons.remains(*each) or each[1].of(each[0]).certain]
+        else:
+            known = [each for each in known if not each[1].of(each[0]).is_zero]
         if known:
             return max(known, key=lambda change: abs(change[1].of(change[0]).trial_mean))
     return None
