@@ -90,6 +90,7 @@ def test_a_figure_follows_the_section_that_it_names(run_folder: Folder, tmp_path
         file = written(tmp_path / f"figures_{after}.py", FIGURES, after)
         page = write_report(folder, figures=[file]).read_text()
         assert '<h2 id="blank">Blank</h2>' in page
+        assert '<figure class="natural">\n<img src="data:image/png' in page, "a small figure is not enlarged"
         assert page.count("An empty chart of &lt;frame&gt; numbers.") == 2, "caption and alternative text, escaped"
         headings = [part.split('"')[0] for part in page.split('<h2 id="')[1:]]
         assert headings.index("blank") == headings.index(after) + 1
