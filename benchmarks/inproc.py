@@ -29,6 +29,7 @@ from mast_zenoh import scenario
 from mast_zenoh.runtime.inproc import InProcess, find_result
 from mast_zenoh.study import definition, execution
 from mast_zenoh.study.trial import Trial
+from mast_zenoh.study.trials import plan
 
 DATA = Path(os.environ.get("MAST_DATA") or Path(__file__).parents[2] / "shared" / "data")
 SCENARIOS = ("baseline", "uncoordinated", "coordinated")
@@ -60,9 +61,9 @@ def one_and_two_jobs(scene: str, trials: int, rounds: int) -> None:
     """Time the same trials with one job and with two."""
     study = definition.load("monte_carlo", [f"scenes={scene}"])
     seeds = -(-trials // len(study.configurations))
-    todo = trials.plan(study, count=seeds, seed=0, frames=None, runtime="inproc")[:trials]
+    todo = plan(study, count=seeds, seed=0, frames=None, runtime="inproc")[:trials]
     for seed in {trial.seed: trial for trial in todo}.values():
-        execution.one.prepare(seed)  # scenes are prepared before timing starts, for one and two jobs
+        execution.prepare(seed)  # scenes are prepared before timing starts, for one and two jobs
     rates: dict[int, list[tuple[float, float, float]]] = {1: [], 2: []}
     print(f"{f'{trials} trials':14}{'trials/s':>12}{'without start':>16}{'CPU s/trial':>14}")
     for _ in range(rounds):

@@ -156,7 +156,7 @@ def in_twin(one: Mapping[str, Any], twin: Mapping[str, Any], outcome: str) -> Bo
     for shift in sorted(range(-WINDOW, WINDOW + 1), key=abs):  # each error of the twin stands for one of this run
         ours, theirs = np.flatnonzero(~result), np.flatnonzero(~taken)
         places = [Places(group[0][ours], position[0][ours]), Places(group[1][theirs] + shift, position[1][theirs])]
-        i, j = pairs_within(places[0].boxes(), places[1].boxes(), GATE_M)
+        i, j = pairs_within(*places, GATE_M)
         pairs = greedy_matching(i, j, centre_distance(places[0].position[i], places[1].position[j]))
         result[ours[i[pairs]]] = taken[theirs[j[pairs]]] = True
     return result
