@@ -4,7 +4,7 @@ BIN := .venv/bin
 TOOLS := .venv/tools/bin
 PIP := pip install --quiet --disable-pip-version-check
 
-.PHONY: run kernels dev test test-all fuzz insiders lint lint-js bench bench-quick docs pictures lock dist clean
+.PHONY: run kernels dev test test-all fuzz insiders lint lint-js bench bench-quick docs pictures lock dist clean without-datasets
 
 # Installs only what running needs; the other targets add the tools for tests and development.
 # `make run ARGS=--record` also writes every message.
@@ -91,7 +91,8 @@ dist: .venv/ready .venv/tools/ready
 # Kernels are compiled when the package is installed, and again when their sources change. pip hides how that ended, so
 # the last command tells. Other packages come from the lock file; with --no-build-isolation, the build uses them too.
 INSTALL = $(BIN)/$(PIP) --no-deps --no-build-isolation --editable . --editable plugins/datasets && $(BIN)/python -m mast_zenoh.kernels
-.venv/installed: pyproject.toml plugins/datasets/pyproject.toml requirements.txt hatch_build.py $(wildcard mast_zenoh/kernels/*.pyx mast_zenoh/kernels/*.pxd) mast_zenoh/kernels/table_columns.py
+# They run again if the plugin of data sets has been uninstalled.
+.venv/installed: $(if $(wildcard .venv/lib/python*/site-packages/mast_zenoh_datasets-*),,without-datasets) pyproject.toml plugins/datasets/pyproject.toml requirements.txt hatch_build.py $(wildcard mast_zenoh/kernels/*.pyx mast_zenoh/kernels/*.pxd) mast_zenoh/kernels/table_columns.py
 	$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), "expected Python 3.11 or newer, found " + sys.version'
 	$(PYTHON) -m venv .venv
 	$(BIN)/$(PIP) --require-hashes --requirement requirements.txt

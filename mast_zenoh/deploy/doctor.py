@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from mast_zenoh import kernels
 from mast_zenoh import version as release
+from mast_zenoh.config import plugins
 from mast_zenoh.deploy import docker as engine
 from mast_zenoh.deploy.compose import command
 from mast_zenoh.deploy.swarm import check_manager, machines
@@ -58,6 +59,15 @@ def compiled_kernels() -> Finding:
         fix = "unset MAST_KERNELS" if kernels.COMPILED else kernels.HOW
         return Finding("kernels", None, f"not used, NumPy is slower: {reason}", fix)
     return Finding("kernels", True, "compiled")
+
+
+def installed_plugins() -> Finding:
+    """The installed plugins, and those that are left out."""
+    problems = [f"{plugin.distribution} {problem}" for plugin, problem in plugins.load().problems.items()]
+    usable = [plugin.distribution for plugin in plugins.load().plugins]
+    detail = "; ".join([", ".join(usable) or "none usable", *problems])
+    fix = "repair or uninstall them" if problems else plugins.command_for_data_sets()
+    return Finding("plugins", None if problems or not usable else True, detail, fix)
 
 
 def mesh() -> Finding:
@@ -118,6 +128,7 @@ def disk_space() -> Finding:
 CHECKS: list[Callable[[], Finding]] = [
     python,
     compiled_kernels,
+    installed_plugins,
     mesh,
     lambda: optional("docker", lambda: f"engine {engine.check()}", "apt install docker.io; usermod -aG docker $USER"),
     lambda: optional("compose", _compose, "apt install docker-compose"),
