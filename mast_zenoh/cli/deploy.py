@@ -230,6 +230,7 @@ def _deployed(folder: Path, confirmed: bool) -> tuple[Any, dict[str, Any]]:
 
     Raises UntrustedCode if the run was not started on this machine, or by an engine that does not come with mast.
     """
+    from mast_zenoh.config import plugins
     from mast_zenoh.deploy import engines
     from mast_zenoh.launch import liveness
 
@@ -243,9 +244,11 @@ def _deployed(folder: Path, confirmed: bool) -> tuple[Any, dict[str, Any]]:
     allowed = options.allowed_code(confirmed=confirmed)
     places = ", ".join([engine, *(deployment.get("hosts") or ())])
     liveness.check_from_here(folder, record, allowed, f"where it was deployed: {places}")
-    if engine not in engines.names():
-        file, colon, name = engine.rpartition(":") if not engine.endswith(".py") else (engine, "", "")
-        engine = f"{os.fspath(allowed.files_in(str(folder), None, [file])[file])}{colon}{name}"
+    if match := engines.FILE.fullmatch(engine):
+        confirmed_file = os.fspath(allowed.files_in(str(folder), None, [match[1]])[match[1]])
+        engine = f"{confirmed_file}:{match[2]}" if match[2] else confirmed_file
+    if "engine_plugin" in record:
+        plugins.expect({engine: record["engine_plugin"]})
     return engines.load(engine), record
 
 

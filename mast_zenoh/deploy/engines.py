@@ -19,7 +19,8 @@ from mast_zenoh.errors import ConfigurationError, EngineError, nearest
 from mast_zenoh.launch.engine import Engine
 
 _BUILT_IN = {"compose": ("compose", "Compose"), "ssh": ("ssh.engine", "Ssh"), "swarm": ("swarm", "Swarm")}
-_FILE = re.compile(r"(.*\.py)(?::(\w+))?")
+#: How an engine in a user's file is named.
+FILE = re.compile(r"(.*\.py)(?::(\w+))?")
 
 
 def names() -> tuple[str, ...]:
@@ -30,9 +31,9 @@ def names() -> tuple[str, ...]:
 def load(name: str) -> type[Engine]:
     """The engine of this name, or in this file.
 
-    Raises EngineError, and ConfigurationError for a file that cannot be loaded.
+    Raises EngineError, PluginError, and ConfigurationError for a file that cannot be loaded.
     """
-    if match := _FILE.fullmatch(name):
+    if match := FILE.fullmatch(name):
         return _of_file(Path(match[1]), match[2])
     if name in _BUILT_IN:
         module, kind = _BUILT_IN[name]
@@ -40,7 +41,7 @@ def load(name: str) -> type[Engine]:
         return engine
     found = _of_plugins()
     if name not in found:
-        raise EngineError(f"there is no engine {name!r}{nearest(name, (*_BUILT_IN, *found))}")
+        raise plugins.not_found(f"there is no engine {name!r}", name, (*_BUILT_IN, *found), EngineError)
     found[name].name = name
     return found[name]
 

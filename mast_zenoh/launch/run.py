@@ -188,6 +188,8 @@ def run(
             "nodes": {},
             "churn": [],
         }
+        if engine is not None and (plugin := plugins.plugin_of(type(engine))):
+            record["engine_plugin"] = plugin.distribution
         if reason := kernels.why_not():
             record["kernels_not_used"] = reason
         if replay is not None:

@@ -52,7 +52,7 @@ _HOST = {"reach": {}, "nodes": [str], "run_folder": str}
 SHAPES: dict[str, Any] = {
     "run.json": {
         **dict.fromkeys(("id", "name", "status", "message", "runtime", "security", "mode", "started"), str),
-        **dict.fromkeys(("endpoint", "viewer_credentials", "kernels_not_used"), str),
+        **dict.fromkeys(("endpoint", "viewer_credentials", "kernels_not_used", "engine_plugin"), str),
         **dict.fromkeys(("seed", "frames"), int),
         "rate": _NUMBER,
         "command": (str, list),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import subprocess
 import sys
@@ -12,14 +13,16 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from typer.testing import CliRunner
 
 from mast_zenoh import kernels, scenario
+from mast_zenoh.cli.app import app
 from mast_zenoh.config import plugins
 from mast_zenoh.deploy import doctor, engines, swarm
 from mast_zenoh.deploy.engine import check_space, needed_space, numeric_environment
 from mast_zenoh.deploy.swarm import Machine
-from mast_zenoh.errors import BackendError, ConfigurationError, DiskFull, EngineError
-from mast_zenoh.launch import run
+from mast_zenoh.errors import BackendError, ConfigurationError, DiskFull, EngineError, PluginError
+from mast_zenoh.launch import liveness, run
 
 Expectation = contextlib.AbstractContextManager[object]
 HERE = Machine("id-here", "here", True, {"mast.host": "west"})
@@ -126,6 +129,24 @@ def test_an_engine_of_a_plugin_is_found_by_the_name_of_its_class(
             engines.load("Shelv")
     finally:
         plugins.load.cache_clear()
+
+
+def test_a_run_whose_engine_is_of_a_plugin_that_is_not_installed_names_the_plugin(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(plugins, "_expected", {})
+    record = {"id": "x-1", "deployment": {"engine": "Gentle"}, "launcher": liveness.identity()}
+    for plugin, error, message in (
+        ({}, EngineError, "there is no engine 'Gentle'; known: compose, ssh, swarm"),
+        (
+            {"engine_plugin": "racks 0.4"},
+            PluginError,
+            "it is in the plugin racks 0.4, which this host does not have",
+        ),
+    ):
+        (tmp_path / "run.json").write_text(json.dumps(record | plugin))
+        with pytest.raises(error, match=message):
+            CliRunner().invoke(app, ["deploy", "status", str(tmp_path)], catch_exceptions=False)
 
 
 @pytest.mark.parametrize(
