@@ -17,6 +17,7 @@ from typing import Any, overload
 
 from mast_zenoh import attacks, fusion, integrity, links, metrics, scenes, sensing, tracking
 from mast_zenoh.config import bundle, loading, plugins, registry
+from mast_zenoh.config.scene_names import short_form
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.faults import Fault
 from mast_zenoh.faults.network import HostPartition
@@ -270,7 +271,10 @@ class Listing(Sequence[Entry]):
         for entry in self._entries:
             if entry.name == index:
                 return entry
-        raise ConfigurationError(f"{self.kind}: nothing named {index!r}{nearest(index, self.names)}")
+        problem = f"{self.kind}: nothing named {index!r}"
+        if self.kind in _BASES:
+            raise plugins.not_found(problem, index, self.names)
+        raise ConfigurationError(f"{problem}{nearest(index, self.names)}")
 
     def __len__(self) -> int:
         return len(self._entries)
@@ -328,9 +332,10 @@ def list_kind(kind: str) -> Listing:
 
 
 def _description(cls: type) -> str:
-    """What a class is, and the plugin that brings it."""
+    """What a class is, the short name of a scene, and the plugin that brings it."""
     plugin = plugins.plugin_of(cls)
-    return summary(cls) if plugin is None else f"{summary(cls)} (plugin {plugin.distribution})"
+    short = f"; {short_form(cls)}" if issubclass(cls, scenes.Scene) and vars(cls).get("short_name") else ""
+    return f"{summary(cls)}{short}{f' (plugin {plugin.distribution})' if plugin else ''}"
 
 
 def _special(kind: str) -> Iterator[Entry]:

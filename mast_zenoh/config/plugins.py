@@ -2,8 +2,8 @@
 
 A distribution lists modules under the entry points of GROUP. Importing such a module defines its classes: scenes,
 attacks, trackers and so on. Plugins are imported for the first name that no loaded class has and for listings, never
-before. One that cannot be imported, or has a class named like another one, is warned about once and left out; a name
-that may be that of its class is a PluginError.
+before. One that cannot be imported, or takes a name of ours or of a plugin before it, is warned about once and left
+out; a name that may be that of its class is a PluginError.
 """
 
 from __future__ import annotations
@@ -14,16 +14,18 @@ import importlib.util
 import inspect
 import logging
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mast_zenoh.errors import ConfigurationError, PluginError
+from mast_zenoh.config import bundle
+from mast_zenoh.errors import ConfigurationError, MastError, PluginError, nearest
 
 GROUP = "mast_zenoh.plugins"
 _OURS = "mast_zenoh"
+_DATA_SETS_DISTRIBUTION = "mast-zenoh-datasets"
 _log = logging.getLogger("mast.plugins")
 
 
@@ -42,6 +44,11 @@ class Plugin(NamedTuple):
         """The package to which its classes belong."""
         return _package(self.module)
 
+    @property
+    def project(self) -> str:
+        """The name of its distribution."""
+        return self.distribution.partition(" ")[0]
+
 
 class Loaded(NamedTuple):
     """All plugins after their import: the usable ones, and by plugin why the others are left out."""
@@ -52,9 +59,10 @@ class Loaded(NamedTuple):
 
 @cache
 def installed() -> tuple[Plugin, ...]:
-    """All installed plugins by name, without importing them."""
+    """All installed plugins without importing them: ours, then the others by name."""
     points = [(point, point.dist) for point in entry_points(group=GROUP)]
-    return tuple(sorted(Plugin(p.name, p.module, f"{dist.name} {dist.version}") for p, dist in points if dist))
+    plugins = [Plugin(p.name, p.module, f"{dist.name} {dist.version}") for p, dist in points if dist]
+    return tuple(sorted(plugins, key=lambda plugin: (plugin.project != _DATA_SETS_DISTRIBUTION, plugin)))
 
 
 @cache
@@ -66,11 +74,15 @@ def load() -> Loaded:
             importlib.import_module(plugin.module)
         except (Exception, SystemExit) as error:
             problems[plugin] = f"cannot be imported: {type(error).__name__}: {error}"
+    packages = {_OURS}
     for plugin in installed():
-        for cls in _classes_of(plugin):
-            if plugin not in problems and (other := _namesake(cls)) is not None:
-                place = f"{other.__module__}.{other.__name__}"
-                problems[plugin] = f"has a class {cls.__name__}, as there is in {place}: expected different names"
+        if plugin in problems:
+            continue
+        clashes = (_clash(cls, {*packages, plugin.package}) for cls in _classes_of(plugin))
+        if clash := next(filter(None, clashes), ""):
+            problems[plugin] = f"is left out: {clash}, expected different names"
+        else:
+            packages.add(plugin.package)
     for plugin, problem in problems.items():
         _log.warning("the plugin %s of %s %s", plugin.name, plugin.distribution, problem)
     return Loaded(tuple(plugin for plugin in installed() if plugin not in problems), problems)
@@ -135,18 +147,30 @@ def expect(classes: Mapping[str, str]) -> None:
     _expected.update(classes)
 
 
-def not_found(message: str, name: str) -> ConfigurationError:
+def not_found(
+    problem: str, name: str, known: Iterable[str] = (), otherwise: type[MastError] = ConfigurationError
+) -> MastError:
     """The error for a name that no class has: a PluginError if its class may be in a plugin.
 
-    message: what was not found
+    problem: what was not found;  known: names for the hint;  otherwise: the error if no plugin may have it
     """
+    if name in _expected and all(plugin.distribution != _expected[name] for plugin in installed()):
+        reason = f"it is in the plugin {_expected[name]}, which this host does not have: install it here"
+        return PluginError(f"{problem}: {reason}")
+    if name in DATA_SETS and (command := command_for_data_sets()):
+        needed = f"needs the plugin {_DATA_SETS_DISTRIBUTION}, expected: {command}"
+        return PluginError(f"{problem}: reading {DATA_SETS[name].reads} {needed}")
     reasons = [f"the plugin {each.name} of {each.distribution} {why}" for each, why in load().problems.items()]
-    if name in _expected:
-        reasons.append(f"it is in the plugin {_expected[name]}, which this host does not have: install it here")
-    elif name in DATA_SETS:
-        needed = "needs the plugin mast-zenoh-datasets, expected: pip install 'mast-zenoh[datasets]'"
-        reasons.append(f"reading {DATA_SETS[name].reads} {needed}")
-    return PluginError(f"{message}: {'; '.join(reasons)}") if reasons else ConfigurationError(message)
+    cause = f": {'; '.join(reasons)}" if reasons else ""
+    return (PluginError if reasons else otherwise)(f"{problem}{cause}{nearest(name, known)}")
+
+
+def command_for_data_sets() -> str:
+    """The command that installs our plugin for data sets; "" if it is installed."""
+    if any(plugin.project == _DATA_SETS_DISTRIBUTION for plugin in installed()):
+        return ""
+    sources = bundle.ROOT / "plugins" / "datasets"
+    return f"pip install -e {sources}" if sources.is_dir() else "pip install 'mast-zenoh[datasets]'"
 
 
 class DataSet(NamedTuple):
@@ -193,14 +217,22 @@ def _is_ours(cls: type) -> bool:
     return _package(cls.__module__) == _OURS
 
 
-def _namesake(cls: type) -> type | None:
-    """Another class of this name, ours or a plugin's, that derives from one of our classes as `cls` does."""
-    packages = {_OURS, *(plugin.package for plugin in installed())}
+def _clash(cls: type, packages: Collection[str]) -> str:
+    """Which other class in these packages has the name or short name of `cls`, as words; "": none.
+
+    Only classes count that derive from one of our classes as `cls` does.
+    """
+    short: str | None = vars(cls).get("short_name")
     for base in filter(_is_ours, cls.__mro__):
         for other in (base, *_subclasses(base)):
-            if other is not cls and other.__name__ == cls.__name__ and _package(other.__module__) in packages:
-                return other
-    return None
+            if other is cls or _package(other.__module__) not in packages:
+                continue
+            place = f"{other.__module__}.{other.__name__}"
+            if other.__name__ == cls.__name__:
+                return f"its class {cls.__name__} has the name of {place}"
+            if short and vars(other).get("short_name") == short:
+                return f"its class {cls.__name__} has the short name {short!r} of {place}"
+    return ""
 
 
 def _subclasses(base: type) -> Iterator[type]:

@@ -105,8 +105,7 @@ def build(spec: object, base: type, path: str) -> Any:
             methods = ", ".join(sorted(unfinished.__abstractmethods__))
             problem = f"{name} does not define {methods}, expected of every {base.__name__}"
             raise ConfigurationError(f"{path}.type: {problem}")
-        problem = f"no {base.__name__} named {name!r}{nearest(str(name), classes)}"
-        raise plugins.not_found(f"{path}.type: {problem}", str(name))
+        raise plugins.not_found(f"{path}.type: no {base.__name__} named {name!r}", str(name), classes)
     return construct(classes[name], {key: value for key, value in spec.items() if key != "type"}, path)
 
 

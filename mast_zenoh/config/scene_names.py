@@ -8,7 +8,7 @@ from typing import Any
 
 from mast_zenoh import scenes
 from mast_zenoh.config import plugins, registry
-from mast_zenoh.errors import ConfigurationError, PluginError, SceneError, nearest
+from mast_zenoh.errors import ConfigurationError, SceneError, nearest
 
 #: Short names of scenes of our plugin for data sets, with their classes, for the error if it is not installed.
 _DATA_SETS = {data_set.short_name: name for name, data_set in plugins.DATA_SETS.items()}
@@ -29,7 +29,7 @@ def has_short_name(text: str) -> bool:
 def parse_scene(text: str) -> dict[str, Any]:
     """The configuration of a scene from its short name.
 
-    A short name, a colon and a value: a path, or of `intersection` an index, which it does not need.
+    A short name, a colon and a value: a path, or a whole number, which may be left out.
     Raises ConfigurationError, listing the known names, for anything else.
     """
     name, colon, argument = text.partition(":")
@@ -39,17 +39,28 @@ def parse_scene(text: str) -> dict[str, Any]:
     if name not in known and name in _DATA_SETS:
         raise plugins.not_found(f"scene {text!r}", _DATA_SETS[name])
     if name not in known:
-        forms = "NAME:PATH, intersection or intersection:INDEX"
-        raise plugins.not_found(f"scene {text!r}: unknown name {name!r}{nearest(name, known)}; expected {forms}", "")
+        forms = {short_form(cls).replace(f"{short}:PATH", "NAME:PATH") for short, cls in known.items()}
+        problem = f"scene {text!r}: unknown name {name!r}, expected one of {', '.join(sorted(forms))}"
+        raise plugins.not_found(problem, name, known)
     cls = known[name]
-    takes = inspect.signature(cls).parameters[cls.short_argument]
+    takes = inspect.signature(cls).parameters.get(cls.short_argument)
+    if takes is None:
+        where = f"{cls.__module__}.{cls.__name__}.short_argument"
+        expected = f"expected one of its parameters{nearest(cls.short_argument, inspect.signature(cls).parameters)}"
+        raise ConfigurationError(f"scene {text!r}: {where} is {cls.short_argument!r}, {expected}")
     if takes.default is takes.empty:
         if not argument:
-            raise ConfigurationError(f"scene {text!r}: no path, expected {name}:PATH")
+            raise ConfigurationError(f"scene {text!r}: no {takes.name}, expected {short_form(cls)}")
         return {"type": cls.__name__, takes.name: argument}
     if colon and not argument.isdecimal():
-        raise ConfigurationError(f"scene {text!r}: {argument!r} is not an index, expected {name}:INDEX, 0 or more")
+        expected = f"expected {short_form(cls)}, 0 or more"
+        raise ConfigurationError(f"scene {text!r}: {argument!r} is not a whole number, {expected}")
     return {"type": cls.__name__} | ({takes.name: int(argument)} if colon else {})
+
+
+def short_form(cls: type[scenes.Scene]) -> str:
+    """How a scene with a short name is written: `av2:PATH`."""
+    return f"{cls.short_name}:{cls.short_argument.upper()}"
 
 
 def recognised(scene: str) -> str:
@@ -64,31 +75,29 @@ def recognised(scene: str) -> str:
         return scene
     known = short_names()
     if not path.exists():
-        raise ConfigurationError(f"scene {scene!r}: no such file or folder, and no short name{nearest(name, known)}")
+        problem = f"scene {scene!r}: no such file or folder, and no short name"
+        if name.isidentifier():
+            raise plugins.not_found(problem, name, known)
+        raise ConfigurationError(f"{problem}{nearest(name, known)}")
     kinds = [short for short, cls in known.items() if cls.recognises(path)]
     if len(kinds) > 1:
         raise SceneError(f"{path}: found files of {' and of '.join(kinds)}; name one of them, {kinds[0]}:{path}")
     if not kinds:
         entries = sorted(entry.name for entry in path.iterdir())[:8] if path.is_dir() else [path.name]
         found = ", ".join(entries) or "nothing"
-        message = f"{path}: found {found}; expected the files of one of {', '.join(short for short in known)}"
-        if missing := sorted(_DATA_SETS.keys() - known.keys()):
-            message += f"; readers of {', '.join(missing)} are in the plugin mast-zenoh-datasets"
+        of_files = ", ".join(short for short, cls in known.items() if _reads_files(cls))
+        message = f"{path}: found {found}; expected the files of one of {of_files}"
+        if command := plugins.command_for_data_sets():
+            message += f"; readers of {', '.join(_DATA_SETS)} are in the plugin mast-zenoh-datasets: {command}"
         raise SceneError(message)
     return f"{kinds[0]}:{path}"
 
 
 def _known() -> dict[str, type[scenes.Scene]]:
-    """The scenes that are loaded by short name. Raises PluginError if two have the same one."""
-    known: dict[str, type[scenes.Scene]] = {}
-    for cls in registry.known_types(scenes.Scene).values():
-        assert issubclass(cls, scenes.Scene)
-        if not (short := vars(cls).get("short_name")):  # that of a base class names the base
-            continue
-        if (other := known.get(short)) is not None:
-            raise PluginError(
-                f"scene {short!r}: found this short name in {other.__module__}.{other.__name__} and "
-                f"{cls.__module__}.{cls.__name__}, expected different ones"
-            )
-        known[short] = cls
-    return known
+    """The scenes that are loaded by short name, of which that of a base class names the base."""
+    classes = registry.known_types(scenes.Scene).values()
+    return {short: cls for cls in classes if (short := vars(cls).get("short_name"))}
+
+
+def _reads_files(cls: type[scenes.Scene]) -> bool:
+    return bool(cls.files) or cls.recognises.__func__ is not scenes.Scene.recognises.__func__  # type: ignore[attr-defined]

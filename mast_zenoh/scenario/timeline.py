@@ -158,8 +158,8 @@ def _faults(path: Path, specs: object) -> tuple[list[tuple[str, Fault]], list[tu
         if isinstance(spec, Mapping) and (
             not isinstance(kind, str) or kind not in (known := registry.known_types(Fault, kind))
         ):
-            hint = nearest(str(kind or ""), {*known, *network.HOST_FAULTS})
-            raise plugins.not_found(f"{place}.type: unknown fault {kind!r}{hint}", str(kind))
+            every = {*known, *network.HOST_FAULTS}
+            raise plugins.not_found(f"{place}.type: unknown fault {kind!r}", str(kind or ""), every)
         fault = registry.build(spec, Fault, place)
         for rule in fault.rules(True):
             registry.build({**rule, "at": fault.at, "until": fault.over}, links.Rule, place)

@@ -15,7 +15,7 @@ class Scene(ABC):
 
     A subclass takes its parameters as keywords.
 
-    short_name:     what comes before the colon in short, as in `av2:PATH`; "": there is no short form
+    short_name:     what comes before the colon in short, as in `av2:PATH`; "": none; no two scenes have the same one
     short_argument: the parameter that comes after it; one with a default is a whole number and may be left out
     files:          variants of the files in a folder of this type: all patterns match, but none that begins with "!"
     """

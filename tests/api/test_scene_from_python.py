@@ -77,7 +77,7 @@ def test_the_scenarios_seed_is_the_default(file: Path) -> None:
 @pytest.mark.parametrize(
     ("scene", "parameters", "message"),
     [
-        ("intersectoin", {}, "unknown name 'intersectoin'; did you mean 'intersection'"),
+        ("intersectoin", {}, "unknown name 'intersectoin', expected .*; did you mean 'intersection'"),
         ("intersection", dict(n_infrastructur=1), "Intersection has no parameter 'n_infrastructur'; did you mean"),
         (dict(type="Nowhere"), {}, "no Scene named 'Nowhere'"),
         ("nosuch.py", {}, "nosuch.py: no such file"),

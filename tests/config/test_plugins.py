@@ -20,8 +20,10 @@ from mast_zenoh.scenes import Scene
 from mast_zenoh.study import trial
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "plugins.md").read_text(encoding="utf-8")
-FILES = dict(re.findall(r"^```\w+ file=(\S+)\n(.*?)^```$", PAGE, flags=re.S | re.M))
+DOCS = ROOT / "docs"
+PAGE = (DOCS / "plugins.md").read_text(encoding="utf-8")
+EXAMPLE = re.compile(r"^```\w+ file=(\S+\.(?:py|toml))\n(.*?)^```$", flags=re.S | re.M)
+FILES = dict(EXAMPLE.findall(PAGE))
 
 
 def installed(site: Path, name: str, code: str) -> Path:
@@ -105,6 +107,13 @@ def test_a_changed_plugin_makes_other_trials_and_its_lines_are_named_in_failures
 
 
 BROKEN = "import nowhere\n"
+SCENE = """from mast_zenoh.scenes import Scene
+class {name}(Scene):
+    "A road."
+    short_name, short_argument = "{short}", "{argument}"
+    def __init__(self, *, n_cars: int = 4) -> None: ...
+    def record(self, seed, frames): ...
+"""
 NAMESAKE = "from mast_zenoh.attacks import Attack\nclass {name}(Attack):\n    def step(self, *arguments): ...\n"
 
 
@@ -119,38 +128,74 @@ def test_a_broken_plugin_is_warned_about_once_and_stops_only_what_may_need_it(tm
     assert cause in mast(site, *run, "--set", "scene.type=Elsewhere", code=35)
 
 
-def test_classes_with_one_name_are_refused(tmp_path: Path) -> None:
+def test_a_plugin_that_takes_a_name_is_left_out(tmp_path: Path) -> None:
     site = installed(tmp_path, "like_ours", NAMESAKE.format(name="CoordinatedAttack"))
     for name in ("one", "other"):
         installed(tmp_path, name, NAMESAKE.format(name="Twice"))
+    installed(tmp_path, "a_log", SCENE.format(name="AV2Log", short="logs", argument="n_cars"))
+    installed(tmp_path, "junctions", SCENE.format(name="Junctions", short="intersection", argument="n_cars"))
     listed = mast(site, "list", "attacks")
-    assert (
-        "the plugin like_ours of like_ours 1.0 has a class CoordinatedAttack, as there is in mast_zenoh.att" in listed
-    )
-    assert "the plugin one of one 1.0 has a class Twice, as there is in other.Twice: expected different names" in listed
-    assert "the plugin other of other 1.0 has a class Twice, as there is in one.Twice" in listed
-    assert "\nTwice" not in listed
-    assert listed.count("\nCoordinatedAttack\n") == 1
+    for name, reason in (
+        ("like_ours", "its class CoordinatedAttack has the name of mast_zenoh.attacks.attack.CoordinatedAttack"),
+        ("other", "its class Twice has the name of one.Twice"),
+        ("a_log", "its class AV2Log has the name of mast_datasets.argoverse.AV2Log"),
+        ("junctions", "its class Junctions has the short name 'intersection' of mast_zenoh.scenes.generated."),
+    ):
+        assert f"the plugin {name} of {name} 1.0 is left out: {reason}" in listed
+    assert listed.count("is left out") == 4
+    assert listed.count("\nTwice\n") == listed.count("\nCoordinatedAttack\n") == 1
+    assert "is left out" in mast(site, "doctor")
+    assert "no such file or folder" in mast(site, "scene", "check", "nowhere.tar.gz", code=10)
 
 
-def test_a_missing_plugin_is_named(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "words", [("list", "scenes", "RingRoad"), ("list", "attacks", "Extra"), ("scene", "check", "ringroad:4")]
+)
+def test_a_name_that_may_be_of_a_broken_plugin_is_a_plugin_error(tmp_path: Path, words: tuple[str, ...]) -> None:
+    printed = mast(installed(tmp_path, "broken", BROKEN), *words, code=35)
+    assert re.search("(named 'RingRoad'|named 'Extra'|no short name): the plugin broken of broken 1.0 cannot", printed)
+
+
+def test_short_names_of_a_plugin_are_shown_and_its_faults_named(tmp_path: Path) -> None:
+    site = installed(tmp_path, "rings", SCENE.format(name="RingRoad", short="ringroad", argument="n_cars"))
+    installed(tmp_path, "wrong", SCENE.format(name="WrongRoad", short="wrong", argument="cars"))
+    assert "A road; ringroad:N_CARS (plugin rings 1.0)" in mast(site, "list", "scenes", "RingRoad")
+    assert "rings 1.0" in mast(site, "doctor")
+    (tmp_path / "unknown").mkdir()
+    for scene, code, reason in (
+        ("ringroad:ten", 10, "'ten' is not a whole number, expected ringroad:N_CARS, 0 or more"),
+        ("wrong:4", 10, "wrong.WrongRoad.short_argument is 'cars', expected one of its parameters; did you mean 'n_ca"),
+        ("unknown", 13, "expected the files of one of recording, av2,"),
+    ):
+        printed = mast(site, "scene", "check", scene, code=code)
+        assert reason in printed
+        assert not re.search(r"one of .*(intersection|ringroad)", printed)
+    run = mast(site, "run", "baseline", "--set", "scene=carla:x", code=10)
+    assert "unknown name 'carla', expected one of NAME:PATH, intersection:SCENE_INDEX, ringroad:N_CARS, wrong:" in run
+
+
+def test_a_missing_plugin_is_named() -> None:
     code = (
-        "from importlib.metadata import distributions\n"
-        "from mast_zenoh.config import plugins, registry, scene_names\n"
-        "from mast_zenoh.errors import PluginError\nfrom mast_zenoh.scenes import Scene\n"
-        "plugins.entry_points = lambda group: []\nplugins.expect({'Nudge': 'mast-roadside 1.0'})\n"
+        "from mast_zenoh.config import bundle, plugins, registry, scene_names\n"
+        "from mast_zenoh.deploy import engines\nfrom mast_zenoh.errors import PluginError\n"
+        "from mast_zenoh.scenes import Scene\nplugins.entry_points = lambda group: []\n"
+        "plugins.expect({'Nudge': 'mast-roadside 1.0', 'Gentle': 'mast-ringroad 0.4'})\n"
         "for build in (lambda: scene_names.parse_scene('av2:PATH'),\n"
         "              lambda: registry.build({'type': 'AV2Log', 'path': 'x'}, Scene, 'scene'),\n"
-        "              lambda: registry.build({'type': 'Nudge'}, Scene, 'attack')):\n"
+        "              lambda: registry.build({'type': 'Nudge'}, Scene, 'attack'),\n"
+        "              lambda: engines.load('Gentle')):\n"
         "    try: build()\n    except PluginError as error: print(error)\n"
+        "bundle.ROOT /= 'elsewhere'\nprint(plugins.command_for_data_sets())\n"
     )
     lines = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True).stdout
-    needs = "reading Argoverse 2 needs the plugin mast-zenoh-datasets, expected: pip install 'mast-zenoh[datasets]'"
-    first, second, third = lines.splitlines()
+    sources = ROOT / "plugins" / "datasets"
+    needs = f"reading Argoverse 2 needs the plugin mast-zenoh-datasets, expected: pip install -e {sources}"
+    first, second, third, fourth, released = lines.splitlines()
     assert first == f"scene 'av2:PATH': {needs}"
-    assert second.startswith("scene.type: no Scene named 'AV2Log'")
-    assert second.endswith(needs)
+    assert second == f"scene.type: no Scene named 'AV2Log': {needs}"
     assert third.endswith("it is in the plugin mast-roadside 1.0, which this host does not have: install it here")
+    assert fourth.startswith("there is no engine 'Gentle': it is in the plugin mast-ringroad 0.4, which this host")
+    assert released == "pip install 'mast-zenoh[datasets]'"
 
 
 def test_the_errors_know_all_data_sets() -> None:
@@ -182,13 +227,16 @@ def test_a_plugin_does_not_change_the_default_of_a_part_with_one_class() -> None
     assert plugins.plugin_of(Scene) is None
 
 
-def test_the_plugin_for_data_sets_uses_names_of_the_page_only() -> None:
+def test_the_plugin_for_data_sets_and_our_examples_use_names_of_the_page_only() -> None:
     rows = re.findall(r"^\| `(mast_zenoh[\w.]*)` \| (.*) \|$", PAGE, flags=re.M)
     public = {f"{module}.{name}" for module, names in rows for name in re.findall(r"`(\w+)`", names)}
+    public |= set(re.findall(r"`(mast_zenoh\.[\w.]+)`", (DOCS / "api.md").read_text().partition("## Base classes")[2]))
+    sources = {path.name: path.read_text() for path in Path(mast_datasets.__file__ or "").parent.glob("*.py")}
+    sources |= dict(EXAMPLE.findall((DOCS / "extending.md").read_text()))
     others = []
-    for path in Path(mast_datasets.__file__ or "").parent.glob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text())):
+    for file, source in sources.items():
+        for node in ast.walk(ast.parse(source)):
             names = [f"{node.module}.{each.name}" for each in node.names] if isinstance(node, ast.ImportFrom) else []
             names += [each.name for each in node.names] if isinstance(node, ast.Import) else []
-            others += [f"{path.name}: {name}" for name in names if name.startswith("mast_zenoh") and name not in public]
+            others += [f"{file}: {name}" for name in names if name.startswith("mast_zenoh.") and name not in public]
     assert not others

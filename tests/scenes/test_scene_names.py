@@ -38,9 +38,9 @@ def test_short_names_are_parsed_to_configurations(text: str, spec: dict) -> None
         ("av2:", "no path"),
         ("dair", "no path, expected dair:PATH"),
         ("rcooper:", "no path, expected rcooper:PATH"),
-        ("intersection:x", "not an index"),
+        ("intersection:x", "'x' is not a whole number, expected intersection:SCENE_INDEX"),
         ("intersecton", "did you mean 'intersection'"),
-        ("carla:x", "unknown name 'carla'; known: av2, .* expected NAME:PATH, intersection or intersection:INDEX"),
+        ("carla:x", "unknown name 'carla', expected one of NAME:PATH, intersection:SCENE_INDEX; known: av2, "),
         ("", "unknown name"),
     ],
 )
