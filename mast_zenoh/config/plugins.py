@@ -16,7 +16,7 @@ import logging
 import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from functools import cache
-from importlib.metadata import entry_points
+from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -59,10 +59,18 @@ class Loaded(NamedTuple):
 
 @cache
 def installed() -> tuple[Plugin, ...]:
-    """All installed plugins without importing them: ours, then the others by name."""
-    points = [(point, point.dist) for point in entry_points(group=GROUP)]
-    plugins = [Plugin(p.name, p.module, f"{dist.name} {dist.version}") for p, dist in points if dist]
-    return tuple(sorted(plugins, key=lambda plugin: (plugin.project != _DATA_SETS_DISTRIBUTION, plugin)))
+    """All installed plugins without importing them: ours, then the others by name.
+
+    Not those in the working directory, which may be a run folder of somebody else's.
+    """
+    places = [place for place in sys.path if Path(place).resolve() != Path.cwd()]
+    plugins: dict[tuple[str, str], Plugin] = {}
+    for distribution in distributions(path=places):
+        for point in distribution.entry_points.select(group=GROUP):
+            module = point.value.partition(":")[0].strip()
+            plugin = Plugin(point.name, module, f"{distribution.name} {distribution.version}")
+            plugins.setdefault((distribution.name, point.name), plugin)  # the first on the path counts
+    return tuple(sorted(plugins.values(), key=lambda plugin: (plugin.project != _DATA_SETS_DISTRIBUTION, plugin)))
 
 
 @cache
@@ -70,10 +78,16 @@ def load() -> Loaded:
     """Import all plugins, once."""
     problems: dict[Plugin, str] = {}
     for plugin in installed():
+        if plugin.package == _OURS:
+            problems[plugin] = f"is left out: its module is {plugin.module}, expected one outside {_OURS}"
+            continue
         try:
             importlib.import_module(plugin.module)
-        except (Exception, SystemExit) as error:
-            problems[plugin] = f"cannot be imported: {type(error).__name__}: {error}"
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # a plugin may also exit
+            text = "".join(filter(str.isprintable, " ".join(str(error).split())))
+            problems[plugin] = f"cannot be imported: {type(error).__name__}: {text}"
     packages = {_OURS}
     for plugin in installed():
         if plugin in problems:
@@ -89,14 +103,18 @@ def load() -> Loaded:
 
 
 def refused_packages() -> frozenset[str]:
-    """The packages of the plugins that are left out, as far as they have been imported."""
-    return frozenset(plugin.package for plugin in load().problems) if load.cache_info().currsize else frozenset()
+    """The packages whose plugins are all left out, as far as they have been imported."""
+    if not load.cache_info().currsize:
+        return frozenset()
+    usable = {_OURS, *(plugin.package for plugin in load().plugins)}
+    return frozenset(plugin.package for plugin in load().problems) - usable
 
 
 def plugin_of(cls: type) -> Plugin | None:
     """The plugin to which a class belongs; None for our classes and those of users' files."""
     package = _package(cls.__module__)
-    return None if package == _OURS else next((each for each in installed() if each.package == package), None)
+    same = [each for each in installed() if each.package == package] if package != _OURS else []
+    return max(same, key=lambda each: f"{cls.__module__}.".startswith(f"{each.module}."), default=None)
 
 
 def used_by(names: Iterable[str]) -> dict[str, str]:
@@ -109,12 +127,12 @@ def used_by(names: Iterable[str]) -> dict[str, str]:
 
 def versions_of(used: Mapping[str, str]) -> dict[str, str]:
     """Versions here of the distributions of plugins, with a digest of their files; used: as from `used_by`"""
-    names = {each.rsplit(" ", 1)[0] for each in used.values()}
+    names = {each.partition(" ")[0] for each in used.values()}
     found: dict[str, tuple[str, set[str]]] = {}
     for plugin in installed():
-        name, version = plugin.distribution.rsplit(" ", 1)
-        if name in names:
-            found.setdefault(name, (version, set()))[1].add(plugin.package)
+        if plugin.project in names:
+            version = plugin.distribution.removeprefix(f"{plugin.project} ")
+            found.setdefault(plugin.project, (version, set()))[1].add(plugin.package)
     return {name: f"{version} (sources {_digest(packages)})" for name, (version, packages) in found.items()}
 
 

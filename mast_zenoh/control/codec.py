@@ -47,7 +47,7 @@ Versions = Annotated[
 ]
 
 
-class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="do"):
+class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A message, or a part of one, that is a map with exactly these fields."""
 
 
@@ -69,7 +69,7 @@ def converted(value: object, kind: Any, what: str) -> Any:
     """Plain values as an instance of a type; raises MessageError if they are not of exactly that type."""
     try:
         return msgspec.convert(value, kind, builtin_types=(bytes,))
-    except (msgspec.ValidationError, RecursionError) as error:
+    except Exception as error:  # msgspec has more for values that are not plain, such as arrays, than its own
         raise MessageError(f"{what}: {str(error)[:200]}") from None
 
 

@@ -25,18 +25,18 @@ _MAX_ANSWER = PIECE_BYTES + (1 << 20)
 _Content = Annotated[bytes, Meta(max_length=PIECE_BYTES)]
 
 
-class Join(Message, frozen=True, tag="join"):
+class Join(Message, frozen=True, tag_field="do", tag="join"):
     """A node's request for its files, with the versions of mast and its packages."""
 
     version: Annotated[str, Meta(max_length=200)]
     versions: Versions
 
 
-class Clock(Message, frozen=True, tag="clock"):
+class Clock(Message, frozen=True, tag_field="do", tag="clock"):
     """A node's request for the launcher's time."""
 
 
-class Piece(Message, frozen=True, tag="piece"):
+class Piece(Message, frozen=True, tag_field="do", tag="piece"):
     """A node's request for a piece of one of its files."""
 
     path: Text

@@ -10,7 +10,7 @@ from msgspec import Meta
 
 from mast_zenoh.config.process_steps import ACTIONS
 from mast_zenoh.control import codec
-from mast_zenoh.control.codec import Finite, Key, Message, Name, Roles, Text, Whole, encode
+from mast_zenoh.control.codec import Finite, FrameOrNone, Key, Message, Name, Roles, Text, Whole, encode
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messages.schemas import SCHEMAS
 from mast_zenoh.wiring.model import Wiring
@@ -130,9 +130,13 @@ class _Rewire(Message, frozen=True):
 class Rewired(Message, frozen=True):
     """The outcome of a change: the frame that begins with it, or the reason why nothing was changed."""
 
-    frame: Whole = 0
+    frame: FrameOrNone = -1
     took_ms: Finite = 0.0
     error: Text = ""
+
+    def __post_init__(self) -> None:
+        if (self.frame < 0) != bool(self.error):
+            raise ValueError("expected either a frame or an error")
 
 
 def encode_rewire(wiring: Wiring, join: Mapping[str, str], leave: list[str]) -> bytes:

@@ -49,7 +49,7 @@ class _Place(Message, frozen=True):
     says: list[Any]
 
 
-class _InterceptRequest(Message, frozen=True, tag="intercept"):
+class _InterceptRequest(Message, frozen=True, tag_field="do", tag="intercept"):
     number: Id
     name: Name
     spec: _Spec
@@ -57,7 +57,7 @@ class _InterceptRequest(Message, frozen=True, tag="intercept"):
     modules: tuple[Text, ...]
 
 
-class _ReleaseRequest(Message, frozen=True, tag="release"):
+class _ReleaseRequest(Message, frozen=True, tag_field="do", tag="release"):
     number: Id
     name: Text | None
     wire: Text | None

@@ -419,7 +419,7 @@ class Host:
         if key not in self.first_rejected:
             self.first_rejected[key] = self.frame, " ".join(reason.split())[:_MAX_REASON]
             self.log.warning("rejected a message on %s: %s (more on this key will only be counted)", key, reason)
-        self.rejected[key, reason.split(":", 1)[0]] += count
+        self.rejected[key, " ".join(reason.split(":", 1)[0].split())] += count
 
     def _clock(self, key: str, port_input: Input, received: Received, counted: bool) -> None:
         if received.frame <= self.frame:

@@ -122,6 +122,8 @@ def read_text(path: Path) -> str:
     """The content of a text file in UTF-8. Raises SceneError if it is missing or too large."""
     try:
         size = path.stat().st_size
+        if not path.is_file():  # a pipe would be waited for
+            raise OSError("not a regular file")
         if size > MAX_FILE_BYTES:
             raise SceneError(f"{path}: found {size} bytes, expected at most {MAX_FILE_BYTES}")
         return path.read_text(encoding="utf-8")
@@ -261,13 +263,9 @@ def _open(path: Path) -> Any:
     from mast_zenoh import unpacking
 
     try:
-        table = unpacking.read_parquet(path, (*_NEEDED, *_OPTIONAL))
+        return unpacking.read_parquet(path, (*_NEEDED, *_OPTIONAL))
     except (OSError, ValueError, pyarrow.ArrowException) as error:
         raise SceneError(f"{path}: cannot be read as Parquet: {error}") from error
-    repeated = [name for name in table.column_names if table.column_names.count(name) > 1]
-    if repeated:
-        raise SceneError(f"{path}: column {repeated[0]} occurs twice")
-    return table
 
 
 def read_column(path: Path, table: Any, name: str, kind: str) -> NDArray[Any]:
@@ -279,6 +277,8 @@ def read_column(path: Path, table: Any, name: str, kind: str) -> NDArray[Any]:
 
     from mast_zenoh.unpacking import check_expanded
 
+    if table.column_names.count(name) > 1:
+        raise SceneError(f"{path}: column {name} occurs twice")
     if name not in table.column_names:
         raise SceneError(f"{path}: column {name} is missing{nearest(name, table.column_names)}")
     column = table[name]

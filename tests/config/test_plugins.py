@@ -41,13 +41,20 @@ def mast(site: Path, *words: str, code: int = 0, cwd: Path | None = None) -> str
     process = subprocess.run(
         [sys.executable, "-m", "mast_zenoh", *words],
         env=os.environ | {"PYTHONPATH": f"{site}{os.pathsep}{ROOT}", "COLUMNS": "1000"},
-        cwd=cwd or site,
+        cwd=cwd or apart(site),
         capture_output=True,
         text=True,
         check=False,
     )
     assert process.returncode == code, process.stdout + process.stderr
     return process.stdout + process.stderr
+
+
+def apart(site: Path) -> Path:
+    """A working directory: plugins in that are ignored."""
+    folder = site / "elsewhere"
+    folder.mkdir(exist_ok=True)
+    return folder
 
 
 @pytest.fixture(scope="module")
@@ -104,6 +111,32 @@ def test_a_changed_plugin_makes_other_trials_and_its_lines_are_named_in_failures
     after = trial.environment({"Edited": "edited 1.0"})
     assert {name for name in before if before[name] != after[name]} == {"edited"}
     assert trial.environment({}).keys() == before.keys() - {"edited"}
+
+
+def test_a_plugin_in_the_working_directory_is_not_run(tmp_path: Path) -> None:
+    site = installed(tmp_path, "received", "from pathlib import Path\nPath(__file__).with_suffix('.ran').touch()\n")
+    mast(site, "list", cwd=site)
+    assert not (site / "received.ran").exists()
+    mast(site, "list")
+    assert (site / "received.ran").exists(), "elsewhere it is a plugin"
+
+
+@pytest.mark.parametrize(
+    ("module", "problem"),
+    [
+        ("dashed-name", "cannot be imported: ModuleNotFoundError: No module named 'dashed-name'"),
+        ("mast_zenoh.nothing", "is left out: its module is mast_zenoh.nothing, expected one outside mast_zenoh"),
+    ],
+)
+def test_an_entry_point_that_names_no_module_of_its_own_stops_nothing_else(
+    tmp_path: Path, module: str, problem: str
+) -> None:
+    site = installed(tmp_path, "odd", "")
+    (site / "odd-1.0.dist-info" / "entry_points.txt").write_text(f"[mast_zenoh.plugins]\nodd = {module}\n")
+    listed = mast(site, "list", "scenes")
+    assert f"the plugin odd of odd 1.0 {problem}" in listed
+    assert "Intersection" in listed
+    mast(site, "run", "baseline", "--frames", "3", "--runtime", "inproc", "--no-report", "--out", str(tmp_path / "run"))
 
 
 BROKEN = "import nowhere\n"
@@ -165,7 +198,7 @@ def test_short_names_of_a_plugin_are_shown_and_its_faults_named(tmp_path: Path) 
     for scene, code, reason in (
         ("ringroad:ten", 10, "'ten' is not a whole number, expected ringroad:N_CARS, 0 or more"),
         ("wrong:4", 10, "wrong.WrongRoad.short_argument is 'cars', expected one of its parameters; did you mean 'n_ca"),
-        ("unknown", 13, "expected the files of one of recording, av2,"),
+        (str(tmp_path / "unknown"), 13, "expected the files of one of recording, av2,"),
     ):
         printed = mast(site, "scene", "check", scene, code=code)
         assert reason in printed
@@ -178,7 +211,7 @@ def test_a_missing_plugin_is_named() -> None:
     code = (
         "from mast_zenoh.config import bundle, plugins, registry, scene_names\n"
         "from mast_zenoh.deploy import engines\nfrom mast_zenoh.errors import PluginError\n"
-        "from mast_zenoh.scenes import Scene\nplugins.entry_points = lambda group: []\n"
+        "from mast_zenoh.scenes import Scene\nplugins.distributions = lambda path: []\n"
         "plugins.expect({'Nudge': 'mast-roadside 1.0', 'Gentle': 'mast-ringroad 0.4'})\n"
         "for build in (lambda: scene_names.parse_scene('av2:PATH'),\n"
         "              lambda: registry.build({'type': 'AV2Log', 'path': 'x'}, Scene, 'scene'),\n"

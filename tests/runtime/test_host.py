@@ -194,6 +194,8 @@ def test_rejections_are_logged_once_per_key(caplog: pytest.LogCaptureFixture) ->
                 host.deliver(key, payload, -1)
     assert [key for record in caplog.records for key in TRACKS if key in record.getMessage()] == list(TRACKS)
     assert sum(host.rejected.values()) == 6
+    host.drop("agent/c/tracks", "of two\nlines\n: which results may not hold")
+    assert host.rejected["agent/c/tracks", "of two lines"] == 1
 
 
 def test_a_handler_that_raises_loses_one_message_and_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:

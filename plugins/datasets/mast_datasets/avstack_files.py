@@ -443,7 +443,7 @@ def _container(path: Path, frame: int) -> tuple[float, list[str]]:
 def _read(path: Path) -> Any:
     try:
         return _decode(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise SceneError(f"{path}: {reason(error)}") from error
 
 

@@ -115,6 +115,8 @@ def choose_name(place: Path, parameter: str, names: Iterable[str], value: str | 
 
 
 def _opened(path: Path) -> IO[bytes]:
+    if path.exists() and not path.is_file():  # a pipe would be waited for
+        raise OSError("not a regular file")
     with path.open("rb") as file:
         start = file.read(len(_GZIP))
     return cast("IO[bytes]", gzip.open(path, "rb")) if start == _GZIP else path.open("rb")
