@@ -29,7 +29,7 @@ _Number = TypeVar("_Number", bound=np.generic)
 
 
 #: First value of a column of times: that of the batch, ns.
-NOW = object()
+NOW = "now"
 
 
 class _Rows:
@@ -42,7 +42,7 @@ class _Rows:
 
     def __init__(self, **columns: Any) -> None:
         self._columns = columns
-        firsts = {name: np.asarray(0 if first is NOW else first) for name, first in columns.items()}
+        firsts = {name: np.asarray(0 if first == NOW else first) for name, first in columns.items()}
         self.of = SimpleNamespace(**{name: np.zeros((0, *each.shape), each.dtype) for name, each in firsts.items()})
         self.origin: Ints = np.zeros(0, np.int64)
         self._unchanged = False  # whether all rows are the same as before the last update
@@ -65,7 +65,7 @@ class _Rows:
 
     def _carry_columns(self, time_ns: int) -> None:
         for name, first in self._columns.items():
-            setattr(self.of, name, self.carry(getattr(self.of, name), time_ns if first is NOW else first))
+            setattr(self.of, name, self.carry(getattr(self.of, name), time_ns if first == NOW else first))
 
 
 class ObjectMemory(_Rows):
