@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 from collections import defaultdict
 from contextlib import closing
 from pathlib import Path
@@ -51,8 +53,17 @@ def test_simultaneous_runs_do_not_interfere_and_interposers_that_change_nothing_
     launch, tmp_path: Path
 ) -> None:
     """Key, encoding, attachment, payload (header and number), order and QoS."""
-    runs: list[Launched] = [launch(name, *SHORT, "--seed", "1") for name in ("baseline", "passthrough")]
-    observers = [Observer(run.started()) for run in runs]
+    runs: list[Launched] = []
+    simulators: list[int] = []
+    for name in ("baseline", "passthrough"):
+        runs.append(launch(name, *SHORT, "--seed", "1"))
+        simulators.append(runs[-1].started()["nodes"]["simulator"]["pid"])
+        os.kill(simulators[-1], signal.SIGSTOP)  # no frame is played before the observers are there
+    observers = [Observer(run.record()) for run in runs]
+    for observer in observers:
+        list(observer.session.liveliness().get(f"{observer.prefix}**"))  # answered after its subscription has arrived
+    for pid in simulators:
+        os.kill(pid, signal.SIGCONT)
     heard: list[dict[str, list[tuple[Any, ...]]]] = []
     for run, observer in zip(runs, observers, strict=True):
         with closing(observer):
