@@ -36,4 +36,4 @@ def test_nodes_run_every_layer_below_the_checks() -> None:
 
 
 def test_a_trial_is_run_again_when_the_fingerprint_changes() -> None:
-    assert trial.environment({})["code"] == version.fingerprint()
+    assert trial.environment([])["code"] == version.fingerprint()

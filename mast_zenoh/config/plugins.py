@@ -125,18 +125,22 @@ def used_by(names: Iterable[str]) -> dict[str, str]:
     return {name: known[name] for name in sorted(set(names) & known.keys())}
 
 
-def versions_of(used: Mapping[str, str]) -> dict[str, str]:
-    """Versions here of the distributions of plugins, with a digest of their files; used: as from `used_by`"""
-    names = {each.partition(" ")[0] for each in used.values()}
+def versions_of(distributions: Iterable[str]) -> dict[str, str]:
+    """Versions here of these distributions of plugins, with a digest of their files.
+
+    distributions: their names, with a version or without; others than plugins are left out
+    """
+    names = {each.partition(" ")[0] for each in distributions}
     found: dict[str, tuple[str, set[str]]] = {}
     for plugin in installed():
         if plugin.project in names:
             version = plugin.distribution.removeprefix(f"{plugin.project} ")
             found.setdefault(plugin.project, (version, set()))[1].add(plugin.package)
-    return {name: f"{version} (sources {_digest(packages)})" for name, (version, packages) in found.items()}
+    return {name: f"{version} (sources {_digest(frozenset(packages))})" for name, (version, packages) in found.items()}
 
 
-def _digest(packages: Iterable[str]) -> str:
+@cache
+def _digest(packages: frozenset[str]) -> str:
     """12 hexadecimal digits of the files of packages."""
     digest = hashlib.blake2b(digest_size=6)
     for package in sorted(packages):

@@ -197,7 +197,7 @@ def measure(folder: Path, allowed: AllowedCode = SHIPPED) -> list[str]:
     recorded_by = record.get("versions") or {}
     others = [
         f"recorded by {name} {recorded_by.get(name) or 'of an unknown version'}, measured by {here}"
-        for name, here in plugins.versions_of(resolved.plugins).items()
+        for name, here in plugins.versions_of(resolved.plugins.values()).items()
         if recorded_by.get(name) != here
     ]
     return [*conclusion.write_results(folder, {EVALUATOR: results}, kept), *notices.of_recording(record), *others]

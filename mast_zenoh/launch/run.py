@@ -183,7 +183,7 @@ def run(
             "started": datetime.now(UTC).isoformat(timespec="seconds"),
             "command": command or [os.path.basename(sys.argv[0]), *sys.argv[1:]],
             "launcher": liveness.identity(),
-            "versions": run_folder.versions() | plugins.versions_of(resolved.plugins),
+            "versions": run_folder.versions() | plugins.versions_of(resolved.plugins.values()),
             "timings": {},
             "nodes": {},
             "churn": [],

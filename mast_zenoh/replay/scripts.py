@@ -226,7 +226,7 @@ def of_run(record: Mapping[str, Any], resolved: Resolved) -> list[str]:
         reason = f": {message.splitlines()[0]}" if message else ""
         sentences.append(f"the recorded run ended as {str(status).replace('_', ' ')!r}{reason}")
     recorded_by = record.get("versions") or {}
-    for name, here in {_PACKAGE: versions()[_PACKAGE], **plugins.versions_of(resolved.plugins)}.items():
+    for name, here in {_PACKAGE: versions()[_PACKAGE], **plugins.versions_of(resolved.plugins.values())}.items():
         if recorded_by.get(name) != here:
             sentences.append(
                 f"recorded by {name} {recorded_by.get(name) or 'of an unknown version'}, replayed by {here}: live "

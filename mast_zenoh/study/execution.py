@@ -48,9 +48,13 @@ def run(trial: Trial) -> Outcome:
     """Run a trial; errors are returned in the outcome."""
     cpu_start_s = time.process_time()
     try:
-        _check_environment(trial, {})  # of this package, before anything else may fail because of it
+        versions = environment(name for name, _ in trial.environment)
+        for name, version in trial.environment:
+            if versions.get(name) != version:
+                raise ConfigurationError(
+                    f"{name}: this worker has {versions.get(name)}, the study was started with {version}"
+                )
         resolved = _resolve(trial)
-        _check_environment(trial, resolved.plugins)
         agents = {agent for spec in resolved.nodes.values() if spec.role == "adversary" for agent in spec.agents}
         compromised = tuple(sorted(agents))
         kind = _kind(trial)
@@ -65,14 +69,6 @@ def run(trial: Trial) -> Outcome:
         return Outcome(trial, metrics, table, compromised, cpu_s=cpu_s, warning=warning)
     except Exception as error:
         return Outcome.failed(trial, f"{type(error).__name__}: {error}")
-
-
-def _check_environment(trial: Trial, used: Mapping[str, str]) -> None:
-    """Raise ConfigurationError if code or versions differ from those with which the study was started."""
-    here = environment(used)
-    for name, version in trial.environment:
-        if here.get(name, version) != version:
-            raise ConfigurationError(f"{name}: this worker has {here[name]}, the study was started with {version}")
 
 
 def _resolve(trial: Trial) -> Resolved:

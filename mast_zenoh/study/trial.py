@@ -111,12 +111,12 @@ class Outcome:
         return cls(trial, {}, {}, error=reason)
 
 
-def environment(used: Mapping[str, str]) -> dict[str, str]:
+def environment(distributions: Iterable[str]) -> dict[str, str]:
     """Versions of Python, kernels and packages, and hashes of our code and files and of the plugins that are used.
 
-    used: as from `plugins.used_by`
+    distributions: as for `plugins.versions_of`
     """
-    return _environment() | plugins.versions_of(used)
+    return _environment() | plugins.versions_of(distributions)
 
 
 @cache

@@ -122,7 +122,7 @@ def plan(study: Study, *, count: int, seed: int, frames: int | None, runtime: st
             scene = registry.build(resolved.scene, scenes.Scene, f"{path}: scene")
             if study.cells:
                 refuse_calibration_data(range(seed, seed + count), resolved.scene, str(study.path))
-            environment = identity.environment(resolved.plugins)
+            environment = identity.environment(resolved.plugins.values())
             files = identity.files_key((*identity.user_files(path, loaded, resolved.modules), *scene.inputs()))
             idle = _idle_period(resolved)
             for index, seed_trials in enumerate(by_seed):
