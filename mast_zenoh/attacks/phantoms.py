@@ -161,7 +161,7 @@ class GhostAhead(PhantomAttack):
 
     def _given_up(self, moment: Moment, phantoms: ObjectStates) -> Bools:
         path = path_ahead(moment.coverage)
-        if path is None or len(phantoms) == 0:
+        if path is None:
             return np.ones(len(phantoms), bool)
         offset = phantoms.position[:, :2] - path.corners[0]
         distance = np.hypot(offset[:, 0], offset[:, 1])

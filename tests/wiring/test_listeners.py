@@ -75,6 +75,14 @@ def test_an_adversary_receives_every_agents_pose_with_its_subject() -> None:
     assert sorted(heard(one_port, "adversary_1", "pose").values()) == sorted(AGENTS)
 
 
+def test_a_port_that_a_role_may_lack_is_on_the_wire_of_the_nodes_that_have_it() -> None:
+    nodes = world(adversary_1=adversary("infra_1"), adversary_2=node("adversary", "tracks:tracks", agent="infra_1"))
+    with pytest.raises(WiringError, match="adversary_2 has no input port 'pose'"):
+        maps.resolve([("map.toml", MAP)], nodes)
+    wiring = maps.resolve([("map.toml", MAP)], nodes, {"adversary": ("pose",)})
+    assert [set(wiring.ports(f"adversary_{i}").inputs) for i in (1, 2)] == [{"agent/infra_1/pose"}, set()]
+
+
 def test_every_adversary_receives_the_pose_of_a_named_agent() -> None:
     nodes = world(adversary_1=adversary("infra_1"), adversary_2=adversary("infra_2"))
     wiring = resolve(nodes, {"listen": [listen("agent/ego/pose", "poses")]})

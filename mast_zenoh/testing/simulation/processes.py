@@ -32,6 +32,7 @@ from mast_zenoh.testing.simulation.network import Network, VirtualTime
 from mast_zenoh.testing.simulation.world import Schedule, World
 
 _FOREVER = 1 << 62
+CLOCK_ORIGIN_NS = 86_400 * 10**9  #: what a node's clock reads as a run begins: any number, so nothing may rely on it
 _FULL = Limit(6, 1 << 20)  # of an inbox that is filled
 _UNHEARD = 3  # frames in a row without a node that is there
 
@@ -112,7 +113,7 @@ class SimulatedProcess(Actions):
         self.subscribed_ns = 0
         world, time = mesh.world, mesh.time
         self.inbox = Inbox(self._put, nullcontext())
-        clock: Callable[[], int] = lambda: time.now_ns  # noqa: E731
+        clock: Callable[[], int] = lambda: CLOCK_ORIGIN_NS + time.now_ns  # noqa: E731
         self.protocol = protocol_of(
             resolved,
             name,
