@@ -16,19 +16,20 @@ from mast_zenoh.security import diagnosis, explain
 from mast_zenoh.security.authority import Authority
 from mast_zenoh.security.credentials import ROUTER, UNREACHED, Credentials
 
-HOUR = timedelta(hours=1)
-NOW = datetime.now(UTC)
+# Fixed times, because the names of these tests contain them: all pytest workers must find the same names.
+LONG_AGO, FAR_AHEAD, HOUR = datetime(2020, 1, 1, tzinfo=UTC), datetime(2100, 1, 1, tzinfo=UTC), timedelta(hours=1)
 OURS, OTHER = Authority("r"), Authority("r")
 GOOD, FOREIGN = OURS.issue("a"), OTHER.issue("a")
-OLD, EARLY = OURS.issue("a", begins=NOW - 2 * HOUR, ends=NOW - HOUR), OURS.issue("a", begins=NOW + HOUR)
-PAST = f"expired at {NOW - HOUR:%Y-%m-%d %H:%M:%S} UTC, now it is "
+OLD = OURS.issue("a", begins=LONG_AGO, ends=LONG_AGO + HOUR)
+EARLY = OURS.issue("a", begins=FAR_AHEAD, ends=FAR_AHEAD + HOUR)
+PAST = "expired at 2020-01-01 01:00:00 UTC, now it is "
 
 
 @pytest.mark.parametrize(
     ("credentials", "reason"),
     [
         (OLD, f"the certificate {PAST}"),
-        (EARLY, f"the certificate is not valid before {NOW + HOUR:%Y-%m-%d %H:%M:%S} UTC, now it is "),
+        (EARLY, "the certificate is not valid before 2100-01-01 00:00:00 UTC, now it is "),
         (
             Credentials(OURS.pem, FOREIGN.certificate, FOREIGN.key),
             "certificate of 'a.r' was issued by another authority",
@@ -64,7 +65,7 @@ def test_permissions_and_missing_folders_are_explained(tmp_path: Path) -> None:
 
 
 THEIRS = OURS.issue(ROUTER, ["router", "10.0.0.1"])
-STALE = OURS.issue(ROUTER, ["router"], begins=NOW - 2 * HOUR, ends=NOW - HOUR)
+STALE = OURS.issue(ROUTER, ["router"], begins=LONG_AGO, ends=LONG_AGO + HOUR)
 
 
 @pytest.mark.parametrize(
