@@ -102,7 +102,7 @@ def targets(nodes: list[str], secret: bytes) -> list[Target]:
 class Sender:
     """A client on a run's mesh that sends malformed messages.
 
-    sent: by control key
+    sent: number of messages by control key;  targets: what it sends to
     """
 
     def __init__(self, run: Launched, seed: int) -> None:
@@ -111,19 +111,19 @@ class Sender:
         self.sent: Counter[str] = Counter()
         self._unanswered = threading.Semaphore(MAX_UNANSWERED)
         self._rng = np.random.default_rng((seed, 0))
-        self._targets = targets(self.nodes, (run.out / SECRET_FILE).read_bytes())
-        self._payloads = [target.payloads((seed, 1 + number)) for number, target in enumerate(self._targets)]
+        self.targets = targets(self.nodes, (run.out / SECRET_FILE).read_bytes())
+        self._payloads = [target.payloads((seed, 1 + number)) for number, target in enumerate(self.targets)]
         self._order: list[int] = []
 
     def send(self) -> None:
         """Send one message to a random target; all targets get equally many."""
-        self._order = self._order or list(self._rng.permutation(len(self._targets)))
+        self._order = self._order or list(self._rng.permutation(len(self.targets)))
         number = self._order.pop()
-        self._send(self._targets[number], next(self._payloads[number]))
+        self._send(self.targets[number], next(self._payloads[number]))
 
     def settle(self) -> None:
         """Wait until everything sent has been handled: drains are answered in order."""
-        for number, target in enumerate(self._targets):
+        for number, target in enumerate(self.targets):
             if target.kind == "drain":
                 self._send(target, next(self._payloads[number]))
         for _ in range(MAX_UNANSWERED):
@@ -225,7 +225,7 @@ def test_each_malformed_control_message_is_refused_and_counted_once_per_receiver
 def test_malformed_control_messages_until_the_end_cost_no_valid_one(
     begin: Callable[[int], Launched], tmp_path: Path, fuzzing: Fuzzing
 ) -> None:
-    run = begin(FRAMES + 1)
+    run = begin(1)
     run.started()
     sender = Sender(run, fuzzing.seed)
     over = threading.Event()
@@ -237,6 +237,8 @@ def test_malformed_control_messages_until_the_end_cost_no_valid_one(
     thread = threading.Thread(target=send)
     thread.start()
     try:
+        eventually(lambda: len(sender.sent) == len({target.key for target in sender.targets}), "something on every key")
+        allow(run.out, FRAMES + 1)
         eventually(lambda: run.process.poll() is not None, "the run has ended")
     finally:
         over.set()
