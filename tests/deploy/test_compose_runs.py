@@ -219,8 +219,8 @@ def test_docker_compose_up_on_a_shipped_file_ends_by_itself_with_results(
     assert process.returncode == 0, process.stdout + process.stderr
     states = codes(name)
     assert f"mast-{name}-launcher" in states
-    failed = tuple(container for container, state in states.items() if state != "Exited (0")
-    assert not failed, "\n".join(line for line in process.stdout.splitlines() if line.startswith(failed))
+    failed = [container for container, state in states.items() if state != "Exited (0"]
+    assert not failed, process.stdout
     out = results(name, process.stdout, tmp_path)
     record = json.loads((out / "run.json").read_text())
     assert record["status"] == "ok", record["message"]

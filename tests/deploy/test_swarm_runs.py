@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 import swarm_launch
-from containers import built
+from containers import built, join_swarm
 from equal_runs import assert_equal
 from launched import Launched, eventually
 
@@ -26,15 +26,11 @@ pytestmark = [pytest.mark.heavy, pytest.mark.mesh, pytest.mark.timeout(420)]
 
 
 @pytest.fixture(scope="module")
-def image() -> Iterator[str]:
-    """The tag of the image in a swarm of this one machine; an existing swarm is kept."""
+def image() -> str:
+    """The tag of the image; this machine is a swarm."""
     tag = built()
-    made = docker("info", "--format", "{{.Swarm.LocalNodeState}}").strip() == "inactive"
-    if made:
-        docker("swarm", "init", "--advertise-addr", "127.0.0.1")
-    yield tag
-    if made:
-        docker("swarm", "leave", "--force")
+    join_swarm()
+    return tag
 
 
 @pytest.fixture(autouse=True)
