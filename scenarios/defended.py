@@ -8,6 +8,7 @@ from mast_zenoh.attacks import Coordination
 from mast_zenoh.config.registry import known_types
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.integrity import Integrity
+from mast_zenoh.scenario import victims_of
 from mast_zenoh.study.defences import adversary_base, resolve_choice
 
 #: What the adversaries know besides their own wires, and the rewrites that let them hear it.
@@ -17,7 +18,7 @@ KNOWLEDGE = {
     "trust": ["knowledge_picture.toml", "knowledge_trust.toml"],
 }
 #: Wires of attacks that are not on tracks and views.
-WIRES = {"PoseDrift": "pose"}
+WIRES = {"PoseDrift": "pose", "TrustFlip": "detections view"}
 
 
 def scenario(
@@ -27,6 +28,7 @@ def scenario(
     wires=None,
     attack_start_s=4.0,
     n_adversaries=2,
+    compromised=(),
     scene="intersection",
     scene_index=None,
     n_infrastructure=None,
@@ -41,7 +43,8 @@ def scenario(
     knowledge: what its adversaries know: own (and each other's views with a coordination), picture (as well), or trust
     (white box: picture and trust); wires: those that they are on: detections, pose, tracks, view; None: tracks and
     view, or what the attack needs;
-    attack_start_s: start of the attack, in scene time.
+    attack_start_s: start of the attack, in scene time;
+    compromised: agents to compromise first, such as ["ego"] or ["infra_4", "infra_1"]; the others follow, poles first.
     """
     attacked = coordinated(
         n_adversaries=n_adversaries,
@@ -51,6 +54,10 @@ def scenario(
         n_infrastructure=n_infrastructure,
         n_mobile=n_mobile,
     )
+    if compromised:
+        victims = victims_of(attacked["scene"], n_adversaries, compromised, ego=True)
+        adversaries = zip(attacked["adversaries"].items(), victims, strict=True)
+        attacked |= dict(adversaries={name: config | dict(agent=agent) for (name, config), agent in adversaries})
     center = attacked["command_center"]
     stage = resolve_choice(defence, Integrity)
     heard = KNOWLEDGE.get(knowledge)

@@ -314,34 +314,16 @@ class Mimic(AdaptiveAttack):
         return row.with_(position=row.position + row.velocity * ((path_ns - time_ns) * 1e-9))
 
 
-@dataclass(kw_only=True, eq=False)
-class Sleeper(Attack):
-    """Lets another attack act in bursts, with honest periods between them.
+class IntermittentAttack(Attack):
+    """Base of attacks that let another attack act at times, and are honest in between.
 
-    The attack observes all the time; an attack with a budget saves it while it sleeps, so that its mean cost is that of
-    the same attack without pauses. While the trust in the victim is more than `tolerance` below its highest value (an
-    attacker that hears it), it sleeps on. Source: on-off attacks on reputation systems (Sun et al., 2006); with one
-    second of memory, as in MATE's code, they are free.
-
-    attack:    the attack of the bursts; None: BlindSpot()
-    honest_s, lying_s: s, lengths of the periods; the first burst begins `start_s` s into the scene
-    tolerance: 0 to 1, fall of the trust that is accepted
-    start_s:   s of scene time of the first burst
+    The other attack observes all the time; one with a budget saves it while it is dormant.
     """
 
-    attack: Attack | None = None
-    honest_s: float = 3.0
-    lying_s: float = 1.5
-    tolerance: float = 0.05
-    start_s: float = 4.0
-
-    def __post_init__(self) -> None:
-        check("more than 0, finite", honest_s=self.honest_s, lying_s=self.lying_s)
-        check("0 or more, finite", start_s=self.start_s)
-        self._attack = self.attack or BlindSpot(start_s=self.start_s)
-        periods = self.honest_s, self.lying_s, self.start_s
-        self._honest_ns, self._lying_ns, self._start_ns = (round(seconds * 1e9) for seconds in periods)
-        self._watch = TrustWatch(self.tolerance)
+    def _wrap(self, attack: Attack, tolerance: float) -> None:
+        """Set the attack that acts at times; tolerance: 0 to 1, fall of the trust in the victim that is accepted."""
+        self._attack = attack
+        self._watch = TrustWatch(tolerance)
         self._victims: tuple[str, ...] = ()
         self._lying_frame = -1
 
@@ -388,8 +370,40 @@ class Sleeper(Attack):
     def forge_pose(self, frame: int, time_ns: int, position: Floats) -> Floats:
         return self._attack.forge_pose(frame, time_ns, position) if self._awake(time_ns) else position
 
+    @abstractmethod
     def _awake(self, time_ns: int) -> bool:
-        """Whether it lies at a time."""
+        """Whether the attack acts at a time, which is not before that of the last call."""
+
+
+@dataclass(kw_only=True, eq=False)
+class Sleeper(IntermittentAttack):
+    """Lets another attack act in bursts, with honest periods between them.
+
+    The attack observes all the time; an attack with a budget saves it while it sleeps, so that its mean cost is that of
+    the same attack without pauses. While the trust in the victim is more than `tolerance` below its highest value (an
+    attacker that hears it), it sleeps on. Source: on-off attacks on reputation systems (Sun et al., 2006); with one
+    second of memory, as in MATE's code, they are free.
+
+    attack:    the attack of the bursts; None: BlindSpot()
+    honest_s, lying_s: s, lengths of the periods; the first burst begins `start_s` s into the scene
+    tolerance: 0 to 1, fall of the trust that is accepted
+    start_s:   s of scene time of the first burst
+    """
+
+    attack: Attack | None = None
+    honest_s: float = 3.0
+    lying_s: float = 1.5
+    tolerance: float = 0.05
+    start_s: float = 4.0
+
+    def __post_init__(self) -> None:
+        check("more than 0, finite", honest_s=self.honest_s, lying_s=self.lying_s)
+        check("0 or more, finite", start_s=self.start_s)
+        periods = self.honest_s, self.lying_s, self.start_s
+        self._honest_ns, self._lying_ns, self._start_ns = (round(seconds * 1e9) for seconds in periods)
+        self._wrap(self.attack or BlindSpot(start_s=self.start_s), self.tolerance)
+
+    def _awake(self, time_ns: int) -> bool:
         since_ns = time_ns - self._start_ns
         in_burst = since_ns >= 0 and since_ns % (self._honest_ns + self._lying_ns) < self._lying_ns
         return in_burst and not self._watch.fallen

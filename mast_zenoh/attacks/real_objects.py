@@ -150,19 +150,25 @@ class SlowDrift(ChangingAttack):
     def _claims(self, moment: Moment, numbers: Ints, real: ObjectStates) -> ObjectStates:
         rate = -self._rate_mps if self._watch.fallen else self._rate_mps
         offset, speed, angle = np.zeros((3, len(real)))
+        new = np.array([number not in self._direction for number in numbers.tolist()], bool)
+        if new.any():
+            self._direction |= self._directions(moment, numbers[new], real.select(new))
         for i, number in enumerate(numbers.tolist()):
             before = self._offset_m.get(number, 0.0)
             after = min(max(before + rate * moment.elapsed_s, 0.0), self._limit_m)
             self._offset_m[number] = offset[i] = after
             speed[i] = rate if after != before and 0.0 < after < self._limit_m else 0.0
-            if number not in self._direction:
-                self._direction[number] = float(self.stream("direction", number).uniform(-np.pi, np.pi))
             angle[i] = self._direction[number]
         direction = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))])
         moves = np.where(real.velocity.any(axis=1), speed, 0.0)  # detections have no velocity
         return real.with_(
             position=real.position + direction * offset[:, None], velocity=real.velocity + direction * moves[:, None]
         )
+
+    def _directions(self, moment: Moment, numbers: Ints, real: ObjectStates) -> dict[int, float]:
+        """By number, the direction, rad, in which each of k newly chosen objects drifts."""
+        draws = [self.stream("direction", number).uniform(-np.pi, np.pi) for number in numbers.tolist()]
+        return dict(zip(numbers.tolist(), map(float, draws), strict=True))
 
 
 class StatePerturbation(ChangingAttack):

@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.geometry import rotation_from_quaternion
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats, ObjectStates, concatenate
 from mast_zenoh.attacks.surroundings import Coverage, touching
@@ -42,6 +43,12 @@ class Path:
         """Distance (n,) m of positions (n, >= 2) from the path, sampled every metre."""
         offset = position[:, None, :2] - self._samples
         nearest: Floats = np.sqrt((offset * offset).sum(axis=2).min(axis=1))
+        return nearest
+
+    def nearest_points(self, position: Floats) -> Floats:
+        """(n, 2) m, the samples of the path, every metre, that are nearest to positions (n, >= 2) m."""
+        offset = position[:, None, :2] - self._samples
+        nearest: Floats = self._samples[(offset * offset).sum(axis=2).argmin(axis=1)]
         return nearest
 
 
@@ -296,6 +303,67 @@ class Outnumbered(InView):
         return victims > coverage.honest_viewers(boxes, victims > 0)
 
 
+class FewWitnesses(InView):
+    """As InView, but where at most `most` honest agents look: with one, it is one agent's word against another's.
+
+    most: number of honest agents, 0 or more
+    """
+
+    name = "few_witnesses"
+
+    def __init__(self, most: int = 1) -> None:
+        check("0 or more", most=most)
+        self._most = most
+
+    def _allowed(self, boxes: ObjectStates, real: ObjectStates, coverage: Coverage) -> Bools:
+        visible = super()._allowed(boxes, real, coverage)
+        return visible & (coverage.honest_viewers(boxes, visible) <= self._most)
+
+
+class ManyWitnesses(InView):
+    """As InView, but where at least `least` honest agents look: a lie that most viewers can contradict.
+
+    least: number of honest agents, 1 or more
+    """
+
+    name = "many_witnesses"
+
+    def __init__(self, least: int = 2) -> None:
+        check("1 or more", least=least)
+        self._least = least
+
+    def _allowed(self, boxes: ObjectStates, real: ObjectStates, coverage: Coverage) -> Bools:
+        visible = super()._allowed(boxes, real, coverage)
+        return visible & (coverage.honest_viewers(boxes, visible) >= self._least)
+
+
+class UnseenByEgo(InView):
+    """As InView, but where the ego cannot see: out of its range or field of view, or behind buildings.
+
+    In a picture (`Coverage.fused`), false objects need not be in a victim's view. An agent whose sensor is unknown
+    has no blind area. What real objects hide is no part of it: they drive on.
+
+    agent: name of the agent whose blind area it is; None: the ego
+    """
+
+    name = "unseen_by_ego"
+
+    def __init__(self, agent: str | None = None) -> None:
+        self._agent = agent
+
+    def _allowed(self, boxes: ObjectStates, real: ObjectStates, coverage: Coverage) -> Bools:
+        known = coverage.surroundings
+        observer = known.ego_sensor if self._agent is None else known.sensors.get(self._agent)
+        allowed = np.zeros(len(boxes), bool)
+        if observer is None:
+            return allowed
+        for view in coverage.victims:
+            allowed |= coverage.plausible(boxes, real, view)
+        rows = allowed.nonzero()[0]
+        allowed[rows[coverage.in_sight(observer, boxes.select(rows), ObjectStates.empty())]] = False
+        return allowed
+
+
 class EgoPath(_Checked):
     """In the ego's lane, ahead of it and slower, in a victim's view.
 
@@ -335,7 +403,17 @@ class EgoPath(_Checked):
 
 #: The regions by name.
 REGIONS: dict[str, Region] = {
-    region.name: region for region in (Paper(), InView(), EgoPath(), VictimOnly(), Outnumbered())
+    region.name: region
+    for region in (
+        Paper(),
+        InView(),
+        EgoPath(),
+        VictimOnly(),
+        Outnumbered(),
+        FewWitnesses(),
+        ManyWitnesses(),
+        UnseenByEgo(),
+    )
 }
 
 

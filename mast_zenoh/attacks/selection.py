@@ -40,7 +40,16 @@ def cluster_centres(objects: ObjectStates, source: Ints, radius_m: float) -> Obj
     return objects.select(rows.take(start)).with_(position=mean[:, :3], velocity=mean[:, 3:])
 
 
-RegionName = Literal["paper", "in_view", "ego_path", "victim_only", "outnumbered"]
+RegionName = Literal[
+    "paper",
+    "in_view",
+    "ego_path",
+    "victim_only",
+    "outnumbered",
+    "few_witnesses",
+    "many_witnesses",
+    "unseen_by_ego",
+]
 #: Upper limit of `n_false_positives`.
 MAX_FALSE_OBJECTS = 10_000
 
@@ -80,8 +89,9 @@ class UncoordinatedSelection(Selection):
 
     n_false_positives:        λ of the Poisson distribution of the number of false objects
     region:                   where to place them: "in_view" of the victim, in the "ego_path", "victim_only" (outside
-                              the view of other agents), "outnumbered" (where more victims than others look), or about
-                              the victim as in the "paper"; see attacks.regions
+                              the view of other agents), "outnumbered" (where more victims than others look),
+                              "few_witnesses" (where at most one honest agent looks), "many_witnesses" (two or more),
+                              "unseen_by_ego", or about the victim as in the "paper"; see attacks.regions
     fraction_false_negatives: fraction of the objects to hide; uniform without replacement, rounded down, but at least
                               one if there is any object and the fraction is not zero
     fraction_translations:    fraction of the objects to displace, none of them hidden; counted in the same way

@@ -260,16 +260,26 @@ class Coverage:
         """Fields of view of the agents that are known and not compromised."""
         return self.surroundings.other_views(self.time_s)
 
-    def honest_viewers(self, objects: ObjectStates, wanted: Bools | None = None) -> Ints:
-        """(k,) number of agents that are not compromised and look at each object, past walls.
+    def honest_viewers(
+        self, objects: ObjectStates, wanted: Bools | None = None, occluders: Floats = _NO_OCCLUDERS
+    ) -> Ints:
+        """(k,) number of agents that are not compromised and look at each object, past walls and occluders (n, 6).
 
         wanted: (k,) for which objects, the others count as seen by nobody
         """
         rows = np.arange(len(objects)) if wanted is None else wanted.nonzero()[0]
         boxes, counts = boxes_of(objects)[rows], np.zeros(len(objects), np.int64)
         for view in self.other_views():
-            counts[rows] += self.visible(view, boxes)
+            counts[rows] += self.visible(view, boxes, occluders)
         return counts
+
+    def in_sight(self, observer: AgentSensor, objects: ObjectStates, occluders: ObjectStates) -> Bools:
+        """(k,) whether an agent on its route sees objects, past walls and other objects.
+
+        observer: its sensor; occluders: n objects, which may be among the k
+        """
+        view = observer.view(*observer.route.at(self.time_s))
+        return self.visible(view, boxes_of(objects), boxes_of(occluders))
 
     def _free(self, boxes: Floats, false_objects: ObjectStates, real_objects: ObjectStates) -> Bools:
         return np.asarray(~self.surroundings.inside_buildings(boxes) & ~touching(false_objects, real_objects))

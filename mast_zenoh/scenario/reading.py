@@ -137,16 +137,20 @@ def agents_of(scene: str | Mapping[str, Any]) -> tuple[str, ...]:
     return scenes.prepare(prepared, 0, 1, json.dumps(spec, sort_keys=True)).agent_names
 
 
-def victims_of(scene: str | Mapping[str, Any], count: int, first: Sequence[str] = ()) -> tuple[str, ...]:
-    """The names of `count` agents to compromise: static ones first, never the ego.
+def victims_of(
+    scene: str | Mapping[str, Any], count: int, first: Sequence[str] = (), *, ego: bool = False
+) -> tuple[str, ...]:
+    """The names of `count` agents to compromise: static ones first, the ego only if it is named.
 
-    first: agents that come before all others, in this order
+    first: agents that come before all others, in this order;  ego: whether the ego may be one of these
     Raises ConfigurationError if the scene has fewer, or not these.
     """
-    others = agents_of(scene)[1:]
+    every = agents_of(scene)
+    others = every[1:]
+    named = every if ego else others
     for name in first:
-        if name not in others:
-            raise ConfigurationError(f"compromised: no agent {name!r}{nearest(name, others)}")
+        if name not in named:
+            raise ConfigurationError(f"compromised: no agent {name!r}{nearest(name, named)}")
     static = [name for name in others if name.startswith("infra")]
     victims = tuple(dict.fromkeys((*first, *static, *others)))
     if not 0 <= count <= len(victims):
