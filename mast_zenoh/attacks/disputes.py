@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mast_zenoh.arrays.checks import check
-from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, canonical_order
+from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, canonical_order, propagate
 from mast_zenoh.attacks.adaptive import Budget, Lies, Moment
+from mast_zenoh.attacks.campaign import COUNTS, NANOSECONDS
 from mast_zenoh.attacks.coordination import CLUSTER_M, Coordinator
 from mast_zenoh.attacks.knowledge import Trust, TrustWatch
 from mast_zenoh.attacks.phantoms import AHEAD_S, PhantomAttack
-from mast_zenoh.attacks.real_objects import SELF_M, WITNESS_M, Framing
+from mast_zenoh.attacks.real_objects import SELF_M, WITNESS_M, ChangingAttack
 from mast_zenoh.attacks.regions import FewWitnesses
 from mast_zenoh.attacks.selection import Selection
 from mast_zenoh.attacks.surroundings import Coverage, Surroundings, boxes_of
@@ -51,6 +52,9 @@ class OpenDispute(PhantomAttack):
 
     def hear_trust(self, frame: int, time_ns: int, trust: Trust) -> None:
         self._watch.hear(trust, self._surroundings.victims)
+
+    def counts(self) -> dict[str, int]:
+        return dict(zip(COUNTS, (0, self._numbers_used, self._numbers_used), strict=True))
 
     def lie(self, moment: Moment) -> Lies:
         if self._watch.fallen:
@@ -91,19 +95,23 @@ class DeniedSelection(Selection):
 
     def select(self, objects: ObjectStates, coverage: Coverage, rng: np.random.Generator) -> Targets:
         objects = objects.select(canonical_order(objects))
-        cost = self._cost(objects, coverage)
+        cost = self.cost(objects, coverage)
         hidden = np.argsort(cost, kind="stable")[: int(self.budget / max(1, len(coverage.victims)))]
         hidden = np.sort(hidden[np.isfinite(cost[hidden])])
         none = ObjectStates.empty()
         return Targets(none, objects.select(hidden), none, np.zeros((0, 3))).numbered(0)
 
-    def _cost(self, objects: ObjectStates, coverage: Coverage) -> Floats:
-        """(n,) m from the ego, more for each honest witness; infinite for what may not be hidden."""
+    def cost(self, objects: ObjectStates, coverage: Coverage) -> Floats:
+        """(n,) m from the ego, more for each honest witness; infinite for what may not be hidden.
+
+        An object of which another honest agent would become a witness within a second may not be hidden either.
+        """
         boxes = boxes_of(objects)
         liars = np.zeros(len(objects), np.int64)
         for view in coverage.victims:
             liars += coverage.visible(view, boxes, boxes)
-        witnesses = coverage.honest_viewers(objects, occluders=boxes)
+        later = replace(coverage, time_s=coverage.time_s + AHEAD_S)
+        witnesses = np.maximum(coverage.honest_viewers(objects), later.honest_viewers(propagate(objects, AHEAD_S)))
         ego = coverage.surroundings.ego_sensor
         distance = np.zeros(len(objects))
         if ego is not None:
@@ -117,7 +125,8 @@ class PairedDenial(Coordinator):
     """Lets two adversaries or more hide what at most two honest agents look at, and claim free space there.
 
     Two deny what one reports: a majority says that the honest witness lies. Two against two is a tie, and two against
-    none simply removes the object. Each adversary needs a `CoordinatedAttack` on tracks and view.
+    none simply removes the object. An object is reported again a second before a third honest agent would look at it.
+    Each adversary needs a `CoordinatedAttack` on tracks and view.
 
     Threat model: the attackers control the tracks and the views of two agents or more, and share what these see. They
     know the buildings, and the sensors and routes of all agents; with the trust, all of them are honest while the trust
@@ -140,8 +149,8 @@ class PairedDenial(Coordinator):
         reselect_every_s: float | None = 5.0,
         start_s: float = 4.0,
     ) -> None:
-        selection = DeniedSelection(budget=budget, witnesses=witnesses)
-        super().__init__(selection=selection, reselect_every_s=reselect_every_s, start_s=start_s)
+        self._denied = DeniedSelection(budget=budget, witnesses=witnesses)
+        super().__init__(selection=self._denied, reselect_every_s=reselect_every_s, start_s=start_s)
         self._watch = TrustWatch(tolerance)
 
     def hear_trust(self, frame: int, time_ns: int, trust: Trust) -> None:
@@ -151,47 +160,55 @@ class PairedDenial(Coordinator):
         self, frame: int, time_ns: int, objects: ObjectStates, source: Ints, agent_positions: Floats
     ) -> tuple[Targets, ...]:
         plans = super().step(frame, time_ns, objects, source, agent_positions)
-        return (Targets.empty(time_ns),) * len(plans) if self._watch.fallen else plans
+        if self._watch.fallen or not plans:
+            return (Targets.empty(time_ns),) * len(plans)
+        coverage = self._coverage(time_ns / NANOSECONDS, objects, source, agent_positions)
+        denied = plans[0].remove
+        kept = np.isfinite(self._denied.cost(denied, coverage))
+        return (replace(plans[0], remove=denied.select(kept)),) * len(plans)
 
 
-class TrustFlip(Framing):
+class TrustFlip(ChangingAttack):
     """Makes honest agents disagree about real objects, so that a defence distrusts one of them.
 
-    Nothing is invented, and no agent lies. On the sensors of the target, objects that others see return nothing to it:
-    it seems to deny what most report. On the sensors of other agents, objects that the target sees return nothing to
-    them: it alone seems to report what is not there. Both cases follow from whose sensors the adversary is on. Without
-    a defence the picture keeps these objects, because somebody reports them.
+    Nothing is invented, and no agent lies. On the sensors of the target, objects that several others see return
+    nothing: it seems to deny what most report. On the sensors of several other agents, objects that the target sees
+    return nothing, where they outnumber it and all other viewers: it alone seems to report what is not there. Which of
+    the two follows from whose sensors the adversary is on. Without a defence the picture keeps these objects, because
+    somebody reports them.
 
     Threat model: the attacker changes the surfaces of objects, so that they return nothing towards some sensors: it is
-    on the wires detections and view, between the sensors and honest agents. It needs no agent. It knows the buildings,
-    and the sensors and routes of all agents; with the trust, it stops as long as the target is suspended. A liar may
-    use it, too: on tracks and view.
+    on the wires detections and view, between sensors and honest agents; one adversary on all sensors that it blinds. It
+    needs no agent. It knows the buildings, and the sensors and routes of all agents; with the trust, it stops as long
+    as the target is suspended. A liar may use it, too: on tracks and view.
     Source: TrustFlip (arXiv 2605.22122). We know its abstract and quotations of the paper, not the paper: there,
-    physical objects are shaped so that real detectors disagree. Which shapes can do that is no question here.
+    physical objects are shaped so that real detectors disagree. Which shapes can do that is no question here. Its
+    TrustReflect is no attack, but the cure: disputed places say nothing about trust. `OpenDispute` turns on that.
 
     target:    name of the honest agent to be distrusted; None: the agent whose sensors the adversary is on
-    witnesses: least number of other honest agents that see what is hidden from the target; 2 outvote it
-    budget:    lies per second, so the number of objects
+    witnesses: least number of agents that contradict the target about an object
+    budget:    lies per second, so the number of objects on each agent's sensors
     start_s:   s of scene time at which the attack begins
     """
 
     def __init__(
         self, *, target: str | None = None, witnesses: int = 2, budget: float = 2.0, start_s: float = 4.0
     ) -> None:
-        super().__init__(framed=target, action="hide", budget=budget, start_s=start_s)
+        super().__init__(budget=budget, start_s=start_s)
         check("1 or more", witnesses=witnesses)
-        self._witnesses = witnesses
+        self._target, self._witnesses = target, witnesses
         self._distrusted = False
 
     def inform(self, surroundings: Surroundings) -> None:
         super().inform(surroundings)
-        known = surroundings.sensors
-        if self._framed is not None and known and self._framed not in known:
-            raise ConfigurationError(f"target: no agent {self._framed!r}{nearest(self._framed, known)}")
+        expect_agent("target", self._target, surroundings)
 
     def hear_trust(self, frame: int, time_ns: int, trust: Trust) -> None:
-        if self._framed in trust.agents:
-            self._distrusted = bool(trust.state[trust.agents.index(self._framed)] == SUSPENDED)
+        if self._target in trust.agents:
+            self._distrusted = bool(trust.state[trust.agents.index(self._target)] == SUSPENDED)
+
+    def counts(self) -> dict[str, int]:
+        return dict(zip(COUNTS, (self._numbers_used, 0, 0), strict=True))
 
     def lie(self, moment: Moment) -> Lies:
         if self._distrusted:
@@ -199,29 +216,40 @@ class TrustFlip(Framing):
             return Lies()
         return super().lie(moment)
 
+    def _claims(self, moment: Moment, numbers: Ints, real: ObjectStates) -> ObjectStates | None:
+        return None
+
     def _cost(self, moment: Moment) -> Floats:
-        own = self._own_name(moment)
-        if self._framed is None:
-            self._framed = own
-        return super()._cost(moment) if own != self._framed else self._cost_of_blinding(moment)
-
-    def _cost_of_blinding(self, moment: Moment) -> Floats:
-        """(n,) m from the target, whose own sensors these are; infinite for what too few others see."""
-        boxes = boxes_of(moment.seen)
-        offset = moment.seen.position[:, :2] - moment.position[:2]
+        """(n,) m from the target; infinite for what it does not see, and where too few contradict it."""
+        known, coverage, boxes = self._surroundings, moment.coverage, boxes_of(moment.seen)
+        own = agent_at(moment.position, moment.time_s, known)
+        self._target = self._target or own
+        target = known.sensors.get(self._target or "")
+        if target is None:
+            return np.full(len(boxes), np.inf)
+        pose = target.route.at(moment.time_s)
+        offset = moment.seen.position[:, :2] - pose[0][:2]
         distance: Floats = np.hypot(offset[:, 0], offset[:, 1])
-        seen = (distance > SELF_M) & moment.coverage.visible(moment.view, boxes)
-        witnesses = moment.coverage.honest_viewers(moment.seen, seen, boxes)
-        return np.where(seen & (witnesses >= self._witnesses), distance, np.inf)
+        disputable = (distance > SELF_M) & coverage.visible(target.view(*pose), boxes, boxes)
+        viewers = coverage.honest_viewers(moment.seen, disputable, boxes)
+        if own == self._target:
+            return np.where(disputable & (viewers >= self._witnesses), distance, np.inf)
+        blinded = np.zeros(len(boxes), np.int64)
+        for name in known.victims:
+            if name in known.sensors:
+                blinded += coverage.in_sight(known.sensors[name], moment.seen, moment.seen)
+        outnumbered = (blinded >= self._witnesses) & (blinded > viewers)
+        return np.where(disputable & outnumbered, distance, np.inf)
 
-    def _own_name(self, moment: Moment) -> str | None:
-        """The agent on whose wires the adversary is: the attacked one that is nearest; None if none is known."""
-        routes = {
-            name: self._surroundings.sensors[name].route
-            for name in self._surroundings.victims
-            if name in self._surroundings.sensors
-        }
-        distance = [
-            float(np.hypot(*(route.position_at(moment.time_s) - moment.position)[:2])) for route in routes.values()
-        ]
-        return list(routes)[int(np.argmin(distance))] if distance else None
+
+def agent_at(position: Floats, time_s: float, known: Surroundings) -> str | None:
+    """The compromised agent whose route is nearest to a position (3,) m at a time; None if no route is known."""
+    routes = {name: known.sensors[name].route for name in known.victims if name in known.sensors}
+    distance = [float(np.hypot(*(route.position_at(time_s) - position)[:2])) for route in routes.values()]
+    return list(routes)[int(np.argmin(distance))] if distance else None
+
+
+def expect_agent(parameter: str, name: str | None, known: Surroundings) -> None:
+    """Raise ConfigurationError if a parameter names an agent that is not known; None, and no known agents, are fine."""
+    if name is not None and known.sensors and name not in known.sensors:
+        raise ConfigurationError(f"{parameter}: no agent {name!r}{nearest(name, known.sensors)}")

@@ -11,13 +11,15 @@ from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.attacks.adaptive import Lies, Moment
 from mast_zenoh.attacks.attack import Attack
+from mast_zenoh.attacks.campaign import COUNTS
+from mast_zenoh.attacks.disputes import expect_agent
 from mast_zenoh.attacks.knowledge import Trust, TrustWatch
 from mast_zenoh.attacks.phantoms import AHEAD_S, GhostAhead, IntermittentAttack, PhantomAttack
 from mast_zenoh.attacks.real_objects import SELF_M, ChosenObjects, SlowDrift
 from mast_zenoh.attacks.regions import UnseenByEgo, path_ahead
 from mast_zenoh.attacks.surroundings import UNKNOWN, Coverage, Surroundings, boxes_of
 from mast_zenoh.attacks.targets import Tampering, Targets
-from mast_zenoh.errors import ConfigurationError, nearest
+from mast_zenoh.errors import nearest
 from mast_zenoh.integrity.base import TRUSTED
 from mast_zenoh.integrity.base import UNKNOWN as NOT_JUDGED
 from mast_zenoh.tracking.view import SensorView
@@ -122,12 +124,15 @@ class BlindAreaConfusion(PhantomAttack):
 
     def inform(self, surroundings: Surroundings) -> None:
         super().inform(surroundings)
-        known = surroundings.sensors
-        if self._deceived is not None and known and self._deceived not in known:
-            raise ConfigurationError(f"deceived: no agent {self._deceived!r}{nearest(self._deceived, known)}")
+        expect_agent("deceived", self._deceived, surroundings)
 
     def hear_trust(self, frame: int, time_ns: int, trust: Trust) -> None:
         self._watch.hear(trust, self._surroundings.victims)
+
+    def counts(self) -> dict[str, int]:
+        inserts = self._action == "insert"
+        used = self._numbers_used
+        return dict(zip(COUNTS, (0, used, used) if inserts else (used, 0, 0), strict=True))
 
     def rest(self) -> None:
         super().rest()
@@ -199,7 +204,7 @@ class PretendBenign(IntermittentAttack):
     attack:    the attack of the bursts; None: GhostAhead()
     memory_s:  s, how long the defence remembers, see the parameters of its class: the least honest time between bursts
     duty:      more than 0 and less than 1, the largest share of the time in which it lies: bursts last
-               memory_s · duty / (1 - duty)
+               memory_s · duty / (1 - duty), by default 0.56 s: `FaultOrLie` needs 0.8 s for two lies at once
     inspected_share: more than 0 and at most 1; more than that: never inspected
     tolerance: 0 to 1, fall of the trust that is accepted
     start_s:   s of scene time from which bursts are begun
@@ -207,7 +212,7 @@ class PretendBenign(IntermittentAttack):
 
     attack: Attack | None = None
     memory_s: float = 5.0
-    duty: float = 0.25
+    duty: float = 0.1
     inspected_share: float = 1.0
     tolerance: float = 0.05
     start_s: float = 4.0
