@@ -9,10 +9,10 @@ import numpy as np
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, canonical_order, propagate
 from mast_zenoh.attacks.adaptive import Budget, Lies, Moment
-from mast_zenoh.attacks.campaign import COUNTS, NANOSECONDS
+from mast_zenoh.attacks.campaign import NANOSECONDS
 from mast_zenoh.attacks.coordination import CLUSTER_M, Coordinator
 from mast_zenoh.attacks.knowledge import Trust, TrustWatch
-from mast_zenoh.attacks.phantoms import AHEAD_S, PhantomAttack
+from mast_zenoh.attacks.phantoms import AHEAD_S, CautiousPhantoms
 from mast_zenoh.attacks.real_objects import SELF_M, WITNESS_M, ChangingAttack
 from mast_zenoh.attacks.regions import FewWitnesses
 from mast_zenoh.attacks.selection import Selection
@@ -22,7 +22,7 @@ from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.integrity.base import SUSPENDED
 
 
-class OpenDispute(PhantomAttack):
+class OpenDispute(CautiousPhantoms):
     """Invents many standing cars where at most one honest agent looks, and lies about nothing else.
 
     Each car is one agent's word against another's. A command centre that counts such a dispute against neither (the
@@ -44,23 +44,10 @@ class OpenDispute(PhantomAttack):
     def __init__(
         self, *, witnesses: int = 1, tolerance: float = 0.05, budget: float = 8.0, start_s: float = 4.0
     ) -> None:
-        super().__init__(budget=budget, start_s=start_s, speed_mps=0.0)
+        super().__init__(tolerance=tolerance, budget=budget, start_s=start_s, speed_mps=0.0)
         check("0 or more", witnesses=witnesses)
         self._witnesses = witnesses
         self.region = FewWitnesses(witnesses)
-        self._watch = TrustWatch(tolerance)
-
-    def hear_trust(self, frame: int, time_ns: int, trust: Trust) -> None:
-        self._watch.hear(trust, self._surroundings.victims)
-
-    def counts(self) -> dict[str, int]:
-        return dict(zip(COUNTS, (0, self._numbers_used, self._numbers_used), strict=True))
-
-    def lie(self, moment: Moment) -> Lies:
-        if self._watch.fallen:
-            self.rest()
-            return Lies()
-        return super().lie(moment)
 
     def _given_up(self, moment: Moment, phantoms: ObjectStates) -> Bools:
         if len(phantoms) == 0:
@@ -208,7 +195,7 @@ class TrustFlip(ChangingAttack):
             self._distrusted = bool(trust.state[trust.agents.index(self._target)] == SUSPENDED)
 
     def counts(self) -> dict[str, int]:
-        return dict(zip(COUNTS, (self._numbers_used, 0, 0), strict=True))
+        return {"selected": self._numbers_used, "placed": 0, "wanted": 0}
 
     def lie(self, moment: Moment) -> Lies:
         if self._distrusted:

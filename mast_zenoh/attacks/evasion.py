@@ -11,10 +11,9 @@ from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.attacks.adaptive import Lies, Moment
 from mast_zenoh.attacks.attack import Attack
-from mast_zenoh.attacks.campaign import COUNTS
 from mast_zenoh.attacks.disputes import expect_agent
-from mast_zenoh.attacks.knowledge import Trust, TrustWatch
-from mast_zenoh.attacks.phantoms import AHEAD_S, GhostAhead, IntermittentAttack, PhantomAttack
+from mast_zenoh.attacks.knowledge import Trust
+from mast_zenoh.attacks.phantoms import AHEAD_S, CautiousPhantoms, GhostAhead, IntermittentAttack
 from mast_zenoh.attacks.real_objects import SELF_M, ChosenObjects, SlowDrift
 from mast_zenoh.attacks.regions import UnseenByEgo, path_ahead
 from mast_zenoh.attacks.surroundings import UNKNOWN, Coverage, Surroundings, boxes_of
@@ -81,7 +80,7 @@ class PosePert(SlowDrift):
         return dict(zip(numbers.tolist(), angle.tolist(), strict=True))
 
 
-class BlindAreaConfusion(PhantomAttack):
+class BlindAreaConfusion(CautiousPhantoms):
     """Invents vehicles, or hides real objects, where one agent cannot see: the one that compares others with itself.
 
     A defence that checks each message against the ego's own sight has nothing to compare there. A false vehicle is
@@ -114,11 +113,10 @@ class BlindAreaConfusion(PhantomAttack):
         budget: float = 2.0,
         start_s: float = 4.0,
     ) -> None:
-        super().__init__(budget=budget, start_s=start_s, speed_mps=speed_mps)
+        super().__init__(tolerance=tolerance, budget=budget, start_s=start_s, speed_mps=speed_mps)
         if action not in ("insert", "hide"):
             raise ValueError(f"action: found {action!r}{nearest(str(action), ('insert', 'hide'))}")
         self._deceived, self._action = deceived, action
-        self._watch = TrustWatch(tolerance)
         self._chosen = ChosenObjects(self._follower, self.budget, self.numbers)
         self.region = UnseenByEgo(deceived)
 
@@ -126,13 +124,9 @@ class BlindAreaConfusion(PhantomAttack):
         super().inform(surroundings)
         expect_agent("deceived", self._deceived, surroundings)
 
-    def hear_trust(self, frame: int, time_ns: int, trust: Trust) -> None:
-        self._watch.hear(trust, self._surroundings.victims)
-
     def counts(self) -> dict[str, int]:
-        inserts = self._action == "insert"
-        used = self._numbers_used
-        return dict(zip(COUNTS, (0, used, used) if inserts else (used, 0, 0), strict=True))
+        counts = super().counts()
+        return counts if self._action == "insert" else {**counts, "selected": counts["wanted"], "wanted": 0}
 
     def rest(self) -> None:
         super().rest()
@@ -142,10 +136,7 @@ class BlindAreaConfusion(PhantomAttack):
         if self._deceived is None:
             self._deceived = self._default_deceived(moment)
             self.region = UnseenByEgo(self._deceived)
-        if self._watch.fallen:
-            self.rest()
-            return Lies()
-        if self._action == "insert":
+        if self._action == "insert" or self._watch.fallen:
             return super().lie(moment)
         numbers, rows = self._chosen.update(moment, self._cost(moment))
         return Lies(hidden=rows, hidden_number=numbers)

@@ -138,6 +138,37 @@ class BlindSpot(PhantomAttack):
         return seen if coverage.fused else seen | ~coverage.visible(moment.view, boxes_of(phantoms))
 
 
+class CautiousPhantoms(PhantomAttack):
+    """Base of attacks whose phantoms are never placed where they would be withdrawn, and that heed the trust.
+
+    tolerance: 0 to 1, fall of the trust in the victim that is accepted: beyond it, all phantoms are withdrawn
+    budget, start_s, speed_mps: see `PhantomAttack`
+    """
+
+    def __init__(self, *, tolerance: float, budget: float, start_s: float, speed_mps: float) -> None:
+        super().__init__(budget=budget, start_s=start_s, speed_mps=speed_mps)
+        self._watch = TrustWatch(tolerance)
+        self._placed = 0
+
+    def hear_trust(self, frame: int, time_ns: int, trust: Trust) -> None:
+        self._watch.hear(trust, self._surroundings.victims)
+
+    def counts(self) -> dict[str, int]:
+        return {"selected": 0, "placed": self._placed, "wanted": self._numbers_used}
+
+    def lie(self, moment: Moment) -> Lies:
+        if self._watch.fallen:
+            self.rest()
+            return Lies()
+        return super().lie(moment)
+
+    def _place(self, count: int, moment: Moment) -> None:
+        before = len(self._phantoms)
+        super()._place(count, moment)
+        self._keep(~self._given_up(moment, self._phantoms))
+        self._placed += len(self._phantoms) - before
+
+
 #: m; a phantom nearer to the ego than this would be hit: it is withdrawn.
 NEAREST_M = 6.0
 
