@@ -36,6 +36,11 @@ ATTACKS: dict[str, dict[str, Any]] = {
     "StatePerturbation": dict(velocity_mps=4.0, covariance_factor=0.5),
     "Overconfidence": dict(offset_m=1.5, covariance_factor=1e-3),
     "Collusion": {},
+    "OpenDispute": dict(budget=2.0),
+    "PairedDenial": dict(witnesses=3),
+    "PosePert": dict(offset_m=0.7),
+    "BlindAreaConfusion": {},
+    "PretendBenign": dict(memory_s=1.0, duty=0.5),
 }
 
 
@@ -143,9 +148,11 @@ def test_an_attack_tells_what_its_name_says_and_no_more_than_its_budget(attack: 
         "Framing": {"hidden"},
         "Replay": {"inserted", "hidden", "changed"},
         "Collusion": {"inserted", "hidden"},
+        "PairedDenial": {"hidden"},
+        "PosePert": {"changed"},
     }.get(attack, {"inserted"})
     duration_s = FRAMES * PERIOD_S - START_S
-    for group in [VICTIMS] if attack == "Collusion" else [(agent,) for agent in VICTIMS]:
+    for group in [VICTIMS] if attack in ("Collusion", "PairedDenial") else [(agent,) for agent in VICTIMS]:
         cost = sum(lies(passage).sum() for passage in passages(attack) if passage.agent in group) * PERIOD_S
         assert cost <= 2.0 * len(group) * duration_s + 1e-6
     assert all(not lies(passage).any() for passage in passages(attack) if passage.frame * PERIOD_S < START_S)
@@ -168,7 +175,7 @@ def test_no_agent_contradicts_its_own_lies(attack: str) -> None:
             hidden += np.count_nonzero(in_view & near)
     # A nearer object, real or invented, may stand in a part of the same directions.
     assert contradicted <= 0.3 * hidden
-    assert invented + hidden > 0 or attack in ("SlowDrift", "StatePerturbation", "Overconfidence")
+    assert invented + hidden > 0 or attack in ("SlowDrift", "StatePerturbation", "Overconfidence", "PosePert")
 
 
 def test_nobody_honest_looks_at_what_is_invented_in_a_blind_spot() -> None:
@@ -299,7 +306,31 @@ def test_colluding_adversaries_insert_the_same_object_and_hide_the_same_ones() -
     assert same > 0.9 * both
 
 
-@pytest.mark.parametrize("attack", ["Mimic", "Sleeper", "Collusion"])
+def test_both_liars_deny_the_same_objects() -> None:
+    by_frame: dict[int, list[Passage]] = {}
+    for passage in passages("PairedDenial"):
+        by_frame.setdefault(passage.frame, []).append(passage)
+    both = same = 0
+    for one, other in by_frame.values():
+        if len(one.hidden) and len(other.hidden):
+            distance = np.linalg.norm(one.hidden.position[:, None, :2] - other.hidden.position[None, :, :2], axis=2)
+            both += 1
+            same += distance.min() < 3.0
+    assert both > 20
+    assert same == both
+
+
+def test_a_shifted_object_stays_within_a_metre_of_its_place() -> None:
+    told = 0
+    for passage in passages("PosePert"):
+        before, after = passage.kept
+        shift = np.linalg.norm(after.position - before.position, axis=1)
+        assert shift.max(initial=0.0) <= 0.7 + 1e-6
+        told += int((shift > 0.6).sum())
+    assert told > 50
+
+
+@pytest.mark.parametrize("attack", ["Mimic", "Sleeper", "Collusion", "PairedDenial", "PretendBenign", "OpenDispute"])
 def test_attackers_that_hear_picture_and_trust_play_the_whole_run(attack: str) -> None:
     run = played(attack, "trust")
     assert not run.failures

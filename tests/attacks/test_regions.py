@@ -12,7 +12,7 @@ from mast_zenoh.arrays.states import ObjectStates, concatenate
 from mast_zenoh.attacks import Surroundings, UncoordinatedSelection
 from mast_zenoh.attacks.campaign import TrajectoryPropagation
 from mast_zenoh.attacks.coordination import Coordinator
-from mast_zenoh.attacks.regions import max_speed_within, path_ahead
+from mast_zenoh.attacks.regions import FewWitnesses, ManyWitnesses, max_speed_within, path_ahead
 from mast_zenoh.attacks.selection import ConflictSelection
 from mast_zenoh.attacks.surroundings import Coverage, touching
 from mast_zenoh.streams import stream
@@ -33,13 +33,14 @@ def pose(x: float, y: float, time_s: float = 0.0, half_turn: bool = False) -> li
 
 
 #: The ego drives east at 10 m/s; one pole looks east from the west end, another west from x = 40.
+AGENTS = {
+    "ego": ALL_ROUND
+    | dict(mount_position=[0.0, 0.0, 1.8], route=[pose(-40.0 + 10.0 * t, 0.0, float(t)) for t in range(9)]),
+    "infra_1": LOOKS_EAST | dict(mount_position=[0.0, 0.0, 8.0], route=[pose(-70.0, 0.0)]),
+    "infra_2": LOOKS_EAST | dict(mount_position=[0.0, 0.0, 8.0], route=[pose(40.0, 0.0, half_turn=True)]),
+}
 KNOWN = Surroundings(
-    agents={
-        "ego": ALL_ROUND
-        | dict(mount_position=[0.0, 0.0, 1.8], route=[pose(-40.0 + 10.0 * t, 0.0, float(t)) for t in range(9)]),
-        "infra_1": LOOKS_EAST | dict(mount_position=[0.0, 0.0, 8.0], route=[pose(-70.0, 0.0)]),
-        "infra_2": LOOKS_EAST | dict(mount_position=[0.0, 0.0, 8.0], route=[pose(40.0, 0.0, half_turn=True)]),
-    },
+    agents=AGENTS,
     victims=("infra_1",),
     buildings=BLOCKS,
     building_height=[12.0] * len(BLOCKS),
@@ -58,7 +59,10 @@ def false_objects(region: str, seed: int, where: Coverage, n: float = 6.0) -> Ob
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.sampled_from(["in_view", "ego_path", "victim_only"]), st.integers(0, 10_000))
+@given(
+    st.sampled_from(["in_view", "ego_path", "victim_only", "few_witnesses", "many_witnesses", "unseen_by_ego"]),
+    st.integers(0, 10_000),
+)
 def test_false_objects_are_in_view_and_never_in_a_building_or_another_object(region, seed):
     where = coverage()
     false = false_objects(region, seed, where)
@@ -104,6 +108,37 @@ def test_victim_only_objects_are_outside_all_other_known_views():
     boxes = np.concatenate([false.position, false.size], axis=1)
     for view in where.other_views():
         assert not where.visible(view, boxes).any()
+
+
+def test_few_and_many_witnesses_divide_what_the_victim_sees():
+    where = coverage(time_s=4.0)  # the ego is at x = 0, and infra_2 looks at the street in front of it
+    viewers = {
+        region: where.honest_viewers(concatenate([false_objects(region, seed, where) for seed in range(40)]))
+        for region in ("few_witnesses", "many_witnesses")
+    }
+    assert set(viewers["few_witnesses"].tolist()) == {0, 1}
+    assert set(viewers["many_witnesses"].tolist()) == {2}
+
+
+def test_objects_unseen_by_the_ego_are_in_its_blind_area_though_others_look():
+    short = Surroundings(
+        agents=AGENTS | {"ego": AGENTS["ego"] | dict(max_range_m=30.0)},
+        victims=("infra_1",),
+        buildings=BLOCKS,
+        building_height=[12.0] * len(BLOCKS),
+    )
+    ego, where = short.sensors["ego"], coverage(time_s=4.0, surroundings=short)
+    false = concatenate([false_objects("unseen_by_ego", seed, where) for seed in range(40)])
+    boxes = np.concatenate([false.position, false.size], axis=1)
+    assert len(false) > 20
+    assert not where.visible(ego.view(*ego.route.at(4.0)), boxes).any()
+    assert where.honest_viewers(false).any(), "by infra_2"
+
+
+@pytest.mark.parametrize("region", [lambda: FewWitnesses(-1), lambda: ManyWitnesses(0)])
+def test_a_number_of_witnesses_that_makes_no_region_is_refused(region):
+    with pytest.raises(ValueError, match="expected"):
+        region()
 
 
 def test_an_object_without_a_permitted_position_is_omitted():

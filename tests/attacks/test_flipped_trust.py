@@ -1,0 +1,88 @@
+"""TrustFlip and others in whole runs: the defence turns against an honest agent, and the ego can be attacked."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from mast_zenoh import scenario
+from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.runtime.inproc import InProcess
+from mast_zenoh.scenario import victims_of
+
+FRAMES = 90
+
+
+def played(**values: Any) -> dict[str, Any]:
+    """Metrics of the scenario `defended` on the generated junction."""
+    values = dict(attack_start_s=3.0, n_adversaries=1) | values
+    path, content = scenario.load_values("defended", values)
+    results: dict[str, Any] = InProcess(scenario.resolve(path, content, frames=FRAMES)).run()["evaluator"]["metrics"]
+    return results
+
+
+def suspended(metrics: dict[str, Any]) -> set[str]:
+    return {name for name, agent in metrics["integrity"]["agents"].items() if agent["suspensions"]}
+
+
+def picture(metrics: dict[str, Any]) -> tuple[float, float]:
+    estimate = metrics["agents"]["ego"]["picture"]
+    return estimate["fn"]["mean"], estimate["fp"]["mean"]
+
+
+FLIP = dict(attack="TrustFlip", compromised=["infra_3"])
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("defence", ["SequentialConsistency", "FaultOrLie"])
+def test_the_defence_suspends_the_honest_target_of_trust_flip_and_nobody_else(defence: str) -> None:
+    assert suspended(played(defence=defence, n_adversaries=0)) == set()
+    assert suspended(played(defence=defence, **FLIP)) == {"infra_3"}
+
+
+@pytest.mark.heavy
+def test_without_a_defence_trust_flip_does_next_to_nothing_to_the_picture() -> None:
+    before, after = picture(played(n_adversaries=0)), picture(played(**FLIP))
+    assert after == pytest.approx(before, abs=0.05)
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize(
+    "attack",
+    [
+        dict(type="OpenDispute"),
+        dict(type="PairedDenial"),
+        dict(type="TrustFlip"),
+        dict(type="PosePert"),
+        dict(type="BlindAreaConfusion"),
+        dict(type="PretendBenign", memory_s=1.0, duty=0.5),
+        dict(type="Flood"),
+    ],
+    ids=lambda attack: attack["type"],
+)
+def test_the_ego_itself_can_be_the_attacked_agent(attack: dict[str, Any]) -> None:
+    metrics = played(attack=attack, compromised=["ego"], n_adversaries=2 if attack["type"] == "PairedDenial" else 1)
+    effects = metrics["interposers"]["adversary_1"]
+    assert effects["agreement"] == "agrees"
+    assert sum(effects["effects"].values()) > 20
+
+
+def test_the_ego_is_compromised_only_if_it_is_named_where_that_is_allowed() -> None:
+    _, content = scenario.load_values("defended", dict(compromised=["ego", "infra_3"], attack="PosePert"))
+    assert [each["agent"] for each in content["adversaries"].values()] == ["ego", "infra_3"]
+    _, content = scenario.load_values("defended", dict(attack="PosePert"))
+    assert [each["agent"] for each in content["adversaries"].values()] == ["infra_1", "infra_2"]
+    assert victims_of("intersection", 4) == ("infra_1", "infra_2", "infra_3", "infra_4")
+    with pytest.raises(ConfigurationError, match="compromised: no agent 'ego'"):
+        victims_of("intersection", 1, ["ego"])
+    with pytest.raises(ConfigurationError, match=r"compromised: no agent 'egos'.*ego"):
+        victims_of("intersection", 1, ["egos"], ego=True)
+
+
+def test_trust_flip_is_between_sensors_and_agents_unless_other_wires_are_named() -> None:
+    def rewrites(**values: Any) -> list[str]:
+        return scenario.load_values("defended", FLIP | values)[1]["keyexpr"]["rewrites"]
+
+    assert rewrites()[:2] == ["on_detections.toml", "on_view.toml"]
+    assert rewrites(wires="tracks view")[:2] == ["on_tracks.toml", "on_view.toml"]
