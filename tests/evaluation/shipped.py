@@ -28,6 +28,7 @@ VARIANTS: dict[str, list[tuple[str, ...]]] = {
         ("attack=Replay", "wires=detections pose tracks view"),
         ("attack=StatePerturbation",),
         ("attack=PoseDrift", "wires=pose"),
+        ("attack=TrustFlip", 'compromised=["ego"]'),
         ("attack=Collusion", "knowledge=trust", "n_adversaries=3", "coordinator.coordination.budget=9.0"),
     ],
     "defence_cell": [("defence=FaultOrLie", "attack=BlindSpot", "placement=random")],
