@@ -25,8 +25,8 @@ class Flood(ObservingAttack):
     """Fills each message with standing cars up to a number of rows, so that the command centre is slow.
 
     The cars stand in a square grid around the victim, whether it could see them or not: this attack is after processor
-    time, and does not hide. Their scores are the highest, so that a receiver that cuts messages (docs/security.md) drops
-    real rows first. On the view's wire the sensor claims to see nothing, so that the agent's own view contradicts no
+    time, and does not hide. Their scores are the highest, so that a receiver that cuts messages drops real rows first
+    (docs/security.md). On the view's wire the sensor claims to see nothing, so that the agent's own view contradicts no
     car. It has no budget, and goes on whatever is thought of its agent, because a suspended agent's rows are still
     received, clustered and judged.
 
