@@ -209,7 +209,7 @@ class TrustFlip(ChangingAttack):
     def _cost(self, moment: Moment) -> Floats:
         """(n,) m from the target; infinite for what it does not see, and where too few contradict it."""
         known, coverage, boxes = self._surroundings, moment.coverage, boxes_of(moment.seen)
-        own = agent_at(moment.position, moment.time_s, known)
+        own = known.nearest_agent(known.victims, moment.position, moment.time_s)
         self._target = self._target or own
         target = known.sensors.get(self._target or "")
         if target is None:
@@ -227,13 +227,6 @@ class TrustFlip(ChangingAttack):
                 blinded += coverage.in_sight(known.sensors[name], moment.seen, moment.seen)
         outnumbered = (blinded >= self._witnesses) & (blinded > viewers)
         return np.where(disputable & outnumbered, distance, np.inf)
-
-
-def agent_at(position: Floats, time_s: float, known: Surroundings) -> str | None:
-    """The compromised agent whose route is nearest to a position (3,) m at a time; None if no route is known."""
-    routes = {name: known.sensors[name].route for name in known.victims if name in known.sensors}
-    distance = [float(np.hypot(*(route.position_at(time_s) - position)[:2])) for route in routes.values()]
-    return list(routes)[int(np.argmin(distance))] if distance else None
 
 
 def expect_agent(parameter: str, name: str | None, known: Surroundings) -> None:

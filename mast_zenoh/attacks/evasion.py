@@ -143,15 +143,12 @@ class BlindAreaConfusion(CautiousPhantoms):
 
     def _default_deceived(self, moment: Moment) -> str | None:
         """The ego; the honest agent nearest to the victim if that is the ego, unless the ego gets the picture."""
-        sensors, victims = self._surroundings.sensors, self._surroundings.victims
-        ego = next(iter(sensors), None)
-        if ego not in victims or moment.coverage.fused:
+        known = self._surroundings
+        ego = next(iter(known.sensors), None)
+        if ego not in known.victims or moment.coverage.fused:
             return ego
-        honest = [name for name in sensors if name not in victims]
-        distance = [
-            float(np.hypot(*(sensors[name].route.position_at(moment.time_s) - moment.position)[:2])) for name in honest
-        ]
-        return honest[int(np.argmin(distance))] if honest else None
+        honest = [name for name in known.sensors if name not in known.victims]
+        return known.nearest_agent(honest, moment.position, moment.time_s)
 
     def _given_up(self, moment: Moment, phantoms: ObjectStates) -> Bools:
         observer = self._surroundings.sensors.get(self._deceived or "")
@@ -181,9 +178,9 @@ CHECKED_BY = 2
 class PretendBenign(IntermittentAttack):
     """Behaves honestly until its agent is trusted and not inspected, then lets another attack act for a moment.
 
-    A burst is begun only if the defence has forgotten the last one: after `memory_s`, or more for a smaller `duty`.
-    It ends early as soon as the trust falls. The victim is inspected while at least `inspected_share` of its objects
-    are in view of two honest agents or more: no burst is begun then.
+    A burst is begun only if the defence has forgotten the last one, `memory_s` after it; it is the shorter, the smaller
+    `duty` is. It ends early as soon as the trust falls. The victim is inspected while at least `inspected_share` of its
+    objects are in view of two honest agents or more: no burst is begun then.
 
     Threat model: the attacker controls what its attack needs. It knows the defence's memory, the buildings, and the
     sensors and routes of all agents. With the trust (white box), it waits until its agent is trusted: the state

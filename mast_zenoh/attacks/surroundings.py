@@ -6,7 +6,7 @@ fleet on their usual routes. docs/attacks.md lists what it knows and what it doe
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -155,6 +155,12 @@ class Surroundings:
         """(k, 3) m route positions of all agents that are not compromised."""
         others = [sensor.route.position_at(time_s) for name, sensor in self.sensors.items() if name not in self.victims]
         return np.array(others).reshape(-1, 3)
+
+    def nearest_agent(self, names: Iterable[str], position: Floats, time_s: float) -> str | None:
+        """The agent, of these names, whose route is nearest to a position (>= 2,) m at a time; None: none is known."""
+        routes = {name: self.sensors[name].route for name in names if name in self.sensors}
+        distance = [float(np.hypot(*(route.position_at(time_s) - position)[:2])) for route in routes.values()]
+        return list(routes)[int(np.argmin(distance))] if distance else None
 
     def inside_buildings(self, positions: Floats) -> Bools:
         """(n,) whether positions (n, >= 2) m are inside a building in the bird's-eye view."""
