@@ -37,6 +37,7 @@ class CommandCenter(Node):
 
     def start(self, context: Context) -> None:
         """Wait for views with each batch, if agents send any."""
+        self.pipeline.bind(context.seed, context.name)
         self.expects_views = any(source.port == "views" for source in context.subscriptions.values())
 
     def on_clock(self, received: Received, context: Context) -> None:
@@ -94,9 +95,9 @@ class CommandCenter(Node):
             context.publish("trust", {**self.pipeline.trust, **texts}, frame=received.frame, time_ns=received.time_ns)
 
     def finish(self, context: Context) -> dict[str, Any]:
-        """How far the agents' tracks were from what its tracker expected, if that tells."""
+        """What the pipeline counted, and how far tracks were from what its tracker expected, if they tell."""
         innovations = self.pipeline.innovations
-        return {} if innovations is None else {"innovations": innovations.summary()}
+        return self.pipeline.facts() | ({} if innovations is None else {"innovations": innovations.summary()})
 
 
 if __name__ == "__main__":

@@ -11,10 +11,12 @@ EXPECTED: dict[str, Callable[[float], bool]] = {
     "more than 0, finite": lambda value: 0.0 < value < inf,
     "more than 0 and at most 1000": lambda value: 0.0 < value <= 1e3,
     "more than 0 and less than 1": lambda value: 0.0 < value < 1.0,
+    "more than 0 and at most 1": lambda value: 0.0 < value <= 1.0,
     "0 or more": lambda value: value >= 0.0,
     "0 or more, finite": lambda value: 0.0 <= value < inf,
     "0 to 1": lambda value: 0.0 <= value <= 1.0,
     "1 or more": lambda value: value >= 1.0,
+    "2 or more": lambda value: value >= 2.0,
     "-1000 to 1000": lambda value: abs(value) <= 1e3,
 }
 

@@ -9,8 +9,12 @@ offsets      how far each agent's tracks are from the others', at once and over 
 calibration  sums of evidence, when they are alarms, and the data on which thresholds were chosen
 fault_fit    what a fault does to tracks and views, and how it is found
 voting       which objects exist; the stages KOfN and FreeSpace
+agreement    matched boxes of two sets, and their Jaccard index
+consensus    groups of agents, counted checks of them, and what the admission of agents means for their objects
+occupancy    areas that views show free or occupied
 
-The other stages have a file each: Plausibility, RobustFusion, Mate, SequentialConsistency, TruthDiscovery, FaultOrLie.
+The other stages have a file each: Plausibility, RobustFusion, Mate, SequentialConsistency, TruthDiscovery, FaultOrLie,
+and those after the field's published defences, Robosac, Pasac, Made, Prbi, PoseGuard, Cad.
 """
 
 from mast_zenoh.integrity.base import (
@@ -23,9 +27,15 @@ from mast_zenoh.integrity.base import (
     ObjectTrust,
     trust_columns,
 )
+from mast_zenoh.integrity.cad import Cad
 from mast_zenoh.integrity.fault_or_lie import FaultOrLie
+from mast_zenoh.integrity.made import Made
 from mast_zenoh.integrity.mate import Mate
+from mast_zenoh.integrity.pasac import Pasac
 from mast_zenoh.integrity.plausibility import Plausibility
+from mast_zenoh.integrity.pose_guard import PoseGuard
+from mast_zenoh.integrity.prbi import Prbi
+from mast_zenoh.integrity.robosac import Robosac
 from mast_zenoh.integrity.robust_fusion import RobustFusion
 from mast_zenoh.integrity.sequential import SequentialConsistency
 from mast_zenoh.integrity.truth_discovery import TruthDiscovery
@@ -38,14 +48,20 @@ __all__ = [
     "AgentTrust",
     "Assessment",
     "Batch",
+    "Cad",
     "FaultOrLie",
     "FreeSpace",
     "Integrity",
     "KOfN",
+    "Made",
     "Mate",
     "NoIntegrity",
     "ObjectTrust",
+    "Pasac",
     "Plausibility",
+    "PoseGuard",
+    "Prbi",
+    "Robosac",
     "RobustFusion",
     "SequentialConsistency",
     "Sightings",

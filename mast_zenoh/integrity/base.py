@@ -139,12 +139,22 @@ class Assessment:
 
 
 class Integrity(ABC):
-    """Judges agents and objects of each batch, without random numbers.
+    """Judges agents and objects of each batch. Random numbers come from the named streams of `mast_zenoh.streams`.
 
     needs_views: whether it judges by what agents' sensors cover; a run in which it gets no views has a notice
     """
 
     needs_views: ClassVar[bool] = True
+
+    def bind(self, seed: int, name: str) -> None:  # noqa: B027 (a hook: most stages draw no random numbers)
+        """Set the run's seed and the name of the node, which select the random streams; called before the first batch.
+
+        `reset` does not change them.
+        """
+
+    def facts(self) -> dict[str, Any]:
+        """What the stage counted since it was made or reset, for the results of its node; empty by default."""
+        return {}
 
     def correct(
         self, time_ns: int, states: ObjectStates, agent: Ints, agents: tuple[str, ...], views: Mapping[str, SweptView]

@@ -107,3 +107,7 @@ def refuse_calibration_data(seeds: Iterable[int], scene: Mapping[str, Any], plac
 
 def _span(numbers: range) -> str:
     return f"{numbers.start} to {numbers.stop - 1}"
+
+
+#: Match losses of honest agents, see `Made`.
+MATCH_LOSSES: tuple[float, ...] = (0.0,)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -64,6 +65,12 @@ class FaultOrLie(Integrity):
         check("more than 0", memory_s=self.memory_s)
         self._stage = self.stage or SequentialConsistency()
         self.reset()
+
+    def bind(self, seed: int, name: str) -> None:
+        self._stage.bind(seed, name)
+
+    def facts(self) -> dict[str, Any]:
+        return self._stage.facts()
 
     def reset(self) -> None:
         self._stage.reset()

@@ -30,6 +30,13 @@ class Pipeline(ABC):
         """How far clusters were from what was expected, see `Tracker`; None: it does not tell."""
         return None
 
+    def bind(self, seed: int, name: str) -> None:  # noqa: B027 (a hook: most pipelines draw no random numbers)
+        """Set the run's seed and the name of the node, which select random streams; called before the first step."""
+
+    def facts(self) -> dict[str, Any]:
+        """What the pipeline counted, for the results of its node; empty by default."""
+        return {}
+
     def look(self, views: Mapping[str, SweptView]) -> None:  # noqa: B027 (a hook: most pipelines need no views)
         """Set what the agents' sensors cover, by agent, for the next step.
 
@@ -81,6 +88,14 @@ class CommandCenterPipeline(Pipeline):
     @property
     def innovations(self) -> Innovations | None:
         return self.group_tracking.innovations
+
+    def bind(self, seed: int, name: str) -> None:
+        if self.integrity is not None:
+            self.integrity.bind(seed, name)
+
+    def facts(self) -> dict[str, Any]:
+        counted = {} if self.integrity is None else self.integrity.facts()
+        return {"integrity": counted} if counted else {}
 
     def look(self, views: Mapping[str, SweptView]) -> None:
         self._views = views

@@ -1,0 +1,192 @@
+"""What stages that admit agents by checks of groups share: fused groups, counted checks, and the resulting trust.
+
+A group's perception is what the centre would have from it alone: the median boxes of the objects that it reports.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mast_zenoh.arrays.checks import check
+from mast_zenoh.arrays.states import Bools, Floats
+from mast_zenoh.integrity.agreement import agreement, select
+from mast_zenoh.integrity.base import (
+    SUSPENDED,
+    UNKNOWN,
+    AgentTrust,
+    Assessment,
+    Batch,
+    ClusterBoxes,
+    Integrity,
+    ObjectTrust,
+)
+from mast_zenoh.integrity.memory import BetaReputation
+from mast_zenoh.integrity.views import SweptView
+
+
+class CheckCount:
+    """Counts the checks of a stage.
+
+    batches: with a reference to check against; without_reference: others; checks: in all batches; most: in one
+    """
+
+    def __init__(self) -> None:
+        self.batches = self.without_reference = self.checks = self.most = 0
+
+    def add(self, checks: int) -> None:
+        """Count a batch with some checks."""
+        self.batches += 1
+        self.checks += checks
+        self.most = max(self.most, checks)
+
+    def facts(self) -> dict[str, Any]:
+        """The counts, and the mean number of checks in a batch; None before the first one."""
+        return {
+            "batches": self.batches,
+            "batches_without_reference": self.without_reference,
+            "checks": self.checks,
+            "checks_per_batch": self.checks / self.batches if self.batches else None,
+            "most_checks": self.most,
+        }
+
+
+def members_of(batch: Batch, rows: Sequence[int]) -> Bools:
+    """(a,) which agents of a batch are in some rows."""
+    members = np.zeros(len(batch.agents), np.bool_)
+    members[list(rows)] = True
+    return members
+
+
+def perception(batch: Batch, members: Bools) -> ClusterBoxes:
+    """The median boxes of the objects that some agents report, of their tracks alone. members: (a,)"""
+    reported: Bools = np.asarray((batch.reported & members).any(axis=1))
+    return select(ClusterBoxes.of(batch, np.broadcast_to(members, batch.reported.shape)), reported)
+
+
+def within_area(boxes: ClusterBoxes, view: SweptView | None, area_m: float) -> Bools:
+    """(c,) boxes whose centres are in a square around a sensor, aligned with it; all of them without a view.
+
+    area_m: m, from the sensor to the sides of the square
+    """
+    if view is None:
+        return np.ones(len(boxes.yaw), np.bool_)
+    x, y, _ = ((boxes.position - view.view.position) @ view.view.rotation).T
+    return np.asarray((np.abs(x) <= area_m) & (np.abs(y) <= area_m))
+
+
+class EgoReference:
+    """The perception of one trusted agent, with which those of groups are compared.
+
+    ego: row of the agent; area_m: m, see `within_area`; match_iou: of matched boxes
+
+    checks: number of groups that were compared
+    """
+
+    def __init__(self, batch: Batch, ego: int, area_m: float, match_iou: float) -> None:
+        self._batch, self._ego, self._match_iou = batch, ego, match_iou
+        self._area_m = area_m
+        self._boxes = self._seen([])
+        self.checks = 0
+
+    def _seen(self, group: Sequence[int]) -> ClusterBoxes:
+        boxes = perception(self._batch, members_of(self._batch, [self._ego, *group]))
+        return select(boxes, within_area(boxes, self._batch.views[self._ego], self._area_m))
+
+    def agreement(self, group: Sequence[int]) -> float:
+        """Jaccard index of the ego's perception alone and with a group, rows of agents."""
+        self.checks += 1
+        return agreement(self._boxes, self._seen(group), self._match_iou)
+
+
+class Admission:
+    """Turns the agents that a stage admits in each batch into an assessment.
+
+    record_s: s, after which an admission or exclusion counts 1/e in an agent's trust
+    """
+
+    def __init__(self, record_s: float) -> None:
+        self._record = BetaReputation(memory_s=record_s)
+
+    def reset(self) -> None:
+        """Return to the initial state."""
+        self._record.reset()
+
+    def assess(self, batch: Batch, admitted: Bools, reason: str, mean: Floats | None = None) -> Assessment:
+        """Suspend the agents that are not admitted, and withhold objects that only they report.
+
+        admitted: (a,); reason: of all others' suspension; mean: (a,) trust in agents; None: share of the batches that
+        admitted them
+        """
+        excluded = ~admitted
+        record = self._record.update(
+            batch.time_ns, batch.agents, admitted.astype(np.float64), excluded.astype(np.float64)
+        )
+        state = np.where(excluded, SUSPENDED, UNKNOWN).astype(np.uint8)
+        reasons = tuple(reason if each else "" for each in excluded.tolist())
+        claims = batch.reported & admitted
+        members, confirming = batch.reported.sum(axis=1), claims.sum(axis=1)
+        objects = ObjectTrust(
+            (1.0 + confirming) / (2.0 + members), members, confirming, members - confirming, confirming == 0
+        )
+        agents = AgentTrust.of(record if mean is None else mean, state, reasons)
+        return Assessment(batch.weights(claims), agents, objects)
+
+
+@dataclass(kw_only=True, eq=False)
+class EgoConsensus(Integrity):
+    """Base of stages that admit the agents whose perception agrees with that of one trusted agent, the ego.
+
+    ego: name of the agent that is always trusted; in a batch without it, everybody is admitted
+    match_iou: intersection over union, seen from above, from which two boxes are one object
+    area_m: m, from the ego's sensor to each side of the square in which objects are compared
+    record_s: s, after which an admission or exclusion counts 1/e in an agent's trust
+    """
+
+    needs_views = False
+
+    ego: str = "ego"
+    match_iou: float = 0.5
+    area_m: float = 32.0
+    record_s: float = 30.0
+
+    def __post_init__(self) -> None:
+        check_agent("ego", self.ego)
+        check("more than 0 and at most 1", match_iou=self.match_iou)
+        check("more than 0", area_m=self.area_m)
+        self._admission = Admission(self.record_s)
+        self.reset()
+
+    def reset(self) -> None:
+        self._admission.reset()
+        self._count = CheckCount()
+
+    def facts(self) -> dict[str, Any]:
+        return self._count.facts()
+
+    def assess(self, batch: Batch) -> Assessment:
+        if self.ego not in batch.agents:
+            self._count.without_reference += 1
+            return self._admission.assess(batch, np.ones(len(batch.agents), np.bool_), "")
+        ego = batch.agents.index(self.ego)
+        reference = EgoReference(batch, ego, self.area_m, self.match_iou)
+        others = [row for row in range(len(batch.agents)) if row != ego]
+        admitted = self._admit(batch.time_ns, others, reference)
+        self._count.add(reference.checks)
+        return self._admission.assess(
+            batch, members_of(batch, [ego, *admitted]), f"not among the agents that agree with {self.ego}"
+        )
+
+    @abstractmethod
+    def _admit(self, time_ns: int, others: Sequence[int], reference: EgoReference) -> Sequence[int]:
+        """The rows of the agents that are admitted besides the ego, of `others`."""
+
+
+def check_agent(name: str, value: Any) -> None:
+    """Raise ValueError for a value that cannot be the name of an agent."""
+    if not isinstance(value, str) or not value:
+        raise ValueError(f"{name}: found {value!r}, expected the name of an agent")
