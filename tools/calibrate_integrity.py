@@ -1,33 +1,39 @@
 """Measures how often honest agents exceed the statistics of `SequentialConsistency`, and fits their tails.
 
-    .venv/bin/python tools/calibrate_integrity.py [FIRST_SEED LAST_SEED] [--frames N]
+    .venv/bin/python tools/calibrate_integrity.py [FIRST_SEED LAST_SEED] [--frames N] [--losses]
 
 Plays unattacked junctions 0 to 3 with the seeds given (101 to 106 by default), which no test of a defence may use, and
 prints for each statistic the tail to be written into `mast_zenoh/integrity/sequential.py`, with 95 % intervals from a
-bootstrap over runs.
+bootstrap over runs. With --losses, it prints the match losses of `Made` in these runs, to be written into
+`mast_zenoh/integrity/calibration.py`.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
 
 import numpy as np
 
 from mast_zenoh import scenario
 from mast_zenoh.arrays.states import Floats, ObjectStates
 from mast_zenoh.fusion import SampledAssignmentClusterer
-from mast_zenoh.integrity import Batch, SequentialConsistency
+from mast_zenoh.integrity import Batch, Made, SequentialConsistency
 from mast_zenoh.integrity.calibration import fitted_tail
+from mast_zenoh.integrity.made import match_losses
 from mast_zenoh.integrity.views import views_of
 from mast_zenoh.runtime.inproc import InProcess
 
 SCENES = range(4)
 BLOCK_FRAMES = 100  # 10 s: statistics of two blocks are nearly independent
 RESAMPLES = 1000
+#: Frames of the first match loss, and between two: 1 s, so that they are nearly independent.
+FIRST_LOSS, LOSS_PERIOD = 20, 10
+QUANTILES = 250
 
 
-def statistics(seed: int, scene_index: int, frames: int) -> tuple[Floats, Floats]:
-    """(blocks, agents) maxima of both statistics in each block of an unattacked run."""
+def unattacked(seed: int, scene_index: int, frames: int) -> Iterator[Batch]:
+    """The batches of an unattacked run."""
     path, content = scenario.load_values("defended", {"n_adversaries": 0, "scene_index": scene_index}, [])
     resolved = scenario.resolve(path, content, seed=seed, frames=frames)
     messages: dict[str, dict[int, tuple[int, dict]]] = {"collated": {}, "views": {}}
@@ -38,17 +44,43 @@ def statistics(seed: int, scene_index: int, frames: int) -> tuple[Floats, Floats
             messages[header.schema][header.frame] = header.time_ns, dict(body)
 
     InProcess(resolved, tap=tap).run()
-    clusterer, stage = SampledAssignmentClusterer(), SequentialConsistency(false_alarms_per_hour=1e-30)
-    rows = []
+    clusterer = SampledAssignmentClusterer()
     for frame, (time_ns, body) in sorted(messages["collated"].items()):
         states, names = ObjectStates.from_columns(body), tuple(map(str, body["agents"]))
         views = views_of(messages["views"][frame][1])
         labels = clusterer.cluster(states, body["agent"])
-        stage.assess(Batch(time_ns, states, body["agent"], labels, names, tuple(map(views.get, names))))
+        yield Batch(time_ns, states, body["agent"], labels, names, tuple(map(views.get, names)))
+
+
+def statistics(seed: int, scene_index: int, frames: int) -> tuple[Floats, Floats]:
+    """(blocks, agents) maxima of both statistics in each block of an unattacked run."""
+    stage = SequentialConsistency(false_alarms_per_hour=1e-30)
+    rows = []
+    for batch in unattacked(seed, scene_index, frames):
+        stage.assess(batch)
         rows.append(stage.statistics)
     lies, offsets = (np.array(column) for column in zip(*rows, strict=True))
     starts = np.arange(0, len(lies), BLOCK_FRAMES)
     return np.maximum.reduceat(lies, starts), np.maximum.reduceat(offsets, starts)
+
+
+def losses(seed: int, scene_index: int, frames: int) -> Floats:
+    """(n,) match losses with the ego of all agents of an unattacked run, in every tenth frame from the twentieth on."""
+    stage = Made()
+    found = [
+        match_losses(batch, batch.agents.index(stage.ego), stage.area_m)
+        for frame, batch in enumerate(unattacked(seed, scene_index, frames))
+        if frame >= FIRST_LOSS and frame % LOSS_PERIOD == 0
+    ]
+    return np.array([loss for each in found for loss in each.tolist() if not np.isnan(loss)])
+
+
+def print_losses(runs: list[tuple[int, int]], frames: int) -> None:
+    """Print the quantiles of the losses of some runs, (seed, scene), as Python."""
+    found = np.concatenate([losses(seed, index, frames) for seed, index in runs])
+    quantiles = np.quantile(found, (np.arange(QUANTILES) + 0.5) / QUANTILES)
+    print(f"# {len(found)} losses, as {QUANTILES} quantiles")
+    print(f"MATCH_LOSSES = ({', '.join(f'{value:.3f}' for value in quantiles)})")
 
 
 def main() -> None:
@@ -56,10 +88,13 @@ def main() -> None:
     parser.add_argument("first", nargs="?", type=int, default=101)
     parser.add_argument("last", nargs="?", type=int, default=106)
     parser.add_argument("--frames", type=int, default=300)
+    parser.add_argument("--losses", action="store_true", help="print MATCH_LOSSES of `Made` instead of the tails")
     options = parser.parse_args()
-    runs = [
-        statistics(seed, index, options.frames) for seed in range(options.first, options.last + 1) for index in SCENES
-    ]
+    played = [(seed, index) for seed in range(options.first, options.last + 1) for index in SCENES]
+    if options.losses:
+        print_losses(played, options.frames)
+        return
+    runs = [statistics(seed, index, options.frames) for seed, index in played]
     random = np.random.default_rng(0)
     for name, column in (("contradictions", 0), ("offset", 1)):
         maxima = [run[column].ravel() for run in runs]

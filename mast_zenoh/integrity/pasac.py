@@ -44,8 +44,8 @@ class Pasac(EgoConsensus):
     tracks have no such map, so that both kinds use boxes, as CP-uniGuard does for detection.
 
     Weaknesses: the ego decides, so a lying ego excludes the honest ones; a few phantoms or displaced objects leave the
-    Jaccard index above the threshold; the adaptive one calls the lowest score of each batch a bad one even if nobody
-    lies, and so moves up towards honest agents.
+    Jaccard index above the threshold. The adaptive one calls the lowest score of each batch a bad one even if nobody
+    lies: it climbs towards the scores of honest agents, and with `deeper` past them, so that they are left out.
     """
 
     agree: float = 0.3
