@@ -103,8 +103,23 @@ class EgoReference:
         return agreement(self._boxes, self._seen(group), self._match_iou)
 
 
-class Admission:
-    """Turns the agents that a stage admits in each batch into an assessment.
+def admission(batch: Batch, admitted: Bools, mean: Floats, reason: str) -> Assessment:
+    """The assessment that suspends the agents that are not admitted, and withholds objects that only they report.
+
+    admitted: (a,); mean: (a,) trust in agents, 0 to 1; reason: of each suspension
+    """
+    state = np.where(admitted, UNKNOWN, SUSPENDED).astype(np.uint8)
+    claims = batch.reported & admitted
+    members, confirming = batch.reported.sum(axis=1), claims.sum(axis=1)
+    objects = ObjectTrust(
+        (1.0 + confirming) / (2.0 + members), members, confirming, members - confirming, confirming == 0
+    )
+    reasons = tuple("" if each else reason for each in admitted.tolist())
+    return Assessment(batch.weights(claims), AgentTrust.of(mean, state, reasons), objects)
+
+
+class RecordedAdmission:
+    """Admits agents, and trusts them as often as they were admitted.
 
     record_s: s, after which an admission or exclusion counts 1/e in an agent's trust
     """
@@ -116,25 +131,12 @@ class Admission:
         """Return to the initial state."""
         self._record.reset()
 
-    def assess(self, batch: Batch, admitted: Bools, reason: str, mean: Floats | None = None) -> Assessment:
-        """Suspend the agents that are not admitted, and withhold objects that only they report.
-
-        admitted: (a,); reason: of all others' suspension; mean: (a,) trust in agents; None: share of the batches that
-        admitted them
-        """
-        excluded = ~admitted
-        record = self._record.update(
-            batch.time_ns, batch.agents, admitted.astype(np.float64), excluded.astype(np.float64)
+    def assess(self, batch: Batch, admitted: Bools, reason: str = "") -> Assessment:
+        """See `admission`."""
+        mean = self._record.update(
+            batch.time_ns, batch.agents, admitted.astype(np.float64), (~admitted).astype(np.float64)
         )
-        state = np.where(excluded, SUSPENDED, UNKNOWN).astype(np.uint8)
-        reasons = tuple(reason if each else "" for each in excluded.tolist())
-        claims = batch.reported & admitted
-        members, confirming = batch.reported.sum(axis=1), claims.sum(axis=1)
-        objects = ObjectTrust(
-            (1.0 + confirming) / (2.0 + members), members, confirming, members - confirming, confirming == 0
-        )
-        agents = AgentTrust.of(record if mean is None else mean, state, reasons)
-        return Assessment(batch.weights(claims), agents, objects)
+        return admission(batch, admitted, mean, reason)
 
 
 @dataclass(kw_only=True, eq=False)
@@ -158,7 +160,7 @@ class EgoConsensus(Integrity):
         check_agent("ego", self.ego)
         check("more than 0 and at most 1", match_iou=self.match_iou)
         check("more than 0", area_m=self.area_m)
-        self._admission = Admission(self.record_s)
+        self._admission = RecordedAdmission(self.record_s)
         self.reset()
 
     def reset(self) -> None:
@@ -171,7 +173,7 @@ class EgoConsensus(Integrity):
     def assess(self, batch: Batch) -> Assessment:
         if self.ego not in batch.agents:
             self._count.without_reference += 1
-            return self._admission.assess(batch, np.ones(len(batch.agents), np.bool_), "")
+            return self._admission.assess(batch, np.ones(len(batch.agents), np.bool_))
         ego = batch.agents.index(self.ego)
         reference = EgoReference(batch, ego, self.area_m, self.match_iou)
         others = [row for row in range(len(batch.agents)) if row != ego]

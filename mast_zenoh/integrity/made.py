@@ -15,7 +15,7 @@ from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.integrity.agreement import select
 from mast_zenoh.integrity.base import Assessment, Batch, ClusterBoxes, Integrity
 from mast_zenoh.integrity.calibration import MATCH_LOSSES, discoveries
-from mast_zenoh.integrity.consensus import Admission, CheckCount, check_agent, members_of, within_area
+from mast_zenoh.integrity.consensus import CheckCount, RecordedAdmission, check_agent, members_of, within_area
 from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.integrity.visibility import sightings
 
@@ -65,7 +65,7 @@ class Made(Integrity):
         check("more than 0 and less than 1", alpha=self.alpha)
         check("more than 0", area_m=self.area_m)
         self._losses = calibration_losses(MATCH_LOSSES if self.calibration is None else self.calibration)
-        self._admission = Admission(self.record_s)
+        self._admission = RecordedAdmission(self.record_s)
         # Slow to import: done before the first batch.
         import scipy.optimize  # noqa: F401
 
@@ -81,7 +81,7 @@ class Made(Integrity):
     def assess(self, batch: Batch) -> Assessment:
         if self.ego not in batch.agents:
             self._count.without_reference += 1
-            return self._admission.assess(batch, np.ones(len(batch.agents), np.bool_), "")
+            return self._admission.assess(batch, np.ones(len(batch.agents), np.bool_))
         ego = batch.agents.index(self.ego)
         losses = match_losses(batch, ego, self.area_m)
         tested = np.flatnonzero(~np.isnan(losses))

@@ -14,7 +14,7 @@ from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.integrity.agreement import jaccard, matched_boxes, moved
 from mast_zenoh.integrity.base import Assessment, Batch, ClusterBoxes, Integrity
-from mast_zenoh.integrity.consensus import Admission, CheckCount, members_of, perception
+from mast_zenoh.integrity.consensus import CheckCount, admission, members_of, perception
 from mast_zenoh.integrity.memory import AgentMemory
 from mast_zenoh.integrity.visibility import sightings
 from mast_zenoh.streams import stream
@@ -39,9 +39,9 @@ class Prbi(Integrity):
         P(B_j | A) = P(A | B_j) P(B_j) / P(A),    P(B_j) = short_term p_j + (1 - short_term) beta_j,
 
     with p_j the last result, beta_j the share of normal groups among those of j, P(A) = 1 - eta, and P(A | B_j) the
-    share of abnormal groups among those without j (ours). It is 0 if no group of j was normal. Agents at 0 are left
-    out. When a t-test finds that m stays at a whole number, 1 or more, as great as the number of agents at 0, these are
-    excluded for good and the counts of the others start anew (the original ends here).
+    share of abnormal groups among those without j, and one more that is abnormal with P(A) (ours). P(B_j | A) is 0 if
+    no group of j was normal. Agents at 0 are left out. When a t-test finds that m stays at the number of agents at 0,
+    these are excluded for good, and the counts of the others start anew (the original ends here).
 
     The believed perception is that of everybody if both groups are normal, else of the agents above 0 if a third check
     finds it normal, else of the normal group if there is one. Otherwise the last one stays, and the agents above 0 are
@@ -68,7 +68,6 @@ class Prbi(Integrity):
     memory: int | None = 20
     settled: int = 5
     level: float = 0.05
-    record_s: float = 30.0
 
     def __post_init__(self) -> None:
         check("0 to 1", agree=self.agree, short_term=self.short_term)
@@ -77,7 +76,6 @@ class Prbi(Integrity):
         check("2 or more", settled=self.settled)
         if self.memory is not None:
             check("1 or more", memory=self.memory)
-        self._admission = Admission(self.record_s)
         self._seed, self._name = 0, "integrity"
         # Slow to import: done before the first batch.
         from scipy.special import stdtrit
@@ -89,7 +87,6 @@ class Prbi(Integrity):
         self._seed, self._name = seed, name
 
     def reset(self) -> None:
-        self._admission.reset()
         self._count = CheckCount()
         self._believed: ClusterBoxes | None = None
         self._time_ns = 0
@@ -114,9 +111,7 @@ class Prbi(Integrity):
             reference = PastReference(batch, moved(self._believed, elapsed_s), self.match_iou)
             self._judge(batch, rows, candidates, reference)
         honest = np.where(self._agents.of.excluded[rows], 0.0, self._agents.of.honest[rows])
-        return self._admission.assess(
-            batch, honest > 0.0, "the groups it is in differ from the last believed picture", honest
-        )
+        return admission(batch, honest > 0.0, honest, "no group with it fits the last believed picture")
 
     def _judge(self, batch: Batch, rows: Ints, candidates: Ints, reference: PastReference) -> None:
         """Check two groups, update what is thought of the agents, and choose the believed perception."""
@@ -238,10 +233,8 @@ def posterior(member: Bools, normal: Bools, before: Floats, short_term: float) -
     evidence = abnormal.mean() if len(normal) else 0.0
     if evidence == 0.0:
         return np.asarray(prior)
-    without = (~member).sum(axis=0)
-    likelihood = np.divide(
-        (~member & abnormal[:, None]).sum(axis=0), without, out=np.full(len(before), evidence), where=without > 0
-    )
+    # As if one more group without the agent had been checked: a share of few groups is not 0 or 1.
+    likelihood = ((~member & abnormal[:, None]).sum(axis=0) + evidence) / ((~member).sum(axis=0) + 1.0)
     result = np.clip(likelihood * prior / evidence, 0.0, 1.0)
     return np.where(beta > 0.0, result, 0.0)
 

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import ceil, floor, log
+from math import ceil, floor, log1p
 
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.integrity.consensus import EgoConsensus, EgoReference
 from mast_zenoh.streams import stream
+
+#: Most groups in one batch if their number follows from the formula, which has no limit.
+MAX_GROUPS = 1000
 
 
 @dataclass(kw_only=True, eq=False)
@@ -23,7 +26,7 @@ class Robosac(EgoConsensus):
     being the share of attackers among the others and s the size of the group.
 
     attackers: number that is expected among the other agents
-    budget: most groups in one batch; None: N, from `sample_size`
+    budget: most groups in one batch; None: N, from `sample_size`, at most MAX_GROUPS
     sample_size: agents in a group; None: the most for which N is within the budget
     confidence: probability p that one of the groups is free of attackers
     agree: least Jaccard index
@@ -64,7 +67,9 @@ class Robosac(EgoConsensus):
             assert self.budget is not None
             return self.budget, largest_sample(self.confidence, eta, self.budget, others)
         size = min(size, others)
-        return samples_needed(self.confidence, eta, size) if self.budget is None else self.budget, size
+        if self.budget is not None:
+            return self.budget, size
+        return min(samples_needed(self.confidence, eta, size), MAX_GROUPS), size
 
     def _admit(self, time_ns: int, others: Sequence[int], reference: EgoReference) -> Sequence[int]:
         if not others:
@@ -87,7 +92,7 @@ def samples_needed(confidence: float, eta: float, size: int) -> int:
     free = (1.0 - eta) ** size
     if free <= 0.0:
         return 0
-    return 1 if free >= 1.0 else max(ceil(log(1.0 - confidence) / log(1.0 - free)), 1)
+    return 1 if free >= 1.0 else max(ceil(log1p(-confidence) / log1p(-free)), 1)
 
 
 def largest_sample(confidence: float, eta: float, budget: int, others: int) -> int:
@@ -96,5 +101,5 @@ def largest_sample(confidence: float, eta: float, budget: int, others: int) -> i
         return others
     if eta >= 1.0:
         return 1
-    size = floor(log(1.0 - (1.0 - confidence) ** (1.0 / budget)) / log(1.0 - eta))
+    size = floor(log1p(-((1.0 - confidence) ** (1.0 / budget))) / log1p(-eta))
     return min(max(size, 1), others)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import ceil, log
+from math import log
 
 import plain_boxes as plain
 import pytest
@@ -48,8 +48,8 @@ def test_the_number_of_samples_is_the_least_that_reaches_the_confidence(
 ) -> None:
     lying = 1.0 - (1.0 - eta) ** size
     needed = samples_needed(confidence, eta, size)
-    if log(lying) > -1e-9:  # beyond what can be counted one by one
-        assert needed == ceil(log(1.0 - confidence) / log(lying))
+    if lying > 1.0 - 1e-6:  # 1 - lying ** needed loses all digits
+        assert needed == pytest.approx(log(1.0 - confidence) / -((1.0 - eta) ** size), rel=1e-5, abs=1)
         return
     assert 1.0 - lying**needed >= confidence - 1e-9
     assert needed == 1 or 1.0 - lying ** (needed - 1) <= confidence + 1e-9
@@ -73,6 +73,13 @@ def test_the_group_is_the_largest_that_the_budget_is_enough_for(
 def test_without_attackers_everybody_is_one_group_and_with_nothing_else_no_group_is_free() -> None:
     assert (largest_sample(0.99, 0.0, 3, 4), samples_needed(0.99, 0.0, 4)) == (4, 1)
     assert (largest_sample(0.99, 1.0, 3, 4), samples_needed(0.99, 1.0, 1)) == (1, 0)
+
+
+def test_the_formula_does_not_demand_more_groups_than_can_be_checked() -> None:
+    stage = Robosac(attackers=3, budget=None, sample_size=4)
+    stage.assess(attacked("a", "b", "c", "d", phantoms=9))
+    assert stage.facts()["checks"] == 1000
+    assert samples_needed(0.99, 0.75, 4) == 1177
 
 
 def reference(each: Batch, stage: Robosac, budget: int, size: int, seed: int, name: str) -> tuple[set[int], int]:

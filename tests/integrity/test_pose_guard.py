@@ -1,0 +1,153 @@
+"""`PoseGuard`: near the ego, what is fused must agree with what the ego sees."""
+
+from __future__ import annotations
+
+import numpy as np
+import plain_boxes as plain
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from integrity_batches import Track, batch, view
+
+from mast_zenoh.integrity import Batch, PoseGuard, sightings
+from mast_zenoh.integrity.visibility import current, seen_through
+
+AGENTS = ("a", "b", "ego")
+CARS = ((12.0, 3.0), (-14.0, 6.0))
+
+
+def near_ego(shift_m: float = 0.0, *more: Track, clear: bool = False) -> Batch:
+    """Three agents that report two cars near the ego; a and b displace the first."""
+    tracks: list[Track] = [(name, number, car) for name in AGENTS for number, car in enumerate(CARS)]
+    moved = [("a", 0, (CARS[0][0] + shift_m, CARS[0][1])), ("b", 0, (CARS[0][0] + shift_m, CARS[0][1]))]
+    tracks = [*moved, *(track for track in tracks if track[:2] not in (("a", 0), ("b", 0))), *more]
+    blocked = [] if clear else [(x, y, 2.5) for x, y in CARS]
+    return batch(tracks, AGENTS, {"ego": view((0.0, 0.0), *blocked)})
+
+
+def transcribed(each: Batch, stage: PoseGuard) -> tuple[set[int], set[int], int]:
+    """Rows that are left out, clusters that are withheld, and the number of checks."""
+    names = list(each.agents)
+    if stage.ego not in names or each.views[names.index(stage.ego)] is None:
+        return set(), set(), 0
+    ego = names.index(stage.ego)
+    place = each.views[ego].view.position
+    left_out, withheld, checks = set[int](), set[int](), 0
+    for cluster in range(each.clusters):
+        fused = plain.median_box(each, cluster, range(len(names)))
+        if np.hypot(fused[0] - place[0], fused[1] - place[1]) > stage.region_m:
+            continue
+        checks += 1
+        own = plain.median_box(each, cluster, [ego])
+        rows = [row for row in range(len(each.labels)) if each.labels[row] == cluster]
+        if own is None:
+            boxes = plain.boxes_of([fused])
+            velocity = np.median(each.states.velocity[rows], axis=0)
+            boxes.velocity[:] = velocity
+            seen = sightings(boxes.position, boxes.size, boxes.yaw, [each.views[ego]])
+            if seen.in_view[0, 0] and seen_through(boxes, current([each.views[ego]]))[0, 0]:
+                withheld.add(cluster)
+                left_out |= set(rows)
+        elif plain.apart(fused, own) > stage.agree_m:
+            left_out |= {row for row in rows if np.hypot(*(each.states.position[row, :2] - own[:2])) > stage.agree_m}
+    return left_out, withheld, checks
+
+
+@given(
+    number=st.integers(0, 10_000),
+    agents=st.integers(1, 5),
+    objects=st.integers(0, 8),
+    region_m=st.sampled_from([15.0, 30.0, 60.0]),
+    agree_m=st.sampled_from([0.1, 0.5, 1.0]),
+    ego=st.sampled_from(["agent_0", "agent_1", "absent"]),
+    viewed=st.booleans(),
+)
+@settings(max_examples=120)
+def test_it_leaves_out_and_withholds_what_the_transcribed_method_does(
+    number: int, agents: int, objects: int, region_m: float, agree_m: float, ego: str, viewed: bool
+) -> None:
+    each = plain.random_batch(number, agents, objects, viewed=viewed)
+    stage = PoseGuard(ego=ego, region_m=region_m, agree_m=agree_m)
+    found = stage.assess(each)
+    left_out, withheld, checks = transcribed(each, stage)
+    assert set(np.flatnonzero(found.objects.withheld).tolist()) == withheld
+    kept = set(range(len(each.labels))) - left_out
+    alone = {c for c in range(each.clusters) if not any(each.labels[row] == c for row in kept)}
+    expected = [row in kept or each.labels[row] in alone for row in range(len(each.labels))]
+    assert found.weights is not None
+    assert (found.weights > 0.0).tolist() == expected, "an object without any track keeps all, to be tracked on"
+    assert stage.facts()["checks"] == checks
+
+
+def test_a_majority_that_displaces_an_object_is_left_out() -> None:
+    each = near_ego(1.5)
+    found = PoseGuard().assess(each)
+    assert found.weights is not None
+    assert found.weights.tolist() == [0.0, 0.0, 1.0, 1.0, 1.0, 1.0]
+    assert not found.objects.withheld.any()
+
+
+def test_displacements_below_the_limit_pass() -> None:
+    found = PoseGuard().assess(near_ego(0.45))
+    assert found.weights is not None
+    assert found.weights.tolist() == [1.0] * 6
+
+
+def test_a_phantom_that_the_ego_sees_through_is_withheld() -> None:
+    phantom: Track = ("a", 2, (15.0, -10.0))
+    stage = PoseGuard()
+    assert stage.assess(near_ego(0.0, phantom)).objects.withheld.tolist() == [False, False, True]
+    facts = stage.facts()
+    assert (facts["checks"], facts["objects_withheld"], facts["tracks_left_out"]) == (3, 1, 0)
+
+
+def test_nothing_outside_the_region_is_checked() -> None:
+    far: Track = ("a", 2, (45.0, -10.0))
+    assert not PoseGuard().assess(near_ego(0.0, far)).objects.withheld.any()
+    assert PoseGuard(region_m=60.0).assess(near_ego(0.0, far)).objects.withheld.tolist() == [False, False, True]
+
+
+def test_a_lying_ego_has_honest_objects_withheld() -> None:
+    honest: Track = ("a", 2, (15.0, -10.0))
+    others: Track = ("b", 2, (15.1, -10.0))
+    found = PoseGuard().assess(near_ego(0.0, honest, others, clear=True))
+    assert found.objects.withheld[2], "the ego claims to see through it, and nobody else is asked"
+
+
+def test_agents_are_never_suspended_but_their_trust_falls() -> None:
+    stage = PoseGuard()
+    for frame in range(100):
+        each = near_ego(1.5)
+        found = stage.assess(
+            Batch(frame * 10**8, *(getattr(each, k) for k in ("states", "agent", "labels", "agents", "views")))
+        )
+    assert not found.agents.state.any()
+    mean = dict(zip(AGENTS, found.agents.mean.tolist(), strict=True))
+    assert mean["ego"] > 0.9
+    assert mean["a"] == mean["b"] < 0.6, "one of its two tracks is left out"
+
+
+def test_without_the_ego_or_its_view_nothing_is_checked_and_that_is_counted() -> None:
+    stage = PoseGuard(ego="truck")
+    stage.assess(near_ego(1.5))
+    blind = PoseGuard()
+    found = blind.assess(batch([("a", 0, (5.0, 0.0)), ("ego", 0, (7.0, 0.0))], AGENTS))
+    assert found.weights is not None
+    assert found.weights.all()
+    for each in (stage, blind):
+        facts = each.facts()
+        assert (facts["batches"], facts["batches_without_reference"], facts["checks"]) == (0, 1, 0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        ({"ego": ""}, "ego: found '', expected the name of an agent"),
+        ({"region_m": 0.0}, "region_m: found 0.0, expected more than 0"),
+        ({"agree_m": -1.0}, "agree_m: found -1.0, expected more than 0"),
+        ({"record_s": 0.0}, "record_s: found 0.0, expected more than 0"),
+    ],
+)
+def test_invalid_parameters_are_refused(arguments: dict, problem: str) -> None:
+    with pytest.raises(ValueError, match=problem):
+        PoseGuard(**arguments)
