@@ -17,6 +17,7 @@ import numpy as np
 from mast_zenoh.config import registry
 from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.control.results import EVALUATOR
+from mast_zenoh.errors import nearest
 from mast_zenoh.integrity import Integrity
 from mast_zenoh.messagelog import churn
 from mast_zenoh.metrics import Metric
@@ -431,6 +432,7 @@ def _defences(run: _Played) -> Iterator[str]:
         stage = pipeline.get("integrity") if isinstance(pipeline, Mapping) else None
         kind = stage.get("type") if isinstance(stage, Mapping) else None
         cls = registry.known_types(Integrity).get(str(kind))
+        yield from _trusted_strangers(run, stage)
         if cls is None or not getattr(cls, "needs_views", True):
             continue
         if not any(
@@ -442,6 +444,17 @@ def _defences(run: _Played) -> Iterator[str]:
             )
         elif run.resolved.recording is not None and not _seen_by_two(run.resolved.recording, run.frames):
             yield f"the defence {kind} had nothing to compare: no two agents saw the same object"
+
+
+def _trusted_strangers(run: _Played, stage: Any) -> Iterator[str]:
+    """Agents that an integrity stage, or the one in it, compares all others with, and that do not exist."""
+    if not isinstance(stage, Mapping):
+        return
+    kind, agents = str(stage.get("type")), run.of_role("agent")
+    ego = stage.get("ego", getattr(registry.known_types(Integrity).get(kind), "ego", None))
+    if isinstance(ego, str) and ego not in agents:
+        yield f"the defence {kind} checked nothing: it trusts {ego!r}, which is no agent{nearest(ego, agents)}"
+    yield from _trusted_strangers(run, stage.get("stage"))
 
 
 def _seen_by_two(recording: Recording, frames: int) -> bool:

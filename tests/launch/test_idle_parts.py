@@ -48,9 +48,9 @@ def coordinate(*rewrites: str, adversaries: int) -> Edit:
     return edit
 
 
-def defend(stage: str, *rewrites: str) -> Edit:
+def defend(defence: str, *rewrites: str, **parameters: Any) -> Edit:
     def edit(content: dict[str, Any]) -> None:
-        content["command_center"]["pipeline"]["integrity"] = dict(type=stage)
+        content["command_center"]["pipeline"]["integrity"] = dict(type=defence, **parameters)
         content["keyexpr"] = dict(rewrites=list(rewrites))
 
     return edit
@@ -99,6 +99,15 @@ CASES: dict[str, tuple[Edit, list[str]]] = {
         ],
     ),
     "a defence that needs none": (defend("RobustFusion"), []),
+    "a defence that trusts an agent": (defend("Robosac", ego="infra_1"), []),
+    "a defence that trusts nobody there is": (
+        defend("Robosac", ego="infra_7"),
+        ["the defence Robosac checked nothing: it trusts 'infra_7', which is no agent; did you mean 'infra_2'?"],
+    ),
+    "a defence in another one that trusts nobody there is": (
+        defend("FaultOrLie", "views.toml", stage=dict(type="PoseGuard", ego="truck")),
+        ["the defence PoseGuard checked nothing: it trusts 'truck', which is no agent; known: ego, infra_1, infra_2"],
+    ),
     "a defence with views": (defend("KOfN", "views.toml"), []),
     "links of no agent": (setting(links={"truck_*": "wired"}), ["links['truck_*'] match no agent"]),
     "a link that changes nothing": (setting(links={"*": "wired"}), []),
