@@ -24,7 +24,7 @@ def matched_boxes(one: ClusterBoxes, other: ClusterBoxes, least_iou: float) -> t
     """Rows (k,) of `one` and (k,) of `other` that are matched one to one.
 
     The matching with the greatest sum of intersection over union of the outlines seen from above; of it, the pairs with
-    `least_iou` or more, as in ROBOSAC (ICCV 2023, `box_matching.py`: `associate_2_detections`).
+    `least_iou` or more, as in ROBOSAC (ICCV 2023; `associate_2_detections` in its code).
     """
     half = 0.5 * np.hypot(one.size[:, 0], one.size[:, 1])
     reach = 0.5 * np.hypot(other.size[:, 0], other.size[:, 1]).max(initial=0.0)

@@ -31,13 +31,13 @@ LOW_M, HIGH_M = -0.5, 3.0
 class Cad(Integrity):
     """Withholds boxes in merged free space, and counts occupied space under no box; after CAD, on tracks.
 
-    Collaborative anomaly detection (Zhang et al., USENIX Security 2024; code: zqzqz/AdvCollaborativePerception,
-    `mvp/defense/perception_defender.py` and `detection_util.py`). The free and the occupied areas of all agents, seen
-    from above, are merged. The spoofed area of a box is its area within free space; the removed area of an occupied
-    area is that under no box. More than `threshold_m2` of either is an anomaly: a spoofed object is withheld; a removal
-    counts against the agents that have returns there, and no track of them.
+    Collaborative anomaly detection (Zhang et al., USENIX Security 2024; read in its code:
+    zqzqz/AdvCollaborativePerception 6ecb29f, perception_defender and detection_util). The free and the occupied areas
+    of all agents, seen from above, are merged. The spoofed area of a box is its area within free space; the removed
+    area of an occupied area is that under no box. More than `threshold_m2` of either is an anomaly: a spoofed object is
+    withheld; a removal counts against the agents that have returns there, and no track of them.
 
-    threshold_m2: m², least area of an anomaly (`PerceptionDefender.thres`)
+    threshold_m2: m², least area of an anomaly (thres of its PerceptionDefender)
     range_m: m, from a sensor on the ground, up to which its space counts
     link_m: m, between returns of one occupied area; chosen: directions are some 2 degrees apart
     record_s: s, after which an outcome counts 1/e in an agent's trust

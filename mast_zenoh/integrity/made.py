@@ -27,13 +27,13 @@ MAX_BOXES = 50
 class Made(Integrity):
     """Leaves out agents whose boxes match the ego's worse than honest agents' do; after MADE's match loss, on tracks.
 
-    MADE (Zhao et al., IROS 2024, arXiv:2310.11901; code: shengyin1224/MADE, `opencood/utils/match.py` and
-    `bh_procedure.py`). The match loss is the least total cost of matching the agent's boxes with the ego's, over the
-    number of the ego's. A pair costs how much the agent's score is below the ego's, plus its generalised IoU loss, 0 to
-    2. One of the ego's boxes without a partner costs its score plus 1, if the agent has fewer boxes; boxes in excess
-    cost nothing. A conformal p-value, (1 + number of calibration losses that are as great) / (1 + number of losses),
-    says how rare a loss is among honest agents. The Benjamini-Hochberg procedure decides which agents of a batch are
-    too rare.
+    MADE (Zhao et al., IROS 2024, arXiv:2310.11901; read in its code: shengyin1224/MADE db23118, match and
+    bh_procedure). The match loss is the least total cost of matching the agent's boxes with the ego's, over the number
+    of the ego's. A pair costs how much the agent's score is below the ego's, plus its generalised IoU loss, 0 to 2. One
+    of the ego's boxes without a partner costs its score plus 1, if the agent has fewer boxes; boxes in excess cost
+    nothing. A conformal p-value, (1 + number of calibration losses that are as great) / (1 + number of losses), says
+    how rare a loss is among honest agents. The Benjamini-Hochberg procedure decides which agents of a batch are too
+    rare.
 
     ego: name of the agent that is always trusted; in a batch without it, everybody is admitted
     alpha: false discovery rate in each batch

@@ -24,11 +24,11 @@ _UNBALANCED = 3
 class Pasac(EgoConsensus):
     """Admits agents by recursive halving: those that agree with the ego on their own; after CP-Guard, on tracks.
 
-    Probability-agnostic sample consensus (CP-Guard, AAAI 2025; code: CP-Security/CP-Guard,
-    `coperception/tools/seg/cp_guard.py`) with the online threshold of CP-uniGuard (arXiv:2506.22890; code:
-    CP-Security/CP-uniGuard, `coperception/tools/det/cp_uniguard.py` and `adaptive_threshold.py`). The agents are split
-    into halves, these into halves, down to single agents. The score of a group is the Jaccard index of the ego's boxes
-    with those of the ego and the group. A single agent is admitted if its score reaches the threshold.
+    Probability-agnostic sample consensus (CP-Guard, AAAI 2025; read in its code: CP-Security/CP-Guard a2a98d9,
+    cp_guard) with the online threshold of CP-uniGuard (arXiv:2506.22890; read in its code: CP-Security/CP-uniGuard
+    0a5db98, cp_uniguard and adaptive_threshold). The agents are split into halves, these into halves, down to single
+    agents. The score of a group is the Jaccard index of the ego's boxes with those of the ego and the group. A single
+    agent is admitted if its score reaches the threshold.
 
     agree: least Jaccard index; with `adaptive`, at first
     adaptive: as in CP-uniGuard's code, the threshold moves to the middle between the medians of the latest scores above

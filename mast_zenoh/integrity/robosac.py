@@ -18,12 +18,12 @@ MAX_GROUPS = 1000
 class Robosac(EgoConsensus):
     """Admits the first random group of agents with which the ego's perception agrees; after ROBOSAC, on tracks.
 
-    ROBOSAC (Li et al.: Among Us, ICCV 2023, arXiv:2303.09495; code: coperception/ROBOSAC,
-    `coperception/tools/det/robosac.py` and `box_matching.py`). In each batch, up to `budget` groups of `sample_size`
-    agents are drawn. A group agrees if the Jaccard index of the ego's boxes with those of the ego and the group is
-    `agree` or more. The first that does is admitted and everybody else is left out; if none does, the ego is alone. A
-    group is free of attackers with probability `confidence` after N = ceil(ln(1 - p) / ln(1 - (1 - eta)^s)) draws, eta
-    being the share of attackers among the others and s the size of the group.
+    ROBOSAC (Li et al.: Among Us, ICCV 2023, arXiv:2303.09495; read in its code: coperception/ROBOSAC 4642aa2, robosac
+    and box_matching). In each batch, up to `budget` groups of `sample_size` agents are drawn. A group agrees if the
+    Jaccard index of the ego's boxes with those of the ego and the group is `agree` or more. The first that does is
+    admitted and everybody else is left out; if none does, the ego is alone. A group is free of attackers with
+    probability `confidence` after N = ceil(ln(1 - p) / ln(1 - (1 - eta)^s)) draws, eta being the share of attackers
+    among the others and s the size of the group.
 
     attackers: number that is expected among the other agents
     budget: most groups in one batch; None: N, from `sample_size`, at most MAX_GROUPS
