@@ -12,7 +12,7 @@ from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.integrity.base import AgentTrust, Assessment, Batch, ClusterBoxes, Integrity, ObjectTrust
 from mast_zenoh.integrity.consensus import CheckCount, check_agent
 from mast_zenoh.integrity.memory import BetaReputation
-from mast_zenoh.integrity.visibility import current, seen_through, sightings
+from mast_zenoh.integrity.visibility import current, seen_through
 
 
 @dataclass(kw_only=True, eq=False)
@@ -26,7 +26,7 @@ class PoseGuard(Integrity):
 
     An object in the region is fused as the median of all its tracks. If the ego reports it too, and both centres are
     within `agree_m`, it is genuine. Otherwise, tracks farther than that from the ego's are left out of its fusion. If
-    the ego does not report it but should see it, and sees through its place, it is withheld.
+    the ego does not report it, and sees through its place, it is withheld.
 
     ego: name of the agent that is always trusted; in a batch without it, or without its view, nothing is checked
     region_m: m, from the ego on the ground, radius of the safety region
@@ -73,8 +73,7 @@ class PoseGuard(Integrity):
             place = view.view.position[:2]
             checked = np.hypot(*(boxes.position[:, :2] - place).T) <= self.region_m
             left_out = moved_tracks(batch, boxes, ego, self.agree_m) & checked[:, None]
-            seen = sightings(boxes.position, boxes.size, boxes.yaw, [view]).in_view[:, 0]
-            unseen = checked & ~reported[:, ego] & seen & seen_through(boxes, current([view]))[:, 0]
+            unseen = checked & ~reported[:, ego] & seen_through(boxes, current([view]))[:, 0]
             self._count.add(int(checked.sum()))
             self._left_out += int(left_out.sum())
             self._withheld += int(unseen.sum())

@@ -129,6 +129,15 @@ def test_occupied_areas_are_the_hulls_of_linked_returns_within_the_limits(
     assert sorted(found) == [(pytest.approx(size), agents) for size, agents in sorted(expected)]
 
 
+@pytest.mark.parametrize(("side_m", "vehicles"), [(0.6, 0), (0.8, 1), (4.0, 1), (4.6, 0), (7.0, 0)])
+def test_only_areas_of_the_size_of_vehicles_count(side_m: float, vehicles: int) -> None:
+    steps = np.linspace(0.0, side_m, 8)
+    square = np.array([(x, y) for x in steps for y in steps])
+    assert len(occupied_areas(square, np.zeros(64, np.int64), 1.1, AreaLimits())) == vehicles
+    line = np.column_stack([steps, np.zeros(8)])
+    assert occupied_areas(line, np.zeros(8, np.int64), 1.1, AreaLimits()) == []
+
+
 @given(boxes=st.lists(plain.boxes, max_size=4), seed=st.integers(0, 9999))
 @settings(max_examples=60)
 def test_the_removed_area_is_the_part_under_no_box(boxes: list[plain.Box], seed: int) -> None:

@@ -122,6 +122,16 @@ def test_the_threshold_is_that_of_the_transcribed_method(batches: list[tuple[lis
         assert threshold.value == pytest.approx(expected.threshold)
 
 
+def test_the_threshold_decays_from_the_third_batch_in_a_row_without_a_score_above_it() -> None:
+    threshold, values = AdaptiveThreshold(0.5, 0.2, 30, 5), []
+    for _ in range(4):
+        threshold.end_batch([(0.1, False)], False)
+        values.append(threshold.value)
+    assert values == pytest.approx([0.5, 0.5, 0.5 * 0.98, 0.5], abs=1e-12), (
+        "after four, unbalanced scores are forgotten"
+    )
+
+
 @given(group=st.lists(st.integers(), min_size=2, max_size=30))
 def test_halves_are_the_whole_group_and_differ_by_one_at_most(group: list[int]) -> None:
     one, other = halves(group)
