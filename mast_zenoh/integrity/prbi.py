@@ -19,8 +19,11 @@ from mast_zenoh.integrity.memory import AgentMemory
 from mast_zenoh.integrity.visibility import sightings
 from mast_zenoh.streams import stream
 
-#: Checks that are remembered at most, of all batches; two or three in each.
-MAX_CHECKS = 1024
+#: Batches whose checks are remembered at most.
+MAX_MEMORY = 500
+
+#: The members of a checked group, and whether it was normal.
+Check = tuple[frozenset[str], bool]
 
 
 @dataclass(kw_only=True, eq=False)
@@ -50,7 +53,8 @@ class Prbi(Integrity):
     agree: least Jaccard index of a normal group
     match_iou: intersection over union, seen from above, from which two boxes are one object
     short_term: weight of the last result in the prior
-    memory: batches whose checks count; None: all, as in the summaries: an attacker that begins late is then never at 0
+    memory: batches whose checks count; None: MAX_MEMORY. In the summaries all count, so that an attacker that begins
+        late is never at 0
     settled: values of m that the t-test needs
     level: significance of the t-test
 
@@ -74,8 +78,8 @@ class Prbi(Integrity):
         check("more than 0 and at most 1", match_iou=self.match_iou)
         check("more than 0 and less than 1", level=self.level)
         check("2 or more", settled=self.settled)
-        if self.memory is not None:
-            check("1 or more", memory=self.memory)
+        if self.memory is not None and not 1 <= self.memory <= MAX_MEMORY:
+            raise ValueError(f"memory: found {self.memory}, expected 1 to {MAX_MEMORY}, or None")
         self._seed, self._name = 0, "integrity"
         # Slow to import: done before the first batch.
         from scipy.special import stdtrit
@@ -91,8 +95,7 @@ class Prbi(Integrity):
         self._believed: ClusterBoxes | None = None
         self._time_ns = 0
         self._agents = AgentMemory(forget_s=600.0, honest=1.0, excluded=False)
-        self._checks: deque[tuple[frozenset[str], bool]] = deque(maxlen=MAX_CHECKS)  # groups, and which are normal
-        self._of_batch: deque[int] = deque()  # number of checks in each remembered batch
+        self._batches: deque[list[Check]] = deque(maxlen=self.memory or MAX_MEMORY)
         self._estimates: deque[float] = deque(maxlen=self.settled)  # of m
 
     def facts(self) -> dict[str, Any]:
@@ -118,10 +121,15 @@ class Prbi(Integrity):
         names = [batch.agents[row] for row in candidates.tolist()]
         groups = self._groups(batch.time_ns, candidates, self._agents.of.honest[rows[candidates]])
         normal = [reference.agreement(group) >= self.agree for group in groups]
-        self._remember([frozenset(batch.agents[row] for row in group) for group in groups], normal)
+        members = [frozenset(batch.agents[row] for row in group) for group in groups]
+        self._batches.append(list(zip(members, normal, strict=True)))
         honest = self._update(names, self._agents.of.honest[rows[candidates]])
         self._agents.of.honest[rows[candidates]] = honest
-        self._believe(batch, candidates, honest, groups, normal, reference)
+        believed: Sequence[int] | None = candidates.tolist()
+        if not all(normal):
+            fitting = [group for group, fits in zip(groups, normal, strict=True) if fits]
+            believed = self._confirmed(candidates[honest > 0.0].tolist(), fitting, reference)
+        self._believed = reference.boxes if believed is None else perception(batch, members_of(batch, believed))
         self._count.add(reference.checks)
         self._settle(rows[candidates], honest)
 
@@ -131,54 +139,41 @@ class Prbi(Integrity):
         random = stream(self._seed, self._name, "prbi", time_ns)
         shuffled = random.permutation(n)
         order = shuffled[np.argsort(honest[shuffled], kind="stable")]
-        suspicious = floor(estimated(self._checks))
+        suspicious = floor(estimated(self._checks()))
         size = suspicious if suspicious >= 1 else int(random.binomial(n, 0.5))
         split = candidates[order[:size]], candidates[order[size:]]
         return [sorted(group.tolist()) for group in split if len(group)]
 
-    def _remember(self, groups: Sequence[frozenset[str]], normal: Sequence[bool]) -> None:
-        self._checks.extend(zip(groups, normal, strict=True))
-        self._of_batch.append(len(groups))
-        if self.memory is not None and len(self._of_batch) > self.memory:
-            for _ in range(self._of_batch.popleft()):
-                self._checks.popleft()
-        elif len(self._of_batch) > MAX_CHECKS:
-            self._of_batch.popleft()
+    def _checks(self) -> list[Check]:
+        """The remembered checks of all batches."""
+        return [check for checks in self._batches for check in checks]
 
     def _update(self, names: Sequence[str], honest: Floats) -> Floats:
         """(n,) probability that each agent is honest. names, honest: (n,), before the batch"""
-        table = np.array([[name in group for name in names] for group, _ in self._checks], np.bool_)
-        return posterior(table.reshape(-1, len(names)), self._outcomes(), honest, self.short_term)
+        checks = self._checks()
+        table = np.array([[name in group for name in names] for group, _ in checks], np.bool_)
+        normal = np.array([fits for _, fits in checks], np.bool_)
+        return posterior(table.reshape(-1, len(names)), normal, honest, self.short_term)
 
-    def _outcomes(self) -> Bools:
-        return np.array([normal for _, normal in self._checks], np.bool_)
+    def _confirmed(
+        self, above: Sequence[int], normal: Sequence[Sequence[int]], reference: PastReference
+    ) -> Sequence[int] | None:
+        """The agents that are believed if a group was abnormal; None: nobody.
 
-    def _believe(
-        self,
-        batch: Batch,
-        candidates: Ints,
-        honest: Floats,
-        groups: Sequence[Sequence[int]],
-        normal: Sequence[bool],
-        reference: PastReference,
-    ) -> None:
-        """Choose the believed perception of the batch."""
-        believed: Sequence[int] | None = candidates.tolist()
-        if not all(normal):
-            believed = candidates[honest > 0.0].tolist()
-            if not believed or reference.agreement(believed) < self.agree:
-                believed = next((group for group, fits in zip(groups, normal, strict=True) if fits), None)
-        self._believed = reference.boxes if believed is None else perception(batch, members_of(batch, believed))
+        above: agents above 0; normal: groups that were
+        """
+        if above and reference.agreement(above) >= self.agree:
+            return above
+        return normal[0] if normal else None
 
     def _settle(self, rows: Ints, honest: Floats) -> None:
         """Exclude the agents at 0 if the number of attackers has settled at theirs. rows: in the memory of agents"""
-        self._estimates.append(estimated(self._checks))
+        self._estimates.append(estimated(self._checks()))
         number = int((honest == 0.0).sum())
         if number >= 1 and has_settled(list(self._estimates), number, self.settled, self._quantile):
             self._agents.of.excluded[rows[honest == 0.0]] = True
             self._agents.of.honest[rows[honest > 0.0]] = 1.0
-            self._checks.clear()
-            self._of_batch.clear()
+            self._batches.clear()
             self._estimates.clear()
 
 
@@ -209,7 +204,7 @@ class PastReference:
         return jaccard(int(should.sum()), len(boxes.yaw), len(past))
 
 
-def estimated(checks: Sequence[tuple[frozenset[str], bool]]) -> float:
+def estimated(checks: Sequence[Check]) -> float:
     """Number of attackers m = log2(1 / eta), eta being the share of normal groups among those checked.
 
     checks: members of each group, and whether it was normal

@@ -310,7 +310,8 @@ def test_equal_seeds_give_equal_groups_and_reset_starts_anew() -> None:
     [
         ({"agree": 2.0}, "agree: found 2.0, expected 0 to 1"),
         ({"short_term": -0.1}, "short_term: found -0.1, expected 0 to 1"),
-        ({"memory": 0}, "memory: found 0, expected 1 or more"),
+        ({"memory": 0}, "memory: found 0, expected 1 to 500, or None"),
+        ({"memory": 501}, "memory: found 501, expected 1 to 500, or None"),
         ({"settled": 1}, "settled: found 1, expected 2 or more"),
         ({"level": 0.0}, "level: found 0.0, expected more than 0 and less than 1"),
         ({"match_iou": 1.5}, "match_iou: found 1.5, expected more than 0 and at most 1"),
