@@ -15,6 +15,7 @@ from mast_zenoh.metrics.measures import MEASURES
 from mast_zenoh.scenario.reading import checked_name, name_of_file
 from mast_zenoh.security.levels import LEVELS
 from mast_zenoh.study.defences.kinds import DefenceCell
+from mast_zenoh.study.search.plan import SearchPlan, parse_plan
 
 #: The keys of a study, and of one of its `runs`.
 KEYS = {
@@ -28,6 +29,7 @@ KEYS = {
     "runtime": "mesh or inproc",
     "cells": "label to a cell of a study of defences: each trial is evaluated for it (mast_zenoh.study.defences)",
     "per_trial": "launch-time parameters that get each trial's seed and frames: dict(seed=…, frames=…)",
+    "search": "parameters of a run that are searched for the greatest harm (docs/search.md)",
     "security": "security levels at which the attackers in each run's scenario file are tried",
 }
 PER_TRIAL = ("seed", "frames")
@@ -77,6 +79,7 @@ class Study:
 
     cells: by label of configuration, its cell in a study of defences; {}: another study
     per_trial: names of launch-time parameters that get the `seed` and the `frames` of each trial
+    search: what parameters are searched; the trials are then of seeds that the search does not use. None: no search
     """
 
     path: Path
@@ -91,6 +94,7 @@ class Study:
     security: tuple[str, ...] = ()
     cells: Mapping[str, DefenceCell] = field(default_factory=dict)
     per_trial: Mapping[str, str] = field(default_factory=dict)
+    search: SearchPlan | None = None
 
     @property
     def evaluation(self) -> str:
@@ -169,6 +173,7 @@ def _validated(path: Path, content: Any) -> Study:
         security=_levels(content.get("security", ())),
         cells=_cells(content.get("cells", {}), labels),
         per_trial=dict(per_trial),
+        search=parse_plan(content, baseline),
     )
 
 
@@ -214,7 +219,7 @@ def _expand(path: Path, label: Any, run: Any) -> list[Configuration]:
         _check(is_folder, f"runs: found the label {name!r}, expected one that can name a folder")
         sibling = path.parent / str(run["scenario"])  # scenario paths are relative to the study file
         scenario_file = str(sibling) if sibling.is_file() else str(run["scenario"])
-        settings = _settings({**parameters, **point})
+        settings = settings_of({**parameters, **point})
         configurations.append(Configuration(name, str(label), scenario_file, settings, tuple(point.items())))
     return configurations
 
@@ -232,8 +237,8 @@ def _scenes(content: Any) -> tuple[StudyScene, ...]:
         _check(isinstance(scene, Mapping), f"scenes[{index}]: found {scene!r}, {expected}")
     labels = [", ".join(map(str, scene.values())) for scene in scenes]
     if len(set(labels)) < len(labels):
-        labels = [", ".join(_settings(scene)) for scene in scenes]
-    labelled = [StudyScene(label or "default", _settings(scene)) for label, scene in zip(labels, scenes, strict=True)]
+        labels = [", ".join(settings_of(scene)) for scene in scenes]
+    labelled = [StudyScene(label or "default", settings_of(scene)) for label, scene in zip(labels, scenes, strict=True)]
     for index, scene in enumerate(labelled):
         first = labelled.index(scene)
         expected = f"the same as scenes[{first}] ({scene.label}), expected each scene once"
@@ -241,7 +246,8 @@ def _scenes(content: Any) -> tuple[StudyScene, ...]:
     return tuple(labelled)
 
 
-def _settings(parameters: Mapping[str, Any]) -> tuple[str, ...]:
+def settings_of(parameters: Mapping[str, Any]) -> tuple[str, ...]:
+    """Launch-time parameters as for `mast run --set`."""
     return tuple(f"{key}={value}" for key, value in parameters.items())
 
 

@@ -9,8 +9,9 @@ import shlex
 import shutil
 import tempfile
 import time
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -156,24 +157,42 @@ def require(jobs: int, cluster: str | None) -> None:
 
 
 def run_all(trials: Sequence[Trial], *, jobs: int, cluster: str | None) -> Generator[Outcome, None, None]:
-    """Yield the outcome of each trial as it completes, in any order.
+    """Yield the outcome of each trial as it completes, in any order; see `workers`.
+
+    Closing the iterator, as an exception in its consumer does, cancels unfinished trials and stops local workers.
+    """
+    with workers(jobs, cluster) as run_trials:
+        yield from run_trials(trials)
+
+
+#: Yields the outcome of each trial as it completes, in any order; closing it cancels unfinished trials.
+RunTrials = Callable[[Sequence[Trial]], Generator[Outcome, None, None]]
+
+
+@contextmanager
+def workers(jobs: int, cluster: str | None) -> Iterator[RunTrials]:
+    """What runs trials, as often as it is called in this block.
 
     jobs:    local worker processes of one thread each; with 1 the trials run in this process, without dask
     cluster: address of a running Dask scheduler instead, such as tcp://HOST:8786
 
-    Closing the iterator, as an exception in its consumer does, cancels unfinished trials and stops local workers.
+    Local workers are stopped at the end of the block.
     Raises ConfigurationError where dask is needed and not installed, StartError where no scheduler answers.
     """
     if cluster is None and jobs == 1:
-        for trial in trials:
-            yield run(trial)
+        yield _run_here
         return
     require(jobs, cluster)
     with _client(jobs, cluster) as client:
-        yield from _run_on_cluster(client, trials)
+        yield partial(_run_on_cluster, client)
 
 
-def _run_on_cluster(client: Any, trials: Sequence[Trial]) -> Iterator[Outcome]:
+def _run_here(trials: Sequence[Trial]) -> Generator[Outcome, None, None]:
+    for trial in trials:
+        yield run(trial)
+
+
+def _run_on_cluster(client: Any, trials: Sequence[Trial]) -> Generator[Outcome, None, None]:
     """Prepare each scene in one task, on which the trials of that scene depend."""
     from distributed import as_completed
 

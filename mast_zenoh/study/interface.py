@@ -154,6 +154,11 @@ def run(
     options: of `run_once` and `trials.run`
     """
     count = trials or study.trials
+    if study.search is not None:
+        from mast_zenoh.study.search import searching  # other studies do without
+
+        jobs = jobs or execution.default_jobs()
+        return searching.run(study, out, count=count or 1, jobs=jobs, cluster=cluster, resume=resume, **options)
     if count is None and not (jobs or cluster or resume):
         return run_once(study, out, **options)
     jobs = jobs or execution.default_jobs()

@@ -32,7 +32,7 @@ class StudyResult:
     """A finished study with trials.
 
     rows: its estimates; facts: its configurations, seeds and versions; files: all files written; report: HTML page
-    defences: tables and figures of a study of defences
+    own: tables and figures of a study of defences, or of a search, which the terminal shows instead
     """
 
     out: Path
@@ -40,29 +40,40 @@ class StudyResult:
     facts: StudyFacts
     files: list[Path]
     report: Path
-    defences: kinds.StudyFiles | None = None
+    own: kinds.StudyFiles | None = None
 
     def as_rich(self) -> Any:
         """The main tables for the terminal."""
         from mast_zenoh.report.tables import study as study_table
 
-        if self.defences is not None:
-            return self.defences.as_rich()
+        if self.own is not None:
+            return self.own.as_rich()
         return study_table.as_rich(self.rows, self.facts)
 
     def raise_failures(self) -> None:
         """Raises TrialsFailed if any trial failed, with the command that runs each alone."""
-        failed = self.facts.failed
-        if failed:
-            lines = (f"  {f.configuration}, {f.scene}, seed {f.seed}: {f.error}\n    {f.command}" for f in failed)
-            raise TrialsFailed(f"failed trials: {len(failed)}; each can be run alone:\n" + "\n".join(lines))
+        if self.facts.failed:
+            raise trials_failed(self.facts.failed)
 
 
-def write(study: Study, store: Store, trials: Sequence[Trial], failures: Mapping[str, str]) -> StudyResult:
+def trials_failed(failed: Sequence[FailedTrial]) -> TrialsFailed:
+    """The error for trials that failed, with the command that runs each alone."""
+    lines = (f"  {f.configuration}, {f.scene}, seed {f.seed}: {f.error}\n    {f.command}" for f in failed)
+    return TrialsFailed(f"failed trials: {len(failed)}; each can be run alone:\n" + "\n".join(lines))
+
+
+def write(
+    study: Study,
+    store: Store,
+    trials: Sequence[Trial],
+    failures: Mapping[str, str],
+    searched: kinds.StudyFiles | None = None,
+) -> StudyResult:
     """Write all files of a study but study.json, from the trials that its folder has.
 
     trials:   those planned, all of one scene and seed together
     failures: by digest, the error of a trial that failed
+    searched: what a search has written before
     """
     from mast_zenoh.report.figures.study import figures_over_trials
     from mast_zenoh.report.html import write_trials_page  # drawing libraries are slow to load
@@ -83,7 +94,7 @@ def write(study: Study, store: Store, trials: Sequence[Trial], failures: Mapping
         frames=trials[0].frames,
         runtime=trials[0].runtime,
         done=done,
-        failed=tuple(_failed_trial(trial, failures[trial.digest]) for trial in trials if trial.digest in failures),
+        failed=tuple(failed_trial(trial, failures[trial.digest]) for trial in trials if trial.digest in failures),
         environment=dict(pair for trial in trials for pair in trial.environment),
         other_scenes=_configurations_with_other_scenes(trials, study.baseline),
         idle=_idle_attacks(trials),
@@ -104,12 +115,12 @@ def write(study: Study, store: Store, trials: Sequence[Trial], failures: Mapping
         *texts,
         *(name for figure in figures.values() for name in figure.names),
     ]
-    of_defences = None if collection is None else collection.write(store.folder)
-    if of_defences is not None:
-        figures = dict(of_defences.figures)
-        names += of_defences.names
+    own = searched if collection is None else collection.write(store.folder)
+    if own is not None:
+        figures = {**own.figures, **figures}
+        names += own.names
     report = write_trials_page(store.folder, rows, facts, figures)
-    return StudyResult(store.folder, rows, facts, [store.folder / name for name in names], report, of_defences)
+    return StudyResult(store.folder, rows, facts, [store.folder / name for name in names], report, own)
 
 
 def _write_parquet(
@@ -238,7 +249,7 @@ def _idle_attacks(trials: Sequence[Trial]) -> tuple[IdleAttack, ...]:
     )
 
 
-def _failed_trial(trial: Trial, error: str) -> FailedTrial:
+def failed_trial(trial: Trial, error: str) -> FailedTrial:
     """A failed trial for the tables, its error on one line."""
     return FailedTrial(trial.configuration, trial.scene, trial.seed, " ".join(error.split()), trial.command())
 

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 from mast_zenoh import kernels, scenario, scenes
 from mast_zenoh.config import registry
@@ -22,7 +30,7 @@ from mast_zenoh.study import trial as identity
 from mast_zenoh.study.definition import Study
 from mast_zenoh.study.store import Store
 from mast_zenoh.study.tables import StudyResult
-from mast_zenoh.study.trial import Trial
+from mast_zenoh.study.trial import Outcome, Trial
 
 
 def run(
@@ -49,12 +57,8 @@ def run(
 
     Each trial is stored when it is finished. Raises Interrupted on Ctrl-C; the study can then be resumed.
     """
-    execution.require(jobs, cluster)
-    if record and cluster is not None:
-        raise ConfigurationError("--record: runs are kept on the machine that runs them: expected no --cluster")
     console = console or Console(quiet=True)
-    if slower := kernels.notice():
-        console.print(slower, style="yellow", markup=False, highlight=False, soft_wrap=True)
+    check_environment(console, jobs, cluster, record=record)
     seed = study.seed if seed is None else seed
     runtime = runtime or (study.runtime if study.trials else None) or "inproc"
     trials = plan(study, count=count, seed=seed, frames=frames or study.frames, runtime=runtime)
@@ -66,41 +70,57 @@ def run(
     pending = [trial for trial in trials if not resume or store.load(trial) is None or not store.is_kept(trial)]
     if len(pending) < len(trials):
         console.print(f"{len(trials) - len(pending)} of {len(trials)} trials are already done", highlight=False)
-    hint = f"finished trials are kept: to continue, repeat the command with --out {store.folder} --resume"
     with ending.status_written(lambda status: store.write_status(study, trials, failures, status)):
         try:
-            _run_trials(store, pending, failures, jobs, cluster, console)
+            if pending:
+                with (
+                    progress_bars(console) as progress,
+                    closing(execution.run_all(pending, jobs=min(jobs, len(pending)), cluster=cluster)) as outcomes,
+                ):
+                    keep(outcomes, store, failures, progress, progress.add_task("trials", total=len(pending)))
             finished = tables.write(study, store, trials, failures)
         except (KeyboardInterrupt, OSError) as caught:
-            raise ending.with_hint(caught, hint) from None
+            raise ending.with_hint(caught, how_to_continue(store)) from None
     if failures:
         store.write_status(study, trials, failures, "failed")
     return finished
 
 
-def _run_trials(
-    store: Store, pending: Sequence[Trial], failures: dict[str, str], jobs: int, cluster: str | None, console: Console
-) -> None:
-    """Run trials and store their outcomes, with a progress bar."""
-    if not pending:
-        return
+def check_environment(console: Console, jobs: int, cluster: str | None, *, record: bool) -> None:
+    """Raise ConfigurationError for what is not possible here; say that kernels are not compiled."""
+    execution.require(jobs, cluster)
+    if record and cluster is not None:
+        raise ConfigurationError("--record: runs are kept on the machine that runs them: expected no --cluster")
+    if slower := kernels.notice():
+        console.print(slower, style="yellow", markup=False, highlight=False, soft_wrap=True)
+
+
+def how_to_continue(store: Store) -> str:
+    """What to do after an interruption."""
+    return f"finished trials are kept: to continue, repeat the command with --out {store.folder} --resume"
+
+
+def progress_bars(console: Console) -> Progress:
+    """Progress bars of trials."""
     columns = [TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()]
-    with (
-        Progress(*columns, TextColumn("left"), TimeRemainingColumn(), console=console) as progress,
-        closing(execution.run_all(pending, jobs=min(jobs, len(pending)), cluster=cluster)) as outcomes,
-    ):
-        bar = progress.add_task("trials", total=len(pending))
-        for outcome in outcomes:
-            trial = outcome.trial
-            if outcome.error:
-                failures[trial.digest] = outcome.error
-            else:
-                store.save(outcome)
-            if problem := outcome.error or outcome.warning:
-                kind = "failed" if outcome.error else "warning"
-                line = f"{kind}: {trial.configuration}, {trial.scene}, seed {trial.seed}: {problem}"
-                progress.console.print(line, style="yellow", markup=False, highlight=False)
-            progress.advance(bar)
+    return Progress(*columns, TextColumn("left"), TimeRemainingColumn(), console=console)
+
+
+def keep(
+    outcomes: Iterable[Outcome], store: Store, failures: dict[str, str], progress: Progress, bar: TaskID
+) -> None:
+    """Store the outcomes of trials as they complete; failures: gets the error of each that failed, by digest."""
+    for outcome in outcomes:
+        trial = outcome.trial
+        if outcome.error:
+            failures[trial.digest] = outcome.error
+        else:
+            store.save(outcome)
+        if problem := outcome.error or outcome.warning:
+            kind = "failed" if outcome.error else "warning"
+            line = f"{kind}: {trial.configuration}, {trial.scene}, seed {trial.seed}: {problem}"
+            progress.console.print(line, style="yellow", markup=False, highlight=False)
+        progress.advance(bar)
 
 
 def plan(study: Study, *, count: int, seed: int, frames: int | None, runtime: str) -> list[Trial]:

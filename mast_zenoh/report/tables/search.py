@@ -1,0 +1,151 @@
+"""The tables of a search: its result on held-out seeds, the parameters that it found, and its best candidates."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from mast_zenoh.metrics.search_results import CandidateRow, SearchResults, SearchRow
+from mast_zenoh.metrics.study_results import Estimate
+from mast_zenoh.report.tables.study_rows import over_trials
+from mast_zenoh.report.tables.text_table import DASH, ResultTables, TextTable, csv_text, digits, number
+
+#: So many candidates are in the table; all are in candidates.csv.
+MOST = 10
+#: Decimals of parameters.
+_DIGITS = 4
+
+
+def search_tables(results: SearchResults) -> ResultTables:
+    """All tables of a search."""
+    brief = (_held_out(results), _parameters(results))
+    return ResultTables(
+        title=f"Search {results.name}",
+        about=f"{_task(results)} {results.size}. Sampler: {results.sampler}.",
+        size=results.size,
+        tables=(*brief, _best(results)),
+        numbers=(_HEADINGS, [_numbers(row, results) for row in results.rows.values()]),
+        brief=brief,
+    )
+
+
+def _task(results: SearchResults) -> str:
+    return f"{'Maximised' if results.maximise else 'Minimised'}: {results.label} (`{results.objective}`)."
+
+
+def _held_out(results: SearchResults) -> TextTable:
+    rows = results.rows.values()
+    return TextTable(
+        f"{'Maximised' if results.maximise else 'Minimised'}: {results.label}",
+        _optimism(results),
+        (
+            "configuration",
+            "search seeds",
+            "held-out seeds",
+            f"minus {results.baseline}",
+            f"minus {results.default}",
+        ),
+        [
+            (
+                _title(row, results),
+                number(row.search),
+                _estimate(row.held_out),
+                _estimate(row.over_baseline),
+                _estimate(row.over_default),
+            )
+            for row in rows
+        ],
+        1,
+    )
+
+
+def _title(row: SearchRow, results: SearchResults) -> str:
+    roles = {results.baseline: "no attack", results.default: "default"}
+    role = roles.get(row.label, "")
+    return f"{row.label} ({role})" if role and role != row.label else row.label
+
+
+def _optimism(results: SearchResults) -> str:
+    """How far to believe the search's own value."""
+    row = results.rows[results.searched]
+    own = f"on the search's seeds {number(row.search)}, on held-out seeds {number(row.held_out.trial_mean)}"
+    sentences = [
+        f"The search's result is candidate {results.best + 1} of {len(results.candidates)}: {own}. "
+        f"Its optimism is {number(results.optimism)}: only the held-out value is a result."
+    ]
+    if left_out := row.held_out.left_out:
+        sentences.append(f"Left out: {left_out} held-out seeds, because a trial failed or has no value.")
+    if results.without_value:
+        sentences.append(f"Without a value, so never chosen: {results.without_value} candidates.")
+    return " ".join([*sentences, "Brackets: 95 % interval over seeds; differences are paired by scene and seed."])
+
+
+def _estimate(estimate: Estimate) -> str:
+    return over_trials(estimate) if estimate.seeds else DASH
+
+
+def _parameters(results: SearchResults) -> TextTable:
+    return TextTable(
+        "Parameters",
+        "",
+        ("parameter", "range", "default", "searched"),
+        [
+            (name, space, _value(results.defaults.get(name, DASH)), _value(results.found.values[name]))
+            for name, space in results.space.items()
+        ],
+        1,
+    )
+
+
+def _best(results: SearchResults) -> TextTable:
+    """The best candidates on the search's seeds."""
+    known = [each for each in results.candidates if not math.isnan(each.value)]
+    best = sorted(known, key=lambda each: (-each.value if results.maximise else each.value, each.number))[:MOST]
+    return TextTable(
+        f"Best candidates on the search's seeds, {len(best)} of {len(results.candidates)}",
+        "",
+        ("candidate", *results.space, "value"),
+        [(str(each.number + 1), *_values(each, results), number(each.value)) for each in best],
+        1,
+    )
+
+
+def _values(candidate: CandidateRow, results: SearchResults) -> list[str]:
+    return [_value(candidate.values[name]) for name in results.space]
+
+
+def _value(value: object) -> str:
+    """A parameter's value for readers."""
+    return f"{value:.{_DIGITS}g}" if isinstance(value, float) else str(value)
+
+
+_ESTIMATES = ("held_out", "over_baseline", "over_default")
+_HEADINGS = (
+    "configuration",
+    "search",
+    *(f"{name}{suffix}" for name in _ESTIMATES for suffix in ("", "_low", "_high")),
+    "p_over_baseline",
+    "p_over_default",
+    "seeds",
+    "seeds_left_out",
+    "optimism",
+)
+
+
+def _numbers(row: SearchRow, results: SearchResults) -> Sequence[object]:
+    """A line of search.csv, with all digits."""
+    estimates: list[Estimate] = [getattr(row, name) for name in _ESTIMATES]
+    bounds = [value for each in estimates for value in digits(each.trial_mean, each.low, each.high)]
+    p = digits(row.over_baseline.p, row.over_default.p)
+    optimism = digits(results.optimism if row.label == results.searched else math.nan)
+    held_out = row.held_out
+    return [row.label, *digits(row.search), *bounds, *p, held_out.seeds, held_out.left_out, *optimism]
+
+
+def candidates_csv(results: SearchResults) -> str:
+    """All candidates with all digits, in the order in which they were proposed."""
+    lines = [
+        [each.number + 1, each.batch + 1, *(each.values[name] for name in results.space), *digits(each.value, each.best)]
+        for each in results.candidates
+    ]
+    return csv_text(["candidate", "batch", *results.space, "value", "best"], lines)

@@ -1,0 +1,148 @@
+"""The objective of a search: one number of each trial, or the sum of several."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from mast_zenoh.errors import ConfigurationError, nearest
+from mast_zenoh.metrics.estimates import ESTIMATES
+from mast_zenoh.metrics.measures import MEASURES
+from mast_zenoh.metrics.study_results import Series
+from mast_zenoh.study import numbers, statistics
+from mast_zenoh.study.numbers import ACHIEVED, DEFENCE, NAN, SELECTIVE, Number
+
+PICTURE = "picture"
+#: Estimators whose numbers are of all adversaries or agents together.
+_OF_ALL = (ACHIEVED, DEFENCE)
+#: Counts of a whole run, which charts over time show per frame.
+_PER_RUN = ("id_switches",)
+#: Suffix of a number minus the baseline's: in the baseline it is 0 by definition.
+_OVER_BASELINE = "_iob"
+
+
+class Term(NamedTuple):
+    """A number of results.parquet; owner: the column `who`, None for the agent that is scored."""
+
+    owner: str | None
+    estimator: str
+    metric: str
+
+    def series(self, ego: str) -> Series:
+        """Its series in a run; ego: the agent that is scored."""
+        return Series(ego if self.owner is None else self.owner, self.estimator, self.metric)
+
+    @property
+    def text(self) -> str:
+        """As in a study file, in full."""
+        return "/".join(part for part in self if part is not None)
+
+
+@dataclass(frozen=True, slots=True)
+class Objective:
+    """The sum of its terms.
+
+    text: as in the study file
+    """
+
+    text: str
+    terms: tuple[Term, ...]
+
+    def value(self, trial_numbers: Iterable[Number], ego: str, *, of_baseline: bool = False) -> float:
+        """The value of a trial; NaN if it lacks a number.
+
+        trial_numbers: of `numbers.values`;  ego: the agent that is scored
+        of_baseline:   whether the trial is of the baseline, whose difference from itself is 0
+        """
+        by_series = {Series(*each[:3]): each.value for each in trial_numbers}
+        parts = (
+            0.0 if of_baseline and term.metric.endswith(_OVER_BASELINE) else by_series.get(term.series(ego), NAN)
+            for term in self.terms
+        )
+        return float(sum(parts))
+
+    def check(self, trial_numbers: Iterable[Number], ego: str, place: str) -> None:
+        """Raise ConfigurationError for a number that a trial under attack does not have."""
+        known = list(dict.fromkeys(Series(*each[:3]) for each in trial_numbers))
+        for term in self.terms:
+            series = term.series(ego)
+            if series not in known:
+                raise ConfigurationError(f"{place}: {_unknown(series, known)}")
+
+    def bounds(self, ego: str) -> tuple[float, float]:
+        """The smallest and the largest possible value."""
+        limits = [statistics.value_range(term.series(ego)) for term in self.terms]
+        return sum(low for low, _ in limits), sum(high for _, high in limits)
+
+    def is_rate(self, trial_numbers: Iterable[Number], ego: str) -> bool:
+        """Whether values are 0 or 1, so that their mean is a rate."""
+        binary = {Series(*each[:3]) for each in trial_numbers if each.binary}
+        return len(self.terms) == 1 and self.terms[0].series(ego) in binary
+
+    @property
+    def label(self) -> str:
+        """In words, with the unit, for tables and figures: `missed objects + false objects per frame, picture`."""
+        names = [_name_and_unit(term.metric) for term in self.terms]
+        units = list(dict.fromkeys(unit for _, unit in names))
+        unit = units[0] if len(units) == 1 else ""
+        places = list(dict.fromkeys(_place(term) for term in self.terms))
+        words = [name if len(places) == 1 else f"{name} ({_place(t)})" for (name, _), t in zip(names, self.terms, strict=True)]
+        place = f", {places[0]}" if len(places) == 1 and places[0] else ""
+        return f"{' + '.join(words)}{f' {unit}' if unit else ''}{place}"
+
+
+def parse_objective(text: Any, place: str) -> Objective:
+    """The objective from text: `METRIC`, `ESTIMATOR/METRIC`, `WHO/ESTIMATOR/METRIC`, or a sum of these.
+
+    place: its key, for errors. Raises ConfigurationError.
+    """
+    parts = [part.strip() for part in text.split("+")] if isinstance(text, str) else []
+    if not parts or not all(parts):
+        raise ConfigurationError(f"{place}: found {text!r}, expected a metric such as 'fn + fp' or 'mission/fn'")
+    terms = tuple(_term(part, place) for part in parts)
+    if len(set(terms)) < len(terms):
+        raise ConfigurationError(f"{place}: found {text!r}, expected each number once")
+    return Objective(" + ".join(parts), terms)
+
+
+def _term(text: str, place: str) -> Term:
+    words = text.split("/")
+    if len(words) > 3 or not all(words):
+        raise ConfigurationError(f"{place}: found {text!r}, expected METRIC, ESTIMATOR/METRIC or WHO/ESTIMATOR/METRIC")
+    metric, estimator = words[-1], words[-2] if len(words) > 1 else PICTURE
+    if metric in SELECTIVE:
+        raise ConfigurationError(f"{place}: {metric!r} has no mean: expected '{numbers.DRIVING}.critical'")
+    owner = words[0] if len(words) == 3 else "all" if estimator in _OF_ALL else None
+    return Term(owner, estimator, metric)
+
+
+def _unknown(series: Series, known: Sequence[Series]) -> str:
+    """What is unknown about a series, with the nearest that is known."""
+    owners = [each for each in known if each.owner == series.owner]
+    if not owners:
+        return f"no numbers of {series.owner!r} in the runs{nearest(series.owner, {each.owner for each in known})}"
+    of_estimator = [each for each in owners if each.estimator == series.estimator]
+    if not of_estimator:
+        estimators = {each.estimator for each in owners}
+        return f"no estimator {series.estimator!r} of {series.owner!r}{nearest(series.estimator, estimators)}"
+    hint = nearest(series.metric, {each.metric for each in of_estimator})
+    return f"no metric {series.metric!r} of {series.owner!r}, {series.estimator!r}{hint}"
+
+
+def _name_and_unit(metric: str) -> tuple[str, str]:
+    """A metric in words, and its unit."""
+    base = metric.removesuffix(_OVER_BASELINE)
+    added = " added" if base != metric else ""
+    measure = MEASURES.get(base)
+    if measure is None or not measure.axis:
+        return f"{base.replace('_', ' ')}{added}", ""
+    words = " ".join(measure.axis.split())
+    name, per_frame, _ = words.partition(" per frame")
+    return f"{name}{added}", "per run" if base in _PER_RUN else per_frame.strip()
+
+
+def _place(term: Term) -> str:
+    """Whose number it is, in words."""
+    estimator = ESTIMATES[term.estimator].column if term.estimator in ESTIMATES else term.estimator
+    return estimator if term.owner in (None, "all") else f"{term.owner}: {estimator}"
