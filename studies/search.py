@@ -1,9 +1,9 @@
 """Attack parameters that harm most: searched on some seeds, measured on others."""
 
-from mast_zenoh.study.defences import junctions, words
+from mast_zenoh.study.defences import words
 
 # Of the scenario defence_cell: what is not chosen otherwise.
-CELL = dict(attack="SlowDrift", defence="FaultOrLie", knowledge="trust", budget=2.0, placement="worst")
+CELL = dict(attack="Collusion", defence="FaultOrLie", knowledge="trust", budget=2.0, placement="worst")
 
 
 def study(
@@ -15,14 +15,14 @@ def study(
     placement=None,
     n_adversaries=2,
     parameters=None,
-    ranges="attack.rate_mps=0.02..2.0 log; attack.limit_m=0.5..6.0; attack.tolerance=0.01..0.3 log",
+    ranges="attack.speed_mps=0.0..15.0; attack.tolerance=0.01..0.3 log; attack.reselect_every_s=1.0..20.0 log",
     objective="fn + fp",
     direction="maximise",
     candidates=40,
     batch=8,
     seeds=3,
     sampler="TPE",
-    scenes=junctions(8, 9),
+    scenes="intersection:8,intersection:9",
     trials=20,
     frames=130,
     seed=0,
@@ -30,7 +30,7 @@ def study(
     """No attack, an attack with its own parameters, and with those that a search finds.
 
     scenario: defence_cell, or another one that has n_adversaries;
-    attack, defence, knowledge, budget, placement: of defence_cell; None: SlowDrift on FaultOrLie, white box, two lies
+    attack, defence, knowledge, budget, placement: of defence_cell; None: Collusion on FaultOrLie, white box, two lies
     per second of each adversary, at the agents that cover the most objects. An attack may be a dict with parameters;
     n_adversaries: agents compromised; parameters: others of the scenario, as a dict;
     ranges: NAME=LOW..HIGH, NAME=LOW..HIGH log or NAME=A|B, separated by semicolons; attack.NAME is one of the attack's;

@@ -74,6 +74,9 @@ def study(
     ],
     settings: options.Settings = None,
     trials: Annotated[int | None, typer.Option(min=1, help="Seeds for each configuration and scene.")] = None,
+    candidates: Annotated[
+        int | None, typer.Option(min=1, help="How many choices of attack parameters a search tries.")
+    ] = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="Concurrent trials; all cores if dask is installed.")] = None,
     cluster: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Address of a Dask scheduler, tcp://HOST:8786.")
@@ -89,12 +92,21 @@ def study(
     """Run the scenarios of a study and compare them.
 
     Each runs once, with a report, or as many trials, with intervals.
+
+    A study with a search (`search`) first looks for the attack parameters that harm most.
     """
     from mast_zenoh.study import definition
 
     loaded = definition.load(study_file, settings or ())
     if loaded.security:
-        words = {"--trials": trials, "--jobs": jobs, "--cluster": cluster, "--resume": resume, "--record": record}
+        words = {
+            "--trials": trials,
+            "--candidates": candidates,
+            "--jobs": jobs,
+            "--cluster": cluster,
+            "--resume": resume,
+            "--record": record,
+        }
         words |= {"--allow-failures": allow_failures, "--runtime": runtime == "inproc"}
         invalid = ", ".join(name for name, value in words.items() if value)
         problem = f"attackers run once at each level, on the mesh: expected no {invalid}"
@@ -103,7 +115,13 @@ def study(
         return
     from mast_zenoh.study import interface
 
-    number: dict[str, Any] = {"trials": trials, "jobs": jobs, "cluster": cluster, "resume": resume}
+    number: dict[str, Any] = {
+        "trials": trials,
+        "candidates": candidates,
+        "jobs": jobs,
+        "cluster": cluster,
+        "resume": resume,
+    }
     chosen: dict[str, Any] = {"frames": frames, "seed": seed, "runtime": runtime}
     chosen |= {"allow_failures": allow_failures, "record": record}
     finished = interface.run(loaded, out, **number, **chosen, console=_out)

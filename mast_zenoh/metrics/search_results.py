@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -77,7 +78,23 @@ class SearchResults:
     def optimism(self) -> float:
         """By how much the search's value of its result is better than that on held-out seeds; NaN: unknown."""
         row = self.rows[self.searched]
-        return (row.search - row.held_out.trial_mean) * (1.0 if self.maximise else -1.0)
+        return self._sign * (row.search - row.held_out.trial_mean)
+
+    @property
+    def optimism_over_baseline(self) -> float:
+        """The same of the differences from no attack, for which it does not matter how hard seeds are; NaN: unknown."""
+        row = self.rows[self.searched]
+        return self._sign * (row.search - self.rows[self.baseline].search - row.over_baseline.trial_mean)
+
+    @property
+    def over_baseline(self) -> bool:
+        """Whether the objective has a value without the attack, so that differences from it are known."""
+        baseline = self.rows[self.baseline]
+        return not math.isnan(baseline.search) and not math.isnan(baseline.held_out.trial_mean)
+
+    @property
+    def _sign(self) -> float:
+        return 1.0 if self.maximise else -1.0
 
     @property
     def size(self) -> str:
@@ -89,4 +106,4 @@ class SearchResults:
     @property
     def without_value(self) -> int:
         """Number of candidates without a value, because a trial of theirs had none."""
-        return sum(row.value != row.value for row in self.candidates)
+        return sum(math.isnan(row.value) for row in self.candidates)

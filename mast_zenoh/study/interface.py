@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import inspect
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +93,7 @@ def carry_out(
     study: str | Path,
     *,
     trials: int | None = None,
+    candidates: int | None = None,
     jobs: int | None = None,
     cluster: str | None = None,
     resume: bool = False,
@@ -109,6 +110,7 @@ def carry_out(
     study:      name of a shipped study (`mast.list("studies")`), or a file
     parameters: arguments of the study's function
     trials:     seeds for each configuration and scene; None: the study's own number, or else one run per configuration
+    candidates: how many choices of the parameters a search tries; None: the study's own number
     jobs:       trials at a time; None: the number of cores if dask is installed, else 1
     cluster:    address of a Dask scheduler, tcp://HOST:8786;  resume: continue the unfinished study in `out`
     record:     write every message; with trials, keep the run of each below `runs` of the study's folder
@@ -128,7 +130,8 @@ def carry_out(
     folder = None if out is None else Path(out)
     chosen: dict[str, Any] = {"frames": frames, "seed": seed, "runtime": runtime, "allow_failures": allow_failures}
     chosen["record"] = record
-    finished = run(loaded, folder, trials=trials, jobs=jobs, cluster=cluster, resume=resume, **chosen)
+    numbers: dict[str, Any] = {"trials": trials, "candidates": candidates, "jobs": jobs}
+    finished = run(loaded, folder, **numbers, cluster=cluster, resume=resume, **chosen)
     if isinstance(finished, StudyResult):
         _raise(finished, finished.out)
         return FinishedStudy(finished.out, finished.report, {}, as_text(finished.as_rich()))
@@ -147,12 +150,17 @@ def run(
     jobs: int | None,
     cluster: str | None,
     resume: bool,
+    candidates: int | None = None,
     **options: Any,
 ) -> ComparisonResult | StudyResult:
-    """Run every configuration once, or trials of all if their number is given, or an option of trials.
+    """Run every configuration once, or trials of all if their number is given, or an option of trials; or search.
 
-    options: of `run_once` and `trials.run`
+    candidates: of a search, instead of the study's own number
+    options: of `run_once`, `trials.run` and `searching.run`
+    Raises ConfigurationError for candidates of a study without a search.
     """
+    if candidates is not None:
+        study = with_candidates(study, candidates)
     count = trials or study.trials
     if study.search is not None:
         from mast_zenoh.study.search import searching  # other studies do without
@@ -163,6 +171,15 @@ def run(
         return run_once(study, out, **options)
     jobs = jobs or execution.default_jobs()
     return repeated_runs.run(study, out, count=count or 1, jobs=jobs, cluster=cluster, resume=resume, **options)
+
+
+def with_candidates(study: Study, count: int) -> Study:
+    """The study with another number of candidates; raises ConfigurationError if it has no search."""
+    if study.search is None:
+        raise ConfigurationError(f"{study.path}: has no search, so no candidates: expected a study with a key `search`")
+    if type(count) is not int or count < 1:
+        raise ConfigurationError(f"candidates: found {count!r}, expected a whole number from 1")
+    return replace(study, search=replace(study.search, candidates=count))
 
 
 def _raise(finished: Any, folder: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -106,9 +106,7 @@ def progress_bars(console: Console) -> Progress:
     return Progress(*columns, TextColumn("left"), TimeRemainingColumn(), console=console)
 
 
-def keep(
-    outcomes: Iterable[Outcome], store: Store, failures: dict[str, str], progress: Progress, bar: TaskID
-) -> None:
+def keep(outcomes: Iterable[Outcome], store: Store, failures: dict[str, str], progress: Progress, bar: TaskID) -> None:
     """Store the outcomes of trials as they complete; failures: gets the error of each that failed, by digest."""
     for outcome in outcomes:
         trial = outcome.trial

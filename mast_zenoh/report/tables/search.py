@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from mast_zenoh.metrics.search_results import CandidateRow, SearchResults, SearchRow
-from mast_zenoh.metrics.study_results import Estimate
+from mast_zenoh.metrics.study_results import Estimate, plural
 from mast_zenoh.report.tables.study_rows import over_trials
 from mast_zenoh.report.tables.text_table import DASH, ResultTables, TextTable, csv_text, digits, number
 
@@ -34,9 +34,8 @@ def _task(results: SearchResults) -> str:
 
 
 def _held_out(results: SearchResults) -> TextTable:
-    rows = results.rows.values()
     return TextTable(
-        f"{'Maximised' if results.maximise else 'Minimised'}: {results.label}",
+        _task(results).rstrip("."),
         _optimism(results),
         (
             "configuration",
@@ -53,7 +52,7 @@ def _held_out(results: SearchResults) -> TextTable:
                 _estimate(row.over_baseline),
                 _estimate(row.over_default),
             )
-            for row in rows
+            for row in results.rows.values()
         ],
         1,
     )
@@ -68,15 +67,22 @@ def _title(row: SearchRow, results: SearchResults) -> str:
 def _optimism(results: SearchResults) -> str:
     """How far to believe the search's own value."""
     row = results.rows[results.searched]
-    own = f"on the search's seeds {number(row.search)}, on held-out seeds {number(row.held_out.trial_mean)}"
     sentences = [
-        f"The search's result is candidate {results.best + 1} of {len(results.candidates)}: {own}. "
-        f"Its optimism is {number(results.optimism)}: only the held-out value is a result."
+        f"The result is candidate {results.best + 1} of {len(results.candidates)}. Optimism of the search: "
+        f"{number(row.search)} on its own seeds, {number(row.held_out.trial_mean)} on held-out seeds, "
+        f"{number(results.optimism)} too good"
     ]
+    if results.over_baseline:
+        own = row.search - results.rows[results.baseline].search
+        sentences[0] += (
+            f"; as the difference from {results.baseline}, {number(own)} and {number(row.over_baseline.trial_mean)}, "
+            f"{number(results.optimism_over_baseline)} too good"
+        )
+    sentences[0] += "."
     if left_out := row.held_out.left_out:
-        sentences.append(f"Left out: {left_out} held-out seeds, because a trial failed or has no value.")
+        sentences.append(f"Left out: {plural(left_out, 'held-out seed')}, because a trial failed or has no value.")
     if results.without_value:
-        sentences.append(f"Without a value, so never chosen: {results.without_value} candidates.")
+        sentences.append(f"Without a value, so never chosen: {plural(results.without_value, 'candidate')}.")
     return " ".join([*sentences, "Brackets: 95 % interval over seeds; differences are paired by scene and seed."])
 
 
@@ -129,6 +135,7 @@ _HEADINGS = (
     "seeds",
     "seeds_left_out",
     "optimism",
+    "optimism_over_baseline",
 )
 
 
@@ -137,7 +144,8 @@ def _numbers(row: SearchRow, results: SearchResults) -> Sequence[object]:
     estimates: list[Estimate] = [getattr(row, name) for name in _ESTIMATES]
     bounds = [value for each in estimates for value in digits(each.trial_mean, each.low, each.high)]
     p = digits(row.over_baseline.p, row.over_default.p)
-    optimism = digits(results.optimism if row.label == results.searched else math.nan)
+    both = (results.optimism, results.optimism_over_baseline)
+    optimism = digits(*both) if row.label == results.searched else ["", ""]
     held_out = row.held_out
     return [row.label, *digits(row.search), *bounds, *p, held_out.seeds, held_out.left_out, *optimism]
 
@@ -145,7 +153,12 @@ def _numbers(row: SearchRow, results: SearchResults) -> Sequence[object]:
 def candidates_csv(results: SearchResults) -> str:
     """All candidates with all digits, in the order in which they were proposed."""
     lines = [
-        [each.number + 1, each.batch + 1, *(each.values[name] for name in results.space), *digits(each.value, each.best)]
+        [
+            each.number + 1,
+            each.batch + 1,
+            *(each.values[name] for name in results.space),
+            *digits(each.value, each.best),
+        ]
         for each in results.candidates
     ]
     return csv_text(["candidate", "batch", *results.space, "value", "best"], lines)

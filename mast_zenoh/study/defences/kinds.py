@@ -41,7 +41,7 @@ class DefenceCell:
 
 @dataclass(frozen=True, slots=True)
 class StudyFiles:
-    """What a study of defences, or a search, wrote: figures for the page, names of all files, and the tables for the terminal."""
+    """What a study of defences, or a search, wrote: figures for the page, file names, and tables for the terminal."""
 
     figures: Mapping[str, RenderedFigure]
     names: Sequence[str]

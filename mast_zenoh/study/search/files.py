@@ -52,6 +52,7 @@ def as_json(results: SearchResults) -> dict[str, Any]:
             "candidate": results.best + 1,
             "values": dict(results.found.values),
             "optimism": results.optimism,
+            "optimism_over_baseline": results.optimism_over_baseline,
         },
         "results": [_row(row) for row in results.rows.values()],
         "candidates": [

@@ -87,7 +87,10 @@ class Objective:
         units = list(dict.fromkeys(unit for _, unit in names))
         unit = units[0] if len(units) == 1 else ""
         places = list(dict.fromkeys(_place(term) for term in self.terms))
-        words = [name if len(places) == 1 else f"{name} ({_place(t)})" for (name, _), t in zip(names, self.terms, strict=True)]
+        words = [
+            name if len(places) == 1 else f"{name} ({_place(t)})"
+            for (name, _), t in zip(names, self.terms, strict=True)
+        ]
         place = f", {places[0]}" if len(places) == 1 and places[0] else ""
         return f"{' + '.join(words)}{f' {unit}' if unit else ''}{place}"
 

@@ -70,7 +70,9 @@ def parse_plan(content: Mapping[str, Any], baseline: str) -> SearchPlan | None:
         _check(key in section, f"search.{key}: missing, expected {KEYS[key]}")
     for key in _EXCLUDED:
         _check(not content.get(key), f"search: this study has `{key}` too, expected one of them")
-    _check(content.get("trials"), "trials: missing, expected the number of seeds on which the search's result is measured")
+    _check(
+        content.get("trials"), "trials: missing, expected the number of seeds on which the search's result is measured"
+    )
     runs, label = content["runs"], section["run"]
     _check(label in runs, f"search.run: found {label!r}{nearest(str(label), map(str, runs))}")
     _check(not runs[label].get("grid"), f"search.run: {label!r} has a grid, expected one configuration")

@@ -77,15 +77,11 @@ def search(space: Space, effort: Effort, evaluate: Evaluate) -> list[Candidate]:
     distributions = {name: _distribution(values) for name, values in space.items()}
     done: list[Candidate] = []
     with _quiet():
-        study = optuna.create_study(
-            sampler=_sampler(effort), direction="maximize" if effort.maximise else "minimize"
-        )
+        study = optuna.create_study(sampler=_sampler(effort), direction="maximize" if effort.maximise else "minimize")
         for first in range(0, effort.candidates, effort.batch):
             count = min(effort.batch, effort.candidates - first)
             asked = [study.ask(distributions) for _ in range(count)]
-            batch = [
-                Candidate(trial.number, first // effort.batch, _values(space, trial.params)) for trial in asked
-            ]
+            batch = [Candidate(trial.number, first // effort.batch, _values(space, trial.params)) for trial in asked]
             for trial, candidate, value in zip(asked, batch, evaluate(batch), strict=True):
                 known = math.isfinite(value)
                 if known:

@@ -103,7 +103,7 @@ class Conditions:
 
 @dataclass(slots=True)
 class _State:
-    """What study.json says at any time: the study, the trials planned up to then, and the errors of those that failed."""
+    """What study.json says at any time: the study, its planned trials up to then, and the errors of failed ones."""
 
     study: Study
     planned: list[Trial] = field(default_factory=list)
@@ -149,9 +149,7 @@ class Runs:
         known = {(trial.digest, trial.configuration) for trial in self._state.planned}
         self._state.planned += [trial for trial in todo if (trial.digest, trial.configuration) not in known]
         missing = {
-            trial.digest: trial
-            for trial in todo
-            if self._store.load(trial) is None or not self._store.is_kept(trial)
+            trial.digest: trial for trial in todo if self._store.load(trial) is None or not self._store.is_kept(trial)
         }
         self.progress.advance(bar, len(todo) - len(missing))
         if missing:
@@ -219,9 +217,7 @@ class Search:
     def _evaluate(self, batch: Sequence[Candidate], bar: TaskID) -> list[float]:
         done = f"candidates {batch[0].number + 1} to {batch[-1].number + 1} of {self.plan.candidates}"
         self.runs.progress.update(bar, description=done)
-        configurations = [
-            configuration(self.runs.study, each, f"{CANDIDATE}{each.number + 1}") for each in batch
-        ]
+        configurations = [configuration(self.runs.study, each, f"{CANDIDATE}{each.number + 1}") for each in batch]
         return [self._mean(outcomes) for outcomes in self.runs.outcomes(configurations, self.plan.seeds, bar)]
 
     def _mean(self, outcomes: Sequence[Outcome]) -> float:

@@ -134,7 +134,9 @@ def with_values(parameters: Mapping[str, Any], values: Mapping[str, Any], place:
 def _with_entry(content: Any, steps: Sequence[str], value: Any, place: str) -> dict[str, Any]:
     """A copy of nested dicts with another entry."""
     if not isinstance(content, Mapping):
-        raise ConfigurationError(f"{place} is {content!r}, expected a dict, such as dict(type=…), that can have entries")
+        raise ConfigurationError(
+            f"{place} is {content!r}, expected a dict, such as dict(type=…), that can have entries"
+        )
     first, *others = steps
     inner = _with_entry(content.get(first, {}), others, value, f"{place}.{first}") if others else value
     return {**content, first: inner}
