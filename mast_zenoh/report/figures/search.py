@@ -39,7 +39,7 @@ def search_figure(results: SearchResults) -> RenderedFigure:
     in_order, held_out = figure.subplots(1, 2, sharey=True, width_ratios=(2.1, 1.0))
     _candidates(in_order, results)
     _held_out(held_out, results)
-    label = f"{results.label}, minus {results.baseline}" if results.over_baseline else results.label
+    label = f"{results.label}, minus no attack" if results.over_baseline else results.label
     in_order.set_ylabel(plain("\n".join(textwrap.wrap(label, _LABEL))), fontsize=9.5, color=INK)
     handles, labels = in_order.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper left", ncols=5, frameon=False, fontsize=9, labelcolor=INK)

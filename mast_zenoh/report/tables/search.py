@@ -41,12 +41,12 @@ def _held_out(results: SearchResults) -> TextTable:
             "configuration",
             "search seeds",
             "held-out seeds",
-            f"minus {results.baseline}",
-            f"minus {results.default}",
+            "minus no attack",
+            "minus default",
         ),
         [
             (
-                _title(row, results),
+                row.label,
                 number(row.search),
                 _estimate(row.held_out),
                 _estimate(row.over_baseline),
@@ -56,12 +56,6 @@ def _held_out(results: SearchResults) -> TextTable:
         ],
         1,
     )
-
-
-def _title(row: SearchRow, results: SearchResults) -> str:
-    roles = {results.baseline: "no attack", results.default: "default"}
-    role = roles.get(row.label, "")
-    return f"{row.label} ({role})" if role and role != row.label else row.label
 
 
 def _optimism(results: SearchResults) -> str:
@@ -75,7 +69,7 @@ def _optimism(results: SearchResults) -> str:
     if results.over_baseline:
         own = row.search - results.rows[results.baseline].search
         sentences[0] += (
-            f"; as the difference from {results.baseline}, {number(own)} and {number(row.over_baseline.trial_mean)}, "
+            f"; as the difference from no attack, {number(own)} and {number(row.over_baseline.trial_mean)}, "
             f"{number(results.optimism_over_baseline)} too good"
         )
     sentences[0] += "."
@@ -83,7 +77,8 @@ def _optimism(results: SearchResults) -> str:
         sentences.append(f"Left out: {plural(left_out, 'held-out seed')}, because a trial failed or has no value.")
     if results.without_value:
         sentences.append(f"Without a value, so never chosen: {plural(results.without_value, 'candidate')}.")
-    return " ".join([*sentences, "Brackets: 95 % interval over seeds; differences are paired by scene and seed."])
+    roles = f"No attack: {results.baseline}. Default: {results.default}."
+    return " ".join([roles, *sentences, "Brackets: 95 % interval over seeds; differences are paired by scene and seed."])
 
 
 def _estimate(estimate: Estimate) -> str:
@@ -96,11 +91,20 @@ def _parameters(results: SearchResults) -> TextTable:
         "",
         ("parameter", "range", "default", "searched"),
         [
-            (name, space, _value(results.defaults.get(name, DASH)), _value(results.found.values[name]))
-            for name, space in results.space.items()
+            (short, space, _value(results.defaults.get(name, DASH)), _value(results.found.values[name]))
+            for short, (name, space) in zip(short_names(list(results.space)), results.space.items(), strict=True)
         ],
         1,
     )
+
+
+def short_names(names: Sequence[str]) -> list[str]:
+    """Dotted names without their first steps, as far as they stay different: `selection.region` becomes `region`."""
+    steps = [name.split(".") for name in names]
+    kept = next(
+        n for n in range(1, 1 + max(map(len, steps))) if len({tuple(each[-n:]) for each in steps}) == len(names)
+    )
+    return [".".join(each[-kept:]) for each in steps]
 
 
 def _best(results: SearchResults) -> TextTable:
@@ -110,7 +114,7 @@ def _best(results: SearchResults) -> TextTable:
     return TextTable(
         f"Best candidates on the search's seeds, {len(best)} of {len(results.candidates)}",
         "",
-        ("candidate", *results.space, "value"),
+        ("candidate", *short_names(list(results.space)), "value"),
         [(str(each.number + 1), *_values(each, results), number(each.value)) for each in best],
         1,
     )

@@ -51,7 +51,7 @@ class Choices:
         return self.values
 
     def __str__(self) -> str:
-        return "|".join(map(str, self.values))
+        return " | ".join(map(str, self.values))
 
 
 #: By name of a parameter, what it may be. A dotted name is a path in the scenario, or in a parameter that is a dict.

@@ -1,0 +1,160 @@
+"""The tables and the figure of a search."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from rich.console import Console
+from search_samples import BASELINE, DEFAULT, SEARCHED, estimate, results
+
+from mast_zenoh.metrics.search_results import SearchResults, SearchRow
+from mast_zenoh.metrics.study_results import Estimate
+from mast_zenoh.report.figures import search as search_figures
+from mast_zenoh.report.figures.style import Figure
+from mast_zenoh.report.tables.search import candidates_csv, search_tables, short_names
+
+
+def shown(of: SearchResults) -> str:
+    console = Console(width=200, file=io.StringIO(), record=True)
+    console.print(search_tables(of).as_rich())
+    return console.export_text()
+
+
+def test_terminal_tables_fit_80_columns_and_have_all_held_out_numbers() -> None:
+    text = shown(results())
+    assert max(map(len, text.splitlines())) <= 80
+    words = " ".join(text.split())
+    for part in ("Maximised: missed objects + false objects per frame, picture", "fraction_false_negatives", "1.235"):
+        assert part in words
+    for part in ("[2.55,", "2.95]", "[1.30,", "1.70]", "[0.80,", "1.20]"):
+        assert part in words
+    assert "…" not in text
+
+
+def test_the_optimism_is_in_words_with_and_without_the_hardness_of_seeds() -> None:
+    words = " ".join(shown(results()).split())
+    assert "The result is candidate 3 of 5." in words
+    assert "3.25 on its own seeds, 2.75 on held-out seeds, 0.50 too good" in words
+    assert "as the difference from no attack, 1.75 and 1.50, 0.25 too good." in words
+    assert "Without a value, so never chosen: 1 candidate." in words
+    assert results().optimism == 0.5
+    assert results(maximise=False).optimism == -0.5
+    assert results().optimism_over_baseline == 0.25
+
+
+def test_without_a_value_of_no_attack_only_the_plain_optimism_is_given() -> None:
+    made = results()
+    made = replace(made, rows={**made.rows, BASELINE: SearchRow(BASELINE)})
+    assert not made.over_baseline
+    words = " ".join(shown(made).split())
+    assert "0.50 too good. " in words
+    assert "difference from no attack," not in words
+
+
+def test_seeds_left_out_are_counted() -> None:
+    made = results()
+    row = replace(made.rows[SEARCHED], held_out=replace(estimate(2.75), left_out=2))
+    assert "Left out: 2 held-out seeds" in " ".join(shown(replace(made, rows={**made.rows, SEARCHED: row})).split())
+
+
+def test_csv_has_a_line_for_each_configuration_and_all_digits() -> None:
+    lines = list(csv.DictReader(search_tables(results()).as_csv().splitlines()))
+    assert [line["configuration"] for line in lines] == [BASELINE, DEFAULT, SEARCHED]
+    assert {float(lines[2][name]) for name in ("held_out", "over_baseline", "over_default")} == {2.75, 1.5, 1.0}
+    assert [line["optimism"] for line in lines] == ["", "", "0.5"]
+    assert lines[0]["over_baseline"] == ""
+
+
+def test_candidates_csv_has_every_candidate_and_the_best_up_to_it() -> None:
+    lines = list(csv.DictReader(candidates_csv(results()).splitlines()))
+    assert [line["candidate"] for line in lines] == ["1", "2", "3", "4", "5"]
+    assert [line["batch"] for line in lines] == ["1", "1", "2", "2", "3"]
+    assert [line["value"] for line in lines] == ["2.5", "", "3.25", "3.0", "3.25"]
+    assert [line["best"] for line in lines] == ["2.5", "2.5", "3.25", "3.25", "3.25"]
+    assert lines[0]["attack.budget"] == "1.23456789"
+
+
+def test_markdown_lists_the_best_candidates_and_names_the_sampler() -> None:
+    text = search_tables(results()).as_markdown()
+    assert "Sampler: TPE (Optuna 4.9.0)" in text
+    assert "Best candidates on the search's seeds, 4 of 5" in text
+    best = text.split("## Best candidates")[1].splitlines()[4:]
+    assert [line.split(" | ")[0].removeprefix("| ") for line in best] == ["3", "5", "4", "1"]
+
+
+@pytest.mark.parametrize(
+    ("names", "short"),
+    [
+        (["a.b.x", "a.c.y"], ["x", "y"]),
+        (["a.b.x", "a.c.x"], ["b.x", "c.x"]),
+        (["x", "attack.x"], ["x", "attack.x"]),
+        (["n_adversaries"], ["n_adversaries"]),
+    ],
+)
+def test_names_of_parameters_are_short_and_stay_different(names: list[str], short: list[str]) -> None:
+    assert short_names(names) == short
+
+
+def drawn(of: SearchResults, monkeypatch: pytest.MonkeyPatch) -> Figure:
+    """The figure before it is rendered."""
+    kept: list[Figure] = []
+    monkeypatch.setattr(search_figures, "render", lambda _, figure, *__, **___: kept.append(figure))
+    search_figures.search_figure(of)
+    FigureCanvasAgg(kept[0])
+    kept[0].draw_without_rendering()
+    return kept[0]
+
+
+def points(axes: Axes) -> list[tuple[float, float]]:
+    """The points of all error bars."""
+    return [tuple(map(float, each.lines[0].get_xydata()[0])) for each in axes.containers]  # type: ignore[misc]
+
+
+def test_the_figure_shows_differences_from_no_attack_on_both_kinds_of_seeds(monkeypatch) -> None:
+    in_order, held_out = drawn(results(), monkeypatch).axes
+    offsets = np.asarray(in_order.collections[0].get_offsets())
+    assert offsets[:, 0].tolist() == [1, 2, 3, 4, 5]
+    assert offsets[[0, 2], 1].tolist() == [1.0, 1.75]
+    assert points(held_out) == [(0.0, 0.5), (1.0, 1.5)]
+    assert [text.get_text() for text in held_out.get_xticklabels()] == [DEFAULT, SEARCHED]
+    rings = [line for axes in (in_order, held_out) for line in axes.lines if line.get_markerfacecolor() == "none"]
+    assert [tuple(map(float, line.get_xydata()[0])) for line in rings] == [(3.0, 1.75), (1.0, 1.75)]
+    assert in_order.get_ylabel().replace("\n", " ").endswith("per frame, picture, minus no attack")
+
+
+def test_without_a_value_of_no_attack_the_figure_shows_the_values_themselves(monkeypatch) -> None:
+    made = results()
+    made = replace(made, rows={**made.rows, BASELINE: SearchRow(BASELINE)})
+    in_order, held_out = drawn(made, monkeypatch).axes
+    assert points(held_out) == [(0.0, 1.75), (1.0, 2.75)]
+    assert not in_order.get_ylabel().endswith("no attack")
+
+
+def test_no_text_of_the_figure_overlaps_another(monkeypatch) -> None:
+    figure = drawn(results(), monkeypatch)
+    renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
+    texts = [text for axes in figure.axes for text in (axes.xaxis.label, axes.yaxis.label)]
+    texts += [text for axes in figure.axes for text in (axes._left_title, *axes.get_xticklabels())]
+    texts += [text for legend in figure.legends for text in legend.get_texts()]
+    boxes = [text.get_window_extent(renderer) for text in texts if text.get_text()]
+    assert len(boxes) > 10
+    assert not [(a, b) for at, a in enumerate(boxes) for b in boxes[at + 1 :] if a.overlaps(b)]
+    width, height = figure.canvas.get_width_height()
+    assert all(box.x0 >= 0 and box.y0 >= 0 and box.x1 <= width and box.y1 <= height for box in boxes)
+
+
+def test_an_interval_that_is_unknown_has_no_bar_and_a_caption_says_why() -> None:
+    made = results()
+    few = Estimate(2.75, math.nan, 2.75, scenes=1, seeds=3)
+    made = replace(made, rows={**made.rows, SEARCHED: SearchRow(SEARCHED, 3.25, few, few, few)})
+    figure = search_figures.search_figure(made)
+    assert "no bar: fewer than five seeds" in figure.caption
+    assert "searched 2.75 (n < 5)" in figure.alt
+    assert figure.names == ["search.png", "search.pdf"]
