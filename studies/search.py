@@ -1,6 +1,6 @@
 """Attack parameters that harm most: searched on some seeds, measured on others."""
 
-from mast_zenoh.study.defences import words
+from mast_zenoh.study.defences import COORDINATED, UNCOORDINATED, words
 
 # Of the scenario defence_cell: what is not chosen otherwise.
 CELL = dict(attack="Collusion", defence="FaultOrLie", knowledge="trust", budget=2.0, placement="worst")
@@ -43,7 +43,7 @@ def study(
     chosen = dict(attack=attack, defence=defence, knowledge=knowledge, budget=budget, placement=placement)
     common = (CELL if is_cell else {}) | {key: value for key, value in chosen.items() if value is not None}
     common |= parameters or {}
-    if isinstance(common.get("attack"), str):
+    if isinstance(common.get("attack"), str) and common["attack"] not in (COORDINATED, UNCOORDINATED):
         common["attack"] = dict(type=common["attack"])
     return dict(
         name="search",

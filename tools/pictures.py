@@ -83,10 +83,17 @@ def viewer(out: Path, workshop: Workshop) -> None:
             server.shutdown()
 
 
+def search(out: Path, workshop: Workshop) -> None:
+    """The figure of `mast study search`."""
+    finished = mast.study("search", out=workshop.folder / "search")
+    out.write_bytes((finished.path / "search.png").read_bytes())
+
+
 #: By name of the file.
 RECIPES: dict[str, Callable[[Path, Workshop], None]] = {
     "case_study.png": case_study,
     "interception.gif": interception,
+    "search.png": search,
     "snapshot.png": snapshot,
     "side_by_side.gif": side_by_side,
     "viewer.png": viewer,

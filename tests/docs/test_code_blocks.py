@@ -33,6 +33,7 @@ from mast_zenoh.faults import Fault
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.security.authority import Authority
 from mast_zenoh.study import definition
+from mast_zenoh.study.search import searching
 from mast_zenoh.tracking import SensorView
 
 ROOT = Path(__file__).parents[2]
@@ -190,6 +191,18 @@ def study_of_ones_own(block: Block, folder: Path) -> None:
     assert (study.trials, len(study.scenes), len(study.configurations)) == (20, 2, 4)
 
 
+def study_with_a_search(block: Block, folder: Path) -> None:
+    (folder / "mine.py").write_text(block.content)
+    study = definition.load(str(folder / "mine.py"), ["budget=3.0"])
+    assert study.search is not None
+    assert (study.search.run, list(study.search.space)[2:], study.trials) == (
+        "colluding",
+        ["n_adversaries", "placement"],
+        20,
+    )
+    searching.check_ranges(study, searching.Conditions(0, study.frames, "inproc", allow_failures=False))
+
+
 def tracking_by_hand(block: Block, folder: Path) -> None:
     place = np.array([[20.0, 0.0, 0.8]])
     size, zero = np.array([[4.5, 1.8, 1.5]]), np.zeros(1)
@@ -229,6 +242,7 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "recording.md": [messages_of_a_run],
     "scene_arrays.md": [None] * 3,  # test_page_examples.py
     "scenarios.md": [whole_scenario, results_of_a_node],
+    "search.md": [study_with_a_search],
     "security.md": [expired_credentials],
     "sensors.md": [None] * 3,  # test_page_examples.py
     "simulation.md": [simulated_run] * 4,

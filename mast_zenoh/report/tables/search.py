@@ -78,7 +78,9 @@ def _optimism(results: SearchResults) -> str:
     if results.without_value:
         sentences.append(f"Without a value, so never chosen: {plural(results.without_value, 'candidate')}.")
     roles = f"No attack: {results.baseline}. Default: {results.default}."
-    return " ".join([roles, *sentences, "Brackets: 95 % interval over seeds; differences are paired by scene and seed."])
+    return " ".join(
+        [roles, *sentences, "Brackets: 95 % interval over seeds; differences are paired by scene and seed."]
+    )
 
 
 def _estimate(estimate: Estimate) -> str:
@@ -88,7 +90,7 @@ def _estimate(estimate: Estimate) -> str:
 def _parameters(results: SearchResults) -> TextTable:
     return TextTable(
         "Parameters",
-        "",
+        f"{DASH}: the study leaves it to the scenario." if len(results.defaults) < len(results.space) else "",
         ("parameter", "range", "default", "searched"),
         [
             (short, space, _value(results.defaults.get(name, DASH)), _value(results.found.values[name]))

@@ -118,7 +118,7 @@ def _values(content: Any, place: str) -> Range | Choices:
 def with_values(parameters: Mapping[str, Any], values: Mapping[str, Any], place: str) -> dict[str, Any]:
     """The launch-time parameters of a run with other values of some.
 
-    A dotted name whose first part is one of the run's parameters sets an entry of that dict: `attack.rate_mps`.
+    A dotted name whose first part is one of the run's parameters sets an entry of that dict: with an attack=dict(…), attack.rate_mps.
     Raises ConfigurationError if that parameter is no dict.
     """
     result = dict(parameters)
