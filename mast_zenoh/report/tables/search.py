@@ -90,7 +90,7 @@ def _estimate(estimate: Estimate) -> str:
 def _parameters(results: SearchResults) -> TextTable:
     return TextTable(
         "Parameters",
-        f"{DASH}: the study leaves it to the scenario." if len(results.defaults) < len(results.space) else "",
+        f"{DASH}: that of the class." if len(results.defaults) < len(results.space) else "",
         ("parameter", "range", "default", "searched"),
         [
             (short, space, _value(results.defaults.get(name, DASH)), _value(results.found.values[name]))

@@ -6,6 +6,7 @@ the study, whose trials have the seeds after those. So the numbers of the study 
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing
@@ -19,6 +20,7 @@ from rich.progress import Progress, TaskID
 
 from mast_zenoh import scenario
 from mast_zenoh.arrays.states import Floats
+from mast_zenoh.config import loading
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.launch import ending
 from mast_zenoh.metrics.search_results import CandidateRow, SearchResults, SearchRow
@@ -28,6 +30,7 @@ from mast_zenoh.study.numbers import NAN, ego
 from mast_zenoh.study.search import files, proposals
 from mast_zenoh.study.search.plan import CANDIDATE, SEARCHED, SearchPlan
 from mast_zenoh.study.search.proposals import Candidate, Effort
+from mast_zenoh.study.search.space import value_at
 from mast_zenoh.study.store import Store
 from mast_zenoh.study.tables import StudyResult
 from mast_zenoh.study.trial import Outcome, Trial, TrialKey
@@ -261,11 +264,29 @@ def check_ranges(study: Study, how: Conditions) -> None:
                 raise type(error)(f"{place}: {error}") from None
 
 
-def _check(study: Study, how: Conditions, values: Mapping[str, Any]) -> None:
+def defaults(study: Study, how: Conditions) -> dict[str, Any]:
+    """The values of searched parameters in the default, of the study or else of the scenario, without unknown ones."""
+    assert study.search is not None
+    plan, run = study.search, _configuration_of(study, study.search.run)
+    _, function = loading.function("scenarios", run.scenario, "scenario")
+    of_function = {name: each.default for name, each in inspect.signature(function).parameters.items()}
+    of_scenario = _check(study, how, {})
+    values = {
+        name: next(
+            (v for each in (plan.default, of_function, of_scenario) if (v := value_at(each, name)) is not None), None
+        )
+        for name in plan.space
+    }
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def _check(study: Study, how: Conditions, values: Mapping[str, Any]) -> dict[str, Any]:
+    """The searched run's scenario with other values of some parameters; raises what resolving it raises."""
     checked = configuration(study, Candidate(0, 0, values), SEARCHED)
     settings = (*study.scenes[0].settings, *checked.settings, *study.trial_settings(how.seed, how.frames))
     path, loaded = scenario.load(checked.scenario, settings)
     scenario.resolve(path, loaded, seed=how.seed, frames=how.frames)
+    return loaded
 
 
 # -- results -----------------------------------------------------------------------------------------------------------
@@ -297,7 +318,7 @@ def measure(held_out: Study, search: Search, store: Store, planned: Sequence[Tri
         maximise=plan.maximise,
         sampler=sampler,
         space={name: str(each) for name, each in plan.space.items()},
-        defaults={name: value for name in plan.space if (value := _default(plan, name)) is not None},
+        defaults=defaults(held_out, how),
         candidates=_candidate_rows(search.candidates, maximise=plan.maximise),
         best=best.number,
         rows=rows,
@@ -341,15 +362,3 @@ def _candidate_rows(candidates: Sequence[Candidate], *, maximise: bool) -> tuple
         best = proposals.best_of(candidates[: index + 1], maximise=maximise)
         rows.append(CandidateRow(each.number, each.batch, each.values, each.value, NAN if best is None else best.value))
     return tuple(rows)
-
-
-def _default(plan: SearchPlan, name: str) -> Any:
-    """The value of a parameter in the study file; None: it leaves it to the scenario."""
-    content: Any = plan.default
-    if name in content:
-        return content[name]
-    for step in name.split("."):
-        if not isinstance(content, Mapping) or step not in content:
-            return None
-        content = content[step]
-    return content

@@ -118,8 +118,8 @@ def _values(content: Any, place: str) -> Range | Choices:
 def with_values(parameters: Mapping[str, Any], values: Mapping[str, Any], place: str) -> dict[str, Any]:
     """The launch-time parameters of a run with other values of some.
 
-    A dotted name whose first part is one of the run's parameters sets an entry of that dict: with an attack=dict(…), attack.rate_mps.
-    Raises ConfigurationError if that parameter is no dict.
+    A dotted name whose first part is one of the run's parameters sets an entry of that dict: with an attack=dict(…),
+    attack.rate_mps. Raises ConfigurationError if that parameter is no dict.
     """
     result = dict(parameters)
     for name, value in sorted(values.items(), key=lambda item: item[0].count(".")):  # whole dicts before their entries
@@ -140,3 +140,13 @@ def _with_entry(content: Any, steps: Sequence[str], value: Any, place: str) -> d
     first, *others = steps
     inner = _with_entry(content.get(first, {}), others, value, f"{place}.{first}") if others else value
     return {**content, first: inner}
+
+
+def value_at(content: Mapping[str, Any], name: str) -> Any:
+    """The value that a dotted name has in nested dicts; None: it has none."""
+    value: Any = content
+    for step in name.split("."):
+        if not isinstance(value, Mapping) or step not in value:
+            return None
+        value = value[step]
+    return value

@@ -23,7 +23,12 @@ def test_a_small_search_is_played_printed_and_continued(mast, tmp_path: Path) ->
     table = [line for line in printed.splitlines() if not line.startswith(("/", "report: "))]
     assert max(map(len, table)) <= 80
     text = " ".join(printed.split())
-    for part in ("No attack: baseline. Default: attacked.", "false_positives 0.0..10.0 1", "Optimism of the search"):
+    for part in (
+        "No attack: baseline. Default: attacked.",
+        "false_positives 0.0..10.0 1",
+        "negatives 0.0..1.0 0.2",
+        "Optimism of the search",
+    ):
         assert part in text
     assert f"report: {tmp_path / 'out' / 'report.html'}" in printed
     found = json.loads((tmp_path / "out" / "search.json").read_text())
@@ -84,6 +89,7 @@ def test_a_failed_trial_of_a_search_has_the_exit_code_of_failed_trials(mast, mon
 def test_wrong_options_are_refused_before_anything_starts(
     mast, tmp_path: Path, words: tuple[str, ...], code: int, message: str
 ) -> None:
+    pytest.importorskip("optuna", reason="Optuna is not installed")
     ended, out, err = mast("study", *words)
     assert (ended, message in " ".join((out + err).split())) == (code, True), out + err
     assert "Traceback" not in err
