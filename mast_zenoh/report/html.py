@@ -343,7 +343,10 @@ def _command(run: RunRecord) -> str | None:
 
 
 #: Files of the study's folder that the page links to, if they are there.
-_STUDY_FILES = ("table.csv", "table.md", "table.tex", "results.parquet", "frames.parquet")
+_STUDY_FILES = (
+    *("search.md", "search.csv", "candidates.csv", "search.json"),
+    *("table.csv", "table.md", "table.tex", "results.parquet", "frames.parquet"),
+)
 #: This many failed trials are listed; the others are collapsed.
 _SHOWN_AT_ONCE = 10
 

@@ -219,7 +219,9 @@ def test_all_files_are_named_and_the_page_shows_the_figure(whole: Whole) -> None
     names = {path.name for path in finished.files}
     assert {"search.md", "search.csv", "candidates.csv", "search.json", "search.png", "search.pdf"} <= names
     assert all(path.is_file() for path in finished.files)
-    assert "Search over 16 candidates" in finished.report.read_text()
+    page = finished.report.read_text()
+    assert "Search over 16 candidates" in page
+    assert 'href="search.csv"' in page
     stored = json.loads((finished.out / "study.json").read_text())
     assert stored["status"] == "ok"
     assert list(stored["configurations"]) == ["baseline", "attacked", "searched"]
