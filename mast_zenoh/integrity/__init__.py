@@ -29,6 +29,7 @@ from mast_zenoh.integrity.base import (
 )
 from mast_zenoh.integrity.cad import Cad
 from mast_zenoh.integrity.fault_or_lie import FaultOrLie
+from mast_zenoh.integrity.joint import JointConsistency
 from mast_zenoh.integrity.made import Made
 from mast_zenoh.integrity.mate import Mate
 from mast_zenoh.integrity.pasac import Pasac
@@ -52,6 +53,7 @@ __all__ = [
     "FaultOrLie",
     "FreeSpace",
     "Integrity",
+    "JointConsistency",
     "KOfN",
     "Made",
     "Mate",

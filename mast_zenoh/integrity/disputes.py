@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mast_zenoh.arrays.matching import neighbours
-from mast_zenoh.arrays.states import Bools, Floats, ObjectStates
+from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.integrity.base import Batch, ClusterBoxes
 from mast_zenoh.integrity.visibility import RayEvidence, Sightings
 from mast_zenoh.tracking.tracks import ONE_OBJECT, overlap
@@ -25,6 +25,29 @@ REPEATED = 0.8 * ONE_OBJECT
 ABOUT_M = 2.0
 
 
+def plausible_size(states: ObjectStates) -> Bools:
+    """(n,) tracks of boxes that road users have."""
+    return np.asarray(((states.size >= SMALLEST_M) & (states.size <= LARGEST_M)).all(axis=1))
+
+
+def on_ground(states: ObjectStates, agent: Ints) -> Bools:
+    """(n,) tracks of boxes that stand on the ground.
+
+    agent: (n,) rows of the agents. The ground is where the boxes of most agents stand, each at its median: one agent
+    with many boxes does not move it. It rises or falls by SLOPE at most.
+    """
+    bottom = states.position[:, 2] - 0.5 * states.size[:, 2]
+    middles = [
+        [*np.median(states.position[agent == row, :2], axis=0), np.median(bottom[agent == row])]
+        for row in np.unique(agent).tolist()
+    ]
+    if len(states) <= 2:
+        return np.ones(len(states), np.bool_)
+    x, y, height = np.median(np.array(middles), axis=0)
+    away = np.hypot(states.position[:, 0] - x, states.position[:, 1] - y)
+    return np.asarray(np.abs(bottom - height) <= HEIGHT_ERROR_M + SLOPE * away)
+
+
 def possible(states: ObjectStates, believed: Bools | None = None) -> Bools:
     """(n,) tracks of boxes that road users have, on the ground.
 
@@ -32,7 +55,7 @@ def possible(states: ObjectStates, believed: Bools | None = None) -> Bools:
 
     The ground is where the boxes stand, at the median, and rises or falls by SLOPE at most.
     """
-    fine = ((states.size >= SMALLEST_M) & (states.size <= LARGEST_M)).all(axis=1)
+    fine = plausible_size(states)
     shown = np.ones(len(states), np.bool_) if believed is None else believed
     if shown.sum() > 2:
         bottom = states.position[:, 2] - 0.5 * states.size[:, 2]

@@ -22,6 +22,7 @@ from mast_zenoh.integrity.calibration import EXCUSED_S, MAX_STEP_S, Tail, accumu
 from mast_zenoh.integrity.disputes import Disputes, disputes
 from mast_zenoh.integrity.memory import NOW, AgentMemory
 from mast_zenoh.integrity.offsets import OffsetSums, offsets
+from mast_zenoh.integrity.testimonies import Testimonies
 from mast_zenoh.integrity.visibility import current, lenient_sightings, rays_at
 from mast_zenoh.integrity.voting import ExistenceVotes
 
@@ -170,7 +171,9 @@ class SequentialConsistency(Integrity):
             self._numbers.setdefault(name, len(self._numbers))
         return rows
 
-    def _update_suspensions(self, batch: Batch, rows: Ints, alarms: Bools, dispute: Disputes, dt: float) -> None:
+    def _update_suspensions(
+        self, batch: Batch, rows: Ints, alarms: Bools, dispute: Disputes | Testimonies, dt: float
+    ) -> None:
         """Suspend and release agents."""
         self._of.seen_s[rows] += dt
         alarmed = alarms.any(axis=1)
@@ -204,7 +207,7 @@ class SequentialConsistency(Integrity):
             return int(self._of.quiet_ns[row]) - round(GRACE_S * 1e9)
         return self._time_ns - round(2.0 * self.offset_memory_s * 1e9)
 
-    def _reason(self, row: int, alarms: Bools, dispute: Disputes) -> str:
+    def _reason(self, row: int, alarms: Bools, dispute: Disputes | Testimonies) -> str:
         """Why an agent is suspended."""
         if not alarms[0]:
             return f"reports a position that differs from the other agents' (offset statistic {self._last[1][row]:.0f})"

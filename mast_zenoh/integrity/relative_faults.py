@@ -1,0 +1,364 @@
+"""Faults of pairs of agents: how the tracks of one are displaced, turned and delayed against those of the other.
+
+A fault is (4,): x and y in m, a turn in rad, and a lead in s, by which the tracks are ahead; it moves all tracks of an
+agent alike. Of two agents that report the same objects, only the difference of their faults can be seen, whichever of
+them has it. Which agents are faulty follows from all pairs together: they are the smallest set of agents, fewer than
+half, that has one of each pair with a difference, if only one set is the smallest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mast_zenoh.arrays.matching import neighbours
+from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
+from mast_zenoh.integrity.calibration import MAX_STEP_S, SAMPLES_PER_S
+from mast_zenoh.integrity.explanations import Explanations
+from mast_zenoh.integrity.memory import AgentMemory
+
+#: m, farthest that two agents may report one object apart, if one has a fault.
+GATE_M = 9.0
+#: Tracks of an agent that are compared, at most, and tracks of others for each: a flood must cost little.
+MAX_TRACKS, MAX_NEAR = 200, 16
+#: m, from where a fault puts a track, within which another agent's track is of the same object.
+MATCH_M = 1.6
+#: Share of the tracks with another agent's track near them that must be matched so; else the fault may be another one.
+MATCHED = 0.6
+#: m, standard deviation of a difference that the covariances do not contain: boxes seen from two sides.
+FLOOR_M = 0.1
+#: m, how far differences of two objects may deviate that have one cause.
+COMMON_M = 0.8
+#: Standard deviations from which a difference counts for no more, and up to which a fault explains it.
+CLIP, EXPLAINED_SD = 1.5, 3.0
+#: Tracks that two agents must share to be compared.
+COMPARABLE = 3
+#: Variances of a fault before any evidence: (2 m, 2 m, 0.1 rad, 0.3 s) squared.
+PRIOR = np.array([4.0, 4.0, 0.01, 0.09])
+#: Turns, rad, and leads, s, that are tried where few tracks match.
+TURNS, LEADS = np.linspace(-0.12, 0.12, 13), np.linspace(-0.6, 0.6, 13)
+#: Mean of Huber's loss up to which a fit is good; difference of the sums from which a batch shows another fault.
+GOOD, CHANGED = 1.2, 5.0
+#: Twice the log-likelihood by which a fault that is corrected may fit worse than none, before it is forgotten.
+DOUBT = 10.0
+#: m, m/s: a track by which turns and delays are compared with displacements.
+ARM_M, SPEED_MPS = 30.0, 10.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Differences:
+    """k differences of the positions of two agents' tracks, each once from either side.
+
+    one, other: (k,) rows of the two agents;  track: (k,) row of the track of the one
+    offset: (k, 2) m, by which the track of the one is displaced
+    information: (k, 2, 2) 1/m^2;  design: (k, 2, 4) derivatives of the offset by the fault, about a fixed point
+    """
+
+    one: Ints
+    other: Ints
+    track: Ints
+    offset: Floats
+    information: Floats
+    design: Floats
+
+    @classmethod
+    def of(cls, states: ObjectStates, agent: Ints, about: Floats) -> Differences:
+        """The differences of tracks within GATE_M.
+
+        states: n tracks of all agents, in one frame at one time;  agent: (n,)
+        about:  (2,) m, the fixed point about which agents turn
+        """
+        used = _first_of_each(agent, MAX_TRACKS)
+        position = states.position[used]
+        i, j, dx, dy = neighbours(position, position, np.full(len(position), GATE_M))
+        i, j = used[i], used[j]
+        apart = agent[i] != agent[j]
+        i, j, offset = i[apart], j[apart], -np.column_stack([dx, dy])[apart]
+        near = _nearest(i, j, agent, np.hypot(offset[:, 0], offset[:, 1]))
+        i, j, offset = i[near], j[near], offset[near]
+        covariance = states.covariance[i, :2, :2] + states.covariance[j, :2, :2] + FLOOR_M**2 * np.eye(2)
+        design = np.zeros((len(i), 2, 4))
+        design[:, 0, 0] = design[:, 1, 1] = 1.0
+        arm = 0.5 * (states.position[i, :2] + states.position[j, :2]) - about
+        design[:, 0, 2], design[:, 1, 2] = -arm[:, 1], arm[:, 0]
+        design[:, :, 3] = 0.5 * (states.velocity[i, :2] + states.velocity[j, :2])
+        information = np.asarray(np.linalg.inv(covariance), np.float64) if len(i) else np.zeros((0, 2, 2))
+        return cls(agent[i], agent[j], i, offset, information, design)
+
+    def select(self, rows: Bools | Ints) -> Differences:
+        """Some of them."""
+        return Differences(
+            self.one[rows],
+            self.other[rows],
+            self.track[rows],
+            self.offset[rows],
+            self.information[rows],
+            self.design[rows],
+        )
+
+    def left(self, fault: Floats) -> Floats:
+        """(k, 2) m, what a fault of each pair (a, a, 4) leaves of the differences."""
+        return np.asarray(self.offset - np.einsum("kij,kj->ki", self.design, fault[self.one, self.other]))
+
+    def matched(self, fault: Floats) -> tuple[Differences, Bools]:
+        """Those of tracks of one object, given a fault of each pair (a, a, 4), and (a, a) whether they are few.
+
+        A track is matched with the nearest one of another agent within MATCH_M of where the fault puts it.
+        """
+        left = self.left(fault)
+        distance = np.hypot(left[:, 0], left[:, 1])
+        order = np.lexsort((distance, self.other, self.track))
+        first = np.flatnonzero(
+            np.diff(self.track[order] * (self.other.max(initial=0) + 1) + self.other[order], prepend=-1)
+        )
+        nearest = order[first]
+        near = nearest[distance[nearest] <= MATCH_M]
+        a = len(fault)
+        tracks, matched = (_count(self.one[rows], self.other[rows], a) for rows in (nearest, near))
+        return self.select(near), (tracks >= COMPARABLE) & (matched < MATCHED * tracks)
+
+    def deviations(self, fault: Floats) -> Floats:
+        """(k,) standard deviations by which they differ from a fault of each pair (a, a, 4)."""
+        left = self.left(fault)
+        return np.asarray(np.sqrt(np.maximum(np.einsum("ki,kij,kj->k", left, self.information, left), 0.0)))
+
+    def sums(self, a: int, values: Floats) -> Floats:
+        """(a, a, ...) sums of values (k, ...) of each pair."""
+        result = np.zeros((a, a, *values.shape[1:]))
+        np.add.at(result, (self.one, self.other), values)
+        return result
+
+    def equations(self, a: int, fault: Floats | None) -> tuple[Floats, Floats]:
+        """Sums (a, a, 4, 4) and (a, a, 4) of weighted least squares of each pair.
+
+        fault: (a, a, 4) from which outliers are judged, and their weight limited; None: nothing is an outlier
+        """
+        weighted = np.swapaxes(self.design, 1, 2) @ self.information
+        if fault is not None:
+            weighted = weighted * np.minimum(1.0, CLIP / np.maximum(self.deviations(fault), 1e-9))[:, None, None]
+        return self.sums(a, weighted @ self.design), self.sums(a, np.einsum("kij,kj->ki", weighted, self.offset))
+
+
+def _first_of_each(agent: Ints, most: int) -> Ints:
+    """Rows of the first tracks of each agent, at most so many."""
+    order = np.argsort(agent, kind="stable")
+    start = np.flatnonzero(np.diff(agent[order], prepend=-1))
+    rank = np.arange(len(order)) - np.repeat(start, np.diff(start, append=len(order)))
+    return np.sort(order[rank < most])
+
+
+def _nearest(track: Ints, other: Ints, agent: Ints, distance: Floats) -> Ints:
+    """Rows of the MAX_NEAR nearest differences of each track."""
+    order = np.lexsort((other, distance, track))
+    return np.sort(order[_first_of_each(track[order], MAX_NEAR)])
+
+
+def _count(one: Ints, other: Ints, a: int) -> Ints:
+    return np.bincount(one * a + other, minlength=a * a).reshape(a, a)
+
+
+def _loss(deviation: Floats) -> Floats:
+    """Huber's loss of deviations."""
+    return np.where(deviation <= CLIP, 0.5 * deviation**2, CLIP * (deviation - 0.5 * CLIP))
+
+
+def most_common(found: Differences, pair: tuple[int, int]) -> Floats | None:
+    """The fault (4,) of one agent of a pair against the other that matches most of its tracks; None: no better one.
+
+    Each turn and each lead is tried, with the displacement that most of the tracks then have in common. The least fault
+    of equals is chosen, and one that matches at least two tracks more than none at all.
+    """
+    mine = found.select((found.one == pair[0]) & (found.other == pair[1]))
+    tried = np.concatenate([np.zeros((1, 2)), *(np.column_stack(each) for each in _TRIED)])
+    tracks, track = np.unique(mine.track, return_inverse=True)
+    left = mine.offset - np.einsum("kij,hj->hki", mine.design[:, :, 2:], tried)
+    best, best_support, before = None, 0, 0
+    for row in range(len(tried)):
+        i, j, _, _ = neighbours(left[row], left[row], np.full(len(mine.track), COMMON_M))
+        support = np.zeros((len(mine.track), len(tracks)), np.bool_)
+        support[i, track[j]] = True
+        count = support.sum(axis=1)
+        chosen = int(np.lexsort((np.hypot(*left[row].T), -count))[0])
+        if row == 0:
+            near = np.hypot(*left[0].T) <= COMMON_M
+            before = len(np.unique(track[near]))
+        if count[chosen] > best_support:
+            best, best_support = np.array([*left[row, chosen], *tried[row]]), int(count[chosen])
+    enough = best_support >= max(before + 2, MATCHED * len(tracks), COMPARABLE)
+    return best if enough else None
+
+
+def _tried() -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
+    """Turns and leads that are tried, the smallest first."""
+    turns, leads = (each[np.argsort(np.abs(each), kind="stable")] for each in (TURNS, LEADS))
+    return (turns, np.zeros(len(turns))), (np.zeros(len(leads)), leads)
+
+
+_TRIED = _tried()
+
+
+class RelativeFaults:
+    """Estimates the differences of the faults of all pairs of agents, and from them the faults of agents.
+
+    significance: gain in twice the log-likelihood from which two agents differ
+    least_m:  m, displacement below which they do not
+    share:    of their common tracks that the difference must explain
+    memory_s: s, over which differences are summed
+
+    names: of the a agents of the last update
+    """
+
+    def __init__(self, significance: float, least_m: float, share: float, memory_s: float) -> None:
+        self._significance, self._least_m, self._share, self._memory_s = significance, least_m, share, memory_s
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self._agents = AgentMemory()
+        self._information, self._score = np.zeros((0, 0, 4, 4)), np.zeros((0, 0, 4))
+        self._fault = np.zeros((0, 0, 4))  # (m, m, 4) of the one against the other, about the fixed point
+        self._explains = np.zeros((0, 0))  # (m, m) share of the common tracks that it explains
+        self._corrected = np.zeros((0, 4))  # (m, 4) of each agent, about the fixed point
+        self._about: Floats | None = None
+        self._time_ns: int | None = None
+        self.names: tuple[str, ...] = ()
+        self.differ: Bools = np.zeros((0, 0), np.bool_)
+        self._rows: Ints = np.zeros(0, np.int64)
+
+    def update(
+        self, time_ns: int, states: ObjectStates, agent: Ints, names: tuple[str, ...], pivots: Floats
+    ) -> tuple[str, ...]:
+        """Add a batch; returns the agents that are newly found to be faulty.
+
+        states: n tracks of all agents as they were reported, world frame; agent: (n,) rows of `names` (a)
+        pivots: (a, 2) m, about which each agent turns
+        """
+        if self._about is None:
+            self._about = pivots.mean(axis=0) if len(pivots) else np.zeros(2)
+        elapsed_s = 0.0 if self._time_ns is None else (time_ns - self._time_ns) * 1e-9
+        self._time_ns = time_ns
+        self._meet(time_ns, names)
+        pairs = np.ix_(self._rows, self._rows)
+        found = Differences.of(states, agent, self._about)
+        keep, samples = np.exp(-elapsed_s / self._memory_s), SAMPLES_PER_S * min(elapsed_s, MAX_STEP_S)
+        prior = self._priors(pivots)
+        state = self._information[pairs], self._score[pairs], self._fault[pairs], self._explains[pairs]
+        fitted = self._fit(found, samples, (keep * state[0], keep * state[1]), state[2], state[3], prior)
+        self._information[pairs], self._score[pairs], self._fault[pairs], self._explains[pairs] = fitted
+        return self._settle(pairs, pivots, prior)
+
+    def _meet(self, time_ns: int, names: tuple[str, ...]) -> None:
+        self._rows, self.names = self._agents.meet(time_ns, names), names
+        for name in ("_information", "_score", "_fault", "_explains"):
+            values = self._agents.carry(getattr(self, name), 0.0)
+            setattr(self, name, self._agents.carry(values, 0.0, axis=1))
+        self._corrected = self._agents.carry(self._corrected, 0.0)
+
+    def _fit(
+        self,
+        found: Differences,
+        samples: float,
+        past: tuple[Floats, Floats],
+        known: Floats,
+        explains: Floats,
+        prior: Floats,
+    ) -> tuple[Floats, Floats, Floats, Floats]:
+        """Sums, faults and the shares that they explain, of each pair, with those of a batch."""
+        a = len(known)
+        near, few = found.matched(known)
+        anew = np.zeros((a, a), np.bool_)
+        start = known.copy()
+        for one, other in zip(*np.nonzero(np.triu(few & few.T)), strict=True):
+            guess = most_common(found, (one, other))
+            if guess is not None:
+                start[one, other], start[other, one] = guess, -guess
+                anew[one, other] = anew[other, one] = True
+        if anew.any():
+            near, _ = found.matched(start)
+        information, score = near.equations(a, start)
+        total = past[0] + samples * information, past[1] + samples * score
+        fault = _solved(total, prior)
+        fresh = start
+        for step in range(3):
+            information, score = near.equations(a, fresh if step or anew.any() else None)
+            fresh = _solved((samples * information, samples * score), prior)
+        count = near.sums(a, np.ones(len(near.one)))
+        loss, other_loss = (near.sums(a, _loss(near.deviations(each))) for each in (fault, fresh))
+        changed = (loss > GOOD * count) & (other_loss < loss - CHANGED) | anew
+        for row in range(2):
+            now = samples * (information, score)[row]
+            total[row][changed] = now[changed]
+        fault[changed] = fresh[changed]
+        explained = near.sums(a, (near.deviations(fault) <= EXPLAINED_SD).astype(np.float64))
+        share = np.where(count >= COMPARABLE, explained / np.maximum(count, 1.0), explains)
+        return *total, fault, share
+
+    def _priors(self, pivots: Floats) -> Floats:
+        """(a, 4, 4) inverse covariance, about the fixed point, of a fault of each agent before any evidence."""
+        assert self._about is not None
+        own = about_pivot(pivots - self._about)
+        return np.asarray(np.swapaxes(own, 1, 2) @ (own / PRIOR[:, None]))
+
+    def _settle(self, pairs: tuple[Ints, ...], pivots: Floats, prior: Floats) -> tuple[str, ...]:
+        """Find out which agents are faulty; returns those that were not before."""
+        assert self._about is not None
+        fault, score = self._fault[pairs], self._score[pairs]
+        own = about_pivot(pivots - self._about)
+        size = displacement_m(np.einsum("aij,abj->abi", own, fault))
+        significant = (np.einsum("abi,abi->ab", score, fault) >= self._significance) & (size >= self._least_m)
+        self.differ = significant & (self._explains[pairs] >= self._share)
+        self.differ &= self.differ.T
+        faulty = self._still_faulty(pairs)
+        smallest = Explanations(self.differ, np.zeros(len(fault), np.bool_), np.zeros(len(fault), np.bool_)).smallest()
+        if smallest is not None:
+            faulty |= smallest
+        sound = ~faulty
+        corrected = np.zeros((len(fault), 4))
+        for row in np.flatnonzero(faulty).tolist():
+            before = self._corrected[self._rows[row]]
+            information = self._information[pairs][row, sound].sum(axis=0) + prior[row]
+            # What nothing shows any more, as the delay of standing objects, stays as it was.
+            corrected[row] = np.linalg.solve(information, score[row, sound].sum(axis=0) + prior[row] @ before)
+        corrected[displacement_m(np.einsum("aij,aj->ai", own, corrected)) < self._least_m] = 0.0
+        new = np.asarray(corrected.any(axis=1) & ~self._corrected[self._rows].any(axis=1))
+        self._corrected[self._rows] = corrected
+        return tuple(name for name, each in zip(self.names, new.tolist(), strict=True) if each)
+
+    def _still_faulty(self, pairs: tuple[Ints, ...]) -> Bools:
+        """(a,) agents with a fault that is corrected, and that the differences from the others do not refute."""
+        corrected = self._corrected[self._rows]
+        faulty = corrected.any(axis=1)
+        score, information = (each[pairs][:, ~faulty].sum(axis=1) for each in (self._score, self._information))
+        gain = 2.0 * np.einsum("ai,ai->a", score, corrected)
+        gain -= np.einsum("ai,aij,aj->a", corrected, information, corrected)
+        return np.asarray(faulty & (gain >= -DOUBT))
+
+    def faults(self, pivots: Floats) -> Floats:
+        """(a, 4) the fault of each agent of the last update, about its pivot (a, 2) m; zeros: none."""
+        if self._about is None:
+            return np.zeros((len(pivots), 4))
+        return np.asarray(np.einsum("aij,aj->ai", about_pivot(pivots - self._about), self._corrected[self._rows]))
+
+
+def _solved(total: tuple[Floats, Floats], prior: Floats) -> Floats:
+    """(a, a, 4) the fault of each pair that fits sums best; prior: (a, 4, 4)"""
+    # From either side it is the same but for the sign, so both use the mean of their priors.
+    both = 0.5 * (prior[:, None] + prior[None, :])
+    return np.asarray(np.linalg.solve(total[0] + both, total[1][..., None])[..., 0])
+
+
+def about_pivot(arm: Floats) -> Floats:
+    """(a, 4, 4) matrices from faults about a fixed point to those about pivots.
+
+    arm: (a, 2) m, from the fixed point to each pivot
+    """
+    result = np.tile(np.eye(4), (len(arm), 1, 1))
+    result[:, 0, 2], result[:, 1, 2] = -arm[:, 1], arm[:, 0]
+    return result
+
+
+def displacement_m(fault: Floats) -> Floats:
+    """(...) m, by which faults (..., 4) move a track that is ARM_M away and drives at SPEED_MPS."""
+    shift = np.hypot(fault[..., 0], fault[..., 1])
+    return np.asarray(np.maximum(shift, np.maximum(ARM_M * np.abs(fault[..., 2]), SPEED_MPS * np.abs(fault[..., 3]))))

@@ -1,0 +1,104 @@
+"""Explanations of disputes agree with trying every set of agents."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mast_zenoh.arrays.states import Bools
+from mast_zenoh.integrity.explanations import Explanations, mask_of, members
+
+Graph = tuple[Bools, set[int], set[int]]
+
+
+def explanations(disputes: Bools, lying: set[int], honest: set[int]) -> list[set[int]]:
+    """Every set of fewer than half of the agents with the liars, one of each pair that disagrees, and nobody honest."""
+    a = len(disputes)
+    pairs = [(i, j) for i, j in combinations(range(a), 2) if disputes[i, j]]
+    sets = (set(each) for size in range((a - 1) // 2 + 1) for each in combinations(range(a), size))
+    sets = (each for each in sets if lying <= each and not each & honest)
+    return [each for each in sets if all(i in each or j in each for i, j in pairs)]
+
+
+@st.composite
+def graphs(draw: st.DrawFn) -> Graph:
+    a = draw(st.integers(1, 9))
+    pairs = list(combinations(range(a), 2))
+    disputes = np.zeros((a, a), np.bool_)
+    for i, j in draw(st.lists(st.sampled_from(pairs), max_size=14)) if pairs else []:
+        disputes[i, j] = disputes[j, i] = True
+    some = st.sets(st.integers(0, a - 1), max_size=2)
+    lying = draw(some)
+    return disputes, lying, draw(some) - lying
+
+
+def built(disputes: Bools, *known: set[int]) -> Explanations:
+    lying, honest = (np.isin(np.arange(len(disputes)), list(each)) for each in (*known, set(), set())[:2])
+    return Explanations(disputes, lying, honest)
+
+
+@given(graphs())
+def test_an_agent_lies_if_it_does_in_every_explanation(graph: Graph) -> None:
+    disputes, lying, honest = graph
+    every = explanations(disputes, lying, honest)
+    verdict = built(disputes, lying, honest).verdict()
+    expected = set.intersection(*every) if every else lying
+    assert set(np.flatnonzero(verdict.lying).tolist()) == expected
+
+
+@given(graphs())
+def test_it_is_open_whether_an_agent_lies_that_only_some_explanations_need(graph: Graph) -> None:
+    disputes, lying, honest = graph
+    every = explanations(disputes, lying, honest)
+    smallest = [each for each in every if not any(other < each for other in every)]  # nobody is in it without need
+    certain = set.intersection(*every) if every else lying
+    needed = set.union(*smallest) if smallest else set(np.flatnonzero(disputes.any(axis=0)).tolist()) - honest
+    verdict = built(disputes, lying, honest).verdict()
+    assert set(np.flatnonzero(verdict.open).tolist()) == needed - certain
+
+
+@given(graphs())
+def test_the_smallest_explanation_is_given_if_there_is_only_one(graph: Graph) -> None:
+    disputes, lying, _ = graph
+    every = sorted(explanations(disputes, lying, set()), key=len)
+    smallest = [each for each in every if len(each) == len(every[0])]
+    found = built(disputes, lying).smallest()
+    assert (found is None) == (len(smallest) != 1)
+    if found is not None:
+        assert set(np.flatnonzero(found).tolist()) == smallest[0]
+
+
+@given(graphs(), st.data())
+def test_a_claim_is_false_if_all_that_make_it_lie_in_every_explanation(graph: Graph, data: st.DataObject) -> None:
+    disputes, lying, honest = graph
+    a = len(disputes)
+    claiming = data.draw(st.sets(st.integers(0, a - 1)))
+    denying = data.draw(st.sets(st.integers(0, a - 1))) - claiming
+    every = explanations(disputes, lying, honest)
+    true = any(denying <= each and not claiming <= each for each in every) and bool(claiming)
+    found = built(disputes, lying, honest)
+    bits = [sum(1 << agent for agent in group) for group in (claiming, denying)]
+    assert found.false(*bits) == (not true)
+
+
+def test_two_accusers_of_five_prove_nothing_and_three_do() -> None:
+    disputes = np.zeros((5, 5), np.bool_)
+    disputes[0, 1:3] = disputes[1:3, 0] = True
+    assert np.flatnonzero(built(disputes).verdict().open).tolist() == [0, 1, 2]
+    disputes[0, 3] = disputes[3, 0] = True
+    verdict = built(disputes).verdict()
+    assert np.flatnonzero(verdict.lying).tolist() == [0]
+    assert not verdict.open.any()
+
+
+def test_many_agents_with_many_disputes_are_judged_quickly() -> None:
+    random = np.random.default_rng(0)
+    disputes = np.triu(random.random((29, 29)) < 0.3, 1)
+    built(disputes | disputes.T).verdict()
+
+
+def test_a_set_has_the_bits_of_its_members() -> None:
+    assert list(members(mask_of(np.array([True, False, True])))) == [0, 2]

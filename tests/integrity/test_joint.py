@@ -1,0 +1,193 @@
+"""Disputes are settled jointly: an agent is suspended if it lies in every explanation, and nothing else is certain."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+import pytest
+from integrity_batches import Track, batch, view
+
+from mast_zenoh.integrity import Batch, JointConsistency
+from mast_zenoh.integrity.base import STATES, SUSPENDED, TRUSTED, UNKNOWN, Assessment
+
+Place = tuple[float, float]
+#: Five agents around a crossing, and a car that all of them see.
+PLACES: dict[str, Place] = {"a": (-25.0, 0.0), "b": (25.0, 0.0), "c": (0.0, 25.0), "d": (0.0, -25.0), "e": (18.0, 18.0)}
+CAR: Place = (6.0, 6.0)
+
+
+def world(
+    phantoms: Mapping[str, Sequence[Place]] | None = None,
+    hidden: Mapping[str, Sequence[Place]] | None = None,
+    cars: Sequence[Place] = (CAR,),
+    sees: Mapping[Place, str] | None = None,
+    frames: int = 50,
+) -> Iterable[Batch]:
+    """Batches of five agents that see cars.
+
+    phantoms: by liar, what it reports besides, and where its view ends; hidden: by liar, cars that it sees through
+    sees: by place, the agents that can look there; all others have something before it. Default: all
+    """
+    phantoms, hidden, sees = phantoms or {}, hidden or {}, sees or {}
+    places = list(dict.fromkeys([*cars, *(place for own in phantoms.values() for place in own)]))
+    for frame in range(frames):
+        tracks: list[Track] = []
+        views = {}
+        for name, place in PLACES.items():
+            blocked = []
+            for cluster, where in enumerate(places):
+                looks = name in sees.get(where, "abcde")
+                claimed = where in phantoms.get(name, ())
+                real = where in cars and where not in hidden.get(name, ())
+                if (looks and real) or claimed:
+                    tracks.append((name, cluster, where))
+                    blocked.append((*where, 2.5))
+                elif not looks:
+                    before = (0.8 * where[0] + 0.2 * place[0], 0.8 * where[1] + 0.2 * place[1])
+                    blocked.append((*before, 2.5))
+            views[name] = view(place, *blocked)
+        yield batch(tracks, tuple(PLACES), views, frame=frame)
+
+
+def last(stage: JointConsistency, batches: Iterable[Batch]) -> Assessment:
+    *_, assessment = (stage.assess(each) for each in batches)
+    return assessment
+
+
+def suspended(assessment: Assessment) -> str:
+    return "".join(np.array(sorted(PLACES))[assessment.agents.state == SUSPENDED])
+
+
+def test_honest_agents_are_trusted() -> None:
+    found = last(JointConsistency(), world())
+    assert found.agents.state.tolist() == [TRUSTED] * 5
+    assert not found.objects.withheld.any()
+
+
+def test_three_of_five_that_see_through_a_phantom_get_its_author_suspended() -> None:
+    found = last(JointConsistency(), world({"a": [(0.0, -8.0)]}, sees={(0.0, -8.0): "bcd"}))
+    assert suspended(found) == "a"
+    assert found.objects.withheld.tolist() == [False, True]
+
+
+def test_two_of_five_do_not_and_the_reason_names_all_that_may_be_lying() -> None:
+    found = last(JointConsistency(), world({"a": [(0.0, -8.0)]}, sees={(0.0, -8.0): "bd"}))
+    assert suspended(found) == ""
+    assert found.agents.state.tolist() == [UNKNOWN, UNKNOWN, TRUSTED, UNKNOWN, TRUSTED]
+    assert found.agents.reason[0] == "may be lying, or those that contradict it are: a, b, d"
+    assert not found.objects.withheld.any(), "two may be lying: then it is a real object"
+
+
+def test_disputes_about_different_objects_add_up_to_a_proof() -> None:
+    phantoms = [(14.0, -12.0), (-8.0, 12.0), (-8.0, -14.0)]
+    one_each = dict(zip(phantoms, "bcd", strict=True))
+    found = last(JointConsistency(), world({"a": phantoms}, sees=one_each))
+    assert suspended(found) == "a"
+
+
+def test_two_that_claim_free_space_where_one_reports_a_car_suspend_nobody_and_hide_nothing() -> None:
+    car = (0.0, -8.0)
+    found = last(JointConsistency(), world(hidden={"a": [car], "b": [car]}, cars=[CAR, car], sees={car: "abe"}))
+    assert suspended(found) == ""
+    assert not found.objects.withheld.any()
+
+
+def test_an_agent_whose_own_sensor_sees_through_what_it_reports_needs_no_witness() -> None:
+    def seen_through() -> Iterable[Batch]:
+        for frame in range(50):
+            tracks: list[Track] = [("a", 0, (0.0, -8.0))]
+            yield batch(tracks, tuple(PLACES), {"a": view(PLACES["a"])}, frame=frame)
+
+    assert suspended(last(JointConsistency(), seen_through())) == "a"
+
+
+def test_an_anchor_is_believed_against_each_and_never_suspended() -> None:
+    phantom = (0.0, -8.0)
+    accused = world({"a": [phantom]}, sees={phantom: "b"})
+    assert suspended(last(JointConsistency(anchors=("b",)), accused)) == "a"
+    accuser = world({"a": [phantom]}, sees={phantom: "bcd"})
+    assert "a" not in suspended(last(JointConsistency(anchors=("a",)), accuser))
+
+
+def test_once_one_liar_is_known_two_accusers_prove_the_next() -> None:
+    stage = JointConsistency()
+    first, second = (0.0, -8.0), (-10.0, -3.0)
+    assert suspended(last(stage, world({"a": [first]}, sees={first: "bcd"}))) == "a"
+    later = [
+        Batch(each.time_ns + 5_000_000_000, each.states, each.agent, each.labels, each.agents, each.views)
+        for each in world({"a": [first], "e": [second]}, sees={first: "bcd", second: "bc"})
+    ]
+    assert suspended(last(stage, later)) == "ae"
+
+
+def test_what_an_agent_of_open_honesty_alone_reports_is_limited_to_what_is_usual() -> None:
+    disputed = [(0.0, -8.0), (-8.0, 8.0)]
+    crowd = [(10.0 + 6.0 * (i % 4), -12.0 - 6.0 * (i // 4)) for i in range(12)]
+    sees = {disputed[0]: "b", disputed[1]: "c"} | dict.fromkeys(crowd, "")
+    found = last(JointConsistency(), world({"a": [*disputed, *crowd]}, sees=sees))
+    assert suspended(found) == ""
+    assert not found.objects.withheld[0], "the car that all see"
+    assert found.objects.withheld.sum() == len(disputed) + len(crowd) - 6
+
+
+def test_an_agent_that_is_off_where_three_others_agree_is_suspended() -> None:
+    def shifted() -> Iterable[Batch]:
+        for each in world(frames=100):
+            position = each.states.position.copy()
+            position[each.agent == 0, 0] += 1.2
+            states = each.states.with_(position=position)
+            yield Batch(each.time_ns, states, each.agent, each.labels, each.agents, each.views)
+
+    found = last(JointConsistency(), shifted())
+    assert suspended(found) == "a"
+    assert found.agents.reason[0].startswith("reports a position that differs")
+
+
+def test_the_result_does_not_depend_on_the_order_of_the_rows() -> None:
+    random = np.random.default_rng(1)
+    straight, shuffled = JointConsistency(), JointConsistency()
+    for each in world({"a": [(0.0, -8.0)]}, sees={(0.0, -8.0): "bcd"}, frames=20):
+        order = random.permutation(len(each.agent))
+        mixed = Batch(
+            each.time_ns, each.states.select(order), each.agent[order], each.labels[order], each.agents, each.views
+        )
+        one, other = straight.assess(each), shuffled.assess(mixed)
+        assert one.agents.log_odds.tolist() == other.agents.log_odds.tolist()
+        assert one.objects.withheld.tolist() == other.objects.withheld.tolist()
+
+
+def test_of_a_suspended_agent_as_many_unseen_objects_are_believed_as_it_had_before() -> None:
+    stage = JointConsistency()
+    usual, phantom, later = (-40.0, 40.0), (0.0, -8.0), (-40.0, -40.0)
+    sees = {usual: "a", phantom: "bcd", later: ""}
+    before = list(world(cars=[CAR, usual], sees=sees))
+    last(stage, before)
+    lies = [
+        Batch(each.time_ns + 5_000_000_000, each.states, each.agent, each.labels, each.agents, each.views)
+        for each in world({"a": [phantom, later]}, cars=[CAR, usual], sees=sees)
+    ]
+    found = last(stage, lies)
+    assert suspended(found) == "a"
+    assert found.objects.withheld.tolist() == [False, False, True, True], "the object that it alone saw before stays"
+
+
+@pytest.mark.parametrize("wrong", ["a", "ab"])
+def test_agents_whose_tracks_are_all_displaced_are_corrected_and_keep_their_vote(wrong: str) -> None:
+    cars = [CAR, (-6.0, 12.0), (-12.0, -12.0), (12.0, -8.0)]
+    stage = JointConsistency()
+    for each in world(cars=cars, frames=60):
+        position = each.states.position.copy()
+        position[np.isin(np.array(each.agents)[each.agent], list(wrong)), 0] += 1.2
+        displaced = each.states.with_(position=position)
+        views = {name: view for name, view in zip(each.agents, each.views, strict=True) if view is not None}
+        states, views = stage.correct(each.time_ns, displaced, each.agent, each.agents, views)  # type: ignore[assignment]
+        found = stage.assess(
+            Batch(each.time_ns, states, each.agent, each.labels, each.agents, tuple(map(views.get, each.agents)))
+        )
+    assert [STATES[state] for state in found.agents.state.tolist()] == [
+        "faulty" if name in wrong else "trusted" for name in PLACES
+    ]
+    assert found.agents.offset[0].tolist() == pytest.approx([1.2, 0.0], abs=0.1)
+    assert found.agents.reason[0].startswith("all its tracks are shifted by 1.2 m")
+    assert states.position[each.agent == 0, 0] == pytest.approx(each.states.position[each.agent == 0, 0], abs=0.15)

@@ -1,0 +1,111 @@
+"""Faults of whole agents are found from the differences of all pairs, on one agent and on several at once."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mast_zenoh.arrays.states import Floats, ObjectStates
+from mast_zenoh.integrity.relative_faults import PRIOR, RelativeFaults, about_pivot
+
+NAMES = ("a", "b", "c", "d", "e")
+PIVOTS = np.array([[-30.0, 0.0], [30.0, 0.0], [0.0, 30.0], [0.0, -30.0], [20.0, 20.0]])
+STEP_NS = 100_000_000
+SKEW, SHIFT, TURN = (0.0, 0.0, 0.0, 0.3), (1.6, -1.2, 0.0, 0.0), (0.0, 0.0, 0.1, 0.0)
+
+
+def batches(faults: dict[str, tuple[float, ...]], frames: int = 25, seed: int = 0, odd: str = ""):
+    """States and agents of five agents that see the same twelve moving objects, with noise.
+
+    odd: an agent that moves a third of its objects by 2 m, which is no fault
+    """
+    random = np.random.default_rng(seed)
+    start = random.uniform(-50.0, 50.0, (12, 2))
+    velocity = random.uniform(-12.0, 12.0, (12, 2))
+    for frame in range(frames):
+        true = start + velocity * 0.1 * frame
+        position, speeds, agent = [], [], []
+        for row, name in enumerate(NAMES):
+            x, y, turn, lead = faults.get(name, (0.0,) * 4)
+            arm = true - PIVOTS[row]
+            moved = true + [x, y] + turn * np.column_stack([-arm[:, 1], arm[:, 0]]) + lead * velocity
+            if name in odd:
+                moved[::3] += [2.0, 0.0]
+            position.append(moved + random.normal(0.0, 0.2, moved.shape))
+            speeds.append(velocity)
+            agent += [row] * len(true)
+        places = np.column_stack([np.concatenate(position), np.zeros(len(agent))])
+        states = ObjectStates.of(
+            places,
+            id=np.arange(len(agent)),
+            velocity=np.column_stack([np.concatenate(speeds), np.zeros(len(agent))]),
+            size=np.tile([4.5, 1.8, 1.5], (len(agent), 1)),
+            covariance=np.tile(np.diag([0.04] * 3 + [0.02] * 3 + [0.25] * 3), (len(agent), 1, 1)),
+        )
+        yield frame * STEP_NS, states, np.array(agent)
+
+
+def found(faults: dict[str, tuple[float, ...]], **world: object) -> Floats:
+    estimator = RelativeFaults(significance=30.0, least_m=0.3, share=0.7, memory_s=1.5)
+    for time_ns, states, agent in batches(faults, **world):  # type: ignore[arg-type]
+        estimator.update(time_ns, states, agent, NAMES, PIVOTS)
+    return estimator.faults(PIVOTS)
+
+
+@pytest.mark.parametrize(
+    "faults",
+    [
+        {},
+        {"a": SKEW},
+        {"a": SHIFT},
+        {"a": TURN},
+        {"a": (0.0, 0.0, 0.0, 0.5)},
+        {"a": SKEW, "c": SKEW},
+        {"a": SHIFT, "b": SHIFT},
+        {"d": TURN, "e": TURN},
+        {"a": SHIFT, "e": SKEW},
+        {"b": (0.0, 0.0, 0.0, -0.5), "c": (0.0, 0.0, 0.0, 0.5)},
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_faults_of_up_to_two_of_five_are_found_and_of_nobody_else(
+    faults: dict[str, tuple[float, ...]], seed: int
+) -> None:
+    expected = np.array([faults.get(name, (0.0,) * 4) for name in NAMES])
+    tolerance = np.array([0.25, 0.25, 0.012, 0.03])
+    assert (np.abs(found(faults, seed=seed) - expected) <= tolerance).all(), found(faults, seed=seed).round(3)
+
+
+def test_an_agent_that_moves_some_of_its_objects_has_no_fault() -> None:
+    assert not found({}, odd="b").any()
+
+
+def test_nobody_is_corrected_where_as_many_agents_differ_as_agree() -> None:
+    estimator = RelativeFaults(significance=30.0, least_m=0.3, share=0.7, memory_s=1.5)
+    for time_ns, states, agent in batches({"a": SHIFT, "b": SHIFT}):
+        rows = agent < 4
+        estimator.update(time_ns, states.select(rows), agent[rows], NAMES[:4], PIVOTS[:4])
+    assert not estimator.faults(PIVOTS[:4]).any()
+
+
+def test_a_delay_is_kept_while_nothing_moves_and_forgotten_when_it_is_over() -> None:
+    estimator = RelativeFaults(significance=30.0, least_m=0.3, share=0.7, memory_s=1.5)
+    for time_ns, states, agent in batches({"a": SKEW}, frames=30):
+        estimator.update(time_ns, states, agent, NAMES, PIVOTS)
+    standing = [
+        (states.with_(velocity=np.zeros((len(states), 3))), agent) for _, states, agent in batches({}, frames=1)
+    ]
+    for frame in range(30, 90):
+        estimator.update(frame * STEP_NS, *standing[0], NAMES, PIVOTS)
+    assert estimator.faults(PIVOTS)[0, 3] == pytest.approx(0.3, abs=0.05)
+    for time_ns, states, agent in batches({}, frames=40):
+        estimator.update(9_000_000_000 + time_ns, states, agent, NAMES, PIVOTS)
+    assert not estimator.faults(PIVOTS).any()
+
+
+def test_a_fault_is_the_same_about_each_point() -> None:
+    about = about_pivot(np.array([[3.0, 4.0]]))[0]
+    fault = np.array([1.0, 2.0, 0.1, 0.5])
+    assert about @ fault == pytest.approx([1.0 - 0.4, 2.0 + 0.3, 0.1, 0.5])
+    assert (PRIOR > 0.0).all()
