@@ -5,6 +5,9 @@ from mast_zenoh.study.defences import COORDINATED, UNCOORDINATED, words
 # Of the scenario defence_cell: what is not chosen otherwise.
 CELL = dict(attack="Collusion", defence="FaultOrLie", knowledge="trust", budget=2.0, placement="worst")
 
+# What is searched of Collusion.
+RANGES = "attack.speed_mps=0.0..15.0; attack.tolerance=0.01..0.3 log; attack.reselect_every_s=1.0..20.0 log"
+
 
 def study(
     scenario="defence_cell",
@@ -15,7 +18,7 @@ def study(
     placement=None,
     n_adversaries=2,
     parameters=None,
-    ranges="attack.speed_mps=0.0..15.0; attack.tolerance=0.01..0.3 log; attack.reselect_every_s=1.0..20.0 log",
+    ranges=None,
     objective="fn + fp",
     direction="maximise",
     candidates=40,
@@ -34,6 +37,7 @@ def study(
     per second of each adversary, at the agents that cover the most objects. An attack may be a dict with parameters;
     n_adversaries: agents compromised; parameters: others of the scenario, as a dict;
     ranges: NAME=LOW..HIGH, NAME=LOW..HIGH log or NAME=A|B, separated by semicolons; attack.NAME is one of the attack's;
+    None: speed, tolerance and pauses of Collusion;
     objective: METRIC, ESTIMATOR/METRIC, WHO/ESTIMATOR/METRIC, or a sum; direction: maximise or minimise;
     candidates: how many are tried; batch: how many at once; sampler: TPE or random;
     seeds: of the search, in each scene; trials: seeds held out; seed: the first one of the search;
@@ -54,7 +58,7 @@ def study(
         baseline="unattacked",
         search=dict(
             run="attacked",
-            parameters=ranges,
+            parameters=RANGES if ranges is None else ranges,
             objective=objective,
             direction=direction,
             candidates=candidates,

@@ -21,6 +21,7 @@ from mast_zenoh.integrity.base import (
 from mast_zenoh.integrity.calibration import MAX_STEP_S, SAMPLES_PER_S, Tail, accumulate, discoveries
 from mast_zenoh.integrity.explanations import Explanations, Verdict, mask_of
 from mast_zenoh.integrity.fault_fit import described, view_without_fault, without_fault
+from mast_zenoh.integrity.fault_or_lie import SUSPECT_LOG_ODDS
 from mast_zenoh.integrity.memory import AgentMemory
 from mast_zenoh.integrity.offsets import KnownOffsetSums, offsets
 from mast_zenoh.integrity.relative_faults import RelativeFaults
@@ -115,6 +116,7 @@ class JointConsistency(SequentialConsistency):
         self._faults.reset()
         self._known_offsets.reset()
         self._found = np.zeros((0, 4))  # (a, 4) faults of the agents of the last batch
+        self._suspicious = False  # whether an agent of the last batch looks worse than most honest ones ever do
         self._lost = np.zeros(0)  # (m,) share of frames in which nothing of an agent arrived
         self._in_doubt_s = np.zeros(0)  # (m,) s, for which an agent was to be suspended that may have a fault
         self._existence: JointVotes = JointVotes(self._agents)
@@ -139,7 +141,8 @@ class JointConsistency(SequentialConsistency):
             elif mine.any():
                 pivots[row] = states.position[mine, :2].mean(axis=0)
         order = by_agent(states, agent)  # the order of the rows must not matter
-        for name in self._faults.update(time_ns, states.select(order), agent[order], agents, pivots):
+        tracks = states.select(order), agent[order], agents, pivots
+        for name in self._faults.update(time_ns, *tracks, urgent=self._suspicious):
             self.excuse(name)
         self._found = self._faults.faults(pivots)
         corrected = dict(views)
@@ -258,6 +261,7 @@ class JointConsistency(SequentialConsistency):
         """The trust in the agents; the reason of those that may be lying says so."""
         trust = self._agent_trust(batch, rows, rates)
         suspended = self._of.suspended[rows]
+        self._suspicious = bool((trust.log_odds[~suspended] < SUSPECT_LOG_ODDS).any())
         odds = np.where(suspended, trust.log_odds, np.maximum(trust.log_odds, 0.0))
         undecided = verdict.open & ~suspended
         faults = self._found if len(self._found) == len(rows) else np.zeros((len(rows), 4))

@@ -42,6 +42,8 @@ TURNS, LEADS = np.linspace(-0.12, 0.12, 13), np.linspace(-0.6, 0.6, 13)
 GOOD, CHANGED = 1.2, 5.0
 #: Twice the log-likelihood by which a fault that is corrected may fit worse than none, before it is forgotten.
 DOUBT = 10.0
+#: s, between two fits while no two agents differ: consecutive tracks of honest agents show little new.
+FIT_S = 0.3
 #: m, m/s: a track by which turns and delays are compared with displacements.
 ARM_M, SPEED_MPS = 30.0, 10.0
 
@@ -227,18 +229,28 @@ class RelativeFaults:
         self._rows: Ints = np.zeros(0, np.int64)
 
     def update(
-        self, time_ns: int, states: ObjectStates, agent: Ints, names: tuple[str, ...], pivots: Floats
+        self,
+        time_ns: int,
+        states: ObjectStates,
+        agent: Ints,
+        names: tuple[str, ...],
+        pivots: Floats,
+        *,
+        urgent: bool = False,
     ) -> tuple[str, ...]:
-        """Add a batch; returns the agents that are newly found to be faulty.
+        """Add a batch, if it is time to; returns the agents that are newly found to be faulty.
 
         states: n tracks of all agents as they were reported, world frame; agent: (n,) rows of `names` (a)
         pivots: (a, 2) m, about which each agent turns
+        urgent: whether to add it in any case
         """
         if self._about is None:
             self._about = pivots.mean(axis=0) if len(pivots) else np.zeros(2)
         elapsed_s = 0.0 if self._time_ns is None else (time_ns - self._time_ns) * 1e-9
+        changed = self._meet(time_ns, names)
+        if self._time_ns is not None and elapsed_s < FIT_S and not (changed or urgent or self.differ.any()):
+            return ()
         self._time_ns = time_ns
-        self._meet(time_ns, names)
         pairs = np.ix_(self._rows, self._rows)
         found = Differences.of(states, agent, self._about)
         keep, samples = np.exp(-elapsed_s / self._memory_s), SAMPLES_PER_S * min(elapsed_s, MAX_STEP_S)
@@ -248,12 +260,15 @@ class RelativeFaults:
         self._information[pairs], self._score[pairs], self._fault[pairs], self._explains[pairs] = fitted
         return self._settle(pairs, pivots, prior)
 
-    def _meet(self, time_ns: int, names: tuple[str, ...]) -> None:
+    def _meet(self, time_ns: int, names: tuple[str, ...]) -> bool:
+        """Take the agents of a batch; whether they are others than in the last one."""
+        changed = names != self.names
         self._rows, self.names = self._agents.meet(time_ns, names), names
         for name in ("_information", "_score", "_fault", "_explains"):
             values = self._agents.carry(getattr(self, name), 0.0)
             setattr(self, name, self._agents.carry(values, 0.0, axis=1))
         self._corrected = self._agents.carry(self._corrected, 0.0)
+        return changed
 
     def _fit(
         self,

@@ -40,7 +40,7 @@ MEMBERS = {
 }
 KEYWORDS = {
     "run": "scenario frames seed out runtime mode rate record report endpoint secure allow_failures allow_churn",
-    "study": "study trials jobs cluster resume frames seed runtime out allow_failures record",
+    "study": "study trials candidates jobs cluster resume frames seed runtime out allow_failures record",
     "open": "path",
     "compare": "runs",
     "list": "kind",

@@ -8,7 +8,7 @@ from math import cos, hypot, inf, pi, sin
 import numpy as np
 import plain_boxes as plain
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from integrity_batches import Track, batch, view
 from scipy.spatial import ConvexHull
@@ -123,6 +123,7 @@ def test_occupied_areas_are_the_hulls_of_linked_returns_within_the_limits(
         if len(unique) < 3 or np.linalg.matrix_rank(unique - unique[0]) < 2:
             continue
         size = ConvexHull(unique).volume
+        assume(min(abs(size - 0.5), abs(size - 20.0)) > 1e-9)  # on a limit, rounding decides
         if across <= 8.0 and 0.5 <= size <= 20.0:
             expected.append((size, sorted({int(agent[row]) for row in rows})))
     found = [(a.area_m2, a.agents.tolist()) for a in occupied_areas(places, agent, link_m, AreaLimits())]

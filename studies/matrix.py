@@ -1,0 +1,66 @@
+"""Published and own defences against published and own attacks, on three kinds of scene."""
+
+from mast_zenoh.study.defences import junctions, matrix_study, parse_choices, several, with_preset, words
+
+# Stages of the command centre; those after published defences last.
+DEFENCES = "KOfN,Mate,FreeSpace,SequentialConsistency,FaultOrLie,JointConsistency,Robosac,Pasac,Made,Prbi,PoseGuard,Cad"
+# Attacks of the original testbed, some that know how they are judged, and those after published attacks.
+ADVERSARIES = (
+    "coordinated,uncoordinated,BlindSpot,Mimic,SlowDrift,Sleeper,Collusion,Framing,GhostAhead,"
+    "OpenDispute,PairedDenial,TrustFlip,PosePert,BlindAreaConfusion,PretendBenign,Flood"
+)
+# By kind, the agents besides the ego: poles, cars alone, or both, 13 agents in all.
+KINDS = dict(
+    poles=dict(n_infrastructure=4, n_mobile=0),
+    cars=dict(n_infrastructure=0, n_mobile=4),
+    many=dict(n_infrastructure=8, n_mobile=4),
+)
+# On two cores: quick 3 minutes, full a night.
+PRESETS = dict(
+    quick=dict(
+        defences="FaultOrLie,JointConsistency", adversaries="coordinated,OpenDispute", kinds="poles,cars", trials=2
+    ),
+    full=dict(defences=DEFENCES, adversaries=ADVERSARIES, kinds="poles,cars,many", trials=30),
+)
+
+
+def study(
+    preset="quick",
+    defences=None,
+    adversaries=None,
+    kinds=None,
+    junction=8,
+    counts=2,
+    placements="random",
+    trials=None,
+    frames=100,
+    attack_start_s=3.0,
+    seed=1000,
+):
+    """Paired runs: the same scenes and seeds for every cell.
+
+    preset: quick or full; it sets all that is None;
+    defences, adversaries: names or files, separated by commas, as in the study defences;
+    kinds: of the scene, separated by commas: poles, cars, many;
+    junction: generated junction of all scenes; counts: numbers of adversaries; placements: random, worst, poles;
+    trials: seeds of each scene; frames: of each run; seed: the first one.
+    """
+    chosen = with_preset(PRESETS, preset, defences=defences, adversaries=adversaries, kinds=kinds, trials=trials)
+    scene = junctions(junction, junction)
+    return dict(
+        name="matrix",
+        **matrix_study(
+            defences=parse_choices(chosen["defences"], "defences"),
+            adversaries=parse_choices(chosen["adversaries"], "adversaries"),
+            counts=several(counts),
+            placements=words(placements),
+            budgets=[None],
+            parameters=dict(knowledge="trust", attack_start_s=attack_start_s),
+        ),
+        per_trial=dict(seed="placement_seed", frames="placement_frames"),
+        scenes=[dict(scene=scene) | KINDS[kind] for kind in words(chosen["kinds"])],
+        trials=chosen["trials"],
+        frames=frames,
+        seed=seed,
+        runtime="inproc",
+    )
