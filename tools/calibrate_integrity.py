@@ -1,11 +1,11 @@
-"""Measures how often honest agents exceed the statistics of `SequentialConsistency`, and fits their tails.
+"""Measures how often honest agents exceed the statistics of a stage, and fits their tails.
 
-    .venv/bin/python tools/calibrate_integrity.py [FIRST_SEED LAST_SEED] [--frames N] [--losses]
+    .venv/bin/python tools/calibrate_integrity.py [FIRST_SEED LAST_SEED] [--frames N] [--joint] [--losses]
 
 Plays unattacked junctions 0 to 3 with the seeds given (101 to 106 by default), which no test of a defence may use, and
-prints for each statistic the tail to be written into `mast_zenoh/integrity/sequential.py`, with 95 % intervals from a
-bootstrap over runs. With --losses, it prints the match losses of `Made` in these runs, to be written into
-`mast_zenoh/integrity/calibration.py`.
+prints for each statistic of `SequentialConsistency` the tail to be written into its file, with 95 % intervals from a
+bootstrap over runs; with --joint, the same of `JointConsistency`. With --losses, it prints the match losses of `Made`
+in these runs, to be written into `mast_zenoh/integrity/calibration.py`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from mast_zenoh import scenario
 from mast_zenoh.arrays.states import Floats, ObjectStates
 from mast_zenoh.fusion import SampledAssignmentClusterer
-from mast_zenoh.integrity import Batch, Made, SequentialConsistency
+from mast_zenoh.integrity import Batch, Integrity, JointConsistency, Made, SequentialConsistency
 from mast_zenoh.integrity.calibration import fitted_tail
 from mast_zenoh.integrity.made import match_losses
 from mast_zenoh.integrity.views import views_of
@@ -32,8 +32,8 @@ FIRST_LOSS, LOSS_PERIOD = 20, 10
 QUANTILES = 250
 
 
-def unattacked(seed: int, scene_index: int, frames: int) -> Iterator[Batch]:
-    """The batches of an unattacked run."""
+def unattacked(stage: Integrity, seed: int, scene_index: int, frames: int) -> Iterator[Batch]:
+    """The batches of an unattacked run, with the faults corrected that a stage finds."""
     path, content = scenario.load_values("defended", {"n_adversaries": 0, "scene_index": scene_index}, [])
     resolved = scenario.resolve(path, content, seed=seed, frames=frames)
     messages: dict[str, dict[int, tuple[int, dict]]] = {"collated": {}, "views": {}}
@@ -48,20 +48,19 @@ def unattacked(seed: int, scene_index: int, frames: int) -> Iterator[Batch]:
     for frame, (time_ns, body) in sorted(messages["collated"].items()):
         states, names = ObjectStates.from_columns(body), tuple(map(str, body["agents"]))
         views = views_of(messages["views"][frame][1])
+        states, views = stage.correct(time_ns, states, body["agent"], names, views)
         labels = clusterer.cluster(states, body["agent"])
         yield Batch(time_ns, states, body["agent"], labels, names, tuple(map(views.get, names)))
 
 
-def statistics(seed: int, scene_index: int, frames: int) -> tuple[Floats, Floats]:
-    """(blocks, agents) maxima of both statistics in each block of an unattacked run."""
-    stage = SequentialConsistency(false_alarms_per_hour=1e-30)
+def statistics(stage: SequentialConsistency, seed: int, scene_index: int, frames: int) -> dict[str, Floats]:
+    """(blocks, k) maxima of each statistic in each block of an unattacked run, by its name."""
     rows = []
-    for batch in unattacked(seed, scene_index, frames):
+    for batch in unattacked(stage, seed, scene_index, frames):
         stage.assess(batch)
-        rows.append(stage.statistics)
-    lies, offsets = (np.array(column) for column in zip(*rows, strict=True))
-    starts = np.arange(0, len(lies), BLOCK_FRAMES)
-    return np.maximum.reduceat(lies, starts), np.maximum.reduceat(offsets, starts)
+        rows.append(stage.calibrated)
+    starts = np.arange(0, len(rows), BLOCK_FRAMES)
+    return {name: np.maximum.reduceat(np.array([row[name] for row in rows]), starts) for name in rows[0]}
 
 
 def losses(seed: int, scene_index: int, frames: int) -> Floats:
@@ -69,7 +68,7 @@ def losses(seed: int, scene_index: int, frames: int) -> Floats:
     stage = Made()
     found = [
         match_losses(batch, batch.agents.index(stage.ego), stage.area_m)
-        for frame, batch in enumerate(unattacked(seed, scene_index, frames))
+        for frame, batch in enumerate(unattacked(stage, seed, scene_index, frames))
         if frame >= FIRST_LOSS and frame % LOSS_PERIOD == 0
     ]
     return np.array([loss for each in found for loss in each.tolist() if not np.isnan(loss)])
@@ -88,16 +87,18 @@ def main() -> None:
     parser.add_argument("first", nargs="?", type=int, default=101)
     parser.add_argument("last", nargs="?", type=int, default=106)
     parser.add_argument("--frames", type=int, default=300)
+    parser.add_argument("--joint", action="store_true", help="of `JointConsistency`")
     parser.add_argument("--losses", action="store_true", help="print MATCH_LOSSES of `Made` instead of the tails")
     options = parser.parse_args()
     played = [(seed, index) for seed in range(options.first, options.last + 1) for index in SCENES]
     if options.losses:
         print_losses(played, options.frames)
         return
-    runs = [statistics(seed, index, options.frames) for seed, index in played]
+    made = JointConsistency if options.joint else SequentialConsistency
+    runs = [statistics(made(false_alarms_per_hour=1e-30), *run, options.frames) for run in played]
     random = np.random.default_rng(0)
-    for name, column in (("contradictions", 0), ("offset", 1)):
-        maxima = [run[column].ravel() for run in runs]
+    for name in runs[0]:
+        maxima = [run[name].ravel() for run in runs]
         hours = [len(run) * BLOCK_FRAMES / 36_000 for run in maxima]
         tail = fitted_tail(np.concatenate(maxima), sum(hours))
         draws = []

@@ -124,11 +124,12 @@ class JointConsistency(SequentialConsistency):
         self._apart_ns = np.zeros((0, 0), np.int64)  # (m, m) ns, when a pair last reported an object apart; 0: never
         self._own = np.zeros(0)  # (m,) cumulative contradictions of an agent with itself, object-seconds
         self._settled: tuple[bytes, Explanations, Verdict] | None = None
+        # of the last batch: (p,) sums of pairs, (a,) of what agents' own reports contradict, and of known offsets
+        self._last_more = np.zeros(0), np.zeros(0), np.zeros(0)
 
     @property
-    def pairs(self) -> Floats:
-        """(a, a) cumulative disputes of each pair of agents of the last batch, object-seconds."""
-        return self._last_pairs
+    def calibrated(self) -> dict[str, Floats]:
+        return super().calibrated | dict(zip(("pair", "own", "known offset"), self._last_more, strict=True))
 
     def correct(
         self, time_ns: int, states: ObjectStates, agent: Ints, agents: tuple[str, ...], views: Mapping[str, SweptView]
@@ -177,7 +178,9 @@ class JointConsistency(SequentialConsistency):
         )
         self._of.offset[rows] = offset
         self._last = self._of.contradictions[rows].copy(), offset
-        explanations, verdict = self._explain(batch, rows)
+        pairs = self._pairs[np.ix_(rows, rows)]
+        self._last_more = pairs[np.triu_indices(len(rows), 1)], self._own[rows], known
+        explanations, verdict = self._explain(batch, rows, pairs)
         statistics = zip((*self._tails, KNOWN_OFFSET_TAIL), (*self._last, known), strict=True)
         rates = np.stack([tail.rate(value) for tail, value in statistics], axis=1)
         alarms = rates <= self.false_alarms_per_hour / max(rates.size, 1)
@@ -241,12 +244,11 @@ class JointConsistency(SequentialConsistency):
         pairs = np.ix_(rows, rows)
         self._pairs[pairs] = self._summed(self._pairs[pairs], said.between, self._pair_tail, dt)
         self._own[rows] = self._summed(self._own[rows], said.against_itself, OWN_TAIL, dt)
-        self._last_pairs = self._pairs[pairs]
 
-    def _explain(self, batch: Batch, rows: Ints) -> tuple[Explanations, Verdict]:
-        """The explanations of the disputes of the agents of a batch."""
+    def _explain(self, batch: Batch, rows: Ints, pairs: Floats) -> tuple[Explanations, Verdict]:
+        """The explanations of the disputes of the agents of a batch. pairs: (a, a) cumulative disputes of each pair"""
         apart_ns = self._apart_ns[np.ix_(rows, rows)]
-        disputes = self._pair_tail.rate(self._last_pairs) <= self.disputes_per_hour
+        disputes = self._pair_tail.rate(pairs) <= self.disputes_per_hour
         disputes |= (apart_ns > 0) & (batch.time_ns - apart_ns <= APART_S * 1e9)
         lying = OWN_TAIL.rate(self._own[rows]) <= self.false_alarms_per_hour / max(len(rows), 1)
         lying |= self._of.suspended[rows]

@@ -32,6 +32,8 @@ FLOOR_M = 0.1
 COMMON_M = 0.8
 #: Standard deviations from which a difference counts for no more, and up to which a fault explains it.
 CLIP, EXPLAINED_SD = 1.5, 3.0
+#: m/s, from which a track is moving.
+MOVING_MPS = 2.0
 #: Tracks that two agents must share to be compared.
 COMPARABLE = 3
 #: Variances of a fault before any evidence: (2 m, 2 m, 0.1 rad, 0.3 s) squared.
@@ -103,8 +105,10 @@ class Differences:
         """(k, 2) m, what a fault of each pair (a, a, 4) leaves of the differences."""
         return np.asarray(self.offset - np.einsum("kij,kj->ki", self.design, fault[self.one, self.other]))
 
-    def matched(self, fault: Floats) -> tuple[Differences, Bools]:
+    def matched(self, fault: Floats, *, every: bool = False) -> tuple[Differences, Bools]:
         """Those of tracks of one object, given a fault of each pair (a, a, 4), and (a, a) whether they are few.
+
+        every: whether they are also few if a moving track is not matched: a wrong clock displaces nothing else
 
         A track is matched with the nearest one of another agent within MATCH_M of where the fault puts it.
         """
@@ -117,8 +121,11 @@ class Differences:
         nearest = order[first]
         near = nearest[distance[nearest] <= MATCH_M]
         a = len(fault)
-        tracks, matched = (_count(self.one[rows], self.other[rows], a) for rows in (nearest, near))
-        return self.select(near), (tracks >= COMPARABLE) & (matched < MATCHED * tracks)
+        moving = nearest[np.hypot(*self.design[nearest, :, 3].T) >= MOVING_MPS]
+        lost = moving[distance[moving] > MATCH_M]
+        tracks, matched, missing = (_count(self.one[rows], self.other[rows], a) for rows in (nearest, near, lost))
+        few = (matched < MATCHED * tracks) | (every & (missing > 0))
+        return self.select(near), (tracks >= COMPARABLE) & few
 
     def deviations(self, fault: Floats) -> Floats:
         """(k,) standard deviations by which they differ from a fault of each pair (a, a, 4)."""
@@ -169,7 +176,7 @@ def most_common(found: Differences, pair: tuple[int, int]) -> Floats | None:
     """The fault (4,) of one agent of a pair against the other that matches most of its tracks; None: no better one.
 
     Each turn and each lead is tried, with the displacement that most of the tracks then have in common. The least fault
-    of equals is chosen, and one that matches at least two tracks more than none at all.
+    of equals is chosen, if it matches more tracks than none at all, and most of them.
     """
     mine = found.select((found.one == pair[0]) & (found.other == pair[1]))
     tried = np.concatenate([np.zeros((1, 2)), *(np.column_stack(each) for each in _TRIED)])
@@ -187,7 +194,7 @@ def most_common(found: Differences, pair: tuple[int, int]) -> Floats | None:
             before = len(np.unique(track[near]))
         if count[chosen] > best_support:
             best, best_support = np.array([*left[row, chosen], *tried[row]]), int(count[chosen])
-    enough = best_support >= max(before + 2, MATCHED * len(tracks), COMPARABLE)
+    enough = best_support >= max(before + 1, MATCHED * len(tracks), COMPARABLE)
     return best if enough else None
 
 
@@ -242,7 +249,7 @@ class RelativeFaults:
 
         states: n tracks of all agents as they were reported, world frame; agent: (n,) rows of `names` (a)
         pivots: (a, 2) m, about which each agent turns
-        urgent: whether to add it in any case
+        urgent: whether to add it in any case, and to look for faults that only moving tracks show
         """
         if self._about is None:
             self._about = pivots.mean(axis=0) if len(pivots) else np.zeros(2)
@@ -256,7 +263,7 @@ class RelativeFaults:
         keep, samples = np.exp(-elapsed_s / self._memory_s), SAMPLES_PER_S * min(elapsed_s, MAX_STEP_S)
         prior = self._priors(pivots)
         state = self._information[pairs], self._score[pairs], self._fault[pairs], self._explains[pairs]
-        fitted = self._fit(found, samples, (keep * state[0], keep * state[1]), state[2], state[3], prior)
+        fitted = self._fit(found, samples, (keep * state[0], keep * state[1]), state[2], state[3], prior, urgent)
         self._information[pairs], self._score[pairs], self._fault[pairs], self._explains[pairs] = fitted
         return self._settle(pairs, pivots, prior)
 
@@ -278,10 +285,11 @@ class RelativeFaults:
         known: Floats,
         explains: Floats,
         prior: Floats,
+        urgent: bool,
     ) -> tuple[Floats, Floats, Floats, Floats]:
         """Sums, faults and the shares that they explain, of each pair, with those of a batch."""
         a = len(known)
-        near, few = found.matched(known)
+        near, few = found.matched(known, every=urgent)
         anew = np.zeros((a, a), np.bool_)
         start = known.copy()
         for one, other in zip(*np.nonzero(np.triu(few & few.T)), strict=True):

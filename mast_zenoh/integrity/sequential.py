@@ -102,9 +102,9 @@ class SequentialConsistency(Integrity):
         self._reasons: dict[str, str] = {}
 
     @property
-    def statistics(self) -> tuple[Floats, Floats]:
-        """Of the last batch: (a,) cumulative contradictions, object-seconds, and greatest offset statistics."""
-        return self._last
+    def calibrated(self) -> dict[str, Floats]:
+        """By name, (k,) statistics of the last batch that have a tail, see `tools/calibrate_integrity.py`."""
+        return dict(zip(("contradictions", "offset"), self._last, strict=True))
 
     def excuse(self, agent: str) -> None:
         if agent in self._agents.names:
