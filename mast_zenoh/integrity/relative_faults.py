@@ -38,6 +38,8 @@ MOVING_MPS = 2.0
 COMPARABLE = 3
 #: Variances of a fault before any evidence: (2 m, 2 m, 0.1 rad, 0.3 s) squared.
 PRIOR = np.array([4.0, 4.0, 0.01, 0.09])
+#: Pairs of agents whose fault is searched in one batch, at most, by so many tracks and their nearest ones.
+SEARCHES, SEARCHED_TRACKS, SEARCHED_NEAR = 6, 40, 6
 #: Turns, rad, and leads, s, that are tried where few tracks match.
 TURNS, LEADS = np.linspace(-0.12, 0.12, 13), np.linspace(-0.6, 0.6, 13)
 #: Mean of Huber's loss up to which a fit is good; difference of the sums from which a batch shows another fault.
@@ -178,7 +180,10 @@ def most_common(found: Differences, pair: tuple[int, int]) -> Floats | None:
     Each turn and each lead is tried, with the displacement that most of the tracks then have in common. The least fault
     of equals is chosen, if it matches more tracks than none at all, and most of them.
     """
-    mine = found.select((found.one == pair[0]) & (found.other == pair[1]))
+    mine = found.select(np.flatnonzero((found.one == pair[0]) & (found.other == pair[1])))
+    order = np.lexsort((np.hypot(*mine.offset.T), mine.track))
+    mine = mine.select(order[_first_of_each(mine.track[order], SEARCHED_NEAR)])
+    mine = mine.select(np.isin(mine.track, np.unique(mine.track)[:SEARCHED_TRACKS]))
     tried = np.concatenate([np.zeros((1, 2)), *(np.column_stack(each) for each in _TRIED)])
     tracks, track = np.unique(mine.track, return_inverse=True)
     left = mine.offset - np.einsum("kij,hj->hki", mine.design[:, :, 2:], tried)
@@ -230,6 +235,8 @@ class RelativeFaults:
         self._explains = np.zeros((0, 0))  # (m, m) share of the common tracks that it explains
         self._corrected = np.zeros((0, 4))  # (m, 4) of each agent, about the fixed point
         self._about: Floats | None = None
+        self._turn = 0  # of the pairs whose fault is searched
+        self._unsearched: Bools = np.zeros((0, 0), np.bool_)  # (a, a) pairs of the last batch whose fault is not yet
         self._time_ns: int | None = None
         self.names: tuple[str, ...] = ()
         self.differ: Bools = np.zeros((0, 0), np.bool_)
@@ -292,11 +299,16 @@ class RelativeFaults:
         near, few = found.matched(known, every=urgent)
         anew = np.zeros((a, a), np.bool_)
         start = known.copy()
-        for one, other in zip(*np.nonzero(np.triu(few & few.T)), strict=True):
+        poor = np.argwhere(np.triu(few & few.T)).tolist()
+        for turn in range(min(SEARCHES, len(poor))):
+            one, other = poor[(self._turn + turn) % len(poor)]
+            few[one, other] = few[other, one] = False
             guess = most_common(found, (one, other))
             if guess is not None:
                 start[one, other], start[other, one] = guess, -guess
                 anew[one, other] = anew[other, one] = True
+        self._turn += SEARCHES
+        self._unsearched = few & few.T
         if anew.any():
             near, _ = found.matched(start)
         information, score = near.equations(a, start)
@@ -333,9 +345,13 @@ class RelativeFaults:
         self.differ = significant & (self._explains[pairs] >= self._share)
         self.differ &= self.differ.T
         faulty = self._still_faulty(pairs)
-        smallest = Explanations(self.differ, np.zeros(len(fault), np.bool_), np.zeros(len(fault), np.bool_)).smallest()
-        if smallest is not None:
-            faulty |= smallest
+        # Pairs that are still to be searched may differ, too: nobody is corrected who might then not be at fault.
+        nobody = np.zeros(len(fault), np.bool_)
+        now, later = (
+            Explanations(each, nobody, nobody).smallest() for each in (self.differ, self.differ | self._unsearched)
+        )
+        if now is not None and later is not None:
+            faulty |= now & later
         sound = ~faulty
         corrected = np.zeros((len(fault), 4))
         for row in np.flatnonzero(faulty).tolist():
