@@ -36,13 +36,13 @@ def on_ground(states: ObjectStates, agent: Ints) -> Bools:
     agent: (n,) rows of the agents. The ground is where the boxes of most agents stand, each at its median: one agent
     with many boxes does not move it. It rises or falls by SLOPE at most.
     """
+    if len(states) <= 2:
+        return np.ones(len(states), np.bool_)
     bottom = states.position[:, 2] - 0.5 * states.size[:, 2]
     middles = [
         [*np.median(states.position[agent == row, :2], axis=0), np.median(bottom[agent == row])]
         for row in np.unique(agent).tolist()
     ]
-    if len(states) <= 2:
-        return np.ones(len(states), np.bool_)
     x, y, height = np.median(np.array(middles), axis=0)
     away = np.hypot(states.position[:, 0] - x, states.position[:, 1] - y)
     return np.asarray(np.abs(bottom - height) <= HEIGHT_ERROR_M + SLOPE * away)

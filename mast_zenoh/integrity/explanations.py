@@ -81,9 +81,8 @@ class Explanations:
         fewest = self._fewest(self._lying)
         if fewest > self.most:
             return None
-        alike = range(self._agents)
-        every = np.array([self._fewest(self._lying | self._others[agent]) > fewest for agent in alike], np.bool_)
-        every |= np.array([self._lying >> agent & 1 for agent in alike], np.bool_)
+        every = np.array([self._fewest(self._lying | others) > fewest for others in self._others], np.bool_)
+        every |= np.array([self._lying >> agent & 1 for agent in range(self._agents)], np.bool_)
         return every if every.sum() == fewest else None
 
     def false(self, claiming: int, denying: int) -> bool:

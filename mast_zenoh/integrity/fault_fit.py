@@ -133,10 +133,10 @@ def normal_equations(found: Displacements, estimate: Floats | None) -> tuple[Flo
 
 def misfit(found: Displacements, estimate: Floats) -> float:
     """Sum of Huber's loss over the displacements that a fault (4,) leaves."""
-    return float(_loss(_deviations(found, estimate)).sum())
+    return float(huber_loss(_deviations(found, estimate)).sum())
 
 
-def _loss(deviation: Floats) -> Floats:
+def huber_loss(deviation: Floats) -> Floats:
     """Huber's loss of deviations."""
     return np.where(deviation <= CLIP, 0.5 * deviation**2, CLIP * (deviation - 0.5 * CLIP))
 
@@ -158,7 +158,7 @@ def agreeing(found: Displacements, known: Floats, fitted: Floats, corrected: Int
     deviation = _deviations(found, known)
     count = np.bincount(found.agent)
     mean = np.bincount(found.agent, np.minimum(deviation, EXPLAINED_SD) ** 2) / np.maximum(count, 1)
-    gain = np.bincount(found.agent, _loss(deviation) - _loss(_deviations(found, fitted)))
+    gain = np.bincount(found.agent, huber_loss(deviation) - huber_loss(_deviations(found, fitted)))
     gain[corrected[corrected < len(gain)]] = 0.0
     return np.flatnonzero((count >= COMPARABLE) & (mean <= AGREEING) & (gain <= CLEARLY))
 
@@ -273,10 +273,10 @@ def without_fault(states: ObjectStates, rows: Bools, fault: Floats, pivot: Float
     return states.with_(position=position, velocity=velocity, yaw=yaw)
 
 
-def displacement_m(fault: Floats) -> float:
-    """m, by which a fault (4,) moves a track that is ARM_M away and drives at SPEED_MPS."""
-    x, y, turn, lead = fault.tolist()
-    return float(max(np.hypot(x, y), ARM_M * abs(turn), SPEED_MPS * abs(lead)))
+def displacement_m(fault: Floats) -> Floats:
+    """(...) m, by which faults (..., 4) move a track that is ARM_M away and drives at SPEED_MPS."""
+    shift = np.hypot(fault[..., 0], fault[..., 1])
+    return np.asarray(np.maximum(shift, np.maximum(ARM_M * np.abs(fault[..., 2]), SPEED_MPS * np.abs(fault[..., 3]))))
 
 
 def described(fault: Floats) -> str:

@@ -92,7 +92,7 @@ class FaultOrLie(Integrity):
             self._apply_most_convincing(time_ns, agents, agree)
         for name in agents:
             # Once corrected, an agent stays so until nothing is left to correct.
-            self._estimates[name].applied &= displacement_m(self._estimates[name].fault) >= self.least_m
+            self._estimates[name].applied &= bool(displacement_m(self._estimates[name].fault) >= self.least_m)
         seen = {
             name: view_without_fault(view, self._estimates[name].fault) if self._applied(name) else view
             for name, view in views.items()
@@ -166,7 +166,8 @@ class FaultOrLie(Integrity):
         """Whether an agent that is not corrected looks faulty."""
         significant = estimate.statistic >= self.significance and estimate.others >= 2
         common = estimate.share >= self.share
-        return not estimate.applied and significant and common and displacement_m(estimate.fault) >= self.least_m
+        large = bool(displacement_m(estimate.fault) >= self.least_m)
+        return not estimate.applied and significant and common and large
 
     def _apply_most_convincing(self, time_ns: int, agents: tuple[str, ...], agree: Mapping[int, set[int]]) -> None:
         """Correct the agent with the most convincing fault; forget what the others looked like next to it.

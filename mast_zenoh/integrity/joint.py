@@ -37,7 +37,7 @@ from mast_zenoh.integrity.visibility import (
     rays_at,
     silent_about,
 )
-from mast_zenoh.integrity.voting import ESTABLISHED_S, WITNESSES, ExistenceVotes
+from mast_zenoh.integrity.voting import ExistenceVotes
 
 #: Tails of the statistics on unattacked junctions: of one agent's disputes, of those of a pair, and of what an agent's
 #: own reports contradict.
@@ -171,11 +171,11 @@ class JointConsistency(SequentialConsistency):
         seen, own = lenient_sightings(batch, boxes)
         rays = rays_at(batch, boxes, current(batch.views))
         said = Testimonies.of(batch, boxes, own, seen, rays)
+        accusations = said.accusations
         offset, known = self._offsets(batch, boxes, rows, dt)
         self._add_disputes(rows, said, dt)
-        self._of.contradictions[rows] = self._summed(
-            self._of.contradictions[rows], said.contradicted, self._tails[0], dt
-        )
+        count = np.logical_or.reduce(tuple(accusations.values())).sum(axis=0)
+        self._of.contradictions[rows] = self._summed(self._of.contradictions[rows], count, self._tails[0], dt)
         self._of.offset[rows] = offset
         self._last = self._of.contradictions[rows].copy(), offset
         pairs = self._pairs[np.ix_(rows, rows)]
@@ -187,7 +187,7 @@ class JointConsistency(SequentialConsistency):
         alarms[vote] = discoveries(rates[vote], self.false_alarms_per_hour)
         alarms[vote & ~verdict.lying] = False
         self._wait_for_faults(rows, alarms, dt)
-        self._update_suspensions(batch, rows, alarms, said, dt)
+        self._update_suspensions(batch, rows, alarms, accusations, dt)
         believed = ~self._of.suspended
         if (vote & ~believed[rows]).any():
             self._known_offsets.reset()
@@ -334,18 +334,13 @@ class JointVotes(ExistenceVotes):
         ]
         refuted |= ~claims.any(axis=1) & (contradicting > confirming)
         balance = self._votes.vote(rows, np.where(refuted, -1.0, 1.0))
-        together = claims.sum(axis=1) >= WITNESSES
-        self._witnessed[rows[:, None], agent_rows] |= claims & together[:, None]
+        self._note_witnesses(claims, agent_rows)
         unseen = reported & ~clear & ~impossible & ~(seen.in_view & voter & ~reported).any(axis=1, keepdims=True)
         unseen &= (reported.sum(axis=1) == 1)[:, None]
         claimed = claims.any(axis=1) | self._usually_unseen(batch.time_ns, unseen, voter, agent_rows)
-        self._of.claimed_ns[rows] = np.where(claimed, batch.time_ns, self._of.claimed_ns[rows])
-        recent = batch.time_ns - self._of.claimed_ns[rows] <= ESTABLISHED_S * 1e9
-        witnessed = (self._witnessed[rows] & believed).any(axis=1)
-        established = self._of.known[rows] | witnessed
-        sole = np.asarray((claims | (silent & voter)).sum(axis=1) == 1) & ~witnessed
-        alone = claims & sole[:, None]
-        withheld = (balance < 0.0) | ~(claimed | (established & recent)) | self._beyond_usual(alone, disputed)
+        sole = np.asarray((claims | (silent & voter)).sum(axis=1) == 1) & ~self._confirmed(believed)
+        beyond = self._beyond_usual(claims & sole[:, None], disputed)
+        withheld = (balance < 0.0) | ~self._stays(batch.time_ns, claimed, believed) | beyond
         objects = ObjectTrust(
             (1.0 + confirming) / (2.0 + confirming + contradicting),
             (seen.in_view | reported).sum(axis=1),

@@ -16,40 +16,36 @@ from mast_zenoh.arrays.matching import neighbours
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.integrity.calibration import MAX_STEP_S, SAMPLES_PER_S
 from mast_zenoh.integrity.explanations import Explanations
+from mast_zenoh.integrity.fault_fit import (
+    CHANGED,
+    CLIP,
+    COMMON_M,
+    COMPARABLE,
+    EXPLAINED_SD,
+    FIT,
+    FLOOR_M,
+    MATCH_M,
+    MATCHED,
+    PRIOR,
+    displacement_m,
+    huber_loss,
+)
 from mast_zenoh.integrity.memory import AgentMemory
 
 #: m, farthest that two agents may report one object apart, if one has a fault.
 GATE_M = 9.0
 #: Tracks of an agent that are compared, at most, and tracks of others for each: a flood must cost little.
 MAX_TRACKS, MAX_NEAR = 200, 16
-#: m, from where a fault puts a track, within which another agent's track is of the same object.
-MATCH_M = 1.6
-#: Share of the tracks with another agent's track near them that must be matched so; else the fault may be another one.
-MATCHED = 0.6
-#: m, standard deviation of a difference that the covariances do not contain: boxes seen from two sides.
-FLOOR_M = 0.1
-#: m, how far differences of two objects may deviate that have one cause.
-COMMON_M = 0.8
-#: Standard deviations from which a difference counts for no more, and up to which a fault explains it.
-CLIP, EXPLAINED_SD = 1.5, 3.0
 #: m/s, from which a track is moving.
 MOVING_MPS = 2.0
-#: Tracks that two agents must share to be compared.
-COMPARABLE = 3
-#: Variances of a fault before any evidence: (2 m, 2 m, 0.1 rad, 0.3 s) squared.
-PRIOR = np.array([4.0, 4.0, 0.01, 0.09])
 #: Pairs of agents whose fault is searched in one batch, at most, by so many tracks and their nearest ones.
 SEARCHES, SEARCHED_TRACKS, SEARCHED_NEAR = 6, 40, 6
 #: Turns, rad, and leads, s, that are tried where few tracks match.
 TURNS, LEADS = np.linspace(-0.12, 0.12, 13), np.linspace(-0.6, 0.6, 13)
-#: Mean of Huber's loss up to which a fit is good; difference of the sums from which a batch shows another fault.
-GOOD, CHANGED = 1.2, 5.0
 #: Twice the log-likelihood by which a fault that is corrected may fit worse than none, before it is forgotten.
 DOUBT = 10.0
 #: s, between two fits while no two agents differ: consecutive tracks of honest agents show little new.
 FIT_S = 0.3
-#: m, m/s: a track by which turns and delays are compared with displacements.
-ARM_M, SPEED_MPS = 30.0, 10.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,11 +163,6 @@ def _nearest(track: Ints, other: Ints, agent: Ints, distance: Floats) -> Ints:
 
 def _count(one: Ints, other: Ints, a: int) -> Ints:
     return np.bincount(one * a + other, minlength=a * a).reshape(a, a)
-
-
-def _loss(deviation: Floats) -> Floats:
-    """Huber's loss of deviations."""
-    return np.where(deviation <= CLIP, 0.5 * deviation**2, CLIP * (deviation - 0.5 * CLIP))
 
 
 def most_common(found: Differences, pair: tuple[int, int]) -> Floats | None:
@@ -319,8 +310,8 @@ class RelativeFaults:
             information, score = near.equations(a, fresh if step or anew.any() else None)
             fresh = _solved((samples * information, samples * score), prior)
         count = near.sums(a, np.ones(len(near.one)))
-        loss, other_loss = (near.sums(a, _loss(near.deviations(each))) for each in (fault, fresh))
-        changed = (loss > GOOD * count) & (other_loss < loss - CHANGED) | anew
+        loss, other_loss = (near.sums(a, huber_loss(near.deviations(each))) for each in (fault, fresh))
+        changed = (loss > FIT * count) & (other_loss < loss - CHANGED) | anew
         for row in range(2):
             now = samples * (information, score)[row]
             total[row][changed] = now[changed]
@@ -395,9 +386,3 @@ def about_pivot(arm: Floats) -> Floats:
     result = np.tile(np.eye(4), (len(arm), 1, 1))
     result[:, 0, 2], result[:, 1, 2] = -arm[:, 1], arm[:, 0]
     return result
-
-
-def displacement_m(fault: Floats) -> Floats:
-    """(...) m, by which faults (..., 4) move a track that is ARM_M away and drives at SPEED_MPS."""
-    shift = np.hypot(fault[..., 0], fault[..., 1])
-    return np.asarray(np.maximum(shift, np.maximum(ARM_M * np.abs(fault[..., 2]), SPEED_MPS * np.abs(fault[..., 3]))))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,10 +20,9 @@ from mast_zenoh.integrity.base import (
     Integrity,
 )
 from mast_zenoh.integrity.calibration import EXCUSED_S, MAX_STEP_S, Tail, accumulate, discoveries
-from mast_zenoh.integrity.disputes import Disputes, disputes
+from mast_zenoh.integrity.disputes import disputes
 from mast_zenoh.integrity.memory import NOW, AgentMemory
 from mast_zenoh.integrity.offsets import OffsetSums, offsets
-from mast_zenoh.integrity.testimonies import Testimonies
 from mast_zenoh.integrity.visibility import current, lenient_sightings, rays_at
 from mast_zenoh.integrity.voting import ExistenceVotes
 
@@ -125,13 +125,13 @@ class SequentialConsistency(Integrity):
         seen, own = lenient_sightings(batch, boxes)
         rays = rays_at(batch, boxes, current(batch.views))
         dispute = disputes(batch, boxes, own, seen, rays, vote.astype(np.float64))
-        contradictions = np.logical_or.reduce(tuple(dispute.accusations.values()))
+        accusations = dispute.accusations
         numbers = np.array([self._numbers[name] for name in batch.agents], np.int64)
         objects = self._existence.follow(batch.time_ns, boxes)
         offset = self._sums.statistics(
             batch.time_ns, numbers, objects, offsets(batch, boxes, self._median_weights(rows))
         )
-        count = contradictions.sum(axis=0)
+        count = np.logical_or.reduce(tuple(accusations.values())).sum(axis=0)
         # An honest agent errs about one object at a time: several at once are much rarer.
         total = accumulate(self._of.contradictions[rows], 0.5 * count * (count + 1), self.allowance, dt)
         # Limited, so that it can be forgotten again.
@@ -143,7 +143,7 @@ class SequentialConsistency(Integrity):
             rates.size, 1
         )  # of suspended agents, which are tested for release alone
         alarms[vote] = discoveries(rates[vote], self.false_alarms_per_hour)
-        self._update_suspensions(batch, rows, alarms, dispute, dt)
+        self._update_suspensions(batch, rows, alarms, accusations, dt)
         judged, weights = self._existence.count(batch, boxes, seen, rays, dispute.impossible, ~self._of.suspended, rows)
         return Assessment(weights, self._agent_trust(batch, rows, rates), judged)
 
@@ -172,9 +172,9 @@ class SequentialConsistency(Integrity):
         return rows
 
     def _update_suspensions(
-        self, batch: Batch, rows: Ints, alarms: Bools, dispute: Disputes | Testimonies, dt: float
+        self, batch: Batch, rows: Ints, alarms: Bools, accusations: Mapping[str, Bools], dt: float
     ) -> None:
-        """Suspend and release agents."""
+        """Suspend and release agents. accusations: (c, a) what counts against an agent, by its description"""
         self._of.seen_s[rows] += dt
         alarmed = alarms.any(axis=1)
         self._of.quiet_ns[rows] = np.where(self._last[0] > 0.0, self._of.quiet_ns[rows], batch.time_ns)
@@ -198,7 +198,7 @@ class SequentialConsistency(Integrity):
         for row in np.flatnonzero(released).tolist():
             self._reasons.pop(batch.agents[row], None)
         for row in np.flatnonzero(new).tolist():
-            self._reasons[batch.agents[row]] = self._reason(row, alarms[row], dispute)
+            self._reasons[batch.agents[row]] = self._reason(row, alarms[row], accusations)
 
     def _honest_until(self, row: int, lied: bool) -> int:
         """Time, ns, until which there was no evidence against an agent that is suspended now."""
@@ -207,12 +207,11 @@ class SequentialConsistency(Integrity):
             return int(self._of.quiet_ns[row]) - round(GRACE_S * 1e9)
         return self._time_ns - round(2.0 * self.offset_memory_s * 1e9)
 
-    def _reason(self, row: int, alarms: Bools, dispute: Disputes | Testimonies) -> str:
+    def _reason(self, row: int, alarms: Bools, accusations: Mapping[str, Bools]) -> str:
         """Why an agent is suspended."""
         if not alarms[0]:
             return f"reports a position that differs from the other agents' (offset statistic {self._last[1][row]:.0f})"
-        kinds = dispute.accusations
-        most = max(kinds, key=lambda kind: int(kinds[kind][:, row].sum()))
+        most = max(accusations, key=lambda kind: int(accusations[kind][:, row].sum()))
         return f"{most}, {self._last[0][row]:.1f} object-seconds"
 
     def _agent_trust(self, batch: Batch, rows: Ints, rates: Floats) -> AgentTrust:

@@ -79,8 +79,3 @@ class Testimonies:
             "reports objects that no road user can be": self.impossible,
             "reports one object twice": self.repeated,
         }
-
-    @property
-    def contradicted(self) -> Ints:
-        """(a,) number of objects that an agent reports, and that another one or its own reports contradict."""
-        return np.asarray(np.logical_or.reduce(tuple(self.accusations.values())).sum(axis=0))

@@ -103,13 +103,8 @@ class ExistenceVotes:
         votes = voter.astype(np.float64)
         confirming, contradicting = (claims | silent) @ votes, clear @ votes
         balance = self._votes.vote(rows, confirming - contradicting)
-        together = claims.sum(axis=1) >= WITNESSES
-        self._witnessed[rows[:, None], agent_rows] |= claims & together[:, None]
-        claimed = claims.any(axis=1)
-        self._of.claimed_ns[rows] = np.where(claimed, batch.time_ns, self._of.claimed_ns[rows])
-        recent = batch.time_ns - self._of.claimed_ns[rows] <= ESTABLISHED_S * 1e9
-        established = self._of.known[rows] | (self._witnessed[rows] & believed).any(axis=1)
-        withheld = (balance < 0.0) | ~(claimed | (established & recent))
+        self._note_witnesses(claims, agent_rows)
+        withheld = (balance < 0.0) | ~self._stays(batch.time_ns, np.asarray(claims.any(axis=1)), believed)
         objects = ObjectTrust(
             (1.0 + confirming) / (2.0 + confirming + contradicting),
             (seen.in_view | reported).sum(axis=1),
@@ -118,6 +113,22 @@ class ExistenceVotes:
             withheld,
         )
         return objects, batch.weights(claims)
+
+    def _note_witnesses(self, claims: Bools, agent_rows: Ints) -> None:
+        """Note which agents confirm an object together. claims: (c, a); agent_rows: (a,)"""
+        together = claims.sum(axis=1) >= WITNESSES
+        self._witnessed[self._rows[:, None], agent_rows] |= claims & together[:, None]
+
+    def _confirmed(self, believed: Bools) -> Bools:
+        """(c,) objects that an agent confirmed together with another one. believed: (k,) agents that count"""
+        return np.asarray((self._witnessed[self._rows] & believed).any(axis=1))
+
+    def _stays(self, time_ns: int, claimed: Bools, believed: Bools) -> Bools:
+        """(c,) objects that are claimed (c,), or were until lately and were known or confirmed before."""
+        rows = self._rows
+        self._of.claimed_ns[rows] = np.where(claimed, time_ns, self._of.claimed_ns[rows])
+        recent = time_ns - self._of.claimed_ns[rows] <= ESTABLISHED_S * 1e9
+        return np.asarray(claimed | ((self._of.known[rows] | self._confirmed(believed)) & recent))
 
     def keep_known(self, before_ns: int) -> None:
         """Believe the objects that were known before a time, regardless of which agents report them later.

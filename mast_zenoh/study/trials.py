@@ -61,8 +61,8 @@ def run(
     check_environment(console, jobs, cluster, record=record)
     seed = study.seed if seed is None else seed
     runtime = runtime or (study.runtime if study.trials else None) or "inproc"
-    trials = plan(study, count=count, seed=seed, frames=frames or study.frames, runtime=runtime)
-    trials = [replace(trial, allow_failures=allow_failures) for trial in trials]
+    frames = frames or study.frames
+    trials = plan(study, count=count, seed=seed, frames=frames, runtime=runtime, allow_failures=allow_failures)
     store = Store.create(out, study, resume=resume)
     if record:
         trials = [replace(trial, folder=str(store.run_folder(trial))) for trial in trials]
@@ -121,8 +121,12 @@ def keep(outcomes: Iterable[Outcome], store: Store, failures: dict[str, str], pr
         progress.advance(bar)
 
 
-def plan(study: Study, *, count: int, seed: int, frames: int | None, runtime: str) -> list[Trial]:
+def plan(
+    study: Study, *, count: int, seed: int, frames: int | None, runtime: str, allow_failures: bool = False
+) -> list[Trial]:
     """One trial per configuration, scene and seed, grouped by scene and seed.
+
+    allow_failures: whether a trial counts even if handlers of its nodes failed
 
     Every configuration is resolved in every scene with the first seed. Raises what `scenario.load` and
     `scenario.resolve` raise, and ConfigurationError for a study of defences on calibration data.
@@ -161,6 +165,7 @@ def plan(study: Study, *, count: int, seed: int, frames: int | None, runtime: st
                         runtime=runtime,
                         scene_key=identity.scene_key(scene),
                         environment=tuple(sorted(environment.items())),
+                        allow_failures=allow_failures,
                         idle=idle,
                         evaluation=study.evaluation,
                     )

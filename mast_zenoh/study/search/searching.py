@@ -78,10 +78,7 @@ def run(
                 found = search.run()
                 held_out = replace(study, configurations=(*study.configurations, configuration(study, found, SEARCHED)))
                 state.study = held_out
-                todo = trials.plan(
-                    held_out, count=count, seed=seed + study.search.seeds, frames=how.frames, runtime=how.runtime
-                )
-                todo = [replace(trial, allow_failures=allow_failures) for trial in todo]
+                todo = how.plan(held_out, count, seed + study.search.seeds)
                 if record:
                     todo = [replace(trial, folder=str(store.run_folder(trial))) for trial in todo]
                 runs.run(todo, progress.add_task("held-out trials", total=len(todo)))
@@ -102,6 +99,17 @@ class Conditions:
     frames: int | None
     runtime: str
     allow_failures: bool
+
+    def plan(self, study: Study, count: int, seed: int) -> list[Trial]:
+        """The trials of a study, with `count` seeds from `seed` on."""
+        return trials.plan(
+            study,
+            count=count,
+            seed=seed,
+            frames=self.frames,
+            runtime=self.runtime,
+            allow_failures=self.allow_failures,
+        )
 
 
 @dataclass(slots=True)
@@ -160,10 +168,8 @@ class Runs:
                 trials.keep(outcomes, self._store, self._state.failures, self.progress, bar)
 
     def _plan(self, configuration: Configuration, count: int) -> list[Trial]:
-        how = self.how
         of_one = replace(self.study, configurations=(configuration,))
-        planned = trials.plan(of_one, count=count, seed=how.seed, frames=how.frames, runtime=how.runtime)
-        return [replace(trial, allow_failures=how.allow_failures) for trial in planned]
+        return self.how.plan(of_one, count, self.how.seed)
 
     def _loaded(self, trial: Trial) -> Outcome:
         outcome = self._store.load(trial)
