@@ -19,7 +19,7 @@ PRESETS = dict(
     ),
     full=dict(
         defences="NoIntegrity,KOfN,Plausibility,Mate,FreeSpace,RobustFusion,SequentialConsistency,TruthDiscovery,FaultOrLie,"
-        "JointConsistency,Robosac,Pasac,Made,Prbi,PoseGuard,Cad",
+        "Robosac,Pasac,Made,Prbi,PoseGuard,Cad",
         adversaries=f"coordinated,{ADAPTIVE},fault:pose,fault:delay,fault:skew,fault:loss,fault:blind,fault:ghosts",
         counts=(1, 2, 3, 4),
         placements="random,worst",

@@ -3,7 +3,7 @@
 from mast_zenoh.study.defences import junctions, matrix_study, parse_choices, several, with_preset, words
 
 # Stages of the command centre; those after published defences last.
-DEFENCES = "KOfN,Mate,FreeSpace,SequentialConsistency,FaultOrLie,JointConsistency,Robosac,Pasac,Made,Prbi,PoseGuard,Cad"
+DEFENCES = "KOfN,Plausibility,Mate,FreeSpace,SequentialConsistency,FaultOrLie,Robosac,Pasac,Made,Prbi,PoseGuard,Cad"
 # Attacks of the original testbed, some that know how they are judged, and those after published attacks.
 ADVERSARIES = (
     "coordinated,uncoordinated,BlindSpot,Mimic,SlowDrift,Sleeper,Collusion,Framing,GhostAhead,"
@@ -17,9 +17,7 @@ KINDS = dict(
 )
 # On two cores: quick 3 minutes, full a night.
 PRESETS = dict(
-    quick=dict(
-        defences="FaultOrLie,JointConsistency", adversaries="coordinated,OpenDispute", kinds="poles,cars", trials=2
-    ),
+    quick=dict(defences="FreeSpace,FaultOrLie", adversaries="coordinated,OpenDispute", kinds="poles,cars", trials=2),
     full=dict(defences=DEFENCES, adversaries=ADVERSARIES, kinds="poles,cars,many", trials=30),
 )
 

@@ -1,10 +1,10 @@
 """Measures how often honest agents exceed the statistics of a stage, and fits their tails.
 
-    .venv/bin/python tools/calibrate_integrity.py [FIRST_SEED LAST_SEED] [--frames N] [--joint] [--losses]
+    .venv/bin/python tools/calibrate_integrity.py [FIRST_SEED LAST_SEED] [--frames N] [--losses]
 
 Plays unattacked junctions 0 to 3 with the seeds given (101 to 106 by default), which no test of a defence may use, and
 prints for each statistic of `SequentialConsistency` the tail to be written into its file, with 95 % intervals from a
-bootstrap over runs; with --joint, the same of `JointConsistency`. With --losses, it prints the match losses of `Made`
+bootstrap over runs. With --losses, it prints the match losses of `Made`
 in these runs, to be written into `mast_zenoh/integrity/calibration.py`.
 """
 
@@ -18,7 +18,7 @@ import numpy as np
 from mast_zenoh import scenario
 from mast_zenoh.arrays.states import Floats, ObjectStates
 from mast_zenoh.fusion import SampledAssignmentClusterer
-from mast_zenoh.integrity import Batch, Integrity, JointConsistency, Made, SequentialConsistency
+from mast_zenoh.integrity import Batch, Integrity, Made, SequentialConsistency
 from mast_zenoh.integrity.calibration import fitted_tail
 from mast_zenoh.integrity.made import match_losses
 from mast_zenoh.integrity.views import views_of
@@ -87,15 +87,13 @@ def main() -> None:
     parser.add_argument("first", nargs="?", type=int, default=101)
     parser.add_argument("last", nargs="?", type=int, default=106)
     parser.add_argument("--frames", type=int, default=300)
-    parser.add_argument("--joint", action="store_true", help="of `JointConsistency`")
     parser.add_argument("--losses", action="store_true", help="print MATCH_LOSSES of `Made` instead of the tails")
     options = parser.parse_args()
     played = [(seed, index) for seed in range(options.first, options.last + 1) for index in SCENES]
     if options.losses:
         print_losses(played, options.frames)
         return
-    made = JointConsistency if options.joint else SequentialConsistency
-    runs = [statistics(made(false_alarms_per_hour=1e-30), *run, options.frames) for run in played]
+    runs = [statistics(SequentialConsistency(false_alarms_per_hour=1e-30), *run, options.frames) for run in played]
     random = np.random.default_rng(0)
     for name in runs[0]:
         maxima = [run[name].ravel() for run in runs]

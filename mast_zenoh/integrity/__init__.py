@@ -4,10 +4,13 @@ base         what a stage gets and returns, one box for each cluster, STATES of 
 views        what the agents' sensors cover
 visibility   what the rays of sensors say about boxes: which should see an object, and which see through it
 memory       follows objects and agents from batch to batch; how often each agent's claims have held up
-disputes     contradictions between agents about an object
+disputes     what agents say of each object, and who contradicts whom
+explanations which agents must be lying, and which may be
+existence    which objects exist, given that
 offsets      how far each agent's tracks are from the others', at once and over time
 calibration  sums of evidence, when they are alarms, and the data on which thresholds were chosen
-fault_fit    what a fault does to tracks and views, and how it is found
+agent_fault  what a fault does to tracks and views
+relative_faults  how the tracks of each pair of agents differ, and which agents are faulty
 voting       which objects exist; the stages KOfN and FreeSpace
 agreement    matched boxes of two sets, and their Jaccard index
 consensus    groups of agents, counted checks of them, and what the admission of agents means for their objects
@@ -29,7 +32,6 @@ from mast_zenoh.integrity.base import (
 )
 from mast_zenoh.integrity.cad import Cad
 from mast_zenoh.integrity.fault_or_lie import FaultOrLie
-from mast_zenoh.integrity.joint import JointConsistency
 from mast_zenoh.integrity.made import Made
 from mast_zenoh.integrity.mate import Mate
 from mast_zenoh.integrity.pasac import Pasac
@@ -53,7 +55,6 @@ __all__ = [
     "FaultOrLie",
     "FreeSpace",
     "Integrity",
-    "JointConsistency",
     "KOfN",
     "Made",
     "Mate",

@@ -173,6 +173,12 @@ class Integrity(ABC):
         Must not release an agent that was suspended earlier for another reason.
         """
 
+    def await_faults(self, agents: frozenset[str]) -> None:  # noqa: B027 (a hook)
+        """Note the agents whose tracks differ from others' by what may be a fault; called before each `assess`.
+
+        A stage should not act on them at once: when the fault is found, it excuses them.
+        """
+
     @abstractmethod
     def assess(self, batch: Batch) -> Assessment:
         """Assess the agents and clusters of a batch; called once for each, in order of time.

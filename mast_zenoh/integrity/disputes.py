@@ -1,4 +1,4 @@
-"""Contradictions between agents about an object, and tracks that no honest agent sends."""
+"""What agents say of each object, who contradicts whom, and tracks that no honest agent sends."""
 
 from __future__ import annotations
 
@@ -20,6 +20,12 @@ SLOPE, HEIGHT_ERROR_M = 0.12, 1.5
 #: Share of ONE_OBJECT from which two tracks of one agent are of one object: trackers merge those at ONE_OBJECT, and
 #: a batch moves them to another time.
 REPEATED = 0.8 * ONE_OBJECT
+#: Agents that must report an object before another one's silence about it contradicts them: trackers of honest agents
+#: are late by some frames, and lose objects for some.
+WITNESSES = 2
+#: m, horizontally and vertically, from an agent's track to the middle box of its object, up to which others' denial of
+#: the box contradicts the agent: two liars that report an object elsewhere move the box, and not the honest track.
+SAME_PLACE_M, SAME_HEIGHT_M = 1.0, 0.75
 #: m, from an object, within which an agent's track may be of it: it is not silent about the object. The clusterer's
 #: radius.
 ABOUT_M = 2.0
@@ -39,30 +45,20 @@ def on_ground(states: ObjectStates, agent: Ints) -> Bools:
     if len(states) <= 2:
         return np.ones(len(states), np.bool_)
     bottom = states.position[:, 2] - 0.5 * states.size[:, 2]
-    middles = [
-        [*np.median(states.position[agent == row, :2], axis=0), np.median(bottom[agent == row])]
-        for row in np.unique(agent).tolist()
-    ]
-    x, y, height = np.median(np.array(middles), axis=0)
+    middles = medians(np.column_stack([states.position[:, :2], bottom]), agent)
+    x, y, height = medians(middles, np.zeros(len(middles), np.int64))[0]
     away = np.hypot(states.position[:, 0] - x, states.position[:, 1] - y)
     return np.asarray(np.abs(bottom - height) <= HEIGHT_ERROR_M + SLOPE * away)
 
 
-def possible(states: ObjectStates, believed: Bools | None = None) -> Bools:
-    """(n,) tracks of boxes that road users have, on the ground.
-
-    believed: (n,) tracks that show where the ground is; None: all
-
-    The ground is where the boxes stand, at the median, and rises or falls by SLOPE at most.
-    """
-    fine = plausible_size(states)
-    shown = np.ones(len(states), np.bool_) if believed is None else believed
-    if shown.sum() > 2:
-        bottom = states.position[:, 2] - 0.5 * states.size[:, 2]
-        middle = np.median(states.position[shown, :2], axis=0)
-        away = np.hypot(*(states.position[:, :2] - middle).T)
-        fine &= np.abs(bottom - np.median(bottom[shown])) <= HEIGHT_ERROR_M + SLOPE * away
-    return np.asarray(fine)
+def medians(values: Floats, group: Ints) -> Floats:
+    """(g, k) medians of the columns of values (n, k) in each of g groups that occur. group: (n,) >= 0"""
+    count = np.bincount(group)
+    count = count[count > 0]
+    first = np.cumsum(count) - count
+    low, high = first + (count - 1) // 2, first + count // 2
+    ordered = np.column_stack([column[np.lexsort((column, group))] for column in values.T])
+    return np.asarray(0.5 * (ordered[low] + ordered[high]))
 
 
 def of_tracks(batch: Batch, tracks: Bools) -> Bools:
@@ -85,6 +81,12 @@ def repeated(batch: Batch) -> Bools:
     return result
 
 
+def in_place(batch: Batch, boxes: ClusterBoxes) -> Bools:
+    """(n,) tracks that are where the middle boxes of their clusters are."""
+    away = np.abs(batch.states.position - boxes.position[batch.labels])
+    return np.asarray((np.hypot(away[:, 0], away[:, 1]) <= SAME_PLACE_M) & (away[:, 2] <= SAME_HEIGHT_M))
+
+
 def about(batch: Batch, boxes: ClusterBoxes) -> Bools:
     """(c, a) whether the agent has a track within ABOUT_M of the object, in any cluster. boxes: of the clusters"""
     result = batch.reported.copy()
@@ -93,88 +95,78 @@ def about(batch: Batch, boxes: ClusterBoxes) -> Bools:
     return result
 
 
-#: Minimum number of viewers to settle a dispute: of two agents, either may be wrong.
-MIN_VIEWERS = 3
 #: sr; an object that looks smaller may go unnoticed (a lidar with 0.2 by 0.9 degrees has some 50 returns of this).
 CLEAR_SR = 2.5e-3
 #: m, farther away is not clear.
 CLEAR_M = 60.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Disputes:
-    """What the majority of the viewers of each of `c` objects says about each of `a` agents.
-
-    contradicted: (c, a) reports an object that the majority sees through
-    overlooked:   (c, a) sees through an object that the majority reports
-    silent:       (c, a) does not report an object that others do, though its rays end there and it is clear to see
-    inconsistent: (c, a) reports an object that its own sensor sees through
-    impossible:   (c, a) reports an object that no road user can be;  repeated: (c, a) reports one for the second time
-    confirming, contradicting: (c,) sums of the weights of those that report the object, and see through it
-    """
-
-    contradicted: Bools
-    overlooked: Bools
-    silent: Bools
-    inconsistent: Bools
-    impossible: Bools
-    repeated: Bools
-    confirming: Floats
-    contradicting: Floats
-
-    @property
-    def accusations(self) -> dict[str, Bools]:
-        """(c, a) what counts against an agent, by its description."""
-        return {
-            "reports objects that others see through": self.contradicted,
-            "reports objects in space that its own sensor sees through": self.inconsistent,
-            "claims to see through objects that others report": self.overlooked,
-            "does not report objects that it should see": self.silent,
-            "reports objects that no road user can be": self.impossible,
-            "reports one object twice": self.repeated,
-        }
-
-
-def disputes(
-    batch: Batch, boxes: ClusterBoxes, own: Bools, seen: Sightings, rays: RayEvidence, weight: Floats
-) -> Disputes:
-    """Settle the disputes about the objects of a batch by the majority of their viewers.
-
-    boxes: of the clusters; own: (c, a) whether the agent sees through its own track of the object
-    seen, rays: what the sensors see of the objects, and what their rays show
-    weight: (a,) 0 to 1, of each agent's vote
-
-    An agent that reports an object confirms it if its own sensor sees its place, and does not see through it: liars
-    that report what they cannot see have no vote. An agent that most rays pass speaks for an object that is reported
-    as little as one that all rays pass, but only the latter accuses.
-    A dispute of fewer than MIN_VIEWERS agents counts against nobody, and so does a tie. Nobody is silent about an
-    object beside which it has a track: another agent may have divided a cluster by two tracks of one object.
-    """
-    reported = batch.reported
-    impossible = of_tracks(batch, ~possible(batch.states, weight[batch.agent] > 0.0))
-    claims = reported & ~own & ~impossible
-    confirms = claims & (seen.in_view | rays.ends)
-    denies = seen.fully_clear & ~reported
-    doubts = rays.mostly_clear & ~reported
-    voter = weight > 0.0
-    confirming, contradicting = confirms @ weight, denies @ weight
-    viewers = (claims & voter).sum(axis=1) + (doubts & voter).sum(axis=1)
-    settled = viewers >= MIN_VIEWERS
-    false, true = settled & (contradicting > confirming), settled & (confirming > doubts @ weight)
-    silent = ~about(batch, boxes) & ~rays.mostly_clear & rays.ends & seen.in_view & clear(boxes.size, seen.distance)
-    return Disputes(
-        contradicted=false[:, None] & reported,
-        overlooked=true[:, None] & denies,
-        silent=silent & true[:, None],
-        inconsistent=reported & own,
-        impossible=impossible,
-        repeated=of_tracks(batch, repeated(batch)),
-        confirming=confirming,
-        contradicting=contradicting,
-    )
-
-
 def clear(size: Floats, distance: Floats) -> Bools:
     """(c, a) whether objects of a size (c, 3) m are easy to see from (c, a) m."""
     area = 0.5 * (size[:, 0] + size[:, 1]) * size[:, 2]
     return np.asarray((distance <= CLEAR_M) & (area[:, None] >= CLEAR_SR * distance**2))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Testimonies:
+    """What each of `a` agents says of each of `c` objects.
+
+    claims: (c, a) reports it there, and nothing that its own sensor shows speaks against it
+    denies: (c, a) all its rays pass through it;  silent: (c, a) does not report it, though its rays end there, it is
+            clear to see, and WITNESSES report it
+    inconsistent: (c, a) reports it, though its own sensor sees through it, and nobody else does: a tracker that has
+            lost a real object goes on for some frames
+    impossible:   (c, a) reports it as a box that no road user has;  repeated: (c, a) reports it for the second time
+    """
+
+    claims: Bools
+    denies: Bools
+    silent: Bools
+    inconsistent: Bools
+    impossible: Bools
+    repeated: Bools
+
+    @classmethod
+    def of(cls, batch: Batch, boxes: ClusterBoxes, own: Bools, seen: Sightings, rays: RayEvidence) -> Testimonies:
+        """The testimonies of a batch.
+
+        boxes: of its clusters; own: (c, a) whether the agent sees through its own track of the object
+        seen, rays: what the sensors see of the objects, and what their rays show
+        """
+        reported, states = batch.reported, batch.states
+        impossible = of_tracks(batch, ~(plausible_size(states) & on_ground(states, batch.agent)))
+        claims = reported & ~own & ~impossible & of_tracks(batch, in_place(batch, boxes))
+        silent = ~about(batch, boxes) & ~rays.mostly_clear & rays.ends & seen.in_view & clear(boxes.size, seen.distance)
+        return cls(
+            claims=claims,
+            denies=seen.fully_clear & ~reported,
+            silent=silent & (claims.sum(axis=1) >= WITNESSES)[:, None],
+            inconsistent=reported & own & ~claims.any(axis=1, keepdims=True),
+            impossible=impossible,
+            repeated=of_tracks(batch, repeated(batch)),
+        )
+
+    @property
+    def between(self) -> Ints:
+        """(a, a) number of objects about which two agents contradict each other."""
+        against = self.claims.T.astype(np.int64) @ (self.denies | self.silent)
+        return np.asarray(against + against.T)
+
+    @property
+    def against_itself(self) -> Ints:
+        """(a,) number of objects of which an agent's report contradicts itself."""
+        return np.asarray((self.inconsistent | self.impossible | self.repeated).sum(axis=0))
+
+    @property
+    def accusations(self) -> dict[str, Bools]:
+        """(c, a) what contradicts the reports of an agent, by its description.
+
+        What an agent does not report is no accusation: the object stays in the picture as long as another one reports
+        it, and things that a sensor does not see are easier to make than things that are not there (TrustFlip).
+        """
+        return {
+            "reports objects that others see through": self.claims & self.denies.any(axis=1, keepdims=True),
+            "reports objects in space that its own sensor sees through": self.inconsistent,
+            "reports objects that no road user can be": self.impossible,
+            "reports one object twice": self.repeated,
+        }

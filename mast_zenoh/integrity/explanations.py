@@ -17,10 +17,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mast_zenoh.arrays.states import Bools
+from mast_zenoh.arrays.states import Bools, Floats
 
 #: Results that are remembered for one graph of disputes: liars that flood it with disputes gain no memory by it.
 _REMEMBERED = 4096
+#: Branches of the search for covers, in all for one graph; 29 agents need fewer. Beyond, nothing counts as certain.
+_BRANCHES = 100_000
 
 
 class Verdict(NamedTuple):
@@ -49,6 +51,7 @@ class Explanations:
         self._others = [mask_of(row) for row in disputes]
         self._lying, self._honest = mask_of(lying & ~honest), mask_of(honest)
         self.most = (a - 1) // 2
+        self._branches = _BRANCHES
         self._fewest = lru_cache(_REMEMBERED)(self._fewest_with)
 
     def possible(self, lying: int = 0, honest: int = 0) -> bool:
@@ -86,7 +89,12 @@ class Explanations:
         return every if every.sum() == fewest else None
 
     def false(self, claiming: int, denying: int) -> bool:
-        """Whether in every explanation all that claim something lie: if one is honest, all that deny it lie."""
+        """Whether in every explanation all that claim something lie: if one is honest, all that deny it lie.
+
+        Without an explanation, whether all that claim it are known to lie.
+        """
+        if not self.possible():
+            return not claiming & ~self._lying
         return not any(self.possible(denying, 1 << agent) for agent in members(claiming))
 
     def _fewest_with(self, lying: int) -> int:
@@ -96,6 +104,7 @@ class Explanations:
     def _cover(self, gone: int, most: int) -> int:
         """Size of the smallest cover of the disputes without some agents; more than `most` if it is larger.
 
+        When all branches are used up, a lower bound, so that no agent seems to lie that may be honest.
         Branches on the agent with the most disputes left: it lies, or all that it disagrees with do.
         """
         left = [0 if gone >> agent & 1 else others & ~gone for agent, others in enumerate(self._others)]
@@ -105,6 +114,9 @@ class Explanations:
             return 0
         if most <= 0 or sum(degrees) > 2 * degree * most:  # `most` agents have fewer disputes
             return most + 1
+        self._branches -= 1
+        if self._branches < 0:
+            return -(-sum(degrees) // (2 * degree))
         agent = degrees.index(degree)
         rest = gone | left[agent] | 1 << agent
         if degree == 1:  # pairs alone are left: either lies
@@ -112,6 +124,24 @@ class Explanations:
         lies = 1 + self._cover(gone | 1 << agent, most - 1)
         most = min(most, lies - 1)
         return min(lies, degree + self._cover(rest, most - degree)) if degree <= most else lies
+
+
+def of_strongest(disputes: Bools, strength: Floats, lying: Bools, honest: Bools) -> Explanations:
+    """The explanations of the strongest disputes that have one.
+
+    disputes, lying, honest: see `Explanations`;  strength: (a, a) of each dispute
+
+    Each dispute is taken in turn, the strongest first, unless there is no explanation with it. Where more agents are
+    known to lie than there may be, there is none in any case.
+    """
+    kept = np.zeros_like(disputes)
+    ones, others = np.nonzero(np.triu(disputes))
+    for pair in np.argsort(-strength[ones, others], kind="stable").tolist():
+        one, other = ones[pair], others[pair]
+        kept[one, other] = kept[other, one] = True
+        if not Explanations(kept, lying, honest).possible():
+            kept[one, other] = kept[other, one] = False
+    return Explanations(kept, lying, honest)
 
 
 def mask_of(members: Bools) -> int:

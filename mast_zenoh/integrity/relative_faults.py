@@ -14,32 +14,36 @@ import numpy as np
 
 from mast_zenoh.arrays.matching import neighbours
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
+from mast_zenoh.integrity.agent_fault import displacement_m
 from mast_zenoh.integrity.calibration import MAX_STEP_S, SAMPLES_PER_S
 from mast_zenoh.integrity.explanations import Explanations
-from mast_zenoh.integrity.fault_fit import (
-    CHANGED,
-    CLIP,
-    COMMON_M,
-    COMPARABLE,
-    EXPLAINED_SD,
-    FIT,
-    FLOOR_M,
-    MATCH_M,
-    MATCHED,
-    PRIOR,
-    displacement_m,
-    huber_loss,
-)
 from mast_zenoh.integrity.memory import AgentMemory
 
+#: m, distance from where a fault puts a track within which another agent's track is of the same object.
+MATCH_M = 1.6
+#: Share of the tracks that must be matched so; else the fault is not the known one.
+MATCHED = 0.6
+#: m, standard deviation of a difference that the covariances do not contain: boxes seen from two sides.
+FLOOR_M = 0.1
+#: m, how far differences of two objects may differ that have one cause.
+COMMON_M = 0.8
+#: Standard deviations at which a difference stops to count for more, and up to which a fit explains it.
+CLIP, EXPLAINED_SD = 1.5, 3.0
+#: Tracks that two agents must share to be compared.
+COMPARABLE = 3
+#: Variances of the parameters before any evidence: (2 m, 2 m, 0.1 rad, 0.3 s) squared.
+PRIOR = np.array([4.0, 4.0, 0.01, 0.09])
+#: Mean of Huber's loss of a difference up to which a fit is good, and difference of the sums of it from which a batch
+#: shows another fault than those before.
+FIT, CHANGED = 1.2, 5.0
 #: m, farthest that two agents may report one object apart, if one has a fault.
 GATE_M = 9.0
-#: Tracks of an agent that are compared, at most, and tracks of others for each: a flood must cost little.
-MAX_TRACKS, MAX_NEAR = 200, 16
+#: Tracks of an agent that are compared, at most, and tracks of each other agent for one: a flood must cost little.
+MAX_TRACKS, MAX_NEAR = 200, 6
 #: m/s, from which a track is moving.
 MOVING_MPS = 2.0
-#: Pairs of agents whose fault is searched in one batch, at most, by so many tracks and their nearest ones.
-SEARCHES, SEARCHED_TRACKS, SEARCHED_NEAR = 6, 40, 6
+#: Pairs of agents whose fault is searched in one batch, at most, by so many tracks of one of them.
+SEARCHES, SEARCHED_TRACKS = 3, 40
 #: Turns, rad, and leads, s, that are tried where few tracks match.
 TURNS, LEADS = np.linspace(-0.12, 0.12, 13), np.linspace(-0.6, 0.6, 13)
 #: Twice the log-likelihood by which a fault that is corrected may fit worse than none, before it is forgotten.
@@ -156,9 +160,13 @@ def _first_of_each(agent: Ints, most: int) -> Ints:
 
 
 def _nearest(track: Ints, other: Ints, agent: Ints, distance: Floats) -> Ints:
-    """Rows of the MAX_NEAR nearest differences of each track."""
-    order = np.lexsort((other, distance, track))
-    return np.sort(order[_first_of_each(track[order], MAX_NEAR)])
+    """Rows of the MAX_NEAR nearest differences of each track from those of each other agent.
+
+    track, other: (k,) rows of the two tracks; agent: of all tracks;  distance: (k,) m
+    """
+    pair = track * (int(agent.max(initial=0)) + 1) + agent[other]
+    order = np.lexsort((other, distance, pair))
+    return np.sort(order[_first_of_each(pair[order], MAX_NEAR)])
 
 
 def _count(one: Ints, other: Ints, a: int) -> Ints:
@@ -172,8 +180,6 @@ def most_common(found: Differences, pair: tuple[int, int]) -> Floats | None:
     of equals is chosen, if it matches more tracks than none at all, and most of them.
     """
     mine = found.select(np.flatnonzero((found.one == pair[0]) & (found.other == pair[1])))
-    order = np.lexsort((np.hypot(*mine.offset.T), mine.track))
-    mine = mine.select(order[_first_of_each(mine.track[order], SEARCHED_NEAR)])
     mine = mine.select(np.isin(mine.track, np.unique(mine.track)[:SEARCHED_TRACKS]))
     tried = np.concatenate([np.zeros((1, 2)), *(np.column_stack(each) for each in _TRIED)])
     tracks, track = np.unique(mine.track, return_inverse=True)
@@ -364,6 +370,11 @@ class RelativeFaults:
         gain -= np.einsum("ai,aij,aj->a", corrected, information, corrected)
         return np.asarray(faulty & (gain >= -DOUBT))
 
+    @property
+    def doubtful(self) -> Bools:
+        """(a,) agents of the last update that may have a fault: they differ from others, or match few of their tracks."""
+        return np.asarray((self.differ | self._unsearched).any(axis=1))
+
     def faults(self, pivots: Floats) -> Floats:
         """(a, 4) the fault of each agent of the last update, about its pivot (a, 2) m; zeros: none."""
         if self._about is None:
@@ -376,6 +387,11 @@ def _solved(total: tuple[Floats, Floats], prior: Floats) -> Floats:
     # From either side it is the same but for the sign, so both use the mean of their priors.
     both = 0.5 * (prior[:, None] + prior[None, :])
     return np.asarray(np.linalg.solve(total[0] + both, total[1][..., None])[..., 0])
+
+
+def huber_loss(deviation: Floats) -> Floats:
+    """Huber's loss of deviations."""
+    return np.where(deviation <= CLIP, 0.5 * deviation**2, CLIP * (deviation - 0.5 * CLIP))
 
 
 def about_pivot(arm: Floats) -> Floats:

@@ -1,4 +1,4 @@
-"""Sequential tests of each agent against what the others report and see."""
+"""Sequential tests of each agent, with all disputes settled jointly."""
 
 from __future__ import annotations
 
@@ -19,12 +19,20 @@ from mast_zenoh.integrity.base import (
     ClusterBoxes,
     Integrity,
 )
-from mast_zenoh.integrity.calibration import EXCUSED_S, MAX_STEP_S, Tail, accumulate, discoveries
-from mast_zenoh.integrity.disputes import disputes
+from mast_zenoh.integrity.calibration import (
+    EXCUSED_S,
+    MAX_STEP_S,
+    SAMPLES_PER_S,
+    Tail,
+    accumulate,
+    discoveries,
+)
+from mast_zenoh.integrity.disputes import Testimonies
+from mast_zenoh.integrity.existence import ExistenceVotes
+from mast_zenoh.integrity.explanations import Explanations, Verdict, of_strongest
 from mast_zenoh.integrity.memory import NOW, AgentMemory
-from mast_zenoh.integrity.offsets import OffsetSums, offsets
+from mast_zenoh.integrity.offsets import KnownOffsetSums, OffsetSums, offsets
 from mast_zenoh.integrity.visibility import current, lenient_sightings, rays_at
-from mast_zenoh.integrity.voting import ExistenceVotes
 
 #: Names of agents that are remembered at most.
 MAX_NAMES = 1024
@@ -35,45 +43,71 @@ MIN_MEDIAN_WEIGHT = 0.05
 #: Log-odds are limited to this, either way.
 MAX_LOG_ODDS = 20.0
 
-#: Tails of both statistics on unattacked junctions, see docs/defences.md.
-CONTRADICTION_TAIL = Tail(per_hour=84.0, scale=0.25)
+#: Tails of the statistics on unattacked junctions, see docs/defences.md: of one agent's disputes, of those of a pair,
+#: of what an agent's own reports contradict, and of the offsets of any size.
+CONTRADICTION_TAIL = Tail(per_hour=78.0, scale=0.237)
+PAIR_TAIL = Tail(per_hour=43.0, scale=0.234)
+OWN_TAIL = Tail(per_hour=40.0, scale=0.248)
 OFFSET_TAIL = Tail(per_hour=4800.0, scale=4.4)
+#: The same of the offset of a known size, and m, that size.
+KNOWN_OFFSET_TAIL, KNOWN_OFFSET_M = Tail(per_hour=2400.0, scale=0.433), 1.0
 #: Of all agents together; a tenth of what is acceptable, because the tails are extrapolated.
 FALSE_ALARMS_PER_HOUR = 0.1
+#: Disputes an hour of each pair of honest agents that count as one. A pair alone suspends nobody.
+DISPUTES_PER_HOUR = 1.0
+#: s, for which an agent that may have a fault is not suspended for what it does.
+FAULT_AWAITED_S = 1.5
+#: s, of this time that an agent regains in a second: one that differs now and then is not excused for ever.
+AWAITED_AGAIN = 0.05
+#: s, for which a dispute about where an object is lasts.
+APART_S = 10.0
+#: Share of the statistic of an alarm, and m now, up to which an agent is where the middle of an object is.
+ON_THE_SPOT, ON_THE_SPOT_M = 0.25, 0.3
 
 
 @dataclass(kw_only=True, eq=False)
 class SequentialConsistency(Integrity):
-    """Suspends agents whose claims the others contradict for too long, or whose positions are off.
+    """Suspends agents that lie in every explanation of all recent disputes.
 
-    Two statistics for each agent: the cumulative sum (Page 1954) of contradictions in progress: objects that the
-    majority of their viewers sees through, that the agent does not report although it clearly sees their place, that
-    it claims to see through, or that its own sensor contradicts; and the greatest whitened offset of one of its tracks
-    from the median of the agents, summed over `offset_memory_s`. Each counts as an alarm by how rarely an honest agent
-    exceeds it, with the false discoveries among all agents controlled (Benjamini and Hochberg 1995).
+    Each object about which two agents contradict each other, however many others look at it, counts for that pair in a
+    cumulative sum (Page 1954); so does each object that both report at places too far apart. Pairs whose sum an honest
+    pair seldom exceeds disagree. An explanation is a set of fewer than half of the agents with one of each pair that
+    disagrees (`explanations`).
 
-    Which objects are withheld is decided by `ExistenceVotes`, in which a suspended agent has no vote.
+    Three statistics for each agent: the cumulative sum of contradictions in progress: objects that others see through,
+    that its own sensor contradicts, that no road user can be, or that it reports twice; the greatest whitened offset
+    of one of its tracks from the median of the agents, summed over `offset_memory_s`; and the cumulative sum of the
+    log-likelihood ratio of an offset of 1 m. Each counts as an alarm by how rarely an honest agent exceeds it, with the
+    false discoveries among all agents controlled (Benjamini and Hochberg 1995). An agent is suspended if one of them is
+    an alarm, and it is in every explanation. Two accusers of five prove nothing, since two may lie; three do. Agents in
+    some explanations alone are not suspended: their reason says so.
 
+    Which objects are withheld is decided by `ExistenceVotes`.
+
+    anchors: names of agents that are known to be honest, and never suspended: a receiver trusts its own sensors
     false_alarms_per_hour: of all agents together
     allowance: contradictions that are subtracted per second, so that an honest agent's sum stays near 0
     offset_memory_s: s, over which offsets are summed
     release_s: s without evidence after which a suspended agent is trusted again, at first; doubled each time
-    contradiction_tail, offset_tail: (per hour, scale) of the statistics of an honest agent
+    disputes_per_hour: of a pair of honest agents that count as a disagreement
+    contradiction_tail, offset_tail, pair_tail: (per hour, scale) of the statistics of an honest agent, or pair
 
     An agent's log-odds are the logarithm of how often an honest agent would look worse, relative to the permitted rate.
 
-    Weaknesses: a lie that no other agent could notice, and liars that outnumber the honest viewers of an object, are
-    believed; pedestrians may be moved by half a metre. Suspending an agent costs the objects that it alone reports and
-    that were not known before.
-    Needs views for all but the offsets. A dispute between two agents without a third counts against neither.
+    Weaknesses: a lie that no other agent could notice, or only as many as may be lying themselves, is believed, up to a
+    few objects; pedestrians may be moved by half a metre. Suspending an agent costs the objects that it alone reports
+    and that were not known before. Needs views for all but the offsets.
     """
 
+    anchors: tuple[str, ...] = ()
     false_alarms_per_hour: float = FALSE_ALARMS_PER_HOUR
     allowance: float = 0.25
     offset_memory_s: float = 5.0
     release_s: float = 30.0
+    disputes_per_hour: float = DISPUTES_PER_HOUR
     contradiction_tail: tuple[float, float] = (CONTRADICTION_TAIL.per_hour, CONTRADICTION_TAIL.scale)
     offset_tail: tuple[float, float] = (OFFSET_TAIL.per_hour, OFFSET_TAIL.scale)
+    pair_tail: tuple[float, float] = (PAIR_TAIL.per_hour, PAIR_TAIL.scale)
 
     def __post_init__(self) -> None:
         check(
@@ -81,40 +115,64 @@ class SequentialConsistency(Integrity):
             false_alarms_per_hour=self.false_alarms_per_hour,
             offset_memory_s=self.offset_memory_s,
             release_s=self.release_s,
+            disputes_per_hour=self.disputes_per_hour,
         )
-        self._tails = (Tail(*self.contradiction_tail), Tail(*self.offset_tail))
+        self._tails = (Tail(*self.contradiction_tail), Tail(*self.offset_tail), KNOWN_OFFSET_TAIL)
+        self._pair_tail = Tail(*self.pair_tail)
         self._sums = OffsetSums(self.offset_memory_s)
+        self._known_sums = KnownOffsetSums(KNOWN_OFFSET_M, SAMPLES_PER_S)
         self.reset()
 
     def reset(self) -> None:
+        # contradictions, own: cumulative sums, object-seconds, of disputes and of what contradicts itself
         # clean_s: since the last alarm or evidence;  seen_s: for which the agent has been observed
+        # awaited_s: for which an agent was to be suspended that may have a fault
         # suspended_ns: time, ns, of the last suspension;  for_offset: whether that was for an offset alone
         # quiet_ns: time, ns, of the last batch without evidence
-        numbers = dict.fromkeys(("contradictions", "clean_s", "offset", "seen_s"), 0.0)
+        sums = dict.fromkeys(("contradictions", "own", "clean_s", "offset", "seen_s", "awaited_s"), 0.0)
         flags = dict(suspended=False, for_offset=False)
-        self._agents = AgentMemory(forget_s=600.0, suspensions=0, suspended_ns=0, quiet_ns=NOW, **numbers, **flags)
+        self._agents = AgentMemory(
+            forget_s=600.0, number=-1, suspensions=0, suspended_ns=0, quiet_ns=NOW, **sums, **flags
+        )
         self._of = self._agents.of
+        self._next_number = 0  # of an agent that was not there before
         self._existence = ExistenceVotes(self._agents)
-        self._numbers: dict[str, int] = {}
+        self._pairs = np.zeros((0, 0))  # (m, m) cumulative disputes of each pair, object-seconds
+        self._apart_ns = np.zeros((0, 0), np.int64)  # (m, m) ns, when a pair last reported an object apart; 0: never
         self._sums.reset()
+        self._known_sums.reset()
         self._time_ns: int | None = None
-        self._last = np.zeros(0), np.zeros(0)
         self._reasons: dict[str, str] = {}
+        self._awaited: frozenset[str] = frozenset()
+        self._settled: tuple[bytes, Explanations, Verdict] | None = None
+        self._statistics = np.zeros((0, len(self._tails)))  # (a, 3) of the last batch
+        self._of_pairs, self._of_own = np.zeros(0), np.zeros(0)  # (p,), (a,) sums of the last batch
 
     @property
     def calibrated(self) -> dict[str, Floats]:
         """By name, (k,) statistics of the last batch that have a tail, see `tools/calibrate_integrity.py`."""
-        return dict(zip(("contradictions", "offset"), self._last, strict=True))
+        names = ("contradictions", "offset", "known offset")
+        of_agents = dict(zip(names, self._statistics.T, strict=True))
+        return of_agents | {"pair": self._of_pairs, "own": self._of_own}
 
     def excuse(self, agent: str) -> None:
-        if agent in self._agents.names:
-            row = self._agents.names.index(agent)
-            self._sums.forget(self._numbers[agent])
-            assert self._time_ns is not None
-            recent = self._time_ns - self._of.suspended_ns[row] <= EXCUSED_S * 1e9
-            if self._of.suspended[row] and (recent or self._of.for_offset[row]):
-                self._of.contradictions[row], self._of.suspended[row] = 0.0, False
-                self._reasons.pop(agent, None)
+        if agent not in self._agents.names:
+            return
+        row = self._agents.names.index(agent)
+        assert self._time_ns is not None
+        number = int(self._of.number[row])
+        self._sums.forget(number)
+        self._known_sums.forget(number)
+        self._of.contradictions[row] = self._of.awaited_s[row] = 0.0
+        self._pairs[row] = self._pairs[:, row] = 0.0
+        self._apart_ns[row] = self._apart_ns[:, row] = 0
+        recent = self._time_ns - self._of.suspended_ns[row] <= EXCUSED_S * 1e9
+        if self._of.suspended[row] and (recent or self._of.for_offset[row]):
+            self._of.suspended[row] = False
+            self._reasons.pop(agent, None)
+
+    def await_faults(self, agents: frozenset[str]) -> None:
+        self._awaited = agents
 
     def assess(self, batch: Batch) -> Assessment:
         dt = 0.0 if self._time_ns is None else min((batch.time_ns - self._time_ns) * 1e-9, MAX_STEP_S)
@@ -124,33 +182,50 @@ class SequentialConsistency(Integrity):
         boxes = ClusterBoxes.of(batch, np.broadcast_to(vote, (batch.clusters, len(vote))))
         seen, own = lenient_sightings(batch, boxes)
         rays = rays_at(batch, boxes, current(batch.views))
-        dispute = disputes(batch, boxes, own, seen, rays, vote.astype(np.float64))
-        accusations = dispute.accusations
-        numbers = np.array([self._numbers[name] for name in batch.agents], np.int64)
-        objects = self._existence.follow(batch.time_ns, boxes)
-        offset = self._sums.statistics(
-            batch.time_ns, numbers, objects, offsets(batch, boxes, self._median_weights(rows))
-        )
-        count = np.logical_or.reduce(tuple(accusations.values())).sum(axis=0)
-        # An honest agent errs about one object at a time: several at once are much rarer.
-        total = accumulate(self._of.contradictions[rows], 0.5 * count * (count + 1), self.allowance, dt)
-        # Limited, so that it can be forgotten again.
-        self._of.contradictions[rows] = np.minimum(total, 2.0 * self._alarm_at(0, len(rows)))
-        self._last = self._of.contradictions[rows].copy(), offset
+        testimonies = Testimonies.of(batch, boxes, own, seen, rays)
+        accusations = testimonies.accusations
+        offset, known = self._offsets(batch, boxes, rows, dt)
+        self._add_disputes(rows, testimonies, accusations, dt)
         self._of.offset[rows] = offset
-        rates = np.stack([tail.rate(value) for tail, value in zip(self._tails, self._last, strict=True)], axis=1)
-        alarms = rates <= self.false_alarms_per_hour / max(
-            rates.size, 1
-        )  # of suspended agents, which are tested for release alone
+        self._statistics = np.column_stack([self._of.contradictions[rows], offset, known])
+        explanations, verdict = self._explain(batch, rows)
+        rates = np.column_stack(
+            [tail.rate(values) for tail, values in zip(self._tails, self._statistics.T, strict=True)]
+        )
+        # Of suspended agents, which are tested for release alone, each statistic has its own limit.
+        alarms = rates <= self.false_alarms_per_hour / max(rates.size, 1)
         alarms[vote] = discoveries(rates[vote], self.false_alarms_per_hour)
+        alarms[vote & ~verdict.lying] = False
+        self._wait_for_faults(batch, rows, alarms, dt)
         self._update_suspensions(batch, rows, alarms, accusations, dt)
-        judged, weights = self._existence.count(batch, boxes, seen, rays, dispute.impossible, ~self._of.suspended, rows)
-        return Assessment(weights, self._agent_trust(batch, rows, rates), judged)
+        judged, weights = self._existence.settle(
+            batch,
+            boxes,
+            seen,
+            rays,
+            testimonies.impossible,
+            ~self._of.suspended,
+            rows,
+            explanations,
+        )
+        return Assessment(weights, self._agent_trust(batch, rows, rates, verdict), judged)
+
+    def _meet(self, batch: Batch) -> Ints:
+        """Rows (a,) of the agents of a batch; new ones have no record."""
+        rows = self._agents.meet(batch.time_ns, batch.agents)
+        self._pairs = self._agents.carry(self._agents.carry(self._pairs, 0.0), 0.0, axis=1)
+        self._apart_ns = self._agents.carry(self._agents.carry(self._apart_ns, 0), 0, axis=1)
+        new = rows[self._of.number[rows] < 0]
+        self._of.number[new] = self._next_number + np.arange(len(new))
+        self._next_number += len(new)
+        if len(self._reasons) > MAX_NAMES:
+            self._reasons = {name: self._reasons[name] for name in batch.agents if name in self._reasons}
+        return rows
 
     def _alarm_at(self, statistic: int, agents: int) -> float:
-        """The value from which one statistic alone, 0 contradictions or 1 offset, is an alarm."""
+        """The value from which one statistic alone, a column of `_statistics`, is an alarm."""
         tail = self._tails[statistic]
-        return max(tail.value_at(self.false_alarms_per_hour / max(2 * agents, 1)), tail.scale)
+        return max(tail.value_at(self.false_alarms_per_hour / max(len(self._tails) * agents, 1)), tail.scale)
 
     def _median_weights(self, rows: Ints) -> Floats:
         """(a,) weight of each agent in the middle of its objects: the less, the nearer its own offset is to an alarm.
@@ -161,44 +236,94 @@ class SequentialConsistency(Integrity):
         weight = np.clip(1.0 - self._of.offset[rows] / self._alarm_at(1, len(rows)), MIN_MEDIAN_WEIGHT, 1.0)
         return np.asarray(np.where(self._of.suspended[rows], 0.0, weight))
 
-    def _meet(self, batch: Batch) -> Ints:
-        """Rows (a,) of the agents of a batch; new ones have no record."""
-        rows = self._agents.meet(batch.time_ns, batch.agents)
-        if len(self._numbers) > MAX_NAMES:
-            self._numbers, self._reasons = {}, {}
-            self._sums.reset()
-        for name in batch.agents:
-            self._numbers.setdefault(name, len(self._numbers))
-        return rows
+    def _offsets(self, batch: Batch, boxes: ClusterBoxes, rows: Ints, dt: float) -> tuple[Floats, Floats]:
+        """(a,) greatest statistics of an offset of each agent, of any size and of the known one.
+
+        Notes which agents report an object apart.
+        """
+        numbers = self._of.number[rows]
+        objects = self._existence.follow(batch.time_ns, boxes)
+        measured = offsets(batch, boxes, self._median_weights(rows))
+        some = self._sums.of_objects(batch.time_ns, numbers, objects, measured)
+        known = self._known_sums.of_objects(batch.time_ns, numbers, objects, measured, dt)
+        share = np.maximum(some / self._alarm_at(1, len(rows)), known / self._alarm_at(2, len(rows)))
+        away = np.hypot(measured.offset[..., 0], measured.offset[..., 1])
+        for cluster, off in zip(*np.nonzero(share >= 1.0), strict=True):
+            there = measured.valid[cluster] & (share[cluster] <= ON_THE_SPOT) & (away[cluster] <= ON_THE_SPOT_M)
+            pair = np.ix_([rows[off]], rows[there])
+            self._apart_ns[pair] = batch.time_ns
+            self._apart_ns[pair[1].T, pair[0].T] = batch.time_ns
+        return some.max(axis=0, initial=0.0), known.max(axis=0, initial=0.0)
+
+    def _summed(self, total: Floats, count: Ints, tail: Tail, dt: float) -> Floats:
+        """Cumulative sums after a batch with `count` contradictions.
+
+        An honest agent errs about one object at a time: several at once are much rarer. Limited, so that they can be
+        forgotten again.
+        """
+        after = accumulate(total, np.asarray(0.5 * count * (count + 1), np.float64), self.allowance, dt)
+        return np.minimum(after, 2.0 * max(tail.value_at(self.false_alarms_per_hour / 10.0), tail.scale))
+
+    def _add_disputes(self, rows: Ints, testimonies: Testimonies, accusations: Mapping[str, Bools], dt: float) -> None:
+        of, pairs = self._of, np.ix_(rows, rows)
+        count = np.logical_or.reduce(tuple(accusations.values())).sum(axis=0)
+        of.contradictions[rows] = self._summed(of.contradictions[rows], count, self._tails[0], dt)
+        of.own[rows] = self._summed(of.own[rows], testimonies.against_itself, OWN_TAIL, dt)
+        self._pairs[pairs] = self._summed(self._pairs[pairs], testimonies.between, self._pair_tail, dt)
+        self._of_pairs, self._of_own = self._pairs[pairs][np.triu_indices(len(rows), 1)], of.own[rows]
+
+    def _explain(self, batch: Batch, rows: Ints) -> tuple[Explanations, Verdict]:
+        """The explanations of the disputes of the agents of a batch, and what they say of each."""
+        pairs, apart_ns = self._pairs[np.ix_(rows, rows)], self._apart_ns[np.ix_(rows, rows)]
+        apart = (apart_ns > 0) & (batch.time_ns - apart_ns <= APART_S * 1e9)
+        disputes = (self._pair_tail.rate(pairs) <= self.disputes_per_hour) | apart
+        lying = OWN_TAIL.rate(self._of.own[rows]) <= self.false_alarms_per_hour / max(len(rows), 1)
+        lying |= self._of.suspended[rows]
+        honest = np.isin(batch.agents, self.anchors)
+        key = disputes.tobytes() + lying.tobytes() + honest.tobytes()
+        if self._settled is None or self._settled[0] != key:
+            explanations = Explanations(disputes, lying, honest)
+            if not explanations.possible():
+                explanations = of_strongest(disputes, np.where(apart, np.inf, pairs), lying, honest)
+            self._settled = key, explanations, explanations.verdict()
+        return self._settled[1], self._settled[2]
+
+    def _wait_for_faults(self, batch: Batch, rows: Ints, alarms: Bools, dt: float) -> None:
+        """Take back the alarms of agents that may have a fault, for a while: it excuses them once it is found."""
+        awaited = np.array([name in self._awaited for name in batch.agents], np.bool_)
+        waiting = alarms.any(axis=1) & awaited & (self._of.awaited_s[rows] < FAULT_AWAITED_S)
+        before = self._of.awaited_s[rows]
+        self._of.awaited_s[rows] = np.where(waiting, before + dt, np.maximum(before - AWAITED_AGAIN * dt, 0.0))
+        alarms[waiting] = False
 
     def _update_suspensions(
         self, batch: Batch, rows: Ints, alarms: Bools, accusations: Mapping[str, Bools], dt: float
     ) -> None:
         """Suspend and release agents. accusations: (c, a) what counts against an agent, by its description"""
-        self._of.seen_s[rows] += dt
+        of = self._of
+        of.seen_s[rows] += dt
         alarmed = alarms.any(axis=1)
-        self._of.quiet_ns[rows] = np.where(self._last[0] > 0.0, self._of.quiet_ns[rows], batch.time_ns)
-        self._of.clean_s[rows] = np.where(alarmed | (self._last[0] > 0.0), 0.0, self._of.clean_s[rows] + dt)
-        patience = self.release_s * 2.0 ** np.maximum(self._of.suspensions[rows] - 1, 0)
-        released = self._of.suspended[rows] & (self._of.clean_s[rows] >= patience)
-        new = alarmed & ~self._of.suspended[rows]
+        evidence = of.contradictions[rows] > 0.0
+        of.quiet_ns[rows] = np.where(evidence, of.quiet_ns[rows], batch.time_ns)
+        of.clean_s[rows] = np.where(alarmed | evidence, 0.0, of.clean_s[rows] + dt)
+        patience = self.release_s * 2.0 ** np.maximum(of.suspensions[rows] - 1, 0)
+        released = of.suspended[rows] & (of.clean_s[rows] >= patience)
+        new = alarmed & ~of.suspended[rows]
         if new.any():
             # The worst first: the others may only look bad because it has moved the middle of their objects.
-            worst = np.argmax(
-                np.where(new, self._last[0] / self._tails[0].scale + self._last[1] / self._tails[1].scale, -1.0)
-            )
-            new = np.arange(len(new)) == worst
+            excess = (self._statistics / [tail.scale for tail in self._tails]).sum(axis=1)
+            new = np.arange(len(new)) == np.argmax(np.where(new, excess, -1.0))
             self._sums.reset()
+            self._known_sums.reset()
         for row in np.flatnonzero(new).tolist():
             self._existence.keep_known(self._honest_until(rows[row], bool(alarms[row, 0])))
-        self._of.suspensions[rows] += new
-        self._of.suspended[rows] = (self._of.suspended[rows] | new) & ~released
-        self._of.suspended_ns[rows[new]] = batch.time_ns
-        self._of.for_offset[rows[new]] = ~alarms[new, 0]
+            self._reasons[batch.agents[row]] = self._reason(row, alarms[row], accusations)
+        of.suspensions[rows] += new
+        of.suspended[rows] = (of.suspended[rows] | new) & ~released
+        of.suspended_ns[rows[new]] = batch.time_ns
+        of.for_offset[rows[new]] = ~alarms[new, 0]
         for row in np.flatnonzero(released).tolist():
             self._reasons.pop(batch.agents[row], None)
-        for row in np.flatnonzero(new).tolist():
-            self._reasons[batch.agents[row]] = self._reason(row, alarms[row], accusations)
 
     def _honest_until(self, row: int, lied: bool) -> int:
         """Time, ns, until which there was no evidence against an agent that is suspended now."""
@@ -209,17 +334,31 @@ class SequentialConsistency(Integrity):
 
     def _reason(self, row: int, alarms: Bools, accusations: Mapping[str, Bools]) -> str:
         """Why an agent is suspended."""
-        if not alarms[0]:
-            return f"reports a position that differs from the other agents' (offset statistic {self._last[1][row]:.0f})"
-        most = max(accusations, key=lambda kind: int(accusations[kind][:, row].sum()))
-        return f"{most}, {self._last[0][row]:.1f} object-seconds"
+        contradictions, offset, known = self._statistics[row]
+        if alarms[0]:
+            most = max(accusations, key=lambda kind: int(accusations[kind][:, row].sum()))
+            return f"{most}, {contradictions:.1f} object-seconds"
+        statistic = f"offset statistic {offset:.0f}" if alarms[1] else f"log-likelihood ratio of an offset {known:.1f}"
+        return f"reports a position that differs from the other agents' ({statistic})"
 
-    def _agent_trust(self, batch: Batch, rows: Ints, rates: Floats) -> AgentTrust:
+    def _agent_trust(self, batch: Batch, rows: Ints, rates: Floats, verdict: Verdict) -> AgentTrust:
+        """The trust in the agents; the reason of those whose honesty is open names all of them."""
         suspended = self._of.suspended[rows]
         least = np.log(np.maximum(rates, 1e-300) / self.false_alarms_per_hour).min(axis=1)
         log_odds = np.clip(least, -MAX_LOG_ODDS, MAX_LOG_ODDS)
         log_odds = np.where(suspended, np.minimum(log_odds, -1.0), log_odds)
-        state = np.where(suspended, SUSPENDED, np.where(self._of.seen_s[rows] >= 1.0, TRUSTED, UNKNOWN))
-        named = zip(batch.agents, suspended.tolist(), strict=True)
-        reasons = tuple(self._reasons.get(name, "") if bad else "" for name, bad in named)
-        return AgentTrust.of(1.0 / (1.0 + np.exp(-log_odds)), state.astype(np.uint8), reasons, log_odds=log_odds)
+        log_odds = np.where(suspended | verdict.lying, log_odds, np.maximum(log_odds, 0.0))
+        undecided = verdict.open & ~suspended
+        state = np.where(self._of.seen_s[rows] >= 1.0, TRUSTED, UNKNOWN)
+        state = np.where(suspended, SUSPENDED, np.where(undecided, UNKNOWN, state)).astype(np.uint8)
+        suspects = ", ".join(name for name, suspect in zip(batch.agents, undecided.tolist(), strict=True) if suspect)
+        named = zip(batch.agents, suspended.tolist(), undecided.tolist(), strict=True)
+        reasons = tuple(
+            self._reasons.get(name, "")
+            if bad
+            else f"may be lying, or those that contradict it are: {suspects}"
+            if suspect
+            else ""
+            for name, bad, suspect in named
+        )
+        return AgentTrust.of(1.0 / (1.0 + np.exp(-log_odds)), state, reasons, log_odds=log_odds)

@@ -8,17 +8,13 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh.arrays.checks import check
-from mast_zenoh.arrays.states import Bools, Floats, Ints
+from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.integrity.base import AgentTrust, Assessment, Batch, ClusterBoxes, Integrity, ObjectTrust
-from mast_zenoh.integrity.memory import NOW, AgentMemory, BetaReputation, ObjectMemory
-from mast_zenoh.integrity.visibility import FAR_M, RayEvidence, Sightings, rays_at, sightings, silent_about
+from mast_zenoh.integrity.memory import BetaReputation, ObjectMemory
+from mast_zenoh.integrity.visibility import FAR_M, rays_at, sightings, silent_about
 
 #: s, over which the votes about an object are averaged.
 MEMORY_S = 0.5
-#: Agents that must confirm an object at one time, so that it is believed when only suspended agents report it later.
-WITNESSES = 2
-#: s, for which it is believed then.
-ESTABLISHED_S = 10.0
 
 
 class VoteMemory:
@@ -51,91 +47,6 @@ class VoteMemory:
         after: Floats = np.where(np.isnan(before), balance, self._kept * before + (1.0 - self._kept) * balance)
         self.objects.of.balance[rows] = after
         return after
-
-
-class ExistenceVotes:
-    """Counts the votes about each object, with a short memory.
-
-    An agent that reports an object, or whose rays end at it, votes for it; one that sees through its place votes
-    against it, even if it reports it. The votes are weighted by trust.
-
-    An object is withheld while the votes against it weigh more, or while only suspended agents report it, unless an
-    agent that is not suspended has confirmed it together with another one, or it was known before the agents began to
-    lie: then it stays for ESTABLISHED_S.
-
-    agents: the memory of agents; it is updated by the caller
-    """
-
-    def __init__(self, agents: AgentMemory) -> None:
-        self._agents = agents
-        # known: whether nobody lied yet when it appeared
-        # claimed_ns: time, ns, at which a believed agent reported it last
-        self._votes = VoteMemory(MEMORY_S, known=False, claimed_ns=NOW)
-        self._of = self._votes.objects.of
-        self._rows: Ints = np.zeros(0, np.int64)  # of the clusters of the last batch
-        self._witnessed: Bools = np.zeros((0, 0), np.bool_)  # (m, k) which agents confirmed an object with another one
-
-    def follow(self, time_ns: int, boxes: ClusterBoxes) -> Ints:
-        """(c,) numbers of the objects of a batch's clusters, which they keep, see `ObjectMemory`."""
-        self._rows = self._votes.follow(time_ns, boxes)
-        objects = self._votes.objects
-        self._witnessed = self._agents.carry(objects.carry(self._witnessed, False), False, axis=1)
-        return np.asarray(objects.of.number[self._rows])
-
-    def count(
-        self,
-        batch: Batch,
-        boxes: ClusterBoxes,
-        seen: Sightings,
-        rays: RayEvidence,
-        impossible: Bools,
-        believed: Bools,
-        agent_rows: Ints,
-    ) -> tuple[ObjectTrust, Floats]:
-        """The trust in the objects of a batch, which are followed, and the weights (n,) of its tracks.
-
-        boxes, seen, rays: of its clusters, see `visibility`; impossible: (c, a) reports that are none
-        believed: (k,) agents in the memory that are not suspended; agent_rows: (a,)
-        """
-        reported, rows, voter = batch.reported, self._rows, believed[agent_rows]
-        clear, silent = rays.mostly_clear, silent_about(batch, boxes, seen, rays, FAR_M)
-        claims = reported & ~clear & ~impossible & voter
-        votes = voter.astype(np.float64)
-        confirming, contradicting = (claims | silent) @ votes, clear @ votes
-        balance = self._votes.vote(rows, confirming - contradicting)
-        self._note_witnesses(claims, agent_rows)
-        withheld = (balance < 0.0) | ~self._stays(batch.time_ns, np.asarray(claims.any(axis=1)), believed)
-        objects = ObjectTrust(
-            (1.0 + confirming) / (2.0 + confirming + contradicting),
-            (seen.in_view | reported).sum(axis=1),
-            claims.sum(axis=1),
-            (clear & voter).sum(axis=1),
-            withheld,
-        )
-        return objects, batch.weights(claims)
-
-    def _note_witnesses(self, claims: Bools, agent_rows: Ints) -> None:
-        """Note which agents confirm an object together. claims: (c, a); agent_rows: (a,)"""
-        together = claims.sum(axis=1) >= WITNESSES
-        self._witnessed[self._rows[:, None], agent_rows] |= claims & together[:, None]
-
-    def _confirmed(self, believed: Bools) -> Bools:
-        """(c,) objects that an agent confirmed together with another one. believed: (k,) agents that count"""
-        return np.asarray((self._witnessed[self._rows] & believed).any(axis=1))
-
-    def _stays(self, time_ns: int, claimed: Bools, believed: Bools) -> Bools:
-        """(c,) objects that are claimed (c,), or were until lately and were known or confirmed before."""
-        rows = self._rows
-        self._of.claimed_ns[rows] = np.where(claimed, time_ns, self._of.claimed_ns[rows])
-        recent = time_ns - self._of.claimed_ns[rows] <= ESTABLISHED_S * 1e9
-        return np.asarray(claimed | ((self._of.known[rows] | self._confirmed(believed)) & recent))
-
-    def keep_known(self, before_ns: int) -> None:
-        """Believe the objects that were known before a time, regardless of which agents report them later.
-
-        For the moment in which an agent is suspended: what it reported before it began to lie is no lie.
-        """
-        self._of.known |= self._of.first_ns < before_ns
 
 
 @dataclass(kw_only=True, eq=False)

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mast_zenoh.arrays.states import Bools
-from mast_zenoh.integrity.explanations import Explanations, mask_of, members
+from mast_zenoh.integrity.explanations import Explanations, mask_of, members, of_strongest
 
 Graph = tuple[Bools, set[int], set[int]]
 
@@ -81,7 +81,8 @@ def test_a_claim_is_false_if_all_that_make_it_lie_in_every_explanation(graph: Gr
     true = any(denying <= each and not claiming <= each for each in every) and bool(claiming)
     found = built(disputes, lying, honest)
     bits = [sum(1 << agent for agent in group) for group in (claiming, denying)]
-    assert found.false(*bits) == (not true)
+    # Without an explanation, only what known liars alone claim is false.
+    assert found.false(*bits) == (not true if every else claiming <= lying - honest)
 
 
 def test_two_accusers_of_five_prove_nothing_and_three_do() -> None:
@@ -102,3 +103,28 @@ def test_many_agents_with_many_disputes_are_judged_quickly() -> None:
 
 def test_a_set_has_the_bits_of_its_members() -> None:
     assert list(members(mask_of(np.array([True, False, True])))) == [0, 2]
+
+
+def test_where_no_explanation_exists_the_weakest_disputes_are_left_out() -> None:
+    disputes = ~np.eye(3, dtype=np.bool_)
+    nobody = np.zeros(3, np.bool_)
+    strength = np.array([[0.0, 3.0, 2.0], [3.0, 0.0, 1.0], [2.0, 1.0, 0.0]])
+    assert not Explanations(disputes, nobody, nobody).possible()
+    assert of_strongest(disputes, strength, nobody, nobody).verdict().lying.tolist() == [True, False, False]
+
+
+@given(graphs())
+def test_the_strongest_disputes_have_an_explanation_unless_half_of_the_agents_are_known_to_lie(graph: Graph) -> None:
+    disputes, lying, honest = graph
+    flags = [np.isin(np.arange(len(disputes)), list(each)) for each in (lying, honest)]
+    found = of_strongest(disputes, np.ones(disputes.shape), *flags)
+    assert found.possible() == bool(explanations(np.zeros_like(disputes), lying, honest))
+
+
+def test_a_search_that_would_take_too_long_finds_nobody_guilty() -> None:
+    a = 150
+    random = np.random.default_rng(0)
+    disputes = np.triu(random.random((a, a)) < 0.03, 1)
+    nobody = np.zeros(a, np.bool_)
+    verdict = Explanations(disputes | disputes.T, nobody, nobody).verdict()
+    assert not verdict.lying.any()

@@ -5,10 +5,9 @@ import pytest
 from integrity_batches import CAR, STEP_NS, VARIANCE
 
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.integrity import Batch, FaultOrLie
+from mast_zenoh.integrity import Batch, FaultOrLie, NoIntegrity
+from mast_zenoh.integrity.agent_fault import without_fault
 from mast_zenoh.integrity.base import FAULTY, SUSPENDED
-from mast_zenoh.integrity.fault_fit import without_fault
-from mast_zenoh.integrity.fault_or_lie import largest_groups
 
 AGENTS = ("a", "b", "c", "d")
 
@@ -120,11 +119,20 @@ def test_agents_that_left_or_send_no_tracks_do_not_disturb_the_search_for_a_faul
     assert (last.state == FAULTY).tolist() == [False, False, False, True]
 
 
-def test_groups_agree_by_way_of_others_and_equal_ones_are_all_largest() -> None:
-    assert largest_groups(5, {0: {1}, 1: {0, 2}, 2: {1}, 3: {4}, 4: {3}}) == {0, 1, 2}
-    assert largest_groups(4, {0: {1}, 1: {0}, 2: {3}, 3: {2}}) == {0, 1, 2, 3}
-    assert largest_groups(0, {}) == set()
+def test_a_displacement_that_comes_and_goes_excuses_once_in_a_minute() -> None:
+    excused: list[str] = []
 
+    class Judge(NoIntegrity):
+        def excuse(self, agent: str) -> None:
+            excused.append(agent)
 
-def test_agents_agree_only_if_each_does_with_the_other() -> None:
-    assert largest_groups(3, {0: {1, 2}, 1: {0, 2}, 2: set()}) == {0, 1}
+    random = np.random.default_rng(6)
+    place, speed = random.uniform(-60.0, 60.0, (12, 2)), random.uniform(-12.0, 12.0, (12, 2))
+    stage, found = FaultOrLie(stage=Judge()), []
+    for frame in range(300):
+        states, agent, _ = seen_by(4, place, speed * 0.0, frame, random)
+        states.position[agent == 3, 0] += 1.5 * (frame // 50 % 2)
+        stage.correct(frame * STEP_NS, states, agent, AGENTS, {})
+        found.append("d" in stage._known)
+    assert np.diff(np.array(found, np.int64)).tolist().count(1) >= 2, "the fault was found several times"
+    assert excused == ["d"]

@@ -10,11 +10,12 @@ from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.config import registry
 from mast_zenoh.integrity import FaultOrLie, FreeSpace, SequentialConsistency, TruthDiscovery
 from mast_zenoh.integrity.base import SUSPENDED, Batch, ClusterBoxes, Integrity
-from mast_zenoh.integrity.fault_fit import displacements
+from mast_zenoh.integrity.existence import ExistenceVotes
+from mast_zenoh.integrity.explanations import Explanations
 from mast_zenoh.integrity.memory import AgentMemory
+from mast_zenoh.integrity.relative_faults import MAX_NEAR, MAX_TRACKS, Differences
 from mast_zenoh.integrity.views import MAX_CELLS, check_view, collated_columns, view_columns
 from mast_zenoh.integrity.visibility import rays_at, sightings
-from mast_zenoh.integrity.voting import ExistenceVotes
 from mast_zenoh.messages.layout import MAX_ROWS
 from mast_zenoh.pipelines import Pipeline
 
@@ -133,7 +134,7 @@ def test_what_only_liars_confirmed_leaves_the_picture_with_them(witnesses: str, 
         votes.follow(given.time_ns, boxes)
         trusted = np.array([name not in lying for name in given.agents])
         seen = sightings(boxes.position, boxes.size, boxes.yaw, given.views)
-        found, _ = votes.count(
+        found, _ = votes.settle(
             given,
             boxes,
             seen,
@@ -141,6 +142,7 @@ def test_what_only_liars_confirmed_leaves_the_picture_with_them(witnesses: str, 
             np.zeros(given.reported.shape, np.bool_),
             trusted,
             rows,
+            Explanations(np.zeros((4, 4), np.bool_), *np.zeros((2, 4), np.bool_)),
         )
         assert not found.withheld[0] or lying
     assert found.withheld.tolist() == [not believed]
@@ -181,8 +183,8 @@ def test_a_flood_of_tracks_costs_a_fault_fit_little() -> None:
         size=np.tile(CAR, (n, 1)),
         covariance=np.tile(np.eye(9), (n, 1, 1)),
     )
-    found = displacements(flood, flood, np.zeros(n, np.int64), np.zeros(2), np.zeros(4))
-    assert len(found.offset) <= 200
+    found = Differences.of(flood, np.arange(n) % 2, np.zeros(2))
+    assert len(found.offset) <= 2 * MAX_TRACKS * MAX_NEAR
 
 
 def test_views_are_limited_in_size_and_all_together() -> None:

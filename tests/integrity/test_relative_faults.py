@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from mast_zenoh.arrays.states import Floats, ObjectStates
-from mast_zenoh.integrity.fault_fit import PRIOR
-from mast_zenoh.integrity.relative_faults import RelativeFaults, about_pivot
+from mast_zenoh.integrity.relative_faults import PRIOR, RelativeFaults, about_pivot
 
 NAMES = ("a", "b", "c", "d", "e")
 PIVOTS = np.array([[-30.0, 0.0], [30.0, 0.0], [0.0, 30.0], [0.0, -30.0], [20.0, 20.0]])
@@ -110,3 +109,22 @@ def test_a_fault_is_the_same_about_each_point() -> None:
     fault = np.array([1.0, 2.0, 0.1, 0.5])
     assert about @ fault == pytest.approx([1.0 - 0.4, 2.0 + 0.3, 0.1, 0.5])
     assert (PRIOR > 0.0).all()
+
+
+def test_a_fault_is_found_among_many_agents() -> None:
+    names = tuple(f"agent_{row:02}" for row in range(25))
+    random = np.random.default_rng(0)
+    place, pivots = random.uniform(-50.0, 50.0, (12, 2)), random.uniform(-40.0, 40.0, (25, 2))
+    estimator = RelativeFaults(significance=30.0, least_m=0.3, share=0.7, memory_s=1.5)
+    agent = np.repeat(np.arange(25), 12)
+    for frame in range(20):
+        position = np.tile(place, (25, 1)) + random.normal(0.0, 0.2, (300, 2))
+        position[agent == 7, 0] += 2.0
+        states = ObjectStates.of(
+            np.column_stack([position, np.zeros(300)]),
+            id=np.arange(300),
+            size=np.tile([4.5, 1.8, 1.5], (300, 1)),
+            covariance=np.tile(np.diag([0.04] * 3 + [0.02] * 3 + [0.25] * 3), (300, 1, 1)),
+        )
+        estimator.update(frame * STEP_NS, states, agent, names, pivots)
+    assert np.flatnonzero(estimator.faults(pivots).any(axis=1)).tolist() == [7]

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from integrity_batches import Track, batch, view
 
-from mast_zenoh.integrity import Batch, JointConsistency
+from mast_zenoh.integrity import Batch, FaultOrLie, SequentialConsistency
 from mast_zenoh.integrity.base import STATES, SUSPENDED, TRUSTED, UNKNOWN, Assessment
+from mast_zenoh.integrity.existence import ALONE, SUDDEN
 
 Place = tuple[float, float]
 #: Five agents around a crossing, and a car that all of them see.
@@ -50,7 +51,7 @@ def world(
         yield batch(tracks, tuple(PLACES), views, frame=frame)
 
 
-def last(stage: JointConsistency, batches: Iterable[Batch]) -> Assessment:
+def last(stage: SequentialConsistency, batches: Iterable[Batch]) -> Assessment:
     *_, assessment = (stage.assess(each) for each in batches)
     return assessment
 
@@ -60,19 +61,19 @@ def suspended(assessment: Assessment) -> str:
 
 
 def test_honest_agents_are_trusted() -> None:
-    found = last(JointConsistency(), world())
+    found = last(SequentialConsistency(), world())
     assert found.agents.state.tolist() == [TRUSTED] * 5
     assert not found.objects.withheld.any()
 
 
 def test_three_of_five_that_see_through_a_phantom_get_its_author_suspended() -> None:
-    found = last(JointConsistency(), world({"a": [(0.0, -8.0)]}, sees={(0.0, -8.0): "bcd"}))
+    found = last(SequentialConsistency(), world({"a": [(0.0, -8.0)]}, sees={(0.0, -8.0): "bcd"}))
     assert suspended(found) == "a"
     assert found.objects.withheld.tolist() == [False, True]
 
 
 def test_two_of_five_do_not_and_the_reason_names_all_that_may_be_lying() -> None:
-    found = last(JointConsistency(), world({"a": [(0.0, -8.0)]}, sees={(0.0, -8.0): "bd"}))
+    found = last(SequentialConsistency(), world({"a": [(0.0, -8.0)]}, sees={(0.0, -8.0): "bd"}))
     assert suspended(found) == ""
     assert found.agents.state.tolist() == [UNKNOWN, UNKNOWN, TRUSTED, UNKNOWN, TRUSTED]
     assert found.agents.reason[0] == "may be lying, or those that contradict it are: a, b, d"
@@ -82,13 +83,13 @@ def test_two_of_five_do_not_and_the_reason_names_all_that_may_be_lying() -> None
 def test_disputes_about_different_objects_add_up_to_a_proof() -> None:
     phantoms = [(14.0, -12.0), (-8.0, 12.0), (-8.0, -14.0)]
     one_each = dict(zip(phantoms, "bcd", strict=True))
-    found = last(JointConsistency(), world({"a": phantoms}, sees=one_each))
+    found = last(SequentialConsistency(), world({"a": phantoms}, sees=one_each))
     assert suspended(found) == "a"
 
 
 def test_two_that_claim_free_space_where_one_reports_a_car_suspend_nobody_and_hide_nothing() -> None:
     car = (0.0, -8.0)
-    found = last(JointConsistency(), world(hidden={"a": [car], "b": [car]}, cars=[CAR, car], sees={car: "abe"}))
+    found = last(SequentialConsistency(), world(hidden={"a": [car], "b": [car]}, cars=[CAR, car], sees={car: "abe"}))
     assert suspended(found) == ""
     assert not found.objects.withheld.any()
 
@@ -99,19 +100,19 @@ def test_an_agent_whose_own_sensor_sees_through_what_it_reports_needs_no_witness
             tracks: list[Track] = [("a", 0, (0.0, -8.0))]
             yield batch(tracks, tuple(PLACES), {"a": view(PLACES["a"])}, frame=frame)
 
-    assert suspended(last(JointConsistency(), seen_through())) == "a"
+    assert suspended(last(SequentialConsistency(), seen_through())) == "a"
 
 
 def test_an_anchor_is_believed_against_each_and_never_suspended() -> None:
     phantom = (0.0, -8.0)
     accused = world({"a": [phantom]}, sees={phantom: "b"})
-    assert suspended(last(JointConsistency(anchors=("b",)), accused)) == "a"
+    assert suspended(last(SequentialConsistency(anchors=("b",)), accused)) == "a"
     accuser = world({"a": [phantom]}, sees={phantom: "bcd"})
-    assert "a" not in suspended(last(JointConsistency(anchors=("a",)), accuser))
+    assert "a" not in suspended(last(SequentialConsistency(anchors=("a",)), accuser))
 
 
 def test_once_one_liar_is_known_two_accusers_prove_the_next() -> None:
-    stage = JointConsistency()
+    stage = SequentialConsistency()
     first, second = (0.0, -8.0), (-10.0, -3.0)
     assert suspended(last(stage, world({"a": [first]}, sees={first: "bcd"}))) == "a"
     later = [
@@ -121,14 +122,37 @@ def test_once_one_liar_is_known_two_accusers_prove_the_next() -> None:
     assert suspended(last(stage, later)) == "ae"
 
 
-def test_what_an_agent_of_open_honesty_alone_reports_is_limited_to_what_is_usual() -> None:
-    disputed = [(0.0, -8.0), (-8.0, 8.0)]
-    crowd = [(10.0 + 6.0 * (i % 4), -12.0 - 6.0 * (i // 4)) for i in range(12)]
-    sees = {disputed[0]: "b", disputed[1]: "c"} | dict.fromkeys(crowd, "")
-    found = last(JointConsistency(), world({"a": [*disputed, *crowd]}, sees=sees))
+CROWD = [(10.0 + 6.0 * (i % 5), -12.0 - 6.0 * (i // 5)) for i in range(15)]
+
+
+def test_an_agent_alone_may_report_as_many_objects_as_honest_ones_have_at_most() -> None:
+    found = last(SequentialConsistency(), world({"a": CROWD}, sees=dict.fromkeys(CROWD, ""), frames=15))
     assert suspended(found) == ""
     assert not found.objects.withheld[0], "the car that all see"
-    assert found.objects.withheld.sum() == len(disputed) + len(crowd) - 6
+    assert found.objects.withheld.sum() == len(CROWD) - ALONE
+
+
+def test_objects_that_an_agent_suddenly_reports_alone_are_fewer_if_it_had_none_before() -> None:
+    stage = SequentialConsistency()
+    last(stage, world())
+    later = [
+        Batch(each.time_ns + 5_000_000_000, each.states, each.agent, each.labels, each.agents, each.views)
+        for each in world({"a": CROWD}, sees=dict.fromkeys(CROWD, ""), frames=3)
+    ]
+    assert last(stage, later).objects.withheld.sum() == len(CROWD) - SUDDEN
+
+
+def test_liars_that_move_the_middle_box_of_an_object_do_not_make_honest_agents_contradict_each_other() -> None:
+    stage = SequentialConsistency()
+    for each in world():
+        position = each.states.position.copy()
+        position[np.isin(each.agent, [1, 2]), 2] += 2.5  # two liars of three report the car in the air
+        some = each.agent <= 2
+        lifted = each.states.with_(position=position).select(some)
+        views = tuple(view(PLACES[name]) if name in "de" else own for name, own in zip(PLACES, each.views, strict=True))
+        found = stage.assess(Batch(each.time_ns, lifted, each.agent[some], each.labels[some], each.agents, views))
+    assert not set(suspended(found)) & set("ade")
+    assert STATES[found.agents.state[0]] == "trusted"
 
 
 def test_an_agent_that_is_off_where_three_others_agree_is_suspended() -> None:
@@ -139,14 +163,14 @@ def test_an_agent_that_is_off_where_three_others_agree_is_suspended() -> None:
             states = each.states.with_(position=position)
             yield Batch(each.time_ns, states, each.agent, each.labels, each.agents, each.views)
 
-    found = last(JointConsistency(), shifted())
+    found = last(SequentialConsistency(), shifted())
     assert suspended(found) == "a"
     assert found.agents.reason[0].startswith("reports a position that differs")
 
 
 def test_the_result_does_not_depend_on_the_order_of_the_rows() -> None:
     random = np.random.default_rng(1)
-    straight, shuffled = JointConsistency(), JointConsistency()
+    straight, shuffled = SequentialConsistency(), SequentialConsistency()
     for each in world({"a": [(0.0, -8.0)]}, sees={(0.0, -8.0): "bcd"}, frames=20):
         order = random.permutation(len(each.agent))
         mixed = Batch(
@@ -158,7 +182,7 @@ def test_the_result_does_not_depend_on_the_order_of_the_rows() -> None:
 
 
 def test_of_a_suspended_agent_as_many_unseen_objects_are_believed_as_it_had_before() -> None:
-    stage = JointConsistency()
+    stage = SequentialConsistency()
     usual, phantom, later = (-40.0, 40.0), (0.0, -8.0), (-40.0, -40.0)
     sees = {usual: "a", phantom: "bcd", later: ""}
     before = list(world(cars=[CAR, usual], sees=sees))
@@ -175,7 +199,7 @@ def test_of_a_suspended_agent_as_many_unseen_objects_are_believed_as_it_had_befo
 @pytest.mark.parametrize("wrong", ["a", "ab"])
 def test_agents_whose_tracks_are_all_displaced_are_corrected_and_keep_their_vote(wrong: str) -> None:
     cars = [CAR, (-6.0, 12.0), (-12.0, -12.0), (12.0, -8.0)]
-    stage = JointConsistency()
+    stage = FaultOrLie()
     for each in world(cars=cars, frames=60):
         position = each.states.position.copy()
         position[np.isin(np.array(each.agents)[each.agent], list(wrong)), 0] += 1.2

@@ -1,0 +1,159 @@
+"""Which objects exist, given which agents must be lying, and which may be."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mast_zenoh.arrays.states import Bools, Floats, Ints
+from mast_zenoh.integrity.base import Batch, ClusterBoxes, ObjectTrust
+from mast_zenoh.integrity.explanations import Explanations, mask_of
+from mast_zenoh.integrity.memory import NOW, AgentMemory
+from mast_zenoh.integrity.visibility import FAR_M, RayEvidence, Sightings, silent_about
+from mast_zenoh.integrity.voting import MEMORY_S, VoteMemory
+
+#: Agents that must confirm an object at one time, so that it is believed when only suspended agents report it later.
+CONFIRMING = 2
+#: s, for which it is believed then.
+ESTABLISHED_S = 10.0
+#: Objects that an agent alone may report: so many, and this many times what is usual for the agents now; and as many
+#: above this many times its own mean until now. Honest agents on generated junctions had 8 at most, and 4 above their
+#: mean.
+ALONE, ALONE_TIMES = 8, 2.0
+SUDDEN, SUDDEN_TIMES = 4, 1.5
+#: s, over which these numbers are averaged for each agent, and s after which its mean is known.
+USUAL_S, KNOWN_S = 10.0, 2.0
+
+
+class ExistenceVotes:
+    """Decides which objects exist, with a short memory.
+
+    An agent that reports an object, or whose rays end at it, votes for it; one that sees through its place votes
+    against it, even if it reports it.
+
+    An object is withheld while it is false in every explanation of the disputes, or while only suspended agents report
+    it, unless an agent that is not suspended has confirmed it together with another one, or it was known before the
+    agents began to lie: then it stays for ESTABLISHED_S.
+
+    Objects where no other sensor looks can be neither confirmed nor refuted. Of a suspended agent, as many of them are
+    believed as it had on average before, the oldest: disbelieving all would cost more than it saves.
+
+    agents: the memory of agents; it is updated by the caller
+    """
+
+    def __init__(self, agents: AgentMemory) -> None:
+        self._agents = agents
+        # known: whether nobody lied yet when it appeared
+        # claimed_ns: time, ns, at which a believed agent reported it last
+        self._votes = VoteMemory(MEMORY_S, known=False, claimed_ns=NOW)
+        self._of = self._votes.objects.of
+        self._rows: Ints = np.zeros(0, np.int64)  # of the clusters of the last batch
+        self._witnessed: Bools = np.zeros((0, 0), np.bool_)  # (m, k) which agents confirmed an object with another one
+        # (k, 3) mean numbers of objects that an agent reports and nobody else looks at, and of those that it alone
+        # reports, and s, over which they are averaged
+        self._usual = np.zeros((0, 3))
+        self._time_ns: int | None = None
+
+    def follow(self, time_ns: int, boxes: ClusterBoxes) -> Ints:
+        """(c,) numbers of the objects of a batch's clusters, which they keep, see `ObjectMemory`."""
+        self._rows = self._votes.follow(time_ns, boxes)
+        objects = self._votes.objects
+        self._witnessed = self._agents.carry(objects.carry(self._witnessed, False), False, axis=1)
+        return np.asarray(objects.of.number[self._rows])
+
+    def settle(
+        self,
+        batch: Batch,
+        boxes: ClusterBoxes,
+        seen: Sightings,
+        rays: RayEvidence,
+        impossible: Bools,
+        believed: Bools,
+        agent_rows: Ints,
+        explanations: Explanations,
+    ) -> tuple[ObjectTrust, Floats]:
+        """The trust in the objects of a batch, which are followed, and the weights (n,) of its tracks.
+
+        boxes, seen, rays: of its clusters, see `visibility`; impossible: (c, a) reports that are none
+        believed: (k,) agents in the memory that are not suspended; agent_rows: (a,)
+        explanations: of the disputes of the a agents
+        """
+        reported, rows, voter = batch.reported, self._rows, believed[agent_rows]
+        clear, silent = rays.mostly_clear, silent_about(batch, boxes, seen, rays, FAR_M)
+        claims = reported & ~clear & ~impossible & voter
+        votes = voter.astype(np.float64)
+        confirming, contradicting = (claims | silent) @ votes, clear @ votes
+        denied = np.flatnonzero(claims.any(axis=1) & (clear & voter).any(axis=1))
+        refuted = np.zeros(len(rows), np.bool_)
+        refuted[denied] = [
+            explanations.false(mask_of(claims[row] | (silent[row] & voter)), mask_of(clear[row] & voter))
+            for row in denied.tolist()
+        ]
+        refuted |= ~claims.any(axis=1) & (contradicting > confirming)
+        balance = self._votes.vote(rows, np.where(refuted, -1.0, 1.0))
+        self._note_witnesses(claims, agent_rows)
+        unseen = reported & ~clear & ~impossible & ~(seen.in_view & voter & ~reported).any(axis=1, keepdims=True)
+        unseen &= (reported.sum(axis=1) == 1)[:, None]
+        alone = claims & ((claims.sum(axis=1) == 1) & ~self._confirmed(believed))[:, None]
+        self._usual = self._agents.carry(self._usual, 0.0)
+        usual = self._usual[agent_rows]
+        claimed = claims.any(axis=1) | self._oldest(unseen & ~voter, np.rint(usual[:, 0]))
+        most = self._most_alone(alone.sum(axis=0), usual)
+        beyond = alone.any(axis=1) & ~self._oldest(alone, most)
+        numbers = np.column_stack([unseen.sum(axis=0), np.minimum(alone.sum(axis=0), most)])
+        self._usual[agent_rows] = self._averaged(batch.time_ns, usual, numbers, voter)
+        withheld = (balance < 0.0) | ~self._stays(batch.time_ns, claimed, believed) | beyond
+        objects = ObjectTrust(
+            (1.0 + confirming) / (2.0 + confirming + contradicting),
+            (seen.in_view | reported).sum(axis=1),
+            claims.sum(axis=1),
+            (clear & voter).sum(axis=1),
+            withheld,
+        )
+        return objects, batch.weights(claims)
+
+    def _note_witnesses(self, claims: Bools, agent_rows: Ints) -> None:
+        """Note which agents confirm an object together. claims: (c, a); agent_rows: (a,)"""
+        together = claims.sum(axis=1) >= CONFIRMING
+        self._witnessed[self._rows[:, None], agent_rows] |= claims & together[:, None]
+
+    def _confirmed(self, believed: Bools) -> Bools:
+        """(c,) objects that an agent confirmed together with another one. believed: (k,) agents that count"""
+        return np.asarray((self._witnessed[self._rows] & believed).any(axis=1))
+
+    def _stays(self, time_ns: int, claimed: Bools, believed: Bools) -> Bools:
+        """(c,) objects that are claimed (c,), or were until lately and were known or confirmed before."""
+        rows = self._rows
+        self._of.claimed_ns[rows] = np.where(claimed, time_ns, self._of.claimed_ns[rows])
+        recent = time_ns - self._of.claimed_ns[rows] <= ESTABLISHED_S * 1e9
+        return np.asarray(claimed | ((self._of.known[rows] | self._confirmed(believed)) & recent))
+
+    def _most_alone(self, alone: Ints, usual: Floats) -> Floats:
+        """(a,) objects that each agent may report alone; alone: (a,) that it does; usual: (a, 3), see `_usual`."""
+        if not len(alone):
+            return np.zeros(0)
+        own = np.where(usual[:, 2] >= KNOWN_S, SUDDEN + SUDDEN_TIMES * usual[:, 1], np.inf)
+        return np.asarray(np.minimum(ALONE + ALONE_TIMES * np.median(alone), own))
+
+    def _averaged(self, time_ns: int, usual: Floats, numbers: Floats, voter: Bools) -> Floats:
+        """(a, 3) means with the numbers (a, 2) of a batch. voter: (a,) agents not suspended; of others, they stay"""
+        elapsed_s = 0.0 if self._time_ns is None else (time_ns - self._time_ns) * 1e-9
+        self._time_ns = time_ns
+        seconds = np.where(voter, np.minimum(usual[:, 2] + elapsed_s, USUAL_S), usual[:, 2])
+        step = np.where(voter, np.minimum(elapsed_s / np.maximum(seconds, 1e-9), 1.0), 0.0)
+        return np.column_stack([usual[:, :2] + step[:, None] * (numbers - usual[:, :2]), seconds])
+
+    def _oldest(self, objects: Bools, most: Floats) -> Bools:
+        """(c,) the oldest of each agent's objects (c, a), at most (a,) so many."""
+        chosen = np.zeros(len(objects), np.bool_)
+        for column in np.flatnonzero(objects.any(axis=0)).tolist():
+            own = np.flatnonzero(objects[:, column])
+            oldest = np.argsort(self._of.first_ns[self._rows[own]], kind="stable")
+            chosen[own[oldest[: int(most[column])]]] = True
+        return chosen
+
+    def keep_known(self, before_ns: int) -> None:
+        """Believe the objects that were known before a time, regardless of which agents report them later.
+
+        For the moment in which an agent is suspended: what it reported before it began to lie is no lie.
+        """
+        self._of.known |= self._of.first_ns < before_ns
