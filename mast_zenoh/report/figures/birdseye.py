@@ -36,6 +36,7 @@ from mast_zenoh.viewer.palette import (
     OUTCOME_COLOURS,
     OUTCOME_LABELS,
     STATES,
+    TROUBLES,
     WITHHELD,
 )
 
@@ -149,7 +150,7 @@ def _draw_agents(axes: Axes, view: Frame, window: tuple[float, float, float]) ->
         state = states.get(agent.name, "unknown")
         colour = STATES[state] if states else ADVERSARY if agent.name in attacked else AGENT
         name_colour = ADVERSARY if agent.name in attacked else colour
-        label = f"{agent.name}\n{state}" if state in ("faulty", "suspended") else agent.name
+        label = f"{agent.name}\n{state}" if state in TROUBLES else agent.name
         sector = agent.sensor.azimuth_max_deg - agent.sensor.azimuth_min_deg
         facing = recording.agent_rotation[view.index, index] @ agent.sensor.mount_rotation
         turn = float(heading(facing))
