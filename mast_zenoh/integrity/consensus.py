@@ -84,13 +84,14 @@ class EgoReference:
 
     ego: row of the agent; area_m: m, see `within_area`; match_iou: of matched boxes
 
-    checks: number of groups that were compared
+    checks: number of groups that were compared, also again
     """
 
     def __init__(self, batch: Batch, ego: int, area_m: float, match_iou: float) -> None:
         self._batch, self._ego, self._match_iou = batch, ego, match_iou
         self._area_m = area_m
         self._boxes = self._seen([])
+        self._known: dict[tuple[int, ...], float] = {}  # many draws of few agents repeat groups
         self.checks = 0
 
     def _seen(self, group: Sequence[int]) -> ClusterBoxes:
@@ -100,7 +101,10 @@ class EgoReference:
     def agreement(self, group: Sequence[int]) -> float:
         """Jaccard index of the ego's perception alone and with a group, rows of agents."""
         self.checks += 1
-        return agreement(self._boxes, self._seen(group), self._match_iou)
+        members = tuple(sorted(group))
+        if members not in self._known:
+            self._known[members] = agreement(self._boxes, self._seen(members), self._match_iou)
+        return self._known[members]
 
 
 def admission(batch: Batch, admitted: Bools, mean: Floats, reason: str) -> Assessment:

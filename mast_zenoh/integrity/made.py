@@ -64,6 +64,7 @@ class Made(Integrity):
         check_agent("ego", self.ego)
         check("more than 0 and less than 1", alpha=self.alpha)
         check("more than 0", area_m=self.area_m)
+        check("True or False", dependent=self.dependent)
         self._losses = calibration_losses(MATCH_LOSSES if self.calibration is None else self.calibration)
         self._admission = RecordedAdmission(self.record_s)
         # Slow to import: done before the first batch.

@@ -13,6 +13,7 @@ import numpy as np
 
 from mast_zenoh.arrays.matching import connected_groups, pairs_near
 from mast_zenoh.arrays.states import Bools, Floats, Ints
+from mast_zenoh.integrity.agreement import select
 from mast_zenoh.integrity.base import ClusterBoxes
 from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.integrity.visibility import TOLERANCES
@@ -21,6 +22,11 @@ from mast_zenoh.integrity.visibility import TOLERANCES
 SAMPLES = 12
 #: Share of the end of the range from which a ray has no return.
 _NO_RETURN = 1.0 - 1e-9
+#: Most returns of one agent, four times the sectors of a sensor that sees all around (`sensing.raycast.CELL_DEG`): a
+#: view may have any number, and the cost of areas grows with its square.
+MAX_RETURNS = 720
+#: Pairs of corners that are compared at a time.
+_BLOCK = 250_000
 
 
 def cell_centres(samples: int = SAMPLES) -> Floats:
@@ -60,6 +66,8 @@ def returns(view: SweptView, low_m: float, high_m: float, range_m: float) -> Flo
     """(k, 2) m: the nearest return in each sector, seen from above.
 
     low_m, high_m: heights, world frame, between which returns count; range_m: m, on the ground
+
+    At most MAX_RETURNS; of more, as many that are evenly spread over the sectors.
     """
     sensor, free = view.view, view.free
     if free.size == 0:
@@ -71,10 +79,12 @@ def returns(view: SweptView, low_m: float, high_m: float, range_m: float) -> Flo
     ray = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], axis=-1)
     points = sensor.position + (free[..., None] * ray) @ sensor.rotation.T
     away = np.hypot(points[..., 0] - sensor.position[0], points[..., 1] - sensor.position[1])
-    found = (free < sensor.max_range * _NO_RETURN) & (points[..., 2] >= low_m) & (points[..., 2] <= high_m)
-    found &= (away > TOLERANCES.own_m) & (away <= range_m)
-    nearest = np.where(found, away, np.inf).argmin(axis=0)
-    column = np.flatnonzero(found.any(axis=0))
+    counted = (free < sensor.max_range * _NO_RETURN) & (points[..., 2] >= low_m) & (points[..., 2] <= high_m)
+    counted &= (away > TOLERANCES.own_m) & (away <= range_m)
+    nearest = np.where(counted, away, np.inf).argmin(axis=0)
+    column = np.flatnonzero(counted.any(axis=0))
+    if len(column) > MAX_RETURNS:
+        column = column[np.arange(MAX_RETURNS) * len(column) // MAX_RETURNS]
     return np.asarray(points[nearest[column], column, :2])
 
 
@@ -115,13 +125,12 @@ def occupied_areas(points: Floats, agent: Ints, link_m: float, limits: AreaLimit
         if len(rows) < 3 or np.ptp(points[rows], axis=0).max() > limits.extent_m:
             continue
         corners = hull(points[rows])
-        offset = corners[:, None] - corners
-        if np.hypot(offset[..., 0], offset[..., 1]).max() > limits.extent_m:
+        if diameter(corners) > limits.extent_m:
             continue
         area = polygon_area(corners)
         if limits.least_m2 <= area <= limits.most_m2:
             areas.append(OccupiedArea(corners, area, np.unique(agent[rows])))
-    return sorted(areas, key=lambda each: each.corners[0].tolist())
+    return sorted(areas, key=lambda area: area.corners[0].tolist())
 
 
 def hull(points: Floats) -> Floats:
@@ -145,6 +154,15 @@ def hull(points: Floats) -> Floats:
         return kept[:-1]
 
     return np.array([*chain(ordered), *chain(ordered[::-1])])
+
+
+def diameter(corners: Floats) -> float:
+    """Greatest distance in m of two corners (h, 2) m."""
+    step = max(_BLOCK // len(corners), 1)
+    return max(
+        float(np.hypot(*(corners[start : start + step, None] - corners).transpose(2, 0, 1)).max())
+        for start in range(0, len(corners), step)
+    )
 
 
 def polygon_area(corners: Floats) -> float:
@@ -173,4 +191,6 @@ def uncovered_m2(area: OccupiedArea, boxes: ClusterBoxes) -> float:
     low, high = area.corners.min(axis=0), area.corners.max(axis=0)
     points = 0.5 * (low + high) + 0.5 * (high - low) * cell_centres()
     points = points[inside_hull(points, area.corners)]
-    return area.area_m2 * float((~inside_boxes(points, boxes)).mean()) if len(points) else 0.0
+    reach = 0.5 * np.hypot(*(high - low)) + 0.5 * np.hypot(boxes.size[:, 0], boxes.size[:, 1])
+    near = select(boxes, np.hypot(*(boxes.position[:, :2] - 0.5 * (low + high)).T) <= reach * (1.0 + 1e-9))
+    return area.area_m2 * float((~inside_boxes(points, near)).mean()) if len(points) else 0.0

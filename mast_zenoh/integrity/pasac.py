@@ -39,9 +39,10 @@ class Pasac(EgoConsensus):
     window: number of latest scores above, and of those below, that are kept
     least_scores: number of them from which they count
 
-    A batch of n other agents has 2 (n - 1) checks with `adaptive` (the original counts 2 n - 1), and at most as many
-    without. What differs from the original: CP-Guard compares maps of classes by a consistency loss and asks for 0.08;
-    tracks have no such map, so that both kinds use boxes, as CP-uniGuard does for detection.
+    A batch of n other agents, two or more, has 2 (n - 1) checks with `adaptive` (the original counts 2 n - 1), and at
+    most as many without; that of one other agent has one. What differs from the original: CP-Guard compares maps of
+    classes by a consistency loss and asks for 0.08; tracks have no such map, so that both kinds use boxes, as
+    CP-uniGuard does for detection.
 
     Weaknesses: the ego decides, so a lying ego excludes the honest ones; a few phantoms or displaced objects leave the
     Jaccard index above the threshold. The adaptive one calls the lowest score of each batch a bad one even if nobody
@@ -58,6 +59,8 @@ class Pasac(EgoConsensus):
     def __post_init__(self) -> None:
         check("0 to 1", agree=self.agree, smoothing=self.smoothing, deeper=self.deeper)
         check("1 or more", window=self.window, least_scores=self.least_scores)
+        check("a whole number", window=self.window, least_scores=self.least_scores)
+        check("True or False", adaptive=self.adaptive)
         super().__post_init__()
 
     def reset(self) -> None:

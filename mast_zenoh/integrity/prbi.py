@@ -21,6 +21,8 @@ from mast_zenoh.streams import stream
 
 #: Batches whose checks are remembered at most.
 MAX_MEMORY = 500
+#: s since the last batch after which its perception is no reference: a car that brakes is elsewhere by its own length.
+MAX_GAP_S = 1.0
 
 #: The members of a checked group, and whether it was normal.
 Check = tuple[frozenset[str], bool]
@@ -48,7 +50,9 @@ class Prbi(Integrity):
 
     The believed perception is that of everybody if both groups are normal, else of the agents above 0 if a third check
     finds it normal, else of the normal group if there is one. Otherwise the last one stays, and the agents above 0 are
-    admitted. So there are two or three checks in a batch. The first perception is believed without a check.
+    admitted. So there are two or three checks in a batch. The first perception is believed without a check, as is that
+    after a gap of more than MAX_GAP_S. If no agent has been above 0 for `memory` batches, the last perception is at
+    fault: the counts start anew with the present one. Never is everybody excluded (all of this is ours).
 
     agree: least Jaccard index of a normal group
     match_iou: intersection over union, seen from above, from which two boxes are one object
@@ -78,8 +82,11 @@ class Prbi(Integrity):
         check("more than 0 and at most 1", match_iou=self.match_iou)
         check("more than 0 and less than 1", level=self.level)
         check("2 or more", settled=self.settled)
-        if self.memory is not None and not 1 <= self.memory <= MAX_MEMORY:
-            raise ValueError(f"memory: found {self.memory}, expected 1 to {MAX_MEMORY}, or None")
+        check("a whole number", settled=self.settled)
+        if self.memory is not None:
+            check("a whole number", memory=self.memory)
+            if not 1 <= self.memory <= MAX_MEMORY:
+                raise ValueError(f"memory: found {self.memory}, expected 1 to {MAX_MEMORY}, or None")
         self._seed, self._name = 0, "integrity"
         # Slow to import: done before the first batch.
         from scipy.special import stdtrit
@@ -107,6 +114,8 @@ class Prbi(Integrity):
         self._time_ns = batch.time_ns
         rows = self._agents.meet(batch.time_ns, batch.agents)
         candidates = np.flatnonzero(~self._agents.of.excluded[rows])
+        if elapsed_s > MAX_GAP_S:
+            self._believed = None
         if self._believed is None or not len(candidates) or not len(self._believed.yaw):
             self._count.without_reference += 1
             self._believed = perception(batch, members_of(batch, candidates.tolist()))
@@ -131,7 +140,11 @@ class Prbi(Integrity):
             believed = self._confirmed(candidates[honest > 0.0].tolist(), fitting, reference)
         self._believed = reference.boxes if believed is None else perception(batch, members_of(batch, believed))
         self._count.add(reference.checks)
-        self._settle(rows[candidates], honest)
+        if self._is_lost(honest):
+            self._start_anew(rows[candidates])
+            self._believed = perception(batch, members_of(batch, candidates.tolist()))
+        else:
+            self._settle(rows[candidates], honest)
 
     def _groups(self, time_ns: int, candidates: Ints, honest: Floats) -> list[list[int]]:
         """One or two groups of candidates, rows of agents, none of them empty."""
@@ -170,11 +183,19 @@ class Prbi(Integrity):
         """Exclude the agents at 0 if the number of attackers has settled at theirs. rows: in the memory of agents"""
         self._estimates.append(estimated(self._checks()))
         number = int((honest == 0.0).sum())
-        if number >= 1 and has_settled(list(self._estimates), number, self.settled, self._quantile):
+        if 1 <= number < len(honest) and has_settled(list(self._estimates), number, self.settled, self._quantile):
             self._agents.of.excluded[rows[honest == 0.0]] = True
-            self._agents.of.honest[rows[honest > 0.0]] = 1.0
-            self._batches.clear()
-            self._estimates.clear()
+            self._start_anew(rows[honest > 0.0])
+
+    def _is_lost(self, honest: Floats) -> bool:
+        """Whether no agent fits the last believed picture for as long as checks are remembered."""
+        return not honest.any() and len(self._batches) == self._batches.maxlen
+
+    def _start_anew(self, rows: Ints) -> None:
+        """Forget the checks, and take agents to be honest. rows: in the memory of agents"""
+        self._agents.of.honest[rows] = 1.0
+        self._batches.clear()
+        self._estimates.clear()
 
 
 class PastReference:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import ceil, floor, log1p
+from math import ceil, floor, inf, log1p
 
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.integrity.consensus import EgoConsensus, EgoReference
@@ -45,7 +45,7 @@ class Robosac(EgoConsensus):
     agree: float = 0.3
 
     def __post_init__(self) -> None:
-        check("0 or more", attackers=self.attackers)
+        check("0 or more, finite", attackers=self.attackers)
         check("more than 0 and less than 1", confidence=self.confidence)
         check("0 to 1", agree=self.agree)
         if self.budget is None and self.sample_size is None:
@@ -53,6 +53,7 @@ class Robosac(EgoConsensus):
         for name, number in (("budget", self.budget), ("sample_size", self.sample_size)):
             if number is not None:
                 check("1 or more", **{name: number})
+                check("a whole number", **{name: number})
         self._seed, self._name = 0, "integrity"
         super().__post_init__()
 
@@ -69,7 +70,7 @@ class Robosac(EgoConsensus):
         size = min(size, others)
         if self.budget is not None:
             return self.budget, size
-        return min(samples_needed(self.confidence, eta, size), MAX_GROUPS), size
+        return int(min(samples_needed(self.confidence, eta, size), MAX_GROUPS)), size
 
     def _admit(self, time_ns: int, others: Sequence[int], reference: EgoReference) -> Sequence[int]:
         if not others:
@@ -83,15 +84,15 @@ class Robosac(EgoConsensus):
         return ()
 
 
-def samples_needed(confidence: float, eta: float, size: int) -> int:
+def samples_needed(confidence: float, eta: float, size: int) -> float:
     """Groups of which one at least is free of attackers, with probability `confidence`.
 
-    eta: share of attackers, 0 to 1; size: agents in a group, drawn as if with replacement. 0 if all are attackers: no
-    group is free of them.
+    eta: share of attackers, 0 to 1; size: agents in a group, drawn as if with replacement. A whole number, or inf if
+    all are attackers: no group is free of them, and the formula has no limit.
     """
     free = (1.0 - eta) ** size
     if free <= 0.0:
-        return 0
+        return inf
     return 1 if free >= 1.0 else max(ceil(log1p(-confidence) / log1p(-free)), 1)
 
 

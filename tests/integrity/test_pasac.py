@@ -187,6 +187,9 @@ def test_an_agent_with_nothing_of_its_own_agrees_fully() -> None:
         ({"deeper": -1.0}, "deeper: found -1.0, expected 0 to 1"),
         ({"window": 0}, "window: found 0, expected 1 or more"),
         ({"least_scores": 0}, "least_scores: found 0, expected 1 or more"),
+        ({"window": 2.5}, "window: found 2.5, expected a whole number"),
+        ({"least_scores": 2.5}, "least_scores: found 2.5, expected a whole number"),
+        ({"adaptive": "no"}, "adaptive: found no, expected True or False"),
         ({"ego": None}, "ego: found None, expected the name of an agent"),
     ],
 )
