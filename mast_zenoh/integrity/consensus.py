@@ -1,4 +1,4 @@
-"""What stages that admit agents by checks of groups share: fused groups, counted checks, and the resulting trust.
+"""Base of stages that admit agents by checks of groups: perception, checks, trust.
 
 A group's perception is what the centre would have from it alone: the median boxes of the objects that it reports.
 """
@@ -63,15 +63,18 @@ def members_of(batch: Batch, rows: Sequence[int]) -> Bools:
 
 
 def perception(batch: Batch, members: Bools) -> ClusterBoxes:
-    """The median boxes of the objects that some agents report, of their tracks alone. members: (a,)"""
+    """The median boxes of the objects that some agents report, of their tracks alone.
+
+    members: (a,)
+    """
     reported: Bools = np.asarray((batch.reported & members).any(axis=1))
     return select(ClusterBoxes.of(batch, np.broadcast_to(members, batch.reported.shape)), reported)
 
 
 def within_area(boxes: ClusterBoxes, view: SweptView | None, area_m: float) -> Bools:
-    """(c,) boxes whose centres are in a square around a sensor, aligned with it; all of them without a view.
+    """(c,) boxes whose centres are in a square around a sensor, aligned with it.
 
-    area_m: m, from the sensor to the sides of the square
+    view: of the sensor; None: all boxes are; area_m: m, from the sensor to the sides of the square
     """
     if view is None:
         return np.ones(len(boxes.yaw), np.bool_)
@@ -108,7 +111,7 @@ class EgoReference:
 
 
 def admission(batch: Batch, admitted: Bools, mean: Floats, reason: str) -> Assessment:
-    """The assessment that suspends the agents that are not admitted, and withholds objects that only they report.
+    """Suspend the agents that are not admitted, and withhold what only they report.
 
     admitted: (a,); mean: (a,) trust in agents, 0 to 1; reason: of each suspension
     """
@@ -118,7 +121,7 @@ def admission(batch: Batch, admitted: Bools, mean: Floats, reason: str) -> Asses
     objects = ObjectTrust(
         (1.0 + confirming) / (2.0 + members), members, confirming, members - confirming, confirming == 0
     )
-    reasons = tuple("" if each else reason for each in admitted.tolist())
+    reasons = tuple("" if is_admitted else reason for is_admitted in admitted.tolist())
     return Assessment(batch.weights(claims), AgentTrust.of(mean, state, reasons), objects)
 
 
@@ -145,7 +148,7 @@ class RecordedAdmission:
 
 @dataclass(kw_only=True, eq=False)
 class EgoConsensus(Integrity):
-    """Base of stages that admit the agents whose perception agrees with that of one trusted agent, the ego.
+    """Base of stages that admit agents by agreement with one trusted agent, the ego.
 
     ego: name of the agent that is always trusted; in a batch without it, everybody is admitted
     match_iou: intersection over union, seen from above, from which two boxes are one object

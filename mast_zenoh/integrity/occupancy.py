@@ -37,7 +37,10 @@ def cell_centres(samples: int = SAMPLES) -> Floats:
 
 
 def sampled(boxes: ClusterBoxes) -> Floats:
-    """(c, SAMPLES², 3) m: points that each stand for an equal part of the area of boxes, at half their height."""
+    """(c, SAMPLES², 3) m: points that stand for equal parts of the area of boxes.
+
+    At half their height.
+    """
     flat = 0.5 * boxes.size[:, None, :2] * cell_centres()
     cos, sin = np.cos(boxes.yaw)[:, None], np.sin(boxes.yaw)[:, None]
     points = np.repeat(boxes.position[:, None, :], SAMPLES**2, axis=1)
@@ -47,9 +50,10 @@ def sampled(boxes: ClusterBoxes) -> Floats:
 
 
 def free_points(points: Floats, views: Sequence[SweptView | None], range_m: float) -> Bools:
-    """(a, n) whether points (n, 3) are in the free space of each agent, up to `range_m` on the ground.
+    """(a, n) whether points (n, 3) are in the free space of each agent.
 
-    The agent's own vehicle is in the way nearer than `Tolerances.own_m`. A view without free space knows none.
+    range_m: m, on the ground, up to which space counts. The agent's own vehicle is in the way nearer than
+    `Tolerances.own_m`. A view without free space knows none.
     """
     free = np.zeros((len(views), len(points)), np.bool_)
     for agent, view in enumerate(views):
@@ -113,9 +117,10 @@ class AreaLimits:
 
 
 def occupied_areas(points: Floats, agent: Ints, link_m: float, limits: AreaLimits) -> list[OccupiedArea]:
-    """The areas of returns that are connected by steps of at most `link_m` m, and may be vehicles.
+    """The areas of connected returns that may be vehicles.
 
-    points: (n, 2) m; agent: (n,) row of each. The order of the points does not matter.
+    link_m: m, between connected returns; points: (n, 2) m; agent: (n,) row of each. The order of the points does not
+    matter.
     """
     pairs = pairs_near(points, link_m)
     group = connected_groups(len(points), pairs.i, pairs.j)
@@ -134,9 +139,9 @@ def occupied_areas(points: Floats, agent: Ints, link_m: float, limits: AreaLimit
 
 
 def hull(points: Floats) -> Floats:
-    """(h, 2) corners of the convex hull of points (n, 2), counter-clockwise from the leftmost one.
+    """(h, 2) corners of the convex hull of points (n, 2).
 
-    By the monotone chain (Andrew, Information Processing Letters 1979).
+    Counter-clockwise from the leftmost one, by the monotone chain (Andrew, Information Processing Letters 1979).
     """
     ordered = np.unique(points, axis=0).tolist()
     if len(ordered) < 3:
@@ -172,7 +177,10 @@ def polygon_area(corners: Floats) -> float:
 
 
 def inside_hull(points: Floats, corners: Floats) -> Bools:
-    """(n,) which points (n, 2) are in a convex polygon, corners (h, 2) counter-clockwise."""
+    """(n,) which points (n, 2) are in a convex polygon.
+
+    corners: (h, 2), counter-clockwise
+    """
     side = np.roll(corners, -1, axis=0) - corners
     offset = points[:, None] - corners
     return np.asarray((side[:, 0] * offset[..., 1] - side[:, 1] * offset[..., 0] >= 0.0).all(axis=1))
@@ -187,7 +195,10 @@ def inside_boxes(points: Floats, boxes: ClusterBoxes) -> Bools:
 
 
 def uncovered_m2(area: OccupiedArea, boxes: ClusterBoxes) -> float:
-    """m² of an occupied area under no box, by the sample points of its bounding rectangle that are in it."""
+    """m² of an occupied area under no box.
+
+    By the sample points of its bounding rectangle that are in the area.
+    """
     low, high = area.corners.min(axis=0), area.corners.max(axis=0)
     points = 0.5 * (low + high) + 0.5 * (high - low) * cell_centres()
     points = points[inside_hull(points, area.corners)]

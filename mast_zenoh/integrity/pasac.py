@@ -22,13 +22,13 @@ _UNBALANCED = 3
 
 @dataclass(kw_only=True, eq=False)
 class Pasac(EgoConsensus):
-    """Admits agents by recursive halving: those that agree with the ego on their own; after CP-Guard, on tracks.
+    """Admits the agents that agree with the ego on their own, by recursive halving.
 
-    Probability-agnostic sample consensus (CP-Guard, AAAI 2025; read in its code: CP-Security/CP-Guard a2a98d9,
-    cp_guard) with the online threshold of CP-uniGuard (arXiv:2506.22890; read in its code: CP-Security/CP-uniGuard
-    0a5db98, cp_uniguard and adaptive_threshold). The agents are split into halves, these into halves, down to single
-    agents. The score of a group is the Jaccard index of the ego's boxes with those of the ego and the group. A single
-    agent is admitted if its score reaches the threshold.
+    After CP-Guard, on tracks. Probability-agnostic sample consensus (CP-Guard, AAAI 2025; read in its code:
+    CP-Security/CP-Guard a2a98d9, cp_guard) with the online threshold of CP-uniGuard (arXiv:2506.22890; read in its
+    code: CP-Security/CP-uniGuard 0a5db98, cp_uniguard and adaptive_threshold). The agents are split into halves, these
+    into halves, down to single agents. The score of a group is the Jaccard index of the ego's boxes with those of the
+    ego and the group. A single agent is admitted if its score reaches the threshold.
 
     agree: least Jaccard index; with `adaptive`, at first
     adaptive: as in CP-uniGuard's code, the threshold moves to the middle between the medians of the latest scores above
@@ -91,12 +91,15 @@ class Pasac(EgoConsensus):
         return admitted
 
     def _search(self, others: Sequence[int], reference: EgoReference) -> tuple[list[int], list[tuple[float, bool]]]:
-        """The agents that agree on their own, and all scores with whether they reached the threshold."""
+        """The agents that agree on their own, and all scores.
+
+        With each score, whether it reached the threshold.
+        """
         admitted: list[int] = []
         scores: list[tuple[float, bool]] = []
 
         def judge(group: Sequence[int], depth: int, score: float) -> None:
-            """Note the score of a single agent, or those of the halves, then theirs."""
+            """Note the score of a single agent, or those of halves, and then of their halves."""
             limit = self._threshold.value + depth * self.deeper
             if len(group) == 1:
                 scores.append((score, score >= limit))
@@ -119,7 +122,7 @@ def halves(group: Sequence[int]) -> tuple[Sequence[int], Sequence[int]]:
 
 
 class AdaptiveThreshold:
-    """The threshold of CP-uniGuard: in the middle between scores above it and scores below it.
+    """The threshold of CP-uniGuard: the middle between scores above and below it.
 
     initial: the first threshold; smoothing, window, least_scores: see `Pasac`
 

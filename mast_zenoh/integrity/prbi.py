@@ -30,10 +30,11 @@ Check = tuple[frozenset[str], bool]
 
 @dataclass(kw_only=True, eq=False)
 class Prbi(Integrity):
-    """Compares random groups with the last picture and infers who lies; after PRBI, on tracks. From summaries only.
+    """Compares random groups with the last picture and infers which agents lie.
 
-    Pseudo-random Bayesian inference (Yu et al.: All Vehicles Can Lie, CVPR 2026, arXiv:2603.08498). There is no public
-    code, and only summaries of the paper were at hand; where they leave a formula open, ours is given here.
+    After PRBI, on tracks, from summaries only. Pseudo-random Bayesian inference (Yu et al.: All Vehicles Can Lie, CVPR
+    2026, arXiv:2603.08498). There is no public code, and only summaries of the paper were at hand; where they leave a
+    formula open, ours is given here.
 
     No agent is trusted. In each batch the agents are divided into two groups: the floor(m) most suspicious, and the
     rest; at random while m is below 1, and among equals. A group is normal if the Jaccard index of its perception with
@@ -126,7 +127,7 @@ class Prbi(Integrity):
         return admission(batch, honest > 0.0, honest, "no group with it fits the last believed picture")
 
     def _judge(self, batch: Batch, rows: Ints, candidates: Ints, reference: PastReference) -> None:
-        """Check two groups, update what is thought of the agents, and choose the believed perception."""
+        """Check two groups, update the trust in agents, choose the believed perception."""
         names = [batch.agents[row] for row in candidates.tolist()]
         groups = self._groups(batch.time_ns, candidates, self._agents.of.honest[rows[candidates]])
         normal = [reference.agreement(group) >= self.agree for group in groups]
@@ -162,7 +163,10 @@ class Prbi(Integrity):
         return [check for checks in self._batches for check in checks]
 
     def _update(self, names: Sequence[str], honest: Floats) -> Floats:
-        """(n,) probability that each agent is honest. names, honest: (n,), before the batch"""
+        """(n,) probability that each agent is honest.
+
+        names, honest: (n,), before the batch
+        """
         checks = self._checks()
         table = np.array([[name in group for name in names] for group, _ in checks], np.bool_)
         normal = np.array([fits for _, fits in checks], np.bool_)
@@ -180,7 +184,10 @@ class Prbi(Integrity):
         return normal[0] if normal else None
 
     def _settle(self, rows: Ints, honest: Floats) -> None:
-        """Exclude the agents at 0 if the number of attackers has settled at theirs. rows: in the memory of agents"""
+        """Exclude the agents at 0 if the number of attackers has settled at theirs.
+
+        rows: in the memory of agents
+        """
         self._estimates.append(estimated(self._checks()))
         number = int((honest == 0.0).sum())
         if 1 <= number < len(honest) and has_settled(list(self._estimates), number, self.settled, self._quantile):
@@ -188,7 +195,7 @@ class Prbi(Integrity):
             self._start_anew(rows[honest > 0.0])
 
     def _is_lost(self, honest: Floats) -> bool:
-        """Whether no agent fits the last believed picture for as long as checks are remembered."""
+        """Whether no agent fits the last believed picture in any remembered check."""
         return not honest.any() and len(self._batches) == self._batches.maxlen
 
     def _start_anew(self, rows: Ints) -> None:
@@ -215,7 +222,10 @@ class PastReference:
         self.checks = 0
 
     def agreement(self, group: Sequence[int]) -> float:
-        """Jaccard index of a group's perception with what it should see of the past one. group: rows of agents"""
+        """Jaccard index of a group's perception with what it should see of the past one.
+
+        group: rows of agents
+        """
         self.checks += 1
         members = members_of(self._batch, group)
         boxes = perception(self._batch, members)
@@ -226,9 +236,9 @@ class PastReference:
 
 
 def estimated(checks: Sequence[Check]) -> float:
-    """Number of attackers m = log2(1 / eta), eta being the share of normal groups among those checked.
+    """Estimated number of attackers, m = log2(1 / eta).
 
-    checks: members of each group, and whether it was normal
+    eta: share of normal groups among those checked; checks: members of each group, and whether it was normal
     0 without a check; with no normal one, as if half a group more had been: eta is at least 1 / (2 n).
     """
     if not checks:

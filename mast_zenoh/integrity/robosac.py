@@ -16,14 +16,14 @@ MAX_GROUPS = 1000
 
 @dataclass(kw_only=True, eq=False)
 class Robosac(EgoConsensus):
-    """Admits the first random group of agents with which the ego's perception agrees; after ROBOSAC, on tracks.
+    """Admits the first random group of agents with which the ego's perception agrees.
 
-    ROBOSAC (Li et al.: Among Us, ICCV 2023, arXiv:2303.09495; read in its code: coperception/ROBOSAC 4642aa2, robosac
-    and box_matching). In each batch, up to `budget` groups of `sample_size` agents are drawn. A group agrees if the
-    Jaccard index of the ego's boxes with those of the ego and the group is `agree` or more. The first that does is
-    admitted and everybody else is left out; if none does, the ego is alone. A group is free of attackers with
-    probability `confidence` after N = ceil(ln(1 - p) / ln(1 - (1 - eta)^s)) draws, eta being the share of attackers
-    among the others and s the size of the group.
+    After ROBOSAC, on tracks. ROBOSAC (Li et al.: Among Us, ICCV 2023, arXiv:2303.09495; read in its code:
+    coperception/ROBOSAC 4642aa2, robosac and box_matching). In each batch, up to `budget` groups of `sample_size`
+    agents are drawn. A group agrees if the Jaccard index of the ego's boxes with those of the ego and the group is
+    `agree` or more. The first that does is admitted and everybody else is left out; if none does, the ego is alone. A
+    group is free of attackers with probability `confidence` after N = ceil(ln(1 - p) / ln(1 - (1 - eta)^s)) draws, eta
+    being the share of attackers among the others and s the size of the group.
 
     attackers: number that is expected among the other agents
     budget: most groups in one batch; None: N, from `sample_size`, at most MAX_GROUPS
@@ -85,10 +85,10 @@ class Robosac(EgoConsensus):
 
 
 def samples_needed(confidence: float, eta: float, size: int) -> float:
-    """Groups of which one at least is free of attackers, with probability `confidence`.
+    """Number of groups of which one at least is free of attackers.
 
-    eta: share of attackers, 0 to 1; size: agents in a group, drawn as if with replacement. A whole number, or inf if
-    all are attackers: no group is free of them, and the formula has no limit.
+    confidence: probability of it; eta: share of attackers, 0 to 1; size: agents in a group, drawn as if with
+    replacement. A whole number, or inf if all are attackers: no group is free of them, and the formula has no limit.
     """
     free = (1.0 - eta) ** size
     if free <= 0.0:
@@ -97,7 +97,10 @@ def samples_needed(confidence: float, eta: float, size: int) -> float:
 
 
 def largest_sample(confidence: float, eta: float, budget: int, others: int) -> int:
-    """Agents in a group, 1 to `others`, for which `budget` groups are enough, see `samples_needed`."""
+    """Agents in a group, 1 to `others`, for which `budget` groups are enough.
+
+    See `samples_needed`.
+    """
     if eta <= 0.0:
         return others
     if eta >= 1.0:

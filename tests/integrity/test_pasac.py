@@ -6,6 +6,7 @@ import plain_boxes as plain
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from integrity_batches import batch
 from test_robosac import AGENTS, attacked
 
 from mast_zenoh.integrity import Batch, Pasac
@@ -155,6 +156,17 @@ def test_the_adaptive_kind_checks_every_half_and_the_other_only_within_those_tha
         stage.assess(attacked("a", "b", "c", "d", phantoms=9))
     assert adaptive.facts()["checks"] == 2 * (len(AGENTS) - 2)
     assert fixed.facts()["checks"] == 2, "neither half agrees"
+
+
+@pytest.mark.parametrize("adaptive", [True, False])
+@pytest.mark.parametrize(("others", "checks"), [(0, 0), (1, 1), (2, 2), (3, 4), (4, 6)])
+def test_a_batch_of_agents_that_agree_has_as_many_checks_as_the_page_says(
+    adaptive: bool, others: int, checks: int
+) -> None:
+    agents = ("ego", *AGENTS[:others])
+    stage = Pasac(adaptive=adaptive)
+    stage.assess(batch([(name, 0, (9.0, 9.0)) for name in agents], agents))
+    assert stage.facts()["checks"] == checks
 
 
 def test_the_adaptive_threshold_climbs_past_honest_agents_that_agree_fully() -> None:
