@@ -21,6 +21,8 @@ from mast_zenoh.report.figures.drawing import birdseye_figure
 from mast_zenoh.report.figures.style import png
 from mast_zenoh.report.figures.trust import trust_over_time
 from mast_zenoh.report.figures.view import frame_view
+from mast_zenoh.report.film import takes
+from mast_zenoh.report.film.takes import Take
 from mast_zenoh.report.html import write_report
 from mast_zenoh.report.narrative.run import defence_sentence
 from mast_zenoh.report.tables.of_run import (
@@ -312,6 +314,12 @@ def test_the_events_of_a_run_say_who_the_possible_liars_are(undecided: Path) -> 
     texts = [each.text for each in happenings(run, periods, times) if each.kind == "undecided"]
     assert f"the command centre cannot decide whether infra_2 lies: {OPEN}" in texts
     assert "infra_3 is no longer undecided" in texts
+
+
+def test_the_caption_of_a_film_names_undecided_agents_in_one_line(undecided: Path) -> None:
+    take = Take(RunRecord.load(undecided), "picture")
+    captions = [text for frame, text in takes.happenings(take) if frame == 10]
+    assert captions == ["infra_2 undecided", "infra_3 undecided"]
 
 
 def test_a_run_of_an_older_version_has_no_undecided_agents(folder: Path) -> None:
