@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import inf
+from typing import Any
 
 #: What can be expected of a number, in the words of the error. Nothing of it is true of NaN.
-EXPECTED: dict[str, Callable[[float], bool]] = {
+EXPECTED: dict[str, Callable[[Any], bool]] = {
     "more than 0": lambda value: value > 0.0,
     "more than 0, finite": lambda value: 0.0 < value < inf,
     "more than 0 and at most 1000": lambda value: 0.0 < value <= 1e3,
@@ -18,6 +19,8 @@ EXPECTED: dict[str, Callable[[float], bool]] = {
     "1 or more": lambda value: value >= 1.0,
     "2 or more": lambda value: value >= 2.0,
     "-1000 to 1000": lambda value: abs(value) <= 1e3,
+    "a whole number": lambda value: isinstance(value, int) and not isinstance(value, bool),
+    "True or False": lambda value: isinstance(value, bool),
 }
 
 

@@ -38,9 +38,10 @@ def matched_boxes(one: ClusterBoxes, other: ClusterBoxes, least_iou: float) -> t
 
 
 def outline_iou(offset: Floats, size: Floats, yaw: Floats, other_size: Floats, other_yaw: Floats) -> Floats:
-    """(p,) intersection over union of outlines seen from above, and of others at `offset` (p, 2) m.
+    """(p,) intersection over union of pairs of outlines, seen from above.
 
-    size, other_size: (p, >= 2) m; yaw, other_yaw: (p,) rad. 0 where both have no area.
+    offset: (p, 2) m, from the first to the second; size, other_size: (p, >= 2) m; yaw, other_yaw: (p,) rad. 0 where
+    both have no area.
     """
     intersection = intersection_area(offset, size, yaw, other_size, other_yaw)
     union = size[:, 0] * size[:, 1] + other_size[:, 0] * other_size[:, 1] - intersection

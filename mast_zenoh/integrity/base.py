@@ -16,8 +16,8 @@ from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.kernels import kernel
 
 #: What the command centre thinks of an agent; trust messages contain indices into this tuple.
-STATES = ("unknown", "trusted", "faulty", "suspended")
-UNKNOWN, TRUSTED, FAULTY, SUSPENDED = range(4)
+STATES = ("unknown", "trusted", "faulty", "suspended", "undecided")
+UNKNOWN, TRUSTED, FAULTY, SUSPENDED, UNDECIDED = range(5)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""CAD: boxes in free space are spoofed, and occupied space under no box shows a removal."""
+"""CAD: boxes in free space are spoofed, occupied space under no box is a removal."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ LOW_M, HIGH_M = -0.5, 3.0
 
 @dataclass(kw_only=True, eq=False)
 class Cad(Integrity):
-    """Withholds boxes in merged free space, and counts occupied space under no box; after CAD, on tracks.
+    """Withholds boxes in free space and counts occupied space under no box.
 
-    Collaborative anomaly detection (Zhang et al., USENIX Security 2024; read in its code:
+    After CAD, on tracks. Collaborative anomaly detection (Zhang et al., USENIX Security 2024; read in its code:
     zqzqz/AdvCollaborativePerception 6ecb29f, perception_defender and detection_util). The free and the occupied areas
     of all agents, seen from above, are merged. The spoofed area of a box is its area within free space; the removed
     area of an occupied area is that under no box. More than `threshold_m2` of either is an anomaly: a spoofed object is
@@ -104,7 +104,7 @@ class Cad(Integrity):
 
 
 def free_m2(batch: Batch, boxes: ClusterBoxes, range_m: float) -> Floats:
-    """(c, a + 1) m² of each box in the free space of each agent, and in the last column of any of them."""
+    """(c, a + 1) m² of boxes in each agent's free space; last column: in that of any."""
     points = sampled(boxes)
     c, k = points.shape[:2]
     free: Bools = free_points(points.reshape(-1, 3), current(batch.views), range_m).reshape(len(batch.views), c, k)
@@ -113,7 +113,10 @@ def free_m2(batch: Batch, boxes: ClusterBoxes, range_m: float) -> Floats:
 
 
 def areas_of(batch: Batch, boxes: ClusterBoxes, range_m: float, link_m: float) -> list[OccupiedArea]:
-    """The merged occupied areas of all agents that may be vehicles. boxes: of the clusters, which show the ground"""
+    """The occupied areas of all agents together that may be vehicles.
+
+    boxes: of the clusters, which show the ground
+    """
     if not len(boxes.yaw):
         return []
     ground = float(np.median(boxes.position[:, 2] - 0.5 * boxes.size[:, 2]))

@@ -1,4 +1,4 @@
-"""What stages that admit agents by checks of groups share: fused groups, counted checks, and the resulting trust.
+"""Base of stages that admit agents by checks of groups: perception, checks, trust.
 
 A group's perception is what the centre would have from it alone: the median boxes of the objects that it reports.
 """
@@ -63,15 +63,18 @@ def members_of(batch: Batch, rows: Sequence[int]) -> Bools:
 
 
 def perception(batch: Batch, members: Bools) -> ClusterBoxes:
-    """The median boxes of the objects that some agents report, of their tracks alone. members: (a,)"""
+    """The median boxes of the objects that some agents report, of their tracks alone.
+
+    members: (a,)
+    """
     reported: Bools = np.asarray((batch.reported & members).any(axis=1))
     return select(ClusterBoxes.of(batch, np.broadcast_to(members, batch.reported.shape)), reported)
 
 
 def within_area(boxes: ClusterBoxes, view: SweptView | None, area_m: float) -> Bools:
-    """(c,) boxes whose centres are in a square around a sensor, aligned with it; all of them without a view.
+    """(c,) boxes whose centres are in a square around a sensor, aligned with it.
 
-    area_m: m, from the sensor to the sides of the square
+    view: of the sensor; None: all boxes are; area_m: m, from the sensor to the sides of the square
     """
     if view is None:
         return np.ones(len(boxes.yaw), np.bool_)
@@ -84,13 +87,14 @@ class EgoReference:
 
     ego: row of the agent; area_m: m, see `within_area`; match_iou: of matched boxes
 
-    checks: number of groups that were compared
+    checks: number of groups that were compared, also again
     """
 
     def __init__(self, batch: Batch, ego: int, area_m: float, match_iou: float) -> None:
         self._batch, self._ego, self._match_iou = batch, ego, match_iou
         self._area_m = area_m
         self._boxes = self._seen([])
+        self._known: dict[tuple[int, ...], float] = {}  # many draws of few agents repeat groups
         self.checks = 0
 
     def _seen(self, group: Sequence[int]) -> ClusterBoxes:
@@ -100,11 +104,14 @@ class EgoReference:
     def agreement(self, group: Sequence[int]) -> float:
         """Jaccard index of the ego's perception alone and with a group, rows of agents."""
         self.checks += 1
-        return agreement(self._boxes, self._seen(group), self._match_iou)
+        members = tuple(sorted(group))
+        if members not in self._known:
+            self._known[members] = agreement(self._boxes, self._seen(members), self._match_iou)
+        return self._known[members]
 
 
 def admission(batch: Batch, admitted: Bools, mean: Floats, reason: str) -> Assessment:
-    """The assessment that suspends the agents that are not admitted, and withholds objects that only they report.
+    """Suspend the agents that are not admitted, and withhold what only they report.
 
     admitted: (a,); mean: (a,) trust in agents, 0 to 1; reason: of each suspension
     """
@@ -114,7 +121,7 @@ def admission(batch: Batch, admitted: Bools, mean: Floats, reason: str) -> Asses
     objects = ObjectTrust(
         (1.0 + confirming) / (2.0 + members), members, confirming, members - confirming, confirming == 0
     )
-    reasons = tuple("" if each else reason for each in admitted.tolist())
+    reasons = tuple("" if is_admitted else reason for is_admitted in admitted.tolist())
     return Assessment(batch.weights(claims), AgentTrust.of(mean, state, reasons), objects)
 
 
@@ -141,7 +148,7 @@ class RecordedAdmission:
 
 @dataclass(kw_only=True, eq=False)
 class EgoConsensus(Integrity):
-    """Base of stages that admit the agents whose perception agrees with that of one trusted agent, the ego.
+    """Base of stages that admit agents by agreement with one trusted agent, the ego.
 
     ego: name of the agent that is always trusted; in a batch without it, everybody is admitted
     match_iou: intersection over union, seen from above, from which two boxes are one object

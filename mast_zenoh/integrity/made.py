@@ -1,4 +1,4 @@
-"""MADE: how badly each agent's boxes match the ego's, tested against honest agents."""
+"""MADE: how badly an agent's boxes match the ego's, tested against honest agents."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ MAX_BOXES = 50
 
 @dataclass(kw_only=True, eq=False)
 class Made(Integrity):
-    """Leaves out agents whose boxes match the ego's worse than honest agents' do; after MADE's match loss, on tracks.
+    """Leaves out agents whose boxes match the ego's worse than honest agents' do.
 
-    MADE (Zhao et al., IROS 2024, arXiv:2310.11901; read in its code: shengyin1224/MADE db23118, match and
-    bh_procedure). The match loss is the least total cost of matching the agent's boxes with the ego's, over the number
-    of the ego's. A pair costs how much the agent's score is below the ego's, plus its generalised IoU loss, 0 to 2. One
-    of the ego's boxes without a partner costs its score plus 1, if the agent has fewer boxes; boxes in excess cost
-    nothing. A conformal p-value, (1 + number of calibration losses that are as great) / (1 + number of losses), says
-    how rare a loss is among honest agents. The Benjamini-Hochberg procedure decides which agents of a batch are too
-    rare.
+    After the match loss of MADE, on tracks. MADE (Zhao et al., IROS 2024, arXiv:2310.11901; read in its code:
+    shengyin1224/MADE db23118, match and bh_procedure). The match loss is the least total cost of matching the agent's
+    boxes with the ego's, over the number of the ego's. A pair costs how much the agent's score is below the ego's, plus
+    its generalised IoU loss, 0 to 2. One of the ego's boxes without a partner costs its score plus 1, if the agent has
+    fewer boxes; boxes in excess cost nothing. A conformal p-value, (1 + number of calibration losses that are as great)
+    / (1 + number of losses), says how rare a loss is among honest agents. The Benjamini-Hochberg procedure decides
+    which agents of a batch are too rare.
 
     ego: name of the agent that is always trusted; in a batch without it, everybody is admitted
     alpha: false discovery rate in each batch
@@ -64,6 +64,7 @@ class Made(Integrity):
         check_agent("ego", self.ego)
         check("more than 0 and less than 1", alpha=self.alpha)
         check("more than 0", area_m=self.area_m)
+        check("True or False", dependent=self.dependent)
         self._losses = calibration_losses(MATCH_LOSSES if self.calibration is None else self.calibration)
         self._admission = RecordedAdmission(self.record_s)
         # Slow to import: done before the first batch.
@@ -92,7 +93,10 @@ class Made(Integrity):
 
 
 def calibration_losses(losses: Sequence[float]) -> Floats:
-    """(n,) sorted losses. Raises ValueError unless there is one at least, and all are numbers of 0 or more."""
+    """(n,) sorted losses.
+
+    Raises ValueError unless there is one at least, and all are numbers of 0 or more.
+    """
     try:
         values = np.sort(np.asarray(losses, np.float64))
     except (TypeError, ValueError):
@@ -103,25 +107,25 @@ def calibration_losses(losses: Sequence[float]) -> Floats:
 
 
 def match_losses(batch: Batch, ego: int, area_m: float) -> Floats:
-    """(a,) match loss of each agent with the ego; NaN for the ego, and where there is nothing to match.
+    """(a,) match loss of each agent with the ego; NaN if there is nothing to match.
 
-    ego: row of the agent; area_m: m, see `Made`
+    NaN for the ego itself. ego: row of the agent; area_m: m, see `Made`
     """
     view, score = batch.views[ego], batch.states.score
     rows = _best_rows(batch, ego, view, area_m)
-    mine = _boxes(batch, rows)
-    expected = _expected(batch, mine) | batch.reported[batch.labels[rows]]
+    own = _boxes(batch, rows)
+    expected = _expected(batch, own) | batch.reported[batch.labels[rows]]
     losses = np.full(len(batch.agents), np.nan)
     for agent in range(len(batch.agents)):
         wanted = expected[:, agent]
         if agent != ego and wanted.any():
-            theirs = _best_rows(batch, agent, view, area_m)
-            losses[agent] = match_loss(_boxes(batch, theirs), score[theirs], select(mine, wanted), score[rows[wanted]])
+            others = _best_rows(batch, agent, view, area_m)
+            losses[agent] = match_loss(_boxes(batch, others), score[others], select(own, wanted), score[rows[wanted]])
     return losses
 
 
 def _best_rows(batch: Batch, agent: int, view: SweptView | None, area_m: float) -> Ints:
-    """The tracks of an agent in the area around a sensor, at most MAX_BOXES with the best scores."""
+    """The MAX_BOXES tracks of an agent with the best scores in the area of a sensor."""
     rows = np.flatnonzero(batch.agent == agent)
     rows = rows[within_area(_boxes(batch, rows), view, area_m)]
     # By score, then by place, so that the order of the rows does not matter.
@@ -135,7 +139,7 @@ def _boxes(batch: Batch, rows: Ints) -> ClusterBoxes:
 
 
 def _expected(batch: Batch, boxes: ClusterBoxes) -> Bools:
-    """(c, a) boxes that each agent has in view; all of them for an agent without a view."""
+    """(c, a) boxes that each agent has in view; without a view, all of them."""
     seen = sightings(boxes.position, boxes.size, boxes.yaw, batch.views).in_view
     unknown = np.array([view is None for view in batch.views], np.bool_)
     return np.asarray(seen | unknown)
@@ -158,10 +162,10 @@ def match_loss(boxes: ClusterBoxes, score: Floats, target: ClusterBoxes, target_
 
 
 def giou_loss(one: ClusterBoxes, other: ClusterBoxes) -> Floats:
-    """(p,) generalised IoU loss of boxes, in three dimensions: 1 - IoU + share of the enclosing box in neither; 0 to 2.
+    """(p,) generalised IoU loss of pairs of boxes in three dimensions, 0 to 2.
 
-    The enclosing box is the smallest upright one around both (Rezatofighi et al., CVPR 2019). 1 for two boxes without
-    volume.
+    1 - IoU + share of the enclosing box that is in neither. The enclosing box is the smallest upright one around both
+    (Rezatofighi et al., CVPR 2019). 1 for two boxes without volume.
     """
     offset = (other.position - one.position)[:, :2]
     half, other_half = 0.5 * one.size[:, 2], 0.5 * other.size[:, 2]
@@ -180,10 +184,10 @@ def giou_loss(one: ClusterBoxes, other: ClusterBoxes) -> Floats:
 
 
 def enclosing_area(one: ClusterBoxes, other: ClusterBoxes, offset: Floats) -> Floats:
-    """(p,) m²: smallest rectangle around the outlines of two boxes, the second at `offset` (p, 2) m.
+    """(p,) m²: smallest rectangle around the outlines of two boxes.
 
-    A side of the smallest rectangle lies along a side of the convex hull: a side of one of the boxes, or one that
-    joins a corner of each.
+    offset: (p, 2) m, from the first to the second. A side of the smallest rectangle lies along a side of the convex
+    hull: a side of one of the boxes, or one that joins a corner of each.
     """
     points = np.concatenate([corners(one.size, one.yaw), corners(other.size, other.yaw) + offset[:, None]], axis=1)
     x, y = points[..., None, 0], points[..., None, 1]
@@ -199,7 +203,7 @@ def enclosing_area(one: ClusterBoxes, other: ClusterBoxes, offset: Floats) -> Fl
 
 
 def conformal(values: Floats, calibration: Floats) -> Floats:
-    """(n,) conformal p-values: how rare it is among honest agents that a loss is at least as great.
+    """(n,) conformal p-values: how rare as great a loss is among honest agents.
 
     calibration: (k,) losses of honest agents, sorted
     """
@@ -208,9 +212,9 @@ def conformal(values: Floats, calibration: Floats) -> Floats:
 
 
 def discovered(p: Floats, alpha: float, *, dependent: bool) -> Bools:
-    """(n,) which p-values the Benjamini-Hochberg procedure rejects at the false discovery rate `alpha`.
+    """(n,) which p-values the Benjamini-Hochberg procedure rejects.
 
-    dependent: see `Made`
+    alpha: false discovery rate; dependent: see `Made`
     """
     harmonic = float((1.0 / np.arange(1, len(p) + 1)).sum())
     return discoveries(p, alpha / harmonic if dependent and harmonic else alpha)

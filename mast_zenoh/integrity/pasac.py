@@ -22,13 +22,13 @@ _UNBALANCED = 3
 
 @dataclass(kw_only=True, eq=False)
 class Pasac(EgoConsensus):
-    """Admits agents by recursive halving: those that agree with the ego on their own; after CP-Guard, on tracks.
+    """Admits the agents that agree with the ego on their own, by recursive halving.
 
-    Probability-agnostic sample consensus (CP-Guard, AAAI 2025; read in its code: CP-Security/CP-Guard a2a98d9,
-    cp_guard) with the online threshold of CP-uniGuard (arXiv:2506.22890; read in its code: CP-Security/CP-uniGuard
-    0a5db98, cp_uniguard and adaptive_threshold). The agents are split into halves, these into halves, down to single
-    agents. The score of a group is the Jaccard index of the ego's boxes with those of the ego and the group. A single
-    agent is admitted if its score reaches the threshold.
+    After CP-Guard, on tracks. Probability-agnostic sample consensus (CP-Guard, AAAI 2025; read in its code:
+    CP-Security/CP-Guard a2a98d9, cp_guard) with the online threshold of CP-uniGuard (arXiv:2506.22890; read in its
+    code: CP-Security/CP-uniGuard 0a5db98, cp_uniguard and adaptive_threshold). The agents are split into halves, these
+    into halves, down to single agents. The score of a group is the Jaccard index of the ego's boxes with those of the
+    ego and the group. A single agent is admitted if its score reaches the threshold.
 
     agree: least Jaccard index; with `adaptive`, at first
     adaptive: as in CP-uniGuard's code, the threshold moves to the middle between the medians of the latest scores above
@@ -39,9 +39,10 @@ class Pasac(EgoConsensus):
     window: number of latest scores above, and of those below, that are kept
     least_scores: number of them from which they count
 
-    A batch of n other agents has 2 (n - 1) checks with `adaptive` (the original counts 2 n - 1), and at most as many
-    without. What differs from the original: CP-Guard compares maps of classes by a consistency loss and asks for 0.08;
-    tracks have no such map, so that both kinds use boxes, as CP-uniGuard does for detection.
+    A batch of n other agents, two or more, has 2 (n - 1) checks with `adaptive` (the original counts 2 n - 1), and at
+    most as many without; that of one other agent has one. What differs from the original: CP-Guard compares maps of
+    classes by a consistency loss and asks for 0.08; tracks have no such map, so that both kinds use boxes, as
+    CP-uniGuard does for detection.
 
     Weaknesses: the ego decides, so a lying ego excludes the honest ones; a few phantoms or displaced objects leave the
     Jaccard index above the threshold. The adaptive one calls the lowest score of each batch a bad one even if nobody
@@ -58,6 +59,8 @@ class Pasac(EgoConsensus):
     def __post_init__(self) -> None:
         check("0 to 1", agree=self.agree, smoothing=self.smoothing, deeper=self.deeper)
         check("1 or more", window=self.window, least_scores=self.least_scores)
+        check("a whole number", window=self.window, least_scores=self.least_scores)
+        check("True or False", adaptive=self.adaptive)
         super().__post_init__()
 
     def reset(self) -> None:
@@ -88,12 +91,15 @@ class Pasac(EgoConsensus):
         return admitted
 
     def _search(self, others: Sequence[int], reference: EgoReference) -> tuple[list[int], list[tuple[float, bool]]]:
-        """The agents that agree on their own, and all scores with whether they reached the threshold."""
+        """The agents that agree on their own, and all scores.
+
+        With each score, whether it reached the threshold.
+        """
         admitted: list[int] = []
         scores: list[tuple[float, bool]] = []
 
         def judge(group: Sequence[int], depth: int, score: float) -> None:
-            """Note the score of a single agent, or those of the halves, then theirs."""
+            """Note the score of a single agent, or those of halves, and then of their halves."""
             limit = self._threshold.value + depth * self.deeper
             if len(group) == 1:
                 scores.append((score, score >= limit))
@@ -116,7 +122,7 @@ def halves(group: Sequence[int]) -> tuple[Sequence[int], Sequence[int]]:
 
 
 class AdaptiveThreshold:
-    """The threshold of CP-uniGuard: in the middle between scores above it and scores below it.
+    """The threshold of CP-uniGuard: the middle between scores above and below it.
 
     initial: the first threshold; smoothing, window, least_scores: see `Pasac`
 

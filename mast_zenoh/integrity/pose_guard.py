@@ -17,12 +17,13 @@ from mast_zenoh.integrity.visibility import current, seen_through
 
 @dataclass(kw_only=True, eq=False)
 class PoseGuard(Integrity):
-    """Compares fused objects near the ego with the ego's own; after PoseGuard, on tracks. From summaries only.
+    """Compares fused objects near the ego with the ego's own.
 
-    PoseGuard (Zhang, Zhang, Mao: From Stealthy Data Fabrication to Unsafe Driving, arXiv:2605.01301, section 5.3.2).
-    There is no public code, and only summaries of the paper were at hand: the order of the steps is theirs, every
-    number here is chosen. First, only objects in the safety region are checked. Second, an object is genuine if its
-    fused box agrees with the ego's own. Third, where they disagree, the agents are found that move it.
+    After PoseGuard, on tracks, from summaries only. PoseGuard (Zhang, Zhang, Mao: From Stealthy Data Fabrication to
+    Unsafe Driving, arXiv:2605.01301, section 5.3.2). There is no public code, and only summaries of the paper were at
+    hand: the order of the steps is theirs, every number here is chosen. First, only objects in the safety region are
+    checked. Second, an object is genuine if its fused box agrees with the ego's own. Third, where they disagree, the
+    agents are found that move it.
 
     An object in the region is fused as the median of all its tracks. If the ego reports it too, and both centres are
     within `agree_m`, it is genuine. Otherwise, tracks farther than that from the ego's are left out of its fusion. If

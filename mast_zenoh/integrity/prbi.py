@@ -21,6 +21,8 @@ from mast_zenoh.streams import stream
 
 #: Batches whose checks are remembered at most.
 MAX_MEMORY = 500
+#: s since the last batch after which its perception is no reference: a car that brakes is elsewhere by its own length.
+MAX_GAP_S = 1.0
 
 #: The members of a checked group, and whether it was normal.
 Check = tuple[frozenset[str], bool]
@@ -28,10 +30,11 @@ Check = tuple[frozenset[str], bool]
 
 @dataclass(kw_only=True, eq=False)
 class Prbi(Integrity):
-    """Compares random groups with the last picture and infers who lies; after PRBI, on tracks. From summaries only.
+    """Compares random groups with the last picture and infers which agents lie.
 
-    Pseudo-random Bayesian inference (Yu et al.: All Vehicles Can Lie, CVPR 2026, arXiv:2603.08498). There is no public
-    code, and only summaries of the paper were at hand; where they leave a formula open, ours is given here.
+    After PRBI, on tracks, from summaries only. Pseudo-random Bayesian inference (Yu et al.: All Vehicles Can Lie, CVPR
+    2026, arXiv:2603.08498). There is no public code, and only summaries of the paper were at hand; where they leave a
+    formula open, ours is given here.
 
     No agent is trusted. In each batch the agents are divided into two groups: the floor(m) most suspicious, and the
     rest; at random while m is below 1, and among equals. A group is normal if the Jaccard index of its perception with
@@ -48,7 +51,9 @@ class Prbi(Integrity):
 
     The believed perception is that of everybody if both groups are normal, else of the agents above 0 if a third check
     finds it normal, else of the normal group if there is one. Otherwise the last one stays, and the agents above 0 are
-    admitted. So there are two or three checks in a batch. The first perception is believed without a check.
+    admitted. So there are two or three checks in a batch. The first perception is believed without a check, as is that
+    after a gap of more than MAX_GAP_S. If no agent has been above 0 for `memory` batches, the last perception is at
+    fault: the counts start anew with the present one. Never is everybody excluded (all of this is ours).
 
     agree: least Jaccard index of a normal group
     match_iou: intersection over union, seen from above, from which two boxes are one object
@@ -78,8 +83,11 @@ class Prbi(Integrity):
         check("more than 0 and at most 1", match_iou=self.match_iou)
         check("more than 0 and less than 1", level=self.level)
         check("2 or more", settled=self.settled)
-        if self.memory is not None and not 1 <= self.memory <= MAX_MEMORY:
-            raise ValueError(f"memory: found {self.memory}, expected 1 to {MAX_MEMORY}, or None")
+        check("a whole number", settled=self.settled)
+        if self.memory is not None:
+            check("a whole number", memory=self.memory)
+            if not 1 <= self.memory <= MAX_MEMORY:
+                raise ValueError(f"memory: found {self.memory}, expected 1 to {MAX_MEMORY}, or None")
         self._seed, self._name = 0, "integrity"
         # Slow to import: done before the first batch.
         from scipy.special import stdtrit
@@ -107,6 +115,8 @@ class Prbi(Integrity):
         self._time_ns = batch.time_ns
         rows = self._agents.meet(batch.time_ns, batch.agents)
         candidates = np.flatnonzero(~self._agents.of.excluded[rows])
+        if elapsed_s > MAX_GAP_S:
+            self._believed = None
         if self._believed is None or not len(candidates) or not len(self._believed.yaw):
             self._count.without_reference += 1
             self._believed = perception(batch, members_of(batch, candidates.tolist()))
@@ -117,7 +127,7 @@ class Prbi(Integrity):
         return admission(batch, honest > 0.0, honest, "no group with it fits the last believed picture")
 
     def _judge(self, batch: Batch, rows: Ints, candidates: Ints, reference: PastReference) -> None:
-        """Check two groups, update what is thought of the agents, and choose the believed perception."""
+        """Check two groups, update the trust in agents, choose the believed perception."""
         names = [batch.agents[row] for row in candidates.tolist()]
         groups = self._groups(batch.time_ns, candidates, self._agents.of.honest[rows[candidates]])
         normal = [reference.agreement(group) >= self.agree for group in groups]
@@ -131,7 +141,11 @@ class Prbi(Integrity):
             believed = self._confirmed(candidates[honest > 0.0].tolist(), fitting, reference)
         self._believed = reference.boxes if believed is None else perception(batch, members_of(batch, believed))
         self._count.add(reference.checks)
-        self._settle(rows[candidates], honest)
+        if self._is_lost(honest):
+            self._start_anew(rows[candidates])
+            self._believed = perception(batch, members_of(batch, candidates.tolist()))
+        else:
+            self._settle(rows[candidates], honest)
 
     def _groups(self, time_ns: int, candidates: Ints, honest: Floats) -> list[list[int]]:
         """One or two groups of candidates, rows of agents, none of them empty."""
@@ -149,7 +163,10 @@ class Prbi(Integrity):
         return [check for checks in self._batches for check in checks]
 
     def _update(self, names: Sequence[str], honest: Floats) -> Floats:
-        """(n,) probability that each agent is honest. names, honest: (n,), before the batch"""
+        """(n,) probability that each agent is honest.
+
+        names, honest: (n,), before the batch
+        """
         checks = self._checks()
         table = np.array([[name in group for name in names] for group, _ in checks], np.bool_)
         normal = np.array([fits for _, fits in checks], np.bool_)
@@ -167,14 +184,25 @@ class Prbi(Integrity):
         return normal[0] if normal else None
 
     def _settle(self, rows: Ints, honest: Floats) -> None:
-        """Exclude the agents at 0 if the number of attackers has settled at theirs. rows: in the memory of agents"""
+        """Exclude the agents at 0 if the number of attackers has settled at theirs.
+
+        rows: in the memory of agents
+        """
         self._estimates.append(estimated(self._checks()))
         number = int((honest == 0.0).sum())
-        if number >= 1 and has_settled(list(self._estimates), number, self.settled, self._quantile):
+        if 1 <= number < len(honest) and has_settled(list(self._estimates), number, self.settled, self._quantile):
             self._agents.of.excluded[rows[honest == 0.0]] = True
-            self._agents.of.honest[rows[honest > 0.0]] = 1.0
-            self._batches.clear()
-            self._estimates.clear()
+            self._start_anew(rows[honest > 0.0])
+
+    def _is_lost(self, honest: Floats) -> bool:
+        """Whether no agent fits the last believed picture in any remembered check."""
+        return not honest.any() and len(self._batches) == self._batches.maxlen
+
+    def _start_anew(self, rows: Ints) -> None:
+        """Forget the checks, and take agents to be honest. rows: in the memory of agents"""
+        self._agents.of.honest[rows] = 1.0
+        self._batches.clear()
+        self._estimates.clear()
 
 
 class PastReference:
@@ -194,7 +222,10 @@ class PastReference:
         self.checks = 0
 
     def agreement(self, group: Sequence[int]) -> float:
-        """Jaccard index of a group's perception with what it should see of the past one. group: rows of agents"""
+        """Jaccard index of a group's perception with what it should see of the past one.
+
+        group: rows of agents
+        """
         self.checks += 1
         members = members_of(self._batch, group)
         boxes = perception(self._batch, members)
@@ -205,9 +236,9 @@ class PastReference:
 
 
 def estimated(checks: Sequence[Check]) -> float:
-    """Number of attackers m = log2(1 / eta), eta being the share of normal groups among those checked.
+    """Estimated number of attackers, m = log2(1 / eta).
 
-    checks: members of each group, and whether it was normal
+    eta: share of normal groups among those checked; checks: members of each group, and whether it was normal
     0 without a check; with no normal one, as if half a group more had been: eta is at least 1 / (2 n).
     """
     if not checks:

@@ -36,9 +36,9 @@ class SweptView:
     age_s: float = 0.0
 
     def ranges(self, points: Floats) -> tuple[Floats, Floats, Bools]:
-        """Range (m,) of points (m, 3), free distance (m,) in their direction, and which (m,) are in the field of view.
+        """Range, free distance in their direction, and whether in view, of points (m, 3).
 
-        World frame, m. The free distance of a direction without information is not a number.
+        Each (m,). World frame, m. The free distance of a direction without information is not a number.
         """
         return free_ranges(points, self.view, self.free)
 
@@ -90,9 +90,9 @@ def check_view(body: Mapping[str, NDArray[Any]]) -> None:
 
 
 def collated_columns(bodies: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
-    """The columns of a `views` message from those of `view` messages, without names and ages.
+    """The columns of a `views` message from those of `view` messages.
 
-    Beyond MAX_ROWS directions in all, the free space of the last agents is left out.
+    Without names and ages. Beyond MAX_ROWS directions in all, the free space of the last agents is left out.
     """
     shapes = {"position": (3,), "rotation": (4,), "azimuth": (2,), "elevation": (2,)}
     columns: dict[str, NDArray[Any]] = {
@@ -102,8 +102,8 @@ def collated_columns(bodies: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, 
     columns["max_range"] = np.array([body["max_range"][0] for body in bodies], np.float64)
     fits = np.cumsum([body["free"].size for body in bodies]) <= MAX_ROWS
     free = [body["free"] if fit else UNKNOWN_SPACE for body, fit in zip(bodies, fits.tolist(), strict=True)]
-    columns["grid"] = np.array([each.shape for each in free], np.int64).reshape(len(bodies), 2)
-    columns["free"] = np.concatenate([np.zeros(0), *(each.ravel() for each in free)])
+    columns["grid"] = np.array([grid.shape for grid in free], np.int64).reshape(len(bodies), 2)
+    columns["free"] = np.concatenate([np.zeros(0), *(grid.ravel() for grid in free)])
     return columns
 
 

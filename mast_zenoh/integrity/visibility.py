@@ -1,4 +1,4 @@
-"""Visibility of objects: which sensors should see them, and which see through them.
+"""Visibility of objects: which sensors should see them, or see through them.
 
 A box is sampled by points. A ray reaches a point if its direction is free as far as the point, and passes it if it is
 free beyond.
@@ -59,9 +59,9 @@ def box_visibility(
     only: Ints | None,
     tolerances: Tolerances,
 ) -> tuple[Bools, Bools, Floats]:
-    """Which of c boxes each of a sensors has in view (c, a), and sees through (c, a), and their distances (c, a) m.
+    """Which boxes sensors have in view and see through, and their distances in m.
 
-    position: (c, 3) m, size: (c, 3) m, yaw: (c,) rad, world frame
+    All (c, a), of c boxes and a sensors. position: (c, 3) m, size: (c, 3) m, yaw: (c,) rad, world frame
     error_m: (c,) m, by which each position may be wrong, besides `outside_m`
     views: (a), None: sees nothing;  only: (c,) the one view that is asked about each box, then a is 1; None: all
     """
@@ -100,10 +100,10 @@ def ray_evidence(
     only: Ints | None,
     tolerances: Tolerances,
 ) -> tuple[Bools, Bools]:
-    """Through which of c boxes most rays of each of a sensors pass (c, a), and at which they end (c, a).
+    """Through which boxes most rays of sensors pass, and at which they end.
 
-    velocity: (c, 3) m/s, of the boxes: a view that is older than them shows the places where they were then; the others
-    as in `box_visibility`
+    Both (c, a), of c boxes and a sensors. velocity: (c, 3) m/s, of the boxes: a view that is older than them shows the
+    places where they were then; the others as in `box_visibility`
 
     A box that is displaced by `outside_m` or less, e, still hides a share of w / (w + e) of its surroundings, w half
     its width, from any side. It is seen through if less than half as much is hidden.
@@ -132,7 +132,7 @@ def ray_evidence(
 
 
 def _asked(c: int, views: Sequence[SweptView | None], only: Ints | None) -> Iterator[tuple[Ints, int, SweptView]]:
-    """Views with the rows of the boxes that each is asked about, and the column of its answers."""
+    """Views, the rows of boxes that each is asked about, the column of its answers."""
     for number, view in enumerate(views):
         rows = np.arange(c) if only is None else np.flatnonzero(only == number)
         if view is not None and len(rows):
@@ -145,9 +145,9 @@ def _distance(position: Floats, view: SweptView) -> Floats:
 
 
 def sample_points(position: Floats, size: Floats, yaw: Floats, margin_m: Floats, grid: Sequence[float]) -> Floats:
-    """(c, p, 3) sample points of boxes that are larger by `margin_m` (c,) on each side.
+    """(c, p, 3) sample points of enlarged boxes.
 
-    grid: of the points, in half lengths and in half widths
+    margin_m: (c,) m, by which they are larger on each side; grid: of the points, in half lengths and in half widths
     """
     x, y, z = (axis.ravel() for axis in np.meshgrid(grid, grid, _UP, indexing="ij"))
     half = 0.5 * size
@@ -207,15 +207,16 @@ def sightings(
 
 
 def current(views: Sequence[SweptView | None]) -> tuple[SweptView | None, ...]:
-    """The views (a) that are not too old to be held against their agents; None for the others."""
+    """The views (a) that are not too old to count against their agents; else None."""
     return tuple(None if view is None or abs(view.age_s) > MAX_AGE_S else view for view in views)
 
 
 def lenient_sightings(batch: Batch, boxes: ClusterBoxes) -> tuple[Sightings, Bools]:
-    """What each agent sees of c boxes, and (c, a) whether it reports an object that it sees through itself.
+    """What agents see of boxes, and whether they report objects that they see through.
 
-    boxes: of the clusters. Room is given for ERROR_SD of the uncertainty that the tracks claim. What an agent sees of
-    its own object is judged by its own track: another agent's must not make an honest claim look like a lie.
+    The latter (c, a). boxes: of the clusters. Room is given for ERROR_SD of the uncertainty that the tracks claim. What
+    an agent sees of its own object is judged by its own track: another agent's must not make an honest claim look like
+    a lie.
     """
     states, error = batch.states, ERROR_SD * _track_error(batch)
     of_clusters = np.zeros(batch.clusters)
@@ -249,12 +250,18 @@ def silent_about(batch: Batch, boxes: ClusterBoxes, seen: Sightings, rays: RayEv
 
 
 def seen_through(boxes: ClusterBoxes, views: Sequence[SweptView | None]) -> Bools:
-    """(c, a) whether most of a sensor's rays pass through a box and the space around it, see `ray_evidence`."""
+    """(c, a) whether most of a sensor's rays pass through a box and around it.
+
+    See `ray_evidence`.
+    """
     return ray_evidence(boxes.position, boxes.velocity, boxes.size, boxes.yaw, views, None, TOLERANCES)[0]
 
 
 def _by_own_tracks(batch: Batch, of_tracks: Bools) -> Bools:
-    """(c, a) what is true of each agent's track of each object; False without one. of_tracks: (n, 1)"""
+    """(c, a) what is true of each agent's track of each object; False without one.
+
+    of_tracks: (n, 1)
+    """
     result = np.zeros(batch.reported.shape, np.bool_)
     cluster, agent = batch.reported.nonzero()
     result[cluster, agent] = of_tracks[batch.member[cluster, agent], 0]
@@ -262,7 +269,7 @@ def _by_own_tracks(batch: Batch, of_tracks: Bools) -> Bools:
 
 
 def _track_error(batch: Batch) -> Floats:
-    """(n,) m, greatest horizontal standard deviation of each track, at most MAX_ERROR_M."""
+    """(n,) m, greatest horizontal standard deviation of tracks, at most MAX_ERROR_M."""
     covariance = batch.states.covariance
     variance = np.maximum(covariance[:, 0, 0], covariance[:, 1, 1])
     return np.asarray(np.sqrt(np.clip(variance, 0.0, MAX_ERROR_M**2)))

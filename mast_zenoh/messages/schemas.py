@@ -356,7 +356,7 @@ BUILT_IN: Mapping[str, Schema] = {
                 Column("agents", "str", ("a",), "", "names of the agents, sorted"),
                 Column("mean", "float64", ("a",), "", "trust in each agent, 0 to 1"),
                 Column("log_odds", "float64", ("a",), "", "log-odds that it is honest, on the stage's own scale"),
-                Column("state", "uint8", ("a",), "", "index into mast_zenoh.integrity.STATES", below=4),
+                Column("state", "uint8", ("a",), "", "index into mast_zenoh.integrity.STATES", below=5),
                 Column("reason", "str", ("a",), "", "of its state; empty if there is none"),
                 Column("fault_offset", "float64", ("a", 2), "m", "estimated error of its tracks' position, x and y"),
                 Column("fault_turn", "float64", ("a",), "rad", "estimated error of its heading"),

@@ -197,11 +197,11 @@ def summary(
     """Agents' conduct next to the trust that they had, and false alarms of the run.
 
     history, conduct: of (f,) frames and a `agents`;  times_s: (f,) s;  period_s: s
-    states: names of the states, among them "suspended"
+    states: names of the states, among them "suspended" and "undecided"
     """
-    kind, suspended = conduct.kind, np.asarray(history.state == list(states).index("suspended"))
+    kind = conduct.kind
     of_agents = {
-        agent: _of_agent(history, conduct, kind[:, index], suspended[:, index], index, times_s, period_s, states)
+        agent: _of_agent(history, conduct, kind[:, index], index, times_s, period_s, states)
         for index, agent in enumerate(agents)
     }
     hours = len(times_s) * period_s / _HOUR_S
@@ -224,7 +224,6 @@ def _of_agent(
     history: TrustHistory,
     conduct: Conduct,
     kind: np.ndarray,
-    suspended: Bools,
     index: int,
     times_s: Floats,
     period_s: float,
@@ -233,16 +232,21 @@ def _of_agent(
     lies, faults = conduct.lies[:, index], conduct.faults[:, index]
     suspicion = -history.log_odds[:, index]
     judged = suspicion[np.isfinite(suspicion)]
-    starts, ends = _spells(suspended)
-    suspensions = [
-        {
-            "from_s": _at(times_s, start),
-            "until_s": _at(times_s, end) if end < len(times_s) else None,
-            "reason": str(history.reason[start, index]),
-            "conduct": CONDUCT[kind[start]],
-        }
-        for start, end in zip(starts, ends, strict=True)
-    ]
+    suspended, undecided = (
+        np.asarray(history.state[:, index] == list(states).index(state)) for state in ("suspended", "undecided")
+    )
+    suspensions, doubts = (
+        [
+            {
+                "from_s": _at(times_s, start),
+                "until_s": _at(times_s, end) if end < len(times_s) else None,
+                "reason": str(history.reason[start, index]),
+                "conduct": CONDUCT[kind[start]],
+            }
+            for start, end in zip(*_spells(in_state), strict=True)
+        ]
+        for in_state in (suspended, undecided)
+    )
     first_lie_s = _first(lies, times_s)
     delay_s, observed_s = detection_delay(suspended, times_s, first_lie_s)
     return {
@@ -255,6 +259,7 @@ def _of_agent(
         "suspended_after_s": delay_s,
         "observed_s": observed_s,
         "suspensions": suspensions,
+        "undecided": doubts,
         "false_alarms": sum(CONDUCT[HONEST] == each["conduct"] for each in suspensions),
         "fault_alarms": sum(CONDUCT[FAULTY] == each["conduct"] for each in suspensions),
         "seconds": {

@@ -37,6 +37,7 @@ from mast_zenoh.report.tables.of_run import (
     latency_tables,
     suspension_table,
     trust_sentences,
+    undecided_table,
 )
 from mast_zenoh.report.tables.scores import Cell, ScoreTable, Value, number, score_table, signed
 from mast_zenoh.report.tables.study import sections, side_by_side
@@ -279,6 +280,7 @@ def _write_run(
         "confidence": confidence_tables(run),
         "interposers": interposers(run),
         "suspensions": suspension_table(run),
+        "undecided": undecided_table(run),
         "conduct": conduct_table(run),
         "trust": trust_sentences(run),
         "achieved": achieved_table(run, reference.run if reference else None),

@@ -22,7 +22,7 @@ PARTITIONS = ("Partition", "HostPartition")
 class Event(NamedTuple):
     """Something that happened.
 
-    frame: when;  kind: attack, fault, interception, suspension or effect;  text: in words
+    frame: when;  kind: attack, fault, interception, suspension, undecided or effect;  text: in words
     x, y:  m, where, if it has a place
     """
 
@@ -68,7 +68,7 @@ def first_changes(run: RunRecord) -> list[Event]:
 
 
 def spans(run: RunRecord, times: Floats) -> list[dict[str, Any]]:
-    """Attacks, faults, interceptions and suspensions as periods.
+    """Attacks, faults, interceptions, suspensions and undecided states as periods.
 
     Each has label, kind, from_s, until_s (within the run, s), nodes, and `begins` and `ends`, what to say when it does;
     faults of links also `cut` or `impaired`, the agents whose link to the command centre is. Nothing is said of nodes
@@ -109,6 +109,11 @@ def spans(run: RunRecord, times: Floats) -> list[dict[str, Any]]:
         agent, period = each["agent"], (float(each["from_s"]), each["until_s"])
         words = f"the command centre suspends {agent}", f"the suspension of {agent} is lifted"
         add(f"{agent} suspended", "suspension", *period, [agent], *words)
+    for each in doubts(run):
+        agent, period = each["agent"], (float(each["from_s"]), each["until_s"])
+        why = f": {each['reason']}" if each["reason"] else ""
+        words = f"the command centre cannot decide whether {agent} lies{why}", f"{agent} is no longer undecided"
+        add(f"{agent} undecided", "undecided", *period, [agent], *words)
     return sorted(result, key=lambda each: (each["from_s"], each["label"]))
 
 
@@ -222,8 +227,17 @@ def fault_spans(run: RunRecord, agent: str, end_s: float) -> list[tuple[str, flo
 
 def suspensions(run: RunRecord) -> list[dict[str, Any]]:
     """All suspensions of a run in the order of their beginnings, each with its agent; see docs/metrics.md."""
+    return _judgements(run, "suspensions")
+
+
+def doubts(run: RunRecord) -> list[dict[str, Any]]:
+    """All periods in which an agent was undecided, as from `suspensions`; [] for runs of versions without the state."""
+    return _judgements(run, "undecided")
+
+
+def _judgements(run: RunRecord, name: str) -> list[dict[str, Any]]:
     agents = run.metrics.get("integrity", {}).get("agents", {})
-    every = [{"agent": name, **each} for name, agent in agents.items() for each in agent["suspensions"]]
+    every = [{"agent": agent, **each} for agent, measured in agents.items() for each in measured.get(name, ())]
     return sorted(every, key=lambda each: (each["from_s"], each["agent"]))
 
 

@@ -23,8 +23,16 @@ OUTCOME_LABELS = {
 #: Adversaries, their wires and their effects, on dark and on light ground.
 ADVERSARY, ADVERSARY_ON_LIGHT = "#ff4fd8", "#b5128f"
 #: States of agents at the command centre: on dark panels, and those that light charts mark.
-STATES = {"unknown": "#9aa7b8", "trusted": "#7fe3ff", "faulty": "#ffb347", "suspended": "#ff7a59"}
-STATES_ON_LIGHT = {"faulty": "#f0c75e", "suspended": "#ef8a6a"}
+STATES = {
+    "unknown": "#9aa7b8",
+    "trusted": "#7fe3ff",
+    "faulty": "#ffb347",
+    "suspended": "#ff7a59",
+    "undecided": "#c084fc",
+}
+STATES_ON_LIGHT = {"faulty": "#f0c75e", "suspended": "#ef8a6a", "undecided": "#8a63d2"}
+#: States that need attention: written below the names of agents.
+TROUBLES = ("faulty", "suspended", "undecided")
 #: Links, faults and their effects.
 FAULT_ON_LIGHT = "#8a6100"
 #: Dark panels; objects that the command centre withholds.
@@ -111,7 +119,13 @@ KEYS = {
             ADVERSARY_ON_LIGHT,
             FAULT_ON_LIGHT,
             "#00728f",
-            {"unknown": "#6b7280", "trusted": "#00728f", "faulty": "#a86400", "suspended": "#c8401c"},
+            {
+                "unknown": "#6b7280",
+                "trusted": "#00728f",
+                "faulty": "#a86400",
+                "suspended": "#c8401c",
+                "undecided": "#4c1fa8",
+            },
         ),
     },
     "safe": {
@@ -126,7 +140,13 @@ KEYS = {
             "#e79ac6",
             "#d9a441",
             "#b9e2f7",
-            {"unknown": "#9aa7b8", "trusted": "#b9e2f7", "faulty": "#f0e442", "suspended": "#ff7a1a"},
+            {
+                "unknown": "#9aa7b8",
+                "trusted": "#b9e2f7",
+                "faulty": "#f0e442",
+                "suspended": "#ff7a1a",
+                "undecided": "#9b6bff",
+            },
         ),
         "light": Key(
             {
@@ -139,7 +159,13 @@ KEYS = {
             "#a3497d",
             "#7a5c00",
             "#0072b2",
-            {"unknown": "#6b7280", "trusted": "#0072b2", "faulty": "#b88700", "suspended": "#d55e00"},
+            {
+                "unknown": "#6b7280",
+                "trusted": "#0072b2",
+                "faulty": "#b88700",
+                "suspended": "#d55e00",
+                "undecided": "#4c1fa8",
+            },
         ),
     },
 }

@@ -11,6 +11,7 @@ import pytest
 import mast_zenoh as mast
 from mast_zenoh.api.observability import observability
 from mast_zenoh.errors import RunFolderError
+from mast_zenoh.integrity import STATES
 from mast_zenoh.launch.measurement import measure
 from mast_zenoh.scenario.reading import load
 
@@ -45,7 +46,7 @@ def test_trust_of_every_agent_is_a_table(judged: mast.Run) -> None:
     table = judged.trust
     assert tuple(table.column_names) == COLUMNS
     assert set(table["agent"].to_pylist()) == set(judged.agents)
-    assert set(table["state"].to_pylist()) <= {"unknown", "trusted", "faulty", "suspended"}
+    assert set(table["state"].to_pylist()) <= set(STATES)
 
 
 def test_objects_of_the_centre_are_a_table_with_those_withheld(judged: mast.Run) -> None:

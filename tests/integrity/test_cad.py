@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 from math import cos, hypot, inf, pi, sin
 
@@ -13,13 +14,15 @@ from hypothesis import strategies as st
 from integrity_batches import Track, batch, view
 from scipy.spatial import ConvexHull
 
-from mast_zenoh.integrity import Batch, Cad, SweptView
+from mast_zenoh.integrity import Batch, Cad, SweptView, occupancy
 from mast_zenoh.integrity.base import ClusterBoxes
 from mast_zenoh.integrity.cad import areas_of, free_m2
 from mast_zenoh.integrity.occupancy import (
+    MAX_RETURNS,
     SAMPLES,
     AreaLimits,
     OccupiedArea,
+    diameter,
     hull,
     occupied_areas,
     polygon_area,
@@ -178,6 +181,45 @@ def test_returns_are_the_nearest_ends_of_rays_in_each_sector(number: int) -> Non
                 ends.append((away, *end[:2].tolist()))
         expected += [min(ends)[1:]] if ends else []
     assert returns(sensor, -0.5, 3.0, 50.0) == pytest.approx(np.array(expected).reshape(-1, 2))
+
+
+def flooded(sectors: int, place: tuple[float, float], *, radius_m: float = 3.9) -> SweptView:
+    """A view with a return in each of its sectors, all on a circle around a place 10 m ahead."""
+    azimuth = (np.arange(sectors) + 0.5) * (0.6 / sectors) - 0.3
+    # The nearer crossing of each ray with the circle, or its closest point if it misses.
+    free = 10.0 * np.cos(azimuth) - np.sqrt(np.maximum(radius_m**2 - (10.0 * np.sin(azimuth)) ** 2, 0.0))
+    return SweptView(SensorView(np.array([*place, 1.0]), np.eye(3), -0.3, 0.3, -0.01, 0.01, 80.0), free[None])
+
+
+@pytest.mark.parametrize("sectors", [3, MAX_RETURNS, MAX_RETURNS + 1, 20_000])
+def test_of_more_returns_than_any_sensor_has_as_many_count_evenly_spread(sectors: int) -> None:
+    points = returns(flooded(sectors, (0.0, 0.0)), -0.5, 3.0, 50.0)
+    assert len(points) == min(sectors, MAX_RETURNS)
+    azimuth = np.arctan2(points[:, 1], points[:, 0])
+    assert np.diff(azimuth).max() <= 2.0 * 0.6 / len(points), "no part of the view is left out"
+    assert azimuth[[0, -1]] == pytest.approx([-0.3, 0.3], abs=0.6 / len(points) * 2)
+
+
+def test_a_flood_of_returns_costs_little_memory() -> None:
+    views = [flooded(20_000, (0.0, 0.01 * number)) for number in range(8)]
+    points = np.concatenate([returns(view, -0.5, 3.0, 50.0) for view in views])
+    agent = np.repeat(np.arange(len(views)), MAX_RETURNS)
+    tracemalloc.start()
+    areas = occupied_areas(points, agent, 1.0, AreaLimits())
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 150e6
+    assert len(areas) == 1
+    assert areas[0].agents.tolist() == list(range(len(views)))
+
+
+@given(st.lists(st.tuples(st.floats(-50.0, 50.0), st.floats(-50.0, 50.0)), min_size=1, max_size=30))
+def test_the_diameter_is_the_greatest_distance_of_two_corners(places: list[tuple[float, float]]) -> None:
+    expected = max(hypot(x - u, y - v) for x, y in places for u, v in places)
+    for block in (1, 7, 250_000):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(occupancy, "_BLOCK", block)
+            assert diameter(np.array(places)) == pytest.approx(expected)
 
 
 # -- what it does

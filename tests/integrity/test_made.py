@@ -229,6 +229,7 @@ def test_yaws_that_differ_by_half_a_turn_are_one_box() -> None:
         ({"calibration": (-1.0,)}, "or below 0"),
         ({"calibration": "many"}, "calibration: found 'many', expected losses of honest agents"),
         ({"area_m": 0.0}, "area_m: found 0.0, expected more than 0"),
+        ({"dependent": "no"}, "dependent: found no, expected True or False"),
         ({"ego": 3}, "ego: found 3, expected the name of an agent"),
     ],
 )

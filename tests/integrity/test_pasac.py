@@ -6,6 +6,7 @@ import plain_boxes as plain
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from integrity_batches import batch
 from test_robosac import AGENTS, attacked
 
 from mast_zenoh.integrity import Batch, Pasac
@@ -157,6 +158,17 @@ def test_the_adaptive_kind_checks_every_half_and_the_other_only_within_those_tha
     assert fixed.facts()["checks"] == 2, "neither half agrees"
 
 
+@pytest.mark.parametrize("adaptive", [True, False])
+@pytest.mark.parametrize(("others", "checks"), [(0, 0), (1, 1), (2, 2), (3, 4), (4, 6)])
+def test_a_batch_of_agents_that_agree_has_as_many_checks_as_the_page_says(
+    adaptive: bool, others: int, checks: int
+) -> None:
+    agents = ("ego", *AGENTS[:others])
+    stage = Pasac(adaptive=adaptive)
+    stage.assess(batch([(name, 0, (9.0, 9.0)) for name in agents], agents))
+    assert stage.facts()["checks"] == checks
+
+
 def test_the_adaptive_threshold_climbs_past_honest_agents_that_agree_fully() -> None:
     stage, fixed = Pasac(), Pasac(adaptive=False)
     honest = [attacked(frame=frame) for frame in range(60)]
@@ -187,6 +199,9 @@ def test_an_agent_with_nothing_of_its_own_agrees_fully() -> None:
         ({"deeper": -1.0}, "deeper: found -1.0, expected 0 to 1"),
         ({"window": 0}, "window: found 0, expected 1 or more"),
         ({"least_scores": 0}, "least_scores: found 0, expected 1 or more"),
+        ({"window": 2.5}, "window: found 2.5, expected a whole number"),
+        ({"least_scores": 2.5}, "least_scores: found 2.5, expected a whole number"),
+        ({"adaptive": "no"}, "adaptive: found no, expected True or False"),
         ({"ego": None}, "ego: found None, expected the name of an agent"),
     ],
 )

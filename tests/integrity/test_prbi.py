@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import floor, log2, sqrt
 
 import numpy as np
@@ -14,7 +15,7 @@ from scipy.stats import t as student
 
 from mast_zenoh.integrity import Batch, Prbi, sightings
 from mast_zenoh.integrity.base import SUSPENDED, ClusterBoxes
-from mast_zenoh.integrity.prbi import PastReference, estimated, has_settled, posterior
+from mast_zenoh.integrity.prbi import MAX_GAP_S, PastReference, estimated, has_settled, posterior
 from mast_zenoh.streams import stream
 
 AGENTS = ("a", "b", "c", "d", "e")
@@ -135,7 +136,7 @@ class Transcribed:
         for name in each.agents:
             self.honest.setdefault(name, 1.0)
         candidates = [name for name in each.agents if name not in self.excluded]
-        if not self.believed or not candidates:
+        if not self.believed or not candidates or dt > 1.0:
             self.believed = self.perception(each, candidates)
         else:
             past = [((box[0] + v[0] * dt, box[1] + v[1] * dt, *box[2:]), v) for box, v in self.believed]
@@ -188,9 +189,14 @@ class Transcribed:
             if not above or self.agreement(each, past, above) < self.agree:
                 believed = next((group for group, fits in zip(groups, normal, strict=True) if fits), None)
         self.believed = past if believed is None else self.perception(each, believed)
-        self.estimates = [*self.estimates, self.m()][-5:]
         zero = [name for name in candidates if self.honest[name] == 0.0]
-        if zero and len(self.estimates) == 5:
+        if zero == candidates and len(self.batches) == self.memory:
+            self.honest |= dict.fromkeys(candidates, 1.0)
+            self.batches, self.estimates = [], []
+            self.believed = self.perception(each, candidates)
+            return
+        self.estimates = [*self.estimates, self.m()][-5:]
+        if zero and zero != candidates and len(self.estimates) == 5:
             mean, deviation = np.mean(self.estimates), np.std(self.estimates, ddof=1)
             if abs(mean - len(zero)) <= max(student.ppf(0.975, 4) * deviation / sqrt(5), 1e-9):
                 self.excluded |= set(zero)
@@ -263,6 +269,47 @@ def test_a_late_liar_is_never_at_0_if_all_batches_count() -> None:
     assert stage.facts()["excluded"] == []
 
 
+def driving(frame: int, gap_s: float) -> Batch:
+    """Five agents that report six cars at 10 m/s, which turn back in a gap of some seconds after frame 10."""
+    ahead = float(min(frame, 10) - max(frame - 10, 0)) - (5.0 * gap_s if frame > 10 else 0.0)
+    places = [(x + ahead, y) for x, y in CARS]
+    tracks: list[Track] = [(name, number, place) for name in AGENTS for number, place in enumerate(places)]
+    velocity = dict.fromkeys(range(len(CARS)), (10.0 if frame <= 10 else -10.0, 0.0))
+    each = batch(tracks, AGENTS, frame=frame, velocity=velocity)
+    return replace(each, time_ns=each.time_ns + (int(gap_s * 1e9) if frame > 10 else 0))
+
+
+@pytest.mark.parametrize("gap_s", [1.5, 4.0, 60.0])
+@pytest.mark.parametrize("memory", [5, 20])
+def test_after_a_gap_in_time_the_first_perception_is_the_reference(gap_s: float, memory: int) -> None:
+    stage = Prbi(memory=memory)
+    assert all(suspended(stage, driving(frame, gap_s)) == set() for frame in range(60))
+    assert stage.facts()["excluded"] == []
+    assert gap_s > MAX_GAP_S
+    assert stage.facts()["batches_without_reference"] == 2
+
+
+@pytest.mark.parametrize("jump", [1, 5])
+def test_a_last_picture_that_no_agent_fits_any_more_is_replaced_and_excludes_nobody(jump: int) -> None:
+    stage = Prbi(memory=5)
+    for frame in range(jump):
+        stage.assess(seen_by_all(frame=frame))
+    tracks: list[Track] = [(name, k, (x, y + 40.0)) for name in AGENTS for k, (x, y) in enumerate(CARS)]
+    groups = [suspended(stage, batch(tracks, AGENTS, frame=jump + frame)) for frame in range(30)]
+    before = [set(AGENTS)] * 4 if jump == 1 else [set()] * 4
+    assert groups == before + [set()] * 26, "as soon as no remembered check is normal"
+    assert stage.facts()["excluded"] == []
+
+
+def test_the_last_agent_is_never_excluded() -> None:
+    stage = Prbi(memory=10)
+    for frame in range(200):
+        liars = AGENTS[: min(frame // 20, len(AGENTS))]
+        stage.assess(seen_by_all(*liars, frame=frame, phantoms=20))
+        assert len(stage.facts()["excluded"]) < len(AGENTS)
+    assert stage.facts()["excluded"], "some were"
+
+
 def test_a_few_phantoms_leave_the_index_above_the_limit() -> None:
     stage = Prbi()
     for frame in range(40):
@@ -313,6 +360,9 @@ def test_equal_seeds_give_equal_groups_and_reset_starts_anew() -> None:
         ({"memory": 0}, "memory: found 0, expected 1 to 500, or None"),
         ({"memory": 501}, "memory: found 501, expected 1 to 500, or None"),
         ({"settled": 1}, "settled: found 1, expected 2 or more"),
+        ({"settled": 2.5}, "settled: found 2.5, expected a whole number"),
+        ({"memory": 2.5}, "memory: found 2.5, expected a whole number"),
+        ({"memory": True}, "memory: found True, expected a whole number"),
         ({"level": 0.0}, "level: found 0.0, expected more than 0 and less than 1"),
         ({"match_iou": 1.5}, "match_iou: found 1.5, expected more than 0 and at most 1"),
     ],

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from math import log
+from math import inf, log
 
+import numpy as np
 import plain_boxes as plain
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from integrity_batches import Track, batch, view
 
-from mast_zenoh.integrity import Batch, Robosac
-from mast_zenoh.integrity.base import SUSPENDED
+from mast_zenoh.arrays.states import Bools
+from mast_zenoh.integrity import Batch, Robosac, consensus
+from mast_zenoh.integrity.base import SUSPENDED, ClusterBoxes
 from mast_zenoh.integrity.robosac import largest_sample, samples_needed
 from mast_zenoh.streams import stream
 
@@ -72,7 +74,7 @@ def test_the_group_is_the_largest_that_the_budget_is_enough_for(
 
 def test_without_attackers_everybody_is_one_group_and_with_nothing_else_no_group_is_free() -> None:
     assert (largest_sample(0.99, 0.0, 3, 4), samples_needed(0.99, 0.0, 4)) == (4, 1)
-    assert (largest_sample(0.99, 1.0, 3, 4), samples_needed(0.99, 1.0, 1)) == (1, 0)
+    assert (largest_sample(0.99, 1.0, 3, 4), samples_needed(0.99, 1.0, 1)) == (1, inf)
 
 
 def test_the_formula_does_not_demand_more_groups_than_can_be_checked() -> None:
@@ -80,6 +82,31 @@ def test_the_formula_does_not_demand_more_groups_than_can_be_checked() -> None:
     stage.assess(attacked("a", "b", "c", "d", phantoms=9))
     assert stage.facts()["checks"] == 1000
     assert samples_needed(0.99, 0.75, 4) == 1177
+
+
+@pytest.mark.parametrize("attackers", [4, 9])
+def test_if_all_others_may_be_attackers_as_many_groups_are_drawn_as_can_be_checked(attackers: int) -> None:
+    stage = Robosac(attackers=attackers, budget=None, sample_size=1)
+    assert "ego" in (group := admitted(stage, attacked("a", "b", "c")))
+    assert group == {"d", "ego"}, "the agent that agrees is drawn in the end"
+    alone = Robosac(attackers=attackers, budget=None, sample_size=1)
+    assert admitted(alone, attacked("a", "b", "c", "d")) == {"ego"}
+    assert alone.facts()["checks"] == 1000
+
+
+def test_a_group_that_is_drawn_again_is_compared_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    compared: list[frozenset[str]] = []
+    perceived = consensus.perception
+
+    def watched(each: Batch, members: Bools) -> ClusterBoxes:
+        compared.append(frozenset(np.array(each.agents)[members].tolist()))
+        return perceived(each, members)
+
+    monkeypatch.setattr(consensus, "perception", watched)
+    stage = Robosac(attackers=9, budget=None, sample_size=2)
+    stage.assess(attacked("a", "b", "c", "d"))
+    assert stage.facts()["checks"] == 1000
+    assert len(compared) == len(set(compared)) == 1 + 6, "the ego alone, and each pair of four"
 
 
 def reference(each: Batch, stage: Robosac, budget: int, size: int, seed: int, name: str) -> tuple[set[int], int]:
@@ -191,6 +218,9 @@ def test_checks_end_with_the_first_group_that_agrees() -> None:
         ({"attackers": -1}, "attackers: found -1, expected 0 or more"),
         ({"budget": 0}, "budget: found 0, expected 1 or more"),
         ({"sample_size": 0}, "sample_size: found 0, expected 1 or more"),
+        ({"budget": 2.5}, "budget: found 2.5, expected a whole number"),
+        ({"sample_size": True}, "sample_size: found True, expected a whole number"),
+        ({"attackers": inf}, "attackers: found inf, expected 0 or more, finite"),
         ({"budget": None}, "budget, sample_size: found None for both, expected a number for one at least"),
         ({"confidence": 1.0}, "confidence: found 1.0, expected more than 0 and less than 1"),
         ({"agree": 1.1}, "agree: found 1.1, expected 0 to 1"),

@@ -22,8 +22,8 @@ from mast_zenoh.metrics.trust import (
     summary,
 )
 
-STATES = ("unknown", "trusted", "faulty", "suspended")
-UNKNOWN, TRUSTED, FAULTY, SUSPENDED = range(4)
+STATES = ("unknown", "trusted", "faulty", "suspended", "undecided")
+UNKNOWN, TRUSTED, FAULTY, SUSPENDED, UNDECIDED = range(5)
 AGENTS = ("a", "b")
 
 
@@ -37,7 +37,7 @@ def update(frame: int, states: dict[str, int], log_odds: float = 1.0, objects: i
             "mean": zeros + 0.5,
             "log_odds": zeros + log_odds,
             "state": np.array(list(states.values()), np.uint8),
-            "reason": [f"reason {frame}" if state == SUSPENDED else "" for state in states.values()],
+            "reason": [f"reason {frame}" if state >= SUSPENDED else "" for state in states.values()],
             "fault_offset": np.zeros((a, 2)),
             **dict.fromkeys(("fault_turn", "fault_delay", "fault_loss"), zeros),
             "id": np.arange(objects),
@@ -134,6 +134,24 @@ def test_a_lie_of_a_faulty_agent_counts_as_a_lie() -> None:
         "faulty": pytest.approx(0.1),
         "lying": pytest.approx(0.2),
     }
+
+
+def test_periods_of_an_undecided_agent_are_listed_and_are_neither_suspensions_nor_alarms() -> None:
+    agent, whole = summarised([TRUSTED, UNDECIDED, UNDECIDED, SUSPENDED, UNDECIDED], lies=(4,))
+    assert agent["undecided"] == [
+        {
+            "from_s": pytest.approx(0.1),
+            "until_s": pytest.approx(0.3),
+            "reason": "reason 1",
+            "conduct": "honest",
+        },
+        {"from_s": pytest.approx(0.4), "until_s": None, "reason": "reason 4", "conduct": "lying"},
+    ]
+    assert [each["from_s"] for each in agent["suspensions"]] == pytest.approx([0.3])
+    assert agent["false_alarms"] == whole["false_alarms"] == 1
+    assert agent["suspended_after_s"] is None, "an undecided liar is not detected"
+    assert agent["seconds"]["honest"]["undecided"] == pytest.approx(0.2)
+    assert whole["seconds"]["lying"]["undecided"] == pytest.approx(0.1)
 
 
 def test_seconds_are_split_by_conduct_and_state() -> None:

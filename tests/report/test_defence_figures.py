@@ -54,3 +54,5 @@ def test_the_legend_has_what_is_shown() -> None:
     labels = [handle.get_label() for handle in legend(panel("a").agents, LOG_ODDS)]
     assert labels == [LOG_ODDS.label, "taken to be faulty", "suspended", "lies", "is faulty"]
     assert [handle.get_label() for handle in legend([agent("ego")], LOG_ODDS)] == [LOG_ODDS.label]
+    doubted = agent("ego", states={"faulty": [], "suspended": [], "undecided": [(2.0, 9.0)]})
+    assert [handle.get_label() for handle in legend([doubted], LOG_ODDS)] == [LOG_ODDS.label, "undecided"]

@@ -21,10 +21,28 @@ from mast_zenoh.report.figures.drawing import birdseye_figure
 from mast_zenoh.report.figures.style import png
 from mast_zenoh.report.figures.trust import trust_over_time
 from mast_zenoh.report.figures.view import frame_view
+from mast_zenoh.report.film import takes
+from mast_zenoh.report.film.takes import Take
 from mast_zenoh.report.html import write_report
 from mast_zenoh.report.narrative.run import defence_sentence
-from mast_zenoh.report.tables.of_run import conduct_table, suspension_lines, suspension_table, trust_sentences
-from mast_zenoh.viewer.events import fault_spans, judged_agents, lie_spans, state_spans, states_at, withheld_at
+from mast_zenoh.report.tables.of_run import (
+    conduct_table,
+    suspension_lines,
+    suspension_table,
+    trust_sentences,
+    undecided_lines,
+    undecided_table,
+)
+from mast_zenoh.viewer.events import (
+    fault_spans,
+    happenings,
+    judged_agents,
+    lie_spans,
+    spans,
+    state_spans,
+    states_at,
+    withheld_at,
+)
 from mast_zenoh.viewer.palette import STATES, WITHHELD
 from mast_zenoh.viewer.run import RunRecord
 
@@ -218,6 +236,99 @@ def test_the_page_states_missed_liars_false_alarms_and_withheld_objects(folder: 
     assert "1.50 false and 0.25 true objects" in page
     assert REASON in page
     assert (folder / "figures" / "trust.png").is_file()
+
+
+#: As long as the names of possible liars make it.
+OPEN = (
+    "denies 3 objects of infra_4 and infra_2, which deny it in turn: it lies, or both of them lie, or infra_1 lies "
+    "with one of them; possible liars: infra_1, infra_2, infra_3, infra_4"
+)
+
+
+@pytest.fixture
+def undecided(folder: Path) -> Path:
+    """The run, with infra_2 and infra_3 undecided: the first from frame 10 to the end, the second up to frame 20."""
+    run = RunRecord.load(folder)
+    assert run.trust is not None
+    agent, frame = run.trust["agent"], run.trust["frame"]
+    rows = ((agent == "infra_2") & (frame >= 10)) | ((agent == "infra_3") & (frame >= 10) & (frame < 20))
+    state = np.where(rows, "undecided", run.trust["state"]).astype(object)
+    reason = np.where(rows, OPEN, run.trust["reason"]).astype(object)
+    write_table(folder / "trust.parquet", run.trust | dict(state=state, reason=reason))
+    agents = INTEGRITY["agents"] | {
+        "infra_2": of_agent(undecided=[suspension(1.0, None, "honest") | {"reason": OPEN}]),
+        "infra_3": INTEGRITY["agents"]["infra_3"] | {"undecided": [suspension(1.0, 2.0, "honest") | {"reason": OPEN}]},
+    }
+    part = INTEGRITY | {"agents": agents, "honest_suspended": [], "false_alarms": 0}
+    return edit(folder, metrics={"integrity": lambda _: part})
+
+
+def test_undecided_agents_have_a_colour_and_their_state_below_the_name(undecided: Path) -> None:
+    view = frame_view(RunRecord.load(undecided), FAULTY + 1)
+    assert view is not None
+    figure = birdseye_figure(view)
+    assert pixels(png(figure), STATES["undecided"]) > 50
+    assert "infra_2\nundecided" in {text.get_text() for axes in figure.axes for text in axes.texts}
+
+
+def test_the_chart_shows_when_an_agent_was_undecided(undecided: Path) -> None:
+    figure = trust_over_time(RunRecord.load(undecided), None)
+    assert figure is not None
+    (patch,) = (patch for patch in figure.axes[2].patches if isinstance(patch, Rectangle))
+    assert (patch.get_x(), patch.get_width()) == pytest.approx((1.0, 3.0))
+    assert "undecided" in [text.get_text() for text in figure.legends[0].get_texts()]
+
+
+def test_every_undecided_period_has_a_row_and_a_line_with_its_whole_reason(undecided: Path) -> None:
+    run = RunRecord.load(undecided)
+    assert [line.cells for line in undecided_table(run).lines] == [
+        ("infra_2", "1.0", "end", "honest", OPEN),
+        ("infra_3", "1.0", "2.0", "honest", OPEN),
+    ]
+    assert undecided_lines(run) == [
+        f"infra_2 (honest) was undecided from 1.0 s to the end: {OPEN}",
+        f"infra_3 (honest) was undecided from 1.0 s to 2.0 s: {OPEN}",
+    ]
+    page = io.StringIO()
+    terminal.show_run(Console(file=page, width=100), undecided)
+    assert OPEN in " ".join(page.getvalue().split())
+    html = write_report(undecided).read_text()
+    assert f"{OPEN}</td>" in html
+    assert "undecided agent</th>" in html
+    assert "Undecided at some time: infra_2, infra_3" in html
+
+
+def test_the_last_line_names_undecided_agents(undecided: Path) -> None:
+    integrity = RunRecord.load(undecided).metrics["integrity"]
+    assert "could not decide about infra_2 and infra_3" in last_line(undecided, "FreeSpace", integrity)
+
+
+def test_the_events_of_a_run_say_who_the_possible_liars_are(undecided: Path) -> None:
+    run = RunRecord.load(undecided)
+    times = np.arange(FRAMES) * 0.1
+    periods = spans(run, times)
+    assert [(each["label"], each["from_s"], each["until_s"]) for each in periods if each["kind"] == "undecided"] == [
+        ("infra_2 undecided", 1.0, 4.0),
+        ("infra_3 undecided", 1.0, 2.0),
+    ]
+    texts = [each.text for each in happenings(run, periods, times) if each.kind == "undecided"]
+    assert f"the command centre cannot decide whether infra_2 lies: {OPEN}" in texts
+    assert "infra_3 is no longer undecided" in texts
+
+
+def test_the_caption_of_a_film_names_undecided_agents_in_one_line(undecided: Path) -> None:
+    take = Take(RunRecord.load(undecided), "picture")
+    captions = [text for frame, text in takes.happenings(take) if frame == 10]
+    assert captions == ["infra_2 undecided", "infra_3 undecided"]
+
+
+def test_a_run_of_an_older_version_has_no_undecided_agents(folder: Path) -> None:
+    run = RunRecord.load(folder)
+    assert "undecided" not in run.metrics["integrity"]["agents"]["ego"]
+    assert undecided_table(run).lines == undecided_lines(run) == []
+    page = write_report(folder).read_text()
+    assert "suspended agent</th>" in page
+    assert "undecided agent</th>" not in page
 
 
 def test_a_missing_trust_table_is_named(folder: Path) -> None:

@@ -36,6 +36,7 @@ from mast_zenoh.viewer.palette import (
     OUTCOME_COLOURS,
     OUTCOME_LABELS,
     STATES,
+    TROUBLES,
     WITHHELD,
 )
 
@@ -149,7 +150,7 @@ def _draw_agents(axes: Axes, view: Frame, window: tuple[float, float, float]) ->
         state = states.get(agent.name, "unknown")
         colour = STATES[state] if states else ADVERSARY if agent.name in attacked else AGENT
         name_colour = ADVERSARY if agent.name in attacked else colour
-        label = f"{agent.name}\n{state}" if state in ("faulty", "suspended") else agent.name
+        label = f"{agent.name}\n{state}" if state in TROUBLES else agent.name
         sector = agent.sensor.azimuth_max_deg - agent.sensor.azimuth_min_deg
         facing = recording.agent_rotation[view.index, index] @ agent.sensor.mount_rotation
         turn = float(heading(facing))
@@ -200,7 +201,8 @@ def place_name(
 
     half: m, of the window;  gap: points;  occupied: boxes of earlier names, to which its own is added
     """
-    right, above = _free_side(occupied, at, max(map(len, name.get_text().split("\n"))), half, preferred)
+    lines = name.get_text().split("\n")
+    right, above = _free_side(occupied, at, (max(map(len, lines)), len(lines)), half, preferred)
     name.xy = (float(at[0]), float(at[1]))
     name.xyann = (gap if right else -gap, 4 if above else -4)
     name.set(ha="left" if right else "right", va="bottom" if above else "top")
@@ -209,15 +211,17 @@ def place_name(
 def _free_side(
     occupied: list[tuple[float, float, float, float]],
     at: Floats,
-    letters: int,
+    size: tuple[int, int],
     half: float,
     preferred: tuple[bool, bool],
 ) -> tuple[bool, bool]:
     """(right, above): the side of a position where a label does not overlap others.
 
     occupied: boxes of earlier labels (left, right, bottom, top), m; the new one is appended
+    size: letters in a line, and lines
     """
-    width, height, gap = 0.045 * letters * half, 0.09 * half, 0.03 * half
+    letters, lines = size
+    width, height, gap = 0.045 * letters * half, (0.02 + 0.07 * lines) * half, 0.03 * half
     right, above = preferred
     for choice in ((right, above), (right, not above), (not right, above), (not right, not above)):
         left = at[0] + gap if choice[0] else at[0] - gap - width

@@ -30,7 +30,7 @@ from mast_zenoh.report.narrative.changes import capital
 from mast_zenoh.report.run_figure import SECTIONS, FigureContext, RunFigure
 from mast_zenoh.report.tables.scores import ScoreTable
 from mast_zenoh.run_files import check_plain, read_json, write_bytes
-from mast_zenoh.viewer.events import states_at, suspensions
+from mast_zenoh.viewer.events import doubts, states_at, suspensions
 from mast_zenoh.viewer.frame import Frame
 from mast_zenoh.viewer.interposers import interposers
 from mast_zenoh.viewer.run import RunRecord
@@ -146,20 +146,25 @@ class Wiring(RunFigure):
 
 
 class Trust(RunFigure):
-    """The command centre's trust in each agent, and when it was suspended or taken to be faulty. Below each line: when
-    adversaries changed what the agent sent, as measured on its wires, and when faults of the timeline acted on it.
+    """The command centre's trust in each agent, and when it was suspended, undecided or taken to be faulty. Below each
+    line: when adversaries changed what the agent sent, as measured on its wires, and when faults of the timeline acted
+    on it.
     """
 
     def draw(self, context: FigureContext) -> Figure | None:
         return trust_over_time(context.run, context.frame)
 
     def alt(self, context: FigureContext) -> str:
-        spells = [
-            f"{each['agent']} from {each['from_s']:.1f} s to "
-            + ("the end" if each["until_s"] is None else f"{each['until_s']:.1f} s")
-            for each in suspensions(context.run)
-        ]
-        return f"Trust in each agent over time. Suspended: {'; '.join(spells) or 'no agent'}."
+        suspended, undecided = (
+            "; ".join(
+                f"{each['agent']} from {each['from_s']:.1f} s to "
+                + ("the end" if each["until_s"] is None else f"{each['until_s']:.1f} s")
+                for each in periods
+            )
+            for periods in (suspensions(context.run), doubts(context.run))
+        )
+        text = f"Trust in each agent over time. Suspended: {suspended or 'no agent'}."
+        return f"{text} Undecided: {undecided}." if undecided else text
 
 
 #: In the order in which they are drawn. The page has a place for each.

@@ -44,7 +44,7 @@ _LIES, _FAULTS, _BAND = -0.24, -0.46, 0.18
 def trust_over_time(run: RunRecord, frame: int | None) -> Figure | None:
     """Mean trust in each agent by time; None: the run's command centre judges nobody.
 
-    Background: when an agent was taken to be faulty, or was suspended. Bands below: when it lied, and when it was
+    Background: when an agent was taken to be faulty, suspended or undecided. Bands below: when it lied, and when it was
     faulty. frame: marked by a line, if given
     """
     agents, end = trust_in_agents(run, list(STATES_ON_LIGHT))
@@ -89,7 +89,7 @@ def draw_agent(axes: Axes, agent: AgentTrustSeries, end: float, scale: Scale = M
     """
     light_axes(axes)
     for state, colour in STATES_ON_LIGHT.items():
-        for start, stop in agent.states[state]:
+        for start, stop in agent.states.get(state, ()):  # stored traces of older versions lack some
             axes.add_patch(Rectangle((start, 0.0), stop - start, 1.0, facecolor=colour, alpha=0.45, linewidth=0))
     _bands(axes, agent.lies, _LIES, ADVERSARY_ON_LIGHT)
     _bands(axes, [(start, stop) for _, start, stop in agent.faults], _FAULTS, FAULT_ON_LIGHT, hatched=True)
@@ -118,9 +118,9 @@ def legend(agents: Sequence[AgentTrustSeries], scale: Scale = MEAN) -> list[Line
     """Legend entries for what the rows of these agents show."""
     handles: list[Line2D | Patch] = [Line2D([], [], color=INK, linewidth=1.6, label=scale.label)]
     for state, colour in STATES_ON_LIGHT.items():
-        if any(agent.states[state] for agent in agents):
-            words = {"suspended": "suspended", "faulty": "taken to be faulty"}
-            handles.append(Patch(facecolor=colour, alpha=0.45, label=words[state]))
+        if any(agent.states.get(state) for agent in agents):
+            label = "taken to be faulty" if state == "faulty" else state
+            handles.append(Patch(facecolor=colour, alpha=0.45, label=label))
     if any(agent.lies for agent in agents):
         handles.append(Patch(facecolor=(ADVERSARY_ON_LIGHT, 0.9), edgecolor=ADVERSARY_ON_LIGHT, label="lies"))
     if any(agent.faults for agent in agents):

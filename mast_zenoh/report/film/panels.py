@@ -22,6 +22,7 @@ from mast_zenoh.report.film.takes import Attacks, Framing, Take, Window
 from mast_zenoh.sensing.sensors import LidarSensor
 from mast_zenoh.viewer.events import node_absences, spans, states_at, withheld_at
 from mast_zenoh.viewer.frame import Boxes
+from mast_zenoh.viewer.palette import TROUBLES
 
 #: Of a sensor's outline: its points, how opaque it is, and the number of agents above which it is fainter.
 _POINTS, _OPACITY, _MANY = 49, 0.35, 6
@@ -77,7 +78,7 @@ class AgentMarks:
             colours.append(to_rgba(colour, _OPACITY * min(1.0, _MANY / len(recording.agents))))
             if not inside:
                 continue
-            trouble = "down" if agent.name in down else state if state in ("faulty", "suspended") else ""
+            trouble = "down" if agent.name in down else state if state in TROUBLES else ""
             label = f"{agent.name}\n{trouble}" if trouble else agent.name
             name.set(text=plain(label), color=adversary or colour, fontweight="bold" if adversary else "normal")
             reach = window.across, window.up  # the side depends on nothing but the frame

@@ -189,8 +189,13 @@ class Captions:
 
 
 def happenings(take: Take) -> list[tuple[int, str]]:
-    """(frame, words) of interceptions, attacks, faults, absences and suspensions, the earliest first."""
-    happened = events.happenings(take.run, spans(take.run, take.times), take.times)
+    """(frame, words) of interceptions, attacks, faults, absences and states of trust, the earliest first."""
+    # A caption is one line: it has no room for the reasons.
+    periods = [
+        period | {"begins": period["label"]} if period["kind"] == "undecided" else period
+        for period in spans(take.run, take.times)
+    ]
+    happened = events.happenings(take.run, periods, take.times)
     happened.sort(key=lambda each: (each.frame, each.kind != "interception", each.text))
     return [(max(each.frame, take.first), each.text) for each in happened if each.frame <= take.last]
 

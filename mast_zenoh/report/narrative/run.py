@@ -123,6 +123,8 @@ def defence_sentence(run: RunRecord) -> str:
     agents_suspended = f"suspended {count(len(suspended))} agent{'s' if len(suspended) > 1 else ''}"
     did = [agents_suspended if suspended else "set no agent's state to suspended"]
     did += [join_names([f"{name} ({_when(agents[name])})" for name in suspended], _MOST_NAMES)] if suspended else []
+    open_to_doubt = [name for name, agent in agents.items() if agent.get("undecided")]
+    did += [f"could not decide about {join_names(open_to_doubt, _MOST_NAMES)}"] if open_to_doubt else []
     did += [f"although {join_names(missed, _MOST_NAMES)} lied"] if missed else []
     text = ", ".join(did)
     if "withheld" in measured:

@@ -13,7 +13,7 @@ from mast_zenoh.report.narrative.adversaries import explanations
 from mast_zenoh.report.narrative.attribution import reaches
 from mast_zenoh.report.tables.text_table import DASH, Head, Line, PageTable
 from mast_zenoh.tracking.base import OVERCONFIDENT
-from mast_zenoh.viewer.events import suspensions
+from mast_zenoh.viewer.events import doubts, suspensions
 from mast_zenoh.viewer.interposers import interposers
 from mast_zenoh.viewer.run import RunRecord
 
@@ -227,7 +227,7 @@ def _braking(shares: dict[str, float | None]) -> str:
     return f"the ego with the picture {' and '.join(parts)}" if parts else ""
 
 
-#: Suspensions that the terminal shows.
+#: Suspensions, and undecided agents, that the terminal shows.
 _MOST_LINES = 8
 
 
@@ -255,6 +255,29 @@ def suspension_table(run: RunRecord) -> PageTable:
     return PageTable(_SUSPENSIONS, lines)
 
 
+_DOUBTS = (
+    *(Head("undecided agent", kind="text"), Head("from (s)"), Head("to (s)"), Head("it was", kind="text")),
+    Head("reason", kind="words"),
+)
+
+
+def undecided_table(run: RunRecord) -> PageTable:
+    """All periods in which the command centre could not decide whether an agent lies, with its reason for each."""
+    lines = [
+        Line(
+            (
+                each["agent"],
+                f"{each['from_s']:.1f}",
+                "end" if each["until_s"] is None else f"{each['until_s']:.1f}",
+                each["conduct"],
+                each["reason"] or DASH,
+            )
+        )
+        for each in doubts(run)
+    ]
+    return PageTable(_DOUBTS, lines)
+
+
 def conduct_table(run: RunRecord) -> PageTable:
     """The seconds of all agents by conduct and state."""
     seconds = run.metrics.get("integrity", {}).get("seconds", {})
@@ -268,7 +291,7 @@ def conduct_table(run: RunRecord) -> PageTable:
 
 
 def trust_sentences(run: RunRecord) -> list[str]:
-    """The result in sentences: who was never suspended, false alarms, and withheld objects."""
+    """The result in sentences: liars never suspended, false alarms, undecided agents, and withheld objects."""
     part: dict[str, Any] = run.metrics.get("integrity", {})
     if not part:
         return []
@@ -280,11 +303,14 @@ def trust_sentences(run: RunRecord) -> list[str]:
     honest = part["honest_suspended"]
     times = "once" if part["false_alarms"] == 1 else f"{part['false_alarms']} times"
     alarms = f"Honest agents were suspended {times}: {', '.join(honest)}" if honest else ""
+    names = [name for name, agent in part["agents"].items() if agent.get("undecided")]
+    undecided = f"Undecided at some time: {', '.join(names)}"
     withheld = part.get("withheld", {})
     objects = (
         f"Withheld from the picture, per frame: {withheld['false']:.2f} false and {withheld['true']:.2f} true objects"
     )
-    return [*missed, alarms or "No honest agent was suspended", *([objects] if withheld else [])]
+    sentences = [*missed, alarms or "No honest agent was suspended", *([undecided] if names else [])]
+    return [*sentences, *([objects] if withheld else [])]
 
 
 def suspension_lines(run: RunRecord) -> list[str]:
@@ -294,7 +320,21 @@ def suspension_lines(run: RunRecord) -> list[str]:
         after = "" if after_s == DASH else f", {after_s} s after its first lie"
         why = "" if reason == DASH else f": {reason}"
         lines.append(f"the command centre suspended {agent} ({conduct}) at {from_s} s{after}{why}")
-    more = f"  and {len(lines) - _MOST_LINES} suspensions more, see the report"
+    return _first_lines(lines, "suspensions more")
+
+
+def undecided_lines(run: RunRecord) -> list[str]:
+    """Which agents the command centre could not decide about, when and why, a line each."""
+    lines = []
+    for (agent, from_s, until, conduct, reason), _ in undecided_table(run).lines:
+        why = "" if reason == DASH else f": {reason}"
+        to = "the end" if until == "end" else f"{until} s"
+        lines.append(f"{agent} ({conduct}) was undecided from {from_s} s to {to}{why}")
+    return _first_lines(lines, "periods more in which agents were undecided")
+
+
+def _first_lines(lines: list[str], rest: str) -> list[str]:
+    more = f"  and {len(lines) - _MOST_LINES} {rest}, see the report"
     return [*lines[:_MOST_LINES], more] if len(lines) > _MOST_LINES else lines
 
 

@@ -526,7 +526,7 @@ def _states(groups: Groups, conduct: str) -> dict[str, Measured]:
         [record.state_seconds[conduct] for record in group if conduct in record.state_seconds] for group in groups
     ]
     states = dict.fromkeys(state for group in seconds for each in group for state in each)
-    sums = {state: np.array([sum(each[state] for each in group) for group in seconds]) for state in states}
+    sums = {state: np.array([sum(each.get(state, 0.0) for each in group) for group in seconds]) for state in states}
     whole = np.sum(list(sums.values()), axis=0)
     return {state: intervals.share(part, whole) for state, part in sums.items()} if whole.any() else {}
 

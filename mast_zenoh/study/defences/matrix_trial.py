@@ -25,7 +25,7 @@ from mast_zenoh.viewer.events import trust_in_agents
 from mast_zenoh.viewer.run import RunRecord
 
 #: States that the figure shows.
-_DRAWN_STATES = ("faulty", "suspended")
+_DRAWN_STATES = ("faulty", "suspended", "undecided")
 #: s, from one kept value of the log-odds to the next. Spans are exact.
 _STEP_S = 0.2
 #: m, from a false object on the wires to the one of the command centre or of the picture that stands for it.

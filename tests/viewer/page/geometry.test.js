@@ -3,10 +3,10 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { faded, mixed } from "../../../mast_zenoh/viewer/page/js/palette.js";
+import { colourOfKind, faded, mixed } from "../../../mast_zenoh/viewer/page/js/palette.js";
 import { clipPolygon, clipSegment, Lens, NEAR_M } from "../../../mast_zenoh/viewer/page/js/perspective.js";
 import { expand, groupByFrame } from "../../../mast_zenoh/viewer/page/js/run.js";
-import { around, writeLabel } from "../../../mast_zenoh/viewer/page/js/signs.js";
+import { around, troubleOf, writeLabel } from "../../../mast_zenoh/viewer/page/js/signs.js";
 import { CameraWindow, Viewport, wholeImage } from "../../../mast_zenoh/viewer/page/js/windows.js";
 
 const beyond = (axis, limit) => (point) => point[axis] - limit;
@@ -66,4 +66,14 @@ test("labels do not cover each other, and are left out where there is no room", 
   const found = places.filter(Boolean);
   assert.equal(found.length, 4, "the fifth place would cover the first");
   for (const a of found) for (const b of found) if (a !== b) assert.ok(a[2] <= b[0] || b[2] <= a[0] || a[3] <= b[1] || b[3] <= a[1]);
+});
+
+test("undecided agents are named as such, in the colour of the state", () => {
+  const mark = { state: "undecided", down: false, cutOff: false };
+  assert.equal(troubleOf(/** @type {any} */ (mark)), "undecided");
+  assert.equal(troubleOf(/** @type {any} */ ({ ...mark, cutOff: true })), "undecided, cut off");
+  assert.equal(troubleOf(/** @type {any} */ ({ ...mark, state: "trusted" })), "");
+  const palette = /** @type {any} */ ({ states: { suspended: "#aa0000", undecided: "#0000aa" }, fault: "#00aa00", faint: "#111111" });
+  assert.equal(colourOfKind("undecided", palette), "#0000aa");
+  assert.equal(colourOfKind("suspension", palette), "#aa0000");
 });

@@ -112,6 +112,23 @@ def test_manipulations_states_and_series_are_those_of_the_tables(block: Block, a
     assert np.array_equal(columns["series.fn"].reshape(-1, frames)[row], missed)
 
 
+def test_an_undecided_agent_keeps_its_state_while_it_lies_and_while_it_is_down(attacked_run: Path) -> None:
+    run = RunRecord.load(attacked_run)
+    assert run.trust is not None
+    run.trust["state"] = np.full(len(run.trust["frame"]), "undecided", object)
+    run.run["steps"] = [{"node": "infra_1", "frame": 30, "action": "stop"}]
+    data = run_block(run)
+    assert data is not None
+    header, columns = unpack(data)
+    state = columns["agents.state"].reshape(-1, header["frames"]).astype(int)
+    judged = state[:, int(run.trust["frame"].min()) :]
+    assert {header["states"][code - 1] for code in set((judged % 8).ravel().tolist())} == {"undecided"}
+    (row,) = (index for index, agent in enumerate(header["agents"]) if agent["name"] == "infra_1")
+    assert (state[row, 30:] & header["flags"]["down"]).all()
+    assert not (np.delete(state, row, axis=0) & header["flags"]["down"]).any()
+    assert (state[row] & header["flags"]["lying"]).any()
+
+
 def test_events_say_when_the_attack_begins_and_when_it_first_succeeds(block: Block) -> None:
     header, _ = block
     texts = [event["text"] for event in header["events"]]

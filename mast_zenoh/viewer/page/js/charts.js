@@ -9,6 +9,8 @@ const RIGHT = 14;
 const LANE = 17;
 const ROW = 62;
 const FOOT = 24;
+/** Kinds of spans that say what the command centre thinks, not what happens. */
+const JUDGEMENTS = ["suspension", "undecided"];
 const DASHES = [[], [6, 3], [2, 2.5], [8, 3, 2, 3], [1, 4]];
 
 /** @typedef {{label: string, unit: string, least: number, lines: {values: ArrayLike<number>, times: ArrayLike<number>, colour: string, dash: number[], name: string, scored: number[]}[]}} Row */
@@ -117,7 +119,7 @@ export class Charts {
       for (const { span, labelAt } of lane) {
         const colour = colourOfKind(span.kind, palette);
         const [from, until] = [x(span.from_s), x(span.until_s)];
-        if (span.kind !== "suspension") {
+        if (!JUDGEMENTS.includes(span.kind)) {
           context.fillStyle = faded(colour, 0.09);
           context.fillRect(from, 0, until - from, height - FOOT);
         }
@@ -157,10 +159,11 @@ function swatch(name, colour, dash) {
   return element("span", { class: "v-key" }, line, name);
 }
 
-/** Put bands into the fewest lanes, so that none overlap. */
+/** Put bands into the fewest lanes, so that none overlap; undecided agents take what the others leave. */
 function placeInLanes(spans, length) {
   const lanes = [];
-  for (const span of [...spans].sort((a, b) => a.from_s - b.from_s)) {
+  const open = (/** @type {{kind: string}} */ span) => Number(span.kind === "undecided");
+  for (const span of [...spans].sort((a, b) => open(a) - open(b) || a.from_s - b.from_s)) {
     const needed = Math.max(span.until_s, span.from_s + 0.3 * length);
     const lane = lanes.find((each) => each[each.length - 1].until <= span.from_s);
     const placed = { span, until: needed, labelAt: span.from_s };

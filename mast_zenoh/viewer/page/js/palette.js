@@ -23,7 +23,8 @@ export function paletteOf(colours, name, theme) {
 /** @param {string} kind of a span or event @param {Palette} palette */
 export function colourOfKind(kind, palette) {
   const named = { attack: palette.adversary, effect: palette.adversary, interception: palette.adversary };
-  return named[kind] ?? { fault: palette.fault, suspension: palette.states.suspended }[kind] ?? palette.faint;
+  const judged = { suspension: palette.states.suspended, undecided: palette.states.undecided };
+  return named[kind] ?? { fault: palette.fault, ...judged }[kind] ?? palette.faint;
 }
 
 /** @param {string} colour #rrggbb @param {number} alpha 0 to 1 */

@@ -70,7 +70,7 @@ export function colourOfAgent(mark, palette) {
 /** @param {import("./marks.js").AgentMark} mark @returns {string} what is wrong with it; empty: nothing */
 export function troubleOf(mark) {
   if (mark.down) return "down";
-  const troubles = mark.state === "faulty" || mark.state === "suspended" ? [mark.state] : [];
+  const troubles = ["faulty", "suspended", "undecided"].includes(mark.state) ? [mark.state] : [];
   if (mark.cutOff) troubles.push("cut off");
   return troubles.join(", ");
 }
