@@ -372,7 +372,7 @@ class RelativeFaults:
 
     @property
     def doubtful(self) -> Bools:
-        """(a,) agents of the last update that may have a fault: they differ from others, or match few of their tracks."""
+        """(a,) agents of the last update that may have a fault: they differ, or match few tracks of others."""
         return np.asarray((self.differ | self._unsearched).any(axis=1))
 
     def faults(self, pivots: Floats) -> Floats:

@@ -12,6 +12,7 @@ from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.integrity.base import (
     SUSPENDED,
     TRUSTED,
+    UNDECIDED,
     UNKNOWN,
     AgentTrust,
     Assessment,
@@ -350,7 +351,7 @@ class SequentialConsistency(Integrity):
         log_odds = np.where(suspended | verdict.lying, log_odds, np.maximum(log_odds, 0.0))
         undecided = verdict.open & ~suspended
         state = np.where(self._of.seen_s[rows] >= 1.0, TRUSTED, UNKNOWN)
-        state = np.where(suspended, SUSPENDED, np.where(undecided, UNKNOWN, state)).astype(np.uint8)
+        state = np.where(suspended, SUSPENDED, np.where(undecided, UNDECIDED, state)).astype(np.uint8)
         suspects = ", ".join(name for name, suspect in zip(batch.agents, undecided.tolist(), strict=True) if suspect)
         named = zip(batch.agents, suspended.tolist(), undecided.tolist(), strict=True)
         reasons = tuple(

@@ -5,7 +5,7 @@ import pytest
 from integrity_batches import Track, batch, view
 
 from mast_zenoh.integrity import SequentialConsistency, TruthDiscovery
-from mast_zenoh.integrity.base import SUSPENDED, UNKNOWN
+from mast_zenoh.integrity.base import SUSPENDED, UNDECIDED
 from mast_zenoh.integrity.calibration import Tail, accumulate, discoveries, fitted_tail
 from mast_zenoh.integrity.offsets import Offsets, OffsetSums
 
@@ -154,6 +154,6 @@ def test_agents_with_new_names_in_every_frame_do_not_take_the_numbers_of_others(
         tracks: list[Track] = [(name, 0, (CAR[0] + 1.2 * (name == "d"), CAR[1])) for name in "abcd"]
         found = stage.assess(batch(tracks, names, {}, frame=frame)).agents
         stage.excuse("a")
-    assert dict(zip(names, found.state.tolist(), strict=True))["d"] == UNKNOWN, "24 agents, and three accuse"
+    assert dict(zip(names, found.state.tolist(), strict=True))["d"] == UNDECIDED, "24 agents, and three accuse"
     numbers = stage._of.number
     assert len(np.unique(numbers)) == len(numbers) > 1024
