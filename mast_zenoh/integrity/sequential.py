@@ -60,8 +60,9 @@ DISPUTES_PER_HOUR = 1.0
 FAULT_AWAITED_S = 1.5
 #: s, of this time that an agent regains in a second: one that differs now and then is not excused for ever.
 AWAITED_AGAIN = 0.05
-#: s, for which a dispute about where an object is lasts.
-APART_S = 10.0
+#: s, for which two agents must report an object apart to disagree about where it is, in a sum that falls to 1/e in
+#: APART_MEMORY_S: for a frame or two, honest agents do so, too.
+APART_S, APART_MEMORY_S = 0.25, 10.0
 #: Share of the statistic of an alarm, and m now, up to which an agent is where the middle of an object is.
 ON_THE_SPOT, ON_THE_SPOT_M = 0.25, 0.3
 
@@ -139,7 +140,7 @@ class SequentialConsistency(Integrity):
         self._next_number = 0  # of an agent that was not there before
         self._existence = ExistenceVotes(self._agents)
         self._pairs = np.zeros((0, 0))  # (m, m) cumulative disputes of each pair, object-seconds
-        self._apart_ns = np.zeros((0, 0), np.int64)  # (m, m) ns, when a pair last reported an object apart; 0: never
+        self._apart_s = np.zeros((0, 0))  # (m, m) s, for which each pair lately reported an object apart
         self._sums.reset()
         self._known_sums.reset()
         self._time_ns: int | None = None
@@ -166,7 +167,7 @@ class SequentialConsistency(Integrity):
         self._known_sums.forget(number)
         self._of.contradictions[row] = self._of.awaited_s[row] = 0.0
         self._pairs[row] = self._pairs[:, row] = 0.0
-        self._apart_ns[row] = self._apart_ns[:, row] = 0
+        self._apart_s[row] = self._apart_s[:, row] = 0.0
         recent = self._time_ns - self._of.suspended_ns[row] <= EXCUSED_S * 1e9
         if self._of.suspended[row] and (recent or self._of.for_offset[row]):
             self._of.suspended[row] = False
@@ -215,7 +216,7 @@ class SequentialConsistency(Integrity):
         """Rows (a,) of the agents of a batch; new ones have no record."""
         rows = self._agents.meet(batch.time_ns, batch.agents)
         self._pairs = self._agents.carry(self._agents.carry(self._pairs, 0.0), 0.0, axis=1)
-        self._apart_ns = self._agents.carry(self._agents.carry(self._apart_ns, 0), 0, axis=1)
+        self._apart_s = self._agents.carry(self._agents.carry(self._apart_s, 0.0), 0.0, axis=1)
         new = rows[self._of.number[rows] < 0]
         self._of.number[new] = self._next_number + np.arange(len(new))
         self._next_number += len(new)
@@ -248,12 +249,13 @@ class SequentialConsistency(Integrity):
         some = self._sums.of_objects(batch.time_ns, numbers, objects, measured)
         known = self._known_sums.of_objects(batch.time_ns, numbers, objects, measured, dt)
         share = np.maximum(some / self._alarm_at(1, len(rows)), known / self._alarm_at(2, len(rows)))
+        apart = np.zeros((len(rows), len(rows)), np.bool_)
         away = np.hypot(measured.offset[..., 0], measured.offset[..., 1])
         for cluster, off in zip(*np.nonzero(share >= 1.0), strict=True):
             there = measured.valid[cluster] & (share[cluster] <= ON_THE_SPOT) & (away[cluster] <= ON_THE_SPOT_M)
-            pair = np.ix_([rows[off]], rows[there])
-            self._apart_ns[pair] = batch.time_ns
-            self._apart_ns[pair[1].T, pair[0].T] = batch.time_ns
+            apart[off, there] = apart[there, off] = True
+        pairs = np.ix_(rows, rows)
+        self._apart_s[pairs] = np.exp(-dt / APART_MEMORY_S) * self._apart_s[pairs] + dt * apart
         return some.max(axis=0, initial=0.0), known.max(axis=0, initial=0.0)
 
     def _summed(self, total: Floats, count: Ints, tail: Tail, dt: float) -> Floats:
@@ -275,8 +277,7 @@ class SequentialConsistency(Integrity):
 
     def _explain(self, batch: Batch, rows: Ints) -> tuple[Explanations, Verdict]:
         """The explanations of the disputes of the agents of a batch, and what they say of each."""
-        pairs, apart_ns = self._pairs[np.ix_(rows, rows)], self._apart_ns[np.ix_(rows, rows)]
-        apart = (apart_ns > 0) & (batch.time_ns - apart_ns <= APART_S * 1e9)
+        pairs, apart = self._pairs[np.ix_(rows, rows)], self._apart_s[np.ix_(rows, rows)] >= APART_S
         disputes = (self._pair_tail.rate(pairs) <= self.disputes_per_hour) | apart
         lying = OWN_TAIL.rate(self._of.own[rows]) <= self.false_alarms_per_hour / max(len(rows), 1)
         lying |= self._of.suspended[rows]
