@@ -18,7 +18,7 @@ from mast_zenoh.report.tables.text_table import number
 from mast_zenoh.viewer.palette import INK
 
 #: Inches at which the figure is drawn; a paper prints a column of it at half of this width, so that 12 pt become 6 pt.
-_WIDTH, _CELL_WIDTH, _CELL_HEIGHT = 7.0, 0.46, 0.27
+_WIDTH, _CELL_WIDTH, _CELL_HEIGHT = 7.0, 0.46, 0.28
 _SIZE, _TITLE_SIZE = 12.0, 13.0
 #: Inches of a letter of a label, and between parts of the figure.
 _LETTER, _GAP = 0.105, 0.1
@@ -29,10 +29,12 @@ _COLOURS = "RdBu_r"
 _UNKNOWN = "#e8e8e8"
 #: Objects per frame up to which colours are linear; beyond, they are logarithmic, so that one flood hides nothing.
 _LINEAR = 1.0
+#: Numbers on the scale, at one of which it ends.
+_ROUND = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
 #: Share of the colour scale beyond which letters are white.
-_DARK = 0.72
+_DARK = 0.55
 #: Share of runs that suspend an honest agent from which the mark is large; sides of the marks, in cells' heights.
-_OFTEN, _SMALL, _LARGE = 0.5, 0.32, 0.62
+_OFTEN, _SMALL, _LARGE = 0.5, 0.27, 0.48
 
 Cells = Sequence[Sequence[FieldRow]]
 
@@ -49,11 +51,13 @@ def _harm_by_scene(table: FieldMatrix) -> RenderedFigure:
     defences = [str(name) for name in table.matrix.names("defence")[1:]]
     attacks = ["", *(str(name) for name in table.matrix.names("attack"))]
     places = list(dict.fromkeys((row.n_adversaries, row.placement) for row in table.rows if row.attack))
-    lines, columns = len(table.scenes), len(places)
+    lines, columns, placements = len(table.scenes), len(places), len({placement for _, placement in places})
     left = _LETTER * max(len(name) for name in (*attacks, "no attack")) + 2 * _GAP
-    panel_width = max((_WIDTH - left - _GAP) / columns - _GAP, _CELL_WIDTH * len(defences))
+    titles = [[_title(scene, *place, placements > 1, columns > 1) for place in places] for scene in table.scenes]
+    longest = max(len(title) for each in titles for title in each)
+    panel_width = max((_WIDTH - left - _GAP) / columns - _GAP, _CELL_WIDTH * len(defences), _LETTER * longest)
     panel_height = _CELL_HEIGHT * len(attacks)
-    below = _LETTER * 0.75 * max(map(len, defences)) + 2 * _GAP  # of slanted labels
+    below = _LETTER * 0.71 * max(map(len, defences)) + _GAP  # of slanted labels
     width = left + columns * (panel_width + _GAP) + _GAP
     height = lines * (panel_height + _TITLE + _GAP) + below + _SCALE
     figure = Figure(figsize=(width, height), facecolor="white")
@@ -67,14 +71,12 @@ def _harm_by_scene(table: FieldMatrix) -> RenderedFigure:
             )
             cells = [[_row(table, scene, name, attack, count, placement) for name in defences] for attack in attacks]
             _panel(axes, cells, norm)
-            agents = f"{count} adversar{'y' if count == 1 else 'ies'}"
-            title = scene if columns == 1 else f"{scene}: {agents}, {placement}"
-            axes.set_title(plain(title), fontsize=_TITLE_SIZE, color=INK, loc="left", pad=4)
+            axes.set_title(plain(titles[line][column]), fontsize=_TITLE_SIZE, color=INK, loc="left", pad=4)
             axes.set_yticks(range(len(attacks)), [plain(name or "no attack") for name in attacks] if not column else [])
             axes.set_xticks(range(len(defences)), [plain(name) for name in defences] if line == lines - 1 else [])
             for text in axes.get_xticklabels():
                 text.set(rotation=45, ha="right", rotation_mode="anchor")
-    scale = figure.add_axes((left / width, 0.62 / height, (width - left - _GAP) / width, 0.13 / height))
+    scale = figure.add_axes((left / width, 0.62 / height, (width - left - 3 * _GAP) / width, 0.13 / height))
     bar = figure.colorbar(ScalarMappable(norm, _COLOURS), cax=scale, orientation="horizontal")
     bar.set_ticks(_ticks(norm), labels=[f"{tick:g}".replace("-", "\u2212") for tick in _ticks(norm)])
     bar.ax.minorticks_off()
@@ -82,9 +84,9 @@ def _harm_by_scene(table: FieldMatrix) -> RenderedFigure:
     bar.outline.set_visible(False)
     bar.set_label("wrong objects per frame, minus no defence", fontsize=_SIZE, color=INK)
     caption = (
-        "Missed and false objects per frame in the ego's picture, with minus without the defence, under the same attack "
-        f"({table.matrix.size}"
-        f"{'' if columns > 1 else f'; {agents}, {placement}'}). "
+        "Missed and false objects per frame in the ego's picture, with minus without the defence, under the same "
+        f"attack ({table.matrix.size}"
+        f"{_adversaries(places)}). "
         "Blue: the defence helps. Red: it does harm. Italic: the 95 % interval contains 0, or there is none. Corner: "
         "an honest agent is suspended in some of the runs (small), or in half of them or more (large). Colours are "
         "linear up to 1, then logarithmic."
@@ -92,6 +94,19 @@ def _harm_by_scene(table: FieldMatrix) -> RenderedFigure:
     return render(
         "harm_by_scene", figure, f"Heat maps of harm relative to no defence. {_best(table)}", caption, printed=True
     )
+
+
+def _title(scene: str, count: int, placement: str, placements: bool, counts: bool) -> str:
+    """The title of a panel; placements, counts: whether there are several."""
+    return ", ".join([scene, *([f"n = {count}"] if counts else []), *([placement] if placements else [])])
+
+
+def _adversaries(places: Sequence[tuple[int, str]]) -> str:
+    """What the caption says of the adversaries."""
+    if len(places) > 1:
+        return "; n: number of adversaries"
+    (count, placement) = places[0]
+    return f"; {count} adversar{'y' if count == 1 else 'ies'}, {placement}"
 
 
 def _row(table: FieldMatrix, scene: str, defence: str, attack: str, count: int, placement: str) -> FieldRow | None:
@@ -107,13 +122,14 @@ def _norm(table: FieldMatrix) -> Normalize:
     most = max([_LINEAR, *sizes])
     if most <= _LINEAR:
         return Normalize(-_LINEAR, _LINEAR)
+    most = next((size for size in _ROUND if size >= most), most)
     return SymLogNorm(_LINEAR, vmin=-most, vmax=most, base=10)
 
 
 def _ticks(norm: Normalize) -> list[float]:
     """Round numbers on both sides of 0."""
     most = float(norm.vmax or _LINEAR)
-    sizes = [size for size in (1.0, 3.0, 10.0, 30.0, 100.0, 300.0) if size <= most]
+    sizes = [size for size in _ROUND if size <= most]
     return [*(-size for size in reversed(sizes)), 0.0, *sizes]
 
 

@@ -123,8 +123,8 @@ def _breakdown(table: FieldMatrix) -> TextTable:
     about = (
         "Runs in which the ego's picture has more missed and false objects than its own tracks from the start of the "
         "attack on, or an honest agent is suspended before any adversary, and not without an attack. A defence breaks "
-        "at the number of adversaries at which half of the runs of all attacks are broken, interpolated. Last: the attack "
-        "with the smallest such number, which is a minimum of few trials."
+        "at the number of adversaries at which half of the runs of all attacks are broken, interpolated. Last: the "
+        "attack with the smallest such number, which is a minimum of few trials."
     )
     headings = [
         *("defence", "scene", "agents", *(f"broken with {count} (%)" for count in counts)),
