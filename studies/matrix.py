@@ -33,7 +33,7 @@ def study(
     adversaries=None,
     kinds=None,
     junction=8,
-    counts=2,
+    counts=(2,),
     placements="random",
     trials=None,
     frames=100,

@@ -42,27 +42,25 @@ def field_tables(table: FieldMatrix) -> ResultTables:
     The CSV has all lines of the matrix, and those by kind of scene, with the column `scene` (empty: all).
     """
     of_matrix = defence_tables(table.matrix)
-    *others, summary = of_matrix.tables
+    others, last = of_matrix.tables[:-1], of_matrix.tables[-1:]  # the last is the summary, if there is any
     added = _added_to_summaries(table)
-    if added and summary.title == "Summary":
-        lines = [[*line, *added.get(line[0], [DASH] * len(_SUMMARY_HEADINGS))] for line in summary.lines]
-        summary = summary._replace(headings=[*summary.headings, *_SUMMARY_HEADINGS], lines=lines)
+    if added:
+        (summary,) = last
+        lines = [[*line, *added[line[0]]] for line in summary.lines]
+        last = [summary._replace(headings=[*summary.headings, *_SUMMARY_HEADINGS], lines=lines)]
     own = [*(_harm(table, scene) for scene in table.scenes), _processor_time(table), _breakdown(table)]
     headings, lines_of_matrix = of_matrix.numbers
     numbers = ("scene", *headings), [*(["", *line] for line in lines_of_matrix), *_csv_lines(table)]
-    turned = [*of_matrix.brief]
-    if added and turned:
-        last = turned[-1]
-        extra = [
-            [heading, *(added[name][index] if name in added else DASH for name in last.headings[1:])]
-            for index, heading in enumerate(_SUMMARY_HEADINGS)
-        ]
-        turned[-1] = last._replace(lines=[*last.lines, *extra])
+    *brief, turned = of_matrix.brief  # a column for each defence
+    extra = [
+        [heading, *(added[name][index] for name in turned.headings[1:])]
+        for index, heading in enumerate(_SUMMARY_HEADINGS if added else ())
+    ]
     return of_matrix._replace(
         title="Published and own defences against published and own attacks",
-        tables=[*others, *(each for each in own if each.lines), summary],
+        tables=[*others, *(each for each in own if each.lines), *last],
         numbers=numbers,
-        brief=turned,
+        brief=[*brief, turned._replace(lines=[*turned.lines, *extra])],
     )
 
 
