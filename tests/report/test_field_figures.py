@@ -69,8 +69,7 @@ def test_a_corner_marks_where_honest_agents_are_suspended_and_how_often(drawn: l
     assert sizes == {1: {0.27}, 2: {0.48}}, "in 10 and in 80 % of the runs of two of the four defences"
 
 
-@pytest.mark.parametrize("counts", [(2,), (1, 2, 3)])
-@pytest.mark.parametrize("scenes", [("4 poles",), ("4 poles", "8 poles, 4 cars")])
+@pytest.mark.parametrize(("counts", "scenes"), [((2,), ("4 poles",)), ((1, 3), ("4 poles", "8 poles, 4 cars"))])
 def test_no_text_overlaps_another_or_leaves_the_figure(
     drawn: list[Figure], counts: tuple[int, ...], scenes: tuple[str, ...]
 ) -> None:

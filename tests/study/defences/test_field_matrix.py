@@ -127,12 +127,12 @@ def trial(
     return dict(metrics=metrics, per_frame=per_frame, cpu_s=cpu_s)
 
 
-def collected(played: dict[FieldCell, Any], scenes: tuple[str, ...] = (POLES,)) -> FieldMatrix:
+def collected(played: dict[FieldCell, Any], scenes: tuple[str, ...] = (POLES,), seeds: range = SEEDS) -> FieldMatrix:
     """The matrix of trials; played: of each cell, a function of the scene and the seed that returns a `trial`."""
-    collection = Collection({each.label: each for each in played}, scenes, list(SEEDS))
+    collection = Collection({each.label: each for each in played}, scenes, list(seeds))
     for each, content in played.items():
         for scene in scenes:
-            for seed in SEEDS:
+            for seed in seeds:
                 parts = content(scene, seed)
                 single = outcome(each.label, scene, seed, parts["metrics"], parts["per_frame"])
                 collection.add(replace(single, cpu_s=parts["cpu_s"]))
@@ -295,7 +295,7 @@ def test_every_published_quantity_is_computed_from_trials_of_its_method() -> Non
     for attack in attacks:
         for name in defences:
             played[ghosts(name, attack=attack)] = always(fp=2.0, liars=2, suspended=suspended, detected=4)
-    table = collected(played)
+    table = collected(played, seeds=range(2))
     assert len(table.published) == len(PUBLISHED)
     for each in table.published:
         assert each.ours, each.method
@@ -332,17 +332,17 @@ def test_processor_time_is_that_of_the_run_without_scene_and_evaluation(monkeypa
 
 
 def test_a_small_matrix_is_carried_out_and_resumed(tmp_path: Path) -> None:
-    options = dict(trials=1, jobs=1, frames=14, runtime="inproc", out=tmp_path / "study")
-    chosen = dict(defences="Cad", adversaries="coordinated", kinds="poles", counts=[1, 2], attack_start_s=0.3)
+    options = dict(trials=1, jobs=1, frames=10, runtime="inproc", out=tmp_path / "study")
+    chosen = dict(defences="Cad", adversaries="coordinated", kinds="poles", counts=[2], attack_start_s=0.3)
     finished = mast.study("matrix", **options, **chosen)  # type: ignore[arg-type]
     names = {path.name for path in finished.path.iterdir()}
     expected = {f"{name}.{suffix}" for name in ("matrix", "published") for suffix in ("md", "csv", "tex")}
     assert expected | {"harm_by_scene.png", "harm_by_scene.pdf", "defence_matrix.png", "report.html"} <= names
     rows = list(csv.DictReader((finished.path / "matrix.csv").open()))
     times = [float(row["value"]) for row in rows if row["measure"] == "cpu_ms" and row["scene"] == "all"]
-    assert len(times) == 6
+    assert len(times) == 4
     assert min(times) > 0.0
-    assert {row["n_adversaries"] for row in rows if row["measure"] == "broken"} == {"0", "1", "2"}
+    assert {row["n_adversaries"] for row in rows if row["measure"] == "broken"} == {"0", "2"}
     before = {name: (finished.path / name).read_bytes() for name in expected}
     kept = sorted((finished.path / "trials").iterdir())
     modified = {path: path.stat().st_mtime_ns for path in kept[1:]}
