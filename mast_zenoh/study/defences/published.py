@@ -112,8 +112,8 @@ PUBLISHED = (
     _stage(
         "Prbi",
         *(_PRBI, "0 to 6 % of the honest agents excluded", ABSTRACT),
-        "Agents here see different parts of a junction, so that honest groups also differ from the last picture, and "
-        "an exclusion is never taken back. Ours is a share of time.",
+        "Agents here see different parts of a junction, so that honest groups can differ from the last picture, too, "
+        "and an exclusion is never taken back. Ours is a share of time.",
         quantities=("honest_suspended_time",),
     ),
     _stage(
