@@ -1,6 +1,17 @@
 """Published and own defences against published and own attacks, on three kinds of scene."""
 
-from mast_zenoh.study.defences import junctions, matrix_study, parse_choices, several, with_preset, words
+from functools import partial
+
+from mast_zenoh.study.defences import (
+    FieldCell,
+    junctions,
+    matrix_study,
+    parse_choices,
+    scenes_of_kinds,
+    several,
+    with_preset,
+    words,
+)
 
 # Stages of the command centre; those after published defences last.
 DEFENCES = "KOfN,Plausibility,Mate,FreeSpace,SequentialConsistency,FaultOrLie,Robosac,Pasac,Made,Prbi,PoseGuard,Cad"
@@ -9,15 +20,9 @@ ADVERSARIES = (
     "coordinated,uncoordinated,BlindSpot,Mimic,SlowDrift,Sleeper,Collusion,Framing,GhostAhead,"
     "OpenDispute,PairedDenial,TrustFlip,PosePert,BlindAreaConfusion,PretendBenign,Flood"
 )
-# By kind, the agents besides the ego: poles, cars alone, or both, 13 agents in all.
-KINDS = dict(
-    poles=dict(n_infrastructure=4, n_mobile=0),
-    cars=dict(n_infrastructure=0, n_mobile=4),
-    many=dict(n_infrastructure=8, n_mobile=4),
-)
-# On two cores: quick 3 minutes, full a night.
+# On two cores, quick takes some 3 minutes and full 17 hours (docs/defence_studies.md).
 PRESETS = dict(
-    quick=dict(defences="FreeSpace,FaultOrLie", adversaries="coordinated,OpenDispute", kinds="poles,cars", trials=2),
+    quick=dict(defences="FaultOrLie,Cad", adversaries="coordinated,OpenDispute", kinds="poles,cars", trials=2),
     full=dict(defences=DEFENCES, adversaries=ADVERSARIES, kinds="poles,cars,many", trials=30),
 )
 
@@ -28,7 +33,7 @@ def study(
     adversaries=None,
     kinds=None,
     junction=8,
-    counts=2,
+    counts=(2,),
     placements="random",
     trials=None,
     frames=100,
@@ -44,7 +49,6 @@ def study(
     trials: seeds of each scene; frames: of each run; seed: the first one.
     """
     chosen = with_preset(PRESETS, preset, defences=defences, adversaries=adversaries, kinds=kinds, trials=trials)
-    scene = junctions(junction, junction)
     return dict(
         name="matrix",
         **matrix_study(
@@ -54,9 +58,10 @@ def study(
             placements=words(placements),
             budgets=[None],
             parameters=dict(knowledge="trust", attack_start_s=attack_start_s),
+            cell_type=partial(FieldCell, attack_start_s=attack_start_s),
         ),
         per_trial=dict(seed="placement_seed", frames="placement_frames"),
-        scenes=[dict(scene=scene) | KINDS[kind] for kind in words(chosen["kinds"])],
+        scenes=scenes_of_kinds(chosen["kinds"], junctions(junction, junction)),
         trials=chosen["trials"],
         frames=frames,
         seed=seed,

@@ -36,8 +36,8 @@ _MALLOC_SETTINGS = {"MALLOC_TRIM_THRESHOLD_": 2**31 - 1, "MALLOC_MMAP_THRESHOLD_
 #: Parts of a scenario that may hold what lies or is faulty.
 _DISTURBANCES = ("adversaries", "nodes", "links", "faults")
 
-#: metrics.json, the columns of metrics.parquet, and the failures of handlers by node.
-RunResult = tuple[Mapping[str, Any], Table, Mapping[str, Sequence[failures.Entry]]]
+#: metrics.json, the columns of metrics.parquet, the failures of handlers by node, and s of CPU time of the run alone.
+RunResult = tuple[Mapping[str, Any], Table, Mapping[str, Sequence[failures.Entry]], float]
 
 
 def prepare(trial: Trial) -> None:
@@ -47,7 +47,6 @@ def prepare(trial: Trial) -> None:
 
 def run(trial: Trial) -> Outcome:
     """Run a trial; errors are returned in the outcome."""
-    cpu_start_s = time.process_time()
     try:
         versions = environment(name for name, _ in trial.environment)
         for name, version in trial.environment:
@@ -61,13 +60,12 @@ def run(trial: Trial) -> Outcome:
         kind = _kind(trial)
         part = None if kind is None or _is_disturbed(resolved) else kind.without_lies
         if trial.runtime == "inproc" and (kind is None or part is not None) and not trial.folder:
-            metrics, table, handler_failures = _run_in_process(resolved, trial.allow_failures)
+            metrics, table, handler_failures, cpu_s = _run_in_process(resolved, trial.allow_failures)
             metrics = metrics if part is None else {**metrics, "defence": part}
         else:
-            metrics, table, handler_failures = _run_in_folder(resolved, trial, compromised)
-        cpu_s = round(time.process_time() - cpu_start_s, 3)
+            metrics, table, handler_failures, cpu_s = _run_in_folder(resolved, trial, compromised)
         warning = failures.summary(handler_failures) if handler_failures else ""
-        return Outcome(trial, metrics, table, compromised, cpu_s=cpu_s, warning=warning)
+        return Outcome(trial, metrics, table, compromised, cpu_s=round(cpu_s, 3), warning=warning)
     except Exception as error:
         return Outcome.failed(trial, f"{type(error).__name__}: {error}")
 
@@ -96,8 +94,10 @@ def _is_disturbed(resolved: Resolved) -> bool:
 
 
 def _run_in_process(resolved: Resolved, allow_failures: bool) -> RunResult:
+    start_s = time.process_time()
     process = InProcess(resolved)
     outcomes = process.run()
+    cpu_s = time.process_time() - start_s
     handler_failures = process.failures()
     if handler_failures and not allow_failures:
         raise HandlerFailed(failures.summary(handler_failures))
@@ -105,7 +105,7 @@ def _run_in_process(resolved: Resolved, allow_failures: bool) -> RunResult:
     if "metrics" not in evaluation:
         raise RunError("the evaluator returned no metrics")
     late = results.late(results.collations(outcomes, resolved.nodes))
-    return {**evaluation["metrics"], "late": late}, evaluation["tables"]["metrics"], handler_failures
+    return {**evaluation["metrics"], "late": late}, evaluation["tables"]["metrics"], handler_failures, cpu_s
 
 
 def _run_in_folder(resolved: Resolved, trial: Trial, compromised: Sequence[str]) -> RunResult:
@@ -120,6 +120,7 @@ def _run_in_folder(resolved: Resolved, trial: Trial, compromised: Sequence[str])
             kept.unlink()
         elif kept.exists():
             shutil.rmtree(kept)  # of a trial that was interrupted or failed
+        start_s = time.process_time()
         finished = launcher.run(
             resolved,
             kept,
@@ -127,6 +128,7 @@ def _run_in_folder(resolved: Resolved, trial: Trial, compromised: Sequence[str])
             allow_failures=trial.allow_failures,
             command=shlex.split(trial.command()),
         )
+        cpu_s = time.process_time() - start_s
         if isinstance(finished.error, HandlerFailed):
             raise HandlerFailed(failures.summary(finished.failures))  # without the logs, which are not kept
         if finished.error:
@@ -134,7 +136,7 @@ def _run_in_folder(resolved: Resolved, trial: Trial, compromised: Sequence[str])
         metrics = read_json(finished.folder / "metrics.json")
         if (kind := _kind(trial)) is not None:
             metrics["defence"] = kind.evaluate(finished.folder, metrics, compromised)
-        return metrics, read_table(finished.folder / "metrics.parquet"), finished.failures
+        return metrics, read_table(finished.folder / "metrics.parquet"), finished.failures, cpu_s
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 

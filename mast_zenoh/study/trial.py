@@ -94,7 +94,8 @@ class Outcome:
     metrics:     content of metrics.json
     per_frame:   the columns of metrics.parquet
     compromised: agents with adversaries on their wires
-    cpu_s:       s, CPU time of the process that ran it; not part of the results
+    cpu_s:       s, CPU time of the process that ran it, without preparing its scene and evaluating it, which differs
+                 from run to run
     """
 
     trial: Trial

@@ -26,7 +26,7 @@ _NOT_REACHED = "not reached"
 class TextTable(NamedTuple):
     """A table: its title, sentences about it, its headings and lines; text columns come first.
 
-    texts: number of text columns
+    texts: number of text columns;  latex: column types of LaTeX, "": text columns to the left, others to the right
     """
 
     title: str
@@ -34,6 +34,7 @@ class TextTable(NamedTuple):
     headings: Sequence[str]
     lines: Sequence[Sequence[str]]
     texts: int
+    latex: str = ""
 
     def as_rich(self) -> Table:
         """A table for a terminal of 80 columns: its cells are wrapped between words, which are never cut."""
@@ -126,7 +127,7 @@ class ResultTables(NamedTuple):
             f"% brackets: 95 % interval over trials (pairs of scene and seed); {size}",
         ]
         for table in self.tables:
-            columns = "l" * table.texts + "r" * (len(table.headings) - table.texts)
+            columns = table.latex or "l" * table.texts + "r" * (len(table.headings) - table.texts)
             lines = [" & ".join(map(_tex, line)) + r" \\" for line in (table.headings, *table.lines)]
             parts += [f"% {table.title}. {table.about}".rstrip(), r"\begin{tabular}{" + columns + "}", r"\toprule"]
             parts += [lines[0], r"\midrule", *lines[1:], r"\bottomrule", r"\end{tabular}"]

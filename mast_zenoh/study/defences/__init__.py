@@ -2,7 +2,8 @@
 
     kinds      what all kinds of studies have; each kind is a module:
                matrix (every defence against every adversary), drift (how soon a displaced object is noticed),
-               breakdown (with how many liars a defence breaks)
+               breakdown (with how many liars a defence breaks), field_matrix (the matrix of published and own methods)
+    published  what papers report of these methods
     matrix_trial  the evaluation of one trial of the matrix
     choices    names, files or dicts of defences, adversaries and faults, and which agents are compromised
     intervals  95 % intervals over trials, and times until detection
@@ -29,6 +30,7 @@ from mast_zenoh.study.defences.choices import (
     words,
 )
 from mast_zenoh.study.defences.drift import DriftCell
+from mast_zenoh.study.defences.field_matrix import FieldCell, scenes_of_kinds
 from mast_zenoh.study.defences.matrix import Cell, matrix_study
 
 __all__ = [
@@ -38,6 +40,7 @@ __all__ = [
     "BreakdownCell",
     "Cell",
     "DriftCell",
+    "FieldCell",
     "adversary_base",
     "faults_of",
     "has_budget",
@@ -46,6 +49,7 @@ __all__ = [
     "parse_choices",
     "place",
     "resolve_choice",
+    "scenes_of_kinds",
     "sensors_of",
     "several",
     "short_name",

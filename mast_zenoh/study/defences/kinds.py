@@ -95,6 +95,10 @@ class Collection(ABC):
     def tables(self, table: Any) -> ResultTables:
         """The table as text."""
 
+    def more_tables(self, table: Any) -> Mapping[str, ResultTables]:
+        """Other tables by file name, which the terminal does not show."""
+        return {}
+
     def figures(self, table: Any) -> Mapping[str, RenderedFigure]:
         """The figures of a table."""
         return {}
@@ -104,6 +108,8 @@ class Collection(ABC):
         table = self.table()
         tables, figures = self.tables(table), self.figures(table)
         texts = tables.texts(self.name)
+        for name, more in self.more_tables(table).items():
+            texts |= more.texts(name)
         for name, text in texts.items():
             write_bytes(folder / name, text.encode())
         for figure in figures.values():

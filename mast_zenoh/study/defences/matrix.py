@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -92,6 +92,16 @@ class Cell(kinds.DefenceCell):
         return bool(self.attack) and not self.is_fault
 
     @property
+    def undefended(self) -> Cell:
+        """The same without a defence."""
+        return replace(self, defence=UNDEFENDED)
+
+    @property
+    def alone(self) -> Cell:
+        """The same defence without an attack."""
+        return replace(self, attack="", n_adversaries=0, placement="", budget=None)
+
+    @property
     def label(self) -> str:
         """The label of its configuration."""
         if not self.attack:
@@ -109,12 +119,14 @@ def matrix_study(
     placements: Sequence[str],
     budgets: Sequence[float | None],
     parameters: Mapping[str, Any],
+    cell_type: Callable[..., Cell] = Cell,
 ) -> dict[str, Any]:
     """The keys `runs`, `cells` and `baseline` of a study of every defence against every adversary.
 
     adversaries: none for runs without an attack alone
     counts: numbers of adversaries; 0 stands for one run per defence without an attack, and is always included
     budgets: of each adversary that has one;  parameters: of the scenario, for all runs
+    cell_type: makes the cells, with the parameters of `Cell`
     Raises ConfigurationError.
     """
     for placement in placements:
@@ -127,7 +139,7 @@ def matrix_study(
         defences = [UNDEFENDED, *defences]
     runs: dict[str, Any] = {}
     cells: dict[str, Cell] = {}
-    for cell, defence, attack in _cells(defences, adversaries, counts, placements, budgets):
+    for cell, defence, attack in _cells(cell_type, defences, adversaries, counts, placements, budgets):
         if cell.label in cells:
             raise ConfigurationError(f"two configurations are called {cell.label!r}: expected each choice once")
         own: dict[str, Any] = {"defence": defence, "n_adversaries": cell.n_adversaries}
@@ -148,6 +160,7 @@ def _attacked(cell: Cell, attack: Choice) -> dict[str, Any]:
 
 
 def _cells(
+    cell_type: Callable[..., Cell],
     defences: Sequence[Choice],
     adversaries: Sequence[Choice],
     counts: Sequence[int],
@@ -156,13 +169,14 @@ def _cells(
 ) -> Iterator[tuple[Cell, Choice, Choice | None]]:
     """The cells, each with its defence and its attack."""
     for defence in defences:
-        yield Cell(short_name(defence)), defence, None
+        yield cell_type(short_name(defence)), defence, None
         for attack in adversaries:
             own_budgets = budgets if has_budget(attack) else (None,)
             for count in sorted({*counts} - {0}):
                 for placement in placements:
                     for budget in own_budgets:
-                        yield Cell(short_name(defence), short_name(attack), count, placement, budget), defence, attack
+                        cell = cell_type(short_name(defence), short_name(attack), count, placement, budget)
+                        yield cell, defence, attack
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -315,14 +329,13 @@ class Collection(kinds.Collection):
 
     def _added(self, cell: Cell, name: str) -> Floats:
         """A score minus that without attack and without defence, of the same scene and seed."""
-        return self._values(cell, name) - self._values(Cell(UNDEFENDED), name)
+        return self._values(cell, name) - self._values(cell.undefended.alone, name)
 
     def _row(self, cell: Cell, budgets: int) -> DefenceRow:
-        undefended = _undefended(cell)
         values = {f"{_stem(name)}_added{_unit(name)}": self._added(cell, name) for name in SCORES}
         values["damage"] = values["fn_added"] + values["fp_added"]
         for name in SCORES:
-            difference = self._values(cell, name) - self._values(undefended, name)
+            difference = self._values(cell, name) - self._values(cell.undefended, name)
             values[f"{_stem(name)}_vs_undefended{_unit(name)}"] = difference
         for name in ("fp_identifiable", "fp_unidentifiable"):
             values[name] = self._values(cell, name)
@@ -351,7 +364,7 @@ class Collection(kinds.Collection):
 
     def _summary(self, defence: str, cells: Sequence[Cell]) -> DefenceSummary:
         """cells: of the rows of this defence."""
-        alone, attacked = Cell(defence), [cell for cell in cells if cell.lies]
+        alone, attacked = cells[0].alone, [cell for cell in cells if cell.lies]
         lying, faulty = self._by_trial(attacked), self._by_trial(cell for cell in cells if cell.is_fault)
         quiet = self._by_trial([alone] if alone in self.records else [])
         return DefenceSummary(
@@ -376,7 +389,7 @@ class Collection(kinds.Collection):
         if not attacked:
             return Measured()
         pairs = np.array(
-            [[self._values(each, "fp_identifiable") for each in (cell, _undefended(cell))] for cell in attacked]
+            [[self._values(each, "fp_identifiable") for each in (cell, cell.undefended)] for cell in attacked]
         )
         pairs[np.isnan(pairs).any(axis=1)[:, None].repeat(2, axis=1)] = np.nan
         missing = np.isnan(pairs).all(axis=(0, 1))
@@ -404,10 +417,6 @@ class Collection(kinds.Collection):
         pairs = sorted(first, key=lambda pair: attacks.index(pair[0]))  # the defences of one adversary side by side
         panels = [panel(self._traces[first[pair]][1], _title(first[pair])) for pair in pairs[:MAX_PANELS]]
         return panels, len(pairs) - len(panels)
-
-
-def _undefended(cell: Cell) -> Cell:
-    return Cell(UNDEFENDED, cell.attack, cell.n_adversaries, cell.placement, cell.budget)
 
 
 def _title(cell: Cell) -> str:

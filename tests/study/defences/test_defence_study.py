@@ -15,7 +15,7 @@ from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.integrity import Integrity
 from mast_zenoh.integrity.calibration import refuse_calibration_data
 from mast_zenoh.study import definition, execution, trial, trials
-from mast_zenoh.study.defences import PLACEMENTS, BreakdownCell, Cell, DriftCell, matrix, place
+from mast_zenoh.study.defences import PLACEMENTS, BreakdownCell, Cell, DriftCell, FieldCell, matrix, place
 from mast_zenoh.study.defences.choices import FAULTS
 from mast_zenoh.study.defences.kinds import DefenceCell, collection_of
 
@@ -31,7 +31,7 @@ from mast_zenoh.attacks import PassThrough
 class Polite(PassThrough):
     '''Relays every message unchanged.'''
 """
-CELLS = (Cell("NoIntegrity"), DriftCell(0.5), BreakdownCell("", 5, 0, 4.0))
+CELLS = (Cell("NoIntegrity"), DriftCell(0.5), BreakdownCell("", 5, 0, 4.0), FieldCell("NoIntegrity"))
 #: Settings of a study with the baseline, a second defence, and one run of each under attack.
 FAULTY_LABELS = ["NoIntegrity alone", "NoIntegrity fault ghosts 2 worst", "KOfN alone", "KOfN fault ghosts 2 worst"]
 SMALL = ["defences=NoIntegrity,KOfN", "adversaries=coordinated", "counts=1", "n_infrastructure=2"]

@@ -1,0 +1,143 @@
+"""The results of the matrix of published methods: harm by scene, processor time, breakdown, published figures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from mast_zenoh.metrics.study_results import DefenceMatrix, Measured
+
+#: Measures of a cell, and their headings.
+FIELD_MEASURES = {
+    "harm": "missed and false objects, minus undefended",
+    "honest_suspended": "runs that suspend an honest agent (share)",
+    "cpu_ms": "processor time (ms per frame)",
+    "cpu_ratio": "processor time, relative to undefended",
+}
+#: Our numbers next to published figures, and their headings.
+QUANTITIES = {
+    "lies_detected": "observable lies detected (share)",
+    "harm_removed": "damage of all attacks removed (share)",
+    "honest_suspended_time": "time in which honest agents are suspended (share)",
+    "median_delay_s": "median time to suspension (s)",
+    "targets_suspended": "agents attacked that are suspended (share)",
+    "fn_added_alone": "missed objects added per frame without an attack",
+    "fp_added": "false objects added per frame",
+    "damage": "missed and false objects added per frame",
+    "ospa_vs_undefended_m": "OSPA, minus undefended (m)",
+    "cpu_growth": "processor time, relative to the other attacks",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FieldRow:
+    """A cell of the matrix, in one kind of scene or in all.
+
+    scene:    its title; "" for all scenes together
+    harm:     missed and false objects per frame in the ego's picture, minus those without the defence under this attack
+    honest_suspended: share of the runs that suspend an honest agent; after the first lie, where agents lie
+    cpu_ms:   of a run, per frame;  cpu_ratio: geometric mean of the ratios to the undefended runs of one scene and seed
+    """
+
+    scene: str
+    defence: str
+    attack: str
+    n_adversaries: int
+    placement: str
+    harm: Measured
+    honest_suspended: Measured
+    cpu_ms: Measured
+    cpu_ratio: Measured
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FieldBreakdown:
+    """With how many adversaries a defence breaks, as in the study `breakdown`.
+
+    scene:  its title; "" for all scenes together;  agents: in it, 0 if scenes differ
+    broken: share of broken trials of all attacks, by number of adversaries
+    point:  number of adversaries at which half of them are broken; infinite: more than were tried
+    weakest: the attack with the smallest point, "" if none is reached;  weakest_at: that point
+    """
+
+    scene: str
+    defence: str
+    agents: int
+    broken: Mapping[int, Measured]
+    point: Measured
+    weakest: str
+    weakest_at: float
+
+    @property
+    def most(self) -> int:
+        """The greatest number of adversaries that was tried."""
+        return max(self.broken, default=0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FieldSummary:
+    """What one defence is worth, besides its `DefenceSummary`.
+
+    harm_removed: share of the damage of all attacks that the defence takes away; negative: it does harm
+    breaks_at:    in all scenes together
+    cpu_ratio_alone, cpu_ratio_attacked: relative to no defence
+    """
+
+    defence: str
+    harm_removed: Measured
+    breaks_at: FieldBreakdown
+    cpu_ratio_alone: Measured
+    cpu_ratio_attacked: Measured
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PublishedNumber:
+    """One of our numbers next to a published figure.
+
+    quantity: name in QUANTITIES;  attack: "" for all
+    """
+
+    quantity: str
+    defence: str
+    attack: str
+    value: Measured
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PublishedComparison:
+    """A published figure, and ours.
+
+    method: our stage or attack;  source: citation
+    figure: of the paper, "" if none is known;  basis: how it is known
+    why:    why ours differs
+    """
+
+    method: str
+    source: str
+    figure: str
+    basis: str
+    ours: Sequence[PublishedNumber]
+    why: str
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class FieldMatrix:
+    """The matrix, with what only `mast study matrix` has.
+
+    scenes: titles of the kinds of scene, in order
+    """
+
+    matrix: DefenceMatrix
+    scenes: Sequence[str]
+    rows: Sequence[FieldRow]
+    breakdowns: Sequence[FieldBreakdown]
+    summaries: Sequence[FieldSummary]
+    published: Sequence[PublishedComparison]
+
+    def row(self, scene: str, defence: object, attack: object, n_adversaries: object, placement: object) -> FieldRow:
+        """The row of a cell; raises KeyError if there is none."""
+        key = (scene, defence, attack, n_adversaries, placement)
+        for row in self.rows:
+            if (row.scene, row.defence, row.attack, row.n_adversaries, row.placement) == key:
+                return row
+        raise KeyError(key)

@@ -1,0 +1,236 @@
+"""The tables of the matrix of published and own methods, and of published figures next to ours."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from mast_zenoh.metrics.field_results import (
+    FIELD_MEASURES,
+    QUANTITIES,
+    FieldBreakdown,
+    FieldMatrix,
+    PublishedComparison,
+    PublishedNumber,
+)
+from mast_zenoh.metrics.study_results import BINOMIAL, Measured
+from mast_zenoh.report.tables.defences import defence_tables
+from mast_zenoh.report.tables.text_table import (
+    DASH,
+    ResultTables,
+    TextTable,
+    digits,
+    measured,
+    median_delay,
+    number,
+    percent,
+)
+
+ALL_SCENES = "all"
+_SUMMARY_HEADINGS = (
+    *("damage of all attacks removed (share)", "breaks at (adversaries)", "weakest against"),
+    *(
+        "processor time without an attack, relative to undefended",
+        "processor time under attack, relative to undefended",
+    ),
+)
+
+
+def field_tables(table: FieldMatrix) -> ResultTables:
+    """The tables of the matrix, with those of this study before the summary, to which it adds columns.
+
+    The CSV has all lines of the matrix, and those by kind of scene, with the column `scene` (empty: all).
+    """
+    of_matrix = defence_tables(table.matrix)
+    others, last = of_matrix.tables[:-1], of_matrix.tables[-1:]  # the last is the summary, if there is any
+    added = _added_to_summaries(table)
+    if added:
+        (summary,) = last
+        lines = [[*line, *added[line[0]]] for line in summary.lines]
+        last = [summary._replace(headings=[*summary.headings, *_SUMMARY_HEADINGS], lines=lines)]
+    own = [*(_harm(table, scene) for scene in table.scenes), _processor_time(table), _breakdown(table)]
+    headings, lines_of_matrix = of_matrix.numbers
+    numbers = ("scene", *headings), [*(["", *line] for line in lines_of_matrix), *_csv_lines(table)]
+    *brief, turned = of_matrix.brief  # a column for each defence
+    extra = [
+        [heading, *(added[name][index] for name in turned.headings[1:])]
+        for index, heading in enumerate(_SUMMARY_HEADINGS if added else ())
+    ]
+    return of_matrix._replace(
+        title="Published and own defences against published and own attacks",
+        tables=[*others, *(each for each in own if each.lines), *last],
+        numbers=numbers,
+        brief=[*brief, turned._replace(lines=[*turned.lines, *extra])],
+    )
+
+
+def _added_to_summaries(table: FieldMatrix) -> dict[str, list[str]]:
+    return {
+        each.defence: [
+            *(measured(each.harm_removed, 3), _breaks_at(each.breaks_at), _weakest(each.breaks_at)),
+            *(measured(each.cpu_ratio_alone), measured(each.cpu_ratio_attacked)),
+        ]
+        for each in table.summaries
+    }
+
+
+def _harm(table: FieldMatrix, scene: str) -> TextTable:
+    """A line for each attack, and a column for each defence."""
+    rows = [row for row in table.rows if row.scene == scene]
+    defences = table.matrix.names("defence")[1:] if len(table.matrix.names("defence")) > 1 else []
+    lines = []
+    for attack, count, placement in dict.fromkeys((row.attack, row.n_adversaries, row.placement) for row in rows):
+        cells = [table.row(scene, defence, attack, count, placement) for defence in defences]
+        lines.append([attack or "none", str(count), placement or DASH, *(measured(cell.harm) for cell in cells)])
+    about = (
+        "Missed and false objects per frame in the ego's picture with the defence, minus those without it under the "
+        "same attack. Negative: the defence helps."
+    )
+    headings = ["adversary", "n", "placement", *map(str, defences)]
+    return TextTable(f"Harm with and without defence, {scene}", about, headings, lines if defences else [], 3)
+
+
+def _processor_time(table: FieldMatrix) -> TextTable:
+    lines = [
+        [
+            *(row.defence, row.attack or "none", str(row.n_adversaries), row.placement or DASH),
+            *(measured(row.cpu_ms), measured(row.cpu_ratio)),
+        ]
+        for row in table.rows
+        if not row.scene and row.cpu_ms.known
+    ]
+    about = (
+        "Of the process that plays the run: all agents, command centre, adversaries and evaluator, without the scene. "
+        "Runs with an attack are recorded, too, so compare only runs of one attack. Relative numbers are geometric "
+        "means of pairs of the same scene and seed."
+    )
+    headings = ["defence", "adversary", "n", "placement", FIELD_MEASURES["cpu_ms"], FIELD_MEASURES["cpu_ratio"]]
+    return TextTable("Processor time", about, headings, lines, 4)
+
+
+def _breakdown(table: FieldMatrix) -> TextTable:
+    counts = sorted({count for each in table.breakdowns for count in each.broken})
+    lines = [
+        [
+            *(each.defence, each.scene or ALL_SCENES, str(each.agents) if each.agents else DASH),
+            *(percent(each.broken.get(count, Measured())) for count in counts),
+            *(_breaks_at(each), _share_of_liars(each), _weakest(each)),
+        ]
+        for each in table.breakdowns
+    ]
+    about = (
+        "Runs in which the ego's picture has more missed and false objects than its own tracks from the start of the "
+        "attack on, or an honest agent is suspended before any adversary, and not without an attack. A defence breaks "
+        "at the number of adversaries at which half of the runs of all attacks are broken, interpolated. Last: the "
+        "attack with the smallest such number, which is a minimum of few trials."
+    )
+    headings = [
+        *("defence", "scene", "agents", *(f"broken with {count} (%)" for count in counts)),
+        *("breaks at (adversaries)", "of all agents (%)", "weakest against"),
+    ]
+    return TextTable("Breakdown", about, headings, lines, 3)
+
+
+def _breaks_at(each: FieldBreakdown) -> str:
+    """`1.50 [1.20, 2.00]`, or `> 2` if it is beyond what was tried."""
+    point = each.point
+    if not math.isinf(point.value):
+        return measured(point)
+    low = f" [{number(point.low)}, \u221e)" if math.isfinite(point.low) else ""
+    return f"> {each.most}{low}"
+
+
+def _share_of_liars(each: FieldBreakdown) -> str:
+    if not each.agents or not each.point.known:
+        return DASH
+    beyond = f"> {100.0 * each.most / each.agents:.0f}"
+    scaled = each.point._replace(**{name: getattr(each.point, name) / each.agents for name in ("value", "low", "high")})
+    return percent(scaled, beyond=beyond)
+
+
+def _weakest(each: FieldBreakdown) -> str:
+    return f"{each.weakest} ({number(each.weakest_at)})" if each.weakest else "none"
+
+
+def _csv_lines(table: FieldMatrix) -> Iterator[list[object]]:
+    """The numbers by scene; that of a defence has no attack, that of the breakdown its number of adversaries."""
+    for row in table.rows:
+        cell = [row.scene or ALL_SCENES, row.defence, row.attack, row.n_adversaries, row.placement, "", ""]
+        for name in FIELD_MEASURES:
+            yield [*cell, name, *_digits(getattr(row, name))]
+    for each in table.breakdowns:
+        place = [each.scene or ALL_SCENES, each.defence, ""]
+        for count, share in each.broken.items():
+            yield [*place, count, "", "", "", "broken", *_digits(share)]
+        yield [*place, "", "", "", "", "breaks_at", *_digits(each.point)]
+        yield [*place[:2], each.weakest, *[""] * 4, "weakest_at", *_digits(Measured(each.weakest_at))]
+    for summary in table.summaries:
+        for name in ("harm_removed", "cpu_ratio_alone", "cpu_ratio_attacked"):
+            yield [ALL_SCENES, summary.defence, *[""] * 5, f"summary {name}", *_digits(getattr(summary, name))]
+
+
+def _digits(each: Measured) -> list[str]:
+    method = each.interval if each.known else ""
+    return [*digits(*each[:3]), method, str(each.trials), str(each.left_out)]
+
+
+# -- published figures -------------------------------------------------------------------------------------------------
+
+_PUBLISHED_HEADINGS = (
+    "stage or attack",
+    "after",
+    "the paper's figure",
+    "known from",
+    "ours on tracks",
+    "why different",
+)
+_PUBLISHED_CSV = (
+    *("method", "source", "figure", "known_from", "measure", "defence", "attack"),
+    *("value", "low", "high", "interval", "trials", "trials_left_out", "why_different"),
+)
+#: Widths of columns in LaTeX, shares of the line.
+_PUBLISHED_WIDTHS = (0.1, 0.13, 0.14, 0.1, 0.2, 0.2)
+_NO_FIGURE = "none known to us"
+
+
+def published_tables(table: FieldMatrix) -> ResultTables:
+    """The published figures of what was played, each with our numbers and why they differ."""
+    about = (
+        f"{table.matrix.size}. The papers judge features and point clouds of other scenes: their figures and ours are "
+        "not the same quantity, and no row is a reproduction. Figures known from an abstract or from notes were not "
+        "checked. In brackets: 95 % intervals over trials, pairs of scene and seed."
+    )
+    lines = [
+        [each.method, each.source, each.figure or _NO_FIGURE, each.basis, _ours(each), each.why]
+        for each in table.published
+    ]
+    latex = "".join(rf"p{{{width:g}\linewidth}}" for width in _PUBLISHED_WIDTHS)
+    page = TextTable("Published figures", "", _PUBLISHED_HEADINGS, lines, len(_PUBLISHED_HEADINGS), latex)
+    numbers = _PUBLISHED_CSV, list(_published_lines(table))
+    return ResultTables(
+        "The paper's figure, ours on tracks, why different", about, table.matrix.size, [page], numbers, []
+    )
+
+
+def _ours(each: PublishedComparison) -> str:
+    """`lies detected (share): Cad 0.50 [0.30, 0.70]; …`, by quantity."""
+    texts: dict[str, list[str]] = {}
+    for ours in each.ours:
+        texts.setdefault(ours.quantity, []).append(f"{ours.defence} {_value(ours)}")
+    return "; ".join(f"{QUANTITIES[name]}: {', '.join(values)}" for name, values in texts.items()) or DASH
+
+
+def _value(ours: PublishedNumber) -> str:
+    if ours.quantity == "median_delay_s":
+        return median_delay(ours.value)
+    if ours.value.interval == BINOMIAL:
+        return f"{measured(ours.value, 3)} of {ours.value.trials}"
+    return measured(ours.value, 3)
+
+
+def _published_lines(table: FieldMatrix) -> Iterator[list[object]]:
+    for each in table.published:
+        paper = [each.method, each.source, each.figure, each.basis]
+        for ours in each.ours:
+            place = [QUANTITIES[ours.quantity], ours.defence, ours.attack]
+            yield [*paper, *place, *_digits(ours.value), each.why]

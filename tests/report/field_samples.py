@@ -1,0 +1,115 @@
+"""A synthetic matrix of published methods: as many defences, attacks and kinds of scene as are asked for."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from defence_samples import matrix, summary
+from defence_samples import row as defence_row
+
+from mast_zenoh.metrics.field_results import (
+    FieldBreakdown,
+    FieldMatrix,
+    FieldRow,
+    FieldSummary,
+    PublishedComparison,
+    PublishedNumber,
+)
+from mast_zenoh.metrics.study_results import BINOMIAL, BOOTSTRAP, Measured
+
+SCENES = ("4 poles", "4 cars")
+
+
+def field(
+    defences: Sequence[str] = ("Wall", "Fence"),
+    attacks: Sequence[str] = ("Ghost", "Flood"),
+    scenes: Sequence[str] = SCENES,
+    counts: Sequence[int] = (2,),
+) -> FieldMatrix:
+    """The first defence helps against the first attack, in the first scene most; the last one does harm."""
+    rng = np.random.default_rng(1)
+    every = ("NoIntegrity", *defences)
+    places = [("", 0, ""), *((attack, count, "random") for attack in attacks for count in counts)]
+    rows = []
+    for scene in ("", *scenes):
+        for at, defence in enumerate(every):
+            for attack, count, placement in places:
+                harm = 0.0 if not at else float(rng.normal(-1.0 if attack else 0.0, 2.0))
+                if attack == "Flood" and at:
+                    harm = -26.4
+                if (scene, at, attack) == (scenes[0], 1, attacks[0]):
+                    harm = -2.5
+                width = 0.4 if at % 2 else 9.0
+                rows.append(
+                    FieldRow(
+                        scene=scene,
+                        defence=defence,
+                        attack=attack,
+                        n_adversaries=count,
+                        placement=placement,
+                        harm=Measured(harm, harm - width, harm + width, 30, 0, BOOTSTRAP),
+                        honest_suspended=Measured((0.0, 0.0, 0.1, 0.8)[at % 4], 0.0, 1.0, 30, 0, BINOMIAL),
+                        cpu_ms=Measured(4.0 + at, 3.9, 4.1, 30, 0, BOOTSTRAP),
+                        cpu_ratio=Measured(1.0 + at / 4.0, 1.0, 1.5, 30, 0, BOOTSTRAP),
+                    )
+                )
+    breakdowns = [
+        FieldBreakdown(
+            scene=scene,
+            defence=defence,
+            agents=5 if scene else 0,
+            broken={0: Measured(0.0, 0.0, 0.1, 30), 2: Measured(0.8, 0.6, 0.9, 30)},
+            point=Measured(1.25, 1.1, 1.5, 30) if defence == "Wall" else Measured(math.inf, 1.8, math.inf, 30),
+            weakest="Ghost" if defence == "Wall" else "",
+            weakest_at=1.25 if defence == "Wall" else math.inf,
+        )
+        for scene in ("", *scenes)
+        for defence in every
+    ]
+    summaries = [
+        FieldSummary(
+            defence=defence,
+            harm_removed=Measured(0.75, 0.6, 0.9, 30, 0, BOOTSTRAP),
+            breaks_at=next(each for each in breakdowns if not each.scene and each.defence == defence),
+            cpu_ratio_alone=Measured(1.5, 1.4, 1.6, 30, 0, BOOTSTRAP),
+            cpu_ratio_attacked=Measured(1.2, 1.1, 1.3, 30, 0, BOOTSTRAP),
+        )
+        for defence in defences
+    ]
+    published = [
+        PublishedComparison(
+            method="Wall",
+            source="Wall & Brick, Journal of Walls 2025",
+            figure="91.5 % of the ghosts",
+            basis="abstract only, not checked",
+            ours=[
+                PublishedNumber(
+                    quantity="lies_detected", defence="Wall", attack="", value=Measured(0.5, 0.4, 0.6, 30, 0, BOOTSTRAP)
+                )
+            ],
+            why="Walls are not tracks.",
+        )
+    ]
+    of_matrix = matrix()
+    of_matrix = replace(
+        of_matrix,
+        rows=[
+            replace(defence_row(name, attack), n_adversaries=count, placement=placement)
+            for name in every
+            for attack, count, placement in places
+        ],
+        summaries=[replace(summary(), defence=name) for name in defences],
+        rocs=[],
+        delays={},
+    )
+    return FieldMatrix(
+        matrix=of_matrix,
+        scenes=list(scenes),
+        rows=rows,
+        breakdowns=breakdowns,
+        summaries=summaries,
+        published=published,
+    )
