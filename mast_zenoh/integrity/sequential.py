@@ -61,8 +61,10 @@ FAULT_AWAITED_S = 1.5
 #: s, of this time that an agent regains in a second: one that differs now and then is not excused for ever.
 AWAITED_AGAIN = 0.05
 #: s, for which two agents must report an object apart to disagree about where it is, in a sum that falls to 1/e in
-#: APART_MEMORY_S: for a frame or two, honest agents do so, too.
-APART_S, APART_MEMORY_S = 0.25, 10.0
+#: APART_MEMORY_S: for a few frames, honest agents do so, too.
+APART_S, APART_MEMORY_S = 0.45, 10.0
+#: m, from the agent that is off, from which another one reports the object elsewhere.
+APART_M = 0.4
 #: Share of the statistic of an alarm, and m now, up to which an agent is where the middle of an object is.
 ON_THE_SPOT, ON_THE_SPOT_M = 0.25, 0.3
 
@@ -253,6 +255,8 @@ class SequentialConsistency(Integrity):
         away = np.hypot(measured.offset[..., 0], measured.offset[..., 1])
         for cluster, off in zip(*np.nonzero(share >= 1.0), strict=True):
             there = measured.valid[cluster] & (share[cluster] <= ON_THE_SPOT) & (away[cluster] <= ON_THE_SPOT_M)
+            place = batch.states.position[batch.member[cluster], :2]
+            there &= np.hypot(*(place - place[off]).T) >= APART_M
             apart[off, there] = apart[there, off] = True
         pairs = np.ix_(rows, rows)
         self._apart_s[pairs] = np.exp(-dt / APART_MEMORY_S) * self._apart_s[pairs] + dt * apart
