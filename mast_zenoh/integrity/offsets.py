@@ -50,13 +50,25 @@ def offsets(batch: Batch, boxes: ClusterBoxes, weight: Floats) -> Offsets:
     isolated = np.ones(batch.clusters, np.bool_)
     i, j, _, _ = neighbours(boxes.position, boxes.position, np.full(batch.clusters, CROWD_M))
     isolated[i[i != j]] = False
-    floor = np.where(boxes.size[:, 0] < SMALL_M, SMALL_FLOOR_M, FLOOR_M)
     states = batch.states
     return Offsets(
         *track_offsets(
-            states.position, states.covariance, batch.member, weight, isolated, floor, MAX_ERROR_M, MIN_MEMBERS, MEDIAN
+            states.position,
+            states.covariance,
+            batch.member,
+            weight,
+            isolated,
+            floors(boxes),
+            MAX_ERROR_M,
+            MIN_MEMBERS,
+            MEDIAN,
         )
     )
+
+
+def floors(boxes: ClusterBoxes) -> Floats:
+    """(c,) m, standard deviation of the part of an offset from each object that covariances do not show."""
+    return np.where(boxes.size[:, 0] < SMALL_M, SMALL_FLOOR_M, FLOOR_M)
 
 
 @kernel
@@ -113,8 +125,9 @@ def weighted_median(values: Floats, weight: Floats) -> tuple[Floats, Floats]:
     return ordered[rows, low], ordered[rows, high]
 
 
-#: Limit (standard deviations) on the influence of one offset: a track of another object may be near for a moment.
-CLIP = 2.0
+#: Limits (standard deviations) on the influence of one offset: a track of another object may be near for a moment; and
+#: of one that is looked for where others already show one.
+CLIP, KNOWN_CLIP = 2.0, 4.0
 
 
 class _OfPairs:
@@ -170,10 +183,12 @@ class OffsetSums(_OfPairs):
 
     memory_s: s after which a summand has fallen to 1/e
     limit: pairs of an agent and an object that are remembered at most
+    clip: standard deviations, limit on the influence of one offset
     """
 
-    def __init__(self, memory_s: float, limit: int = 10_000) -> None:
+    def __init__(self, memory_s: float, limit: int = 10_000, clip: float = CLIP) -> None:
         super().__init__(memory_s, 5, limit)  # the scores in x and y, and the information xx, xy, yy
+        self._clip = clip
 
     def statistics(self, time_ns: int, agent: Ints, obj: Ints, measured: Offsets) -> Floats:
         """(a,) greatest likelihood ratio statistic of a constant offset from one object; 0 without any.
@@ -194,7 +209,7 @@ class OffsetSums(_OfPairs):
         offset, information = measured.offset[cluster, column], measured.information[cluster, column]
         score = np.einsum("kij,kj->ki", information, offset)
         distance = np.sqrt(np.maximum(np.einsum("ki,ki->k", offset, score), 1e-12))
-        score *= np.minimum(1.0, CLIP / distance)[:, None]
+        score *= np.minimum(1.0, self._clip / distance)[:, None]
         values = np.column_stack([score, information.reshape(-1, 4)[:, [0, 1, 3]]])
         rows, age_s = self._known(time_ns, agent[column], obj[cluster])
         total = self._sum[rows] * np.exp(-age_s / self._memory_s)[:, None] + values
@@ -204,9 +219,52 @@ class OffsetSums(_OfPairs):
         return statistics
 
 
-#: Unit vectors in which an offset of a known size is looked for, and standard deviations up to which one offset counts.
+#: Agents with smaller numbers than this can be told apart in a pair.
+_NUMBERS = 1 << 31
+
+
+class PairOffsetSums(OffsetSums):
+    """As `OffsetSums`, of how far one agent's tracks are from another one's."""
+
+    def __init__(self, memory_s: float, limit: int = 10_000) -> None:
+        super().__init__(memory_s, limit, clip=KNOWN_CLIP)
+
+    def forget(self, agent: int) -> None:
+        """Forget the offsets of all pairs with an agent."""
+        self._keep([(key, row) for key, row in self._row.items() if agent not in divmod(key[0], _NUMBERS)])
+
+    def of_pairs(
+        self, time_ns: int, number: Ints, obj: Ints, batch: Batch, off: Bools, floor_m: Floats
+    ) -> tuple[Ints, Ints, Floats]:
+        """Pairs of agents (p,), (p,), columns of the batch, and the greatest statistic (p,) over the objects of each.
+
+        number: (a,), obj: (c,) numbers of agents and objects, which never change
+        off: (c, a) agents that are compared with all others that report the object; floor_m: (c,) m, see FLOOR_M
+        """
+        cluster, one, other = np.nonzero(off[:, :, None] & batch.reported[:, None, :])
+        kept = one != other
+        cluster, one, other = cluster[kept], one[kept], other[kept]
+        a = len(number)
+        pairs, column = np.unique(one * a + other, return_inverse=True)
+        shape = batch.clusters, len(pairs)
+        valid, offset, information = np.zeros(shape, np.bool_), np.zeros((*shape, 2)), np.zeros((*shape, 2, 2))
+        rows = batch.member[cluster, one], batch.member[cluster, other]
+        position, covariance = batch.states.position[:, :2], batch.states.covariance[:, :2, :2]
+        total = (floor_m[cluster] ** 2)[:, None, None] * np.eye(2)
+        for row in rows:
+            largest = np.maximum(covariance[row, 0, 0], covariance[row, 1, 1])
+            total += covariance[row] * np.minimum(1.0, MAX_ERROR_M**2 / np.maximum(largest, 1e-12))[:, None, None]
+        valid[cluster, column] = True
+        offset[cluster, column] = position[rows[0]] - position[rows[1]]
+        information[cluster, column] = np.linalg.inv(total)
+        first, second = np.divmod(pairs, a)
+        measured = Offsets(valid, offset, information)
+        statistics = self.statistics(time_ns, number[first] * _NUMBERS + number[second], obj, measured)
+        return first, second, statistics
+
+
+#: Unit vectors in which an offset of a known size is looked for.
 DIRECTIONS = np.array([[np.cos(angle), np.sin(angle)] for angle in np.arange(8) * (np.pi / 4)])
-KNOWN_CLIP = 4.0
 
 
 class KnownOffsetSums(_OfPairs):

@@ -32,7 +32,7 @@ from mast_zenoh.integrity.disputes import Testimonies
 from mast_zenoh.integrity.existence import ExistenceVotes
 from mast_zenoh.integrity.explanations import Explanations, Verdict, of_strongest
 from mast_zenoh.integrity.memory import NOW, AgentMemory
-from mast_zenoh.integrity.offsets import KnownOffsetSums, OffsetSums, offsets
+from mast_zenoh.integrity.offsets import KnownOffsetSums, OffsetSums, PairOffsetSums, floors, offsets
 from mast_zenoh.integrity.visibility import current, lenient_sightings, rays_at
 
 #: Names of agents that are remembered at most.
@@ -60,13 +60,10 @@ DISPUTES_PER_HOUR = 1.0
 FAULT_AWAITED_S = 1.5
 #: s, of this time that an agent regains in a second: one that differs now and then is not excused for ever.
 AWAITED_AGAIN = 0.05
-#: s, for which two agents must report an object apart to disagree about where it is, in a sum that falls to 1/e in
-#: APART_MEMORY_S: for a few frames, honest agents do so, too.
-APART_S, APART_MEMORY_S = 0.45, 10.0
-#: m, from the agent that is off, from which another one reports the object elsewhere.
-APART_M = 0.4
-#: Share of the statistic of an alarm, and m now, up to which an agent is where the middle of an object is.
-ON_THE_SPOT, ON_THE_SPOT_M = 0.25, 0.3
+#: s, for which a dispute about where an object is lasts.
+APART_S = 10.0
+#: Share of the statistic of an alarm from which an agent's track is compared with those of each other agent.
+COMPARED = 0.25
 
 
 @dataclass(kw_only=True, eq=False)
@@ -124,6 +121,7 @@ class SequentialConsistency(Integrity):
         self._tails = (Tail(*self.contradiction_tail), Tail(*self.offset_tail), KNOWN_OFFSET_TAIL)
         self._pair_tail = Tail(*self.pair_tail)
         self._sums = OffsetSums(self.offset_memory_s)
+        self._pair_sums = PairOffsetSums(self.offset_memory_s)
         self._known_sums = KnownOffsetSums(KNOWN_OFFSET_M, SAMPLES_PER_S)
         self.reset()
 
@@ -142,8 +140,9 @@ class SequentialConsistency(Integrity):
         self._next_number = 0  # of an agent that was not there before
         self._existence = ExistenceVotes(self._agents)
         self._pairs = np.zeros((0, 0))  # (m, m) cumulative disputes of each pair, object-seconds
-        self._apart_s = np.zeros((0, 0))  # (m, m) s, for which each pair lately reported an object apart
+        self._apart_ns = np.zeros((0, 0), np.int64)  # (m, m) ns, when a pair last reported an object apart; 0: never
         self._sums.reset()
+        self._pair_sums.reset()
         self._known_sums.reset()
         self._time_ns: int | None = None
         self._reasons: dict[str, str] = {}
@@ -166,10 +165,11 @@ class SequentialConsistency(Integrity):
         assert self._time_ns is not None
         number = int(self._of.number[row])
         self._sums.forget(number)
+        self._pair_sums.forget(number)
         self._known_sums.forget(number)
         self._of.contradictions[row] = self._of.awaited_s[row] = 0.0
         self._pairs[row] = self._pairs[:, row] = 0.0
-        self._apart_s[row] = self._apart_s[:, row] = 0.0
+        self._apart_ns[row] = self._apart_ns[:, row] = 0
         recent = self._time_ns - self._of.suspended_ns[row] <= EXCUSED_S * 1e9
         if self._of.suspended[row] and (recent or self._of.for_offset[row]):
             self._of.suspended[row] = False
@@ -218,7 +218,7 @@ class SequentialConsistency(Integrity):
         """Rows (a,) of the agents of a batch; new ones have no record."""
         rows = self._agents.meet(batch.time_ns, batch.agents)
         self._pairs = self._agents.carry(self._agents.carry(self._pairs, 0.0), 0.0, axis=1)
-        self._apart_s = self._agents.carry(self._agents.carry(self._apart_s, 0.0), 0.0, axis=1)
+        self._apart_ns = self._agents.carry(self._agents.carry(self._apart_ns, 0), 0, axis=1)
         new = rows[self._of.number[rows] < 0]
         self._of.number[new] = self._next_number + np.arange(len(new))
         self._next_number += len(new)
@@ -251,15 +251,13 @@ class SequentialConsistency(Integrity):
         some = self._sums.of_objects(batch.time_ns, numbers, objects, measured)
         known = self._known_sums.of_objects(batch.time_ns, numbers, objects, measured, dt)
         share = np.maximum(some / self._alarm_at(1, len(rows)), known / self._alarm_at(2, len(rows)))
-        apart = np.zeros((len(rows), len(rows)), np.bool_)
-        away = np.hypot(measured.offset[..., 0], measured.offset[..., 1])
-        for cluster, off in zip(*np.nonzero(share >= 1.0), strict=True):
-            there = measured.valid[cluster] & (share[cluster] <= ON_THE_SPOT) & (away[cluster] <= ON_THE_SPOT_M)
-            place = batch.states.position[batch.member[cluster], :2]
-            there &= np.hypot(*(place - place[off]).T) >= APART_M
-            apart[off, there] = apart[there, off] = True
-        pairs = np.ix_(rows, rows)
-        self._apart_s[pairs] = np.exp(-dt / APART_MEMORY_S) * self._apart_s[pairs] + dt * apart
+        compared = measured.valid & (share >= COMPARED)
+        if compared.any():
+            of_pairs = self._pair_sums.of_pairs(batch.time_ns, numbers, objects, batch, compared, floors(boxes))
+            one, other, statistic = of_pairs
+            apart = self._tails[1].rate(statistic) <= self.disputes_per_hour
+            one, other = rows[one[apart]], rows[other[apart]]
+            self._apart_ns[one, other] = self._apart_ns[other, one] = batch.time_ns
         return some.max(axis=0, initial=0.0), known.max(axis=0, initial=0.0)
 
     def _summed(self, total: Floats, count: Ints, tail: Tail, dt: float) -> Floats:
@@ -281,7 +279,8 @@ class SequentialConsistency(Integrity):
 
     def _explain(self, batch: Batch, rows: Ints) -> tuple[Explanations, Verdict]:
         """The explanations of the disputes of the agents of a batch, and what they say of each."""
-        pairs, apart = self._pairs[np.ix_(rows, rows)], self._apart_s[np.ix_(rows, rows)] >= APART_S
+        pairs, apart_ns = self._pairs[np.ix_(rows, rows)], self._apart_ns[np.ix_(rows, rows)]
+        apart = (apart_ns > 0) & (batch.time_ns - apart_ns <= APART_S * 1e9)
         disputes = (self._pair_tail.rate(pairs) <= self.disputes_per_hour) | apart
         lying = OWN_TAIL.rate(self._of.own[rows]) <= self.false_alarms_per_hour / max(len(rows), 1)
         lying |= self._of.suspended[rows]
