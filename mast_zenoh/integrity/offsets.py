@@ -272,30 +272,30 @@ class KnownOffsetSums(_OfPairs):
 
     Quicker than `OffsetSums` for an offset of about this size, which need not be weighed against earlier honest ones.
 
-    size_m: m, of the offset, in any of eight directions;  samples_per_s: independent samples in a second of offsets
+    sizes_m: m, of the offset, in any of eight directions;  samples_per_s: independent samples in a second of offsets
     """
 
-    def __init__(self, size_m: float, samples_per_s: float, limit: int = 10_000) -> None:
-        super().__init__(1.0, len(DIRECTIONS), limit)
-        self._size_m, self._samples_per_s = size_m, samples_per_s
+    def __init__(self, sizes_m: tuple[float, ...], samples_per_s: float, limit: int = 10_000) -> None:
+        super().__init__(1.0, len(sizes_m) * len(DIRECTIONS), limit)
+        self._sizes, self._samples_per_s = len(sizes_m), samples_per_s
+        self._offsets = (np.array(sizes_m)[:, None, None] * DIRECTIONS).reshape(-1, 2)
 
     def of_objects(self, time_ns: int, agent: Ints, obj: Ints, measured: Offsets, step_s: float) -> Floats:
-        """(c, a) greatest log-likelihood ratio of each agent's offset from each object; 0 without a track.
+        """(c, a, sizes) greatest log-likelihood ratio of each agent's offset from each object; 0 without a track.
 
         agent, obj, measured: as in `OffsetSums.of_objects`;  step_s: s, for which the batch stands
         """
-        statistics = np.zeros(measured.valid.shape)
+        statistics = np.zeros((*measured.valid.shape, self._sizes))
         cluster, column = measured.valid.nonzero()
         if len(cluster) == 0:
             return statistics
         offset, information = measured.offset[cluster, column], measured.information[cluster, column]
         whitened = np.sqrt(np.maximum(np.einsum("ki,kij,kj->k", offset, information, offset), 1e-12))
         offset = offset * np.minimum(1.0, KNOWN_CLIP / whitened)[:, None]
-        towards = information @ (self._size_m * DIRECTIONS.T)  # (k, 2, 8)
-        gain = np.einsum("ki,kid->kd", offset, towards)
-        gain -= 0.5 * self._size_m * np.einsum("di,kid->kd", DIRECTIONS, towards)
+        towards = information @ self._offsets.T  # (k, 2, d)
+        gain = np.einsum("ki,kid->kd", offset, towards) - 0.5 * np.einsum("di,kid->kd", self._offsets, towards)
         rows, _ = self._known(time_ns, agent[column], obj[cluster])
         total = np.maximum(0.0, self._sum[rows] + self._samples_per_s * step_s * gain)
         self._set(time_ns, rows, total)
-        statistics[cluster, column] = total.max(axis=1)
+        statistics[cluster, column] = total.reshape(-1, self._sizes, len(DIRECTIONS)).max(axis=2)
         return statistics

@@ -50,8 +50,9 @@ CONTRADICTION_TAIL = Tail(per_hour=78.0, scale=0.237)
 PAIR_TAIL = Tail(per_hour=43.0, scale=0.234)
 OWN_TAIL = Tail(per_hour=40.0, scale=0.248)
 OFFSET_TAIL = Tail(per_hour=4800.0, scale=4.4)
-#: The same of the offset of a known size, and m, that size.
-KNOWN_OFFSET_TAIL, KNOWN_OFFSET_M = Tail(per_hour=2400.0, scale=0.433), 1.0
+#: The same of the offsets of known sizes, and m, these sizes.
+KNOWN_OFFSET_TAILS = Tail(per_hour=2400.0, scale=0.433), Tail(per_hour=7300.0, scale=0.355)
+KNOWN_OFFSETS_M = 1.0, 0.5
 #: Of all agents together; a tenth of what is acceptable, because the tails are extrapolated.
 FALSE_ALARMS_PER_HOUR = 0.1
 #: Disputes an hour of each pair of honest agents that count as one. A pair alone suspends nobody.
@@ -75,13 +76,13 @@ class SequentialConsistency(Integrity):
     pair seldom exceeds disagree. An explanation is a set of fewer than half of the agents with one of each pair that
     disagrees (`explanations`).
 
-    Three statistics for each agent: the cumulative sum of contradictions in progress: objects that others see through,
+    Four statistics for each agent: the cumulative sum of contradictions in progress: objects that others see through,
     that its own sensor contradicts, that no road user can be, or that it reports twice; the greatest whitened offset
-    of one of its tracks from the median of the agents, summed over `offset_memory_s`; and the cumulative sum of the
-    log-likelihood ratio of an offset of 1 m. Each counts as an alarm by how rarely an honest agent exceeds it, with the
-    false discoveries among all agents controlled (Benjamini and Hochberg 1995). An agent is suspended if one of them is
-    an alarm, and it is in every explanation. Two accusers of five prove nothing, since two may lie; three do. Agents in
-    some explanations alone are not suspended: their reason says so.
+    of one of its tracks from the median of the agents, summed over `offset_memory_s`; and the cumulative sums of the
+    log-likelihood ratios of an offset of 1 m, and of 0.5 m. Each counts as an alarm by how rarely an honest agent
+    exceeds it, with the false discoveries among all agents controlled (Benjamini and Hochberg 1995). An agent is
+    suspended if one of them is an alarm, and it is in every explanation. Two accusers of five prove nothing, since two
+    may lie; three do. Agents in some explanations alone are `undecided`: their reason says so.
 
     Which objects are withheld is decided by `ExistenceVotes`.
 
@@ -118,11 +119,11 @@ class SequentialConsistency(Integrity):
             release_s=self.release_s,
             disputes_per_hour=self.disputes_per_hour,
         )
-        self._tails = (Tail(*self.contradiction_tail), Tail(*self.offset_tail), KNOWN_OFFSET_TAIL)
+        self._tails = (Tail(*self.contradiction_tail), Tail(*self.offset_tail), *KNOWN_OFFSET_TAILS)
         self._pair_tail = Tail(*self.pair_tail)
         self._sums = OffsetSums(self.offset_memory_s)
         self._pair_sums = PairOffsetSums(self.offset_memory_s)
-        self._known_sums = KnownOffsetSums(KNOWN_OFFSET_M, SAMPLES_PER_S)
+        self._known_sums = KnownOffsetSums(KNOWN_OFFSETS_M, SAMPLES_PER_S)
         self.reset()
 
     def reset(self) -> None:
@@ -148,13 +149,13 @@ class SequentialConsistency(Integrity):
         self._reasons: dict[str, str] = {}
         self._awaited: frozenset[str] = frozenset()
         self._settled: tuple[bytes, Explanations, Verdict] | None = None
-        self._statistics = np.zeros((0, len(self._tails)))  # (a, 3) of the last batch
+        self._statistics = np.zeros((0, len(self._tails)))  # (a, 4) of the last batch
         self._of_pairs, self._of_own = np.zeros(0), np.zeros(0)  # (p,), (a,) sums of the last batch
 
     @property
     def calibrated(self) -> dict[str, Floats]:
         """By name, (k,) statistics of the last batch that have a tail, see `tools/calibrate_integrity.py`."""
-        names = ("contradictions", "offset", "known offset")
+        names = ("contradictions", "offset", *(f"offset of {size_m} m" for size_m in KNOWN_OFFSETS_M))
         of_agents = dict(zip(names, self._statistics.T, strict=True))
         return of_agents | {"pair": self._of_pairs, "own": self._of_own}
 
@@ -241,7 +242,7 @@ class SequentialConsistency(Integrity):
         return np.asarray(np.where(self._of.suspended[rows], 0.0, weight))
 
     def _offsets(self, batch: Batch, boxes: ClusterBoxes, rows: Ints, dt: float) -> tuple[Floats, Floats]:
-        """(a,) greatest statistics of an offset of each agent, of any size and of the known one.
+        """(a,) greatest statistics of an offset of each agent of any size, and (a, 2) of the known ones.
 
         Notes which agents report an object apart.
         """
@@ -250,7 +251,8 @@ class SequentialConsistency(Integrity):
         measured = offsets(batch, boxes, self._median_weights(rows))
         some = self._sums.of_objects(batch.time_ns, numbers, objects, measured)
         known = self._known_sums.of_objects(batch.time_ns, numbers, objects, measured, dt)
-        share = np.maximum(some / self._alarm_at(1, len(rows)), known / self._alarm_at(2, len(rows)))
+        limits = [self._alarm_at(2 + size, len(rows)) for size in range(len(KNOWN_OFFSETS_M))]
+        share = np.maximum(some / self._alarm_at(1, len(rows)), (known / limits).max(axis=2))
         compared = measured.valid & (share >= COMPARED)
         if compared.any():
             of_pairs = self._pair_sums.of_pairs(batch.time_ns, numbers, objects, batch, compared, floors(boxes))
@@ -339,11 +341,11 @@ class SequentialConsistency(Integrity):
 
     def _reason(self, row: int, alarms: Bools, accusations: Mapping[str, Bools]) -> str:
         """Why an agent is suspended."""
-        contradictions, offset, known = self._statistics[row]
+        contradictions, offset, *known = self._statistics[row]
         if alarms[0]:
             most = max(accusations, key=lambda kind: int(accusations[kind][:, row].sum()))
             return f"{most}, {contradictions:.1f} object-seconds"
-        statistic = f"offset statistic {offset:.0f}" if alarms[1] else f"log-likelihood ratio of an offset {known:.1f}"
+        statistic = f"offset statistic {offset:.0f}" if alarms[1] else f"log-likelihood ratio {max(known):.1f}"
         return f"reports a position that differs from the other agents' ({statistic})"
 
     def _agent_trust(self, batch: Batch, rows: Ints, rates: Floats, verdict: Verdict) -> AgentTrust:

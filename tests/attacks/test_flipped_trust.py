@@ -1,4 +1,4 @@
-"""TrustFlip and others in whole runs: the defence turns against an honest agent, and the ego can be attacked."""
+"""TrustFlip and others in whole runs: the defence does not turn against an honest agent, and the ego can be attacked."""
 
 from __future__ import annotations
 
@@ -36,9 +36,10 @@ FLIP = dict(attack="TrustFlip", compromised=["infra_3"])
 
 @pytest.mark.heavy
 @pytest.mark.parametrize("defence", ["SequentialConsistency", "FaultOrLie"])
-def test_the_defence_suspends_the_honest_target_of_trust_flip_and_nobody_else(defence: str) -> None:
-    assert suspended(played(defence=defence, n_adversaries=0)) == set()
-    assert suspended(played(defence=defence, **FLIP)) == {"infra_3"}
+def test_the_defence_suspends_nobody_under_trust_flip_and_loses_no_object(defence: str) -> None:
+    before, after = played(defence=defence, n_adversaries=0), played(defence=defence, **FLIP)
+    assert suspended(before) == suspended(after) == set()
+    assert picture(after)[0] == pytest.approx(picture(before)[0], abs=0.05)
 
 
 @pytest.mark.heavy

@@ -110,7 +110,7 @@ def test_the_stated_alarm_limits_follow_from_the_calibrated_tails() -> None:
     (stated,) = re.findall(r"from ([\d.]+)\s+object-seconds .*? statistic\s+of\s+(\d+)\.", PAGE, flags=re.S)
     for tail, limit, step in zip((CONTRADICTION_TAIL, OFFSET_TAIL), map(float, stated), (0.01, 1.0), strict=True):
         for value, alarm in ((limit - step, False), (limit + step, True)):
-            rates = tail.rate(np.array([value] + 14 * [0.0]))  # fifteen statistics, one of them with evidence
+            rates = tail.rate(np.array([value] + 19 * [0.0]))  # twenty statistics, one of them with evidence
             assert discoveries(rates, FALSE_ALARMS_PER_HOUR)[0] == alarm
 
 
