@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow
 from numpy.typing import NDArray
 
+from mast_zenoh.api.messages import states, tables_of
 from mast_zenoh.api.runs import Run
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.config.resolved import RECORDING
@@ -157,11 +158,15 @@ def _boxes(run: Run, changes: dict[str, NDArray[Any]], rows: Ints) -> tuple[Floa
     size = np.tile(np.array(CAR_M), (len(rows), 1))
     vx, vy = changes["vx"][rows], changes["vy"][rows]
     yaw = np.where(np.hypot(vx, vy) > _MOVING_MPS, np.arctan2(vy, vx), 0.0)
-    for agent in sorted(set(changes["agent"][rows])):
-        try:
-            tracks = from_arrow(run.agent(agent).tracks)
-        except (RunFolderError, OSError):
-            continue
+    wires = {agent: f"agent/{agent}/tracks" for agent in sorted(set(changes["agent"][rows]))}
+    if not wires:
+        return size, yaw
+    try:
+        recorded = tables_of(run.path, wires.values(), states)
+    except (RunFolderError, OSError):
+        return size, yaw
+    for agent, wire in wires.items():
+        tracks = from_arrow(recorded[wire])
         keys = zip(tracks["frame"].tolist(), tracks["id"].tolist(), strict=True)
         place = {key: row for row, key in enumerate(keys)}
         for index in np.flatnonzero(changes["agent"][rows] == agent).tolist():
