@@ -113,7 +113,7 @@ def street(random: np.random.Generator, snap: bool) -> tuple[PlacedSensor, Walls
     return sensor, Walls(start, end, top) if random.random() < 0.8 else None, states, int(false)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**32), st.booleans(), st.sampled_from([1, 5, 40]))
 def test_an_object_has_enough_returns_exactly_if_casting_all_beams_says_so(seed: int, snap: bool, least: int) -> None:
     sensor, walls, states, false = street(np.random.default_rng(seed), snap)
