@@ -11,7 +11,7 @@ import pytest
 from pyarrow import parquet
 
 import mast_zenoh as mast
-from mast_zenoh.api.messages import states, table, tables_of
+from mast_zenoh.api import messages as recorded
 from mast_zenoh.errors import ConfigurationError, RunFolderError
 from mast_zenoh.launch import liveness
 from mast_zenoh.scenes.recording import Recording
@@ -69,10 +69,12 @@ def test_the_picture_and_the_tracks_are_near_the_truth(baseline: mast.Run) -> No
 
 def test_tables_of_several_wires_equal_those_of_all_messages(attacked: mast.Run) -> None:
     wires = [f"agent/{agent}/tracks" for agent in attacked.agents]
-    tables = tables_of(attacked.path, [*wires, "agent/nobody/tracks"], states)
+    tables = recorded.tables_of(attacked.path, [*wires, "agent/nobody/tracks"], recorded.states)
     for wire in wires:
         messages = list(attacked.messages(wire))
-        assert tables[wire].equals(table((each.frame, each.time_s, states(each.columns)) for each in messages))
+        assert tables[wire].equals(
+            recorded.table((each.frame, each.time_s, recorded.states(each.columns)) for each in messages)
+        )
         assert len(set(tables[wire]["frame"].to_pylist())) > 10
     assert tables["agent/nobody/tracks"].num_rows == 0
 
