@@ -98,7 +98,8 @@ def detected_lies(lies: _Columns, withheld: Bools, suspended: Bools) -> dict[str
     suspension alone: nothing is left to withhold.
     """
     keys = list(zip(lies["agent"].tolist(), lies["effect"].tolist(), lies["id"].tolist(), strict=True))
-    lie = np.array([{key: index for index, key in enumerate(dict.fromkeys(keys))}[key] for key in keys], np.int64)
+    number = {key: index for index, key in enumerate(dict.fromkeys(keys))}
+    lie = np.array([number[key] for key in keys], np.int64)
     count = int(lie.max(initial=-1)) + 1
     first = np.full(count, np.iinfo(np.int64).max)
     rows = np.asarray(lies["observable"], bool)
