@@ -20,7 +20,7 @@ ADVERSARIES = (
     "coordinated,uncoordinated,BlindSpot,Mimic,SlowDrift,Sleeper,Collusion,Framing,GhostAhead,"
     "OpenDispute,PairedDenial,TrustFlip,PosePert,BlindAreaConfusion,PretendBenign,Flood"
 )
-# On two cores, quick takes some 3 minutes and full 17 hours (docs/defence_studies.md).
+# On two cores, quick takes some 3 minutes and full 6 hours (docs/defence_studies.md).
 PRESETS = dict(
     quick=dict(defences="FaultOrLie,Cad", adversaries="coordinated,OpenDispute", kinds="poles,cars", trials=2),
     full=dict(defences=DEFENCES, adversaries=ADVERSARIES, kinds="poles,cars,many", trials=30),

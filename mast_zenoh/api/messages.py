@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.geometry import states_to_world
 from mast_zenoh.arrays.states import CLASSES, ObjectStates
-from mast_zenoh.messagelog.reader import read
+from mast_zenoh.messagelog.reader import Recorded, read
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body
 
@@ -69,27 +69,37 @@ def messages(path: Path, pattern: str = "*", *, taps: bool = False) -> Iterator[
     Malformed messages, which every subscriber drops, are left out. Raises RunFolderError if nothing was recorded.
     """
     for recorded in read(path):
-        if recorded.malformed or (recorded.tap and not taps) or not fnmatchcase(recorded.wire, pattern):
-            continue
-        header, body = codec.decode_lazily(recorded.payload, recorded.type)
-        of_wire = recorded.wire, recorded.tap, recorded.message, recorded.publisher
-        yield WireMessage(*of_wire, header.frame, header.time_ns * 1e-9, header.seq, body)
+        if not recorded.malformed and (taps or not recorded.tap) and fnmatchcase(recorded.wire, pattern):
+            yield _decoded(recorded)
+
+
+def _decoded(recorded: Recorded) -> WireMessage:
+    header, body = codec.decode_lazily(recorded.payload, recorded.type)
+    of_wire = recorded.wire, recorded.tap, recorded.message, recorded.publisher
+    return WireMessage(*of_wire, header.frame, header.time_ns * 1e-9, header.seq, body)
 
 
 def table_of(path: Path, wire: str, rows: Callable[[Body], Columns]) -> pyarrow.Table:
-    """A table of the rows that `rows` makes of the columns of each message on a wire.
+    """As `tables_of`, of one wire."""
+    return tables_of(path, [wire], rows)[wire]
+
+
+def tables_of(path: Path, wires: Iterable[str], rows: Callable[[Body], Columns]) -> dict[str, pyarrow.Table]:
+    """By wire, a table of the rows that `rows` makes of the columns of each message on it.
 
     The columns `frame` and `time_s` come first. Copies of a message that a link duplicated are left out.
+    The recording is read once. Raises RunFolderError if there is none.
     """
-
-    def parts() -> Iterator[tuple[int, float, Columns]]:
-        last: dict[str, int] = {}
-        for message in messages(path, wire):
-            if message.seq > last.get(message.publisher, -1):
-                last[message.publisher] = message.seq
-                yield message.frame, message.time_s, rows(message.columns)
-
-    return table(parts())
+    parts: dict[str, list[tuple[int, float, Columns]]] = {wire: [] for wire in wires}
+    last: dict[tuple[str, str], int] = {}
+    for recorded in read(path, parts.__contains__):
+        if recorded.malformed or recorded.tap:
+            continue
+        message, sender = _decoded(recorded), (recorded.wire, recorded.publisher)
+        if message.seq > last.get(sender, -1):
+            last[sender] = message.seq
+            parts[message.wire].append((message.frame, message.time_s, rows(message.columns)))
+    return {wire: table(of_wire) for wire, of_wire in parts.items()}
 
 
 def table(frames: Iterable[tuple[int, float, Columns]]) -> pyarrow.Table:

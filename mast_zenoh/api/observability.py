@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow
 from numpy.typing import NDArray
 
+from mast_zenoh.api.messages import states, tables_of
 from mast_zenoh.api.runs import Run
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.config.resolved import RECORDING
@@ -21,7 +22,7 @@ from mast_zenoh.metrics.trust import detection_delay
 from mast_zenoh.run_files import read_json
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import Walls, sensor_pose
-from mast_zenoh.sensing.raycast import PlacedSensor, observable
+from mast_zenoh.sensing.raycast import PlacedSensor, has_returns
 from mast_zenoh.wiring.model import Wiring, agent_of
 
 #: Lidar returns from which an agent sees an object.
@@ -70,11 +71,10 @@ def observability(run: Run | str | Path) -> Observability:
     changes = _changes(run)
     liars = sorted(set(changes["agent"]))
     lying = np.isin(np.array(scene.agent_names), liars)
-    returns = np.zeros((len(changes["frame"]), len(scene.agents)), np.int64)
+    sees = np.zeros((len(changes["frame"]), len(scene.agents)), np.bool_)
     inserted = changes["effect"] == "inserted"
-    _cast(scene, run, changes, np.flatnonzero(inserted), returns)
-    _look_up(scene, changes, np.flatnonzero(~inserted), returns)
-    sees = returns >= MIN_RETURNS
+    _cast(scene, run, changes, np.flatnonzero(inserted), sees)
+    _look_up(scene, changes, np.flatnonzero(~inserted), sees)
     honest, false = sees[:, ~lying].sum(axis=1), sees[:, lying].sum(axis=1)
     times_s = (scene.times_ns - scene.times_ns[0]) * 1e-9
     changes["time_s"] = np.round(times_s[changes["frame"]], 9)
@@ -130,17 +130,17 @@ def _changes(run: Run) -> dict[str, NDArray[Any]]:
     }
 
 
-def _cast(scene: Recording, run: Run, changes: dict[str, NDArray[Any]], rows: Ints, returns: Ints) -> None:
-    """Set the returns that every agent would have from false objects."""
+def _cast(scene: Recording, run: Run, changes: dict[str, NDArray[Any]], rows: Ints, sees: Bools) -> None:
+    """Set which agents would see false objects."""
     walls = Walls.of_buildings(scene.buildings, scene.building_height)
     size, yaw = _boxes(run, changes, rows)
     position = np.column_stack([changes[axis][rows] for axis in "xyz"])
     for frame in np.unique(changes["frame"][rows]).tolist():
         of_frame = np.flatnonzero(changes["frame"][rows] == frame)
-        sensors = [_placed(scene, frame, column) for column in range(len(scene.agents))]
-        returns[rows[of_frame]] = observable(
-            position[of_frame], size[of_frame], yaw[of_frame], sensors, walls, scene.truth_at(frame)
-        )
+        boxes, truth = (position[of_frame], size[of_frame], yaw[of_frame]), scene.truth_at(frame)
+        for column in range(len(scene.agents)):
+            sensor = _placed(scene, frame, column)
+            sees[rows[of_frame], column] = has_returns(*boxes, sensor, walls, truth, MIN_RETURNS)
 
 
 def _placed(scene: Recording, frame: int, column: int) -> PlacedSensor:
@@ -158,11 +158,15 @@ def _boxes(run: Run, changes: dict[str, NDArray[Any]], rows: Ints) -> tuple[Floa
     size = np.tile(np.array(CAR_M), (len(rows), 1))
     vx, vy = changes["vx"][rows], changes["vy"][rows]
     yaw = np.where(np.hypot(vx, vy) > _MOVING_MPS, np.arctan2(vy, vx), 0.0)
-    for agent in sorted(set(changes["agent"][rows])):
-        try:
-            tracks = from_arrow(run.agent(agent).tracks)
-        except (RunFolderError, OSError):
-            continue
+    wires = {agent: f"agent/{agent}/tracks" for agent in sorted(set(changes["agent"][rows]))}
+    if not wires:
+        return size, yaw
+    try:
+        recorded = tables_of(run.path, wires.values(), states)
+    except (RunFolderError, OSError):
+        return size, yaw
+    for agent, wire in wires.items():
+        tracks = from_arrow(recorded[wire])
         keys = zip(tracks["frame"].tolist(), tracks["id"].tolist(), strict=True)
         place = {key: row for row, key in enumerate(keys)}
         for index in np.flatnonzero(changes["agent"][rows] == agent).tolist():
@@ -173,13 +177,13 @@ def _boxes(run: Run, changes: dict[str, NDArray[Any]], rows: Ints) -> tuple[Floa
     return size, yaw
 
 
-def _look_up(scene: Recording, changes: dict[str, NDArray[Any]], rows: Ints, returns: Ints) -> None:
-    """Set the returns that every agent has from the real objects that were hidden."""
+def _look_up(scene: Recording, changes: dict[str, NDArray[Any]], rows: Ints, sees: Bools) -> None:
+    """Set which agents see the real objects that were hidden."""
     frames = np.repeat(np.arange(len(scene)), np.diff(scene.truth_start))
     position = np.column_stack([changes[axis][rows] for axis in "xyz"]).astype(np.float64)
     real, _ = nearest(Places(changes["frame"][rows], position), Places(frames, scene.truth.position), HIDDEN_M)
     found: Bools = real >= 0
-    returns[rows[found]] = scene.points[real[found]]
+    sees[rows[found]] = scene.points[real[found]] >= MIN_RETURNS
 
 
 def _delay(run: Run, agent: str, lie_s: float | None) -> tuple[float | None, float | None]:

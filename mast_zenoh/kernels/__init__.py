@@ -23,7 +23,19 @@ from mast_zenoh.kernels.source_digest import digest
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 #: The files with kernels.
-MODULES = ("attacks", "boxes", "clusters", "columns", "frames", "matching", "medians", "pairs", "rays", "tracks")
+MODULES = (
+    "attacks",
+    "boxes",
+    "casts",
+    "clusters",
+    "columns",
+    "frames",
+    "matching",
+    "medians",
+    "pairs",
+    "rays",
+    "tracks",
+)
 
 #: The build writes here why it compiled no kernels: a reason, and the compiler's last line.
 NOT_COMPILED = Path(__file__).with_name("not_compiled.txt")

@@ -11,7 +11,7 @@ import shlex
 import struct
 import zlib
 from collections import defaultdict
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from io import BytesIO
@@ -118,8 +118,10 @@ class _End(NamedTuple):
     """The end of the data, after the last message."""
 
 
-def read(path: Path) -> Iterator[Recorded]:
+def read(path: Path, wanted: Callable[[str], bool] | None = None) -> Iterator[Recorded]:
     """All messages of a file or run folder, ordered.
+
+    wanted: which wires to read; the headers of other messages are not looked at. None: all
 
     A truncated file is read up to its last whole chunk.
 
@@ -136,7 +138,7 @@ def read(path: Path) -> Iterator[Recorded]:
         loaded = count = waiting = 0
         while queue or loaded < len(indexes):
             while loaded < len(indexes) and (not queue or floors[loaded] <= queue[0][0][0] + _RANKS_NS):
-                for message in _messages(file, path, indexes[loaded], channels, schemas):
+                for message in _messages(file, path, indexes[loaded], channels, schemas, wanted):
                     heapq.heappush(queue, (message.order, count, message))
                     count += 1
                     waiting += len(message.payload) + _OVERHEAD
@@ -227,9 +229,14 @@ def _records(file: IO[bytes], path: Path) -> Iterator[_ChunkIndex | Event | _End
 
 
 def _messages(
-    file: IO[bytes], path: Path, index: _ChunkIndex, channels: dict[int, Channel], schemas: dict[int, Schema]
+    file: IO[bytes],
+    path: Path,
+    index: _ChunkIndex,
+    channels: dict[int, Channel],
+    schemas: dict[int, Schema],
+    wanted: Callable[[str], bool] | None,
 ) -> Iterator[Recorded]:
-    """The messages of a chunk; its new channels and user types go into the dicts."""
+    """The messages of a chunk on wires that are wanted; its new channels and user types go into the dicts."""
     file.seek(index.byte)
     try:
         records = _chunk_records(file, index.length)
@@ -252,8 +259,9 @@ def _messages(
                     f"{path}: byte {index.byte}: a message of channel {record.channel_id}, which is unknown"
                 )
             channel = channels[record.channel_id]
-            step, rank = index.steps.get(count), index.ranks.get(count, -1)
-            yield _recorded(channel, record, path, step, rank, schemas.get(channel.schema_id))
+            if wanted is None or wanted(channel.metadata.get("wire", "")):
+                step, rank = index.steps.get(count), index.ranks.get(count, -1)
+                yield _recorded(channel, record, path, step, rank, schemas.get(channel.schema_id))
             count += 1
 
 

@@ -11,6 +11,7 @@ import pytest
 from pyarrow import parquet
 
 import mast_zenoh as mast
+from mast_zenoh.api import messages as recorded
 from mast_zenoh.errors import ConfigurationError, RunFolderError
 from mast_zenoh.launch import liveness
 from mast_zenoh.scenes.recording import Recording
@@ -64,6 +65,18 @@ def test_the_picture_and_the_tracks_are_near_the_truth(baseline: mast.Run) -> No
         assert len(here) > 3
         nearest = np.linalg.norm(here[:, None] - there, axis=2).min(axis=1)
         assert np.median(nearest) < 1.0, "in the world frame, even for an agent whose sensor is not at its origin"
+
+
+def test_tables_of_several_wires_equal_those_of_all_messages(attacked: mast.Run) -> None:
+    wires = [f"agent/{agent}/tracks" for agent in attacked.agents]
+    tables = recorded.tables_of(attacked.path, [*wires, "agent/nobody/tracks"], recorded.states)
+    for wire in wires:
+        messages = list(attacked.messages(wire))
+        assert tables[wire].equals(
+            recorded.table((each.frame, each.time_s, recorded.states(each.columns)) for each in messages)
+        )
+        assert len(set(tables[wire]["frame"].to_pylist())) > 10
+    assert tables["agent/nobody/tracks"].num_rows == 0
 
 
 def test_a_pole_says_that_it_makes_no_mission_estimate(baseline: mast.Run) -> None:

@@ -24,6 +24,7 @@ from hypothesis import strategies as st
 import mast_zenoh
 from mast_zenoh import kernels
 from mast_zenoh.arrays import matching
+from mast_zenoh.arrays.geometry import rotation_from_yaw_pitch
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.attacks import following
 from mast_zenoh.integrity.views import SweptView
@@ -32,6 +33,8 @@ from mast_zenoh.messages import codec
 from mast_zenoh.messages.layout import LAYOUTS, limit_of
 from mast_zenoh.messages.schemas import SCHEMAS, Header
 from mast_zenoh.pipelines import mission
+from mast_zenoh.sensing import LidarSensor, Walls
+from mast_zenoh.sensing.raycast import PlacedSensor
 from mast_zenoh.tracking import SensorView, association, classes, tracks
 from mast_zenoh.tracking.existence import STAGES_S
 
@@ -189,6 +192,17 @@ def ray_evidence(random, n, m):
     return position, random.normal(0, 9, (n, 3)), *around, *others
 
 
+def looked_for(random, n, m):
+    """Objects that are not there, a sensor that would see them, and what is in the way."""
+    around, others = (places(random, n), random.uniform(0.3, 6, (n, 3)), random.uniform(-4, 4, n)), places(random, m)
+    size, yaw = random.uniform(0.3, 6, (m, 3)), random.uniform(-4, 4, m)
+    states = ObjectStates.of(others, id=np.arange(m), size=size, yaw=yaw, velocity=np.zeros((m, 3)))
+    lidar = LidarSensor(azimuth_step_deg=random.choice([0.5, 0.7]), elevation_max_deg=30.0, channels=20)
+    sensor = PlacedSensor(lidar, random.normal(0, 5, 3), rotation_from_yaw_pitch(*random.uniform(-1, 1, 2)), m // 2)
+    walls = Walls(random.normal(0, 30, (m, 2)), random.normal(0, 30, (m, 2)), random.uniform(-1, 9, m))
+    return *around, sensor, walls if random.random() < 0.8 else None, states, int(random.integers(0, 20))
+
+
 def members(random, n, m):
     """Rows (c, a) of n tracks in clusters, at most one of each agent, and none empty."""
     labels = np.unique(random.integers(0, m + 1, n), return_inverse=True)[1] if n else np.zeros(0, np.int64)
@@ -343,6 +357,7 @@ ARGUMENTS = {
     "visible_fraction": view,
     "free_ranges": swept,
     "box_visibility": box_visibility,
+    "has_returns": looked_for,
     "ray_evidence": ray_evidence,
     "median_boxes": median_boxes,
     "track_offsets": track_offsets,

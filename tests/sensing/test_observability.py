@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from mast_zenoh.arrays.geometry import rotation_from_yaw_pitch
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.sensing import LidarSensor, Walls, lidar_points
-from mast_zenoh.sensing.raycast import PlacedSensor, observable
+from mast_zenoh.sensing.raycast import PlacedSensor, has_returns, observable
 
 ROOF = PlacedSensor(LidarSensor(), np.array([0.0, 0.0, 1.8]), np.eye(3))
 CAR = np.array([[4.5, 1.8, 1.5]])
@@ -86,3 +88,37 @@ def test_returns_equal_those_of_the_scene_with_the_phantom_in_it(seed: int) -> N
             assert found[row, column] == expected
     assert (found > 0).any()
     assert (found == 0).any()
+
+
+def street(random: np.random.Generator, snap: bool) -> tuple[PlacedSensor, Walls | None, ObjectStates, int]:
+    """A sensor, walls and objects around it, on a grid where many edges meet if `snap`; and how many are false."""
+    n, false, many = random.integers(0, 30), random.integers(1, 12), random.integers(0, 9)
+    place = random.uniform(-50, 50, (n + false, 2)) * random.choice([0.1, 1.0, 3.0])
+    size, yaw = random.uniform((0.5, 0.5, 1.0), (12, 2.6, 3.5), (n + false, 3)), random.uniform(-4, 4, n + false)
+    start = random.uniform(-60, 60, (many, 2))
+    end = start + random.normal(0, 20, (many, 2))
+    if snap:
+        place, size, yaw = np.round(place / 5) * 5, np.ceil(size), np.round(yaw) * np.pi / 2
+        start, end = np.round(start / 10) * 10, np.round(end / 10) * 10
+    top = random.choice([1.0, 2.0, 8.0], many)
+    position = np.column_stack([place, size[:, 2] / 2])
+    numbers = random.permutation(n + false)
+    states = ObjectStates.of(position, id=numbers, size=size, yaw=yaw, velocity=np.zeros_like(position))
+    lidar = LidarSensor() if random.random() < 0.5 else LidarSensor.infrastructure()
+    lidar = LidarSensor(azimuth_step_deg=0.7, channels=9) if random.random() < 0.1 else lidar
+    turned = rotation_from_yaw_pitch(random.uniform(-4, 4), random.uniform(-0.2, 0.6))
+    height = random.choice([1.0, 1.8, 6.0])
+    own = int(random.integers(-1, n + 1))
+    sensor = PlacedSensor(lidar, np.array([0.0, 0.0, height]), np.eye(3) if snap else turned, own)
+    return sensor, Walls(start, end, top) if random.random() < 0.8 else None, states, int(false)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32), st.booleans(), st.sampled_from([1, 5, 40]))
+def test_an_object_has_enough_returns_exactly_if_casting_all_beams_says_so(seed: int, snap: bool, least: int) -> None:
+    sensor, walls, states, false = street(np.random.default_rng(seed), snap)
+    boxes, others = states.select(slice(None, false)), states.select(slice(false, None))
+    every = observable(boxes.position, boxes.size, boxes.yaw, [sensor], walls, others)[:, 0]
+    enough = has_returns(boxes.position, boxes.size, boxes.yaw, sensor, walls, others, least)
+    assert enough.dtype == np.bool_
+    assert enough.tolist() == (every >= least).tolist()

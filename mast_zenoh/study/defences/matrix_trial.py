@@ -26,6 +26,8 @@ from mast_zenoh.viewer.run import RunRecord
 
 #: States that the figure shows.
 _DRAWN_STATES = ("faulty", "suspended", "undecided")
+#: Columns of objects.parquet that are read.
+_OBJECT_COLUMNS = ["frame", "agent", "estimator", "outcome", "cause", "x", "y", "z"]
 #: s, from one kept value of the log-odds to the next. Spans are exact.
 _STEP_S = 0.2
 #: m, from a false object on the wires to the one of the command centre or of the picture that stands for it.
@@ -96,7 +98,8 @@ def detected_lies(lies: _Columns, withheld: Bools, suspended: Bools) -> dict[str
     suspension alone: nothing is left to withhold.
     """
     keys = list(zip(lies["agent"].tolist(), lies["effect"].tolist(), lies["id"].tolist(), strict=True))
-    lie = np.array([{key: index for index, key in enumerate(dict.fromkeys(keys))}[key] for key in keys], np.int64)
+    number = {key: index for index, key in enumerate(dict.fromkeys(keys))}
+    lie = np.array([number[key] for key in keys], np.int64)
     count = int(lie.max(initial=-1)) + 1
     first = np.full(count, np.iinfo(np.int64).max)
     rows = np.asarray(lies["observable"], bool)
@@ -128,7 +131,7 @@ def _withheld(run: Run, lies: _Columns) -> tuple[Bools, Bools]:
 def _false_objects(run: Run, lies: _Columns, metrics: Mapping[str, Any]) -> dict[str, float]:
     """Inserted objects per scored frame in the ego's picture, by whether they are identifiable."""
     first, last = scored_frames(metrics)
-    objects = from_arrow(run.objects)
+    objects = from_arrow(run.objects.select(_OBJECT_COLUMNS))
     rows = (objects["agent"] == ego(metrics)) & (objects["estimator"] == "picture") & (objects["outcome"] == "false")
     rows &= (objects["cause"] == "inserted") & (objects["frame"] >= first) & (objects["frame"] <= last)
     inserted = lies["effect"] == "inserted"
