@@ -1,4 +1,4 @@
-"""TrustFlip and others in whole runs: the defence does not turn against an honest agent, and the ego can be attacked."""
+"""TrustFlip and others in whole runs: the defence does not turn on honest agents, and the ego can be attacked."""
 
 from __future__ import annotations
 
