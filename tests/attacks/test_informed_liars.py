@@ -1,4 +1,7 @@
-"""Liars that know the defence gain nothing by it: no honest agent is suspended, and they do less harm than without."""
+"""Liars that know the defence gain nothing by it: no honest agent is suspended, and they do less harm than without.
+
+Runs and shares were chosen after these runs had been seen: they guard against a relapse, and are no evidence beyond.
+"""
 
 from __future__ import annotations
 
@@ -98,11 +101,14 @@ def test_two_liars_of_five_suspend_no_honest_agent_and_do_no_more_harm_than_with
 
 @pytest.mark.heavy
 @pytest.mark.parametrize("run", RUNS)
-@pytest.mark.parametrize("attack", [BlindSwarm, Excuser, WallHugger])
-def test_the_defence_halves_the_harm_of_a_lone_liar(attack: type[AdaptiveAttack], run: tuple[int, int]) -> None:
+@pytest.mark.parametrize(("attack", "share"), [(BlindSwarm, 0.5), (Excuser, 0.25), (WallHugger, 0.5)])
+def test_a_lone_liar_does_at_most_half_of_its_harm_without_the_defence(
+    attack: type[AdaptiveAttack], share: float, run: tuple[int, int]
+) -> None:
+    """Excused each time it seems to have a fault, an `Excuser` does up to a third: its share is less."""
     defended = played(attack, 1, "FaultOrLie", run)
     assert defended.suspended <= defended.liars
-    assert harm(attack, 1, "FaultOrLie", run) <= 0.5 * harm(attack, 1, "NoIntegrity", run)
+    assert harm(attack, 1, "FaultOrLie", run) <= share * harm(attack, 1, "NoIntegrity", run)
 
 
 @pytest.mark.heavy
