@@ -51,7 +51,6 @@ class ExistenceVotes:
         # (k, 3) mean numbers of objects that an agent reports and nobody else looks at, and of those that it alone
         # reports, and s, over which they are averaged
         self._usual = np.zeros((0, 3))
-        self._voters: Bools = np.zeros(0, np.bool_)  # (a,) agents of the last batch that were not suspended
         self._time_ns: int | None = None
 
     def follow(self, time_ns: int, boxes: ClusterBoxes) -> Ints:
@@ -93,12 +92,10 @@ class ExistenceVotes:
         balance = self._votes.vote(rows, np.where(refuted, -1.0, 1.0))
         self._note_witnesses(claims, agent_rows)
         unseen = reported & ~clear & ~impossible & ~(seen.in_view & voter & ~reported).any(axis=1, keepdims=True)
-        unseen &= (reported.sum(axis=1) == 1)[:, None]
-        alone = claims & ((claims.sum(axis=1) == 1) & ~self._confirmed(believed))[:, None]
+        one = (reported.sum(axis=1) == 1)[:, None]  # what a suspended agent reports, too, is not reported alone
+        unseen &= one
+        alone = claims & one & ~self._confirmed(believed)[:, None]
         self._usual = self._agents.carry(self._usual, 0.0)
-        if not np.array_equal(voter, self._voters):  # what one reports alone depends on how many there are
-            self._usual[:, 2] = np.where(believed, 0.0, self._usual[:, 2])
-            self._voters = voter
         usual = self._usual[agent_rows]
         claimed = claims.any(axis=1) | self._oldest(unseen & ~voter, np.rint(usual[:, 0]))
         most = self._most_alone(alone.sum(axis=0), usual)
