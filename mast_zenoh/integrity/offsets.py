@@ -125,8 +125,8 @@ def weighted_median(values: Floats, weight: Floats) -> tuple[Floats, Floats]:
     return ordered[rows, low], ordered[rows, high]
 
 
-#: Limits (standard deviations) on the influence of one offset: a track of another object may be near for a moment; and
-#: of one that is looked for where others already show one.
+#: Limits (standard deviations) on the influence of one offset, and of one in the sums of known sizes: a track of
+#: another object may be near for a moment.
 CLIP, KNOWN_CLIP = 2.0, 4.0
 
 
@@ -183,12 +183,10 @@ class OffsetSums(_OfPairs):
 
     memory_s: s after which a summand has fallen to 1/e
     limit: pairs of an agent and an object that are remembered at most
-    clip: standard deviations, limit on the influence of one offset
     """
 
-    def __init__(self, memory_s: float, limit: int = 10_000, clip: float = CLIP) -> None:
+    def __init__(self, memory_s: float, limit: int = 10_000) -> None:
         super().__init__(memory_s, 5, limit)  # the scores in x and y, and the information xx, xy, yy
-        self._clip = clip
 
     def statistics(self, time_ns: int, agent: Ints, obj: Ints, measured: Offsets) -> Floats:
         """(a,) greatest likelihood ratio statistic of a constant offset from one object; 0 without any.
@@ -209,7 +207,7 @@ class OffsetSums(_OfPairs):
         offset, information = measured.offset[cluster, column], measured.information[cluster, column]
         score = np.einsum("kij,kj->ki", information, offset)
         distance = np.sqrt(np.maximum(np.einsum("ki,ki->k", offset, score), 1e-12))
-        score *= np.minimum(1.0, self._clip / distance)[:, None]
+        score *= np.minimum(1.0, CLIP / distance)[:, None]
         values = np.column_stack([score, information.reshape(-1, 4)[:, [0, 1, 3]]])
         rows, age_s = self._known(time_ns, agent[column], obj[cluster])
         total = self._sum[rows] * np.exp(-age_s / self._memory_s)[:, None] + values
@@ -226,9 +224,6 @@ _NUMBERS = 1 << 31
 class PairOffsetSums(OffsetSums):
     """As `OffsetSums`, of how far one agent's tracks are from another one's."""
 
-    def __init__(self, memory_s: float, limit: int = 10_000) -> None:
-        super().__init__(memory_s, limit, clip=KNOWN_CLIP)
-
     def forget(self, agent: int) -> None:
         """Forget the offsets of all pairs with an agent."""
         self._keep([(key, row) for key, row in self._row.items() if agent not in divmod(key[0], _NUMBERS)])
@@ -236,7 +231,7 @@ class PairOffsetSums(OffsetSums):
     def of_pairs(
         self, time_ns: int, number: Ints, obj: Ints, batch: Batch, off: Bools, floor_m: Floats
     ) -> tuple[Ints, Ints, Floats]:
-        """Pairs of agents (p,), (p,), columns of the batch, and the greatest statistic (p,) over the objects of each.
+        """Pairs of agents (p,), (p,), columns of the batch, and the statistic (c, p) of each object.
 
         number: (a,), obj: (c,) numbers of agents and objects, which never change
         off: (c, a) agents that are compared with all others that report the object; floor_m: (c,) m, see FLOOR_M
@@ -259,7 +254,7 @@ class PairOffsetSums(OffsetSums):
         information[cluster, column] = np.linalg.inv(total)
         first, second = np.divmod(pairs, a)
         measured = Offsets(valid, offset, information)
-        statistics = self.statistics(time_ns, number[first] * _NUMBERS + number[second], obj, measured)
+        statistics = self.of_objects(time_ns, number[first] * _NUMBERS + number[second], obj, measured)
         return first, second, statistics
 
 

@@ -150,14 +150,16 @@ class SequentialConsistency(Integrity):
         self._awaited: frozenset[str] = frozenset()
         self._settled: tuple[bytes, Explanations, Verdict] | None = None
         self._statistics = np.zeros((0, len(self._tails)))  # (a, 4) of the last batch
-        self._of_pairs, self._of_own = np.zeros(0), np.zeros(0)  # (p,), (a,) sums of the last batch
+        # of the last batch: (p,) sums of pairs, (a,) of what agents' own reports contradict, and greatest of an offset
+        # from one other agent
+        self._of_pairs, self._of_own, self._of_apart = np.zeros(0), np.zeros(0), np.zeros(0)
 
     @property
     def calibrated(self) -> dict[str, Floats]:
         """By name, (k,) statistics of the last batch that have a tail, see `tools/calibrate_integrity.py`."""
         names = ("contradictions", "offset", *(f"offset of {size_m} m" for size_m in KNOWN_OFFSETS_M))
         of_agents = dict(zip(names, self._statistics.T, strict=True))
-        return of_agents | {"pair": self._of_pairs, "own": self._of_own}
+        return of_agents | {"pair": self._of_pairs, "own": self._of_own, "apart": self._of_apart}
 
     def excuse(self, agent: str) -> None:
         if agent not in self._agents.names:
@@ -254,9 +256,13 @@ class SequentialConsistency(Integrity):
         limits = [self._alarm_at(2 + size, len(rows)) for size in range(len(KNOWN_OFFSETS_M))]
         share = np.maximum(some / self._alarm_at(1, len(rows)), (known / limits).max(axis=2))
         compared = measured.valid & (share >= COMPARED)
+        self._of_apart = np.zeros(len(rows))
         if compared.any():
             of_pairs = self._pair_sums.of_pairs(batch.time_ns, numbers, objects, batch, compared, floors(boxes))
             one, other, statistic = of_pairs
+            # Two honest agents may report a box half a metre apart for long, but not where one of them is off, too.
+            statistic = np.where(share[:, one] >= 1.0, statistic, 0.0).max(axis=0)
+            np.maximum.at(self._of_apart, one, statistic)
             apart = self._tails[1].rate(statistic) <= self.disputes_per_hour
             one, other = rows[one[apart]], rows[other[apart]]
             self._apart_ns[one, other] = self._apart_ns[other, one] = batch.time_ns
