@@ -125,8 +125,8 @@ def weighted_median(values: Floats, weight: Floats) -> tuple[Floats, Floats]:
     return ordered[rows, low], ordered[rows, high]
 
 
-#: Limits (standard deviations) on the influence of one offset, and of one in the sums of known sizes: a track of
-#: another object may be near for a moment.
+#: Limits (standard deviations) on the influence of one offset, and of one in the sums of known sizes and of pairs: a
+#: track of another object may be near for a moment.
 CLIP, KNOWN_CLIP = 2.0, 4.0
 
 
@@ -185,6 +185,8 @@ class OffsetSums(_OfPairs):
     limit: pairs of an agent and an object that are remembered at most
     """
 
+    clip = CLIP
+
     def __init__(self, memory_s: float, limit: int = 10_000) -> None:
         super().__init__(memory_s, 5, limit)  # the scores in x and y, and the information xx, xy, yy
 
@@ -207,7 +209,7 @@ class OffsetSums(_OfPairs):
         offset, information = measured.offset[cluster, column], measured.information[cluster, column]
         score = np.einsum("kij,kj->ki", information, offset)
         distance = np.sqrt(np.maximum(np.einsum("ki,ki->k", offset, score), 1e-12))
-        score *= np.minimum(1.0, CLIP / distance)[:, None]
+        score *= np.minimum(1.0, self.clip / distance)[:, None]
         values = np.column_stack([score, information.reshape(-1, 4)[:, [0, 1, 3]]])
         rows, age_s = self._known(time_ns, agent[column], obj[cluster])
         total = self._sum[rows] * np.exp(-age_s / self._memory_s)[:, None] + values
@@ -223,6 +225,8 @@ _NUMBERS = 1 << 31
 
 class PairOffsetSums(OffsetSums):
     """As `OffsetSums`, of how far one agent's tracks are from another one's."""
+
+    clip = KNOWN_CLIP
 
     def forget(self, agent: int) -> None:
         """Forget the offsets of all pairs with an agent."""
