@@ -97,9 +97,7 @@ def track_offsets(
     place = position[member, :2]
     ends = [weighted_median(place[..., axis], present * weight) for axis in range(2)]
     low, high = (np.stack([each[end] for each in ends], axis=-1)[:, None, :] for end in range(2))
-    claimed = covariance[member, :2, :2]
-    largest = np.maximum(claimed[..., 0, 0], claimed[..., 1, 1])
-    claimed = claimed * np.minimum(1.0, max_error_m**2 / np.maximum(largest, 1e-12))[..., None, None]
+    claimed = limited(covariance[member, :2, :2], max_error_m)
     spread = (
         np.where(present[..., None, None], claimed, 0.0).sum(axis=1, keepdims=True)
         * (inefficiency / np.maximum(count, 1) ** 2)[:, None, None, None]
@@ -109,6 +107,12 @@ def track_offsets(
         valid[..., None, None], np.linalg.inv(np.where(valid[..., None, None], total, np.eye(2))), 0.0
     )
     return valid, np.where(valid[..., None], place - np.clip(place, low, high), 0.0), information
+
+
+def limited(covariance: Floats, max_error_m: float) -> Floats:
+    """Covariances (..., 2, 2) m², scaled down so that no track claims a standard deviation above `max_error_m`."""
+    largest = np.maximum(covariance[..., 0, 0], covariance[..., 1, 1])
+    return np.asarray(covariance * np.minimum(1.0, max_error_m**2 / np.maximum(largest, 1e-12))[..., None, None])
 
 
 def weighted_median(values: Floats, weight: Floats) -> tuple[Floats, Floats]:
@@ -190,13 +194,6 @@ class OffsetSums(_OfPairs):
     def __init__(self, memory_s: float, limit: int = 10_000) -> None:
         super().__init__(memory_s, 5, limit)  # the scores in x and y, and the information xx, xy, yy
 
-    def statistics(self, time_ns: int, agent: Ints, obj: Ints, measured: Offsets) -> Floats:
-        """(a,) greatest likelihood ratio statistic of a constant offset from one object; 0 without any.
-
-        agent, obj, measured: see `of_objects`
-        """
-        return np.asarray(self.of_objects(time_ns, agent, obj, measured).max(axis=0, initial=0.0))
-
     def of_objects(self, time_ns: int, agent: Ints, obj: Ints, measured: Offsets) -> Floats:
         """(c, a) likelihood ratio statistic of a constant offset of each agent from each object; 0 without a track.
 
@@ -251,8 +248,7 @@ class PairOffsetSums(OffsetSums):
         position, covariance = batch.states.position[:, :2], batch.states.covariance[:, :2, :2]
         total = (floor_m[cluster] ** 2)[:, None, None] * np.eye(2)
         for row in rows:
-            largest = np.maximum(covariance[row, 0, 0], covariance[row, 1, 1])
-            total += covariance[row] * np.minimum(1.0, MAX_ERROR_M**2 / np.maximum(largest, 1e-12))[:, None, None]
+            total += limited(covariance[row], MAX_ERROR_M)
         valid[cluster, column] = True
         offset[cluster, column] = position[rows[0]] - position[rows[1]]
         information[cluster, column] = np.linalg.inv(total)

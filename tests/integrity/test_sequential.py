@@ -123,18 +123,18 @@ def off(*values: float, agents: int = 1) -> Offsets:
 def test_offsets_add_up_and_are_forgotten_with_time_and_by_agent() -> None:
     sums, both, car = OffsetSums(1.0), np.array([0, 1]), np.array([7])
     # n offsets of one standard deviation have the statistic n.
-    assert sums.statistics(0, both, car, off(1.0, agents=2)) == pytest.approx([1.0, 1.0])
-    later = sums.statistics(1_000_000_000, both, car, off(1.0, agents=2))
+    assert sums.of_objects(0, both, car, off(1.0, agents=2))[0] == pytest.approx([1.0, 1.0])
+    later = sums.of_objects(1_000_000_000, both, car, off(1.0, agents=2))[0]
     assert later == pytest.approx([1.0 + np.exp(-1.0)] * 2)
     sums.forget(0)
-    assert sums.statistics(1_000_000_000, both, car, off(1.0, agents=2))[0] == pytest.approx(1.0)
+    assert sums.of_objects(1_000_000_000, both, car, off(1.0, agents=2))[0, 0] == pytest.approx(1.0)
 
 
 def test_remembered_offsets_are_bounded() -> None:
     sums = OffsetSums(100.0, limit=5)
     for frame in range(20):
-        sums.statistics(frame * 100_000_000, np.array([0]), np.arange(3 * frame, 3 * frame + 3), off(1.0, 1.0, 1.0))
-    assert sums.statistics(2_100_000_000, np.array([0]), np.array([0]), off(1.0)).tolist() == [1.0]
+        sums.of_objects(frame * 100_000_000, np.array([0]), np.arange(3 * frame, 3 * frame + 3), off(1.0, 1.0, 1.0))
+    assert sums.of_objects(2_100_000_000, np.array([0]), np.array([0]), off(1.0)).tolist() == [[1.0]]
 
 
 def test_the_tail_of_exponential_maxima_is_found() -> None:
