@@ -16,6 +16,20 @@ from mast_zenoh.integrity.views import SweptView
 
 #: m, m/s: a track by which turns and delays are compared with displacements.
 ARM_M, SPEED_MPS = 30.0, 10.0
+#: Variances of a fault before any evidence: (2 m, 2 m, 0.1 rad, 0.3 s) squared.
+PRIOR = np.array([4.0, 4.0, 0.01, 0.09])
+
+
+def displacements(arm: Floats, velocity: Floats) -> Floats:
+    """(k, 2, 4) derivatives of the displacement of tracks by a fault.
+
+    arm: (k, 2) m, from the point about which the agent turns; velocity: (k, 2) m/s
+    """
+    result = np.zeros((len(arm), 2, 4))
+    result[:, 0, 0] = result[:, 1, 1] = 1.0
+    result[:, 0, 2], result[:, 1, 2] = -arm[:, 1], arm[:, 0]
+    result[:, :, 3] = velocity
+    return result
 
 
 def without_fault(states: ObjectStates, rows: Bools, fault: Floats, pivot: Floats) -> ObjectStates:

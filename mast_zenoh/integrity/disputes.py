@@ -9,7 +9,7 @@ import numpy as np
 from mast_zenoh.arrays.matching import neighbours
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.integrity.base import Batch, ClusterBoxes
-from mast_zenoh.integrity.visibility import RayEvidence, Sightings
+from mast_zenoh.integrity.visibility import RayEvidence, Sightings, current, lenient_sightings, rays_at
 from mast_zenoh.tracking.tracks import ONE_OBJECT, overlap
 
 #: m, length, width and height of road users: from a small child to the longest and highest vehicles that Directive
@@ -46,7 +46,7 @@ def on_ground(states: ObjectStates, agent: Ints) -> Bools:
         return np.ones(len(states), np.bool_)
     bottom = states.position[:, 2] - 0.5 * states.size[:, 2]
     middles = medians(np.column_stack([states.position[:, :2], bottom]), agent)
-    x, y, height = medians(middles, np.zeros(len(middles), np.int64))[0]
+    x, y, height = np.median(middles, axis=0)
     away = np.hypot(states.position[:, 0] - x, states.position[:, 1] - y)
     return np.asarray(np.abs(bottom - height) <= HEIGHT_ERROR_M + SLOPE * away)
 
@@ -87,7 +87,7 @@ def in_place(batch: Batch, boxes: ClusterBoxes) -> Bools:
     return np.asarray((np.hypot(away[:, 0], away[:, 1]) <= SAME_PLACE_M) & (away[:, 2] <= SAME_HEIGHT_M))
 
 
-def about(batch: Batch, boxes: ClusterBoxes) -> Bools:
+def reports_nearby(batch: Batch, boxes: ClusterBoxes) -> Bools:
     """(c, a) whether the agent has a track within ABOUT_M of the object, in any cluster. boxes: of the clusters"""
     result = batch.reported.copy()
     i, j, _, _ = neighbours(boxes.position, batch.states.position, np.full(batch.clusters, ABOUT_M))
@@ -95,14 +95,21 @@ def about(batch: Batch, boxes: ClusterBoxes) -> Bools:
     return result
 
 
+#: What counts against an agent, in words.
+ACCUSATIONS = (
+    "reports objects that others see through",
+    "reports objects in space that its own sensor sees through",
+    "reports objects that no road user can be",
+    "reports one object twice",
+)
 #: sr; an object that looks smaller may go unnoticed (a lidar with 0.2 by 0.9 degrees has some 50 returns of this).
 CLEAR_SR = 2.5e-3
 #: m, farther away is not clear.
 CLEAR_M = 60.0
 
 
-def clear(size: Floats, distance: Floats) -> Bools:
-    """(c, a) whether objects of a size (c, 3) m are easy to see from (c, a) m."""
+def conspicuous(size: Floats, distance: Floats) -> Bools:
+    """(c, a) whether objects of a size (c, 3) m are easy to notice from (c, a) m away."""
     area = 0.5 * (size[:, 0] + size[:, 1]) * size[:, 2]
     return np.asarray((distance <= CLEAR_M) & (area[:, None] >= CLEAR_SR * distance**2))
 
@@ -127,20 +134,24 @@ class Testimonies:
     repeated: Bools
 
     @classmethod
-    def of(cls, batch: Batch, boxes: ClusterBoxes, own: Bools, seen: Sightings, rays: RayEvidence) -> Testimonies:
+    def of(
+        cls, batch: Batch, boxes: ClusterBoxes, own: Bools, seen: Sightings, rays: RayEvidence, voter: Bools
+    ) -> Testimonies:
         """The testimonies of a batch.
 
         boxes: of its clusters; own: (c, a) whether the agent sees through its own track of the object
         seen, rays: what the sensors see of the objects, and what their rays show
+        voter: (a,) agents that are not suspended: others accuse nobody
         """
         reported, states = batch.reported, batch.states
         impossible = of_tracks(batch, ~(plausible_size(states) & on_ground(states, batch.agent)))
         claims = reported & ~own & ~impossible & of_tracks(batch, in_place(batch, boxes))
-        silent = ~about(batch, boxes) & ~rays.mostly_clear & rays.ends & seen.in_view & clear(boxes.size, seen.distance)
+        silent = ~reports_nearby(batch, boxes) & ~rays.mostly_clear & rays.ends & seen.in_view
+        silent &= conspicuous(boxes.size, seen.distance)
         return cls(
             claims=claims,
-            denies=seen.fully_clear & ~reported,
-            silent=silent & (claims.sum(axis=1) >= WITNESSES)[:, None],
+            denies=seen.fully_clear & ~reported & voter,
+            silent=silent & ((claims & voter).sum(axis=1) >= WITNESSES)[:, None],
             inconsistent=reported & own & ~claims.any(axis=1, keepdims=True),
             impossible=impossible,
             repeated=of_tracks(batch, repeated(batch)),
@@ -158,15 +169,30 @@ class Testimonies:
         return np.asarray((self.inconsistent | self.impossible | self.repeated).sum(axis=0))
 
     @property
-    def accusations(self) -> dict[str, Bools]:
-        """(c, a) what contradicts the reports of an agent, by its description.
+    def accusations(self) -> Bools:
+        """(4, c, a) what contradicts the reports of an agent, in the order of ACCUSATIONS.
 
         What an agent does not report is no accusation: the object stays in the picture as long as another one reports
         it, and things that a sensor does not see are easier to make than things that are not there (TrustFlip).
         """
-        return {
-            "reports objects that others see through": self.claims & self.denies.any(axis=1, keepdims=True),
-            "reports objects in space that its own sensor sees through": self.inconsistent,
-            "reports objects that no road user can be": self.impossible,
-            "reports one object twice": self.repeated,
-        }
+        denied = self.claims & self.denies.any(axis=1, keepdims=True)
+        return np.stack([denied, self.inconsistent, self.impossible, self.repeated])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """A batch with the middle boxes of its clusters, what sensors see of them, and what agents say of them."""
+
+    batch: Batch
+    boxes: ClusterBoxes
+    seen: Sightings
+    rays: RayEvidence
+    testimonies: Testimonies
+
+    @classmethod
+    def of(cls, batch: Batch, voter: Bools) -> Evidence:
+        """The evidence of a batch. voter: (a,) agents that are not suspended"""
+        boxes = ClusterBoxes.of(batch, np.broadcast_to(voter, batch.reported.shape))
+        seen, own = lenient_sightings(batch, boxes)
+        rays = rays_at(batch, boxes, current(batch.views))
+        return cls(batch, boxes, seen, rays, Testimonies.of(batch, boxes, own, seen, rays, voter))

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
-from mast_zenoh.integrity.base import Batch, ClusterBoxes, ObjectTrust
-from mast_zenoh.integrity.explanations import Explanations, mask_of
+from mast_zenoh.integrity.base import ClusterBoxes, ObjectTrust
+from mast_zenoh.integrity.disputes import Evidence
+from mast_zenoh.integrity.explanations import Explanations
 from mast_zenoh.integrity.memory import NOW, AgentMemory
-from mast_zenoh.integrity.visibility import FAR_M, RayEvidence, Sightings, silent_about
+from mast_zenoh.integrity.visibility import FAR_M, silent_about
 from mast_zenoh.integrity.voting import MEMORY_S, VoteMemory
 
 #: Agents that must confirm an object at one time, so that it is believed when only suspended agents report it later.
@@ -37,7 +38,7 @@ class ExistenceVotes:
     Objects where no other sensor looks can be neither confirmed nor refuted. Of a suspended agent, as many of them are
     believed as it had on average before, the oldest: disbelieving all would cost more than it saves.
 
-    agents: the memory of agents; it is updated by the caller
+    agents: the memory of agents, with a column `suspended`; it is updated by the caller
     """
 
     def __init__(self, agents: AgentMemory) -> None:
@@ -60,34 +61,22 @@ class ExistenceVotes:
         self._witnessed = self._agents.carry(objects.carry(self._witnessed, False), False, axis=1)
         return np.asarray(objects.of.number[self._rows])
 
-    def settle(
-        self,
-        batch: Batch,
-        boxes: ClusterBoxes,
-        seen: Sightings,
-        rays: RayEvidence,
-        impossible: Bools,
-        believed: Bools,
-        agent_rows: Ints,
-        explanations: Explanations,
-    ) -> tuple[ObjectTrust, Floats]:
+    def settle(self, evidence: Evidence, explanations: Explanations) -> tuple[ObjectTrust, Floats]:
         """The trust in the objects of a batch, which are followed, and the weights (n,) of its tracks.
 
-        boxes, seen, rays: of its clusters, see `visibility`; impossible: (c, a) reports that are none
-        believed: (k,) agents in the memory that are not suspended; agent_rows: (a,)
-        explanations: of the disputes of the a agents
+        explanations: of the disputes of its agents
         """
-        reported, rows, voter = batch.reported, self._rows, believed[agent_rows]
+        batch, boxes, seen, rays = evidence.batch, evidence.boxes, evidence.seen, evidence.rays
+        impossible, reported, rows = evidence.testimonies.impossible, batch.reported, self._rows
+        believed, agent_rows = ~self._agents.of.suspended, self._agents.rows
+        voter = believed[agent_rows]
         clear, silent = rays.mostly_clear, silent_about(batch, boxes, seen, rays, FAR_M)
         claims = reported & ~clear & ~impossible & voter
         votes = voter.astype(np.float64)
         confirming, contradicting = (claims | silent) @ votes, clear @ votes
         denied = np.flatnonzero(claims.any(axis=1) & (clear & voter).any(axis=1))
         refuted = np.zeros(len(rows), np.bool_)
-        refuted[denied] = [
-            explanations.false(mask_of(claims[row] | (silent[row] & voter)), mask_of(clear[row] & voter))
-            for row in denied.tolist()
-        ]
+        refuted[denied] = explanations.false(claims[denied] | (silent[denied] & voter), clear[denied] & voter)
         refuted |= ~claims.any(axis=1) & (contradicting > confirming)
         balance = self._votes.vote(rows, np.where(refuted, -1.0, 1.0))
         self._note_witnesses(claims, agent_rows)
@@ -98,7 +87,7 @@ class ExistenceVotes:
         self._usual = self._agents.carry(self._usual, 0.0)
         usual = self._usual[agent_rows]
         claimed = claims.any(axis=1) | self._oldest(unseen & ~voter, np.rint(usual[:, 0]))
-        most = self._most_alone(alone.sum(axis=0), usual)
+        most = self._most_alone(alone.sum(axis=0), usual, voter)
         beyond = alone.any(axis=1) & ~self._oldest(alone, most)
         numbers = np.column_stack([unseen.sum(axis=0), np.minimum(alone.sum(axis=0), most)])
         self._usual[agent_rows] = self._averaged(batch.time_ns, usual, numbers, voter)
@@ -128,12 +117,13 @@ class ExistenceVotes:
         recent = time_ns - self._of.claimed_ns[rows] <= ESTABLISHED_S * 1e9
         return np.asarray(claimed | ((self._of.known[rows] | self._confirmed(believed)) & recent))
 
-    def _most_alone(self, alone: Ints, usual: Floats) -> Floats:
-        """(a,) objects that each agent may report alone; alone: (a,) that it does; usual: (a, 3), see `_usual`."""
-        if not len(alone):
-            return np.zeros(0)
+    def _most_alone(self, alone: Ints, usual: Floats, voter: Bools) -> Floats:
+        """(a,) objects that each agent may report alone.
+
+        alone: (a,) that it does; usual: (a, 3), see `_usual`; voter: (a,) agents that are not suspended
+        """
         own = np.where(usual[:, 2] >= KNOWN_S, SUDDEN + SUDDEN_TIMES * usual[:, 1], np.inf)
-        return np.asarray(np.minimum(ALONE + ALONE_TIMES * np.median(alone), own))
+        return np.asarray(np.minimum(ALONE + ALONE_TIMES * (np.median(alone[voter]) if voter.any() else 0.0), own))
 
     def _averaged(self, time_ns: int, usual: Floats, numbers: Floats, voter: Bools) -> Floats:
         """(a, 3) means with the numbers (a, 2) of a batch. voter: (a,) agents not suspended; of others, they stay"""

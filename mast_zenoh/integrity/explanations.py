@@ -12,7 +12,6 @@ Sets of agents are whole numbers, with bit i for agent i.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -21,8 +20,8 @@ from mast_zenoh.arrays.states import Bools, Floats
 
 #: Results that are remembered for one graph of disputes: liars that flood it with disputes gain no memory by it.
 _REMEMBERED = 4096
-#: Branches of the search for covers, in all for one graph; 29 agents need fewer. Beyond, nothing counts as certain.
-_BRANCHES = 100_000
+#: Branches of the search for covers, in one question; 40 agents need fewer. Beyond, nothing counts as certain.
+BRANCHES = 10_000
 
 
 class Verdict(NamedTuple):
@@ -43,16 +42,28 @@ class Explanations:
     disputes: (a, a) bool, symmetric, which agents disagree
     lying:    (a,) which agents are known to lie: they are in every set
     honest:   (a,) which are known to be honest: they are in none
+    open:     (a,) which disagree about something else, too, that is left out here; None: nobody
+    branches: of the search for covers, in one question
+
+    branches_left: of the last question; below 0: it took too long, and nothing counts as certain
     """
 
-    def __init__(self, disputes: Bools, lying: Bools, honest: Bools) -> None:
+    def __init__(
+        self, disputes: Bools, lying: Bools, honest: Bools, open: Bools | None = None, branches: int = BRANCHES
+    ) -> None:
         a = len(lying)
         self._agents = a
         self._others = [mask_of(row) for row in disputes]
         self._lying, self._honest = mask_of(lying & ~honest), mask_of(honest)
-        self.most = (a - 1) // 2
-        self._branches = _BRANCHES
-        self._fewest = lru_cache(_REMEMBERED)(self._fewest_with)
+        self._open = np.zeros(a, np.bool_) if open is None else open & ~honest
+        self._most = (a - 1) // 2
+        self._branches = self.branches_left = branches
+        self._fewest_of: dict[int, int] = {}
+
+    @property
+    def whole(self) -> bool:
+        """Whether they explain all disputes."""
+        return not self._open.any()
 
     def possible(self, lying: int = 0, honest: int = 0) -> bool:
         """Whether there is an explanation in which some agents lie and others do not."""
@@ -62,44 +73,62 @@ class Explanations:
             lying |= self._others[agent]
         if lying & honest:
             return False
-        return self._fewest(lying) <= self.most
+        return self._fewest(lying) <= self._most
 
     def verdict(self) -> Verdict:
         """What the explanations say of each agent."""
+        self.branches_left = self._branches
         every = range(self._agents)
         if not self.possible():
             lying = np.array([bool(self._lying >> agent & 1) for agent in every], np.bool_)
             disputed = [bool(others) and not self._honest >> agent & 1 for agent, others in enumerate(self._others)]
-            return Verdict(lying, ~lying & np.array(disputed, np.bool_))
+            return Verdict(lying, ~lying & (self._open | np.array(disputed, np.bool_)))
         honest = [self.possible(honest=1 << agent) for agent in every]
         # An agent lies in an explanation that needs it if one of those that it disagrees with is honest there.
         needed = [
             any(honest[other] for other in members(others)) and not self._honest >> agent & 1
             for agent, others in enumerate(self._others)
         ]
-        return Verdict(~np.array(honest, np.bool_), np.array(honest, np.bool_) & np.array(needed, np.bool_))
+        may_be_honest = np.array(honest, np.bool_)
+        return Verdict(~may_be_honest, may_be_honest & (self._open | np.array(needed, np.bool_)))
 
     def smallest(self) -> Bools | None:
-        """(a,) the smallest explanation; None if several are, or there is none."""
+        """(a,) the smallest explanation; None if several are, or there is none, or it takes too long to know."""
+        self.branches_left = self._branches
         fewest = self._fewest(self._lying)
-        if fewest > self.most:
+        if fewest > self._most:
             return None
         every = np.array([self._fewest(self._lying | others) > fewest for others in self._others], np.bool_)
         every |= np.array([self._lying >> agent & 1 for agent in range(self._agents)], np.bool_)
-        return every if every.sum() == fewest else None
+        return every if every.sum() == fewest and self.branches_left >= 0 else None
 
-    def false(self, claiming: int, denying: int) -> bool:
-        """Whether in every explanation all that claim something lie: if one is honest, all that deny it lie.
+    def false(self, claiming: Bools, denying: Bools) -> Bools:
+        """(c,) which of c claims are false in every explanation.
 
-        Without an explanation, whether all that claim it are known to lie.
+        claiming, denying: (c, a) agents that make each claim, and that deny it
+
+        Either all that claim it lie, or all that deny it. It is false if all that claim it may be lying, and in no
+        explanation all that deny it lie while one that claims it is honest. Where neither side can be lying, nothing is
+        proved. Without an explanation, what known liars alone claim is false.
         """
+        self.branches_left = self._branches
+        claims = [(mask_of(claim), mask_of(denial)) for claim, denial in zip(claiming, denying, strict=True)]
         if not self.possible():
-            return not claiming & ~self._lying
-        return not any(self.possible(denying, 1 << agent) for agent in members(claiming))
+            return np.array([not claim & ~self._lying for claim, _ in claims], np.bool_)
+        result = [
+            self.possible(claim) and not any(self.possible(denial, 1 << agent) for agent in members(claim))
+            for claim, denial in claims
+        ]
+        return np.array(result, np.bool_)
 
-    def _fewest_with(self, lying: int) -> int:
-        """Size of the smallest cover that contains some agents; beyond `most`, only that it is larger."""
-        return lying.bit_count() + self._cover(lying, self.most - lying.bit_count())
+    def _fewest(self, lying: int) -> int:
+        """Size of the smallest cover that contains some agents; beyond `_most`, only that it is larger."""
+        known = self._fewest_of.get(lying)
+        if known is None:
+            known = lying.bit_count() + self._cover(lying, self._most - lying.bit_count())
+            if self.branches_left >= 0 and len(self._fewest_of) < _REMEMBERED:
+                self._fewest_of[lying] = known
+        return known
 
     def _cover(self, gone: int, most: int) -> int:
         """Size of the smallest cover of the disputes without some agents; more than `most` if it is larger.
@@ -114,8 +143,8 @@ class Explanations:
             return 0
         if most <= 0 or sum(degrees) > 2 * degree * most:  # `most` agents have fewer disputes
             return most + 1
-        self._branches -= 1
-        if self._branches < 0:
+        self.branches_left -= 1
+        if self.branches_left < 0:
             return -(-sum(degrees) // (2 * degree))
         agent = degrees.index(degree)
         rest = gone | left[agent] | 1 << agent
@@ -126,22 +155,24 @@ class Explanations:
         return min(lies, degree + self._cover(rest, most - degree)) if degree <= most else lies
 
 
-def of_strongest(disputes: Bools, strength: Floats, lying: Bools, honest: Bools) -> Explanations:
-    """The explanations of the strongest disputes that have one.
+def explained(disputes: Bools, strength: Floats, lying: Bools, honest: Bools) -> Explanations:
+    """The explanations of all disputes; where there is none, of the strongest.
 
     disputes, lying, honest: see `Explanations`;  strength: (a, a) of each dispute
 
-    Each dispute is taken in turn, the strongest first, unless there is no explanation with it. Where more agents are
-    known to lie than there may be, there is none in any case.
+    Disputes are taken the strongest first, those of one strength together, unless there is no explanation with them:
+    honest agents disagree by chance, too. It is open whether those lie whose disputes are left out.
     """
-    kept = np.zeros_like(disputes)
-    ones, others = np.nonzero(np.triu(disputes))
-    for pair in np.argsort(-strength[ones, others], kind="stable").tolist():
-        one, other = ones[pair], others[pair]
-        kept[one, other] = kept[other, one] = True
-        if not Explanations(kept, lying, honest).possible():
-            kept[one, other] = kept[other, one] = False
-    return Explanations(kept, lying, honest)
+    every = Explanations(disputes, lying, honest)
+    if every.possible():
+        return every
+    kept, left = np.zeros_like(disputes), BRANCHES
+    for level in np.unique(strength[disputes])[::-1].tolist():
+        tried = Explanations(more := kept | (disputes & (strength == level)), lying, honest, branches=left)
+        if tried.possible() and tried.branches_left >= 0:
+            kept = more
+        left = max(tried.branches_left, 0)
+    return Explanations(kept, lying, honest, open=np.asarray((disputes & ~kept).any(axis=1)))
 
 
 def mask_of(members: Bools) -> int:

@@ -83,15 +83,15 @@ class FaultOrLie(Integrity):
         states, views = self._stage.correct(time_ns, states, agent, agents, views)
         rows = self._agents.meet(time_ns, agents)
         self._note_losses(rows, agents, views)
+        order = by_agent(states, agent)  # the order of the rows must not matter
+        tracks, of = states.select(order), agent[order]
         pivots = np.zeros((len(agents), 2))
         for row, name in enumerate(agents):
             if name in views:
                 pivots[row] = views[name].view.position[:2]
-            elif (agent == row).any():
-                pivots[row] = states.position[agent == row, :2].mean(axis=0)
-        order = by_agent(states, agent)  # the order of the rows must not matter
-        tracks = states.select(order), agent[order], agents, pivots
-        for name in self._faults.update(time_ns, *tracks, urgent=self._suspicious):
+            elif (of == row).any():
+                pivots[row] = tracks.position[of == row, :2].mean(axis=0)
+        for name in self._faults.update(time_ns, tracks, of, agents, pivots, urgent=self._suspicious):
             self._excuse(time_ns, name, rows[agents.index(name)])
         doubtful = np.flatnonzero(self._faults.doubtful).tolist()
         self._stage.await_faults(frozenset(self._faults.names[row] for row in doubtful))
@@ -127,7 +127,6 @@ class FaultOrLie(Integrity):
             described(fault) if has_fault else reason
             for fault, has_fault, reason in zip(faults, faulty.tolist(), trust.reason, strict=True)
         )
-        losses = dict(zip(self._agents.names, self._agents.of.loss.tolist(), strict=True))
         agents = replace(
             trust,
             state=np.where(faulty, FAULTY, trust.state).astype(np.uint8),
@@ -135,6 +134,6 @@ class FaultOrLie(Integrity):
             offset=faults[:, :2].copy(),
             turn=faults[:, 2].copy(),
             delay=-faults[:, 3],
-            loss=np.array([losses.get(name, 0.0) for name in batch.agents]),
+            loss=self._agents.of.loss[self._agents.rows].copy(),
         )
         return replace(assessment, agents=agents)

@@ -13,8 +13,9 @@ from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.rectangles import corners, intersection_area
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.integrity.agreement import select
+from mast_zenoh.integrity.alarms import discoveries
 from mast_zenoh.integrity.base import Assessment, Batch, ClusterBoxes, Integrity
-from mast_zenoh.integrity.calibration import MATCH_LOSSES, discoveries
+from mast_zenoh.integrity.calibration import MATCH_LOSSES
 from mast_zenoh.integrity.consensus import CheckCount, RecordedAdmission, check_agent, members_of, within_area
 from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.integrity.visibility import sightings

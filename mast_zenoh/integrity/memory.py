@@ -64,6 +64,8 @@ class _Rows:
         return np.moveaxis(after, 0, axis)
 
     def _carry_columns(self, time_ns: int) -> None:
+        if self._unchanged:
+            return
         for name, first in self._columns.items():
             setattr(self.of, name, self.carry(getattr(self.of, name), time_ns if first == NOW else first))
 
@@ -127,12 +129,13 @@ class AgentMemory(_Rows):
 
     forget_s: s, after which an absent agent is forgotten;  columns: of the caller, see `_Rows`
 
-    names: of the m agents that are remembered
+    names: of the m agents that are remembered;  rows: (a,) of the agents of the last batch
     """
 
     def __init__(self, *, forget_s: float = 60.0, **columns: Any) -> None:
         super().__init__(seen_ns=NOW, **columns)
         self.names: tuple[str, ...] = ()
+        self.rows: Ints = np.zeros(0, np.int64)
         self._forget_ns = round(forget_s * 1e9)
 
     def meet(self, time_ns: int, names: tuple[str, ...]) -> Ints:
@@ -147,9 +150,9 @@ class AgentMemory(_Rows):
         self.names = (*remembered, *new)
         self.origin = np.concatenate([kept, np.full(len(new), -1, np.int64)])
         self._carry_columns(time_ns)
-        rows = np.array([row_of[name] for name in names], np.int64)
-        self.of.seen_ns[rows] = time_ns
-        return rows
+        self.rows = np.array([row_of[name] for name in names], np.int64)
+        self.of.seen_ns[self.rows] = time_ns
+        return self.rows
 
 
 def _newest(seen_ns: Ints, since_ns: int, most: int) -> Ints:

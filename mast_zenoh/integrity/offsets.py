@@ -134,8 +134,8 @@ def weighted_median(values: Floats, weight: Floats) -> tuple[Floats, Floats]:
 CLIP, KNOWN_CLIP = 2.0, 4.0
 
 
-class _OfPairs:
-    """Numbers for each pair of an agent and an object, forgotten when it has not been seen for long.
+class _ObjectSums:
+    """Numbers for each agent and object, forgotten when it has not been seen for long.
 
     memory_s: s after which a summand has fallen to 1/e
     width: how many numbers; limit: pairs that are remembered at most; those not seen for longest are forgotten first
@@ -182,7 +182,7 @@ class _OfPairs:
         self._sum, self._time_ns = self._sum[rows], self._time_ns[rows]
 
 
-class OffsetSums(_OfPairs):
+class OffsetSums(_ObjectSums):
     """Exponentially forgotten sums of each agent's offsets from the other agents, for each object.
 
     memory_s: s after which a summand has fallen to 1/e
@@ -214,6 +214,33 @@ class OffsetSums(_OfPairs):
         x, y, a, b, c = total.T
         statistics[cluster, column] = (c * x * x - 2.0 * b * x * y + a * y * y) / np.maximum(a * c - b * b, 1e-12)
         return statistics
+
+    def beyond_fault(self, agent: int, obj: Ints, row: int, design: Floats, prior: Floats) -> float:
+        """Share of the statistic of one offset that is left without the fault that fits the agent's other objects best.
+
+        1: the agent's other objects are where they should be; near 0: a fault of the agent moves all of them alike
+
+        agent, obj: (k,) numbers of the agent and of k objects; row: of them, the one that is asked about
+        design: (k, 2, 4), see `displacements`; prior: (4, 4) inverse covariance of a fault before any evidence
+        """
+        of = [
+            (each, self._row[agent, number]) for each, number in enumerate(obj.tolist()) if (agent, number) in self._row
+        ]
+        sums = {each: self._sum[position] for each, position in of}
+        if row not in sums:
+            return 1.0
+        information, vector = prior.copy(), np.zeros(4)
+        for each, (x, y, xx, xy, yy) in sums.items():
+            if each != row:
+                weighted = design[each].T @ np.array([[xx, xy], [xy, yy]])
+                information += weighted @ design[each]
+                vector += design[each].T @ [x, y]
+        x, y, xx, xy, yy = sums[row]
+        own = np.linalg.inv([[xx, xy], [xy, yy]])
+        offset, spread = own @ [x, y], np.linalg.inv(information)
+        left = offset - design[row] @ spread @ vector
+        total = own + design[row] @ spread @ design[row].T
+        return float(left @ np.linalg.solve(total, left) / max(offset @ [x, y], 1e-12))
 
 
 #: Agents with smaller numbers than this can be told apart in a pair.
@@ -262,7 +289,7 @@ class PairOffsetSums(OffsetSums):
 DIRECTIONS = np.array([[np.cos(angle), np.sin(angle)] for angle in np.arange(8) * (np.pi / 4)])
 
 
-class KnownOffsetSums(_OfPairs):
+class KnownOffsetSums(_ObjectSums):
     """Cumulative sums (Page 1954) of how much more likely an offset of a known size is than none, for each object.
 
     Quicker than `OffsetSums` for an offset of about this size, which need not be weighed against earlier honest ones.

@@ -12,12 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mast_zenoh.arrays.matching import neighbours
+from mast_zenoh.arrays.matching import neighbours, pairs_within_radius
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
-from mast_zenoh.integrity.agent_fault import displacement_m
-from mast_zenoh.integrity.calibration import MAX_STEP_S, SAMPLES_PER_S
+from mast_zenoh.integrity.agent_fault import PRIOR, displacement_m, displacements
+from mast_zenoh.integrity.alarms import MAX_STEP_S, SAMPLES_PER_S
 from mast_zenoh.integrity.explanations import Explanations
 from mast_zenoh.integrity.memory import AgentMemory
+from mast_zenoh.kernels import kernel
 
 #: m, distance from where a fault puts a track within which another agent's track is of the same object.
 MATCH_M = 1.6
@@ -31,8 +32,6 @@ COMMON_M = 0.8
 CLIP, EXPLAINED_SD = 1.5, 3.0
 #: Tracks that two agents must share to be compared.
 COMPARABLE = 3
-#: Variances of the parameters before any evidence: (2 m, 2 m, 0.1 rad, 0.3 s) squared.
-PRIOR = np.array([4.0, 4.0, 0.01, 0.09])
 #: Mean of Huber's loss of a difference up to which a fit is good, and difference of the sums of it from which a batch
 #: shows another fault than those before.
 FIT, CHANGED = 1.2, 5.0
@@ -48,7 +47,7 @@ SEARCHES, SEARCHED_TRACKS = 3, 40
 TURNS, LEADS = np.linspace(-0.12, 0.12, 13), np.linspace(-0.6, 0.6, 13)
 #: Twice the log-likelihood by which a fault that is corrected may fit worse than none, before it is forgotten.
 DOUBT = 10.0
-#: s, between two fits while no two agents differ: consecutive tracks of honest agents show little new.
+#: s, between two fits while no agent is suspect: consecutive tracks show little new.
 FIT_S = 0.3
 
 
@@ -72,24 +71,24 @@ class Differences:
     def of(cls, states: ObjectStates, agent: Ints, about: Floats) -> Differences:
         """The differences of tracks within GATE_M.
 
-        states: n tracks of all agents, in one frame at one time;  agent: (n,)
+        states: n tracks of all agents, in one frame at one time;  agent: (n,), ascending
         about:  (2,) m, the fixed point about which agents turn
         """
         used = _first_of_each(agent, MAX_TRACKS)
         position = states.position[used]
         i, j, dx, dy = neighbours(position, position, np.full(len(position), GATE_M))
         i, j = used[i], used[j]
-        apart = agent[i] != agent[j]
-        i, j, offset = i[apart], j[apart], -np.column_stack([dx, dy])[apart]
-        near = _nearest(i, j, agent, np.hypot(offset[:, 0], offset[:, 1]))
-        i, j, offset = i[near], j[near], offset[near]
-        covariance = states.covariance[i, :2, :2] + states.covariance[j, :2, :2] + FLOOR_M**2 * np.eye(2)
-        design = np.zeros((len(i), 2, 4))
-        design[:, 0, 0] = design[:, 1, 1] = 1.0
+        apart = np.flatnonzero(agent[i] != agent[j])
+        i, j, offset = i[apart], j[apart], -np.column_stack([dx[apart], dy[apart]])
+        near = _nearest(i, j, agent, offset)
+        if len(near) < len(i):
+            i, j, offset = i[near], j[near], offset[near]
+        (xx, xy), (yx, yy) = (states.covariance[i, :2, :2] + states.covariance[j, :2, :2]).transpose(1, 2, 0)
+        xx, yy = xx + FLOOR_M**2, yy + FLOOR_M**2
+        information = np.stack([yy, -xy, -yx, xx], axis=-1).reshape(-1, 2, 2)
+        information /= (xx * yy - xy * yx)[:, None, None]
         arm = 0.5 * (states.position[i, :2] + states.position[j, :2]) - about
-        design[:, 0, 2], design[:, 1, 2] = -arm[:, 1], arm[:, 0]
-        design[:, :, 3] = 0.5 * (states.velocity[i, :2] + states.velocity[j, :2])
-        information = np.asarray(np.linalg.inv(covariance), np.float64) if len(i) else np.zeros((0, 2, 2))
+        design = displacements(arm, 0.5 * (states.velocity[i, :2] + states.velocity[j, :2]))
         return cls(agent[i], agent[j], i, offset, information, design)
 
     def select(self, rows: Bools | Ints) -> Differences:
@@ -116,11 +115,7 @@ class Differences:
         """
         left = self.left(fault)
         distance = np.hypot(left[:, 0], left[:, 1])
-        order = np.lexsort((distance, self.other, self.track))
-        first = np.flatnonzero(
-            np.diff(self.track[order] * (self.other.max(initial=0) + 1) + self.other[order], prepend=-1)
-        )
-        nearest = order[first]
+        nearest = _least_of_each(self.track * (self.other.max(initial=0) + 1) + self.other, distance)
         near = nearest[distance[nearest] <= MATCH_M]
         a = len(fault)
         moving = nearest[np.hypot(*self.design[nearest, :, 3].T) >= MOVING_MPS]
@@ -135,37 +130,68 @@ class Differences:
         return np.asarray(np.sqrt(np.maximum(np.einsum("ki,kij,kj->k", left, self.information, left), 0.0)))
 
     def sums(self, a: int, values: Floats) -> Floats:
-        """(a, a, ...) sums of values (k, ...) of each pair."""
-        result = np.zeros((a, a, *values.shape[1:]))
-        np.add.at(result, (self.one, self.other), values)
-        return result
+        """(a, a) sums of values (k,) of each pair."""
+        return np.bincount(self.one * a + self.other, values, a * a).astype(np.float64).reshape(a, a)
 
     def equations(self, a: int, fault: Floats | None) -> tuple[Floats, Floats]:
         """Sums (a, a, 4, 4) and (a, a, 4) of weighted least squares of each pair.
 
         fault: (a, a, 4) from which outliers are judged, and their weight limited; None: nothing is an outlier
         """
-        weighted = np.swapaxes(self.design, 1, 2) @ self.information
-        if fault is not None:
-            weighted = weighted * np.minimum(1.0, CLIP / np.maximum(self.deviations(fault), 1e-9))[:, None, None]
-        return self.sums(a, weighted @ self.design), self.sums(a, np.einsum("kij,kj->ki", weighted, self.offset))
+        limit = np.full(len(self.one), np.inf) if fault is None else CLIP / np.maximum(self.deviations(fault), 1e-9)
+        return pair_equations(
+            self.one, self.other, self.offset, self.information, self.design, np.minimum(1.0, limit), a
+        )
 
 
-def _first_of_each(agent: Ints, most: int) -> Ints:
-    """Rows of the first tracks of each agent, at most so many."""
-    order = np.argsort(agent, kind="stable")
-    start = np.flatnonzero(np.diff(agent[order], prepend=-1))
-    rank = np.arange(len(order)) - np.repeat(start, np.diff(start, append=len(order)))
-    return np.sort(order[rank < most])
+@kernel
+def pair_equations(
+    one: Ints, other: Ints, offset: Floats, information: Floats, design: Floats, weight: Floats, a: int
+) -> tuple[Floats, Floats]:
+    """Weighted sums (a, a, 4, 4) and (a, a, 4) of the equations of each pair; the columns of `Differences`.
+
+    weight: (k,) of each difference
+    """
+    weighted = np.swapaxes(design, 1, 2) @ information * weight[:, None, None]
+    matrix, vector = np.zeros((a, a, 4, 4)), np.zeros((a, a, 4))
+    np.add.at(matrix, (one, other), weighted @ design)
+    np.add.at(vector, (one, other), np.einsum("kij,kj->ki", weighted, offset))
+    return matrix, vector
 
 
-def _nearest(track: Ints, other: Ints, agent: Ints, distance: Floats) -> Ints:
+def _starts(group: Ints) -> Ints:
+    """First rows of groups (k,) whose members follow each other."""
+    return np.flatnonzero(np.diff(group, prepend=-1))
+
+
+def _first_of_each(group: Ints, most: int) -> Ints:
+    """Rows of the first members of each group, at most so many. group: (k,), members follow each other"""
+    start = _starts(group)
+    size = np.diff(start, append=len(group))
+    if size.max(initial=0) <= most:
+        return np.arange(len(group))
+    return np.flatnonzero(np.arange(len(group)) - np.repeat(start, size) < most)
+
+
+def _least_of_each(group: Ints, values: Floats) -> Ints:
+    """Row of the least value in each group, the first of equals. group: (k,), members follow each other"""
+    if not len(group):
+        return np.zeros(0, np.int64)
+    start = _starts(group)
+    least = np.repeat(np.minimum.reduceat(values, start), np.diff(start, append=len(group)))
+    rows = np.flatnonzero(values == least)
+    return rows[_starts(group[rows])]
+
+
+def _nearest(track: Ints, other: Ints, agent: Ints, offset: Floats) -> Ints:
     """Rows of the MAX_NEAR nearest differences of each track from those of each other agent.
 
-    track, other: (k,) rows of the two tracks; agent: of all tracks;  distance: (k,) m
+    track, other: (k,) rows of the two tracks, sorted; agent: of all tracks, ascending;  offset: (k, 2) m
     """
     pair = track * (int(agent.max(initial=0)) + 1) + agent[other]
-    order = np.lexsort((other, distance, pair))
+    if np.diff(_starts(pair), append=len(pair)).max(initial=0) <= MAX_NEAR:
+        return np.arange(len(pair))
+    order = np.lexsort((other, np.hypot(offset[:, 0], offset[:, 1]), pair))
     return np.sort(order[_first_of_each(pair[order], MAX_NEAR)])
 
 
@@ -179,31 +205,41 @@ def most_common(found: Differences, pair: tuple[int, int]) -> Floats | None:
     Each turn and each lead is tried, with the displacement that most of the tracks then have in common. The least fault
     of equals is chosen, if it matches more tracks than none at all, and most of them.
     """
-    mine = found.select(np.flatnonzero((found.one == pair[0]) & (found.other == pair[1])))
-    mine = mine.select(np.isin(mine.track, np.unique(mine.track)[:SEARCHED_TRACKS]))
-    tried = np.concatenate([np.zeros((1, 2)), *(np.column_stack(each) for each in _TRIED)])
-    tracks, track = np.unique(mine.track, return_inverse=True)
-    left = mine.offset - np.einsum("kij,hj->hki", mine.design[:, :, 2:], tried)
-    best, best_support, before = None, 0, 0
-    for row in range(len(tried)):
-        i, j, _, _ = neighbours(left[row], left[row], np.full(len(mine.track), COMMON_M))
-        support = np.zeros((len(mine.track), len(tracks)), np.bool_)
-        support[i, track[j]] = True
-        count = support.sum(axis=1)
-        chosen = int(np.lexsort((np.hypot(*left[row].T), -count))[0])
-        if row == 0:
-            near = np.hypot(*left[0].T) <= COMMON_M
-            before = len(np.unique(track[near]))
-        if count[chosen] > best_support:
-            best, best_support = np.array([*left[row, chosen], *tried[row]]), int(count[chosen])
-    enough = best_support >= max(before + 1, MATCHED * len(tracks), COMPARABLE)
-    return best if enough else None
+    mine = np.flatnonzero((found.one == pair[0]) & (found.other == pair[1]))
+    track = np.cumsum(np.diff(found.track[mine], prepend=-1) > 0) - 1
+    mine, track = mine[track < SEARCHED_TRACKS], track[track < SEARCHED_TRACKS]
+    if not len(mine):
+        return None
+    left = found.offset[mine] - np.einsum("kij,hj->hki", found.design[mine][:, :, 2:], _TRIED)
+    count, size = common_tracks(left, track, COMMON_M), np.hypot(left[..., 0], left[..., 1])
+    chosen = np.where(count == count.max(axis=1, keepdims=True), size, np.inf).argmin(axis=1)
+    support = count[np.arange(len(left)), chosen]
+    best = int(support.argmax())
+    before = len(np.unique(track[size[0] <= COMMON_M]))
+    if support[best] < max(before + 1, MATCHED * (track[-1] + 1), COMPARABLE):
+        return None
+    return np.array([*left[best, chosen[best]], *_TRIED[best]])
 
 
-def _tried() -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
-    """Turns and leads that are tried, the smallest first."""
+@kernel
+def common_tracks(left: Floats, track: Ints, radius_m: float) -> Ints:
+    """(h, k) number of tracks with a displacement within a radius of each, for each of h attempts.
+
+    left: (h, k, 2) m;  track: (k,) ascending, of each displacement
+    """
+    result = np.zeros(left.shape[:2], np.int64)
+    for row, each in enumerate(left):
+        i, j, _, _ = pairs_within_radius(each, each, np.full(len(each), radius_m))
+        near = np.zeros((len(each), int(track.max(initial=0)) + 1), np.bool_)
+        near[i, track[j]] = True
+        result[row] = near.sum(axis=1)
+    return result
+
+
+def _tried() -> Floats:
+    """(h, 2) turns and leads that are tried: none, then each turn and each lead, the smallest first."""
     turns, leads = (each[np.argsort(np.abs(each), kind="stable")] for each in (TURNS, LEADS))
-    return (turns, np.zeros(len(turns))), (np.zeros(len(leads)), leads)
+    return np.array([(0.0, 0.0), *((turn, 0.0) for turn in turns), *((0.0, lead) for lead in leads)])
 
 
 _TRIED = _tried()
@@ -259,15 +295,17 @@ class RelativeFaults:
             self._about = pivots.mean(axis=0) if len(pivots) else np.zeros(2)
         elapsed_s = 0.0 if self._time_ns is None else (time_ns - self._time_ns) * 1e-9
         changed = self._meet(time_ns, names)
-        if self._time_ns is not None and elapsed_s < FIT_S and not (changed or urgent or self.differ.any()):
+        if self._time_ns is not None and elapsed_s < FIT_S and not (changed or urgent):
             return ()
         self._time_ns = time_ns
         pairs = np.ix_(self._rows, self._rows)
         found = Differences.of(states, agent, self._about)
         keep, samples = np.exp(-elapsed_s / self._memory_s), SAMPLES_PER_S * min(elapsed_s, MAX_STEP_S)
         prior = self._priors(pivots)
-        state = self._information[pairs], self._score[pairs], self._fault[pairs], self._explains[pairs]
-        fitted = self._fit(found, samples, (keep * state[0], keep * state[1]), state[2], state[3], prior, urgent)
+        self._information *= keep
+        self._score *= keep
+        past, known = (self._information[pairs], self._score[pairs]), (self._fault[pairs], self._explains[pairs])
+        fitted = self._fit(found, samples, past, *known, prior, urgent)
         self._information[pairs], self._score[pairs], self._fault[pairs], self._explains[pairs] = fitted
         return self._settle(pairs, pivots, prior)
 
@@ -311,17 +349,19 @@ class RelativeFaults:
         information, score = near.equations(a, start)
         total = past[0] + samples * information, past[1] + samples * score
         fault = _solved(total, prior)
-        fresh = start
-        for step in range(3):
-            information, score = near.equations(a, fresh if step or anew.any() else None)
-            fresh = _solved((samples * information, samples * score), prior)
         count = near.sums(a, np.ones(len(near.one)))
-        loss, other_loss = (near.sums(a, huber_loss(near.deviations(each))) for each in (fault, fresh))
-        changed = (loss > FIT * count) & (other_loss < loss - CHANGED) | anew
-        for row in range(2):
-            now = samples * (information, score)[row]
-            total[row][changed] = now[changed]
-        fault[changed] = fresh[changed]
+        loss = near.sums(a, huber_loss(near.deviations(fault)))
+        poor_fit = loss > FIT * count
+        if poor_fit.any() or anew.any():
+            fresh = start
+            for step in range(3):
+                now = near.equations(a, fresh if step or anew.any() else None)
+                fresh = _solved((samples * now[0], samples * now[1]), prior)
+            better = near.sums(a, huber_loss(near.deviations(fresh))) < loss - CHANGED
+            changed = poor_fit & better | anew
+            for summed, of_batch in zip(total, now, strict=True):
+                summed[changed] = samples * of_batch[changed]
+            fault[changed] = fresh[changed]
         explained = near.sums(a, (near.deviations(fault) <= EXPLAINED_SD).astype(np.float64))
         share = np.where(count >= COMPARABLE, explained / np.maximum(count, 1.0), explains)
         return *total, fault, share

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Bools, Floats, Ints
+from mast_zenoh.integrity.agent_fault import PRIOR, displacements
+from mast_zenoh.integrity.alarms import EXCUSED_S, MAX_STEP_S, SAMPLES_PER_S, Tail, accumulate, discoveries
 from mast_zenoh.integrity.base import (
     SUSPENDED,
     TRUSTED,
@@ -20,23 +21,12 @@ from mast_zenoh.integrity.base import (
     ClusterBoxes,
     Integrity,
 )
-from mast_zenoh.integrity.calibration import (
-    EXCUSED_S,
-    MAX_STEP_S,
-    SAMPLES_PER_S,
-    Tail,
-    accumulate,
-    discoveries,
-)
-from mast_zenoh.integrity.disputes import Testimonies
+from mast_zenoh.integrity.disputes import ACCUSATIONS, Evidence, Testimonies
 from mast_zenoh.integrity.existence import ExistenceVotes
-from mast_zenoh.integrity.explanations import Explanations, Verdict, of_strongest
+from mast_zenoh.integrity.explanations import Explanations, Verdict, explained
 from mast_zenoh.integrity.memory import NOW, AgentMemory
 from mast_zenoh.integrity.offsets import KnownOffsetSums, OffsetSums, PairOffsetSums, floors, offsets
-from mast_zenoh.integrity.visibility import current, lenient_sightings, rays_at
 
-#: Names of agents that are remembered at most.
-MAX_NAMES = 1024
 #: s, before the first evidence against an agent, in which it may have lied unnoticed.
 GRACE_S = 1.0
 #: Least weight of an agent that is not suspended in the middle of its objects.
@@ -53,12 +43,15 @@ OFFSET_TAIL = Tail(per_hour=4800.0, scale=4.4)
 #: The same of the offsets of known sizes, and m, these sizes.
 KNOWN_OFFSET_TAILS = Tail(per_hour=2400.0, scale=0.433), Tail(per_hour=7300.0, scale=0.355)
 KNOWN_OFFSETS_M = 1.0, 0.5
+#: Columns of the statistics of an agent; from KNOWN on, one for each known offset.
+CONTRADICTIONS, OFFSET, KNOWN = range(3)
 #: Of all agents together; a tenth of what is acceptable, because the tails are extrapolated.
 FALSE_ALARMS_PER_HOUR = 0.1
 #: Disputes an hour of each pair of honest agents that count as one. A pair alone suspends nobody.
 DISPUTES_PER_HOUR = 1.0
-#: s, for which an agent that may have a fault is not suspended for what it does.
-FAULT_AWAITED_S = 1.5
+#: s, for which an agent that may have a fault is not suspended for what it does; and for an offset that a fault of the
+#: agent, fitted to its other objects, explains, but for this share of its statistic.
+FAULT_AWAITED_S, EXPLAINED_S, EXPLAINED = 1.5, 10.0, 0.5
 #: s, of this time that an agent regains in a second: one that differs now and then is not excused for ever.
 AWAITED_AGAIN = 0.05
 #: s, for which a dispute about where an object is lasts.
@@ -118,7 +111,13 @@ class SequentialConsistency(Integrity):
             offset_memory_s=self.offset_memory_s,
             release_s=self.release_s,
             disputes_per_hour=self.disputes_per_hour,
+            **{
+                f"{name}[{part}]": value
+                for name in ("contradiction_tail", "offset_tail", "pair_tail")
+                for part, value in enumerate(getattr(self, name))
+            },
         )
+        check("0 or more, finite", allowance=self.allowance)
         self._tails = (Tail(*self.contradiction_tail), Tail(*self.offset_tail), *KNOWN_OFFSET_TAILS)
         self._pair_tail = Tail(*self.pair_tail)
         self._sums = OffsetSums(self.offset_memory_s)
@@ -128,6 +127,7 @@ class SequentialConsistency(Integrity):
 
     def reset(self) -> None:
         # contradictions, own: cumulative sums, object-seconds, of disputes and of what contradicts itself
+        # kinds: object-seconds of each of ACCUSATIONS since there was no evidence
         # clean_s: since the last alarm or evidence;  seen_s: for which the agent has been observed
         # awaited_s: for which an agent was to be suspended that may have a fault
         # suspended_ns: time, ns, of the last suspension;  for_offset: whether that was for an offset alone
@@ -135,7 +135,14 @@ class SequentialConsistency(Integrity):
         sums = dict.fromkeys(("contradictions", "own", "clean_s", "offset", "seen_s", "awaited_s"), 0.0)
         flags = dict(suspended=False, for_offset=False)
         self._agents = AgentMemory(
-            forget_s=600.0, number=-1, suspensions=0, suspended_ns=0, quiet_ns=NOW, **sums, **flags
+            forget_s=600.0,
+            number=-1,
+            suspensions=0,
+            suspended_ns=0,
+            quiet_ns=NOW,
+            kinds=(0.0,) * len(ACCUSATIONS),
+            **sums,
+            **flags,
         )
         self._of = self._agents.of
         self._next_number = 0  # of an agent that was not there before
@@ -147,19 +154,20 @@ class SequentialConsistency(Integrity):
         self._known_sums.reset()
         self._time_ns: int | None = None
         self._reasons: dict[str, str] = {}
-        self._awaited: frozenset[str] = frozenset()
+        self._awaited: frozenset[str] | None = None  # None: nobody looks for faults
         self._settled: tuple[bytes, Explanations, Verdict] | None = None
-        self._statistics = np.zeros((0, len(self._tails)))  # (a, 4) of the last batch
-        # of the last batch: (p,) sums of pairs, (a,) of what agents' own reports contradict, and greatest of an offset
-        # from one other agent
-        self._of_pairs, self._of_own, self._of_apart = np.zeros(0), np.zeros(0), np.zeros(0)
+        # of the last batch: (a, 4) statistics, and (a,) the greatest of an offset from one other agent
+        self._statistics, self._of_apart = np.zeros((0, len(self._tails))), np.zeros(0)
+        self._shares = np.zeros((0, 0))  # (c, a) of the last batch, how near each offset is to an alarm
 
     @property
     def calibrated(self) -> dict[str, Floats]:
         """By name, (k,) statistics of the last batch that have a tail, see `tools/calibrate_integrity.py`."""
         names = ("contradictions", "offset", *(f"offset of {size_m} m" for size_m in KNOWN_OFFSETS_M))
         of_agents = dict(zip(names, self._statistics.T, strict=True))
-        return of_agents | {"pair": self._of_pairs, "own": self._of_own, "apart": self._of_apart}
+        rows = self._agents.rows
+        pairs = self._pairs[np.ix_(rows, rows)][np.triu_indices(len(rows), 1)]
+        return of_agents | {"pair": pairs, "own": self._of.own[rows], "apart": self._of_apart}
 
     def excuse(self, agent: str) -> None:
         if agent not in self._agents.names:
@@ -170,7 +178,8 @@ class SequentialConsistency(Integrity):
         self._sums.forget(number)
         self._pair_sums.forget(number)
         self._known_sums.forget(number)
-        self._of.contradictions[row] = self._of.awaited_s[row] = 0.0
+        for name in ("contradictions", "own", "kinds", "offset", "awaited_s"):
+            getattr(self._of, name)[row] = 0.0
         self._pairs[row] = self._pairs[:, row] = 0.0
         self._apart_ns[row] = self._apart_ns[:, row] = 0
         recent = self._time_ns - self._of.suspended_ns[row] <= EXCUSED_S * 1e9
@@ -186,13 +195,10 @@ class SequentialConsistency(Integrity):
         self._time_ns = batch.time_ns
         rows = self._meet(batch)
         vote = ~self._of.suspended[rows]
-        boxes = ClusterBoxes.of(batch, np.broadcast_to(vote, (batch.clusters, len(vote))))
-        seen, own = lenient_sightings(batch, boxes)
-        rays = rays_at(batch, boxes, current(batch.views))
-        testimonies = Testimonies.of(batch, boxes, own, seen, rays)
-        accusations = testimonies.accusations
-        offset, known = self._offsets(batch, boxes, rows, dt)
-        self._add_disputes(rows, testimonies, accusations, dt)
+        evidence = Evidence.of(batch, vote)
+        objects = self._existence.follow(batch.time_ns, evidence.boxes)
+        offset, known = self._offsets(batch, evidence.boxes, objects, dt)
+        self._add_disputes(evidence.testimonies, dt)
         self._of.offset[rows] = offset
         self._statistics = np.column_stack([self._of.contradictions[rows], offset, known])
         explanations, verdict = self._explain(batch, rows)
@@ -203,18 +209,9 @@ class SequentialConsistency(Integrity):
         alarms = rates <= self.false_alarms_per_hour / max(rates.size, 1)
         alarms[vote] = discoveries(rates[vote], self.false_alarms_per_hour)
         alarms[vote & ~verdict.lying] = False
-        self._wait_for_faults(batch, rows, alarms, dt)
-        self._update_suspensions(batch, rows, alarms, accusations, dt)
-        judged, weights = self._existence.settle(
-            batch,
-            boxes,
-            seen,
-            rays,
-            testimonies.impossible,
-            ~self._of.suspended,
-            rows,
-            explanations,
-        )
+        self._wait_for_faults(batch, evidence.boxes, objects, rows, alarms, dt)
+        self._update_suspensions(batch, rows, alarms, dt)
+        judged, weights = self._existence.settle(evidence, explanations)
         return Assessment(weights, self._agent_trust(batch, rows, rates, verdict), judged)
 
     def _meet(self, batch: Batch) -> Ints:
@@ -225,8 +222,8 @@ class SequentialConsistency(Integrity):
         new = rows[self._of.number[rows] < 0]
         self._of.number[new] = self._next_number + np.arange(len(new))
         self._next_number += len(new)
-        if len(self._reasons) > MAX_NAMES:
-            self._reasons = {name: self._reasons[name] for name in batch.agents if name in self._reasons}
+        if len(self._reasons) > len(self._agents.names):
+            self._reasons = {name: self._reasons[name] for name in self._agents.names if name in self._reasons}
         return rows
 
     def _alarm_at(self, statistic: int, agents: int) -> float:
@@ -240,21 +237,22 @@ class SequentialConsistency(Integrity):
         Of two liars and one honest agent that report an object, the liars thus have no majority once they are off
         elsewhere, where others see the object, too.
         """
-        weight = np.clip(1.0 - self._of.offset[rows] / self._alarm_at(1, len(rows)), MIN_MEDIAN_WEIGHT, 1.0)
+        weight = np.clip(1.0 - self._of.offset[rows] / self._alarm_at(OFFSET, len(rows)), MIN_MEDIAN_WEIGHT, 1.0)
         return np.asarray(np.where(self._of.suspended[rows], 0.0, weight))
 
-    def _offsets(self, batch: Batch, boxes: ClusterBoxes, rows: Ints, dt: float) -> tuple[Floats, Floats]:
+    def _offsets(self, batch: Batch, boxes: ClusterBoxes, objects: Ints, dt: float) -> tuple[Floats, Floats]:
         """(a,) greatest statistics of an offset of each agent of any size, and (a, 2) of the known ones.
 
-        Notes which agents report an object apart.
+        objects: (c,) numbers of the clusters' objects. Notes which agents report an object apart.
         """
+        rows = self._agents.rows
         numbers = self._of.number[rows]
-        objects = self._existence.follow(batch.time_ns, boxes)
         measured = offsets(batch, boxes, self._median_weights(rows))
         some = self._sums.of_objects(batch.time_ns, numbers, objects, measured)
         known = self._known_sums.of_objects(batch.time_ns, numbers, objects, measured, dt)
-        limits = [self._alarm_at(2 + size, len(rows)) for size in range(len(KNOWN_OFFSETS_M))]
-        share = np.maximum(some / self._alarm_at(1, len(rows)), (known / limits).max(axis=2))
+        limits = [self._alarm_at(KNOWN + size, len(rows)) for size in range(len(KNOWN_OFFSETS_M))]
+        share = np.maximum(some / self._alarm_at(OFFSET, len(rows)), (known / limits).max(axis=2))
+        self._shares = share
         compared = measured.valid & (share >= COMPARED)
         self._of_apart = np.zeros(len(rows))
         if compared.any():
@@ -263,7 +261,7 @@ class SequentialConsistency(Integrity):
             # Two honest agents may report a box half a metre apart for long, but not where one of them is off, too.
             statistic = np.where(share[:, one] >= 1.0, statistic, 0.0).max(axis=0)
             np.maximum.at(self._of_apart, one, statistic)
-            apart = self._tails[1].rate(statistic) <= self.disputes_per_hour
+            apart = self._tails[OFFSET].rate(statistic) <= self.disputes_per_hour
             one, other = rows[one[apart]], rows[other[apart]]
             self._apart_ns[one, other] = self._apart_ns[other, one] = batch.time_ns
         return some.max(axis=0, initial=0.0), known.max(axis=0, initial=0.0)
@@ -277,13 +275,18 @@ class SequentialConsistency(Integrity):
         after = accumulate(total, np.asarray(0.5 * count * (count + 1), np.float64), self.allowance, dt)
         return np.minimum(after, 2.0 * max(tail.value_at(self.false_alarms_per_hour / 10.0), tail.scale))
 
-    def _add_disputes(self, rows: Ints, testimonies: Testimonies, accusations: Mapping[str, Bools], dt: float) -> None:
-        of, pairs = self._of, np.ix_(rows, rows)
-        count = np.logical_or.reduce(tuple(accusations.values())).sum(axis=0)
-        of.contradictions[rows] = self._summed(of.contradictions[rows], count, self._tails[0], dt)
-        of.own[rows] = self._summed(of.own[rows], testimonies.against_itself, OWN_TAIL, dt)
-        self._pairs[pairs] = self._summed(self._pairs[pairs], testimonies.between, self._pair_tail, dt)
-        self._of_pairs, self._of_own = self._pairs[pairs][np.triu_indices(len(rows), 1)], of.own[rows]
+    def _add_disputes(self, testimonies: Testimonies, dt: float) -> None:
+        """Add what a batch shows to all sums; those of absent agents and pairs fall as without evidence."""
+        of, rows = self._of, self._agents.rows
+        kinds = testimonies.accusations
+        counts = np.zeros((2, len(of.own)), np.int64)
+        counts[:, rows] = kinds.any(axis=0).sum(axis=0), testimonies.against_itself
+        between = np.zeros(self._pairs.shape, np.int64)
+        between[np.ix_(rows, rows)] = testimonies.between
+        of.contradictions = self._summed(of.contradictions, counts[0], self._tails[CONTRADICTIONS], dt)
+        of.own = self._summed(of.own, counts[1], OWN_TAIL, dt)
+        self._pairs = self._summed(self._pairs, between, self._pair_tail, dt)
+        of.kinds[rows] += dt * kinds.sum(axis=1).T
 
     def _explain(self, batch: Batch, rows: Ints) -> tuple[Explanations, Verdict]:
         """The explanations of the disputes of the agents of a batch, and what they say of each."""
@@ -294,29 +297,47 @@ class SequentialConsistency(Integrity):
         lying |= self._of.suspended[rows]
         honest = np.isin(batch.agents, self.anchors)
         key = disputes.tobytes() + lying.tobytes() + honest.tobytes()
-        if self._settled is None or self._settled[0] != key:
-            explanations = Explanations(disputes, lying, honest)
-            if not explanations.possible():
-                explanations = of_strongest(disputes, np.where(apart, np.inf, pairs), lying, honest)
+        # Which disputes are left out depends on how strong they are now.
+        if self._settled is None or self._settled[0] != key or not self._settled[1].whole:
+            rarity = -np.log(self._pair_tail.rate(pairs))
+            strength = np.maximum(rarity, np.where(apart, -np.log(self.disputes_per_hour), -np.inf))
+            explanations = explained(disputes, strength, lying, honest)
             self._settled = key, explanations, explanations.verdict()
         return self._settled[1], self._settled[2]
 
-    def _wait_for_faults(self, batch: Batch, rows: Ints, alarms: Bools, dt: float) -> None:
-        """Take back the alarms of agents that may have a fault, for a while: it excuses them once it is found."""
-        awaited = np.array([name in self._awaited for name in batch.agents], np.bool_)
-        waiting = alarms.any(axis=1) & awaited & (self._of.awaited_s[rows] < FAULT_AWAITED_S)
+    def _wait_for_faults(
+        self, batch: Batch, boxes: ClusterBoxes, objects: Ints, rows: Ints, alarms: Bools, dt: float
+    ) -> None:
+        """Take back the alarms of agents that may have a fault, for a while: it excuses them once it is found.
+
+        objects: (c,) numbers of the clusters' objects
+        """
+        if self._awaited is None:
+            return
         before = self._of.awaited_s[rows]
+        awaited = np.array([name in self._awaited for name in batch.agents], np.bool_) & (before < FAULT_AWAITED_S)
+        for row in np.flatnonzero(alarms[:, OFFSET:].any(axis=1) & ~alarms[:, CONTRADICTIONS]).tolist():
+            if not awaited[row] and before[row] < EXPLAINED_S:
+                awaited[row] = self._is_explained(row, boxes, objects, dt)
+        waiting = alarms.any(axis=1) & awaited
         self._of.awaited_s[rows] = np.where(waiting, before + dt, np.maximum(before - AWAITED_AGAIN * dt, 0.0))
         alarms[waiting] = False
 
-    def _update_suspensions(
-        self, batch: Batch, rows: Ints, alarms: Bools, accusations: Mapping[str, Bools], dt: float
-    ) -> None:
-        """Suspend and release agents. accusations: (c, a) what counts against an agent, by its description"""
+    def _is_explained(self, row: int, boxes: ClusterBoxes, objects: Ints, dt: float) -> bool:
+        """Whether a fault of an agent may explain its greatest offset."""
+        arm = boxes.position[:, :2] - boxes.position[:, :2].mean(axis=0)
+        design = displacements(arm, boxes.velocity[:, :2])
+        prior = np.diag(1.0 / PRIOR) / max(SAMPLES_PER_S * dt, 1e-3)  # consecutive offsets are not independent
+        number, worst = int(self._of.number[self._agents.rows[row]]), int(self._shares[:, row].argmax())
+        return self._sums.beyond_fault(number, objects, worst, design, prior) < EXPLAINED
+
+    def _update_suspensions(self, batch: Batch, rows: Ints, alarms: Bools, dt: float) -> None:
+        """Suspend and release agents. alarms: (a, 4) of the statistics"""
         of = self._of
         of.seen_s[rows] += dt
         alarmed = alarms.any(axis=1)
         evidence = of.contradictions[rows] > 0.0
+        of.kinds[rows[~evidence]] = 0.0
         of.quiet_ns[rows] = np.where(evidence, of.quiet_ns[rows], batch.time_ns)
         of.clean_s[rows] = np.where(alarmed | evidence, 0.0, of.clean_s[rows] + dt)
         patience = self.release_s * 2.0 ** np.maximum(of.suspensions[rows] - 1, 0)
@@ -325,16 +346,17 @@ class SequentialConsistency(Integrity):
         if new.any():
             # The worst first: the others may only look bad because it has moved the middle of their objects.
             excess = (self._statistics / [tail.scale for tail in self._tails]).sum(axis=1)
-            new = np.arange(len(new)) == np.argmax(np.where(new, excess, -1.0))
+            worst = int(np.argmax(np.where(new, excess, -1.0)))
+            new = np.arange(len(new)) == worst
             self._sums.reset()
             self._known_sums.reset()
-        for row in np.flatnonzero(new).tolist():
-            self._existence.keep_known(self._honest_until(rows[row], bool(alarms[row, 0])))
-            self._reasons[batch.agents[row]] = self._reason(row, alarms[row], accusations)
+            of.offset[:] = 0.0
+            self._existence.keep_known(self._honest_until(rows[worst], bool(alarms[worst, CONTRADICTIONS])))
+            self._reasons[batch.agents[worst]] = self._reason(worst, alarms[worst])
         of.suspensions[rows] += new
         of.suspended[rows] = (of.suspended[rows] | new) & ~released
         of.suspended_ns[rows[new]] = batch.time_ns
-        of.for_offset[rows[new]] = ~alarms[new, 0]
+        of.for_offset[rows[new]] = ~alarms[new, CONTRADICTIONS]
         for row in np.flatnonzero(released).tolist():
             self._reasons.pop(batch.agents[row], None)
 
@@ -345,13 +367,13 @@ class SequentialConsistency(Integrity):
             return int(self._of.quiet_ns[row]) - round(GRACE_S * 1e9)
         return self._time_ns - round(2.0 * self.offset_memory_s * 1e9)
 
-    def _reason(self, row: int, alarms: Bools, accusations: Mapping[str, Bools]) -> str:
+    def _reason(self, row: int, alarms: Bools) -> str:
         """Why an agent is suspended."""
         contradictions, offset, *known = self._statistics[row]
-        if alarms[0]:
-            most = max(accusations, key=lambda kind: int(accusations[kind][:, row].sum()))
+        if alarms[CONTRADICTIONS]:
+            most = ACCUSATIONS[int(self._of.kinds[self._agents.rows[row]].argmax())]
             return f"{most}, {contradictions:.1f} object-seconds"
-        statistic = f"offset statistic {offset:.0f}" if alarms[1] else f"log-likelihood ratio {max(known):.1f}"
+        statistic = f"offset statistic {offset:.0f}" if alarms[OFFSET] else f"log-likelihood ratio {max(known):.1f}"
         return f"reports a position that differs from the other agents' ({statistic})"
 
     def _agent_trust(self, batch: Batch, rows: Ints, rates: Floats, verdict: Verdict) -> AgentTrust:

@@ -8,6 +8,7 @@ import numpy as np
 
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Bools, Floats, Ints
+from mast_zenoh.integrity.alarms import EXCUSED_S, MAX_STEP_S, SAMPLES_PER_S
 from mast_zenoh.integrity.base import (
     SUSPENDED,
     TRUSTED,
@@ -19,8 +20,7 @@ from mast_zenoh.integrity.base import (
     Integrity,
     ObjectTrust,
 )
-from mast_zenoh.integrity.calibration import EXCUSED_S, MAX_STEP_S, SAMPLES_PER_S
-from mast_zenoh.integrity.disputes import clear
+from mast_zenoh.integrity.disputes import conspicuous
 from mast_zenoh.integrity.memory import AgentMemory
 from mast_zenoh.integrity.visibility import RayEvidence, Sightings, current, lenient_sightings, rays_at
 
@@ -130,7 +130,7 @@ def votes(reported: Bools, own: Bools, size: Floats, seen: Sightings, rays: RayE
     A claim that the agent's own sensor sees through is a vote against itself. Silence is a vote where the agent's rays
     end, so that phantoms do not turn it against those that see nothing.
     """
-    silent = ~reported & rays.ends & ~rays.mostly_clear & seen.in_view & clear(size, seen.distance)
+    silent = ~reported & rays.ends & ~rays.mostly_clear & seen.in_view & conspicuous(size, seen.distance)
     vote = np.where(reported, 1.0, np.where(silent, -SILENCE, 0.0))
     vote[np.where(reported, own, seen.fully_clear)] = -1.0
     return vote

@@ -6,7 +6,7 @@ from libc.math cimport INFINITY, fabs, fmax, fmin, log, sqrt
 
 from mast_zenoh.kernels.algebra cimport distance_of
 from mast_zenoh.kernels.arrays cimport (
-    byte_data, contiguous, empty_vector, float_data, int_data, length, writable_data, zero_vector,
+    byte_data, contiguous, empty_matrix, empty_vector, float_data, int_data, length, writable_data, zero_vector,
 )
 from mast_zenoh.kernels.table cimport SOURCE_DIGEST, XX, XY, YY, ODDS, CLASS, WIDTH
 
@@ -229,3 +229,52 @@ def nearest_points(position, path, least, double reach_m):
                 nearest[r], closest = k, squared
         at += stride
     return result
+
+
+def common_tracks(left, track, double radius_m):
+    left = contiguous(left)
+    cdef const double* at = float_data(left, 3)
+    cdef const np.int64_t* of_track = int_data(track)
+    cdef Py_ssize_t h, i, j, n = length(left), k = length(left, 1)
+    cdef double dx, dy, limit = radius_m * radius_m
+    cdef np.int64_t last
+    counts = zero_vector(np.NPY_INT64, n * k)
+    cdef np.int64_t* count = int_data(counts)
+    for h in range(n):
+        for i in range(k):
+            last = -1
+            for j in range(k):
+                dx, dy = at[2 * j] - at[2 * i], at[2 * j + 1] - at[2 * i + 1]
+                if dx * dx + dy * dy <= limit and of_track[j] != last:
+                    last = of_track[j]
+                    count[i] += 1
+        at, count = at + 2 * k, count + k
+    return counts.reshape(n, k)
+
+
+def pair_equations(one, other, offset, information, design, weight, Py_ssize_t a):
+    offset, information, design = contiguous(offset), contiguous(information), contiguous(design)
+    cdef const np.int64_t* of_one = int_data(one)
+    cdef const np.int64_t* of_other = int_data(other)
+    cdef const double* away = float_data(offset, 2)
+    cdef const double* certain = float_data(information, 3)
+    cdef const double* slope = float_data(design, 3)
+    cdef const double* counts = float_data(weight, 1)
+    cdef Py_ssize_t row, p, q, n = length(one)
+    matrices, vectors = zero_vector(np.NPY_DOUBLE, 16 * a * a), zero_vector(np.NPY_DOUBLE, 4 * a * a)
+    cdef double* matrix
+    cdef double* vector
+    cdef double* first_matrix = writable_data(matrices, 1)
+    cdef double* first_vector = writable_data(vectors, 1)
+    cdef double x, y
+    for row in range(n):
+        matrix = first_matrix + 16 * (of_one[row] * a + of_other[row])
+        vector = first_vector + 4 * (of_one[row] * a + of_other[row])
+        for p in range(4):
+            x = counts[row] * (slope[p] * certain[0] + slope[4 + p] * certain[2])
+            y = counts[row] * (slope[p] * certain[1] + slope[4 + p] * certain[3])
+            vector[p] += x * away[0] + y * away[1]
+            for q in range(4):
+                matrix[4 * p + q] += x * slope[q] + y * slope[4 + q]
+        away, certain, slope = away + 2, certain + 4, slope + 8
+    return matrices.reshape(a, a, 4, 4), vectors.reshape(a, a, 4)

@@ -21,7 +21,7 @@ from mast_zenoh import scenario
 from mast_zenoh.config.registry import known_types
 from mast_zenoh.effects import EFFECTS
 from mast_zenoh.integrity import STATES, Integrity
-from mast_zenoh.integrity.calibration import discoveries
+from mast_zenoh.integrity.alarms import discoveries
 from mast_zenoh.integrity.sequential import CONTRADICTION_TAIL, FALSE_ALARMS_PER_HOUR, OFFSET_TAIL
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.launch.tables import read_table

@@ -3,7 +3,7 @@
 from integrity_batches import batch
 
 from mast_zenoh.integrity.base import ClusterBoxes
-from mast_zenoh.integrity.disputes import about, of_tracks, on_ground, plausible_size, repeated
+from mast_zenoh.integrity.disputes import of_tracks, on_ground, plausible_size, repeated, reports_nearby
 
 AGENTS = ("a", "b")
 
@@ -31,7 +31,7 @@ def test_cars_side_by_side_are_two_objects() -> None:
 
 def test_an_agent_with_a_track_in_a_neighbouring_cluster_reports_about_the_object() -> None:
     given = batch([("a", 0, (0.0, 0.0)), ("b", 1, (1.0, 0.0)), ("a", 2, (30.0, 0.0))], AGENTS)
-    assert about(given, ClusterBoxes.of(given)).tolist() == [[True, True], [True, True], [True, False]]
+    assert reports_nearby(given, ClusterBoxes.of(given)).tolist() == [[True, True], [True, True], [True, False]]
 
 
 def test_nothing_is_claimed_by_nobody() -> None:
@@ -42,7 +42,7 @@ def test_nothing_is_claimed_by_nobody() -> None:
         == len(repeated(nothing))
         == 0
     )
-    assert about(nothing, ClusterBoxes.of(nothing)).shape == (0, 2)
+    assert reports_nearby(nothing, ClusterBoxes.of(nothing)).shape == (0, 2)
 
 
 def test_boxes_of_impossible_sizes_are_found() -> None:

@@ -7,7 +7,6 @@ from integrity_batches import Track, batch, view
 from mast_zenoh.integrity import disputes
 from mast_zenoh.integrity.base import ClusterBoxes
 from mast_zenoh.integrity.offsets import offsets
-from mast_zenoh.integrity.visibility import lenient_sightings, rays_at
 
 CORNERS = {"a": (-20.0, 0.0), "b": (20.0, 0.0), "c": (0.0, 20.0)}
 
@@ -16,13 +15,13 @@ def statements(
     tracks: list[Track],
     blocked: dict[str, list[tuple[float, float, float]]],
     corners: dict[str, tuple[float, float]] = CORNERS,
+    suspended: str = "",
 ) -> disputes.Testimonies:
-    """What the agents at some corners say; blocked: what each sees."""
+    """What the agents at some corners say; blocked: what each sees; suspended: the name of one, or none."""
     views = {name: view(place, *blocked.get(name, [])) for name, place in corners.items()}
     given = batch(tracks, tuple(corners), views)
-    boxes = ClusterBoxes.of(given)
-    seen, own = lenient_sightings(given, boxes)
-    return disputes.Testimonies.of(given, boxes, own, seen, rays_at(given, boxes, given.views))
+    voter = np.array([name != suspended for name in given.agents])
+    return disputes.Evidence.of(given, voter).testimonies
 
 
 CAR_AT_ORIGIN = (0.0, 0.0, 2.3)
@@ -31,7 +30,7 @@ CAR_AT_ORIGIN = (0.0, 0.0, 2.3)
 def test_each_that_sees_through_an_object_contradicts_the_one_that_reports_it() -> None:
     found = statements([("a", 0, (0.0, 0.0))], {"a": [CAR_AT_ORIGIN]})
     assert found.between.tolist() == [[0, 1, 1], [1, 0, 0], [1, 0, 0]]
-    assert found.accusations["reports objects that others see through"].tolist() == [[True, False, False]]
+    assert found.accusations[0].tolist() == [[True, False, False]]
     assert not found.against_itself.any()
 
 
@@ -39,7 +38,15 @@ def test_an_agent_that_sees_through_what_two_report_is_contradicted_and_not_accu
     tracks: list[Track] = [("a", 0, (0.0, 0.0)), ("b", 0, (0.0, 0.0))]
     found = statements(tracks, {"a": [CAR_AT_ORIGIN], "b": [CAR_AT_ORIGIN]})
     assert found.between.tolist() == [[0, 0, 1], [0, 0, 1], [1, 1, 0]]
-    assert not any(accused[:, 2].any() for accused in found.accusations.values())
+    assert not found.accusations[:, :, 2].any()
+
+
+def test_what_a_suspended_agent_sees_through_contradicts_nobody() -> None:
+    found = statements([("a", 0, (0.0, 0.0))], {"a": [CAR_AT_ORIGIN]}, suspended="b")
+    assert found.between.tolist() == [[0, 0, 1], [0, 0, 0], [1, 0, 0]]
+    alone = {"a": [CAR_AT_ORIGIN], "c": [CAR_AT_ORIGIN]}
+    both: list[Track] = [("a", 0, (0.0, 0.0)), ("c", 0, (0.0, 0.0))]
+    assert not statements(both, alone, suspended="b").accusations.any()
 
 
 def test_silence_about_a_visible_object_contradicts_two_that_report_it() -> None:

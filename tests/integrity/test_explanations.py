@@ -5,11 +5,12 @@ from __future__ import annotations
 from itertools import combinations
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from mast_zenoh.arrays.states import Bools
-from mast_zenoh.integrity.explanations import Explanations, mask_of, members, of_strongest
+from mast_zenoh.integrity.explanations import Explanations, explained, mask_of, members
 
 Graph = tuple[Bools, set[int], set[int]]
 
@@ -33,6 +34,13 @@ def graphs(draw: st.DrawFn) -> Graph:
     some = st.sets(st.integers(0, a - 1), max_size=2)
     lying = draw(some)
     return disputes, lying, draw(some) - lying
+
+
+def graph_of(a: int, pairs: list[tuple[int, int]]) -> Bools:
+    disputes = np.zeros((a, a), np.bool_)
+    for one, other in pairs:
+        disputes[one, other] = disputes[other, one] = True
+    return disputes
 
 
 def built(disputes: Bools, *known: set[int]) -> Explanations:
@@ -78,11 +86,19 @@ def test_a_claim_is_false_if_all_that_make_it_lie_in_every_explanation(graph: Gr
     claiming = data.draw(st.sets(st.integers(0, a - 1)))
     denying = data.draw(st.sets(st.integers(0, a - 1))) - claiming
     every = explanations(disputes, lying, honest)
-    true = any(denying <= each and not claiming <= each for each in every) and bool(claiming)
-    found = built(disputes, lying, honest)
-    bits = [sum(1 << agent for agent in group) for group in (claiming, denying)]
-    # Without an explanation, only what known liars alone claim is false.
-    assert found.false(*bits) == (not true if every else claiming <= lying - honest)
+    # One side lies in each explanation that counts here.
+    wrong = any(claiming <= each for each in every)
+    right = any(denying <= each and not claiming <= each for each in every)
+    expected = wrong and not right if every else claiming <= lying - honest
+    sides = (np.isin(np.arange(a), list(group))[None] for group in (claiming, denying))
+    assert built(disputes, lying, honest).false(*sides).tolist() == [expected]
+
+
+def test_nothing_is_false_in_a_dispute_in_which_neither_side_can_lie() -> None:
+    claiming, denying = np.eye(2, dtype=np.bool_)[:, None]
+    assert not built(np.zeros((2, 2), np.bool_)).false(claiming, denying).any()
+    two_claim, one_denies = np.array([[0, 0, 1, 0, 1]], np.bool_), np.array([[0, 0, 0, 1, 0]], np.bool_)
+    assert not built(np.zeros((5, 5), np.bool_), {0, 1}).false(two_claim, one_denies).any()
 
 
 def test_two_accusers_of_five_prove_nothing_and_three_do() -> None:
@@ -95,10 +111,23 @@ def test_two_accusers_of_five_prove_nothing_and_three_do() -> None:
     assert not verdict.open.any()
 
 
-def test_many_agents_with_many_disputes_are_judged_quickly() -> None:
+@pytest.mark.parametrize("density", [0.1, 0.2, 0.3, 0.5])
+def test_the_disputes_of_many_agents_are_judged_within_the_limit(density: float) -> None:
     random = np.random.default_rng(0)
-    disputes = np.triu(random.random((29, 29)) < 0.3, 1)
-    built(disputes | disputes.T).verdict()
+    disputes = np.triu(random.random((40, 40)) < density, 1)
+    found = built(disputes | disputes.T)
+    found.verdict()
+    assert found.branches_left >= 0
+
+
+def test_a_search_that_took_too_long_does_not_weaken_the_next_one() -> None:
+    disputes = graph_of(5, [(0, 1), (0, 2), (0, 3)])
+    nobody = np.zeros(5, np.bool_)
+    found = Explanations(disputes, nobody, nobody, branches=3)
+    claims = np.eye(5, dtype=np.bool_)[:1].repeat(20, axis=0)
+    for _ in range(3):
+        assert found.false(claims, np.zeros((20, 5), np.bool_)).all()
+        assert found.verdict().lying.tolist() == [True, False, False, False, False]
 
 
 def test_a_set_has_the_bits_of_its_members() -> None:
@@ -110,14 +139,43 @@ def test_where_no_explanation_exists_the_weakest_disputes_are_left_out() -> None
     nobody = np.zeros(3, np.bool_)
     strength = np.array([[0.0, 3.0, 2.0], [3.0, 0.0, 1.0], [2.0, 1.0, 0.0]])
     assert not Explanations(disputes, nobody, nobody).possible()
-    assert of_strongest(disputes, strength, nobody, nobody).verdict().lying.tolist() == [True, False, False]
+    verdict = explained(disputes, strength, nobody, nobody).verdict()
+    assert verdict.lying.tolist() == [True, False, False]
+    assert verdict.open.tolist() == [False, True, True]  # what they disagree about is left out
+
+
+def test_disputes_of_one_strength_are_left_out_together() -> None:
+    """Which agents lie must not depend on their names."""
+    strength = np.ones((5, 5))
+    nobody = np.zeros(5, np.bool_)
+    disputes = graph_of(5, [(0, 1), (3, 0), (3, 1), (3, 2), (4, 0), (4, 1), (4, 2)])
+    verdict = explained(disputes, strength, nobody, nobody).verdict()
+    assert not verdict.lying.any()
+    assert verdict.open.all()
+    strength[0, 1] = strength[1, 0] = 0.5
+    assert np.flatnonzero(explained(disputes, strength, nobody, nobody).verdict().lying).tolist() == [3, 4]
+
+
+@given(graphs(), st.data())
+def test_the_names_of_agents_do_not_matter(graph: Graph, data: st.DataObject) -> None:
+    disputes, lying, honest = graph
+    a = len(disputes)
+    order = np.array(data.draw(st.permutations(range(a))), np.int64)
+    strength = np.array(data.draw(st.lists(st.integers(0, 3), min_size=a * a, max_size=a * a))).reshape(a, a)
+    strength = np.maximum(strength, strength.T).astype(np.float64)
+    flags = [np.isin(np.arange(a), list(each)) for each in (lying, honest)]
+    verdict = explained(disputes, strength, *flags).verdict()
+    renamed = np.ix_(order, order)
+    other = explained(disputes[renamed], strength[renamed], *(each[order] for each in flags)).verdict()
+    assert other.lying.tolist() == verdict.lying[order].tolist()
+    assert other.open.tolist() == verdict.open[order].tolist()
 
 
 @given(graphs())
 def test_the_strongest_disputes_have_an_explanation_unless_half_of_the_agents_are_known_to_lie(graph: Graph) -> None:
     disputes, lying, honest = graph
     flags = [np.isin(np.arange(len(disputes)), list(each)) for each in (lying, honest)]
-    found = of_strongest(disputes, np.ones(disputes.shape), *flags)
+    found = explained(disputes, np.ones(disputes.shape), *flags)
     assert found.possible() == bool(explanations(np.zeros_like(disputes), lying, honest))
 
 

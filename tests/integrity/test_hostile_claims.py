@@ -9,13 +9,13 @@ from integrity_batches import CAR, STEP_NS, Track, batch, view
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.config import registry
 from mast_zenoh.integrity import FaultOrLie, FreeSpace, SequentialConsistency, TruthDiscovery
-from mast_zenoh.integrity.base import SUSPENDED, Batch, ClusterBoxes, Integrity
+from mast_zenoh.integrity.base import SUSPENDED, Batch, Integrity
+from mast_zenoh.integrity.disputes import Evidence
 from mast_zenoh.integrity.existence import ExistenceVotes
 from mast_zenoh.integrity.explanations import Explanations
 from mast_zenoh.integrity.memory import AgentMemory
 from mast_zenoh.integrity.relative_faults import MAX_NEAR, MAX_TRACKS, Differences
 from mast_zenoh.integrity.views import MAX_CELLS, check_view, collated_columns, view_columns
-from mast_zenoh.integrity.visibility import rays_at, sightings
 from mast_zenoh.messages.layout import MAX_ROWS
 from mast_zenoh.pipelines import Pipeline
 
@@ -125,25 +125,17 @@ def test_an_agent_that_stays_off_is_not_trusted_again() -> None:
 
 @pytest.mark.parametrize(("witnesses", "believed"), [("ab", False), ("ac", True)])
 def test_what_only_liars_confirmed_leaves_the_picture_with_them(witnesses: str, believed: bool) -> None:
-    agents = AgentMemory()
+    agents = AgentMemory(suspended=False)
     votes = ExistenceVotes(agents)
     for frame, lying in enumerate(["", "", "ab"]):  # `a` and `b` are suspended in the last frame
         reporting = witnesses if not lying else "ab"
         given = batch([(name, 0, PHANTOM) for name in reporting], tuple(PLACES), frame=frame)
-        rows, boxes = agents.meet(given.time_ns, given.agents), ClusterBoxes.of(given)
-        votes.follow(given.time_ns, boxes)
         trusted = np.array([name not in lying for name in given.agents])
-        seen = sightings(boxes.position, boxes.size, boxes.yaw, given.views)
-        found, _ = votes.settle(
-            given,
-            boxes,
-            seen,
-            rays_at(given, boxes, given.views),
-            np.zeros(given.reported.shape, np.bool_),
-            trusted,
-            rows,
-            Explanations(np.zeros((4, 4), np.bool_), *np.zeros((2, 4), np.bool_)),
-        )
+        rows = agents.meet(given.time_ns, given.agents)
+        agents.of.suspended[rows] = ~trusted
+        evidence = Evidence.of(given, trusted)
+        votes.follow(given.time_ns, evidence.boxes)
+        found, _ = votes.settle(evidence, Explanations(np.zeros((4, 4), np.bool_), *np.zeros((2, 4), np.bool_)))
         assert not found.withheld[0] or lying
     assert found.withheld.tolist() == [not believed]
 
@@ -183,7 +175,7 @@ def test_a_flood_of_tracks_costs_a_fault_fit_little() -> None:
         size=np.tile(CAR, (n, 1)),
         covariance=np.tile(np.eye(9), (n, 1, 1)),
     )
-    found = Differences.of(flood, np.arange(n) % 2, np.zeros(2))
+    found = Differences.of(flood, np.arange(n) * 2 // n, np.zeros(2))
     assert len(found.offset) <= 2 * MAX_TRACKS * MAX_NEAR
 
 

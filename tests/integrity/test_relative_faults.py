@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from mast_zenoh.arrays.states import Floats, ObjectStates
-from mast_zenoh.integrity.relative_faults import PRIOR, RelativeFaults, about_pivot
+from mast_zenoh.integrity.agent_fault import PRIOR
+from mast_zenoh.integrity.relative_faults import RelativeFaults, about_pivot
 
 NAMES = ("a", "b", "c", "d", "e")
 PIVOTS = np.array([[-30.0, 0.0], [30.0, 0.0], [0.0, 30.0], [0.0, -30.0], [20.0, 20.0]])

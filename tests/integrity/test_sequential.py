@@ -5,8 +5,9 @@ import pytest
 from integrity_batches import Track, batch, view
 
 from mast_zenoh.integrity import SequentialConsistency, TruthDiscovery
+from mast_zenoh.integrity.alarms import Tail, accumulate, discoveries
 from mast_zenoh.integrity.base import SUSPENDED, UNDECIDED
-from mast_zenoh.integrity.calibration import Tail, accumulate, discoveries, fitted_tail
+from mast_zenoh.integrity.calibration import fitted_tail
 from mast_zenoh.integrity.offsets import Offsets, OffsetSums
 
 PLACES = {"a": (-20.0, 0.0), "b": (20.0, 0.0), "c": (0.0, 20.0)}

@@ -332,6 +332,13 @@ ARGUMENTS = {
     "gated_pairs": gated_pairs,
     "nearest_points": lambda r, n, m: (places(r, n), places(r, m)[:, :2], r.integers(0, m + 1, n), r.uniform(0, 9)),
     "useful_pairs": lambda r, n, m: (*(ends := pairs(r, n, m)), r.integers(-4, 3, len(ends[0])).astype(float)),
+    "common_tracks": lambda r, n, m: (
+        r.choice([0.4, 3.0]) * r.normal(size=(3, n, 2)), np.sort(r.integers(0, m + 1, n)), 0.8,
+    ),
+    "pair_equations": lambda r, n, m: (
+        r.integers(0, m + 1, n), r.integers(0, m + 1, n), r.normal(size=(n, 2)), covariances(r, n, 2),
+        r.normal(size=(n, 2, 4)), r.uniform(0, 1, n), m + 1,
+    ),
     "min_cost_matching": lambda r, n, m: (*(ends := pairs(r, n, m)), -r.uniform(0, 4, len(ends[0]))),
     "lateral_constraint": lambda r, n, m: (table(r, n), r.normal(size=(n, 2)), r.uniform(0, 9, 7), 0.5, 0.2, 0.15),
     "new_tracks": new_tracks,

@@ -12,7 +12,7 @@ from metric_worlds import LOCAL, NOTHING, PICTURE, cars, recorded
 
 from mast_zenoh.arrays.chi_square import mean_bounds
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
-from mast_zenoh.integrity.calibration import SAMPLES_PER_S
+from mast_zenoh.integrity.alarms import SAMPLES_PER_S
 from mast_zenoh.metrics import Consistency, Record, Scorer, Series
 from mast_zenoh.metrics.consistency import MAX_NEES, nees
 from mast_zenoh.tracking import kalman, tracks
