@@ -52,7 +52,7 @@ class FaultOrLie(Integrity):
     significance: float = 30.0
     least_m: float = 0.3
     share: float = 0.7
-    memory_s: float = 1.5
+    memory_s: float = 3.0
 
     def __post_init__(self) -> None:
         check("more than 0", significance=self.significance, memory_s=self.memory_s)

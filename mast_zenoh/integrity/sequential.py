@@ -51,7 +51,9 @@ FALSE_ALARMS_PER_HOUR = 0.1
 DISPUTES_PER_HOUR = 1.0
 #: s, for which an agent that may have a fault is not suspended for what it does; and for an offset that a fault of the
 #: agent, fitted to its other objects, explains, but for this share of its statistic.
-FAULT_AWAITED_S, EXPLAINED_S, EXPLAINED = 1.5, 10.0, 0.5
+FAULT_AWAITED_S, EXPLAINED_S, EXPLAINED = 1.5, 10.0, 0.7
+#: s, for which contradictions must have lasted: those of a fault begin all at once, and finding it takes some batches.
+SUDDEN_S = 0.5
 #: s, of this time that an agent regains in a second: one that differs now and then is not excused for ever.
 AWAITED_AGAIN = 0.05
 #: s, for which a dispute about where an object is lasts.
@@ -158,6 +160,7 @@ class SequentialConsistency(Integrity):
         self._settled: tuple[bytes, Explanations, Verdict] | None = None
         # of the last batch: (a, 4) statistics, and (a,) the greatest of an offset from one other agent
         self._statistics, self._of_apart = np.zeros((0, len(self._tails))), np.zeros(0)
+        self._disputes: Bools = np.zeros((0, 0), np.bool_)  # (a, a) of the last batch, who disagrees with whom
         self._shares = np.zeros((0, 0))  # (c, a) of the last batch, how near each offset is to an alarm
 
     @property
@@ -292,7 +295,7 @@ class SequentialConsistency(Integrity):
         """The explanations of the disputes of the agents of a batch, and what they say of each."""
         pairs, apart_ns = self._pairs[np.ix_(rows, rows)], self._apart_ns[np.ix_(rows, rows)]
         apart = (apart_ns > 0) & (batch.time_ns - apart_ns <= APART_S * 1e9)
-        disputes = (self._pair_tail.rate(pairs) <= self.disputes_per_hour) | apart
+        disputes = self._disputes = (self._pair_tail.rate(pairs) <= self.disputes_per_hour) | apart
         lying = OWN_TAIL.rate(self._of.own[rows]) <= self.false_alarms_per_hour / max(len(rows), 1)
         lying |= self._of.suspended[rows]
         honest = np.isin(batch.agents, self.anchors)
@@ -319,6 +322,7 @@ class SequentialConsistency(Integrity):
         for row in np.flatnonzero(alarms[:, OFFSET:].any(axis=1) & ~alarms[:, CONTRADICTIONS]).tolist():
             if not awaited[row] and before[row] < EXPLAINED_S:
                 awaited[row] = self._is_explained(row, boxes, objects, dt)
+        awaited |= alarms[:, CONTRADICTIONS] & (batch.time_ns - self._of.quiet_ns[rows] < SUDDEN_S * 1e9)
         waiting = alarms.any(axis=1) & awaited
         self._of.awaited_s[rows] = np.where(waiting, before + dt, np.maximum(before - AWAITED_AGAIN * dt, 0.0))
         alarms[waiting] = False
@@ -377,23 +381,26 @@ class SequentialConsistency(Integrity):
         return f"reports a position that differs from the other agents' ({statistic})"
 
     def _agent_trust(self, batch: Batch, rows: Ints, rates: Floats, verdict: Verdict) -> AgentTrust:
-        """The trust in the agents; the reason of those whose honesty is open names all of them."""
+        """The trust in the agents; the reason of those whose honesty is open names those they disagree with."""
         suspended = self._of.suspended[rows]
         least = np.log(np.maximum(rates, 1e-300) / self.false_alarms_per_hour).min(axis=1)
         log_odds = np.clip(least, -MAX_LOG_ODDS, MAX_LOG_ODDS)
         log_odds = np.where(suspended, np.minimum(log_odds, -1.0), log_odds)
         log_odds = np.where(suspended | verdict.lying, log_odds, np.maximum(log_odds, 0.0))
         undecided = verdict.open & ~suspended
+        log_odds = np.where(undecided, np.minimum(log_odds, 0.0), log_odds)  # nobody of a dispute looks better
         state = np.where(self._of.seen_s[rows] >= 1.0, TRUSTED, UNKNOWN)
         state = np.where(suspended, SUSPENDED, np.where(undecided, UNDECIDED, state)).astype(np.uint8)
-        suspects = ", ".join(name for name, suspect in zip(batch.agents, undecided.tolist(), strict=True) if suspect)
-        named = zip(batch.agents, suspended.tolist(), undecided.tolist(), strict=True)
         reasons = tuple(
-            self._reasons.get(name, "")
-            if bad
-            else f"may be lying, or those that contradict it are: {suspects}"
-            if suspect
-            else ""
-            for name, bad, suspect in named
+            self._reasons.get(name, "") if suspended[row] else self._open_dispute(batch, row) if undecided[row] else ""
+            for row, name in enumerate(batch.agents)
         )
         return AgentTrust.of(1.0 / (1.0 + np.exp(-log_odds)), state, reasons, log_odds=log_odds)
+
+    def _open_dispute(self, batch: Batch, row: int) -> str:
+        """Why it is open whether an agent lies."""
+        others = [batch.agents[other] for other in np.flatnonzero(self._disputes[row]).tolist()]
+        if not others:
+            return "may be lying"
+        listed = ", ".join(others[:-1]) + " and " * (len(others) > 1) + others[-1]
+        return f"either it lies, or {listed} {'does' if len(others) == 1 else 'do'}"
