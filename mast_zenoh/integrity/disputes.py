@@ -168,14 +168,15 @@ class Testimonies:
         """(a,) number of objects of which an agent's report contradicts itself."""
         return np.asarray((self.inconsistent | self.impossible | self.repeated).sum(axis=0))
 
-    @property
-    def accusations(self) -> Bools:
+    def accusations(self, credible: Bools) -> Bools:
         """(4, c, a) what contradicts the reports of an agent, in the order of ACCUSATIONS.
+
+        credible: (a,) agents that do not lie in every explanation: the others accuse nobody
 
         What an agent does not report is no accusation: the object stays in the picture as long as another one reports
         it, and things that a sensor does not see are easier to make than things that are not there (TrustFlip).
         """
-        denied = self.claims & self.denies.any(axis=1, keepdims=True)
+        denied = self.claims & (self.denies & credible).any(axis=1, keepdims=True)
         return np.stack([denied, self.inconsistent, self.impossible, self.repeated])
 
 

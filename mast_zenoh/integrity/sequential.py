@@ -133,9 +133,9 @@ class SequentialConsistency(Integrity):
         # clean_s: since the last alarm or evidence;  seen_s: for which the agent has been observed
         # awaited_s: for which an agent was to be suspended that may have a fault
         # suspended_ns: time, ns, of the last suspension;  for_offset: whether that was for an offset alone
-        # quiet_ns: time, ns, of the last batch without evidence
+        # quiet_ns: time, ns, of the last batch without evidence;  lying: whether it lies in every explanation
         sums = dict.fromkeys(("contradictions", "own", "clean_s", "offset", "seen_s", "awaited_s"), 0.0)
-        flags = dict(suspended=False, for_offset=False)
+        flags = dict(suspended=False, for_offset=False, lying=False)
         self._agents = AgentMemory(
             forget_s=600.0,
             number=-1,
@@ -212,6 +212,7 @@ class SequentialConsistency(Integrity):
         alarms = rates <= self.false_alarms_per_hour / max(rates.size, 1)
         alarms[vote] = discoveries(rates[vote], self.false_alarms_per_hour)
         alarms[vote & ~verdict.lying] = False
+        self._of.lying[rows] = verdict.lying
         self._wait_for_faults(batch, evidence.boxes, objects, rows, alarms, dt)
         self._update_suspensions(batch, rows, alarms, dt)
         judged, weights = self._existence.settle(evidence, explanations)
@@ -281,7 +282,7 @@ class SequentialConsistency(Integrity):
     def _add_disputes(self, testimonies: Testimonies, dt: float) -> None:
         """Add what a batch shows to all sums; those of absent agents and pairs fall as without evidence."""
         of, rows = self._of, self._agents.rows
-        kinds = testimonies.accusations
+        kinds = testimonies.accusations(~of.lying[rows])
         counts = np.zeros((2, len(of.own)), np.int64)
         counts[:, rows] = kinds.any(axis=0).sum(axis=0), testimonies.against_itself
         between = np.zeros(self._pairs.shape, np.int64)

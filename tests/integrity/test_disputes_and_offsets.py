@@ -8,6 +8,7 @@ from mast_zenoh.integrity import disputes
 from mast_zenoh.integrity.base import ClusterBoxes
 from mast_zenoh.integrity.offsets import offsets
 
+EVERYBODY = np.ones(3, np.bool_)
 CORNERS = {"a": (-20.0, 0.0), "b": (20.0, 0.0), "c": (0.0, 20.0)}
 
 
@@ -30,7 +31,7 @@ CAR_AT_ORIGIN = (0.0, 0.0, 2.3)
 def test_each_that_sees_through_an_object_contradicts_the_one_that_reports_it() -> None:
     found = statements([("a", 0, (0.0, 0.0))], {"a": [CAR_AT_ORIGIN]})
     assert found.between.tolist() == [[0, 1, 1], [1, 0, 0], [1, 0, 0]]
-    assert found.accusations[0].tolist() == [[True, False, False]]
+    assert found.accusations(EVERYBODY)[0].tolist() == [[True, False, False]]
     assert not found.against_itself.any()
 
 
@@ -38,7 +39,14 @@ def test_an_agent_that_sees_through_what_two_report_is_contradicted_and_not_accu
     tracks: list[Track] = [("a", 0, (0.0, 0.0)), ("b", 0, (0.0, 0.0))]
     found = statements(tracks, {"a": [CAR_AT_ORIGIN], "b": [CAR_AT_ORIGIN]})
     assert found.between.tolist() == [[0, 0, 1], [0, 0, 1], [1, 1, 0]]
-    assert not found.accusations[:, :, 2].any()
+    assert not found.accusations(EVERYBODY)[:, :, 2].any()
+
+
+def test_an_agent_that_lies_in_any_case_accuses_nobody_and_is_contradicted() -> None:
+    found = statements([("a", 0, (0.0, 0.0))], {"a": [CAR_AT_ORIGIN], "c": [CAR_AT_ORIGIN]})
+    assert found.accusations(EVERYBODY)[0].tolist() == [[True, False, False]]
+    assert not found.accusations(np.array([True, False, True])).any()
+    assert found.between.tolist() == [[0, 1, 0], [1, 0, 0], [0, 0, 0]]
 
 
 def test_what_a_suspended_agent_sees_through_contradicts_nobody() -> None:
@@ -46,7 +54,7 @@ def test_what_a_suspended_agent_sees_through_contradicts_nobody() -> None:
     assert found.between.tolist() == [[0, 0, 1], [0, 0, 0], [1, 0, 0]]
     alone = {"a": [CAR_AT_ORIGIN], "c": [CAR_AT_ORIGIN]}
     both: list[Track] = [("a", 0, (0.0, 0.0)), ("c", 0, (0.0, 0.0))]
-    assert not statements(both, alone, suspended="b").accusations.any()
+    assert not statements(both, alone, suspended="b").accusations(EVERYBODY).any()
 
 
 def test_silence_about_a_visible_object_contradicts_two_that_report_it() -> None:
