@@ -134,7 +134,8 @@ PUBLISHED = (
     _stage(
         "SequentialConsistency",
         *(_FLIP, "TrustReflect takes away 35 to 100 % of the effect", NOTES),
-        "The stage leaves out disputes of two agents only; in a dispute of one with several, it believes the majority.",
+        "The stage settles all disputes together: it believes several against one only if they are more than may be lying; "
+        "until then, all of them are undecided.",
         quantities=("targets_suspended",),
         attacks=("TrustFlip",),
     ),
