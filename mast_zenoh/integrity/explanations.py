@@ -92,16 +92,6 @@ class Explanations:
         may_be_honest = np.array(honest, np.bool_)
         return Verdict(~may_be_honest, may_be_honest & (self._open | np.array(needed, np.bool_)))
 
-    def smallest(self) -> Bools | None:
-        """(a,) the smallest explanation; None if several are, or there is none, or it takes too long to know."""
-        self.branches_left = self._branches
-        fewest = self._fewest(self._lying)
-        if fewest > self._most:
-            return None
-        every = np.array([self._fewest(self._lying | others) > fewest for others in self._others], np.bool_)
-        every |= np.array([self._lying >> agent & 1 for agent in range(self._agents)], np.bool_)
-        return every if every.sum() == fewest and self.branches_left >= 0 else None
-
     def false(self, claiming: Bools, denying: Bools) -> Bools:
         """(c,) which of c claims are false in every explanation.
 

@@ -30,10 +30,10 @@ class FaultOrLie(Integrity):
     """Corrects what a pose error or a wrong clock explains, and leaves the rest to another stage.
 
     A fault moves all tracks of an agent alike. Of each pair of agents, the displacement, turn and delay of one against
-    the other is fitted to all tracks of objects that both report. The faulty agents are the smallest set, fewer than
-    half, that has one of each pair that differs so, on one agent or on several at once (`relative_faults`); of two sets
-    of one size, nothing says which, and nobody is corrected. The tracks and the view of a faulty agent are corrected,
-    and it keeps its vote. A lie concerns some of its tracks: what remains after the correction is evidence for `stage`,
+    the other is fitted to all tracks of objects that both report. An agent is faulty if it is in every set of fewer
+    than half of the agents that has one of each pair that differs so (`relative_faults`): on one agent or on several at
+    once. Two agents cannot make a third one seem faulty. The tracks and the view of a faulty agent are corrected, and
+    it keeps its vote. A lie concerns some of its tracks: what remains after the correction is evidence for `stage`,
     as without a fault. A fault that is newly found excuses what the agent did before, once in a minute at most, and
     `stage` waits for a moment before it acts on an agent whose tracks differ.
 
@@ -75,6 +75,7 @@ class FaultOrLie(Integrity):
         # excused_until_ns: ns, until when no further fault excuses what the agent did before it was found
         self._agents = AgentMemory(forget_s=600.0, loss=0.0, excused_until_ns=0)
         self._suspicious = False  # whether an agent of the last batch looks worse than most honest ones ever do
+        self._suspended: tuple[str, ...] = ()  # of the last batch
         self._known: dict[str, Floats] = {}  # (4,) fault of each faulty agent of the last batch
 
     def correct(
@@ -91,7 +92,8 @@ class FaultOrLie(Integrity):
                 pivots[row] = views[name].view.position[:2]
             elif (of == row).any():
                 pivots[row] = tracks.position[of == row, :2].mean(axis=0)
-        for name in self._faults.update(time_ns, tracks, of, agents, pivots, urgent=self._suspicious):
+        suspended = np.isin(agents, self._suspended)
+        for name in self._faults.update(time_ns, tracks, of, agents, pivots, suspended, urgent=self._suspicious):
             self._excuse(time_ns, name, rows[agents.index(name)])
         doubtful = np.flatnonzero(self._faults.doubtful).tolist()
         self._stage.await_faults(frozenset(self._faults.names[row] for row in doubtful))
@@ -120,6 +122,7 @@ class FaultOrLie(Integrity):
         assessment = self._stage.assess(batch)
         trust = assessment.agents
         suspended = trust.state == SUSPENDED
+        self._suspended = tuple(np.array(batch.agents)[suspended].tolist())
         self._suspicious = bool((trust.log_odds[~suspended] < SUSPECT_LOG_ODDS).any())
         faults = np.array([self._known.get(name, np.zeros(4)) for name in batch.agents]).reshape(-1, 4)
         faulty = faults.any(axis=1) & ~suspended

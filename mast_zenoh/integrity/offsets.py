@@ -192,7 +192,8 @@ class OffsetSums(_ObjectSums):
     clip = CLIP
 
     def __init__(self, memory_s: float, limit: int = 10_000) -> None:
-        super().__init__(memory_s, 5, limit)  # the scores in x and y, and the information xx, xy, yy
+        # the information xx, xy, yy; the scores in x and y, with limited influence, and as measured
+        super().__init__(memory_s, 7, limit)
 
     def of_objects(self, time_ns: int, agent: Ints, obj: Ints, measured: Offsets) -> Floats:
         """(c, a) likelihood ratio statistic of a constant offset of each agent from each object; 0 without a track.
@@ -206,12 +207,12 @@ class OffsetSums(_ObjectSums):
         offset, information = measured.offset[cluster, column], measured.information[cluster, column]
         score = np.einsum("kij,kj->ki", information, offset)
         distance = np.sqrt(np.maximum(np.einsum("ki,ki->k", offset, score), 1e-12))
-        score *= np.minimum(1.0, self.clip / distance)[:, None]
-        values = np.column_stack([score, information.reshape(-1, 4)[:, [0, 1, 3]]])
+        limited_score = score * np.minimum(1.0, self.clip / distance)[:, None]
+        values = np.column_stack([information.reshape(-1, 4)[:, [0, 1, 3]], limited_score, score])
         rows, age_s = self._known(time_ns, agent[column], obj[cluster])
         total = self._sum[rows] * np.exp(-age_s / self._memory_s)[:, None] + values
         self._set(time_ns, rows, total)
-        x, y, a, b, c = total.T
+        a, b, c, x, y = total.T[:5]
         statistics[cluster, column] = (c * x * x - 2.0 * b * x * y + a * y * y) / np.maximum(a * c - b * b, 1e-12)
         return statistics
 
@@ -230,12 +231,12 @@ class OffsetSums(_ObjectSums):
         if row not in sums:
             return 1.0
         information, vector = prior.copy(), np.zeros(4)
-        for each, (x, y, xx, xy, yy) in sums.items():
+        for each, (xx, xy, yy, _, _, x, y) in sums.items():
             if each != row:
                 weighted = design[each].T @ np.array([[xx, xy], [xy, yy]])
                 information += weighted @ design[each]
                 vector += design[each].T @ [x, y]
-        x, y, xx, xy, yy = sums[row]
+        xx, xy, yy, _, _, x, y = sums[row]
         own = np.linalg.inv([[xx, xy], [xy, yy]])
         offset, spread = own @ [x, y], np.linalg.inv(information)
         left = offset - design[row] @ spread @ vector

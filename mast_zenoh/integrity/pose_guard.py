@@ -79,7 +79,8 @@ class PoseGuard(Integrity):
             self._left_out += int(left_out.sum())
             self._withheld += int(unseen.sum())
         claims = reported & ~left_out & ~unseen[:, None]
-        compared = reported & checked[:, None] & (reported[:, ego] | unseen)[:, None]
+        own = reported[:, ego] if ego >= 0 else np.zeros(c, np.bool_)
+        compared = reported & checked[:, None] & (own | unseen)[:, None]
         mean = self._record.update(
             batch.time_ns,
             batch.agents,

@@ -2,8 +2,9 @@
 
 A fault is (4,): x and y in m, a turn in rad, and a lead in s, by which the tracks are ahead; it moves all tracks of an
 agent alike. Of two agents that report the same objects, only the difference of their faults can be seen, whichever of
-them has it. Which agents are faulty follows from all pairs together: they are the smallest set of agents, fewer than
-half, that has one of each pair with a difference, if only one set is the smallest.
+them has it. Which agents are faulty follows from all pairs together, as for liars: those in every set of fewer than
+half of the agents that has one of each pair with a difference (`explanations`). If the smallest such set counted, two
+liars could make any agent seem faulty.
 """
 
 from __future__ import annotations
@@ -282,13 +283,14 @@ class RelativeFaults:
         agent: Ints,
         names: tuple[str, ...],
         pivots: Floats,
+        suspended: Bools,
         *,
         urgent: bool = False,
     ) -> tuple[str, ...]:
         """Add a batch, if it is time to; returns the agents that are newly found to be faulty.
 
         states: n tracks of all agents as they were reported, world frame; agent: (n,) rows of `names` (a)
-        pivots: (a, 2) m, about which each agent turns
+        pivots: (a, 2) m, about which each agent turns;  suspended: (a,) agents whose word does not count about others
         urgent: whether to add it in any case, and to look for faults that only moving tracks show
         """
         if self._about is None:
@@ -307,7 +309,7 @@ class RelativeFaults:
         past, known = (self._information[pairs], self._score[pairs]), (self._fault[pairs], self._explains[pairs])
         fitted = self._fit(found, samples, past, *known, prior, urgent)
         self._information[pairs], self._score[pairs], self._fault[pairs], self._explains[pairs] = fitted
-        return self._settle(pairs, pivots, prior)
+        return self._settle(pairs, pivots, prior, suspended)
 
     def _meet(self, time_ns: int, names: tuple[str, ...]) -> bool:
         """Take the agents of a batch; whether they are others than in the last one."""
@@ -372,7 +374,7 @@ class RelativeFaults:
         own = about_pivot(pivots - self._about)
         return np.asarray(np.swapaxes(own, 1, 2) @ (own / PRIOR[:, None]))
 
-    def _settle(self, pairs: tuple[Ints, ...], pivots: Floats, prior: Floats) -> tuple[str, ...]:
+    def _settle(self, pairs: tuple[Ints, ...], pivots: Floats, prior: Floats, suspended: Bools) -> tuple[str, ...]:
         """Find out which agents are faulty; returns those that were not before."""
         assert self._about is not None
         fault, score = self._fault[pairs], self._score[pairs]
@@ -383,13 +385,11 @@ class RelativeFaults:
         self.differ &= self.differ.T
         faulty = self._still_faulty(pairs)
         # Pairs that are still to be searched may differ, too: nobody is corrected who might then not be at fault.
-        nobody = np.zeros(len(fault), np.bool_)
-        now, later = (
-            Explanations(each, nobody, nobody).smallest() for each in (self.differ, self.differ | self._unsearched)
-        )
-        if now is not None and later is not None:
-            faulty |= now & later
-        sound = ~faulty
+        faulty |= _in_every_explanation(self.differ, suspended)
+        if self._unsearched.any():
+            faulty &= _in_every_explanation(self.differ | self._unsearched, suspended)
+        # The word of suspended agents counts no more than that of faulty ones.
+        sound = ~faulty & ~suspended
         corrected = np.zeros((len(fault), 4))
         for row in np.flatnonzero(faulty).tolist():
             before = self._corrected[self._rows[row]]
@@ -420,6 +420,22 @@ class RelativeFaults:
         if self._about is None:
             return np.zeros((len(pivots), 4))
         return np.asarray(np.einsum("aij,aj->ai", about_pivot(pivots - self._about), self._corrected[self._rows]))
+
+
+def _in_every_explanation(differ: Bools, suspended: Bools) -> Bools:
+    """(a,) the faulty agents, given which pairs differ (a, a); suspended: (a,) agents whose word does not count."""
+    if not differ.any():
+        return np.zeros(len(differ), np.bool_)
+    nobody = np.zeros(len(differ), np.bool_)
+
+    def faulty(untrusted: Bools) -> Bools:
+        explanations = Explanations(differ, untrusted, nobody)
+        return explanations.verdict().lying & ~untrusted if explanations.possible() else nobody
+
+    result = faulty(suspended)
+    for agent in np.flatnonzero(suspended & differ.any(axis=1)).tolist():
+        result[agent] = faulty(suspended & (np.arange(len(differ)) != agent))[agent]
+    return result
 
 
 def _solved(total: tuple[Floats, Floats], prior: Floats) -> Floats:

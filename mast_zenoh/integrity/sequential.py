@@ -51,7 +51,7 @@ FALSE_ALARMS_PER_HOUR = 0.1
 DISPUTES_PER_HOUR = 1.0
 #: s, for which an agent that may have a fault is not suspended for what it does; and for an offset that a fault of the
 #: agent, fitted to its other objects, explains, but for this share of its statistic.
-FAULT_AWAITED_S, EXPLAINED_S, EXPLAINED = 1.5, 10.0, 0.7
+FAULT_AWAITED_S, EXPLAINED_S, EXPLAINED = 1.5, 10.0, 0.5
 #: s, for which contradictions must have lasted: those of a fault begin all at once, and finding it takes some batches.
 SUDDEN_S = 0.5
 #: s, of this time that an agent regains in a second: one that differs now and then is not excused for ever.

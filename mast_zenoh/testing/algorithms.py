@@ -306,7 +306,7 @@ def _by_id(states: ObjectStates) -> ObjectStates:
 
 
 def check_integrity(stage: Integrity) -> None:
-    """Check an integrity stage with zero, one and a thousand tracks, with and without views.
+    """Check an integrity stage with zero, one and a thousand tracks, with and without views, and without agents.
 
     It must fulfil what the documentation of `Integrity` promises.
 
@@ -317,6 +317,9 @@ def check_integrity(stage: Integrity) -> None:
         for viewed in (True, False):
             subject = f"{type(stage).__name__}.assess with {n} tracks {'and' if viewed else 'without'} views"
             _check_batches(stage, subject, n, viewed)
+    nobody = np.zeros(0, np.int64)
+    batch, assessment = _assess(copy.deepcopy(stage), 0, ObjectStates.of(np.zeros((0, 3))), nobody, (), {})
+    _check_assessment(f"{type(stage).__name__}.assess without agents", assessment, batch)
 
 
 def _check_batches(stage: Integrity, subject: str, n: int, viewed: bool) -> None:

@@ -68,17 +68,6 @@ def test_it_is_open_whether_an_agent_lies_that_only_some_explanations_need(graph
     assert set(np.flatnonzero(verdict.open).tolist()) == needed - certain
 
 
-@given(graphs())
-def test_the_smallest_explanation_is_given_if_there_is_only_one(graph: Graph) -> None:
-    disputes, lying, _ = graph
-    every = sorted(explanations(disputes, lying, set()), key=len)
-    smallest = [each for each in every if len(each) == len(every[0])]
-    found = built(disputes, lying).smallest()
-    assert (found is None) == (len(smallest) != 1)
-    if found is not None:
-        assert set(np.flatnonzero(found).tolist()) == smallest[0]
-
-
 @given(graphs(), st.data())
 def test_a_claim_is_false_if_all_that_make_it_lie_in_every_explanation(graph: Graph, data: st.DataObject) -> None:
     disputes, lying, honest = graph

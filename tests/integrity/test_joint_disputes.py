@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from integrity_batches import Track, batch, view
+from integrity_batches import STEP_NS, Track, batch, view
 
 from mast_zenoh.integrity import Batch, FaultOrLie, SequentialConsistency
 from mast_zenoh.integrity.base import STATES, SUSPENDED, TRUSTED, UNDECIDED, Assessment
@@ -213,3 +215,80 @@ def test_agents_whose_tracks_are_all_displaced_are_corrected_and_keep_their_vote
     assert found.agents.offset[0].tolist() == pytest.approx([1.2, 0.0], abs=0.1)
     assert found.agents.reason[0].startswith("all its tracks are shifted by 1.2 m")
     assert states.position[each.agent == 0, 0] == pytest.approx(each.states.position[each.agent == 0, 0], abs=0.15)
+
+
+NORTH, WEST, SOUTH = (0.0, 8.0), (-4.0, 8.0), (0.0, -8.0)
+
+
+def test_two_agents_that_contradict_each_other_are_both_undecided_and_the_object_stays() -> None:
+    two = {name: PLACES[name] for name in "ab"}
+    views = {"a": view(two["a"], (*NORTH, 2.5)), "b": view(two["b"])}
+    stage = SequentialConsistency()
+    for frame in range(60):
+        found = stage.assess(batch([("a", 0, NORTH)], tuple(two), views, frame=frame))
+    assert found.agents.state.tolist() == [UNDECIDED, UNDECIDED]
+    assert found.agents.reason == ("either it lies, or b does", "either it lies, or a does")
+    assert (found.agents.mean == 0.5).all()
+    assert not found.objects.withheld.any()
+
+
+def test_one_that_denies_cannot_remove_what_two_report_once_others_are_suspended() -> None:
+    stage = SequentialConsistency()
+    liars = {"a": [WEST], "b": [WEST]}
+    *_, before = (stage.assess(each) for each in world(liars, sees={WEST: "cde"}))
+    assert suspended(before) == "ab"
+    views = {name: view(place, *([] if name == "d" else [(*CAR, 2.5)])) for name, place in PLACES.items()}
+    for frame in range(50, 70):
+        found = stage.assess(batch([("c", 0, CAR), ("e", 0, CAR)], tuple(PLACES), views, frame=frame))
+    assert not found.objects.withheld.any()
+
+
+def test_what_a_suspended_agent_denies_is_no_evidence_against_others() -> None:
+    stage = SequentialConsistency()
+    list(map(stage.assess, world({"a": [SOUTH]}, sees={SOUTH: "bcd"})))
+    *_, found = (stage.assess(each) for each in later(world(hidden={"a": [CAR]}), 50))
+    assert found.agents.state[0] == SUSPENDED
+    assert (found.agents.log_odds[1:] > 5.0).all()
+
+
+def later(batches: Iterable[Batch], frames: int) -> Iterable[Batch]:
+    """Batches, so many frames later."""
+    return (replace(each, time_ns=each.time_ns + frames * STEP_NS) for each in batches)
+
+
+def test_a_dispute_is_forgotten_while_an_agent_is_away() -> None:
+    stage = SequentialConsistency()
+    list(map(stage.assess, world({"a": [SOUTH]}, sees={SOUTH: "bd"})))
+    others = {name: place for name, place in PLACES.items() if name != "a"}
+    views = {name: view(place, (*CAR, 2.5)) for name, place in others.items()}
+    for frame in range(50, 250):
+        stage.assess(batch([(name, 0, CAR) for name in others], tuple(others), views, frame=frame))
+    found = stage.assess(next(iter(later(world(), 250))))
+    assert UNDECIDED not in found.agents.state
+
+
+def test_the_reason_is_what_was_most_often_seen_and_not_what_is_seen_last() -> None:
+    stage = SequentialConsistency()
+    *_, found = (stage.assess(each) for each in world({"a": [SOUTH]}, sees={SOUTH: "bcd"}, frames=20))
+    assert suspended(found) == ""
+    stage.await_faults(frozenset("a"))
+    list(map(stage.assess, later(world({"a": [SOUTH]}, sees={SOUTH: "bcd"}, frames=15), 20)))
+    assert suspended(found) == ""
+    stage.await_faults(frozenset())
+    *_, found = (stage.assess(each) for each in later(world(frames=3), 35))
+    assert found.agents.reason[0].startswith("reports objects that others see through")
+
+
+def test_contradictions_that_begin_all_at_once_are_judged_when_a_fault_could_have_been_found() -> None:
+    places = [(-14.0 + 4.0 * column, y) for column in range(7) for y in (-12.0, -8.0)]
+    batches = list(world({"a": places}, sees=dict.fromkeys(places, "bcd"), frames=12))
+    alone, inside = SequentialConsistency(), SequentialConsistency()
+    inside.await_faults(frozenset())
+    first, waiting = ([suspended(stage.assess(each)) for each in batches].index("a") for stage in (alone, inside))
+    assert first < 5 <= waiting <= 8
+
+
+@pytest.mark.parametrize("name", ["contradiction_tail", "offset_tail", "pair_tail"])
+def test_a_tail_of_nothing_is_refused(name: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(f"{name}[1]: found 0.0, expected more than 0")):
+        SequentialConsistency(**{name: (10.0, 0.0)})

@@ -11,6 +11,7 @@ from mast_zenoh.integrity.relative_faults import RelativeFaults, about_pivot
 
 NAMES = ("a", "b", "c", "d", "e")
 PIVOTS = np.array([[-30.0, 0.0], [30.0, 0.0], [0.0, 30.0], [0.0, -30.0], [20.0, 20.0]])
+NOBODY = np.zeros(5, np.bool_)
 STEP_NS = 100_000_000
 SKEW, SHIFT, TURN = (0.0, 0.0, 0.0, 0.3), (1.6, -1.2, 0.0, 0.0), (0.0, 0.0, 0.1, 0.0)
 
@@ -49,7 +50,7 @@ def batches(faults: dict[str, tuple[float, ...]], frames: int = 25, seed: int = 
 def found(faults: dict[str, tuple[float, ...]], **world: object) -> Floats:
     estimator = RelativeFaults(significance=30.0, least_m=0.3, share=0.7, memory_s=1.5)
     for time_ns, states, agent in batches(faults, **world):  # type: ignore[arg-type]
-        estimator.update(time_ns, states, agent, NAMES, PIVOTS)
+        estimator.update(time_ns, states, agent, NAMES, PIVOTS, NOBODY)
     return estimator.faults(PIVOTS)
 
 
@@ -86,22 +87,22 @@ def test_nobody_is_corrected_where_as_many_agents_differ_as_agree() -> None:
     estimator = RelativeFaults(significance=30.0, least_m=0.3, share=0.7, memory_s=1.5)
     for time_ns, states, agent in batches({"a": SHIFT, "b": SHIFT}):
         rows = agent < 4
-        estimator.update(time_ns, states.select(rows), agent[rows], NAMES[:4], PIVOTS[:4])
+        estimator.update(time_ns, states.select(rows), agent[rows], NAMES[:4], PIVOTS[:4], NOBODY[:4])
     assert not estimator.faults(PIVOTS[:4]).any()
 
 
 def test_a_delay_is_kept_while_nothing_moves_and_forgotten_when_it_is_over() -> None:
     estimator = RelativeFaults(significance=30.0, least_m=0.3, share=0.7, memory_s=1.5)
     for time_ns, states, agent in batches({"a": SKEW}, frames=30):
-        estimator.update(time_ns, states, agent, NAMES, PIVOTS)
+        estimator.update(time_ns, states, agent, NAMES, PIVOTS, NOBODY)
     standing = [
         (states.with_(velocity=np.zeros((len(states), 3))), agent) for _, states, agent in batches({}, frames=1)
     ]
     for frame in range(30, 90):
-        estimator.update(frame * STEP_NS, *standing[0], NAMES, PIVOTS)
+        estimator.update(frame * STEP_NS, *standing[0], NAMES, PIVOTS, NOBODY)
     assert estimator.faults(PIVOTS)[0, 3] == pytest.approx(0.3, abs=0.05)
     for time_ns, states, agent in batches({}, frames=40):
-        estimator.update(9_000_000_000 + time_ns, states, agent, NAMES, PIVOTS)
+        estimator.update(9_000_000_000 + time_ns, states, agent, NAMES, PIVOTS, NOBODY)
     assert not estimator.faults(PIVOTS).any()
 
 
@@ -127,5 +128,5 @@ def test_a_fault_is_found_among_many_agents() -> None:
             size=np.tile([4.5, 1.8, 1.5], (300, 1)),
             covariance=np.tile(np.diag([0.04] * 3 + [0.02] * 3 + [0.25] * 3), (300, 1, 1)),
         )
-        estimator.update(frame * STEP_NS, states, agent, names, pivots)
+        estimator.update(frame * STEP_NS, states, agent, names, pivots, np.zeros(25, np.bool_))
     assert np.flatnonzero(estimator.faults(pivots).any(axis=1)).tolist() == [7]

@@ -134,8 +134,8 @@ PUBLISHED = (
     _stage(
         "SequentialConsistency",
         *(_FLIP, "TrustReflect takes away 35 to 100 % of the effect", NOTES),
-        "The stage settles all disputes together: it believes several against one only if they are more than may be lying; "
-        "until then, all of them are undecided.",
+        "The stage settles all disputes together: it believes several against one only if they are more than may be "
+        "lying; until then, all of them are undecided.",
         quantities=("targets_suspended",),
         attacks=("TrustFlip",),
     ),
