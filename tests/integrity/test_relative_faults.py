@@ -130,3 +130,18 @@ def test_a_fault_is_found_among_many_agents() -> None:
         )
         estimator.update(frame * STEP_NS, states, agent, names, pivots, np.zeros(25, np.bool_))
     assert np.flatnonzero(estimator.faults(pivots).any(axis=1)).tolist() == [7]
+
+
+@pytest.mark.parametrize(("liars", "suspended", "framed"), [("bc", "", False), ("bcd", "", True), ("bc", "b", False)])
+def test_the_word_of_two_of_five_proves_no_fault_of_a_third(liars: str, suspended: str, framed: bool) -> None:
+    """Liars displace what only `a` sees besides them, and do not report the rest: each alone differs from `a`."""
+    estimator = RelativeFaults(significance=30.0, least_m=0.3, share=0.7, memory_s=1.5)
+    for time_ns, states, agent in batches({}):
+        number = np.tile(np.arange(12), 5)
+        lying = np.isin(np.array(NAMES)[agent], list(liars))
+        kept = np.flatnonzero(np.where(lying, number < 6, (agent == 0) | (number >= 6)))
+        moved = states.position + np.array([2.0, 0.0, 0.0]) * lying[:, None]
+        tracks = states.with_(position=moved).select(kept)
+        estimator.update(time_ns, tracks, agent[kept], NAMES, PIVOTS, np.isin(NAMES, list(suspended)), urgent=True)
+    assert estimator.differ[0, 1]
+    assert estimator.faults(PIVOTS)[0].any() == framed
