@@ -9,6 +9,7 @@ liars could make any agent seem faulty.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -246,6 +247,39 @@ def _tried() -> Floats:
 _TRIED = _tried()
 
 
+@dataclass(slots=True, eq=False)
+class PairFits:
+    """The fault of one agent against another one, of each pair of m agents, about the fixed point.
+
+    information: (m, m, 4, 4), score: (m, m, 4) sums of weighted least squares;  fault: (m, m, 4) that fits them
+    explains: (m, m) share of the common tracks that it explains
+    """
+
+    information: Floats
+    score: Floats
+    fault: Floats
+    explains: Floats
+
+    @classmethod
+    def of(cls, m: int) -> PairFits:
+        """Of m agents, before any evidence."""
+        return cls(np.zeros((m, m, 4, 4)), np.zeros((m, m, 4)), np.zeros((m, m, 4)), np.zeros((m, m)))
+
+    def of_pairs(self, pairs: tuple[Ints, ...]) -> PairFits:
+        """Those of some pairs, an index of both axes."""
+        return PairFits(self.information[pairs], self.score[pairs], self.fault[pairs], self.explains[pairs])
+
+    def put(self, pairs: tuple[Ints, ...], fits: PairFits) -> None:
+        """Replace those of some pairs."""
+        self.information[pairs], self.score[pairs] = fits.information, fits.score
+        self.fault[pairs], self.explains[pairs] = fits.fault, fits.explains
+
+    def carried(self, agents: AgentMemory) -> PairFits:
+        """Those of the agents that are remembered now."""
+        columns = (self.information, self.score, self.fault, self.explains)
+        return PairFits(*(agents.carry(agents.carry(column, 0.0), 0.0, axis=1) for column in columns))
+
+
 class RelativeFaults:
     """Estimates the differences of the faults of all pairs of agents, and from them the faults of agents.
 
@@ -264,9 +298,7 @@ class RelativeFaults:
     def reset(self) -> None:
         """Forget everything."""
         self._agents = AgentMemory()
-        self._information, self._score = np.zeros((0, 0, 4, 4)), np.zeros((0, 0, 4))
-        self._fault = np.zeros((0, 0, 4))  # (m, m, 4) of the one against the other, about the fixed point
-        self._explains = np.zeros((0, 0))  # (m, m) share of the common tracks that it explains
+        self._fits = PairFits.of(0)
         self._corrected = np.zeros((0, 4))  # (m, 4) of each agent, about the fixed point
         self._about: Floats | None = None
         self._turn = 0  # of the pairs whose fault is searched
@@ -301,55 +333,49 @@ class RelativeFaults:
             return ()
         self._time_ns = time_ns
         pairs = np.ix_(self._rows, self._rows)
-        found = Differences.of(states, agent, self._about)
+        differences = Differences.of(states, agent, self._about)
         keep, samples = np.exp(-elapsed_s / self._memory_s), SAMPLES_PER_S * min(elapsed_s, MAX_STEP_S)
         prior = self._priors(pivots)
-        self._information *= keep
-        self._score *= keep
-        past, known = (self._information[pairs], self._score[pairs]), (self._fault[pairs], self._explains[pairs])
-        fitted = self._fit(found, samples, past, *known, prior, urgent)
-        self._information[pairs], self._score[pairs], self._fault[pairs], self._explains[pairs] = fitted
-        return self._settle(pairs, pivots, prior, suspended)
+        self._fits.information *= keep
+        self._fits.score *= keep
+        fits = self._fit(differences, samples, self._fits.of_pairs(pairs), prior, urgent)
+        self._fits.put(pairs, fits)
+        return self._settle(fits, pivots, prior, suspended)
 
     def _meet(self, time_ns: int, names: tuple[str, ...]) -> bool:
         """Take the agents of a batch; whether they are others than in the last one."""
         changed = names != self.names
         self._rows, self.names = self._agents.meet(time_ns, names), names
-        for name in ("_information", "_score", "_fault", "_explains"):
-            values = self._agents.carry(getattr(self, name), 0.0)
-            setattr(self, name, self._agents.carry(values, 0.0, axis=1))
+        self._fits = self._fits.carried(self._agents)
         self._corrected = self._agents.carry(self._corrected, 0.0)
         return changed
 
-    def _fit(
-        self,
-        found: Differences,
-        samples: float,
-        past: tuple[Floats, Floats],
-        known: Floats,
-        explains: Floats,
-        prior: Floats,
-        urgent: bool,
-    ) -> tuple[Floats, Floats, Floats, Floats]:
-        """Sums, faults and the shares that they explain, of each pair, with those of a batch."""
-        a = len(known)
-        near, few = found.matched(known, every=urgent)
-        anew = np.zeros((a, a), np.bool_)
-        start = known.copy()
+    def _search(self, differences: Differences, known: Floats, urgent: bool) -> tuple[Floats, Bools]:
+        """Look for another fault where few tracks match the known ones (a, a, 4), of some pairs at a time.
+
+        Returns the faults (a, a, 4) with those that are found, and which are (a, a).
+        """
+        _, few = differences.matched(known, every=urgent)
+        fault, found = known.copy(), np.zeros(few.shape, np.bool_)
         poor = np.argwhere(np.triu(few & few.T)).tolist()
         for turn in range(min(SEARCHES, len(poor))):
             one, other = poor[(self._turn + turn) % len(poor)]
             few[one, other] = few[other, one] = False
-            guess = most_common(found, (one, other))
+            guess = most_common(differences, (one, other))
             if guess is not None:
-                start[one, other], start[other, one] = guess, -guess
-                anew[one, other] = anew[other, one] = True
+                fault[one, other], fault[other, one] = guess, -guess
+                found[one, other] = found[other, one] = True
         self._turn += SEARCHES
         self._unsearched = few & few.T
-        if anew.any():
-            near, _ = found.matched(start)
-        information, score = near.equations(a, start)
-        total = past[0] + samples * information, past[1] + samples * score
+        return fault, found
+
+    def _fit(self, differences: Differences, samples: float, past: PairFits, prior: Floats, urgent: bool) -> PairFits:
+        """The fits of each pair, with a batch. past: before it;  samples: independent ones that the batch counts for"""
+        a = len(prior)
+        start, anew = self._search(differences, past.fault, urgent)
+        near, _ = differences.matched(start)
+        information, score = (samples * each for each in near.equations(a, start))
+        total = past.information + information, past.score + score
         fault = _solved(total, prior)
         count = near.sums(a, np.ones(len(near.one)))
         loss = near.sums(a, huber_loss(near.deviations(fault)))
@@ -357,16 +383,16 @@ class RelativeFaults:
         if poor_fit.any() or anew.any():
             fresh = start
             for step in range(3):
-                now = near.equations(a, fresh if step or anew.any() else None)
-                fresh = _solved((samples * now[0], samples * now[1]), prior)
+                of_batch = [samples * each for each in near.equations(a, fresh if step or anew.any() else None)]
+                fresh = _solved(of_batch, prior)
             better = near.sums(a, huber_loss(near.deviations(fresh))) < loss - CHANGED
             changed = poor_fit & better | anew
-            for summed, of_batch in zip(total, now, strict=True):
-                summed[changed] = samples * of_batch[changed]
+            for summed, alone in zip(total, of_batch, strict=True):
+                summed[changed] = alone[changed]
             fault[changed] = fresh[changed]
         explained = near.sums(a, (near.deviations(fault) <= EXPLAINED_SD).astype(np.float64))
-        share = np.where(count >= COMPARABLE, explained / np.maximum(count, 1.0), explains)
-        return *total, fault, share
+        share = np.where(count >= COMPARABLE, explained / np.maximum(count, 1.0), past.explains)
+        return PairFits(total[0], total[1], fault, share)
 
     def _priors(self, pivots: Floats) -> Floats:
         """(a, 4, 4) inverse covariance, about the fixed point, of a fault of each agent before any evidence."""
@@ -374,16 +400,16 @@ class RelativeFaults:
         own = about_pivot(pivots - self._about)
         return np.asarray(np.swapaxes(own, 1, 2) @ (own / PRIOR[:, None]))
 
-    def _settle(self, pairs: tuple[Ints, ...], pivots: Floats, prior: Floats, suspended: Bools) -> tuple[str, ...]:
+    def _settle(self, fits: PairFits, pivots: Floats, prior: Floats, suspended: Bools) -> tuple[str, ...]:
         """Find out which agents are faulty; returns those that were not before."""
         assert self._about is not None
-        fault, score = self._fault[pairs], self._score[pairs]
+        fault, score = fits.fault, fits.score
         own = about_pivot(pivots - self._about)
         size = displacement_m(np.einsum("aij,abj->abi", own, fault))
         significant = (np.einsum("abi,abi->ab", score, fault) >= self._significance) & (size >= self._least_m)
-        self.differ = significant & (self._explains[pairs] >= self._share)
+        self.differ = significant & (fits.explains >= self._share)
         self.differ &= self.differ.T
-        faulty = self._still_faulty(pairs)
+        faulty = self._still_faulty(fits)
         # Pairs that are still to be searched may differ, too: nobody is corrected who might then not be at fault.
         faulty |= _in_every_explanation(self.differ, suspended)
         if self._unsearched.any():
@@ -393,7 +419,7 @@ class RelativeFaults:
         corrected = np.zeros((len(fault), 4))
         for row in np.flatnonzero(faulty).tolist():
             before = self._corrected[self._rows[row]]
-            information = self._information[pairs][row, sound].sum(axis=0) + prior[row]
+            information = fits.information[row, sound].sum(axis=0) + prior[row]
             # What nothing shows any more, as the delay of standing objects, stays as it was.
             corrected[row] = np.linalg.solve(information, score[row, sound].sum(axis=0) + prior[row] @ before)
         corrected[displacement_m(np.einsum("aij,aj->ai", own, corrected)) < self._least_m] = 0.0
@@ -401,11 +427,11 @@ class RelativeFaults:
         self._corrected[self._rows] = corrected
         return tuple(name for name, each in zip(self.names, new.tolist(), strict=True) if each)
 
-    def _still_faulty(self, pairs: tuple[Ints, ...]) -> Bools:
+    def _still_faulty(self, fits: PairFits) -> Bools:
         """(a,) agents with a fault that is corrected, and that the differences from the others do not refute."""
         corrected = self._corrected[self._rows]
         faulty = corrected.any(axis=1)
-        score, information = (each[pairs][:, ~faulty].sum(axis=1) for each in (self._score, self._information))
+        score, information = (each[:, ~faulty].sum(axis=1) for each in (fits.score, fits.information))
         gain = 2.0 * np.einsum("ai,ai->a", score, corrected)
         gain -= np.einsum("ai,aij,aj->a", corrected, information, corrected)
         return np.asarray(faulty & (gain >= -DOUBT))
@@ -438,8 +464,11 @@ def _in_every_explanation(differ: Bools, suspended: Bools) -> Bools:
     return result
 
 
-def _solved(total: tuple[Floats, Floats], prior: Floats) -> Floats:
-    """(a, a, 4) the fault of each pair that fits sums best; prior: (a, 4, 4)"""
+def _solved(total: Sequence[Floats], prior: Floats) -> Floats:
+    """(a, a, 4) the fault of each pair that fits sums best.
+
+    total: (a, a, 4, 4) information and (a, a, 4) scores;  prior: (a, 4, 4)
+    """
     # From either side it is the same but for the sign, so both use the mean of their priors.
     both = 0.5 * (prior[:, None] + prior[None, :])
     return np.asarray(np.linalg.solve(total[0] + both, total[1][..., None])[..., 0])
