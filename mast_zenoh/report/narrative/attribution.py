@@ -247,6 +247,8 @@ def culprit_names(run: RunRecord, change: Change, reference: RunRecord | None = 
     """
     total = sum(change.by.values())
     acting = [each.name for each in interposers(run) if each.changed and not each.is_link]
+    if change.agent != run.ego:  # of the others, no measurements of single objects narrow them down
+        acting = [name for name in acting if reaches(run, name, change.estimate, change.agent)]
     measured = [name for name, rows in change.by.most_common() if rows >= MIN_CULPRIT_SHARE * total] or acting
     if reference is None:
         return measured if change.due_to("attack") else []
