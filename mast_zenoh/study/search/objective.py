@@ -18,6 +18,8 @@ PICTURE = "picture"
 _OF_ALL = (ACHIEVED, DEFENCE)
 #: Counts of a whole run, which charts over time show per frame.
 _PER_RUN = ("id_switches",)
+#: Suffix of a number minus that of the ego alone.
+_OF_PAPER = "_ioe"
 #: Suffix of a number minus the baseline's: in the baseline it is 0 by definition.
 _OVER_BASELINE = "_iob"
 
@@ -61,6 +63,14 @@ class Objective:
             for term in self.terms
         )
         return float(sum(parts))
+
+    def check_names(self, place: str) -> None:
+        """Raise ConfigurationError for a metric of an estimate that no run has, as far as names tell."""
+        for term in self.terms:
+            base = term.metric.removesuffix(_OVER_BASELINE)
+            known = term.estimator not in ESTIMATES or not base.isidentifier() or base in MEASURES
+            if not known and not base.endswith(_OF_PAPER):
+                raise ConfigurationError(f"{place}: no metric {term.metric!r}{nearest(term.metric, MEASURES)}")
 
     def check(self, trial_numbers: Iterable[Number], ego: str, place: str) -> None:
         """Raise ConfigurationError for a number that a trial under attack does not have."""

@@ -248,10 +248,17 @@ def test_ranges_that_the_scenario_refuses_are_named_before_anything_starts(
 
 
 def test_an_unknown_objective_is_refused_after_the_first_pair_of_trials(synthetic, tmp_path: Path) -> None:
-    study = definition.load_values(str(write_study(tmp_path)), dict(objective="fp + ospa"))
-    with pytest.raises(ConfigurationError, match=r"search\.objective: no metric 'ospa' of 'ego', 'picture'; "):
+    study = definition.load_values(str(write_study(tmp_path)), dict(objective="fp + infra_7/picture/fp"))
+    with pytest.raises(ConfigurationError, match=r"search\.objective: no numbers of 'infra_7' in the runs; "):
         carry_out(study, tmp_path / "out")
     assert [trial.configuration for trial in synthetic.played] == ["baseline", "attacked"]
+
+
+def test_a_misspelt_metric_is_refused_before_the_first_run(synthetic, tmp_path: Path) -> None:
+    study = definition.load_values(str(write_study(tmp_path)), dict(objective="fp + ospa"))
+    with pytest.raises(ConfigurationError, match=r"search\.objective: no metric 'ospa'; did you mean 'ospa_m'"):
+        carry_out(study, tmp_path / "out")
+    assert not synthetic.played
 
 
 def test_an_attack_that_begins_after_the_last_frame_is_refused(synthetic, study, tmp_path: Path) -> None:
