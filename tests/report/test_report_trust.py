@@ -190,8 +190,22 @@ def test_every_suspension_has_a_row_with_its_reason(folder: Path) -> None:
 
 
 def test_the_terminal_names_suspensions_with_their_reasons(folder: Path) -> None:
-    lines = suspension_lines(RunRecord.load(folder))
-    assert lines[1] == (f"the command centre suspended infra_1 (lying) at 2.0 s, 0.5 s after its first lie: {REASON}")
+    assert suspension_lines(RunRecord.load(folder)) == [
+        f"the command centre suspended infra_2 (honest) from 1.0 s to 1.2 s: {REASON}",
+        f"the command centre suspended infra_1 (lying) from 2.0 s to 3.0 s, 0.5 s after its first lie: {REASON}",
+        f"the command centre suspended infra_1 (lying) from 3.5 s to the end: {REASON}",
+    ]
+
+
+def test_an_agent_whose_suspension_flickers_has_one_line(folder: Path) -> None:
+    flicker = [suspension(0.5 * at, 0.5 * at + 0.2, "honest" if at < 4 else "lying") for at in range(5)]
+    agents = {"infra_2": of_agent(suspensions=[*flicker, suspension(3.5, None, "lying")])}
+    edit(folder, metrics={"integrity": {"agents": agents}})
+    lines = [line for line in suspension_lines(RunRecord.load(folder)) if "infra_2" in line]
+    assert lines == [
+        "the command centre suspended infra_2 6 times (4 while honest, 2 while lying) between 0.0 s and 4.0 s, for "
+        f"1.5 s in all: {REASON}"
+    ]
 
 
 def last_line(folder: Path, defence: str, integrity: dict[str, Any]) -> str:

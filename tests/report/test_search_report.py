@@ -71,6 +71,7 @@ def test_a_difference_that_is_mostly_zero_is_explained() -> None:
     text = search_tables(replace(made, rows=rows)).as_markdown()
     assert "0.10 (0 in 67 % [22, 96])" in text
     assert "marks a difference that is 0 in N % of the trials" in text
+    assert '"(0 in N % [a, b])" marks' in " ".join(shown(replace(made, rows=rows)).split())
     assert "marks a difference" not in shown(made)
 
 

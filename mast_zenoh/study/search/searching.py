@@ -292,7 +292,7 @@ def defaults(study: Study, how: Conditions) -> dict[str, Any]:
 
 
 def _of_class(parameters: Mapping[str, Any], name: str) -> Any:
-    """The default that the class of an attack has for `attack.NAME`; None: unknown."""
+    """The default that the class of an attack has for one of its parameters, by dotted name; None: unknown."""
     place, _, parameter = name.rpartition(".")
     spec = value_at(parameters, place)
     kind = str(spec.get("type")).rpartition(":")[2] if isinstance(spec, Mapping) else ""
