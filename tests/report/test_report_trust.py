@@ -235,6 +235,17 @@ def test_the_last_line_says_which_agents_the_defence_suspended_when_and_what_it_
     assert "withheld" not in none
 
 
+def test_the_last_line_explains_why_more_or_fewer_objects_are_missed_than_withheld(folder: Path) -> None:
+    split = {"fault": 0.0, "attack": 0.0, "withheld": 0.4, "natural": 0.3}
+    edit(folder, metrics={"agents": {"ego": {"picture": {"fn_split": split}}}})
+    withheld = "and withheld 1.50 false and 0.25 true objects a frame"
+    assert last_line(folder, "FreeSpace", INTEGRITY).endswith(
+        f"{withheld}; in its range, the ego misses 0.40 for this and because only suspended agents report them."
+    )
+    edit(folder, metrics={"agents": {"ego": {"picture": {"fn_split": split | {"withheld": 0.251}}}}})
+    assert last_line(folder, "FreeSpace", INTEGRITY).endswith(f"{withheld}.")
+
+
 def test_seconds_of_conduct_without_any_are_left_out(folder: Path) -> None:
     table = conduct_table(RunRecord.load(folder))
     assert [head.text for head in table.heads[1:]] == ["unknown", "trusted", "faulty", "suspended"]

@@ -129,8 +129,19 @@ def defence_sentence(run: RunRecord) -> str:
     if "withheld" in measured:
         false, true = measured["withheld"]["false"], measured["withheld"]["true"]
         what = f"{false:.2f} false and {true:.2f} true objects a frame" if false or true else "nothing"
-        text += f"{',' if len(did) > 1 else ''} and withheld {what}"
+        text += f"{',' if len(did) > 1 else ''} and withheld {what}{_missed_for_it(run, true)}"
     return f"{run.defence or 'The defence'} {text}."
+
+
+def _missed_for_it(run: RunRecord, withheld: float) -> str:
+    """How many objects the ego's picture misses because of the defence, if that is not the number of withheld ones.
+
+    It misses objects that only suspended agents report, too, and none that are out of its range.
+    """
+    missed = (run.summary(PICTURE).get("fn_split") or {}).get("withheld")
+    if missed is None or f"{missed:.2f}" == f"{withheld:.2f}":
+        return ""
+    return f"; in its range, the ego misses {missed:.2f} for this and because only suspended agents report them"
 
 
 def _doubts(agents: dict[str, Any]) -> list[str]:
