@@ -65,11 +65,16 @@ class Objective:
         return float(sum(parts))
 
     def check_names(self, place: str) -> None:
-        """Raise ConfigurationError for a metric of an estimate that no run has, as far as names tell."""
+        """Raise ConfigurationError for a number that no run with our evaluator has, as far as its name tells."""
         for term in self.terms:
-            base = term.metric.removesuffix(_OVER_BASELINE)
-            known = term.estimator not in ESTIMATES or not base.isidentifier() or base in MEASURES
-            if not known and not base.endswith(_OF_PAPER):
+            estimators, base = (*ESTIMATES, *_OF_ALL), term.metric.removesuffix(_OVER_BASELINE)
+            if term.estimator not in estimators:
+                raise ConfigurationError(
+                    f"{place}: no estimator {term.estimator!r}{nearest(term.estimator, estimators)}"
+                )
+            of_paper = term.owner == numbers.COMPROMISED or base.endswith(_OF_PAPER)
+            plain = term.estimator in ESTIMATES and base.isidentifier() and not of_paper
+            if plain and base not in MEASURES:
                 raise ConfigurationError(f"{place}: no metric {term.metric!r}{nearest(term.metric, MEASURES)}")
 
     def check(self, trial_numbers: Iterable[Number], ego: str, place: str) -> None:
