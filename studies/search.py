@@ -32,9 +32,10 @@ def study(
 ):
     """No attack, an attack with its own parameters, and with those that a search finds.
 
-    scenario: defence_cell, or another one that has n_adversaries;
-    attack, defence, knowledge, budget, placement: of defence_cell; None: Collusion on FaultOrLie, white box, two lies
-    per second of each adversary, at the agents that cover the most objects. An attack may be a dict with parameters;
+    scenario: defence_cell, or another one that has n_adversaries; the next five are parameters of defence_cell;
+    attack: a class, or a dict with parameters; None: Collusion; defence: its class, or a dict; None: FaultOrLie;
+    knowledge: what adversaries hear; None: trust (white box); budget: lies per second of each; None: 2;
+    placement: which agents are compromised; None: worst, those that cover the most objects;
     n_adversaries: agents compromised; parameters: others of the scenario, as a dict;
     ranges: NAME=LOW..HIGH, NAME=LOW..HIGH log or NAME=A|B, separated by semicolons; attack.NAME is one of the attack's;
     None: speed, tolerance and pauses of Collusion;

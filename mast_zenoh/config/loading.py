@@ -139,12 +139,18 @@ def concrete(modules: Iterable[ModuleType], base: type) -> list[Any]:
 def class_name(text: str, base: type) -> str:
     """The name of a class from its name, FILE.py or FILE.py:CLASS; a file is loaded first.
 
-    Raises ConfigurationError for a file without a subclass of `base`, or with several and no name.
+    Raises ConfigurationError for a folder, and for a file without a subclass of `base`, or with several and no name.
     """
     file, _, name = text.partition(":")
     if not file.endswith(".py"):
+        if not text.isidentifier() and Path(file).is_dir():
+            raise ConfigurationError(f"{file}: is a folder, expected a class, FILE.py or FILE.py:CLASS")
         return text
-    known = {cls.__name__: cls for cls in concrete([module(Path(file))], base)}
+    loaded = module(Path(file))
+    known = {cls.__name__: cls for cls in concrete([loaded], base)}
+    if not known:
+        expected = f"expected a class derived from {base.__name__}"
+        raise ConfigurationError(f"{file}: defines {_unsuitable(loaded, base)}, {expected}")
     if name and name not in known:
         raise ConfigurationError(f"{file}: defines no {base.__name__} named {name!r}{nearest(name, known)}")
     if not name and len(known) != 1:
@@ -153,6 +159,21 @@ def class_name(text: str, base: type) -> str:
             "expected FILE.py:CLASS to choose one"
         )
     return name or next(iter(known))
+
+
+def _unsuitable(loaded: ModuleType, base: type) -> str:
+    """The classes of a module without a concrete subclass of `base`: `Convoy, a subclass of Attack`."""
+    parts = []
+    for cls in vars(loaded).values():
+        if not isinstance(cls, type) or cls.__module__ != loaded.__name__ or not _is_derived(cls):
+            continue
+        if issubclass(cls, base):
+            missing = ", ".join(sorted(getattr(cls, "__abstractmethods__", ())))
+            parts.append(f"{cls.__name__} without {missing}, which every {base.__name__} has")
+        else:
+            ours = next(each for each in cls.__mro__[1:] if each.__module__.startswith("mast_zenoh."))
+            parts.append(f"{cls.__name__}, a subclass of {ours.__name__}")
+    return " and ".join(parts) or f"no {base.__name__}"
 
 
 def defining_file(function: Callable[..., Any]) -> Path:

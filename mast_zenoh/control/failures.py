@@ -164,14 +164,14 @@ def lines(failures: Mapping[str, Sequence[Entry]], logs: Mapping[str, str] | Non
 
 
 def summary(failures: Mapping[str, Sequence[Entry]], logs: Mapping[str, str] | None = None) -> str:
-    """The failures of a run and their consequence, on several lines."""
-    return "\n  ".join(["handlers failed, so the numbers may be wrong:", *lines(failures, logs)])
+    """The failures of a run and their consequence, on several lines that can be joined to one."""
+    return "handlers failed, so the numbers may be wrong:\n  " + ";\n  ".join(lines(failures, logs))
 
 
 def error(failures: Mapping[str, Sequence[Entry]], logs: Mapping[str, str] | None = None) -> HandlerFailed:
     """The error of a run in which handlers failed."""
     hint = "the results are kept; --allow-failures makes this a warning"
-    return HandlerFailed(f"{summary(failures, logs)}\n{hint}")
+    return HandlerFailed(f"{summary(failures, logs)};\n{hint}")
 
 
 def how_often(entry: Entry) -> str:

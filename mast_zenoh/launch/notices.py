@@ -23,7 +23,7 @@ from mast_zenoh.messagelog import churn
 from mast_zenoh.metrics import Metric
 from mast_zenoh.metrics.estimates import LOCAL, subject_of
 from mast_zenoh.metrics.measures import label_of
-from mast_zenoh.scenario.timeline import attack_starts
+from mast_zenoh.scenario.timeline import DIRECTED, attack_starts
 from mast_zenoh.scenes.recording import SEEN_RETURNS, Recording
 from mast_zenoh.tracking.base import OVERCONFIDENT, Innovations
 from mast_zenoh.wiring.model import Wiring
@@ -307,8 +307,8 @@ def _number(value: float) -> str:
     return f"{value:.1f}" if value < 100.0 else f"{value:.3g}"
 
 
-#: An attack that changes nothing on purpose, and one that acts only as a coordinator says.
-_INERT_ATTACK, _DIRECTED_ATTACK = "PassThrough", "CoordinatedAttack"
+#: An attack that changes nothing on purpose.
+_INERT_ATTACK = "PassThrough"
 #: What adversaries publish besides the messages that they forward.
 _OWN_MESSAGES = ("attack_report", "observation")
 #: s before a fault; messages of that time may still be on their way when it begins.
@@ -401,7 +401,7 @@ def _adversaries(run: _Played) -> Iterator[str]:
 def _why_unchanged(run: _Played, name: str, kind: str, start_s: float | None) -> str:
     """Why an adversary changed nothing, as far as that is known."""
     begins = [] if start_s is None else [start_s]
-    if kind == _DIRECTED_ATTACK:
+    if kind == DIRECTED:
         directing = [other for other in run.of_role("coordinator") if run.leads([other], [name], "directive")]
         if not directing:
             return "no coordinator directs it"

@@ -20,6 +20,10 @@ from mast_zenoh.scenario.nodes import node_spec
 from mast_zenoh.scenes.agents import best_pattern
 from mast_zenoh.scenes.recording import Recording
 
+#: The attack that acts only as a coordinator says.
+DIRECTED = "CoordinatedAttack"
+#: The coordination without a plan of its own: its adversaries keep the name of their attack.
+_PLAIN = "Coordinator"
 #: The rewrite that puts every link between its agent and the network.
 REWRITE = "network.toml"
 
@@ -248,8 +252,14 @@ def attack_starts(nodes: Mapping[str, NodeSpec]) -> dict[tuple[str, float], list
 
 
 def _attacks(nodes: Mapping[str, NodeSpec]) -> list[dict[str, Any]]:
-    """A band for all adversaries that begin the same attack at the same time."""
-    return [_band(kind, "attack", at_s, names, "adversary") for (kind, at_s), names in attack_starts(nodes).items()]
+    """A band for all adversaries that begin the same attack at the same time; directed ones have their coordination."""
+    plans = [spec.config.get("coordination") for spec in nodes.values() if spec.role == "coordinator"]
+    types = [plan["type"] for plan in plans if isinstance(plan, Mapping) and plan.get("type", _PLAIN) != _PLAIN]
+    directed = types[0] if types else DIRECTED
+    return [
+        _band(directed if kind == DIRECTED else kind, "attack", at_s, names, "adversary")
+        for (kind, at_s), names in attack_starts(nodes).items()
+    ]
 
 
 def _band(type_name: str, kind: str, at_s: float, nodes: Sequence[str], backend: str) -> dict[str, Any]:

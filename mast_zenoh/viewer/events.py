@@ -60,9 +60,11 @@ def first_changes(run: RunRecord) -> list[Event]:
             when = "before" if effect == "removed" else "after"
             x, y = (float(own[f"{when}_{axis}"][first]) for axis in "xy")
             place = (round(x, 2), round(y, 2)) if effect in EFFECTS and np.isfinite([x, y]).all() else (None, None)
-            action = (
-                f"{EFFECTS[effect]} its first object" if effect in EFFECTS else f"changes its first message ({effect})"
-            )
+            action = f"changes its first message ({effect})"
+            if effect in EFFECTS:
+                action = f"{EFFECTS[effect]} its first object"
+            elif effect == "reframed" and own["message"][first] == "view":
+                action = f"changes what {agent_of(str(own['wire'][first]))} says it sees"
             result.append(Event(int(own["frame"][first]), "effect", f"{name} {action}", *place))
     return result
 

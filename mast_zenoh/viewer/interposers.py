@@ -36,6 +36,7 @@ class Interposer:
     failed_frames: number of frames in which a handler failed
     objects:  by effect of OF_OBJECTS, number of scene objects in its rows, and whether some rows are clutter; only
               where this is known for all rows
+    views:    how many of its reframed messages are views: what an agent says it sees
     """
 
     name: str
@@ -54,6 +55,7 @@ class Interposer:
     failures: str = ""
     failed_frames: int = 0
     objects: Mapping[str, tuple[int, bool]] = field(default_factory=dict)
+    views: int = 0
 
     @property
     def is_link(self) -> bool:
@@ -69,7 +71,8 @@ class Interposer:
     def other(self) -> str:
         """Effects that are not in EFFECTS, in words."""
         more = {name: n for name, n in (self.effects or {}).items() if name not in EFFECTS}
-        return ", ".join(f"{count} {name}" for name, count in more.items())
+        more |= {"reframed": more["reframed"] - self.views, "views changed": self.views} if self.views else {}
+        return ", ".join(f"{count} {name}" for name, count in more.items() if count)
 
     @property
     def reports_text(self) -> str:
@@ -134,6 +137,7 @@ def interposers(run: RunRecord) -> tuple[Interposer, ...]:
                 failures=crash,
                 failed_frames=failed_frames,
                 objects=_objects(run, node, summary.get("effects") or {}),
+                views=_views(run, node, summary.get("effects") or {}),
             )
         )
     return tuple(sorted(result, key=lambda each: (each.is_link, not each.changed and not each.failures)))
@@ -164,6 +168,15 @@ def _objects(run: RunRecord, node: str, effects: Mapping[str, int]) -> dict[str,
             real = ids if effect == "inserted" else ids[ids >= 0]
             objects[effect] = len(np.unique(real)), len(real) < len(ids)
     return objects
+
+
+def _views(run: RunRecord, node: str, effects: Mapping[str, int]) -> int:
+    """How many of the messages that a node reframed are views."""
+    table, number = run.attacks, effects.get("reframed", 0)
+    if table is None or not number:
+        return 0
+    changed = (table["interposer"] == node) & (table["effect"] == "reframed") & (table["message"] == "view")
+    return min(int(changed.sum()), number)
 
 
 def frames_of(failures: Sequence[Mapping[str, Any]]) -> int:

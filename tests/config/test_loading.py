@@ -7,6 +7,7 @@ import pytest
 
 from mast_zenoh.config import bundle, loading
 from mast_zenoh.errors import ConfigurationError, NodeFileError
+from mast_zenoh.integrity import Integrity
 
 NODE = """
 from mast_zenoh.node import Node
@@ -231,3 +232,43 @@ def test_a_node_whose_file_changed_is_the_new_version(tmp_path: Path) -> None:
     assert loading.node_class(file) is first
     write(tmp_path, "counter.py", NODE.format(name="Counter", role="counting"))
     assert loading.node_class(file).role == "counting"
+
+
+CONVOY = """
+from mast_zenoh.attacks import PassThrough
+
+class Convoy(PassThrough):
+    pass
+"""
+GUARD = """
+from mast_zenoh.integrity import Integrity
+
+class Guard(Integrity):
+    pass
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "message"),
+    [
+        (CONVOY, "", r"mine\.py: defines Convoy, a subclass of PassThrough, expected a class derived from Integrity"),
+        (CONVOY, ":Convoy", "defines Convoy, a subclass of PassThrough, expected a class derived from Integrity"),
+        (GUARD, "", "defines Guard without .*assess.*, which every Integrity has, expected a class"),
+        ("x = 1\n", "", "defines no Integrity, expected a class derived from Integrity"),
+    ],
+)
+def test_a_file_without_the_class_says_what_it_defines_instead(
+    text: str, name: str, message: str, tmp_path: Path
+) -> None:
+    file = write(tmp_path, "mine.py", text)
+    with pytest.raises(ConfigurationError, match=message):
+        loading.class_name(f"{file}{name}", Integrity)
+
+
+def test_a_folder_is_no_class_unless_it_has_the_name_of_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "KOfN").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert loading.class_name("KOfN", Integrity) == "KOfN"
+    for name in ("KOfN/", str(tmp_path / "KOfN")):
+        with pytest.raises(ConfigurationError, match=r"KOfN/?: is a folder, expected a class, FILE\.py or FILE"):
+            loading.class_name(name, Integrity)

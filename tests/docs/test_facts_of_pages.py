@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
 import inspect
 import json
 import re
@@ -18,6 +19,7 @@ import yaml
 from PIL import Image
 
 from mast_zenoh import scenario
+from mast_zenoh.attacks.adaptive import AdaptiveAttack, Lies, Moment
 from mast_zenoh.config.registry import known_types
 from mast_zenoh.effects import EFFECTS
 from mast_zenoh.integrity import STATES, Integrity
@@ -190,6 +192,14 @@ def test_achievements_and_consequences_for_driving_are_documented(run: Path) -> 
     documented = {name.replace("…", "") for name in named_in(METRICS, "## What it would mean for driving")}
     for key in metrics["driving"]["ego"]["mission"]:
         assert key in documented or key.removesuffix("_attack") in documented, f"driving: {key} is not on the page"
+
+
+def test_all_that_an_adaptive_attack_gets_and_returns_is_on_the_page() -> None:
+    section = (ROOT / "docs" / "extending.md").read_text("utf-8").split("### An attack that knows the defence")[1]
+    documented = set(re.findall(r"`(\w+)", section.split("\n## ")[0]))
+    moment = {field.name for field in dataclasses.fields(Moment)} | {"view", "time_s"}
+    of_base = {name for name in vars(AdaptiveAttack) if name[0] != "_"} - {"bind", "hear_picture", "step", "lie"}
+    assert {*moment, *(field.name for field in dataclasses.fields(Lies)), *of_base} <= documented
 
 
 PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]

@@ -12,6 +12,7 @@ import pytest
 
 from mast_zenoh import checks, scenario
 from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.control import failures
 from mast_zenoh.errors import HandlerFailed, NodeDied
 from mast_zenoh.launch import run
 from mast_zenoh.launch.tables import read_table
@@ -144,3 +145,10 @@ def test_a_failing_metric_is_named_with_its_line_and_leaves_the_others_unchanged
     assert ego["tracks"] > 0.0
     assert ego["fn"]["mean"] is not None
     assert np.isnan(read_table(ended.folder / "metrics.parquet")["broken"]).all()
+
+
+def test_failures_of_several_nodes_stay_apart_on_one_line() -> None:
+    entry = {"handler": "on_tracks", "count": 2, "exception": "ValueError: no", "where": "mine.py:3"}
+    text = " ".join(str(failures.error({"eve": [entry], "mallory": [entry]})).split())
+    assert "(mine.py:3); mallory.on_tracks failed 2 times" in text
+    assert "(mine.py:3); the results are kept" in text

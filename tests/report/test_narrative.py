@@ -16,6 +16,7 @@ from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.html import write_report
 from mast_zenoh.report.narrative.adversaries import attack_description
 from mast_zenoh.report.narrative.attribution import other_differences, reaches
+from mast_zenoh.report.narrative.changes import effects as effects_in_words
 from mast_zenoh.report.narrative.changes import join_names
 from mast_zenoh.report.narrative.run import (
     compromised,
@@ -26,6 +27,8 @@ from mast_zenoh.report.narrative.run import (
     while_attacked,
 )
 from mast_zenoh.report.tables.scores import number, score_table, signed
+from mast_zenoh.viewer.events import first_changes
+from mast_zenoh.viewer.interposers import interposers
 from mast_zenoh.viewer.run import RunRecord
 
 RunOf = Callable[..., RunRecord]
@@ -325,6 +328,56 @@ def test_the_attack_is_described_by_the_kind_of_change_that_the_headline_names(r
     assert f"; while they did, the picture has {missed:.2f} missed objects a frame." in text_of(run, run_of())
 
 
+def with_changes(run: RunRecord, estimate: str = "picture", *, agent: str = "ego", **added: float) -> RunRecord:
+    """A run with more or fewer errors: fn, fp, as means per frame, of them the part due to attacks in `attack`."""
+    metrics = deepcopy(run.metrics)
+    summary = metrics["agents"][agent][estimate]
+    due = added.pop("attack", 0.0)
+    for key, more in added.items():
+        summary[key] = {"mean": summary[key]["mean"] + more, "std": 0.0}
+        summary[f"{key}_split"] = {"fault": 0.0, "natural": 0.0, "attack": due if more > 0.0 else 0.0}
+    return replace(run, metrics=metrics | {"same_as": {}})
+
+
+def test_of_changes_of_the_same_size_the_headline_names_the_harm(run_of: RunOf) -> None:
+    clean, attacked = pair(run_of, {"metrics": {"agents": lambda _: run_of().metrics["agents"]}})[::-1]
+    assert "0.50 more missed objects a frame in the common picture than" in text_of(
+        with_changes(attacked, fp=-0.55, fn=0.5, attack=0.5), clean
+    )
+    assert "2.00 fewer false objects a frame in the common picture than" in headline(
+        with_changes(attacked, fp=-2.0, fn=0.5, attack=0.5), Reference(clean, "unattacked")
+    )
+
+
+def test_of_harms_of_the_same_size_the_headline_names_what_the_attack_caused(run_of: RunOf) -> None:
+    clean, attacked = pair(run_of, {"metrics": {"agents": lambda _: run_of().metrics["agents"]}})[::-1]
+    both = with_changes(with_changes(attacked, fp=0.55), fn=0.5, attack=0.5)
+    assert "0.50 more missed objects" in headline(both, Reference(clean, "unattacked"))
+
+
+def test_the_score_during_an_attack_that_hides_objects_is_of_missed_ones(run_of: RunOf) -> None:
+    hides = {"adversary_1": {"effects": lambda _: {"removed": 25}}, "adversary_2": {"effects": lambda _: {}}}
+    attacked = run_of("uncoordinated", metrics={"interposers": hides, "agents": lambda _: run_of().metrics["agents"]})
+    better = with_changes(attacked, fp=-0.5)
+    missed = while_attacked(better, "fn")
+    assert f"while it did, the picture has {missed:.2f} missed objects a frame." in text_of(better, run_of())
+
+
+def test_an_attack_that_stays_out_of_the_picture_is_headed_by_the_picture(run_of: RunOf) -> None:
+    clean = run_of(metrics={"agents": lambda agents: agents | {"infra_1": {"received": agents["ego"]["local"]}}})
+    agents = {"agents": lambda _: clean.metrics["agents"]}
+    attacked = run_of("uncoordinated", metrics=agents, scenario=judged_by("FaultOrLie"))
+    flooded = with_changes(attacked, "received", agent="infra_1", fp=20.0, attack=20.0)
+    where = "false objects a frame in infra_1's tracks as they are received"
+    assert headline(flooded) == (
+        "Two of four roadside sensors compromised: after FaultOrLie, no error in the common picture is due to attacks; "
+        f"20.00 {where} are due to adversary_1"
+    )
+    assert f"compromised: the common picture scores as in unattacked; 20.00 more {where} than unattacked" in headline(
+        flooded, Reference(clean, "unattacked")
+    )
+
+
 def test_a_study_names_the_strongest_attack_and_every_run(run_of: RunOf) -> None:
     runs = {attack or "baseline": run_of(attack) for attack in ("", "uncoordinated", "coordinated")}
     table = score_table({label: run.metrics for label, run in runs.items()})
@@ -345,6 +398,11 @@ def test_names_are_joined_with_commas_and_and() -> None:
 def centre(radius: float, **more: Any) -> dict[str, Any]:
     clustering = {"type": "Clustering", "assign_radius": radius} | more
     pipeline = {"type": "Pipeline", "clustering": clustering}
+    return {"nodes": {"command_center": {"role": "command_center", "config": {"pipeline": pipeline}}}}
+
+
+def judged_by(stage: str) -> dict[str, Any]:
+    pipeline = {"type": "Pipeline", "integrity": {"type": stage}}
     return {"nodes": {"command_center": {"role": "command_center", "config": {"pipeline": pipeline}}}}
 
 
@@ -445,12 +503,30 @@ def test_every_kind_of_effect_is_described(run_of: RunOf) -> None:
     for effects, words in (
         ({"dropped": 3, "delayed": 1}, "delayed 1 message and dropped 3 messages"),
         ({"forged": 2}, "forged 2 messages"),
+        ({"reframed": 2}, "changed the frame of reference of 2 messages"),
         ({"moved": 7}, "moved objects (7 rows)"),
         ({"sung": 2}, "sung 2 messages"),
     ):
         run = run_of("uncoordinated")
         run.metrics["interposers"]["adversary_1"]["effects"] = effects
         assert words in attack_description(run)[0]
+
+
+def test_a_forged_view_is_described_as_what_the_agent_says_it_sees(run_of: RunOf) -> None:
+    run = run_of("uncoordinated")
+    run.metrics["interposers"]["adversary_1"]["effects"] = {"reframed": 27}
+    table = run.effects
+    assert table is not None
+    views = (table["interposer"] == "adversary_1") & (table["effect"] == "removed")
+    table["message"] = np.where(views, "view", table["message"]).astype(object)
+    table["wire"] = np.where(views, "agent/infra_1/view", table["wire"]).astype(object)
+    table["effect"] = np.where(views, "reframed", table["effect"]).astype(object)
+    words = "adversary_1 changed the frame of reference of 2 messages and changed what infra_1 says it sees in 25 views"
+    assert words in attack_description(run)[0]
+    (adversary,) = (each for each in interposers(run) if each.name == "adversary_1")
+    assert effects_in_words(adversary) == "2 messages reframed, 25 views changed"
+    assert adversary.other == "2 reframed, 25 views changed"
+    assert "adversary_1 changes what infra_1 says it sees" in [event.text for event in first_changes(run)]
 
 
 def test_idle_unmeasured_and_live_adversaries_are_distinguished(run_of: RunOf) -> None:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from browser import chromium
+from study_samples import BASELINE, estimate, facts, row
 
-from mast_zenoh.report.html import write_study_report
+from mast_zenoh.metrics.study_results import Series
+from mast_zenoh.report.html import write_report, write_study_report, write_trials_page
 
 _SCORES = """() => [...document.querySelectorAll("table.scores")].map(
     (table) => [table.parentElement.scrollWidth, table.parentElement.clientWidth])"""
@@ -34,3 +37,37 @@ def test_a_study_fits_500_px_and_paper(three_runs: dict[str, Path], tmp_path: Pa
             paper.goto(file.as_uri())
             assert paper.evaluate("document.documentElement.scrollWidth") == 718, f"{file} is cut off in print"
         paper.close()
+
+
+def test_a_study_with_many_files_and_achievements_fits_500_px_and_paper(tmp_path: Path) -> None:
+    achieved = {Series("all", "achieved", f"share_of_number_{number}"): estimate(0.5) for number in range(24)}
+    scores = {
+        Series("ego", estimator, metric): estimate(12.34)
+        for estimator in ("local", "picture", "mission")
+        for metric in ("fn", "fp", "tp", "rmse_m", "id_switches")
+    }
+    attacked = row("attacked", {"adversaries": 2, "defence": "SequentialConsistency", "kind": "poles"}, 1.0)
+    rows = [BASELINE, replace(attacked, estimates={**attacked.estimates, **achieved, **scores})]
+    for name in ("results.parquet", "frames.parquet", "table.csv", "table.md", "table.tex", "increments.pdf"):
+        (tmp_path / name).touch()
+    page_file = write_trials_page(tmp_path, rows, facts(rows), {})
+    with chromium() as browser:
+        page = browser.new_page(viewport={"width": 500, "height": 900})
+        page.goto(page_file.as_uri())
+        assert page.evaluate("document.documentElement.scrollWidth") == 500
+        paper = browser.new_page(viewport={"width": 718, "height": 1000})
+        paper.emulate_media(media="print")
+        paper.goto(page_file.as_uri())
+        assert paper.evaluate("document.documentElement.scrollWidth") == 718
+
+
+def test_what_is_wider_than_a_narrow_screen_says_that_it_scrolls(three_runs: dict[str, Path]) -> None:
+    before = "getComputedStyle(document.querySelector('.wide figcaption'), '::before').content"
+    page_file = write_report(three_runs["uncoordinated"])
+    with chromium() as browser:
+        for width, hint in ((500, True), (1400, False)):
+            page = browser.new_page(viewport={"width": width, "height": 900})
+            page.goto(page_file.as_uri())
+            assert ("Scroll sideways" in page.evaluate(before)) == hint
+            shadows = page.evaluate("getComputedStyle(document.querySelector('.scroll')).backgroundAttachment")
+            assert shadows == "local, local, scroll, scroll", "a shadow where there is more, covered at the end"

@@ -190,8 +190,22 @@ def test_every_suspension_has_a_row_with_its_reason(folder: Path) -> None:
 
 
 def test_the_terminal_names_suspensions_with_their_reasons(folder: Path) -> None:
-    lines = suspension_lines(RunRecord.load(folder))
-    assert lines[1] == (f"the command centre suspended infra_1 (lying) at 2.0 s, 0.5 s after its first lie: {REASON}")
+    assert suspension_lines(RunRecord.load(folder)) == [
+        f"the command centre suspended infra_2 (honest) from 1.0 s to 1.2 s: {REASON}",
+        f"the command centre suspended infra_1 (lying) from 2.0 s to 3.0 s, 0.5 s after its first lie: {REASON}",
+        f"the command centre suspended infra_1 (lying) from 3.5 s to the end: {REASON}",
+    ]
+
+
+def test_an_agent_whose_suspension_flickers_has_one_line(folder: Path) -> None:
+    flicker = [suspension(0.5 * at, 0.5 * at + 0.2, "honest" if at < 4 else "lying") for at in range(5)]
+    agents = {"infra_2": of_agent(suspensions=[*flicker, suspension(3.5, None, "lying")])}
+    edit(folder, metrics={"integrity": {"agents": agents}})
+    lines = [line for line in suspension_lines(RunRecord.load(folder)) if "infra_2" in line]
+    assert lines == [
+        "the command centre suspended infra_2 6 times (4 while honest, 2 while lying) between 0.0 s and 4.0 s, for "
+        f"1.5 s in all: {REASON}"
+    ]
 
 
 def last_line(folder: Path, defence: str, integrity: dict[str, Any]) -> str:
@@ -219,6 +233,17 @@ def test_the_last_line_says_which_agents_the_defence_suspended_when_and_what_it_
     none = last_line(folder, "NoIntegrity", INTEGRITY)
     assert "NoIntegrity" not in none
     assert "withheld" not in none
+
+
+def test_the_last_line_explains_why_more_or_fewer_objects_are_missed_than_withheld(folder: Path) -> None:
+    split = {"fault": 0.0, "attack": 0.0, "withheld": 0.4, "natural": 0.3}
+    edit(folder, metrics={"agents": {"ego": {"picture": {"fn_split": split}}}})
+    withheld = "and withheld 1.50 false and 0.25 true objects a frame"
+    assert last_line(folder, "FreeSpace", INTEGRITY).endswith(
+        f"{withheld}; in its range, the ego misses 0.40 for this and because only suspended agents report them."
+    )
+    edit(folder, metrics={"agents": {"ego": {"picture": {"fn_split": split | {"withheld": 0.251}}}}})
+    assert last_line(folder, "FreeSpace", INTEGRITY).endswith(f"{withheld}.")
 
 
 def test_seconds_of_conduct_without_any_are_left_out(folder: Path) -> None:
@@ -300,7 +325,8 @@ def test_every_undecided_period_has_a_row_and_a_line_with_its_whole_reason(undec
 
 def test_the_last_line_names_undecided_agents(undecided: Path) -> None:
     integrity = RunRecord.load(undecided).metrics["integrity"]
-    assert "could not decide about infra_2 and infra_3" in last_line(undecided, "FreeSpace", integrity)
+    line = last_line(undecided, "FreeSpace", integrity)
+    assert "was undecided for a time about infra_3 and to the end about infra_2, although" in line
 
 
 def test_the_events_of_a_run_say_who_the_possible_liars_are(undecided: Path) -> None:

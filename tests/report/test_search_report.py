@@ -49,6 +49,32 @@ def test_the_optimism_is_in_words_with_and_without_the_hardness_of_seeds() -> No
     assert results().optimism_over_baseline == 0.25
 
 
+def test_a_search_that_found_nothing_better_than_the_default_says_so() -> None:
+    made = results()
+    assert "nothing better" not in shown(made)
+    for default, maximise in ((3.25, True), (3.5, True), (3.25, False), (3.0, False)):
+        rows = {**made.rows, DEFAULT: replace(made.rows[DEFAULT], search=default)}
+        words = " ".join(shown(replace(made, rows=rows, maximise=maximise)).split())
+        assert f"The search found nothing better than the default: {default:.2f} with its parameters, 3.25" in words
+
+
+def test_candidates_of_the_same_value_are_remarked_on() -> None:
+    words = " ".join(shown(results((3.25, math.nan, 3.25))).split())
+    assert "All candidates have the same value: within these ranges, nothing that is searched changes it." in words
+    assert "All candidates" not in shown(results())
+
+
+def test_a_difference_that_is_mostly_zero_is_explained() -> None:
+    made = results()
+    rare = replace(estimate(0.1), low=math.nan, high=math.nan, zero_share=0.67, zero_low=0.22, zero_high=0.96)
+    rows = {**made.rows, DEFAULT: replace(made.rows[DEFAULT], over_baseline=rare)}
+    text = search_tables(replace(made, rows=rows)).as_markdown()
+    assert "0.10 (0 in 67 % [22, 96])" in text
+    assert "marks a difference that is 0 in N % of the trials" in text
+    assert '"(0 in N % [a, b])" marks' in " ".join(shown(replace(made, rows=rows)).split())
+    assert "marks a difference" not in shown(made)
+
+
 def test_without_a_value_of_no_attack_only_the_plain_optimism_is_given() -> None:
     made = results()
     made = replace(made, rows={**made.rows, BASELINE: SearchRow(BASELINE)})

@@ -14,6 +14,7 @@ from study_samples import BASELINE, estimate, facts, grid, row
 from mast_zenoh.metrics.study_results import Estimate, FailedTrial, IdleAttack, Series, StudyRow, shares
 from mast_zenoh.report.narrative.study import compare, holm, other_changes, reservations, result
 from mast_zenoh.report.tables import study
+from mast_zenoh.report.tables.study import Cell, Section
 from mast_zenoh.report.tables.study_rows import PAPER, over_frames, over_trials
 from mast_zenoh.report.tables.text_table import number
 
@@ -278,3 +279,16 @@ def test_tables_and_sentences_name_parameters() -> None:
     assert f"in {name} the ego with the picture" in terminal
     assert "Labels in tables: attacked-false_positives-share." in terminal
     assert "baseline" in markdown
+
+
+def test_a_wide_table_has_parts_of_whole_groups_and_one_caption() -> None:
+    groups = (("one", ("a", "b", "c")), ("two", ("d", "e")), ("three", tuple("fghijkl")))
+    cells = tuple(Cell(name) for name in "abcdefghijkl")
+    parts = Section("Wide", "all of it", groups, (("row", cells),)).parts(5)
+    assert [part.groups for part in parts] == [
+        (("one", ("a", "b", "c")), ("two", ("d", "e"))),
+        (("three", tuple("fghi")),),
+        (("three", tuple("jkl")),),
+    ]
+    assert ["".join(cell.text for cell in part.lines[0][1]) for part in parts] == ["abcde", "fghi", "jkl"]
+    assert [part.caption for part in parts] == ["", "", "all of it"]

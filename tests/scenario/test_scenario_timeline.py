@@ -141,6 +141,11 @@ def test_attacks_faults_and_links_are_on_one_timeline() -> None:
 def test_adversaries_with_equal_starts_share_a_band_and_idle_ones_have_none() -> None:
     (band,) = world("uncoordinated", "n_adversaries=2", "attack_start_s=0.5").timeline
     assert band["nodes"] == ["adversary_1", "adversary_2"]
+    (directed,) = world("coordinated", "n_adversaries=2", "attack_start_s=0.5").timeline
+    assert directed["label"] == "CoordinatedAttack adversary_1, adversary_2"
+    settings = ("n_adversaries=2", "attack_start_s=0.5", "attack=PairedDenial")
+    (coordination,) = world("defended", *settings).timeline
+    assert coordination["label"] == "PairedDenial adversary_1, adversary_2", "what their coordinator plans"
     assert world("passthrough").timeline == ()
     assert world("uncoordinated", "n_adversaries=1").timeline == (), "at 4 s the run is over"
 

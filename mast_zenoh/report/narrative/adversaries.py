@@ -81,13 +81,18 @@ def attack_description(run: RunRecord) -> list[str]:
 
 def _sentence(run: RunRecord, adversary: Interposer) -> str:
     """`In the detections of infra_1, adversary_1 inserted four objects that did not exist, from t = 4.0 s to 5.9 s.`"""
-    effects = adversary.effects or {}
+    effects = dict(adversary.effects or {})
+    if adversary.views:
+        effects["reframed"] -= adversary.views
     clauses = [_of_objects(adversary, name, effects[name]) for name in OF_OBJECTS if effects.get(name)]
     clauses += [
         words.format(plural(effects[name], "message")) for name, words in _MESSAGES.items() if effects.get(name)
     ]
     rest = [name for name in effects if name not in (*OF_OBJECTS, *_MESSAGES, "unsettled") and effects[name]]
     clauses += [f"{name} {plural(effects[name], 'message')}" for name in rest]
+    if adversary.views:
+        see = "says it sees" if len(adversary.agents) == 1 else "say they see"
+        clauses.append(f"changed what {join_names(adversary.agents)} {see} in {plural(adversary.views, 'view')}")
     what = join_names(clauses)
     return f"In {join_names(_places(run, adversary))}, {adversary.name} {what}{_when(run, adversary)}."
 

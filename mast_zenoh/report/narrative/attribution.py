@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh.evaluation.from_effects import influence
+from mast_zenoh.metrics.estimates import RECEIVED
 from mast_zenoh.report.narrative.changes import (
     DISPLACED,
     MIN_CULPRIT_SHARE,
@@ -246,7 +247,11 @@ def culprit_names(run: RunRecord, change: Change, reference: RunRecord | None = 
     estimate, unless measurements of single objects narrow them down.
     """
     total = sum(change.by.values())
-    acting = [each.name for each in interposers(run) if each.changed and not each.is_link]
+    acting = [
+        each.name
+        for each in interposers(run)
+        if each.changed and not each.is_link and (change.estimate != RECEIVED or change.agent in each.agents)
+    ]
     measured = [name for name, rows in change.by.most_common() if rows >= MIN_CULPRIT_SHARE * total] or acting
     if reference is None:
         return measured if change.due_to("attack") else []

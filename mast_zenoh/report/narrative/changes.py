@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mast_zenoh.metrics.estimates import ESTIMATES, IN_TRANSIT, place_of
+from mast_zenoh.metrics.estimates import ESTIMATES, IN_TRANSIT, RECEIVED, place_of
 from mast_zenoh.viewer.interposers import EFFECTS, OF_OBJECTS, Interposer
 from mast_zenoh.viewer.run import RunRecord
 
@@ -114,11 +114,12 @@ def largest(changes: Iterable[Change]) -> Change | None:
 
     None: no change.
 
+    Of changes that are nearly as large, more errors come before fewer, and then what attacks caused before the others.
     A change of the picture in transit is replaced by the largest change of the command centre's picture and of what
     the agent acts on, if that is at least MIN_TRANSFERRED_SHARE of it.
     """
     changed = [change for change in changes if change.weight != 0.0]
-    known = [change for change in changed if change.estimate != "received"] or changed  # in transit to the fusion
+    known = [change for change in changed if change.estimate != RECEIVED] or changed  # in transit to the fusion
     if not known:
         return None
     top = _first_alike(known)
@@ -131,7 +132,9 @@ def largest(changes: Iterable[Change]) -> Change | None:
 
 def _first_alike(changes: Sequence[Change]) -> Change:
     """The largest of some changes, in the first estimate that shows nearly all of it."""
-    top = max(changes, key=lambda change: abs(change.weight))
+    most = max(abs(change.weight) for change in changes)
+    nearly_largest = [change for change in changes if abs(change.weight) >= MIN_SAME_SHARE * most]
+    top = max(nearly_largest, key=lambda change: (change.weight > 0.0, change.due_to("attack"), abs(change.weight)))
     order = list(ESTIMATES)
     candidates = [
         change
@@ -143,13 +146,15 @@ def _first_alike(changes: Sequence[Change]) -> Change:
 
 
 def largest_change(run: RunRecord, reference: RunRecord | None) -> Change | None:
-    """The largest change for the ego, or, if there is none, for another agent."""
+    """The largest change for the ego, or, if only its tracks in transit changed, for all agents."""
     others = [agent for agent in run.metrics.get("agents", {}) if agent != run.ego]
 
     def changes(agents: list[str]) -> list[Change]:
         return attributed(run, agents) if reference is None else against(run, reference, agents)
 
-    return largest(changes([run.ego or ""])) or (largest(changes(others)) if others else None)
+    of_ego = changes([run.ego or ""])
+    scored_for_ego = largest([change for change in of_ego if change.estimate != RECEIVED])
+    return scored_for_ego or largest([*of_ego, *(changes(others) if others else [])])
 
 
 def _change(
@@ -310,10 +315,14 @@ def plural(number: int, noun: str) -> str:
 
 
 def effects(interposer: Interposer) -> str:
-    """Measured effects: `478 rows of 6 objects inserted, 8 messages dropped`."""
-    counts = interposer.effects or {}
-    ordered = [name for name in (*EFFECTS, *counts) if name in counts and name != "unsettled"]
-    return ", ".join(_effect(interposer, name, counts[name]) for name in dict.fromkeys(ordered)) or "nothing"
+    """Measured effects: `478 rows of 6 objects inserted, 8 messages dropped, 110 views changed`."""
+    counts = dict(interposer.effects or {})
+    if interposer.views:
+        counts["reframed"] -= interposer.views
+    ordered = [name for name in (*EFFECTS, *counts) if counts.get(name) and name != "unsettled"]
+    texts = [_effect(interposer, name, counts[name]) for name in dict.fromkeys(ordered)]
+    texts += [f"{plural(interposer.views, 'view')} changed"] * bool(interposer.views)
+    return ", ".join(texts) or "nothing"
 
 
 def _effect(interposer: Interposer, effect: str, number: int) -> str:

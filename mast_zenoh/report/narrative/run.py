@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh.messagelog import churn
-from mast_zenoh.metrics.estimates import ESTIMATES, IN_TRANSIT, LOCAL, MAIN, MISSION, PICTURE
+from mast_zenoh.metrics.estimates import ESTIMATES, IN_TRANSIT, LOCAL, MAIN, MISSION, PICTURE, RECEIVED
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.narrative.adversaries import late_start_s, period
 from mast_zenoh.report.narrative.attribution import cause_clause, causes, due_to_causes
@@ -123,15 +123,35 @@ def defence_sentence(run: RunRecord) -> str:
     agents_suspended = f"suspended {count(len(suspended))} agent{'s' if len(suspended) > 1 else ''}"
     did = [agents_suspended if suspended else "set no agent's state to suspended"]
     did += [join_names([f"{name} ({_when(agents[name])})" for name in suspended], _MOST_NAMES)] if suspended else []
-    open_to_doubt = [name for name, agent in agents.items() if agent.get("undecided")]
-    did += [f"could not decide about {join_names(open_to_doubt, _MOST_NAMES)}"] if open_to_doubt else []
+    did += _doubts(agents)
     did += [f"although {join_names(missed, _MOST_NAMES)} lied"] if missed else []
     text = ", ".join(did)
     if "withheld" in measured:
         false, true = measured["withheld"]["false"], measured["withheld"]["true"]
         what = f"{false:.2f} false and {true:.2f} true objects a frame" if false or true else "nothing"
-        text += f"{',' if len(did) > 1 else ''} and withheld {what}"
+        text += f"{',' if len(did) > 1 else ''} and withheld {what}{_missed_for_it(run, true)}"
     return f"{run.defence or 'The defence'} {text}."
+
+
+def _missed_for_it(run: RunRecord, withheld: float) -> str:
+    """How many objects the ego's picture misses because of the defence, if that is not the number of withheld ones.
+
+    It misses objects that only suspended agents report, too, and none that are out of its range.
+    """
+    missed = (run.summary(PICTURE).get("fn_split") or {}).get("withheld")
+    if missed is None or f"{missed:.2f}" == f"{withheld:.2f}":
+        return ""
+    return f"; in its range, the ego misses {missed:.2f} for this and because only suspended agents report them"
+
+
+def _doubts(agents: dict[str, Any]) -> list[str]:
+    """About which agents the defence was undecided: for a time, and to the end of the run."""
+    doubted = {name: agent["undecided"][-1]["until_s"] for name, agent in agents.items() if agent.get("undecided")}
+    for_a_time = [name for name, until_s in doubted.items() if until_s is not None]
+    to_the_end = [name for name, until_s in doubted.items() if until_s is None]
+    parts = [f"for a time about {join_names(for_a_time, _MOST_NAMES)}"] * bool(for_a_time)
+    parts += [f"to the end about {join_names(to_the_end, _MOST_NAMES)}"] * bool(to_the_end)
+    return [f"was undecided {' and '.join(parts)}"] * bool(parts)
 
 
 def _when(agent: dict[str, Any]) -> str:
@@ -171,9 +191,10 @@ def _attacked_frames(run: RunRecord) -> tuple[int, int]:
 
 
 def _scores(run: RunRecord, change: Change | None) -> str:
-    """The ego's score during the attack, of the change's kind or else false objects."""
-    is_ego = change is not None and change.agent == run.ego
-    kind, estimate = (change.kind, change.estimate) if change is not None and is_ego else (FALSE, "picture")
+    """The ego's score during the attack, of the kind of error that increased, or else that attacks cause."""
+    kind, estimate = _aim(run), PICTURE
+    if change is not None and change.agent == run.ego and change.estimate != RECEIVED and change.weight > 0.0:
+        kind, estimate = change.kind, change.estimate
     counts = (
         _counts_during_attack(run, estimate, run) if run.metrics else None
     )  # without metrics, the scored frames are not known
@@ -191,6 +212,12 @@ def _scores(run: RunRecord, change: Change | None) -> str:
             return ""
         text = f"an RMSE of {float(np.sqrt((squared * matched).sum() / matched.sum())):.2f} m"
     return f"{ESTIMATES[estimate].subject} has {text}"
+
+
+def _aim(run: RunRecord) -> str:
+    """The kind of error that adversaries cause: MISSED if they hid objects and inserted none, else FALSE."""
+    done = {effect for each in interposers(run) if not each.is_link for effect, n in (each.effects or {}).items() if n}
+    return MISSED if done & {"removed", "dropped"} and "inserted" not in done else FALSE
 
 
 def while_attacked(
@@ -253,7 +280,17 @@ def _result(run: RunRecord, reference: Reference | None) -> str:
         what += f" than {reference.name}{cause_clause(run, change, reference.run)}"
     else:
         what += f" {due_to_causes(run, [change])}"
+    if change.estimate == RECEIVED:
+        what = f"{_picture_unchanged(run, reference)}; {what}"
     return capital(f"{places} compromised: " * bool(places) + what + _limits(run, reference, change))
+
+
+def _picture_unchanged(run: RunRecord, reference: Reference | None) -> str:
+    """States that nothing beyond the tracks that agents sent changed, and what the defence did about them."""
+    if reference is not None:
+        return f"the common picture scores as in {reference.name}"
+    judged = f"after {run.defence}, " if run.defence else ""
+    return f"{judged}no error in the common picture is due to attacks"
 
 
 def _changes(run: RunRecord, reference: Reference | None) -> list[Change]:

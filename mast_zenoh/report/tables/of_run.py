@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -229,6 +230,8 @@ def _braking(shares: dict[str, float | None]) -> str:
 
 #: Suspensions, and undecided agents, that the terminal shows.
 _MOST_LINES = 8
+#: Suspensions of one agent that have a line each.
+_MOST_SUSPENSIONS = 3
 
 
 _SUSPENSIONS = (
@@ -314,13 +317,33 @@ def trust_sentences(run: RunRecord) -> list[str]:
 
 
 def suspension_lines(run: RunRecord) -> list[str]:
-    """Which agents the command centre suspended, when and why, a line each."""
-    lines = []
-    for (agent, from_s, _, conduct, after_s, reason), _ in suspension_table(run).lines:
+    """Which agents the command centre suspended, when and why: a line each, or one for an agent that flickers."""
+    lines: dict[str, list[str]] = {}
+    for (agent, from_s, until, conduct, after_s, reason), _ in suspension_table(run).lines:
         after = "" if after_s == DASH else f", {after_s} s after its first lie"
         why = "" if reason == DASH else f": {reason}"
-        lines.append(f"the command centre suspended {agent} ({conduct}) at {from_s} s{after}{why}")
-    return _first_lines(lines, "suspensions more")
+        when = f"from {from_s} s to {'the end' if until == 'end' else f'{until} s'}"
+        text = f"the command centre suspended {agent} ({conduct}) {when}{after}{why}"
+        lines.setdefault(agent, []).append(text)
+    times = {agent: [each for each in suspensions(run) if each["agent"] == agent] for agent in lines}
+    shown = [
+        line
+        for agent, of_agent in lines.items()
+        for line in (of_agent if len(of_agent) <= _MOST_SUSPENSIONS else [_flicker(run, agent, times[agent])])
+    ]
+    return _first_lines(shown, "suspensions more")
+
+
+def _flicker(run: RunRecord, agent: str, periods: Sequence[Mapping[str, Any]]) -> str:
+    """Many suspensions of an agent: how many, over what time, how long in all, and in what conduct."""
+    end_s = float(run.metrics.get("frames", 0) * run.period_s)
+    ends = [end_s if each["until_s"] is None else each["until_s"] for each in periods]
+    total = sum(end - each["from_s"] for each, end in zip(periods, ends, strict=True))
+    conducts = Counter(each["conduct"] for each in periods)
+    while_ = ", ".join(f"{number} while {conduct}" for conduct, number in conducts.items())
+    when = f"between {periods[0]['from_s']:.1f} s and {max(ends):.1f} s, for {total:.1f} s in all"
+    why = f": {periods[0]['reason']}" if periods[0]["reason"] else ""
+    return f"the command centre suspended {agent} {len(periods)} times ({while_}) {when}{why}"
 
 
 def undecided_lines(run: RunRecord) -> list[str]:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from mast_zenoh.metrics.search_results import CandidateRow, SearchResults, SearchRow
 from mast_zenoh.metrics.study_results import Estimate, plural
-from mast_zenoh.report.tables.study_rows import over_trials
+from mast_zenoh.report.tables.study_rows import MOSTLY_ZERO, over_trials
 from mast_zenoh.report.tables.text_table import DASH, ResultTables, TextTable, csv_text, digits, number
 
 #: So many candidates are in the table; all are in candidates.csv.
@@ -73,14 +73,30 @@ def _optimism(results: SearchResults) -> str:
             f"{number(results.optimism_over_baseline)} too good"
         )
     sentences[0] += "."
+    sentences += _no_better(results)
     if left_out := row.held_out.left_out:
         sentences.append(f"Left out: {plural(left_out, 'held-out seed')}, because a trial failed or has no value.")
     if results.without_value:
         sentences.append(f"Without a value, so never chosen: {plural(results.without_value, 'candidate')}.")
     roles = f"No attack: {results.baseline}. Default: {results.default}."
-    return " ".join(
-        [roles, *sentences, "Brackets: 95 % interval over seeds; differences are paired by scene and seed."]
-    )
+    explained = ["Brackets: 95 % interval over seeds; differences are paired by scene and seed."]
+    if any(each.mostly_zero for line in results.rows.values() for each in (line.over_baseline, line.over_default)):
+        explained.append(MOSTLY_ZERO)
+    return " ".join([roles, *sentences, *explained])
+
+
+def _no_better(results: SearchResults) -> list[str]:
+    """Sentences on a search that has not found more than the default has, or that had nothing to choose from."""
+    values = [each.value for each in results.candidates if not math.isnan(each.value)]
+    if len(values) > 1 and min(values) == max(values):
+        return ["All candidates have the same value: within these ranges, nothing that is searched changes it."]
+    default, best = results.rows[results.default].search, results.found.value
+    if math.isnan(default) or (best > default if results.maximise else best < default):
+        return []
+    return [
+        f"The search found nothing better than the default: {number(default)} with its parameters, {number(best)} with "
+        "the best of the candidates, on the same seeds."
+    ]
 
 
 def _estimate(estimate: Estimate) -> str:
@@ -90,7 +106,7 @@ def _estimate(estimate: Estimate) -> str:
 def _parameters(results: SearchResults) -> TextTable:
     return TextTable(
         "Parameters",
-        f"{DASH}: that of the class." if len(results.defaults) < len(results.space) else "",
+        f"{DASH}: not known." if len(results.defaults) < len(results.space) else "",
         ("parameter", "range", "default", "searched"),
         [
             (short, space, _value(results.defaults.get(name, DASH)), _value(results.found.values[name]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -80,6 +81,24 @@ class Section:
     def headings(self) -> list[str]:
         """The headings of all columns."""
         return [heading for _, headings in self.groups for heading in headings]
+
+    def parts(self, most: int) -> list[Section]:
+        """The table in parts of at most so many columns, of whole groups if possible; the caption is below the last."""
+        starts, end = [0], 0
+        for _, headings in self.groups:
+            wide = math.ceil(len(headings) / math.ceil(len(headings) / most))
+            for start in range(0, len(headings), wide):
+                size = min(wide, len(headings) - start)
+                starts += [end] * (end + size - starts[-1] > most)
+                end += size
+        columns = [(name, heading) for name, headings in self.groups for heading in headings]
+        result = []
+        for start, until in itertools.pairwise([*starts, end]):
+            groups = itertools.groupby(columns[start:until], key=lambda column: column[0])
+            named = tuple((name, tuple(heading for _, heading in of_group)) for name, of_group in groups)
+            lines = tuple((label, cells[start:until]) for label, cells in self.lines)
+            result.append(replace(self, groups=named, lines=lines, caption=self.caption if until == end else ""))
+        return result
 
 
 def sections(rows: Sequence[StudyRow], baseline: str, comparisons: Comparisons) -> list[Section]:

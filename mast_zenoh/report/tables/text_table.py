@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Group
+from rich.markup import escape
 from rich.table import Table
 
 from mast_zenoh.metrics.study_results import MIN_SEEDS, Measured
@@ -39,9 +40,9 @@ class TextTable(NamedTuple):
     def as_rich(self) -> Table:
         """A table for a terminal of 80 columns: its cells are wrapped between words, which are never cut."""
         result = Table(
-            title=wrapped(self.title),
+            title=escape(wrapped(self.title)),
             title_justify="left",
-            caption=wrapped(self.about) or None,
+            caption=escape(wrapped(self.about)) or None,
             caption_justify="left",
             box=SIMPLE_HEAD,
             padding=(0, 1, 0, 0),
@@ -50,7 +51,7 @@ class TextTable(NamedTuple):
         for index, (heading, width) in enumerate(zip(self.headings, _widths(columns), strict=True)):
             result.add_column(heading, justify="left" if index == 0 else "right", width=width)
         for line in self.lines:
-            result.add_row(*line)
+            result.add_row(*map(escape, line))
         return result
 
 

@@ -18,6 +18,8 @@ PICTURE = "picture"
 _OF_ALL = (ACHIEVED, DEFENCE)
 #: Counts of a whole run, which charts over time show per frame.
 _PER_RUN = ("id_switches",)
+#: Suffix of a number minus that of the ego alone.
+_OF_PAPER = "_ioe"
 #: Suffix of a number minus the baseline's: in the baseline it is 0 by definition.
 _OVER_BASELINE = "_iob"
 
@@ -61,6 +63,19 @@ class Objective:
             for term in self.terms
         )
         return float(sum(parts))
+
+    def check_names(self, place: str) -> None:
+        """Raise ConfigurationError for a number that no run with our evaluator has, as far as its name tells."""
+        for term in self.terms:
+            estimators, base = (*ESTIMATES, *_OF_ALL), term.metric.removesuffix(_OVER_BASELINE)
+            if term.estimator not in estimators:
+                raise ConfigurationError(
+                    f"{place}: no estimator {term.estimator!r}{nearest(term.estimator, estimators)}"
+                )
+            of_paper = term.owner == numbers.COMPROMISED or base.endswith(_OF_PAPER)
+            plain = term.estimator in ESTIMATES and base.isidentifier() and not of_paper
+            if plain and base not in MEASURES:
+                raise ConfigurationError(f"{place}: no metric {term.metric!r}{nearest(term.metric, MEASURES)}")
 
     def check(self, trial_numbers: Iterable[Number], ego: str, place: str) -> None:
         """Raise ConfigurationError for a number that a trial under attack does not have."""

@@ -20,7 +20,9 @@ from rich.progress import Progress, TaskID
 
 from mast_zenoh import scenario
 from mast_zenoh.arrays.states import Floats
+from mast_zenoh.attacks import Attack, Coordination
 from mast_zenoh.config import loading
+from mast_zenoh.config.registry import known_types
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.launch import ending
 from mast_zenoh.metrics.search_results import CandidateRow, SearchResults, SearchRow
@@ -255,12 +257,14 @@ def _configuration_of(study: Study, label: str) -> Configuration:
 
 
 def check_ranges(study: Study, how: Conditions) -> None:
-    """Resolve the searched run with each end of each range, and each choice; raises what that raises.
+    """Check the objective's names, and resolve the searched run with each end of each range, and each choice.
 
     One parameter at a time, in the first scene: what several do together is only known when a candidate has them.
     """
     assert study.search is not None
-    _check(study, how, {})
+    evaluator = _check(study, how, {}).get("evaluator") or {}
+    if not {"type", "metrics"} & set(evaluator):  # users' evaluators and metrics have numbers of their own
+        study.search.objective.check_names(f"{study.path}: search.objective")
     for name, values in study.search.space.items():
         for value in values.corners:
             try:
@@ -271,7 +275,7 @@ def check_ranges(study: Study, how: Conditions) -> None:
 
 
 def defaults(study: Study, how: Conditions) -> dict[str, Any]:
-    """The values of searched parameters in the default, of the study or else of the scenario, without unknown ones."""
+    """The values of searched parameters in the default, of the study, the scenario or the attack's class, if known."""
     assert study.search is not None
     plan, run = study.search, _configuration_of(study, study.search.run)
     _, function = loading.function("scenarios", run.scenario, "scenario")
@@ -279,11 +283,23 @@ def defaults(study: Study, how: Conditions) -> dict[str, Any]:
     of_scenario = _check(study, how, {})
     values = {
         name: next(
-            (v for each in (plan.default, of_function, of_scenario) if (v := value_at(each, name)) is not None), None
+            (v for each in (plan.default, of_function, of_scenario) if (v := value_at(each, name)) is not None),
+            _of_class(plan.default, name),
         )
         for name in plan.space
     }
     return {name: value for name, value in values.items() if value is not None}
+
+
+def _of_class(parameters: Mapping[str, Any], name: str) -> Any:
+    """The default that the class of an attack has for one of its parameters, by dotted name; None: unknown."""
+    place, _, parameter = name.rpartition(".")
+    spec = value_at(parameters, place)
+    kind = str(spec.get("type")).rpartition(":")[2] if isinstance(spec, Mapping) else ""
+    classes = [known_types(base).get(kind) for base in (Attack, Coordination)]
+    signatures = [inspect.signature(cls).parameters for cls in classes if cls is not None]
+    defaults = [each[parameter].default for each in signatures if parameter in each]
+    return defaults[0] if defaults and defaults[0] is not inspect.Parameter.empty else None
 
 
 def _check(study: Study, how: Conditions, values: Mapping[str, Any]) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import sys
 from pathlib import Path
@@ -10,8 +11,10 @@ import pytest
 from synthetic_search import write_study
 
 import mast_zenoh
+from mast_zenoh.attacks.coordination import Collusion
 from mast_zenoh.errors import ConfigurationError, TrialsFailed
 from mast_zenoh.study import definition, execution
+from mast_zenoh.study.search import searching
 
 
 def test_a_small_search_is_played_printed_and_continued(mast, tmp_path: Path) -> None:
@@ -78,6 +81,7 @@ def test_a_failed_trial_of_a_search_has_the_exit_code_of_failed_trials(mast, mon
         (("search", "--set", "ranges=attack.sped_mps=0.0..1.0"), 10, "did you mean 'speed_mps'"),
         (("search", "--set", "ranges=attack.speed_mps=1.0"), 10, "expected 'LOW..HIGH'"),
         (("search", "--set", "objective=driving.min_ttc_s"), 10, "expected 'driving.critical'"),
+        (("search", "--set", "objective=fn + mission/gopsa_m"), 10, "no metric 'gopsa_m'; did you mean 'gospa_m'"),
         (("search", "--set", "direction=maximize"), 10, "search.direction: found 'maximize'; did you mean 'maximise'"),
         (("search", "--set", "sampler=TPF"), 10, "search.sampler: found 'TPF'; did you mean 'TPE'"),
         (("search", "--set", "ranges=n_adversaries=1..9"), 10, "9 of '1..9' is not possible"),
@@ -138,3 +142,17 @@ def test_the_shipped_search_is_valid_for_any_scenario_with_adversaries() -> None
     assert other.search is not None
     assert other.configurations[1].settings == ("n_adversaries=1",)
     assert list(other.search.space) == ["false_positives", "region"]
+
+
+def test_the_default_of_a_searched_parameter_is_that_of_the_attack_unless_the_study_has_another() -> None:
+    ranges = "ranges=attack.speed_mps=0.0..15.0; attack.tolerance=0.01..0.3; budget=1.0..4.0"
+    attack = "attack={'type': 'Collusion', 'tolerance': 0.2}"
+    study = definition.load("search", [ranges, attack, "scenes=intersection:8"])
+    how = searching.Conditions(seed=0, frames=5, runtime="inproc", allow_failures=False)
+    of_class = inspect.signature(Collusion).parameters["speed_mps"].default
+    assert searching.defaults(study, how) == {"attack.speed_mps": of_class, "attack.tolerance": 0.2, "budget": 2.0}
+
+
+def test_every_parameter_of_the_shipped_search_has_an_explanation_of_its_own() -> None:
+    meanings = [parameter.meaning for parameter in mast_zenoh.list("studies")["search"].parameters]
+    assert len(set(meanings)) == len(meanings)

@@ -18,6 +18,7 @@ from synthetic_search import MOST, OPTIMUM, Synthetic, harm, write_study
 from mast_zenoh.errors import ConfigurationError, Interrupted, TrialsFailed
 from mast_zenoh.study import definition, execution, interface
 from mast_zenoh.study.definition import Study
+from mast_zenoh.study.search.objective import parse_objective
 from mast_zenoh.study.tables import StudyResult
 
 pytest.importorskip("optuna", reason="Optuna is not installed")
@@ -248,10 +249,32 @@ def test_ranges_that_the_scenario_refuses_are_named_before_anything_starts(
 
 
 def test_an_unknown_objective_is_refused_after_the_first_pair_of_trials(synthetic, tmp_path: Path) -> None:
-    study = definition.load_values(str(write_study(tmp_path)), dict(objective="fp + ospa"))
-    with pytest.raises(ConfigurationError, match=r"search\.objective: no metric 'ospa' of 'ego', 'picture'; "):
+    study = definition.load_values(str(write_study(tmp_path)), dict(objective="fp + infra_7/picture/fp"))
+    with pytest.raises(ConfigurationError, match=r"search\.objective: no numbers of 'infra_7' in the runs; "):
         carry_out(study, tmp_path / "out")
     assert [trial.configuration for trial in synthetic.played] == ["baseline", "attacked"]
+
+
+@pytest.mark.parametrize(
+    ("objective", "message"),
+    [
+        ("fp + ospa", "no metric 'ospa'; did you mean 'ospa_m'"),
+        ("misson/fp", "no estimator 'misson'; did you mean 'mission'"),
+        ("infra_1/local/fpp_iob", "no metric 'fpp_iob'"),
+    ],
+)
+def test_a_misspelt_number_is_refused_before_the_first_run(synthetic, tmp_path: Path, objective, message) -> None:
+    study = definition.load_values(str(write_study(tmp_path)), dict(objective=objective))
+    with pytest.raises(ConfigurationError, match=rf"search\.objective: {message}"):
+        carry_out(study, tmp_path / "out")
+    assert not synthetic.played
+
+
+@pytest.mark.parametrize(
+    "objective", ["compromised/local/cafn_iob", "fn_ioe", "fp inserted", "mission/driving.critical", "defence/delay_s"]
+)
+def test_numbers_that_are_no_metrics_of_an_estimate_are_not_refused_by_name(objective: str) -> None:
+    parse_objective(objective, "search.objective").check_names("search.objective")
 
 
 def test_an_attack_that_begins_after_the_last_frame_is_refused(synthetic, study, tmp_path: Path) -> None:

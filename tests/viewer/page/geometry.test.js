@@ -6,7 +6,7 @@ import { test } from "node:test";
 import { colourOfKind, faded, mixed } from "../../../mast_zenoh/viewer/page/js/palette.js";
 import { clipPolygon, clipSegment, Lens, NEAR_M } from "../../../mast_zenoh/viewer/page/js/perspective.js";
 import { expand, groupByFrame } from "../../../mast_zenoh/viewer/page/js/run.js";
-import { around, troubleOf, writeLabel } from "../../../mast_zenoh/viewer/page/js/signs.js";
+import { around, reserveSigns, troubleOf, writeLabel } from "../../../mast_zenoh/viewer/page/js/signs.js";
 import { CameraWindow, Viewport, wholeImage } from "../../../mast_zenoh/viewer/page/js/windows.js";
 
 const beyond = (axis, limit) => (point) => point[axis] - limit;
@@ -66,6 +66,27 @@ test("labels do not cover each other, and are left out where there is no room", 
   const found = places.filter(Boolean);
   assert.equal(found.length, 4, "the fifth place would cover the first");
   for (const a of found) for (const b of found) if (a !== b) assert.ok(a[2] <= b[0] || b[2] <= a[0] || a[3] <= b[1] || b[3] <= a[1]);
+});
+
+test("a needed label stays on the canvas, wherever its sign is", () => {
+  const context = { measureText: (text) => ({ width: 6 * text.length }), strokeText() {}, fillText() {} };
+  const canvas = { context, width: 200, height: 200, palette: { ground: "#000000" } };
+  for (const [x, y] of [[1, 100], [199, 100], [100, 1], [100, 199], [-15, 210]]) {
+    const beside = (wide) => [[x - wide - 15, y - 8]];
+    const [left, top, right, bottom] = writeLabel(canvas, ["infra_4"], beside, "#ffffff", [[0, 0, 200, 200]], { needed: true });
+    assert.ok(left >= 2 && top >= 2 && right <= 198 && bottom <= 198, `cut off beside ${x}, ${y}`);
+  }
+});
+
+test("a label beside a compromised agent keeps clear of its ring", () => {
+  const canvas = { viewport: { toScreen: (x, y) => [x, y] }, width: 200, height: 200 };
+  const reserved = (adversaries) => {
+    const taken = [];
+    reserveSigns(/** @type {any} */ (canvas), /** @type {any} */ ([{ x: 100, y: 100, adversaries }]), taken);
+    return taken[0];
+  };
+  assert.deepEqual(reserved([]), [88, 88, 112, 112]);
+  assert.ok(reserved(["adversary_1"])[0] < 100 - 13.5, "the ring, its line and a gap");
 });
 
 test("undecided agents are named as such, in the colour of the state", () => {

@@ -187,11 +187,13 @@ export function sectorOf(mark, [from, to], distances) {
   return places;
 }
 
-/** The length of a grid cell, at the lower right. @param {Canvas} canvas */
+/** The length of a grid cell, at the lower right, legible on top of objects. @param {Canvas} canvas */
 export function drawScale({ context, viewport, width, height, palette }) {
   const scale = viewport.scale(width, height);
   const step = gridStep(scale);
   const [right, y] = [width - 14, height - 12];
+  context.fillStyle = faded(palette.ground, 0.85);
+  context.fillRect(right - step * scale - 5, y - 20, step * scale + 10, 25);
   context.strokeStyle = context.fillStyle = palette.faint;
   context.lineWidth = 1.5;
   context.beginPath();

@@ -7,7 +7,7 @@ import { describe, hit, marksOf, tally } from "./marks.js";
 import { faded } from "./palette.js";
 import { cameraMarksOf } from "./perspective.js";
 import { TRUTH } from "./run.js";
-import { drawAgents } from "./signs.js";
+import { drawAgents, reserveSigns } from "./signs.js";
 import { CameraWindow, screenBounds } from "./windows.js";
 
 export class Panel {
@@ -89,6 +89,7 @@ export class Panel {
       if (layers.links) drawLinks(canvas, marks.links);
       drawSensors(canvas, marks.agents, marks.frame, this.choice.agent);
       drawBoxes(canvas, marks, this.chosen, taken);
+      reserveSigns(canvas, marks.agents, taken);
       if (layers.links) drawCentre(canvas, marks.links, taken);
       drawAgents(canvas, marks.agents, taken);
       if (layers.ids) drawIds(canvas, marks, taken);

@@ -4,6 +4,8 @@
 
 /** px: height of a line. */
 const LINE = 14;
+/** px: radius of the ring around an agent with an adversary on its wires. */
+const RING = 12;
 
 /**
  * Write lines at the first free place.
@@ -12,7 +14,8 @@ const LINE = 14;
  * @param {Places} places to try, the best first
  * @param {string} colour
  * @param {number[][]} taken left, top, right and bottom of all labels so far; the new one is added
- * @param {{font?: string, needed?: boolean}} [style] needed: written at the first place even if that is taken
+ * @param {{font?: string, needed?: boolean}} [style] needed: written even if every place is taken: at the first that is
+ *   inside, or as near to the first as is inside
  * @returns {number[] | null} where it is; null: nowhere
  */
 export function writeLabel(canvas, lines, places, colour, taken, { font = "600 12px system-ui, sans-serif", needed = false } = {}) {
@@ -21,12 +24,13 @@ export function writeLabel(canvas, lines, places, colour, taken, { font = "600 1
   const wide = Math.max(...lines.map((text) => context.measureText(text).width));
   const high = LINE * lines.length;
   const tried = places(wide, high);
-  const free = tried.find(([left, top]) => {
-    const inside = left >= 2 && top >= 2 && left + wide <= width - 2 && top + high <= height - 2;
-    return inside && !taken.some((box) => left < box[2] && box[0] < left + wide && top < box[3] && box[1] < top + high);
-  });
+  const inside = tried.filter(([left, top]) => left >= 2 && top >= 2 && left + wide <= width - 2 && top + high <= height - 2);
+  const free = inside.find(
+    ([left, top]) => !taken.some((box) => left < box[2] && box[0] < left + wide && top < box[3] && box[1] < top + high),
+  );
   if (!free && !needed) return null;
-  const [left, top] = free ?? tried[0];
+  const [x, y] = free ?? inside[0] ?? tried[0];
+  const [left, top] = [Math.max(2, Math.min(x, width - 2 - wide)), Math.max(2, Math.min(y, height - 2 - high))];
   const place = [left, top, left + wide, top + high];
   taken.push(place);
   context.textAlign = "left";
@@ -76,16 +80,28 @@ export function troubleOf(mark) {
 }
 
 /**
+ * Keep labels off the signs of agents.
  * @param {import("./above.js").Canvas} canvas
  * @param {import("./marks.js").AgentMark[]} agents
- * @param {number[][]} taken by labels; those of the agents are added
+ * @param {number[][]} taken by labels and signs; those of the agents are added
+ */
+export function reserveSigns({ viewport, width, height }, agents, taken) {
+  for (const mark of agents) {
+    const [x, y] = viewport.toScreen(mark.x, mark.y, width, height);
+    const reach = mark.adversaries.length ? RING + 4 : RING;
+    taken.push([x - reach, y - reach, x + reach, y + reach]);
+  }
+}
+
+/**
+ * @param {import("./above.js").Canvas} canvas
+ * @param {import("./marks.js").AgentMark[]} agents
+ * @param {number[][]} taken by labels and signs; labels of the agents are added
  */
 export function drawAgents(canvas, agents, taken) {
   const { viewport, width, height } = canvas;
-  const signs = agents.map((mark) => viewport.toScreen(mark.x, mark.y, width, height));
-  for (const [x, y] of signs) taken.push([x - 12, y - 12, x + 12, y + 12]);
   for (const mark of agents) {
-    const [x, y] = signs[mark.index];
+    const [x, y] = viewport.toScreen(mark.x, mark.y, width, height);
     if (x < -20 || y < -20 || x > width + 20 || y > height + 20) continue;
     const colour = drawAgentSign(canvas, mark, x, y);
     const trouble = troubleOf(mark);
@@ -123,7 +139,7 @@ export function drawAgentSign({ context, palette }, mark, x, y) {
     context.lineWidth = mark.lying ? 2.5 : 1.2;
     context.setLineDash(mark.lying ? [] : [3, 3]);
     context.beginPath();
-    context.arc(x, y, 12, 0, 7);
+    context.arc(x, y, RING, 0, 7);
     context.stroke();
     context.setLineDash([]);
   }
