@@ -410,10 +410,11 @@ class RelativeFaults:
         self.differ = significant & (fits.explains >= self._share)
         self.differ &= self.differ.T
         faulty = self._still_faulty(fits)
-        # Pairs that are still to be searched may differ, too: nobody is corrected who might then not be at fault.
-        faulty |= _in_every_explanation(self.differ, suspended)
-        if self._unsearched.any():
-            faulty &= _in_every_explanation(self.differ | self._unsearched, suspended)
+        found = _in_every_explanation(self.differ, suspended)
+        if found.any() and self._unsearched.any():
+            # Pairs that are still to be searched may differ, too: nobody is corrected who might then not be at fault.
+            found &= _in_every_explanation(self.differ | self._unsearched, suspended)
+        faulty |= found
         # The word of suspended agents counts no more than that of faulty ones.
         sound = ~faulty & ~suspended
         corrected = np.zeros((len(fault), 4))
