@@ -8,9 +8,8 @@ from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.integrity.base import ClusterBoxes, ObjectTrust
 from mast_zenoh.integrity.disputes import Evidence
 from mast_zenoh.integrity.explanations import Explanations
-from mast_zenoh.integrity.memory import NOW, AgentMemory
+from mast_zenoh.integrity.memory import NOW, VOTE_MEMORY_S, AgentMemory, VoteMemory
 from mast_zenoh.integrity.visibility import FAR_M, silent_about
-from mast_zenoh.integrity.voting import MEMORY_S, VoteMemory
 
 #: Agents that must confirm an object at one time, so that it is believed when only suspended agents report it later.
 CONFIRMING = 2
@@ -45,7 +44,7 @@ class ExistenceVotes:
         self._agents = agents
         # known: whether nobody lied yet when it appeared
         # claimed_ns: time, ns, at which a believed agent reported it last
-        self._votes = VoteMemory(MEMORY_S, known=False, claimed_ns=NOW)
+        self._votes = VoteMemory(VOTE_MEMORY_S, known=False, claimed_ns=NOW)
         self._of = self._votes.objects.of
         self._rows: Ints = np.zeros(0, np.int64)  # of the clusters of the last batch
         self._witnessed: Bools = np.zeros((0, 0), np.bool_)  # (m, k) which agents confirmed an object with another one

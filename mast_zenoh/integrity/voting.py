@@ -3,50 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from mast_zenoh.arrays.checks import check
-from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.integrity.base import AgentTrust, Assessment, Batch, ClusterBoxes, Integrity, ObjectTrust
-from mast_zenoh.integrity.memory import BetaReputation, ObjectMemory
+from mast_zenoh.integrity.memory import BetaReputation, VoteMemory
 from mast_zenoh.integrity.visibility import FAR_M, rays_at, sightings, silent_about
-
-#: s, over which the votes about an object are averaged.
-MEMORY_S = 0.5
-
-
-class VoteMemory:
-    """Follows objects, and averages the votes about them.
-
-    memory_s: s, after which a vote counts 1/e; forget_s: s, after which an object without a cluster is forgotten
-
-    objects: the memory, with the column balance, mean of votes for an object less votes against it
-    """
-
-    def __init__(self, memory_s: float, forget_s: float = 2.0, **columns: Any) -> None:
-        self.objects = ObjectMemory(forget_s=forget_s, balance=np.nan, **columns)
-        self._memory_s = memory_s
-        self._time_ns: int | None = None
-        self._kept = 1.0  # share of the balance before
-
-    def follow(self, time_ns: int, boxes: ClusterBoxes) -> Ints:
-        """(c,) rows of the objects of a batch's clusters in the memory. boxes: of the clusters"""
-        elapsed = 0.0 if self._time_ns is None else (time_ns - self._time_ns) * 1e-9
-        self._time_ns = time_ns
-        self._kept = np.exp(-elapsed / self._memory_s)
-        return self.objects.follow(time_ns, boxes.position, boxes.velocity)
-
-    def vote(self, rows: Ints, balance: Floats) -> Floats:
-        """(c,) mean votes for each object of a batch less votes against it, with those of this batch.
-
-        rows: (c,) of the objects; balance: (c,) votes of this batch, which count in full for a new object
-        """
-        before = self.objects.of.balance[rows]
-        after: Floats = np.where(np.isnan(before), balance, self._kept * before + (1.0 - self._kept) * balance)
-        self.objects.of.balance[rows] = after
-        return after
 
 
 @dataclass(kw_only=True, eq=False)
