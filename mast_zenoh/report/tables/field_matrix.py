@@ -144,20 +144,20 @@ def _breaks_at(each: FieldBreakdown) -> str:
     """`1.50 [1.20, 2.00]`, or `> 2` if it is beyond what was tried, or `\u2264 2` if nothing less was."""
     point = each.point
     if not math.isinf(point.value):
-        return _at_most(each) or measured(point)
+        return _at_most(each, point.value) or measured(point)
     low = f" [{number(point.low)}, \u221e)" if math.isfinite(point.low) else ""
     return f"> {each.most}{low}"
 
 
-def _at_most(each: FieldBreakdown) -> str:
-    """`\u2264 2` if it breaks with the only number of adversaries that was tried; otherwise empty."""
-    return f"\u2264 {each.only}" if each.only and 0.0 < each.point.value <= each.only else ""
+def _at_most(each: FieldBreakdown, value: float) -> str:
+    """`\u2264 2` if the only number of adversaries that was tried is enough to break it; otherwise empty."""
+    return f"\u2264 {each.only}" if each.only and 0.0 < value <= each.only else ""
 
 
 def _share_of_liars(each: FieldBreakdown) -> str:
     if not each.agents or not each.point.known:
         return DASH
-    if _at_most(each):
+    if _at_most(each, each.point.value):
         return f"\u2264 {100.0 * each.only / each.agents:.0f}"
     beyond = f"> {100.0 * each.most / each.agents:.0f}"
     scaled = each.point._replace(**{name: getattr(each.point, name) / each.agents for name in ("value", "low", "high")})
@@ -165,7 +165,7 @@ def _share_of_liars(each: FieldBreakdown) -> str:
 
 
 def _weakest(each: FieldBreakdown) -> str:
-    return f"{each.weakest} ({_at_most(each) or number(each.weakest_at)})" if each.weakest else "none"
+    return f"{each.weakest} ({_at_most(each, each.weakest_at) or number(each.weakest_at)})" if each.weakest else "none"
 
 
 def _csv_lines(table: FieldMatrix) -> Iterator[list[object]]:

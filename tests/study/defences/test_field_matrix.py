@@ -275,6 +275,11 @@ def test_a_single_number_of_adversaries_is_a_bound_without_interpolation() -> No
     line = dict(zip(summary.headings, summary.lines[0], strict=True))
     assert line["breaks at (adversaries)"] == "\u2264 2"
     assert line["weakest against"] == "Strong (\u2264 2)"
+    holding = played | {weak: always(fp=1.0, liars=2), weak.undefended: always(fp=1.0, liars=2)}
+    holding[ghosts("Cad", attack="Other")] = holding[ghosts("NoIntegrity", attack="Other")] = always(fp=1.0, liars=2)
+    summary = field_tables(collected(holding)).tables[-1]  # type: ignore[arg-type]
+    line = dict(zip(summary.headings, summary.lines[0], strict=True))
+    assert (line["breaks at (adversaries)"], line["weakest against"]) == ("> 2", "Strong (\u2264 2)")
     assert "false alarms that happen anyway break nothing" in summary.about
 
 
