@@ -26,6 +26,8 @@ from mast_zenoh.report.figures.trust import trust_figure
 from mast_zenoh.report.tables.text_table import number
 from mast_zenoh.viewer.palette import INK, LOCAL, RUN_COLOURS
 
+#: Inches of the narrowest heat map, with its scale; height of a cell in widths, where they are few.
+_LEAST_WIDTH, _CELL_ASPECT = 4.8, 0.45
 _ADDED = "missed and false objects added\nper frame, picture"
 
 
@@ -53,7 +55,7 @@ def _heat_maps(matrix: DefenceMatrix) -> RenderedFigure:
     marks = "(brackets: the 95 % interval contains 0, or there is none"
     marks += "; hatched: the adversaries never lied)" if any(row.idle for row in matrix.rows) else ")"
     label = "\n".join(["missed and false objects added per frame", *textwrap.wrap(marks, 58)])
-    figure = Figure(figsize=(max(4.8, width), height + 0.95), layout="constrained", facecolor="white")
+    figure = Figure(figsize=(max(_LEAST_WIDTH, width), height + 0.95), layout="constrained", facecolor="white")
     grid = figure.subplots(len(placements), len(counts), squeeze=False, sharey=True)
     sizes = [abs(row.measures["damage"].value) for row in matrix.rows if row.attack and not row.idle]
     scale = max((size for size in sizes if not math.isnan(size)), default=0.0) or 1.0
@@ -62,6 +64,9 @@ def _heat_maps(matrix: DefenceMatrix) -> RenderedFigure:
             cells = [[matrix.row(defence, attack, count, placement) for attack in attacks] for defence in defences]
             image = _heat_map(axes, cells, scale)
             axes.set_title(f"{_agents(count)}, {placement}", fontsize=9.5, color=INK, loc="left")
+            if width < _LEAST_WIDTH:  # few cells are not stretched
+                axes.set_box_aspect(_CELL_ASPECT * len(defences) / len(attacks))
+                axes.set_anchor("W")
             axes.set_xticks(range(len(attacks)), [plain(name) for name in attacks])
             axes.set_yticks(range(len(defences)), [plain(name) for name in defences])
             for text in axes.get_xticklabels():
