@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from mast_zenoh.report.figures.drawing import RenderedFigure
     from mast_zenoh.report.tables.text_table import ResultTables
 
+_ROUNDING = 1e-12
 #: By kind of scene, the agents besides the ego: poles, cars alone, or both, 13 agents in all; and its title.
 SCENE_KINDS: dict[str, dict[str, int]] = {
     "poles": dict(n_infrastructure=4, n_mobile=0),
@@ -196,7 +197,8 @@ class Collection(matrix.Collection):
         every = _mean_known(np.stack(list(shares.values())))  # (trials, counts)
         points = {attack: _crossing(counts, values) for attack, values in shares.items()}
         reached = {attack: point for attack, point in points.items() if math.isfinite(point)}
-        weakest = min(reached, key=lambda attack: (reached[attack], -_mean_known(shares[attack]).max()), default="")
+        most_broken = {attack: np.nanmax(_mean_known(shares[attack])) for attack in reached}
+        weakest = min(reached, key=lambda attack: (reached[attack], -most_broken[attack]), default="")
         point = intervals.pooled(lambda rows: _crossing(counts, every[rows]), len(keys))
         if len({*counts} - {0}) == 1:
             point = Measured(point.value, trials=point.trials)
@@ -359,5 +361,6 @@ def _crossing(counts: Sequence[int], shares: Floats) -> float:
     means = _mean_known(shares)
     known = ~np.isnan(means)
     if len({*counts} - {0}) == 1 and known.any():
-        return min((float(count) for count, mean in zip(counts, means, strict=True) if mean >= HALF), default=math.inf)
+        reached = np.asarray(counts)[means >= HALF - _ROUNDING]
+        return float(reached.min()) if len(reached) else math.inf
     return crossing(np.asarray(counts)[known], means[known]) if known.any() else math.nan
