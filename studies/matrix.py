@@ -1,4 +1,4 @@
-"""Published and own defences against published and own attacks, on three kinds of scene."""
+"""Published and own defences against published and own attacks, by kind of scene."""
 
 from functools import partial
 
@@ -20,10 +20,12 @@ ADVERSARIES = (
     "coordinated,uncoordinated,BlindSpot,Mimic,SlowDrift,Sleeper,Collusion,Framing,GhostAhead,"
     "OpenDispute,PairedDenial,TrustFlip,PosePert,BlindAreaConfusion,PretendBenign,Flood"
 )
-# On two cores, quick takes some 3 minutes and full 6 hours (docs/defence_studies.md).
+# On two cores, quick takes a minute and full 6 hours (docs/defence_studies.md).
 PRESETS = dict(
-    quick=dict(defences="FaultOrLie,Cad", adversaries="coordinated,OpenDispute", kinds="poles,cars", trials=2),
-    full=dict(defences=DEFENCES, adversaries=ADVERSARIES, kinds="poles,cars,many", trials=30),
+    quick=dict(
+        defences="FaultOrLie,Cad", adversaries="coordinated,OpenDispute", kinds="poles,cars", counts=(2,), trials=2
+    ),
+    full=dict(defences=DEFENCES, adversaries=ADVERSARIES, kinds="poles,cars,many", counts=(2,), trials=30),
 )
 
 
@@ -33,7 +35,7 @@ def study(
     adversaries=None,
     kinds=None,
     junction=8,
-    counts=(2,),
+    counts=None,
     placements="random",
     trials=None,
     frames=100,
@@ -42,19 +44,22 @@ def study(
 ):
     """Paired runs: the same scenes and seeds for every cell.
 
-    preset: quick or full; it sets all that is None;
+    preset: quick (FaultOrLie and Cad; coordinated and OpenDispute; poles, cars) or full; it sets all that is None;
     defences, adversaries: names or files, separated by commas, as in the study defences;
     kinds: of the scene, separated by commas: poles, cars, many;
-    junction: generated junction of all scenes; counts: numbers of adversaries; placements: random, worst, poles;
+    junction: generated junction of all scenes; counts: numbers of adversaries, 2 or [1,2,3]; placements: random,
+    worst, poles;
     trials: seeds of each scene; frames: of each run; seed: the first one.
     """
-    chosen = with_preset(PRESETS, preset, defences=defences, adversaries=adversaries, kinds=kinds, trials=trials)
+    chosen = with_preset(
+        PRESETS, preset, defences=defences, adversaries=adversaries, kinds=kinds, counts=counts, trials=trials
+    )
     return dict(
         name="matrix",
         **matrix_study(
             defences=parse_choices(chosen["defences"], "defences"),
             adversaries=parse_choices(chosen["adversaries"], "adversaries"),
-            counts=several(counts),
+            counts=several(chosen["counts"]),
             placements=words(placements),
             budgets=[None],
             parameters=dict(knowledge="trust", attack_start_s=attack_start_s),

@@ -44,7 +44,7 @@ class Observability:
           observable (there is an honest viewer), identifiable (more honest viewers than lying ones)
     first_lie_s, first_observable_s: s, by agent that lied; None: no lie was observable
     suspended_after_s, observed_s: s, from the first observable lie to the agent's suspension (None: never, or no trust
-          in the run), and for how long it was watched
+          in the run), and for how long it was watched (None: not at all, as it was suspended already)
     """
 
     lies: pyarrow.Table

@@ -158,5 +158,8 @@ def _checked(value: Any, default: Any, place: str, written: Any) -> Any:
     if type(value) is not type(default) and not (
         isinstance(default, (list, tuple)) and isinstance(value, (list, tuple))
     ):
-        raise ConfigurationError(f"{place}: found {written!r}, expected {type(default).__name__} as in {default!r}")
+        kind, example = type(default).__name__, default
+        if isinstance(default, tuple):
+            kind, example = "list", list(default)
+        raise ConfigurationError(f"{place}: found {written!r}, expected {kind} as in {example!r}")
     return value

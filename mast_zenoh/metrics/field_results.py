@@ -10,6 +10,7 @@ from mast_zenoh.metrics.study_results import DefenceMatrix, Measured
 #: Measures of a cell, and their headings.
 FIELD_MEASURES = {
     "harm": "missed and false objects, minus undefended",
+    "attacked": "runs with a lie (share)",
     "honest_suspended": "runs that suspend an honest agent (share)",
     "cpu_ms": "processor time (ms per frame)",
     "cpu_ratio": "processor time, relative to undefended",
@@ -35,7 +36,8 @@ class FieldRow:
 
     scene:    its title; "" for all scenes together
     harm:     missed and false objects per frame in the ego's picture, minus those without the defence under this attack
-    honest_suspended: share of the runs that suspend an honest agent; after the first lie, where agents lie
+    attacked: share of the runs in which the adversaries lied; unknown without any
+    honest_suspended: share of the runs that suspend an agent while it is honest, whether anybody lied or not
     cpu_ms:   of a run, per frame;  cpu_ratio: geometric mean of the ratios to the undefended runs of one scene and seed
     """
 
@@ -45,9 +47,15 @@ class FieldRow:
     n_adversaries: int
     placement: str
     harm: Measured
+    attacked: Measured
     honest_suspended: Measured
     cpu_ms: Measured
     cpu_ratio: Measured
+
+    @property
+    def idle(self) -> bool:
+        """Whether adversaries lied in none of the runs, so that their attack did not take place."""
+        return self.attacked.value == 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,7 +64,8 @@ class FieldBreakdown:
 
     scene:  its title; "" for all scenes together;  agents: in it, 0 if scenes differ
     broken: share of broken trials of all attacks, by number of adversaries
-    point:  number of adversaries at which half of them are broken; infinite: more than were tried
+    point:  number of adversaries at which half of them are broken, interpolated; infinite: more than were tried. If
+            only one number was tried, it is that one, as an upper bound, and has no interval
     weakest: the attack with the smallest point, "" if none is reached;  weakest_at: that point
     """
 
@@ -73,12 +82,18 @@ class FieldBreakdown:
         """The greatest number of adversaries that was tried."""
         return max(self.broken, default=0)
 
+    @property
+    def only(self) -> int:
+        """The number of adversaries that was tried, if it is the only one; otherwise 0."""
+        return self.most if len(self.broken.keys() - {0}) == 1 else 0
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FieldSummary:
     """What one defence is worth, besides its `DefenceSummary`.
 
-    harm_removed: share of the damage of all attacks that the defence takes away; negative: it does harm
+    harm_removed: share of the damage of all attacks that the defence takes away, in runs in which they took place;
+            negative: it does harm
     breaks_at:    in all scenes together
     cpu_ratio_alone, cpu_ratio_attacked: relative to no defence
     """
@@ -94,12 +109,12 @@ class FieldSummary:
 class PublishedNumber:
     """One of our numbers next to a published figure.
 
-    quantity: name in QUANTITIES;  attack: "" for all
+    quantity: name in QUANTITIES;  attacks: those of the runs that it is from, none: of runs without an attack
     """
 
     quantity: str
     defence: str
-    attack: str
+    attacks: Sequence[str]
     value: Measured
 
 

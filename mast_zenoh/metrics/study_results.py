@@ -269,13 +269,14 @@ DEFENCE_MEASURES = {
     "ospa_vs_undefended_m": "OSPA, minus undefended (m)",
     "fp_identifiable": "false objects inserted, identifiable",
     "fp_unidentifiable": "false objects inserted, not identifiable",
+    "attacked": "runs with a lie (share)",
     "identifiable_removed": "identifiable false objects removed (share)",
     "lies_detected": "observable lies detected (share)",
     "median_delay_s": "median delay (s)",
     "honest_suspended_per_hour": "honest agents suspended per hour",
     "faulty_suspended_per_hour": "faulty agents suspended per hour",
     "wrongly_suspended": "runs without lies that suspend an agent (share)",
-    "framed": "runs in which an honest agent is framed (share)",
+    "framed": "runs with a lie in which an honest agent is framed (share)",
     "framed_by_minority": "framed, liars below the local majority (share)",
     "framed_by_majority": "framed, liars in the local majority (share)",
     "honest_majority": "objects with an honest majority (share)",
@@ -286,7 +287,7 @@ class Measured(NamedTuple):
     """A number over trials with its 95 % interval. NaN: unknown; infinite: beyond what was watched.
 
     trials:   number of trials behind it;  left_out: of those without it, because they failed or have no value
-    interval: one of BOOTSTRAP, POISSON, BINOMIAL
+    interval: how the bounds were computed: BOOTSTRAP, POISSON, BINOMIAL; "" without bounds
     """
 
     value: float = NAN
@@ -337,6 +338,7 @@ class DefenceRow:
     measures:  by name in DEFENCE_MEASURES; damage is relative to no defence and no attack, with the same scene and seed
     state_seconds: s by conduct (honest, faulty, lying) and state of trust, over all agents and trials; {}: no trust
     delay:     until liars are suspended, over all trials; None: there was no observable lie, or no trust
+    suspended_before: number of liars that were suspended before their first observable lie, which have no delay
     """
 
     defence: str
@@ -348,13 +350,20 @@ class DefenceRow:
     measures: Mapping[str, Measured]
     state_seconds: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     delay: Survival | None = None
+    suspended_before: int = 0
+
+    @property
+    def idle(self) -> bool:
+        """Whether adversaries lied in none of the runs, so that their attack did not take place."""
+        return self.measures["attacked"].value == 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DefenceRoc:
     """How well one defence's suspicion tells liars from honest agents, one score for each agent-run.
 
-    partial_auc: mean share of liars detected below one false alarm per hour;  hours: of all runs together
+    partial_auc: mean share of liars detected below one false alarm per hour; unknown for less than an hour
+    hours: of all runs together
     """
 
     defence: str
@@ -406,6 +415,7 @@ class DefenceMatrix:
 
     state_shares: by defence, conduct and state of trust, the share of the time with this conduct, over all cells
     panels: the trust of single trials;  unshown: number of pairs of a defence and an adversary without a panel
+    not_suspending: defences that judge agents and suspended nobody in any run; they have no delays
     """
 
     rows: Sequence[DefenceRow]
@@ -416,6 +426,7 @@ class DefenceMatrix:
     state_shares: Mapping[str, Mapping[str, Mapping[str, Measured]]] = field(default_factory=dict)
     panels: Sequence[TrustPanel] = ()
     unshown: int = 0
+    not_suspending: Sequence[str] = ()
 
     def names(self, key: str) -> list[object]:
         """The values of an attribute in order of appearance, without those of runs without an attack."""

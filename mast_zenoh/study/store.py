@@ -61,6 +61,32 @@ class Store:
             leftover.unlink(missing_ok=True)  # from a study that was killed while writing
         return store
 
+    def refuse_other(self, study: Study, trials: Sequence[Trial]) -> None:
+        """Raise RunFolderError if the folder has configurations, scenes or frames that the study's tables would lack.
+
+        trials: those planned
+        """
+        if not (self.folder / "study.json").is_file():
+            return
+        stored = read_json(self.folder / "study.json")
+        known = {each.label: [each.scenario, list(each.settings)] for each in study.configurations}
+        for label, content in stored.get("configurations", {}).items():
+            if (settings := known.get(label)) != [content["scenario"], content["settings"]]:
+                expected = "only those of this study" if settings is None else " ".join(settings[1])
+                self._refuse(f"the configuration {label!r} ({' '.join(content['settings'])})", expected)
+        scenes = {trial.scene for trial in trials}
+        for content in stored.get("trials", []):
+            if content["scene"] not in scenes:
+                self._refuse(f"the scene {content['scene']!r}", f"one of {', '.join(sorted(scenes))}")
+        if trials and stored.get("frames") != trials[0].frames:
+            self._refuse(f"trials of {stored.get('frames')} frames", f"{trials[0].frames}")
+
+    def _refuse(self, found: str, expected: str) -> None:
+        raise RunFolderError(
+            f"{self.folder}: holds another study, with {found}: expected {expected}. Its tables would be overwritten: "
+            "use another folder, or the settings with which it was begun"
+        )
+
     def write_status(self, study: Study, trials: Sequence[Trial], failures: Mapping[str, str], status: str) -> None:
         """Write study.json: the study's configurations and trials, and its status."""
         content = {

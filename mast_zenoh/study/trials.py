@@ -64,6 +64,7 @@ def run(
     frames = frames or study.frames
     trials = plan(study, count=count, seed=seed, frames=frames, runtime=runtime, allow_failures=allow_failures)
     store = Store.create(out, study, resume=resume)
+    store.refuse_other(study, trials)
     if record:
         trials = [replace(trial, folder=str(store.run_folder(trial))) for trial in trials]
     failures: dict[str, str] = {}
@@ -129,7 +130,8 @@ def plan(
     allow_failures: whether a trial counts even if handlers of its nodes failed
 
     Every configuration is resolved in every scene with the first seed. Raises what `scenario.load` and
-    `scenario.resolve` raise, and ConfigurationError for a study of defences on calibration data.
+    `scenario.resolve` raise, and ConfigurationError for a study of defences on calibration data, or with an attack that
+    begins after the end.
     """
     by_seed: list[list[Trial]] = [[] for _ in range(count)]
     result = []
@@ -147,6 +149,11 @@ def plan(
             environment = identity.environment(resolved.plugins.values())
             files = identity.files_key((*identity.user_files(path, loaded, resolved.modules), *scene.inputs()))
             idle = _idle_period(resolved)
+            if study.cells and idle is not None:
+                raise ConfigurationError(
+                    f"{study.path}: the attack of {configuration.label!r} begins at {idle[0]:g} s, and the trials end "
+                    f"after {idle[1]:g} s: expected more frames, or an earlier attack"
+                )
             for index, seed_trials in enumerate(by_seed):
                 if study.per_trial and index:
                     settings = (*common, *study.trial_settings(seed + index, frames))

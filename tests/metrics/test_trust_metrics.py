@@ -112,7 +112,7 @@ def test_a_liar_that_is_never_suspended_is_censored_at_the_end_of_the_run() -> N
 
 def test_a_suspension_before_the_first_lie_is_a_false_alarm_with_no_delay() -> None:
     agent, whole = summarised([TRUSTED] * 2 + [SUSPENDED] * 18, lies=(9,))
-    assert agent["suspended_after_s"] == 0.0
+    assert (agent["suspended_after_s"], agent["observed_s"]) == (None, None)
     assert agent["suspensions"] == [
         {"from_s": pytest.approx(0.2), "until_s": None, "reason": "reason 2", "conduct": "honest"}
     ]
@@ -176,6 +176,13 @@ def test_suspicion_is_the_negative_of_the_log_odds() -> None:
     )
     assert whole["agents"]["a"]["suspicion"] == {"max": 4.0, "mean": 1.0}
     assert whole["agents"]["b"]["suspicion"] == {"max": None, "mean": None}
+
+
+def test_a_suspension_with_the_first_lie_or_after_an_earlier_one_has_ended_is_a_detection() -> None:
+    with_it, _ = summarised([TRUSTED] * 4 + [SUSPENDED] * 4, lies=(4,))
+    assert with_it["suspended_after_s"] == 0.0
+    again, _ = summarised([SUSPENDED] * 4 + [TRUSTED] * 2 + [SUSPENDED] * 2, lies=(4,))
+    assert again["suspended_after_s"] == pytest.approx(0.2)
 
 
 def test_no_lie_has_no_delay() -> None:

@@ -25,6 +25,7 @@ from mast_zenoh.metrics.trust import roc
 DELAY = Survival(np.array([0.0, 0.3, 11.0]), np.array([1.0, 0.4, 0.4]), 3, 5)
 RUNS = Measured(0.0, 0.0, 0.07, 48, 0, BINOMIAL)
 ALARMS = Measured(0.4, 0.0, 1.2, 180, 0, POISSON)
+ATTACKED = Measured(1.0, 0.93, 1.0, 48, 0, BINOMIAL)
 SHARE = Measured(0.97, 0.95, 0.99, 48, 0, BOOTSTRAP)
 
 
@@ -32,6 +33,7 @@ def row(defence: str, attack: str, **measures: Measured) -> DefenceRow:
     count = 1 if attack else 0
     values = {"damage": Measured(4.2, 3.9, 4.6, 48, 0, BOOTSTRAP), "honest_suspended_per_hour": ALARMS}
     values |= {"framed": RUNS if attack == "Ghost" else Measured(), "lies_detected": SHARE}
+    values |= {"attacked": ATTACKED} if attack == "Ghost" else {}
     values |= {"wrongly_suspended": RUNS} if attack != "Ghost" else {}
     delay = DELAY if attack == "Ghost" and defence == "Wall" else None
     faulty = {"faulty": {"trusted": 3.0, "suspended": 1.0}} if attack.startswith("fault:") else {}

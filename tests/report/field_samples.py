@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from defence_samples import matrix, summary
+from defence_samples import ATTACKED, matrix, summary
 from defence_samples import row as defence_row
 
 from mast_zenoh.metrics.field_results import (
@@ -21,6 +21,11 @@ from mast_zenoh.metrics.field_results import (
 from mast_zenoh.metrics.study_results import BINOMIAL, BOOTSTRAP, Measured
 
 SCENES = ("4 poles", "4 cars")
+IDLE = Measured(0.0, 0.0, 0.1, 30, 0, BINOMIAL)
+
+
+def _attacked(attack: str, idle: bool) -> Measured:
+    return IDLE if idle else ATTACKED if attack else Measured()
 
 
 def field(
@@ -28,8 +33,12 @@ def field(
     attacks: Sequence[str] = ("Ghost", "Flood"),
     scenes: Sequence[str] = SCENES,
     counts: Sequence[int] = (2,),
+    idle: bool = False,
 ) -> FieldMatrix:
-    """The first defence helps against the first attack, in the first scene most; the last one does harm."""
+    """The first defence helps against the first attack, in the first scene most; the last one does harm.
+
+    idle: whether the first attack never takes place against the first defence
+    """
     rng = np.random.default_rng(1)
     every = ("NoIntegrity", *defences)
     places = [("", 0, ""), *((attack, count, "random") for attack in attacks for count in counts)]
@@ -51,6 +60,7 @@ def field(
                         n_adversaries=count,
                         placement=placement,
                         harm=Measured(harm, harm - width, harm + width, 30, 0, BOOTSTRAP),
+                        attacked=_attacked(attack, idle and (at, attack) == (1, attacks[0])),
                         honest_suspended=Measured((0.0, 0.0, 0.1, 0.8)[at % 4], 0.0, 1.0, 30, 0, BINOMIAL),
                         cpu_ms=Measured(4.0 + at, 3.9, 4.1, 30, 0, BOOTSTRAP),
                         cpu_ratio=Measured(1.0 + at / 4.0, 1.0, 1.5, 30, 0, BOOTSTRAP),
@@ -61,7 +71,11 @@ def field(
             scene=scene,
             defence=defence,
             agents=5 if scene else 0,
-            broken={0: Measured(0.0, 0.0, 0.1, 30), 2: Measured(0.8, 0.6, 0.9, 30)},
+            broken={
+                0: Measured(0.0, 0.0, 0.1, 30),
+                1: Measured(0.2, 0.1, 0.3, 30),
+                2: Measured(0.8, 0.6, 0.9, 30),
+            },
             point=Measured(1.25, 1.1, 1.5, 30) if defence == "Wall" else Measured(math.inf, 1.8, math.inf, 30),
             weakest="Ghost" if defence == "Wall" else "",
             weakest_at=1.25 if defence == "Wall" else math.inf,
@@ -87,7 +101,10 @@ def field(
             basis="abstract only, not checked",
             ours=[
                 PublishedNumber(
-                    quantity="lies_detected", defence="Wall", attack="", value=Measured(0.5, 0.4, 0.6, 30, 0, BOOTSTRAP)
+                    quantity="lies_detected",
+                    defence="Wall",
+                    attacks=["Ghost"],
+                    value=Measured(0.5, 0.4, 0.6, 30, 0, BOOTSTRAP),
                 )
             ],
             why="Walls are not tracks.",

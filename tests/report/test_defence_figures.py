@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 
 import matplotlib.image
 import numpy as np
-from defence_samples import agent, matrix, panel
+import pytest
+from defence_samples import agent, matrix, panel, row
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Rectangle
 
+from mast_zenoh.metrics.study_results import BINOMIAL, Measured
+from mast_zenoh.report.figures import defences
 from mast_zenoh.report.figures.defences import figures_of_defences
 from mast_zenoh.report.figures.style import Figure
 from mast_zenoh.report.figures.trust import LOG_ODDS, draw_agent, legend, trust_figure
@@ -23,6 +27,36 @@ def test_every_figure_is_drawn_and_names_the_worst_adversary_in_words() -> None:
     ]
     assert "Open: 4.20 by Ghost, 1 adversary" in figures["defence_matrix"].alt
     assert "Wall 0.90" in figures["roc"].alt
+
+
+def test_the_heat_maps_have_a_scale_and_explain_brackets_and_hatching(monkeypatch: pytest.MonkeyPatch) -> None:
+    figures: list[Figure] = []
+
+    class Kept(Figure):
+        def __init__(self, *arguments: object, **options: object) -> None:
+            super().__init__(*arguments, **options)  # type: ignore[arg-type]
+            figures.append(self)
+
+    monkeypatch.setattr(defences, "Figure", Kept)
+    whole = matrix()
+    silent = {"attacked": Measured(0.0, 0.0, 0.1, 48, 0, BINOMIAL)}
+    rows = [*(each for each in whole.rows if (each.defence, each.attack) != ("Wall", "Ghost"))]
+    figures_of_defences(replace(whole, rows=[*rows, row("Wall", "Ghost", **silent)]))
+    maps, scale = figures[0].axes
+    label = scale.get_xlabel().replace("\n", " ")
+    assert label.startswith("missed and false objects added per frame (brackets: the 95 % interval contains 0")
+    assert "hatched: the adversaries never lied" in label
+    assert [patch.get_xy() for patch in maps.patches if patch.get_hatch()] == [(-0.5, 0.5)]  # type: ignore[attr-defined]
+
+
+def test_every_figure_of_the_study_is_printed_too() -> None:
+    assert all(figure.pdf for figure in figures_of_defences(matrix()).values())
+
+
+def test_defences_that_suspend_nobody_have_no_curve_and_are_named() -> None:
+    caption = figures_of_defences(replace(matrix(), not_suspending=["Cad"]))["detection_delay"].caption
+    assert caption.endswith("Not drawn, as they suspended nobody: Cad.")
+    assert "Not drawn" not in figures_of_defences(matrix())["detection_delay"].caption
 
 
 def test_trust_over_time_has_a_panel_per_trial_and_says_how_many_are_missing() -> None:

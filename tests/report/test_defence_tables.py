@@ -8,10 +8,10 @@ import math
 from dataclasses import replace
 
 import pytest
-from defence_samples import matrix, row, summary
+from defence_samples import SHARE, matrix, row, summary
 
 from mast_zenoh.api.comparisons import as_text
-from mast_zenoh.metrics.study_results import BOOTSTRAP, DEFENCE_MEASURES, Measured
+from mast_zenoh.metrics.study_results import BINOMIAL, BOOTSTRAP, DEFENCE_MEASURES, DefenceMatrix, Measured
 from mast_zenoh.report.tables.defences import defence_tables
 from mast_zenoh.report.tables.text_table import measured, median_delay
 
@@ -20,7 +20,7 @@ from mast_zenoh.report.tables.text_table import measured, median_delay
     ("number", "text"),
     [
         (Measured(4.2, 3.9, 4.6, 48), "4.20 [3.90, 4.60]"),
-        (Measured(4.2, trials=4), "4.20 (n < 5)"),
+        (Measured(4.2, trials=4), "4.20"),
         (Measured(0.0, trials=9), "0.00 (all equal)"),
         (Measured(), "\u2013"),
         (Measured(math.inf, 1.2, math.inf, 48), "not reached [1.20, \u221e)"),
@@ -68,10 +68,57 @@ def test_a_delay_of_which_less_than_half_is_known_says_so() -> None:
     )
 
 
+def section(table: DefenceMatrix, title: str) -> str:
+    return defence_tables(table).as_markdown().split(f"## {title}\n")[1].split("## ")[0]
+
+
+def test_a_row_whose_attack_never_took_place_stays_and_says_in_how_many_runs_it_did() -> None:
+    silent = row("Wall", "Ghost", attacked=Measured(0.0, 0.0, 0.1, 48, 0, BINOMIAL), lies_detected=Measured())
+    some = row("Wall", "Ghost", attacked=Measured(0.25, 0.1, 0.4, 48, 0, BINOMIAL))
+    whole = matrix()
+    rows = [each for each in whole.rows if (each.defence, each.attack) != ("Wall", "Ghost")]
+    for own, lied in ((silent, "0 of 48"), (some, "12 of 48")):
+        table = replace(whole, rows=[*rows, own])
+        for title in ("Detection", "Framing"):
+            assert f"| {lied} |" in section(table, title)
+        assert ("(no lie)" in section(table, "Damage, worst")) == (own is silent)
+
+
+def test_false_alarms_before_a_lie_are_explained_where_they_raise_a_share() -> None:
+    early = replace(row("Wall", "Ghost"), suspended_before=2)
+    text = section(replace(matrix(), rows=[early]), "Detection")
+    assert text.strip().endswith("| 3 of 5 | 2 |")
+    assert "their lies count as detected: false alarms make this share greater" in text
+
+
+def test_displaced_objects_show_in_the_distance_between_picture_and_truth() -> None:
+    text = section(
+        replace(matrix(), rows=[row("Wall", "Ghost", ospa_added_m=SHARE)]), "Distance between picture and truth, worst"
+    )
+    assert "| Ghost | 1 | 0.970 [0.950, 0.990] |" in text
+
+
+def test_the_summary_has_no_columns_that_apply_to_no_defence() -> None:
+    without_faults = replace(matrix(), summaries=[summary(faults_suspended=Measured())])
+    assert "runs with faults" in section(matrix(), "Summary")
+    assert "runs with faults" not in section(without_faults, "Summary")
+    assert "each with its most harmful budget" in section(matrix(), "Summary")
+    single = replace(matrix(), rows=[replace(each, budgets=1) for each in matrix().rows])
+    assert "budget" not in section(single, "Summary")
+
+
+def test_one_line_says_that_few_trials_have_no_intervals() -> None:
+    few = replace(matrix(), rows=[row("Wall", "Ghost", damage=Measured(4.2, trials=4))])
+    note = "Numbers without brackets are of fewer than 5 trials"
+    assert as_text(defence_tables(few).as_rich()).count(note) == 1
+    assert note in defence_tables(few).as_markdown()
+    assert note not in defence_tables(matrix()).as_markdown()
+
+
 def test_the_defence_that_judges_nobody_has_no_row_for_framing() -> None:
-    section = defence_tables(matrix()).as_markdown().split("## Framing")[1].split("## ")[0]
-    assert "| Wall | Ghost |" in section
-    assert "| Open |" not in section
+    text = section(matrix(), "Framing")
+    assert "| Wall | Ghost |" in text
+    assert "| Open |" not in text
 
 
 def test_the_csv_has_every_measure_of_every_cell_with_bounds_and_method() -> None:
@@ -91,7 +138,7 @@ def test_latex_has_all_tables_with_escaped_text() -> None:
     latex = defence_tables(matrix()).as_latex()
     for title in ("Summary", "Detection", "ROC", "Framing", "Faults"):
         assert f"% {title}" in latex
-    assert latex.count(r"\begin{tabular}") == latex.count(r"\end{tabular}") == 8
+    assert latex.count(r"\begin{tabular}") == latex.count(r"\end{tabular}") == 9
     for line in latex.splitlines():
         assert line.startswith("%") or "%" not in line.replace(r"\%", "")
         assert line.isascii() or line.startswith("%"), line

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from field_samples import field
+from field_samples import SCENES, field
 from matplotlib.axes import Axes
 
 from mast_zenoh.metrics.field_results import FieldMatrix
@@ -66,6 +66,7 @@ def test_a_corner_marks_where_honest_agents_are_suspended_and_how_often(drawn: l
     for patch in panels(drawn[0])[0].patches:
         corners = patch.get_path().vertices
         sizes.setdefault(round(float(corners[0, 0] + 0.5)), set()).add(round(float(np.ptp(corners[:, 1])), 2))
+    assert not [text for text in drawn[0].texts if "Hatched" in text.get_text()]
     assert sizes == {1: {0.27}, 2: {0.48}}, "in 10 and in 80 % of the runs of two of the four defences"
 
 
@@ -93,6 +94,37 @@ def test_the_words_say_where_a_defence_helps_and_harms_most() -> None:
     figure = figures_of_field(field())["harm_by_scene"]
     assert "4 poles: \u221226.40 by Wall against Flood to" in figure.alt
     assert "2 adversaries, random" in figure.caption
+
+
+def test_the_figure_explains_its_marks(drawn: list[Figure]) -> None:
+    figures_of_field(field(DEFENCES, ATTACKS, idle=True))
+    (key,) = (text.get_text() for text in drawn[0].texts)
+    words = key.replace("\n", " ")
+    for mark in ("Italic: the 95 % interval contains 0", "Corner: an honest agent is suspended", "Hatched: the adv"):
+        assert mark in words
+
+
+def test_a_cell_whose_attack_never_took_place_is_hatched_and_has_no_colour(drawn: list[Figure]) -> None:
+    figure = figures_of_field(field(DEFENCES, ATTACKS, idle=True))["harm_by_scene"]
+    (first, _) = panels(drawn[0])
+    assert [patch.get_xy() for patch in first.patches if patch.get_hatch()] == [(-0.5, 0.5)]  # type: ignore[attr-defined]
+    values = np.ma.filled(np.asarray(first.images[0].get_array(), float), np.nan)
+    assert np.argwhere(np.isnan(values)).tolist() == [[1, 0]]
+    assert "against coordinated" not in figure.alt.split("4 poles:")[1].split(" to ")[0]
+
+
+def test_runs_without_an_attack_are_shown_once_for_all_numbers_of_adversaries(drawn: list[Figure]) -> None:
+    figures_of_field(field(DEFENCES, ATTACKS, SCENES[:1], (1, 2)))
+    one, two = panels(drawn[0])
+    assert [len(np.asarray(axes.images[0].get_array())) for axes in (one, two)] == [4, 3]
+    assert one.get_position().y0 == pytest.approx(two.get_position().y0)
+    assert two.get_ylim() == (2.5, -0.5)
+
+
+def test_the_cells_of_a_single_defence_are_not_stretched(drawn: list[Figure]) -> None:
+    figures_of_field(field(DEFENCES[:1], ATTACKS))
+    (axes, _) = panels(drawn[0])
+    assert axes.get_position().width * drawn[0].get_figwidth() <= 1.0
 
 
 def test_without_a_defence_or_an_attack_there_is_no_figure() -> None:

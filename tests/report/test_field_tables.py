@@ -44,20 +44,30 @@ def test_harm_has_a_table_for_each_kind_of_scene_and_a_column_for_each_defence()
     assert harm.lines[1][3] == "\u22122.50 [\u22122.90, \u22122.10]"
 
 
+def test_a_cell_whose_attack_never_took_place_says_so() -> None:
+    tables = {table.title: table for table in field_tables(field(idle=True)).tables}
+    harm = tables["Harm with and without defence, 4 poles"]
+    assert harm.lines[1][3].endswith("(no lie)")
+    assert not harm.lines[2][3].endswith("(no lie)")
+    assert "(no lie): the adversaries, which hear how they are judged, lied in none" in harm.about
+    assert "no lie" not in table_of("Harm with and without defence, 4 poles").about
+
+
 def test_processor_time_and_breakdown_have_lines_for_the_undefended_too() -> None:
     assert {line[0] for line in table_of("Processor time").lines} == {"NoIntegrity", "Wall", "Fence"}
     broken = table_of("Breakdown")
     assert len(broken.lines) == 9, "three defences in two scenes and in all"
     lines = {(line[0], line[1]): line for line in broken.lines}
-    assert lines["Wall", "4 poles"][3:7] == ["0 [0, 10]", "80 [60, 90]", "1.25 [1.10, 1.50]", "25 [22, 30]"]
-    assert lines["Fence", "4 poles"][6] == "> 40 [36, > 40]"
+    assert lines["Wall", "4 poles"][3:7] == ["0 [0, 10]", "20 [10, 30]", "80 [60, 90]", "1.25 [1.10, 1.50]"]
+    assert lines["Wall", "4 poles"][7] == "25 [22, 30]"
+    assert lines["Fence", "4 poles"][7] == "> 40 [36, > 40]"
 
 
 def test_the_csv_has_every_measure_by_scene_and_latex_is_ascii() -> None:
     tables = field_tables(field())
     rows = list(csv.DictReader(io.StringIO(tables.as_csv())))
     for name in FIELD_MEASURES:
-        assert {row["scene"] for row in rows if row["measure"] == name} == {"all", *SCENES}
+        assert {row["scene"] for row in rows if row["measure"] == name} - {""} == {"all", *SCENES}
     (harm,) = (
         row
         for row in rows
@@ -76,4 +86,4 @@ def test_a_method_without_a_known_figure_says_so() -> None:
     assert line[2] == "none known to us"
     assert line[4] == "\u2013"
     (known,) = published_tables(whole).tables[0].lines
-    assert known[4] == "observable lies detected (share): Wall 0.500 [0.400, 0.600]"
+    assert known[4] == "observable lies detected (share): Wall 0.500 [0.400, 0.600], under Ghost"

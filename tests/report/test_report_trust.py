@@ -222,6 +222,11 @@ def test_the_last_line_says_which_agents_the_defence_suspended_when_and_what_it_
         "FreeSpace suspended two agents, infra_1 (0.5 s after its first lie) and infra_2 (while honest), "
         "although infra_3 lied, and withheld 1.50 false and 0.25 true objects a frame."
     )
+    before = of_agent(lied=True, first_lie_s=1.5, suspensions=[suspension(0.0, None, "honest")])
+    assert last_line(folder, "Robosac", INTEGRITY | {"agents": {"infra_1": before}}) == (
+        "Robosac suspended one agent, infra_1 (already suspended before its first lie), "
+        "and withheld 1.50 false and 0.25 true objects a frame."
+    )
     nothing = {"agents": {"ego": of_agent()}, "withheld": {"true": 0.0, "false": 0.0}}
     assert last_line(folder, "FreeSpace", INTEGRITY | nothing) == (
         "FreeSpace set no agent's state to suspended and withheld nothing."

@@ -96,7 +96,7 @@ def test_a_launch_time_parameter_has_the_type_of_its_default(
         ("rate=fast", "found 'fast', expected float as in 1.0"),
         ("rate=True", "found 'True', expected float"),
         ("on=1", "found '1', expected bool"),
-        ("places=3", "found '3', expected tuple"),
+        ("places=3", r"found '3', expected list as in \["),
         ("nn=3", "mine.py: --set nn: no such launch-time parameter; did you mean 'n'"),
         ("nam=x", "did you mean 'name'"),
         ("n", "--set n: expected KEY=VALUE"),

@@ -17,6 +17,7 @@ from small_study import TABLES, tables, write_small
 from mast_zenoh.errors import ConfigurationError, Interrupted, RunFolderError, TrialsFailed
 from mast_zenoh.metrics.estimates import ESTIMATORS, LOCAL, PICTURE, RECEIVED
 from mast_zenoh.study import definition, execution, trial, trials
+from mast_zenoh.study.store import Store
 from mast_zenoh.study.trial import Outcome, Trial
 
 pytestmark = pytest.mark.heavy
@@ -243,6 +244,30 @@ def test_used_folder_and_folder_of_another_study_are_rejected(small, whole, tmp_
     (tmp_path / "study.json").write_text('{"name": "other"}')
     with pytest.raises(RunFolderError, match="holds the study 'other', expected 'small'"):
         trials.run(small, tmp_path, count=1, resume=True)
+
+
+@pytest.mark.parametrize(
+    ("in_file", "in_stored", "message"),
+    [
+        ("start_s=0.2", "start_s=0.4", "holds another study, with the configuration 'attacked-1-5.0' .*start_s=0.4"),
+        ("runs=dict(", "runs=dict(extra=dict(scenario='baseline'),", "'extra' .*: expected only those of this study"),
+        ("intersection:0", "intersection:1", "the scene 'intersection:1': expected one of intersection:0"),
+        ("frames=8", "frames=9", "trials of 9 frames: expected 8"),
+    ],
+)
+def test_a_folder_with_trials_that_the_tables_would_lack_is_not_continued(
+    small, tmp_path: Path, trials_run, in_file: str, in_stored: str, message: str
+) -> None:
+    (tmp_path / "small.py").write_text(Path(small.path).read_text().replace(in_file, in_stored))
+    other = definition.load(str(tmp_path / "small.py"))
+    folder = tmp_path / "out"
+    planned = trials.plan(other, count=1, seed=0, frames=other.frames, runtime="inproc")
+    Store.create(folder, other, resume=False).write_status(other, planned, {}, "ok")
+    before = (folder / "study.json").read_bytes()
+    with pytest.raises(RunFolderError, match=message):
+        trials.run(small, folder, count=1, resume=True)
+    assert (folder / "study.json").read_bytes() == before
+    assert trials_run == []
 
 
 def test_the_command_line_prints_the_tables_and_names_the_files(mast, small, tmp_path: Path) -> None:

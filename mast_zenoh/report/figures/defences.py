@@ -3,19 +3,31 @@
 from __future__ import annotations
 
 import math
+import textwrap
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from mast_zenoh.metrics.study_results import BreakdownRow, BreakdownTable, DefenceMatrix, DefenceRow
 from mast_zenoh.report.figures.drawing import RenderedFigure, render
-from mast_zenoh.report.figures.style import LINE_STYLES, MARKERS, Figure, heat_map, light_axes, plain
+from mast_zenoh.report.figures.style import (
+    LINE_STYLES,
+    MARKERS,
+    Figure,
+    hatch_cell,
+    heat_map,
+    light_axes,
+    plain,
+)
 from mast_zenoh.report.figures.trust import trust_figure
 from mast_zenoh.report.tables.text_table import number
 from mast_zenoh.viewer.palette import INK, LOCAL, RUN_COLOURS
 
+#: Inches of the narrowest heat map, with its scale; height of a cell in widths, where they are few.
+_LEAST_WIDTH, _CELL_ASPECT = 4.8, 0.45
 _ADDED = "missed and false objects added\nper frame, picture"
 
 
@@ -40,35 +52,50 @@ def _heat_maps(matrix: DefenceMatrix) -> RenderedFigure:
     counts, placements = matrix.names("n_adversaries"), matrix.names("placement")
     width = min(22.0, 1.9 + len(counts) * (0.8 + 0.75 * len(attacks)))
     height = 0.5 + len(placements) * (1.3 + 0.34 * len(defences))
-    figure = Figure(figsize=(max(6.5, width), height), layout="constrained", facecolor="white")
+    marks = "(brackets: the 95 % interval contains 0, or there is none"
+    marks += "; hatched: the adversaries never lied)" if any(row.idle for row in matrix.rows) else ")"
+    label = "\n".join(["missed and false objects added per frame", *textwrap.wrap(marks, 58)])
+    figure = Figure(figsize=(max(_LEAST_WIDTH, width), height + 0.95), layout="constrained", facecolor="white")
     grid = figure.subplots(len(placements), len(counts), squeeze=False, sharey=True)
-    sizes = [abs(row.measures["damage"].value) for row in matrix.rows if row.attack]
+    sizes = [abs(row.measures["damage"].value) for row in matrix.rows if row.attack and not row.idle]
     scale = max((size for size in sizes if not math.isnan(size)), default=0.0) or 1.0
     for line, placement in zip(grid, placements, strict=True):
         for axes, count in zip(line, counts, strict=True):
             cells = [[matrix.row(defence, attack, count, placement) for attack in attacks] for defence in defences]
-            _heat_map(axes, cells, scale)
+            image = _heat_map(axes, cells, scale)
             axes.set_title(f"{_agents(count)}, {placement}", fontsize=9.5, color=INK, loc="left")
+            if width < _LEAST_WIDTH:  # few cells are not stretched
+                axes.set_box_aspect(_CELL_ASPECT * len(defences) / len(attacks))
+                axes.set_anchor("W")
             axes.set_xticks(range(len(attacks)), [plain(name) for name in attacks])
             axes.set_yticks(range(len(defences)), [plain(name) for name in defences])
             for text in axes.get_xticklabels():
                 text.set(rotation=30, ha="right", rotation_mode="anchor")
+    bar = figure.colorbar(image, ax=grid, orientation="horizontal", aspect=40.0, shrink=0.8)
+    bar.ax.tick_params(labelsize=8.5, length=3, colors=INK)
+    bar.outline.set_visible(False)
+    bar.set_label(label, fontsize=9, color=INK)
     caption = (
         "Missed and false objects that each adversary adds to the ego's picture per frame, compared with no attack and "
-        f"no defence ({matrix.size}). Brackets: the 95 % interval contains 0, or there is none."
+        f"no defence ({matrix.size}). Brackets: the 95 % interval contains 0, or there is none. Hatched: the "
+        "adversaries lied in none of the runs."
     )
     return render("defence_matrix", figure, f"Heat maps of damage. {_worst(matrix)}", caption, printed=True)
 
 
-def _heat_map(axes: Axes, cells: list[list[DefenceRow | None]], scale: float) -> None:
+def _heat_map(axes: Axes, cells: list[list[DefenceRow | None]], scale: float) -> AxesImage:
     def text(row: DefenceRow | None) -> str:
         if row is None or math.isnan(_mean(row, "damage")):
             return ""
         damage = row.measures["damage"]
         return number(damage.value) if damage.differs_from_zero else f"({number(damage.value)})"
 
-    means = np.array([[_mean(row, "damage") for row in line] for line in cells])
-    heat_map(axes, means, [[text(row) for row in line] for line in cells], scale)
+    idle = np.array([[row is not None and row.idle for row in line] for line in cells])
+    means = np.where(idle, math.nan, [[_mean(row, "damage") for row in line] for line in cells])
+    image = heat_map(axes, means, [[text(row) for row in line] for line in cells], scale)
+    for y, x in np.argwhere(idle).tolist():
+        hatch_cell(axes, x, y)
+    return image
 
 
 def _damage(matrix: DefenceMatrix) -> RenderedFigure:
@@ -104,7 +131,7 @@ def _damage(matrix: DefenceMatrix) -> RenderedFigure:
     caption = (
         f"Damage over the number of adversaries ({matrix.size}), with 95 % intervals over trials where there are five "
         "trials or more. Last: the share of objects that more honest agents see than compromised ones. No rule that "
-        "counts viewers can know more."
+        "counts viewers can know more. White centre: the adversaries lied in none of the runs."
     )
     return render(
         "damage_over_adversaries", figure, f"Damage over number of adversaries. {_worst(matrix)}", caption, printed=True
@@ -130,6 +157,9 @@ def _curve(
         capsize=3,
         label=plain(label),
     )
+    idle = [(count, row.measures["damage"].value) for count, row in zip(counts, rows, strict=True) if row and row.idle]
+    for count, value in idle:
+        axes.plot(count, value, color="white", marker=".", markersize=4.0, zorder=5)
 
 
 def _bound(axes: Axes, matrix: DefenceMatrix, counts: list[int]) -> None:
@@ -174,6 +204,8 @@ def _delays(matrix: DefenceMatrix) -> RenderedFigure:
         "Time from an agent's first observable lie to its suspension, over all adversaries (Kaplan-Meier). Agents that "
         "were not suspended count for as long as they were watched."
     )
+    if matrix.not_suspending:
+        caption += f" Not drawn, as they suspended nobody: {', '.join(matrix.not_suspending)}."
     values = "; ".join(
         f"{defence} {delay.detections} of {delay.watched}, median {number(delay.median_s)} s"
         for defence, delay in matrix.delays.items()
@@ -201,7 +233,8 @@ def _rocs(matrix: DefenceMatrix) -> RenderedFigure:
     axes.legend(frameon=False, fontsize=9, labelcolor=INK, loc="lower right")
     caption = (
         "Each agent of each run has one score, its greatest suspicion. One honest agent-run is at most one false alarm "
-        "in the hours of all runs together, so few runs say nothing about one alarm per hour."
+        "in the hours of all runs together, so few runs say nothing about one alarm per hour. Runs under attack in "
+        "which the adversaries never lied are left out."
     )
     values = "; ".join(f"{each.defence} {number(each.auc.value)}" for each in matrix.rocs)
     return render("roc", figure, f"Receiver operating characteristics, areas below: {values}.", caption, printed=True)
@@ -216,7 +249,7 @@ def _worst(matrix: DefenceMatrix) -> str:
     parts = []
     for defence in matrix.names("defence"):
         rows = [row for row in matrix.rows if row.defence == defence and row.attack]
-        rows = [row for row in rows if not math.isnan(_mean(row, "damage"))]
+        rows = [row for row in rows if not math.isnan(_mean(row, "damage")) and not row.idle]
         if rows:
             row = max(rows, key=lambda each: _mean(each, "damage"))
             parts.append(f"{defence}: {number(_mean(row, 'damage'))} by {row.attack}, {_agents(row.n_adversaries)}")

@@ -17,6 +17,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.colors import Normalize
+from matplotlib.image import AxesImage
+from matplotlib.patches import Rectangle
 from PIL import Image
 
 from mast_zenoh.arrays.states import Floats
@@ -57,12 +59,14 @@ LINE_STYLES = ("-", (0, (6, 1.5)), (0, (2, 1)), (0, (6, 1, 1, 1)))
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 #: Of heat maps: diverging, and safe for colour-blind readers.
 _HEAT = "PuOr_r"
+#: Colour of a cell whose value is unknown.
+UNKNOWN = "#e0e0e0"
 
 
-def heat_map(axes: Axes, means: Floats, texts: Sequence[Sequence[str]], scale: float, **how: Any) -> None:
+def heat_map(axes: Axes, means: Floats, texts: Sequence[Sequence[str]], scale: float, **how: Any) -> AxesImage:
     """Means (y, x) as colours up to `scale`, and as texts; NaN: unknown."""
-    axes.set_facecolor("#e8e8e8")  # unknown values
-    axes.imshow(means, cmap=_HEAT, norm=Normalize(-scale, scale), aspect="auto", **how)
+    axes.set_facecolor(UNKNOWN)
+    image = axes.imshow(means, cmap=_HEAT, norm=Normalize(-scale, scale), aspect="auto", **how)
     for y, line in enumerate(texts):
         for x, text in enumerate(line):
             colour = "white" if abs(means[y, x]) > 0.75 * scale else INK
@@ -70,6 +74,13 @@ def heat_map(axes: Axes, means: Floats, texts: Sequence[Sequence[str]], scale: f
     axes.tick_params(length=0, labelsize=9)
     for spine in axes.spines.values():
         spine.set_visible(False)
+    return image
+
+
+def hatch_cell(axes: Axes, x: int, y: int) -> None:
+    """Mark a cell of a heat map that has no colour."""
+    cell = Rectangle((x - 0.5, y - 0.5), 1.0, 1.0, fill=False, hatch="///", edgecolor="white", linewidth=0.0)
+    axes.add_patch(cell)
 
 
 def plain(text: object) -> str:

@@ -155,13 +155,15 @@ def trust_figure(panels: Sequence[TrustPanel], unshown: int) -> RenderedFigure:
     handles = legend(every, LOG_ODDS)
     figure.legend(handles=handles, loc="upper left", ncols=len(handles), frameon=False, fontsize=9.5, columnspacing=1.3)
     caption = (
-        f"The first trial of each defence that suspends, under each adversary: {LOG_ODDS.label}, drawn at the limits "
-        "beyond 10. Background: the state that the command centre gave to the agent. Bands: what it did."
+        f"The first trial of each defence that suspends an agent or leaves one undecided, under each adversary: "
+        f"{LOG_ODDS.label}, drawn at the limits beyond 10. Background: the state that the command centre gave to the "
+        "agent. Bands: what it did."
     )
     if unshown:
         caption += f" {unshown} more pairs are not shown."
     titles = "; ".join(panel.title for panel in panels)
-    return render("trust_over_time", figure, f"Trust in agents over time in single trials: {titles}.", caption)
+    alt = f"Trust in agents over time in single trials: {titles}."
+    return render("trust_over_time", figure, alt, caption, printed=True)
 
 
 def _draw_panel(figure: Figure, panel: TrustPanel, left: float, top: float, size: tuple[float, float]) -> None:

@@ -119,7 +119,8 @@ def defence_sentence(run: RunRecord) -> str:
         return ""
     agents: dict[str, Any] = measured["agents"]
     suspended = [name for name, agent in agents.items() if agent["suspensions"]]
-    missed = [name for name, agent in agents.items() if agent["lied"] and agent["suspended_after_s"] is None]
+    watched = {name: agent for name, agent in agents.items() if agent["observed_s"] is not None}
+    missed = [name for name, agent in watched.items() if agent["suspended_after_s"] is None]
     agents_suspended = f"suspended {count(len(suspended))} agent{'s' if len(suspended) > 1 else ''}"
     did = [agents_suspended if suspended else "set no agent's state to suspended"]
     did += [join_names([f"{name} ({_when(agents[name])})" for name in suspended], _MOST_NAMES)] if suspended else []
@@ -157,6 +158,8 @@ def _doubts(agents: dict[str, Any]) -> list[str]:
 def _when(agent: dict[str, Any]) -> str:
     """When an agent was suspended: `0.5 s after its first lie and while honest`."""
     delay_s = agent["suspended_after_s"]
+    if agent["lied"] and agent["observed_s"] is None:
+        return "already suspended before its first lie"
     lying = [] if delay_s is None else [f"{delay_s:.1f} s after its first lie"]
     conducts = dict.fromkeys(each["conduct"] for each in agent["suspensions"])
     return " and ".join([*lying, *(f"while {conduct}" for conduct in conducts if not lying or conduct != "lying")])

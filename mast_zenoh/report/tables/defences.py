@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 
 from mast_zenoh.metrics.study_results import (
-    BINOMIAL,
     DEFENCE_MEASURES,
+    MIN_SEEDS,
     DefenceMatrix,
     DefenceRow,
     DefenceSummary,
     Measured,
 )
-from mast_zenoh.report.tables.text_table import DASH, ResultTables, TextTable, digits, measured, median_delay, number
+from mast_zenoh.report.tables.text_table import (
+    BOUNDS,
+    DASH,
+    FEW_TRIALS,
+    ResultTables,
+    TextTable,
+    bounds,
+    digits,
+    measured,
+    median_delay,
+    number,
+)
 
 #: Measures of each table.
 _COSTS = ("fn_added", "fp_added", "ospa_added_m", "honest_suspended_per_hour", "wrongly_suspended")
@@ -21,19 +31,46 @@ _DETECTION = (
     *("lies_detected", "median_delay_s", "identifiable_removed", "fp_identifiable", "fp_unidentifiable"),
     "honest_suspended_per_hour",
 )
-_FRAMING = ("framed", "framed_by_minority", "framed_by_majority")
+_FRAMING = ("framed", "framed_by_minority", "framed_by_majority", "wrongly_suspended")
+#: Shares of runs, whose number is shown, too.
+_OF_RUNS = {"wrongly_suspended", "framed", "framed_by_minority", "framed_by_majority"}
+#: After the number of a cell whose attack never took place, and what it means.
+IDLE = "(no lie)"
+ABOUT_IDLE = f" {IDLE}: the adversaries, which hear how they are judged, lied in none of these runs."
 _FAULTS = ("wrongly_suspended", "faulty_suspended_per_hour", "honest_suspended_per_hour", "ospa_added_m")
 
 
 def tables(matrix: DefenceMatrix) -> list[TextTable]:
     """All tables that have a line, the summary last."""
-    every = [_costs(matrix), *damage(matrix), _detection(matrix), _framing(matrix), _faults(matrix)]
+    every = [_costs(matrix), *damage(matrix), *_distance(matrix)]
+    every += [_detection(matrix), _framing(matrix), _faults(matrix)]
     every += [_states_by_conduct(matrix), _characteristics(matrix), summary(matrix)]
     return [table for table in every if table.lines]
 
 
 def damage(matrix: DefenceMatrix) -> Iterator[TextTable]:
+    """The damage, by placement."""
+    return _by_adversary(
+        matrix,
+        "damage",
+        "Damage",
+        "Missed and false objects added per frame to the ego's picture, compared with no attack and no defence.",
+    )
+
+
+def _distance(matrix: DefenceMatrix) -> Iterator[TextTable]:
+    """What attacks do that move objects without hiding any, by placement."""
+    return _by_adversary(
+        matrix,
+        "ospa_added_m",
+        "Distance between picture and truth",
+        "OSPA added in m, compared with no attack and no defence: positions that are off count, too.",
+    )
+
+
+def _by_adversary(matrix: DefenceMatrix, measure: str, title: str, about: str) -> Iterator[TextTable]:
     """A table for each placement: a line per adversary and number, a column per defence."""
+    idle = ABOUT_IDLE if any(row.idle for row in matrix.rows) else ""
     defences = matrix.names("defence")
     for placement in matrix.names("placement"):
         lines = []
@@ -41,16 +78,14 @@ def damage(matrix: DefenceMatrix) -> Iterator[TextTable]:
             for count in matrix.names("n_adversaries"):
                 rows = [matrix.row(defence, attack, count, placement) for defence in defences]
                 if any(row is not None for row in rows):
-                    lines.append([str(attack), str(count), *(_measure(row, "damage") for row in rows)])
-        about = (
-            "Missed and false objects added per frame to the ego's picture, compared with no attack and no defence. "
-            f"Placement of the adversaries: {placement}."
-        )
-        yield TextTable(f"Damage, {placement}", about, ["adversary", "n", *map(str, defences)], lines, 2)
+                    cells = (_measure(row, measure) + (f" {IDLE}" if row and row.idle else "") for row in rows)
+                    lines.append([str(attack), str(count), *cells])
+        placed = f"{about} Placement of the adversaries: {placement}.{idle}"
+        yield TextTable(f"{title}, {placement}", placed, ["adversary", "n", *map(str, defences)], lines, 2)
 
 
 def summary(matrix: DefenceMatrix) -> TextTable:
-    """What each defence is worth, over all rows."""
+    """What each defence is worth, over all rows; without columns that do not apply to any."""
     headings = [
         *(
             "defence",
@@ -62,11 +97,15 @@ def summary(matrix: DefenceMatrix) -> TextTable:
         *("FP added without an attack", "runs with faults that suspend an agent (share)"),
         DEFENCE_MEASURES["framed_by_minority"],
     ]
+    budgets = ", each with its most harmful budget" if any(row.budgets > 1 for row in matrix.rows) else ""
     about = (
-        "Over all adversaries above, each with its most harmful budget. False alarms are suspensions of honest agents "
-        "in runs without an attack, of as many frames as given."
+        f"Over all adversaries above{budgets}. False alarms are suspensions of honest agents in runs without an "
+        "attack, of as many frames as given."
     )
-    return TextTable("Summary", about, headings, [_summary(each) for each in matrix.summaries], 1)
+    columns = zip(headings, *(_summary(each) for each in matrix.summaries), strict=True)
+    applying = [column for column in columns if {*column[1:]} != {DASH}]
+    headings, *lines = map(list, zip(*applying, strict=True))
+    return TextTable("Summary", about, headings, lines, 1)
 
 
 def _summary(each: DefenceSummary) -> list[str]:
@@ -92,28 +131,47 @@ def _costs(matrix: DefenceMatrix) -> TextTable:
 
 def _detection(matrix: DefenceMatrix) -> TextTable:
     lines = []
-    for row in matrix.rows:
-        if row.delay is None or row.defence not in matrix.delays:
-            continue
+    for row in _attacked(matrix):
         values = [_measure(row, name) for name in _DETECTION]
-        lines.append([*_cell_of(row), _budget(row), *values, f"{row.delay.detections} of {row.delay.watched}"])
+        detected = DASH if row.delay is None else f"{row.delay.detections} of {row.delay.watched}"
+        lines.append([*_cell_of(row), _budget(row), _lied(row), *values, detected, str(row.suspended_before)])
     about = (
         "Lies that an honest agent could notice, and whether their object was withheld or their agent suspended; the "
-        "time from the first of them to the suspension of its agent; how many of the liars were suspended."
+        "time from the first of them to the suspension of its agent; how many of the liars were suspended. Liars that "
+        "were suspended before their first such lie have no delay, but their lies count as detected: false alarms "
+        "make this share greater."
     )
-    headings = [*_CELL, "budget", *(DEFENCE_MEASURES[name] for name in _DETECTION), "suspended"]
-    return TextTable("Detection", about, headings, lines, 5)
+    if matrix.not_suspending:
+        about += f" Suspended nobody in any run, so without a delay: {', '.join(matrix.not_suspending)}."
+    headings = [*_CELL, "budget", "runs with a lie", *(DEFENCE_MEASURES[name] for name in _DETECTION)]
+    return TextTable("Detection", about, [*headings, "suspended", "suspended before"], lines, 5)
 
 
 def _framing(matrix: DefenceMatrix) -> TextTable:
-    judging = {each.defence for each in matrix.summaries}
-    rows = [row for row in matrix.rows if row.measures["framed"].trials and row.defence in judging]
-    lines = [[*_cell_of(row), *(_of_runs(row.measures[name]) for name in _FRAMING)] for row in rows]
+    lines = [
+        [*_cell_of(row), _lied(row), *(_measure(row, name) for name in _FRAMING)]
+        for row in _attacked(matrix)
+        if row.measures["framed"].known or row.measures["wrongly_suspended"].known
+    ]
     about = (
-        "An honest agent is framed if it is suspended after the first lie of a run. Liars are in the local majority if "
-        "they outnumber the honest viewers of at least half of the lies that an honest agent could notice."
+        "An honest agent is framed if it is suspended after the first lie of a run; runs in which nobody lied have the "
+        "last column. Liars are in the local majority if they outnumber the honest viewers of at least half of the "
+        "lies that an honest agent could notice."
     )
-    return TextTable("Framing", about, [*_CELL, *(DEFENCE_MEASURES[name] for name in _FRAMING)], lines, 4)
+    headings = [*_CELL, "runs with a lie", *(DEFENCE_MEASURES[name] for name in _FRAMING)]
+    return TextTable("Framing", about, headings, lines, 4)
+
+
+def _attacked(matrix: DefenceMatrix) -> list[DefenceRow]:
+    """The rows of defences with adversaries."""
+    judging = {each.defence for each in matrix.summaries}
+    return [row for row in matrix.rows if row.measures["attacked"].known and row.defence in judging]
+
+
+def _lied(row: DefenceRow) -> str:
+    """In how many runs the adversaries lied: `3 of 4`."""
+    share = row.measures["attacked"]
+    return f"{round(share.value * share.trials)} of {share.trials}"
 
 
 def _faults(matrix: DefenceMatrix) -> TextTable:
@@ -141,7 +199,11 @@ def _characteristics(matrix: DefenceMatrix) -> TextTable:
         for each in matrix.rocs
     ]
     headings = ["defence", "AUC", "partial AUC below 1 false alarm/h", "hours"]
-    return TextTable("ROC", "One score for each agent and run: its greatest suspicion.", headings, lines, 1)
+    about = (
+        "One score for each agent and run: its greatest suspicion. Less than one hour says nothing about one false "
+        "alarm per hour."
+    )
+    return TextTable("ROC", about, headings, lines, 1)
 
 
 _CELL = ["defence", "adversary", "n", "placement"]
@@ -161,7 +223,9 @@ def _measure(row: DefenceRow | None, name: str) -> str:
     each = row.measures.get(name, Measured())
     if name == "median_delay_s":
         return median_delay(each)
-    return _of_runs(each) if each.interval == BINOMIAL else measured(each)
+    if name == "ospa_added_m":
+        return measured(each, 3)
+    return _of_runs(each) if name in _OF_RUNS else measured(each)
 
 
 def _of_runs(each: Measured) -> str:
@@ -188,7 +252,7 @@ def defence_tables(matrix: DefenceMatrix) -> ResultTables:
         f"{matrix.size}. In brackets: 95 % intervals over trials, pairs of scene and seed. Differences are between "
         "runs of the same scene and seed."
     )
-    headings = [*_CSV_CELL, "measure", "value", "low", "high", "interval", "trials", "trials_left_out"]
+    headings = [*_CSV_CELL, "measure", *BOUNDS]
     source = summary(matrix)
     turned, *lines = zip(source.headings, *source.lines, strict=True)  # it has too many columns for a terminal
     brief = [
@@ -196,19 +260,22 @@ def defence_tables(matrix: DefenceMatrix) -> ResultTables:
         TextTable(source.title, source.about, turned, lines, 1),
     ]
     numbers = headings, list(_csv_lines(matrix))
-    return ResultTables("Defences against adversaries", about, matrix.size, tables(matrix), numbers, brief)
+    every = [each for row in matrix.rows for each in row.measures.values()]
+    few = any(each.known and not each.interval and each.trials < MIN_SEEDS for each in every)
+    note = FEW_TRIALS if few else ""
+    return ResultTables("Defences against adversaries", about, matrix.size, tables(matrix), numbers, brief, note)
 
 
 def _csv_lines(matrix: DefenceMatrix) -> Iterator[list[object]]:
     for row in matrix.rows:
         cell = [getattr(row, name) for name in _CSV_CELL]
         for name in DEFENCE_MEASURES:
-            yield [*cell, name, *_digits(row.measures.get(name, Measured()))]
+            yield [*cell, name, *bounds(row.measures.get(name, Measured()))]
         for conduct, states in row.state_seconds.items():
             for state, seconds in states.items():
                 yield [*cell, f"seconds {conduct} {state}", *digits(seconds), *[""] * 5]
     for defence, name, each in _of_defences(matrix):
-        yield [defence, *[""] * 5, name, *_digits(each)]
+        yield [defence, *[""] * 5, name, *bounds(each)]
 
 
 def _of_defences(matrix: DefenceMatrix) -> Iterator[tuple[str, str, Measured]]:
@@ -224,9 +291,3 @@ def _of_defences(matrix: DefenceMatrix) -> Iterator[tuple[str, str, Measured]]:
     for curve in matrix.rocs:
         yield curve.defence, "auc", curve.auc
         yield curve.defence, "partial_auc", curve.partial_auc
-
-
-def _digits(each: Measured) -> list[str]:
-    """The values of the columns from `value` on."""
-    method = "" if math.isnan(each.value) and math.isnan(each.low) else each.interval
-    return [*digits(*each[:3]), method, str(each.trials), str(each.left_out)]

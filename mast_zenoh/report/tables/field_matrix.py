@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from mast_zenoh.metrics.field_results import (
     FIELD_MEASURES,
@@ -13,13 +13,14 @@ from mast_zenoh.metrics.field_results import (
     PublishedComparison,
     PublishedNumber,
 )
-from mast_zenoh.metrics.study_results import BINOMIAL, Measured
-from mast_zenoh.report.tables.defences import defence_tables
+from mast_zenoh.metrics.study_results import Measured
+from mast_zenoh.report.tables.defences import ABOUT_IDLE, IDLE, defence_tables
 from mast_zenoh.report.tables.text_table import (
+    BOUNDS,
     DASH,
     ResultTables,
     TextTable,
-    digits,
+    bounds,
     measured,
     median_delay,
     number,
@@ -35,6 +36,15 @@ _SUMMARY_HEADINGS = (
     ),
 )
 
+#: Below tables with a breakdown.
+_ABOUT_BREAKING = (
+    "A run is broken if the ego's picture has more missed and false objects than its own tracks from the start of the "
+    "attack on, or an honest agent is suspended before any adversary that is not suspended without an attack, too: "
+    "false alarms that happen anyway break nothing. A defence breaks at the number of adversaries at which half of "
+    "the runs of all attacks are broken: interpolated, or \u2264 the only number that was played. It is weakest "
+    "against the attack with the smallest such number, a minimum of few trials."
+)
+
 
 def field_tables(table: FieldMatrix) -> ResultTables:
     """The tables of the matrix, with those of this study before the summary, to which it adds columns.
@@ -47,7 +57,8 @@ def field_tables(table: FieldMatrix) -> ResultTables:
     if added:
         (summary,) = last
         lines = [[*line, *added[line[0]]] for line in summary.lines]
-        last = [summary._replace(headings=[*summary.headings, *_SUMMARY_HEADINGS], lines=lines)]
+        about = f"{summary.about} {_ABOUT_BREAKING}"
+        last = [summary._replace(about=about, headings=[*summary.headings, *_SUMMARY_HEADINGS], lines=lines)]
     own = [*(_harm(table, scene) for scene in table.scenes), _processor_time(table), _breakdown(table)]
     headings, lines_of_matrix = of_matrix.numbers
     numbers = ("scene", *headings), [*(["", *line] for line in lines_of_matrix), *_csv_lines(table)]
@@ -56,11 +67,13 @@ def field_tables(table: FieldMatrix) -> ResultTables:
         [heading, *(added[name][index] for name in turned.headings[1:])]
         for index, heading in enumerate(_SUMMARY_HEADINGS if added else ())
     ]
+    if added:
+        turned = turned._replace(about=f"{turned.about} {_ABOUT_BREAKING}", lines=[*turned.lines, *extra])
     return of_matrix._replace(
         title="Published and own defences against published and own attacks",
         tables=[*others, *(each for each in own if each.lines), *last],
         numbers=numbers,
-        brief=[*brief, turned._replace(lines=[*turned.lines, *extra])],
+        brief=[*brief, turned],
     )
 
 
@@ -81,11 +94,13 @@ def _harm(table: FieldMatrix, scene: str) -> TextTable:
     lines = []
     for attack, count, placement in dict.fromkeys((row.attack, row.n_adversaries, row.placement) for row in rows):
         cells = [table.row(scene, defence, attack, count, placement) for defence in defences]
-        lines.append([attack or "none", str(count), placement or DASH, *(measured(cell.harm) for cell in cells)])
+        texts = (measured(cell.harm) + (f" {IDLE}" if cell.idle else "") for cell in cells)
+        lines.append([attack or "none", str(count), placement or DASH, *texts])
     about = (
         "Missed and false objects per frame in the ego's picture with the defence, minus those without it under the "
         "same attack. Negative: the defence helps."
     )
+    about += ABOUT_IDLE if any(row.idle for row in rows) else ""
     headings = ["adversary", "n", "placement", *map(str, defences)]
     return TextTable(f"Harm with and without defence, {scene}", about, headings, lines if defences else [], 3)
 
@@ -118,38 +133,39 @@ def _breakdown(table: FieldMatrix) -> TextTable:
         ]
         for each in table.breakdowns
     ]
-    about = (
-        "Runs in which the ego's picture has more missed and false objects than its own tracks from the start of the "
-        "attack on, or an honest agent is suspended before any adversary, and not without an attack. A defence breaks "
-        "at the number of adversaries at which half of the runs of all attacks are broken, interpolated. Last: the "
-        "attack with the smallest such number, which is a minimum of few trials."
-    )
     headings = [
         *("defence", "scene", "agents", *(f"broken with {count} (%)" for count in counts)),
         *("breaks at (adversaries)", "of all agents (%)", "weakest against"),
     ]
-    return TextTable("Breakdown", about, headings, lines, 3)
+    return TextTable("Breakdown", _ABOUT_BREAKING, headings, lines, 3)
 
 
 def _breaks_at(each: FieldBreakdown) -> str:
-    """`1.50 [1.20, 2.00]`, or `> 2` if it is beyond what was tried."""
+    """`1.50 [1.20, 2.00]`, or `> 2` if it is beyond what was tried, or `\u2264 2` if nothing less was."""
     point = each.point
     if not math.isinf(point.value):
-        return measured(point)
+        return _at_most(each, point.value) or measured(point)
     low = f" [{number(point.low)}, \u221e)" if math.isfinite(point.low) else ""
     return f"> {each.most}{low}"
+
+
+def _at_most(each: FieldBreakdown, value: float) -> str:
+    """`\u2264 2` if the only number of adversaries that was tried is enough to break it; otherwise empty."""
+    return f"\u2264 {each.only}" if each.only and 0.0 < value <= each.only else ""
 
 
 def _share_of_liars(each: FieldBreakdown) -> str:
     if not each.agents or not each.point.known:
         return DASH
+    if _at_most(each, each.point.value):
+        return f"\u2264 {100.0 * each.only / each.agents:.0f}"
     beyond = f"> {100.0 * each.most / each.agents:.0f}"
     scaled = each.point._replace(**{name: getattr(each.point, name) / each.agents for name in ("value", "low", "high")})
     return percent(scaled, beyond=beyond)
 
 
 def _weakest(each: FieldBreakdown) -> str:
-    return f"{each.weakest} ({number(each.weakest_at)})" if each.weakest else "none"
+    return f"{each.weakest} ({_at_most(each, each.weakest_at) or number(each.weakest_at)})" if each.weakest else "none"
 
 
 def _csv_lines(table: FieldMatrix) -> Iterator[list[object]]:
@@ -157,25 +173,21 @@ def _csv_lines(table: FieldMatrix) -> Iterator[list[object]]:
     for row in table.rows:
         cell = [row.scene or ALL_SCENES, row.defence, row.attack, row.n_adversaries, row.placement, "", ""]
         for name in FIELD_MEASURES:
-            yield [*cell, name, *_digits(getattr(row, name))]
+            yield [*cell, name, *bounds(getattr(row, name))]
     for each in table.breakdowns:
         place = [each.scene or ALL_SCENES, each.defence, ""]
         for count, share in each.broken.items():
-            yield [*place, count, "", "", "", "broken", *_digits(share)]
-        yield [*place, "", "", "", "", "breaks_at", *_digits(each.point)]
-        yield [*place[:2], each.weakest, *[""] * 4, "weakest_at", *_digits(Measured(each.weakest_at))]
+            yield [*place, count, "", "", "", "broken", *bounds(share)]
+        yield [*place, "", "", "", "", "breaks_at", *bounds(each.point)]
+        yield [*place[:2], each.weakest, *[""] * 4, "weakest_at", *bounds(Measured(each.weakest_at))]
     for summary in table.summaries:
         for name in ("harm_removed", "cpu_ratio_alone", "cpu_ratio_attacked"):
-            yield [ALL_SCENES, summary.defence, *[""] * 5, f"summary {name}", *_digits(getattr(summary, name))]
-
-
-def _digits(each: Measured) -> list[str]:
-    method = each.interval if each.known else ""
-    return [*digits(*each[:3]), method, str(each.trials), str(each.left_out)]
+            yield [ALL_SCENES, summary.defence, *[""] * 5, f"summary {name}", *bounds(getattr(summary, name))]
 
 
 # -- published figures -------------------------------------------------------------------------------------------------
 
+_PUBLISHED_TITLE = "The paper's figure, ours on tracks, why different"
 _PUBLISHED_HEADINGS = (
     "stage or attack",
     "after",
@@ -186,19 +198,26 @@ _PUBLISHED_HEADINGS = (
 )
 _PUBLISHED_CSV = (
     *("method", "source", "figure", "known_from", "measure", "defence", "attack"),
-    *("value", "low", "high", "interval", "trials", "trials_left_out", "why_different"),
+    *(*BOUNDS, "why_different"),
 )
 #: Widths of columns in LaTeX, shares of the line.
 _PUBLISHED_WIDTHS = (0.1, 0.13, 0.14, 0.1, 0.2, 0.2)
 _NO_FIGURE = "none known to us"
+#: Attacks that a cell names; more are counted, as the text above the table names them.
+_MOST_NAMED = 4
 
 
 def published_tables(table: FieldMatrix) -> ResultTables:
     """The published figures of what was played, each with our numbers and why they differ."""
+    if not table.published:
+        about = "This study played no method of which a published figure is known, so there is nothing to compare."
+        return ResultTables(_PUBLISHED_TITLE, about, table.matrix.size, [], (_PUBLISHED_CSV, []), [])
+    attacks = ", ".join(map(str, table.matrix.names("attack")))
     about = (
-        f"{table.matrix.size}. The papers judge features and point clouds of other scenes: their figures and ours are "
-        "not the same quantity, and no row is a reproduction. Figures known from an abstract or from notes were not "
-        "checked. In brackets: 95 % intervals over trials, pairs of scene and seed."
+        f"{table.matrix.size}, attacks: {attacks}. The papers judge features and point clouds of other scenes: their "
+        "figures and ours are not the same quantity, and no row is a reproduction. Figures known from an abstract or "
+        "from notes were not checked. Ours depend on the attacks that were played. In brackets: 95 % intervals over "
+        "trials, pairs of scene and seed."
     )
     lines = [
         [each.method, each.source, each.figure or _NO_FIGURE, each.basis, _ours(each), each.why]
@@ -207,24 +226,28 @@ def published_tables(table: FieldMatrix) -> ResultTables:
     latex = "".join(rf"p{{{width:g}\linewidth}}" for width in _PUBLISHED_WIDTHS)
     page = TextTable("Published figures", "", _PUBLISHED_HEADINGS, lines, len(_PUBLISHED_HEADINGS), latex)
     numbers = _PUBLISHED_CSV, list(_published_lines(table))
-    return ResultTables(
-        "The paper's figure, ours on tracks, why different", about, table.matrix.size, [page], numbers, []
-    )
+    return ResultTables(_PUBLISHED_TITLE, about, table.matrix.size, [page], numbers, [])
 
 
 def _ours(each: PublishedComparison) -> str:
-    """`lies detected (share): Cad 0.50 [0.30, 0.70]; …`, by quantity."""
-    texts: dict[str, list[str]] = {}
+    """`lies detected (share): Cad 0.50 [0.30, 0.70], under Flood; …`, by quantity and attacks."""
+    texts: dict[tuple[str, str], list[str]] = {}
     for ours in each.ours:
-        texts.setdefault(ours.quantity, []).append(f"{ours.defence} {_value(ours)}")
-    return "; ".join(f"{QUANTITIES[name]}: {', '.join(values)}" for name, values in texts.items()) or DASH
+        texts.setdefault((ours.quantity, _under(ours.attacks)), []).append(f"{ours.defence} {_value(ours)}")
+    parts = (f"{QUANTITIES[name]}: {', '.join(values)}{under}" for (name, under), values in texts.items())
+    return "; ".join(parts) or DASH
+
+
+def _under(attacks: Sequence[str]) -> str:
+    """The attacks behind a number, named if they are few."""
+    if not attacks:
+        return ""
+    return f", under {', '.join(attacks) if len(attacks) <= _MOST_NAMED else f'all {len(attacks)} attacks'}"
 
 
 def _value(ours: PublishedNumber) -> str:
     if ours.quantity == "median_delay_s":
         return median_delay(ours.value)
-    if ours.value.interval == BINOMIAL:
-        return f"{measured(ours.value, 3)} of {ours.value.trials}"
     return measured(ours.value, 3)
 
 
@@ -232,5 +255,5 @@ def _published_lines(table: FieldMatrix) -> Iterator[list[object]]:
     for each in table.published:
         paper = [each.method, each.source, each.figure, each.basis]
         for ours in each.ours:
-            place = [QUANTITIES[ours.quantity], ours.defence, ours.attack]
-            yield [*paper, *place, *_digits(ours.value), each.why]
+            place = [QUANTITIES[ours.quantity], ours.defence, ", ".join(ours.attacks)]
+            yield [*paper, *place, *bounds(ours.value), each.why]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from mast_zenoh.metrics.study_results import (
+    MIN_SEEDS,
     BreakdownPoint,
     BreakdownRow,
     BreakdownTable,
@@ -12,7 +13,7 @@ from mast_zenoh.metrics.study_results import (
     DriftTable,
     Measured,
 )
-from mast_zenoh.report.tables.text_table import ResultTables, TextTable, digits, measured, number, percent
+from mast_zenoh.report.tables.text_table import FEW_TRIALS, ResultTables, TextTable, digits, measured, number, percent
 
 _CELL = ("label", "offset_m", "rate_mps", "viewers")
 _COUNTS = ("episodes", "detected", "trials", "judged")
@@ -42,7 +43,9 @@ def drift_tables(table: DriftTable) -> ResultTables:
     ]
     numbers = [*_CELL, *_COUNTS, *_PLAIN, *ends], lines
     brief = [_with_majority(table)]
-    return ResultTables("Displaced objects", about, table.size, list(_drift_tables(table)), numbers, brief)
+    delays = [row.delay_s for row in table.rows if row.delay_s.known and not row.delay_s.interval]
+    note = FEW_TRIALS if any(each.trials < MIN_SEEDS for each in delays) else ""
+    return ResultTables("Displaced objects", about, table.size, list(_drift_tables(table)), numbers, brief, note)
 
 
 def _with_majority(table: DriftTable) -> TextTable:

@@ -301,7 +301,7 @@ def trust_sentences(run: RunRecord) -> list[str]:
     missed = [
         f"{name} was never suspended in the {agent['observed_s']:.1f} s after its first lie"
         for name, agent in part["agents"].items()
-        if agent["lied"] and agent["suspended_after_s"] is None
+        if agent["observed_s"] is not None and agent["suspended_after_s"] is None
     ]
     honest = part["honest_suspended"]
     times = "once" if part["false_alarms"] == 1 else f"{part['false_alarms']} times"

@@ -98,6 +98,7 @@ class ResultTables(NamedTuple):
 
     title: of the page;  about: sentences about it;  size: seeds and scenes;  tables: of the page and of LaTeX
     numbers: the headings and lines of the CSV file, with all digits;  brief: for the terminal
+    note: what applies to the numbers of all tables
     """
 
     title: str
@@ -106,6 +107,7 @@ class ResultTables(NamedTuple):
     tables: Sequence[TextTable]
     numbers: tuple[Sequence[str], Sequence[Sequence[object]]]
     brief: Sequence[TextTable]
+    note: str = ""
 
     def texts(self, name: str) -> dict[str, str]:
         """The contents of name.md, name.csv and name.tex."""
@@ -113,7 +115,7 @@ class ResultTables(NamedTuple):
 
     def as_markdown(self) -> str:
         """A page with a title, and all tables."""
-        parts = [f"# {self.title}", self.about]
+        parts = [f"# {self.title}", f"{self.about} {self.note}".rstrip()]
         for table in self.tables:
             rows = [table.headings, ["---"] * len(table.headings), *table.lines]
             lines = "\n".join(f"| {' | '.join(row)} |" for row in rows)
@@ -140,7 +142,7 @@ class ResultTables(NamedTuple):
 
     def as_rich(self) -> Group:
         """The brief tables for the terminal."""
-        return Group(*(table.as_rich() for table in self.brief))
+        return Group(*(table.as_rich() for table in self.brief), *([wrapped(self.note)] if self.note else []))
 
 
 def csv_text(headings: Sequence[str], lines: Iterable[Sequence[object]]) -> str:
@@ -184,7 +186,7 @@ def digits(*values: float) -> list[str]:
 
 
 def measured(each: Measured, decimals: int = 2) -> str:
-    """A number with its interval, `3.42 [3.10, 3.80]`, or why there is none, `3.42 (n < 5)`.
+    """A number with its interval, `3.42 [3.10, 3.80]`; `3.42 (all equal)`, or without brackets for fewer than 5 trials.
 
     Infinite: `not reached [1.20, \u221e)`, or `not reached` if the interval is beyond what was watched, too.
     """
@@ -193,7 +195,7 @@ def measured(each: Measured, decimals: int = 2) -> str:
     if math.isinf(each.value):
         return _not_reached(each)
     if math.isnan(each.low):
-        return f"{number(each.value, decimals)} {f'(n < {MIN_SEEDS})' if each.trials < MIN_SEEDS else '(all equal)'}"
+        return number(each.value, decimals) + (" (all equal)" if each.trials >= MIN_SEEDS else "")
     half = (each.high - each.low) / 2.0
     if 0.0 < half < 0.01:  # so many decimals that the interval has a width
         decimals = min(5, max(decimals, math.ceil(-math.log10(half))))
@@ -205,6 +207,17 @@ def measured(each: Measured, decimals: int = 2) -> str:
 def median_delay(each: Measured) -> str:
     """A median delay; if fewer than half were detected, only its lower bound is known."""
     return _not_reached(each) if math.isnan(each.value) and each.trials else measured(each)
+
+
+def bounds(each: Measured) -> list[str]:
+    """A number in a CSV file: value, low, high, how these were computed, trials, trials left out."""
+    return [*digits(*each[:3]), each.interval, str(each.trials), str(each.left_out)]
+
+
+#: Columns of `bounds`.
+BOUNDS = ("value", "low", "high", "interval", "trials", "trials_left_out")
+#: Below tables whose numbers have too few trials for intervals.
+FEW_TRIALS = f"Numbers without brackets are of fewer than {MIN_SEEDS} trials, so without an interval."
 
 
 def percent(share: Measured, unit: str = "", beyond: str = "") -> str:
@@ -222,7 +235,7 @@ def _not_reached(each: Measured) -> str:
 def _tex(text: str) -> str:
     replacements = (
         *(("\u2212", "$-$"), ("\u221e", r"$\infty$"), (DASH, "--"), ("_", r"\_"), ("%", r"\%"), ("&", r"\&")),
-        *(("<", "$<$"), (">", "$>$")),
+        *(("<", "$<$"), (">", "$>$"), ("\u2264", r"$\leq$")),
     )
     for character, replacement in replacements:
         text = text.replace(character, replacement)

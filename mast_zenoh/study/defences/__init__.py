@@ -4,7 +4,8 @@
                matrix (every defence against every adversary), drift (how soon a displaced object is noticed),
                breakdown (with how many liars a defence breaks), field_matrix (the matrix of published and own methods)
     published  what papers report of these methods
-    matrix_trial  the evaluation of one trial of the matrix
+    matrix_trial    the evaluation of one trial of the matrix
+    matrix_records  what the matrix needs of each trial, and its measures over many
     choices    names, files or dicts of defences, adversaries and faults, and which agents are compromised
     intervals  95 % intervals over trials, and times until detection
 

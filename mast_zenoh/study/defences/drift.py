@@ -170,9 +170,12 @@ class Collection(kinds.Collection):
         lies = from_arrow(observability(run).lies)
         moved = np.flatnonzero(np.isin(lies["effect"], ("moved", "altered")))
         offset = _offsets(from_arrow(run.attacks))
-        keys = zip(lies["frame"][moved].tolist(), lies["id"][moved].tolist(), strict=True)
-        liars = [each for each in metrics["integrity"]["agents"].values() if each["lied"]]
+        agents = metrics["integrity"]["agents"].values()
+        liars = [each for each in agents if each["observed_s"] is not None]  # not those that were suspended before
+        if not liars:
+            moved = moved[:0]
         first, delay = (liars[0]["first_lie_s"], liars[0]["suspended_after_s"]) if liars else (None, None)
+        keys = zip(lies["frame"][moved].tolist(), lies["id"][moved].tolist(), strict=True)
         return {
             "first_lie_s": first,
             "suspended_s": None if delay is None else round(first + delay, 9),

@@ -21,17 +21,18 @@ from mast_zenoh.metrics.field_results import (
     PublishedNumber,
 )
 from mast_zenoh.metrics.study_results import Measured
-from mast_zenoh.study.defences import breakdown, intervals, matrix
-from mast_zenoh.study.defences.breakdown import BreakdownCell, BreakdownRecord, crossing
+from mast_zenoh.study.defences import breakdown, intervals, matrix, matrix_records
+from mast_zenoh.study.defences.breakdown import HALF, BreakdownCell, BreakdownRecord, crossing
 from mast_zenoh.study.defences.choices import words
 from mast_zenoh.study.defences.matrix import UNDEFENDED, Cell
-from mast_zenoh.study.defences.published import PUBLISHED, Published
+from mast_zenoh.study.defences.published import BY_SUSPENSION, PUBLISHED, Published
 from mast_zenoh.study.trial import Outcome, TrialKey
 
 if TYPE_CHECKING:
     from mast_zenoh.report.figures.drawing import RenderedFigure
     from mast_zenoh.report.tables.text_table import ResultTables
 
+_ROUNDING = 1e-12
 #: By kind of scene, the agents besides the ego: poles, cars alone, or both, 13 agents in all; and its title.
 SCENE_KINDS: dict[str, dict[str, int]] = {
     "poles": dict(n_infrastructure=4, n_mobile=0),
@@ -76,8 +77,9 @@ class Collection(matrix.Collection):
     """The rows of the matrix, in all scenes and in each; breakdown; and published figures next to ours."""
 
     name = "matrix"
+    drawn = (*matrix.Collection.drawn, "harm_by_scene")
     #: Without an attack, the whole run counts for the breakdown.
-    without_lies = matrix.NO_LIES | {"compromised": [], "frames_s": []}
+    without_lies = matrix_records.NO_LIES | {"compromised": [], "frames_s": []}
 
     def __init__(self, cells: Mapping[str, FieldCell], scenes: Sequence[str], seeds: Sequence[int]) -> None:
         super().__init__(cells, scenes, seeds)
@@ -92,7 +94,7 @@ class Collection(matrix.Collection):
         own = matrix.Collection.evaluate(folder, metrics, compromised)
         return breakdown.Collection.evaluate(folder, metrics, compromised) | own
 
-    def record(self, cell: Any, outcome: Outcome) -> matrix.TrialRecord:
+    def record(self, cell: Any, outcome: Outcome) -> matrix_records.TrialRecord:
         key, agents = outcome.trial.key, len(outcome.metrics["agents"])
         if outcome.cpu_s > 0.0:
             self._cpu_ms[cell][key] = 1e3 * outcome.cpu_s / outcome.metrics["frames"]
@@ -151,7 +153,6 @@ class Collection(matrix.Collection):
         groups = [
             [self.records[cell][key]] for key in self.order if key in self.records[cell] and scene in ("", key.scene)
         ]
-        happened = matrix.shares_of_runs(groups, lies=cell.lies)
         cpu_ms = self._in_scene(self._processor(cell), scene)
         return FieldRow(
             scene=scene_title(scene),
@@ -160,7 +161,8 @@ class Collection(matrix.Collection):
             n_adversaries=cell.n_adversaries,
             placement=cell.placement,
             harm=intervals.mean(self._in_scene(self._damage(cell) - self._damage(cell.undefended), scene)),
-            honest_suspended=happened["framed" if cell.lies else "wrongly_suspended"],
+            attacked=matrix_records.attacked_share(groups) if cell.lies else Measured(),
+            honest_suspended=matrix_records.shares_of_runs(groups)["honest_suspended"],
             cpu_ms=intervals.mean(cpu_ms),
             cpu_ratio=ratio(cpu_ms, self._in_scene(self._processor(cell.undefended), scene)),
         )
@@ -195,14 +197,18 @@ class Collection(matrix.Collection):
         every = _mean_known(np.stack(list(shares.values())))  # (trials, counts)
         points = {attack: _crossing(counts, values) for attack, values in shares.items()}
         reached = {attack: point for attack, point in points.items() if math.isfinite(point)}
-        weakest = min(reached, key=reached.__getitem__, default="")
+        most_broken = {attack: np.nanmax(_mean_known(shares[attack])) for attack in reached}
+        weakest = min(reached, key=lambda attack: (reached[attack], -most_broken[attack]), default="")
+        point = intervals.pooled(lambda rows: _crossing(counts, every[rows]), len(keys))
+        if len({*counts} - {0}) == 1:
+            point = Measured(point.value, trials=point.trials)
         sizes = {self._agents[key.scene] for key in keys if key.scene in self._agents}
         return FieldBreakdown(
             scene=scene_title(scene),
             defence=defence,
             agents=sizes.pop() if len(sizes) == 1 else 0,
             broken={count: intervals.mean(every[:, index], (0.0, 1.0)) for index, count in enumerate(counts)},
-            point=intervals.pooled(lambda rows: _crossing(counts, every[rows]), len(keys)),
+            point=point,
             weakest=weakest,
             weakest_at=reached.get(weakest, math.inf),
         )
@@ -235,8 +241,13 @@ class Collection(matrix.Collection):
         )
 
     def _harm_removed(self, cells: Sequence[Cell]) -> Measured:
-        """1 minus the damage of all cells over that of the same runs without the defence; NaN if that is 0 or less."""
-        damage = np.array([[self._damage(each) for each in (cell, cell.undefended)] for cell in cells])
+        """1 minus the damage of all cells over that of the same runs without the defence; NaN if that is 0 or less.
+
+        Runs in which the adversaries did not lie to this defence are left out.
+        """
+        damage = np.array(
+            [[self._where_attacked(cell, self._damage(each)) for each in (cell, cell.undefended)] for cell in cells]
+        )
         damage = np.where(np.isnan(damage).any(axis=1, keepdims=True), np.nan, damage)
         sums = np.nansum(damage, axis=0)[:, ~np.isnan(damage).all(axis=(0, 1))]
 
@@ -268,18 +279,23 @@ class Collection(matrix.Collection):
                 cells = [cell for cell in self.records if cell.defence == defence and cell.lies]
                 cells = [cell for cell in cells if not entry.attacks or cell.attack in entry.attacks]
                 if cells:
-                    attack = entry.attacks[0] if entry.attacks else ""
+                    alone = quantity == "fn_added_alone"
+                    attacks = () if alone else tuple(dict.fromkeys(cell.attack for cell in cells))
                     value = self._quantity(quantity, cells)
-                    yield PublishedNumber(quantity=quantity, defence=defence, attack=attack, value=value)
+                    yield PublishedNumber(quantity=quantity, defence=defence, attacks=attacks, value=value)
 
     def _quantity(self, name: str, cells: Sequence[Cell]) -> Measured:
         """One of `field_results.QUANTITIES`, of cells of one defence."""
         groups = self._by_trial(cells)
+        suspending = cells[0].defence in self._suspending
+        detects = suspending or not {cell.attack for cell in cells} <= BY_SUSPENSION
         computed: dict[str, Callable[[], Measured]] = {
-            "lies_detected": lambda: matrix.lies_detected(groups),
+            "lies_detected": lambda: matrix_records.lies_detected(groups) if detects else Measured(),
             "harm_removed": lambda: self._harm_removed(cells),
-            "honest_suspended_time": lambda: matrix.state_shares(groups).get("honest", {}).get("suspended", Measured()),
-            "median_delay_s": lambda: matrix.median_delay(groups),
+            "honest_suspended_time": lambda: (
+                matrix_records.state_shares(groups).get("honest", {}).get("suspended", Measured())
+            ),
+            "median_delay_s": lambda: matrix_records.median_delay(groups) if suspending else Measured(),
             "targets_suspended": lambda: _liars_suspended(groups),
             "fn_added_alone": lambda: intervals.mean(self._added(cells[0].alone, "fn")),
             "fp_added": lambda: self._mean_of(cells, lambda cell: self._added(cell, "fp")),
@@ -323,7 +339,7 @@ def ratio(values: Floats, references: Floats) -> Measured:
     return measured._replace(value=value, low=low, high=high)
 
 
-def _liars_suspended(groups: matrix.Groups) -> Measured:
+def _liars_suspended(groups: matrix_records.Groups) -> Measured:
     """The share of agents with an observable lie that were suspended, of those that were judged."""
     delays = [[suspended for record in group for _, suspended in record.delays] for group in groups]
     return intervals.share([sum(each) for each in delays], [len(each) for each in delays])
@@ -338,7 +354,13 @@ def _mean_known(values: Floats) -> Floats:
 
 
 def _crossing(counts: Sequence[int], shares: Floats) -> float:
-    """The number of adversaries at which half of the trials are broken; shares: (trials, counts), NaN: none."""
+    """The number of adversaries at which half of the trials are broken; shares: (trials, counts), NaN: none.
+
+    Interpolated between numbers that were tried, if these are several; with a single one there is no curve.
+    """
     means = _mean_known(shares)
     known = ~np.isnan(means)
+    if len({*counts} - {0}) == 1 and known.any():
+        reached = np.asarray(counts)[means >= HALF - _ROUNDING]
+        return float(reached.min()) if len(reached) else math.inf
     return crossing(np.asarray(counts)[known], means[known]) if known.any() else math.nan

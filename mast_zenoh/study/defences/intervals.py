@@ -41,10 +41,9 @@ def mean(values: ArrayLike, bounds: tuple[float, float] = (-np.inf, np.inf)) -> 
         return Measured(left_out=left_out)
     middle = float(known.mean())
     if np.ptp(known) <= _EQUAL * max(1.0, abs(middle)):
-        interval = _bound_at_limit(middle, len(known), bounds)
-    else:
-        interval = bootstrap(lambda rows: known[rows].mean(axis=-1), len(known))
-    return Measured(middle, *interval, len(known), left_out, BOOTSTRAP)
+        return _at_limit(Measured(middle, trials=len(known), left_out=left_out), len(known), bounds)
+    interval = bootstrap(lambda rows: known[rows].mean(axis=-1), len(known))
+    return _with_bootstrap(Measured(middle, *interval, len(known), left_out))
 
 
 def share(part: ArrayLike, whole: ArrayLike) -> Measured:
@@ -61,10 +60,9 @@ def share(part: ArrayLike, whole: ArrayLike) -> Measured:
     value = float(parts.sum() / wholes.sum())
     some = wholes > 0.0
     if not parts[~some].any() and np.ptp(parts[some] / wholes[some]) <= _EQUAL:
-        interval = _bound_at_limit(value, int(some.sum()), (0.0, 1.0))
-    else:
-        interval = bootstrap(lambda rows: _ratio(parts[rows].sum(axis=-1), wholes[rows].sum(axis=-1)), len(parts))
-    return Measured(value, *interval, len(parts), left_out, BOOTSTRAP)
+        return _at_limit(Measured(value, trials=len(parts), left_out=left_out), int(some.sum()), (0.0, 1.0))
+    interval = bootstrap(lambda rows: _ratio(parts[rows].sum(axis=-1), wholes[rows].sum(axis=-1)), len(parts))
+    return _with_bootstrap(Measured(value, *interval, len(parts), left_out))
 
 
 def one_minus(measured: Measured) -> Measured:
@@ -72,19 +70,19 @@ def one_minus(measured: Measured) -> Measured:
     return measured._replace(value=1.0 - measured.value, low=1.0 - measured.high, high=1.0 - measured.low)
 
 
-def pooled(statistic: Callable[[Ints], float], trials: int, limits: tuple[float, ...] = ()) -> Measured:
+def pooled(statistic: Callable[[Ints], float], trials: int) -> Measured:
     """A statistic of the data of all trials together, such as a median delay or an area.
 
     statistic: of the indices of trials, each as often as it is drawn; draws for which it is NaN are left out, and for
-               which it is infinite are not;  limits: values at which an interval without width says nothing
+               which it is infinite are not. If it is equal in each trial alone, there is no interval without width.
     """
     value = statistic(np.arange(trials)) if trials else NAN
     if np.isnan(value):
         return Measured()
     low, high = bootstrap(lambda rows: np.array([statistic(line) for line in rows]), trials)
-    if high - low <= _EQUAL and any(abs(value - limit) <= _EQUAL for limit in limits):
+    if high - low <= _EQUAL and _equal([statistic(np.array([row])) for row in range(trials)]):
         low = high = NAN
-    return Measured(value, low, high, trials, 0, BOOTSTRAP)
+    return _with_bootstrap(Measured(value, low, high, trials))
 
 
 def rate(events: int, hours: float, trials: int) -> Measured:
@@ -148,16 +146,28 @@ def bootstrap(statistic: Callable[[Ints], Floats], count: int) -> tuple[float, f
     return float(low), float(high)
 
 
-def _bound_at_limit(value: float, trials: int, bounds: tuple[float, float]) -> tuple[float, float]:
-    """The interval of a mean if all trials have the same value: none, except for shares of 0 or 1.
+def _with_bootstrap(measured: Measured) -> Measured:
+    return measured if np.isnan(measured.low) else measured._replace(interval=BOOTSTRAP)
+
+
+def _equal(values: ArrayLike) -> bool:
+    """Whether all values that are known are equal."""
+    known = np.asarray(values, np.float64)
+    known = known[~np.isnan(known)]
+    return bool(np.ptp(known) <= _EQUAL) if np.isfinite(known).all() and known.size else False
+
+
+def _at_limit(measured: Measured, trials: int, bounds: tuple[float, float]) -> Measured:
+    """The mean of equal values: without an interval, except for shares of 0 or 1.
 
     If all trials are at a limit of a share, it is at least as extreme in truth as the exact binomial bound for as many
     trials: the probability that a trial is at the limit cannot exceed the mean's distance from the other limit.
     """
+    value = measured.value
     if bounds != (0.0, 1.0) or min(abs(value), abs(1.0 - value)) > _EQUAL or not trials:
-        return NAN, NAN
+        return measured
     exact = share_of_trials(trials if value > 0.5 else 0, trials)
-    return exact.low, exact.high
+    return measured._replace(low=exact.low, high=exact.high, interval=exact.interval)
 
 
 def _ratio(part: Floats, whole: Floats) -> Floats:

@@ -51,13 +51,14 @@ class StudyFiles:
 class Collection(ABC):
     """Evaluates each trial of a study, collects all of them, and writes its tables and figures.
 
-    name: of the files
+    name: of the files;  drawn: names of all figures that it may write
     recorded: whether the evaluation needs all messages of a run
     without_lies: the part `defence` of a trial in which nothing lies and nothing is faulty, which is then neither
                   recorded nor evaluated; None: every trial is evaluated
     """
 
     name: ClassVar[str]
+    drawn: ClassVar[Sequence[str]] = ()
     recorded: ClassVar[bool] = False
     without_lies: ClassVar[Mapping[str, Any] | None] = None
 
@@ -104,7 +105,7 @@ class Collection(ABC):
         return {}
 
     def write(self, folder: Path) -> StudyFiles:
-        """Write tables and figures into the study's folder."""
+        """Write tables and figures into the study's folder, and remove figures that it does not have any more."""
         table = self.table()
         tables, figures = self.tables(table), self.figures(table)
         texts = tables.texts(self.name)
@@ -112,6 +113,9 @@ class Collection(ABC):
             texts |= more.texts(name)
         for name, text in texts.items():
             write_bytes(folder / name, text.encode())
+        for name in {*self.drawn} - {*figures}:
+            for suffix in ("png", "pdf"):
+                (folder / f"{name}.{suffix}").unlink(missing_ok=True)
         for figure in figures.values():
             figure.save(folder)
         names = [*texts, *(name for figure in figures.values() for name in figure.names)]

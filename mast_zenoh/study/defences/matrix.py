@@ -1,8 +1,4 @@
-"""Every defence against every adversary: what each defence is worth.
-
-A group holds the records of one pair of scene and seed: one for a cell, several for a defence. Groups are the trials of
-`intervals`: runs of the same scene and seed are not independent.
-"""
+"""Every defence against every adversary: what each defence is worth."""
 
 from __future__ import annotations
 
@@ -10,27 +6,36 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from mast_zenoh.arrays.states import Floats, Ints
+from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.metrics.study_results import (
     AgentTrustSeries,
     DefenceMatrix,
-    DefenceRoc,
     DefenceRow,
     DefenceSummary,
     Measured,
-    Survival,
     TrustPanel,
 )
-from mast_zenoh.metrics.trust import auc, partial_auc, roc
 from mast_zenoh.study.defences import intervals, kinds
 from mast_zenoh.study.defences.choices import PLACEMENTS, PREFIX, Choice, check_fault, has_budget, short_name
-from mast_zenoh.study.defences.intervals import kaplan_meier
-from mast_zenoh.study.numbers import ego
+from mast_zenoh.study.defences.matrix_records import (
+    NO_LIES,
+    SCORES,
+    TrialRecord,
+    alarms_per_hour,
+    attacked_share,
+    characteristic,
+    delay_curve,
+    judges,
+    lies_detected,
+    median_delay,
+    shares_of_runs,
+    state_shares,
+)
 from mast_zenoh.study.trial import Outcome, TrialKey
 
 if TYPE_CHECKING:
@@ -45,23 +50,6 @@ BASELINE = f"{UNDEFENDED} alone"
 MAX_PANELS = 12
 #: Agents in a panel.
 MAX_AGENTS = 5
-#: False alarms per hour below which the partial area under the characteristic is taken.
-ALARMS_PER_HOUR = 1.0
-#: Liars are below the local majority in a trial if they outnumber the honest viewers of fewer than this share of the
-#: lies that an honest agent could notice.
-MAJORITY = 0.5
-
-#: Scores of the ego's picture, per frame and in m.
-SCORES = ("fn", "fp", "ospa_m")
-
-#: The part `defence` of the metrics of a trial in which nothing lies and nothing is faulty, see `evaluate`.
-NO_LIES: dict[str, Any] = {
-    "lies": {"all": 0, "observable": 0, "detected": 0},
-    "agents": {},
-    "false": {"identifiable": 0.0, "unidentifiable": 0.0},
-    "honest_majority": 1.0,
-    "outnumbered": None,
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +122,7 @@ def matrix_study(
             raise ConfigurationError(f"placements: found {placement!r}{nearest(placement, PLACEMENTS)}")
     for count in counts:
         if type(count) is not int or count < 0:
-            raise ConfigurationError(f"counts: found {count!r}, expected whole numbers, 0 or more")
+            raise ConfigurationError(f"counts: found {count!r}, expected whole numbers, 0 or more, such as [1, 2]")
     if UNDEFENDED not in defences:  # the reference of all others
         defences = [UNDEFENDED, *defences]
     runs: dict[str, Any] = {}
@@ -179,81 +167,17 @@ def _cells(
                         yield cell, defence, attack
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TrialRecord:
-    """What the matrix needs of one trial's metrics.
-
-    scores:    fn, fp per frame and ospa_m of the ego's picture, false objects inserted and identifiable or not
-    lies:      numbers of observable and detected lies
-    delays:    (s, whether it was suspended) of each agent with an observable lie, from that lie on
-    suspicion: (greatest score, whether it lied) of each agent that was honest or lied
-    state_seconds: s by conduct and state;  hours: of the run, 0 without trust;  frames: of the run
-    alarms:    suspensions of honest agents;  fault_alarms: of faulty agents that did not lie
-    wrongly_suspended: whether an agent that never lied was suspended, faulty or not
-    framed:    whether an agent that was honest was suspended after the first lie of the run, and itself never lied
-    outnumbered: share of the lies, by object and frame, of which liars have more viewers than honest agents; NaN: none
-    """
-
-    scores: Mapping[str, float]
-    lies: tuple[int, int]
-    delays: Sequence[tuple[float, bool]]
-    suspicion: Sequence[tuple[float, bool]]
-    state_seconds: Mapping[str, Mapping[str, float]]
-    hours: float
-    frames: int
-    alarms: int
-    fault_alarms: int
-    wrongly_suspended: bool
-    framed: bool
-    outnumbered: float
-
-    @classmethod
-    def of(cls, metrics: Mapping[str, Any]) -> TrialRecord:
-        """The record of a trial from its metrics.json with the part `defence`."""
-        part, trust = metrics["defence"], metrics.get("integrity", {})
-        picture = metrics["agents"][ego(metrics)]["picture"]
-        scores = {name: _number(picture[name]["mean"]) for name in SCORES}
-        scores |= {f"fp_{name}": value for name, value in part["false"].items()}
-        scores["honest_majority"] = part["honest_majority"]
-        watched = [each for each in part["agents"].values() if each["observed_s"] is not None]
-        judged = list(trust.get("agents", {}).values())
-        never_lied = [each["suspensions"] for each in judged if not each["lied"]]
-        first_lie_s = min((each["first_lie_s"] for each in part["agents"].values()), default=math.inf)
-        return cls(
-            scores=scores,
-            lies=(part["lies"]["observable"], part["lies"]["detected"]),
-            delays=[(each["observed_s"], each["suspended_after_s"] is not None) for each in watched],
-            suspicion=[
-                (_number(each["suspicion"]["max"]), each["lied"])
-                for each in judged
-                if each["lied"] or not each.get("faulty")
-            ],
-            state_seconds=trust.get("seconds", {}),
-            hours=trust.get("hours", 0.0),
-            frames=metrics["frames"],
-            alarms=trust.get("false_alarms", 0),
-            fault_alarms=sum(each["fault_alarms"] for each in judged),
-            wrongly_suspended=any(never_lied),
-            framed=any(
-                suspension["conduct"] == "honest" and suspension["from_s"] >= first_lie_s
-                for suspensions in never_lied
-                for suspension in suspensions
-            ),
-            outnumbered=_number(part["outnumbered"]),
-        )
-
-
-def _number(value: float | None) -> float:
-    return math.nan if value is None else float(value)
-
-
-Groups = Sequence[Sequence[TrialRecord]]
-
-
 class Collection(kinds.Collection):
     """A row for each cell, and a summary for each defence."""
 
     name = "defences"
+    drawn: ClassVar[Sequence[str]] = (
+        "defence_matrix",
+        "damage_over_adversaries",
+        "detection_delay",
+        "roc",
+        "trust_over_time",
+    )
     #: Messages have the sizes of false objects, which decide how many agents would see them. Without a recording, every
     #: false object counts as a car (`api.observability`): under `coordinated`, this changes `outnumbered`.
     recorded = True
@@ -263,6 +187,8 @@ class Collection(kinds.Collection):
         super().__init__(cells, scenes, seeds)
         #: of the first trial of each cell that has a trace
         self._traces: dict[Cell, tuple[TrialKey, Mapping[str, Any]]] = {}
+        self._doubting: set[str] = set()
+        #: defences that suspended an agent in any run
         self._suspending: set[str] = set()
 
     @staticmethod
@@ -276,9 +202,12 @@ class Collection(kinds.Collection):
         if content is not None:
             if cell not in self._traces or self.order[key] < self.order[self._traces[cell][0]]:
                 self._traces[cell] = key, content
-            if suspends(content):
-                self._suspending.add(cell.defence)
-        return TrialRecord.of(outcome.metrics)
+            if doubts(content):
+                self._doubting.add(cell.defence)
+        result = TrialRecord.of(outcome.metrics)
+        if any(states.get("suspended") for states in result.state_seconds.values()):
+            self._suspending.add(cell.defence)
+        return result
 
     def tables(self, table: DefenceMatrix) -> ResultTables:
         from mast_zenoh.report.tables.defences import defence_tables
@@ -299,12 +228,14 @@ class Collection(kinds.Collection):
         worst_cells = [cell for cell, _ in worst]
         every = list(dict.fromkeys(cell.defence for cell in worst_cells))
         defences = [name for name in every if name != UNDEFENDED]
-        trials = {name: self._by_trial(cell for cell in self.records if cell.defence == name) for name in every}
-        delays = {name: delay_curve(trials[name]) for name in defences}
+        cells_of = {name: [cell for cell in self.records if cell.defence == name] for name in every}
+        trials = {name: self._by_trial(cells) for name, cells in cells_of.items()}
+        delays = {name: delay_curve(trials[name]) for name in defences if name in self._suspending}
+        curves = [characteristic(name, self._by_trial(cells_of[name], idle=False)) for name in defences]
         panels, unshown = self._panels(worst_cells)
         return DefenceMatrix(
             rows=[self._row(cell, budgets) for cell, budgets in worst],
-            rocs=[curve for name in defences if (curve := characteristic(name, trials[name])) is not None],
+            rocs=[curve for curve in curves if curve is not None],
             delays={name: delay for name, delay in delays.items() if delay is not None},
             summaries=[
                 self._summary(name, [each for each in worst_cells if each.defence == name]) for name in defences
@@ -313,6 +244,7 @@ class Collection(kinds.Collection):
             state_shares={name: state_shares(each) for name, each in trials.items()},
             panels=panels,
             unshown=unshown,
+            not_suspending=[name for name in defences if name not in self._suspending and judges(trials[name])],
         )
 
     def _values(self, cell: Cell, name: str) -> Floats:
@@ -346,10 +278,11 @@ class Collection(kinds.Collection):
         measures["identifiable_removed"] = self._removed([cell])
         groups = self._by_trial([cell])
         measures["lies_detected"] = lies_detected(groups)
-        measures["median_delay_s"] = median_delay(groups)
+        measures["median_delay_s"] = median_delay(groups) if cell.defence in self._suspending else Measured()
         measures["honest_suspended_per_hour"] = alarms_per_hour(groups)
         measures["faulty_suspended_per_hour"] = alarms_per_hour(groups, faulty=True)
-        measures |= shares_of_runs(groups, lies=cell.lies)
+        measures |= shares_of_runs(groups)
+        measures["attacked"] = attacked_share(groups) if cell.lies else Measured()
         return DefenceRow(
             defence=cell.defence,
             attack=cell.attack,
@@ -360,6 +293,7 @@ class Collection(kinds.Collection):
             measures=measures,
             state_seconds=_sum_seconds(record.state_seconds for record in self.records[cell].values()),
             delay=delay_curve(groups),
+            suspended_before=sum(record.suspended_before for group in groups for record in group),
         )
 
     def _summary(self, defence: str, cells: Sequence[Cell]) -> DefenceSummary:
@@ -371,47 +305,57 @@ class Collection(kinds.Collection):
             defence=defence,
             lies_detected=lies_detected(lying),
             identifiable_removed=self._removed(attacked),
-            median_delay_s=median_delay(lying),
+            median_delay_s=median_delay(lying) if defence in self._suspending else Measured(),
             alarms_per_hour=alarms_per_hour(quiet),
             frames=sum(record.frames for group in quiet for record in group if record.hours),
             fn_added=intervals.mean(self._added(alone, "fn")),
             fp_added=intervals.mean(self._added(alone, "fp")),
-            faults_suspended=shares_of_runs(faulty, lies=False)["wrongly_suspended"],
-            framed_by_minority=shares_of_runs(lying, lies=True)["framed_by_minority"],
+            faults_suspended=shares_of_runs(faulty)["wrongly_suspended"],
+            framed_by_minority=shares_of_runs(lying)["framed_by_minority"],
         )
 
     def _removed(self, cells: Sequence[Cell]) -> Measured:
         """Share of identifiable inserted objects of the undefended runs that are not in the defended ones.
 
-        cells: added up by scene and seed; a cell without a defence has none to remove
+        cells: added up by scene and seed, without runs in which the adversaries did not lie to this defence; a cell
+        without a defence has none to remove
         """
         attacked = [cell for cell in cells if cell.lies and cell.defence != UNDEFENDED]
         if not attacked:
             return Measured()
         pairs = np.array(
-            [[self._values(each, "fp_identifiable") for each in (cell, cell.undefended)] for cell in attacked]
+            [
+                [self._where_attacked(cell, self._values(each, "fp_identifiable")) for each in (cell, cell.undefended)]
+                for cell in attacked
+            ]
         )
         pairs[np.isnan(pairs).any(axis=1)[:, None].repeat(2, axis=1)] = np.nan
         missing = np.isnan(pairs).all(axis=(0, 1))
         remaining, inserted = (np.where(missing, np.nan, np.nansum(pairs[:, index], axis=0)) for index in (0, 1))
         return intervals.one_minus(intervals.share(remaining, inserted))
 
-    def _by_trial(self, cells: Iterable[Cell]) -> list[list[TrialRecord]]:
-        """The records of cells, grouped by scene and seed."""
+    def _where_attacked(self, cell: Cell, values: Floats) -> Floats:
+        """(trials,) the values of those trials of a cell in which its adversaries lied; NaN: they did not."""
+        attacked = {key for key, record in self.records.get(cell, {}).items() if record.attacked}
+        return np.where([key in attacked for key in self.order], values, np.nan)
+
+    def _by_trial(self, cells: Iterable[Cell], *, idle: bool = True) -> list[list[TrialRecord]]:
+        """The records of cells, grouped by scene and seed; idle: also those whose adversaries never lied."""
         groups: dict[TrialKey, list[TrialRecord]] = {}
         for cell in cells:
             for key, record in self.records[cell].items():
-                groups.setdefault(key, []).append(record)
+                if idle or record.attacked or not cell.lies:
+                    groups.setdefault(key, []).append(record)
         return [groups[key] for key in sorted(groups, key=self.order.__getitem__)]
 
     def _panels(self, cells: Sequence[Cell]) -> tuple[list[TrustPanel], int]:
-        """The first trial of each defence that suspends under each adversary, and the number of pairs without a panel.
+        """The first trial of each defence that doubts agents, under each adversary; and the number of other such pairs.
 
         cells: of the rows
         """
         first: dict[tuple[str, str], Cell] = {}
         for cell in cells:
-            if cell.attack and cell.defence in self._suspending and cell in self._traces:
+            if cell.attack and cell.defence in self._doubting and cell in self._traces:
                 first.setdefault((cell.attack, cell.defence), cell)
         attacks = list(dict.fromkeys(cell.attack for cell in cells))
         pairs = sorted(first, key=lambda pair: attacks.index(pair[0]))  # the defences of one adversary side by side
@@ -442,104 +386,6 @@ def _unit(name: str) -> str:
     return "_m" if name.endswith("_m") else ""
 
 
-def lies_detected(groups: Groups) -> Measured:
-    """The share of observable lies that were detected."""
-    lies = np.array([[sum(record.lies[index] for record in group) for group in groups] for index in (0, 1)])
-    return intervals.share(lies[1], lies[0])
-
-
-def median_delay(groups: Groups) -> Measured:
-    """The median delay; its upper bound is infinite if it is not known that half are detected."""
-    delays = [each for each in _delays(groups) if len(each)]
-
-    def median(rows: Ints) -> float:
-        drawn = np.concatenate([delays[row] for row in rows.tolist()])
-        value = kaplan_meier(drawn[:, 0], drawn[:, 1]).median_s
-        return math.inf if math.isnan(value) else value
-
-    measured = intervals.pooled(median, len(delays))
-    return measured._replace(value=math.nan) if math.isinf(measured.value) else measured
-
-
-def delay_curve(groups: Groups) -> Survival | None:
-    """The share of liars not suspended yet; None: nobody lied, or nobody was judged."""
-    delays = np.concatenate([np.zeros((0, 2)), *_delays(groups)])
-    if not len(delays):
-        return None
-    return kaplan_meier(delays[:, 0], delays[:, 1])
-
-
-def alarms_per_hour(groups: Groups, *, faulty: bool = False) -> Measured:
-    """Suspensions of honest agents, or of faulty ones."""
-    records = [record for group in groups for record in group if record.hours]
-    events = sum(record.fault_alarms if faulty else record.alarms for record in records)
-    return intervals.rate(events, sum(record.hours for record in records), len(records))
-
-
-def shares_of_runs(groups: Groups, *, lies: bool) -> dict[str, Measured]:
-    """The share of runs in which something happened, of those in which it can happen.
-
-    lies: whether agents lie in these runs
-    """
-
-    def share(happened: Callable[[TrialRecord], bool], counts: Callable[[TrialRecord], bool]) -> Measured:
-        return intervals.share_of_runs(
-            [[happened(each) for each in group if each.hours and counts(each)] for group in groups]
-        )
-
-    return {
-        "wrongly_suspended": share(lambda each: each.wrongly_suspended, lambda each: not lies),
-        "framed": share(lambda each: each.framed, lambda each: lies),
-        "framed_by_minority": share(lambda each: each.framed, lambda each: lies and each.outnumbered < MAJORITY),
-        "framed_by_majority": share(lambda each: each.framed, lambda each: lies and each.outnumbered >= MAJORITY),
-    }
-
-
-def state_shares(groups: Groups) -> dict[str, dict[str, Measured]]:
-    """By conduct and state of trust, the share of the time with this conduct."""
-    conducts = dict.fromkeys(name for group in groups for record in group for name in record.state_seconds)
-    return {conduct: shares for conduct in conducts if (shares := _states(groups, conduct))}
-
-
-def characteristic(defence: str, groups: Groups) -> DefenceRoc | None:
-    """The characteristic of one score for each agent and run; None if nobody lied, or scores are equal or unknown."""
-    judged = [group for group in groups if any(record.hours for record in group)]
-    parts = [np.array([pair for record in group for pair in record.suspicion]).reshape(-1, 2) for group in judged]
-    hours = np.array([sum(record.hours for record in group) for group in judged])
-    pairs = np.concatenate([np.zeros((0, 2)), *parts])
-    if not pairs[:, 1].any() or len(set(pairs[~np.isnan(pairs[:, 0]), 0].tolist())) < 2:
-        return None
-
-    def area(rows: Ints) -> float:
-        drawn = np.concatenate([parts[row] for row in rows.tolist()])
-        return auc(drawn[:, 0], drawn[:, 1])
-
-    def partial(rows: Ints) -> float:
-        drawn = np.concatenate([parts[row] for row in rows.tolist()])
-        return partial_auc(drawn[:, 0], drawn[:, 1], float(hours[rows].sum()), ALARMS_PER_HOUR)
-
-    whole, below = (intervals.pooled(statistic, len(parts), (0.0, 1.0)) for statistic in (area, partial))
-    return DefenceRoc(defence, roc(pairs[:, 0], pairs[:, 1]), whole, below, float(hours.sum()))
-
-
-def _delays(groups: Groups) -> list[Floats]:
-    """(n, 2) delays s, and whether each ended with a suspension, of each group."""
-    return [
-        np.array([each for record in group for each in record.delays], np.float64).reshape(-1, 2) for group in groups
-    ]
-
-
-def _states(groups: Groups, conduct: str) -> dict[str, Measured]:
-    """The shares of states; {} if no agent behaved like this."""
-    seconds = [
-        [record.state_seconds[conduct] for record in group if conduct in record.state_seconds] for group in groups
-    ]
-    states = dict.fromkeys(state for group in seconds for each in group for state in each)
-    sums = {state: np.array([sum(each.get(state, 0.0) for each in group) for group in seconds]) for state in states}
-    whole = np.sum(list(sums.values()), axis=0)
-    return {state: intervals.share(part, whole) for state, part in sums.items()} if whole.any() else {}
-
-
 def panel(content: Mapping[str, Any], title: str) -> TrustPanel:
     """The panel of a trace; of many agents, those that lied, were faulty or were judged to be so come first."""
     agents = [_agent_series(name, each) for name, each in content["agents"].items()]
@@ -548,9 +394,9 @@ def panel(content: Mapping[str, Any], title: str) -> TrustPanel:
     return TrustPanel(title, [agents[index] for index in chosen], len(agents) - len(chosen), content["end_s"])
 
 
-def suspends(content: Mapping[str, Any]) -> bool:
-    """Whether a trace has a suspension."""
-    return any(agent["states"]["suspended"] for agent in content["agents"].values())
+def doubts(content: Mapping[str, Any]) -> bool:
+    """Whether a trace has an agent that is suspended or undecided."""
+    return any(agent["states"][state] for agent in content["agents"].values() for state in ("suspended", "undecided"))
 
 
 def _agent_series(name: str, content: Mapping[str, Any]) -> AgentTrustSeries:

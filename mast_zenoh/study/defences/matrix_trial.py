@@ -42,9 +42,10 @@ def evaluate(folder: Path, metrics: Mapping[str, Any], compromised: Sequence[str
     compromised: names of the agents with an adversary, whether it lied or not
 
     The result:
+    first_attack_s: s of the first message that an adversary changed; None: none, although there are adversaries
     lies:   numbers of lies: all, observable, detected (of the observable ones), see `detected_lies`
     agents: by agent that lied: s of its first lie, of the first observable one, from there to its suspension (None:
-            never), and for how long it was watched
+            never), and for how long it was watched (None: not at all, as it was suspended already)
     false:  false objects per scored frame in the ego's picture that adversaries inserted, where honest viewers have the
             majority (`identifiable`), and where not
     honest_majority: share of the objects that more honest agents see than compromised ones; 1.0 without adversaries
@@ -57,6 +58,7 @@ def evaluate(folder: Path, metrics: Mapping[str, Any], compromised: Sequence[str
     lies = from_arrow(seen.lies)
     recording = Recording.load(folder / RECORDING)
     return {
+        "first_attack_s": _first_attack_s(run, recording),
         "lies": detected_lies(lies, *_withheld(run, lies)),
         "agents": {
             agent: {
@@ -72,6 +74,14 @@ def evaluate(folder: Path, metrics: Mapping[str, Any], compromised: Sequence[str
         "outnumbered": outnumbered(lies),
         "trust": trace(folder),
     }
+
+
+def _first_attack_s(run: Run, recording: Recording) -> float | None:
+    attacks = from_arrow(run.attacks.select(["frame", "role"]))
+    frames = attacks["frame"][attacks["role"] == "adversary"]
+    if not len(frames):
+        return None
+    return round(float(recording.times_ns[int(frames.min())] - recording.times_ns[0]) * 1e-9, 9)
 
 
 def outnumbered(lies: _Columns) -> float | None:

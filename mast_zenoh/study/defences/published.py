@@ -16,6 +16,10 @@ PAPER = "the paper's table"
 TITLE = "title and mentions only"
 
 
+#: Attacks that move what is reported, so that there is nothing to withhold: only a suspension detects them.
+BY_SUSPENSION = frozenset({"PosePert"})
+
+
 @dataclass(frozen=True, slots=True)
 class Published:
     """One published figure of a method, or a method without one.

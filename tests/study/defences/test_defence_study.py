@@ -15,7 +15,7 @@ from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.integrity import Integrity
 from mast_zenoh.integrity.calibration import refuse_calibration_data
 from mast_zenoh.study import definition, execution, trial, trials
-from mast_zenoh.study.defences import PLACEMENTS, BreakdownCell, Cell, DriftCell, FieldCell, matrix, place
+from mast_zenoh.study.defences import PLACEMENTS, BreakdownCell, Cell, DriftCell, FieldCell, matrix_records, place
 from mast_zenoh.study.defences.choices import FAULTS
 from mast_zenoh.study.defences.kinds import DefenceCell, collection_of
 
@@ -34,7 +34,7 @@ class Polite(PassThrough):
 CELLS = (Cell("NoIntegrity"), DriftCell(0.5), BreakdownCell("", 5, 0, 4.0), FieldCell("NoIntegrity"))
 #: Settings of a study with the baseline, a second defence, and one run of each under attack.
 FAULTY_LABELS = ["NoIntegrity alone", "NoIntegrity fault ghosts 2 worst", "KOfN alone", "KOfN fault ghosts 2 worst"]
-SMALL = ["defences=NoIntegrity,KOfN", "adversaries=coordinated", "counts=1", "n_infrastructure=2"]
+SMALL = ["defences=NoIntegrity,KOfN", "adversaries=coordinated", "counts=1", "n_infrastructure=2", "attack_start_s=0.3"]
 
 
 def planned(*settings: str, seed: int = 0, count: int = 1) -> list[trials.Trial]:
@@ -119,13 +119,13 @@ def test_an_unattacked_trial_writes_no_run_folder_and_has_the_metrics_of_a_recor
         patch.setattr(execution, "_run_in_folder", lambda *_: pytest.fail("recorded"))
         outcome = execution.run(alone)
     assert outcome.error == ""
-    assert outcome.metrics["defence"] == matrix.NO_LIES
+    assert outcome.metrics["defence"] == matrix_records.NO_LIES
     assert outcome.metrics["integrity"]["hours"] == pytest.approx(8 * 0.1 / 3600.0)
     monkeypatch.setattr(execution, "_is_disturbed", lambda _: True)
     recorded = execution.run(alone)
     same = {name: part for name, part in outcome.metrics.items() if name != "defence"}
     assert json.loads(json.dumps(same)) == {name: recorded.metrics[name] for name in same}
-    assert recorded.metrics["defence"].items() >= matrix.NO_LIES.items()
+    assert recorded.metrics["defence"].items() >= matrix_records.NO_LIES.items()
 
 
 def test_budgets_are_for_adversaries_that_have_one() -> None:
@@ -225,6 +225,13 @@ def test_every_kind_writes_its_tables_even_of_no_trial(cell: DefenceCell, tmp_pa
     assert {*files.names} == {path.name for path in tmp_path.iterdir()}
     assert {Path(name).suffix for name in files.names} >= {".md", ".csv", ".tex"}
     assert collection.without_lies is None or collection.without_lies["lies"]["all"] == 0
+
+
+def test_figures_that_a_study_has_no_more_are_removed_and_those_of_others_are_kept(tmp_path: Path) -> None:
+    for name in ("roc.png", "roc.pdf", "mine.png"):
+        (tmp_path / name).write_bytes(b"old")
+    collection_of("matrix")({}, ["junction"], [0]).write(tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} & {"roc.png", "roc.pdf", "mine.png"} == {"mine.png"}
 
 
 def test_a_small_study_is_carried_out_and_resumed(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from mast_zenoh.integrity import Integrity
 from mast_zenoh.metrics.field_results import QUANTITIES, FieldMatrix, FieldRow
 from mast_zenoh.report.tables.field_matrix import field_tables, published_tables
 from mast_zenoh.study import definition, execution, trials
-from mast_zenoh.study.defences import COORDINATED, UNCOORDINATED, FieldCell, matrix, scenes_of_kinds
+from mast_zenoh.study.defences import COORDINATED, UNCOORDINATED, FieldCell, matrix_records, scenes_of_kinds
 from mast_zenoh.study.defences.field_matrix import SCENE_KINDS, Collection, ratio, scene_title
 from mast_zenoh.study.defences.published import ABSTRACT, CODE, NOTES, PAPER, PUBLISHED, TITLE
 
@@ -53,8 +53,17 @@ def test_every_kind_of_scene_has_a_title_of_its_own() -> None:
 
 
 def test_several_numbers_of_adversaries_can_be_chosen_on_the_command_line() -> None:
-    study = definition.load("matrix", ["counts=[1, 3]"])
-    assert {each.n_adversaries for each in study.cells.values()} == {0, 1, 3}  # type: ignore[attr-defined]
+    for setting, counts in (("counts=[1, 3]", {0, 1, 3}), ("counts=3", {0, 3}), ("trials=1", {0, 2})):
+        study = definition.load("matrix", [setting])
+        assert {each.n_adversaries for each in study.cells.values()} == counts  # type: ignore[attr-defined]
+    with pytest.raises(ConfigurationError, match=r"counts: found 'many', expected whole numbers, .*\[1, 2\]"):
+        definition.load("matrix", ["counts=many"])
+
+
+def test_an_attack_that_begins_after_the_end_is_refused_before_anything_runs() -> None:
+    study = definition.load("matrix", ["kinds=poles", "attack_start_s=3000"])
+    with pytest.raises(ConfigurationError, match=r"begins at 3000 s, and the trials end after 5 s: expected more"):
+        trials.plan(study, count=1, seed=0, frames=50, runtime="inproc")
 
 
 @pytest.mark.parametrize("preset", ["quick", "full"])
@@ -76,11 +85,13 @@ def trial(
     local: float = 3.0,
     suspended: dict[str, float] | None = None,
     detected: int = 0,
+    silent: bool = False,
     cpu_s: float = 0.1,
 ) -> dict[str, Any]:
     """Of ten frames of 0.1 s, in which the picture has `fp` false objects and the ego alone `local`.
 
     suspended: s of a suspension by agent;  liars: agents from infra_1 on, which lie from 0.5 s on;  detected: of 4 lies
+    silent: whether they never do
     """
     times, compromised = suspended or {}, AGENTS[1 : 1 + liars]
     judged = {
@@ -98,6 +109,7 @@ def trial(
     lying = {
         name: {
             "first_lie_s": 0.5,
+            "first_observable_s": 0.5,
             "observed_s": times.get(name, 1.0) - 0.5,
             "suspended_after_s": times[name] - 0.5 if name in times else None,
         }
@@ -108,9 +120,15 @@ def trial(
         "frames": 10,
         "scored_frames": [0, 9],
         "agents": {name: {"picture": scores} for name in AGENTS},
-        "integrity": {"agents": judged, "seconds": {"honest": {"trusted": 3.0, "suspended": 1.0}}, "hours": 0.01},
+        "integrity": {
+            "agents": judged,
+            "seconds": {"honest": {"trusted": 3.0, "suspended": float(bool(times))}},
+            "hours": 0.01,
+            "false_alarms": len(times.keys() - {*compromised}),
+        },
         "defence": {
-            **(matrix.NO_LIES | {"frames_s": [0.1 * frame for frame in range(10)] if liars else []}),
+            **(matrix_records.NO_LIES | {"frames_s": [0.1 * frame for frame in range(10)] if liars else []}),
+            "first_attack_s": 0.5 if liars and not silent else None,
             "lies": {"all": 4 * liars, "observable": 4 * liars, "detected": detected},
             "agents": lying,
             "compromised": list(compromised),
@@ -228,6 +246,51 @@ def test_a_defence_is_weakest_against_the_attack_that_breaks_it_with_the_fewest(
     assert (of_cad.weakest, of_cad.weakest_at) == ("Strong", pytest.approx(0.5))
 
 
+def test_an_honest_agent_that_is_suspended_counts_even_if_nobody_ever_lies() -> None:
+    alarm = {"infra_4": 0.2}
+    attacked = {
+        ghosts("NoIntegrity"): always(fp=4.0, liars=2),
+        ghosts("Cad"): always(fp=0.0, liars=2, silent=True, suspended=alarm),
+    }
+    table = collected(NOTHING | attacked)
+    row = by_cell(table, "Cad")
+    assert (row.honest_suspended.value, row.honest_suspended.trials, row.idle) == (1.0, 6, True)
+    assert by_cell(table, "Cad", "").honest_suspended.value == 0.0
+    assert math.isnan(table.summaries[0].harm_removed.value), "no attack took place, so nothing was removed"
+
+
+def test_a_single_number_of_adversaries_is_a_bound_without_interpolation() -> None:
+    weak, strong = (ghosts("Cad", attack=attack) for attack in ("Weak", "Strong"))
+    played = NOTHING | {
+        weak: lambda scene, seed: trial(fp=9.0 if seed < 4 else 1.0, liars=2),
+        strong: always(fp=9.0, liars=2),
+        ghosts("NoIntegrity", attack="Weak"): always(fp=1.0, liars=2),
+        ghosts("NoIntegrity", attack="Strong"): always(fp=1.0, liars=2),
+    }
+    table = collected(played)
+    (of_cad,) = (each for each in table.breakdowns if (each.scene, each.defence) == ("", "Cad"))
+    assert (of_cad.point.value, of_cad.point.interval, of_cad.only) == (2.0, "", 2)
+    assert (of_cad.weakest, of_cad.weakest_at) == ("Strong", 2.0), "it breaks more of the runs"
+    summary = field_tables(table).tables[-1]
+    line = dict(zip(summary.headings, summary.lines[0], strict=True))
+    assert line["breaks at (adversaries)"] == "\u2264 2"
+    assert line["weakest against"] == "Strong (\u2264 2)"
+    holding = played | {weak: always(fp=1.0, liars=2), weak.undefended: always(fp=1.0, liars=2)}
+    holding[ghosts("Cad", attack="Other")] = holding[ghosts("NoIntegrity", attack="Other")] = always(fp=1.0, liars=2)
+    summary = field_tables(collected(holding)).tables[-1]  # type: ignore[arg-type]
+    line = dict(zip(summary.headings, summary.lines[0], strict=True))
+    assert (line["breaks at (adversaries)"], line["weakest against"]) == ("> 2", "Strong (\u2264 2)")
+    assert "false alarms that happen anyway break nothing" in summary.about
+
+
+def test_equal_seeds_have_a_breakdown_without_an_interval() -> None:
+    played = NOTHING | {ghosts("Cad", liars): always(fp=9.0 * (liars == 2), liars=liars) for liars in (1, 2)}
+    played |= {ghosts("NoIntegrity", liars): always(fp=1.0, liars=liars) for liars in (1, 2)}
+    (of_cad,) = (each for each in collected(played).breakdowns if (each.scene, each.defence) == ("", "Cad"))
+    assert of_cad.point.value == 1.5
+    assert math.isnan(of_cad.point.low)
+
+
 # -- published figures -------------------------------------------------------------------------------------------------
 
 
@@ -277,6 +340,38 @@ def test_our_numbers_next_to_published_figures_come_from_the_trials(detected: in
     assert lines["Flood"][4].startswith("processor time, relative to the other attacks: NoIntegrity 3.000")
 
 
+def test_our_numbers_name_the_attacks_that_they_depend_on() -> None:
+    tables = published_tables(published(2))
+    (page,) = tables.tables
+    (cell,) = (line[4] for line in page.lines if line[0] == "Cad")
+    assert cell.startswith(
+        "observable lies detected (share): Cad 0.250 (all equal), under Ghost, Flood; missed objects"
+    )
+    assert cell.endswith("Cad 0.000 (all equal)"), "without an attack"
+    assert "attacks: Ghost, Flood." in tables.about
+    rows = list(csv.DictReader(io.StringIO(tables.as_csv())))
+    assert [row["attack"] for row in rows if row["method"] == "Cad"] == ["Ghost, Flood", ""]
+
+
+@pytest.mark.parametrize(("suspended", "known"), [({}, False), ({"infra_1": 0.9}, True)])
+def test_a_stage_that_suspends_nobody_has_no_share_of_moved_objects_detected(
+    suspended: dict[str, float], known: bool
+) -> None:
+    played = NOTHING | {
+        ghosts("NoIntegrity", attack="PosePert"): always(fp=0.0, liars=2),
+        ghosts("Cad", attack="PosePert"): always(fp=0.0, liars=2, suspended=suspended),
+    }
+    (found,) = (each for each in collected(played).published if each.method == "PosePert")
+    assert [ours.value.known for ours in found.ours] == [known]
+
+
+def test_a_study_of_methods_without_published_figures_says_so() -> None:
+    played = {cell("NoIntegrity"): always(fp=0.0), cell("KOfN"): always(fp=0.0)}
+    tables = published_tables(collected(played))
+    assert tables.tables == []
+    assert "played no method of which a published figure is known" in tables.as_markdown()
+
+
 def test_published_figures_are_written_as_csv_and_ascii_latex_with_wrapped_columns() -> None:
     tables = published_tables(published(2))
     rows = list(csv.DictReader(io.StringIO(tables.as_csv())))
@@ -300,7 +395,7 @@ def test_every_published_quantity_is_computed_from_trials_of_its_method() -> Non
     for each in table.published:
         assert each.ours, each.method
         for ours in each.ours:
-            assert ours.value.known or ours.quantity == "median_delay_s", (each.method, ours.quantity)
+            assert ours.value.known, (each.method, ours.quantity)
     (flip,) = (each for each in table.published if each.method == "TrustFlip")
     assert {ours.defence for ours in flip.ours} == set(defences) - {"NoIntegrity"}
     assert {ours.value.value for ours in flip.ours} == {0.5}, "one of two"
@@ -310,7 +405,8 @@ def test_every_published_quantity_is_computed_from_trials_of_its_method() -> Non
 
 
 def test_processor_time_is_that_of_the_run_without_scene_and_evaluation(monkeypatch: pytest.MonkeyPatch) -> None:
-    study = definition.load("matrix", ["defences=NoIntegrity", "adversaries=coordinated", "kinds=poles"])
+    chosen = ["defences=NoIntegrity", "adversaries=coordinated", "kinds=poles", "attack_start_s=0.3"]
+    study = definition.load("matrix", chosen)
     planned = trials.plan(study, count=1, seed=0, frames=8, runtime="inproc")
     now_s = [0.0]
 

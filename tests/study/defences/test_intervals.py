@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from mast_zenoh.metrics.study_results import BOOTSTRAP, Measured
+from mast_zenoh.metrics.study_results import BINOMIAL, BOOTSTRAP, Measured
 from mast_zenoh.study.defences import intervals
 from mast_zenoh.study.defences.intervals import kaplan_meier
 
@@ -39,7 +39,7 @@ def test_the_bootstrap_contains_the_true_mean_about_as_often_as_it_says() -> Non
         (intervals.share(0.1 * np.arange(1, 7), np.arange(1.0, 7.0)), 0.1, NAN),  # equal in all trials
         (intervals.share([0.0, 0.0], [0.0, 0.0]), NAN, NAN),
         (intervals.share_of_runs([[], []]), NAN, NAN),
-        (intervals.pooled(lambda rows: 1.0 - 1e-16 * float(rows[0]), 6, (0.0, 1.0)), 1.0, NAN),  # rounding errors
+        (intervals.pooled(lambda rows: 1.0 - 1e-16 * float(rows[0]), 6), 1.0, NAN),  # rounding errors
         (intervals.pooled(lambda rows: 1.0 if rows[0] == 0 else NAN, 5), 1.0, NAN),  # mostly undefined
         (intervals.share([7.0] * 20, [7.0] * 20), 1.0, 0.025 ** (1 / 20)),  # exact, as binomial
         (intervals.rate(0, 0.0, 0), NAN, NAN),
@@ -47,6 +47,30 @@ def test_the_bootstrap_contains_the_true_mean_about_as_often_as_it_says() -> Non
 )
 def test_an_interval_is_unknown_where_the_spread_of_trials_is(measured: Measured, value: float, low: float) -> None:
     assert (measured.value, measured.low) == pytest.approx((value, low), nan_ok=True)
+
+
+def test_a_number_says_how_its_bounds_were_computed_and_nothing_without_bounds() -> None:
+    methods = [
+        (intervals.mean([1.0, 2.0, 3.0, 4.0, 5.0]), BOOTSTRAP),
+        (intervals.mean([1.0, 2.0]), ""),
+        (intervals.mean([0.3] * 10), ""),
+        (intervals.mean([0.0] * 6, (0.0, 1.0)), BINOMIAL),
+        (intervals.share([1.0, 0.0, 9.0, 3.0, 2.0], [1.0, 5.0, 10.0, 4.0, 2.0]), BOOTSTRAP),
+        (intervals.share([0.0] * 6, [7.0] * 6), BINOMIAL),
+        (intervals.share([1.0, 2.0], [2.0, 3.0]), ""),
+        (intervals.pooled(lambda rows: float(rows.mean()), 5), BOOTSTRAP),
+        (intervals.pooled(lambda rows: float(rows.mean()), 4), ""),
+    ]
+    assert [measured.interval for measured, _ in methods] == [expected for _, expected in methods]
+
+
+def test_a_statistic_that_is_equal_in_each_trial_has_no_interval() -> None:
+    equal = intervals.pooled(lambda rows: 2.0, 6)
+    assert (equal.value, equal.interval) == (2.0, "")
+    assert math.isnan(equal.low)
+    values = np.array([2.0] * 20 + [9.0])
+    measured = intervals.pooled(lambda rows: float(np.median(values[rows])), len(values))
+    assert measured[:3] == (2.0, 2.0, 2.0), "one trial differs"
 
 
 def test_a_trial_without_the_value_is_left_out() -> None:

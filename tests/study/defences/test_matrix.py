@@ -12,10 +12,10 @@ from defence_outcomes import outcome
 from numpy.typing import NDArray
 
 import mast_zenoh as mast
-from mast_zenoh.metrics.study_results import BINOMIAL, POISSON, DefenceMatrix, Measured
+from mast_zenoh.metrics.study_results import BINOMIAL, POISSON, DefenceMatrix, DefenceRow, Measured
 from mast_zenoh.study.defences import Cell
 from mast_zenoh.study.defences.choices import by_coverage, honest_majority
-from mast_zenoh.study.defences.matrix import MAX_AGENTS, Collection, panel, suspends
+from mast_zenoh.study.defences.matrix import MAX_AGENTS, Collection, doubts, panel
 from mast_zenoh.study.defences.matrix_trial import detected_lies, outnumbered, trace
 
 #: Lidar returns of five objects at four agents.
@@ -77,7 +77,8 @@ def test_a_lie_is_all_that_one_agent_tells_about_one_object() -> None:
 
 def kept(**changes: Any) -> dict[str, Any]:
     """The trace of one honest agent, changed."""
-    quiet = dict(time_s=[0.0, 0.2], log_odds=[None, 4.0], states={"faulty": [], "suspended": []}, lies=[], faults=[])
+    states: dict[str, list[list[float]]] = {name: [] for name in ("faulty", "suspended", "undecided")}
+    quiet = dict(time_s=[0.0, 0.2], log_odds=[None, 4.0], states=states, lies=[], faults=[])
     return quiet | changes
 
 
@@ -85,12 +86,17 @@ def test_of_many_agents_those_that_lie_fail_or_are_suspended_are_shown() -> None
     agents = {f"agent_{index}": kept() for index in range(9)}
     agents["agent_6"] = kept(lies=[[1.0, 2.0]])
     agents["agent_7"] = kept(faults=[["Loss", 1.0, 2.0]])
-    agents["agent_8"] = kept(states={"faulty": [], "suspended": [[1.0, 2.0]]})
+    agents["agent_8"] = kept(states={"faulty": [], "suspended": [[1.0, 2.0]], "undecided": []})
     drawn = panel({"end_s": 3.0, "agents": agents}, "title")
     assert [agent.agent for agent in drawn.agents] == ["agent_0", "agent_1", "agent_6", "agent_7", "agent_8"]
     assert (len(drawn.agents), drawn.left_out) == (MAX_AGENTS, 4)
-    assert suspends({"agents": agents})
-    assert not suspends({"agents": {"agent_0": kept()}})
+
+
+@pytest.mark.parametrize(("state", "shown"), [("suspended", True), ("undecided", True), ("faulty", False)])
+def test_a_defence_that_suspends_an_agent_or_leaves_one_undecided_has_panels(state: str, shown: bool) -> None:
+    states = kept()["states"] | {state: [[1.0, 2.0]]}
+    assert doubts({"agents": {"agent_0": kept(), "agent_1": kept(states=states)}}) == shown
+    assert not doubts({"agents": {"agent_0": kept()}})
 
 
 @pytest.fixture(scope="module")
@@ -114,7 +120,7 @@ def test_a_trace_survives_json_and_has_lies_and_suspensions(run: mast.Run) -> No
     assert drawn.end_s == pytest.approx(4.0)
     (begin, end), *_ = agents["infra_1"].lies
     assert begin == pytest.approx(2.0, abs=0.3)
-    assert suspends(content)
+    assert doubts(content)
     assert begin <= agents["infra_1"].states["suspended"][0][0] < 4.0
     assert agents["infra_1"].value[-1] < 0.0 < agents["infra_2"].value[-1]
     assert len(agents["ego"].time_s) == pytest.approx(20, abs=1), "twice as coarse as the frames"
@@ -143,6 +149,7 @@ def metrics(
     trusted: bool = False,
     lied: bool = False,
     suspended_after_s: float | None = None,
+    suspended_before: bool = False,
     alarms: int = 0,
     honest_suspended_s: float | None = None,
     outnumbered: float = 0.0,
@@ -150,20 +157,24 @@ def metrics(
     """metrics.json of a trial of 36 s with one agent that may lie and one that never does.
 
     honest_suspended_s: s of scene time at which the latter is suspended
+    suspended_before: whether the liar is suspended before its first lie
     """
     picture = {"fn": {"mean": 2.0}, "fp": {"mean": fp}, "ospa_m": {"mean": 1.0 + fp}}
     liar = {
         "first_lie_s": 4.0,
         "first_observable_s": 4.0,
         "suspended_after_s": suspended_after_s,
-        "observed_s": None if not trusted else 6.0 if suspended_after_s is None else suspended_after_s,
+        "observed_s": 6.0 if suspended_after_s is None else suspended_after_s,
     }
+    if suspended_before or not trusted:
+        liar["observed_s"] = None
     detected = suspended_after_s is not None
     suspension = [] if honest_suspended_s is None else [{"from_s": honest_suspended_s, "conduct": "honest"}]
     content: dict[str, Any] = {
         "frames": 360,
         "agents": {"ego": {"picture": picture}},
         "defence": {
+            "first_attack_s": 4.0 if lied else None,
             "lies": {"all": 4 * lied, "observable": 4 * lied, "detected": 2 * detected},
             "agents": {"liar": liar} if lied else {},
             "false": {"identifiable": fp, "unidentifiable": 0.0},
@@ -184,7 +195,7 @@ def metrics(
             },
             "seconds": {"honest": {"trusted": 36.0, "suspended": 4.0}},
             "hours": 0.01,
-            "false_alarms": alarms,
+            "false_alarms": alarms + len(suspension),
         }
     return content
 
@@ -274,7 +285,7 @@ def test_the_share_removed_is_relative_to_the_undefended_run_with_the_same_seed(
 
 def played(*contents: dict[str, Any], cell: Cell = CELLS[-1]) -> DefenceMatrix:
     """A matrix of one attacked cell of `Wall`, a seed for each metrics.json, and the runs that it is compared with."""
-    undefended = Cell("NoIntegrity", cell.attack, cell.n_adversaries, cell.placement, cell.budget)
+    undefended = cell.undefended
     cells = {each.label: each for each in (Cell("NoIntegrity"), Cell("Wall"), undefended, cell)}
     collection = Collection(cells, ["junction"], range(len(contents)))
     for seed, content in enumerate(contents):
@@ -344,3 +355,70 @@ def test_an_unknown_median_delay_has_at_most_a_lower_bound() -> None:
     assert (unknown.low, unknown.high) == (1.0, math.inf)
     known = measure(played(soon, soon, soon, soon, soon, never), "Wall", "median_delay_s")
     assert (known.value, known.low) == (1.0, 1.0)
+
+
+def row_of(matrix: DefenceMatrix) -> DefenceRow:
+    """The row of `Wall` under attack."""
+    return next(row for row in matrix.rows if row.defence == "Wall" and row.attack)
+
+
+def test_adversaries_that_never_lie_frame_nobody_and_their_runs_count_as_runs_without_lies() -> None:
+    silent = metrics(1.0, trusted=True, honest_suspended_s=5.0)
+    row = row_of(played(silent, silent, silent, silent))
+    assert math.isnan(row.measures["framed"].value)
+    wrong = row.measures["wrongly_suspended"]
+    assert (wrong.value, wrong.trials) == (1.0, 4)
+    assert row.idle
+    assert (row.measures["attacked"].value, row.measures["attacked"].trials) == (0.0, 4)
+
+
+def test_only_runs_with_a_lie_say_what_a_defence_removes_and_tells_apart() -> None:
+    silent, attacked = (metrics(fp, trusted=True, lied=lied) for fp, lied in ((0.0, False), (1.5, True)))
+    half = played(silent, silent, attacked, attacked)
+    row = row_of(half)
+    assert (row.measures["attacked"].value, row.idle) == (0.5, False)
+    removed = row.measures["identifiable_removed"]
+    assert (removed.value, removed.trials, removed.left_out) == (pytest.approx(1.0 - 1.5 / 3.0), 2, 2)
+    (curve,) = half.rocs
+    assert (curve.roc.honest, curve.roc.liars) == (2 + 4 * 2, 2), "runs without an attack count"
+    never = played(silent, silent)
+    assert math.isnan(row_of(never).measures["identifiable_removed"].value)
+    assert math.isnan(never.summaries[0].identifiable_removed.value)
+    assert never.rocs == []
+
+
+def test_a_false_alarm_before_the_first_lie_is_no_delay_and_is_counted_apart() -> None:
+    before, after = (
+        metrics(1.0, trusted=True, lied=True, suspended_after_s=2.0),
+        metrics(1.0, trusted=True, lied=True, suspended_before=True),
+    )
+    row = row_of(played(before, after))
+    assert row.suspended_before == 1
+    assert row.delay is not None
+    assert (row.delay.detections, row.delay.watched, row.measures["median_delay_s"].value) == (1, 1, 2.0)
+
+
+def test_a_defence_that_suspends_nobody_has_no_delay_and_no_curve() -> None:
+    watched = metrics(1.0, trusted=True, lied=True)
+    suspending = played(watched)
+    assert list(suspending.delays) == ["Wall"]
+    assert suspending.not_suspending == []
+    collection = Collection({cell.label: cell for cell in CELLS[:2] + CELLS[-1:]}, ["junction"], [0])
+    for cell in (CELLS[1], CELLS[-1]):
+        content = metrics(1.0, trusted=True, lied=bool(cell.attack))
+        content["integrity"]["seconds"] = {"honest": {"trusted": 40.0, "suspended": 0.0}}
+        collection.add(outcome(cell.label, "junction", 0, content))
+    matrix = collection.table()
+    assert (matrix.delays, matrix.not_suspending) == ({}, ["Wall"])
+    measured = row_of(matrix).measures["median_delay_s"]
+    assert measured == Measured(), "not: not reached"
+
+
+def test_the_area_below_one_alarm_per_hour_needs_an_hour() -> None:
+    short = played(metrics(1.0, trusted=True, lied=True))
+    assert short.rocs[0].auc.known
+    assert not short.rocs[0].partial_auc.known
+    hours = [metrics(1.0, trusted=True, lied=True) for _ in range(2)]
+    for content in hours:
+        content["integrity"]["hours"] = 0.5
+    assert played(*hours).rocs[0].partial_auc.value == 1.0
