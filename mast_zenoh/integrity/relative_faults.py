@@ -49,6 +49,8 @@ SEARCHES, SEARCHED_TRACKS = 3, 40
 TURNS, LEADS = np.linspace(-0.12, 0.12, 13), np.linspace(-0.6, 0.6, 13)
 #: Twice the log-likelihood by which a fault that is corrected may fit worse than none, before it is forgotten.
 DOUBT = 10.0
+#: Share of the significance from which a pair counts for a fault that explains the other pairs of the agent, too.
+SUPPORT = 0.4
 #: s, between two fits while no agent is suspect: consecutive tracks show little new.
 FIT_S = 0.3
 
@@ -403,38 +405,45 @@ class RelativeFaults:
     def _settle(self, fits: PairFits, pivots: Floats, prior: Floats, suspended: Bools) -> tuple[str, ...]:
         """Find out which agents are faulty; returns those that were not before."""
         assert self._about is not None
-        fault, score = fits.fault, fits.score
         own = about_pivot(pivots - self._about)
-        size = displacement_m(np.einsum("aij,abj->abi", own, fault))
-        significant = (np.einsum("abi,abi->ab", score, fault) >= self._significance) & (size >= self._least_m)
-        self.differ = significant & (fits.explains >= self._share)
-        self.differ &= self.differ.T
-        faulty = self._still_faulty(fits)
-        found = _in_every_explanation(self.differ, suspended)
-        if found.any() and self._unsearched.any():
-            # Pairs that are still to be searched may differ, too: nobody is corrected who might then not be at fault.
-            found &= _in_every_explanation(self.differ | self._unsearched, suspended)
-        faulty |= found
+        size = displacement_m(np.einsum("aij,abj->abi", own, fits.fault))
+        gain = np.einsum("abi,abi->ab", fits.score, fits.fault)
+        may_differ = (gain >= SUPPORT * self._significance) & (size >= self._least_m) & (fits.explains >= self._share)
+        may_differ &= may_differ.T
+        self.differ = may_differ & (gain >= self._significance)
+        faulty = self._still_faulty(fits) | self._found(fits, may_differ, prior, suspended)
         # The word of suspended agents counts no more than that of faulty ones.
         sound = ~faulty & ~suspended
-        corrected = np.zeros((len(fault), 4))
+        corrected = np.zeros((len(faulty), 4))
         for row in np.flatnonzero(faulty).tolist():
-            before = self._corrected[self._rows[row]]
-            information = fits.information[row, sound].sum(axis=0) + prior[row]
             # What nothing shows any more, as the delay of standing objects, stays as it was.
-            corrected[row] = np.linalg.solve(information, score[row, sound].sum(axis=0) + prior[row] @ before)
+            before = self._corrected[self._rows[row]]
+            corrected[row] = _common(fits, row, sound, prior[row], before)
         corrected[displacement_m(np.einsum("aij,aj->ai", own, corrected)) < self._least_m] = 0.0
         new = np.asarray(corrected.any(axis=1) & ~self._corrected[self._rows].any(axis=1))
         self._corrected[self._rows] = corrected
         return tuple(name for name, each in zip(self.names, new.tolist(), strict=True) if each)
+
+    def _found(self, fits: PairFits, differ: Bools, prior: Floats, suspended: Bools) -> Bools:
+        """(a,) agents with one fault that explains why they differ from the others; differ: (a, a) pairs that may."""
+        found = _in_every_explanation(differ, suspended)
+        if found.any() and self._unsearched.any():
+            # Pairs that are still to be searched may differ, too: nobody is corrected who might then not be at fault.
+            found &= _in_every_explanation(differ | self._unsearched, suspended)
+        # What two liars make an agent differ by is not what it differs by from an honest one by chance.
+        supported, sound = differ.copy(), ~found & ~suspended
+        for row in np.flatnonzero(found).tolist():
+            fault = _common(fits, row, sound, prior[row], np.zeros(4))
+            supported[row] &= _gain(fits.score[row], fits.information[row], fault) >= SUPPORT * self._significance
+            supported[:, row] &= supported[row]
+        return found & _in_every_explanation(supported, suspended) if found.any() else found
 
     def _still_faulty(self, fits: PairFits) -> Bools:
         """(a,) agents with a fault that is corrected, and that the differences from the others do not refute."""
         corrected = self._corrected[self._rows]
         faulty = corrected.any(axis=1)
         score, information = (each[:, ~faulty].sum(axis=1) for each in (fits.score, fits.information))
-        gain = 2.0 * np.einsum("ai,ai->a", score, corrected)
-        gain -= np.einsum("ai,aij,aj->a", corrected, information, corrected)
+        gain = _gain(score, information, corrected)
         return np.asarray(faulty & (gain >= -DOUBT))
 
     @property
@@ -447,6 +456,19 @@ class RelativeFaults:
         if self._about is None:
             return np.zeros((len(pivots), 4))
         return np.asarray(np.einsum("aij,aj->ai", about_pivot(pivots - self._about), self._corrected[self._rows]))
+
+
+def _gain(score: Floats, information: Floats, fault: Floats) -> Floats:
+    """(k,) twice the log-likelihood that a fault (4,) or (k, 4) gains. score: (k, 4), information: (k, 4, 4)"""
+    return np.asarray(
+        2.0 * np.sum(score * fault, axis=-1) - np.sum(fault * (information @ fault[..., None])[..., 0], axis=-1)
+    )
+
+
+def _common(fits: PairFits, row: int, sound: Bools, prior: Floats, before: Floats) -> Floats:
+    """(4,) the fault of an agent against sound ones (a,). before: (4,) the most likely without evidence"""
+    information = fits.information[row, sound].sum(axis=0) + prior
+    return np.asarray(np.linalg.solve(information, fits.score[row, sound].sum(axis=0) + prior @ before))
 
 
 def _in_every_explanation(differ: Bools, suspended: Bools) -> Bools:
