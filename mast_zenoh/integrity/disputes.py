@@ -36,19 +36,25 @@ def plausible_size(states: ObjectStates) -> Bools:
     return np.asarray(((states.size >= SMALLEST_M) & (states.size <= LARGEST_M)).all(axis=1))
 
 
-def on_ground(states: ObjectStates, agent: Ints) -> Bools:
-    """(n,) tracks of boxes that stand on the ground.
+def on_ground(states: ObjectStates, agent: Ints, agents: int) -> Bools:
+    """(n,) tracks of boxes that may stand on the ground.
 
-    agent: (n,) rows of the agents. The ground is where the boxes of most agents stand, each at its median: one agent
-    with many boxes does not move it. It rises or falls by SLOPE at most.
+    agent: (n,) rows of the agents;  agents: how many there are, with those that report nothing
+
+    Each agent's boxes stand at its median: one with many boxes does not move the ground. It is where it may be if fewer
+    than half of all agents lie: between the medians that so many others leave below and above. It rises or falls by
+    SLOPE at most.
     """
     if len(states) <= 2:
         return np.ones(len(states), np.bool_)
     bottom = states.position[:, 2] - 0.5 * states.size[:, 2]
     middles = medians(np.column_stack([states.position[:, :2], bottom]), agent)
-    x, y, height = np.median(middles, axis=0)
-    away = np.hypot(states.position[:, 0] - x, states.position[:, 1] - y)
-    return np.asarray(np.abs(bottom - height) <= HEIGHT_ERROR_M + SLOPE * away)
+    heights, last = np.sort(middles[:, 2]), len(middles) - 1
+    liars = min((agents - 1) // 2, last)
+    low, high = heights[min(liars, last - liars)], heights[max(liars, last - liars)]
+    x, y = np.median(middles[:, :2], axis=0)
+    reach = HEIGHT_ERROR_M + SLOPE * np.hypot(states.position[:, 0] - x, states.position[:, 1] - y)
+    return np.asarray((bottom >= low - reach) & (bottom <= high + reach))
 
 
 def medians(values: Floats, group: Ints) -> Floats:
@@ -144,10 +150,12 @@ class Testimonies:
         voter: (a,) agents that are not suspended: others accuse nobody
         """
         reported, states = batch.reported, batch.states
-        impossible = of_tracks(batch, ~(plausible_size(states) & on_ground(states, batch.agent)))
+        impossible = of_tracks(batch, ~(plausible_size(states) & on_ground(states, batch.agent, len(batch.agents))))
         claims = reported & ~own & ~impossible & of_tracks(batch, in_place(batch, boxes))
         silent = ~reports_nearby(batch, boxes) & ~rays.mostly_clear & rays.ends & seen.in_view
-        silent &= conspicuous(boxes.size, seen.distance)
+        least = np.full((batch.clusters, 3), np.inf)  # reported sizes: two liars can make the middle one large
+        np.minimum.at(least, batch.labels, states.size)
+        silent &= conspicuous(least, seen.distance)
         return cls(
             claims=claims,
             denies=seen.fully_clear & ~reported & voter,

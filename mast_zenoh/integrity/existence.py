@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
-from mast_zenoh.integrity.base import ClusterBoxes, ObjectTrust
+from mast_zenoh.integrity.base import Batch, ClusterBoxes, ObjectTrust
 from mast_zenoh.integrity.disputes import Evidence
 from mast_zenoh.integrity.explanations import Explanations
 from mast_zenoh.integrity.memory import NOW, VOTE_MEMORY_S, AgentMemory, VoteMemory
@@ -47,7 +47,9 @@ class ExistenceVotes:
         self._votes = VoteMemory(VOTE_MEMORY_S, known=False, claimed_ns=NOW)
         self._of = self._votes.objects.of
         self._rows: Ints = np.zeros(0, np.int64)  # of the clusters of the last batch
-        self._witnessed: Bools = np.zeros((0, 0), np.bool_)  # (m, k) which agents confirmed an object with another one
+        # (m, k) which agents confirmed an object with another one, and the ids of their tracks of it
+        self._witnessed: Bools = np.zeros((0, 0), np.bool_)
+        self._track: Ints = np.zeros((0, 0), np.int64)
         # (k, 3) mean numbers of objects that an agent reports and nobody else looks at, and of those that it alone
         # reports, and s, over which they are averaged
         self._usual = np.zeros((0, 3))
@@ -58,6 +60,7 @@ class ExistenceVotes:
         self._rows = self._votes.follow(time_ns, boxes)
         objects = self._votes.objects
         self._witnessed = self._agents.carry(objects.carry(self._witnessed, False), False, axis=1)
+        self._track = self._agents.carry(objects.carry(self._track, 0), 0, axis=1)
         return np.asarray(objects.of.number[self._rows])
 
     def settle(self, evidence: Evidence, explanations: Explanations) -> tuple[ObjectTrust, Floats]:
@@ -78,7 +81,7 @@ class ExistenceVotes:
         refuted[denied] = explanations.false(claims[denied] | (silent[denied] & voter), clear[denied] & voter)
         refuted |= ~claims.any(axis=1) & (contradicting > confirming)
         balance = self._votes.vote(rows, np.where(refuted, -1.0, 1.0))
-        self._note_witnesses(claims, agent_rows)
+        self._note_witnesses(batch, claims)
         unseen = reported & ~clear & ~impossible & ~(seen.in_view & voter & ~reported).any(axis=1, keepdims=True)
         one = (reported.sum(axis=1) == 1)[:, None]  # what a suspended agent reports, too, is not reported alone
         unseen &= one
@@ -100,10 +103,19 @@ class ExistenceVotes:
         )
         return objects, batch.weights(claims)
 
-    def _note_witnesses(self, claims: Bools, agent_rows: Ints) -> None:
-        """Note which agents confirm an object together. claims: (c, a); agent_rows: (a,)"""
-        together = claims.sum(axis=1) >= CONFIRMING
-        self._witnessed[self._rows[:, None], agent_rows] |= claims & together[:, None]
+    def _note_witnesses(self, batch: Batch, claims: Bools) -> None:
+        """Note which agents confirm an object together. claims: (c, a)
+
+        An object is not confirmed any more once a witness's track of it is of another one: a liar that leaves a real
+        object with a false velocity would take its number along.
+        """
+        agent_rows, track = self._agents.rows, batch.states.id
+        row, column = self._rows[batch.labels], agent_rows[batch.agent]
+        same = self._witnessed[:, column] & (self._track[:, column] == track)
+        self._witnessed[(same & (np.arange(len(same))[:, None] != row)).any(axis=1)] = False
+        cluster, agent = np.nonzero(claims & (claims.sum(axis=1) >= CONFIRMING)[:, None])
+        place = self._rows[cluster], agent_rows[agent]
+        self._witnessed[place], self._track[place] = True, track[batch.member[cluster, agent]]
 
     def _confirmed(self, believed: Bools) -> Bools:
         """(c,) objects that an agent confirmed together with another one. believed: (k,) agents that count"""

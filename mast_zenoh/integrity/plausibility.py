@@ -9,7 +9,7 @@ import numpy as np
 
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.matching import neighbours
-from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
+from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.integrity.base import AgentTrust, Assessment, Batch, ClusterBoxes, Integrity, ObjectTrust
 from mast_zenoh.integrity.disputes import on_ground, plausible_size
 from mast_zenoh.integrity.memory import INDEPENDENT_S, NOW, BetaReputation, ObjectMemory
@@ -80,7 +80,7 @@ class Plausibility(Integrity):
 
     def assess(self, batch: Batch) -> Assessment:
         time_ns, reported = batch.time_ns, batch.reported
-        within = self._possible(batch.states, batch.agent)
+        within = self._possible(batch)
         table = np.where(reported, within[batch.member] if len(within) else False, False)
         boxes = ClusterBoxes.of(batch, table)
         rows = self._follow(time_ns, boxes)
@@ -119,10 +119,11 @@ class Plausibility(Integrity):
         self._last_ns = time_ns
         return rows
 
-    def _possible(self, states: ObjectStates, agent: Ints) -> Bools:
+    def _possible(self, batch: Batch) -> Bools:
         """(n,) tracks within the physical limits."""
+        states = batch.states
         slow = np.hypot(states.velocity[:, 0], states.velocity[:, 1]) <= self.speed_mps
-        return np.asarray(slow & plausible_size(states) & on_ground(states, agent))
+        return np.asarray(slow & plausible_size(states) & on_ground(states, batch.agent, len(batch.agents)))
 
     def _moves_oddly(self, state: Floats, elapsed: Floats, before: Floats) -> Bools:
         """(c,) whether objects cannot have come from the states before, see `_states`, in `elapsed` (c,) s."""

@@ -1,5 +1,6 @@
 """Tracks that no honest agent sends are found."""
 
+import pytest
 from integrity_batches import batch
 
 from mast_zenoh.integrity.base import ClusterBoxes
@@ -16,7 +17,18 @@ def test_the_ground_is_where_most_agents_boxes_stand_however_many_one_sends() ->
     position = given.states.position.copy()
     position[given.agent == 1, 2] += 10.0
     lifted = given.states.with_(position=position)
-    assert on_ground(lifted, given.agent).tolist() == (given.agent != 1).tolist()
+    assert on_ground(lifted, given.agent, 3).tolist() == (given.agent != 1).tolist()
+
+
+@pytest.mark.parametrize("silent", ["", "e"])
+def test_two_of_five_cannot_lift_the_ground_off_the_others_even_if_one_reports_nothing(silent: str) -> None:
+    honest = [name for name in "cde" if name != silent]
+    given = batch([(name, i, (5.0 * i, 0.0)) for name in ["a", "b", *honest] for i in range(3)], tuple("abcde"))
+    position = given.states.position.copy()
+    position[given.agent < 2, 2] += 6.0
+    possible = on_ground(given.states.with_(position=position), given.agent, 5)
+    assert possible[given.agent >= 2].all()
+    assert possible[given.agent < 2].any() == bool(silent), "it is open then who is right"
 
 
 def test_one_object_in_two_tracks_of_one_agent_counts_as_repeated_once() -> None:
@@ -37,7 +49,7 @@ def test_an_agent_with_a_track_in_a_neighbouring_cluster_reports_about_the_objec
 def test_nothing_is_claimed_by_nobody() -> None:
     nothing = batch([], AGENTS)
     assert (
-        len(on_ground(nothing.states, nothing.agent))
+        len(on_ground(nothing.states, nothing.agent, 2))
         == len(plausible_size(nothing.states))
         == len(repeated(nothing))
         == 0

@@ -1,5 +1,7 @@
 """Who contradicts whom about an object, and the median of its tracks shows which agent is off."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from integrity_batches import Track, batch, view
@@ -76,6 +78,18 @@ def test_silence_counts_only_where_the_rays_end(hidden_by: tuple[float, float, f
     found = statements(tracks, blocked, CORNERS | {"d": (0.0, -20.0)})
     assert found.silent[0].tolist() == [False, False, noted, False]
     assert not found.denies.any()
+
+
+def test_two_that_report_a_small_object_as_a_large_one_do_not_make_others_silent_about_it() -> None:
+    seen = {name: [CAR_AT_ORIGIN] for name in CORNERS}
+    agents = [("a", 0, (0.0, 0.0)), ("b", 0, (0.0, 0.0)), ("c", 1, (60.0, 60.0))]
+    views = {name: view(place, *seen[name]) for name, place in CORNERS.items()}
+    given = batch(agents, tuple(CORNERS), views)
+    for smallest, silent in ((1.5, True), (0.3, False)):
+        size = given.states.size.copy()
+        size[0] = smallest
+        smaller = replace(given, states=given.states.with_(size=size))
+        assert disputes.Evidence.of(smaller, EVERYBODY).testimonies.silent[0, 2] == silent
 
 
 def test_a_claim_in_space_that_its_own_sensor_sees_through_contradicts_itself() -> None:

@@ -140,6 +140,27 @@ def test_what_only_liars_confirmed_leaves_the_picture_with_them(witnesses: str, 
     assert found.withheld.tolist() == [not believed]
 
 
+def test_a_liar_does_not_take_along_that_others_confirmed_an_object_when_it_leaves_it() -> None:
+    agents = AgentMemory(suspended=False)
+    votes = ExistenceVotes(agents)
+    nobody = Explanations(np.zeros((4, 4), np.bool_), *np.zeros((2, 4), np.bool_))
+    for frame in range(40):
+        away = 0.0 if frame < 20 else 0.8 * (frame - 19)  # `a` goes on with the object, which stands where it was
+        tracks: list[Track] = [("a", 0, (away, 0.0))]
+        tracks += [("b", 0, (0.0, 0.0))] if frame < 20 else [("b", 1, (0.0, 0.0))] * (frame > 20)
+        given = batch(tracks, tuple(PLACES), frame=frame)
+        ids = np.where(given.agent == 1, 7, given.states.id)  # `b` has one track all the time
+        velocity = np.zeros((len(ids), 3))
+        velocity[given.labels == 0, 0] = 8.0 * (frame >= 19)
+        given = replace(given, states=given.states.with_(id=ids, velocity=velocity))
+        agents.meet(given.time_ns, given.agents)
+        evidence = Evidence.of(given, np.ones(4, np.bool_))
+        votes.follow(given.time_ns, evidence.boxes)
+        votes.settle(evidence, nobody)
+        confirmed = votes._confirmed(np.ones(4, np.bool_))
+        assert confirmed[0] == (frame < 21)
+
+
 def test_a_view_that_is_too_old_to_be_held_against_its_agent_has_no_vote() -> None:
     given = honest(0, ("a", 2, (30.0, -30.0)), age_s=0.06)
     assert SequentialConsistency().assess(given).objects.contradicting.tolist()[2] == 2, "b and c, and not d"
