@@ -101,11 +101,11 @@ def test_two_liars_of_five_suspend_no_honest_agent_and_do_no_more_harm_than_with
 
 @pytest.mark.heavy
 @pytest.mark.parametrize("run", RUNS)
-@pytest.mark.parametrize(("attack", "share"), [(BlindSwarm, 0.5), (Excuser, 0.25), (WallHugger, 0.5)])
+@pytest.mark.parametrize(("attack", "share"), [(BlindSwarm, 0.5), (Excuser, 1 / 3), (WallHugger, 0.5)])
 def test_a_lone_liar_does_at_most_half_of_its_harm_without_the_defence(
     attack: type[AdaptiveAttack], share: float, run: tuple[int, int]
 ) -> None:
-    """Excused each time it seems to have a fault, an `Excuser` does up to a third: its share is less."""
+    """An `Excuser` seems to have a fault, and is waited for: nearly a third of its harm is done then."""
     defended = played(attack, 1, "FaultOrLie", run)
     assert defended.suspended <= defended.liars
     assert harm(attack, 1, "FaultOrLie", run) <= share * harm(attack, 1, "NoIntegrity", run)
