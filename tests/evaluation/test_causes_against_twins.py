@@ -52,7 +52,7 @@ def test_false_tracks_due_to_a_wrong_clock_are_attributed_to_the_fault() -> None
 
 
 def test_a_blind_sector_is_blamed_for_what_it_hides_alone() -> None:
-    wrong, right, new = shares("blind", "fault", "missed", "intersection:6")
+    wrong, right, new = shares("blind", "fault", "missed", "intersection:5")
     assert new > 100
     assert right > 0.9
     assert wrong < 0.06
