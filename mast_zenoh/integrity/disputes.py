@@ -109,15 +109,15 @@ ACCUSATIONS = (
     "reports one object twice",
 )
 #: sr; an object that looks smaller may go unnoticed (a lidar with 0.2 by 0.9 degrees has some 50 returns of this).
-CLEAR_SR = 2.5e-3
-#: m, farther away is not clear.
-CLEAR_M = 60.0
+CONSPICUOUS_SR = 2.5e-3
+#: m, farther away nothing is conspicuous.
+CONSPICUOUS_M = 60.0
 
 
 def conspicuous(size: Floats, distance: Floats) -> Bools:
     """(c, a) whether objects of a size (c, 3) m are easy to notice from (c, a) m away."""
     area = 0.5 * (size[:, 0] + size[:, 1]) * size[:, 2]
-    return np.asarray((distance <= CLEAR_M) & (area[:, None] >= CLEAR_SR * distance**2))
+    return np.asarray((distance <= CONSPICUOUS_M) & (area[:, None] >= CONSPICUOUS_SR * distance**2))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -352,12 +352,11 @@ class RelativeFaults:
         self._corrected = self._agents.carry(self._corrected, 0.0)
         return changed
 
-    def _search(self, differences: Differences, known: Floats, urgent: bool) -> tuple[Floats, Bools]:
-        """Look for another fault where few tracks match the known ones (a, a, 4), of some pairs at a time.
+    def _search(self, differences: Differences, known: Floats, few: Bools) -> tuple[Floats, Bools]:
+        """Look for another fault of pairs (a, a) of which few tracks match the known one (a, a, 4), of some at a time.
 
         Returns the faults (a, a, 4) with those that are found, and which are (a, a).
         """
-        _, few = differences.matched(known, every=urgent)
         fault, found = known.copy(), np.zeros(few.shape, np.bool_)
         poor = np.argwhere(np.triu(few & few.T)).tolist()
         for turn in range(min(SEARCHES, len(poor))):
@@ -374,13 +373,16 @@ class RelativeFaults:
     def _fit(self, differences: Differences, samples: float, past: PairFits, prior: Floats, urgent: bool) -> PairFits:
         """The fits of each pair, with a batch. past: before it;  samples: independent ones that the batch counts for"""
         a = len(prior)
-        start, anew = self._search(differences, past.fault, urgent)
-        near, _ = differences.matched(start)
+        near, few = differences.matched(past.fault, every=urgent)
+        start, anew = self._search(differences, past.fault, few)
+        if anew.any():
+            near, _ = differences.matched(start)
         information, score = (samples * each for each in near.equations(a, start))
         total = past.information + information, past.score + score
         fault = _solved(total, prior)
         count = near.sums(a, np.ones(len(near.one)))
-        loss = near.sums(a, huber_loss(near.deviations(fault)))
+        deviation = near.deviations(fault)
+        loss = near.sums(a, huber_loss(deviation))
         poor_fit = loss > FIT * count
         if poor_fit.any() or anew.any():
             fresh = start
@@ -392,7 +394,8 @@ class RelativeFaults:
             for summed, alone in zip(total, of_batch, strict=True):
                 summed[changed] = alone[changed]
             fault[changed] = fresh[changed]
-        explained = near.sums(a, (near.deviations(fault) <= EXPLAINED_SD).astype(np.float64))
+            deviation = near.deviations(fault)
+        explained = near.sums(a, (deviation <= EXPLAINED_SD).astype(np.float64))
         share = np.where(count >= COMPARABLE, explained / np.maximum(count, 1.0), past.explains)
         return PairFits(total[0], total[1], fault, share)
 

@@ -6,7 +6,7 @@ from libc.math cimport INFINITY, fabs, fmax, fmin, log, sqrt
 
 from mast_zenoh.kernels.algebra cimport distance_of
 from mast_zenoh.kernels.arrays cimport (
-    byte_data, contiguous, empty_matrix, empty_vector, float_data, int_data, length, writable_data, zero_vector,
+    byte_data, contiguous, empty_vector, float_data, int_data, length, writable_data, zero_vector,
 )
 from mast_zenoh.kernels.table cimport SOURCE_DIGEST, XX, XY, YY, ODDS, CLASS, WIDTH
 

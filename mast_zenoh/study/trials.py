@@ -150,10 +150,7 @@ def plan(
             files = identity.files_key((*identity.user_files(path, loaded, resolved.modules), *scene.inputs()))
             idle = _idle_period(resolved)
             if study.cells and idle is not None:
-                raise ConfigurationError(
-                    f"{study.path}: the attack of {configuration.label!r} begins at {idle[0]:g} s, and the trials end "
-                    f"after {idle[1]:g} s: expected more frames, or an earlier attack"
-                )
+                raise late_attack(study, configuration.label, idle)
             for index, seed_trials in enumerate(by_seed):
                 if study.per_trial and index:
                     settings = (*common, *study.trial_settings(seed + index, frames))
@@ -179,6 +176,15 @@ def plan(
                 )
         result += [trial for seed_trials in by_seed for trial in seed_trials]
     return result
+
+
+def late_attack(study: Study, label: str, idle: tuple[float, float]) -> ConfigurationError:
+    """The error for a configuration whose attack never begins. idle: see `Trial`"""
+    begins_s, ends_s = idle
+    return ConfigurationError(
+        f"{study.path}: the attack of {label!r} begins at {begins_s:g} s, and the trials end after {ends_s:g} s: "
+        "expected more frames, or an earlier attack"
+    )
 
 
 def _idle_period(resolved: Resolved) -> tuple[float, float] | None:

@@ -63,6 +63,14 @@ class Interposer:
         return self.role == "link"
 
     @property
+    def effects_besides_views(self) -> dict[str, int]:
+        """The measured effects, without the views among the reframed messages."""
+        effects = dict(self.effects or {})
+        if self.views:
+            effects["reframed"] -= self.views
+        return effects
+
+    @property
     def changed(self) -> int:
         """The measured number of its changes."""
         return sum(count for name, count in (self.effects or {}).items() if name != "unsettled")

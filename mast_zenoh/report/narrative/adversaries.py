@@ -81,9 +81,7 @@ def attack_description(run: RunRecord) -> list[str]:
 
 def _sentence(run: RunRecord, adversary: Interposer) -> str:
     """`In the detections of infra_1, adversary_1 inserted four objects that did not exist, from t = 4.0 s to 5.9 s.`"""
-    effects = dict(adversary.effects or {})
-    if adversary.views:
-        effects["reframed"] -= adversary.views
+    effects = adversary.effects_besides_views
     clauses = [_of_objects(adversary, name, effects[name]) for name in OF_OBJECTS if effects.get(name)]
     clauses += [
         words.format(plural(effects[name], "message")) for name, words in _MESSAGES.items() if effects.get(name)

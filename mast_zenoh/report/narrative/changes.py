@@ -316,9 +316,7 @@ def plural(number: int, noun: str) -> str:
 
 def effects(interposer: Interposer) -> str:
     """Measured effects: `478 rows of 6 objects inserted, 8 messages dropped, 110 views changed`."""
-    counts = dict(interposer.effects or {})
-    if interposer.views:
-        counts["reframed"] -= interposer.views
+    counts = interposer.effects_besides_views
     ordered = [name for name in (*EFFECTS, *counts) if counts.get(name) and name != "unsettled"]
     texts = [_effect(interposer, name, counts[name]) for name in dict.fromkeys(ordered)]
     texts += [f"{plural(interposer.views, 'view')} changed"] * bool(interposer.views)

@@ -200,7 +200,7 @@ class Collection(matrix.Collection):
         most_broken = {attack: np.nanmax(_mean_known(shares[attack])) for attack in reached}
         weakest = min(reached, key=lambda attack: (reached[attack], -most_broken[attack]), default="")
         point = intervals.pooled(lambda rows: _crossing(counts, every[rows]), len(keys))
-        if len({*counts} - {0}) == 1:
+        if _is_single(counts):
             point = Measured(point.value, trials=point.trials)
         sizes = {self._agents[key.scene] for key in keys if key.scene in self._agents}
         return FieldBreakdown(
@@ -353,6 +353,11 @@ def _mean_known(values: Floats) -> Floats:
     return np.where(count > 0, sums / np.maximum(count, 1), np.nan)
 
 
+def _is_single(counts: Sequence[int]) -> bool:
+    """Whether attacks were played with one number of adversaries alone."""
+    return len({*counts} - {0}) == 1
+
+
 def _crossing(counts: Sequence[int], shares: Floats) -> float:
     """The number of adversaries at which half of the trials are broken; shares: (trials, counts), NaN: none.
 
@@ -360,7 +365,7 @@ def _crossing(counts: Sequence[int], shares: Floats) -> float:
     """
     means = _mean_known(shares)
     known = ~np.isnan(means)
-    if len({*counts} - {0}) == 1 and known.any():
+    if _is_single(counts) and known.any():
         reached = np.asarray(counts)[means >= HALF - _ROUNDING]
         return float(reached.min()) if len(reached) else math.inf
     return crossing(np.asarray(counts)[known], means[known]) if known.any() else math.nan

@@ -213,11 +213,7 @@ class Search:
         pair = [_configuration_of(study, label) for label in (study.baseline, self.plan.run)]
         unattacked, attacked = (outcomes[0] for outcomes in self.runs.outcomes(pair, 1, bar))
         if attacked.trial.idle is not None:
-            begins_s, ends_s = attacked.trial.idle
-            raise ConfigurationError(
-                f"{study.path}: the attack of {self.plan.run!r} begins at {begins_s:g} s, and the trials end after "
-                f"{ends_s:g} s: expected more frames, or an earlier attack"
-            )
+            raise trials.late_attack(study, self.plan.run, attacked.trial.idle)
         agent = ego(attacked.metrics)
         self.plan.objective.check(numbers.values(attacked, unattacked), agent, f"{study.path}: search.objective")
         self.runs.progress.advance(bar, -2 * len(study.scenes))  # they are among those of all seeds
