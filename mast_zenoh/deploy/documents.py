@@ -25,7 +25,7 @@ import yaml
 
 from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.deploy.docker import BASE, USER, launcher_tag
-from mast_zenoh.deploy.engine import CREDENTIALS, ROUTER_SETTINGS
+from mast_zenoh.deploy.engine import CREDENTIALS, NUMERIC_VARIABLES, ROUTER_SETTINGS
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.launch.supervisor import MAX_RESTARTS
 from mast_zenoh.runtime.mesh.hosting import UP
@@ -168,7 +168,8 @@ def compose(
     """The compose file of a run as plain values.
 
     user:     UID:GID of all processes inside; on a secure mesh it must own the credentials
-    environment: variables of all processes inside, besides the image's own
+    environment: variables of all processes inside, besides the image's own; with the launcher inside, also those of
+             `NUMERIC_VARIABLES` that are set where Compose runs
     patience_s: how long nodes run without a launcher, s; extended by the longest disconnection of each node
     launcher: the launcher inside; None: it is outside
 
@@ -180,7 +181,7 @@ def compose(
         image=image if launcher is None else _Interpolated(f"${{MAST_IMAGE:-{image}}}"),
         **_build(launcher, "node"),
         user=user,
-        **({"environment": dict(environment)} if environment else {}),
+        **_environment(environment, inside=launcher is not None),
         init=True,
         read_only=True,
         tmpfs=["/tmp:mode=1777"],
@@ -284,6 +285,11 @@ def _with_launcher(
         )
         content["services"] = {HOLDER: first, **services}
     return {**content, "volumes": volumes}
+
+
+def _environment(values: Mapping[str, str] | None, *, inside: bool) -> dict[str, Any]:
+    passed: dict[str, str | None] = {**(dict.fromkeys(NUMERIC_VARIABLES) if inside else {}), **(values or {})}
+    return {"environment": passed} if passed else {}
 
 
 def _build(launcher: Launcher | None, target: str) -> dict[str, Any]:

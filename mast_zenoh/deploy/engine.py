@@ -45,7 +45,7 @@ _RECORDED_BYTES = 16 << 10
 
 #: Variables that affect floating-point results: OpenBLAS sums in a different order on other processors, unless its
 #: kernels are named. The number of threads is fixed for nodes, and does not affect results.
-_NUMERIC_VARIABLES = ("OPENBLAS_CORETYPE", "OPENBLAS_L2_SIZE", "NPY_DISABLE_CPU_FEATURES", "NPY_ENABLE_CPU_FEATURES")
+NUMERIC_VARIABLES = ("OPENBLAS_CORETYPE", "OPENBLAS_L2_SIZE", "NPY_DISABLE_CPU_FEATURES", "NPY_ENABLE_CPU_FEATURES")
 
 #: The class of an engine's nodes.
 C = TypeVar("C", bound=Child)
@@ -213,7 +213,7 @@ def numeric_environment(launcher_environment: Mapping[str, str] = os.environ) ->
 
     If the launcher does not use this package's compiled kernels, its nodes do not either.
     """
-    values = {name: launcher_environment[name] for name in _NUMERIC_VARIABLES if name in launcher_environment}
+    values = {name: launcher_environment[name] for name in NUMERIC_VARIABLES if name in launcher_environment}
     return values | ({"MAST_KERNELS": "numpy"} if kernels.USED == "numpy" else {})
 
 

@@ -24,6 +24,7 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.deploy import documents, swarm
 from mast_zenoh.deploy.compose_inside import EXAMPLES, check_steps, example
 from mast_zenoh.deploy.documents import dump
+from mast_zenoh.deploy.engine import NUMERIC_VARIABLES
 from mast_zenoh.errors import BackendError, ConfigurationError
 
 FOLDER = Path(__file__).parents[2] / "deploy" / "compose"
@@ -94,6 +95,8 @@ def test_a_shipped_file_is_the_generators_output_valid_and_needs_nothing_from_ou
     assert not re.search(r"/(home|root|work|tmp|Users)\b", paths), "no paths of this machine"
     content = yaml.safe_load(written)
     assert set(content) == {"x-node", "services", "networks", "volumes"}
+    handed_on = content["x-node"]["environment"]
+    assert handed_on == dict.fromkeys(NUMERIC_VARIABLES), "without a value: Compose takes that of its own environment"
     services = content["services"]
     nodes = set(services) - {"launcher", "certificates"}
     assert set(services["launcher"]["depends_on"]) == nodes, "it starts last"
