@@ -12,7 +12,7 @@ import numpy as np
 
 from mast_zenoh.arrays.geometry import states_to_world
 from mast_zenoh.arrays.states import ObjectStates, concatenate
-from mast_zenoh.gather import MAX_AGE_S, MAX_TRACK_VALUE, CollationBuffer
+from mast_zenoh.gather import MAX_AGE_S, CollationBuffer, plausible_rows
 from mast_zenoh.integrity.views import check_view, collated_columns
 from mast_zenoh.messages.schemas import Body, text
 from mast_zenoh.node import Context, Node, Received
@@ -170,15 +170,6 @@ class Broker(Node):
         """Numbers of complete and overdue batches, of late messages, and of rejected ones."""
         rejected = {"overflowed": self.buffer.dropped, "absurd": self.absurd}
         return {"collation": {**self.batches, "late": dict(sorted(self.buffer.late.items())), **rejected}}
-
-
-def plausible_rows(states: ObjectStates) -> np.ndarray:
-    """(k,) rows of the objects without a value beyond MAX_TRACK_VALUE."""
-    columns = (states.position, states.velocity, states.size, states.covariance)
-    if sum([np.vdot(column, column) for column in columns]) <= MAX_TRACK_VALUE**2:
-        return np.arange(len(states))  # the usual case: no value exceeds the norm of all
-    flat = np.concatenate([column.reshape(len(states), -1) for column in columns], axis=1)
-    return (np.abs(flat).max(axis=1) <= MAX_TRACK_VALUE).nonzero()[0]
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from mast_zenoh.arrays.geometry import states_to_world
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.effects import Pose
-from mast_zenoh.evaluation import Evaluation, RunData
+from mast_zenoh.evaluation import Evaluation, RunData, ego_of
 from mast_zenoh.metrics import AttributionLimits, Consistency, CutOff, Driving, Metric, Record, Scorer, Series
 from mast_zenoh.metrics.estimates import LOCAL, MISSION, PICTURE, PICTURE_RECEIVED, RECEIVED
 from mast_zenoh.metrics.record import Snapshot
@@ -231,6 +231,8 @@ def routes(wiring: Wiring, agents: Sequence[str]) -> dict[str, Route]:
         ends = {end.node: leg.key for leg in wire.every_leg for end in leg.subscribers}
         if len(wire.every_leg) > 1:
             shared |= dict.fromkeys((leg.key for leg in wire.every_leg), wire.key)
+        if wire.message == "trust" and wire.subject not in ("", ego_of(agents)):
+            continue  # that of one centre, or one peer, is evaluated
         if wire.message in ("clock", "truth", "trust", "attack_report", "link_report"):
             takes[source.key] = f"take_{wire.message}"
         elif wire.message == "pose" and wire.subject in sensed:
@@ -242,7 +244,7 @@ def routes(wiring: Wiring, agents: Sequence[str]) -> dict[str, Route]:
                 series[key].append(Series(agent, RECEIVED))
             takes |= dict.fromkeys((source.key, *received), "take_tracks")
         elif wire.message == "picture":
-            series[source.key].append(Series("", PICTURE))
+            series[source.key].append(Series(wire.subject, PICTURE))  # of a centre: shared; of a peer: its agent's
             received = [(key, name) for name, key in ends.items() if name in agents]
             for key, name in received:
                 series[key].append(Series(name, PICTURE_RECEIVED))

@@ -84,9 +84,8 @@ class RunData:
 
     @property
     def ego(self) -> str:
-        """The main agent of the evaluation: "ego" if there is one, else the first."""
-        agents = self.record.agents
-        return "ego" if "ego" in agents else next(iter(agents), "")
+        """The main agent of the evaluation."""
+        return ego_of(self.record.agents)
 
     def picture_age_s(self, frames: Sequence[int]) -> dict[str, dict[str, float | int | None]]:
         """By agent: mean and maximum age in s of the picture in its mission estimates, and the `frames` without any.
@@ -116,6 +115,11 @@ class RunData:
         if not latencies:
             return {f"p{p}": None for p in names}
         return {f"p{p}": float(np.percentile(np.array(latencies) * 1e-6, p)) for p in names}
+
+
+def ego_of(agents: Sequence[str]) -> str:
+    """The main agent of an evaluation: "ego" if there is one, else the first."""
+    return "ego" if "ego" in agents else next(iter(agents), "")
 
 
 def attacks(effects: Effects, agreement: Agreement, roles: Mapping[str, str], period_s: float) -> Table:

@@ -28,6 +28,8 @@ A map (TOML, or the same as a dict) lists wires. A rewrite changes them: it inse
 `{agent}` stands for each node of the role `agent` in turn. An endpoint `role.port` means the node that the
 placeholder names, if it has that role; else the nodes of the role whose option with the placeholder's name has its
 value (`adversary` with `agent="infra_1"`); else, if none has such an option, all nodes of the role.
+`other role.port` means the nodes of the role that do not belong to the value: `other peer.heard` on a wire with
+`{agent}` leads to the peers of all other agents.
 `{sensor}`, after `{agent}`, stands for each sensor of the agent but the first: `agent/infra_1/detections/radar`.
 
 A chain on a wire K turns `publisher -> K -> subscribers` into `publisher -> K/@tap/0 -> node -> K/@tap/1 -> node -> K`:
@@ -78,7 +80,7 @@ from mast_zenoh.wiring.model import (
 
 _CHUNK = re.compile(r"[A-Za-z0-9_.\-]+")
 _PLACEHOLDER = re.compile(r"\{([a-z_]+)\}")
-_ENDPOINT = re.compile(r"([a-z_]+)\.([a-z_]+)")
+_ENDPOINT = re.compile(r"(other )?([a-z_]+)\.([a-z_]+)")
 
 #: The keys of an entry of each kind: required, optional.
 _KEYS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
@@ -134,7 +136,9 @@ def resolve(
         if entry["key"] in templates:
             raise WiringError(f"{place}: the wire {entry['key']!r} already has a publisher")
         templates[entry["key"]] = []
-        subscribing[entry["key"]] = {str(reference).partition(".")[0] for reference in _listed(entry["to"])}
+        subscribing[entry["key"]] = {
+            str(reference).partition(".")[0].removeprefix("other ") for reference in _listed(entry["to"])
+        }
         for wire in _instances(entry, nodes, optional, place):
             if wire.key in wires:
                 raise WiringError(f"{place}: the key {wire.key!r} already has a publisher")
@@ -177,9 +181,12 @@ def _instances(
         def endpoints(reference: object, output: bool = False, subject: str = subject) -> list[Endpoint]:
             match = _ENDPOINT.fullmatch(str(reference))
             if not match:
-                raise WiringError(f"{place}: {reference!r} is not an endpoint, expected role.port")
-            role, port = match.groups()
+                raise WiringError(f"{place}: {reference!r} is not an endpoint, expected role.port, or other role.port")
+            other, role, port = match.groups()
             referenced = members(role, nodes, place, placeholder=placeholder, subject=subject)
+            if other:
+                every = members(role, nodes, place)
+                referenced = {name: node for name, node in every.items() if name not in referenced}
             return ports(referenced, port, message, place, output=output, optional=optional.get(role, ()))
 
         key = template.replace(f"{{{placeholder}}}", agent_of(subject)).replace(f"{{{PART}}}", part_of(subject))

@@ -317,3 +317,8 @@ def part_of(subject: str) -> str:
 def subject_of(agent: str, part: str) -> str:
     """The subject of a part of an agent, or of the agent itself if `part` is empty."""
     return f"{agent}/{part}" if part else agent
+
+
+def peer_of(agent: str) -> str:
+    """The name of an agent's peer."""
+    return f"peer_{agent}"
