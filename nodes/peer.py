@@ -4,28 +4,52 @@ It broadcasts its agent's own tracks to the peers of all other agents, and fuses
 picture goes to its agent, as a command centre's would. What it hears in a frame is used from the next one on: a message
 takes that long on the air, and the result does not depend on the order of arrival.
 
-Only own perception is broadcast, as the standard intends (ETSI TS 103 324). With `relays`, the objects of its last
-picture follow, each with the agents whose tracks it comes from: rumours, which a receiver may count twice.
+Only own perception is broadcast, as the standard intends (ETSI TS 103 324). Where a map has a wire for it
+(keyexpr_maps/relays.toml), a peer relays its picture, too, each object with the agents whose tracks are in it. A
+receiver leaves out objects that have its own tracks in them; others it may count twice: rumours.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mast_zenoh.arrays.geometry import states_to_world
-from mast_zenoh.arrays.states import ObjectStates, concatenate
+from mast_zenoh.arrays.states import Bools, ObjectStates, concatenate
 from mast_zenoh.gather import MAX_AGE_S, Gather, LatestBefore, plausible_rows
 from mast_zenoh.integrity.views import SweptView, check_view, view_of
-from mast_zenoh.messages.schemas import Body
+from mast_zenoh.messages.schemas import Body, text
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.pipelines import Pipeline, trust_body
 from mast_zenoh.pipelines.heard import HeardTracks
+from mast_zenoh.pipelines.origins import Origins
 from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.tracking.kalman import predicted
+
+#: Ending of the name under which what an agent relays is fused, beside what it broadcasts.
+RELAY = "/relay"
+
+
+class Relay(NamedTuple):
+    """Objects of another agent's picture.
+
+    states: n objects at `time_ns`, world frame; origin: (n, a) whether each of `agents` is among their origins
+    """
+
+    time_ns: int
+    states: ObjectStates
+    agents: tuple[str, ...]
+    origin: Bools
+
+    def without(self, agent: str) -> Relay:
+        """The objects that have none of an agent's tracks in them."""
+        if agent not in self.agents:
+            return self
+        kept = ~self.origin[:, self.agents.index(agent)]
+        return self._replace(states=self.states.select(kept), origin=self.origin[kept])
 
 
 class Peer(Node):
@@ -38,13 +62,22 @@ class Peer(Node):
     """
 
     role = "peer"
-    inputs = {"clock": "clock", "own": "tracks", "heard": "tracks", "own_view": "view", "heard_view": "view"}
-    outputs = {"broadcast": "tracks", "picture": "picture", "trust": "trust"}
+    inputs = {
+        "clock": "clock",
+        "own": "tracks",
+        "heard": "tracks",
+        "own_view": "view",
+        "heard_view": "view",
+        "relayed": "relayed",
+    }
+    outputs = {"broadcast": "tracks", "relay": "relayed", "picture": "picture", "trust": "trust"}
 
     def __init__(self, agent: str, pipeline: Pipeline, memory_s: float = 0.0, max_age_s: float = MAX_AGE_S) -> None:
         self.agent = agent
         self.pipeline = pipeline
         self.heard = HeardTracks(memory_s, max_age_s)
+        self.relays: dict[str, LatestBefore[Relay]] = {}
+        self.origins = Origins()
         self.max_age_ns = round(max_age_s * 1e9)
         self.sensed: Gather[str, Received] = Gather({"clock", "own"})
         self.own: tuple[int, ObjectStates] | None = None  # time, ns, and tracks
@@ -79,6 +112,16 @@ class Peer(Node):
         self.received[received.subject] += 1
         self.heard.add(received.subject, context.frame, received.time_ns, self.tracks_of(received))
 
+    def on_relayed(self, received: Received, context: Context) -> None:
+        """The picture of another agent."""
+        body = received.body
+        states = ObjectStates.from_columns(body)
+        plausible = plausible_rows(states)
+        self.absurd += len(states) - len(plausible)
+        names, origin = tuple(body["agents"]), body["origin"][plausible] > 0
+        relay = Relay(received.time_ns, states.select(plausible), names, origin).without(self.agent)
+        self.relays.setdefault(received.subject, LatestBefore()).add(context.frame, relay, received.frame)
+
     def on_heard_view(self, received: Received, context: Context) -> None:
         """What the sensor of another agent covers."""
         try:
@@ -109,13 +152,50 @@ class Peer(Node):
             tracks[self.agent] = predicted(self.own[1], (time_ns - self.own[0]) * 1e-9)
         if views := self.views_at(frame, time_ns, items):
             self.pipeline.look(views)
+        relays = self.relays_at(frame, time_ns) if context.connected("relay") else {}
+        tracks |= {f"{name}{RELAY}": relay.states for name, relay in relays.items()}
         names = tuple(sorted(tracks))
         parts = [tracks[name] for name in names]
         agent = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
         picture, support = self.pipeline.step(time_ns, concatenate(parts), agent, names)
         context.publish("picture", picture.columns() | {"support": support}, frame=frame, time_ns=time_ns)
+        if context.connected("relay"):
+            agents, origin = self.origins_of(picture, names, parts, relays)
+            body = picture.columns() | {"agents": text(agents), "origin": origin.astype(np.uint8)}
+            context.publish("relay", body, frame=frame, time_ns=time_ns)
         if self.pipeline.trust is not None:
             context.publish("trust", trust_body(self.pipeline.trust), frame=frame, time_ns=time_ns)
+
+    def relays_at(self, frame: int, time_ns: int) -> dict[str, Relay]:
+        """The pictures of the other agents, predicted to a time; by name."""
+        relays = {}
+        for name, relay in self.relays.items():
+            latest = relay.get(frame)
+            if latest is not None and abs(time_ns - latest[1].time_ns) <= self.max_age_ns:
+                age_s = (time_ns - latest[1].time_ns) * 1e-9
+                relays[name] = latest[1]._replace(states=predicted(latest[1].states, age_s))
+        return relays
+
+    def origins_of(
+        self, picture: ObjectStates, names: Sequence[str], parts: Sequence[ObjectStates], relays: Mapping[str, Relay]
+    ) -> tuple[list[str], Bools]:
+        """Names of a agents, sorted, and whether each is among the origins of each object of the picture: (n, a).
+
+        names, parts: the members of the step and their tracks, in the order of the pipeline's input
+        """
+        direct = {name for name in names if not name.endswith(RELAY)}
+        agents = sorted(direct.union(*(relay.agents for relay in relays.values())))
+        origins = []
+        for name, part in zip(names, parts, strict=True):
+            rows = np.zeros((len(part), len(agents)), np.bool_)
+            if name in direct:
+                rows[:, agents.index(name)] = True
+            else:
+                relay = relays[name.removesuffix(RELAY)]
+                rows[:, [agents.index(each) for each in relay.agents]] = relay.origin
+            origins.append(rows)
+        of_members = np.concatenate([np.zeros((0, len(agents)), np.bool_), *origins])
+        return agents, self.origins.update(picture.id, self.pipeline.members, of_members, agents)
 
     def views_at(self, frame: int, time_ns: int, items: Mapping[str, Received]) -> dict[str, SweptView]:
         """What the sensors of the agents cover, as far as it is known; by name."""

@@ -16,6 +16,7 @@ def scenario(
     attack_start_s=4.0,
     defence=None,
     fusion="CovarianceIntersectionFusion",
+    relays=False,
     scene="intersection",
     scene_index=None,
     n_infrastructure=None,
@@ -26,7 +27,8 @@ def scenario(
     n_adversaries: agents compromised, with the attack of `uncoordinated`, from attack_start_s on;
     on: where: sent (what the agent sends to all), pair (what it sends to the listener), or heard (one adversary, on
     all that the listener hears); listener: an agent;
-    defence: an integrity stage for every peer; fusion: of the tracks of an object, a class.
+    defence: an integrity stage for every peer; fusion: of the tracks of an object, a class;
+    relays: whether peers relay their pictures, too, so that rumours spread.
     """
     content = baseline(scene, scene_index, n_infrastructure, n_mobile)
     pipeline = content["command_center"]["pipeline"]
@@ -39,6 +41,7 @@ def scenario(
         victims = [others] if n_adversaries else []
     lies = uncoordinated(1, attack_start_s=attack_start_s)["adversaries"]["adversary_1"]["attack"]
     before = {} if on == "sent" else dict(peer=f"peer_{listener}")
+    more = ["views.toml"] * bool(defence) + ["relays.toml"] * relays + [MAPS[on]] * bool(victims)
     return content | dict(
         name="peers",
         broker=None,
@@ -48,8 +51,5 @@ def scenario(
             f"adversary_{i}": dict(type="Adversary", agent=victim, attack=lies, **before)
             for i, victim in enumerate(victims, 1)
         },
-        keyexpr=dict(
-            map="testbed.toml",
-            rewrites=["peers.toml", *(["views.toml"] if defence else []), *([MAPS[on]] if victims else [])],
-        ),
+        keyexpr=dict(map="testbed.toml", rewrites=["peers.toml", *more]),
     )

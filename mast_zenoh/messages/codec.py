@@ -345,7 +345,7 @@ def _check_references(message: Message) -> None:
         agent, rows = body["agent"], len(body["agents"])
         if agent.size and not (agent.min() >= 0 and agent.max() < rows):
             raise MessageError(f"collated.agent: a row outside `agents`, which has {rows}")
-    elif schema in ("tracks", "picture") and len(set(body["id"].tolist())) != len(body["id"]):
+    elif schema in ("tracks", "picture", "relayed") and len(set(body["id"].tolist())) != len(body["id"]):
         raise MessageError(f"{schema}.id: an id occurs twice")
 
 

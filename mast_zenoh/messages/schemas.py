@@ -249,6 +249,16 @@ BUILT_IN: Mapping[str, Schema] = {
         ),
         Schema("tracks", 1, "an agent's confirmed tracks", (*_states(), *_FRAME_OF_REFERENCE)),
         Schema(
+            "relayed",
+            1,
+            "objects of an agent's picture, for other agents, world frame",
+            (
+                *_states(),
+                Column("agents", "str", ("a",), "", "names of agents, sorted"),
+                Column("origin", "uint8", ("n", "a"), "", "1: the agent's tracks are in the object", below=2),
+            ),
+        ),
+        Schema(
             "status",
             1,
             "an agent's type and counts",
