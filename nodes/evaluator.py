@@ -244,7 +244,12 @@ def routes(wiring: Wiring, agents: Sequence[str]) -> dict[str, Route]:
                 series[key].append(Series(agent, RECEIVED))
             takes |= dict.fromkeys((source.key, *received), "take_tracks")
         elif wire.message == "picture":
-            series[source.key].append(Series(wire.subject, PICTURE))  # of a centre: shared; of a peer: its agent's
+            if wire.subject in agents:
+                series[source.key].append(Series(wire.subject, PICTURE))  # of the agent's peer
+            elif not wire.subject or any(end in agents for end in ends):
+                series[source.key].append(Series("", PICTURE))
+            else:
+                continue  # of a region, for another centre
             received = [(key, name) for name, key in ends.items() if name in agents]
             for key, name in received:
                 series[key].append(Series(name, PICTURE_RECEIVED))

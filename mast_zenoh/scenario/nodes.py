@@ -58,6 +58,8 @@ def nodes_of(
     for role in ("broker", "command_center"):
         if scenario.get(role, {}) is not None:
             add(role, role, scenario.get(role, {}))
+    for name, config in _checked_configs(scenario.get("centers", {}), f"{path}: centers"):
+        add(name, "center", config)
     agents = [agent.name for agent in recording.agents]
     for agent_name, config in _peers(scenario.get("peers", {}), agents, f"{path}: peers"):
         if not isinstance(config, Mapping):
