@@ -7,11 +7,11 @@ import pytest
 from tiny_world import Run, tiny
 
 from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.errors import ConfigurationError
 
 ALONE = ("n_mobile=0",)
 LIES = (*ALONE, "n_adversaries=1", "attack_start_s=0.2")
 AGENTS = ("ego", "infra_1", "infra_2")
-INTERPOSERS = {"sent": "adversary_1", "pair": "adversary_1", "heard": "adversary_1"}
 
 
 @cache
@@ -94,3 +94,31 @@ def test_an_agent_whose_peer_a_pattern_leaves_out_has_no_picture_and_is_not_hear
     run = Run(tiny("peers", *ALONE, infrastructure=2, edit=edit))
     assert "agent/infra_2/picture" not in run.messages
     assert run.results["peer_ego"]["heard"] == {"infra_1": 12}
+
+
+def test_a_peer_that_relays_says_from_whom_each_object_comes_and_leaves_out_what_returns() -> None:
+    run = played(*ALONE, "relays=true")
+    origins: dict[str, set[tuple[str, ...]]] = {}
+    for agent in AGENTS:
+        *_, last = run.decoded(f"agent/{agent}/relay", "relayed")
+        rows = last.body["origin"] > 0
+        origins[agent] = {tuple(last.body["agents"][row]) for row in rows}
+    assert ("infra_1", "infra_2") in origins["ego"], "the ego does not detect itself"
+    plain = played(*ALONE)
+    assert run.messages["agent/ego/broadcast"] == plain.messages["agent/ego/broadcast"]
+    for agent in AGENTS[1:]:
+        assert run.messages[f"agent/{agent}/picture"] == plain.messages[f"agent/{agent}/picture"], "they see all"
+
+
+def test_runs_with_relays_do_not_depend_on_the_order_of_delivery() -> None:
+    plain, resolved = played(*ALONE, "relays=true"), tiny("peers", *ALONE, "relays=true", infrastructure=2)
+    for shuffle in range(10):
+        assert Run(resolved, shuffle=shuffle).messages == plain.messages
+
+
+def test_a_pattern_for_no_agent_is_refused() -> None:
+    def edit(content: dict) -> None:
+        content["peers"]["infra_9"] = content["peers"]["*"]
+
+    with pytest.raises(ConfigurationError, match="peers: no agent 'infra_9' in this scene"):
+        tiny("peers", *ALONE, infrastructure=2, edit=edit)
