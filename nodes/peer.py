@@ -2,7 +2,8 @@
 
 It broadcasts its agent's own tracks to the peers of all other agents, and fuses them with those that it hears. Its
 picture goes to its agent, as a command centre's would. What it hears in a frame is used from the next one on: a message
-takes that long on the air, and the result does not depend on the order of arrival.
+takes that long on the air, and the result does not depend on the order of arrival. Where there is a channel node, that
+tells it which messages arrived.
 
 Only own perception is broadcast, as the standard intends (ETSI TS 103 324). Where a map has a wire for it
 (keyexpr_maps/relays.toml), a peer relays its picture, too, each object with the agents whose tracks are in it. A
@@ -19,7 +20,7 @@ import numpy as np
 
 from mast_zenoh.arrays.geometry import states_to_world
 from mast_zenoh.arrays.states import Bools, ObjectStates, concatenate
-from mast_zenoh.gather import MAX_AGE_S, Gather, LatestBefore, plausible_rows
+from mast_zenoh.gather import MAX_AGE_S, Gather, plausible_rows
 from mast_zenoh.integrity.views import SweptView, check_view, view_of
 from mast_zenoh.messages.schemas import Body, text
 from mast_zenoh.node import Context, Node, Received
@@ -28,9 +29,13 @@ from mast_zenoh.pipelines.heard import HeardTracks
 from mast_zenoh.pipelines.origins import Origins
 from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.tracking.kalman import predicted
+from mast_zenoh.v2x import CongestionControl, GenerationRules
+from mast_zenoh.v2x.station import Station
 
 #: Ending of the name under which what an agent relays is fused, beside what it broadcasts.
 RELAY = "/relay"
+#: Messages of one agent that wait for the next frame, at most.
+MAX_WAITING = 64
 
 
 class Relay(NamedTuple):
@@ -52,75 +57,99 @@ class Relay(NamedTuple):
         return self._replace(states=self.states.select(kept), origin=self.origin[kept])
 
 
+class Heard(NamedTuple):
+    """A message from another agent. arrived: frame of arrival"""
+
+    arrived: int
+    port: str
+    received: Received
+
+    def order(self) -> tuple[Any, ...]:
+        """Its place among those that arrived in the same frame."""
+        header = self.received.message.header
+        return self.arrived, self.received.subject, self.port, header.time_ns, header.frame, header.seq
+
+
 class Peer(Node):
     """Fuses the tracks of its agent with those that it hears.
 
     agent: whose peer it is
     pipeline: from the tracks of all to the picture, as in a command centre
-    memory_s: how long an object is kept that a newer message of its sender left out; 0: not at all
+    rules: when it broadcasts which tracks; None: all in every frame
+    congestion: how often it may broadcast, by the load of the channel; None: always
+    memory_s: how long an object is kept that a newer message of its sender left out, as generation rules do; 0: not at
+        all
     max_age_s: the greatest age of a track that is used
     """
 
     role = "peer"
     inputs = {
         "clock": "clock",
+        "pose": "pose",
         "own": "tracks",
-        "heard": "tracks",
         "own_view": "view",
+        "heard": "tracks",
         "heard_view": "view",
         "relayed": "relayed",
+        "reception": "reception",
     }
     outputs = {"broadcast": "tracks", "relay": "relayed", "picture": "picture", "trust": "trust"}
 
-    def __init__(self, agent: str, pipeline: Pipeline, memory_s: float = 0.0, max_age_s: float = MAX_AGE_S) -> None:
+    def __init__(
+        self,
+        agent: str,
+        pipeline: Pipeline,
+        rules: GenerationRules | None = None,
+        congestion: CongestionControl | None = None,
+        memory_s: float = 0.0,
+        max_age_s: float = MAX_AGE_S,
+    ) -> None:
         self.agent = agent
         self.pipeline = pipeline
-        self.heard = HeardTracks(memory_s, max_age_s)
-        self.relays: dict[str, LatestBefore[Relay]] = {}
-        self.origins = Origins()
+        self.station = Station(rules, congestion)
         self.max_age_ns = round(max_age_s * 1e9)
         self.sensed: Gather[str, Received] = Gather({"clock", "own"})
+        self.inbox: list[Heard] = []  # what is not used yet
+        self.heard = HeardTracks(memory_s, max_age_s)
+        self.views: dict[str, tuple[int, Body]] = {}  # their times, ns, and columns
+        self.relays: dict[str, Relay] = {}
+        self.origins = Origins()
         self.own: tuple[int, ObjectStates] | None = None  # time, ns, and tracks
-        self.views: dict[str, LatestBefore[tuple[int, Body]]] = {}
+        self.place = np.zeros(3)
         self.newest_ns = 0
-        self.received: Counter[str] = Counter()
-        self.absurd = 0
+        self.counts: Counter[str] = Counter()
 
     def start(self, context: Context) -> None:
-        """Wait for the agent's view in each frame, if agents send any."""
+        """Wait in each frame for all that the agent and the channel send."""
         self.pipeline.bind(context.seed, context.name)
-        if any(source.port == "own_view" for source in context.subscriptions.values()):
-            self.sensed.expected.add("own_view")
+        ports = {source.port for source in context.subscriptions.values()}
+        self.sensed.expected |= ports & {"pose", "own_view", "reception"}
 
     def on_clock(self, received: Received, context: Context) -> None:
         """Fuse what there is for frames for which the agent sent nothing."""
         for frame, items in self.sensed.expired(received.frame):
-            self.fuse(frame, items, context)
+            self.process(frame, items, context)
         self.sense("clock", received, context)
 
+    def on_pose(self, received: Received, context: Context) -> None:
+        """The pose of its agent."""
+        self.sense("pose", received, context)
+
     def on_own(self, received: Received, context: Context) -> None:
-        """The tracks of its own agent: broadcast them."""
-        context.publish("broadcast", received.body, frame=received.frame, time_ns=received.time_ns)
+        """The tracks of its agent."""
         self.sense("own", received, context)
 
     def on_own_view(self, received: Received, context: Context) -> None:
-        """What the sensor of its own agent covers."""
+        """What the sensor of its agent covers."""
         self.sense("own_view", received, context)
+
+    def on_reception(self, received: Received, context: Context) -> None:
+        """Which messages of the frame before arrived, and how busy the channel was."""
+        self.sense("reception", received, context)
 
     def on_heard(self, received: Received, context: Context) -> None:
         """The tracks of another agent."""
-        self.received[received.subject] += 1
-        self.heard.add(received.subject, context.frame, received.time_ns, self.tracks_of(received))
-
-    def on_relayed(self, received: Received, context: Context) -> None:
-        """The picture of another agent."""
-        body = received.body
-        states = ObjectStates.from_columns(body)
-        plausible = plausible_rows(states)
-        self.absurd += len(states) - len(plausible)
-        names, origin = tuple(body["agents"]), body["origin"][plausible] > 0
-        relay = Relay(received.time_ns, states.select(plausible), names, origin).without(self.agent)
-        self.relays.setdefault(received.subject, LatestBefore()).add(context.frame, relay, received.frame)
+        self.hear("heard", received, context)
 
     def on_heard_view(self, received: Received, context: Context) -> None:
         """What the sensor of another agent covers."""
@@ -129,30 +158,80 @@ class Peer(Node):
         except ValueError as error:
             context.reject(f"implausible: view: {error}")
             return
-        views = self.views.setdefault(received.subject, LatestBefore())
-        views.add(context.frame, (received.time_ns, received.body), received.frame)
+        self.hear("heard_view", received, context)
+
+    def on_relayed(self, received: Received, context: Context) -> None:
+        """The picture of another agent."""
+        self.hear("relayed", received, context)
+
+    def hear(self, port: str, received: Received, context: Context) -> None:
+        """Keep a message of another agent for the next frame."""
+        if sum(each.received.subject == received.subject for each in self.inbox) >= MAX_WAITING:
+            context.reject(f"overflow: more than {MAX_WAITING} messages of {received.subject} in a frame")
+            return
+        self.inbox.append(Heard(context.frame, port, received))
 
     def sense(self, port: str, received: Received, context: Context) -> None:
-        """Fuse a frame once all has arrived that its agent sends."""
+        """Process a frame once all has arrived that its agent and the channel send."""
         items = self.sensed.add(received.frame, port, received)
         if items is not None:
-            self.fuse(received.frame, items, context)
+            self.process(received.frame, items, context)
 
-    def fuse(self, frame: int, items: Mapping[str, Received], context: Context) -> None:
-        """Publish the picture of a frame, and the trust in agents and objects."""
+    def process(self, frame: int, items: Mapping[str, Received], context: Context) -> None:
+        """Publish what the agent broadcasts in a frame, and its picture."""
         time_ns = items.get("clock", next(iter(items.values()))).time_ns
         if time_ns < self.newest_ns:
             context.reject(f"old: frame {frame}: time_ns is {time_ns}, expected at least {self.newest_ns}")
             return
-        self.newest_ns = time_ns
+        before_ns, self.newest_ns = self.newest_ns, time_ns
+        self.open_inbox(frame, items.get("reception"), before_ns)
+        if "pose" in items:
+            self.place = items["pose"].body["position"]
         if "own" in items:
             self.own = items["own"].time_ns, self.tracks_of(items["own"])
-        tracks = self.heard.at(frame, time_ns)
+            self.broadcast(time_ns, items["own"], context)
+        self.fuse(frame, time_ns, items, context)
+
+    def open_inbox(self, frame: int, reception: Received | None, before_ns: int) -> None:
+        """Use the messages that arrived before a frame. before_ns: time of the frame before"""
+        if reception is not None:
+            busy, airtime_ns = float(reception.body["busy_ratio"][0]), int(reception.body["airtime_ns"][0])
+            self.station.measure(reception.time_ns, busy, before_ns, airtime_ns)
+        arrived = None if reception is None else set(reception.body["agents"])
+        ready = sorted((each for each in self.inbox if each.arrived < frame), key=Heard.order)
+        self.inbox = [each for each in self.inbox if each.arrived >= frame]
+        for _, port, received in ready:
+            sender = received.subject
+            if arrived is not None and sender not in arrived:
+                self.counts[f"lost/{sender}"] += 1
+            elif port == "heard":
+                self.counts[f"heard/{sender}"] += 1
+                states = self.tracks_of(received)
+                self.heard.add(sender, received.time_ns, states)
+                self.station.hear(received.time_ns, states, received.body["origin"])
+            elif port == "heard_view":
+                self.views[sender] = received.time_ns, received.body
+            else:
+                self.relays[sender] = self.relay_of(received)
+
+    def broadcast(self, time_ns: int, own: Received, context: Context) -> None:
+        """Broadcast the tracks of the agent that are due."""
+        states = states_to_world(ObjectStates.from_columns(own.body), own.body["origin"], own.body["rotation"])
+        generation = self.station.transmit(time_ns, states, self.place)
+        if generation.generated:
+            reference = {name: own.body[name] for name in ("origin", "rotation")}
+            columns = ObjectStates.from_columns(own.body).select(generation.rows).columns()
+            context.publish("broadcast", columns | reference, frame=own.frame, time_ns=own.time_ns)
+            self.counts["broadcasts"] += 1
+
+    def fuse(self, frame: int, time_ns: int, items: Mapping[str, Received], context: Context) -> None:
+        """Publish the picture of a frame, and the trust in agents and objects."""
+        tracks = self.heard.at(time_ns)
         if self.own is not None and abs(time_ns - self.own[0]) <= self.max_age_ns:
             tracks[self.agent] = predicted(self.own[1], (time_ns - self.own[0]) * 1e-9)
-        if views := self.views_at(frame, time_ns, items):
+        if views := self.views_at(time_ns, items):
             self.pipeline.look(views)
-        relays = self.relays_at(frame, time_ns) if context.connected("relay") else {}
+        relays = self.relays_at(time_ns)
         tracks |= {f"{name}{RELAY}": relay.states for name, relay in relays.items()}
         names = tuple(sorted(tracks))
         parts = [tracks[name] for name in names]
@@ -166,15 +245,22 @@ class Peer(Node):
         if self.pipeline.trust is not None:
             context.publish("trust", trust_body(self.pipeline.trust), frame=frame, time_ns=time_ns)
 
-    def relays_at(self, frame: int, time_ns: int) -> dict[str, Relay]:
-        """The pictures of the other agents, predicted to a time; by name."""
-        relays = {}
-        for name, relay in self.relays.items():
-            latest = relay.get(frame)
-            if latest is not None and abs(time_ns - latest[1].time_ns) <= self.max_age_ns:
-                age_s = (time_ns - latest[1].time_ns) * 1e-9
-                relays[name] = latest[1]._replace(states=predicted(latest[1].states, age_s))
-        return relays
+    def views_at(self, time_ns: int, items: Mapping[str, Received]) -> dict[str, SweptView]:
+        """What the sensors of the agents cover, as far as it is known; by name."""
+        self.views = {name: each for name, each in self.views.items() if abs(time_ns - each[0]) <= self.max_age_ns}
+        views = {name: view_of(body, (time_ns - at_ns) * 1e-9) for name, (at_ns, body) in self.views.items()}
+        if "own_view" in items:
+            views[self.agent] = view_of(items["own_view"].body)
+        return views
+
+    def relays_at(self, time_ns: int) -> dict[str, Relay]:
+        """The pictures of other agents, predicted to a time; by name."""
+        ages = {name: time_ns - relay.time_ns for name, relay in self.relays.items()}
+        self.relays = {name: relay for name, relay in self.relays.items() if abs(ages[name]) <= self.max_age_ns}
+        return {
+            name: relay._replace(states=predicted(relay.states, ages[name] * 1e-9))
+            for name, relay in self.relays.items()
+        }
 
     def origins_of(
         self, picture: ObjectStates, names: Sequence[str], parts: Sequence[ObjectStates], relays: Mapping[str, Relay]
@@ -197,29 +283,27 @@ class Peer(Node):
         of_members = np.concatenate([np.zeros((0, len(agents)), np.bool_), *origins])
         return agents, self.origins.update(picture.id, self.pipeline.members, of_members, agents)
 
-    def views_at(self, frame: int, time_ns: int, items: Mapping[str, Received]) -> dict[str, SweptView]:
-        """What the sensors of the agents cover, as far as it is known; by name."""
-        views = {}
-        for name, heard in self.views.items():
-            latest = heard.get(frame)
-            if latest is not None and abs(time_ns - latest[1][0]) <= self.max_age_ns:
-                views[name] = view_of(latest[1][1], (time_ns - latest[1][0]) * 1e-9)
-        if "own_view" in items:
-            views[self.agent] = view_of(items["own_view"].body)
-        return views
+    def relay_of(self, received: Received) -> Relay:
+        """The objects in a message about a picture, without absurd ones and those with own tracks in them."""
+        body = received.body
+        states = ObjectStates.from_columns(body)
+        plausible = plausible_rows(states)
+        self.counts["absurd"] += len(states) - len(plausible)
+        relay = Relay(received.time_ns, states.select(plausible), tuple(body["agents"]), body["origin"][plausible] > 0)
+        return relay.without(self.agent)
 
     def tracks_of(self, received: Received) -> ObjectStates:
         """The tracks in a message, world frame, without absurd ones."""
         body = received.body
         states = states_to_world(ObjectStates.from_columns(body), body["origin"], body["rotation"])
         plausible = plausible_rows(states)
-        self.absurd += len(states) - len(plausible)
+        self.counts["absurd"] += len(states) - len(plausible)
         return states if len(plausible) == len(states) else states.select(plausible)
 
     def finish(self, context: Context) -> dict[str, Any]:
-        """Numbers of messages heard from each agent, of absurd tracks, and what the pipeline counted."""
+        """Numbers of broadcasts, of messages heard and lost by sender, and what the pipeline counted."""
         innovations = self.pipeline.innovations
-        facts = self.pipeline.facts() | {"heard": dict(sorted(self.received.items())), "absurd": self.absurd}
+        facts = self.pipeline.facts() | {"radio": dict(sorted(self.counts.items()))}
         return facts | ({} if innovations is None else {"innovations": innovations.summary()})
 
 

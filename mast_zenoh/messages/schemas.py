@@ -259,6 +259,16 @@ BUILT_IN: Mapping[str, Schema] = {
             ),
         ),
         Schema(
+            "reception",
+            1,
+            "what arrived at a station of what was sent in the frame before, and the load of the channel",
+            (
+                Column("agents", "str", ("m",), "", "the stations whose messages arrived, sorted"),
+                Column("busy_ratio", "float64", (1,), "", "channel busy ratio, 0 to 1"),
+                Column("airtime_ns", "int64", (1,), "ns", "of the station's own message; 0: it sent none"),
+            ),
+        ),
+        Schema(
             "status",
             1,
             "an agent's type and counts",

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from mast_zenoh.arrays.states import Ints, ObjectStates, concatenate
@@ -11,19 +9,8 @@ from mast_zenoh.gather import MAX_AGE_S
 from mast_zenoh.tracking.kalman import predicted
 
 
-class _Message(NamedTuple):
-    """Tracks as they were heard. arrived: frame of arrival; time_ns: of the tracks"""
-
-    arrived: int
-    time_ns: int
-    states: ObjectStates
-
-
 class HeardTracks:
     """The newest tracks of each sender.
-
-    A message is used from the frame after the one in which it arrived. Others of that frame may arrive before or after
-    it, and the result must not depend on that; a radio message takes about as long.
 
     memory_s: how long an object is kept that a newer message of its sender left out, as generation rules do; 0: not at
         all, a message has all objects of its sender
@@ -35,55 +22,38 @@ class HeardTracks:
             if not 0.0 <= value < float("inf"):
                 raise ValueError(f"{name}: found {value}, expected 0 or more")
         self._memory_ns, self._max_age_ns = round(memory_s * 1e9), round(max_age_s * 1e9)
-        self._waiting: dict[str, list[_Message]] = {}
-        self._known: dict[str, tuple[ObjectStates, Ints]] = {}  # by sender: n tracks, and the time of each, ns
-        self._newest_ns: dict[str, int] = {}
+        self._known: dict[str, tuple[int, ObjectStates, Ints]] = {}  # ns of the newest, n tracks, time of each, ns
 
-    def add(self, sender: str, arrived: int, time_ns: int, states: ObjectStates) -> None:
-        """Add a message. arrived: frame of arrival; states: n tracks at `time_ns`, world frame, with different ids"""
-        self._waiting.setdefault(sender, []).append(_Message(arrived, time_ns, states))
+    def add(self, sender: str, time_ns: int, states: ObjectStates) -> None:
+        """Add a message; a second one about the same time, and an older one, are not used.
 
-    def at(self, frame: int, time_ns: int) -> dict[str, ObjectStates]:
-        """The tracks of each sender, predicted to `time_ns`, from messages that arrived before a frame; by name."""
-        self._take(frame)
+        states: n tracks at `time_ns`, world frame, with different ids
+        """
+        times = np.full(len(states), time_ns)
+        if sender in self._known:
+            newest_ns, before, before_ns = self._known[sender]
+            if time_ns <= newest_ns:
+                return
+            if self._memory_ns:
+                kept = ~np.isin(before.id, states.id) & (time_ns - before_ns <= self._memory_ns)
+                states, times = concatenate([states, before.select(kept)]), np.concatenate([times, before_ns[kept]])
+        self._known[sender] = time_ns, states, times
+
+    def at(self, time_ns: int) -> dict[str, ObjectStates]:
+        """The tracks of each sender, predicted to a time; by name, sorted."""
+        self._known = {
+            sender: known for sender, known in self._known.items() if abs(time_ns - known[0]) <= self._max_age_ns
+        }
         result = {}
         for sender in sorted(self._known):
-            states, times = self._known[sender]
+            _, states, times = self._known[sender]
             young = np.abs(time_ns - times) <= self._max_age_ns
-            if not young.all():
-                states, times = states.select(young), times[young]
-                self._known[sender] = states, times
-            if abs(time_ns - self._newest_ns[sender]) > self._max_age_ns:
-                del self._known[sender], self._newest_ns[sender]
-            else:
-                result[sender] = _at(time_ns, states, times)
+            result[sender] = _at(time_ns, states.select(young), times[young])
         return result
 
-    def _take(self, frame: int) -> None:
-        """Use the messages that arrived before a frame."""
-        for sender, messages in list(self._waiting.items()):
-            ready = sorted((each for each in messages if each.arrived < frame), key=_order)
-            self._waiting[sender] = [each for each in messages if each.arrived >= frame]
-            if not self._waiting[sender]:
-                del self._waiting[sender]
-            for message in ready:
-                self._update(sender, message)
-
-    def _update(self, sender: str, message: _Message) -> None:
-        if message.time_ns <= self._newest_ns.get(sender, message.time_ns - 1):
-            return  # late, or one more message about the same time
-        self._newest_ns[sender] = message.time_ns
-        states, times = message.states, np.full(len(message.states), message.time_ns)
-        if self._memory_ns and sender in self._known:
-            before, before_ns = self._known[sender]
-            kept = ~np.isin(before.id, states.id) & (message.time_ns - before_ns <= self._memory_ns)
-            states, times = concatenate([states, before.select(kept)]), np.concatenate([times, before_ns[kept]])
-        self._known[sender] = states, times
-
-
-def _order(message: _Message) -> tuple[int, bytes]:
-    """By time; of two messages about the same time, one that does not depend on which arrived first."""
-    return message.time_ns, message.states.position.tobytes()
+    def raw(self) -> list[tuple[ObjectStates, Ints]]:
+        """The tracks as they were heard, and the time of each, ns, of all senders in the order of their names."""
+        return [self._known[sender][1:] for sender in sorted(self._known)]
 
 
 def _at(time_ns: int, states: ObjectStates, times: Ints) -> ObjectStates:

@@ -65,6 +65,8 @@ def nodes_of(
         if not isinstance(config, Mapping):
             raise ConfigurationError(f"{path}: peers: {agent_name}: found {config!r}, expected a dict")
         add(peer_of(agent_name), "peer", {"agent": agent_name, **config})
+    if scenario.get("channel") is not None:
+        add("channel", "channel", scenario["channel"])
     adversaries = scenario.get("adversaries", {})
     for name, config in _checked_configs(adversaries, f"{path}: adversaries"):
         add(name, "adversary", config)

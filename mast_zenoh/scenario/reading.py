@@ -45,10 +45,10 @@ RUN_DEFAULTS: dict[str, Any] = {
 }
 #: Keys whose values are dicts; those of nodes that a run can do without may be None.
 _DICTS = (
-    *("broker", "command_center", "evaluator", "coordinator"),
+    *("broker", "command_center", "channel", "evaluator", "coordinator"),
     *("agents", "centers", "peers", "adversaries", "nodes", "links", "hosts", "keyexpr", "run"),
 )
-_OPTIONAL = ("broker", "command_center", "coordinator")
+_OPTIONAL = ("broker", "command_center", "channel", "coordinator")
 
 
 def normalise_keys(scenario: Mapping[str, Any], place: str) -> dict[str, Any]:
