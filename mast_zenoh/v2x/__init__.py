@@ -4,15 +4,17 @@
     redundancy   objects that others have reported: base class RedundancyRule; FrequencyRedundancy, DynamicsRedundancy,
                  DistanceRedundancy
     awareness    when a station says where it is: CamGeneration
-    congestion   how often stations may send: base class CongestionControl; Unlimited, ReactiveDcc, AdaptiveDcc
+    congestion   how often stations may send: base class CongestionControl; NoCongestionControl, ReactiveDcc,
+                 AdaptiveDcc
     channel      airtime of frames, busy ratio of the channel, and which frames arrive
+    input_limit  how many objects fusion gets from each agent: base class InputLimit; NoInputLimit, FairInput
 
 Arrays in, arrays out: no class here knows of nodes. Times are int64 ns, as in clocks.
 """
 
 from mast_zenoh.v2x.awareness import CamDecision, CamGeneration
 from mast_zenoh.v2x.channel import FrameTiming, RadioChannel, Transmissions, arrivals
-from mast_zenoh.v2x.congestion import AdaptiveDcc, CongestionControl, ReactiveDcc, Unlimited
+from mast_zenoh.v2x.congestion import AdaptiveDcc, CongestionControl, NoCongestionControl, ReactiveDcc
 from mast_zenoh.v2x.generation import (
     CpmGeneration,
     EveryFrame,
@@ -21,6 +23,7 @@ from mast_zenoh.v2x.generation import (
     Perception,
     quality_of_score,
 )
+from mast_zenoh.v2x.input_limit import FairInput, InputLimit, NoInputLimit, Selection
 from mast_zenoh.v2x.redundancy import (
     DistanceRedundancy,
     DynamicsRedundancy,
@@ -38,17 +41,21 @@ __all__ = [
     "DistanceRedundancy",
     "DynamicsRedundancy",
     "EveryFrame",
+    "FairInput",
     "FrameTiming",
     "FrequencyRedundancy",
     "Generation",
     "GenerationRules",
     "HeardObjects",
+    "InputLimit",
+    "NoCongestionControl",
+    "NoInputLimit",
     "Perception",
     "RadioChannel",
     "ReactiveDcc",
     "RedundancyRule",
+    "Selection",
     "Transmissions",
-    "Unlimited",
     "arrivals",
     "quality_of_score",
 ]

@@ -81,7 +81,7 @@ class CongestionControl(ABC):
         """Note the busy ratio (n,) of one slot."""
 
 
-class Unlimited(CongestionControl):
+class NoCongestionControl(CongestionControl):
     """No congestion control: every gate is always open."""
 
     def __init__(self) -> None:

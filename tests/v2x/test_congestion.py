@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 from mast_zenoh.config.registry import build, known_types
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.v2x.congestion import AdaptiveDcc, CongestionControl, ReactiveDcc, Unlimited
+from mast_zenoh.v2x.congestion import AdaptiveDcc, CongestionControl, NoCongestionControl, ReactiveDcc
 
 SLOT_NS = 100_000_000
 AIRTIME_NS = np.array([1_200_000])
-KINDS = ("Unlimited", "ReactiveDcc", "AdaptiveDcc")
+KINDS = ("NoCongestionControl", "ReactiveDcc", "AdaptiveDcc")
 
 
 def measure(control: CongestionControl, busy: float, seconds: float, start_s: float = 0.0, stations: int = 1) -> float:
@@ -52,7 +52,7 @@ def test_the_first_frame_may_always_be_sent(kind: str) -> None:
 
 
 def test_without_control_every_frame_may_be_sent() -> None:
-    control = Unlimited()
+    control = NoCongestionControl()
     control.measure(0, np.ones(1))
     control.note_sent(0, AIRTIME_NS, np.ones(1, bool))
     assert control.may_send(0).all()
