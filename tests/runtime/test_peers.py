@@ -93,7 +93,7 @@ def test_an_agent_whose_peer_a_pattern_leaves_out_has_no_picture_and_is_not_hear
 
     run = Run(tiny("peers", *ALONE, infrastructure=2, edit=edit))
     assert "agent/infra_2/picture" not in run.messages
-    assert run.results["peer_ego"]["heard"] == {"infra_1": 12}
+    assert run.results["peer_ego"]["radio"] == {"absurd": 0, "broadcasts": 12, "heard/infra_1": 11}
 
 
 def test_a_peer_that_relays_says_from_whom_each_object_comes_and_leaves_out_what_returns() -> None:
