@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mast_zenoh.arrays.geometry import states_to_world
-from mast_zenoh.arrays.states import Bools, ObjectStates, concatenate
+from mast_zenoh.arrays.states import Bools, Ints, ObjectStates, concatenate
 from mast_zenoh.gather import MAX_AGE_S, Gather, plausible_rows
 from mast_zenoh.integrity.views import SweptView, check_view, view_of
 from mast_zenoh.messages.schemas import Body, text
@@ -226,21 +226,25 @@ class Peer(Node):
 
     def fuse(self, frame: int, time_ns: int, items: Mapping[str, Received], context: Context) -> None:
         """Publish the picture of a frame, and the trust in agents and objects."""
-        tracks = self.heard.at(time_ns)
+        names, states, agent = self.heard.at(time_ns)
+        parts, agents = [states], [agent]
         if self.own is not None and abs(time_ns - self.own[0]) <= self.max_age_ns:
-            tracks[self.agent] = predicted(self.own[1], (time_ns - self.own[0]) * 1e-9)
+            parts.append(predicted(self.own[1], (time_ns - self.own[0]) * 1e-9))
+            agents.append(np.full(len(parts[-1]), len(names)))
+            names.append(self.agent)
         if views := self.views_at(time_ns, items):
             self.pipeline.look(views)
         relays = self.relays_at(time_ns)
-        tracks |= {f"{name}{RELAY}": relay.states for name, relay in relays.items()}
-        names = tuple(sorted(tracks))
-        parts = [tracks[name] for name in names]
-        agent = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
-        picture, support = self.pipeline.step(time_ns, concatenate(parts), agent, names)
+        for name in sorted(relays):
+            parts.append(relays[name].states)
+            agents.append(np.full(len(parts[-1]), len(names)))
+            names.append(f"{name}{RELAY}")
+        agent = np.concatenate(agents)
+        picture, support = self.pipeline.step(time_ns, concatenate(parts), agent, tuple(names))
         context.publish("picture", picture.columns() | {"support": support}, frame=frame, time_ns=time_ns)
         if context.connected("relay"):
-            agents, origin = self.origins_of(picture, names, parts, relays)
-            body = picture.columns() | {"agents": text(agents), "origin": origin.astype(np.uint8)}
+            origins, origin = self.origins_of(picture, names, agent, relays)
+            body = picture.columns() | {"agents": text(origins), "origin": origin.astype(np.uint8)}
             context.publish("relay", body, frame=frame, time_ns=time_ns)
         if self.pipeline.trust is not None:
             context.publish("trust", trust_body(self.pipeline.trust), frame=frame, time_ns=time_ns)
@@ -263,25 +267,22 @@ class Peer(Node):
         }
 
     def origins_of(
-        self, picture: ObjectStates, names: Sequence[str], parts: Sequence[ObjectStates], relays: Mapping[str, Relay]
+        self, picture: ObjectStates, names: Sequence[str], agent: Ints, relays: Mapping[str, Relay]
     ) -> tuple[list[str], Bools]:
         """Names of a agents, sorted, and whether each is among the origins of each object of the picture: (n, a).
 
-        names, parts: the members of the step and their tracks, in the order of the pipeline's input
+        names: members of the step; agent: rows of these of its tracks, in the order of the pipeline's input
         """
         direct = {name for name in names if not name.endswith(RELAY)}
-        agents = sorted(direct.union(*(relay.agents for relay in relays.values())))
-        origins = []
-        for name, part in zip(names, parts, strict=True):
-            rows = np.zeros((len(part), len(agents)), np.bool_)
+        origins = sorted(direct.union(*(relay.agents for relay in relays.values())))
+        of_tracks = np.zeros((len(agent), len(origins)), np.bool_)
+        for row, name in enumerate(names):
             if name in direct:
-                rows[:, agents.index(name)] = True
+                of_tracks[agent == row, origins.index(name)] = True
             else:
                 relay = relays[name.removesuffix(RELAY)]
-                rows[:, [agents.index(each) for each in relay.agents]] = relay.origin
-            origins.append(rows)
-        of_members = np.concatenate([np.zeros((0, len(agents)), np.bool_), *origins])
-        return agents, self.origins.update(picture.id, self.pipeline.members, of_members, agents)
+                of_tracks[np.ix_(agent == row, [origins.index(each) for each in relay.agents])] = relay.origin
+        return origins, self.origins.update(picture.id, self.pipeline.members, of_tracks, origins)
 
     def relay_of(self, received: Received) -> Relay:
         """The objects in a message about a picture, without absurd ones and those with own tracks in them."""

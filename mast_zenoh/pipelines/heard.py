@@ -39,25 +39,21 @@ class HeardTracks:
                 states, times = concatenate([states, before.select(kept)]), np.concatenate([times, before_ns[kept]])
         self._known[sender] = time_ns, states, times
 
-    def at(self, time_ns: int) -> dict[str, ObjectStates]:
-        """The tracks of each sender, predicted to a time; by name, sorted."""
+    def at(self, time_ns: int) -> tuple[list[str], ObjectStates, Ints]:
+        """Names of the senders, sorted; n tracks of all, predicted to a time; and (n,) rows of the senders."""
         self._known = {
             sender: known for sender, known in self._known.items() if abs(time_ns - known[0]) <= self._max_age_ns
         }
-        result = {}
-        for sender in sorted(self._known):
-            _, states, times = self._known[sender]
-            young = np.abs(time_ns - times) <= self._max_age_ns
-            result[sender] = _at(time_ns, states.select(young), times[young])
-        return result
-
-    def raw(self) -> list[tuple[ObjectStates, Ints]]:
-        """The tracks as they were heard, and the time of each, ns, of all senders in the order of their names."""
-        return [self._known[sender][1:] for sender in sorted(self._known)]
-
-
-def _at(time_ns: int, states: ObjectStates, times: Ints) -> ObjectStates:
-    """n tracks with times (n,) ns, predicted to one."""
-    distinct = np.unique(times)
-    parts = [predicted(states.select(times == each), (time_ns - int(each)) * 1e-9) for each in distinct]
-    return concatenate(parts)
+        names = sorted(self._known)
+        known = [self._known[name] for name in names]
+        states = concatenate([each for _, each, _ in known])
+        sender = np.repeat(np.arange(len(names)), [len(each) for _, each, _ in known])
+        age_ns = time_ns - np.concatenate([np.zeros(0, np.int64), *(times for _, _, times in known)])
+        young = np.abs(age_ns) <= self._max_age_ns
+        if not young.all():
+            states, sender, age_ns = states.select(young), sender[young], age_ns[young]
+        groups = [np.flatnonzero(age_ns == age) for age in np.unique(age_ns)]
+        parts = [predicted(states.select(rows), float(age_ns[rows[0]]) * 1e-9) for rows in groups]
+        if len(parts) > 1:
+            states = concatenate(parts).select(np.argsort(np.concatenate(groups)))
+        return names, parts[0] if len(parts) == 1 else states, sender
