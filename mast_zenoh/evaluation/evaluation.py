@@ -43,6 +43,8 @@ from mast_zenoh.metrics import (
     driving,
 )
 from mast_zenoh.metrics.attributor import Withheld
+from mast_zenoh.metrics.between import between
+from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.metrics.measures import MEASURES, ScoredRun, check, estimates_of, frame_keys, measured, per_frame
 from mast_zenoh.metrics.trust import Fault, TrustUpdate
 from mast_zenoh.wiring.model import agent_of
@@ -330,6 +332,7 @@ class _Results:
                 "latency_ms": {"sim_to_picture": data.latency_percentiles_ms()},
                 "frames_per_second": 1e9 / times[1] if {0, 1} <= times.keys() else None,
                 **integrity,
+                **self._between(scored),
             },
             "tables": {
                 "metrics": per_frame,
@@ -362,6 +365,14 @@ class _Results:
         table = frame_keys(scores) | columns
         table["scored"] = np.tile(counts, len(scores.every_series))
         return summary, table, failed
+
+    def _between(self, scored: slice) -> dict[str, Any]:
+        """How the pictures of agents differ; empty where they share one."""
+        own = [each for each in self.data.record.series() if each.agent and each.estimator == PICTURE]
+        if len(own) < 2:
+            return {}
+        scorer, blamed = self.settings.scorer, np.array([by != "" for by in self.labels.by], np.bool_)
+        return {"between": between(self.scores, blamed, scorer.range_m, scorer.distance, self.data.period_s, scored)}
 
     def _trust(self, scored: slice) -> tuple[dict[str, Any], dict[str, Any]]:
         """The metrics and the tables of a command centre that judges agents; empty without one."""

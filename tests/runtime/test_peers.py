@@ -85,6 +85,20 @@ def test_a_lie_reaches_those_on_whose_wire_it_is_and_nobody_else(on: str, deceiv
     metrics = attacked.results["evaluator"]["metrics"]["agents"]
     lied = {agent for agent in AGENTS if metrics[agent]["picture"]["fp_split"]["attack"] > 0}
     assert lied == deceived, "the cause is attributed to those that it reached"
+    spread = attacked.results["evaluator"]["metrics"]["between"]["deceived"]
+    assert {agent for agent, share in spread["agents"].items() if share > 0} == deceived
+    assert spread["most"] == pytest.approx(len(deceived) / len(AGENTS))
+    assert spread["first_s"] >= 0.2
+    assert (spread["half_after_s"] is not None) == (len(deceived) > 1)
+
+
+def test_without_a_lie_pictures_differ_little_and_nobody_is_deceived() -> None:
+    part = played(*ALONE).results["evaluator"]["metrics"]["between"]
+    assert part["pictures"] == 3
+    assert part["deceived"]["most"] == 0.0
+    assert part["deceived"]["first_s"] is None
+    assert 0.0 < part["difference_gospa_m"]["mean"] < 5.0
+    assert "between" not in Run(tiny("baseline", infrastructure=2)).results["evaluator"]["metrics"]
 
 
 def test_an_agent_whose_peer_a_pattern_leaves_out_has_no_picture_and_is_not_heard() -> None:
