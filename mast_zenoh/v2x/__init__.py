@@ -7,4 +7,7 @@ layout                          field tables as programs for the codec, and the 
 codec_kernels                   references of the compiled codec
 uper                            flat values to bytes and back: unaligned packed encoding rules, ITU-T X.691
 plain                           flat values as dicts and lists, for people and export
+    perceived_objects               objects of a CPM as columns of integers
+    cpm, cam                        messages as such columns and integers, in the standard's units
+    reference_position              reference positions, and the plane around an origin
 """
