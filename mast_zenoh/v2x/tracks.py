@@ -247,6 +247,6 @@ def segments(message: Cpm, max_bytes: int) -> list[Cpm]:
         first = fits
     if len(parts) > MOST_SEGMENTS:
         raise MessageError(
-            f"found {len(parts)} segments of at most {max_bytes} bytes, expected {MOST_SEGMENTS} or less"
+            f"found {len(parts)} segments of {max_bytes} bytes or less, expected at most {MOST_SEGMENTS}"
         )
     return [dataclasses.replace(part, segment=(number, len(parts))) for number, part in enumerate(parts, 1)]
