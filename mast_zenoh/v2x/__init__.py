@@ -1,4 +1,20 @@
-"""V2X: when a vehicle sends which objects, and what its radio channel carries.
+"""V2X: standard messages of vehicles as wire formats, when they are sent, and what their radio channel carries.
+
+Bytes:
+
+    asn1_types                kinds of ASN.1 types; the field tables are written with them
+    cdd, cdd_awareness        field tables of the common data dictionary, TS 102 894-2 v2.4.1
+    cpm_fields, cam_fields    field tables of TS 103 324 v2.1.1 and TS 103 900 v2.3.1
+    layout                    field tables as programs for the codec, and the place of each field in flat values
+    codec_kernels             references of the compiled codec
+    uper                      flat values to bytes and back: unaligned packed encoding rules, ITU-T X.691
+    plain                     flat values as dicts and lists, for people and export
+    perceived_objects         objects of a CPM as columns of integers
+    cpm, cam                  messages as such columns and integers, in the standard's units
+    reference_position        reference positions, and the plane around an origin
+    tracks                    tracks to CPM and back, in as many segments as a limit of bytes needs
+
+Sending:
 
     generation   when a station sends which objects: base class GenerationRules; EveryFrame, CpmGeneration
     redundancy   objects that others have reported: base class RedundancyRule; FrequencyRedundancy, DynamicsRedundancy,
