@@ -25,6 +25,10 @@ A map (TOML, or the same as a dict) lists wires. A rewrite changes them: it inse
     leg = "source"                        # optional: what the publisher sends, before any interposer
     node = "adversary_1"                  # optional: only this node
 
+    [[codec]]
+    wire = "agent/{agent}/tracks"         # or one agent's wire
+    codec = "cpm"                         # its messages travel as Collective Perception Messages, on all legs
+
 `{agent}` stands for each node of the role `agent` in turn. An endpoint `role.port` means the node that the
 placeholder names, if it has that role; else the nodes of the role whose option with the placeholder's name has its
 value (`adversary` with `agent="infra_1"`); else, if none has such an option, all nodes of the role.
@@ -62,6 +66,7 @@ from types import MappingProxyType
 from typing import Any
 
 from mast_zenoh.errors import WiringError, nearest
+from mast_zenoh.messages.packed import CODECS
 from mast_zenoh.messages.schemas import SCHEMAS
 from mast_zenoh.wiring.endpoints import NodeOptions, members, ports
 from mast_zenoh.wiring.model import (
@@ -87,6 +92,7 @@ _KEYS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "wire": (("key", "message", "from", "to"), ()),
     "insert": (("wire", "role", "input", "output"), ("to", "node", "optional")),
     "listen": (("wire", "role", "input"), ("leg", "node")),
+    "codec": (("wire", "codec"), ()),
 }
 
 #: The second placeholder of a key.
@@ -162,6 +168,10 @@ def resolve(
         _check_affected(entry, _placeholder(entry["wire"]), [wires[key] for key in keys], nodes, place)
         for key in keys:
             wires[key] = _listen(wires[key], entry, nodes, place)
+    for place, entry in _entries(sources, "codec"):
+        template = _template_of(entry["wire"], templates, place)
+        for key in templates[template] if entry["wire"] == template else [entry["wire"]]:
+            wires[key] = replace(wires[key], codec=_codec(entry["codec"], wires[key].message, place))
     return Wiring(tuple(wires.values()), _overhearers(nodes))
 
 
@@ -240,6 +250,15 @@ def _listen(wire: Wire, entry: Mapping[str, Any], nodes: Mapping[str, NodeOption
     return listen(wire, [Listener(end, "leg" in entry) for end in ends], place, every="*" in entry["wire"])
 
 
+def _codec(codec: str, message: str, place: str) -> str:
+    """The codec of a wire; raises WiringError for one that cannot carry its messages."""
+    if codec not in CODECS:
+        raise WiringError(f"{place}: codec: no codec {codec!r}{nearest(codec, CODECS)}")
+    if message not in CODECS[codec]:
+        raise WiringError(f"{place}: codec: {codec} carries {', '.join(CODECS[codec])}, the wire {message!r}")
+    return codec
+
+
 def _check_affected(
     entry: Mapping[str, Any], placeholder: str, wires: Sequence[Wire], nodes: Mapping[str, NodeOptions], place: str
 ) -> None:
@@ -287,7 +306,7 @@ def _entries(sources: Sources, kind: str) -> Iterator[tuple[str, Mapping[str, An
         for index, entry in enumerate(content.get(kind, ())):
             place = f"{file}: {kind} {index + 1}"
             _check_keys(entry, (*required, *optional), place, required=required)
-            for key in ("key", "message", "from", "wire", "role", "input", "output", "leg", "node"):
+            for key in ("key", "message", "from", "wire", "role", "input", "output", "leg", "node", "codec"):
                 if not isinstance(entry.get(key, ""), str):
                     raise WiringError(f"{place}: {key}: found {entry[key]!r}, expected a string")
             yield place, entry
