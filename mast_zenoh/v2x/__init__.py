@@ -10,4 +10,5 @@ plain                           flat values as dicts and lists, for people and e
     perceived_objects               objects of a CPM as columns of integers
     cpm, cam                        messages as such columns and integers, in the standard's units
     reference_position              reference positions, and the plane around an origin
+    tracks                          tracks to CPM and back, in as many segments as a limit of bytes needs
 """
