@@ -238,18 +238,17 @@ def from_rows(values: Values, start: int, n: int) -> tuple[PerceivedObjects, fro
     if (kind > OTHER).any() or (profile > ANIMAL).any():
         unread.add("objectClass.+")
     sensor_owner, sensors = _lists(values, rows, _SENSORS, 1)
-    objects = PerceivedObjects(
-        table,
-        np.column_stack([owner, kind, profile, subclass, out[:, _CONFIDENCE]]),
-        np.column_stack([sensor_owner, sensors[:, 0]]),
-    )
-    return objects, frozenset(unread)
+    classes, sensor_ids = np.empty((len(owner), 5), np.int64), np.empty((len(sensor_owner), 2), np.int64)
+    classes.T[:] = owner, kind, profile, subclass, out[:, _CONFIDENCE]
+    sensor_ids.T[:] = sensor_owner, sensors[:, 0]
+    return PerceivedObjects(table, classes, sensor_ids), frozenset(unread)
 
 
 def _lists(values: Values, rows: Values, slot: int, step: int) -> tuple[Values, Values]:
     """Owners of all elements of lists, and the rows of these elements."""
     counts = rows[:, slot]
     owner = np.repeat(np.arange(len(rows)), counts)
-    within = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
-    place = rows[owner, slot + 1] + step * within
+    place = rows[owner, slot + 1]
+    if len(owner) > np.count_nonzero(counts):
+        place += step * (np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts))
     return owner, values[place[:, None] + np.arange(step)]
