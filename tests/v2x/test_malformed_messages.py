@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from v2x_messages import MessageMaker, damaged
 
+from mast_zenoh import kernels
 from mast_zenoh.errors import MessageError
 from mast_zenoh.v2x import cam_fields, cpm_fields
 from mast_zenoh.v2x.layout import Layout
@@ -58,6 +59,19 @@ def test_no_damaged_message_crashes_or_passes_silently(layout):
 @of_both
 def test_no_damaged_message_of_many_crashes_or_passes_silently(layout):
     play_damages(layout, 50_000, 3)
+
+
+@pytest.mark.skipif(not kernels.COMPILED, reason="no kernels were compiled here (no C compiler?)")
+@of_both
+def test_compiled_and_reference_kernels_refuse_damaged_messages_for_the_same_reason(layout):
+    random = np.random.default_rng(5)
+    for data in messages(layout, random, 150):
+        received = damaged(random, data)
+        (values, refusal), (expected, reason) = (
+            functions["decode_values"](layout.program, received) for functions in (kernels.COMPILED, kernels.REFERENCES)
+        )
+        assert refusal == reason
+        np.testing.assert_array_equal(values, expected)
 
 
 @of_both
