@@ -123,22 +123,6 @@ def test_the_most_probable_hypothesis_decides_the_class():
     assert [CLASSES[class_id] for class_id in states.class_id] == ["bus", "truck", "unknown"]
 
 
-@given(st.integers(0, 2**32))
-def test_both_sides_use_the_quantised_reference_position(seed):
-    point = np.random.default_rng(seed).uniform(-1000, 1000, 3)
-    position = PLANE.to_position(point)
-    np.testing.assert_allclose(PLANE.to_point(position), point, atol=0.011)
-    assert PLANE.to_position(PLANE.to_point(position)) == position
-
-
-def test_a_degree_of_the_plane_is_as_long_as_on_the_ellipsoid():
-    """Lengths of a degree at latitude 45: 111131.745 m and 78846.806 m (WGS84)."""
-    plane = LocalPlane(45.0, 0.0)
-    north, east, _ = plane.to_point(Position(451_000_000, 0))[[1, 0, 2]]
-    np.testing.assert_allclose([10 * north, east], [111_131.745, 0.0], rtol=1e-6)
-    np.testing.assert_allclose(10 * plane.to_point(Position(450_000_000, 1_000_000))[0], 78_846.806, rtol=1e-6)
-
-
 @pytest.mark.parametrize("max_bytes", [200, 500, 1000])
 def test_segments_hold_all_objects_once_and_have_at_most_the_wanted_size(max_bytes):
     message = sent(drawn_tracks(np.random.default_rng(0), 30), PLANE.to_position(np.zeros(3)))
