@@ -25,49 +25,45 @@ POLAR, CARTESIAN = 0, 1
 VEHICLE, VRU, GROUP, OTHER = range(4)
 PEDESTRIAN, BICYCLIST, MOTORCYCLIST, ANIMAL = range(4)
 
-_VELOCITY, _ACCELERATION = "velocity.cartesianVelocity", "acceleration.cartesianAcceleration"
+#: An optional field is named with "?"; mandatory ones stand in the place of the object id, which is always present.
+_ALWAYS = "objectId?"
 
-#: For each attribute its fields: the path of each value, and of the optional field that it is part of.
+
+def _with_confidence(attribute: str, *fields: tuple[str, str]) -> dict[str, list[tuple[str, str]]]:
+    """Columns of values, then of their confidences; fields: path, and optional field that it is part of"""
+    return {
+        name: [(f"{path}.{part}", optional) for path, optional in fields]
+        for name, part in ((attribute, "value"), (f"{attribute}_confidence", "confidence"))
+    }
+
+
+def _vector(attribute: str, axis: str) -> dict[str, list[tuple[str, str]]]:
+    """Columns of a velocity or acceleration; the slots of its polar form are the same."""
+    path = f"{attribute}.cartesian{axis}"
+    z = f"{path}.z{axis}"
+    return {f"{attribute}_form": [(attribute, f"{attribute}?")]} | _with_confidence(
+        attribute, (f"{path}.x{axis}", f"{attribute}?"), (f"{path}.y{axis}", f"{attribute}?"), (z, f"{z}?")
+    )
+
+
+#: For each attribute its columns: the path of each value, and of the optional field that it is part of.
 _FIELDS: dict[str, list[tuple[str, str]]] = {
-    "id": [("objectId", "objectId?")],
-    "delta_time": [("measurementDeltaTime", "objectId?")],
-    **{
-        f"position{suffix}": [
-            (f"position.xCoordinate.{part}", "objectId?"),
-            (f"position.yCoordinate.{part}", "objectId?"),
-            (f"position.zCoordinate.{part}", "position.zCoordinate?"),
-        ]
-        for suffix, part in (("", "value"), ("_confidence", "confidence"))
-    },
-    **{
-        attribute: fields
-        for name, path, axis in (("velocity", _VELOCITY, "Velocity"), ("acceleration", _ACCELERATION, "Acceleration"))
-        for attribute, fields in {
-            f"{name}_form": [(name, f"{name}?")],
-            **{
-                f"{name}{suffix}": [
-                    (f"{path}.x{axis}.{part}", f"{name}?"),
-                    (f"{path}.y{axis}.{part}", f"{name}?"),
-                    (f"{path}.z{axis}.{part}", f"{path}.z{axis}?"),
-                ]
-                for suffix, part in (("", "value"), ("_confidence", "confidence"))
-            },
-        }.items()
-    },
-    **{
-        f"angles{suffix}": [
-            (f"angles.zAngle.{part}", "angles?"),
-            (f"angles.yAngle.{part}", "angles.yAngle?"),
-            (f"angles.xAngle.{part}", "angles.xAngle?"),
-        ]
-        for suffix, part in (("", "value"), ("_confidence", "confidence"))
-    },
+    "id": [("objectId", _ALWAYS)],
+    "delta_time": [("measurementDeltaTime", _ALWAYS)],
+    **_with_confidence(
+        "position",
+        ("position.xCoordinate", _ALWAYS),
+        ("position.yCoordinate", _ALWAYS),
+        ("position.zCoordinate", "position.zCoordinate?"),
+    ),
+    **_vector("velocity", "Velocity"),
+    **_vector("acceleration", "Acceleration"),
+    **_with_confidence(
+        "angles", ("angles.zAngle", "angles?"), ("angles.yAngle", "angles.yAngle?"), ("angles.xAngle", "angles.xAngle?")
+    ),
     "yaw_rate": [("zAngularVelocity.value", "zAngularVelocity?")],
     "yaw_rate_confidence": [("zAngularVelocity.confidence", "zAngularVelocity?")],
-    **{
-        f"dimensions{suffix}": [(f"objectDimension{axis}.{part}", f"objectDimension{axis}?") for axis in "XYZ"]
-        for suffix, part in (("", "value"), ("_confidence", "confidence"))
-    },
+    **_with_confidence("dimensions", *((f"objectDimension{axis}", f"objectDimension{axis}?") for axis in "XYZ")),
     "age": [("objectAge", "objectAge?")],
     "quality": [("objectPerceptionQuality", "objectPerceptionQuality?")],
 }
@@ -85,11 +81,9 @@ _PRESENCE = _slots([optional for _, optional in _COLUMNS])
 #: For each column the first column of the same optional field, and of the optional field around that: both must be
 #: present. Then the slots of presence, and the column that decides each.
 _OPTIONAL = [optional for _, optional in _COLUMNS]
+_AROUND = [f"{optional.split('.')[0].removesuffix('?')}?" for optional in _OPTIONAL]
 _LEAD = np.array([_OPTIONAL.index(optional) for optional in _OPTIONAL])
-_OUTER = np.array(
-    [_OPTIONAL.index(f"{optional.split('.')[0]}?") if "." in optional and "position" not in optional else lead
-     for optional, lead in zip(_OPTIONAL, _LEAD, strict=True)]
-)  # fmt: skip
+_OUTER = np.array([_OPTIONAL.index(around if around in _OPTIONAL else _ALWAYS) for around in _AROUND])
 _FLAGS = _slots(list(dict.fromkeys(_OPTIONAL)))
 _DECIDERS = np.array([_OPTIONAL.index(optional) for optional in dict.fromkeys(_OPTIONAL)])
 
@@ -213,7 +207,7 @@ def to_rows(objects: PerceivedObjects, start: int) -> Values:
 
 def _set_lists(rows: Values, owner: Values, slot: int, start: int, step: int) -> None:
     """Presence, counts and starts of lists whose elements follow each other by object."""
-    if (owner[1:] < owner[:-1]).any():
+    if (owner[1:] < owner[:-1]).any() or not 0 <= owner[0] <= owner[-1] < len(rows):
         raise MessageError("perceivedObjects: found lists in another order than their objects, expected the same")
     counts = np.bincount(owner, minlength=len(rows))
     rows[:, slot - 1], rows[:, slot] = counts > 0, counts

@@ -12,6 +12,8 @@ from v2x_messages import MessageMaker
 
 from mast_zenoh.errors import MessageError
 from mast_zenoh.v2x import cpm, cpm_fields, uper
+from mast_zenoh.v2x.cdd import PerceivedObject
+from mast_zenoh.v2x.layout import slot_of
 from mast_zenoh.v2x.perceived_objects import (
     ABSENT,
     CARTESIAN,
@@ -124,9 +126,21 @@ def test_values_outside_the_standard_are_refused_with_the_path_of_the_field():
     objects.velocity_form[1] = CARTESIAN
     with pytest.raises(MessageError, match=r"perceivedObjects\[1\].velocity.* found"):
         cpm.encode(message(objects=objects))
-    objects = dataclasses.replace(two_objects(), classes=two_objects().classes[::-1])
-    with pytest.raises(MessageError, match="lists in another order than their objects"):
-        cpm.encode(message(objects=objects))
+    owner, sound = np.array([1, 0, 0, 0, 0]), two_objects().classes
+    for classes in (sound[::-1], sound + owner, sound - owner):
+        with pytest.raises(MessageError, match="lists in another order than their objects"):
+            cpm.encode(message(objects=dataclasses.replace(two_objects(), classes=classes)))
+
+
+@pytest.mark.parametrize("name", ["velocity", "acceleration"])
+def test_polar_vectors_have_the_columns_of_cartesian_ones(name):
+    axis = name.capitalize()
+    cartesian = [f"x{axis}.value", f"y{axis}.value", f"y{axis}.confidence", f"z{axis}?", f"z{axis}.confidence"]
+    magnitude = "velocityMagnitude.speedValue" if name == "velocity" else f"{name}Magnitude.{name}MagnitudeValue"
+    polar = [magnitude, f"{name}Direction.value", f"{name}Direction.confidence", f"z{axis}?", f"z{axis}.confidence"]
+    for one, other in zip(cartesian, polar, strict=True):
+        places = (f"{name}.cartesian{axis}.{one}", f"{name}.polar{axis}.{other}")
+        assert len({slot_of(PerceivedObject, place) for place in places}) == 1
 
 
 def test_some_objects_are_taken_with_their_lists():
