@@ -6,12 +6,13 @@ position. Angles turn by the right-hand rule from the x-axis, as CartesianAngleV
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import overload
 
 import numpy as np
 
 from mast_zenoh.errors import MessageError
+from mast_zenoh.v2x import correlations
 from mast_zenoh.v2x.cdd import ObjectClassWithConfidence, PerceivedObject
 from mast_zenoh.v2x.codec_kernels import Values
 from mast_zenoh.v2x.layout import extension_slot, slot_of, width
@@ -89,8 +90,9 @@ _DECIDERS = np.array([_OPTIONAL.index(optional) for optional in dict.fromkeys(_O
 
 #: Slots of lists, and names and slots of presence of what has no column.
 _CLASSES, _SENSORS = slot_of(PerceivedObject, "classification"), slot_of(PerceivedObject, "sensorIdList")
-_OTHERS = ("lowerTriangularCorrelationMatrices", "mapPosition", "perceivedObjects.+")
-_OTHER_SLOTS = np.append(_slots([f"{name}?" for name in _OTHERS[:2]]), extension_slot(PerceivedObject))
+_CORRELATIONS = slot_of(PerceivedObject, "lowerTriangularCorrelationMatrices")
+_OTHERS = ("mapPosition", "perceivedObjects.+")
+_OTHER_SLOTS = np.array([slot_of(PerceivedObject, "mapPosition?"), extension_slot(PerceivedObject)])
 #: Places of ObjectClassWithConfidence: alternative, contents (of a VRU its alternative, then the subprofile).
 _CLASS_WIDTH = width(ObjectClassWithConfidence)
 _CONFIDENCE = slot_of(ObjectClassWithConfidence, "confidence")
@@ -122,11 +124,13 @@ class PerceivedObjects:
     classes: (m, 5) hypotheses by object: row in the table, alternative of ObjectClass, alternative of the VRU profile
         (else `ABSENT`), subclass (of a group its cardinality), confidence in percent
     sensors: (m, 2) by object: row in the table, sensor id
+    correlations: (m, 5) by object: row in the table, and what `correlations` says
     """
 
     table: Values
     classes: Values
     sensors: Values
+    correlations: Values = field(default_factory=lambda: np.zeros((0, 5), np.int64))
 
     #: (n,) object id; measurement time after the reference time, ms
     id = _Column()
@@ -169,7 +173,7 @@ class PerceivedObjects:
         place = np.full(len(self), -1)
         place[rows] = np.arange(len(rows))
         lists = []
-        for table in (self.classes, self.sensors):
+        for table in (self.classes, self.sensors, self.correlations):
             kept = table[place[table[:, 0]] >= 0]
             kept[:, 0] = place[kept[:, 0]]
             lists.append(kept)
@@ -202,6 +206,9 @@ def to_rows(objects: PerceivedObjects, start: int) -> Values:
     if len(sensors):
         values[-len(sensors) :] = sensors[:, 1]
         _set_lists(rows, sensors[:, 0], _SENSORS, start + len(values) - len(sensors), 1)
+    if len(objects.correlations):
+        matrices = correlations.to_lists(objects.correlations, rows, _CORRELATIONS, start + len(values))
+        return np.concatenate([values, matrices])
     return values
 
 
@@ -235,7 +242,10 @@ def from_rows(values: Values, start: int, n: int) -> tuple[PerceivedObjects, fro
     classes, sensor_ids = np.empty((len(owner), 5), np.int64), np.empty((len(sensor_owner), 2), np.int64)
     classes.T[:] = owner, kind, profile, subclass, out[:, _CONFIDENCE]
     sensor_ids.T[:] = sensor_owner, sensors[:, 0]
-    return PerceivedObjects(table, classes, sensor_ids), frozenset(unread)
+    cells, sound = correlations.from_lists(values, rows, _CORRELATIONS)
+    if not sound:
+        unread.add("lowerTriangularCorrelationMatrices")
+    return PerceivedObjects(table, classes, sensor_ids, cells), frozenset(unread)
 
 
 def _lists(values: Values, rows: Values, slot: int, step: int) -> tuple[Values, Values]:

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from v2x_messages import MessageMaker, damaged
 
 from mast_zenoh.arrays.states import CLASSES, ObjectStates
 from mast_zenoh.errors import MessageError
-from mast_zenoh.v2x import cpm
+from mast_zenoh.v2x import cpm, cpm_fields, uper
 from mast_zenoh.v2x.perceived_objects import ABSENT, GROUP, POLAR, VEHICLE, VRU, PerceivedObjects
+from mast_zenoh.v2x.plain import from_plain
 from mast_zenoh.v2x.reference_position import LocalPlane, Position
 from mast_zenoh.v2x.tracks import SIGMAS_95, UNKNOWN_VELOCITY, from_cpm, orientation_of, segments, to_cpm, to_objects
 
@@ -144,3 +146,20 @@ def test_messages_that_fit_are_not_segmented_and_too_many_segments_are_refused()
         segments(message, 120)
     with pytest.raises(MessageError, match=r"perceivedObjects\[0\]: a CPM with it alone has \d+ bytes, expected 40"):
         segments(message, 40)
+
+
+def test_whatever_decodes_becomes_finite_states():
+    random, layout = np.random.default_rng(6), cpm_fields.LAYOUT
+    decoded = 0
+    for _ in range(300):
+        maker = MessageMaker(random, random.choice([0.1, 0.5, 0.9]), beyond=True)
+        try:
+            message = cpm.decode(damaged(random, uper.encode(layout, from_plain(layout, maker.draw(layout.type)))))
+        except MessageError:
+            continue
+        states, _ = from_cpm(message, PLANE)
+        decoded += 1
+        assert all(np.isfinite(column).all() for column in states.columns().values())
+        assert (states.size > 0).all()
+        assert ((states.score >= 0) & (states.score <= 1)).all()
+    assert decoded > 20
