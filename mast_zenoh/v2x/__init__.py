@@ -9,7 +9,7 @@ Bytes:
     codec_kernels             references of the compiled codec
     uper                      flat values to bytes and back: unaligned packed encoding rules, ITU-T X.691
     plain                     flat values as dicts and lists, for people and export
-    perceived_objects         objects of a CPM as columns of integers
+    perceived_objects, correlations   objects of a CPM as columns of integers, and their correlation matrices
     cpm, cam                  messages as such columns and integers, in the standard's units
     reference_position        reference positions, and the plane around an origin
     tracks                    tracks to CPM and back, in as many segments as a limit of bytes needs

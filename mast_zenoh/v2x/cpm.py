@@ -4,7 +4,7 @@
     cpm.decode(cpm.encode(message))
 
 Positions of objects are relative to the reference position (see `perceived_objects`). What a message has besides, such
-as perception regions and correlation matrices, is in its plain values (see `plain`).
+as perception regions and map positions, is in its plain values (see `plain`).
 """
 
 from __future__ import annotations

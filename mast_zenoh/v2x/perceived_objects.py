@@ -6,12 +6,13 @@ position. Angles turn by the right-hand rule from the x-axis, as CartesianAngleV
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import overload
 
 import numpy as np
 
 from mast_zenoh.errors import MessageError
+from mast_zenoh.v2x import correlations
 from mast_zenoh.v2x.cdd import ObjectClassWithConfidence, PerceivedObject
 from mast_zenoh.v2x.codec_kernels import Values
 from mast_zenoh.v2x.layout import extension_slot, slot_of, width
@@ -25,49 +26,45 @@ POLAR, CARTESIAN = 0, 1
 VEHICLE, VRU, GROUP, OTHER = range(4)
 PEDESTRIAN, BICYCLIST, MOTORCYCLIST, ANIMAL = range(4)
 
-_VELOCITY, _ACCELERATION = "velocity.cartesianVelocity", "acceleration.cartesianAcceleration"
+#: An optional field is named with "?"; mandatory ones stand in the place of the object id, which is always present.
+_ALWAYS = "objectId?"
 
-#: For each attribute its fields: the path of each value, and of the optional field that it is part of.
+
+def _with_confidence(attribute: str, *fields: tuple[str, str]) -> dict[str, list[tuple[str, str]]]:
+    """Columns of values, then of their confidences; fields: path, and optional field that it is part of"""
+    return {
+        name: [(f"{path}.{part}", optional) for path, optional in fields]
+        for name, part in ((attribute, "value"), (f"{attribute}_confidence", "confidence"))
+    }
+
+
+def _vector(attribute: str, axis: str) -> dict[str, list[tuple[str, str]]]:
+    """Columns of a velocity or acceleration; the slots of its polar form are the same."""
+    path = f"{attribute}.cartesian{axis}"
+    z = f"{path}.z{axis}"
+    return {f"{attribute}_form": [(attribute, f"{attribute}?")]} | _with_confidence(
+        attribute, (f"{path}.x{axis}", f"{attribute}?"), (f"{path}.y{axis}", f"{attribute}?"), (z, f"{z}?")
+    )
+
+
+#: For each attribute its columns: the path of each value, and of the optional field that it is part of.
 _FIELDS: dict[str, list[tuple[str, str]]] = {
-    "id": [("objectId", "objectId?")],
-    "delta_time": [("measurementDeltaTime", "objectId?")],
-    **{
-        f"position{suffix}": [
-            (f"position.xCoordinate.{part}", "objectId?"),
-            (f"position.yCoordinate.{part}", "objectId?"),
-            (f"position.zCoordinate.{part}", "position.zCoordinate?"),
-        ]
-        for suffix, part in (("", "value"), ("_confidence", "confidence"))
-    },
-    **{
-        attribute: fields
-        for name, path, axis in (("velocity", _VELOCITY, "Velocity"), ("acceleration", _ACCELERATION, "Acceleration"))
-        for attribute, fields in {
-            f"{name}_form": [(name, f"{name}?")],
-            **{
-                f"{name}{suffix}": [
-                    (f"{path}.x{axis}.{part}", f"{name}?"),
-                    (f"{path}.y{axis}.{part}", f"{name}?"),
-                    (f"{path}.z{axis}.{part}", f"{path}.z{axis}?"),
-                ]
-                for suffix, part in (("", "value"), ("_confidence", "confidence"))
-            },
-        }.items()
-    },
-    **{
-        f"angles{suffix}": [
-            (f"angles.zAngle.{part}", "angles?"),
-            (f"angles.yAngle.{part}", "angles.yAngle?"),
-            (f"angles.xAngle.{part}", "angles.xAngle?"),
-        ]
-        for suffix, part in (("", "value"), ("_confidence", "confidence"))
-    },
+    "id": [("objectId", _ALWAYS)],
+    "delta_time": [("measurementDeltaTime", _ALWAYS)],
+    **_with_confidence(
+        "position",
+        ("position.xCoordinate", _ALWAYS),
+        ("position.yCoordinate", _ALWAYS),
+        ("position.zCoordinate", "position.zCoordinate?"),
+    ),
+    **_vector("velocity", "Velocity"),
+    **_vector("acceleration", "Acceleration"),
+    **_with_confidence(
+        "angles", ("angles.zAngle", "angles?"), ("angles.yAngle", "angles.yAngle?"), ("angles.xAngle", "angles.xAngle?")
+    ),
     "yaw_rate": [("zAngularVelocity.value", "zAngularVelocity?")],
     "yaw_rate_confidence": [("zAngularVelocity.confidence", "zAngularVelocity?")],
-    **{
-        f"dimensions{suffix}": [(f"objectDimension{axis}.{part}", f"objectDimension{axis}?") for axis in "XYZ"]
-        for suffix, part in (("", "value"), ("_confidence", "confidence"))
-    },
+    **_with_confidence("dimensions", *((f"objectDimension{axis}", f"objectDimension{axis}?") for axis in "XYZ")),
     "age": [("objectAge", "objectAge?")],
     "quality": [("objectPerceptionQuality", "objectPerceptionQuality?")],
 }
@@ -85,18 +82,17 @@ _PRESENCE = _slots([optional for _, optional in _COLUMNS])
 #: For each column the first column of the same optional field, and of the optional field around that: both must be
 #: present. Then the slots of presence, and the column that decides each.
 _OPTIONAL = [optional for _, optional in _COLUMNS]
+_AROUND = [f"{optional.split('.')[0].removesuffix('?')}?" for optional in _OPTIONAL]
 _LEAD = np.array([_OPTIONAL.index(optional) for optional in _OPTIONAL])
-_OUTER = np.array(
-    [_OPTIONAL.index(f"{optional.split('.')[0]}?") if "." in optional and "position" not in optional else lead
-     for optional, lead in zip(_OPTIONAL, _LEAD, strict=True)]
-)  # fmt: skip
+_OUTER = np.array([_OPTIONAL.index(around if around in _OPTIONAL else _ALWAYS) for around in _AROUND])
 _FLAGS = _slots(list(dict.fromkeys(_OPTIONAL)))
 _DECIDERS = np.array([_OPTIONAL.index(optional) for optional in dict.fromkeys(_OPTIONAL)])
 
 #: Slots of lists, and names and slots of presence of what has no column.
 _CLASSES, _SENSORS = slot_of(PerceivedObject, "classification"), slot_of(PerceivedObject, "sensorIdList")
-_OTHERS = ("lowerTriangularCorrelationMatrices", "mapPosition", "perceivedObjects.+")
-_OTHER_SLOTS = np.append(_slots([f"{name}?" for name in _OTHERS[:2]]), extension_slot(PerceivedObject))
+_CORRELATIONS = slot_of(PerceivedObject, "lowerTriangularCorrelationMatrices")
+_OTHERS = ("mapPosition", "perceivedObjects.+")
+_OTHER_SLOTS = np.array([slot_of(PerceivedObject, "mapPosition?"), extension_slot(PerceivedObject)])
 #: Places of ObjectClassWithConfidence: alternative, contents (of a VRU its alternative, then the subprofile).
 _CLASS_WIDTH = width(ObjectClassWithConfidence)
 _CONFIDENCE = slot_of(ObjectClassWithConfidence, "confidence")
@@ -128,11 +124,13 @@ class PerceivedObjects:
     classes: (m, 5) hypotheses by object: row in the table, alternative of ObjectClass, alternative of the VRU profile
         (else `ABSENT`), subclass (of a group its cardinality), confidence in percent
     sensors: (m, 2) by object: row in the table, sensor id
+    correlations: (m, 5) by object: row in the table, and what `correlations` says
     """
 
     table: Values
     classes: Values
     sensors: Values
+    correlations: Values = field(default_factory=lambda: np.zeros((0, 5), np.int64))
 
     #: (n,) object id; measurement time after the reference time, ms
     id = _Column()
@@ -175,7 +173,7 @@ class PerceivedObjects:
         place = np.full(len(self), -1)
         place[rows] = np.arange(len(rows))
         lists = []
-        for table in (self.classes, self.sensors):
+        for table in (self.classes, self.sensors, self.correlations):
             kept = table[place[table[:, 0]] >= 0]
             kept[:, 0] = place[kept[:, 0]]
             lists.append(kept)
@@ -208,12 +206,15 @@ def to_rows(objects: PerceivedObjects, start: int) -> Values:
     if len(sensors):
         values[-len(sensors) :] = sensors[:, 1]
         _set_lists(rows, sensors[:, 0], _SENSORS, start + len(values) - len(sensors), 1)
+    if len(objects.correlations):
+        matrices = correlations.to_lists(objects.correlations, rows, _CORRELATIONS, start + len(values))
+        return np.concatenate([values, matrices])
     return values
 
 
 def _set_lists(rows: Values, owner: Values, slot: int, start: int, step: int) -> None:
     """Presence, counts and starts of lists whose elements follow each other by object."""
-    if (owner[1:] < owner[:-1]).any():
+    if (owner[1:] < owner[:-1]).any() or not 0 <= owner[0] <= owner[-1] < len(rows):
         raise MessageError("perceivedObjects: found lists in another order than their objects, expected the same")
     counts = np.bincount(owner, minlength=len(rows))
     rows[:, slot - 1], rows[:, slot] = counts > 0, counts
@@ -241,7 +242,10 @@ def from_rows(values: Values, start: int, n: int) -> tuple[PerceivedObjects, fro
     classes, sensor_ids = np.empty((len(owner), 5), np.int64), np.empty((len(sensor_owner), 2), np.int64)
     classes.T[:] = owner, kind, profile, subclass, out[:, _CONFIDENCE]
     sensor_ids.T[:] = sensor_owner, sensors[:, 0]
-    return PerceivedObjects(table, classes, sensor_ids), frozenset(unread)
+    cells, sound = correlations.from_lists(values, rows, _CORRELATIONS)
+    if not sound:
+        unread.add("lowerTriangularCorrelationMatrices")
+    return PerceivedObjects(table, classes, sensor_ids, cells), frozenset(unread)
 
 
 def _lists(values: Values, rows: Values, slot: int, step: int) -> tuple[Values, Values]:

@@ -37,8 +37,9 @@ _AXIS, _ECCENTRICITY_2 = 6_378_137.0, 6.694_379_990_141_317e-3
 class LocalPlane:
     """The tangent plane of the ellipsoid at an origin: x east, y north, z up, in m.
 
-    Latitude and longitude are linear in it, by the radii of curvature at the origin. That is off by less than 0.1 m up
-    to 1 km, and exactly inverted, so all that share an origin agree to the quantisation of 1e-7 deg, about 1 cm.
+    Latitude and longitude are linear in it, by the radii of curvature at the origin. Up to latitude 60, that is within
+    0.2 m of the exact plane at 1 km. It is exactly inverted, so all that share an origin agree up to the quantisation
+    of 1e-7 deg, about 1 cm.
 
     latitude, longitude: deg;  altitude: above the ellipsoid, m
     """

@@ -9,8 +9,10 @@ interval of a component: 1.96 standard deviations.
 from __future__ import annotations
 
 import dataclasses
+from bisect import bisect_right
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import CLASS_INDEX, CLASSES, Floats, Ints, ObjectStates
 from mast_zenoh.errors import MessageError
@@ -204,7 +206,7 @@ def _velocity(objects: PerceivedObjects) -> tuple[Floats, Floats]:
     return velocity, variance
 
 
-def _class_ids(objects: PerceivedObjects) -> np.ndarray:
+def _class_ids(objects: PerceivedObjects) -> NDArray[np.uint8]:
     """Class (n,) of each object's most probable hypothesis, the first of equals; unknown if there is none."""
     result = np.zeros(len(objects), np.uint8)
     row, kind, profile, subclass, confidence = objects.classes.T
@@ -216,7 +218,7 @@ def _class_ids(objects: PerceivedObjects) -> np.ndarray:
 
 
 def segments(message: Cpm, max_bytes: int) -> list[Cpm]:
-    """The message in as few parts of at most `max_bytes` as its order of objects allows, in MessageSegmentationInfo.
+    """The message in as few parts of at most `max_bytes` as its order of objects allows, with MessageSegmentationInfo.
 
     Each part has the containers of the station and the number of all objects; the first has the sensors.
     """
@@ -224,29 +226,24 @@ def segments(message: Cpm, max_bytes: int) -> list[Cpm]:
     if objects is None or len(cpm.encode(message)) <= max_bytes:
         return [message]
     known = len(objects) if message.known_objects is None else message.known_objects
+    whole = dataclasses.replace(message, known_objects=known, segment=(1, MOST_SEGMENTS))
     parts: list[Cpm] = []
     first = 0
     while first < len(objects) or not parts:
-        sensors = message.sensors if not parts else message.sensors[:0]
-        whole = dataclasses.replace(message, known_objects=known, sensors=sensors, segment=(1, MOST_SEGMENTS))
-
-        def part(last: int, first: int = first, whole: Cpm = whole) -> Cpm:
-            return dataclasses.replace(whole, objects=objects.take(np.arange(first, last)))
-
-        fits, not_fits = first, len(objects) + 1
-        while not_fits - fits > 1:
-            middle = (fits + not_fits) // 2
-            if len(cpm.encode(part(middle))) <= max_bytes:
-                fits = middle
-            else:
-                not_fits = middle
-        if fits == first:
-            size = len(cpm.encode(part(first + 1)))
+        sizes = range(first, len(objects) + 1)
+        fits = bisect_right(sizes, max_bytes, key=lambda last: len(cpm.encode(_part(whole, first, last))))
+        if fits < 2:
+            size = len(cpm.encode(_part(whole, first, min(first + 1, len(objects)))))
             raise MessageError(f"perceivedObjects[{first}]: a CPM with it alone has {size} bytes, expected {max_bytes}")
-        parts.append(part(fits))
-        first = fits
+        parts.append(_part(whole, first, first + fits - 1))
+        first += fits - 1
     if len(parts) > MOST_SEGMENTS:
-        raise MessageError(
-            f"found {len(parts)} segments of {max_bytes} bytes or less, expected at most {MOST_SEGMENTS}"
-        )
+        raise MessageError(f"found {len(parts)} segments of {max_bytes} bytes, expected at most {MOST_SEGMENTS}")
     return [dataclasses.replace(part, segment=(number, len(parts))) for number, part in enumerate(parts, 1)]
+
+
+def _part(message: Cpm, first: int, last: int) -> Cpm:
+    """The message with the objects first..last - 1, and with its sensors if these are the first ones."""
+    assert message.objects is not None
+    sensors = message.sensors[:0] if first else message.sensors
+    return dataclasses.replace(message, objects=message.objects.take(np.arange(first, last)), sensors=sensors)

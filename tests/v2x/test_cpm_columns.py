@@ -12,6 +12,8 @@ from v2x_messages import MessageMaker
 
 from mast_zenoh.errors import MessageError
 from mast_zenoh.v2x import cpm, cpm_fields, uper
+from mast_zenoh.v2x.cdd import PerceivedObject
+from mast_zenoh.v2x.layout import slot_of
 from mast_zenoh.v2x.perceived_objects import (
     ABSENT,
     CARTESIAN,
@@ -32,7 +34,10 @@ def two_objects() -> PerceivedObjects:
     objects.position[:, :2], objects.position_confidence[:, :2] = [[1000, -2000], [131070, 5]], 30
     objects.table[0, 2:] = np.where(objects.table[0, 2:] == ABSENT, 1, objects.table[0, 2:])
     classes = np.array([[0, VEHICLE, ABSENT, 5, 90], [0, OTHER, ABSENT, 1, 10], [1, VRU, PEDESTRIAN, 1, 101]])
-    return dataclasses.replace(objects, classes=classes, sensors=np.array([[0, 3], [0, 4]]))
+    matrices = [[0, 0, 0, 1, -100], [0, 1, 0, 3, 50], [0, 1, 0, 12, 7], [0, 1, 3, 12, 101], [1, 0, 0, 1, 0]]
+    return dataclasses.replace(
+        objects, classes=classes, sensors=np.array([[0, 3], [0, 4]]), correlations=np.array(matrices)
+    )
 
 
 def message(**fields) -> cpm.Cpm:
@@ -46,6 +51,7 @@ def assert_equal(one: cpm.Cpm, other: cpm.Cpm) -> None:
             np.testing.assert_array_equal(a.table, b.table)
             np.testing.assert_array_equal(a.classes, b.classes)
             np.testing.assert_array_equal(a.sensors, b.sensors)
+            np.testing.assert_array_equal(a.correlations, b.correlations)
         else:
             np.testing.assert_array_equal(a, b)
 
@@ -73,8 +79,13 @@ def test_columns_have_the_fields_of_the_standard():
             "xCoordinate": {"value": 131070, "confidence": 30},
             "yCoordinate": {"value": 5, "confidence": 30},
         },
+        "lowerTriangularCorrelationMatrices": [{"componentsIncludedIntheMatrix": "1100000000000", "matrix": [[0]]}],
         "classification": [{"objectClass": {"vruSubClass": {"pedestrian": 1}}, "confidence": 101}],
     }
+    assert car["lowerTriangularCorrelationMatrices"] == [
+        {"componentsIncludedIntheMatrix": "1100000000000", "matrix": [[-100]]},
+        {"componentsIncludedIntheMatrix": "1001000000001", "matrix": [[50, 7], [101]]},
+    ]
     assert car["velocity"].keys() == {"cartesianVelocity"}
     assert car["sensorIdList"] == [3, 4]
     assert [list(entry["objectClass"]) for entry in car["classification"]] == [["vehicleSubClass"], ["otherSubClass"]]
@@ -124,9 +135,52 @@ def test_values_outside_the_standard_are_refused_with_the_path_of_the_field():
     objects.velocity_form[1] = CARTESIAN
     with pytest.raises(MessageError, match=r"perceivedObjects\[1\].velocity.* found"):
         cpm.encode(message(objects=objects))
-    objects = dataclasses.replace(two_objects(), classes=two_objects().classes[::-1])
-    with pytest.raises(MessageError, match="lists in another order than their objects"):
+    owner, sound = np.array([1, 0, 0, 0, 0]), two_objects().classes
+    for classes in (sound[::-1], sound + owner, sound - owner):
+        with pytest.raises(MessageError, match="lists in another order than their objects"):
+            cpm.encode(message(objects=dataclasses.replace(two_objects(), classes=classes)))
+
+
+@pytest.mark.parametrize("name", ["velocity", "acceleration"])
+def test_polar_vectors_have_the_columns_of_cartesian_ones(name):
+    axis = name.capitalize()
+    cartesian = [f"x{axis}.value", f"y{axis}.value", f"y{axis}.confidence", f"z{axis}?", f"z{axis}.confidence"]
+    magnitude = "velocityMagnitude.speedValue" if name == "velocity" else f"{name}Magnitude.{name}MagnitudeValue"
+    polar = [magnitude, f"{name}Direction.value", f"{name}Direction.confidence", f"z{axis}?", f"z{axis}.confidence"]
+    for one, other in zip(cartesian, polar, strict=True):
+        places = (f"{name}.cartesian{axis}.{one}", f"{name}.polar{axis}.{other}")
+        assert len({slot_of(PerceivedObject, place) for place in places}) == 1
+
+
+@pytest.mark.parametrize(
+    ("cells", "expected"),
+    [
+        ([[0, 1, 0, 1, 0]], "found correlation matrix 1, expected ascending numbers"),
+        ([[2, 0, 0, 1, 0]], "found correlation matrix 0, expected ascending numbers"),
+        ([[0, 0, 0, 1, 0], [0, 0, 0, 2, 0]], "found other pairs than all of its components"),
+        ([[0, 0, 1, 0, 0]], "found other pairs than all of its components"),
+        ([[0, 0, 0, 13, 0]], "found other pairs than all of its components"),
+        (
+            [[0, 0, 0, 1, 102]],
+            r"Matrices\[0\].matrix\[0\]\[0\]: found 102, expected -100..101",
+        ),
+    ],
+)
+def test_correlations_that_are_no_matrix_are_refused(cells, expected):
+    objects = dataclasses.replace(two_objects(), correlations=np.array(cells))
+    with pytest.raises(MessageError, match=expected):
         cpm.encode(message(objects=objects))
+
+
+@pytest.mark.parametrize("matrix", [[[1]], [[1, 2], [3, 4]], [[1, 2], [3], [4]]])
+def test_received_matrices_of_another_shape_than_their_components_say_are_named(matrix):
+    layout = cpm_fields.LAYOUT
+    plain = to_plain(layout, cpm.to_values(message(objects=two_objects())))
+    car, _ = plain["payload"]["cpmContainers"][0]["containerData"]["perceivedObjects"]
+    car["lowerTriangularCorrelationMatrices"][1]["matrix"] = matrix
+    received = cpm.decode(uper.encode(layout, from_plain(layout, plain)))
+    assert received.unread == {"lowerTriangularCorrelationMatrices"}
+    assert received.objects.correlations.tolist() == [[0, 0, 0, 1, -100], [1, 0, 0, 1, 0]]
 
 
 def test_some_objects_are_taken_with_their_lists():
@@ -134,3 +188,4 @@ def test_some_objects_are_taken_with_their_lists():
     assert taken.id.tolist() == [65535]
     assert taken.classes.tolist() == [[0, VRU, PEDESTRIAN, 1, 101]]
     assert len(taken.sensors) == 0
+    assert taken.correlations.tolist() == [[0, 0, 0, 1, 0]]
