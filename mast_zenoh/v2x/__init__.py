@@ -3,6 +3,8 @@
     generation   when a station sends which objects: base class GenerationRules; EveryFrame, CpmGeneration
     redundancy   objects that others have reported: base class RedundancyRule; FrequencyRedundancy, DynamicsRedundancy,
                  DistanceRedundancy
+    quality      how well a station perceives its objects, 0 to 15: PerceptionQuality
+    object_table what a station remembers of each object
     awareness    when a station says where it is: CamGeneration
     congestion   how often stations may send: base class CongestionControl; NoCongestionControl, ReactiveDcc,
                  AdaptiveDcc
@@ -21,9 +23,9 @@ from mast_zenoh.v2x.generation import (
     Generation,
     GenerationRules,
     Perception,
-    quality_of_score,
 )
 from mast_zenoh.v2x.input_limit import FairInput, InputLimit, NoInputLimit, Selection
+from mast_zenoh.v2x.quality import PerceptionQuality, quality_of_score
 from mast_zenoh.v2x.redundancy import (
     DistanceRedundancy,
     DynamicsRedundancy,
@@ -51,6 +53,7 @@ __all__ = [
     "NoCongestionControl",
     "NoInputLimit",
     "Perception",
+    "PerceptionQuality",
     "RadioChannel",
     "ReactiveDcc",
     "RedundancyRule",

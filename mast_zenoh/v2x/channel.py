@@ -183,12 +183,12 @@ def clear_probability(audible: Bools, load: Floats, hidden_terminals: bool = Tru
 
     audible: (n, n) symmetric, with a true diagonal; load: (n,) share of time in which each station transmits
 
-    Two causes, for Poisson arrivals and frames of equal length. Both grow with the load.
+    Two causes, for Poisson arrivals of frames of equal length.
 
-    Stations that hear each other collide if their backoff ends in the same slot. A frame finds the channel busy with
-    probability r, the load that its sender hears; on average r other frames wait as well, each for one of
-    BACKOFF_SLOTS: exp(-r² / BACKOFF_SLOTS). An approximation for small r, below the saturation that Bianchi models
-    (IEEE JSAC 2000).
+    Stations that hear each other collide if their backoff ends in the same slot. With a window of BACKOFF_SLOTS, a
+    waiting station sends in a slot with probability 2 / (BACKOFF_SLOTS + 1) (Bianchi, IEEE JSAC 18(3) 2000, without
+    doubling). The mean number of others that wait is that of a queue with constant service, r² / (2 (1 - r)), where r
+    is the load that the sender hears (Pollaczek and Khinchine); on a saturated channel, all other senders wait.
 
     Hidden terminals, which the receiver hears and the sender does not, collide as in pure ALOHA, if they start within
     one airtime before or after: exp(-2 h), where h is their load (Abramson 1970; Tobagi and Kleinrock 1975).
@@ -196,8 +196,10 @@ def clear_probability(audible: Bools, load: Floats, hidden_terminals: bool = Tru
     weights = np.asarray(load, np.float64)
     hears = audible.astype(np.float64)
     heard = hears @ weights
-    of_others = heard - weights
-    clear = np.repeat(np.exp(-(of_others**2) / BACKOFF_SLOTS)[:, None], len(weights), axis=1)
+    of_others = np.minimum(heard - weights, 1.0 - 1e-12)
+    senders = hears @ (weights > 0.0) - (weights > 0.0)
+    waiting = np.minimum(of_others**2 / (2.0 * (1.0 - of_others)), senders)
+    clear = np.repeat(((1.0 - 2.0 / (BACKOFF_SLOTS + 1)) ** waiting)[:, None], len(weights), axis=1)
     if hidden_terminals:
         hidden = heard - (hears * weights) @ hears  # at the column's station, less what the row's station hears too
         clear *= np.exp(-2.0 * np.maximum(hidden, 0.0))

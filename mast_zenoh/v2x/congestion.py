@@ -28,9 +28,18 @@ class CongestionControl(ABC):
     Call `measure` once in each frame, then `may_send`, then `note_sent` for frames that were sent.
     """
 
-    def reset(self, stations: int = 1) -> None:
-        """Start anew with n stations, on a channel that was idle."""
-        self._sent_ns: Ints = np.full(stations, _NEVER_NS, np.int64)
+    def reset(self, stations: int = 1, start_ns: Ints | None = None, period_ns: int = 0) -> None:
+        """Start anew with n stations, on a channel that was idle.
+
+        start_ns: (n,) ns, at which each station is switched on, by default all at once
+        period_ns: ns between frames, if stations act at frames only. A gate that opens between two frames lets a
+            message through in the second, and the next wait counts from when it opened. Otherwise all waits would be
+            rounded up to whole frames, and stations that once sent in one frame would do so forever: a channel that is
+            overloaded and idle in turn
+        """
+        self._period_ns = period_ns
+        self._start_ns: Ints = np.full(stations, _NEVER_NS) if start_ns is None else np.asarray(start_ns, np.int64)
+        self._sent_ns = self._start_ns
         self._wait_ns: Ints = np.zeros(stations, np.int64)
         self._airtime_ns: Ints = np.zeros(stations, np.int64)
         self._slot: int | None = None
@@ -41,7 +50,7 @@ class CongestionControl(ABC):
 
         Only the first measurement in a slot counts.
         """
-        busy = np.clip(np.asarray(busy_ratio, np.float64), 0.0, 1.0)
+        busy = np.where(time_ns >= self._start_ns, np.clip(busy_ratio, 0.0, 1.0), 0.0)
         slot = time_ns // SLOT_NS
         first = slot if self._slot is None else max(self._slot + 1, slot - MAX_SLOTS + 1)
         for current in range(first, slot + 1):
@@ -57,7 +66,9 @@ class CongestionControl(ABC):
 
         airtime_ns: (n,) ns of their frames; sent: (n,) which of them send
         """
-        self._sent_ns = np.where(sent, time_ns, self._sent_ns)
+        opened_ns = self._sent_ns + self._wait_ns
+        just_opened = (time_ns - self._period_ns < opened_ns) & (opened_ns < time_ns)
+        self._sent_ns = np.where(sent, np.where(just_opened, opened_ns, time_ns), self._sent_ns)
         self._wait_ns = np.where(sent, self.interval_ns(airtime_ns), self._wait_ns)
         self._airtime_ns = np.where(sent, airtime_ns, self._airtime_ns)
 
@@ -217,4 +228,5 @@ class AdaptiveDcc(CongestionControl):
         share_left = 1.0 - passed / np.maximum(self._wait_ns, 1)
         wait = self._airtime_ns / self._delta * share_left + passed
         wait_ns = np.clip(wait, MIN_INTERVAL_NS, MAX_INTERVAL_NS).astype(np.int64)
-        self._wait_ns = np.where(share_left > 0.0, wait_ns, self._wait_ns)
+        closed = (share_left > 0.0) & (self._wait_ns > 0)
+        self._wait_ns = np.where(closed, wait_ns, self._wait_ns)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.streams import stream
-from mast_zenoh.v2x.channel import FrameTiming, RadioChannel, Transmissions, arrivals, clear_probability
+from mast_zenoh.v2x.channel import BACKOFF_SLOTS, FrameTiming, RadioChannel, Transmissions, arrivals, clear_probability
 
 #: Bytes of a CPM by number of objects, measured with TS 103 324 v2.1.1.
 CPM_BYTES = {10: 360, 20: 683, 30: 1005}
@@ -122,12 +122,51 @@ def test_hidden_terminals_collide_as_in_a_simulation_of_their_start_times() -> N
     assert clear_probability(HIDDEN, np.array([0.0, 0.0, 0.3]))[0, 1] == pytest.approx((others == 0).mean(), abs=0.01)
 
 
+@pytest.mark.parametrize("load", [0.2, 0.5, 0.7])
+def test_stations_that_hear_each_other_collide_as_in_a_simulation_of_backoff_and_a_queue(load: float) -> None:
+    """Frames arrive at random, wait while the channel is busy, and draw a slot; the slots are short."""
+    rng = np.random.default_rng(2)
+    stations, frames = 40, 20_000
+    audible = np.ones((stations, stations), bool)
+    expected = clear_probability(audible, np.full(stations, load / stations))[0, 1]
+    arrival = np.cumsum(rng.exponential(1.0 / load, frames))  # in airtimes
+    now, served, collided, slot_s = 0.0, 0, 0, 13e-6 / 1.3e-3
+    waiting: list[int] = []  # slots left of each
+    while served < frames or waiting:
+        if not waiting:
+            now = max(now, float(arrival[served])) if served < frames else now
+            if arrival[served] >= now:  # the channel is idle: it is sent at once
+                served += 1
+                ends = now + 1.0
+        else:
+            least = min(waiting)
+            collided += waiting.count(least) if waiting.count(least) > 1 else 0
+            waiting = [left - least for left in waiting if left > least]
+            ends = now + least * slot_s + 1.0
+        while served < frames and arrival[served] < ends:
+            waiting.append(int(rng.integers(BACKOFF_SLOTS)))
+            served += 1
+        now = ends
+    assert 1.0 - collided / frames == pytest.approx(expected, abs=0.02)
+
+
+def test_on_a_saturated_channel_almost_everything_collides() -> None:
+    clear = clear_probability(np.ones((60, 60), bool), np.full(60, 0.02))
+    assert clear.max() < 0.01
+
+
+def test_two_stations_never_saturate_their_channel_with_collisions() -> None:
+    """Only the other one can wait."""
+    assert clear_probability(np.ones((2, 2), bool), np.ones(2))[0, 1] == pytest.approx(1.0 - 2.0 / 17.0)
+
+
 def test_an_unheard_and_distant_load_does_not_matter() -> None:
     position = line(0.0, 100.0, 100_000.0)
     with_load, without = (RadioChannel().reception(position, np.array([0.1, 0.1, load])) for load in (0.5, 0.0))
     assert with_load[0, 1] == without[0, 1]
 
 
+@settings(max_examples=50)
 @given(
     x=st.lists(st.floats(0.0, 2000.0), min_size=2, max_size=8),
     load=st.floats(0.0, 0.1),

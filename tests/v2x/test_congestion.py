@@ -51,6 +51,36 @@ def test_the_first_frame_may_always_be_sent(kind: str) -> None:
     assert control.may_send(0).all()
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_stations_can_start_at_different_times(kind: str) -> None:
+    control = build(dict(type=kind), CongestionControl, "congestion")
+    control.reset(2, start_ns=np.array([0, 150_000_000]))
+    for time_ns, ready in ((0, False), (149_000_000, False), (150_000_000, True)):
+        assert control.may_send(time_ns)[1] == ready
+
+
+def test_a_station_measures_nothing_before_its_start() -> None:
+    control = ReactiveDcc()
+    control.reset(2, start_ns=np.array([0, 500_000_000]))
+    measure(control, 0.9, 1.0, stations=2)
+    assert control.state.tolist() == [6, 0]
+
+
+@pytest.mark.parametrize(
+    ("period_ns", "frames"), [(0, [0, 2, 4, 6, 8, 10, 12]), (SLOT_NS, [0, 2, 3, 4, 5, 6, 8, 9, 10, 11, 12])]
+)
+def test_waits_are_not_rounded_up_to_frames_if_their_period_is_known(period_ns: int, frames: list[int]) -> None:
+    """With waits of 120 ms, ten messages take 1.2 s."""
+    control = ReactiveDcc(intervals_s=(0.12,) * 7)
+    control.reset(1, period_ns=period_ns)
+    sent = []
+    for frame in range(13):
+        if control.may_send(frame * SLOT_NS)[0]:
+            control.note_sent(frame * SLOT_NS, AIRTIME_NS, np.ones(1, bool))
+            sent.append(frame)
+    assert sent == frames
+
+
 def test_without_control_every_frame_may_be_sent() -> None:
     control = NoCongestionControl()
     control.measure(0, np.ones(1))

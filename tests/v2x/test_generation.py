@@ -14,7 +14,7 @@ from perceptions import FRAME_NS, objects, perceived, reports, sent_ids
 from mast_zenoh.arrays.states import CLASSES, ObjectStates, concatenate
 from mast_zenoh.config.registry import build, known_types
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.v2x import CpmGeneration, DistanceRedundancy, EveryFrame, GenerationRules, Perception, quality_of_score
+from mast_zenoh.v2x import CpmGeneration, DistanceRedundancy, EveryFrame, GenerationRules, Perception
 
 NOTHING = objects()
 
@@ -127,7 +127,6 @@ def test_objects_of_low_quality_are_not_sent_and_bring_no_others() -> None:
 
 
 def test_quality_follows_from_the_score_by_default() -> None:
-    assert quality_of_score(np.array([0.0, 0.2, 0.5, 1.0, 7.0])).tolist() == [0, 3, 8, 15, 15]
     assert sent(CpmGeneration(), 0, objects(1, 2).with_(score=np.array([0.1, 0.9]))) == [2]
 
 
@@ -197,7 +196,7 @@ def test_memory_is_bounded_and_keeps_what_was_perceived_last() -> None:
     for frame in range(20):
         sent(rules, frame, objects(*range(frame * 30, frame * 30 + 30)))
         assert len(rules._sent) <= 50
-    assert set(range(570, 600)) <= set(rules._sent._table["id"].tolist())
+    assert set(range(570, 600)) <= set(rules._sent.ids.tolist())
 
 
 def test_reset_forgets_all_messages() -> None:
