@@ -8,14 +8,14 @@
     awareness    when a station says where it is: CamGeneration
     congestion   how often stations may send: base class CongestionControl; NoCongestionControl, ReactiveDcc,
                  AdaptiveDcc
-    channel      airtime of frames, busy ratio of the channel, and which frames arrive
+    channel      airtime, busy ratio of the channel, and which transmissions arrive
     input_limit  how many objects fusion gets from each agent: base class InputLimit; NoInputLimit, FairInput
 
 Arrays in, arrays out: no class here knows of nodes. Times are int64 ns, as in clocks.
 """
 
 from mast_zenoh.v2x.awareness import CamDecision, CamGeneration
-from mast_zenoh.v2x.channel import FrameTiming, RadioChannel, Transmissions, arrivals
+from mast_zenoh.v2x.channel import OfdmTiming, RadioChannel, Transmissions, arrivals
 from mast_zenoh.v2x.congestion import AdaptiveDcc, CongestionControl, NoCongestionControl, ReactiveDcc
 from mast_zenoh.v2x.generation import (
     CpmGeneration,
@@ -44,7 +44,6 @@ __all__ = [
     "DynamicsRedundancy",
     "EveryFrame",
     "FairInput",
-    "FrameTiming",
     "FrequencyRedundancy",
     "Generation",
     "GenerationRules",
@@ -52,6 +51,7 @@ __all__ = [
     "InputLimit",
     "NoCongestionControl",
     "NoInputLimit",
+    "OfdmTiming",
     "Perception",
     "PerceptionQuality",
     "RadioChannel",

@@ -14,9 +14,9 @@ from mast_zenoh.v2x import (
     CongestionControl,
     CpmGeneration,
     EveryFrame,
-    FrameTiming,
     GenerationRules,
     NoCongestionControl,
+    OfdmTiming,
     Perception,
     RadioChannel,
     ReactiveDcc,
@@ -32,8 +32,9 @@ STATIONS, OBJECTS = 100, 20
 class Outcome:
     """The second half of a simulation.
 
-    busy: mean and greatest busy ratio; rate: messages per second of a station; arrived: share of frames that arrive at
-    another station
+    busy, peak: mean and greatest busy ratio
+    rate: messages per second of a station
+    arrived: share of messages that arrive at another station
     """
 
     busy: float
@@ -59,7 +60,7 @@ def simulated(
     start: Floats = rng.uniform(-50.0, 50.0, (STATIONS, OBJECTS, 3))
     heading = rng.uniform(0.0, 2.0 * np.pi, (STATIONS, OBJECTS))
     velocity = speed_mps * np.stack([np.cos(heading), np.sin(heading), np.zeros_like(heading)], axis=2)
-    timing, channel = FrameTiming(), RadioChannel()
+    timing, channel = OfdmTiming(), RadioChannel()
     generators = [rules() for _ in range(STATIONS)]
     start_ns = rng.integers(0, 10 * FRAME_NS, STATIONS) if staggered else np.zeros(STATIONS, np.int64)
     control.reset(STATIONS, start_ns, FRAME_NS)
@@ -74,12 +75,12 @@ def simulated(
             open_gate[station] = generation.generated
             airtime[station] = timing.airtime_ns(np.array([33 + 32 * len(generation.rows)]))[0]
         senders = np.flatnonzero(open_gate)
-        frames_sent = Transmissions(senders, np.full(len(senders), now), airtime[senders])
+        sending = Transmissions(senders, np.full(len(senders), now), airtime[senders])
         control.note_sent(now, airtime, open_gate)
         end = now + FRAME_NS
-        measured = channel.busy_ratio(position, frames_sent, end)
+        measured = channel.busy_ratio(position, sending, end)
         control.measure(end, measured)
-        chance = channel.reception(position, frames_sent.load(end, STATIONS, FRAME_NS))
+        chance = channel.reception(position, sending, end)
         here = arrivals(chance, senders, lambda station, frame=frame: stream(seed, "channel", frame, station))  # type: ignore[misc]
         busy.append(measured.mean())
         sent.append(len(senders))
@@ -113,7 +114,7 @@ def test_adaptive_control_reaches_the_fair_share_also_where_stations_send_at_fra
     assert outcome.busy == pytest.approx(fixed_point, abs=0.02)
 
 
-def test_reactive_control_keeps_the_load_low_and_most_frames_arrive() -> None:
+def test_reactive_control_keeps_the_load_low_and_most_messages_arrive() -> None:
     outcome = simulated(EveryFrame, ReactiveDcc(), 200)
     assert 0.2 < outcome.busy < 0.6
     assert outcome.arrived > 0.8
