@@ -143,7 +143,7 @@ class RadioChannel:
         P(power >= sensitivity) for power ~ Gamma(m, mean/m): exp(-x) (1 + x + ... + x^(m-1)/(m-1)!), where
         x = m * sensitivity / mean.
         """
-        x = self.fading_m * 10.0 ** ((self.sensitivity_dbm - self.mean_power_dbm(distance)) / 10.0)
+        x = self.fading_m * np.exp((self.sensitivity_dbm - self.mean_power_dbm(distance)) * (np.log(10.0) / 10.0))
         term, total = np.ones_like(x), np.ones_like(x)
         for k in range(1, self.fading_m):
             term = term * x / k
@@ -152,7 +152,13 @@ class RadioChannel:
 
     def audible(self, position: Floats) -> Bools:
         """(n, n) whether stations at `position` (n, 2) m sense each other's transmissions; each its own."""
-        return np.asarray(_distance(position) <= self.sensing_range_m) | np.eye(len(position), dtype=bool)
+        return self._audible(_distance(position))
+
+    def _audible(self, distance: Floats) -> Bools:
+        """(n, n) whether stations sense each other at distances (n, n), m; each itself."""
+        audible = distance <= self.sensing_range_m
+        np.fill_diagonal(audible, True)
+        return np.asarray(audible)
 
     def busy_ratio(self, position: Floats, sent: Transmissions, now_ns: int) -> Floats:
         """(n,) channel busy ratio at stations at `position` (n, 2) m, over the last `window_s`.
@@ -169,8 +175,9 @@ class RadioChannel:
         position: (n, 2) m; sent: what loads the channel, in the last `window_s`
         """
         airtime_ns = sent.total_ns(now_ns, len(position), self._window_ns)
-        clear = clear_probability(self.audible(position), airtime_ns, self._window_ns, self.hidden_terminals)
-        chance = self.decoding_probability(_distance(position)) * clear
+        distance = _distance(position)
+        clear = clear_probability(self._audible(distance), airtime_ns, self._window_ns, self.hidden_terminals)
+        chance = self.decoding_probability(distance) * clear
         np.fill_diagonal(chance, 0.0)
         return chance
 

@@ -46,7 +46,7 @@ class Perception:
         position: Floats | None = None,
         heard: HeardObjects | None = None,
     ) -> Perception:
-        """A perception; by default the quality is that of the scores, and nothing was heard."""
+        """A perception; by default with the quality of the scores, from the origin, and with nothing heard."""
         return cls(
             time_ns,
             objects,
@@ -86,7 +86,7 @@ class GenerationRules(ABC):
     def generate(self, perception: Perception, interval_s: float = 0.1) -> Generation:
         """What to send now.
 
-        interval_s: s, least time between two messages that congestion control allows
+        interval_s: s, least time between two messages; where a gate of `CongestionControl` is asked first, the default
         """
 
     @abstractmethod

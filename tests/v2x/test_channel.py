@@ -18,7 +18,7 @@ TARGET = 0.68
 
 def line(*x: float) -> Floats:
     """Stations on a line, at x m."""
-    return np.array([[each, 0.0] for each in x]).reshape(-1, 2)
+    return np.array([[station, 0.0] for station in x]).reshape(-1, 2)
 
 
 def on_air(*parts: tuple[int, int, int]) -> Transmissions:
@@ -186,7 +186,9 @@ def test_an_unheard_and_distant_load_does_not_matter() -> None:
 )
 def test_more_load_never_helps(x: list[float], load: float, more: float) -> None:
     position, channel = line(*x), RadioChannel()
-    before, after = (channel.reception(position, loaded([each] * len(x)), 100_000_000) for each in (load, load + more))
+    before, after = (
+        channel.reception(position, loaded([share] * len(x)), 100_000_000) for share in (load, load + more)
+    )
     assert (after <= before + 1e-12).all()
     assert ((before >= 0.0) & (before <= 1.0)).all()
     assert not np.diagonal(before).any()

@@ -183,8 +183,8 @@ def test_adaptive_stations_that_start_unequal_become_equal() -> None:
 @given(busy=st.lists(st.floats(0.0, 1.0), max_size=40))
 def test_the_duty_cycle_stays_within_its_limits(busy: list[float]) -> None:
     control = AdaptiveDcc()
-    for slot, each in enumerate(busy):
-        control.measure(slot * SLOT_NS, np.array([each]))
+    for slot, ratio in enumerate(busy):
+        control.measure(slot * SLOT_NS, np.array([ratio]))
         assert control.least <= control.delta[0] <= control.most
         assert 25_000_000 <= control.interval_ns(AIRTIME_NS)[0] <= 1_000_000_000
 

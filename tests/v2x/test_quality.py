@@ -16,8 +16,8 @@ FRAME_NS = 100_000_000
 
 def rated(quality: PerceptionQuality, frame: int, confidence: float, detected: bool = True, id_: int = 1) -> int:
     """The quality of one object in a frame of 100 ms."""
-    found = quality.rate(frame * FRAME_NS, np.array([id_]), np.array([confidence]), np.array([detected]))
-    return int(found[0])
+    ratings = quality.rate(frame * FRAME_NS, np.array([id_]), np.array([confidence]), np.array([detected]))
+    return int(ratings[0])
 
 
 def test_the_quality_of_a_score_is_rounded() -> None:
