@@ -19,17 +19,19 @@ Sending:
     generation   when a station sends which objects: base class GenerationRules; EveryFrame, CpmGeneration
     redundancy   objects that others have reported: base class RedundancyRule; FrequencyRedundancy, DynamicsRedundancy,
                  DistanceRedundancy
+    quality      how well a station perceives its objects, 0 to 15: PerceptionQuality
+    object_table what a station remembers of each object
     awareness    when a station says where it is: CamGeneration
     congestion   how often stations may send: base class CongestionControl; NoCongestionControl, ReactiveDcc,
                  AdaptiveDcc
-    channel      airtime of frames, busy ratio of the channel, and which frames arrive
+    channel      airtime, busy ratio of the channel, and which transmissions arrive
     input_limit  how many objects fusion gets from each agent: base class InputLimit; NoInputLimit, FairInput
 
 Arrays in, arrays out: no class here knows of nodes. Times are int64 ns, as in clocks.
 """
 
 from mast_zenoh.v2x.awareness import CamDecision, CamGeneration
-from mast_zenoh.v2x.channel import FrameTiming, RadioChannel, Transmissions, arrivals
+from mast_zenoh.v2x.channel import OfdmTiming, RadioChannel, Transmissions, arrivals
 from mast_zenoh.v2x.congestion import AdaptiveDcc, CongestionControl, NoCongestionControl, ReactiveDcc
 from mast_zenoh.v2x.generation import (
     CpmGeneration,
@@ -37,9 +39,9 @@ from mast_zenoh.v2x.generation import (
     Generation,
     GenerationRules,
     Perception,
-    quality_of_score,
 )
 from mast_zenoh.v2x.input_limit import FairInput, InputLimit, NoInputLimit, Selection
+from mast_zenoh.v2x.quality import PerceptionQuality, quality_of_score
 from mast_zenoh.v2x.redundancy import (
     DistanceRedundancy,
     DynamicsRedundancy,
@@ -58,7 +60,6 @@ __all__ = [
     "DynamicsRedundancy",
     "EveryFrame",
     "FairInput",
-    "FrameTiming",
     "FrequencyRedundancy",
     "Generation",
     "GenerationRules",
@@ -66,7 +67,9 @@ __all__ = [
     "InputLimit",
     "NoCongestionControl",
     "NoInputLimit",
+    "OfdmTiming",
     "Perception",
+    "PerceptionQuality",
     "RadioChannel",
     "ReactiveDcc",
     "RedundancyRule",

@@ -1,7 +1,7 @@
-"""The radio channel of ITS-G5: airtime of frames, busy ratio of the channel, and which frames arrive.
+"""The radio channel of ITS-G5: airtime of transmissions, busy ratio of the channel, and which transmissions arrive.
 
-A model for studies of load, not a radio simulator: all stations send with one power and one bit rate, frames are about
-equally long, and no obstacle shadows them. What it leaves out is listed at `RadioChannel`.
+A model for studies of load, not a radio simulator: all stations send with one power and one bit rate, transmissions
+are about equally long, and no obstacle shadows them. What it leaves out is listed at `RadioChannel`.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from mast_zenoh.arrays.states import Bools, Floats, Ints
 BITS_PER_SYMBOL = {3.0: 24, 4.5: 36, 6.0: 48, 9.0: 72, 12.0: 96, 18.0: 144, 24.0: 192, 27.0: 216}
 PREAMBLE_NS = 40_000  #: preamble (32 µs) and SIGNAL field (8 µs) at 10 MHz (IEEE 802.11-2020, table 17-5)
 SYMBOL_NS = 8_000  #: one OFDM symbol at 10 MHz
-SERVICE_AND_TAIL_BITS = 16 + 6  #: bits around the data of a frame (IEEE 802.11-2020, 17.3.2)
+SERVICE_AND_TAIL_BITS = 16 + 6  #: bits around the data of a transmission (IEEE 802.11-2020, 17.3.2)
 #: Backoff slots of best effort, which carries CAM and CPM: CWmin + 1 (EN 302 663, table B.2).
 BACKOFF_SLOTS = 16
 
 
 @dataclass(frozen=True, kw_only=True)
-class FrameTiming:
-    """Durations of frames of IEEE 802.11 at 10 MHz.
+class OfdmTiming:
+    """Durations of transmissions of IEEE 802.11 at 10 MHz.
 
     bit_rate_mbps: Mbit/s, one of BITS_PER_SYMBOL
     overhead_bytes: bytes around the message: GeoNetworking, BTP, security and MAC
-    aifs_s: s, quiet time before a frame; 110 µs for best effort, 71 and 58 µs for the more urgent classes
+    aifs_s: s, quiet time before a transmission; 110 µs for best effort, 71 and 58 µs for the more urgent classes
         (EN 302 663, table B.2)
     """
 
@@ -47,7 +47,7 @@ class FrameTiming:
         check("0 or more, finite", aifs_s=self.aifs_s)
 
     def airtime_ns(self, message_bytes: Ints) -> Ints:
-        """(m,) ns that the channel is busy with frames of messages of (m,) bytes.
+        """(m,) ns that the channel is busy with transmissions of messages of (m,) bytes.
 
         Data is padded to whole symbols (IEEE 802.11-2020, 17.4.3).
         """
@@ -61,7 +61,7 @@ class FrameTiming:
 
 
 class Transmissions(NamedTuple):
-    """m frames on the air.
+    """m transmissions on the air.
 
     sender: (m,) rows of stations; start_ns: (m,) ns; airtime_ns: (m,) ns
     """
@@ -70,16 +70,18 @@ class Transmissions(NamedTuple):
     start_ns: Ints
     airtime_ns: Ints
 
-    def load(self, now_ns: int, stations: int, window_ns: int) -> Floats:
-        """(n,) share of the last `window_ns` in which each of n stations transmits."""
+    def total_ns(self, now_ns: int, stations: int, window_ns: int) -> Ints:
+        """(n,) ns of the last `window_ns` in which each of n stations transmits."""
         end = np.minimum(self.start_ns + self.airtime_ns, now_ns)
-        busy = np.maximum(end - np.maximum(self.start_ns, now_ns - window_ns), 0)
-        return np.bincount(self.sender, busy / window_ns, stations).astype(np.float64, copy=False)
+        within = np.maximum(end - np.maximum(self.start_ns, now_ns - window_ns), 0)
+        total = np.zeros(stations, np.int64)
+        np.add.at(total, self.sender, within)
+        return total
 
 
 @dataclass(frozen=True, kw_only=True)
 class RadioChannel:
-    """Which stations hear each other, and which frames arrive at which load.
+    """Which stations hear each other, and which transmissions arrive at which load.
 
     Path loss: free space up to 1 m, then two slopes (Cheng et al., IEEE JSAC 25(8) 2007, data set 1: 5.9 GHz, between
     cars, in a suburb). Fading: Nakagami, so that power is Gamma distributed about its mean. Collisions: see
@@ -90,13 +92,13 @@ class RadioChannel:
     near_exponent, far_exponent: of the path loss before and after the breakpoint
     breakpoint_m: m, distance at which the slope changes
     fading_m: Nakagami's m, a whole number: 1 is Rayleigh fading, larger is milder
-    sensitivity_dbm: power at which a frame is decoded; -82 at 6 Mbit/s (IEEE 802.11-2020, table 17-18)
+    sensitivity_dbm: power at which a transmission is decoded; -82 at 6 Mbit/s (IEEE 802.11-2020, table 17-18)
     busy_dbm: mean power from which the channel counts as busy (TS 102 687, clause 4)
     window_s: s, over which the busy ratio is measured
-    hidden_terminals: whether stations that a sender does not hear destroy its frames
+    hidden_terminals: whether stations that a sender does not hear destroy its transmissions
 
-    Left out: obstacles, antennas and heights; capture (of two colliding frames, both are lost); frames of unequal
-    length and priority; the interference of many far stations.
+    Left out: obstacles, antennas and heights; capture (of two colliding transmissions, both are lost); unequal lengths
+    and priorities; the interference of many far stations.
     """
 
     power_dbm: float = 23.0
@@ -126,7 +128,7 @@ class RadioChannel:
 
     @cached_property
     def sensing_range_m(self) -> float:
-        """Distance, m, up to which a station's channel is busy with a frame; 0 if not even at 1 m."""
+        """Distance, m, up to which a station's channel is busy with a transmission; 0 if not even at 1 m."""
         margin = (self.power_dbm - self.loss_1m_db - self.busy_dbm) / 10.0
         to_breakpoint = self.near_exponent * np.log10(self.breakpoint_m)
         if margin < 0.0:
@@ -136,12 +138,12 @@ class RadioChannel:
         return float(self.breakpoint_m * 10.0 ** ((margin - to_breakpoint) / self.far_exponent))
 
     def decoding_probability(self, distance: Floats) -> Floats:
-        """Probability that a frame is decoded at distances, m, of any shape, if no other disturbs it.
+        """Probability that a transmission is decoded at distances, m, of any shape, if no other disturbs it.
 
         P(power >= sensitivity) for power ~ Gamma(m, mean/m): exp(-x) (1 + x + ... + x^(m-1)/(m-1)!), where
         x = m * sensitivity / mean.
         """
-        x = self.fading_m * 10.0 ** ((self.sensitivity_dbm - self.mean_power_dbm(distance)) / 10.0)
+        x = self.fading_m * np.exp((self.sensitivity_dbm - self.mean_power_dbm(distance)) * (np.log(10.0) / 10.0))
         term, total = np.ones_like(x), np.ones_like(x)
         for k in range(1, self.fading_m):
             term = term * x / k
@@ -149,27 +151,39 @@ class RadioChannel:
         return np.asarray(np.exp(-x) * total)
 
     def audible(self, position: Floats) -> Bools:
-        """(n, n) whether stations at `position` (n, 2) m sense each other's frames; each its own."""
-        return np.asarray(_distance(position) <= self.sensing_range_m) | np.eye(len(position), dtype=bool)
+        """(n, n) whether stations at `position` (n, 2) m sense each other's transmissions; each its own."""
+        return self._audible(_distance(position))
+
+    def _audible(self, distance: Floats) -> Bools:
+        """(n, n) whether stations sense each other at distances (n, n), m; each itself."""
+        audible = distance <= self.sensing_range_m
+        np.fill_diagonal(audible, True)
+        return np.asarray(audible)
 
     def busy_ratio(self, position: Floats, sent: Transmissions, now_ns: int) -> Floats:
         """(n,) channel busy ratio at stations at `position` (n, 2) m, over the last `window_s`.
 
-        A station's own frames count. Frames that overlap in time count twice, so that the ratio is a little too high
-        where stations do not hear each other; it is at most 1.
+        A station's own transmissions count. Those that overlap in time count twice, so that the ratio is a little too
+        high where stations do not hear each other; it is at most 1.
         """
-        load = sent.load(now_ns, len(position), round(self.window_s * 1e9))
-        return np.minimum(self.audible(position) @ load, 1.0)
+        airtime_ns = sent.total_ns(now_ns, len(position), self._window_ns)
+        return np.minimum(_sums(self.audible(position), airtime_ns) / self._window_ns, 1.0)
 
-    def reception(self, position: Floats, load: Floats) -> Floats:
-        """(n, n) probability that a frame of the row's station arrives at the column's; 0 on the diagonal.
+    def reception(self, position: Floats, sent: Transmissions, now_ns: int) -> Floats:
+        """(n, n) probability that a transmission of the row's station arrives at the column's; 0 on the diagonal.
 
-        position: (n, 2) m; load: (n,) share of time in which each station transmits, see `Transmissions.load`
+        position: (n, 2) m; sent: what loads the channel, in the last `window_s`
         """
-        clear = clear_probability(self.audible(position), load, self.hidden_terminals)
-        chance = self.decoding_probability(_distance(position)) * clear
+        airtime_ns = sent.total_ns(now_ns, len(position), self._window_ns)
+        distance = _distance(position)
+        clear = clear_probability(self._audible(distance), airtime_ns, self._window_ns, self.hidden_terminals)
+        chance = self.decoding_probability(distance) * clear
         np.fill_diagonal(chance, 0.0)
         return chance
+
+    @property
+    def _window_ns(self) -> int:
+        return round(self.window_s * 1e9)
 
 
 def _distance(position: Floats) -> Floats:
@@ -178,34 +192,42 @@ def _distance(position: Floats) -> Floats:
     return np.asarray(np.hypot(x[:, None] - x, y[:, None] - y))
 
 
-def clear_probability(audible: Bools, load: Floats, hidden_terminals: bool = True) -> Floats:
-    """(n, n) probability that no other frame collides with one of the row's station at the column's.
+def _sums(audible: Bools, airtime_ns: Ints) -> Floats:
+    """(n,) airtime, ns, that each station hears. Sums of whole numbers are exact, in any order of stations."""
+    return np.asarray(audible.astype(np.float64) @ airtime_ns.astype(np.float64))
 
-    audible: (n, n) symmetric, with a true diagonal; load: (n,) share of time in which each station transmits
 
-    Two causes, for Poisson arrivals and frames of equal length. Both grow with the load.
+def clear_probability(audible: Bools, airtime_ns: Ints, window_ns: int, hidden_terminals: bool = True) -> Floats:
+    """(n, n) probability that no other transmission collides with one of the row's station at the column's.
 
-    Stations that hear each other collide if their backoff ends in the same slot. A frame finds the channel busy with
-    probability r, the load that its sender hears; on average r other frames wait as well, each for one of
-    BACKOFF_SLOTS: exp(-r² / BACKOFF_SLOTS). An approximation for small r, below the saturation that Bianchi models
-    (IEEE JSAC 2000).
+    audible: (n, n) symmetric, with a true diagonal
+    airtime_ns: (n,) ns of the last `window_ns` in which each station transmits
+
+    Two causes, for Poisson arrivals of transmissions of equal length.
+
+    Stations that hear each other collide if their backoff ends in the same slot. With a window of BACKOFF_SLOTS, a
+    waiting station sends in a slot with probability 2 / (BACKOFF_SLOTS + 1) (Bianchi, IEEE JSAC 18(3) 2000, without
+    doubling). The mean number of others that wait is that of a queue with constant service, r² / (2 (1 - r)), where r
+    is the load that the sender hears (Pollaczek and Khinchine); on a saturated channel, all other senders wait.
 
     Hidden terminals, which the receiver hears and the sender does not, collide as in pure ALOHA, if they start within
     one airtime before or after: exp(-2 h), where h is their load (Abramson 1970; Tobagi and Kleinrock 1975).
     """
-    weights = np.asarray(load, np.float64)
-    hears = audible.astype(np.float64)
-    heard = hears @ weights
-    of_others = heard - weights
-    clear = np.repeat(np.exp(-(of_others**2) / BACKOFF_SLOTS)[:, None], len(weights), axis=1)
+    heard_ns = _sums(audible, airtime_ns)
+    load = np.minimum((heard_ns - airtime_ns) / window_ns, 1.0 - 1e-12)
+    sending = (airtime_ns > 0).astype(np.int64)
+    senders = _sums(audible, sending) - sending
+    waiting = np.minimum(load**2 / (2.0 * (1.0 - load)), senders)
+    clear = np.repeat(((1.0 - 2.0 / (BACKOFF_SLOTS + 1)) ** waiting)[:, None], len(airtime_ns), axis=1)
     if hidden_terminals:
-        hidden = heard - (hears * weights) @ hears  # at the column's station, less what the row's station hears too
-        clear *= np.exp(-2.0 * np.maximum(hidden, 0.0))
+        hears = audible.astype(np.float64)
+        common_ns = (hears * airtime_ns) @ hears  # heard by the row's station and the column's
+        clear *= np.exp(-2.0 * (heard_ns - common_ns) / window_ns)
     return np.asarray(clear)
 
 
 def arrivals(chance: Floats, sender: Ints, generator: Callable[[int], np.random.Generator]) -> Bools:
-    """(m, n) whether each of m frames arrives at each of n stations.
+    """(m, n) whether each of m transmissions arrives at each of n stations.
 
     chance: (n, n) probability by sender and receiver, see `RadioChannel.reception`
     sender: (m,) rows of stations, those of one sender in the order in which it sends

@@ -1,7 +1,7 @@
 """Decentralised congestion control (ETSI TS 102 687): how often stations may send, given how busy the channel is.
 
 All classes control n independent stations at once; the arrays have one entry for each. They measure the channel busy
-ratio in slots of 100 ms, and have a gate for each station: closed after a frame for as long as the rule says.
+ratio in slots of 100 ms, and have a gate for each station: closed after a transmission for as long as the rule says.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from mast_zenoh.arrays.states import Bools, Floats, Ints
 SLOT_NS = 100_000_000  #: between two measurements of the busy ratio (TS 102 687 v1.2.1, clause 5.2)
 #: Slots that one measurement can stand for. After a longer pause, the channel counts as it was in the last minute.
 MAX_SLOTS = 600
-#: Limits on the time between two frames of a station (TS 102 687 v1.2.1, annex B).
+#: Limits on the time between two transmissions of a station (TS 102 687 v1.2.1, annex B).
 MIN_INTERVAL_NS, MAX_INTERVAL_NS = 25_000_000, 1_000_000_000
 _NEVER_NS = -(2**62)
 
@@ -25,23 +25,32 @@ _NEVER_NS = -(2**62)
 class CongestionControl(ABC):
     """Limits how often each of n stations sends.
 
-    Call `measure` once in each frame, then `may_send`, then `note_sent` for frames that were sent.
+    Call `measure` once in each frame, then `may_send`, then `note_sent` for what was sent.
     """
 
-    def reset(self, stations: int = 1) -> None:
-        """Start anew with n stations, on a channel that was idle."""
-        self._sent_ns: Ints = np.full(stations, _NEVER_NS, np.int64)
+    def reset(self, stations: int = 1, start_ns: Ints | None = None, period_ns: int = 0) -> None:
+        """Start anew with n stations, on a channel that was idle.
+
+        start_ns: (n,) ns, at which each station is switched on, by default all at once
+        period_ns: ns between frames, if stations act at frames only. A gate that opens between two frames lets a
+            message through in the second, and the next wait counts from when it opened. Otherwise all waits would be
+            rounded up to whole frames, and stations that once sent in one frame would do so forever: a channel that is
+            overloaded and idle in turn
+        """
+        self._period_ns = period_ns
+        self._start_ns: Ints = np.full(stations, _NEVER_NS) if start_ns is None else np.asarray(start_ns, np.int64)
+        self._sent_ns = self._start_ns
         self._wait_ns: Ints = np.zeros(stations, np.int64)
         self._airtime_ns: Ints = np.zeros(stations, np.int64)
         self._slot: int | None = None
-        self._start(stations)
+        self._begin(stations)
 
     def measure(self, time_ns: int, busy_ratio: Floats) -> None:
         """Note the busy ratio (n,) measured at a time; it holds for all slots since the last measurement.
 
         Only the first measurement in a slot counts.
         """
-        busy = np.clip(np.asarray(busy_ratio, np.float64), 0.0, 1.0)
+        busy = np.where(time_ns >= self._start_ns, np.clip(busy_ratio, 0.0, 1.0), 0.0)
         slot = time_ns // SLOT_NS
         first = slot if self._slot is None else max(self._slot + 1, slot - MAX_SLOTS + 1)
         for current in range(first, slot + 1):
@@ -55,25 +64,27 @@ class CongestionControl(ABC):
     def note_sent(self, time_ns: int, airtime_ns: Ints, sent: Bools) -> None:
         """Close the gates of the stations that send now.
 
-        airtime_ns: (n,) ns of their frames; sent: (n,) which of them send
+        airtime_ns: (n,) ns of their transmissions; sent: (n,) which of them send
         """
-        self._sent_ns = np.where(sent, time_ns, self._sent_ns)
+        opened_ns = self._sent_ns + self._wait_ns
+        just_opened = (time_ns - self._period_ns < opened_ns) & (opened_ns < time_ns)
+        self._sent_ns = np.where(sent, np.where(just_opened, opened_ns, time_ns), self._sent_ns)
         self._wait_ns = np.where(sent, self.interval_ns(airtime_ns), self._wait_ns)
         self._airtime_ns = np.where(sent, airtime_ns, self._airtime_ns)
 
     @abstractmethod
     def interval_ns(self, airtime_ns: Ints) -> Ints:
-        """(n,) least time from the start of one frame to that of the next, ns.
+        """(n,) least time from the start of one transmission to that of the next, ns.
 
         airtime_ns: (n,) ns, of the first
         """
 
     def duty_cycle(self, airtime_ns: Ints) -> Floats:
-        """(n,) share of time in which each station may transmit frames of `airtime_ns` (n,) ns."""
+        """(n,) share of time in which each station may transmit messages of `airtime_ns` (n,) ns."""
         return np.asarray(airtime_ns / np.maximum(self.interval_ns(airtime_ns), 1))
 
     @abstractmethod
-    def _start(self, stations: int) -> None:
+    def _begin(self, stations: int) -> None:
         """Begin with n stations."""
 
     @abstractmethod
@@ -93,7 +104,7 @@ class NoCongestionControl(CongestionControl):
     def duty_cycle(self, airtime_ns: Ints) -> Floats:
         return np.ones(len(self._sent_ns))
 
-    def _start(self, stations: int) -> None:
+    def _begin(self, stations: int) -> None:
         pass
 
     def _note_slot(self, slot: int, busy: Floats, time_ns: int) -> None:
@@ -108,7 +119,7 @@ class ReactiveDcc(CongestionControl):
     seconds is below one.
 
     bounds: busy ratios between the states, ascending: relaxed, active 1 to 5, restrictive
-    intervals_s: s, least time between two frames in each state, one more than bounds
+    intervals_s: s, least time between two transmissions in each state, one more than bounds
     rise_s, fall_s: s, how long the channel must be busier, or quieter, before the state changes
     """
 
@@ -139,7 +150,7 @@ class ReactiveDcc(CongestionControl):
     def interval_ns(self, airtime_ns: Ints) -> Ints:
         return np.asarray(self._intervals_ns[self._state])
 
-    def _start(self, stations: int) -> None:
+    def _begin(self, stations: int) -> None:
         self._busy = np.zeros((max(self._rise, self._fall), stations))  # the newest slot first
         self._state = np.zeros(stations, np.int64)
 
@@ -197,7 +208,7 @@ class AdaptiveDcc(CongestionControl):
     def interval_ns(self, airtime_ns: Ints) -> Ints:
         return np.asarray(np.clip(airtime_ns / self._delta, MIN_INTERVAL_NS, MAX_INTERVAL_NS), np.int64)
 
-    def _start(self, stations: int) -> None:
+    def _begin(self, stations: int) -> None:
         self._delta = np.full(stations, (self.least + self.most) / 2.0)
         self._mean = np.zeros(stations)
         self._newest = np.zeros((self.period_slots, stations))
@@ -217,4 +228,5 @@ class AdaptiveDcc(CongestionControl):
         share_left = 1.0 - passed / np.maximum(self._wait_ns, 1)
         wait = self._airtime_ns / self._delta * share_left + passed
         wait_ns = np.clip(wait, MIN_INTERVAL_NS, MAX_INTERVAL_NS).astype(np.int64)
-        self._wait_ns = np.where(share_left > 0.0, wait_ns, self._wait_ns)
+        closed = (share_left > 0.0) & (self._wait_ns > 0)
+        self._wait_ns = np.where(closed, wait_ns, self._wait_ns)

@@ -8,17 +8,15 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats, Ints, ObjectStates
+from mast_zenoh.v2x.object_table import ObjectTable
+from mast_zenoh.v2x.quality import MAX_QUALITY, quality_of_score
 from mast_zenoh.v2x.redundancy import HeardObjects, RedundancyRule
-
-MAX_QUALITY = 15  #: of objectPerceptionQuality (TS 102 894-2 v2.2.1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +46,7 @@ class Perception:
         position: Floats | None = None,
         heard: HeardObjects | None = None,
     ) -> Perception:
-        """A perception; by default the quality is that of the scores, and nothing was heard."""
+        """A perception; by default with the quality of the scores, from the origin, and with nothing heard."""
         return cls(
             time_ns,
             objects,
@@ -60,14 +58,6 @@ class Perception:
     def select(self, rows: Ints) -> Perception:
         """The same with some of the objects."""
         return Perception(self.time_ns, self.objects.select(rows), self.quality[rows], self.position, self.heard)
-
-
-def quality_of_score(score: Floats) -> Ints:
-    """(n,) objectPerceptionQuality, 0 to 15, of scores (n,) in [0, 1].
-
-    The standard's own is a mean of ratings of detection confidence, success and age (TS 103 324, clause 7.1).
-    """
-    return np.rint(np.clip(score, 0.0, 1.0) * MAX_QUALITY).astype(np.int64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,7 +86,7 @@ class GenerationRules(ABC):
     def generate(self, perception: Perception, interval_s: float = 0.1) -> Generation:
         """What to send now.
 
-        interval_s: s, least time between two messages that congestion control allows
+        interval_s: s, least time between two messages; where a gate of `CongestionControl` is asked first, the default
         """
 
     @abstractmethod
@@ -183,7 +173,7 @@ class CpmGeneration(GenerationRules):
         self.reset()
 
     def reset(self) -> None:
-        self._sent = SentObjects()
+        self._sent = SentObjects(self.remembered)
         self._message_ns: int | None = None
         self._sensors_ns: int | None = None
 
@@ -202,7 +192,7 @@ class CpmGeneration(GenerationRules):
             return Generation.nothing()
         self._message_ns = now
         self._sensors_ns = now if sensors else self._sensors_ns
-        self._sent.note_sent(perception.objects.select(rows), now, self.remembered)
+        self._sent.note_sent(perception.objects.select(rows), now)
         return Generation(True, rows, sensors)
 
     def _due(self, now_ns: int, last_ns: int | None, period_s: float) -> bool:
@@ -257,40 +247,21 @@ class Changes:
     silence_s: Floats
 
 
-class SentObjects:
-    """The objects that a station has sent, as it sent them; sorted by id."""
+class SentObjects(ObjectTable):
+    """The objects that a station has sent, as it sent them.
 
-    _COLUMNS = np.dtype(
-        [
-            ("id", np.int64),
-            ("sent_ns", np.int64),
-            ("perceived_ns", np.int64),
-            ("position", np.float64, 3),
-            ("velocity", np.float64, 3),
-        ]
-    )
+    most: number of objects that are remembered at most
+    """
 
-    def __init__(self) -> None:
-        self._table: NDArray[Any] = np.zeros(0, self._COLUMNS)
-
-    def __len__(self) -> int:
-        return len(self._table)
-
-    def _find(self, ids: Ints) -> tuple[Ints, Bools]:
-        """Rows (n,) of ids in the table, and whether they are there (n,)."""
-        row = np.minimum(np.searchsorted(self._table["id"], ids), max(len(self._table) - 1, 0))
-        if len(self._table) == 0:
-            return row, np.zeros(len(ids), bool)
-        return row, np.asarray(self._table["id"][row] == ids)
+    def __init__(self, most: int) -> None:
+        super().__init__(("sent_ns", np.int64), ("position", np.float64, 3), ("velocity", np.float64, 3), most=most)
 
     def changes(self, objects: ObjectStates, time_ns: int, direction_speed_mps: float) -> Changes:
         """How objects differ from what was last sent.
 
         direction_speed_mps: m/s, speed below which a velocity has no direction
         """
-        row, known = self._find(objects.id)
-        last = np.zeros(len(objects), self._COLUMNS)
-        last[known] = self._table[row[known]]
+        last, known = self.read(objects.id)
         before, after = (np.linalg.norm(velocity, axis=1) for velocity in (last["velocity"], objects.velocity))
         turned = wrap_angle(_direction(objects.velocity) - _direction(last["velocity"]))
         moving = known & (before >= direction_speed_mps) & (after >= direction_speed_mps)
@@ -302,31 +273,12 @@ class SentObjects:
             np.where(known, (time_ns - last["sent_ns"]) / 1e9, 0.0),
         )
 
-    def note_perceived(self, ids: Ints, time_ns: int) -> None:
-        """Note that objects (n,) are perceived."""
-        row, known = self._find(ids)
-        self._table["perceived_ns"][row[known]] = time_ns
-
-    def note_sent(self, objects: ObjectStates, time_ns: int, most: int) -> None:
-        """Note that objects are sent; remember the `most` last perceived ones, of equal ones those with low ids."""
-        sent = np.zeros(len(objects), self._COLUMNS)
+    def note_sent(self, objects: ObjectStates, time_ns: int) -> None:
+        """Note that objects are sent."""
+        sent = np.zeros(len(objects), self.dtype)
         sent["id"], sent["position"], sent["velocity"] = objects.id, objects.position, objects.velocity
         sent["sent_ns"] = sent["perceived_ns"] = time_ns
-        row, known = self._find(objects.id)
-        self._table[row[known]] = sent[known]
-        if known.all():
-            return
-        table = np.concatenate([self._table, sent[~known]])
-        table = table[table["id"].argsort()]
-        if len(table) > most:
-            table = table[np.sort(np.lexsort((table["id"], -table["perceived_ns"]))[:most])]
-        self._table = table
-
-    def forget(self, before_ns: int) -> None:
-        """Forget objects last perceived before a time."""
-        perceived = self._table["perceived_ns"]
-        if len(perceived) and perceived.min() < before_ns:
-            self._table = self._table[perceived >= before_ns]
+        self.write(sent)
 
 
 def _direction(velocity: Floats) -> Floats:

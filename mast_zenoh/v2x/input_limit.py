@@ -122,7 +122,7 @@ class FairInput(InputLimit):
         # Numbers of 16 bits are sorted ten times as fast as those of 64. Ties keep the order of ids.
         order = np.lexsort((disbelief, place, owner.astype(np.uint16) if len(count) <= 65536 else owner))
         known, new = (
-            np.add.reduceat(each & ~repeated, start, dtype=np.int64) for each in (seniority > 0, seniority == 0)
+            np.add.reduceat(member & ~repeated, start, dtype=np.int64) for member in (seniority > 0, seniority == 0)
         )
         n_new = np.minimum(new, np.maximum(share - known, (share * self.reserve).astype(np.int64)))
         n_known = np.minimum(known, share - n_new)

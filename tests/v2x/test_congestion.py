@@ -46,12 +46,42 @@ def test_invalid_parameters_are_refused(spec: dict[str, object], problem: str) -
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_first_frame_may_always_be_sent(kind: str) -> None:
+def test_the_first_message_may_always_be_sent(kind: str) -> None:
     control = build(dict(type=kind), CongestionControl, "congestion")
     assert control.may_send(0).all()
 
 
-def test_without_control_every_frame_may_be_sent() -> None:
+@pytest.mark.parametrize("kind", KINDS)
+def test_stations_can_start_at_different_times(kind: str) -> None:
+    control = build(dict(type=kind), CongestionControl, "congestion")
+    control.reset(2, start_ns=np.array([0, 150_000_000]))
+    for time_ns, ready in ((0, False), (149_000_000, False), (150_000_000, True)):
+        assert control.may_send(time_ns)[1] == ready
+
+
+def test_a_station_measures_nothing_before_its_start() -> None:
+    control = ReactiveDcc()
+    control.reset(2, start_ns=np.array([0, 500_000_000]))
+    measure(control, 0.9, 1.0, stations=2)
+    assert control.state.tolist() == [6, 0]
+
+
+@pytest.mark.parametrize(
+    ("period_ns", "frames"), [(0, [0, 2, 4, 6, 8, 10, 12]), (SLOT_NS, [0, 2, 3, 4, 5, 6, 8, 9, 10, 11, 12])]
+)
+def test_waits_are_not_rounded_up_to_frames_if_their_period_is_known(period_ns: int, frames: list[int]) -> None:
+    """With waits of 120 ms, ten messages take 1.2 s."""
+    control = ReactiveDcc(intervals_s=(0.12,) * 7)
+    control.reset(1, period_ns=period_ns)
+    sent = []
+    for frame in range(13):
+        if control.may_send(frame * SLOT_NS)[0]:
+            control.note_sent(frame * SLOT_NS, AIRTIME_NS, np.ones(1, bool))
+            sent.append(frame)
+    assert sent == frames
+
+
+def test_without_control_every_message_may_be_sent() -> None:
     control = NoCongestionControl()
     control.measure(0, np.ones(1))
     control.note_sent(0, AIRTIME_NS, np.ones(1, bool))
@@ -88,7 +118,7 @@ def test_a_short_burst_or_pause_does_not_change_the_state() -> None:
         assert control.state.tolist() == [2]
 
 
-def test_a_gate_stays_closed_for_the_interval_after_a_frame() -> None:
+def test_a_gate_stays_closed_for_the_interval_after_a_transmission() -> None:
     control = ReactiveDcc()
     measure(control, 0.3, 2.0)
     control.note_sent(2_000_000_000, AIRTIME_NS, np.ones(1, bool))
@@ -153,13 +183,13 @@ def test_adaptive_stations_that_start_unequal_become_equal() -> None:
 @given(busy=st.lists(st.floats(0.0, 1.0), max_size=40))
 def test_the_duty_cycle_stays_within_its_limits(busy: list[float]) -> None:
     control = AdaptiveDcc()
-    for slot, each in enumerate(busy):
-        control.measure(slot * SLOT_NS, np.array([each]))
+    for slot, ratio in enumerate(busy):
+        control.measure(slot * SLOT_NS, np.array([ratio]))
         assert control.least <= control.delta[0] <= control.most
         assert 25_000_000 <= control.interval_ns(AIRTIME_NS)[0] <= 1_000_000_000
 
 
-def test_an_adaptive_station_waits_longer_after_a_longer_frame() -> None:
+def test_an_adaptive_station_waits_longer_after_a_longer_message() -> None:
     control = AdaptiveDcc()
     interval = [control.interval_ns(np.array([airtime]))[0] for airtime in (600_000, 1_200_000)]
     assert interval[1] == pytest.approx(2 * interval[0], abs=2)
@@ -177,7 +207,7 @@ def test_a_wait_changes_with_the_duty_cycle() -> None:
     assert control.may_send(int(expected) + 1000).all()
 
 
-def test_reset_forgets_the_channel_and_the_frames_sent() -> None:
+def test_reset_forgets_the_channel_and_the_transmissions() -> None:
     for control in (ReactiveDcc(), AdaptiveDcc()):
         fresh = control.interval_ns(AIRTIME_NS)
         measure(control, 1.0, 10.0)

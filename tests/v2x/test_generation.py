@@ -14,7 +14,7 @@ from perceptions import FRAME_NS, objects, perceived, reports, sent_ids
 from mast_zenoh.arrays.states import CLASSES, ObjectStates, concatenate
 from mast_zenoh.config.registry import build, known_types
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.v2x import CpmGeneration, DistanceRedundancy, EveryFrame, GenerationRules, Perception, quality_of_score
+from mast_zenoh.v2x import CpmGeneration, DistanceRedundancy, EveryFrame, GenerationRules, Perception
 
 NOTHING = objects()
 
@@ -127,7 +127,6 @@ def test_objects_of_low_quality_are_not_sent_and_bring_no_others() -> None:
 
 
 def test_quality_follows_from_the_score_by_default() -> None:
-    assert quality_of_score(np.array([0.0, 0.2, 0.5, 1.0, 7.0])).tolist() == [0, 3, 8, 15, 15]
     assert sent(CpmGeneration(), 0, objects(1, 2).with_(score=np.array([0.1, 0.9]))) == [2]
 
 
@@ -155,7 +154,7 @@ def test_frames_whose_times_are_rounded_are_not_skipped() -> None:
     rules = CpmGeneration()
     times = [round(frame * 1e9 / 30.0) for frame in range(12)]
     generated = [rules.generate(Perception.of(time, objects(1, x=time / 1e6))).generated for time in times]
-    assert [i for i, each in enumerate(generated) if each] == [0, 3, 6, 9]
+    assert np.flatnonzero(generated).tolist() == [0, 3, 6, 9]
 
 
 def test_all_objects_are_sent_in_each_message_on_request() -> None:
@@ -197,7 +196,7 @@ def test_memory_is_bounded_and_keeps_what_was_perceived_last() -> None:
     for frame in range(20):
         sent(rules, frame, objects(*range(frame * 30, frame * 30 + 30)))
         assert len(rules._sent) <= 50
-    assert set(range(570, 600)) <= set(rules._sent._table["id"].tolist())
+    assert set(range(570, 600)) <= set(rules._sent.ids.tolist())
 
 
 def test_reset_forgets_all_messages() -> None:
@@ -260,8 +259,8 @@ def test_messages_equal_those_of_the_rules_object_by_object(frames: list[list[An
     for frame, expected in enumerate(plain_rules(frames, interval)):
         states = states_of(frames[frame])
         generation = rules.generate(perceived(frame, states), interval * 0.1)
-        found = (set(sent_ids(generation, states)), generation.sensors) if generation.generated else None
-        assert found == expected, frame
+        message = (set(sent_ids(generation, states)), generation.sensors) if generation.generated else None
+        assert message == expected, frame
 
 
 @given(frames=FRAMES, seed=st.integers(0, 100))
@@ -273,8 +272,8 @@ def test_messages_do_not_depend_on_the_order_of_rows(frames: list[list[Any]], se
         heard = reports(states.select(rng.permutation(len(states))[:2]), frame)
         other = states.select(rng.permutation(len(states)))
         messages = [
-            sent_ids(rules.generate(perceived(frame, each, heard=heard)), each)
-            for rules, each in ((plain, states), (shuffled, other))
+            sent_ids(rules.generate(perceived(frame, rows, heard=heard)), rows)
+            for rules, rows in ((plain, states), (shuffled, other))
         ]
         assert messages[0] == messages[1]
 
@@ -292,6 +291,8 @@ def test_no_object_is_silent_for_longer_than_its_limit_and_an_interval(
         last |= dict.fromkeys(sent_ids(generation, states), frame)
         for id_, _, _, cls in seen:
             limit_ns = 0.5e9 if cls in ("pedestrian", "bicycle") else 1e9
-            appeared = next(i for i in range(frame, -1, -1) if i == 0 or id_ not in {each[0] for each in frames[i - 1]})
+            appeared = next(
+                i for i in range(frame, -1, -1) if i == 0 or id_ not in {object_[0] for object_ in frames[i - 1]}
+            )
             silent_ns = (frame - max(last.get(id_, -1), appeared)) * FRAME_NS
             assert silent_ns <= limit_ns + interval_ns

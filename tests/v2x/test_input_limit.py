@@ -20,17 +20,17 @@ Frame = dict[int, dict[int, float]]
 
 def kept(limit: InputLimit, frame: Frame) -> dict[int, set[int]]:
     """Ids that are kept in a frame, by agent."""
-    agent = np.array([each for each, objects in frame.items() for _ in objects], np.int64)
+    agent = np.array([name for name, objects in frame.items() for _ in objects], np.int64)
     ids = np.array([id_ for objects in frame.values() for id_ in objects], np.int64)
     score = np.array([value for objects in frame.values() for value in objects.values()], np.float64)
     rows, agents, dropped = limit.select(agent, ids, score)
     assert rows.tolist() == sorted(set(rows.tolist()))
-    found: dict[int, set[int]] = {each: set() for each in frame}
+    selected: dict[int, set[int]] = {name: set() for name in frame}
     for row in rows.tolist():
-        found[agent[row]].add(ids[row])
-    lost = {each: len(frame[each]) - len(found[each]) for each in frame if frame[each]}
+        selected[agent[row]].add(ids[row])
+    lost = {name: len(frame[name]) - len(selected[name]) for name in frame if frame[name]}
     assert dict(zip(agents.tolist(), dropped.tolist(), strict=True)) == lost
-    return found
+    return selected
 
 
 def some(count: int, first: int = 0, score: float = 0.5) -> dict[int, float]:
@@ -64,8 +64,8 @@ def test_up_to_the_limit_all_rows_are_kept() -> None:
 
 def test_a_flood_takes_no_row_from_agents_within_their_share() -> None:
     frame = {0: some(20_000, score=1.0), 1: some(20), 2: some(25), 3: some(1)}
-    found = kept(FairInput(rows=100), frame)
-    assert {agent: len(ids) for agent, ids in found.items()} == {0: 54, 1: 20, 2: 25, 3: 1}
+    selected = kept(FairInput(rows=100), frame)
+    assert {agent: len(ids) for agent, ids in selected.items()} == {0: 54, 1: 20, 2: 25, 3: 1}
 
 
 @pytest.mark.parametrize(
@@ -111,8 +111,8 @@ def test_a_flood_displaces_at_most_the_reserve_and_the_youngest_objects_first() 
     kept(limit, {0: some(12, score=0.3)})
     kept(limit, {0: some(20, score=0.3)})
     for frame in range(30):
-        found = kept(limit, {0: some(20, score=0.3) | some(5000, 1000 + 5000 * frame, score=1.0)})
-        assert found[0] >= set(range(15))
+        selected = kept(limit, {0: some(20, score=0.3) | some(5000, 1000 + 5000 * frame, score=1.0)})
+        assert selected[0] >= set(range(15))
 
 
 def test_a_new_object_is_seen_although_old_ones_fill_the_share() -> None:
@@ -202,10 +202,10 @@ def test_a_flooding_agent_never_costs_an_agent_within_its_share_a_row(
     limit = FairInput(rows=rows)
     for number, frame in enumerate(frames):
         attacked = frame | {9: some(flood, flood * number, score)}
-        found = kept(limit, attacked)
+        selected = kept(limit, attacked)
         guaranteed = rows // sum(1 for objects in attacked.values() if objects)
         for agent, objects in frame.items():
-            assert len(found[agent]) >= min(len(objects), guaranteed)
+            assert len(selected[agent]) >= min(len(objects), guaranteed)
 
 
 @given(frames=FRAMES, rows=st.integers(1, 40), others=st.integers(0, 50))

@@ -22,8 +22,8 @@ def together(*parts: HeardObjects) -> HeardObjects:
 
 def left_out(rule: RedundancyRule, own: ObjectStates, heard: HeardObjects, frame: int = 0) -> list[bool]:
     """Which objects are left out."""
-    found: Bools = rule.redundant(frame * FRAME_NS, own, ORIGIN, heard)
-    return found.tolist()
+    redundant: Bools = rule.redundant(frame * FRAME_NS, own, ORIGIN, heard)
+    return redundant.tolist()
 
 
 def test_all_rules_can_be_named() -> None:
