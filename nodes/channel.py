@@ -13,10 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from mast_zenoh.gather import LatestBefore
+from mast_zenoh.messages.packed import Packed
 from mast_zenoh.messages.schemas import text
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime.mesh.hosting import main
-from mast_zenoh.v2x import FrameTiming, RadioChannel, Transmissions, arrivals
+from mast_zenoh.v2x import OfdmTiming, RadioChannel, Transmissions, arrivals
 
 
 class Sent(NamedTuple):
@@ -32,16 +33,16 @@ class Channel(Node):
     """Lets messages arrive by distance and load.
 
     radio: of all stations, and what is between them; None: RadioChannel()
-    timing: how long frames are on the air; None: FrameTiming()
+    timing: how long frames are on the air; None: OfdmTiming()
     """
 
     role = "channel"
     inputs = {"clock": "clock", "pose": "pose", "sent": "tracks"}
     outputs = {"reception": "reception"}
 
-    def __init__(self, radio: RadioChannel | None = None, timing: FrameTiming | None = None) -> None:
+    def __init__(self, radio: RadioChannel | None = None, timing: OfdmTiming | None = None) -> None:
         self.radio = radio or RadioChannel()
-        self.timing = timing or FrameTiming()
+        self.timing = timing or OfdmTiming()
         self.stations: list[str] = []
         self.positions: dict[str, LatestBefore[np.ndarray]] = {}
         self.sent: list[Sent] = []
@@ -80,9 +81,8 @@ class Channel(Node):
         transmissions = Transmissions(sender, np.full(len(sender), began_ns), airtime)
         self.before_ns = time_ns
         n = len(self.stations)
-        window_ns = round(self.radio.window_s * 1e9)
         busy = self.radio.busy_ratio(position, transmissions, time_ns)
-        chance = self.radio.reception(position, transmissions.load(time_ns, n, window_ns))
+        chance = self.radio.reception(position, transmissions, time_ns)
         arrived = arrivals(chance, sender, lambda row: context.rng("arrivals", frame, self.stations[row]))
         missed = np.zeros((n, n), bool)  # by sender and receiver: a frame of the message did not arrive
         np.logical_or.at(missed, sender, ~arrived)
@@ -116,8 +116,9 @@ class Channel(Node):
 
 
 def sizes_of(received: Received) -> tuple[int, ...]:
-    """Bytes of the frames of a message."""
-    return (len(received.encoded),)
+    """Bytes of the frames of a message: its segments, or all of it where its wire has no codec."""
+    body = received.body
+    return tuple(map(len, body.segments)) if isinstance(body, Packed) else (len(received.encoded),)
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ def scenario(
     attack_start_s=4.0,
     defence=None,
     fusion="CovarianceIntersectionFusion",
+    codec="cpm",
     scene="intersection",
     scene_index=None,
     n_infrastructure=None,
@@ -19,7 +20,8 @@ def scenario(
 ):
     """As `peers`, with a channel that fills up.
 
-    rules: CpmGeneration (the standard's), or EveryFrame; congestion: ReactiveDcc, AdaptiveDcc, or NoCongestionControl.
+    rules: CpmGeneration (the standard's), or EveryFrame; congestion: ReactiveDcc, AdaptiveDcc, or NoCongestionControl;
+    codec: cpm, the standard's bytes, or None.
     """
     content = peers(
         n_adversaries=n_adversaries,
@@ -28,6 +30,7 @@ def scenario(
         attack_start_s=attack_start_s,
         defence=defence,
         fusion=fusion,
+        codec=codec,
         scene=scene,
         scene_index=scene_index,
         n_infrastructure=n_infrastructure,
@@ -40,6 +43,6 @@ def scenario(
     return content | dict(
         name="congested",
         peers={agent: peer | radio for agent, peer in content["peers"].items()},
-        channel=dict(radio=dict(type="RadioChannel"), timing=dict(type="FrameTiming")),
+        channel=dict(radio=dict(type="RadioChannel"), timing=dict(type="OfdmTiming")),
         keyexpr=content["keyexpr"] | dict(rewrites=[maps[0], "channel.toml", *maps[1:]]),
     )

@@ -17,6 +17,7 @@ def scenario(
     defence=None,
     fusion="CovarianceIntersectionFusion",
     relays=False,
+    codec=None,
     scene="intersection",
     scene_index=None,
     n_infrastructure=None,
@@ -28,20 +29,28 @@ def scenario(
     on: where: sent (what the agent sends to all), pair (what it sends to the listener), or heard (one adversary, on
     all that the listener hears); listener: an agent;
     defence: an integrity stage for every peer; fusion: of the tracks of an object, a class;
-    relays: whether peers relay their pictures, too, so that rumours spread.
+    relays: whether peers relay their pictures, too, so that rumours spread;
+    codec: cpm: broadcasts are Collective Perception Messages.
     """
     content = baseline(scene, scene_index, n_infrastructure, n_mobile)
     pipeline = content["command_center"]["pipeline"]
     pipeline["group_tracking"]["fusion"] = dict(type=fusion)
     if defence:
         pipeline["integrity"] = dict(type=defence)
+    if codec not in (None, "cpm"):
+        raise ValueError(f"codec: found {codec!r}, expected None or 'cpm'")
     others = [agent for agent in agents_of(content["scene"]) if agent != listener]
     victims = victims_of(content["scene"], n_adversaries)
     if on == "heard":
         victims = [others] if n_adversaries else []
     lies = uncoordinated(1, attack_start_s=attack_start_s)["adversaries"]["adversary_1"]["attack"]
     before = {} if on == "sent" else dict(peer=f"peer_{listener}")
-    more = ["views.toml"] * bool(defence) + ["relays.toml"] * relays + [MAPS[on]] * bool(victims)
+    more = (
+        ["cpm_broadcasts.toml"] * (codec == "cpm")
+        + ["views.toml"] * bool(defence)
+        + ["relays.toml"] * relays
+        + [MAPS[on]] * bool(victims)
+    )
     return content | dict(
         name="peers",
         broker=None,
