@@ -51,6 +51,8 @@ def scenario(
         + ["relays.toml"] * relays
         + [MAPS[on]] * bool(victims)
     )
+    if codec:
+        content["agents"] = {"*": content["agents"]["*"] | dict(tracks_from="agent")}
     return content | dict(
         name="peers",
         broker=None,

@@ -65,7 +65,7 @@ def pack(message: Message, codec: str) -> Message:
 
 
 def unpack(codec: str, data: Sequence[object]) -> Packed:
-    """The columns in the bytes of a message. Raises MessageError for anything that `pack` would not have written."""
+    """The columns in the bytes of a message. Raises MessageError for bytes that are none, and for mixed segments."""
     if codec not in CODECS:
         raise MessageError(f"body: unknown codec {codec[:20]!r}, expected one of {', '.join(CODECS)}")
     if not isinstance(data, (list, tuple)) or not 1 <= len(data) <= MOST_SEGMENTS:
