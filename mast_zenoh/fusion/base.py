@@ -112,6 +112,12 @@ class Members:
         """The same members with other weights (n,), normalised in each cluster."""
         return Members(self.states, weight / self.sum(weight)[self.cluster], self.start, self.cluster, self.label)
 
+    @property
+    def relative_weight(self) -> Floats:
+        """(n,) weights relative to the greatest in their clusters, in (0, 1]."""
+        greatest = np.maximum.reduceat(self.weight, self.start) if len(self.start) else self.weight
+        return np.asarray(self.weight / greatest[self.cluster])
+
     def sum(self, values: Floats) -> Floats:
         """(c, ...) sums of (n, ...) values over the members of each cluster."""
         return np.asarray(np.add.reduceat(values, self.start)) if len(self.start) else values
