@@ -8,6 +8,7 @@ from mast_zenoh.fusion.clustering import DBSCANClusterer, SampledAssignmentClust
 from mast_zenoh.fusion.covariance_check import CheckedCovariances, CovarianceCheck, ReportedCovariances
 from mast_zenoh.fusion.covariance_intersection import BestMemberFusion, CovarianceIntersectionFusion, NaiveKalmanFusion
 from mast_zenoh.fusion.group_tracking import GroupTrackerWrapper, UnfilteredGroupTracker
+from mast_zenoh.fusion.information_matrix import InformationMatrixGroupTracker
 from mast_zenoh.fusion.inverse_covariance_intersection import InverseCovarianceIntersectionFusion
 
 __all__ = [
@@ -20,6 +21,7 @@ __all__ = [
     "Fusion",
     "GroupTracker",
     "GroupTrackerWrapper",
+    "InformationMatrixGroupTracker",
     "InverseCovarianceIntersectionFusion",
     "NaiveKalmanFusion",
     "ReportedCovariances",

@@ -51,6 +51,12 @@ class GroupTracker(ABC):
         """How far clusters were from what was expected, see `Tracker`; None: it does not tell."""
         return None
 
+    def name_agents(self, agents: tuple[str, ...]) -> None:  # noqa: B027 (a hook: most need no names)
+        """Set the names of the agents of the next steps; `agent` has their rows.
+
+        A group tracker that remembers tracks needs them, since the rows change when agents come and go.
+        """
+
     @abstractmethod
     def step(
         self, time_ns: int, states: ObjectStates, agent: Ints, labels: Ints, weights: Floats | None = None
