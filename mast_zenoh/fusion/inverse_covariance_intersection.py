@@ -8,6 +8,7 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.fusion.base import Fusion, Members, state_vectors
+from mast_zenoh.fusion.covariance_intersection import TOLERANCE
 from mast_zenoh.tracking.covariances import inverse, make_positive_definite
 
 #: Halvings of the interval in which the best weight is: it is exact to 1e-6.
@@ -32,10 +33,10 @@ class InverseCovarianceIntersectionFusion(Fusion):
     Where it fails: correlation that is no shared information, such as errors of a common map or clock. The variance in
     some direction can then be twice what it claims (`tests/fusion/test_shared_information.py`). Nor does the promise
     cover the process noise that tracks of one object have in common, or more than two members; with both it was
-    consistent in all that was tried (docs/tracking.md).
+    consistent in all that was tried (docs/fusion.md).
 
-    weights: w is 1/2 ("uniform"), or that of the least determinant of P ("optimised"). Trust in a member multiplies its
-    information, relative to the most trusted member of its cluster.
+    weights: w is 1/2 ("uniform"), or that of the least determinant of P within 1 % ("optimised"). Trust in a member
+    multiplies its information, relative to the most trusted member of its cluster.
     """
 
     def __init__(self, *, weights: Literal["uniform", "optimised"] = "uniform") -> None:
@@ -91,7 +92,7 @@ def _fuse_pairs(x_a: Floats, x_b: Floats, P_a: Floats, P_b: Floats, weight: Floa
 
 
 def least_volume_weight(P_a: Floats, P_b: Floats) -> Floats:
-    """The weights w (c,) of the least determinant, for pairs of covariances (c, 9, 9).
+    """The weights w (c,) of the least determinant, for pairs of covariances (c, 9, 9); 1/2 if it is within 1 %.
 
     In the basis in which P_a is the identity and P_b diagonal, the determinant is a product over the nine ratios d of
     their variances. Its logarithm is convex in w, since the inverse of a matrix is. Bisection finds where it is flat.
@@ -99,9 +100,12 @@ def least_volume_weight(P_a: Floats, P_b: Floats) -> Floats:
     root = np.linalg.cholesky(inverse(P_a))
     ratio = np.clip(np.linalg.eigvalsh(root.mT @ P_b @ root), *_RATIOS)
     low, high = np.zeros(len(ratio)), np.ones(len(ratio))
-    for _ in range(_HALVINGS):
+    best = np.zeros(len(ratio), np.bool_)
+    for step in range(_HALVINGS):
         weight = 0.5 * (low + high)
         bound = weight[:, None] + (1.0 - weight[:, None]) * ratio
         slope = ((1.0 - ratio) / (bound * bound) / (1.0 + 1.0 / ratio - 1.0 / bound)).sum(axis=1)
+        if step == 0:
+            best = 0.5 * np.abs(slope) <= TOLERANCE  # the most that ln det can be above its optimum
         low, high = np.where(slope > 0.0, weight, low), np.where(slope > 0.0, high, weight)
-    return 0.5 * (low + high)
+    return np.where(best, 0.5, 0.5 * (low + high))

@@ -195,7 +195,7 @@ def test_inverse_covariance_intersection_equals_the_equations_of_its_paper():
 
 @settings(max_examples=60)
 @given(st.integers(0, 10**6))
-def test_the_optimised_inverse_intersection_has_the_least_volume(seed):
+def test_the_optimised_inverse_intersection_has_a_volume_within_one_percent_of_the_least(seed):
     pair = members(2, seed)
     A, B = pair.covariance
 
@@ -203,7 +203,7 @@ def test_the_optimised_inverse_intersection_has_the_least_volume(seed):
     information = np.linalg.inv(A) + np.linalg.inv(B) - np.linalg.inv(w * A + (1.0 - w) * B)
     least = -np.linalg.slogdet(information)[1].max()
     fused = ICI(weights="optimised").fuse(pair, together(2))
-    assert np.linalg.slogdet(fused.covariance[0])[1] <= least + 1e-6
+    assert np.linalg.slogdet(fused.covariance[0])[1] <= least + 0.01
 
 
 @settings(max_examples=60)
@@ -217,7 +217,7 @@ def test_inverse_intersection_is_positive_definite_and_between_the_naive_and_the
     root = np.linalg.inv(np.linalg.cholesky(naive))
     assert np.linalg.eigvalsh(root @ fused @ root.T).min() >= 1.0 - 1e-6  # never more certain than all information
     if weights == "optimised":
-        assert np.linalg.slogdet(fused)[1] <= np.linalg.slogdet(some.covariance)[1].min() + 1e-6
+        assert np.linalg.slogdet(fused)[1] <= np.linalg.slogdet(some.covariance)[1].min() + 0.01 * n
 
 
 def test_information_that_is_fused_with_itself_stays_what_it_is():
