@@ -156,6 +156,7 @@ class CommandCenterPipeline(Pipeline):
         """The picture of clusters, without those that others contradict."""
         weights = without_contradicted(states, agent, labels, weights)
         states = self._covariances.inflated(time_ns, states, agent, names, labels, weights)
+        self.group_tracking.name_agents(names)
         picture, support = self.group_tracking.step(time_ns, states, agent, labels, weights)
         self._members = labels, self.group_tracking.clusters
         return picture, support

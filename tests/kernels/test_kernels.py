@@ -106,7 +106,8 @@ def new_tracks(random, n, m):
 def matched_tracks(random, n, m):
     k = min(n, m)
     match = random.permutation(n)[:k], random.permutation(m)[:k], random.normal(0, 5, k), random.choice([0.0, 1.5], k)
-    return staged(random, n), match, random.uniform(0.1, 0.9, n), measured(random, m), 0.01, 1e12
+    numbers = 0.01, 1e12, bool(random.random() < 0.5)
+    return staged(random, n), match, random.uniform(0.1, 0.9, n), measured(random, m), *numbers
 
 
 def averaged(random, n, m):
