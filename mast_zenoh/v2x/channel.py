@@ -23,6 +23,8 @@ SYMBOL_NS = 8_000  #: one OFDM symbol at 10 MHz
 SERVICE_AND_TAIL_BITS = 16 + 6  #: bits around the data of a transmission (IEEE 802.11-2020, 17.3.2)
 #: Backoff slots of best effort, which carries CAM and CPM: CWmin + 1 (EN 302 663, table B.2).
 BACKOFF_SLOTS = 16
+#: Probability that a station that waits sends in a slot (Bianchi, IEEE JSAC 18(3) 2000, equation 8 without doubling).
+SLOT_PROBABILITY = 2 / (BACKOFF_SLOTS + 1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,25 +207,38 @@ def clear_probability(audible: Bools, airtime_ns: Ints, window_ns: int, hidden_t
 
     Two causes, for Poisson arrivals of transmissions of equal length.
 
-    Stations that hear each other collide if their backoff ends in the same slot. With a window of BACKOFF_SLOTS, a
-    waiting station sends in a slot with probability 2 / (BACKOFF_SLOTS + 1) (Bianchi, IEEE JSAC 18(3) 2000, without
-    doubling). The mean number of others that wait is that of a queue with constant service, r² / (2 (1 - r)), where r
-    is the load that the sender hears (Pollaczek and Khinchine); on a saturated channel, all other senders wait.
+    Stations that hear each other collide if their backoff ends in the same slot: see `same_slot`. The tests simulate
+    it: the probability is right to 0.03 up to a load of 1, and to 0.1 up to 2.
 
     Hidden terminals, which the receiver hears and the sender does not, collide as in pure ALOHA, if they start within
     one airtime before or after: exp(-2 h), where h is their load (Abramson 1970; Tobagi and Kleinrock 1975).
     """
     heard_ns = _sums(audible, airtime_ns)
-    load = np.minimum((heard_ns - airtime_ns) / window_ns, 1.0 - 1e-12)
     sending = (airtime_ns > 0).astype(np.int64)
     senders = _sums(audible, sending) - sending
-    waiting = np.minimum(load**2 / (2.0 * (1.0 - load)), senders)
-    clear = np.repeat(((1.0 - 2.0 / (BACKOFF_SLOTS + 1)) ** waiting)[:, None], len(airtime_ns), axis=1)
+    waiting = np.minimum(same_slot((heard_ns - airtime_ns) / window_ns) / SLOT_PROBABILITY, senders)
+    clear = np.repeat(((1.0 - SLOT_PROBABILITY) ** waiting)[:, None], len(airtime_ns), axis=1)
     if hidden_terminals:
         hears = audible.astype(np.float64)
         common_ns = (hears * airtime_ns) @ hears  # heard by the row's station and the column's
         clear *= np.exp(-2.0 * (heard_ns - common_ns) / window_ns)
     return np.asarray(clear)
+
+
+def same_slot(load: Floats) -> Floats:
+    """(n,) mean number c of stations that send in the same slot as one that hears a load (n,) of others.
+
+    Each of w stations that wait sends in a slot with SLOT_PROBABILITY p: c = p w. They wait as in a queue with constant
+    service: w = q² / (2 (1 - q)) (Pollaczek and Khinchine). Its load q is less than that of the channel, as stations
+    that collide take the time of one: q = load / (1 + c). Together, 2 c (1 + c) (1 + c - load) = p load², which has one
+    solution above 0 and load - 1, and below load.
+    """
+    low, high = np.maximum(load - 1.0, 0.0), np.asarray(load, np.float64)
+    for _ in range(50):
+        middle = (low + high) / 2.0
+        above = 2.0 * middle * (1.0 + middle) * (1.0 + middle - load) > SLOT_PROBABILITY * load**2
+        low, high = np.where(above, low, middle), np.where(above, middle, high)
+    return (low + high) / 2.0
 
 
 def arrivals(chance: Floats, sender: Ints, generator: Callable[[int], np.random.Generator]) -> Bools:

