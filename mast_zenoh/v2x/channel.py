@@ -162,23 +162,28 @@ class RadioChannel:
         np.fill_diagonal(audible, True)
         return np.asarray(audible)
 
-    def busy_ratio(self, position: Floats, sent: Transmissions, now_ns: int) -> Floats:
-        """(n,) channel busy ratio at stations at `position` (n, 2) m, over the last `window_s`.
+    def busy_ratio(self, position: Floats, sent: Transmissions, now_ns: int, window_ns: int | None = None) -> Floats:
+        """(n,) channel busy ratio at stations at `position` (n, 2) m.
+
+        sent: transmissions up to now_ns; window_ns: ns before it that they cover, by default `window_s`. Where they are
+            those of one frame, it is the time between two frames, or the load would be that of another time
 
         A station's own transmissions count. Those that overlap in time count twice, so that the ratio is a little too
         high where stations do not hear each other; it is at most 1.
         """
-        airtime_ns = sent.total_ns(now_ns, len(position), self._window_ns)
-        return np.minimum(_sums(self.audible(position), airtime_ns) / self._window_ns, 1.0)
+        window_ns = window_ns or self._window_ns
+        airtime_ns = sent.total_ns(now_ns, len(position), window_ns)
+        return np.minimum(_sums(self.audible(position), airtime_ns) / window_ns, 1.0)
 
-    def reception(self, position: Floats, sent: Transmissions, now_ns: int) -> Floats:
+    def reception(self, position: Floats, sent: Transmissions, now_ns: int, window_ns: int | None = None) -> Floats:
         """(n, n) probability that a transmission of the row's station arrives at the column's; 0 on the diagonal.
 
-        position: (n, 2) m; sent: what loads the channel, in the last `window_s`
+        position: (n, 2) m; sent, window_ns: what loads the channel, see `busy_ratio`
         """
-        airtime_ns = sent.total_ns(now_ns, len(position), self._window_ns)
+        window_ns = window_ns or self._window_ns
+        airtime_ns = sent.total_ns(now_ns, len(position), window_ns)
         distance = _distance(position)
-        clear = clear_probability(self._audible(distance), airtime_ns, self._window_ns, self.hidden_terminals)
+        clear = clear_probability(self._audible(distance), airtime_ns, window_ns, self.hidden_terminals)
         chance = self.decoding_probability(distance) * clear
         np.fill_diagonal(chance, 0.0)
         return chance

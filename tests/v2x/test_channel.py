@@ -95,6 +95,15 @@ def test_only_the_part_of_a_transmission_within_the_window_counts() -> None:
     assert sent.total_ns(200_000_000, 1, 100_000_000).tolist() == [5_000_000 + 2_000_000]
 
 
+def test_transmissions_of_one_frame_load_the_time_between_two_frames() -> None:
+    """In frames of 500 ms, what begins with a frame ends long before the last 100 ms of it."""
+    sent, position, now = on_air((0, 0, 10)), line(0.0, 100.0), 500_000_000
+    assert RadioChannel().busy_ratio(position, sent, now).tolist() == [0.0, 0.0]
+    assert RadioChannel().busy_ratio(position, sent, now, window_ns=now) == pytest.approx([0.02, 0.02])
+    lossless, loaded_one = (RadioChannel().reception(position, sent, now, window_ns)[1, 0] for window_ns in (None, now))
+    assert loaded_one < lossless
+
+
 def test_the_busy_ratio_is_at_most_one() -> None:
     busy = RadioChannel().busy_ratio(line(0.0, 1.0), on_air((0, 0, 90), (1, 0, 90)), 100_000_000)
     assert busy.tolist() == [1.0, 1.0]
