@@ -78,11 +78,12 @@ class Channel(Node):
         sender, sizes = (np.array(column, np.int64) for column in (zip(*frames, strict=True) if frames else ((), ())))
         airtime = self.timing.airtime_ns(sizes)
         began_ns = time_ns if self.before_ns is None else self.before_ns
+        window_ns = time_ns - began_ns or None
         transmissions = Transmissions(sender, np.full(len(sender), began_ns), airtime)
         self.before_ns = time_ns
         n = len(self.stations)
-        busy = self.radio.busy_ratio(position, transmissions, time_ns)
-        chance = self.radio.reception(position, transmissions, time_ns)
+        busy = self.radio.busy_ratio(position, transmissions, time_ns, window_ns)
+        chance = self.radio.reception(position, transmissions, time_ns, window_ns)
         arrived = arrivals(chance, sender, lambda row: context.rng("arrivals", frame, self.stations[row]))
         missed = np.zeros((n, n), bool)  # by sender and receiver: a frame of the message did not arrive
         np.logical_or.at(missed, sender, ~arrived)

@@ -122,6 +122,7 @@ class Peer(Node):
     def start(self, context: Context) -> None:
         """Wait in each frame for all that the agent and the channel send."""
         self.pipeline.bind(context.seed, context.name)
+        self.station.switch_on(float(context.rng("switched on").random()))
         ports = {source.port for source in context.subscriptions.values()}
         self.sensed.expected |= ports & {"pose", "own_view", "reception"}
 

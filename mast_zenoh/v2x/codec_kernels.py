@@ -19,7 +19,7 @@ Values = npt.NDArray[np.int64]
 
 
 class Fault(IntEnum):
-    """What is wrong with bytes or values; `kernels/uper.pyx` repeats them."""
+    """What is wrong with bytes or values; `kernels/uper.pxd` repeats them."""
 
     TRUNCATED = 1
     TRAILING = 2

@@ -47,7 +47,7 @@ from mast_zenoh.v2x.asn1_types import (
 
 
 class Op(IntEnum):
-    """First number of each node of a program; `kernels/uper.pyx` repeats them."""
+    """First number of each node of a program; `kernels/uper.pxd` repeats them."""
 
     INTEGER = 0
     ENUMERATED = 1
@@ -58,7 +58,7 @@ class Op(IntEnum):
 
 
 class Kind(IntEnum):
-    """Presence of a sequence's field; `kernels/uper.pyx` repeats them."""
+    """Presence of a sequence's field; `kernels/uper.pxd` repeats them."""
 
     MANDATORY = 0
     DEFAULT = 1

@@ -24,11 +24,21 @@ class Station:
 
     def __init__(self, rules: GenerationRules | None = None, congestion: CongestionControl | None = None) -> None:
         self.rules = rules or EveryFrame()
-        self.congestion = congestion or NoCongestionControl()
         self.rules.reset()
-        self.congestion.reset()
+        self.congestion = congestion or NoCongestionControl()
+        self._uncontrolled = isinstance(self.congestion, NoCongestionControl)
+        self._on_ns = 0
+        self._first_ns: int | None = None  # time of its first frame
+        self._running = False  # whether it knows the time between two frames
         self._reports: deque[HeardObjects] = deque()
-        self._airtime = np.zeros(1, np.int64)  # ns, of its last frame
+        self._airtime = np.zeros(1, np.int64)  # ns, of its last message
+
+    def switch_on(self, share: float) -> None:
+        """Set when it is switched on: a share of the first second, different for each station.
+
+        Stations under congestion control that began together would send in the same frames for ever.
+        """
+        self._on_ns = round(share * 1e9)
 
     def hear(self, time_ns: int, states: ObjectStates, sender_position: Floats) -> None:
         """Note what another station reports: n objects, world frame, at a time. sender_position: (3,) m"""
@@ -39,18 +49,24 @@ class Station:
 
     def measure(self, time_ns: int, busy_ratio: float, sent_ns: int, airtime_ns: int) -> None:
         """Note the busy ratio of the channel, and the airtime of what the station sent at `sent_ns`; 0: nothing."""
-        if airtime_ns > 0:
-            self._airtime[0] = airtime_ns
-            self.congestion.note_sent(sent_ns, self._airtime, np.array([True]))
-        self.congestion.measure(time_ns, np.array([busy_ratio]))
+        if self._first_ns is None:
+            self._first_ns = time_ns
+        elif not self._running:
+            on_ns = np.array([self._first_ns + self._on_ns], np.int64)
+            self.congestion.reset(1, on_ns, time_ns - self._first_ns)
+            self._running = True
+        if self._running:
+            if airtime_ns > 0:
+                self._airtime[0] = airtime_ns
+                self.congestion.note_sent(sent_ns, self._airtime, np.array([True]))
+            self.congestion.measure(time_ns, np.array([busy_ratio]))
 
     def transmit(self, time_ns: int, objects: ObjectStates, position: Floats) -> Generation:
         """What to send now. objects: n own ones, world frame; position: (3,) m, of the station"""
-        if not self.congestion.may_send(time_ns)[0]:
+        if not self._uncontrolled and not (self._running and self.congestion.may_send(time_ns)[0]):
             return Generation.nothing()
         while self._reports and (self._reports[0].time_ns < time_ns - _REPORTS_NS).all():
             self._reports.popleft()
         columns = zip(*((r.time_ns, r.position, r.velocity, r.sender_position) for r in self._reports), strict=True)
         heard = HeardObjects(*map(np.concatenate, columns)) if self._reports else HeardObjects.empty()
-        interval_s = float(self.congestion.interval_ns(self._airtime)[0]) * 1e-9
-        return self.rules.generate(Perception.of(time_ns, objects, position=position, heard=heard), interval_s)
+        return self.rules.generate(Perception.of(time_ns, objects, position=position, heard=heard))
