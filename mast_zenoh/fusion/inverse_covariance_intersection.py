@@ -35,8 +35,9 @@ class InverseCovarianceIntersectionFusion(Fusion):
     cover the process noise that tracks of one object have in common, or more than two members; with both it was
     consistent in all that was tried (docs/fusion.md).
 
-    weights: w is 1/2 ("uniform"), or that of the least determinant of P within 1 % ("optimised"). Trust in a member
-    multiplies its information, relative to the most trusted member of its cluster.
+    weights: w is 1/k for the k-th member ("uniform": equally certain members count equally), or that of the least
+    determinant of each P within 1 % ("optimised"). Trust in a member multiplies its information, relative to the most
+    trusted member of its cluster.
     """
 
     def __init__(self, *, weights: Literal["uniform", "optimised"] = "uniform") -> None:
@@ -62,7 +63,7 @@ def inverse_covariance_intersection(
     """Means (c, 9) and covariances (c, 9, 9) of clusters of n members, each fused with the next.
 
     covariance: (n, 9, 9), positive definite; state: (n, 9); start: (c,) see `Members`
-    optimised: whether the weights have the least determinant, or are equal
+    optimised: whether the weights have the least determinant, or are uniform
     """
     size = np.diff(start, append=len(state))
     mean, fused = state.take(start, 0), covariance.take(start, 0)
@@ -70,7 +71,7 @@ def inverse_covariance_intersection(
         rows = (size > k).nonzero()[0]
         member = start.take(rows) + k
         pair = fused.take(rows, 0), covariance.take(member, 0)
-        weight = least_volume_weight(*pair) if optimised else np.full(len(rows), 0.5)
+        weight = least_volume_weight(*pair) if optimised else np.full(len(rows), 1.0 / (k + 1))
         mean[rows], fused[rows] = _fuse_pairs(mean.take(rows, 0), state.take(member, 0), *pair, weight)
     return mean, fused
 

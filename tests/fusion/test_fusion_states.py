@@ -194,6 +194,23 @@ def test_inverse_covariance_intersection_equals_the_equations_of_its_paper():
 
 
 @settings(max_examples=60)
+@given(st.integers(2, 8), st.integers(0, 10**6))
+def test_uniform_inverse_intersection_is_never_less_certain_than_covariance_intersection(n, seed):
+    some = members(n, seed)
+    cautious, fused = (fusion.fuse(some, together(n)).covariance[0] for fusion in (CI(), ICI()))
+    root = np.linalg.inv(np.linalg.cholesky(cautious))
+    assert np.linalg.eigvalsh(root @ fused @ root.T).max() <= 1.0 + 1e-9
+
+
+def test_equally_certain_members_count_equally_in_the_uniform_inverse_intersection():
+    four = members(4)
+    four.covariance[:] = four.covariance[0]
+    fused = ICI().fuse(four, together(4))
+    np.testing.assert_allclose(fused.position[0], four.position.mean(axis=0), atol=1e-9)
+    np.testing.assert_allclose(fused.covariance[0], four.covariance[0], rtol=1e-9)
+
+
+@settings(max_examples=60)
 @given(st.integers(0, 10**6))
 def test_the_optimised_inverse_intersection_has_a_volume_within_one_percent_of_the_least(seed):
     pair = members(2, seed)
