@@ -191,6 +191,12 @@ class Evaluator(Node):
                 candidates.append((message, objects))
         self.data.record.add(header.frame, route.series, objects, message.step, header.time_ns)
 
+    def take_reception(self, message: Overheard, route: Route) -> None:
+        """Store how busy the channel was at a station, and what arrived there."""
+        body = message.body
+        state = float(body["busy_ratio"][0]), int(body["airtime_ns"][0]), len(body["agents"])
+        self.data.receptions[message.wire.subject, message.header.frame] = state
+
     def take_trust(self, message: Overheard, route: Route) -> None:
         """Store the command centre's trust in agents and objects."""
         frame = message.header.frame
@@ -233,7 +239,7 @@ def routes(wiring: Wiring, agents: Sequence[str]) -> dict[str, Route]:
             shared |= dict.fromkeys((leg.key for leg in wire.every_leg), wire.key)
         if wire.message == "trust" and wire.subject not in ("", ego_of(agents)):
             continue  # that of one centre, or one peer, is evaluated
-        if wire.message in ("clock", "truth", "trust", "attack_report", "link_report"):
+        if wire.message in ("clock", "truth", "trust", "attack_report", "link_report", "reception"):
             takes[source.key] = f"take_{wire.message}"
         elif wire.message == "pose" and wire.subject in sensed:
             takes[source.key] = "take_pose"

@@ -46,6 +46,7 @@ from mast_zenoh.metrics.attributor import Withheld
 from mast_zenoh.metrics.between import between
 from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.metrics.measures import MEASURES, ScoredRun, check, estimates_of, frame_keys, measured, per_frame
+from mast_zenoh.metrics.scores import mean_and_std
 from mast_zenoh.metrics.trust import Fault, TrustUpdate
 from mast_zenoh.wiring.model import agent_of
 
@@ -64,6 +65,8 @@ class RunData:
     tracks_sent: by (agent, frame), the frame in which the agent's tracks were sent
     attack_reports, link_reports: (interposer, frame, sequence number, columns)
     trust:    by frame, the first message about it
+    receptions: by (agent, frame), busy ratio of the channel, ns of the agent's own message, and messages that arrived,
+        all of the frame before
     """
 
     record: Record
@@ -77,6 +80,7 @@ class RunData:
     attack_reports: list[tuple[str, int, int, Body]] = field(default_factory=list)
     link_reports: list[tuple[str, int, int, Body]] = field(default_factory=list)
     trust: dict[int, TrustUpdate] = field(default_factory=dict)
+    receptions: dict[tuple[str, int], tuple[float, int, int]] = field(default_factory=dict)
 
     @property
     def period_s(self) -> float:
@@ -333,6 +337,7 @@ class _Results:
                 "frames_per_second": 1e9 / times[1] if {0, 1} <= times.keys() else None,
                 **integrity,
                 **self._between(scored),
+                **self._channel(scored),
             },
             "tables": {
                 "metrics": per_frame,
@@ -373,6 +378,25 @@ class _Results:
             return {}
         scorer, blamed = self.settings.scorer, np.array([by != "" for by in self.labels.by], np.bool_)
         return {"between": between(self.scores, blamed, scorer.range_m, scorer.distance, self.data.period_s, scored)}
+
+    def _channel(self, scored: slice) -> dict[str, Any]:
+        """The load of the channel that stations share; empty without one."""
+        frames, period_ns = set((self.scores.frames[scored] + 1).tolist()), self.data.period_s * 1e9
+        rows = [state for (_, frame), state in self.data.receptions.items() if frame in frames]
+        if not rows:
+            return {}
+        busy, airtime_ns, arrived = (np.array(column, np.float64) for column in zip(*rows, strict=True))
+        stations = len({agent for agent, _ in self.data.receptions})
+        expected = float((airtime_ns > 0).sum()) * (stations - 1)
+        return {
+            "channel": {
+                "stations": stations,
+                "busy_ratio": mean_and_std(busy),
+                "airtime_share": float(airtime_ns.mean()) / period_ns,
+                "sent": float((airtime_ns > 0).mean()),
+                "arrived": float(arrived.sum()) / expected if expected else None,
+            }
+        }
 
     def _trust(self, scored: slice) -> tuple[dict[str, Any], dict[str, Any]]:
         """The metrics and the tables of a command centre that judges agents; empty without one."""

@@ -41,6 +41,12 @@ def test_the_rules_send_less_than_everything_in_every_frame() -> None:
     assert of_all["frames"] == 5 * 25 - 5, "the last frame has no next clock"
     assert of_rule["bytes"] < 0.7 * of_all["bytes"]
     assert of_rule["busy_ratio_mean"] < of_all["busy_ratio_mean"]
+    rule, all_ = (run.results["evaluator"]["metrics"]["channel"] for run in (by_rule, everything))
+    assert all_["stations"] == 5
+    assert all_["sent"] == 1.0
+    assert rule["airtime_share"] < all_["airtime_share"]
+    assert 0.9 < all_["arrived"] <= 1.0
+    assert all_["busy_ratio"]["mean"] == pytest.approx(5 * all_["airtime_share"], rel=0.01), "all hear each other"
 
 
 def test_a_peer_uses_what_arrived_and_counts_what_was_lost() -> None:
