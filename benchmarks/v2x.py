@@ -25,8 +25,9 @@ import numpy as np
 
 from mast_zenoh import kernels
 from mast_zenoh.arrays.states import CLASSES, ObjectStates
-from mast_zenoh.v2x import cpm, cpm_fields
-from mast_zenoh.v2x.plain import to_plain
+from mast_zenoh.v2x import cpm
+from mast_zenoh.v2x.asn1 import cpm_fields
+from mast_zenoh.v2x.asn1.plain import to_plain
 from mast_zenoh.v2x.reference_position import LocalPlane
 from mast_zenoh.v2x.tracks import from_cpm, to_cpm, to_objects
 

@@ -21,7 +21,7 @@ def scenario(
     """As `peers`, with a channel that fills up.
 
     rules: CpmGeneration (the standard's), or EveryFrame; congestion: ReactiveDcc, AdaptiveDcc, or NoCongestionControl;
-    codec: cpm, the standard's bytes, or None;
+    codec: of broadcasts: cpm, the standard's bytes, or columns;
     n_adversaries: agents compromised, with the attack of `uncoordinated`, from attack_start_s on;
     on: sent, pair or heard, as in `peers`; listener: an agent;
     defence: an integrity stage for every peer; fusion: of the tracks of an object, a class.

@@ -17,7 +17,7 @@ def scenario(
     defence=None,
     fusion="CovarianceIntersectionFusion",
     relays=False,
-    codec=None,
+    codec="columns",
     scene="intersection",
     scene_index=None,
     n_infrastructure=None,
@@ -30,15 +30,15 @@ def scenario(
     all that the listener hears); listener: an agent;
     defence: an integrity stage for every peer; fusion: of the tracks of an object, a class;
     relays: whether peers relay their pictures, too, so that rumours spread;
-    codec: cpm: broadcasts are Collective Perception Messages.
+    codec: of broadcasts: columns, or cpm: Collective Perception Messages.
     """
     content = baseline(scene, scene_index, n_infrastructure, n_mobile)
     pipeline = content["command_center"]["pipeline"]
     pipeline["group_tracking"]["fusion"] = dict(type=fusion)
     if defence:
         pipeline["integrity"] = dict(type=defence)
-    if codec not in (None, "cpm"):
-        raise ValueError(f"codec: found {codec!r}, expected None or 'cpm'")
+    if codec not in ("columns", "cpm"):
+        raise ValueError(f"codec: found {codec!r}, expected 'columns' or 'cpm'")
     others = [agent for agent in agents_of(content["scene"]) if agent != listener]
     victims = victims_of(content["scene"], n_adversaries)
     if on == "heard":
@@ -51,7 +51,7 @@ def scenario(
         + ["relays.toml"] * relays
         + [MAPS[on]] * bool(victims)
     )
-    if codec:
+    if codec == "cpm":
         content["agents"] = {"*": content["agents"]["*"] | dict(tracks_from="agent")}
     return content | dict(
         name="peers",

@@ -1,18 +1,12 @@
 """V2X: standard messages of vehicles as wire formats, when they are sent, and what their radio channel carries.
 
-Bytes:
+Messages:
 
-    asn1_types                kinds of ASN.1 types; the field tables are written with them
-    cdd, cdd_awareness        field tables of the common data dictionary, TS 102 894-2 v2.4.1
-    cpm_fields, cam_fields    field tables of TS 103 324 v2.1.1 and TS 103 900 v2.3.1
-    layout                    field tables as programs for the codec, and the place of each field in flat values
-    codec_kernels             references of the compiled codec
-    uper                      flat values to bytes and back: unaligned packed encoding rules, ITU-T X.691
-    plain                     flat values as dicts and lists, for people and export
-    perceived_objects, correlations   objects of a CPM as columns of integers, and their correlation matrices
-    cpm, cam                  messages as such columns and integers, in the standard's units
-    reference_position        reference positions, and the plane around an origin
-    tracks                    tracks to CPM and back, in as many segments as a limit of bytes needs
+    asn1/          field tables of the standards, and their bytes
+    cpm, cam       messages as columns and integers, in the standard's units
+    perceived_objects, correlations    objects of a CPM as columns of integers, and the correlations of their components
+    reference_position                 reference positions, and the plane around an origin
+    tracks         tracks to CPM and back, in as many segments as a limit of bytes needs
 
 Sending:
 
@@ -25,6 +19,7 @@ Sending:
     congestion   how often stations may send: base class CongestionControl; NoCongestionControl, ReactiveDcc,
                  AdaptiveDcc
     channel      airtime, busy ratio of the channel, and which transmissions arrive
+    station      what one station sends: its rules, under its congestion control
     input_limit  how many objects fusion gets from each agent: base class InputLimit; NoInputLimit, FairInput
 
 Arrays in, arrays out: no class here knows of nodes. Times are int64 ns, as in clocks.

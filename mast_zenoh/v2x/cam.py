@@ -13,18 +13,18 @@ from dataclasses import astuple, dataclass, field
 
 import numpy as np
 
-from mast_zenoh.v2x import uper
-from mast_zenoh.v2x.asn1_types import Optional, Sequence, Type
-from mast_zenoh.v2x.cam_fields import (
+from mast_zenoh.v2x.asn1 import uper
+from mast_zenoh.v2x.asn1.asn1_types import Optional, Sequence, Type
+from mast_zenoh.v2x.asn1.cam_fields import (
     LAYOUT,
     BasicVehicleContainerHighFrequency,
     BasicVehicleContainerLowFrequency,
     CamParameters,
     RSUContainerHighFrequency,
 )
-from mast_zenoh.v2x.cdd_awareness import BasicContainer, PathPoint
-from mast_zenoh.v2x.codec_kernels import Values
-from mast_zenoh.v2x.layout import extension_slot, slot_of, width
+from mast_zenoh.v2x.asn1.cdd_awareness import BasicContainer, PathPoint
+from mast_zenoh.v2x.asn1.codec_kernels import Values
+from mast_zenoh.v2x.asn1.layout import extension_slot, slot_of, width
 from mast_zenoh.v2x.perceived_objects import ABSENT
 from mast_zenoh.v2x.reference_position import Position
 

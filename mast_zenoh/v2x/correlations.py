@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from mast_zenoh.errors import MessageError
-from mast_zenoh.v2x.codec_kernels import Values
+from mast_zenoh.v2x.asn1.codec_kernels import Values
 
 COMPONENTS = 13
 #: Slots of a matrix: count and start of the bits of its components, and of its columns.

@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mast_zenoh.errors import MessageError
-from mast_zenoh.v2x import uper
-from mast_zenoh.v2x.codec_kernels import Values
-from mast_zenoh.v2x.cpm_fields import (
+from mast_zenoh.v2x.asn1 import uper
+from mast_zenoh.v2x.asn1.codec_kernels import Values
+from mast_zenoh.v2x.asn1.cpm_fields import (
     LAYOUT,
     CpmPayload,
     ManagementContainer,
@@ -26,7 +26,7 @@ from mast_zenoh.v2x.cpm_fields import (
     SensorInformation,
     WrappedCpmContainer,
 )
-from mast_zenoh.v2x.layout import extension_slot, slot_of, width
+from mast_zenoh.v2x.asn1.layout import extension_slot, slot_of, width
 from mast_zenoh.v2x.perceived_objects import ABSENT, PerceivedObjects, from_rows, to_rows
 from mast_zenoh.v2x.reference_position import Position
 

@@ -13,9 +13,9 @@ import numpy as np
 
 from mast_zenoh.errors import MessageError
 from mast_zenoh.v2x import correlations
-from mast_zenoh.v2x.cdd import ObjectClassWithConfidence, PerceivedObject
-from mast_zenoh.v2x.codec_kernels import Values
-from mast_zenoh.v2x.layout import extension_slot, slot_of, width
+from mast_zenoh.v2x.asn1.cdd import ObjectClassWithConfidence, PerceivedObject
+from mast_zenoh.v2x.asn1.codec_kernels import Values
+from mast_zenoh.v2x.asn1.layout import extension_slot, slot_of, width
 
 #: In place of the value of an optional field that is absent.
 ABSENT = -(1 << 31)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from mast_zenoh.arrays.states import CLASS_INDEX, CLASSES, Floats, Ints, ObjectStates
 from mast_zenoh.errors import MessageError
 from mast_zenoh.v2x import cpm
-from mast_zenoh.v2x.codec_kernels import Values
+from mast_zenoh.v2x.asn1.codec_kernels import Values
 from mast_zenoh.v2x.cpm import Cpm
 from mast_zenoh.v2x.perceived_objects import (
     ABSENT,

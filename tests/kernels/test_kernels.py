@@ -39,8 +39,8 @@ from mast_zenoh.sensing import LidarSensor, Walls
 from mast_zenoh.sensing.raycast import PlacedSensor
 from mast_zenoh.tracking import SensorView, association, classes, tracks
 from mast_zenoh.tracking.existence import STAGES_S
-from mast_zenoh.v2x import cam_fields, cpm_fields, uper
-from mast_zenoh.v2x.plain import from_plain
+from mast_zenoh.v2x.asn1 import cam_fields, cpm_fields, uper
+from mast_zenoh.v2x.asn1.plain import from_plain
 
 for package in ("tracking", "fusion", "pipelines", "metrics", "sensing", "attacks", "integrity"):
     for module in pkgutil.iter_modules([str(Path(mast_zenoh.__file__).parent / package)]):

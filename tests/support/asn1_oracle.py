@@ -9,7 +9,7 @@ from typing import Any
 
 import asn1tools
 
-from mast_zenoh.v2x.asn1_types import (
+from mast_zenoh.v2x.asn1.asn1_types import (
     BitString,
     Choice,
     Default,

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mast_zenoh.v2x.asn1_types import (
+from mast_zenoh.v2x.asn1.asn1_types import (
     UNKNOWN,
     Absent,
     BitString,

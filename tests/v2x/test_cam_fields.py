@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 from v2x_messages import MessageMaker
 
 from mast_zenoh.errors import MessageError
-from mast_zenoh.v2x import cam, cam_fields, uper
+from mast_zenoh.v2x import cam
+from mast_zenoh.v2x.asn1 import cam_fields, uper
+from mast_zenoh.v2x.asn1.plain import from_plain, to_plain
 from mast_zenoh.v2x.perceived_objects import ABSENT
-from mast_zenoh.v2x.plain import from_plain, to_plain
 from mast_zenoh.v2x.reference_position import Position
 
 PATH = np.array([[-50, 3, 0, 20], [-90, 5, 12800, ABSENT]])

@@ -11,9 +11,11 @@ from hypothesis import strategies as st
 from v2x_messages import MessageMaker
 
 from mast_zenoh.errors import MessageError
-from mast_zenoh.v2x import cpm, cpm_fields, uper
-from mast_zenoh.v2x.cdd import PerceivedObject
-from mast_zenoh.v2x.layout import slot_of
+from mast_zenoh.v2x import cpm
+from mast_zenoh.v2x.asn1 import cpm_fields, uper
+from mast_zenoh.v2x.asn1.cdd import PerceivedObject
+from mast_zenoh.v2x.asn1.layout import slot_of
+from mast_zenoh.v2x.asn1.plain import from_plain, to_plain
 from mast_zenoh.v2x.perceived_objects import (
     ABSENT,
     CARTESIAN,
@@ -23,7 +25,6 @@ from mast_zenoh.v2x.perceived_objects import (
     VRU,
     PerceivedObjects,
 )
-from mast_zenoh.v2x.plain import from_plain, to_plain
 from mast_zenoh.v2x.reference_position import Position
 
 

@@ -9,8 +9,8 @@ import asn1_oracle
 import asn1tools
 import pytest
 
-from mast_zenoh.v2x import cam_fields, cpm_fields
-from mast_zenoh.v2x.asn1_types import (
+from mast_zenoh.v2x.asn1 import cam_fields, cpm_fields
+from mast_zenoh.v2x.asn1.asn1_types import (
     BitString,
     Boolean,
     Choice,

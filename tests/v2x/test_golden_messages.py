@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from mast_zenoh.v2x import cam_fields, cpm_fields
-from mast_zenoh.v2x.plain import from_plain, to_plain
-from mast_zenoh.v2x.uper import decode, encode
+from mast_zenoh.v2x.asn1 import cam_fields, cpm_fields
+from mast_zenoh.v2x.asn1.plain import from_plain, to_plain
+from mast_zenoh.v2x.asn1.uper import decode, encode
 
 FOLDER = Path(os.environ.get("MAST_DATA") or Path(__file__).parents[3] / "shared" / "data") / "etsi_asn1"
 LAYOUTS = {"cpm": cpm_fields.LAYOUT, "cam": cam_fields.LAYOUT}

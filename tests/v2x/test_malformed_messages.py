@@ -8,10 +8,10 @@ from v2x_messages import MessageMaker, damaged
 
 from mast_zenoh import kernels
 from mast_zenoh.errors import MessageError
-from mast_zenoh.v2x import cam_fields, cpm_fields
-from mast_zenoh.v2x.layout import Layout
-from mast_zenoh.v2x.plain import from_plain, to_plain
-from mast_zenoh.v2x.uper import decode, encode
+from mast_zenoh.v2x.asn1 import cam_fields, cpm_fields
+from mast_zenoh.v2x.asn1.layout import Layout
+from mast_zenoh.v2x.asn1.plain import from_plain, to_plain
+from mast_zenoh.v2x.asn1.uper import decode, encode
 
 LAYOUTS = [cpm_fields.LAYOUT, cam_fields.LAYOUT]
 of_both = pytest.mark.parametrize("layout", LAYOUTS, ids=["CPM", "CAM"])

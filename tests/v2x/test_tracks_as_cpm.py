@@ -12,9 +12,10 @@ from v2x_messages import MessageMaker, damaged
 
 from mast_zenoh.arrays.states import CLASSES, ObjectStates
 from mast_zenoh.errors import MessageError
-from mast_zenoh.v2x import cpm, cpm_fields, uper
+from mast_zenoh.v2x import cpm
+from mast_zenoh.v2x.asn1 import cpm_fields, uper
+from mast_zenoh.v2x.asn1.plain import from_plain
 from mast_zenoh.v2x.perceived_objects import ABSENT, GROUP, POLAR, VEHICLE, VRU, PerceivedObjects
-from mast_zenoh.v2x.plain import from_plain
 from mast_zenoh.v2x.reference_position import LocalPlane, Position
 from mast_zenoh.v2x.tracks import SIGMAS_95, UNKNOWN_VELOCITY, from_cpm, orientation_of, segments, to_cpm, to_objects
 

@@ -7,7 +7,7 @@ import pytest
 
 from mast_zenoh import kernels
 from mast_zenoh.errors import MessageError
-from mast_zenoh.v2x.asn1_types import (
+from mast_zenoh.v2x.asn1.asn1_types import (
     BOOLEAN,
     Absent,
     Bits,
@@ -22,9 +22,9 @@ from mast_zenoh.v2x.asn1_types import (
     Sequence,
     Wrapped,
 )
-from mast_zenoh.v2x.layout import Layout, slot_of
-from mast_zenoh.v2x.plain import from_plain, to_plain
-from mast_zenoh.v2x.uper import decode, encode
+from mast_zenoh.v2x.asn1.layout import Layout, slot_of
+from mast_zenoh.v2x.asn1.plain import from_plain, to_plain
+from mast_zenoh.v2x.asn1.uper import decode, encode
 
 PAIR = Sequence({"a": Integer(0, 3), "b": Optional(Integer(0, 255))})
 OPEN = Sequence({"a": Integer(0, 3)}, additions={"b": Optional(Integer(0, 7))})

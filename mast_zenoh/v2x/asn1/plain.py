@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh.errors import MessageError
-from mast_zenoh.v2x.asn1_types import (
+from mast_zenoh.v2x.asn1.asn1_types import (
     UNKNOWN,
     BitString,
     Boolean,
@@ -34,9 +34,9 @@ from mast_zenoh.v2x.asn1_types import (
     Type,
     Wrapped,
 )
-from mast_zenoh.v2x.codec_kernels import Values
-from mast_zenoh.v2x.layout import Kind, Layout, extension_slot, places, width
-from mast_zenoh.v2x.uper import unknown_name
+from mast_zenoh.v2x.asn1.codec_kernels import Values
+from mast_zenoh.v2x.asn1.layout import Kind, Layout, extension_slot, places, width
+from mast_zenoh.v2x.asn1.uper import unknown_name
 
 
 def to_plain(layout: Layout, values: Values) -> Any:

@@ -28,7 +28,7 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 
-from mast_zenoh.v2x.asn1_types import (
+from mast_zenoh.v2x.asn1.asn1_types import (
     LONGEST,
     UNKNOWN,
     Absent,

@@ -13,9 +13,9 @@ from collections.abc import Callable
 import numpy as np
 
 from mast_zenoh.errors import MessageError
-from mast_zenoh.v2x.asn1_types import LONGEST, Choice, Enumerated, Integer, ListOf, Sequence, Type, Wrapped
-from mast_zenoh.v2x.codec_kernels import Fault, Refusal, Values, decode_values, encode_values
-from mast_zenoh.v2x.layout import Kind, Layout, places
+from mast_zenoh.v2x.asn1.asn1_types import LONGEST, Choice, Enumerated, Integer, ListOf, Sequence, Type, Wrapped
+from mast_zenoh.v2x.asn1.codec_kernels import Fault, Refusal, Values, decode_values, encode_values
+from mast_zenoh.v2x.asn1.layout import Kind, Layout, places
 
 
 def encode(layout: Layout, values: Values) -> bytes:

@@ -6,7 +6,7 @@ widths of 95 % intervals.
 
 from __future__ import annotations
 
-from mast_zenoh.v2x.asn1_types import Absent, Bits, Choice, Enumerated, Integer, ListOf, Optional, Sequence
+from mast_zenoh.v2x.asn1.asn1_types import Absent, Bits, Choice, Enumerated, Integer, ListOf, Optional, Sequence
 
 OrdinalNumber1B = Integer(0, 255)
 MessageId = Integer(0, 255)

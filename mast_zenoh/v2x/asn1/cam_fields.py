@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from mast_zenoh.v2x.asn1_types import Absent, Choice, Integer, ListOf, Optional, Sequence, Wrapped
-from mast_zenoh.v2x.cdd import (
+from mast_zenoh.v2x.asn1.asn1_types import Absent, Choice, Integer, ListOf, Optional, Sequence, Wrapped
+from mast_zenoh.v2x.asn1.cdd import (
     AccelerationComponent,
     CartesianAngle,
     ConfidenceLevel,
@@ -14,7 +14,7 @@ from mast_zenoh.v2x.cdd import (
     VehicleWidth,
     Wgs84Angle,
 )
-from mast_zenoh.v2x.cdd_awareness import (
+from mast_zenoh.v2x.asn1.cdd_awareness import (
     AccelerationControl,
     BasicContainer,
     BasicLaneConfiguration,
@@ -56,7 +56,7 @@ from mast_zenoh.v2x.cdd_awareness import (
     WiperStatus,
     YawRate,
 )
-from mast_zenoh.v2x.layout import Layout
+from mast_zenoh.v2x.asn1.layout import Layout
 
 BasicVehicleContainerHighFrequency = Sequence(
     {

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from mast_zenoh.v2x.asn1_types import BOOLEAN, Absent, Integer, ListOf, Optional, Present, Sequence, Wrapped
-from mast_zenoh.v2x.cdd import (
+from mast_zenoh.v2x.asn1.asn1_types import BOOLEAN, Absent, Integer, ListOf, Optional, Present, Sequence, Wrapped
+from mast_zenoh.v2x.asn1.cdd import (
     CardinalNumber1B,
     CartesianAngle,
     ConfidenceLevel,
@@ -27,7 +27,7 @@ from mast_zenoh.v2x.cdd import (
     VehicleWidth,
     Wgs84Angle,
 )
-from mast_zenoh.v2x.layout import Layout
+from mast_zenoh.v2x.asn1.layout import Layout
 
 MessageRateRange = Sequence({"messageRateMin": MessageRateHz, "messageRateMax": MessageRateHz})
 ManagementContainer = Sequence(

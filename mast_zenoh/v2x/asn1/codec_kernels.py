@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from mast_zenoh.kernels import kernel
-from mast_zenoh.v2x.asn1_types import LONGEST
-from mast_zenoh.v2x.layout import Kind, Op
+from mast_zenoh.v2x.asn1.asn1_types import LONGEST
+from mast_zenoh.v2x.asn1.layout import Kind, Op
 
 Values = npt.NDArray[np.int64]
 

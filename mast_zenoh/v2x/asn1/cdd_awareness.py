@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from string import ascii_letters
 
-from mast_zenoh.v2x.asn1_types import (
+from mast_zenoh.v2x.asn1.asn1_types import (
     BOOLEAN,
     Bits,
     Choice,
@@ -16,7 +16,7 @@ from mast_zenoh.v2x.asn1_types import (
     Optional,
     Sequence,
 )
-from mast_zenoh.v2x.cdd import (
+from mast_zenoh.v2x.asn1.cdd import (
     Altitude,
     AltitudeConfidence,
     ConfidenceLevel,
