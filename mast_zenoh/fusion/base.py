@@ -54,7 +54,8 @@ class GroupTracker(ABC):
     def name_agents(self, agents: tuple[str, ...]) -> None:  # noqa: B027 (a hook: most need no names)
         """Set the names of the agents of the next steps; `agent` has their rows.
 
-        A group tracker that remembers tracks needs them, since the rows change when agents come and go.
+        A group tracker that remembers tracks needs them, since the rows change when agents come and go. If it is never
+        called, the rows are taken for names.
         """
 
     @abstractmethod

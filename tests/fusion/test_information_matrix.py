@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tracked_objects import MATURE, STEP_S, assert_same_bits, cars, nanoseconds
+from tracked_objects import MATURE, STEP_S, assert_same_bits, cars, centre, nanoseconds
 
 from mast_zenoh.arrays.chi_square import mean_bounds
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints, ObjectStates, concatenate
@@ -153,6 +153,23 @@ def test_agents_are_told_apart_by_name_when_others_come_and_go(trusted: bool) ->
         assert_same_bits(*pictures)
     else:
         assert not np.array_equal(pictures[0].covariance, pictures[1].covariance)  # in the other run, b was fused
+
+
+def test_a_pipeline_names_the_agents_to_its_group_tracker() -> None:
+    """An agent that is not in the list of names has the same effect as one that is, and sends nothing."""
+    pictures = []
+    for listed in (True, False):
+        pipeline, world = centre(information()), World(agents=3, objects=4)
+        for frame in range(40):
+            states, agent, _ = world.step()
+            silent = frame >= 20
+            kept = (agent != 1) | (not silent)
+            states, agent, names = states.select(kept), agent[kept], ("a", "b", "c")
+            if silent and not listed:
+                agent, names = agent // 2, ("a", "c")
+            picture, _ = pipeline.step(nanoseconds(frame), states, agent, names)
+        pictures.append(picture)
+    assert_same_bits(*pictures)
 
 
 def test_a_track_that_becomes_very_uncertain_leaves_the_fused_state() -> None:
