@@ -84,7 +84,8 @@ class Broker(Node):
 
     def emit_complete(self, context: Context) -> None:
         """Emit frames that are old enough and have all agents' tracks, oldest first."""
-        self.emit(self.collation.complete(context.time_ns), context)
+        if batches := self.collation.complete(context.time_ns):
+            self.emit(batches, context)
 
     def emit(self, batches: Iterable[Collated], context: Context) -> None:
         """Publish batches: every agent's newest tracks, predicted to their time, and every agent's latest view."""

@@ -7,7 +7,7 @@ each agent, however late they arrived, predicted to the time of the batch, until
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -104,30 +104,31 @@ class Collation:
             return
         self._views.push(agent, frame, (time_ns, body))
 
-    def begin(self, frame: int, time_ns: int) -> Iterator[Collated]:
-        """Open a new frame; yields the batches of older ones that have waited long enough."""
+    def begin(self, frame: int, time_ns: int) -> list[Collated]:
+        """Open a new frame; returns the batches of older ones that have waited long enough."""
         overdue = time_ns - self._latency_ns
         frames = sorted(f for f, t in self._open_frames.items() if f < frame - self._patience and t < overdue)
-        yield from (self._batch(each, "overdue") for each in frames)
+        batches = [self._batch(each, "overdue") for each in frames]
         self.agents |= self._newcomers - self._gone
         self._newcomers.clear()
         self._open_frames[frame] = time_ns
+        return batches
 
-    def complete(self, now_ns: int) -> Iterator[Collated]:
+    def complete(self, now_ns: int) -> list[Collated]:
         """The batches of frames that are old enough and have all agents' tracks, oldest first. now_ns: time, ns"""
+        batches = []
         for frame in sorted(self._open_frames):
-            if self._open_frames[frame] > now_ns - self._latency_ns or not self._is_complete(frame):
-                return
-            yield self._batch(frame, "complete")
+            if self._open_frames[frame] > now_ns - self._latency_ns or not self._tracks.complete(frame, self.agents):
+                break
+            if self.with_views and not self._views.complete(frame, self.agents):
+                break
+            batches.append(self._batch(frame, "complete"))
+        return batches
 
     def counts(self) -> dict[str, Any]:
         """Numbers of complete and overdue batches, of late messages, and of rejected ones."""
         rejected = {"overflowed": self._tracks.dropped, "absurd": self._absurd}
         return {**self._batches, "late": dict(sorted(self._tracks.late.items())), **rejected}
-
-    def _is_complete(self, frame: int) -> bool:
-        tracks = self._tracks.complete(frame, self.agents)
-        return tracks and (not self.with_views or self._views.complete(frame, self.agents))
 
     def _batch(self, frame: int, how: str) -> Collated:
         time_ns = self._open_frames.pop(frame)

@@ -103,7 +103,7 @@ def test_what_cannot_be_expressed_is_refused() -> None:
     [
         ({"cpm": []}, "expected a list of 1 to 8 segments"),
         ({"cpm": b"abc"}, "expected a list of 1 to 8 segments"),
-        ({"cpm": [b""]}, ""),
+        ({"cpm": [b""]}, "header"),
         ({"cpm": [b"x" * 2000]}, "expected at most 1400 bytes"),
         ({"cpm": [3]}, "expected at most 1400 bytes"),
         ({"cam": [b"abc"]}, "columns missing"),
