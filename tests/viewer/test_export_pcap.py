@@ -180,16 +180,23 @@ def spoilt(change: Callable[[Recorded], Recorded]) -> Callable[..., Iterator[Rec
     return reading
 
 
+def in_columns(message: Recorded) -> Recorded:
+    """The same tracks as columns, not as a CPM."""
+    header, body = codec.decode(message.payload, "tracks")
+    return replace(message, payload=codec.encode(codec.conform(header, dict(body))))
+
+
 @pytest.mark.parametrize(
     "change",
     [
         lambda message: replace(message, payload=message.payload[:-1]),
-        lambda message: replace(message, malformed=True),
+        lambda message: replace(message, malformed=True, message="nonsense"),
         lambda message: replace(message, time_ns=2**62),
         lambda message: replace(message, message="clock"),
         lambda message: replace(message, payload=b""),
+        in_columns,
     ],
-    ids=["cut off", "malformed", "beyond the times of the format", "of another type", "empty"],
+    ids=["cut off", "malformed", "beyond the times of the format", "of another type", "empty", "not encoded"],
 )
 def test_an_invalid_message_is_left_out_and_counted(
     broadcast: mast.Run, out: Path, monkeypatch: pytest.MonkeyPatch, change: Callable[[Recorded], Recorded]

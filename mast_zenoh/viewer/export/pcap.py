@@ -49,6 +49,7 @@ def write(run: RecordedRun, path: Path) -> None:
 
     Raises ExportError if no wire of the run has CPMs.
     """
+    #: by frame after which they hold, the keys on which publishers send CPMs, with the keys of their wires
     sources = [
         (frame, {wire.legs[0].key: wire.key for wire in wiring.wires if wire.codec == "cpm"})
         for frame, wiring in run.wirings
@@ -63,20 +64,24 @@ def write(run: RecordedRun, path: Path) -> None:
     with path.open("wb") as file:
         file.write(_FILE_HEADER)
         for message in read(run.path, wires.__contains__):
-            if message.key in next(keys for frame, keys in reversed(sources) if frame < message.step or frame < 0):
-                try:
-                    file.writelines(_records(message))
-                except MessageError:
-                    refused += 1
+            sent = next(keys for frame, keys in reversed(sources) if frame < message.step or frame < 0)
+            if message.key not in sent:
+                continue  # behind an interposer
+            try:
+                file.writelines(_records(message))
+            except MessageError:
+                refused += 1
     if refused:
         run.note(f"messages.mcap: invalid messages, which receivers refuse, are left out: {refused}")
 
 
 def _records(message: Recorded) -> Iterator[bytes]:
     """Headers and packets of a message in the file. Raises MessageError, before the first one, if it is no CPM."""
+    if message.malformed:
+        raise MessageError(f"{message.key}: found a malformed message, expected a CPM")
     body = codec.decode(message.payload, message.type).body
-    if message.malformed or not isinstance(body, Packed):
-        raise MessageError(f"{message.key}: found a message that is no CPM")
+    if not isinstance(body, Packed):
+        raise MessageError(f"{message.key}: found columns, expected a CPM")
     if message.time_ns >= _MAX_TIME_NS:
         raise MessageError(f"{message.key}: time_ns is {message.time_ns}, expected less than {_MAX_TIME_NS}")
     seconds, nanoseconds = divmod(message.time_ns, 1_000_000_000)
