@@ -249,6 +249,7 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "simulation.md": [simulated_run] * 4,
     "studies.md": [study_of_ones_own],
     "tracking.md": [tracking_by_hand],
+    "v2x.md": [whole_scenario],
 }
 
 #: Pages whose files are run by tests of their own.
