@@ -11,6 +11,10 @@ from collections import deque
 from collections.abc import Hashable, Iterable, Iterator, Set
 from typing import Generic, TypeVar
 
+import numpy as np
+
+from mast_zenoh.arrays.states import Ints, ObjectStates
+
 Member = TypeVar("Member", bound=Hashable)
 Item = TypeVar("Item")
 
@@ -18,7 +22,7 @@ Item = TypeVar("Item")
 #: is too uncertain to be reported (a tracker's `max_std_m`).
 MAX_AGE_S = 1.0
 
-#: Limit on each value, in SI units, of a track that the broker collates: propagating a larger one could overflow.
+#: Limit on each value, in SI units, of a track that is collated: propagating a larger one could overflow.
 MAX_TRACK_VALUE = 1e8
 
 #: Number of recent frames of an agent that are remembered, to recognise duplicates.
@@ -170,3 +174,12 @@ class CollationBuffer(Generic[Item]):
                 del self._heaps[agent]
         self._emitted = max(self._emitted, frame)
         return batch
+
+
+def plausible_rows(states: ObjectStates) -> Ints:
+    """(k,) rows of the objects without a value beyond MAX_TRACK_VALUE."""
+    columns = (states.position, states.velocity, states.size, states.covariance)
+    if sum([np.vdot(column, column) for column in columns]) <= MAX_TRACK_VALUE**2:
+        return np.arange(len(states))  # the usual case: no value exceeds the norm of all
+    flat = np.concatenate([column.reshape(len(states), -1) for column in columns], axis=1)
+    return np.flatnonzero(np.abs(flat).max(axis=1) <= MAX_TRACK_VALUE)

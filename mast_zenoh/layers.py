@@ -36,6 +36,7 @@ LAYERS: dict[str, str] = {
     "fusion": "fuses the tracks of many agents into one picture",
     "scenes": "ground truth: making/ recordings of boxes and paths; generated/ junctions. Data sets: plugins/datasets",
     "messages": "schemas, codec, memory layout, validation",
+    "v2x": "standard messages (CAM, CPM) as wire formats, when they are sent, and the load of their channel",
     "links": "network effects: loss, delay, duplication, corruption",
     "metrics": "compares estimates with the truth",
     "tracking": "turns detections into tracks",

@@ -1,9 +1,9 @@
 """An adversary on a wire: receives messages and forwards manipulated ones.
 
 It sits on `detections` (between an agent's sensors and its perception), on `pose` (between its positioning and the
-agent), on `tracks` or `view` (between the agent and the command centre) or on `picture` (between the command centre and
-the agent), as the key-expression map specifies; also on several of them, and on those of several agents. Neither end
-can detect it: keys, headers and untouched rows are forwarded unchanged.
+agent), on `tracks` or `view` (between the agent and the command centre, or between peers) or on `picture` (between the
+command centre and the agent), as the key-expression map specifies; also on several of them, and on those of several
+agents. Neither end can detect it: keys, headers and untouched rows are forwarded unchanged.
 """
 
 from __future__ import annotations
@@ -44,6 +44,7 @@ class Adversary(Node):
 
     attack: the manipulation; agent: the compromised agent, whose wires it is on, or several of them (those behind a
     compromised access point): each is attacked by itself, and so is each further sensor whose wire it is on
+    peer: on broadcasts, the only peer before which it is, where a map inserts it there (keyexpr_maps/on_pair.toml)
     surroundings: the attacker's prior knowledge of the scene
     """
 
@@ -70,11 +71,14 @@ class Adversary(Node):
         "report": "attack_report",
     }
 
-    def __init__(self, attack: Attack, agent: str | tuple[str, ...], surroundings: Surroundings = UNKNOWN) -> None:
+    def __init__(
+        self, attack: Attack, agent: str | tuple[str, ...], surroundings: Surroundings = UNKNOWN, peer: str = ""
+    ) -> None:
         names = (agent,) if isinstance(agent, str) else agent
         if not names or len(set(names)) < len(names):
             raise ValueError(f"agent: found {agent!r}, expected the name of an agent, or several different ones")
         self.attack = attack
+        self.peer = peer
         self.surroundings = surroundings
         self.victims = {name: Victim(name, copy.deepcopy(attack) if i else attack) for i, name in enumerate(names)}
         self.directives: LatestBefore[Targets] = LatestBefore()

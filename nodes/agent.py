@@ -7,7 +7,7 @@ frame: this frame's may arrive before or after it, and the result must not depen
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -49,6 +49,8 @@ class Agent(Node):
     unsupported_std_m: m, the greatest standard deviation of the horizontal position of an object in a picture that no
         agent supports; above, it is not used, because the picture itself is about to lose it
     sensors: all of its sensors, if they are several, or measure at times of their own; empty: `lidar`, in every frame
+    tracks_from: frame of reference of its published tracks: "world", or "agent": relative to where it is, with the axes
+        of the world, as V2X messages are
     measurement_times: False: treats measurements as made at the time of their frame; only to show the effect
     """
 
@@ -73,6 +75,7 @@ class Agent(Node):
         unsupported_std_m: float = 0.5,
         sensors: tuple[AgentSensor, ...] = (),
         measurement_times: bool = True,
+        tracks_from: Literal["world", "agent"] = "world",
     ) -> None:
         if status_every < 1:
             raise ValueError(f"status_every: found {status_every}, expected 1 or more")
@@ -83,6 +86,7 @@ class Agent(Node):
         self.pipeline = pipeline
         self.sensors = sensors
         self.measurement_times = measurement_times
+        self.tracks_from = tracks_from
         self.lidars = [lidar, *(sensor.lidar for sensor in sensors[1:])]
         self.members = ["detections", *(f"detections/{sensor.name}" for sensor in sensors[1:])]
         self.mobile = mobile
@@ -178,8 +182,12 @@ class Agent(Node):
             )
             self.tracks_ns = each.time_ns
         tracks = predicted(self.tracks, (time_ns - self.tracks_ns) * 1e-9)
-        reference = {"origin": origin, "rotation": rotation}
-        context.publish("tracks", tracks.columns() | reference, frame=frame, time_ns=time_ns)
+        reference, published = {"origin": origin, "rotation": rotation}, tracks
+        if self.tracks_from == "agent":
+            in_world = states_to_world(tracks, origin, rotation)
+            published = in_world.with_(position=in_world.position - pose.position)
+            reference = {"origin": pose.position, "rotation": WORLD["rotation"]}
+        context.publish("tracks", published.columns() | reference, frame=frame, time_ns=time_ns)
         free = items["sweep"].body["free"] if "sweep" in items else UNKNOWN_SPACE
         if context.connected("view"):
             view = self.pipeline.view(pose, mount, self.lidars[0])

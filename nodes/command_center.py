@@ -8,9 +8,8 @@ from typing import Any
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.integrity.views import SweptView, views_of
-from mast_zenoh.messages.schemas import text
 from mast_zenoh.node import Context, Node, Received
-from mast_zenoh.pipelines import Pipeline
+from mast_zenoh.pipelines import Pipeline, trust_body
 from mast_zenoh.runtime.mesh.hosting import main
 
 #: Views that wait for their batches, at most; the oldest are dropped.
@@ -91,8 +90,8 @@ class CommandCenter(Node):
             "picture", picture.columns() | {"support": support}, frame=received.frame, time_ns=received.time_ns
         )
         if self.pipeline.trust is not None:
-            texts = {name: text(list(self.pipeline.trust[name])) for name in ("agents", "reason")}
-            context.publish("trust", {**self.pipeline.trust, **texts}, frame=received.frame, time_ns=received.time_ns)
+            trust = trust_body(self.pipeline.trust)
+            context.publish("trust", trust, frame=received.frame, time_ns=received.time_ns)
 
     def finish(self, context: Context) -> dict[str, Any]:
         """What the pipeline counted, and how far tracks were from what its tracker expected, if they tell."""

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from mast_zenoh.arrays.geometry import states_to_world
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.effects import Pose
-from mast_zenoh.evaluation import Evaluation, RunData
+from mast_zenoh.evaluation import Evaluation, RunData, ego_of
 from mast_zenoh.metrics import AttributionLimits, Consistency, CutOff, Driving, Metric, Record, Scorer, Series
 from mast_zenoh.metrics.estimates import LOCAL, MISSION, PICTURE, PICTURE_RECEIVED, RECEIVED
 from mast_zenoh.metrics.record import Snapshot
@@ -191,6 +191,12 @@ class Evaluator(Node):
                 candidates.append((message, objects))
         self.data.record.add(header.frame, route.series, objects, message.step, header.time_ns)
 
+    def take_reception(self, message: Overheard, route: Route) -> None:
+        """Store how busy the channel was at a station, and what arrived there."""
+        body = message.body
+        state = float(body["busy_ratio"][0]), int(body["airtime_ns"][0]), len(body["agents"])
+        self.data.receptions[message.wire.subject, message.header.frame] = state
+
     def take_trust(self, message: Overheard, route: Route) -> None:
         """Store the command centre's trust in agents and objects."""
         frame = message.header.frame
@@ -231,7 +237,9 @@ def routes(wiring: Wiring, agents: Sequence[str]) -> dict[str, Route]:
         ends = {end.node: leg.key for leg in wire.every_leg for end in leg.subscribers}
         if len(wire.every_leg) > 1:
             shared |= dict.fromkeys((leg.key for leg in wire.every_leg), wire.key)
-        if wire.message in ("clock", "truth", "trust", "attack_report", "link_report"):
+        if wire.message == "trust" and wire.subject not in ("", ego_of(agents)):
+            continue  # that of one centre, or one peer, is evaluated
+        if wire.message in ("clock", "truth", "trust", "attack_report", "link_report", "reception"):
             takes[source.key] = f"take_{wire.message}"
         elif wire.message == "pose" and wire.subject in sensed:
             takes[source.key] = "take_pose"
@@ -242,7 +250,12 @@ def routes(wiring: Wiring, agents: Sequence[str]) -> dict[str, Route]:
                 series[key].append(Series(agent, RECEIVED))
             takes |= dict.fromkeys((source.key, *received), "take_tracks")
         elif wire.message == "picture":
-            series[source.key].append(Series("", PICTURE))
+            if wire.subject in agents:
+                series[source.key].append(Series(wire.subject, PICTURE))  # of the agent's peer
+            elif not wire.subject or any(end in agents for end in ends):
+                series[source.key].append(Series("", PICTURE))
+            else:
+                continue  # of a region, for another centre
             received = [(key, name) for name, key in ends.items() if name in agents]
             for key, name in received:
                 series[key].append(Series(name, PICTURE_RECEIVED))

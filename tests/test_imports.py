@@ -1,6 +1,7 @@
 """Imports follow the layers without cycles; algorithms do no I/O."""
 
 import ast
+import re
 from pathlib import Path
 
 from mast_zenoh.layers import LAYERS
@@ -113,6 +114,7 @@ def test_the_top_level_of_the_package_has_few_modules() -> None:
 
 
 ALGORITHMS = {"tracking", "fusion", "pipelines", "attacks", "effects", "evaluation", "metrics", "links", "faults"}
+ALGORITHMS |= {"v2x"}
 PURE = [path for path in FILES if path.relative_to(PACKAGE).parts[0] in ALGORITHMS]
 #: Files that make Stone Soup's timestamps, which are datetimes, of the times of messages.
 STONE_SOUP = ("stone_soup_objects.py", "stone_soup_default.py")
@@ -122,7 +124,7 @@ FORBIDDEN = {"zenoh", "socket", "time", "random", "os", "subprocess", "threading
 def test_nodes_and_algorithms_use_no_socket_clock_or_global_generator() -> None:
     used = []
     for path in (*PURE, *NODES):
-        text = path.read_text()
+        text = re.sub(r"(self\.|def )open\(", "", path.read_text())  # methods of its own open no file
         clock = (".now(", ".utcnow(", ".today(") if path.name in STONE_SOUP else ("datetime",)
         words = ("np.random.rand", "np.random.seed", "np.random.normal", "open(", *clock)
         modules = {name.split(".")[0] for name in imported(path)} & FORBIDDEN

@@ -7,6 +7,6 @@
 See docs/metrics.md and docs/effects.md.
 """
 
-from mast_zenoh.evaluation.evaluation import Evaluation, RunData
+from mast_zenoh.evaluation.evaluation import Evaluation, RunData, ego_of
 
-__all__ = ["Evaluation", "RunData"]
+__all__ = ["Evaluation", "RunData", "ego_of"]

@@ -43,7 +43,10 @@ from mast_zenoh.metrics import (
     driving,
 )
 from mast_zenoh.metrics.attributor import Withheld
+from mast_zenoh.metrics.between import between
+from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.metrics.measures import MEASURES, ScoredRun, check, estimates_of, frame_keys, measured, per_frame
+from mast_zenoh.metrics.scores import mean_and_std
 from mast_zenoh.metrics.trust import Fault, TrustUpdate
 from mast_zenoh.wiring.model import agent_of
 
@@ -62,6 +65,8 @@ class RunData:
     tracks_sent: by (agent, frame), the frame in which the agent's tracks were sent
     attack_reports, link_reports: (interposer, frame, sequence number, columns)
     trust:    by frame, the first message about it
+    receptions: by (agent, frame), busy ratio of the channel, ns of the agent's own message, and messages that arrived,
+        all of the frame before
     """
 
     record: Record
@@ -75,6 +80,7 @@ class RunData:
     attack_reports: list[tuple[str, int, int, Body]] = field(default_factory=list)
     link_reports: list[tuple[str, int, int, Body]] = field(default_factory=list)
     trust: dict[int, TrustUpdate] = field(default_factory=dict)
+    receptions: dict[tuple[str, int], tuple[float, int, int]] = field(default_factory=dict)
 
     @property
     def period_s(self) -> float:
@@ -84,9 +90,8 @@ class RunData:
 
     @property
     def ego(self) -> str:
-        """The main agent of the evaluation: "ego" if there is one, else the first."""
-        agents = self.record.agents
-        return "ego" if "ego" in agents else next(iter(agents), "")
+        """The main agent of the evaluation."""
+        return ego_of(self.record.agents)
 
     def picture_age_s(self, frames: Sequence[int]) -> dict[str, dict[str, float | int | None]]:
         """By agent: mean and maximum age in s of the picture in its mission estimates, and the `frames` without any.
@@ -116,6 +121,11 @@ class RunData:
         if not latencies:
             return {f"p{p}": None for p in names}
         return {f"p{p}": float(np.percentile(np.array(latencies) * 1e-6, p)) for p in names}
+
+
+def ego_of(agents: Sequence[str]) -> str:
+    """The main agent of an evaluation: "ego" if there is one, else the first."""
+    return "ego" if "ego" in agents else next(iter(agents), "")
 
 
 def attacks(effects: Effects, agreement: Agreement, roles: Mapping[str, str], period_s: float) -> Table:
@@ -326,6 +336,8 @@ class _Results:
                 "latency_ms": {"sim_to_picture": data.latency_percentiles_ms()},
                 "frames_per_second": 1e9 / times[1] if {0, 1} <= times.keys() else None,
                 **integrity,
+                **self._between(scored),
+                **self._channel(scored),
             },
             "tables": {
                 "metrics": per_frame,
@@ -358,6 +370,33 @@ class _Results:
         table = frame_keys(scores) | columns
         table["scored"] = np.tile(counts, len(scores.every_series))
         return summary, table, failed
+
+    def _between(self, scored: slice) -> dict[str, Any]:
+        """How the pictures of agents differ; empty where they share one."""
+        own = [each for each in self.data.record.series() if each.agent and each.estimator == PICTURE]
+        if len(own) < 2:
+            return {}
+        scorer, blamed = self.settings.scorer, np.array([by != "" for by in self.labels.by], np.bool_)
+        return {"between": between(self.scores, blamed, scorer.range_m, scorer.distance, self.data.period_s, scored)}
+
+    def _channel(self, scored: slice) -> dict[str, Any]:
+        """The load of the channel that stations share; empty without one."""
+        frames, period_ns = set((self.scores.frames[scored] + 1).tolist()), self.data.period_s * 1e9
+        rows = [state for (_, frame), state in self.data.receptions.items() if frame in frames]
+        if not rows:
+            return {}
+        busy, airtime_ns, arrived = (np.array(column, np.float64) for column in zip(*rows, strict=True))
+        stations = len({agent for agent, _ in self.data.receptions})
+        expected = float((airtime_ns > 0).sum()) * (stations - 1)
+        return {
+            "channel": {
+                "stations": stations,
+                "busy_ratio": mean_and_std(busy),
+                "airtime_share": float(airtime_ns.mean()) / period_ns,
+                "sent": float((airtime_ns > 0).mean()),
+                "arrived": float(arrived.sum()) / expected if expected else None,
+            }
+        }
 
     def _trust(self, scored: slice) -> tuple[dict[str, Any], dict[str, Any]]:
         """The metrics and the tables of a command centre that judges agents; empty without one."""

@@ -22,7 +22,7 @@ from mast_zenoh.metrics.estimates import (
 )
 from mast_zenoh.metrics.manipulations import COLUMNS, INSERTED, KINDS, MOVED, REMOVED
 from mast_zenoh.metrics.record import TruthTable
-from mast_zenoh.wiring.model import Passage, agent_of
+from mast_zenoh.wiring.model import Passage, agent_of, peer_of
 
 #: Ports of messages that no estimate depends on: the truth, and estimates, which are scored at their source.
 _WITHOUT_ESTIMATE = ("truth", "mission", "report", "observation", "directive")
@@ -50,6 +50,8 @@ def _influences(passage: Passage, agent: str, estimator: str, is_link: bool) -> 
         return (own and estimator == RECEIVED) or (not is_link and estimator in FROM_CENTRE)
     if port in ("status", "collated"):
         return not is_link and estimator in FROM_CENTRE
+    if port == "broadcast":
+        return not own and estimator in FROM_CENTRE and passage.before in ("", peer_of(agent))
     if port == "picture":
         return estimator in BEHIND_DOWNLINK and passage.before in ("", agent)
     return port not in _WITHOUT_ESTIMATE and (estimator != LOCAL or port == "clock")

@@ -51,6 +51,13 @@ class GroupTracker(ABC):
         """How far clusters were from what was expected, see `Tracker`; None: it does not tell."""
         return None
 
+    def name_agents(self, agents: tuple[str, ...]) -> None:  # noqa: B027 (a hook: most need no names)
+        """Set the names of the agents of the next steps; `agent` has their rows.
+
+        A group tracker that remembers tracks needs them, since the rows change when agents come and go. If it is never
+        called, the rows are taken for names.
+        """
+
     @abstractmethod
     def step(
         self, time_ns: int, states: ObjectStates, agent: Ints, labels: Ints, weights: Floats | None = None
@@ -111,6 +118,12 @@ class Members:
     def weighted(self, weight: Floats) -> Members:
         """The same members with other weights (n,), normalised in each cluster."""
         return Members(self.states, weight / self.sum(weight)[self.cluster], self.start, self.cluster, self.label)
+
+    @property
+    def relative_weight(self) -> Floats:
+        """(n,) weights relative to the greatest in their clusters, in (0, 1]."""
+        greatest = np.maximum.reduceat(self.weight, self.start) if len(self.start) else self.weight
+        return np.asarray(self.weight / greatest[self.cluster])
 
     def sum(self, values: Floats) -> Floats:
         """(c, ...) sums of (n, ...) values over the members of each cluster."""

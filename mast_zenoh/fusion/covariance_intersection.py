@@ -1,4 +1,4 @@
-"""Fusion of members whose errors have an unknown correlation."""
+"""Fusion of members whose errors have an unknown correlation, and what ignores it."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ class CovarianceIntersectionFusion(Fusion):
 def covariance_intersection(covariance: Floats, state: Floats, weight: Floats, start: Ints) -> tuple[Floats, Floats]:
     """Means (c, 9) and covariances (c, 9, 9) of clusters of n members, see `Members`.
 
-    covariance: (n, 9, 9), positive definite; state: (n, 9)
+    covariance: (n, 9, 9), positive definite; state: (n, 9); weight: (n,), of any sum
     """
     n = len(weight)
     terms = np.empty((n, 90))
@@ -125,6 +125,25 @@ def covariance_intersection(covariance: Floats, state: Floats, weight: Floats, s
     fused = inverse(sums[:, :81].reshape(-1, 9, 9))
     fused = 0.5 * (fused + fused.transpose(0, 2, 1))
     return (fused @ sums[:, 81:, None])[:, :, 0], fused
+
+
+class NaiveKalmanFusion(Fusion):
+    """Adds up the information of the members, as if their errors were independent.
+
+    P^-1 = sum P_i^-1, x = P sum P_i^-1 x_i: the correction of a Kalman filter by each of them (Durrant-Whyte, Stevens,
+    Data Fusion in Decentralised Sensing Networks, FUSION 2001). The wrong reference: information that members share is
+    counted as often as it arrives, so the result is too certain, the more so the longer rumours circulate.
+
+    Trust in a member multiplies its information, relative to the most trusted member of its cluster.
+    """
+
+    def fuse(self, states: ObjectStates, labels: Ints, weights: Floats | None = None) -> ObjectStates:
+        members = Members.of(states, labels, weights)
+        if len(members.start) == 0:
+            return ObjectStates.empty()
+        vectors, weight = state_vectors(members.states), members.relative_weight
+        mean, covariance = covariance_intersection(members.states.covariance, vectors, weight, members.start)
+        return members.fused(mean, covariance)
 
 
 class BestMemberFusion(Fusion):

@@ -75,6 +75,14 @@ def view_columns(view: SensorView, free: Floats) -> dict[str, NDArray[Any]]:
     }
 
 
+def view_of(body: Mapping[str, NDArray[Any]], age_s: float = 0.0) -> SweptView:
+    """The view in a `view` message that `check_view` accepts. age_s: s, see `SweptView`"""
+    limits = (*body["azimuth"].tolist(), *body["elevation"].tolist(), float(body["max_range"][0]))
+    return SweptView(
+        SensorView(body["position"], rotation_from_quaternion(body["rotation"]), *limits), body["free"], age_s
+    )
+
+
 def check_view(body: Mapping[str, NDArray[Any]]) -> None:
     """Raise ValueError for a `view` message that describes no field of view."""
     for name, most in (("azimuth", 2 * np.pi + 1e-6), ("elevation", np.pi + 1e-6)):

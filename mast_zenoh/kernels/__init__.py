@@ -35,6 +35,8 @@ MODULES = (
     "pairs",
     "rays",
     "tracks",
+    "uper_decoding",
+    "uper_encoding",
 )
 
 #: The build writes here why it compiled no kernels: a reason, and the compiler's last line.

@@ -186,7 +186,7 @@ cdef void share_errors(double* track_covariance, double* noise) noexcept nogil:
         noise[i] /= 1.0 - weight
 
 
-def matched_tracks(t, match, detected, measured, double yaw_variance, double most):
+def matched_tracks(t, match, detected, measured, double yaw_variance, double most, bint correlated):
     of_track, of_measurement, log_ratios, jumps = match
     rows, states, noises, yaws, classes, scores = measured
     cdef const double* before = float_data(t, 2)
@@ -228,7 +228,7 @@ def matched_tracks(t, match, detected, measured, double yaw_variance, double mos
         row[SCORE] += (score[m] - row[SCORE]) / row[HITS]
         row[SPAN] += row[AGE]
         row[AGE], row[ROW] = 0.0, row_of[m]
-        if w == 9:
+        if correlated and w == 9:
             share_errors(row + P, noise)
         innovation[0], innovation[1] = state[0] - row[0], state[1] - row[1]
         if jump[r] == 0.0:

@@ -3,6 +3,8 @@
     {"schema": "tracks", "version": 1, "source": "ego", "frame": 3, "time_ns": 300000000, "seq": 3,
      "body": {"position": ["<f8", [12, 3], b"..."], "agents": ["str", [2], ["ego", "infra_1"]], ...}}
 
+The body of a wire with a codec has its bytes instead, see `packed`.
+
 Arrays are raw little-endian bytes in C order; decoding returns read-only views and copies nothing.
 """
 
@@ -34,6 +36,7 @@ from mast_zenoh.messages.layout import (
     split_header,
 )
 from mast_zenoh.messages.limits import NO_LIMITS, RowLimits
+from mast_zenoh.messages.packed import CODECS, Packed, unpack
 from mast_zenoh.messages.schemas import SCHEMAS, Body, Column, Header, Message, Schema
 
 _HEADER_KEYS = ("schema", "version", "source", "frame", "time_ns", "seq", "body")
@@ -123,8 +126,11 @@ def encode(message: Message) -> bytes:
     """Encode a message that `conform` made."""
     header, columns = message
     layout = LAYOUTS[header.schema]
-    plan = layout.plan_of(columns)
     numbers = _pack({"frame": header.frame, "time_ns": header.time_ns, "seq": header.seq})[1:]
+    if type(columns) is Packed:
+        start = [layout.header_prefix, _pack(header.source), numbers, _BODY_KEY]
+        return b"".join([*start, _pack({columns.codec: columns.segments})])
+    plan = layout.plan_of(columns)
     parts = [layout.header_prefix, _pack(header.source), numbers, layout.body_prefix]
     for name, prefix, dtype in zip(plan.names, plan.prefixes, plan.dtypes, strict=True):
         parts.append(prefix)
@@ -149,6 +155,8 @@ def decode(
     columns: Body | None = None if header is None else layout.split(payload, place)
     if header is None or columns is None:
         header, body = _unpack(payload, schema)
+        columns = _packed(schema, body)
+    if columns is None:
         if not isinstance(body, dict) or len(body) != len(schema.columns):
             raise MessageError(_names_differ(schema.name, body, schema.columns))
         columns = layout.unpack(body, len(payload) - place if place else 0) or _columns(schema, body)
@@ -248,6 +256,16 @@ def _unpack(payload: bytes, expected: Schema) -> tuple[Header, Any]:
     return header, body
 
 
+def _packed(schema: Schema, body: Any) -> Body | None:
+    """The columns of a body that travels in another format; None if it does not."""
+    if not isinstance(body, dict) or len(body) != 1:
+        return None
+    ((codec, data),) = body.items()
+    if codec not in CODECS or schema.name not in CODECS[codec]:
+        return None
+    return unpack(codec, data)
+
+
 def _columns(schema: Schema, body: Mapping[str, Any]) -> Body:
     """The columns of a packed body; raises MessageError for one that `Layout.unpack` does not accept."""
     columns: dict[str, NDArray[Any]] = {}
@@ -345,7 +363,7 @@ def _check_references(message: Message) -> None:
         agent, rows = body["agent"], len(body["agents"])
         if agent.size and not (agent.min() >= 0 and agent.max() < rows):
             raise MessageError(f"collated.agent: a row outside `agents`, which has {rows}")
-    elif schema in ("tracks", "picture") and len(set(body["id"].tolist())) != len(body["id"]):
+    elif schema in ("tracks", "picture", "relayed") and len(set(body["id"].tolist())) != len(body["id"]):
         raise MessageError(f"{schema}.id: an id occurs twice")
 
 

@@ -249,6 +249,26 @@ BUILT_IN: Mapping[str, Schema] = {
         ),
         Schema("tracks", 1, "an agent's confirmed tracks", (*_states(), *_FRAME_OF_REFERENCE)),
         Schema(
+            "relayed",
+            1,
+            "objects of an agent's picture, for other agents, world frame",
+            (
+                *_states(),
+                Column("agents", "str", ("a",), "", "names of agents, sorted"),
+                Column("origin", "uint8", ("n", "a"), "", "1: the agent's tracks are in the object", below=2),
+            ),
+        ),
+        Schema(
+            "reception",
+            1,
+            "what arrived at a station of what was sent in the frame before, and the load of the channel",
+            (
+                Column("agents", "str", ("m",), "", "the stations whose messages arrived, sorted"),
+                Column("busy_ratio", "float64", (1,), "", "channel busy ratio, 0 to 1"),
+                Column("airtime_ns", "int64", (1,), "ns", "of the station's own message; 0: it sent none"),
+            ),
+        ),
+        Schema(
             "status",
             1,
             "an agent's type and counts",

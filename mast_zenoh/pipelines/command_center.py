@@ -15,6 +15,7 @@ from mast_zenoh.fusion.clustering import believed_first, without_contradicted
 from mast_zenoh.fusion.covariance_check import CheckedCovariances, CovarianceCheck
 from mast_zenoh.integrity import Assessment, Batch, Integrity, SweptView, trust_columns
 from mast_zenoh.integrity.base import SUSPENDED, problem_of
+from mast_zenoh.messages.schemas import Body, text
 from mast_zenoh.tracking.base import Innovations
 from mast_zenoh.tracking.covariances import make_positive_definite
 
@@ -29,6 +30,14 @@ class Pipeline(ABC):
     def innovations(self) -> Innovations | None:
         """How far clusters were from what was expected, see `Tracker`; None: it does not tell."""
         return None
+
+    @property
+    def members(self) -> Ints:
+        """(n,) int64, for each track of the last step the row of its object in the picture; -1: none.
+
+        Peers that relay objects need it. Raises NotImplementedError by default.
+        """
+        raise NotImplementedError(f"{type(self).__name__} does not define `members`, which relays need")
 
     def bind(self, seed: int, name: str) -> None:  # noqa: B027 (a hook: most pipelines draw no random numbers)
         """Set the run's seed and the name of the node, which select random streams; called before the first step."""
@@ -84,6 +93,14 @@ class CommandCenterPipeline(Pipeline):
         self._views: Mapping[str, SweptView] = {}
         self._withheld: dict[int, bool] = {}  # by id of the object
         self._suspended: set[str] = set()  # agents that cannot divide the objects of others
+        self._members = np.zeros(0, np.int64), np.zeros(0, np.int64)  # label of each track; cluster of each object
+
+    @property
+    def members(self) -> Ints:
+        labels, clusters = self._members
+        row = np.full(int(max(labels.max(initial=-1), clusters.max(initial=-1))) + 1, -1, np.int64)
+        row[clusters[clusters >= 0]] = np.flatnonzero(clusters >= 0)
+        return row[labels]
 
     @property
     def innovations(self) -> Innovations | None:
@@ -139,7 +156,10 @@ class CommandCenterPipeline(Pipeline):
         """The picture of clusters, without those that others contradict."""
         weights = without_contradicted(states, agent, labels, weights)
         states = self._covariances.inflated(time_ns, states, agent, names, labels, weights)
-        return self.group_tracking.step(time_ns, states, agent, labels, weights)
+        self.group_tracking.name_agents(names)
+        picture, support = self.group_tracking.step(time_ns, states, agent, labels, weights)
+        self._members = labels, self.group_tracking.clusters
+        return picture, support
 
     def _published(
         self, picture: ObjectStates, support: Ints, names: tuple[str, ...], assessment: Assessment
@@ -156,17 +176,26 @@ class CommandCenterPipeline(Pipeline):
             "reason": assessment.agents.reason,
             **trust_columns(assessment.agents, picture, clusters, assessment.objects, withheld),
         }
-        return (picture.select(~withheld), support[~withheld]) if withheld.any() else (picture, support)
+        if not withheld.any():
+            return picture, support
+        self._members = self._members[0], clusters[~withheld]
+        return picture.select(~withheld), support[~withheld]
 
     def reset(self) -> None:
         self.group_tracking.reset()
         self._covariances.reset()
         self._withheld = {}
         self._suspended = set()
+        self._members = np.zeros(0, np.int64), np.zeros(0, np.int64)
         self._views = {}
         self.trust = None
         if self.integrity is not None:
             self.integrity.reset()
+
+
+def trust_body(trust: Mapping[str, Any]) -> Body:
+    """The columns of a `trust` message, from those of `Pipeline.trust`."""
+    return {**trust, **{name: text(list(trust[name])) for name in ("agents", "reason")}}
 
 
 def combined(one: Floats | None, other: Floats | None) -> Floats | None:

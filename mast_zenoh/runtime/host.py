@@ -20,6 +20,7 @@ from mast_zenoh.control.failures import Failure
 from mast_zenoh.errors import ConfigurationError, MessageError, nearest
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.limits import NO_LIMITS, Shortened, Timespan, excess
+from mast_zenoh.messages.packed import Packed, codec_of, pack
 from mast_zenoh.messages.schemas import Body, Header, Message
 from mast_zenoh.node import Node, Overheard, Received, Source, Unopened, handler_names
 from mast_zenoh.runtime.waiting import DELAYED, HELD, Delayed, Held, HeldMessages, Room
@@ -106,6 +107,8 @@ class Host:
         self._emit = emit
         self._encode = encode
         self._outputs = ports.outputs
+        self._codecs = ports.codecs
+        self._codec_of = ports.codec
         self._keys_of_port: dict[str, list[str]] = {}
         for (port, _), key in ports.outputs.items():
             self._keys_of_port.setdefault(port, []).append(key)
@@ -278,6 +281,15 @@ class Host:
             else:
                 message = codec.limited(payload, self.limits)
             _, source, frame, time_ns, _ = message.header
+            kind = type(message.body)
+            if (
+                (self._codecs or kind is Packed)
+                and kind is not Shortened
+                and self._codec_of(key) != codec_of(message.body)
+            ):
+                raise MessageError(
+                    f"codec: {port_input.message}: expected a body in {self._codec_of(key) or 'columns'}"
+                )
             if source != port_input.source:
                 raise MessageError(f"{port_input.message}: source {source[:40]!r}, expected {port_input.source!r}")
             if (time_ns != self.time_ns or frame != self.frame) and self._timespan is not None:
@@ -362,6 +374,9 @@ class Host:
         return keys[0] if keys else None
 
     def _send_message(self, key: str, message: Message, after_s: float = 0.0) -> None:
+        if self._codecs and (wire_codec := self._codec_of(key)):
+            with suppress(MessageError):  # otherwise it is sent as it is, and refused by all that receive it
+                message = pack(message, wire_codec)
         if self._encode:
             self._send_payload(key, codec.encode(message), after_s=after_s)
             return

@@ -20,13 +20,14 @@ from mast_zenoh.pipelines.agent import DUE, IDLE
 from mast_zenoh.scenes.agents import best_pattern
 from mast_zenoh.scenes.recording import NO_MEASUREMENT, Recording
 from mast_zenoh.sensing import LidarSensor
+from mast_zenoh.wiring.model import peer_of
 
 ON_EXIT = ("fail", "continue", "restart")
 
 #: s, between two rows of a route.
 ROUTE_STEP_S = 0.5
 
-_DEFAULT_ON_EXIT = {"agent": "continue", "adversary": "continue", "coordinator": "continue", "link": "continue"}
+_DEFAULT_ON_EXIT = dict.fromkeys(("agent", "peer", "adversary", "coordinator", "link"), "continue")
 _CONTROLS = ("type", "file", "on_exit", "role")
 
 
@@ -55,8 +56,17 @@ def nodes_of(
             raise ConfigurationError(f"{path}: agents: {agent.name}: found {config!r}, expected a dict")
         add(agent.name, "agent", {**_scene_parameters(recording, row), **config})
     for role in ("broker", "command_center"):
-        add(role, role, scenario.get(role, {}))
+        if scenario.get(role, {}) is not None:
+            add(role, role, scenario.get(role, {}))
+    for name, config in _checked_configs(scenario.get("centers", {}), f"{path}: centers"):
+        add(name, "center", config)
     agents = [agent.name for agent in recording.agents]
+    for agent_name, config in _peers(scenario.get("peers", {}), agents, f"{path}: peers"):
+        if not isinstance(config, Mapping):
+            raise ConfigurationError(f"{path}: peers: {agent_name}: found {config!r}, expected a dict")
+        add(peer_of(agent_name), "peer", {"agent": agent_name, **config})
+    if scenario.get("channel") is not None:
+        add("channel", "channel", scenario["channel"])
     adversaries = scenario.get("adversaries", {})
     for name, config in _checked_configs(adversaries, f"{path}: adversaries"):
         add(name, "adversary", config)
@@ -83,6 +93,17 @@ def nodes_of(
     if record:
         add("recorder", "recorder", {"log": MessageLog()})
     return specs
+
+
+def _peers(patterns: Mapping[str, Any], agents: Iterable[str], place: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Yield (agent, configuration of its peer) of each agent that a pattern names."""
+    agents = list(agents)
+    for pattern in patterns:
+        if not any(best_pattern([pattern], agent) for agent in agents):
+            raise ConfigurationError(f"{place}: no agent {pattern!r} in this scene{nearest(pattern, agents)}")
+    for agent in agents:
+        if (best := best_pattern(patterns, agent)) is not None:
+            yield agent, patterns[best]
 
 
 def share_faults(evaluator: NodeSpec, faults: Mapping[str, Any]) -> None:

@@ -43,11 +43,12 @@ RUN_DEFAULTS: dict[str, Any] = {
     "record": True,
     "max_rows": None,
 }
-#: Keys whose values are dicts; `coordinator` may be None.
+#: Keys whose values are dicts; those of nodes that a run can do without may be None.
 _DICTS = (
-    *("broker", "command_center", "evaluator", "coordinator"),
-    *("agents", "adversaries", "nodes", "links", "hosts", "keyexpr", "run"),
+    *("broker", "command_center", "channel", "evaluator", "coordinator"),
+    *("agents", "centers", "peers", "adversaries", "nodes", "links", "hosts", "keyexpr", "run"),
 )
+_OPTIONAL = ("broker", "command_center", "channel", "coordinator")
 
 
 def normalise_keys(scenario: Mapping[str, Any], place: str) -> dict[str, Any]:
@@ -64,7 +65,7 @@ def checked(scenario: Mapping[str, Any], place: str) -> Mapping[str, Any]:
     for key, value in scenario.items():
         if key not in KEYS:
             raise ConfigurationError(f"{place}: {key}: unknown key{nearest(str(key), KEYS)}")
-        if key == "coordinator" and value is None:
+        if key in _OPTIONAL and value is None:
             continue
         if key in _DICTS and not isinstance(value, Mapping):
             raise ConfigurationError(f"{place}: {key}: found {value!r}, expected a dict")

@@ -243,7 +243,10 @@ def _further_sensors(spec: NodeSpec) -> tuple[str, ...]:
 def _shipped_ports() -> dict[str, set[str]]:
     """Ports of the shipped nodes by role; a user's node may lack any of them."""
     shipped = [loading.node_class(bundle.ROOT / "nodes" / name) for name in bundle.names("nodes")]
-    return {cls.role: {*cls.inputs, *cls.outputs} for cls in shipped}
+    ports: dict[str, set[str]] = {}
+    for cls in shipped:
+        ports.setdefault(cls.role, set()).update(cls.inputs, cls.outputs)
+    return ports
 
 
 def load_builders(scenario: Any, path: Path) -> tuple[Path, ...]:

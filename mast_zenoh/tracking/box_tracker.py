@@ -116,16 +116,17 @@ def matched_tracks(
     measured: tuple[Any, ...],
     yaw_variance: float,
     most: float,
+    correlated: bool,
 ) -> tuple[Floats, Floats, Floats, Floats, tuple[float, int], tuple[float, int]]:
     """The k matched ones of n tracks and their measurements, ready for the Kalman correction.
 
     match: rows of the tracks and of the measurements, log density ratios to clutter, and variances of jumps m^2: (k,)
     detected: (n,) detection probabilities; measured: the fields of `Measured`
     yaw_variance: rad^2, of a measured heading; most: upper limit of the odds
+    correlated: whether the errors of measured full states are those of the tracks: covariances are wider, see `widen`
 
     Returns a copy (k, WIDTH) of the tracks, updated by their measurements except for mean and covariance; the states
-    and noises of the measurements; innovations (k, 2) m; `innovation_sum` and `excess_sum`. Where the measurements are
-    full states, which are estimates themselves, covariances of both are wider, see `widen`.
+    and noises of the measurements; innovations (k, 2) m; `innovation_sum` and `excess_sum`.
     """
     track, measurement, log_ratio, jump = match
     row, state, noise, yaw, class_id, score = (column.take(measurement, 0) for column in measured)
@@ -137,7 +138,7 @@ def matched_tracks(
     update_detected(updated, detected.take(track), log_ratio, most)
     add_scores(updated, score)
     updated[:, AGE], updated[:, ROW] = 0.0, row
-    if state.shape[1] == 9:
+    if correlated and state.shape[1] == 9:
         widen(updated, noise)
     innovation = state[:, :2] - updated[:, :2]
     steady = jump == 0.0
@@ -224,6 +225,8 @@ class KalmanBoxTracker3D(Tracker):
     jump_probability, jump_std_m: probability of a sudden displacement in a frame, and its standard deviation per axis
         for a moving car, see `gating`
     acceleration_scale: factor on the accelerations in `classes`
+    independent_states: whether the errors of full states (`step_states`) count as independent of each other and of the
+        tracks', as in a Kalman filter that takes tracks for measurements; they are not, so it becomes too certain
     assignment: how detections are assigned to tracks
 
     Raises ValueError for a probability outside (0, 1) and for any other parameter, except max_coast_s, that is not
@@ -252,6 +255,7 @@ class KalmanBoxTracker3D(Tracker):
         jump_probability: float = 0.01,
         jump_std_m: float = 1.5,
         acceleration_scale: float = 1.0,
+        independent_states: bool = False,
         assignment: Assignment = _BIPARTITE,
     ) -> None:
         parameters = locals()
@@ -276,6 +280,7 @@ class KalmanBoxTracker3D(Tracker):
             classes.CONFUSION,
         )
         self._acceleration = acceleration_scale * classes.ACCELERATION
+        self.independent_states = independent_states
         self._assignment = assignment
         self.reset()
 
@@ -292,6 +297,12 @@ class KalmanBoxTracker3D(Tracker):
     @property
     def matched(self) -> Ints:
         return self._matched
+
+    @property
+    def measured(self) -> tuple[Ints, Ints]:
+        """Ids (k,) of the tracks that the last step measured, reported or not, and their rows in its input."""
+        t = self._tracks[self._tracks[:, ROW] >= 0.0]
+        return t[:, tracks.ID].astype(np.int64), t[:, ROW].astype(np.int64)
 
     def step(self, time_ns: int, detections: Detections, view: SensorView | None = None) -> ObjectStates:
         measurements = Measured.detections(detections, self._noise.variance)
@@ -324,7 +335,7 @@ class KalmanBoxTracker3D(Tracker):
         match = self._associate(measurements, detected)
         if len(match.track):
             matched, state, noise, _, _ = self._matched_tracks(match, measurements, detected)
-            self.innovations.at_most = True
+            self.innovations.at_most = not self.independent_states
             self.filter.correct(matched, state, noise)
             resolve_headings_and_store(t, match.track, matched, FORWARD, TURN_LIMIT)
         self._update_missed(detected, None)
@@ -367,9 +378,9 @@ class KalmanBoxTracker3D(Tracker):
         self, match: Match, measurements: Measured, detected: Floats
     ) -> tuple[Floats, Floats, Floats, Floats, tuple[float, int]]:
         """The matched tracks before the Kalman correction, and their measurements, see `matched_tracks`."""
-        pairs = match.track, match.measurement, match.log_ratio, match.jump
+        pairs, correlated = (match.track, match.measurement, match.log_ratio, match.jump), not self.independent_states
         matched, state, noise, innovation, total, excess = matched_tracks(
-            self._tracks, pairs, detected, measurements, self._yaw_noise, existence.MAX_ODDS
+            self._tracks, pairs, detected, measurements, self._yaw_noise, existence.MAX_ODDS, correlated
         )
         self.innovations.add(*total, len(matched))
         return matched, state, noise, innovation, excess

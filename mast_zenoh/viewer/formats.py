@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal, NamedTuple
 
-FormatName = Literal["csv", "parquet", "kitti", "mot", "openlabel", "foxglove", "rosbag2", "rrd"]
+FormatName = Literal["csv", "parquet", "kitti", "mot", "openlabel", "foxglove", "rosbag2", "rrd", "pcap"]
 
 
 class Format(NamedTuple):
@@ -29,4 +29,5 @@ FORMATS: Mapping[str, Format] = {
     "foxglove": Format("foxglove.write", "foxglove"),
     "rosbag2": Format("rosbag2.write", "rosbag2"),
     "rrd": Format("rrd.write", "rerun"),
+    "pcap": Format("pcap.write"),
 }

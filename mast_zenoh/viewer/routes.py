@@ -69,7 +69,12 @@ def _of_wire(wire: Wire, agents: Sequence[str], brokers: set[str]) -> list[tuple
         return [(source.key, Series(wire.subject, POSE))]
     if wire.message == "picture":
         received = [(key, Series(node, PICTURE_RECEIVED)) for node, key in ends.items() if node in agents]
-        return [(source.key, Series("", PICTURE)), *(each for each in received if each[0] != source.key)]
+        if wire.subject and wire.subject not in agents and not received:
+            return []  # of a region, for another centre
+        return [
+            (source.key, Series(wire.subject if wire.subject in agents else "", PICTURE)),
+            *(each for each in received if each[0] != source.key),
+        ]
     if wire.message == "tracks" and publisher in agents and port == "mission":
         return [(source.key, Series(publisher, MISSION))]
     if wire.message == "tracks" and publisher in agents and port == "tracks":

@@ -10,8 +10,8 @@ from mast_zenoh.wiring.model import Endpoint, agent_of
 
 #: Roles that a map may name even where a scenario has no such node.
 ROLES = (
-    *("simulator", "agent", "broker", "command_center", "adversary", "coordinator", "link"),
-    *("evaluator", "recorder", "visualizer"),
+    *("simulator", "agent", "broker", "command_center", "center", "peer", "channel"),
+    *("adversary", "coordinator", "link", "evaluator", "recorder", "visualizer"),
 )
 
 

@@ -25,9 +25,15 @@ A map (TOML, or the same as a dict) lists wires. A rewrite changes them: it inse
     leg = "source"                        # optional: what the publisher sends, before any interposer
     node = "adversary_1"                  # optional: only this node
 
+    [[codec]]
+    wire = "agent/{agent}/tracks"         # or one agent's wire
+    codec = "cpm"                         # its messages travel as Collective Perception Messages, on all legs
+
 `{agent}` stands for each node of the role `agent` in turn. An endpoint `role.port` means the node that the
 placeholder names, if it has that role; else the nodes of the role whose option with the placeholder's name has its
 value (`adversary` with `agent="infra_1"`); else, if none has such an option, all nodes of the role.
+`other role.port` means the nodes of the role that do not belong to the value: `other peer.heard` on a wire with
+`{agent}` leads to the peers of all other agents.
 `{sensor}`, after `{agent}`, stands for each sensor of the agent but the first: `agent/infra_1/detections/radar`.
 
 A chain on a wire K turns `publisher -> K -> subscribers` into `publisher -> K/@tap/0 -> node -> K/@tap/1 -> node -> K`:
@@ -60,6 +66,7 @@ from types import MappingProxyType
 from typing import Any
 
 from mast_zenoh.errors import WiringError, nearest
+from mast_zenoh.messages.packed import CODECS
 from mast_zenoh.messages.schemas import SCHEMAS
 from mast_zenoh.wiring.endpoints import NodeOptions, members, ports
 from mast_zenoh.wiring.model import (
@@ -78,13 +85,14 @@ from mast_zenoh.wiring.model import (
 
 _CHUNK = re.compile(r"[A-Za-z0-9_.\-]+")
 _PLACEHOLDER = re.compile(r"\{([a-z_]+)\}")
-_ENDPOINT = re.compile(r"([a-z_]+)\.([a-z_]+)")
+_ENDPOINT = re.compile(r"(other )?([a-z_]+)\.([a-z_]+)")
 
 #: The keys of an entry of each kind: required, optional.
 _KEYS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "wire": (("key", "message", "from", "to"), ()),
     "insert": (("wire", "role", "input", "output"), ("to", "node", "optional")),
     "listen": (("wire", "role", "input"), ("leg", "node")),
+    "codec": (("wire", "codec"), ()),
 }
 
 #: The second placeholder of a key.
@@ -134,7 +142,9 @@ def resolve(
         if entry["key"] in templates:
             raise WiringError(f"{place}: the wire {entry['key']!r} already has a publisher")
         templates[entry["key"]] = []
-        subscribing[entry["key"]] = {str(reference).partition(".")[0] for reference in _listed(entry["to"])}
+        subscribing[entry["key"]] = {
+            str(reference).partition(".")[0].removeprefix("other ") for reference in _listed(entry["to"])
+        }
         for wire in _instances(entry, nodes, optional, place):
             if wire.key in wires:
                 raise WiringError(f"{place}: the key {wire.key!r} already has a publisher")
@@ -158,6 +168,10 @@ def resolve(
         _check_affected(entry, _placeholder(entry["wire"]), [wires[key] for key in keys], nodes, place)
         for key in keys:
             wires[key] = _listen(wires[key], entry, nodes, place)
+    for place, entry in _entries(sources, "codec"):
+        template = _template_of(entry["wire"], templates, place)
+        for key in templates[template] if entry["wire"] == template else [entry["wire"]]:
+            wires[key] = replace(wires[key], codec=_codec(entry["codec"], wires[key].message, place))
     return Wiring(tuple(wires.values()), _overhearers(nodes))
 
 
@@ -177,9 +191,12 @@ def _instances(
         def endpoints(reference: object, output: bool = False, subject: str = subject) -> list[Endpoint]:
             match = _ENDPOINT.fullmatch(str(reference))
             if not match:
-                raise WiringError(f"{place}: {reference!r} is not an endpoint, expected role.port")
-            role, port = match.groups()
+                raise WiringError(f"{place}: {reference!r} is not an endpoint, expected role.port, or other role.port")
+            other, role, port = match.groups()
             referenced = members(role, nodes, place, placeholder=placeholder, subject=subject)
+            if other:
+                every = members(role, nodes, place)
+                referenced = {name: node for name, node in every.items() if name not in referenced}
             return ports(referenced, port, message, place, output=output, optional=optional.get(role, ()))
 
         key = template.replace(f"{{{placeholder}}}", agent_of(subject)).replace(f"{{{PART}}}", part_of(subject))
@@ -233,6 +250,15 @@ def _listen(wire: Wire, entry: Mapping[str, Any], nodes: Mapping[str, NodeOption
     return listen(wire, [Listener(end, "leg" in entry) for end in ends], place, every="*" in entry["wire"])
 
 
+def _codec(codec: str, message: str, place: str) -> str:
+    """The codec of a wire; raises WiringError for one that cannot carry its messages."""
+    if codec not in CODECS:
+        raise WiringError(f"{place}: codec: no codec {codec!r}{nearest(codec, CODECS)}")
+    if message not in CODECS[codec]:
+        raise WiringError(f"{place}: codec: {codec} carries {', '.join(CODECS[codec])}, the wire {message!r}")
+    return codec
+
+
 def _check_affected(
     entry: Mapping[str, Any], placeholder: str, wires: Sequence[Wire], nodes: Mapping[str, NodeOptions], place: str
 ) -> None:
@@ -280,7 +306,7 @@ def _entries(sources: Sources, kind: str) -> Iterator[tuple[str, Mapping[str, An
         for index, entry in enumerate(content.get(kind, ())):
             place = f"{file}: {kind} {index + 1}"
             _check_keys(entry, (*required, *optional), place, required=required)
-            for key in ("key", "message", "from", "wire", "role", "input", "output", "leg", "node"):
+            for key in ("key", "message", "from", "wire", "role", "input", "output", "leg", "node", "codec"):
                 if not isinstance(entry.get(key, ""), str):
                     raise WiringError(f"{place}: {key}: found {entry[key]!r}, expected a string")
             yield place, entry

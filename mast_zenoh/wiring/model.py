@@ -62,6 +62,7 @@ class Wire:
     legs:      the trunk, common to all subscribers; its last leg has the wire's key, and leads to the subscribers
                without a branch and to the entrances of the branches
     listeners: other subscribers, which are not subscribers of its legs
+    codec: in which its messages travel, see `messages.packed`; empty: as columns
     """
 
     key: str
@@ -70,6 +71,7 @@ class Wire:
     legs: tuple[Leg, ...]
     branches: tuple[Branch, ...] = ()
     listeners: tuple[Listener, ...] = ()
+    codec: str = ""
 
     @property
     def every_leg(self) -> tuple[Leg, ...]:
@@ -113,10 +115,18 @@ class Input:
 
 @dataclass(frozen=True, slots=True)
 class Ports:
-    """All keys of one node: inputs by key, outputs by (port, subject)."""
+    """All keys of one node: inputs by key, outputs by (port, subject).
+
+    codecs: by the key of a wire, the codec of all its legs, see `Wire`
+    """
 
     inputs: Mapping[str, Input]
     outputs: Mapping[tuple[str, str], str]
+    codecs: Mapping[str, str] = field(default_factory=dict)
+
+    def codec(self, key: str) -> str:
+        """The codec of a wire, by the key of one of its legs; empty: none."""
+        return self.codecs.get(key.partition(f"/{TAP}/")[0], "") if self.codecs else ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,7 +191,7 @@ class Wiring:
             source = wire.legs[0].publisher
             for port in [end.port for end in (*wire.receivers(leg), *self.overhearers) if end.node == node]:
                 inputs[leg.key] = Input(port, wire.subject, wire.message, source.node, source.port)
-        return Ports(inputs, outputs)
+        return Ports(inputs, outputs, {wire.key: wire.codec for wire in self.wires if wire.codec})
 
     def to_json(self) -> dict[str, Any]:
         """The content of wiring.json; `from_json` reads it back."""
@@ -202,6 +212,7 @@ class Wiring:
                     "key": wire.key,
                     "subject": wire.subject,
                     "message": wire.message,
+                    **({"codec": wire.codec} if wire.codec else {}),
                     "publisher": wire.legs[0].publisher.node,
                     "subscribers": [end.node for end in wire.subscribers],
                     "interposers": list(wire.interposers),
@@ -259,6 +270,7 @@ def _wire_of(data: Mapping[str, Any]) -> Wire:
             Branch(entries[legs[0].publisher.node], legs[-1].subscribers[0], tuple(legs)) for legs in branches.values()
         ),
         tuple(Listener(Endpoint(item["node"], item["port"]), item["source"]) for item in data.get("listeners", ())),
+        str(data.get("codec", "")),
     )
 
 
@@ -273,7 +285,8 @@ def to_text(wiring: Wiring) -> str:
             branch.subscriber: "".join(f"[{leg.publisher.node}] ─▶ " for leg in branch.legs) for branch in wire.branches
         }
         ends = ", ".join(f"({chains[end]}{end.node})" if end in chains else end.node for end in wire.subscribers)
-        lines.append(f"{marker} {wire.key:<34} {chain}{ends or '(no subscriber)'}")
+        codec = f"  as {wire.codec}" if wire.codec else ""
+        lines.append(f"{marker} {wire.key:<34} {chain}{ends or '(no subscriber)'}{codec}")
         lines += [
             f"      {leg.publisher.node} ── {leg.key} ──▶ {end.node} (listens)"
             for leg in wire.legs
@@ -317,3 +330,8 @@ def part_of(subject: str) -> str:
 def subject_of(agent: str, part: str) -> str:
     """The subject of a part of an agent, or of the agent itself if `part` is empty."""
     return f"{agent}/{part}" if part else agent
+
+
+def peer_of(agent: str) -> str:
+    """The name of an agent's peer."""
+    return f"peer_{agent}"

@@ -46,7 +46,7 @@ def completed(mast, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], list[str
         ("mast run mi", {"mine.py"}),
         ("mast run no/such/fo", set()),
         ("mast run baseline --runtime ", {"mesh", "inproc"}),
-        ("mast export a_run --to p", {"parquet"}),
+        ("mast export a_run --to p", {"parquet", "pcap"}),
         ("mast report ", {"runs/old", "a_run", "runs/"}),
         ("mast logs runs/", {"runs/old"}),
         ("mast logs a_run ", {"ego", "broker"}),

@@ -235,6 +235,7 @@ def simulated_run(block: Block, folder: Path) -> None:
 RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "exports.md": [None],  # test_export_labels.py
     "faults.md": [part_of_a_scenario, part_of_a_scenario, random_faults, fault_of_ones_own],
+    "fusion.md": [whole_scenario],
     "links.md": [part_of_a_scenario, None],  # test_page_examples.py
     "metrics.md": [None],  # test_facts_of_pages.py
     "network.md": [whole_scenario],
@@ -248,6 +249,7 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "simulation.md": [simulated_run] * 4,
     "studies.md": [study_of_ones_own],
     "tracking.md": [tracking_by_hand],
+    "v2x.md": [whole_scenario],
 }
 
 #: Pages whose files are run by tests of their own.

@@ -10,6 +10,7 @@ from mast_zenoh.fusion import (
     CovarianceIntersectionFusion,
     GroupTracker,
     GroupTrackerWrapper,
+    InformationMatrixGroupTracker,
     UnfilteredGroupTracker,
 )
 from mast_zenoh.tracking import KalmanBoxTracker3D
@@ -19,6 +20,10 @@ NAMES = ("ego", "infra_1", "infra_2")
 
 def wrapper() -> GroupTracker:
     return GroupTrackerWrapper(fusion=CovarianceIntersectionFusion(), tracker=KalmanBoxTracker3D())
+
+
+def information() -> GroupTracker:
+    return InformationMatrixGroupTracker(fusion=CovarianceIntersectionFusion(), tracker=KalmanBoxTracker3D())
 
 
 def unfiltered() -> GroupTracker:
@@ -34,14 +39,14 @@ def of_agents(*parts: ObjectStates) -> tuple[ObjectStates, np.ndarray]:
     return concatenate(parts), np.repeat(np.arange(len(parts)), [len(part) for part in parts])
 
 
-@pytest.mark.parametrize("group", [wrapper, unfiltered])
+@pytest.mark.parametrize("group", [wrapper, information, unfiltered])
 def test_an_object_seen_by_three_agents_has_one_id_and_support_three(group):
     pipeline = centre(group())
     ids = set()
     for frame in range(10):
         x = 3.0 * frame
         seen = of_agents(
-            tracks([[x, 0], [50, 9]], speed=30.0), tracks([x + 0.3, 0.2], speed=30.0), tracks([x, -0.4], speed=30.0)
+            tracks([[x, 0], [x + 50, 9]], speed=30.0), tracks([x + 0.3, 0.2], speed=30.0), tracks([x, -0.4], speed=30.0)
         )
         picture, support = pipeline.step(nanoseconds(frame), *seen, NAMES)
         if frame > 1:
@@ -61,7 +66,7 @@ def test_the_picture_has_the_covariance_of_the_fusion():
     assert 0.1 < unsure.covariance[0, 0, 0] < 0.7
 
 
-@pytest.mark.parametrize("group", [wrapper, unfiltered])
+@pytest.mark.parametrize("group", [wrapper, information, unfiltered])
 @pytest.mark.parametrize("covariance", INVALID_COVARIANCES.values(), ids=INVALID_COVARIANCES)
 def test_invalid_covariances_do_not_spoil_the_picture(group, covariance):
     pipeline = centre(group())
@@ -73,8 +78,9 @@ def test_invalid_covariances_do_not_spoil_the_picture(group, covariance):
     assert np.isclose(picture.position[:, 0], 30.0, atol=0.1).any()
 
 
-def test_an_object_has_less_support_after_an_agent_falls_silent():
-    pipeline = centre(wrapper())
+@pytest.mark.parametrize("group", [wrapper, information])
+def test_an_object_has_less_support_after_an_agent_falls_silent(group):
+    pipeline = centre(group())
     for frame in range(5):
         pipeline.step(nanoseconds(frame), *of_agents(tracks([10, 0]), tracks([10, 0.3])), NAMES)
     picture, support = pipeline.step(nanoseconds(5), *of_agents(tracks([10, 0])), NAMES)
@@ -82,8 +88,9 @@ def test_an_object_has_less_support_after_an_agent_falls_silent():
     assert support.tolist() == [1]
 
 
-def test_an_unreported_object_leaves_the_picture_within_half_a_second():
-    pipeline = centre(wrapper())
+@pytest.mark.parametrize("group", [wrapper, information])
+def test_an_unreported_object_leaves_the_picture_within_half_a_second(group):
+    pipeline = centre(group())
     for frame in range(5):
         pipeline.step(nanoseconds(frame), *of_agents(tracks([10, 0])), NAMES)
     for frame in range(5, 10):
@@ -92,7 +99,7 @@ def test_an_unreported_object_leaves_the_picture_within_half_a_second():
     assert len(picture) == 0
 
 
-@pytest.mark.parametrize("group", [wrapper, unfiltered])
+@pytest.mark.parametrize("group", [wrapper, information, unfiltered])
 def test_an_untrusted_agents_object_does_not_reach_the_picture(group):
     pipeline = centre(group())
     states, agent = of_agents(tracks([10, 0]), tracks([[10, 0.2], [60, 0]]))
@@ -102,7 +109,7 @@ def test_an_untrusted_agents_object_does_not_reach_the_picture(group):
     assert support.tolist() == [1]
 
 
-@pytest.mark.parametrize("group", [wrapper, unfiltered])
+@pytest.mark.parametrize("group", [wrapper, information, unfiltered])
 def test_the_order_of_rows_and_agents_does_not_matter(group):
     random = np.random.default_rng(0)
     a, b = centre(group()), centre(group())
@@ -128,7 +135,7 @@ def test_an_unfiltered_object_returns_under_its_id_at_its_predicted_position():
     assert late.id[0] != first.id[0]
 
 
-@pytest.mark.parametrize("group", [wrapper, unfiltered])
+@pytest.mark.parametrize("group", [wrapper, information, unfiltered])
 def test_reset_restores_the_initial_state_of_the_pipeline(group):
     pipeline = centre(group())
     runs = []
@@ -141,7 +148,7 @@ def test_reset_restores_the_initial_state_of_the_pipeline(group):
     np.testing.assert_array_equal(runs[0].position, runs[1].position)
 
 
-@pytest.mark.parametrize("group", [wrapper, unfiltered])
+@pytest.mark.parametrize("group", [wrapper, information, unfiltered])
 def test_no_agents_give_an_empty_picture(group):
     picture, support = centre(group()).step(0, ObjectStates.empty(), np.zeros(0, np.int64), ())
     assert len(picture) == len(support) == 0

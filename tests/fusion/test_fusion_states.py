@@ -7,9 +7,15 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from mast_zenoh.arrays.states import CLASS_INDEX, ObjectStates, concatenate
-from mast_zenoh.fusion import BestMemberFusion, CovarianceIntersectionFusion
+from mast_zenoh.fusion import (
+    BestMemberFusion,
+    CovarianceIntersectionFusion,
+    InverseCovarianceIntersectionFusion,
+    NaiveKalmanFusion,
+)
 
-CI = CovarianceIntersectionFusion
+CI, ICI = CovarianceIntersectionFusion, InverseCovarianceIntersectionFusion
+FUSIONS = [CI(), CI(weights="optimised"), ICI(), ICI(weights="optimised"), NaiveKalmanFusion(), BestMemberFusion()]
 
 
 def members(n: int, seed: int = 0, spread: float = 1.0) -> ObjectStates:
@@ -32,7 +38,7 @@ def together(n: int) -> np.ndarray:
     return np.zeros(n, np.int64)
 
 
-@pytest.mark.parametrize("fusion", [CI(), CI(weights="optimised"), BestMemberFusion()])
+@pytest.mark.parametrize("fusion", FUSIONS)
 def test_a_cluster_of_one_member_equals_that_member(fusion):
     one = members(1)
     fused = fusion.fuse(one, together(1))
@@ -125,7 +131,7 @@ def test_the_covariance_is_conservative_even_if_all_errors_are_shared(n, seed, w
 @given(
     st.integers(1, 12),
     st.integers(0, 1000),
-    st.sampled_from([CI(), CI(weights="optimised"), BestMemberFusion()]),
+    st.sampled_from(FUSIONS),
     st.booleans(),
 )
 def test_the_order_of_members_does_not_matter(n, seed, fusion, trusted):
@@ -139,21 +145,104 @@ def test_the_order_of_members_does_not_matter(n, seed, fusion, trusted):
         assert column.tobytes() == other.columns()[name].tobytes()
 
 
-def test_clusters_do_not_affect_each_other():
+@pytest.mark.parametrize("fusion", FUSIONS)
+def test_clusters_do_not_affect_each_other(fusion):
     some = members(6)
     labels = np.array([0, 1, 0, 2, 1, 0])
-    fused = CI().fuse(some, labels)
+    fused = fusion.fuse(some, labels)
     assert fused.id.tolist() == [0, 1, 2]
     for label in range(3):
-        alone = CI().fuse(some.select(labels == label), together(int(np.sum(labels == label))))
-        np.testing.assert_allclose(fused.position[label], alone.position[0], atol=1e-12)
+        alone = fusion.fuse(some.select(labels == label), together(int(np.sum(labels == label))))
+        np.testing.assert_allclose(fused.position[label], alone.position[0], atol=1e-9)
 
 
-def test_untrusted_members_are_left_out_and_so_are_clusters_without_trust():
+@pytest.mark.parametrize("fusion", FUSIONS)
+def test_untrusted_members_are_left_out_and_so_are_clusters_without_trust(fusion):
     some = members(3)
-    fused = CI().fuse(some, np.array([0, 0, 1]), np.array([1.0, 0.0, 0.0]))
+    fused = fusion.fuse(some, np.array([0, 0, 1]), np.array([1.0, 0.0, 0.0]))
     assert fused.id.tolist() == [0]
     np.testing.assert_allclose(fused.position[0], some.position[0], atol=1e-12)
+
+
+@pytest.mark.parametrize("fusion", FUSIONS)
+def test_equal_trust_is_as_good_as_full_trust(fusion):
+    some = members(4)
+    full, half = (fusion.fuse(some, together(4), weights) for weights in (None, np.full(4, 0.5)))
+    np.testing.assert_allclose(half.covariance, full.covariance, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(half.position, full.position, rtol=1e-9)
+
+
+@pytest.mark.parametrize("fusion", [ICI(), NaiveKalmanFusion()])
+def test_a_hardly_trusted_member_hardly_counts(fusion):
+    pair = members(2)
+    fused = fusion.fuse(pair, together(2), np.array([1.0, 1e-300]))
+    np.testing.assert_allclose(fused.position[0], pair.position[0], atol=1e-3)
+
+
+def test_inverse_covariance_intersection_equals_the_equations_of_its_paper():
+    """Noack et al. 2017, with w = 1/2; members are in the order of x."""
+    pair = members(2).with_(position=np.array([[0.0, 0.3, 0.1], [1.0, 0.0, 0.2]]))
+    (A, B), (a, b) = pair.covariance, np.linalg.inv(pair.covariance)
+    x_a, x_b = np.column_stack([pair.position, pair.size, pair.velocity])
+    common = np.linalg.inv(0.5 * A + 0.5 * B)
+    P = np.linalg.inv(a + b - common)
+    mean = P @ (a - 0.5 * common) @ x_a + P @ (b - 0.5 * common) @ x_b
+    fused = ICI().fuse(pair, together(2))
+    np.testing.assert_allclose(fused.covariance[0], P, atol=1e-9)
+    np.testing.assert_allclose(fused.position[0], mean[:3], atol=1e-9)
+    np.testing.assert_allclose(fused.velocity[0], mean[6:], atol=1e-9)
+
+
+@settings(max_examples=60)
+@given(st.integers(2, 8), st.integers(0, 10**6))
+def test_uniform_inverse_intersection_is_never_less_certain_than_covariance_intersection(n, seed):
+    some = members(n, seed)
+    cautious, fused = (fusion.fuse(some, together(n)).covariance[0] for fusion in (CI(), ICI()))
+    root = np.linalg.inv(np.linalg.cholesky(cautious))
+    assert np.linalg.eigvalsh(root @ fused @ root.T).max() <= 1.0 + 1e-9
+
+
+def test_equally_certain_members_count_equally_in_the_uniform_inverse_intersection():
+    four = members(4)
+    four.covariance[:] = four.covariance[0]
+    fused = ICI().fuse(four, together(4))
+    np.testing.assert_allclose(fused.position[0], four.position.mean(axis=0), atol=1e-9)
+    np.testing.assert_allclose(fused.covariance[0], four.covariance[0], rtol=1e-9)
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 10**6))
+def test_the_optimised_inverse_intersection_has_a_volume_within_one_percent_of_the_least(seed):
+    pair = members(2, seed)
+    A, B = pair.covariance
+
+    w = np.linspace(0.0, 1.0, 201)[:, None, None]
+    information = np.linalg.inv(A) + np.linalg.inv(B) - np.linalg.inv(w * A + (1.0 - w) * B)
+    least = -np.linalg.slogdet(information)[1].max()
+    fused = ICI(weights="optimised").fuse(pair, together(2))
+    assert np.linalg.slogdet(fused.covariance[0])[1] <= least + 0.01
+
+
+@settings(max_examples=60)
+@given(st.integers(2, 6), st.integers(0, 10**6), st.sampled_from(["uniform", "optimised"]))
+def test_inverse_intersection_is_positive_definite_and_between_the_naive_and_the_best_member(n, seed, weights):
+    some = members(n, seed)
+    scale = 10.0 ** np.random.default_rng(seed).uniform(-1.5, 1.5, (n, 9))
+    some = some.with_(covariance=some.covariance * scale[:, :, None] * scale[:, None, :])
+    fused = ICI(weights=weights).fuse(some, together(n)).covariance[0]
+    naive = NaiveKalmanFusion().fuse(some, together(n)).covariance[0]
+    root = np.linalg.inv(np.linalg.cholesky(naive))
+    assert np.linalg.eigvalsh(root @ fused @ root.T).min() >= 1.0 - 1e-6  # never more certain than all information
+    if weights == "optimised":
+        assert np.linalg.slogdet(fused)[1] <= np.linalg.slogdet(some.covariance)[1].min() + 0.01 * n
+
+
+def test_information_that_is_fused_with_itself_stays_what_it_is():
+    one = members(1)
+    twice = concatenate([one, one.with_(id=one.id + 1)])
+    for fusion in (CI(), ICI()):
+        np.testing.assert_allclose(fusion.fuse(twice, together(2)).covariance, one.covariance, rtol=1e-9)
+    np.testing.assert_allclose(NaiveKalmanFusion().fuse(twice, together(2)).covariance, one.covariance / 2, rtol=1e-9)
 
 
 def test_a_more_trusted_member_has_more_weight():
@@ -183,7 +272,7 @@ def test_the_best_member_has_the_most_certain_position():
 
 
 @pytest.mark.parametrize("covariance", [np.zeros((9, 9)), -np.eye(9), np.full((9, 9), 1e300), np.eye(9) * 1e-300])
-@pytest.mark.parametrize("fusion", [CI(), CI(weights="optimised"), BestMemberFusion()])
+@pytest.mark.parametrize("fusion", FUSIONS)
 def test_invalid_covariances_do_not_break_the_fusion(fusion, covariance):
     three = members(3)
     three.covariance[1] = covariance
@@ -192,5 +281,5 @@ def test_invalid_covariances_do_not_break_the_fusion(fusion, covariance):
 
 
 def test_no_members_fuse_to_no_states():
-    for fusion in (CI(), CI(weights="optimised"), BestMemberFusion()):
+    for fusion in FUSIONS:
         assert len(fusion.fuse(ObjectStates.empty(), together(0))) == 0

@@ -20,6 +20,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from v2x_messages import MessageMaker
+from v2x_messages import damaged as damaged_message
 
 import mast_zenoh
 from mast_zenoh import kernels
@@ -37,6 +39,8 @@ from mast_zenoh.sensing import LidarSensor, Walls
 from mast_zenoh.sensing.raycast import PlacedSensor
 from mast_zenoh.tracking import SensorView, association, classes, tracks
 from mast_zenoh.tracking.existence import STAGES_S
+from mast_zenoh.v2x.asn1 import cam_fields, cpm_fields, uper
+from mast_zenoh.v2x.asn1.plain import from_plain
 
 for package in ("tracking", "fusion", "pipelines", "metrics", "sensing", "attacks", "integrity"):
     for module in pkgutil.iter_modules([str(Path(mast_zenoh.__file__).parent / package)]):
@@ -102,7 +106,8 @@ def new_tracks(random, n, m):
 def matched_tracks(random, n, m):
     k = min(n, m)
     match = random.permutation(n)[:k], random.permutation(m)[:k], random.normal(0, 5, k), random.choice([0.0, 1.5], k)
-    return staged(random, n), match, random.uniform(0.1, 0.9, n), measured(random, m), 0.01, 1e12
+    numbers = 0.01, 1e12, bool(random.random() < 0.5)
+    return staged(random, n), match, random.uniform(0.1, 0.9, n), measured(random, m), *numbers
 
 
 def averaged(random, n, m):
@@ -321,6 +326,26 @@ def buildings(random, m):
     return corners.reshape(-1, 2), end.reshape(-1, 2), random.uniform(1, 9, 3 * m), 3 * np.arange(m)
 
 
+def v2x_message(random):
+    """The layout of a CPM or CAM, and flat values of one."""
+    layout = random.choice([cpm_fields.LAYOUT, cam_fields.LAYOUT])
+    maker = MessageMaker(random, random.choice([0.1, 0.5, 0.9]), beyond=True)
+    return layout, from_plain(layout, maker.draw(layout.type))
+
+
+def decoded(random, n, m):
+    layout, values = v2x_message(random)
+    data = uper.encode(layout, values)
+    return layout.program, damaged_message(random, data) if random.random() < 0.8 else data
+
+
+def encoded(random, n, m):
+    layout, values = v2x_message(random)
+    for slot in random.integers(0, len(values), random.integers(0, 3)):
+        values[slot] = random.choice([-1, 0, 1, 2, 300, 1 << 40, values[slot] + 1])
+    return layout.program, values
+
+
 #: For each kernel its arguments, with n rows and m others (both may be 0).
 ARGUMENTS = {
     "begin_step": lambda r, n, m: (table(r, n), 0.1, 0.09, 30.0, 2.0),
@@ -418,6 +443,8 @@ ARGUMENTS = {
     "split_header": split_header,
     "exact_columns": exact,
     "sound_values": values,
+    "decode_values": decoded,
+    "encode_values": encoded,
 }  # fmt: skip
 
 

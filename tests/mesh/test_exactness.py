@@ -42,3 +42,16 @@ def test_the_reference_scene_is_the_same_on_the_mesh_and_in_one_process(launch, 
         tar.extractall(tmp_path, filter="data")
     what = ("uncoordinated", f"scene=avstack:{tmp_path / 'scene_a'}", "attack_start_s=0.2")
     assert_equal(on_mesh(launch, *what), run_alone(tmp_path / "inproc", *what, frames=FRAMES, record=True))
+
+
+@pytest.mark.parametrize(
+    "what",
+    [
+        ("peers", "n_adversaries=1", "on=pair", "attack_start_s=0.2", "relays=true"),
+        ("two_centres",),
+        ("congested", "n_mobile=2", "n_adversaries=1", "attack_start_s=0.2"),
+    ],
+    ids=lambda what: what[0],
+)
+def test_cooperation_without_a_centre_is_the_same_on_the_mesh_and_in_one_process(launch, tmp_path: Path, what) -> None:
+    assert_equal(on_mesh(launch, *what), run_alone(tmp_path / "inproc", *what, frames=FRAMES, record=True))

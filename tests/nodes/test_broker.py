@@ -146,7 +146,7 @@ def test_other_nodes_may_join_and_leave(resolved) -> None:
 
 def test_an_unannounced_agent_is_expected_from_the_frame_after_its_first_status(resolved) -> None:
     broker = bench(resolved)
-    broker.node.agents.discard("infra_2")  # not yet visible on the mesh
+    broker.node.collation.agents.discard("infra_2")  # not yet visible on the mesh
     for frame in (0, 1):
         broker.clock(frame)
         send_track(broker, "ego", frame)
@@ -160,7 +160,7 @@ def test_an_unannounced_agent_is_expected_from_the_frame_after_its_first_status(
 def test_the_tracks_of_a_new_agent_count_from_the_frame_after_its_first_ones(resolved) -> None:
     for newcomer_first in (True, False):
         broker = bench(resolved)
-        broker.node.agents.discard("infra_2")
+        broker.node.collation.agents.discard("infra_2")
         published = []
         for frame in (0, 1):
             published += play(broker, frame, ("infra_2", *BOTH) if newcomer_first else AGENTS)
@@ -290,7 +290,7 @@ def test_every_delivery_order_gives_the_same_batches(resolved, data: st.DataObje
 
     def play(shuffle: Any) -> list[bytes]:
         broker = bench(resolved, **config)
-        broker.node.agents.discard("infra_2")
+        broker.node.collation.agents.discard("infra_2")
         for frame in range(5):
             broker.clock(frame)
             due = [(agent, frame) for agent in AGENTS if fate[agent, frame] == "in time"]

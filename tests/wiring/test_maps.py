@@ -56,6 +56,47 @@ def test_a_placeholder_creates_one_wire_per_node_of_its_role() -> None:
     assert set(wiring.ports("broker").inputs) == {"agent/ego/tracks", "agent/infra_1/tracks"}
 
 
+def broadcasts(to: str) -> dict:
+    return {"wire": [{"key": "agent/{agent}/broadcast", "message": "tracks", "from": "peer.said", "to": [to]}]}
+
+
+PEERS = {
+    "simulator": SIMULATOR,
+    "broker": BROKER,
+    **dict.fromkeys(("ego", "infra_1", "infra_2"), AGENT),
+    **{
+        f"peer_{agent}": node("peer", inputs="heard:tracks", outputs="said:tracks", agent=agent)
+        for agent in ("ego", "infra_1", "infra_2")
+    },
+}
+
+
+def test_other_leads_to_the_nodes_of_all_other_agents() -> None:
+    wiring = resolve(PEERS, broadcasts("other peer.heard"))
+    wires = {wire.key: [end.node for end in wire.subscribers] for wire in wiring.wires}
+    assert wires["agent/ego/broadcast"] == ["peer_infra_1", "peer_infra_2"]
+    assert wires["agent/infra_1/broadcast"] == ["peer_ego", "peer_infra_2"]
+    with pytest.raises(WiringError, match=r"peer_ego would receive its own messages on 'agent/ego/broadcast'"):
+        resolve(PEERS, broadcasts("peer.heard"))
+    with pytest.raises(
+        WiringError, match=r"'others peer\.heard' is not an endpoint, expected role\.port, or other role"
+    ):
+        resolve(PEERS, broadcasts("others peer.heard"))
+
+
+def test_a_node_sits_between_two_peers_alone() -> None:
+    pair = {"wire": "agent/{agent}/broadcast", "role": "adversary", "input": "seen", "output": "said", "to": "peer"}
+    mallory = node("adversary", inputs="seen:tracks", outputs="said:tracks", agent="infra_1", peer="peer_ego")
+    wiring = resolve(PEERS | {"mallory": mallory}, broadcasts("other peer.heard"), {"insert": [pair]})
+    inserted = {wire.key: wire.interposers for wire in wiring.wires if wire.interposers}
+    assert inserted == {"agent/infra_1/broadcast": ("mallory",)}
+    assert set(wiring.ports("peer_infra_2").inputs) == {"agent/ego/broadcast", "agent/infra_1/broadcast"}
+    assert set(wiring.ports("peer_ego").inputs) == {
+        "agent/infra_1/broadcast/@tap/peer_ego/0",
+        "agent/infra_2/broadcast",
+    }
+
+
 def test_each_further_sensor_of_an_agent_has_a_wire_for_interposers_of_its_agent() -> None:
     of_sensors = {**MAP["wire"][0], "key": "agent/{agent}/detections/{sensor}"}
     pole = replace(AGENT, options={"sensor": ("radar", "camera")})

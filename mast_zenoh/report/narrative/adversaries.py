@@ -26,6 +26,7 @@ from mast_zenoh.report.narrative.changes import (
 )
 from mast_zenoh.viewer.interposers import OF_OBJECTS, Interposer, interposers
 from mast_zenoh.viewer.run import RunRecord, Table, agent_of, rows
+from mast_zenoh.wiring.model import peer_of
 
 #: Adversaries with a sentence of their own; the others share one.
 _DESCRIBED = 3
@@ -192,7 +193,7 @@ def _reasons(run: RunRecord, interposer: Interposer, blamed_for: str) -> list[st
         return ["what it did was not measured"]
     if not interposer.changed:
         return [_idle(run, interposer)]
-    if interposer.before and run.ego not in interposer.before:
+    if interposer.before and not {run.ego, peer_of(str(run.ego))} & set(interposer.before):
         agents = ", ".join(interposer.before)
         if set(interposer.wires) == {"clock"}:
             return [f"it delayed the clock of {agents}, not of the ego"]

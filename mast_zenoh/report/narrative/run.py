@@ -38,12 +38,13 @@ from mast_zenoh.report.tables.of_run import braking_by_attack, check_rows, drivi
 from mast_zenoh.report.tables.scores import ScoreTable
 from mast_zenoh.viewer.interposers import Interposer, failures_of, frames_of, interposers
 from mast_zenoh.viewer.run import RunRecord, Table, rows
+from mast_zenoh.wiring.model import peer_of
 
 
 def compromised(run: RunRecord) -> str:
     """Positions of adversaries in words; empty: none.
 
-    `two of four roadside sensors`, `the picture's path to ego`
+    `two of four roadside sensors`, `the picture's path to ego`, `what ego hears`
     """
     hostile = [each for each in interposers(run) if not each.is_link]
     kinds = {agent.name: agent.kind for agent in run.recording.agents} if run.recording else {}
@@ -57,7 +58,9 @@ def compromised(run: RunRecord) -> str:
             places.append(f"the {noun}")
         elif number:
             places.append(f"{'all' if number == len(group) else f'{count(number)} of'} {count(len(group))} {noun}s")
-    places += dict.fromkeys(f"the picture's path to {agent}" for each in hostile for agent in each.before)
+    heard = {peer_of(name): f"what {name} hears" for name in names}
+    befores = dict.fromkeys(before for each in hostile for before in each.before)
+    places += [heard.get(before, f"the picture's path to {before}") for before in befores]
     other_wires = [wire for each in hostile if not each.agents and not each.before for wire in each.wires]
     places += dict.fromkeys(f"the wire {wire}" for wire in other_wires)
     return " and ".join(places)

@@ -29,8 +29,8 @@ def export(run: Path, to: str, out: Path) -> Exported:
 
     run: its folder;  to: one of FORMATS;  out: a new file or folder, which is complete or not there at all
 
-    Raises ExportError for an unknown format, a package that is not installed, or a file that is in the way;
-    RunFolderError if the run cannot be read; DiskFull.
+    Raises ExportError for an unknown format, a package that is not installed, a file that is in the way, or a run
+    without messages for the format; RunFolderError if the run cannot be read; DiskFull.
     """
     if to not in FORMATS:
         raise ExportError(f"unknown format {to!r}: expected one of {', '.join(FORMATS)}{nearest(to, FORMATS)}")

@@ -1,0 +1,112 @@
+"""Bodies that travel in another format: tracks as Collective Perception Messages.
+
+A wire may have a codec (`[[codec]]` in a key-expression map). What its publisher sends is then only what the format can
+express, in one process as on the mesh, and on the mesh only its bytes are sent: `"body": {"cpm": [b"...", ...]}`, a
+string for each segment. To read them and to write them again gives the same bytes.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mast_zenoh.arrays.geometry import states_to_world
+from mast_zenoh.arrays.states import Ints, ObjectStates
+from mast_zenoh.errors import MessageError
+from mast_zenoh.messages.schemas import Body, Message
+from mast_zenoh.v2x import cpm
+from mast_zenoh.v2x.reference_position import LocalPlane
+from mast_zenoh.v2x.tracks import MOST_SEGMENTS, from_cpm, segments, to_cpm, to_objects
+
+#: By name of a codec, the message types that it can carry.
+CODECS = {"cpm": ("tracks",)}
+
+#: Bytes of a segment, at most: what a frame of IEEE 802.11p carries beside its headers.
+MAX_SEGMENT_BYTES = 1400
+#: Objects of a message, at most: its segments hold so many of the largest.
+MOST_OBJECTS = 200
+
+#: The plane that all stations of a run share.
+_PLANE = LocalPlane()
+_STILL = np.array([1.0, 0.0, 0.0, 0.0])
+_STILL.setflags(write=False)
+_IDS = 1 << 16
+
+
+class Packed(dict[str, NDArray[Any]]):
+    """Columns of a message that travels in another format. codec: its name; segments: its bytes"""
+
+    codec: str
+    segments: tuple[bytes, ...]
+
+
+def pack(message: Message, codec: str) -> Message:
+    """The message as its receivers get it: quantised, and with its bytes.
+
+    Beyond MOST_OBJECTS, the objects with the lowest scores are left out; of equal ones the last.
+    Raises MessageError for columns that the format cannot express.
+    """
+    header, body = message
+    states = states_to_world(ObjectStates.from_columns(body), body["origin"], body["rotation"])
+    if not all(np.isfinite(column).all() for column in (*states.columns().values(), body["origin"])):
+        raise MessageError(f"{header.schema}: a value is not finite")
+    if len(states) > MOST_OBJECTS:
+        states = states.select(np.sort(np.argsort(-states.score, kind="stable")[:MOST_OBJECTS]))
+    position = _PLANE.to_position(body["origin"])
+    objects = to_objects(states, _wire_ids(states.id), _PLANE.to_point(position))
+    station = zlib.crc32(header.source.encode())
+    whole = to_cpm(objects, station, header.time_ns // 1_000_000, position)
+    parts = segments(whole, MAX_SEGMENT_BYTES)
+    return Message(header, unpack(codec, [cpm.encode(part) for part in parts]))
+
+
+def unpack(codec: str, data: Sequence[object]) -> Packed:
+    """The columns in the bytes of a message. Raises MessageError for bytes that are none, and for mixed segments."""
+    if codec not in CODECS:
+        raise MessageError(f"body: unknown codec {codec[:20]!r}, expected one of {', '.join(CODECS)}")
+    if not isinstance(data, (list, tuple)) or not 1 <= len(data) <= MOST_SEGMENTS:
+        raise MessageError(f"{codec}: expected a list of 1 to {MOST_SEGMENTS} segments")
+    parts = []
+    for number, part in enumerate(data, 1):
+        if not isinstance(part, bytes) or len(part) > MAX_SEGMENT_BYTES:
+            raise MessageError(f"{codec}: segment {number}: expected at most {MAX_SEGMENT_BYTES} bytes")
+        parts.append(cpm.decode(part))
+    first = parts[0]
+    for number, message in enumerate(parts, 1):
+        segment = (number, len(parts)) if len(parts) > 1 else None
+        if message.segment != segment or (message.station_id, message.position) != (first.station_id, first.position):
+            raise MessageError(f"{codec}: segment {number}: found {message.segment}, expected {segment} of one message")
+    origin = _PLANE.to_point(first.position)
+    columns = [from_cpm(message, _PLANE)[0].columns() for message in parts]
+    body = Packed({name: np.concatenate([part[name] for part in columns]) for name in columns[0]})
+    body["position"] = body["position"] - origin
+    body["origin"], body["rotation"] = origin, _STILL
+    if len(set(body["id"].tolist())) != len(body["id"]):
+        raise MessageError(f"{codec}: an object id occurs twice")
+    for column in body.values():
+        column.setflags(write=False)
+    body.codec, body.segments = codec, tuple(part for part in data if isinstance(part, bytes))
+    return body
+
+
+def codec_of(body: Body) -> str:
+    """The codec of a body; empty: its columns travel as they are."""
+    return body.codec if type(body) is Packed else ""
+
+
+def _wire_ids(ids: Ints) -> Ints:
+    """(n,) object ids, 0 to 65535, of tracks with ids (n,): their remainder, or the next one that is free."""
+    result = ids % _IDS
+    if len(np.unique(result)) < len(result):
+        used: set[int] = set()
+        for row in np.argsort(ids, kind="stable").tolist():
+            each = int(result[row])
+            while each in used:
+                each = (each + 1) % _IDS
+            used.add(each)
+            result[row] = each
+    return result

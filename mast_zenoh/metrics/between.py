@@ -1,0 +1,83 @@
+"""Differences between agents that each have a picture of their own: how far these differ, and whom a lie deceives."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from mast_zenoh.arrays.states import Bools, Ints
+from mast_zenoh.metrics.assignment import SetDistance
+from mast_zenoh.metrics.boxes import Boxes, centre_distance
+from mast_zenoh.metrics.estimates import PICTURE
+from mast_zenoh.metrics.scores import FALSE, MISSED, Scores, mean_and_std
+
+#: Each picture is compared with those of so many agents that follow in the list: with nine agents, all with all.
+COMPARED = 4
+
+
+def between(
+    scores: Scores, blamed: Bools, range_m: float, distance: SetDistance, period_s: float, scored: slice
+) -> dict[str, Any]:
+    """The part `between` of metrics.json; {} with fewer than two pictures. Agents must not share one.
+
+    blamed: (n,) rows of `scores.judged` that are wrong because of an adversary
+    range_m: m, from an agent, in which its picture is scored; distance: of sets; scored: the frames that count
+    """
+    rows = {agent: row for row, (agent, estimator) in enumerate(scores.series) if estimator == PICTURE}
+    names = [agent for agent in scores.agents if agent in rows]
+    if len(names) < 2:
+        return {}
+    deceived = _deceived(scores, blamed, [rows[name] for name in names])
+    share = deceived.mean(axis=0)
+    wrong = np.flatnonzero(share > 0.0)
+    half = np.flatnonzero(share >= 0.5)
+    first_s = float(scores.frames[wrong[0]]) * period_s if len(wrong) else None
+    half_after_s = (float(scores.frames[half[0]]) * period_s - first_s) if len(half) and first_s is not None else None
+    return {
+        "pictures": len(names),
+        "difference_gospa_m": mean_and_std(_differences(scores, names, rows, range_m, distance)[:, scored].ravel()),
+        "deceived": {
+            "share": mean_and_std(share[scored]),
+            "most": float(share.max(initial=0.0)),
+            "first_s": first_s,
+            "half_after_s": half_after_s,
+            "agents": {name: float(each[scored].mean()) for name, each in zip(names, deceived, strict=True)},
+        },
+    }
+
+
+def _deceived(scores: Scores, blamed: Bools, series: list[int]) -> Bools:
+    """(a, f) whether the picture of each of a series is wrong in each frame because of an adversary."""
+    judged = scores.judged
+    bad = blamed & ((judged.outcome == FALSE) | (judged.outcome == MISSED))
+    frame = np.searchsorted(scores.frames, judged.frame[bad])
+    found = np.zeros((len(scores.series), len(scores.frames)), np.bool_)
+    found[judged.series[bad], frame] = True
+    return found[series]
+
+
+def _differences(
+    scores: Scores, names: list[str], rows: dict[str, int], range_m: float, distance: SetDistance
+) -> np.ndarray:
+    """(p, f) m, GOSPA between the pictures of p pairs of agents, of what is in range of both."""
+    judged, n_frames = scores.judged, len(scores.frames)
+    steps = range(1, min(COMPARED, len(names) - 1) + 1)
+    pairs = sorted({tuple(sorted((a, (a + step) % len(names)))) for a, step in product(range(len(names)), steps)})
+    frame = np.searchsorted(scores.frames, judged.frame)
+    position = scores.truth.agent_position
+    one: list[Boxes] = []
+    other: list[Boxes] = []
+    for number, (a, b) in enumerate(pairs):
+        for side, mine, theirs in ((one, a, b), (other, b, a)):
+            own = np.flatnonzero(judged.is_track & (judged.series == rows[names[mine]]))
+            place = position[frame[own], scores.agents.index(names[theirs])]
+            near = own[centre_distance(judged.boxes.position[own], place) <= range_m]
+            side.append(_grouped(judged.boxes, near, number * n_frames + frame[near]))
+    gospa = distance.of(Boxes.join(one), Boxes.join(other), len(pairs) * n_frames)[1]
+    return gospa.reshape(len(pairs), n_frames)
+
+
+def _grouped(boxes: Boxes, rows: Ints, group: Ints) -> Boxes:
+    return boxes.select(rows).in_group(group)

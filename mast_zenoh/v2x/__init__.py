@@ -1,0 +1,75 @@
+"""V2X: standard messages of vehicles as wire formats, when they are sent, and what their radio channel carries.
+
+Messages:
+
+    asn1/          field tables of the standards, and their bytes
+    cpm, cam       messages as columns and integers, in the standard's units
+    perceived_objects, correlations    objects of a CPM as columns of integers, and the correlations of their components
+    reference_position                 reference positions, and the plane around an origin
+    tracks         tracks to CPM and back, in as many segments as a limit of bytes needs
+
+Sending:
+
+    generation   when a station sends which objects: base class GenerationRules; EveryFrame, CpmGeneration
+    redundancy   objects that others have reported: base class RedundancyRule; FrequencyRedundancy, DynamicsRedundancy,
+                 DistanceRedundancy
+    quality      how well a station perceives its objects, 0 to 15: PerceptionQuality
+    object_table what a station remembers of each object
+    awareness    when a station says where it is: CamGeneration
+    congestion   how often stations may send: base class CongestionControl; NoCongestionControl, ReactiveDcc,
+                 AdaptiveDcc
+    channel      airtime, busy ratio of the channel, and which transmissions arrive
+    station      what one station sends: its rules, under its congestion control
+    input_limit  how many objects fusion gets from each agent: base class InputLimit; NoInputLimit, FairInput
+
+Arrays in, arrays out: no class here knows of nodes. Times are int64 ns, as in clocks.
+"""
+
+from mast_zenoh.v2x.awareness import CamDecision, CamGeneration
+from mast_zenoh.v2x.channel import OfdmTiming, RadioChannel, Transmissions, arrivals
+from mast_zenoh.v2x.congestion import AdaptiveDcc, CongestionControl, NoCongestionControl, ReactiveDcc
+from mast_zenoh.v2x.generation import (
+    CpmGeneration,
+    EveryFrame,
+    Generation,
+    GenerationRules,
+    Perception,
+)
+from mast_zenoh.v2x.input_limit import FairInput, InputLimit, NoInputLimit, Selection
+from mast_zenoh.v2x.quality import PerceptionQuality, quality_of_score
+from mast_zenoh.v2x.redundancy import (
+    DistanceRedundancy,
+    DynamicsRedundancy,
+    FrequencyRedundancy,
+    HeardObjects,
+    RedundancyRule,
+)
+
+__all__ = [
+    "AdaptiveDcc",
+    "CamDecision",
+    "CamGeneration",
+    "CongestionControl",
+    "CpmGeneration",
+    "DistanceRedundancy",
+    "DynamicsRedundancy",
+    "EveryFrame",
+    "FairInput",
+    "FrequencyRedundancy",
+    "Generation",
+    "GenerationRules",
+    "HeardObjects",
+    "InputLimit",
+    "NoCongestionControl",
+    "NoInputLimit",
+    "OfdmTiming",
+    "Perception",
+    "PerceptionQuality",
+    "RadioChannel",
+    "ReactiveDcc",
+    "RedundancyRule",
+    "Selection",
+    "Transmissions",
+    "arrivals",
+    "quality_of_score",
+]

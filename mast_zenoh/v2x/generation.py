@@ -1,0 +1,286 @@
+"""Generation rules of Collective Perception: when a station sends a message, and which objects are in it.
+
+After ETSI TS 103 324 v2.1.1, clause 6.1. A station has its own instance; all its objects are handled at once.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mast_zenoh.arrays.checks import check
+from mast_zenoh.arrays.geometry import wrap_angle
+from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats, Ints, ObjectStates
+from mast_zenoh.v2x.object_table import ObjectTable
+from mast_zenoh.v2x.quality import MAX_QUALITY, quality_of_score
+from mast_zenoh.v2x.redundancy import HeardObjects, RedundancyRule
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Perception:
+    """What a station perceives and has heard at one time.
+
+    time_ns: ns, now
+    objects: its own n objects, world frame; no id twice
+    quality: (n,) int64, objectPerceptionQuality, 0 to 15
+    position: (3,) m, of the station, world frame
+    heard:   objects in messages from others
+    """
+
+    time_ns: int
+    objects: ObjectStates
+    quality: Ints
+    position: Floats
+    heard: HeardObjects
+
+    @classmethod
+    def of(
+        cls,
+        time_ns: int,
+        objects: ObjectStates,
+        *,
+        quality: Ints | None = None,
+        position: Floats | None = None,
+        heard: HeardObjects | None = None,
+    ) -> Perception:
+        """A perception; by default with the quality of the scores, from the origin, and with nothing heard."""
+        return cls(
+            time_ns,
+            objects,
+            quality_of_score(objects.score) if quality is None else quality,
+            np.zeros(3) if position is None else position,
+            HeardObjects.empty() if heard is None else heard,
+        )
+
+    def select(self, rows: Ints) -> Perception:
+        """The same with some of the objects."""
+        return Perception(self.time_ns, self.objects.select(rows), self.quality[rows], self.position, self.heard)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Generation:
+    """Whether a station generates a message now, and what is in it.
+
+    generated: whether there is a message; it may be without objects
+    rows:      (k,) int64, rows of the objects in it, those first that should survive segmentation
+    sensors:   whether it has a sensor information container
+    """
+
+    generated: bool
+    rows: Ints
+    sensors: bool
+
+    @classmethod
+    def nothing(cls) -> Generation:
+        """No message."""
+        return cls(False, np.zeros(0, np.int64), False)
+
+
+class GenerationRules(ABC):
+    """Decides at each frame whether a station generates a message, and which objects are in it."""
+
+    @abstractmethod
+    def generate(self, perception: Perception, interval_s: float = 0.1) -> Generation:
+        """What to send now.
+
+        interval_s: s, least time between two messages; where a gate of `CongestionControl` is asked first, the default
+        """
+
+    @abstractmethod
+    def reset(self) -> None:
+        """Forget all messages."""
+
+
+class EveryFrame(GenerationRules):
+    """Sends all objects in every frame, whatever the channel allows."""
+
+    def generate(self, perception: Perception, interval_s: float = 0.1) -> Generation:
+        return Generation(True, np.arange(len(perception.objects), dtype=np.int64), True)
+
+    def reset(self) -> None:
+        pass
+
+
+@dataclass(kw_only=True, eq=False)
+class CpmGeneration(GenerationRules):
+    """Generation rules of Collective Perception Messages (TS 103 324 v2.1.1, clause 6.1).
+
+    An object is due if it was never sent, or has changed since it was last sent, or was not sent for `most_s`. Road
+    users of type A are due together: as soon as one of them was never sent, or not for `type_a_s`. Objects are sent in
+    the order of their utility, new ones first. A message is sent if an object or the sensor information container is
+    due.
+
+    least_s, most_s: s, limits of the time between two messages (T_GenCpmMin, T_GenCpmMax; clause 6.1.3)
+    sensors_s: s, between two sensor information containers (T_AddSensorInformation; clause 6.1.2.2)
+    moved_m: m, by which an object must have moved to be due (clause 6.1.2.3, as the next three)
+    speed_mps: m/s, by which its speed must have changed
+    direction_deg: degrees, by which the direction of its velocity must have changed
+    direction_speed_mps: m/s, speed below which a velocity has no direction; the standard has no such limit, so that
+        noise makes parked cars due
+    type_a: classes of type A; the standard's are pedestrians, light vehicles such as bicycles, and animals
+    type_a_s: s, after which all objects of type A are due (T_GenCpmMax / 2)
+    quality: objects are sent if their quality is above (ObjectPerceptionQualityThreshold)
+    send_all: whether all objects of sufficient quality are due in every message (ObjectInclusionConfig 0)
+    priority_moved_m, priority_speed_mps, priority_direction_deg, priority_silence_s: range over which each change
+        raises the utility of an object from 0 to 1
+    most_objects: number of objects in a message; the others stay due
+    redundancy: rules that leave out what others have reported
+    retention_s: s, after which an object that is no longer perceived is forgotten (UnusedObjectIdRetentionPeriod)
+    remembered: number of objects that are remembered at most
+    tolerance_s: s, by which a frame may be early and still count as due; times of frames are rounded
+    """
+
+    least_s: float = 0.1
+    most_s: float = 1.0
+    sensors_s: float = 1.0
+    moved_m: float = 4.0
+    speed_mps: float = 0.5
+    direction_deg: float = 4.0
+    direction_speed_mps: float = 0.0
+    type_a: tuple[str, ...] = ("bicycle", "pedestrian")
+    type_a_s: float = 0.5
+    quality: int = 3
+    send_all: bool = False
+    priority_moved_m: tuple[float, float] = (0.0, 8.0)
+    priority_speed_mps: tuple[float, float] = (0.0, 1.0)
+    priority_direction_deg: tuple[float, float] = (0.0, 8.0)
+    priority_silence_s: tuple[float, float] = (0.1, 1.0)
+    most_objects: int = 255
+    redundancy: tuple[RedundancyRule, ...] = ()
+    retention_s: float = 60.0
+    remembered: int = 4096
+    tolerance_s: float = 0.001
+
+    def __post_init__(self) -> None:
+        check("more than 0, finite", least_s=self.least_s, most_s=self.most_s, sensors_s=self.sensors_s)
+        check("more than 0, finite", type_a_s=self.type_a_s, retention_s=self.retention_s)
+        check("0 or more, finite", moved_m=self.moved_m, speed_mps=self.speed_mps, direction_deg=self.direction_deg)
+        check("0 or more, finite", direction_speed_mps=self.direction_speed_mps, tolerance_s=self.tolerance_s)
+        check("1 or more", most_objects=self.most_objects, remembered=self.remembered)
+        if self.least_s > self.most_s:
+            raise ValueError(f"least_s: found {self.least_s}, expected at most `most_s`, which is {self.most_s}")
+        for name in ("priority_moved_m", "priority_speed_mps", "priority_direction_deg", "priority_silence_s"):
+            low, high = getattr(self, name)
+            if not low < high:
+                raise ValueError(f"{name}: found {(low, high)}, expected a lower and a higher value")
+        for name in self.type_a:
+            if name not in CLASS_INDEX:
+                raise ValueError(f"type_a: found {name!r}, expected some of {', '.join(CLASS_INDEX)}")
+        self._type_a = np.array([CLASS_INDEX[name] for name in self.type_a], np.uint8)
+        self.reset()
+
+    def reset(self) -> None:
+        self._sent = SentObjects(self.remembered)
+        self._message_ns: int | None = None
+        self._sensors_ns: int | None = None
+
+    def generate(self, perception: Perception, interval_s: float = 0.1) -> Generation:
+        interval_s = min(max(interval_s, self.least_s), self.most_s)
+        now = perception.time_ns
+        self._sent.forget(now - round(self.retention_s * 1e9))
+        self._sent.note_perceived(perception.objects.id, now)
+        if not self._due(now, self._message_ns, interval_s):
+            return Generation.nothing()
+        good = (perception.quality > self.quality).nonzero()[0]
+        by_id = good[perception.objects.id[good].argsort()]  # so that the order of rows does not matter
+        rows = by_id[self._select(perception.select(by_id))]
+        sensors = self._due(now, self._sensors_ns, self.sensors_s)
+        if len(rows) == 0 and not sensors:
+            return Generation.nothing()
+        self._message_ns = now
+        self._sensors_ns = now if sensors else self._sensors_ns
+        self._sent.note_sent(perception.objects.select(rows), now)
+        return Generation(True, rows, sensors)
+
+    def _due(self, now_ns: int, last_ns: int | None, period_s: float) -> bool:
+        """Whether a period has passed."""
+        return last_ns is None or now_ns - last_ns >= round((period_s - self.tolerance_s) * 1e9)
+
+    def _select(self, perception: Perception) -> Ints:
+        """(k,) rows of objects to send, the most useful first."""
+        objects = perception.objects
+        change = self._sent.changes(objects, perception.time_ns, self.direction_speed_mps)
+        due = change.new | (change.moved_m > self.moved_m) | (change.speed_mps > self.speed_mps)
+        due |= (change.direction_deg > self.direction_deg) | (change.silence_s >= self.most_s - self.tolerance_s)
+        type_a = np.isin(objects.class_id, self._type_a)
+        waiting = change.new | (change.silence_s >= self.type_a_s - self.tolerance_s)
+        due[type_a] = bool((type_a & waiting).any())
+        due |= self.send_all
+        for rule in self.redundancy:
+            due &= ~rule.redundant(perception.time_ns, objects, perception.position, perception.heard)
+        rows = due.nonzero()[0]
+        first = np.lexsort((objects.id[rows], -self._utility(perception.quality, change)[rows], ~change.new[rows]))
+        return rows[first[: self.most_objects]]
+
+    def _utility(self, quality: Ints, change: Changes) -> Floats:
+        """(n,) how useful objects are, 0 to 5."""
+        return (
+            quality / MAX_QUALITY
+            + _ramp(change.moved_m, self.priority_moved_m)
+            + _ramp(change.speed_mps, self.priority_speed_mps)
+            + _ramp(change.direction_deg, self.priority_direction_deg)
+            + _ramp(change.silence_s, self.priority_silence_s)
+        )
+
+
+def _ramp(value: Floats, limits: Sequence[float]) -> Floats:
+    """0 up to the lower limit, 1 from the higher one on."""
+    low, high = limits
+    return np.clip((value - low) / (high - low), 0.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Changes:
+    """How n objects differ from what was last sent of them; all 0 for new ones.
+
+    new: (n,) whether they were never sent
+    moved_m, speed_mps, direction_deg, silence_s: (n,) distance, differences, and time since then
+    """
+
+    new: Bools
+    moved_m: Floats
+    speed_mps: Floats
+    direction_deg: Floats
+    silence_s: Floats
+
+
+class SentObjects(ObjectTable):
+    """The objects that a station has sent, as it sent them.
+
+    most: number of objects that are remembered at most
+    """
+
+    def __init__(self, most: int) -> None:
+        super().__init__(("sent_ns", np.int64), ("position", np.float64, 3), ("velocity", np.float64, 3), most=most)
+
+    def changes(self, objects: ObjectStates, time_ns: int, direction_speed_mps: float) -> Changes:
+        """How objects differ from what was last sent.
+
+        direction_speed_mps: m/s, speed below which a velocity has no direction
+        """
+        last, known = self.read(objects.id)
+        before, after = (np.linalg.norm(velocity, axis=1) for velocity in (last["velocity"], objects.velocity))
+        turned = wrap_angle(_direction(objects.velocity) - _direction(last["velocity"]))
+        moving = known & (before >= direction_speed_mps) & (after >= direction_speed_mps)
+        return Changes(
+            ~known,
+            np.where(known, np.linalg.norm(objects.position - last["position"], axis=1), 0.0),
+            np.where(known, np.abs(after - before), 0.0),
+            np.where(moving, np.abs(np.degrees(turned)), 0.0),
+            np.where(known, (time_ns - last["sent_ns"]) / 1e9, 0.0),
+        )
+
+    def note_sent(self, objects: ObjectStates, time_ns: int) -> None:
+        """Note that objects are sent."""
+        sent = np.zeros(len(objects), self.dtype)
+        sent["id"], sent["position"], sent["velocity"] = objects.id, objects.position, objects.velocity
+        sent["sent_ns"] = sent["perceived_ns"] = time_ns
+        self.write(sent)
+
+
+def _direction(velocity: Floats) -> Floats:
+    """Directions (n,) rad of velocities (n, 3), seen from above."""
+    return np.asarray(np.arctan2(velocity[:, 1], velocity[:, 0]))

@@ -1,0 +1,249 @@
+"""Tracks to CPM and back: quantisation, 95 % confidences, classes, segmentation.
+
+Positions and velocities are in a plane that sender and receiver share: x east, y north, z up (`LocalPlane`), as
+PerceivedObjects of TS 103 324 v2.1.1. Numbers of units are rounded up, as the types of TS 102 894-2 v2.4.1 say (value n
+for more than n - 1 and at most n units), so a received n is read as n - 0.5. A confidence is half the two-sided 95 %
+interval of a component: 1.96 standard deviations.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from bisect import bisect_right
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mast_zenoh.arrays.states import CLASS_INDEX, CLASSES, Floats, Ints, ObjectStates
+from mast_zenoh.errors import MessageError
+from mast_zenoh.v2x import cpm
+from mast_zenoh.v2x.asn1.codec_kernels import Values
+from mast_zenoh.v2x.cpm import Cpm
+from mast_zenoh.v2x.perceived_objects import (
+    ABSENT,
+    ANIMAL,
+    BICYCLIST,
+    CARTESIAN,
+    MOTORCYCLIST,
+    OTHER,
+    PEDESTRIAN,
+    POLAR,
+    VEHICLE,
+    VRU,
+    PerceivedObjects,
+)
+from mast_zenoh.v2x.reference_position import LocalPlane, Position
+
+#: Standard deviations in half a two-sided 95 % interval of a normal distribution.
+SIGMAS_95 = 1.96
+
+#: Units: position and velocity 0.01 m and 0.01 m/s, dimensions 0.1 m, angles 0.1 deg.
+_POSITION, _VELOCITY, _DIMENSION, _ANGLE = 0.01, 0.01, 0.1, 0.1
+
+#: Largest confidence of each type; one more is "out of range", two more "unavailable". CoordinateConfidence,
+#: ObjectDimensionConfidence, SpeedConfidence.
+_LARGEST_POSITION, _LARGEST_DIMENSION, _LARGEST_VELOCITY = 4094, 30, 125
+
+#: Confidences that a receiver assumes where the sender's is out of range, unavailable or absent: m, m, m/s. The first
+#: two are far beyond what the types express; the last is the speed of a road user of unknown direction.
+UNKNOWN_POSITION, UNKNOWN_DIMENSION, UNKNOWN_VELOCITY = 100.0, 10.0, 20.0
+
+#: Box of an object whose dimensions are absent, m.
+UNKNOWN_SIZE = np.array([1.0, 1.0, 1.0])
+#: Age that says "more than 1.5 s" (PerceivedObject).
+_LONGEST_AGE = 1500
+#: Largest number of segments (MessageSegmentationInfo).
+MOST_SEGMENTS = 8
+
+#: Alternative of ObjectClass, alternative of VruProfileAndSubprofile, and subclass, in the order of `CLASSES`.
+_CLASS_CODES = np.array(
+    [
+        {
+            "unknown": (OTHER, ABSENT, 0),
+            "car": (VEHICLE, ABSENT, 5),
+            "truck": (VEHICLE, ABSENT, 8),
+            "bus": (VEHICLE, ABSENT, 6),
+            "motorcycle": (VRU, MOTORCYCLIST, 2),
+            "bicycle": (VRU, BICYCLIST, 1),
+            "pedestrian": (VRU, PEDESTRIAN, 1),
+        }[name]
+        for name in CLASSES
+    ]
+)
+#: Our class of each TrafficParticipantType; goods vehicles, trailers and tractors are trucks, a tram is a bus.
+_VEHICLES = np.zeros(256, np.uint8)
+for _name, _codes in {"car": (5,), "bus": (6, 11), "truck": (7, 8, 9, 10, 14)}.items():
+    _VEHICLES[list(_codes)] = CLASS_INDEX[_name]
+#: Our class of each VRU profile.
+_PROFILES = np.zeros(ANIMAL + 1, np.uint8)
+for _profile, _name in ((PEDESTRIAN, "pedestrian"), (BICYCLIST, "bicycle"), (MOTORCYCLIST, "motorcycle")):
+    _PROFILES[_profile] = CLASS_INDEX[_name]
+
+
+def _units(values: Floats, unit: float) -> Values:
+    """Numbers of units, rounded up except for rounding errors of whole ones."""
+    return np.ceil(values / unit - 1e-6).astype(np.int64)
+
+
+def _confidence(variance: Floats, unit: float, largest: int) -> Values:
+    """Confidences of variances (n, k): 1..largest, or out of range."""
+    return np.clip(_units(SIGMAS_95 * np.sqrt(np.maximum(variance, 0.0)), unit), 1, largest + 1)
+
+
+def _variance(confidence: Values, unit: float, largest: int, unknown: float) -> Floats:
+    """Variances of confidences (n, k); half widths of `unknown` where they are out of range, unavailable or absent."""
+    stated = (confidence >= 1) & (confidence <= largest)
+    return (np.where(stated, unit * confidence, unknown) / SIGMAS_95) ** 2
+
+
+def orientation_of(yaw: float) -> int:
+    """Wgs84AngleValue of a yaw in rad (counter-clockwise from east): 0.1 deg clockwise from north."""
+    return int(_units(np.array((90.0 - np.degrees(yaw)) % 360.0), _ANGLE)) % 3600
+
+
+def to_objects(
+    tracks: ObjectStates, wire_id: Ints, reference: Floats, delta_time: Ints | int = 0, age: Ints | None = None
+) -> PerceivedObjects:
+    """Tracks (n) as perceived objects.
+
+    wire_id: (n,) 0..65535, object ids, which the sender keeps for its tracks and reuses
+    reference: (3,) m, the point of the quantised reference position
+    delta_time: ms from the reference time to that of the states;  age: (n,) ms since the first detection, if known
+    """
+    objects = PerceivedObjects.empty(len(tracks))
+    variance = tracks.covariance.diagonal(axis1=1, axis2=2)
+    objects.id[:], objects.delta_time[:] = wire_id, delta_time
+    objects.position[:] = np.clip(_units(tracks.position - reference, _POSITION), -131_072, 131_071)
+    objects.position_confidence[:] = _confidence(variance[:, :3], _POSITION, _LARGEST_POSITION)
+    objects.velocity_form[:] = CARTESIAN
+    objects.velocity[:] = np.clip(_units(tracks.velocity, _VELOCITY), -16_383, 16_382)
+    objects.velocity_confidence[:] = _confidence(variance[:, 6:], _VELOCITY, _LARGEST_VELOCITY)
+    objects.angles[:, 0] = _units(np.degrees(tracks.yaw) % 360.0, _ANGLE) % 3600
+    objects.angles_confidence[:, 0] = 127
+    objects.dimensions[:] = np.clip(_units(tracks.size, _DIMENSION), 1, 255)
+    objects.dimensions_confidence[:] = _confidence(variance[:, 3:6], _DIMENSION, _LARGEST_DIMENSION)
+    objects.quality[:] = np.clip(np.rint(15.0 * tracks.score), 0, 15)
+    if age is not None:
+        objects.age[:] = np.clip(age, 0, _LONGEST_AGE)
+    classes = np.empty((len(tracks), 5), np.int64)
+    classes[:, 0], classes[:, 1:4], classes[:, 4] = np.arange(len(tracks)), _CLASS_CODES[tracks.class_id], 101
+    return dataclasses.replace(objects, classes=classes)
+
+
+def to_cpm(
+    objects: PerceivedObjects, station_id: int, reference_time: int, position: Position, yaw: float | None = None
+) -> Cpm:
+    """The message of a vehicle with this yaw (rad), or of a roadside unit (None).
+
+    reference_time: ms, TimestampIts;  position: what `objects` are relative to
+    """
+    vehicle = None if yaw is None else (orientation_of(yaw), 127)
+    return Cpm(station_id, reference_time, position, objects, vehicle=vehicle, rsu=yaw is None)
+
+
+def from_cpm(message: Cpm, plane: LocalPlane) -> tuple[ObjectStates, Ints]:
+    """States (m) in the plane, and their times after the reference time, ms (m,).
+
+    Objects whose x or y is out of range are left out, as their position is unknown. Ids are object ids. The covariance
+    is diagonal. A z that is absent or out of range is that of the reference position; an absent yaw is the direction of
+    the velocity.
+    """
+    objects = message.objects
+    if objects is None:
+        return ObjectStates.empty(), np.zeros(0, np.int64)
+    horizontal = objects.position[:, :2]
+    kept = np.flatnonzero(((horizontal > -131_072) & (horizontal < 131_071)).all(axis=1))
+    if len(kept) < len(objects):
+        objects = objects.take(kept)
+    n = len(objects)
+    known = (objects.position > -131_072) & (objects.position < 131_071)
+    position = np.where(known, _POSITION * (objects.position - 0.5), 0.0) + plane.to_point(message.position)
+    velocity, velocity_variance = _velocity(objects)
+    yaw = np.where(
+        (objects.angles[:, 0] >= 0) & (objects.angles[:, 0] < 3600),
+        np.radians(_ANGLE * (objects.angles[:, 0] - 0.5)),
+        np.arctan2(velocity[:, 1], velocity[:, 0]),
+    )
+    sized = (objects.dimensions >= 1) & (objects.dimensions <= 254)
+    covariance = np.zeros((n, 9, 9))
+    diagonal = np.einsum("nii->ni", covariance)
+    confidence = np.where(known, objects.position_confidence, 0)
+    diagonal[:, :3] = _variance(confidence, _POSITION, _LARGEST_POSITION, UNKNOWN_POSITION)
+    diagonal[:, 3:6] = _variance(objects.dimensions_confidence, _DIMENSION, _LARGEST_DIMENSION, UNKNOWN_DIMENSION)
+    diagonal[:, 6:] = velocity_variance
+    states = ObjectStates.of(
+        position,
+        id=objects.id.copy(),
+        velocity=velocity,
+        size=np.where(sized, _DIMENSION * (objects.dimensions - 0.5), UNKNOWN_SIZE),
+        yaw=np.arctan2(np.sin(yaw), np.cos(yaw)),
+        covariance=covariance,
+        score=np.where(objects.quality == ABSENT, 1.0, objects.quality / 15.0),
+        class_id=_class_ids(objects),
+    )
+    return states, objects.delta_time.copy()
+
+
+def _velocity(objects: PerceivedObjects) -> tuple[Floats, Floats]:
+    """Velocities (n, 3), m/s, and their variances; 0 with a large variance where they are unknown."""
+    units, confidence = objects.velocity, objects.velocity_confidence
+    known = (units > -16_383) & (units < 16_382)
+    velocity = np.where(known, _VELOCITY * (units - 0.5), 0.0)
+    variance = _variance(np.where(known, confidence, 0), _VELOCITY, _LARGEST_VELOCITY, UNKNOWN_VELOCITY)
+    polar = np.flatnonzero(objects.velocity_form == POLAR)
+    if len(polar):
+        speed, direction = velocity[polar, 0], np.radians(_ANGLE * (units[polar, 1] - 0.5))
+        sound = known[polar, 0] & (units[polar, 1] < 3600)
+        along = np.stack([np.cos(direction), np.sin(direction)], axis=1)
+        velocity[polar, :2] = np.where(sound[:, None], speed[:, None] * along, 0.0)
+        of_speed = variance[polar, 0]
+        turn = np.radians(np.sqrt(_variance(confidence[polar, 1], _ANGLE, 125, 180.0)))
+        of_direction = (speed * turn) ** 2
+        unknown = (UNKNOWN_VELOCITY / SIGMAS_95) ** 2
+        squared = along**2
+        mixed = of_speed[:, None] * squared + of_direction[:, None] * (1.0 - squared)
+        variance[polar, :2] = np.where(sound[:, None], mixed, unknown)
+    return velocity, variance
+
+
+def _class_ids(objects: PerceivedObjects) -> NDArray[np.uint8]:
+    """Class (n,) of each object's most probable hypothesis, the first of equals; unknown if there is none."""
+    result = np.zeros(len(objects), np.uint8)
+    row, kind, profile, subclass, confidence = objects.classes.T
+    code = np.where(kind == VEHICLE, _VEHICLES.take(subclass, mode="clip"), 0)
+    code = np.where(kind == VRU, _PROFILES.take(profile, mode="clip"), code)
+    order = np.lexsort((-np.arange(len(row)), confidence % 101))
+    result[row[order]] = code[order]
+    return result
+
+
+def segments(message: Cpm, max_bytes: int) -> list[Cpm]:
+    """The message in as few parts of at most `max_bytes` as its order of objects allows, with MessageSegmentationInfo.
+
+    Each part has the containers of the station and the number of all objects; the first has the sensors.
+    """
+    objects = message.objects
+    if objects is None or len(cpm.encode(message)) <= max_bytes:
+        return [message]
+    known = len(objects) if message.known_objects is None else message.known_objects
+    whole = dataclasses.replace(message, known_objects=known, segment=(1, MOST_SEGMENTS))
+    parts: list[Cpm] = []
+    first = 0
+    while first < len(objects) or not parts:
+        sizes = range(first, len(objects) + 1)
+        fits = bisect_right(sizes, max_bytes, key=lambda last: len(cpm.encode(_part(whole, first, last))))
+        if fits < 2:
+            size = len(cpm.encode(_part(whole, first, min(first + 1, len(objects)))))
+            raise MessageError(f"perceivedObjects[{first}]: a CPM with it alone has {size} bytes, expected {max_bytes}")
+        parts.append(_part(whole, first, first + fits - 1))
+        first += fits - 1
+    if len(parts) > MOST_SEGMENTS:
+        raise MessageError(f"found {len(parts)} segments of {max_bytes} bytes, expected at most {MOST_SEGMENTS}")
+    return [dataclasses.replace(part, segment=(number, len(parts))) for number, part in enumerate(parts, 1)]
+
+
+def _part(message: Cpm, first: int, last: int) -> Cpm:
+    """The message with the objects first..last - 1, and with its sensors if these are the first ones."""
+    assert message.objects is not None
+    sensors = message.sensors[:0] if first else message.sensors
+    return dataclasses.replace(message, objects=message.objects.take(np.arange(first, last)), sensors=sensors)

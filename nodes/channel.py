@@ -1,0 +1,126 @@
+"""The radio channel that all agents share: who hears whom, and how busy the channel is.
+
+It is part of the world, like the simulator: it listens to what all peers broadcast, and tells each peer in the next
+frame which of the messages arrived, how busy the channel was, and how long its own message was on the air. Where
+stations are is what the simulator says, not what they claim.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import NamedTuple
+
+import numpy as np
+
+from mast_zenoh.gather import LatestBefore
+from mast_zenoh.messages.packed import Packed
+from mast_zenoh.messages.schemas import text
+from mast_zenoh.node import Context, Node, Received
+from mast_zenoh.runtime.mesh.hosting import main
+from mast_zenoh.v2x import OfdmTiming, RadioChannel, Transmissions, arrivals
+
+
+class Sent(NamedTuple):
+    """A message on the air. frame: in which it was sent; sizes: bytes of its frames"""
+
+    frame: int
+    seq: int
+    sender: str
+    sizes: tuple[int, ...]
+
+
+class Channel(Node):
+    """Lets messages arrive by distance and load.
+
+    radio: of all stations, and what is between them; None: RadioChannel()
+    timing: how long frames are on the air; None: OfdmTiming()
+    """
+
+    role = "channel"
+    inputs = {"clock": "clock", "pose": "pose", "sent": "tracks"}
+    outputs = {"reception": "reception"}
+
+    def __init__(self, radio: RadioChannel | None = None, timing: OfdmTiming | None = None) -> None:
+        self.radio = radio or RadioChannel()
+        self.timing = timing or OfdmTiming()
+        self.stations: list[str] = []
+        self.positions: dict[str, LatestBefore[np.ndarray]] = {}
+        self.sent: list[Sent] = []
+        self.before_ns: int | None = None  # time of the frame before
+        self.busy: list[float] = []
+        self.counts: Counter[str] = Counter()
+
+    def start(self, context: Context) -> None:
+        """All stations whose broadcasts it hears."""
+        self.stations = sorted({each.subject for each in context.subscriptions.values() if each.port == "sent"})
+
+    def on_pose(self, received: Received, context: Context) -> None:
+        """Where a station is."""
+        positions = self.positions.setdefault(received.subject, LatestBefore())
+        positions.add(context.frame, received.body["position"][:2], received.frame)
+
+    def on_sent(self, received: Received, context: Context) -> None:
+        """A message that a station sends."""
+        self.sent.append(Sent(context.frame, received.message.header.seq, received.subject, sizes_of(received)))
+
+    def on_clock(self, received: Received, context: Context) -> None:
+        """Tell all stations what arrived of what was sent in the frame before."""
+        frame, time_ns = received.frame, received.time_ns
+        sent = sorted(each for each in self.sent if each.frame < frame)
+        self.sent = [each for each in self.sent if each.frame >= frame]
+        places = [self.positions[name].get(frame) if name in self.positions else None for name in self.stations]
+        # A station that has never said where it is hears nothing, and is not heard.
+        position = np.array(
+            [np.full(2, 1e9 * (row + 1)) if place is None else place[1] for row, place in enumerate(places)]
+        )
+        row_of = {name: row for row, name in enumerate(self.stations)}
+        frames = [(row_of[each.sender], size) for each in sent for size in each.sizes]
+        sender, sizes = (np.array(column, np.int64) for column in (zip(*frames, strict=True) if frames else ((), ())))
+        airtime = self.timing.airtime_ns(sizes)
+        began_ns = time_ns if self.before_ns is None else self.before_ns
+        window_ns = time_ns - began_ns or None
+        transmissions = Transmissions(sender, np.full(len(sender), began_ns), airtime)
+        self.before_ns = time_ns
+        n = len(self.stations)
+        busy = self.radio.busy_ratio(position, transmissions, time_ns, window_ns)
+        chance = self.radio.reception(position, transmissions, time_ns, window_ns)
+        arrived = arrivals(chance, sender, lambda row: context.rng("arrivals", frame, self.stations[row]))
+        missed = np.zeros((n, n), bool)  # by sender and receiver: a frame of the message did not arrive
+        np.logical_or.at(missed, sender, ~arrived)
+        sending = np.bincount(sender, minlength=n) > 0
+        own_airtime = np.bincount(sender, airtime, n)
+        self.note(busy, sending, missed, sizes)
+        for row, name in enumerate(self.stations):
+            heard = np.flatnonzero(sending & ~missed[:, row])
+            body = {
+                "agents": text([self.stations[each] for each in heard if each != row]),
+                "busy_ratio": busy[row : row + 1],
+                "airtime_ns": np.array([own_airtime[row]], np.int64),
+            }
+            context.publish("reception", body, subject=name, frame=frame, time_ns=time_ns)
+
+    def note(self, busy: np.ndarray, sending: np.ndarray, missed: np.ndarray, sizes: np.ndarray) -> None:
+        """Count for the results. busy, sending: (n,); missed: (n, n); sizes: (m,) bytes"""
+        self.busy.append(float(busy.mean()) if len(busy) else 0.0)
+        self.counts["frames"] += len(sizes)
+        self.counts["bytes"] += int(sizes.sum())
+        pairs = int(sending.sum()) * (len(sending) - 1)
+        lost = int(missed[sending].sum()) - int(np.diag(missed)[sending].sum())
+        self.counts["arrived"] += pairs - lost
+        self.counts["lost"] += lost
+
+    def finish(self, context: Context) -> dict[str, object]:
+        """Frames and bytes on the air, messages that arrived and were lost, and the mean and greatest busy ratio."""
+        busy = self.busy or [0.0]
+        ratios = {"busy_ratio_mean": sum(busy) / len(busy), "busy_ratio_max": max(busy)}
+        return {"channel": {"stations": len(self.stations), **self.counts, **ratios}}
+
+
+def sizes_of(received: Received) -> tuple[int, ...]:
+    """Bytes of the frames of a message: its segments, or all of it where its wire has no codec."""
+    body = received.body
+    return tuple(map(len, body.segments)) if isinstance(body, Packed) else (len(received.encoded),)
+
+
+if __name__ == "__main__":
+    main(Channel)

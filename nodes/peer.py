@@ -1,0 +1,313 @@
+"""A peer: the fusion on board of one agent, without a centre.
+
+It broadcasts its agent's own tracks to the peers of all other agents, and fuses them with those that it hears. Its
+picture goes to its agent, as a command centre's would. What it hears in a frame is used from the next one on: a message
+takes that long on the air, and the result does not depend on the order of arrival. Where there is a channel node, that
+tells it which messages arrived.
+
+Only own perception is broadcast, as the standard intends (ETSI TS 103 324). Where a map has a wire for it
+(keyexpr_maps/relays.toml), a peer relays its picture, too, each object with the agents whose tracks are in it. A
+receiver leaves out objects that have its own tracks in them; others it may count twice: rumours.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mast_zenoh.arrays.geometry import states_to_world
+from mast_zenoh.arrays.states import Bools, Ints, ObjectStates, concatenate
+from mast_zenoh.gather import MAX_AGE_S, Gather, plausible_rows
+from mast_zenoh.integrity.views import SweptView, check_view, view_of
+from mast_zenoh.messages.schemas import Body, text
+from mast_zenoh.node import Context, Node, Received
+from mast_zenoh.pipelines import Pipeline, trust_body
+from mast_zenoh.pipelines.heard import HeardTracks
+from mast_zenoh.pipelines.origins import Origins
+from mast_zenoh.runtime.mesh.hosting import main
+from mast_zenoh.tracking.kalman import predicted
+from mast_zenoh.v2x import CongestionControl, GenerationRules
+from mast_zenoh.v2x.station import Station
+
+#: Ending of the name under which what an agent relays is fused, beside what it broadcasts.
+RELAY = "/relay"
+#: Messages of one agent that wait for the next frame, at most.
+MAX_WAITING = 64
+
+
+class Relay(NamedTuple):
+    """Objects of another agent's picture.
+
+    states: n objects at `time_ns`, world frame; origin: (n, a) whether each of `agents` is among their origins
+    """
+
+    time_ns: int
+    states: ObjectStates
+    agents: tuple[str, ...]
+    origin: Bools
+
+    def without(self, agent: str) -> Relay:
+        """The objects that have none of an agent's tracks in them."""
+        if agent not in self.agents:
+            return self
+        kept = ~self.origin[:, self.agents.index(agent)]
+        return self._replace(states=self.states.select(kept), origin=self.origin[kept])
+
+
+class Heard(NamedTuple):
+    """A message from another agent. arrived: frame of arrival"""
+
+    arrived: int
+    port: str
+    received: Received
+
+    def order(self) -> tuple[Any, ...]:
+        """Its place among those that arrived in the same frame."""
+        header = self.received.message.header
+        return self.arrived, self.received.subject, self.port, header.time_ns, header.frame, header.seq
+
+
+class Peer(Node):
+    """Fuses the tracks of its agent with those that it hears.
+
+    agent: whose peer it is
+    pipeline: from the tracks of all to the picture, as in a command centre
+    rules: when it broadcasts which tracks; None: all in every frame
+    congestion: how often it may broadcast, by the load of the channel; None: always
+    memory_s: how long an object is kept that a newer message of its sender left out, as generation rules do; 0: not at
+        all
+    max_age_s: the greatest age of a track that is used
+    """
+
+    role = "peer"
+    inputs = {
+        "clock": "clock",
+        "pose": "pose",
+        "own": "tracks",
+        "own_view": "view",
+        "heard": "tracks",
+        "heard_view": "view",
+        "relayed": "relayed",
+        "reception": "reception",
+    }
+    outputs = {"broadcast": "tracks", "relay": "relayed", "picture": "picture", "trust": "trust"}
+
+    def __init__(
+        self,
+        agent: str,
+        pipeline: Pipeline,
+        rules: GenerationRules | None = None,
+        congestion: CongestionControl | None = None,
+        memory_s: float = 0.0,
+        max_age_s: float = MAX_AGE_S,
+    ) -> None:
+        self.agent = agent
+        self.pipeline = pipeline
+        self.station = Station(rules, congestion)
+        self.max_age_ns = round(max_age_s * 1e9)
+        self.sensed: Gather[str, Received] = Gather({"clock", "own"})
+        self.inbox: list[Heard] = []  # what is not used yet
+        self.heard = HeardTracks(memory_s, max_age_s)
+        self.views: dict[str, tuple[int, Body]] = {}  # their times, ns, and columns
+        self.relays: dict[str, Relay] = {}
+        self.origins = Origins()
+        self.own: tuple[int, ObjectStates] | None = None  # time, ns, and tracks
+        self.place = np.zeros(3)
+        self.newest_ns = 0
+        self.counts: Counter[str] = Counter()
+
+    def start(self, context: Context) -> None:
+        """Wait in each frame for all that the agent and the channel send."""
+        self.pipeline.bind(context.seed, context.name)
+        self.station.switch_on(float(context.rng("switched on").random()))
+        ports = {source.port for source in context.subscriptions.values()}
+        self.sensed.expected |= ports & {"pose", "own_view", "reception"}
+
+    def on_clock(self, received: Received, context: Context) -> None:
+        """Fuse what there is for frames for which the agent sent nothing."""
+        for frame, items in self.sensed.expired(received.frame):
+            self.process(frame, items, context)
+        self.sense("clock", received, context)
+
+    def on_pose(self, received: Received, context: Context) -> None:
+        """The pose of its agent."""
+        self.sense("pose", received, context)
+
+    def on_own(self, received: Received, context: Context) -> None:
+        """The tracks of its agent."""
+        self.sense("own", received, context)
+
+    def on_own_view(self, received: Received, context: Context) -> None:
+        """What the sensor of its agent covers."""
+        self.sense("own_view", received, context)
+
+    def on_reception(self, received: Received, context: Context) -> None:
+        """Which messages of the frame before arrived, and how busy the channel was."""
+        self.sense("reception", received, context)
+
+    def on_heard(self, received: Received, context: Context) -> None:
+        """The tracks of another agent."""
+        self.hear("heard", received, context)
+
+    def on_heard_view(self, received: Received, context: Context) -> None:
+        """What the sensor of another agent covers."""
+        try:
+            check_view(received.body)
+        except ValueError as error:
+            context.reject(f"implausible: view: {error}")
+            return
+        self.hear("heard_view", received, context)
+
+    def on_relayed(self, received: Received, context: Context) -> None:
+        """The picture of another agent."""
+        self.hear("relayed", received, context)
+
+    def hear(self, port: str, received: Received, context: Context) -> None:
+        """Keep a message of another agent for the next frame."""
+        if sum(each.received.subject == received.subject for each in self.inbox) >= MAX_WAITING:
+            context.reject(f"overflow: more than {MAX_WAITING} messages of {received.subject} in a frame")
+            return
+        self.inbox.append(Heard(context.frame, port, received))
+
+    def sense(self, port: str, received: Received, context: Context) -> None:
+        """Process a frame once all has arrived that its agent and the channel send."""
+        items = self.sensed.add(received.frame, port, received)
+        if items is not None:
+            self.process(received.frame, items, context)
+
+    def process(self, frame: int, items: Mapping[str, Received], context: Context) -> None:
+        """Publish what the agent broadcasts in a frame, and its picture."""
+        time_ns = items.get("clock", next(iter(items.values()))).time_ns
+        if time_ns < self.newest_ns:
+            context.reject(f"old: frame {frame}: time_ns is {time_ns}, expected at least {self.newest_ns}")
+            return
+        before_ns, self.newest_ns = self.newest_ns, time_ns
+        self.open_inbox(frame, items.get("reception"), before_ns)
+        if "pose" in items:
+            self.place = items["pose"].body["position"]
+        if "own" in items:
+            self.own = items["own"].time_ns, self.tracks_of(items["own"])
+            self.broadcast(time_ns, items["own"], context)
+        self.fuse(frame, time_ns, items, context)
+
+    def open_inbox(self, frame: int, reception: Received | None, before_ns: int) -> None:
+        """Use the messages that arrived before a frame. before_ns: time of the frame before"""
+        if reception is not None:
+            busy, airtime_ns = float(reception.body["busy_ratio"][0]), int(reception.body["airtime_ns"][0])
+            self.station.measure(reception.time_ns, busy, before_ns, airtime_ns)
+        arrived = None if reception is None else set(reception.body["agents"])
+        ready = sorted((each for each in self.inbox if each.arrived < frame), key=Heard.order)
+        self.inbox = [each for each in self.inbox if each.arrived >= frame]
+        for _, port, received in ready:
+            sender = received.subject
+            if arrived is not None and sender not in arrived:
+                self.counts[f"lost/{sender}"] += 1
+            elif port == "heard":
+                self.counts[f"heard/{sender}"] += 1
+                states = self.tracks_of(received)
+                self.heard.add(sender, received.time_ns, states)
+                self.station.hear(received.time_ns, states, received.body["origin"])
+            elif port == "heard_view":
+                self.views[sender] = received.time_ns, received.body
+            else:
+                self.relays[sender] = self.relay_of(received)
+
+    def broadcast(self, time_ns: int, own: Received, context: Context) -> None:
+        """Broadcast the tracks of the agent that are due."""
+        states = states_to_world(ObjectStates.from_columns(own.body), own.body["origin"], own.body["rotation"])
+        generation = self.station.transmit(time_ns, states, self.place)
+        if generation.generated:
+            reference = {name: own.body[name] for name in ("origin", "rotation")}
+            columns = ObjectStates.from_columns(own.body).select(generation.rows).columns()
+            context.publish("broadcast", columns | reference, frame=own.frame, time_ns=own.time_ns)
+            self.counts["broadcasts"] += 1
+
+    def fuse(self, frame: int, time_ns: int, items: Mapping[str, Received], context: Context) -> None:
+        """Publish the picture of a frame, and the trust in agents and objects."""
+        names, states, agent = self.heard.at(time_ns)
+        parts, agents = [states], [agent]
+        if self.own is not None and abs(time_ns - self.own[0]) <= self.max_age_ns:
+            parts.append(predicted(self.own[1], (time_ns - self.own[0]) * 1e-9))
+            agents.append(np.full(len(parts[-1]), len(names)))
+            names.append(self.agent)
+        if views := self.views_at(time_ns, items):
+            self.pipeline.look(views)
+        relays = self.relays_at(time_ns)
+        for name in sorted(relays):
+            parts.append(relays[name].states)
+            agents.append(np.full(len(parts[-1]), len(names)))
+            names.append(f"{name}{RELAY}")
+        agent = np.concatenate(agents)
+        picture, support = self.pipeline.step(time_ns, concatenate(parts), agent, tuple(names))
+        context.publish("picture", picture.columns() | {"support": support}, frame=frame, time_ns=time_ns)
+        if context.connected("relay"):
+            origins, origin = self.origins_of(picture, names, agent, relays)
+            body = picture.columns() | {"agents": text(origins), "origin": origin.astype(np.uint8)}
+            context.publish("relay", body, frame=frame, time_ns=time_ns)
+        if self.pipeline.trust is not None:
+            context.publish("trust", trust_body(self.pipeline.trust), frame=frame, time_ns=time_ns)
+
+    def views_at(self, time_ns: int, items: Mapping[str, Received]) -> dict[str, SweptView]:
+        """What the sensors of the agents cover, as far as it is known; by name."""
+        self.views = {name: each for name, each in self.views.items() if abs(time_ns - each[0]) <= self.max_age_ns}
+        views = {name: view_of(body, (time_ns - at_ns) * 1e-9) for name, (at_ns, body) in self.views.items()}
+        if "own_view" in items:
+            views[self.agent] = view_of(items["own_view"].body)
+        return views
+
+    def relays_at(self, time_ns: int) -> dict[str, Relay]:
+        """The pictures of other agents, predicted to a time; by name."""
+        ages = {name: time_ns - relay.time_ns for name, relay in self.relays.items()}
+        self.relays = {name: relay for name, relay in self.relays.items() if abs(ages[name]) <= self.max_age_ns}
+        return {
+            name: relay._replace(states=predicted(relay.states, ages[name] * 1e-9))
+            for name, relay in self.relays.items()
+        }
+
+    def origins_of(
+        self, picture: ObjectStates, names: Sequence[str], agent: Ints, relays: Mapping[str, Relay]
+    ) -> tuple[list[str], Bools]:
+        """Names of a agents, sorted, and whether each is among the origins of each object of the picture: (n, a).
+
+        names: members of the step; agent: rows of these of its tracks, in the order of the pipeline's input
+        """
+        direct = {name for name in names if not name.endswith(RELAY)}
+        origins = sorted(direct.union(*(relay.agents for relay in relays.values())))
+        of_tracks = np.zeros((len(agent), len(origins)), np.bool_)
+        for row, name in enumerate(names):
+            if name in direct:
+                of_tracks[agent == row, origins.index(name)] = True
+            else:
+                relay = relays[name.removesuffix(RELAY)]
+                of_tracks[np.ix_(agent == row, [origins.index(each) for each in relay.agents])] = relay.origin
+        return origins, self.origins.update(picture.id, self.pipeline.members, of_tracks, origins)
+
+    def relay_of(self, received: Received) -> Relay:
+        """The objects in a message about a picture, without absurd ones and those with own tracks in them."""
+        body = received.body
+        states = ObjectStates.from_columns(body)
+        plausible = plausible_rows(states)
+        self.counts["absurd"] += len(states) - len(plausible)
+        relay = Relay(received.time_ns, states.select(plausible), tuple(body["agents"]), body["origin"][plausible] > 0)
+        return relay.without(self.agent)
+
+    def tracks_of(self, received: Received) -> ObjectStates:
+        """The tracks in a message, world frame, without absurd ones."""
+        body = received.body
+        states = states_to_world(ObjectStates.from_columns(body), body["origin"], body["rotation"])
+        plausible = plausible_rows(states)
+        self.counts["absurd"] += len(states) - len(plausible)
+        return states if len(plausible) == len(states) else states.select(plausible)
+
+    def finish(self, context: Context) -> dict[str, Any]:
+        """Numbers of broadcasts, of messages heard and lost by sender, and what the pipeline counted."""
+        innovations = self.pipeline.innovations
+        facts = self.pipeline.facts() | {"radio": dict(sorted(self.counts.items()))}
+        return facts | ({} if innovations is None else {"innovations": innovations.summary()})
+
+
+if __name__ == "__main__":
+    main(Peer)

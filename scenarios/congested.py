@@ -1,0 +1,51 @@
+"""Peers on a shared radio channel, with the standard's generation rules and congestion control."""
+
+from peers import scenario as peers
+
+
+def scenario(
+    rules="CpmGeneration",
+    congestion="AdaptiveDcc",
+    n_adversaries=0,
+    on="sent",
+    listener="ego",
+    attack_start_s=4.0,
+    defence=None,
+    fusion="CovarianceIntersectionFusion",
+    codec="cpm",
+    scene="intersection",
+    scene_index=None,
+    n_infrastructure=None,
+    n_mobile=15,
+):
+    """As `peers`, with a channel that fills up.
+
+    rules: CpmGeneration (the standard's), or EveryFrame; congestion: ReactiveDcc, AdaptiveDcc, or NoCongestionControl;
+    codec: of broadcasts: cpm, the standard's bytes, or columns;
+    n_adversaries: agents compromised, with the attack of `uncoordinated`, from attack_start_s on;
+    on: sent, pair or heard, as in `peers`; listener: an agent;
+    defence: an integrity stage for every peer; fusion: of the tracks of an object, a class.
+    """
+    content = peers(
+        n_adversaries=n_adversaries,
+        on=on,
+        listener=listener,
+        attack_start_s=attack_start_s,
+        defence=defence,
+        fusion=fusion,
+        codec=codec,
+        scene=scene,
+        scene_index=scene_index,
+        n_infrastructure=n_infrastructure,
+        n_mobile=n_mobile,
+    )
+    # The rules leave objects out for up to a second.
+    memory_s = 0.0 if rules == "EveryFrame" else 1.05
+    radio = dict(rules=dict(type=rules), congestion=dict(type=congestion), memory_s=memory_s, max_age_s=1.2)
+    maps = content["keyexpr"]["rewrites"]
+    return content | dict(
+        name="congested",
+        peers={agent: peer | radio for agent, peer in content["peers"].items()},
+        channel=dict(radio=dict(type="RadioChannel"), timing=dict(type="OfdmTiming")),
+        keyexpr=content["keyexpr"] | dict(rewrites=[maps[0], "channel.toml", *maps[1:]]),
+    )

@@ -1,0 +1,139 @@
+"""Tracks travel as Collective Perception Messages: what receivers get is what the bytes say."""
+
+import msgpack
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.errors import MessageError
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.packed import MAX_SEGMENT_BYTES, MOST_OBJECTS, Packed, codec_of, pack
+from mast_zenoh.messages.schemas import Header, Message
+
+HEADER = Header("tracks", "infra_1", 3, 300_000_000, 3)
+
+
+def message(
+    n: int, seed: int = 0, spread_m: float = 80.0, origin: tuple[float, float, float] = (3.0, -4.0, 5.0)
+) -> Message:
+    rng = np.random.default_rng(seed)
+    root = rng.normal(0.0, 0.1, (n, 9, 9))
+    states = ObjectStates.of(
+        rng.uniform(-spread_m, spread_m, (n, 3)),
+        id=rng.permutation(10 * n + 1)[:n] + 65_500,
+        velocity=rng.normal(0.0, 8.0, (n, 3)),
+        size=rng.uniform(0.3, 12.0, (n, 3)),
+        yaw=rng.uniform(-np.pi, np.pi, n),
+        covariance=root @ root.mT + 0.01 * np.eye(9),
+        score=rng.uniform(0.0, 1.0, n),
+        class_id=rng.integers(0, 7, n).astype(np.uint8),
+    )
+    frame = {"origin": np.array(origin), "rotation": np.array([1.0, 0.0, 0.0, 0.0])}
+    return codec.conform(HEADER, states.columns() | frame)
+
+
+def packed(sent: Message) -> Packed:
+    body = pack(sent, "cpm").body
+    assert isinstance(body, Packed)
+    return body
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 60), st.integers(0, 1 << 30))
+def test_what_is_read_is_written_again_with_the_same_bytes(n: int, seed: int) -> None:
+    received = pack(message(n, seed), "cpm")
+    again = pack(Message(HEADER, dict(received.body)), "cpm")
+    assert packed(again).segments == packed(received).segments
+    decoded = codec.decode(codec.encode(received), "tracks")
+    assert packed(decoded).segments == packed(received).segments
+    for name, column in received.body.items():
+        assert decoded.body[name].tobytes() == column.tobytes(), name
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(1, 40), st.integers(0, 1 << 30))
+def test_receivers_get_the_tracks_within_the_quantisation_of_the_standard(n: int, seed: int) -> None:
+    sent = message(n, seed)
+    body = packed(sent)
+    place = [each["position"] + each["origin"] for each in (sent.body, body)]
+    np.testing.assert_allclose(*place, atol=0.0051)
+    np.testing.assert_allclose(body["origin"], sent.body["origin"], atol=0.02)
+    np.testing.assert_allclose(body["velocity"], sent.body["velocity"], atol=0.0051)
+    np.testing.assert_allclose(body["size"], sent.body["size"], atol=0.051)
+    turn = np.angle(np.exp(1j * (body["yaw"] - sent.body["yaw"])))
+    assert np.abs(turn).max() <= np.radians(0.051)
+    np.testing.assert_allclose(body["score"], sent.body["score"], atol=0.5 / 15 + 1e-9)
+    np.testing.assert_array_equal(body["class_id"], sent.body["class_id"])
+    before, after = (np.sqrt(each["covariance"].diagonal(axis1=1, axis2=2)[:, :2]) for each in (sent.body, body))
+    assert ((after >= before - 1e-9) & (after <= before + 0.01)).all(), "in 95 % confidences of whole centimetres"
+    assert np.count_nonzero(body["covariance"]) <= 9 * n, "correlations are not sent"
+
+
+def test_twenty_objects_take_some_hundred_bytes_and_many_are_segmented() -> None:
+    (one,) = packed(message(20)).segments
+    assert 500 < len(one) < 900
+    many = packed(message(120)).segments
+    assert len(many) > 1
+    assert max(map(len, many)) <= MAX_SEGMENT_BYTES
+
+
+def test_of_too_many_objects_those_with_the_best_scores_are_sent() -> None:
+    sent = message(MOST_OBJECTS + 300)
+    body = packed(sent)
+    assert len(body["id"]) == MOST_OBJECTS
+    assert body["score"].min() >= np.sort(sent.body["score"])[-MOST_OBJECTS] - 0.04
+
+
+def test_ids_are_reused_and_stay_different() -> None:
+    sent = message(3)
+    ids = np.array([1, 65_537, 131_073], np.int64)
+    assert sorted(packed(Message(HEADER, {**sent.body, "id": ids}))["id"].tolist()) == [1, 2, 3]
+
+
+def test_what_cannot_be_expressed_is_refused() -> None:
+    sent = message(3)
+    with pytest.raises(MessageError, match=r"tracks: a value is not finite"):
+        pack(Message(HEADER, {**sent.body, "velocity": np.full((3, 3), np.nan)}), "cpm")
+
+
+@pytest.mark.parametrize(
+    ("body", "problem"),
+    [
+        ({"cpm": []}, "expected a list of 1 to 8 segments"),
+        ({"cpm": b"abc"}, "expected a list of 1 to 8 segments"),
+        ({"cpm": [b""]}, "header"),
+        ({"cpm": [b"x" * 2000]}, "expected at most 1400 bytes"),
+        ({"cpm": [3]}, "expected at most 1400 bytes"),
+        ({"cam": [b"abc"]}, "columns missing"),
+    ],
+)
+def test_other_bodies_are_refused(body: dict, problem: str) -> None:
+    payload = msgpack.packb(
+        {"schema": "tracks", "version": 1, "source": "a", "frame": 0, "time_ns": 0, "seq": 0, "body": body}
+    )
+    with pytest.raises(MessageError, match=problem):
+        codec.decode(payload, "tracks")
+
+
+def test_segments_of_different_messages_are_refused() -> None:
+    one, other = packed(message(120)), packed(message(120, origin=(9.0, 9.0, 9.0)))
+    mixed = Packed(one)
+    mixed.codec, mixed.segments = "cpm", (one.segments[0], *other.segments[1:])
+    with pytest.raises(MessageError, match=r"segment 2: .* of one message"):
+        codec.decode(codec.encode(Message(HEADER, mixed)), "tracks")
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.data())
+def test_damaged_bytes_are_refused_or_are_another_message(data: st.DataObject) -> None:
+    payload = bytearray(codec.encode(pack(message(5), "cpm")))
+    for _ in range(data.draw(st.integers(1, 4))):
+        payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
+    try:
+        decoded = codec.decode(bytes(payload), "tracks")
+    except MessageError:
+        return
+    assert codec_of(decoded.body) == "cpm"
+    assert codec.decode(codec.encode(decoded), "tracks").header == decoded.header

@@ -1,0 +1,80 @@
+"""The newest tracks that were heard from others, at any later time."""
+
+import numpy as np
+import pytest
+
+from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.pipelines.heard import HeardTracks
+
+PERIOD_NS = 100_000_000
+
+
+def tracks(*ids: int, x: float = 0.0, speed: float = 10.0) -> ObjectStates:
+    n = len(ids)
+    position = np.column_stack([np.full(n, x), np.array(ids, float), np.zeros(n)])
+    return ObjectStates.of(
+        position,
+        id=np.array(ids, np.int64),
+        size=np.ones((n, 3)),
+        velocity=np.tile([speed, 0.0, 0.0], (n, 1)),
+        yaw=np.zeros(n),
+    )
+
+
+def of(heard: HeardTracks, sender: str, time_ns: int) -> ObjectStates:
+    names, states, rows = heard.at(time_ns)
+    return states.select(rows == names.index(sender))
+
+
+def test_a_message_is_predicted_to_the_present() -> None:
+    heard = HeardTracks()
+    heard.add("a", 3 * PERIOD_NS, tracks(1))
+    np.testing.assert_allclose(of(heard, "a", 4 * PERIOD_NS).position[0], [1.0, 1.0, 0.0])
+
+
+def test_a_new_message_replaces_all_objects_of_its_sender() -> None:
+    heard = HeardTracks()
+    heard.add("a", 0, tracks(1, 2))
+    heard.add("a", PERIOD_NS, tracks(2))
+    assert of(heard, "a", 2 * PERIOD_NS).id.tolist() == [2]
+
+
+def test_an_older_message_changes_nothing() -> None:
+    heard = HeardTracks()
+    heard.add("a", PERIOD_NS, tracks(2))
+    heard.add("a", 0, tracks(1))
+    heard.add("a", PERIOD_NS, tracks(3))
+    assert of(heard, "a", PERIOD_NS).id.tolist() == [2]
+
+
+def test_with_a_memory_an_object_that_was_left_out_is_kept_for_that_long() -> None:
+    heard = HeardTracks(memory_s=0.25)
+    heard.add("a", 0, tracks(1, 2))
+    seen = []
+    for frame in range(1, 5):
+        heard.add("a", frame * PERIOD_NS, tracks(2))
+        seen.append(sorted(of(heard, "a", (frame + 1) * PERIOD_NS).id.tolist()))
+    assert seen == [[1, 2], [1, 2], [2], [2]]
+
+
+def test_tracks_of_different_times_are_all_predicted_and_stay_with_their_senders() -> None:
+    heard = HeardTracks(memory_s=1.0)
+    heard.add("b", 0, tracks(4, 5))
+    heard.add("a", 0, tracks(2, 1))
+    heard.add("b", PERIOD_NS, tracks(5))
+    names, states, sender = heard.at(2 * PERIOD_NS)
+    assert names == ["a", "b"]
+    assert list(zip(sender.tolist(), states.id.tolist(), strict=True)) == [(0, 2), (0, 1), (1, 5), (1, 4)]
+    np.testing.assert_allclose(states.position[:, 0], [2.0, 2.0, 1.0, 2.0])
+
+
+def test_what_is_too_old_is_not_used() -> None:
+    heard = HeardTracks(max_age_s=0.3)
+    heard.add("a", 0, tracks(1))
+    assert heard.at(3 * PERIOD_NS)[0] == ["a"]
+    assert heard.at(4 * PERIOD_NS)[0] == []
+
+
+def test_invalid_times_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"memory_s: found -1\.0, expected 0 or more"):
+        HeardTracks(-1.0)

@@ -1,0 +1,76 @@
+"""Real bytes, generation rules, a channel and congestion control in one run that can be repeated."""
+
+from functools import cache
+
+import pytest
+from tiny_world import Run, tiny
+
+from mast_zenoh.messages.packed import codec_of
+
+
+@cache
+def played(*settings: str) -> Run:
+    run = Run(tiny("congested", "n_mobile=0", *settings, infrastructure=4, frames=25))
+    assert not run.failures
+    assert not run.rejected
+    return run
+
+
+@pytest.mark.parametrize("settings", [(), ("n_adversaries=1", "attack_start_s=0.2", "on=pair")], ids=["honest", "lie"])
+def test_any_order_of_delivery_gives_the_same_bytes_encoded_or_not(settings: tuple[str, ...]) -> None:
+    plain = played(*settings)
+    resolved = tiny("congested", "n_mobile=0", *settings, infrastructure=4, frames=25)
+    for options in (*(dict(shuffle=shuffle) for shuffle in range(10)), dict(encode=False, shuffle=3)):
+        other = Run(resolved, **options)
+        assert other.messages == plain.messages, options
+        assert other.packed == plain.packed, options
+
+
+def test_broadcasts_are_collective_perception_messages_relative_to_their_sender() -> None:
+    run = played()
+    for message in run.decoded("agent/ego/broadcast", "tracks"):
+        assert codec_of(message.body) == "cpm"
+        frame = message.header.frame
+        assert message.body["origin"][0] == pytest.approx(-10.0 + 0.8 * frame, abs=0.02)
+    assert not [m for m in run.decoded("agent/ego/tracks", "tracks") if codec_of(m.body)], "inside the car they are not"
+
+
+def test_the_rules_send_less_than_everything_in_every_frame() -> None:
+    by_rule, everything = played(), played("rules=EveryFrame", "congestion=NoCongestionControl")
+    of_rule, of_all = (run.results["channel"]["channel"] for run in (by_rule, everything))
+    assert of_all["frames"] == 5 * 25 - 5, "the last frame has no next clock"
+    assert of_rule["bytes"] < 0.7 * of_all["bytes"]
+    assert of_rule["busy_ratio_mean"] < of_all["busy_ratio_mean"]
+    rule, all_ = (run.results["evaluator"]["metrics"]["channel"] for run in (by_rule, everything))
+    assert all_["stations"] == 5
+    assert all_["sent"] == 1.0
+    assert rule["airtime_share"] < all_["airtime_share"]
+    assert 0.9 < all_["arrived"] <= 1.0
+    assert all_["busy_ratio"]["mean"] == pytest.approx(5 * all_["airtime_share"], rel=0.01), "all hear each other"
+
+
+def test_a_peer_uses_what_arrived_and_counts_what_was_lost() -> None:
+    def far(content: dict) -> None:
+        content["channel"]["radio"]["power_dbm"] = -30.0
+
+    run = Run(tiny("congested", "n_mobile=0", infrastructure=4, frames=25, edit=far))
+    radio = run.results["peer_ego"]["radio"]
+    lost = sum(count for name, count in radio.items() if name.startswith("lost/"))
+    arrived = sum(count for name, count in radio.items() if name.startswith("heard/"))
+    assert lost > arrived
+    alone = run.results["evaluator"]["metrics"]["agents"]["ego"]
+    near = played().results["evaluator"]["metrics"]["agents"]["ego"]
+    assert alone["picture"]["fn"]["mean"] > near["picture"]["fn"]["mean"], "nobody else sees the ego itself"
+
+
+def test_a_wire_with_a_codec_refuses_other_bodies() -> None:
+    def plain_lies(content: dict) -> None:
+        content["nodes"] = {"forger": dict(role="forger", file=__file__.replace("test_congested", "forging_node"))}
+        content["keyexpr"]["rewrites"].append(
+            {"insert": [dict(wire="agent/infra_1/broadcast", role="forger", input="tracks", output="tracks_out")]}
+        )
+
+    run = Run(tiny("congested", "n_mobile=0", infrastructure=2, edit=plain_lies))
+    assert not run.failures
+    assert {name for name in run.rejected if name.startswith("peer_")} == {"peer_ego", "peer_infra_2"}
+    assert {kind for counts in run.rejected.values() for _, kind in counts} == {"codec"}

@@ -1,0 +1,138 @@
+"""Agents that fuse on board what they see and what they hear, without a centre."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from tiny_world import Run, tiny
+
+from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.errors import ConfigurationError
+
+ALONE = ("n_mobile=0",)
+LIES = (*ALONE, "n_adversaries=1", "attack_start_s=0.2")
+AGENTS = ("ego", "infra_1", "infra_2")
+
+
+@cache
+def played(*settings: str) -> Run:
+    run = Run(tiny("peers", *settings, infrastructure=2))
+    assert not run.failures
+    assert not run.rejected
+    return run
+
+
+def pictures(run: Run, agent: str) -> list[ObjectStates]:
+    return [ObjectStates.from_columns(message.body) for message in run.decoded(f"agent/{agent}/picture", "picture")]
+
+
+@pytest.mark.parametrize("settings", [ALONE, (*LIES, "on=pair"), (*ALONE, "defence=FaultOrLie")], ids=" ".join)
+def test_any_order_of_delivery_gives_the_same_bytes_encoded_or_not(settings: tuple[str, ...]) -> None:
+    plain, resolved = played(*settings), tiny("peers", *settings, infrastructure=2)
+    for options in (*(dict(shuffle=shuffle) for shuffle in range(20)), dict(encode=False, shuffle=3)):
+        other = Run(resolved, **options)
+        assert other.messages == plain.messages, options
+        assert other.packed == plain.packed, options
+
+
+def test_every_agent_has_a_picture_of_its_own_in_every_frame_and_there_is_no_centre() -> None:
+    run = played(*ALONE)
+    for agent in AGENTS:
+        assert [message.header.frame for message in run.decoded(f"agent/{agent}/picture", "picture")] == list(range(12))
+    assert not [key for key in run.messages if key.startswith("cc/")]
+
+
+def test_a_picture_has_more_than_what_its_agent_sees_alone() -> None:
+    run = played(*ALONE)
+    own = run.decoded("agent/ego/tracks", "tracks")[-1].body["id"]
+    last = pictures(run, "ego")[-1]
+    assert len(last) == 4, "the ego too, which the poles report"
+    assert len(own) == 3
+
+
+def test_what_is_heard_in_a_frame_is_used_from_the_next_one_on() -> None:
+    run = played(*ALONE)
+    first = next(
+        k for k, message in enumerate(run.decoded("agent/infra_1/broadcast", "tracks")) if len(message.body["id"])
+    )
+    support = [message.body["support"] for message in run.decoded("agent/ego/picture", "picture")]
+    assert max((values.max(initial=0) for values in support[: first + 1]), default=0) <= 1
+    assert support[first + 1].max() > 1
+
+
+def test_an_agent_broadcasts_its_own_tracks_alone() -> None:
+    run = played(*ALONE)
+    for sent, heard in zip(
+        run.decoded("agent/ego/tracks", "tracks"), run.decoded("agent/ego/broadcast", "tracks"), strict=True
+    ):
+        assert sent.header.frame == heard.header.frame
+        assert all(np.array_equal(sent.body[name], heard.body[name]) for name in sent.body)
+
+
+@pytest.mark.parametrize(
+    ("on", "deceived"),
+    [("sent", {"ego", "infra_2"}), ("pair", {"ego"}), ("heard", {"ego"})],
+)
+def test_a_lie_reaches_those_on_whose_wire_it_is_and_nobody_else(on: str, deceived: set[str]) -> None:
+    honest, attacked = played(*ALONE), played(*LIES, f"on={on}")
+    changed = {
+        agent
+        for agent in AGENTS
+        if attacked.messages[f"agent/{agent}/picture"] != honest.messages[f"agent/{agent}/picture"]
+    }
+    assert changed == deceived
+    assert attacked.messages["agent/infra_1/tracks"] == honest.messages["agent/infra_1/tracks"]
+    metrics = attacked.results["evaluator"]["metrics"]["agents"]
+    lied = {agent for agent in AGENTS if metrics[agent]["picture"]["fp_split"]["attack"] > 0}
+    assert lied == deceived, "the cause is attributed to those that it reached"
+    spread = attacked.results["evaluator"]["metrics"]["between"]["deceived"]
+    assert {agent for agent, share in spread["agents"].items() if share > 0} == deceived
+    assert spread["most"] == pytest.approx(len(deceived) / len(AGENTS))
+    assert spread["first_s"] >= 0.2
+    assert (spread["half_after_s"] is not None) == (len(deceived) > 1)
+
+
+def test_without_a_lie_pictures_differ_little_and_nobody_is_deceived() -> None:
+    part = played(*ALONE).results["evaluator"]["metrics"]["between"]
+    assert part["pictures"] == 3
+    assert part["deceived"]["most"] == 0.0
+    assert part["deceived"]["first_s"] is None
+    assert 0.0 < part["difference_gospa_m"]["mean"] < 5.0
+    assert "between" not in Run(tiny("baseline", infrastructure=2)).results["evaluator"]["metrics"]
+
+
+def test_an_agent_whose_peer_a_pattern_leaves_out_has_no_picture_and_is_not_heard() -> None:
+    def edit(content: dict) -> None:
+        content["peers"] = {"ego": content["peers"]["*"], "infra_1": content["peers"]["*"]}
+
+    run = Run(tiny("peers", *ALONE, infrastructure=2, edit=edit))
+    assert "agent/infra_2/picture" not in run.messages
+    assert run.results["peer_ego"]["radio"] == {"absurd": 0, "broadcasts": 12, "heard/infra_1": 11}
+
+
+def test_a_peer_that_relays_says_from_whom_each_object_comes_and_leaves_out_what_returns() -> None:
+    run = played(*ALONE, "relays=true")
+    origins: dict[str, set[tuple[str, ...]]] = {}
+    for agent in AGENTS:
+        *_, last = run.decoded(f"agent/{agent}/relay", "relayed")
+        rows = last.body["origin"] > 0
+        origins[agent] = {tuple(last.body["agents"][row]) for row in rows}
+    assert ("infra_1", "infra_2") in origins["ego"], "the ego does not detect itself"
+    plain = played(*ALONE)
+    assert run.messages["agent/ego/broadcast"] == plain.messages["agent/ego/broadcast"]
+    for agent in AGENTS[1:]:
+        assert run.messages[f"agent/{agent}/picture"] == plain.messages[f"agent/{agent}/picture"], "they see all"
+
+
+def test_runs_with_relays_do_not_depend_on_the_order_of_delivery() -> None:
+    plain, resolved = played(*ALONE, "relays=true"), tiny("peers", *ALONE, "relays=true", infrastructure=2)
+    for shuffle in range(10):
+        assert Run(resolved, shuffle=shuffle).messages == plain.messages
+
+
+def test_a_pattern_for_no_agent_is_refused() -> None:
+    def edit(content: dict) -> None:
+        content["peers"]["infra_9"] = content["peers"]["*"]
+
+    with pytest.raises(ConfigurationError, match="peers: no agent 'infra_9' in this scene"):
+        tiny("peers", *ALONE, infrastructure=2, edit=edit)

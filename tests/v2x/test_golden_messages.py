@@ -1,0 +1,38 @@
+"""CPM and CAM that another implementation of the standards has encoded."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from mast_zenoh.v2x.asn1 import cam_fields, cpm_fields
+from mast_zenoh.v2x.asn1.plain import from_plain, to_plain
+from mast_zenoh.v2x.asn1.uper import decode, encode
+
+FOLDER = Path(os.environ.get("MAST_DATA") or Path(__file__).parents[3] / "shared" / "data") / "etsi_asn1"
+LAYOUTS = {"cpm": cpm_fields.LAYOUT, "cam": cam_fields.LAYOUT}
+GOLDEN = {
+    golden["name"]: golden
+    for name in LAYOUTS
+    if (file := FOLDER / f"{name}_golden.json").is_file()
+    for golden in json.loads(file.read_text())
+}
+needs_golden = pytest.mark.skipif(not GOLDEN, reason="no golden messages in $MAST_DATA/etsi_asn1")
+
+
+@needs_golden
+def test_there_are_golden_messages_of_both_kinds():
+    assert {name[:3] for name in GOLDEN} == LAYOUTS.keys()
+    assert len(GOLDEN) == 45
+
+
+@needs_golden
+@pytest.mark.parametrize("name", GOLDEN)
+def test_a_golden_message_has_the_same_fields_and_bytes(name):
+    layout, fields, data = LAYOUTS[name[:3]], GOLDEN[name]["fields"], bytes.fromhex(GOLDEN[name]["uper"])
+    assert to_plain(layout, decode(layout, data)) == fields
+    assert encode(layout, from_plain(layout, fields)) == data
+    assert encode(layout, decode(layout, data)) == data

@@ -1,0 +1,229 @@
+"""Limits on the rows that fusion gets: no agent displaces the rows of others, or objects that were there before."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mast_zenoh.arrays.states import Ints
+from mast_zenoh.config.registry import build, known_types
+from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.v2x.input_limit import FairInput, InputLimit, NoInputLimit, fair_shares
+
+#: Objects of each agent in one frame: ids with scores.
+Frame = dict[int, dict[int, float]]
+
+
+def kept(limit: InputLimit, frame: Frame) -> dict[int, set[int]]:
+    """Ids that are kept in a frame, by agent."""
+    agent = np.array([name for name, objects in frame.items() for _ in objects], np.int64)
+    ids = np.array([id_ for objects in frame.values() for id_ in objects], np.int64)
+    score = np.array([value for objects in frame.values() for value in objects.values()], np.float64)
+    rows, agents, dropped = limit.select(agent, ids, score)
+    assert rows.tolist() == sorted(set(rows.tolist()))
+    selected: dict[int, set[int]] = {name: set() for name in frame}
+    for row in rows.tolist():
+        selected[agent[row]].add(ids[row])
+    lost = {name: len(frame[name]) - len(selected[name]) for name in frame if frame[name]}
+    assert dict(zip(agents.tolist(), dropped.tolist(), strict=True)) == lost
+    return selected
+
+
+def some(count: int, first: int = 0, score: float = 0.5) -> dict[int, float]:
+    """Objects of equal score."""
+    return dict.fromkeys(range(first, first + count), score)
+
+
+def test_both_limits_can_be_named_in_a_scenario() -> None:
+    assert {"NoInputLimit", "FairInput"} <= known_types(InputLimit).keys()
+    assert build(dict(type="FairInput", rows=7), InputLimit, "input_limit").rows == 7
+
+
+@pytest.mark.parametrize("parameters", [dict(rows=0), dict(reserve=1.5), dict(memory_frames=0)])
+def test_invalid_parameters_are_refused(parameters: dict[str, Any]) -> None:
+    with pytest.raises(ConfigurationError, match=rf"{next(iter(parameters))}: found "):
+        build(dict(type="FairInput", **parameters), InputLimit, "input_limit")
+
+
+def test_without_a_limit_all_rows_are_kept() -> None:
+    assert kept(NoInputLimit(), {0: some(3), 5: some(1000)}) == {0: set(range(3)), 5: set(range(1000))}
+
+
+@pytest.mark.parametrize("limit", [NoInputLimit(), FairInput()])
+def test_a_frame_without_rows_is_empty(limit: InputLimit) -> None:
+    assert kept(limit, {}) == {}
+
+
+def test_up_to_the_limit_all_rows_are_kept() -> None:
+    assert kept(FairInput(rows=10), {0: some(9), 1: some(1)}) == {0: set(range(9)), 1: {0}}
+
+
+def test_a_flood_takes_no_row_from_agents_within_their_share() -> None:
+    frame = {0: some(20_000, score=1.0), 1: some(20), 2: some(25), 3: some(1)}
+    selected = kept(FairInput(rows=100), frame)
+    assert {agent: len(ids) for agent, ids in selected.items()} == {0: 54, 1: 20, 2: 25, 3: 1}
+
+
+@pytest.mark.parametrize(
+    ("count", "rows", "shares"),
+    [
+        ([3, 1, 2], 10, [3, 1, 2]),
+        ([9, 9, 9], 9, [3, 3, 3]),
+        ([9, 1, 9], 9, [4, 1, 4]),
+        ([9, 2, 9], 9, [4, 2, 3]),
+        ([5, 5, 5], 2, [1, 1, 0]),
+        ([], 5, []),
+    ],
+)
+def test_shares_are_max_min_fair(count: list[int], rows: int, shares: list[int]) -> None:
+    assert fair_shares(np.array(count, np.int64), rows).tolist() == shares
+
+
+@given(count=st.lists(st.integers(1, 30), max_size=12), rows=st.integers(1, 100))
+def test_shares_equal_dealing_row_by_row(count: list[int], rows: int) -> None:
+    dealt = [0] * len(count)
+    for _ in range(min(rows, sum(count))):
+        hungry = [agent for agent, most in enumerate(count) if dealt[agent] < most]
+        dealt[min(hungry, key=lambda agent: (dealt[agent], agent))] += 1
+    assert fair_shares(np.array(count, np.int64), rows).tolist() == dealt
+
+
+def test_of_new_objects_those_of_high_score_are_kept() -> None:
+    assert kept(FairInput(rows=2), {0: {1: 0.2, 2: 0.9, 3: 0.5, 4: 0.1}}) == {0: {2, 3}}
+
+
+def test_a_flood_on_the_wire_of_an_agent_does_not_displace_its_oldest_objects() -> None:
+    limit = FairInput(rows=20, reserve=0.25)
+    honest = some(15, score=0.3)
+    for _ in range(3):
+        assert kept(limit, {0: honest}) == {0: set(honest)}
+    for frame in range(30):
+        flood = honest | some(5000, 1000 + 5000 * frame, score=1.0)
+        assert kept(limit, {0: flood})[0] >= set(honest)
+
+
+def test_a_flood_displaces_at_most_the_reserve_and_the_youngest_objects_first() -> None:
+    limit = FairInput(rows=20, reserve=0.25)
+    kept(limit, {0: some(12, score=0.3)})
+    kept(limit, {0: some(20, score=0.3)})
+    for frame in range(30):
+        selected = kept(limit, {0: some(20, score=0.3) | some(5000, 1000 + 5000 * frame, score=1.0)})
+        assert selected[0] >= set(range(15))
+
+
+def test_a_new_object_is_seen_although_old_ones_fill_the_share() -> None:
+    limit = FairInput(rows=20)
+    for _ in range(3):
+        kept(limit, {0: some(30)})
+    assert 99 in kept(limit, {0: some(30) | {99: 0.9}})[0]
+
+
+def test_without_new_objects_the_reserve_is_not_wasted() -> None:
+    limit = FairInput(rows=4, reserve=0.5)
+    kept(limit, {0: some(4)})
+    assert kept(limit, {0: some(4), 1: {}}) == {0: {0, 1, 2, 3}, 1: set()}
+    assert len(kept(limit, {0: some(4), 1: some(1)})[0]) == 3
+
+
+def test_an_object_that_returns_soon_keeps_its_place_and_later_is_new() -> None:
+    for pause, is_kept in ((2, True), (3, False)):
+        limit = FairInput(rows=1, reserve=0.0, memory_frames=3)
+        kept(limit, {0: {1: 0.1}})
+        for _ in range(pause):
+            kept(limit, {0: {}})
+        assert (kept(limit, {0: {1: 0.1, 2: 0.9}})[0] == {1}) is is_kept
+
+
+def test_an_id_is_known_only_within_its_agent() -> None:
+    limit = FairInput(rows=2, reserve=0.0)
+    kept(limit, {0: {7: 0.1}, 1: {8: 0.1}})
+    assert kept(limit, {0: {7: 0.1, 8: 0.9}, 1: {8: 0.1, 7: 0.9}}) == {0: {7}, 1: {8}}
+
+
+def test_repeated_ids_of_an_agent_over_its_share_are_not_kept() -> None:
+    limit = FairInput(rows=3)
+    kept(limit, {0: {1: 0.5}})
+    ids = np.array([1] * 50 + [2, 3])
+    rows, _, dropped = limit.select(np.zeros(52, np.int64), ids, np.ones(52))
+    assert rows.tolist() == [50, 51]
+    assert dropped.tolist() == [50]
+
+
+def test_memory_is_bounded_whatever_ids_arrive() -> None:
+    limit = FairInput(rows=20, memory_frames=5)
+    for frame in range(20):
+        kept(limit, {agent: some(50, 50 * frame) for agent in range(3)})
+        assert len(limit._kept.ids) <= 20 * 5
+
+
+def test_reset_forgets_all_frames() -> None:
+    limit = FairInput(rows=1, reserve=0.0)
+    kept(limit, {0: {1: 0.1}})
+    limit.reset()
+    assert kept(limit, {0: {1: 0.1, 2: 0.9}}) == {0: {2}}
+
+
+OBJECTS = st.dictionaries(st.integers(-3, 12), st.sampled_from([0.0, 0.3, 0.7, 1.0]), max_size=12)
+FRAMES = st.lists(st.dictionaries(st.integers(0, 4), OBJECTS, max_size=5), min_size=1, max_size=8)
+
+
+@given(frames=FRAMES, rows=st.integers(1, 40), reserve=st.floats(0.0, 1.0))
+@settings(max_examples=200)
+def test_the_limit_is_used_in_full_and_never_exceeded(frames: list[Frame], rows: int, reserve: float) -> None:
+    limit = FairInput(rows=rows, reserve=reserve)
+    for frame in frames:
+        total = sum(map(len, frame.values()))
+        assert sum(map(len, kept(limit, frame).values())) == min(rows, total)
+
+
+@given(frames=FRAMES, rows=st.integers(1, 40), seed=st.integers(0, 100))
+@settings(max_examples=200)
+def test_the_selection_does_not_depend_on_the_order_of_rows(frames: list[Frame], rows: int, seed: int) -> None:
+    plain, shuffled = FairInput(rows=rows), FairInput(rows=rows)
+    rng = np.random.default_rng(seed)
+    for frame in frames:
+        agents = [agent for agent in frame if frame[agent]]
+        order = {agent: rng.permutation(list(frame[agent])).tolist() for agent in rng.permutation(agents).tolist()}
+        other = {agent: {id_: frame[agent][id_] for id_ in ids} for agent, ids in order.items()}
+        assert {agent: ids for agent, ids in kept(plain, frame).items() if ids} == {
+            agent: ids for agent, ids in kept(shuffled, other).items() if ids
+        }
+
+
+@given(frames=FRAMES, rows=st.integers(5, 40), flood=st.integers(1, 200), score=st.floats(0.0, 1.0))
+@settings(max_examples=200)
+def test_a_flooding_agent_never_costs_an_agent_within_its_share_a_row(
+    frames: list[Frame], rows: int, flood: int, score: float
+) -> None:
+    limit = FairInput(rows=rows)
+    for number, frame in enumerate(frames):
+        attacked = frame | {9: some(flood, flood * number, score)}
+        selected = kept(limit, attacked)
+        guaranteed = rows // sum(1 for objects in attacked.values() if objects)
+        for agent, objects in frame.items():
+            assert len(selected[agent]) >= min(len(objects), guaranteed)
+
+
+@given(frames=FRAMES, rows=st.integers(1, 40), others=st.integers(0, 50))
+@settings(max_examples=200)
+def test_which_objects_an_agent_keeps_depends_on_others_only_by_its_share(
+    frames: list[Frame], rows: int, others: int
+) -> None:
+    """Two floods of equal size and different ids and scores have the same effect on all others."""
+    low, high = FairInput(rows=rows), FairInput(rows=rows)
+    for number, frame in enumerate(frames):
+        first = kept(low, frame | {9: some(others)})
+        second = kept(high, frame | {9: some(others, 1000 * number, 1.0)})
+        assert {agent: first[agent] for agent in frame} == {agent: second[agent] for agent in frame}
+
+
+def test_ids_of_any_size_are_compared_exactly() -> None:
+    limit = FairInput(rows=2, reserve=0.0)
+    big: Ints = np.array([2**62, 2**62 + 1, -(2**63)], np.int64)
+    limit.select(np.zeros(2, np.int64), big[:2], np.zeros(2))
+    rows, _, _ = limit.select(np.zeros(3, np.int64), big, np.array([0.0, 0.0, 1.0]))
+    assert rows.tolist() == [0, 1]

@@ -1,0 +1,282 @@
+"""A capture file, read back with struct alone, holds the bytes that every station sent, behind sound headers."""
+
+from __future__ import annotations
+
+import shutil
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import msgpack
+import numpy as np
+import pytest
+from commands_in_process import command
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+
+import mast_zenoh as mast
+from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.errors import ExportError, RunFolderError
+from mast_zenoh.messagelog.reader import Recorded, read
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.packed import pack
+from mast_zenoh.messages.schemas import Message
+from mast_zenoh.v2x import cpm
+from mast_zenoh.v2x.reference_position import Position
+from mast_zenoh.viewer.export import export, pcap
+from mast_zenoh.viewer.recorded import RecordedRun
+
+FRAMES = 12
+SCENE_BEGINS_S = 1_072_915_200  # 2004-01-01
+INTERCEPTED = "agent/infra_1/broadcast"
+
+
+class Packet(NamedTuple):
+    """What a capture file says of a packet. time_ns: since 1970;  position: 1e-7 deg;  payload: behind BTP"""
+
+    time_ns: int
+    source: bytes
+    station_type: int
+    time_ms: int
+    position: tuple[int, int]
+    mobile: bool
+    payload: bytes
+
+
+def packet_of(time_ns: int, data: bytes) -> Packet:
+    """Take an Ethernet frame apart, and check everything that is the same in all."""
+    assert data[:6] == b"\xff" * 6
+    source, ether_type = struct.unpack("!6sH", data[6:14])
+    assert ether_type == 0x8947
+    assert source[0] & 3 == 2, "locally administered, one station"
+    version_next, reserved, lifetime, hops = data[14:18]
+    assert (version_next >> 4, version_next & 15, reserved, lifetime & 3, lifetime >> 2, hops) == (1, 1, 0, 1, 1, 1)
+    following, kind, traffic_class, flags, length, most_hops, reserved = struct.unpack("!BBBBHBB", data[18:26])
+    assert (following >> 4, kind >> 4, kind & 15, traffic_class, most_hops, reserved) == (2, 5, 0, 2, 1, 0)
+    address, link_layer, time_ms, *position, speed, heading, medium = struct.unpack("!H6sIiiHHI", data[26:54])
+    assert address >> 15 == 1
+    assert link_layer == source
+    assert (address & 0x3FF, speed, heading, medium) == (0, 0, 0, 0)
+    assert length == len(data) - 54
+    assert struct.unpack("!HH", data[54:58]) == (2009, 0)
+    return Packet(time_ns, source, address >> 10 & 31, time_ms, (*position,), bool(flags & 0x80), data[58:])
+
+
+def packets(path: Path) -> list[Packet]:
+    """All packets of a capture file, which must end after a whole one."""
+    content = path.read_bytes()
+    assert struct.unpack("<IHHiIII", content[:24]) == (0xA1B23C4D, 2, 4, 0, 0, 65535, 1)
+    found, place = [], 24
+    while place < len(content):
+        seconds, nanoseconds, captured, length = struct.unpack("<IIII", content[place : place + 16])
+        assert captured == length
+        assert nanoseconds < 1_000_000_000
+        place += 16 + length
+        found.append(packet_of(seconds * 1_000_000_000 + nanoseconds, content[place - length : place]))
+    assert place == len(content)
+    return found
+
+
+@pytest.fixture(scope="session")
+def broadcast(tmp_path_factory: pytest.TempPathFactory) -> mast.Run:
+    """A run whose peers broadcast CPMs, one of them through an adversary."""
+    attack = dict(n_adversaries=1, attack_start_s=0.3)
+    out = tmp_path_factory.mktemp("broadcast") / "run"
+    return mast.run("congested", frames=FRAMES, seed=3, n_infrastructure=3, n_mobile=1, **attack, out=out)
+
+
+def by_key(run: mast.Run) -> dict[str, list[dict]]:
+    """Messages with a CPM, by the key on which they were sent, in order of frames."""
+    found: dict[str, list[dict]] = {}
+    with (run.path / "messages.mcap").open("rb") as file:
+        for _, channel, recorded in make_reader(file).iter_messages():
+            message = msgpack.unpackb(recorded.data)
+            if "cpm" in message["body"]:
+                found.setdefault(channel.topic, []).append(message)
+    return {key: sorted(messages, key=lambda message: message["frame"]) for key, messages in found.items()}
+
+
+def in_order(messages: dict[str, list[dict]]) -> list[dict]:
+    """Messages by wire as one list."""
+    keyed = [(message["frame"], wire, message["seq"], message) for wire, of in messages.items() for message in of]
+    return [message for *_, message in sorted(keyed, key=lambda entry: entry[:3])]
+
+
+def test_the_file_holds_what_each_station_sent_in_order(broadcast: mast.Run, out: Path) -> None:
+    assert export(broadcast.path, "pcap", out) == ((out,), ())
+    messages = by_key(broadcast)
+    received, messages[INTERCEPTED] = messages[INTERCEPTED], messages.pop(f"{INTERCEPTED}/@tap/0")
+    assert received != messages[INTERCEPTED], "the adversary changes nothing"
+    assert set(messages) == {f"agent/{name}/broadcast" for name in ("ego", "mobile_1", "infra_1", "infra_2", "infra_3")}
+    expected = [(message, segment) for message in in_order(messages) for segment in message["body"]["cpm"]]
+    found = packets(out)
+    assert [packet.payload for packet in found] == [segment for _, segment in expected]
+    for packet, (message, _) in zip(found, expected, strict=True):
+        decoded = cpm.decode(packet.payload)
+        station = zlib.crc32(message["source"].encode())
+        assert decoded.station_id == station
+        assert packet.source == b"\x02\x00" + station.to_bytes(4, "big")
+        assert packet.time_ns == SCENE_BEGINS_S * 1_000_000_000 + message["time_ns"]
+        assert packet.time_ms == decoded.reference_time == message["time_ns"] // 1_000_000
+        assert packet.position == (decoded.position.latitude, decoded.position.longitude)
+        assert (packet.station_type, packet.mobile) == (15, False), "the message has a roadside unit's container"
+
+
+def test_a_wire_that_is_intercepted_during_the_run_is_followed_to_its_publisher(broadcast: mast.Run, out: Path) -> None:
+    run = RecordedRun.load(broadcast.path)
+    ((_, intercepted),) = run.wirings
+    plain = replace(
+        intercepted,
+        wires=tuple(
+            replace(wire, legs=(replace(wire.legs[-1], publisher=wire.legs[0].publisher),))
+            for wire in intercepted.wires
+        ),
+    )
+    run.__dict__["wirings"] = [(-1, plain), (5, intercepted)]
+    pcap.write(run, out)
+    messages = by_key(broadcast)
+    before = [message for message in messages[INTERCEPTED] if message["frame"] <= 5]
+    since = [message for message in messages.pop(f"{INTERCEPTED}/@tap/0") if message["frame"] > 5]
+    assert before
+    assert since
+    messages[INTERCEPTED] = before + since
+    expected = [segment for message in in_order(messages) for segment in message["body"]["cpm"]]
+    assert [packet.payload for packet in packets(out)] == expected
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    station=st.integers(0, 2**32 - 1),
+    time_ms=st.integers(0, 4_398_046_511_103),
+    latitude=st.integers(-900_000_000, 900_000_001),
+    longitude=st.integers(-1_800_000_000, 1_800_000_001),
+    rsu=st.booleans(),
+)
+def test_headers_hold_station_time_and_position_of_any_message(
+    station: int, time_ms: int, latitude: int, longitude: int, rsu: bool
+) -> None:
+    message = cpm.Cpm(station, time_ms, Position(latitude, longitude), vehicle=None if rsu else (0, 127), rsu=rsu)
+    segment = cpm.encode(message)
+    found = packet_of(0, pcap.packet(segment, message))
+    assert found.payload == segment
+    assert int.from_bytes(found.source[2:], "big") == station
+    assert found.time_ms == time_ms % 2**32
+    assert found.position == (latitude, longitude)
+    assert (found.station_type, found.mobile) == ((15, False) if rsu else (0, True))
+
+
+def spoilt(change: Callable[[Recorded], Recorded]) -> Callable[..., Iterator[Recorded]]:
+    """A function that reads a recording, with the ego's message of frame 9 changed."""
+
+    def reading(path: Path, wanted: Callable[[str], bool]) -> Iterator[Recorded]:
+        for message in read(path, wanted):
+            chosen = (message.wire, message.frame) == ("agent/ego/broadcast", 9)
+            yield change(message) if chosen else message
+
+    return reading
+
+
+def in_columns(message: Recorded) -> Recorded:
+    """The same tracks as columns, not as a CPM."""
+    header, body = codec.decode(message.payload, "tracks")
+    return replace(message, payload=codec.encode(codec.conform(header, dict(body))))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda message: replace(message, payload=message.payload[:-1]),
+        lambda message: replace(message, malformed=True, message="nonsense"),
+        lambda message: replace(message, time_ns=2**62),
+        lambda message: replace(message, message="clock"),
+        lambda message: replace(message, payload=b""),
+        in_columns,
+    ],
+    ids=["cut off", "malformed", "beyond the times of the format", "of another type", "empty", "not encoded"],
+)
+def test_an_invalid_message_is_left_out_and_counted(
+    broadcast: mast.Run, out: Path, monkeypatch: pytest.MonkeyPatch, change: Callable[[Recorded], Recorded]
+) -> None:
+    export(broadcast.path, "pcap", out)
+    whole = packets(out)
+    out.unlink()
+    monkeypatch.setattr(pcap, "read", spoilt(change))
+    exported = export(broadcast.path, "pcap", out)
+    assert exported.missing == ("messages.mcap: invalid messages, which receivers refuse, are left out: 1",)
+    assert len(packets(out)) == len(whole) - 1
+
+
+def test_each_segment_of_a_message_is_a_packet(broadcast: mast.Run, out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def of_many_objects(message: Recorded) -> Recorded:
+        header, _ = codec.decode(message.payload, "tracks")
+        places = np.column_stack([np.arange(150.0), np.zeros((150, 2))])
+        objects = ObjectStates.of(places, id=np.arange(150), covariance=np.tile(np.eye(9), (150, 1, 1)))
+        frame = dict(origin=np.zeros(3), rotation=np.array([1.0, 0.0, 0.0, 0.0]))
+        body = codec.conform(header, objects.columns() | frame).body
+        return replace(message, payload=codec.encode(pack(Message(header, body), "cpm")))
+
+    monkeypatch.setattr(pcap, "read", spoilt(of_many_objects))
+    export(broadcast.path, "pcap", out)
+    segments = [(packet, message) for packet in packets(out) if (message := cpm.decode(packet.payload)).segment]
+    count = len(segments)
+    assert count > 2
+    assert [message.segment for _, message in segments] == [(number, count) for number in range(1, count + 1)]
+    assert len({packet._replace(payload=b"") for packet, _ in segments}) == 1, "their headers are the same"
+    ids = [number for _, message in segments if message.objects for number in message.objects.id.tolist()]
+    assert sorted(ids) == list(range(150))
+
+
+def test_damaged_bytes_give_a_sound_file(broadcast: mast.Run, tmp_path: Path) -> None:
+    run, out = RecordedRun.load(broadcast.path), tmp_path / "run.pcap"
+
+    @settings(max_examples=100, deadline=None)
+    @given(st.lists(st.tuples(st.integers(0, 1 << 20), st.integers(0, 255)), min_size=1, max_size=4))
+    def check(bytes_at: list[tuple[int, int]]) -> None:
+        def change(message: Recorded) -> Recorded:
+            payload = bytearray(message.payload)
+            for place, value in bytes_at:
+                payload[place % len(payload)] = value
+            return replace(message, payload=bytes(payload))
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(pcap, "read", spoilt(change))
+            pcap.write(run, out)
+        for packet in packets(out):
+            cpm.decode(packet.payload)
+
+    check()
+
+
+def test_a_run_without_such_messages_is_refused_and_the_error_says_how_to_get_some(
+    recorded: mast.Run, out: Path
+) -> None:
+    code, _, err = command("export", str(recorded.path), "--to", "pcap", "-o", str(out))
+    assert code == ExportError.exit_code
+    words = " ".join(err.split())
+    assert "found no wire with Collective Perception Messages, expected one at least" in words
+    assert "--set codec=cpm" in words
+    assert "--to parquet" in words
+    assert not out.exists()
+
+
+def test_a_damaged_recording_and_a_write_error_leave_nothing_behind(
+    broadcast: mast.Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = shutil.copytree(broadcast.path, tmp_path / "copy")
+    content = bytearray((folder / "messages.mcap").read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    (folder / "messages.mcap").write_bytes(content)
+    with pytest.raises(RunFolderError, match="a damaged chunk"):
+        export(folder, "pcap", tmp_path / "exported")
+
+    def fail(*args: object) -> Iterator[bytes]:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(pcap, "packet", fail)
+    with pytest.raises(mast.MastError, match="No space left on device"):
+        export(broadcast.path, "pcap", tmp_path / "exported")
+    assert [path.name for path in tmp_path.iterdir()] == ["copy"]
