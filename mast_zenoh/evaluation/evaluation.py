@@ -382,7 +382,8 @@ class _Results:
     def _channel(self, scored: slice) -> dict[str, Any]:
         """The load of the channel that stations share; empty without one."""
         frames, period_ns = set((self.scores.frames[scored] + 1).tolist()), self.data.period_s * 1e9
-        rows = [state for (_, frame), state in self.data.receptions.items() if frame in frames]
+        receptions = sorted(self.data.receptions.items())  # floating-point sums depend on the order of their terms
+        rows = [state for (_, frame), state in receptions if frame in frames]
         if not rows:
             return {}
         busy, airtime_ns, arrived = (np.array(column, np.float64) for column in zip(*rows, strict=True))

@@ -89,11 +89,16 @@ def frames_of(folder: Path) -> dict[Series, list[Frame]]:
 def _keys(wires: list[dict[str, Any]]) -> dict[str, list[Series]]:
     """By key its estimates; an empty agent stands for all agents."""
     takes: dict[str, list[Series]] = defaultdict(list)
+    agents = {wire["subject"] for wire in wires if wire["message"] == "pose"}
     for wire in wires:
         source = wire["legs"][0]["key"]
         ports = {leg["from_port"] for leg in wire["legs"][:1]}
+        if ports == {"broadcast"}:
+            continue  # what an agent says, not what it believes
         if wire["message"] == "picture":
-            takes[source].append(("", "picture"))
+            if wire["subject"] and wire["subject"] not in agents:
+                continue  # of a region
+            takes[source].append((wire["subject"], "picture"))
             for leg in wire["legs"]:
                 for node, port in zip(leg["to"], leg["to_ports"], strict=True):
                     if node in wire["subscribers"] and port == "picture" and node not in wire["interposers"]:

@@ -55,4 +55,4 @@ def label(variant: Any) -> str:
 
 
 #: Scenarios in which no interposer changes anything.
-HARMLESS = ("baseline", "passthrough", "rates", "sybil", "two_hosts")
+HARMLESS = ("baseline", "congested", "passthrough", "peers", "rates", "sybil", "two_centres", "two_hosts")

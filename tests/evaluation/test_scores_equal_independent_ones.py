@@ -45,7 +45,8 @@ def test_scores_equal_those_of_motmetrics(
 ) -> None:
     played, _ = shipped(variant)
     frames = frames_of(played.folder)
-    assert {estimator for _, estimator in frames} == ESTIMATORS
+    without_broker = {"received"} if variant[0] in ("congested", "peers", "two_centres") else set()
+    assert {estimator for _, estimator in frames} == ESTIMATORS - without_broker
     assert {agent for agent, _ in frames} == set(played.agents)
     scores = by_motmetrics(frames)
     assert_equal(played, scores)
