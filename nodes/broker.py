@@ -12,8 +12,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from mast_zenoh.arrays.geometry import states_to_world
-from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.arrays.geometry import tracks_in_world
 from mast_zenoh.gather import MAX_AGE_S
 from mast_zenoh.integrity.views import check_view, collated_columns
 from mast_zenoh.messages.schemas import text
@@ -62,8 +61,7 @@ class Broker(Node):
 
     def on_tracks(self, received: Received, context: Context) -> None:
         """Store an agent's tracks, in the world frame."""
-        body = received.body
-        states = states_to_world(ObjectStates.from_columns(body), body["origin"], body["rotation"])
+        states = tracks_in_world(received.body)
         self.collation.add(received.subject, received.frame, received.time_ns, states)
         self.emit_complete(context)
 

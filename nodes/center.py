@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from mast_zenoh.arrays.geometry import states_to_world
-from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.arrays.geometry import tracks_in_world
 from mast_zenoh.fusion.regions import Region
 from mast_zenoh.gather import MAX_AGE_S, LatestBefore
 from mast_zenoh.integrity.views import check_view, view_of
@@ -81,8 +80,7 @@ class Center(Node):
 
     def on_tracks(self, received: Received, context: Context) -> None:
         """Store an agent's tracks, in the world frame."""
-        body = received.body
-        states = states_to_world(ObjectStates.from_columns(body), body["origin"], body["rotation"])
+        states = tracks_in_world(received.body)
         self.collation.add(received.subject, received.frame, received.time_ns, states)
         self.fuse(self.collation.complete(context.time_ns), context)
 

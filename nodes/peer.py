@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mast_zenoh.arrays.geometry import states_to_world
+from mast_zenoh.arrays.geometry import tracks_in_world
 from mast_zenoh.arrays.states import Bools, Ints, ObjectStates, concatenate
 from mast_zenoh.gather import MAX_AGE_S, Gather, plausible_rows
 from mast_zenoh.integrity.views import SweptView, check_view, view_of
@@ -188,9 +188,10 @@ class Peer(Node):
         self.open_inbox(frame, items.get("reception"), before_ns)
         if "pose" in items:
             self.place = items["pose"].body["position"]
-        if "own" in items:
-            self.own = items["own"].time_ns, self.tracks_of(items["own"])
-            self.broadcast(time_ns, items["own"], context)
+        if own := items.get("own"):
+            states = tracks_in_world(own.body)
+            self.own = own.time_ns, self.plausible(states)
+            self.broadcast(time_ns, own, states, context)
         self.fuse(frame, time_ns, items, context)
 
     def open_inbox(self, frame: int, reception: Received | None, before_ns: int) -> None:
@@ -207,7 +208,7 @@ class Peer(Node):
                 self.counts[f"lost/{sender}"] += 1
             elif port == "heard":
                 self.counts[f"heard/{sender}"] += 1
-                states = self.tracks_of(received)
+                states = self.plausible(tracks_in_world(received.body))
                 self.heard.add(sender, received.time_ns, states)
                 self.station.hear(received.time_ns, states, received.body["origin"])
             elif port == "heard_view":
@@ -215,9 +216,8 @@ class Peer(Node):
             else:
                 self.relays[sender] = self.relay_of(received)
 
-    def broadcast(self, time_ns: int, own: Received, context: Context) -> None:
-        """Broadcast the tracks of the agent that are due."""
-        states = states_to_world(ObjectStates.from_columns(own.body), own.body["origin"], own.body["rotation"])
+    def broadcast(self, time_ns: int, own: Received, states: ObjectStates, context: Context) -> None:
+        """Broadcast the tracks of the agent that are due. states: those of the message, world frame"""
         generation = self.station.transmit(time_ns, states, self.place)
         if generation.generated:
             reference = {name: own.body[name] for name in ("origin", "rotation")}
@@ -294,13 +294,11 @@ class Peer(Node):
         relay = Relay(received.time_ns, states.select(plausible), tuple(body["agents"]), body["origin"][plausible] > 0)
         return relay.without(self.agent)
 
-    def tracks_of(self, received: Received) -> ObjectStates:
-        """The tracks in a message, world frame, without absurd ones."""
-        body = received.body
-        states = states_to_world(ObjectStates.from_columns(body), body["origin"], body["rotation"])
-        plausible = plausible_rows(states)
-        self.counts["absurd"] += len(states) - len(plausible)
-        return states if len(plausible) == len(states) else states.select(plausible)
+    def plausible(self, states: ObjectStates) -> ObjectStates:
+        """The states without absurd ones, which are counted."""
+        rows = plausible_rows(states)
+        self.counts["absurd"] += len(states) - len(rows)
+        return states if len(rows) == len(states) else states.select(rows)
 
     def finish(self, context: Context) -> dict[str, Any]:
         """Numbers of broadcasts, of messages heard and lost by sender, and what the pipeline counted."""

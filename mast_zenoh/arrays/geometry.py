@@ -7,7 +7,11 @@ rotation R (3, 3) of a body turns components in the body frame into components i
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import Bools, Floats, ObjectStates
 from mast_zenoh.kernels import kernel
@@ -91,6 +95,11 @@ def states_to_world(states: ObjectStates, origin: Floats, rotation: Floats) -> O
         yaw=wrap_angle(states.yaw + heading(matrix)),
         covariance=jacobian @ states.covariance @ jacobian.T,
     )
+
+
+def tracks_in_world(body: Mapping[str, NDArray[Any]]) -> ObjectStates:
+    """The tracks in the columns of a `tracks` message, in the world frame."""
+    return states_to_world(ObjectStates.from_columns(body), body["origin"], body["rotation"])
 
 
 def states_to_local(states: ObjectStates, origin: Floats, rotation: Floats) -> ObjectStates:

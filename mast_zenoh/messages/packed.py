@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mast_zenoh.arrays.geometry import states_to_world
-from mast_zenoh.arrays.states import Ints, ObjectStates
+from mast_zenoh.arrays.geometry import tracks_in_world
+from mast_zenoh.arrays.states import Ints
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messages.schemas import Body, Message
 from mast_zenoh.v2x import cpm
@@ -51,7 +51,7 @@ def pack(message: Message, codec: str) -> Message:
     Raises MessageError for columns that the format cannot express.
     """
     header, body = message
-    states = states_to_world(ObjectStates.from_columns(body), body["origin"], body["rotation"])
+    states = tracks_in_world(body)
     if not all(np.isfinite(column).all() for column in (*states.columns().values(), body["origin"])):
         raise MessageError(f"{header.schema}: a value is not finite")
     if len(states) > MOST_OBJECTS:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mast_zenoh.arrays.states import Bools, Ints
+from mast_zenoh.arrays.states import Bools
 from mast_zenoh.metrics.assignment import SetDistance
 from mast_zenoh.metrics.boxes import Boxes, centre_distance
 from mast_zenoh.metrics.estimates import PICTURE
@@ -67,17 +67,14 @@ def _differences(
     pairs = sorted({tuple(sorted((a, (a + step) % len(names)))) for a, step in product(range(len(names)), steps)})
     frame = np.searchsorted(scores.frames, judged.frame)
     position = scores.truth.agent_position
+    own_rows = [np.flatnonzero(judged.is_track & (judged.series == rows[name])) for name in names]
     one: list[Boxes] = []
     other: list[Boxes] = []
     for number, (a, b) in enumerate(pairs):
         for side, mine, theirs in ((one, a, b), (other, b, a)):
-            own = np.flatnonzero(judged.is_track & (judged.series == rows[names[mine]]))
+            own = own_rows[mine]
             place = position[frame[own], scores.agents.index(names[theirs])]
             near = own[centre_distance(judged.boxes.position[own], place) <= range_m]
-            side.append(_grouped(judged.boxes, near, number * n_frames + frame[near]))
+            side.append(judged.boxes.select(near).in_group(number * n_frames + frame[near]))
     gospa = distance.of(Boxes.join(one), Boxes.join(other), len(pairs) * n_frames)[1]
     return gospa.reshape(len(pairs), n_frames)
-
-
-def _grouped(boxes: Boxes, rows: Ints, group: Ints) -> Boxes:
-    return boxes.select(rows).in_group(group)

@@ -82,6 +82,11 @@ class Generation:
 class GenerationRules(ABC):
     """Decides at each frame whether a station generates a message, and which objects are in it."""
 
+    @property
+    def uses_heard(self) -> bool:
+        """Whether it looks at what others have reported; otherwise nobody needs to collect that."""
+        return True
+
     @abstractmethod
     def generate(self, perception: Perception, interval_s: float = 0.1) -> Generation:
         """What to send now.
@@ -96,6 +101,10 @@ class GenerationRules(ABC):
 
 class EveryFrame(GenerationRules):
     """Sends all objects in every frame, whatever the channel allows."""
+
+    @property
+    def uses_heard(self) -> bool:
+        return False
 
     def generate(self, perception: Perception, interval_s: float = 0.1) -> Generation:
         return Generation(True, np.arange(len(perception.objects), dtype=np.int64), True)
@@ -171,6 +180,10 @@ class CpmGeneration(GenerationRules):
                 raise ValueError(f"type_a: found {name!r}, expected some of {', '.join(CLASS_INDEX)}")
         self._type_a = np.array([CLASS_INDEX[name] for name in self.type_a], np.uint8)
         self.reset()
+
+    @property
+    def uses_heard(self) -> bool:
+        return bool(self.redundancy)
 
     def reset(self) -> None:
         self._sent = SentObjects(self.remembered)

@@ -42,6 +42,8 @@ class Station:
 
     def hear(self, time_ns: int, states: ObjectStates, sender_position: Floats) -> None:
         """Note what another station reports: n objects, world frame, at a time. sender_position: (3,) m"""
+        if not self.rules.uses_heard:
+            return
         place = np.broadcast_to(sender_position, (len(states), 3))
         self._reports.append(HeardObjects(np.full(len(states), time_ns), states.position, states.velocity, place))
         while sum(map(len, self._reports)) > _MOST_REPORTS:

@@ -51,7 +51,7 @@ def test_what_others_report_often_is_left_out_until_they_fall_silent() -> None:
 
 
 def test_a_flood_of_reports_does_not_fill_the_memory() -> None:
-    station = Station()
+    station = Station(CpmGeneration(redundancy=(FrequencyRedundancy(),)))
     many = objects(*range(5000))
     for frame in range(40):
         station.hear(frame * FRAME_NS, many, HERE)

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from enum import IntEnum
 
@@ -78,14 +79,51 @@ def _allowed(program: list[int], node: int, value: int) -> bool:
     )
 
 
-class _Decoder:
+class _Coder(ABC):
+    """Follows a program: what reading and writing have in common."""
+
+    def __init__(self, program: list[int]) -> None:
+        self.program = program
+        self.values: list[int] = []
+        self.path: list[int] = []
+
+    @abstractmethod
+    def node(self, node: int, slot: int) -> None:
+        """The type at an address, with the row that begins at a slot."""
+
+    @abstractmethod
+    def open(self, node: int, slot: int) -> None:
+        """Open type (11.2); of an unknown one, its octets."""
+
+    def alternative(self, node: int, slot: int, index: int) -> None:
+        """The chosen alternative of a CHOICE (23): one of the root, an addition, or an unknown addition."""
+        n, _, additions = self.program[node + 1 : node + 4]
+        self.path.append(index)
+        if index < n:
+            self.node(self.program[node + 4 + index], slot + 1)
+        else:
+            known = index < n + additions
+            self.open(self.program[node + 4 + index] if known else self.program[1], slot + 1)
+        self.path.pop()
+
+    def wrapped(self, node: int, slot: int) -> None:
+        """Identifier and open type."""
+        id_type, n = self.program[node + 1 : node + 3]
+        self.node(id_type, slot)
+        contents = self.program[node + 3 : node + 3 + 2 * n]
+        index = contents[::2].index(self.values[slot]) if self.values[slot] in contents[::2] else n
+        self.path.append(index)
+        self.open(contents[2 * index + 1] if index < n else self.program[1], slot + 1)
+        self.path.pop()
+
+
+class _Decoder(_Coder):
     """Reads bits along a program."""
 
     def __init__(self, program: list[int], data: bytes) -> None:
-        self.program, self.data = program, data
+        super().__init__(program)
+        self.data = data
         self.position, self.end = 0, 8 * len(data)
-        self.values: list[int] = []
-        self.path: list[int] = []
 
     def message(self) -> None:
         """Decode all: a complete encoding is a whole number of octets, at least one (11.1)."""
@@ -261,23 +299,7 @@ class _Decoder:
         n, bits, additions = self.program[node + 1 : node + 4]
         index = self.index(n, bits, additions >= 0)
         self.values[slot] = index
-        self.path.append(index)
-        if index < n:
-            self.node(self.program[node + 4 + index], slot + 1)
-        else:
-            known = index < n + additions
-            self.open(self.program[node + 4 + index] if known else self.program[1], slot + 1)
-        self.path.pop()
-
-    def wrapped(self, node: int, slot: int) -> None:
-        """Identifier and open type."""
-        id_type, n = self.program[node + 1 : node + 3]
-        self.node(id_type, slot)
-        contents = self.program[node + 3 : node + 3 + 2 * n]
-        index = contents[::2].index(self.values[slot]) if self.values[slot] in contents[::2] else n
-        self.path.append(index)
-        self.open(contents[2 * index + 1] if index < n else self.program[1], slot + 1)
-        self.path.pop()
+        self.alternative(node, slot, index)
 
 
 _DECODING_STEPS: dict[int, Callable[[_Decoder, int, int], None]] = {
@@ -295,13 +317,13 @@ def _octets(value: int) -> int:
     return (value if value >= 0 else ~value).bit_length() // 8 + 1
 
 
-class _Encoder:
+class _Encoder(_Coder):
     """Writes bits along a program."""
 
     def __init__(self, program: list[int], values: list[int]) -> None:
-        self.program, self.values = program, values
+        super().__init__(program)
+        self.values = values
         self.number, self.bits = 0, 0
-        self.path: list[int] = []
 
     def message(self) -> bytes:
         """Encode all."""
@@ -471,23 +493,7 @@ class _Encoder:
         n, bits, additions = self.program[node + 1 : node + 4]
         index = self.values[slot]
         self.index(index, n, bits, additions >= 0)
-        self.path.append(index)
-        if index < n:
-            self.node(self.program[node + 4 + index], slot + 1)
-        else:
-            known = index < n + additions
-            self.open(self.program[node + 4 + index] if known else self.program[1], slot + 1)
-        self.path.pop()
-
-    def wrapped(self, node: int, slot: int) -> None:
-        """Identifier and open type."""
-        id_type, n = self.program[node + 1 : node + 3]
-        self.node(id_type, slot)
-        contents = self.program[node + 3 : node + 3 + 2 * n]
-        index = contents[::2].index(self.values[slot]) if self.values[slot] in contents[::2] else n
-        self.path.append(index)
-        self.open(contents[2 * index + 1] if index < n else self.program[1], slot + 1)
-        self.path.pop()
+        self.alternative(node, slot, index)
 
 
 _ENCODING_STEPS: dict[int, Callable[[_Encoder, int, int], None]] = {
