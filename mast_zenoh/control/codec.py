@@ -20,6 +20,9 @@ from mast_zenoh.errors import MessageError
 
 T = TypeVar("T")
 
+#: msgspec (0.22) crashes the process when two threads convert to a type at once that neither has used before.
+_one_at_a_time = threading.Lock()
+
 MAX_NUMBER = 1 << 62  #: counters, frames, times in ns: less than this
 MAX_ENTRIES = 1 << 16  #: entries of a list or a map
 MAX_VALUES = 1 << 19  #: lists, maps and their entries in one message
@@ -68,7 +71,8 @@ def decode(kind: type[T], payload: bytes, what: str, max_bytes: int = 0) -> T:
 def converted(value: object, kind: Any, what: str) -> Any:
     """Plain values as an instance of a type; raises MessageError if they are not of exactly that type."""
     try:
-        return msgspec.convert(value, kind, builtin_types=(bytes,))
+        with _one_at_a_time:
+            return msgspec.convert(value, kind, builtin_types=(bytes,))
     except Exception as error:  # msgspec has more for values that are not plain, such as arrays, than its own
         raise MessageError(f"{what}: {str(error)[:200]}") from None
 

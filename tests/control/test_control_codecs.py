@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -283,3 +285,43 @@ def test_the_place_of_an_invalid_value_is_reported_and_shortened() -> None:
 def test_the_reason_of_a_stop_is_read_as_it_was_written(kind: flow.StopKind) -> None:
     reason = flow.StopReason(kind, "" if kind is flow.StopKind.END else "ego: late")
     assert flow.decode_reason(flow.encode_reason(reason)) == reason
+
+
+FIRST_USES = """
+from __future__ import annotations
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier
+from mast_zenoh.control.codec import Message, converted
+
+def new_types():
+    class Part(Message, frozen=True):
+        numbers: list[int]
+        by_name: dict[str, int]
+    class Whole(Message, frozen=True):
+        part: Part
+        parts: list[Part]
+        rate: float
+    sys.modules[__name__].Part = Part
+    return Whole
+
+def convert(whole, start):
+    start.wait(10)
+    for _ in range(20):
+        converted(value, whole, "test")
+
+sys.setswitchinterval(1e-6)
+part = {"numbers": [1], "by_name": {"one": 1}}
+value = {"part": part, "parts": [part], "rate": 1.0}
+with ThreadPoolExecutor(4) as threads:
+    for _ in range(300):
+        whole, start = new_types(), Barrier(4)
+        for result in [threads.submit(convert, whole, start) for _ in range(4)]:
+            result.result()
+"""
+
+
+def test_threads_can_decode_their_first_message_of_a_type_at_the_same_time() -> None:
+    # In another process: what this guards against is a crash.
+    ended = subprocess.run([sys.executable, "-c", FIRST_USES], capture_output=True, text=True, timeout=60)
+    assert ended.returncode == 0, ended.stderr
