@@ -44,9 +44,13 @@ _POSITION, _VELOCITY, _DIMENSION, _ANGLE = 0.01, 0.01, 0.1, 0.1
 #: ObjectDimensionConfidence, SpeedConfidence.
 _LARGEST_POSITION, _LARGEST_DIMENSION, _LARGEST_VELOCITY = 4094, 30, 125
 
-#: Confidences that a receiver assumes where the sender's is out of range, unavailable or absent: m, m, m/s. The first
-#: two are far beyond what the types express; the last is the speed of a road user of unknown direction.
+#: Confidences that a receiver assumes where the sender's is unavailable or absent: m, m, m/s. The first two are far
+#: beyond what the types express; the last is the speed of a road user of unknown direction.
 UNKNOWN_POSITION, UNKNOWN_DIMENSION, UNKNOWN_VELOCITY = 100.0, 10.0, 20.0
+#: What a receiver takes a confidence "out of range" for, in largest ones of its type. The sender has a confidence, and
+#: means it: three of four tracks of our agents have a velocity with more than 1.25 m/s, nine of ten of these less than
+#: twice that.
+_OUT_OF_RANGE = 2
 
 #: Box of an object whose dimensions are absent, m.
 UNKNOWN_SIZE = np.array([1.0, 1.0, 1.0])
@@ -91,9 +95,10 @@ def _confidence(variance: Floats, unit: float, largest: int) -> Values:
 
 
 def _variance(confidence: Values, unit: float, largest: int, unknown: float) -> Floats:
-    """Variances of confidences (n, k); half widths of `unknown` where they are out of range, unavailable or absent."""
-    stated = (confidence >= 1) & (confidence <= largest)
-    return (np.where(stated, unit * confidence, unknown) / SIGMAS_95) ** 2
+    """Variances of confidences (n, k); half widths of `unknown` where they are unavailable or absent."""
+    stated = (confidence >= 1) & (confidence <= largest + 1)
+    units = np.where(confidence <= largest, confidence, _OUT_OF_RANGE * largest)
+    return (np.where(stated, unit * units, unknown) / SIGMAS_95) ** 2
 
 
 def orientation_of(yaw: float) -> int:

@@ -17,13 +17,23 @@ from mast_zenoh.v2x.asn1 import cpm_fields, uper
 from mast_zenoh.v2x.asn1.plain import from_plain
 from mast_zenoh.v2x.perceived_objects import ABSENT, GROUP, POLAR, VEHICLE, VRU, PerceivedObjects
 from mast_zenoh.v2x.reference_position import LocalPlane, Position
-from mast_zenoh.v2x.tracks import SIGMAS_95, UNKNOWN_VELOCITY, from_cpm, orientation_of, segments, to_cpm, to_objects
+from mast_zenoh.v2x.tracks import (
+    SIGMAS_95,
+    UNKNOWN_DIMENSION,
+    UNKNOWN_POSITION,
+    UNKNOWN_VELOCITY,
+    from_cpm,
+    orientation_of,
+    segments,
+    to_cpm,
+    to_objects,
+)
 
 PLANE = LocalPlane(48.76, 11.43, 370.0)
 
 
 def drawn_tracks(random: np.random.Generator, n: int) -> ObjectStates:
-    variance = random.uniform(1e-3, 0.4, (n, 9))
+    variance = random.uniform(1e-3, np.repeat([0.4, 0.4, 1.6], 3), (n, 9))
     return ObjectStates.of(
         random.uniform(-400, 400, (n, 3)),
         velocity=random.uniform(-40, 40, (n, 3)),
@@ -66,7 +76,21 @@ def test_confidences_are_intervals_of_95_percent_that_are_not_too_small(seed):
     np.testing.assert_allclose(after[:, :3], before[:, :3], atol=0.01 / SIGMAS_95)
     np.testing.assert_allclose(after[:, 3:6], before[:, 3:6], atol=0.1 / SIGMAS_95)
     np.testing.assert_allclose(after[:, 6:][expressible], before[:, 6:][expressible], atol=0.01 / SIGMAS_95)
-    np.testing.assert_allclose(after[:, 6:][~expressible], UNKNOWN_VELOCITY / SIGMAS_95)
+    np.testing.assert_allclose(after[:, 6:][~expressible], 2 * 1.25 / SIGMAS_95)
+
+
+def test_unavailable_confidences_are_read_as_larger_than_those_out_of_range():
+    unknown = to_objects(drawn_tracks(np.random.default_rng(1), 2), np.arange(2), np.zeros(3))
+    for confidence, largest in (
+        (unknown.position_confidence, 4094),
+        (unknown.dimensions_confidence, 30),
+        (unknown.velocity_confidence, 125),
+    ):
+        confidence[:] = [[largest + 1] * 3, [largest + 2] * 3]
+    received, _ = from_cpm(to_cpm(unknown, 1, 0, PLANE.to_position(np.zeros(3))), PLANE)
+    widths = SIGMAS_95 * np.sqrt(received.covariance.diagonal(axis1=1, axis2=2))
+    np.testing.assert_allclose(widths[0], np.repeat([81.88, 6.0, 2.5], 3))
+    np.testing.assert_allclose(widths[1], np.repeat([UNKNOWN_POSITION, UNKNOWN_DIMENSION, UNKNOWN_VELOCITY], 3))
 
 
 def test_what_is_out_of_range_has_the_values_of_the_standard():
