@@ -80,6 +80,7 @@ class Peer(Node):
     memory_s: how long an object is kept that a newer message of its sender left out, as generation rules do; 0: not at
         all
     max_age_s: the greatest age of a track that is used
+    correlations: whether broadcast covariances have correlations; standard messages have variances alone
     """
 
     role = "peer"
@@ -103,8 +104,10 @@ class Peer(Node):
         congestion: CongestionControl | None = None,
         memory_s: float = 0.0,
         max_age_s: float = MAX_AGE_S,
+        correlations: bool = True,
     ) -> None:
         self.agent = agent
+        self.correlations = correlations
         self.pipeline = pipeline
         self.station = Station(rules, congestion)
         self.max_age_ns = round(max_age_s * 1e9)
@@ -221,8 +224,10 @@ class Peer(Node):
         generation = self.station.transmit(time_ns, states, self.place)
         if generation.generated:
             reference = {name: own.body[name] for name in ("origin", "rotation")}
-            columns = ObjectStates.from_columns(own.body).select(generation.rows).columns()
-            context.publish("broadcast", columns | reference, frame=own.frame, time_ns=own.time_ns)
+            sent = ObjectStates.from_columns(own.body).select(generation.rows)
+            if not self.correlations:
+                sent = sent.with_(covariance=sent.covariance * np.eye(9))
+            context.publish("broadcast", sent.columns() | reference, frame=own.frame, time_ns=own.time_ns)
             self.counts["broadcasts"] += 1
 
     def fuse(self, frame: int, time_ns: int, items: Mapping[str, Received], context: Context) -> None:
