@@ -1,40 +1,61 @@
 """Fusion in one centre, in two regional ones, and on board of every agent, under equal attacks."""
 
-from mast_zenoh.study.defences import several
+from mast_zenoh.study.defences import CooperationCell, junctions, several, with_preset, words
 
-# Cars with sensors besides the ego and four poles: 5, 10, 20 and 50 agents. On two cores, quick takes a minute.
-PRESETS = dict(quick=dict(n_mobile=(0, 5), trials=2, scenes=2), full=dict(n_mobile=(0, 5, 15, 45), trials=5, scenes=4))
+# On two cores: quick 3 minutes, full 45.
+PRESETS = dict(
+    quick=dict(agents=(5, 10), scenes=junctions(8, 9), trials=1),
+    full=dict(agents=(5, 10, 20, 50), scenes=junctions(8, 9), trials=3),
+)
+#: Besides cars: the ego and four poles.
+_OTHERS = 5
+#: By place: the scenario without lies, and with lies: a name, parameters.
+_SENT = {"keyexpr.rewrites": ["on_tracks.toml"]}
+_PLACES = dict(
+    centre=(("baseline", {}), ("uncoordinated", _SENT)),
+    regions=(("two_centres", {}), ("two_centres", {})),
+    peers=(("peers", {}), ("peers", {})),
+    radio=(("congested", {}), ("congested", {})),
+)
 
 
 def study(
-    preset="quick", n_mobile=None, n_adversaries=1, junction=8, trials=None, frames=100, attack_start_s=3.0, seed=3000
+    preset="full",
+    agents=None,
+    places="centre,regions,peers,radio",
+    n_adversaries=1,
+    scenes=None,
+    trials=None,
+    frames=100,
+    attack_start_s=3.0,
+    seed=3000,
 ):
-    """Paired runs without and with lies of one or more poles, on what they send.
+    """Paired runs without and with lies of one or more poles, on what they send to all.
 
-    preset: quick or full; it sets all that is None;
-    n_mobile: numbers of cars with sensors, besides the ego and four poles; n_adversaries: poles that lie;
-    junction: the first of the generated junctions; trials: seeds of each; seed: the first one;
-    frames: of each run; attack_start_s: when the lies begin.
+    preset: quick or full; it sets what is None;
+    agents: numbers of agents: the ego, four poles, and cars with sensors;
+    places: of the fusion: centre (one), regions (two, and a centre of centres), peers (every agent, of all tracks in
+    every frame), radio (peers with the standard's messages, rules and channel); the first is compared with the others;
+    n_adversaries: poles that lie; scenes: short names, separated by commas: intersection:INDEX;
+    trials: seeds of each scene; seed: the first one; frames: of each run; attack_start_s: when the lies begin.
     """
-    chosen = PRESETS[preset]
-    cars = several(chosen["n_mobile"] if n_mobile is None else n_mobile)
+    chosen = with_preset(PRESETS, preset, agents=agents, scenes=scenes, trials=trials)
     lies = dict(n_adversaries=n_adversaries, attack_start_s=attack_start_s)
-    on_tracks = {"keyexpr.rewrites": ["on_tracks.toml"]}
-    places = dict(
-        centre=("baseline", {}, "uncoordinated", on_tracks),
-        regions=("two_centres", {}, "two_centres", {}),
-        peers=("peers", {}, "peers", {}),
-        radio=("congested", {}, "congested", {}),
-    )
-    runs = {}
-    for name, (honest, parameters, attacked, more) in places.items():
-        runs[name] = dict(scenario=honest, parameters=parameters, grid=dict(n_mobile=cars))
-        runs[f"{name}_lied_to"] = dict(scenario=attacked, parameters=lies | more, grid=dict(n_mobile=cars))
+    runs, cells = {}, {}
+    for count in several(chosen["agents"]):
+        for place in words(places):
+            for lied_to, (scenario, parameters) in enumerate(_PLACES[place]):
+                cell = CooperationCell(place, count, bool(lied_to), attack_start_s)
+                parameters = dict(n_mobile=count - _OTHERS) | parameters | (lies if lied_to else {})
+                runs[cell.label] = dict(scenario=scenario, parameters=parameters)
+                cells[cell.label] = cell
     return dict(
         name="cooperation",
         runs=runs,
-        scenes=[f"intersection:{junction + i}" for i in range(chosen["scenes"])],
-        trials=chosen["trials"] if trials is None else trials,
+        cells=cells,
+        baseline=next(iter(runs)),
+        scenes=words(chosen["scenes"]),
+        trials=chosen["trials"],
         frames=frames,
         runtime="inproc",
         seed=seed,

@@ -2,7 +2,8 @@
 
     kinds      what all kinds of studies have; each kind is a module:
                matrix (every defence against every adversary), drift (how soon a displaced object is noticed),
-               breakdown (with how many liars a defence breaks), field_matrix (the matrix of published and own methods)
+               breakdown (with how many liars a defence breaks), field_matrix (the matrix of published and own methods),
+               cooperation (how far a lie reaches, by where tracks are fused)
     published  what papers report of these methods
     matrix_trial    the evaluation of one trial of the matrix
     matrix_records  what the matrix needs of each trial, and its measures over many
@@ -30,6 +31,7 @@ from mast_zenoh.study.defences.choices import (
     with_preset,
     words,
 )
+from mast_zenoh.study.defences.cooperation import CooperationCell
 from mast_zenoh.study.defences.drift import DriftCell
 from mast_zenoh.study.defences.field_matrix import FieldCell, scenes_of_kinds
 from mast_zenoh.study.defences.matrix import Cell, matrix_study
@@ -40,6 +42,7 @@ __all__ = [
     "UNCOORDINATED",
     "BreakdownCell",
     "Cell",
+    "CooperationCell",
     "DriftCell",
     "FieldCell",
     "adversary_base",

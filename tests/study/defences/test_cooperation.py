@@ -1,0 +1,131 @@
+"""How far a lie reaches, by where tracks are fused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from defence_outcomes import outcome
+
+import mast_zenoh as mast
+from mast_zenoh.metrics.study_results import CooperationTable
+from mast_zenoh.report.figures.cooperation import figure_of_cooperation
+from mast_zenoh.report.tables.cooperation import conclusion, cooperation_tables
+from mast_zenoh.study import definition
+from mast_zenoh.study.defences import CooperationCell
+from mast_zenoh.study.defences.cooperation import Collection
+
+FRAMES = 10
+START_S = 0.5
+
+
+def trial(cell: CooperationCell, seed: int, false: float, deceived: float, busy: float | None = None) -> Any:
+    """A trial of ten frames; before the attack there are nine false objects a frame, and everybody is deceived."""
+    metrics: dict[str, Any] = {
+        "scored_frames": [0, FRAMES - 1],
+        "agents": {"ego": {}, "infra_1": {}},
+        "consistency": {
+            name: {"picture": {"position": {"nees": nees}}} for name, nees in (("ego", 1.0), ("infra_1", 3.0))
+        },
+        "defence": {
+            "frames_s": [0.1 * frame for frame in range(FRAMES)],
+            "deceived": [1.0] * 5 + [deceived] * 5,
+            "kb_per_s": 4.0,
+            "penetration": 0.25,
+        },
+    }
+    if busy is not None:
+        metrics["channel"] = {"busy_ratio": {"mean": busy}}
+    per_frame = {
+        "agent": np.repeat(["ego", "infra_1"], FRAMES).astype(object),
+        "estimator": np.full(2 * FRAMES, "picture", object),
+        "frame": np.tile(np.arange(FRAMES), 2),
+        "fn": np.repeat([1.0, 50.0], FRAMES),
+        "fp": np.concatenate([[9.0] * 5, [false] * 5, [50.0] * FRAMES]),
+    }
+    return outcome(cell.label, "junction", seed, metrics, per_frame)
+
+
+def table_of(places: dict[str, tuple[float, float]], seeds: int = 6) -> CooperationTable:
+    """The table of places with (false objects, deceived share) under lies; without lies a false object on odd seeds."""
+    cells = {
+        (place, lied_to): CooperationCell(place, 5, lied_to, START_S) for place in places for lied_to in (False, True)
+    }
+    collection = Collection({cell.label: cell for cell in cells.values()}, ["junction"], range(seeds))
+    for (place, lied_to), cell in cells.items():
+        for seed in range(seeds):
+            odd = float(seed % 2)
+            false, deceived = places[place] if lied_to else (0.0, 0.0)
+            collection.add(trial(cell, seed, odd + false, deceived, 0.5 if place == "radio" else None))
+    return collection.table()
+
+
+def test_a_trial_counts_from_the_start_of_the_attack_on_and_is_paired_with_the_one_without_lies() -> None:
+    (row,) = table_of({"centre": (2.0, 1.0)}).rows
+    assert (row.errors.value, row.harm.value, row.trials) == (1.5, 2.0, 6)
+    assert row.errors.low < 1.5 < row.errors.high
+    assert (row.deceived.value, row.nees.value, row.penetration.value) == (1.0, 2.0, 0.25)
+    assert not row.busy.known
+    assert not row.gospa_m.known
+
+
+def test_places_are_compared_with_the_first_one() -> None:
+    table = table_of({"centre": (2.0, 1.0), "peers": (2.0, 0.5), "radio": (3.0, 0.5)})
+    assert [row.more.value for row in table.rows] == [0.0, 0.0, 1.0]
+    assert table.rows[2].busy.value == 0.5
+
+
+def test_the_conclusion_names_what_differs_and_what_does_not() -> None:
+    def row(place: str, more: tuple[float, float, float]) -> Any:
+        known = table_of({"centre": (2.0, 0.5)}).rows[0]
+        measures = {name: getattr(known, name) for name in known.__slots__}
+        measured = known.more._replace(value=more[0], low=more[1], high=more[2])
+        return type(known)(**measures | dict(place=place, more=measured))
+
+    rows = [row("centre", (0.0, 0.0, 0.0)), row("peers", (0.1, -0.2, 0.4)), row("radio", (0.7, 0.3, 1.1))]
+    said = conclusion(CooperationTable(rows, "6 seeds"))
+    assert "Different from centre: radio (by 0.70 [0.30, 1.10])." in said
+    assert "No difference from centre is shown for peers." in said
+
+
+def test_a_trial_without_its_pair_makes_no_row() -> None:
+    cell = CooperationCell("peers", 5, True, START_S)
+    collection = Collection({cell.label: cell}, ["junction"], [0])
+    collection.add(trial(cell, 0, 1.0, 1.0))
+    table = collection.table()
+    assert list(table.rows) == []
+    assert conclusion(table) == ""
+
+
+def test_tables_and_figure_are_written(tmp_path: Path) -> None:
+    table = table_of({"centre": (2.0, 1.0), "radio": (3.0, 0.5)})
+    texts = cooperation_tables(table).texts("cooperation")
+    assert "| radio | 5 | 6 | 25 |" in texts["cooperation.md"]
+    assert "radio,5,busy,0.5," in texts["cooperation.csv"]
+    figure_of_cooperation(table).save(tmp_path)
+    assert (tmp_path / "cooperation.png").stat().st_size > 10_000
+
+
+def test_the_deceived_share_of_a_run_is_that_of_its_metrics(tmp_path: Path) -> None:
+    run = mast.run(
+        "peers", out=tmp_path / "run", runtime="inproc", frames=40, report=False, n_adversaries=1, attack_start_s=2.0
+    )
+    metrics = run.summary
+    part = Collection.evaluate(run.path, metrics, ["infra_1"])
+    first, last = metrics["scored_frames"]
+    assert np.mean(part["deceived"][first : last + 1]) == pytest.approx(metrics["between"]["deceived"]["share"]["mean"])
+    assert max(part["deceived"]) == pytest.approx(6 / 7)  # the liar's own picture is right
+    assert 50.0 < part["kb_per_s"] < 500.0
+    assert 0.0 < part["penetration"] < 1.0
+
+
+def test_the_shipped_study_pairs_every_place_and_number_of_agents() -> None:
+    study = definition.load("cooperation", ["agents=5,9"])
+    assert {(cell.place, cell.agents, cell.lied_to) for cell in study.cells.values()} == {
+        (place, agents, lied_to)
+        for place in ("centre", "regions", "peers", "radio")
+        for agents in (5, 9)
+        for lied_to in (False, True)
+    }
