@@ -13,10 +13,14 @@ _CHOICES = dict(
     information_matrix=dict(type="InformationMatrixGroupTracker", fusion=dict(type="CovarianceIntersectionFusion")),
 )
 _WRAPPER = dict(type="GroupTrackerWrapper", tracker=dict(type="KalmanBoxTracker3D"))
+_ON_BOARD = "peers.*.pipeline.group_tracking"
+#: As the standard says when what is sent; objects are kept for a little more than the longest interval.
+_RULES = {"peers.*.rules": dict(type="CpmGeneration"), "peers.*.memory_s": 1.05, "peers.*.max_age_s": 1.2}
 _PLACES = dict(
     centre=("baseline", "command_center.pipeline.group_tracking", {}),
-    peers=("peers", "peers.*.pipeline.group_tracking", {}),
-    rumours=("peers", "peers.*.pipeline.group_tracking", dict(relays=True)),
+    peers=("peers", _ON_BOARD, {}),
+    cpm=("peers", _ON_BOARD, dict(codec="cpm") | _RULES),
+    rumours=("peers", _ON_BOARD, dict(relays=True)),
 )
 
 
@@ -25,8 +29,9 @@ def study(scene="intersection:8", fusions="", place="centre", frames=100, seed=3
 
     scene: a short name such as "intersection" or "avstack:PATH"; fusions: names in this file, separated by commas; "":
     all of them;
-    place: centre, a command centre; peers, each agent fuses what it hears; rumours, peers that also relay their
-    pictures, so that information comes back to its sender;
+    place: centre, a command centre; peers, each agent fuses what it hears; cpm, peers that hear Collective Perception
+    Messages, at the times that the standard's rules say; rumours, peers that also relay their pictures, so that
+    information comes back to its sender;
     frames: of each run; seed: of all random draws.
     """
     chosen = [name.strip() for name in fusions.split(",")] if fusions else list(_CHOICES)
