@@ -86,6 +86,8 @@ def states_to_world(states: ObjectStates, origin: Floats, rotation: Floats) -> O
     """
     if _is_world(origin, rotation):
         return states
+    if rotation.tolist() == _NO_TURN:
+        return states.with_(position=states.position + origin, yaw=wrap_angle(states.yaw))
     matrix = rotation_from_quaternion(rotation)
     jacobian = np.eye(9)
     jacobian[0:3, 0:3] = jacobian[6:9, 6:9] = matrix

@@ -22,36 +22,44 @@ class HeardTracks:
             if not 0.0 <= value < float("inf"):
                 raise ValueError(f"{name}: found {value}, expected 0 or more")
         self._memory_ns, self._max_age_ns = round(memory_s * 1e9), round(max_age_s * 1e9)
-        self._known: dict[str, tuple[int, ObjectStates, Ints]] = {}  # ns of the newest, n tracks, time of each, ns
+        self._newest: dict[str, int] = {}  # time of the newest message of each sender, ns
+        self._known: list[tuple[str, int, ObjectStates]] = []  # sender, time, tracks: newer ones of a sender come last
 
     def add(self, sender: str, time_ns: int, states: ObjectStates) -> None:
         """Add a message; a second one about the same time, and an older one, are not used.
 
         states: n tracks at `time_ns`, world frame, with different ids
         """
-        times = np.full(len(states), time_ns)
-        if sender in self._known:
-            newest_ns, before, before_ns = self._known[sender]
-            if time_ns <= newest_ns:
-                return
-            if self._memory_ns:
-                kept = ~np.isin(before.id, states.id) & (time_ns - before_ns <= self._memory_ns)
-                states, times = concatenate([states, before.select(kept)]), np.concatenate([times, before_ns[kept]])
-        self._known[sender] = time_ns, states, times
+        if time_ns > self._newest.get(sender, time_ns - 1):
+            self._newest[sender] = time_ns
+            self._known.append((sender, time_ns, states))
 
     def at(self, time_ns: int) -> tuple[list[str], ObjectStates, Ints]:
-        """Names of the senders, sorted; n tracks of all, predicted to a time; and (n,) rows of the senders."""
-        self._known = {
-            sender: known for sender, known in self._known.items() if abs(time_ns - known[0]) <= self._max_age_ns
+        """Names of the senders, sorted; n tracks of all, predicted to a time; and (n,) rows of the senders.
+
+        Those of a sender are sorted by time, the newest first, and then as in their messages.
+        """
+        newest = self._newest = {
+            sender: newest for sender, newest in self._newest.items() if abs(time_ns - newest) <= self._max_age_ns
         }
-        names = sorted(self._known)
-        known = [self._known[name] for name in names]
-        states = concatenate([each for _, each, _ in known])
-        sender = np.repeat(np.arange(len(names)), [len(each) for _, each, _ in known])
-        age_ns = time_ns - np.concatenate([np.zeros(0, np.int64), *(times for _, _, times in known)])
-        young = np.abs(age_ns) <= self._max_age_ns
-        if not young.all():
-            states, sender, age_ns = states.select(young), sender[young], age_ns[young]
+        self._known = [
+            known for known in self._known if known[0] in newest and newest[known[0]] - known[1] <= self._memory_ns
+        ]
+        names = sorted(newest)
+        row_of = {name: row for row, name in enumerate(names)}
+        ordered = sorted(self._known, key=lambda known: (known[0], -known[1]))
+        counts = [len(states) for _, _, states in ordered]
+        states = concatenate([each for _, _, each in ordered])
+        sender = np.repeat(np.array([row_of[each] for each, _, _ in ordered], np.int64), counts)
+        age_ns = np.repeat(np.array([time_ns - each for _, each, _ in ordered], np.int64), counts)
+        used = np.abs(age_ns) <= self._max_age_ns
+        if len(ordered) > len(names):  # an object in several messages: the newest counts
+            by_object = np.lexsort((states.id, sender))  # stable: of one object, the newest comes first
+            again = np.zeros(len(states), bool)
+            again[by_object[1:]] = (np.diff(states.id[by_object]) == 0) & (np.diff(sender[by_object]) == 0)
+            used &= ~again
+        if not used.all():
+            states, sender, age_ns = states.select(used), sender[used], age_ns[used]
         groups = [np.flatnonzero(age_ns == age) for age in np.unique(age_ns)]
         parts = [predicted(states.select(rows), float(age_ns[rows[0]]) * 1e-9) for rows in groups]
         if len(parts) > 1:
