@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from mast_zenoh.arrays.states import Ints, ObjectStates, concatenate
@@ -23,7 +25,8 @@ class HeardTracks:
                 raise ValueError(f"{name}: found {value}, expected 0 or more")
         self._memory_ns, self._max_age_ns = round(memory_s * 1e9), round(max_age_s * 1e9)
         self._newest: dict[str, int] = {}  # time of the newest message of each sender, ns
-        self._known: list[tuple[str, int, ObjectStates]] = []  # sender, time, tracks: newer ones of a sender come last
+        self._known = Known([], ObjectStates.empty(), *np.zeros((2, 0), np.int64))
+        self._added: list[tuple[str, int, ObjectStates]] = []  # since then: sender, time, tracks
 
     def add(self, sender: str, time_ns: int, states: ObjectStates) -> None:
         """Add a message; a second one about the same time, and an older one, are not used.
@@ -32,32 +35,20 @@ class HeardTracks:
         """
         if time_ns > self._newest.get(sender, time_ns - 1):
             self._newest[sender] = time_ns
-            self._known.append((sender, time_ns, states))
+            self._added.append((sender, time_ns, states))
 
     def at(self, time_ns: int) -> tuple[list[str], ObjectStates, Ints]:
         """Names of the senders, sorted; n tracks of all, predicted to a time; and (n,) rows of the senders.
 
         Those of a sender are sorted by time, the newest first, and then as in their messages.
         """
-        newest = self._newest = {
+        self._newest = {
             sender: newest for sender, newest in self._newest.items() if abs(time_ns - newest) <= self._max_age_ns
         }
-        self._known = [
-            known for known in self._known if known[0] in newest and newest[known[0]] - known[1] <= self._memory_ns
-        ]
-        names = sorted(newest)
-        row_of = {name: row for row, name in enumerate(names)}
-        ordered = sorted(self._known, key=lambda known: (known[0], -known[1]))
-        counts = [len(states) for _, _, states in ordered]
-        states = concatenate([each for _, _, each in ordered])
-        sender = np.repeat(np.array([row_of[each] for each, _, _ in ordered], np.int64), counts)
-        age_ns = np.repeat(np.array([time_ns - each for _, each, _ in ordered], np.int64), counts)
+        self._known, self._added = self._merged(), []
+        names, states, sender, times_ns = self._known
+        age_ns = time_ns - times_ns
         used = np.abs(age_ns) <= self._max_age_ns
-        if len(ordered) > len(names):  # an object in several messages: the newest counts
-            by_object = np.lexsort((states.id, sender))  # stable: of one object, the newest comes first
-            again = np.zeros(len(states), bool)
-            again[by_object[1:]] = (np.diff(states.id[by_object]) == 0) & (np.diff(sender[by_object]) == 0)
-            used &= ~again
         if not used.all():
             states, sender, age_ns = states.select(used), sender[used], age_ns[used]
         groups = [np.flatnonzero(age_ns == age) for age in np.unique(age_ns)]
@@ -65,3 +56,37 @@ class HeardTracks:
         if len(parts) > 1:
             states = concatenate(parts).select(np.argsort(np.concatenate(groups)))
         return names, parts[0] if len(parts) == 1 else states, sender
+
+    def _merged(self) -> Known:
+        """What is known with the messages added since, of senders that are not too old."""
+        names = sorted(self._newest)
+        row_of = {name: row for row, name in enumerate(names)}
+        added = [each for each in self._added if each[0] in row_of]
+        counts = [len(states) for _, _, states in added]
+        before = np.array([row_of.get(name, -1) for name in self._known.names], np.int64)[self._known.sender]
+        sender = np.concatenate([before, np.repeat([row_of[each] for each, _, _ in added], counts).astype(np.int64)])
+        times_ns = np.concatenate([self._known.time_ns, np.repeat([each for _, each, _ in added], counts)])
+        states = concatenate([self._known.states, *(each for _, _, each in added)])
+        newest = np.array([self._newest[name] for name in names], np.int64)
+        kept = np.flatnonzero(sender >= 0)
+        kept = kept[newest[sender[kept]] - times_ns[kept] <= self._memory_ns]
+        order = kept[np.lexsort((-times_ns[kept], sender[kept]))]
+        if self._memory_ns:  # an object in several messages: the newest counts
+            by_object = order[np.lexsort((states.id[order], sender[order]))]
+            again = np.zeros(len(states), bool)
+            again[by_object[1:]] = (np.diff(states.id[by_object]) == 0) & (np.diff(sender[by_object]) == 0)
+            order = order[~again[order]]
+        return Known(names, states.select(order), sender[order], times_ns[order])
+
+
+class Known(NamedTuple):
+    """Tracks of all senders.
+
+    names:  of the senders, sorted; states: n tracks, each at its time; by sender, then by time, the newest first
+    sender: (n,) rows of `names`; time_ns: (n,) int64
+    """
+
+    names: list[str]
+    states: ObjectStates
+    sender: Ints
+    time_ns: Ints
