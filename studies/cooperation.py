@@ -9,9 +9,9 @@ PRESETS = dict(
 )
 #: Besides cars: the ego and four poles.
 _OTHERS = 5
-#: By place: the scenario without lies, and with lies: a name, parameters.
 _SENT = {"keyexpr.rewrites": ["on_tracks.toml"]}
-_PLACES = dict(
+#: The scenario without lies, and the one with lies: names and parameters.
+_ARCHITECTURES = dict(
     centre=(("baseline", {}), ("uncoordinated", _SENT)),
     regions=(("two_centres", {}), ("two_centres", {})),
     peers=(("peers", {}), ("peers", {})),
@@ -22,7 +22,7 @@ _PLACES = dict(
 def study(
     preset="full",
     agents=None,
-    places="centre,regions,peers,radio",
+    architectures="centre,regions,peers,radio",
     n_adversaries=1,
     scenes=None,
     trials=None,
@@ -34,8 +34,9 @@ def study(
 
     preset: quick or full; it sets what is None;
     agents: numbers of agents: the ego, four poles, and cars with sensors;
-    places: of the fusion: centre (one), regions (two, and a centre of centres), peers (every agent, of all tracks in
-    every frame), radio (peers with the standard's messages, rules and channel); the first is compared with the others;
+    architectures: of the fusion: centre (one), regions (two, and a centre of centres), peers (every agent fuses all
+    tracks in every frame), radio (peers with the standard's messages, rules and channel); the others are compared with
+    the first;
     n_adversaries: poles that lie; scenes: short names, separated by commas: intersection:INDEX;
     trials: seeds of each scene; seed: the first one; frames: of each run; attack_start_s: when the lies begin.
     """
@@ -43,10 +44,10 @@ def study(
     lies = dict(n_adversaries=n_adversaries, attack_start_s=attack_start_s)
     runs, cells = {}, {}
     for count in several(chosen["agents"]):
-        for place in words(places):
-            for lied_to, (scenario, parameters) in enumerate(_PLACES[place]):
-                cell = CooperationCell(place, count, bool(lied_to), attack_start_s)
-                parameters = dict(n_mobile=count - _OTHERS) | parameters | (lies if lied_to else {})
+        for architecture in words(architectures):
+            for attacked, (scenario, parameters) in enumerate(_ARCHITECTURES[architecture]):
+                cell = CooperationCell(architecture, count, bool(attacked), attack_start_s)
+                parameters = dict(n_mobile=count - _OTHERS) | parameters | (lies if attacked else {})
                 runs[cell.label] = dict(scenario=scenario, parameters=parameters)
                 cells[cell.label] = cell
     return dict(

@@ -44,6 +44,7 @@ from mast_zenoh.metrics import (
 )
 from mast_zenoh.metrics.attributor import Withheld
 from mast_zenoh.metrics.between import between
+from mast_zenoh.metrics.causes import ATTACK_CAUSES
 from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.metrics.measures import MEASURES, ScoredRun, check, estimates_of, frame_keys, measured, per_frame
 from mast_zenoh.metrics.scores import mean_and_std
@@ -245,6 +246,7 @@ class Evaluation:
             min_points,
             Withheld.of(updates, agents, scores.frames, SUSPENDED),
             np.asarray(displaced.any(axis=1)),
+            [ego_of(agents)] if _own_pictures(data) else None,  # the trust of the ego's peer is evaluated
         )
         return _Results(self, data, scores, effects, from_absence, interposed, attributor.labels())
 
@@ -256,6 +258,11 @@ class Evaluation:
     def settled(self, frames: int) -> bool:
         """Whether a run is long enough to leave frames out of the summary."""
         return self.skip_first + self.skip_last <= frames // 2
+
+
+def _own_pictures(data: RunData) -> list[str]:
+    """The agents that have a picture of their own, without a centre."""
+    return [agent for agent, estimator in data.record.series() if agent and estimator == PICTURE]
 
 
 def cut_off_objects(
@@ -373,10 +380,10 @@ class _Results:
 
     def _between(self, scored: slice) -> dict[str, Any]:
         """How the pictures of agents differ; empty where they share one."""
-        own = [each for each in self.data.record.series() if each.agent and each.estimator == PICTURE]
-        if len(own) < 2:
+        if len(_own_pictures(self.data)) < 2:
             return {}
-        scorer, blamed = self.settings.scorer, np.array([by != "" for by in self.labels.by], np.bool_)
+        cause = self.labels.cause
+        scorer, blamed = self.settings.scorer, (cause >= 0) & (cause < len(ATTACK_CAUSES))
         return {"between": between(self.scores, blamed, scorer.range_m, scorer.distance, self.data.period_s, scored)}
 
     def _channel(self, scored: slice) -> dict[str, Any]:

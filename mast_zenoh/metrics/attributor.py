@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, fields
 from typing import NamedTuple
 
@@ -225,8 +225,9 @@ class Attributor:
     period_s: s, frame period
     cut_off_objects:  objects known only to disconnected agents; None: no agent was disconnected
     min_points: lidar points from which an agent sees an object
-    withheld: by the command centre; None: it has no integrity stage
+    withheld: by the command centre, or by a peer; None: it has no integrity stage
     displaced: (n,) rows of the truth of which a link moved a track; None: none
+    judged: agents from whose pictures it withheld objects; None: all
     """
 
     def __init__(
@@ -239,6 +240,7 @@ class Attributor:
         min_points: int = 5,
         withheld: Withheld | None = None,
         displaced: Bools | None = None,
+        judged: Collection[str] | None = None,
     ) -> None:
         self.min_points, self.withheld = min_points, withheld
         self.limits, self.scores, self.manipulations, self.truth = limits, scores, manipulations, scores.truth
@@ -253,6 +255,7 @@ class Attributor:
         #: whether a series is computed from an agent's own sensor alone
         self.own = np.array([estimator in (LOCAL, RECEIVED) for _, estimator in scores.series], bool)
         self.local = np.array([estimator == LOCAL for _, estimator in scores.series], bool)
+        self.judged = np.array([judged is None or agent in judged for agent, _ in scores.series], bool)
         self.column = np.array([scores.agents.index(agent) for agent, _ in scores.series], np.int64)
         self.truth_frame = scores.truth_frame
         rows = np.zeros(0, np.int64) if displaced is None else displaced.nonzero()[0]
@@ -274,7 +277,7 @@ class Attributor:
         switch_cause, switch_by = self._switches(track_cause, track_by)
         names_by = joined_names(names, by)
         if self.withheld is not None:
-            central = missed & ~self.own[self.truths.series]
+            central = missed & (self.judged & ~self.own)[self.truths.series]
             limits = self.limits.withheld_m, self.begin
             self.withheld.set_causes(self.scores, self.truths, central, limits, cause, names_by)
         return Labels(cause, names_by, switch_cause, joined_names(names, switch_by))

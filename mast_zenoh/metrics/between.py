@@ -29,21 +29,21 @@ def between(
     names = [agent for agent in scores.agents if agent in rows]
     if len(names) < 2:
         return {}
-    deceived = _deceived(scores, blamed, [rows[name] for name in names])
-    share = deceived.mean(axis=0)
+    deceived = _deceived(scores, blamed, [rows[name] for name in names])[:, scored]
+    frames, share = scores.frames[scored], deceived.mean(axis=0)
     wrong = np.flatnonzero(share > 0.0)
     half = np.flatnonzero(share >= 0.5)
-    first_s = float(scores.frames[wrong[0]]) * period_s if len(wrong) else None
-    half_after_s = (float(scores.frames[half[0]]) * period_s - first_s) if len(half) and first_s is not None else None
+    first_s = float(frames[wrong[0]]) * period_s if len(wrong) else None
+    half_after_s = (float(frames[half[0]]) * period_s - first_s) if len(half) and first_s is not None else None
     return {
         "pictures": len(names),
         "difference_gospa_m": mean_and_std(_differences(scores, names, rows, range_m, distance)[:, scored].ravel()),
         "deceived": {
-            "share": mean_and_std(share[scored]),
+            "share": mean_and_std(share),
             "most": float(share.max(initial=0.0)),
             "first_s": first_s,
             "half_after_s": half_after_s,
-            "agents": {name: float(each[scored].mean()) for name, each in zip(names, deceived, strict=True)},
+            "agents": {name: float(each.mean()) for name, each in zip(names, deceived, strict=True)},
         },
     }
 

@@ -540,29 +540,31 @@ class BreakdownTable:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CooperationRow:
-    """Trials of one place of fusion and number of agents. Objects are missed and false ones in the ego's picture.
+    """Trials of one fusion architecture and number of agents.
+
+    Objects are missed and false ones in the ego's picture.
 
     trials:      pairs, with lies and without
     errors:      objects per frame, without lies;  harm: how many more with lies
-    more:        harm minus that of the first place, with as many agents, scene by scene and seed by seed
-    deceived:    share of the agents that are deceived, mean over frames;  most: the greatest of a frame
+    harm_difference: harm minus that of the first architecture with as many agents, scene by scene and seed by seed
+    deceived:    share of the agents that are deceived, mean over frames;  deceived_max: the greatest of a frame
     nees:        normalised error squared of positions, 2 expected
     gospa_m:     m, between the pictures of two agents;  kb_per_s: kB/s that an agent sends
-    busy:        channel busy ratio;  penetration: share of the cars that are agents
+    busy_ratio:  of the channel;  penetration: share of the vehicles that are agents
     """
 
-    place: str
+    architecture: str
     agents: int
     trials: int
     errors: Measured
     harm: Measured
-    more: Measured
+    harm_difference: Measured
     deceived: Measured
-    most: Measured
+    deceived_max: Measured
     nees: Measured
     gospa_m: Measured
     kb_per_s: Measured
-    busy: Measured
+    busy_ratio: Measured
     penetration: Measured
 
 

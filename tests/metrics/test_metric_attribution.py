@@ -397,3 +397,15 @@ def test_a_missed_object_that_the_command_centre_has_is_not_attributed_to_the_at
     withheld = Withheld.of(updates, agents, np.arange(12), 3)
     table = explained(record, effects(*lies("removed", range(12), (0.5, 0.0))), withheld=withheld)
     assert causes(table)[:2] == errors([0, 1], "truth", cause, by)
+
+
+def test_the_defence_of_one_peer_does_not_explain_what_another_misses() -> None:
+    agents = ("infra_1", "infra_2")
+    local = {Series(agent, "local"): [CAR] * 12 for agent in agents}
+    pictures = {Series(agent, "picture"): [NOTHING] * 12 for agent in agents}
+    record = recorded([CAR] * 12, local | pictures, agents=agents)
+    withheld = Withheld.of(WITHHELD, agents, np.arange(12), 3)
+    table = explained(record, effects(), withheld=withheld, judged=["infra_2"])
+    missed = (table["outcome"] == "missed") & (table["estimator"] == "picture")
+    assert set(table["cause"][missed & (table["agent"] == "infra_2")]) == {"withheld"}
+    assert "withheld" not in set(table["cause"][missed & (table["agent"] == "infra_1")])

@@ -1,4 +1,4 @@
-"""The figure of the study that compares places of fusion."""
+"""The figure of the study that compares fusion architectures."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _PANELS = (
     ("errors", 1.0, "errors per frame without lies"),
     ("kb_per_s", 1.0, "kB/s that an agent sends"),
 )
-#: Factor by which the points of neighbouring places are moved apart, so that bars do not overlap.
+#: Factor by which the points of neighbouring architectures are moved apart, so that bars do not overlap.
 _APART = 1.035
 
 
 def figure_of_cooperation(table: CooperationTable) -> RenderedFigure:
-    """A panel for each measure, over the number of agents, with a curve for each place."""
+    """A panel for each measure, over the number of agents, with a curve for each architecture."""
     figure = Figure(figsize=(9.2, 6.8), layout="constrained", facecolor="white")
-    places = list(dict.fromkeys(row.place for row in table.rows))
+    architectures = list(dict.fromkeys(row.architecture for row in table.rows))
     agents = sorted({row.agents for row in table.rows})
     panels = figure.subplots(2, 2, sharex=True).ravel()
     for axes, (name, factor, label) in zip(panels, _PANELS, strict=True):
@@ -35,9 +35,9 @@ def figure_of_cooperation(table: CooperationTable) -> RenderedFigure:
         axes.set_xticks(agents, labels=[str(each) for each in agents], minor=False)
         axes.xaxis.set_minor_formatter(NullFormatter())
         axes.tick_params(axis="x", which="minor", length=0)
-        for index, place in enumerate(places):
-            rows = [row for row in table.rows if row.place == place]
-            _curve(axes, rows, name, factor, index, _APART ** (index - (len(places) - 1) / 2.0))
+        for index, architecture in enumerate(architectures):
+            rows = [row for row in table.rows if row.architecture == architecture]
+            _curve(axes, rows, name, factor, index, _APART ** (index - (len(architectures) - 1) / 2.0))
         if name == "kb_per_s":
             axes.set_yscale("log")
             axes.yaxis.set_major_formatter(ScalarFormatter())
@@ -60,7 +60,7 @@ def figure_of_cooperation(table: CooperationTable) -> RenderedFigure:
 
 
 def _curve(axes: Axes, rows: list[CooperationRow], name: str, factor: float, index: int, shift: float) -> None:
-    """One measure of one place."""
+    """One measure of one architecture."""
     values = np.array([[factor * each for each in getattr(row, name)[:3]] for row in rows])
     axes.errorbar(
         shift * np.array([row.agents for row in rows]),
@@ -72,5 +72,5 @@ def _curve(axes: Axes, rows: list[CooperationRow], name: str, factor: float, ind
         linewidth=1.6,
         elinewidth=0.9,
         capsize=2.0,
-        label=rows[0].place,
+        label=rows[0].architecture,
     )

@@ -1,4 +1,4 @@
-"""The tables of the study that compares places of fusion, and its conclusion."""
+"""The tables of the study that compares fusion architectures, and its conclusion."""
 
 from __future__ import annotations
 
@@ -20,68 +20,85 @@ _ABOUT = (
     "paired with the one without of the same scene and seed; bootstrap 95 % intervals over trials."
 )
 _HARM = (
-    *("place", "agents", "trials", "cars with sensors (%)", "errors without lies", "more with lies"),
-    *("that, minus the first place's", "agents deceived at a time (%)", "most at a time (%)"),
+    *("architecture", "agents", "trials", "vehicles with sensors (%)", "errors without lies", "added by lies"),
+    *("difference from the first", "agents deceived at a time (%)", "at most (%)"),
 )
 _TRAFFIC = (
-    *("place", "agents", "kB/s an agent sends", "channel busy (%)", "between pictures (m, GOSPA)"),
+    *("architecture", "agents", "kB/s an agent sends", "channel busy (%)", "between pictures (m, GOSPA)"),
     "NEES of positions (2 expected)",
 )
-_BRIEF = ("place", "agents", "errors", "more with lies", "deceived (%)", "kB/s")
-_MEASURES = ("errors", "harm", "more", "deceived", "most", "nees", "gospa_m", "kb_per_s", "busy", "penetration")
+_BRIEF = ("architecture", "agents", "errors", "added by lies", "deceived (%)", "kB/s")
+_MEASURES = (
+    "errors",
+    "harm",
+    "harm_difference",
+    "deceived",
+    "deceived_max",
+    "nees",
+    "gospa_m",
+    "kb_per_s",
+    "busy_ratio",
+    "penetration",
+)
 
 
 def cooperation_tables(table: CooperationTable) -> ResultTables:
-    """The tables of the study; the CSV has a row for each place, number of agents and measure."""
+    """The tables of the study; the CSV has a row for each architecture, number of agents and measure."""
     harm = TextTable("Lies", "", _HARM, [_harm_line(row) for row in table.rows], 1)
     traffic = TextTable("Traffic and consistency, without lies", "", _TRAFFIC, [_line(row) for row in table.rows], 1)
     numbers = [
-        [row.place, str(row.agents), name, *bounds(getattr(row, name))] for row in table.rows for name in _MEASURES
+        [row.architecture, str(row.agents), name, *bounds(getattr(row, name))]
+        for row in table.rows
+        for name in _MEASURES
     ]
-    said = conclusion(table)
-    brief = TextTable("Places of fusion", said, _BRIEF, [_brief_line(row) for row in table.rows], 1)
+    summary = conclusion(table)
+    brief = TextTable("Fusion architectures", summary, _BRIEF, [_brief_line(row) for row in table.rows], 1)
     note = FEW_TRIALS if any(row.trials < MIN_SEEDS for row in table.rows) else ""
-    about = f"{table.size}. {said} {_ABOUT}"
-    headings = ("place", "agents", "measure", *BOUNDS)
-    return ResultTables("Places of fusion", about, table.size, [harm, traffic], (headings, numbers), [brief], note)
+    about = f"{table.size}. {summary} {_ABOUT}"
+    headings = ("architecture", "agents", "measure", *BOUNDS)
+    return ResultTables("Fusion architectures", about, table.size, [harm, traffic], (headings, numbers), [brief], note)
 
 
 def conclusion(table: CooperationTable) -> str:
-    """What a lie does with most agents, by place, and whether that differs from the first place; "" without rows."""
+    """What lies do with most agents, by architecture, and whether that differs from the first one; "" without rows."""
     if not table.rows:
         return ""
-    most = max(row.agents for row in table.rows)
-    first, *others = rows = [row for row in table.rows if row.agents == most]
-    harms = ", ".join(f"{row.place} {measured(row.harm)}" for row in rows)
-    deceived = ", ".join(f"{row.place} {percent(row.deceived, ' %')}" for row in rows)
-    differ = [f"{row.place} (by {measured(row.more)})" for row in others if row.more.differs_from_zero]
-    alike = [row.place for row in others if not row.more.differs_from_zero]
+    agents = max(row.agents for row in table.rows)
+    first, *others = rows = [row for row in table.rows if row.agents == agents]
+    harms = ", ".join(f"{row.architecture} {measured(row.harm)}" for row in rows)
+    deceived = ", ".join(f"{row.architecture} {percent(row.deceived, ' %')}" for row in rows)
+    differ = [
+        f"{row.architecture} (by {measured(row.harm_difference)})"
+        for row in others
+        if row.harm_difference.differs_from_zero
+    ]
+    alike = [row.architecture for row in others if not row.harm_difference.differs_from_zero]
     sentences = [
-        f"With {most} agents, the lies add so many errors per frame to the ego's picture: {harms}.",
+        f"With {agents} agents, the lies add so many errors per frame to the ego's picture: {harms}.",
         f"Agents deceived at a time: {deceived}.",
-        f"Different from {first.place}: {', '.join(differ)}." if differ else "",
-        f"No difference from {first.place} is shown for {', '.join(alike)}." if alike else "",
+        f"Different from {first.architecture}: {', '.join(differ)}." if differ else "",
+        f"No difference from {first.architecture} is shown for {', '.join(alike)}." if alike else "",
     ]
     return " ".join(filter(None, sentences))
 
 
 def _harm_line(row: CooperationRow) -> list[str]:
     return [
-        *(row.place, str(row.agents), str(row.trials), _share(row.penetration), measured(row.errors)),
-        *(measured(row.harm), measured(row.more), percent(row.deceived), percent(row.most)),
+        *(row.architecture, str(row.agents), str(row.trials), _share(row.penetration), measured(row.errors)),
+        *(measured(row.harm), measured(row.harm_difference), percent(row.deceived), percent(row.deceived_max)),
     ]
 
 
 def _line(row: CooperationRow) -> list[str]:
     return [
-        *(row.place, str(row.agents), number(row.kb_per_s.value, 1), _share(row.busy)),
+        *(row.architecture, str(row.agents), number(row.kb_per_s.value, 1), _share(row.busy_ratio)),
         *(measured(row.gospa_m), measured(row.nees)),
     ]
 
 
 def _brief_line(row: CooperationRow) -> list[str]:
     of_lies = measured(row.harm), percent(row.deceived)
-    return [row.place, str(row.agents), number(row.errors.value), *of_lies, number(row.kb_per_s.value, 1)]
+    return [row.architecture, str(row.agents), number(row.errors.value), *of_lies, number(row.kb_per_s.value, 1)]
 
 
 def _share(each: Measured) -> str:

@@ -1,7 +1,7 @@
 """How far a lie reaches where tracks are fused in one centre, in regional ones, or on board of every agent.
 
-Every trial under attack is paired with the one without of the same place, number of agents, scene and seed. An agent is
-deceived in a frame if its picture has a false or a missed object that an adversary caused.
+Every trial under attack is paired with the one without of the same architecture, number of agents, scene and seed. An
+agent is deceived in a frame if its picture has a false or a missed object that an adversary caused.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 
 from mast_zenoh.arrays.states import CLASS_INDEX
 from mast_zenoh.config.resolved import RECORDING
+from mast_zenoh.metrics.causes import ATTACK_CAUSES
 from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.metrics.study_results import NAN, CooperationRow, CooperationTable
 from mast_zenoh.scenes.recording import Recording
@@ -30,56 +31,59 @@ if TYPE_CHECKING:
 
 #: What agents send to others: to a centre, or to each other.
 SENT = ("agent/*/tracks", "agent/*/broadcast")
-#: Classes of cars that could carry sensors.
-_CARS = [CLASS_INDEX[name] for name in ("car", "truck", "bus")]
+#: Classes of vehicles that could carry sensors.
+_VEHICLES = [CLASS_INDEX[name] for name in ("car", "truck", "bus")]
 _ROUNDING_S = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
 class CooperationCell(kinds.DefenceCell):
-    """A place of fusion and a number of agents, the ego included.
+    """A fusion architecture and a number of agents, the ego included.
 
-    lied_to: whether some of them lie;  attack_start_s: s of scene time, from which trials count, with lies or without
+    attacked: whether some of them lie;  attack_start_s: s of scene time, from which trials count, with lies or without
     """
 
     kind = "cooperation"
 
-    place: str
+    architecture: str
     agents: int
-    lied_to: bool
+    attacked: bool
     attack_start_s: float
 
     @property
     def label(self) -> str:
         """The label of its configuration."""
-        return f"{self.place} {self.agents} agents{' lied to' if self.lied_to else ''}"
+        return f"{self.architecture} {self.agents} agents{' attacked' if self.attacked else ''}"
 
 
 @dataclass(frozen=True, slots=True)
 class CooperationRecord:
-    """What the table needs of one trial, from the start of the attack on.
+    """What the table needs of one trial.
 
+    From the start of the attack on:
     errors:      missed and false objects per frame in the ego's picture
-    deceived:    mean share of the agents that are deceived;  most: the greatest share in a frame
+    deceived:    mean share of the agents that are deceived;  deceived_max: the greatest share in a frame
+    Over the scored frames:
     nees:        normalised error squared of the positions in a picture, mean over agents; 2 is consistent
     gospa_m:     m, between the pictures of two agents; NaN where all have the same
+    busy_ratio:  of the channel; NaN without one
+    Over the whole run:
     kb_per_s:    kB/s that an agent sends to others
-    busy:        channel busy ratio; NaN without a channel
-    penetration: share of the cars that are agents
+    penetration: share of the vehicles that are agents
     """
 
     errors: float
     deceived: float
-    most: float
+    deceived_max: float
     nees: float
     gospa_m: float
     kb_per_s: float
-    busy: float
+    busy_ratio: float
     penetration: float
 
 
 class Collection(kinds.Collection):
-    """Lies and their reach, by place of fusion and number of agents."""
+    """Lies and their reach, by fusion architecture and number of agents."""
 
     name = "cooperation"
     drawn = ("cooperation",)
@@ -92,16 +96,16 @@ class Collection(kinds.Collection):
         frames_s:    s of scene time of each frame
         deceived:    by frame, the share of the agents that are deceived
         kb_per_s:    kB/s that an agent sends to others, mean
-        penetration: share of the cars that are agents
+        penetration: share of the vehicles that are agents
         """
         from mast_zenoh.api.runs import Run  # PyArrow is slow to load
         from mast_zenoh.messagelog.reader import read
 
         recording = Recording.load(folder / RECORDING)
         times_s = (recording.times_ns - recording.times_ns[0]) * 1e-9
-        objects = Run(folder).objects.select(["frame", "agent", "estimator", "outcome", "by"])
-        frame, agent, estimator, outcome, by = (column.to_numpy(zero_copy_only=False) for column in objects.columns)
-        wrong = (estimator == PICTURE) & np.isin(outcome, ("false", "missed")) & np.isin(by, _adversaries(metrics))
+        objects = Run(folder).objects.select(["frame", "agent", "estimator", "outcome", "cause"])
+        frame, agent, estimator, outcome, cause = (column.to_numpy(zero_copy_only=False) for column in objects.columns)
+        wrong = (estimator == PICTURE) & np.isin(outcome, ("false", "missed")) & np.isin(cause, ATTACK_CAUSES)
         names = sorted(metrics["agents"])
         deceived = np.zeros((len(names), len(times_s)), bool)
         deceived[np.searchsorted(names, agent[wrong].astype(str)), frame[wrong]] = True
@@ -111,13 +115,13 @@ class Collection(kinds.Collection):
                 sent[next(each for each in SENT if fnmatchcase(message.wire, each))] += len(message.payload)
         bytes_sent = sent[SENT[1]] or sent[SENT[0]]  # peers get the tracks of their own agents only
         duration_s = len(times_s) * recording.period_ns * 1e-9
-        cars = len(np.unique(recording.truth.id[np.isin(recording.truth.class_id, _CARS)]))
+        vehicles = len(np.unique(recording.truth.id[np.isin(recording.truth.class_id, _VEHICLES)]))
         sensing = sum(each.kind == "mobile" for each in recording.agents)
         return {
             "frames_s": np.round(times_s, 9).tolist(),
             "deceived": np.round(deceived.mean(axis=0), 9).tolist(),
             "kb_per_s": round(bytes_sent * 1e-3 / (duration_s * len(recording.agents)), 6),
-            "penetration": round(sensing / cars, 6),
+            "penetration": round(sensing / vehicles, 6),
         }
 
     def record(self, cell: CooperationCell, outcome: Outcome) -> CooperationRecord:
@@ -133,50 +137,52 @@ class Collection(kinds.Collection):
         return CooperationRecord(
             errors=float((table["fn"][rows] + table["fp"][rows]).mean()),
             deceived=float(deceived.mean()) if len(deceived) else NAN,
-            most=float(deceived.max()) if len(deceived) else NAN,
+            deceived_max=float(deceived.max()) if len(deceived) else NAN,
             nees=float(np.mean([each for each in nees if each is not None])) if nees else NAN,
             gospa_m=metrics.get("between", {}).get("difference_gospa_m", {}).get("mean", NAN),
             kb_per_s=part["kb_per_s"],
-            busy=channel["busy_ratio"]["mean"] if channel else NAN,
+            busy_ratio=channel["busy_ratio"]["mean"] if channel else NAN,
             penetration=part["penetration"],
         )
 
     def table(self) -> CooperationTable:
-        """A row for each place and number of agents; the first place is what the others are compared with."""
-        places = list(dict.fromkeys(cell.place for cell in self.records))
+        """A row for each architecture and number of agents; the others are compared with the first architecture."""
+        architectures = list(dict.fromkeys(cell.architecture for cell in self.records))
         rows = []
         for agents in sorted({cell.agents for cell in self.records}):
-            harm = {place: self._harm(place, agents) for place in places}
-            rows += [self._row(place, agents, harm[place], harm[places[0]]) for place in places]
+            harm = {name: self._harm(name, agents) for name in architectures}
+            rows += [self._row(name, agents, harm[name], harm[architectures[0]]) for name in architectures]
         return CooperationTable([row for row in rows if row.trials], self.size)
 
-    def _of(self, place: str, agents: int, lied_to: bool) -> Mapping[TrialKey, CooperationRecord]:
+    def _of(self, architecture: str, agents: int, attacked: bool) -> Mapping[TrialKey, CooperationRecord]:
         """The trials of a cell that are done, in the order of the study."""
         for cell, records in self.records.items():
-            if (cell.place, cell.agents, cell.lied_to) == (place, agents, lied_to):
+            if (cell.architecture, cell.agents, cell.attacked) == (architecture, agents, attacked):
                 return {key: records[key] for key in self.order if key in records}
         return {}
 
-    def _harm(self, place: str, agents: int) -> dict[TrialKey, float]:
+    def _harm(self, architecture: str, agents: int) -> dict[TrialKey, float]:
         """By trial, how many more errors the ego's picture has when agents lie."""
-        honest, lied_to = (self._of(place, agents, lie) for lie in (False, True))
-        return {key: each.errors - honest[key].errors for key, each in lied_to.items() if key in honest}
+        honest, attacked = (self._of(architecture, agents, lie) for lie in (False, True))
+        return {key: each.errors - honest[key].errors for key, each in attacked.items() if key in honest}
 
     def _row(
-        self, place: str, agents: int, harm: Mapping[TrialKey, float], of_first: Mapping[TrialKey, float]
+        self, architecture: str, agents: int, harm: Mapping[TrialKey, float], of_first: Mapping[TrialKey, float]
     ) -> CooperationRow:
-        honest, lied_to = (list(self._of(place, agents, lie).values()) for lie in (False, True))
+        honest, attacked = (list(self._of(architecture, agents, lie).values()) for lie in (False, True))
         means = {
             name: mean([getattr(each, name) for each in honest])
-            for name in ("errors", "nees", "gospa_m", "kb_per_s", "busy", "penetration")
+            for name in ("errors", "nees", "gospa_m", "kb_per_s", "busy_ratio", "penetration")
         }
-        shares = {name: mean([getattr(each, name) for each in lied_to], (0.0, 1.0)) for name in ("deceived", "most")}
+        shares = {
+            name: mean([getattr(each, name) for each in attacked], (0.0, 1.0)) for name in ("deceived", "deceived_max")
+        }
         return CooperationRow(
-            place=place,
+            architecture=architecture,
             agents=agents,
             trials=len(harm),
             harm=mean(list(harm.values())),
-            more=mean([value - of_first[key] for key, value in harm.items() if key in of_first]),
+            harm_difference=mean([value - of_first[key] for key, value in harm.items() if key in of_first]),
             **means,
             **shares,
         )
@@ -191,9 +197,3 @@ class Collection(kinds.Collection):
 
         figure = figure_of_cooperation(table)
         return {figure.name: figure}
-
-
-def _adversaries(metrics: Mapping[str, Any]) -> list[str]:
-    """Names of the adversaries of a run."""
-    interposers = metrics.get("interposers", {})
-    return [name for name, each in interposers.items() if each["role"] == "adversary"]

@@ -48,17 +48,22 @@ def trial(cell: CooperationCell, seed: int, false: float, deceived: float, busy:
     return outcome(cell.label, "junction", seed, metrics, per_frame)
 
 
-def table_of(places: dict[str, tuple[float, float]], seeds: int = 6) -> CooperationTable:
-    """The table of places with (false objects, deceived share) under lies; without lies a false object on odd seeds."""
+def table_of(architectures: dict[str, tuple[float, float]], seeds: int = 6) -> CooperationTable:
+    """The table of architectures with (false objects, deceived share) under lies.
+
+    On odd seeds there is one false object more, with lies or without.
+    """
     cells = {
-        (place, lied_to): CooperationCell(place, 5, lied_to, START_S) for place in places for lied_to in (False, True)
+        (architecture, attacked): CooperationCell(architecture, 5, attacked, START_S)
+        for architecture in architectures
+        for attacked in (False, True)
     }
     collection = Collection({cell.label: cell for cell in cells.values()}, ["junction"], range(seeds))
-    for (place, lied_to), cell in cells.items():
+    for (architecture, attacked), cell in cells.items():
         for seed in range(seeds):
             odd = float(seed % 2)
-            false, deceived = places[place] if lied_to else (0.0, 0.0)
-            collection.add(trial(cell, seed, odd + false, deceived, 0.5 if place == "radio" else None))
+            false, deceived = architectures[architecture] if attacked else (0.0, 0.0)
+            collection.add(trial(cell, seed, odd + false, deceived, 0.5 if architecture == "radio" else None))
     return collection.table()
 
 
@@ -67,22 +72,22 @@ def test_a_trial_counts_from_the_start_of_the_attack_on_and_is_paired_with_the_o
     assert (row.errors.value, row.harm.value, row.trials) == (1.5, 2.0, 6)
     assert row.errors.low < 1.5 < row.errors.high
     assert (row.deceived.value, row.nees.value, row.penetration.value) == (1.0, 2.0, 0.25)
-    assert not row.busy.known
+    assert not row.busy_ratio.known
     assert not row.gospa_m.known
 
 
 def test_places_are_compared_with_the_first_one() -> None:
     table = table_of({"centre": (2.0, 1.0), "peers": (2.0, 0.5), "radio": (3.0, 0.5)})
-    assert [row.more.value for row in table.rows] == [0.0, 0.0, 1.0]
-    assert table.rows[2].busy.value == 0.5
+    assert [row.harm_difference.value for row in table.rows] == [0.0, 0.0, 1.0]
+    assert table.rows[2].busy_ratio.value == 0.5
 
 
 def test_the_conclusion_names_what_differs_and_what_does_not() -> None:
-    def row(place: str, more: tuple[float, float, float]) -> Any:
+    def row(architecture: str, more: tuple[float, float, float]) -> Any:
         known = table_of({"centre": (2.0, 0.5)}).rows[0]
         measures = {name: getattr(known, name) for name in known.__slots__}
-        measured = known.more._replace(value=more[0], low=more[1], high=more[2])
-        return type(known)(**measures | dict(place=place, more=measured))
+        measured = known.harm_difference._replace(value=more[0], low=more[1], high=more[2])
+        return type(known)(**measures | dict(architecture=architecture, harm_difference=measured))
 
     rows = [row("centre", (0.0, 0.0, 0.0)), row("peers", (0.1, -0.2, 0.4)), row("radio", (0.7, 0.3, 1.1))]
     said = conclusion(CooperationTable(rows, "6 seeds"))
@@ -103,7 +108,7 @@ def test_tables_and_figure_are_written(tmp_path: Path) -> None:
     table = table_of({"centre": (2.0, 1.0), "radio": (3.0, 0.5)})
     texts = cooperation_tables(table).texts("cooperation")
     assert "| radio | 5 | 6 | 25 |" in texts["cooperation.md"]
-    assert "radio,5,busy,0.5," in texts["cooperation.csv"]
+    assert "radio,5,busy_ratio,0.5," in texts["cooperation.csv"]
     figure_of_cooperation(table).save(tmp_path)
     assert (tmp_path / "cooperation.png").stat().st_size > 10_000
 
@@ -123,9 +128,9 @@ def test_the_deceived_share_of_a_run_is_that_of_its_metrics(tmp_path: Path) -> N
 
 def test_the_shipped_study_pairs_every_place_and_number_of_agents() -> None:
     study = definition.load("cooperation", ["agents=5,9"])
-    assert {(cell.place, cell.agents, cell.lied_to) for cell in study.cells.values()} == {
-        (place, agents, lied_to)
-        for place in ("centre", "regions", "peers", "radio")
+    assert {(cell.architecture, cell.agents, cell.attacked) for cell in study.cells.values()} == {
+        (architecture, agents, attacked)
+        for architecture in ("centre", "regions", "peers", "radio")
         for agents in (5, 9)
-        for lied_to in (False, True)
+        for attacked in (False, True)
     }
