@@ -39,6 +39,7 @@ from mast_zenoh.report.tables.of_run import (
     trust_sentences,
     undecided_table,
 )
+from mast_zenoh.report.tables.pictures import channel_sentences, picture_sentences, picture_table
 from mast_zenoh.report.tables.scores import Cell, ScoreTable, Value, number, score_table, signed
 from mast_zenoh.report.tables.study import sections, side_by_side
 from mast_zenoh.report.tables.wiring import wire_rows
@@ -278,6 +279,8 @@ def _write_run(
         "user_figures": own,
         **(_score_rows(scores) if run.metrics else {"rows": []}),
         "confidence": confidence_tables(run),
+        "pictures": picture_table(run),
+        "of_pictures": [*picture_sentences(run), *channel_sentences(run)],
         "interposers": interposers(run),
         "suspensions": suspension_table(run),
         "undecided": undecided_table(run),

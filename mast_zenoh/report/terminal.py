@@ -14,6 +14,7 @@ from mast_zenoh.report.narrative.adversaries import explanations
 from mast_zenoh.report.narrative.changes import effects, plural
 from mast_zenoh.report.narrative.run import defence_sentence, headline, reference_status, status
 from mast_zenoh.report.tables.of_run import causes_as_rich, check_lines, suspension_lines, undecided_lines
+from mast_zenoh.report.tables.pictures import channel_sentences, picture_sentences
 from mast_zenoh.report.tables.scores import as_rich, score_table
 from mast_zenoh.viewer.interposers import BAD, interposers
 from mast_zenoh.viewer.run import RunRecord
@@ -86,5 +87,6 @@ def _show_lines(console: Console, label: str, run: RunRecord, reference: RunReco
         measured = "not measured" if each.effects is None else effects(each)
         lines.append(f"{each.description} on {each.place}: {measured}{verdict}")
         lines += [f"  limited effect: {reason}" for reason in why.get(each.name, ()) if each.changed]
+    lines += [*picture_sentences(run), *channel_sentences(run)]
     for line in (*lines, *suspension_lines(run), *undecided_lines(run), *check_lines(run.checks)):
         console.print(escape(f"{label}{line}"), highlight=False)

@@ -1,0 +1,48 @@
+"""What the report and the terminal say of runs in which each agent has a picture of its own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import mast_zenoh as mast
+from mast_zenoh.report.tables.pictures import channel_sentences, picture_sentences, picture_table
+from mast_zenoh.viewer.run import RunRecord
+
+
+@pytest.fixture(scope="module")
+def radio(tmp_path_factory: pytest.TempPathFactory) -> mast.Run:
+    out = tmp_path_factory.mktemp("radio") / "run"
+    options = dict(
+        runtime="inproc", frames=30, out=out, n_infrastructure=2, n_mobile=1, n_adversaries=1, attack_start_s=1.0
+    )
+    return mast.run("congested", report=True, **options)
+
+
+def test_each_agent_has_a_line_with_the_scores_of_its_own_picture(radio: mast.Run) -> None:
+    record = RunRecord.load(radio.path)
+    lines = {line.cells[0]: line.cells for line in picture_table(record).lines}
+    assert set(lines) == {"ego", "mobile_1", "infra_1", "infra_2"}
+    missed = radio.summary["agents"]["infra_2"]["picture"]["fn"]["mean"]
+    assert lines["infra_2"][1] == f"{missed:.2f}"
+    assert lines["infra_1"][4] == "0"  # the liar's own picture is right
+    assert int(lines["ego"][4]) > 0
+
+
+def test_the_page_tells_whom_attacks_deceived_and_how_busy_the_channel_was(radio: mast.Run) -> None:
+    page = (radio.path / "report.html").read_text()
+    record = RunRecord.load(radio.path)
+    deceived = picture_sentences(record)[1]
+    assert deceived.startswith("Attacks deceived ")
+    assert deceived in page
+    (load,) = channel_sentences(record)
+    assert load.startswith("Radio channel of 4 stations: ")
+    assert load in page
+
+
+def test_nothing_is_said_where_all_agents_get_the_same_picture(tmp_path: Path) -> None:
+    run = mast.run("baseline", runtime="inproc", frames=12, out=tmp_path / "run", report=False)
+    record = RunRecord.load(run.path)
+    assert not picture_table(record).lines
+    assert picture_sentences(record) == channel_sentences(record) == []
