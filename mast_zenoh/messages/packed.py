@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mast_zenoh.arrays.geometry import tracks_in_world
-from mast_zenoh.arrays.states import Ints
+from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion, states_to_local, tracks_in_world
+from mast_zenoh.arrays.states import Ints, concatenate
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messages.schemas import Body, Message
 from mast_zenoh.v2x import cpm
 from mast_zenoh.v2x.reference_position import LocalPlane
-from mast_zenoh.v2x.tracks import MOST_SEGMENTS, from_cpm, segments, to_cpm, to_objects
+from mast_zenoh.v2x.tracks import MOST_SEGMENTS, from_cpm, rotation_of, segments, to_cpm, to_objects
 
 #: By name of a codec, the message types that it can carry.
 CODECS = {"cpm": ("tracks",)}
@@ -47,6 +47,8 @@ class Packed(dict[str, NDArray[Any]]):
 def pack(message: Message, codec: str) -> Message:
     """The message as its receivers get it: quantised, and with its bytes.
 
+    The sender is a roadside unit if its frame of reference has the axes of the world, otherwise a vehicle with the
+    heading of its frame.
     Beyond MOST_OBJECTS, the objects with the lowest scores are left out; of equal ones the last.
     Raises MessageError for columns that the format cannot express.
     """
@@ -56,10 +58,12 @@ def pack(message: Message, codec: str) -> Message:
         raise MessageError(f"{header.schema}: a value is not finite")
     if len(states) > MOST_OBJECTS:
         states = states.select(np.sort(np.argsort(-states.score, kind="stable")[:MOST_OBJECTS]))
-    position = _PLANE.to_position(body["origin"])
+    position, yaw = _PLANE.to_position(body["origin"]), None
+    if body["rotation"][1:].any():
+        yaw = float(heading(rotation_from_quaternion(body["rotation"])))
     objects = to_objects(states, _wire_ids(states.id), _PLANE.to_point(position))
     station = zlib.crc32(header.source.encode())
-    whole = to_cpm(objects, station, header.time_ns // 1_000_000, position)
+    whole = to_cpm(objects, station, header.time_ns // 1_000_000, position, yaw)
     parts = segments(whole, MAX_SEGMENT_BYTES)
     return Message(header, unpack(codec, [cpm.encode(part) for part in parts]))
 
@@ -78,19 +82,24 @@ def unpack(codec: str, data: Sequence[object]) -> Packed:
     first = parts[0]
     for number, message in enumerate(parts, 1):
         segment = (number, len(parts)) if len(parts) > 1 else None
-        if message.segment != segment or (message.station_id, message.position) != (first.station_id, first.position):
+        if message.segment != segment or _station(message) != _station(first):
             raise MessageError(f"{codec}: segment {number}: found {message.segment}, expected {segment} of one message")
     origin = _PLANE.to_point(first.position)
-    columns = [from_cpm(message, _PLANE)[0].columns() for message in parts]
-    body = Packed({name: np.concatenate([part[name] for part in columns]) for name in columns[0]})
-    body["position"] = body["position"] - origin
-    body["origin"], body["rotation"] = origin, _STILL
+    states = concatenate([from_cpm(message, _PLANE)[0] for message in parts])
+    rotation = _STILL if first.vehicle is None else rotation_of(first.vehicle[0])
+    body = Packed(states_to_local(states, origin, rotation).columns())
+    body["origin"], body["rotation"] = origin, rotation
     if len(set(body["id"].tolist())) != len(body["id"]):
         raise MessageError(f"{codec}: an object id occurs twice")
     for column in body.values():
         column.setflags(write=False)
     body.codec, body.segments = codec, tuple(part for part in data if isinstance(part, bytes))
     return body
+
+
+def _station(message: cpm.Cpm) -> tuple[object, ...]:
+    """What all segments of a message have in common."""
+    return message.station_id, message.position, message.vehicle
 
 
 def codec_of(body: Body) -> str:

@@ -101,6 +101,15 @@ def orientation_of(yaw: float) -> int:
     return int(_units(np.array((90.0 - np.degrees(yaw)) % 360.0), _ANGLE)) % 3600
 
 
+def rotation_of(orientation: int) -> Floats:
+    """Active quaternion (4,) of the axes of a vehicle with a Wgs84AngleValue, which is read half a unit lower.
+
+    It is never that of the world's axes, which are a roadside unit's.
+    """
+    half = np.radians(90.0 - _ANGLE * (orientation - 0.5)) / 2.0
+    return np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
+
+
 def to_objects(
     tracks: ObjectStates, wire_id: Ints, reference: Floats, delta_time: Ints | int = 0, age: Ints | None = None
 ) -> PerceivedObjects:

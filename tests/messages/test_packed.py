@@ -1,23 +1,33 @@
 """Tracks travel as Collective Perception Messages: what receivers get is what the bytes say."""
 
+import asn1_oracle
 import msgpack
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mast_zenoh.arrays.geometry import tracks_in_world
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.packed import MAX_SEGMENT_BYTES, MOST_OBJECTS, Packed, codec_of, pack
 from mast_zenoh.messages.schemas import Header, Message
+from mast_zenoh.v2x import cpm
+from mast_zenoh.v2x.asn1 import cpm_fields
+from mast_zenoh.v2x.tracks import orientation_of, rotation_of
 
 HEADER = Header("tracks", "infra_1", 3, 300_000_000, 3)
 
 
 def message(
-    n: int, seed: int = 0, spread_m: float = 80.0, origin: tuple[float, float, float] = (3.0, -4.0, 5.0)
+    n: int,
+    seed: int = 0,
+    spread_m: float = 80.0,
+    origin: tuple[float, float, float] = (3.0, -4.0, 5.0),
+    yaw: float | None = None,
 ) -> Message:
+    """Tracks of a roadside unit, or of a vehicle with this yaw (rad), in its own axes."""
     rng = np.random.default_rng(seed)
     root = rng.normal(0.0, 0.1, (n, 9, 9))
     states = ObjectStates.of(
@@ -31,7 +41,12 @@ def message(
         class_id=rng.integers(0, 7, n).astype(np.uint8),
     )
     frame = {"origin": np.array(origin), "rotation": np.array([1.0, 0.0, 0.0, 0.0])}
+    if yaw is not None:
+        frame["rotation"] = rotation_of(orientation_of(yaw))
     return codec.conform(HEADER, states.columns() | frame)
+
+
+YAWS = st.none() | st.sampled_from([0.0, np.pi / 2, np.pi, -np.pi / 2]) | st.floats(-np.pi, np.pi)
 
 
 def packed(sent: Message) -> Packed:
@@ -41,9 +56,9 @@ def packed(sent: Message) -> Packed:
 
 
 @settings(max_examples=40, deadline=None)
-@given(st.integers(0, 60), st.integers(0, 1 << 30))
-def test_what_is_read_is_written_again_with_the_same_bytes(n: int, seed: int) -> None:
-    received = pack(message(n, seed), "cpm")
+@given(st.integers(0, 60), st.integers(0, 1 << 30), YAWS)
+def test_what_is_read_is_written_again_with_the_same_bytes(n: int, seed: int, yaw: float | None) -> None:
+    received = pack(message(n, seed, yaw=yaw), "cpm")
     again = pack(Message(HEADER, dict(received.body)), "cpm")
     assert packed(again).segments == packed(received).segments
     decoded = codec.decode(codec.encode(received), "tracks")
@@ -53,22 +68,48 @@ def test_what_is_read_is_written_again_with_the_same_bytes(n: int, seed: int) ->
 
 
 @settings(max_examples=40, deadline=None)
-@given(st.integers(1, 40), st.integers(0, 1 << 30))
-def test_receivers_get_the_tracks_within_the_quantisation_of_the_standard(n: int, seed: int) -> None:
-    sent = message(n, seed)
+@given(st.integers(1, 40), st.integers(0, 1 << 30), YAWS)
+def test_receivers_get_the_tracks_within_the_quantisation_of_the_standard(n: int, seed: int, yaw: float | None) -> None:
+    sent = message(n, seed, yaw=yaw)
     body = packed(sent)
-    place = [each["position"] + each["origin"] for each in (sent.body, body)]
-    np.testing.assert_allclose(*place, atol=0.0051)
+    before, after = (tracks_in_world(each) for each in (sent.body, body))
+    np.testing.assert_allclose(after.position, before.position, atol=0.0051)
     np.testing.assert_allclose(body["origin"], sent.body["origin"], atol=0.02)
-    np.testing.assert_allclose(body["velocity"], sent.body["velocity"], atol=0.0051)
-    np.testing.assert_allclose(body["size"], sent.body["size"], atol=0.051)
-    turn = np.angle(np.exp(1j * (body["yaw"] - sent.body["yaw"])))
+    np.testing.assert_allclose(body["rotation"], sent.body["rotation"], atol=1e-9)
+    np.testing.assert_allclose(after.velocity, before.velocity, atol=0.0051)
+    np.testing.assert_allclose(after.size, before.size, atol=0.051)
+    turn = np.angle(np.exp(1j * (after.yaw - before.yaw)))
     assert np.abs(turn).max() <= np.radians(0.051)
-    np.testing.assert_allclose(body["score"], sent.body["score"], atol=0.5 / 15 + 1e-9)
-    np.testing.assert_array_equal(body["class_id"], sent.body["class_id"])
-    before, after = (np.sqrt(each["covariance"].diagonal(axis1=1, axis2=2)[:, :2]) for each in (sent.body, body))
-    assert ((after >= before - 1e-9) & (after <= before + 0.01)).all(), "in 95 % confidences of whole centimetres"
-    assert np.count_nonzero(body["covariance"]) <= 9 * n, "correlations are not sent"
+    np.testing.assert_allclose(after.score, before.score, atol=0.5 / 15 + 1e-9)
+    np.testing.assert_array_equal(after.class_id, before.class_id)
+    sigmas = [np.sqrt(each.covariance.diagonal(axis1=1, axis2=2)[:, :2]) for each in (before, after)]
+    assert ((sigmas[1] >= sigmas[0] - 1e-9) & (sigmas[1] <= sigmas[0] + 0.01)).all(), "in whole centimetres, of 95 %"
+    assert np.count_nonzero(np.abs(after.covariance) > 1e-9) <= 9 * n, "correlations are not sent"
+
+
+@pytest.mark.parametrize("yaw", [None, 0.0, 0.7, np.pi / 2, -3.0])
+def test_a_vehicle_says_that_it_is_one_and_where_it_heads_and_a_pole_that_it_is_a_roadside_unit(
+    yaw: float | None,
+) -> None:
+    for segment in packed(message(120, yaw=yaw)).segments:
+        decoded = cpm.decode(segment)
+        assert decoded.rsu == (yaw is None)
+        assert decoded.vehicle == (None if yaw is None else (orientation_of(yaw), 127))
+
+
+@pytest.mark.skipif(not asn1_oracle.FOLDER.is_dir(), reason="no ASN.1 modules in $MAST_DATA/etsi_asn1")
+@pytest.mark.parametrize(("yaw", "orientation"), [(None, None), (0.0, 900), (np.pi / 2, 0), (-np.pi / 2, 1800)])
+def test_asn1tools_reads_the_container_of_a_vehicle_or_of_a_roadside_unit(
+    yaw: float | None, orientation: int | None
+) -> None:
+    (segment,) = packed(message(5, yaw=yaw)).segments
+    content = asn1_oracle.decode("CPM", cpm_fields.LAYOUT.type, segment)["payload"]["cpmContainers"][0]
+    if orientation is None:
+        assert content["containerId"] == 2
+        assert content["containerData"] == {}
+    else:
+        assert content["containerId"] == 1
+        assert content["containerData"]["orientationAngle"] == {"value": orientation, "confidence": 127}
 
 
 def test_twenty_objects_take_some_hundred_bytes_and_many_are_segmented() -> None:

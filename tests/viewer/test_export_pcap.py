@@ -36,7 +36,10 @@ INTERCEPTED = "agent/infra_1/broadcast"
 
 
 class Packet(NamedTuple):
-    """What a capture file says of a packet. time_ns: since 1970;  position: 1e-7 deg;  payload: behind BTP"""
+    """What a capture file says of a packet.
+
+    time_ns: since 1970;  position: 1e-7 deg;  heading: 0.1 deg clockwise from north;  payload: behind BTP
+    """
 
     time_ns: int
     source: bytes
@@ -44,6 +47,7 @@ class Packet(NamedTuple):
     time_ms: int
     position: tuple[int, int]
     mobile: bool
+    heading: int
     payload: bytes
 
 
@@ -60,10 +64,10 @@ def packet_of(time_ns: int, data: bytes) -> Packet:
     address, link_layer, time_ms, *position, speed, heading, medium = struct.unpack("!H6sIiiHHI", data[26:54])
     assert address >> 15 == 1
     assert link_layer == source
-    assert (address & 0x3FF, speed, heading, medium) == (0, 0, 0, 0)
+    assert (address & 0x3FF, speed, medium) == (0, 0, 0)
     assert length == len(data) - 54
     assert struct.unpack("!HH", data[54:58]) == (2009, 0)
-    return Packet(time_ns, source, address >> 10 & 31, time_ms, (*position,), bool(flags & 0x80), data[58:])
+    return Packet(time_ns, source, address >> 10 & 31, time_ms, (*position,), bool(flags & 0x80), heading, data[58:])
 
 
 def packets(path: Path) -> list[Packet]:
@@ -123,7 +127,11 @@ def test_the_file_holds_what_each_station_sent_in_order(broadcast: mast.Run, out
         assert packet.time_ns == SCENE_BEGINS_S * 1_000_000_000 + message["time_ns"]
         assert packet.time_ms == decoded.reference_time == message["time_ns"] // 1_000_000
         assert packet.position == (decoded.position.latitude, decoded.position.longitude)
-        assert (packet.station_type, packet.mobile) == (15, False), "the message has a roadside unit's container"
+        pole = message["source"].startswith("peer_infra")
+        assert (packet.station_type, packet.mobile, decoded.rsu) == ((15, False, True) if pole else (0, True, False))
+        assert (decoded.vehicle is None) == pole
+        assert packet.heading == (0 if pole else decoded.vehicle[0])
+    assert {packet.heading for packet in found} > {0}, "cars say where they head"
 
 
 def test_a_wire_that_is_intercepted_during_the_run_is_followed_to_its_publisher(broadcast: mast.Run, out: Path) -> None:
@@ -154,12 +162,14 @@ def test_a_wire_that_is_intercepted_during_the_run_is_followed_to_its_publisher(
     time_ms=st.integers(0, 4_398_046_511_103),
     latitude=st.integers(-900_000_000, 900_000_001),
     longitude=st.integers(-1_800_000_000, 1_800_000_001),
-    rsu=st.booleans(),
+    orientation=st.none() | st.integers(0, 3601),
 )
-def test_headers_hold_station_time_and_position_of_any_message(
-    station: int, time_ms: int, latitude: int, longitude: int, rsu: bool
+def test_headers_hold_station_time_position_and_heading_of_any_message(
+    station: int, time_ms: int, latitude: int, longitude: int, orientation: int | None
 ) -> None:
-    message = cpm.Cpm(station, time_ms, Position(latitude, longitude), vehicle=None if rsu else (0, 127), rsu=rsu)
+    rsu = orientation is None
+    vehicle = None if orientation is None else (orientation, 127)
+    message = cpm.Cpm(station, time_ms, Position(latitude, longitude), vehicle=vehicle, rsu=rsu)
     segment = cpm.encode(message)
     found = packet_of(0, pcap.packet(segment, message))
     assert found.payload == segment
@@ -167,6 +177,8 @@ def test_headers_hold_station_time_and_position_of_any_message(
     assert found.time_ms == time_ms % 2**32
     assert found.position == (latitude, longitude)
     assert (found.station_type, found.mobile) == ((15, False) if rsu else (0, True))
+    unknown = orientation is None or orientation > 3599
+    assert found.heading == (0 if unknown else orientation)
 
 
 def spoilt(change: Callable[[Recorded], Recorded]) -> Callable[..., Iterator[Recorded]]:

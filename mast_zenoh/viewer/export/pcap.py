@@ -97,12 +97,15 @@ def packet(segment: bytes, sender: cpm.Cpm) -> bytes:
     address = _LOCAL + sender.station_id.to_bytes(4, "big")
     station, mobile = (_ROADSIDE_UNIT, 0) if sender.rsu else (_UNKNOWN_STATION, _MOBILE)
     time_ms, position = sender.reference_time % 2**32, sender.position
+    heading = sender.vehicle[0] % 3600 if sender.vehicle and sender.vehicle[0] <= 3600 else 0
     return b"".join(
         [
             _ETHERNET.pack(_BROADCAST, address, _GEONETWORKING),
             _BASIC,
             _COMMON.pack(_BTP_B, _SINGLE_HOP, _TRAFFIC_CLASS, mobile, len(_BTP) + len(segment), 1, 0),
-            _POSITION.pack(_CONFIGURED | station, address, time_ms, position.latitude, position.longitude, 0, 0, 0),
+            _POSITION.pack(
+                _CONFIGURED | station, address, time_ms, position.latitude, position.longitude, 0, heading, 0
+            ),
             _BTP,
             segment,
         ]
