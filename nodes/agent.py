@@ -139,7 +139,7 @@ class Agent(Node):
         self.sense("sweep", received, context)
 
     def on_picture(self, received: Received, context: Context) -> None:
-        """Store the common picture for the frames after its arrival, however late, without objects about to be lost."""
+        """Store the picture for the frames after its arrival, however late, without objects about to be lost."""
         objects = ObjectStates.from_columns(received.body)
         supported = received.body["support"] > 0
         if np.count_nonzero(supported) < len(supported):

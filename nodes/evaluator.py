@@ -164,7 +164,7 @@ class Evaluator(Node):
         self.keep(message, route)
 
     def take_picture(self, message: Overheard, route: Route) -> None:
-        """Store the common picture, as sent, as an agent received it, or both."""
+        """Store a picture, as sent, as an agent received it, or both."""
         if route.series[0].estimator == PICTURE:
             self.data.picture_sent.setdefault(message.header.frame, message.step)
         self.keep(message, route)

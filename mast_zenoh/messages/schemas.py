@@ -294,7 +294,7 @@ BUILT_IN: Mapping[str, Schema] = {
         Schema(
             "picture",
             1,
-            "the common picture: fused, labelled objects, world frame",
+            "the common picture, or that of a region or of a peer: fused, labelled objects, world frame",
             (*_states(), Column("support", "int64", ("n",), "", "agents whose tracks were fused in this frame")),
         ),
         Schema(
@@ -373,7 +373,7 @@ BUILT_IN: Mapping[str, Schema] = {
         Schema(
             "trust",
             1,
-            "the command centre's assessment of agents and objects",
+            "a command centre's or a peer's assessment of agents and objects",
             (
                 Column("agents", "str", ("a",), "", "names of the agents, sorted"),
                 Column("mean", "float64", ("a",), "", "trust in each agent, 0 to 1"),
