@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from mast_zenoh.arrays.geometry import states_to_world
+from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion, states_to_local, states_to_world
 from mast_zenoh.arrays.states import Detections, ObjectStates
 from mast_zenoh.gather import Gather, LatestBefore
 from mast_zenoh.integrity.views import UNKNOWN_SPACE, SweptView, view_columns
@@ -20,6 +20,7 @@ from mast_zenoh.pipelines import AgentPipeline, AgentSensor, Pose
 from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.sensing import LidarSensor
 from mast_zenoh.tracking.kalman import predicted
+from mast_zenoh.v2x.tracks import orientation_of, rotation_of
 from mast_zenoh.wiring.model import part_of
 
 #: Frame of reference of states in the world frame.
@@ -49,8 +50,8 @@ class Agent(Node):
     unsupported_std_m: m, the greatest standard deviation of the horizontal position of an object in a picture that no
         agent supports; above, it is not used, because the picture itself is about to lose it
     sensors: all of its sensors, if they are several, or measure at times of their own; empty: `lidar`, in every frame
-    tracks_from: frame of reference of its published tracks: "world", or "agent": relative to where it is, with the axes
-        of the world, as V2X messages are
+    tracks_from: frame of reference of its published tracks: "world", or "agent": relative to where it is, as V2X
+        messages are; with the axes of the world, or those of a vehicle to 0.1 deg, if it is mobile
     measurement_times: False: treats measurements as made at the time of their frame; only to show the effect
     """
 
@@ -138,7 +139,7 @@ class Agent(Node):
         self.sense("sweep", received, context)
 
     def on_picture(self, received: Received, context: Context) -> None:
-        """Store the common picture for the frames after its arrival, however late, without objects about to be lost."""
+        """Store the picture for the frames after its arrival, however late, without objects about to be lost."""
         objects = ObjectStates.from_columns(received.body)
         supported = received.body["support"] > 0
         if np.count_nonzero(supported) < len(supported):
@@ -184,9 +185,11 @@ class Agent(Node):
         tracks = predicted(self.tracks, (time_ns - self.tracks_ns) * 1e-9)
         reference, published = {"origin": origin, "rotation": rotation}, tracks
         if self.tracks_from == "agent":
-            in_world = states_to_world(tracks, origin, rotation)
-            published = in_world.with_(position=in_world.position - pose.position)
-            reference = {"origin": pose.position, "rotation": WORLD["rotation"]}
+            turn = WORLD["rotation"]
+            if self.mobile:
+                turn = rotation_of(orientation_of(float(heading(rotation_from_quaternion(pose.quaternion)))))
+            published = states_to_local(states_to_world(tracks, origin, rotation), pose.position, turn)
+            reference = {"origin": pose.position, "rotation": turn}
         context.publish("tracks", published.columns() | reference, frame=frame, time_ns=time_ns)
         free = items["sweep"].body["free"] if "sweep" in items else UNKNOWN_SPACE
         if context.connected("view"):

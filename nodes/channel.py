@@ -1,8 +1,8 @@
 """The radio channel that all agents share: who hears whom, and how busy the channel is.
 
-It is part of the world, like the simulator: it listens to what all peers broadcast, and tells each peer in the next
-frame which of the messages arrived, how busy the channel was, and how long its own message was on the air. Where
-stations are is what the simulator says, not what they claim.
+It is part of the world, like the simulator: it listens to what all peers broadcast, their agents' tracks and where they
+are themselves, and tells each peer in the next frame which of the messages arrived, how busy the channel was, and how
+long its own messages were on the air. Where stations are is what the simulator says, not what they claim.
 """
 
 from __future__ import annotations
@@ -19,11 +19,15 @@ from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.v2x import OfdmTiming, RadioChannel, Transmissions, arrivals
 
+#: Ports of the two kinds of messages, which are lost separately.
+KINDS = ("sent", "awareness")
+
 
 class Sent(NamedTuple):
-    """A message on the air. frame: in which it was sent; sizes: bytes of its frames"""
+    """A message on the air. frame: in which it was sent; kind: row of KINDS; sizes: bytes of its frames"""
 
     frame: int
+    kind: int
     seq: int
     sender: str
     sizes: tuple[int, ...]
@@ -37,7 +41,7 @@ class Channel(Node):
     """
 
     role = "channel"
-    inputs = {"clock": "clock", "pose": "pose", "sent": "tracks"}
+    inputs = {"clock": "clock", "pose": "pose", "sent": "tracks", "awareness": "tracks"}
     outputs = {"reception": "reception"}
 
     def __init__(self, radio: RadioChannel | None = None, timing: OfdmTiming | None = None) -> None:
@@ -52,7 +56,7 @@ class Channel(Node):
 
     def start(self, context: Context) -> None:
         """All stations whose broadcasts it hears."""
-        self.stations = sorted({each.subject for each in context.subscriptions.values() if each.port == "sent"})
+        self.stations = sorted({each.subject for each in context.subscriptions.values() if each.port in KINDS})
 
     def on_pose(self, received: Received, context: Context) -> None:
         """Where a station is."""
@@ -60,8 +64,17 @@ class Channel(Node):
         positions.add(context.frame, received.body["position"][:2], received.frame)
 
     def on_sent(self, received: Received, context: Context) -> None:
-        """A message that a station sends."""
-        self.sent.append(Sent(context.frame, received.message.header.seq, received.subject, sizes_of(received)))
+        """The tracks that a station sends."""
+        self.take(0, received, context)
+
+    def on_awareness(self, received: Received, context: Context) -> None:
+        """What a station says of itself."""
+        self.take(1, received, context)
+
+    def take(self, kind: int, received: Received, context: Context) -> None:
+        """A message of a kind is on the air, unless it has no bytes."""
+        if sizes := sizes_of(received):
+            self.sent.append(Sent(context.frame, kind, received.message.header.seq, received.subject, sizes))
 
     def on_clock(self, received: Received, context: Context) -> None:
         """Tell all stations what arrived of what was sent in the frame before."""
@@ -74,8 +87,8 @@ class Channel(Node):
             [np.full(2, 1e9 * (row + 1)) if place is None else place[1] for row, place in enumerate(places)]
         )
         row_of = {name: row for row, name in enumerate(self.stations)}
-        frames = [(row_of[each.sender], size) for each in sent for size in each.sizes]
-        sender, sizes = (np.array(column, np.int64) for column in (zip(*frames, strict=True) if frames else ((), ())))
+        frames = [(each.kind, row_of[each.sender], size) for each in sent for size in each.sizes]
+        kind, sender, sizes = np.array(frames, np.int64).reshape(-1, 3).T
         airtime = self.timing.airtime_ns(sizes)
         began_ns = time_ns if self.before_ns is None else self.before_ns
         window_ns = time_ns - began_ns or None
@@ -85,27 +98,30 @@ class Channel(Node):
         busy = self.radio.busy_ratio(position, transmissions, time_ns, window_ns)
         chance = self.radio.reception(position, transmissions, time_ns, window_ns)
         arrived = arrivals(chance, sender, lambda row: context.rng("arrivals", frame, self.stations[row]))
-        missed = np.zeros((n, n), bool)  # by sender and receiver: a frame of the message did not arrive
-        np.logical_or.at(missed, sender, ~arrived)
-        sending = np.bincount(sender, minlength=n) > 0
+        missed = np.zeros((2, n, n), bool)  # by kind, sender and receiver: a frame of the message did not arrive
+        np.logical_or.at(missed, (kind, sender), ~arrived)
+        sending = np.zeros((2, n), bool)
+        sending[kind, sender] = True
         own_airtime = np.bincount(sender, airtime, n)
         self.note(busy, sending, missed, sizes)
         for row, name in enumerate(self.stations):
-            heard = np.flatnonzero(sending & ~missed[:, row])
+            heard, aware = (np.flatnonzero(of_kind) for of_kind in sending & ~missed[:, :, row])
             body = {
                 "agents": text([self.stations[each] for each in heard if each != row]),
+                "aware": text([self.stations[each] for each in aware if each != row]),
                 "busy_ratio": busy[row : row + 1],
+                "sent": np.array([sending[:, row].sum()], np.int64),
                 "airtime_ns": np.array([own_airtime[row]], np.int64),
             }
             context.publish("reception", body, subject=name, frame=frame, time_ns=time_ns)
 
     def note(self, busy: np.ndarray, sending: np.ndarray, missed: np.ndarray, sizes: np.ndarray) -> None:
-        """Count for the results. busy, sending: (n,); missed: (n, n); sizes: (m,) bytes"""
+        """Count for the results. busy: (n,); sending: (2, n); missed: (2, n, n); sizes: (m,) bytes"""
         self.busy.append(float(busy.mean()) if len(busy) else 0.0)
         self.counts["frames"] += len(sizes)
         self.counts["bytes"] += int(sizes.sum())
-        pairs = int(sending.sum()) * (len(sending) - 1)
-        lost = int(missed[sending].sum()) - int(np.diag(missed)[sending].sum())
+        pairs = int(sending.sum()) * (len(self.stations) - 1)
+        lost = int(missed[sending].sum()) - int(missed.diagonal(axis1=1, axis2=2)[sending].sum())
         self.counts["arrived"] += pairs - lost
         self.counts["lost"] += lost
 

@@ -164,7 +164,7 @@ class Evaluator(Node):
         self.keep(message, route)
 
     def take_picture(self, message: Overheard, route: Route) -> None:
-        """Store the common picture, as sent, as an agent received it, or both."""
+        """Store a picture, as sent, as an agent received it, or both."""
         if route.series[0].estimator == PICTURE:
             self.data.picture_sent.setdefault(message.header.frame, message.step)
         self.keep(message, route)
@@ -194,7 +194,8 @@ class Evaluator(Node):
     def take_reception(self, message: Overheard, route: Route) -> None:
         """Store how busy the channel was at a station, and what arrived there."""
         body = message.body
-        state = float(body["busy_ratio"][0]), int(body["airtime_ns"][0]), len(body["agents"])
+        arrived = len(body["agents"]) + len(body["aware"])
+        state = float(body["busy_ratio"][0]), int(body["airtime_ns"][0]), int(body["sent"][0]), arrived
         self.data.receptions[message.wire.subject, message.header.frame] = state
 
     def take_trust(self, message: Overheard, route: Route) -> None:

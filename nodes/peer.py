@@ -8,6 +8,9 @@ tells it which messages arrived.
 Only own perception is broadcast, as the standard intends (ETSI TS 103 324). Where a map has a wire for it
 (keyexpr_maps/relays.toml), a peer relays its picture, too, each object with the agents whose tracks are in it. A
 receiver leaves out objects that have its own tracks in them; others it may count twice: rumours.
+
+Where a map has a wire for it (keyexpr_maps/awareness.toml), the peer of a vehicle also says where its agent is itself,
+by Cooperative Awareness Messages. For a receiver, the sender is one more of the sender's tracks.
 """
 
 from __future__ import annotations
@@ -18,7 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mast_zenoh.arrays.geometry import tracks_in_world
+from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion, tracks_in_world
 from mast_zenoh.arrays.states import Bools, Ints, ObjectStates, concatenate
 from mast_zenoh.gather import MAX_AGE_S, Gather, plausible_rows
 from mast_zenoh.integrity.views import SweptView, check_view, view_of
@@ -29,13 +32,19 @@ from mast_zenoh.pipelines.heard import HeardTracks
 from mast_zenoh.pipelines.origins import Origins
 from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.tracking.kalman import predicted
-from mast_zenoh.v2x import CongestionControl, GenerationRules
+from mast_zenoh.v2x import CamGeneration, CongestionControl, GenerationRules, Vehicle
 from mast_zenoh.v2x.station import Station
 
 #: Ending of the name under which what an agent relays is fused, beside what it broadcasts.
 RELAY = "/relay"
 #: Messages of one agent that wait for the next frame, at most.
 MAX_WAITING = 64
+#: How long what a vehicle says of itself is used, s: until its next message, after 1 s at the latest, is overdue.
+AWARENESS_AGE_S = 1.2
+#: Id of a sender among its own tracks.
+ITSELF = 1 << 62
+#: Frame of reference of what a vehicle says of itself.
+WORLD = {"origin": np.zeros(3), "rotation": np.array([1.0, 0.0, 0.0, 0.0])}
 
 
 class Relay(NamedTuple):
@@ -81,6 +90,8 @@ class Peer(Node):
         all
     max_age_s: the greatest age of a track that is used
     correlations: whether broadcast covariances have correlations; standard messages have variances alone
+    awareness: when it says where its agent is itself; None: never
+    vehicle: what its agent knows of itself; None: it is no vehicle, and says nothing of itself
     """
 
     role = "peer"
@@ -91,10 +102,17 @@ class Peer(Node):
         "own_view": "view",
         "heard": "tracks",
         "heard_view": "view",
+        "heard_awareness": "tracks",
         "relayed": "relayed",
         "reception": "reception",
     }
-    outputs = {"broadcast": "tracks", "relay": "relayed", "picture": "picture", "trust": "trust"}
+    outputs = {
+        "broadcast": "tracks",
+        "awareness": "tracks",
+        "relay": "relayed",
+        "picture": "picture",
+        "trust": "trust",
+    }
 
     def __init__(
         self,
@@ -105,15 +123,19 @@ class Peer(Node):
         memory_s: float = 0.0,
         max_age_s: float = MAX_AGE_S,
         correlations: bool = True,
+        awareness: CamGeneration | None = None,
+        vehicle: Vehicle | None = None,
     ) -> None:
         self.agent = agent
         self.correlations = correlations
         self.pipeline = pipeline
-        self.station = Station(rules, congestion)
+        self.station = Station(rules, congestion, awareness)
+        self.vehicle = vehicle
         self.max_age_ns = round(max_age_s * 1e9)
         self.sensed: Gather[str, Received] = Gather({"clock", "own"})
         self.inbox: list[Heard] = []  # what is not used yet
         self.heard = HeardTracks(memory_s, max_age_s)
+        self.aware = HeardTracks(0.0, AWARENESS_AGE_S)
         self.views: dict[str, tuple[int, Body]] = {}  # their times, ns, and columns
         self.relays: dict[str, Relay] = {}
         self.origins = Origins()
@@ -164,6 +186,10 @@ class Peer(Node):
             return
         self.hear("heard_view", received, context)
 
+    def on_heard_awareness(self, received: Received, context: Context) -> None:
+        """Where another agent says that it is."""
+        self.hear("heard_awareness", received, context)
+
     def on_relayed(self, received: Received, context: Context) -> None:
         """The picture of another agent."""
         self.hear("relayed", received, context)
@@ -191,6 +217,7 @@ class Peer(Node):
         self.open_inbox(frame, items.get("reception"), before_ns)
         if "pose" in items:
             self.place = items["pose"].body["position"]
+            self.announce(time_ns, items["pose"], context)
         if own := items.get("own"):
             states = tracks_in_world(own.body)
             self.own = own.time_ns, self.plausible(states)
@@ -202,22 +229,42 @@ class Peer(Node):
         if reception is not None:
             busy, airtime_ns = float(reception.body["busy_ratio"][0]), int(reception.body["airtime_ns"][0])
             self.station.measure(reception.time_ns, busy, before_ns, airtime_ns)
-        arrived = None if reception is None else set(reception.body["agents"])
+        arrived: dict[str, set[str]] | None = None
+        if reception is not None:
+            tracks, aware = (set(reception.body[name]) for name in ("agents", "aware"))
+            arrived = {"heard": tracks, "heard_view": tracks, "relayed": tracks, "heard_awareness": aware}
         ready = sorted((each for each in self.inbox if each.arrived < frame), key=Heard.order)
         self.inbox = [each for each in self.inbox if each.arrived >= frame]
         for _, port, received in ready:
             sender = received.subject
-            if arrived is not None and sender not in arrived:
+            if arrived is not None and sender not in arrived[port]:
                 self.counts[f"lost/{sender}"] += 1
             elif port == "heard":
                 self.counts[f"heard/{sender}"] += 1
                 states = self.plausible(tracks_in_world(received.body))
                 self.heard.add(sender, received.time_ns, states)
                 self.station.hear(received.time_ns, states, received.body["origin"])
+            elif port == "heard_awareness":
+                self.counts[f"aware/{sender}"] += 1
+                states = self.plausible(tracks_in_world(received.body))
+                self.aware.add(sender, received.time_ns, states.with_(id=np.full(len(states), ITSELF)))
+                if len(states):
+                    self.station.hear(received.time_ns, states, states.position[0])
             elif port == "heard_view":
                 self.views[sender] = received.time_ns, received.body
             else:
                 self.relays[sender] = self.relay_of(received)
+
+    def announce(self, time_ns: int, pose: Received, context: Context) -> None:
+        """Say where the agent is, if that is due."""
+        if self.vehicle is None:
+            return
+        body = pose.body
+        yaw = float(heading(rotation_from_quaternion(body["rotation"])))
+        itself = self.vehicle.state(body["position"], body["velocity"], yaw)
+        if self.station.announce(time_ns, itself):
+            context.publish("awareness", itself.columns() | WORLD, frame=pose.frame, time_ns=pose.time_ns)
+            self.counts["announcements"] += 1
 
     def broadcast(self, time_ns: int, own: Received, states: ObjectStates, context: Context) -> None:
         """Broadcast the tracks of the agent that are due. states: those of the message, world frame"""
@@ -234,6 +281,10 @@ class Peer(Node):
         """Publish the picture of a frame, and the trust in agents and objects."""
         names, states, agent = self.heard.at(time_ns)
         parts, agents = [states], [agent]
+        senders, states, agent = self.aware.at(time_ns)
+        names += [sender for sender in senders if sender not in names]
+        parts.append(states)
+        agents.append(np.array([names.index(sender) for sender in senders], np.int64)[agent])
         if self.own is not None and abs(time_ns - self.own[0]) <= self.max_age_ns:
             parts.append(predicted(self.own[1], (time_ns - self.own[0]) * 1e-9))
             agents.append(np.full(len(parts[-1]), len(names)))

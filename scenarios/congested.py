@@ -13,6 +13,7 @@ def scenario(
     defence=None,
     fusion="CovarianceIntersectionFusion",
     codec="cpm",
+    awareness=False,
     scene="intersection",
     scene_index=None,
     n_infrastructure=None,
@@ -22,8 +23,9 @@ def scenario(
 
     rules: CpmGeneration (the standard's), or EveryFrame; congestion: ReactiveDcc, AdaptiveDcc, or NoCongestionControl;
     codec: of broadcasts: cpm, the standard's bytes, or columns;
+    awareness: whether vehicles say where they are, by Cooperative Awareness Messages;
     n_adversaries: agents compromised, with the attack of `uncoordinated`, from attack_start_s on;
-    on: sent, pair or heard, as in `peers`; listener: an agent;
+    on: sent, pair, heard or awareness, as in `peers`; listener: an agent;
     defence: an integrity stage for every peer; fusion: of the tracks of an object, a class.
     """
     content = peers(
@@ -34,6 +36,7 @@ def scenario(
         defence=defence,
         fusion=fusion,
         codec=codec,
+        awareness=awareness,
         scene=scene,
         scene_index=scene_index,
         n_infrastructure=n_infrastructure,

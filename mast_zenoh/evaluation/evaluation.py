@@ -66,7 +66,7 @@ class RunData:
     tracks_sent: by (agent, frame), the frame in which the agent's tracks were sent
     attack_reports, link_reports: (interposer, frame, sequence number, columns)
     trust:    by frame, the first message about it
-    receptions: by (agent, frame), busy ratio of the channel, ns of the agent's own message, and messages that arrived,
+    receptions: by (agent, frame), busy ratio of the channel, ns and number of its own messages, and of those arrived,
         all of the frame before
     """
 
@@ -81,7 +81,7 @@ class RunData:
     attack_reports: list[tuple[str, int, int, Body]] = field(default_factory=list)
     link_reports: list[tuple[str, int, int, Body]] = field(default_factory=list)
     trust: dict[int, TrustUpdate] = field(default_factory=dict)
-    receptions: dict[tuple[str, int], tuple[float, int, int]] = field(default_factory=dict)
+    receptions: dict[tuple[str, int], tuple[float, int, int, int]] = field(default_factory=dict)
 
     @property
     def period_s(self) -> float:
@@ -393,15 +393,15 @@ class _Results:
         rows = [state for (_, frame), state in receptions if frame in frames]
         if not rows:
             return {}
-        busy, airtime_ns, arrived = (np.array(column, np.float64) for column in zip(*rows, strict=True))
+        busy, airtime_ns, sent, arrived = (np.array(column, np.float64) for column in zip(*rows, strict=True))
         stations = len({agent for agent, _ in self.data.receptions})
-        expected = float((airtime_ns > 0).sum()) * (stations - 1)
+        expected = float(sent.sum()) * (stations - 1)
         return {
             "channel": {
                 "stations": stations,
                 "busy_ratio": mean_and_std(busy),
                 "airtime_share": float(airtime_ns.mean()) / period_ns,
-                "sent": float((airtime_ns > 0).mean()),
+                "sent": float((sent > 0).mean()),
                 "arrived": float(arrived.sum()) / expected if expected else None,
             }
         }

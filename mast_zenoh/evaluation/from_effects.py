@@ -50,7 +50,7 @@ def _influences(passage: Passage, agent: str, estimator: str, is_link: bool) -> 
         return (own and estimator == RECEIVED) or (not is_link and estimator in FROM_CENTRE)
     if port in ("status", "collated"):
         return not is_link and estimator in FROM_CENTRE
-    if port == "broadcast":
+    if port in ("broadcast", "awareness"):
         return not own and estimator in FROM_CENTRE and passage.before in ("", peer_of(agent))
     if port == "picture":
         return estimator in BEHIND_DOWNLINK and passage.before in ("", agent)

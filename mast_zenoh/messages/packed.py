@@ -1,8 +1,9 @@
-"""Bodies that travel in another format: tracks as Collective Perception Messages.
+"""Bodies that travel in another format: tracks as Collective Perception or Cooperative Awareness Messages.
 
 A wire may have a codec (`[[codec]]` in a key-expression map). What its publisher sends is then only what the format can
 express, in one process as on the mesh, and on the mesh only its bytes are sent: `"body": {"cpm": [b"...", ...]}`, a
-string for each segment. To read them and to write them again gives the same bytes.
+string for each segment. To read them and to write them again gives the same bytes. A Cooperative Awareness Message is
+about one object, its sender; without one, nothing is sent: `{"cam": []}`.
 """
 
 from __future__ import annotations
@@ -14,21 +15,30 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mast_zenoh.arrays.geometry import tracks_in_world
-from mast_zenoh.arrays.states import Ints
+from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion, states_to_local, tracks_in_world
+from mast_zenoh.arrays.states import Floats, Ints, ObjectStates, concatenate
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messages.schemas import Body, Message
-from mast_zenoh.v2x import cpm
+from mast_zenoh.v2x import cam, cpm
 from mast_zenoh.v2x.reference_position import LocalPlane
-from mast_zenoh.v2x.tracks import MOST_SEGMENTS, from_cpm, segments, to_cpm, to_objects
+from mast_zenoh.v2x.tracks import (
+    MOST_SEGMENTS,
+    from_cam,
+    from_cpm,
+    rotation_of,
+    segments,
+    to_cam,
+    to_cpm,
+    to_objects,
+)
 
 #: By name of a codec, the message types that it can carry.
-CODECS = {"cpm": ("tracks",)}
+CODECS = {"cpm": ("tracks",), "cam": ("tracks",)}
 
 #: Bytes of a segment, at most: what a frame of IEEE 802.11p carries beside its headers.
 MAX_SEGMENT_BYTES = 1400
-#: Objects of a message, at most: its segments hold so many of the largest.
-MOST_OBJECTS = 200
+#: Objects of a message, at most, by codec: the segments of a CPM hold so many of the largest.
+MOST_OBJECTS = {"cpm": 200, "cam": 1}
 
 #: The plane that all stations of a run share.
 _PLANE = LocalPlane()
@@ -47,50 +57,77 @@ class Packed(dict[str, NDArray[Any]]):
 def pack(message: Message, codec: str) -> Message:
     """The message as its receivers get it: quantised, and with its bytes.
 
+    The sender is a roadside unit if its frame of reference has the axes of the world, otherwise a vehicle with the
+    heading of its frame.
     Beyond MOST_OBJECTS, the objects with the lowest scores are left out; of equal ones the last.
     Raises MessageError for columns that the format cannot express.
     """
     header, body = message
-    states = tracks_in_world(body)
+    states, most = tracks_in_world(body), MOST_OBJECTS[codec]
     if not all(np.isfinite(column).all() for column in (*states.columns().values(), body["origin"])):
         raise MessageError(f"{header.schema}: a value is not finite")
-    if len(states) > MOST_OBJECTS:
-        states = states.select(np.sort(np.argsort(-states.score, kind="stable")[:MOST_OBJECTS]))
-    position = _PLANE.to_position(body["origin"])
+    if len(states) > most:
+        states = states.select(np.sort(np.argsort(-states.score, kind="stable")[:most]))
+    station, time_ms = zlib.crc32(header.source.encode()), header.time_ns // 1_000_000
+    if codec == "cam":
+        cams = [to_cam(states, station, time_ms, _PLANE)] if len(states) else []
+        return Message(header, unpack(codec, [cam.encode(each) for each in cams]))
+    position, yaw = _PLANE.to_position(body["origin"]), None
+    if body["rotation"][1:].any():
+        yaw = float(heading(rotation_from_quaternion(body["rotation"])))
     objects = to_objects(states, _wire_ids(states.id), _PLANE.to_point(position))
-    station = zlib.crc32(header.source.encode())
-    whole = to_cpm(objects, station, header.time_ns // 1_000_000, position)
-    parts = segments(whole, MAX_SEGMENT_BYTES)
-    return Message(header, unpack(codec, [cpm.encode(part) for part in parts]))
+    whole = to_cpm(objects, station, time_ms, position, yaw)
+    return Message(header, unpack(codec, [cpm.encode(part) for part in segments(whole, MAX_SEGMENT_BYTES)]))
 
 
 def unpack(codec: str, data: Sequence[object]) -> Packed:
     """The columns in the bytes of a message. Raises MessageError for bytes that are none, and for mixed segments."""
     if codec not in CODECS:
         raise MessageError(f"body: unknown codec {codec[:20]!r}, expected one of {', '.join(CODECS)}")
-    if not isinstance(data, (list, tuple)) or not 1 <= len(data) <= MOST_SEGMENTS:
-        raise MessageError(f"{codec}: expected a list of 1 to {MOST_SEGMENTS} segments")
+    least, most = (0, 1) if codec == "cam" else (1, MOST_SEGMENTS)
+    if not isinstance(data, (list, tuple)) or not least <= len(data) <= most:
+        raise MessageError(f"{codec}: expected a list of {least} to {most} segments")
     parts = []
     for number, part in enumerate(data, 1):
         if not isinstance(part, bytes) or len(part) > MAX_SEGMENT_BYTES:
             raise MessageError(f"{codec}: segment {number}: expected at most {MAX_SEGMENT_BYTES} bytes")
-        parts.append(cpm.decode(part))
-    first = parts[0]
-    for number, message in enumerate(parts, 1):
-        segment = (number, len(parts)) if len(parts) > 1 else None
-        if message.segment != segment or (message.station_id, message.position) != (first.station_id, first.position):
-            raise MessageError(f"{codec}: segment {number}: found {message.segment}, expected {segment} of one message")
-    origin = _PLANE.to_point(first.position)
-    columns = [from_cpm(message, _PLANE)[0].columns() for message in parts]
-    body = Packed({name: np.concatenate([part[name] for part in columns]) for name in columns[0]})
-    body["position"] = body["position"] - origin
-    body["origin"], body["rotation"] = origin, _STILL
+        parts.append(part)
+    states, origin, rotation = _read_cam(parts) if codec == "cam" else _read_cpm(parts)
+    body = Packed(states_to_local(states, origin, rotation).columns())
+    body["origin"], body["rotation"] = origin, rotation
     if len(set(body["id"].tolist())) != len(body["id"]):
         raise MessageError(f"{codec}: an object id occurs twice")
     for column in body.values():
         column.setflags(write=False)
-    body.codec, body.segments = codec, tuple(part for part in data if isinstance(part, bytes))
+    body.codec, body.segments = codec, tuple(parts)
     return body
+
+
+def _read_cam(data: Sequence[bytes]) -> tuple[ObjectStates, Floats, Floats]:
+    """The sender in its message, world frame, and its frame of reference: origin (3,) and rotation (4,)."""
+    if not data:
+        return ObjectStates.empty(), np.zeros(3), _STILL
+    message = cam.decode(data[0])
+    rotation = _STILL if message.vehicle is None else rotation_of(message.vehicle.heading)
+    return from_cam(message, _PLANE), _PLANE.to_point(message.position), rotation
+
+
+def _read_cpm(data: Sequence[bytes]) -> tuple[ObjectStates, Floats, Floats]:
+    """The objects in the segments of a message, world frame, and the sender's frame of reference."""
+    parts = [cpm.decode(part) for part in data]
+    first = parts[0]
+    for number, message in enumerate(parts, 1):
+        segment = (number, len(parts)) if len(parts) > 1 else None
+        if message.segment != segment or _station(message) != _station(first):
+            raise MessageError(f"cpm: segment {number}: found {message.segment}, expected {segment} of one message")
+    states = concatenate([from_cpm(message, _PLANE)[0] for message in parts])
+    rotation = _STILL if first.vehicle is None else rotation_of(first.vehicle[0])
+    return states, _PLANE.to_point(first.position), rotation
+
+
+def _station(message: cpm.Cpm) -> tuple[object, ...]:
+    """What all segments of a message have in common."""
+    return message.station_id, message.position, message.vehicle
 
 
 def codec_of(body: Body) -> str:

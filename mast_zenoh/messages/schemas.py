@@ -260,12 +260,14 @@ BUILT_IN: Mapping[str, Schema] = {
         ),
         Schema(
             "reception",
-            1,
+            2,
             "what arrived at a station of what was sent in the frame before, and the load of the channel",
             (
-                Column("agents", "str", ("m",), "", "the stations whose messages arrived, sorted"),
+                Column("agents", "str", ("m",), "", "the stations whose tracks arrived, sorted"),
+                Column("aware", "str", ("k",), "", "the stations whose messages about themselves arrived, sorted"),
                 Column("busy_ratio", "float64", (1,), "", "channel busy ratio, 0 to 1"),
-                Column("airtime_ns", "int64", (1,), "ns", "of the station's own message; 0: it sent none"),
+                Column("sent", "int64", (1,), "", "number of the station's own messages, 0 to 2"),
+                Column("airtime_ns", "int64", (1,), "ns", "of the station's own messages; 0: it sent none"),
             ),
         ),
         Schema(
@@ -292,7 +294,7 @@ BUILT_IN: Mapping[str, Schema] = {
         Schema(
             "picture",
             1,
-            "the common picture: fused, labelled objects, world frame",
+            "the common picture, or that of a region or of a peer: fused, labelled objects, world frame",
             (*_states(), Column("support", "int64", ("n",), "", "agents whose tracks were fused in this frame")),
         ),
         Schema(
@@ -371,7 +373,7 @@ BUILT_IN: Mapping[str, Schema] = {
         Schema(
             "trust",
             1,
-            "the command centre's assessment of agents and objects",
+            "a command centre's or a peer's assessment of agents and objects",
             (
                 Column("agents", "str", ("a",), "", "names of the agents, sorted"),
                 Column("mean", "float64", ("a",), "", "trust in each agent, 0 to 1"),

@@ -6,7 +6,7 @@ import json
 import os
 import re
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -53,12 +53,19 @@ from mast_zenoh.viewer.run import RunRecord
 
 #: Where a template wants its table of contents, and a heading that it lists.
 _CONTENTS = "<!-- contents -->"
+_SCRIPTS = re.compile(r"(<script.*?</script>)", re.DOTALL)
 _HEADING = re.compile(r'<h2 id="([\w-]+)">(.*?)</h2>')
 
 
-def render(template: str, content: Mapping[str, Any], folder: Path) -> Path:
-    """Write `report.html` into a folder, which is created if needed; returns the path."""
+def render(template: str, content: Mapping[str, Any], folder: Path, worded: Callable[[str], str] | None = None) -> Path:
+    """Write `report.html` into a folder, which is created if needed; returns the path.
+
+    worded: changes the words of a text; scripts, whose digests the page names, stay as they are
+    """
     page = page_text(template, content)
+    if worded is not None:
+        parts = _SCRIPTS.split(page)  # texts and scripts in turn
+        page = "".join(part if index % 2 else worded(part) for index, part in enumerate(parts))
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "report.html"
     write_bytes(path, page.encode("utf-8", "surrogateescape"))  # paths that are not UTF-8
@@ -302,7 +309,7 @@ def _write_run(
         "scenario": json.dumps(run.scenario, indent=2) if run.scenario else None,
         "timings": json.dumps(run.run["timings"], indent=2) if run.run.get("timings") else None,
     }
-    return content, render("run.html.j2", content, run.path)
+    return content, render("run.html.j2", content, run.path, run.worded)
 
 
 def _relative(path: Path, folder: Path) -> str:

@@ -35,7 +35,7 @@ def show(console: Console, runs: Mapping[str, Path]) -> None:
         prefix = f"{label}: " if len(runs) > 1 else ""
         _show_lines(console, prefix, run)
         if defence := defence_sentence(run):
-            console.print(escape(f"{prefix}{defence}"), highlight=False)
+            console.print(escape(f"{prefix}{run.worded(defence)}"), highlight=False)
 
 
 def show_run(console: Console, run_folder: Path, against: Path | None = None) -> None:
@@ -67,7 +67,7 @@ def show_loaded(console: Console, run: RunRecord, reference: Reference | None = 
         console.print(text, markup=False, highlight=False, style="bold yellow")
     console.print(escape(f"{headline(run, reference)}."), highlight=False, style="bold")
     if defence := defence_sentence(run):
-        console.print(escape(defence), highlight=False)
+        console.print(escape(run.worded(defence)), highlight=False)
 
 
 def _show_causes(console: Console, runs: Mapping[str, RunRecord], agent: str) -> None:
@@ -89,4 +89,4 @@ def _show_lines(console: Console, label: str, run: RunRecord, reference: RunReco
         lines += [f"  limited effect: {reason}" for reason in why.get(each.name, ()) if each.changed]
     lines += [*picture_sentences(run), *channel_sentences(run)]
     for line in (*lines, *suspension_lines(run), *undecided_lines(run), *check_lines(run.checks)):
-        console.print(escape(f"{label}{line}"), highlight=False)
+        console.print(escape(f"{label}{run.worded(line)}"), highlight=False)

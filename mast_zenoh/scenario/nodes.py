@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh.arrays.geometry import quaternion_from_rotation
-from mast_zenoh.arrays.states import Floats, Ints
+from mast_zenoh.arrays.states import CLASSES, Floats, Ints
 from mast_zenoh.config import bundle, loading
 from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.errors import ConfigurationError, NodeFileError, nearest
@@ -64,6 +64,8 @@ def nodes_of(
     for agent_name, config in _peers(scenario.get("peers", {}), agents, f"{path}: peers"):
         if not isinstance(config, Mapping):
             raise ConfigurationError(f"{path}: peers: {agent_name}: found {config!r}, expected a dict")
+        if config.get("awareness") is not None:
+            config = {**_vehicle_parameters(recording, agents.index(agent_name)), **config}
         add(peer_of(agent_name), "peer", {"agent": agent_name, **config})
     if scenario.get("channel") is not None:
         add("channel", "channel", scenario["channel"])
@@ -160,6 +162,18 @@ def _scene_parameters(recording: Recording, row: int) -> dict[str, Any]:
             for sensor, frames in zip(agent.sensors, due, strict=True)
         ]
     }
+
+
+def _vehicle_parameters(recording: Recording, row: int) -> dict[str, Any]:
+    """What an agent's peer says of the agent itself; empty for a pole. row: of the agent"""
+    agent = recording.agents[row]
+    if agent.kind != "mobile":
+        return {}
+    itself = np.flatnonzero(recording.truth.id == agent.object_id)[:1]
+    if not len(itself):
+        return {"vehicle": {}}
+    size, kind = recording.truth.size[itself[0]], CLASSES[recording.truth.class_id[itself[0]]]
+    return {"vehicle": {"size": size.tolist(), "kind": kind}}
 
 
 def _limits(lidar: LidarSensor) -> dict[str, float]:

@@ -6,16 +6,16 @@ Messages:
     cpm, cam       messages as columns and integers, in the standard's units
     perceived_objects, correlations    objects of a CPM as columns of integers, and the correlations of their components
     reference_position                 reference positions, and the plane around an origin
-    tracks         tracks to CPM and back, in as many segments as a limit of bytes needs
+    tracks         tracks to CPM and back, in as many segments as a limit of bytes needs; a vehicle to CAM and back
 
 Sending:
 
     generation   when a station sends which objects: base class GenerationRules; EveryFrame, CpmGeneration
     redundancy   objects that others have reported: base class RedundancyRule; FrequencyRedundancy, DynamicsRedundancy,
-                 DistanceRedundancy
+                 DistanceRedundancy, SelfAnnouncementRedundancy
     quality      how well a station perceives its objects, 0 to 15: PerceptionQuality
     object_table what a station remembers of each object
-    awareness    when a station says where it is: CamGeneration
+    awareness    what a Vehicle knows of itself, and when it says so: CamGeneration
     congestion   how often stations may send: base class CongestionControl; NoCongestionControl, ReactiveDcc,
                  AdaptiveDcc
     channel      airtime, busy ratio of the channel, and which transmissions arrive
@@ -25,7 +25,7 @@ Sending:
 Arrays in, arrays out: no class here knows of nodes. Times are int64 ns, as in clocks.
 """
 
-from mast_zenoh.v2x.awareness import CamDecision, CamGeneration
+from mast_zenoh.v2x.awareness import CamDecision, CamGeneration, Vehicle
 from mast_zenoh.v2x.channel import OfdmTiming, RadioChannel, Transmissions, arrivals
 from mast_zenoh.v2x.congestion import AdaptiveDcc, CongestionControl, NoCongestionControl, ReactiveDcc
 from mast_zenoh.v2x.generation import (
@@ -43,6 +43,7 @@ from mast_zenoh.v2x.redundancy import (
     FrequencyRedundancy,
     HeardObjects,
     RedundancyRule,
+    SelfAnnouncementRedundancy,
 )
 
 __all__ = [
@@ -69,7 +70,9 @@ __all__ = [
     "ReactiveDcc",
     "RedundancyRule",
     "Selection",
+    "SelfAnnouncementRedundancy",
     "Transmissions",
+    "Vehicle",
     "arrivals",
     "quality_of_score",
 ]

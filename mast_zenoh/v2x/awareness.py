@@ -1,4 +1,4 @@
-"""Generation rules of Cooperative Awareness Messages: when a station says where it is (ETSI TS 103 900 v2.1.1)."""
+"""Cooperative awareness: what a vehicle knows of itself, and when it says so (ETSI TS 103 900 v2.1.1)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,45 @@ import numpy as np
 
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.geometry import wrap_angle
-from mast_zenoh.arrays.states import Floats
+from mast_zenoh.arrays.states import CLASS_INDEX, Floats, ObjectStates
+
+
+@dataclass(frozen=True, kw_only=True)
+class Vehicle:
+    """What a vehicle knows of itself besides its pose.
+
+    size: m, length, width, height;  kind: name of its class
+    position_std_m, height_std_m, velocity_std_mps: standard deviations of its own positioning, of each component
+    """
+
+    size: tuple[float, float, float] = (4.5, 1.8, 1.5)
+    kind: str = "car"
+    position_std_m: float = 0.25
+    height_std_m: float = 1.0
+    velocity_std_mps: float = 0.1
+
+    def __post_init__(self) -> None:
+        check("more than 0, finite", **{f"size[{i}]": side for i, side in enumerate(self.size)})
+        check("more than 0, finite", position_std_m=self.position_std_m, height_std_m=self.height_std_m)
+        check("more than 0, finite", velocity_std_mps=self.velocity_std_mps)
+        if self.kind not in CLASS_INDEX:
+            raise ValueError(f"kind: found {self.kind!r}, expected one of {', '.join(CLASS_INDEX)}")
+
+    def state(self, place: Floats, velocity: Floats, yaw: float) -> ObjectStates:
+        """Its own state, one row, id 0, world frame.
+
+        place: (3,) m, on the ground below its centre; velocity: (3,) m/s; yaw: rad
+        """
+        centre = place + np.array([0.0, 0.0, 0.5 * self.size[2]])
+        std = [*(2 * [self.position_std_m]), self.height_std_m, *(3 * [0.1]), *(3 * [self.velocity_std_mps])]
+        return ObjectStates.of(
+            centre[None],
+            velocity=velocity[None],
+            size=np.array([self.size], np.float64),
+            yaw=np.array([yaw]),
+            covariance=np.diag(np.square(std))[None],
+            class_id=np.array([CLASS_INDEX[self.kind]], np.uint8),
+        )
 
 
 class CamDecision(NamedTuple):

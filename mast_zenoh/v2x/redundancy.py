@@ -165,3 +165,17 @@ class DistanceRedundancy(RedundancyRule):
     ) -> Bools:
         near = np.linalg.norm(reports.sender_position - origin, axis=1) <= self.distance_m
         return np.asarray(np.bincount(row[near], minlength=len(own)) > 0)
+
+
+@dataclass(kw_only=True, eq=False)
+class SelfAnnouncementRedundancy(RedundancyRule):
+    """Leaves out objects that say themselves where they are, by CAMs (TR 103 562, self-announcement).
+
+    A report whose object is at the position of its sender is such an announcement.
+    """
+
+    def _redundant(
+        self, own: ObjectStates, row: Ints, origin: Floats, reports: HeardObjects, predicted: Floats
+    ) -> Bools:
+        itself = (reports.sender_position == reports.position).all(axis=1)
+        return np.asarray(np.bincount(row[itself], minlength=len(own)) > 0)

@@ -7,6 +7,7 @@ from collections import deque
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats, ObjectStates
+from mast_zenoh.v2x.awareness import CamGeneration
 from mast_zenoh.v2x.congestion import CongestionControl, NoCongestionControl
 from mast_zenoh.v2x.generation import EveryFrame, Generation, GenerationRules, Perception
 from mast_zenoh.v2x.redundancy import HeardObjects
@@ -20,11 +21,20 @@ class Station:
     """One station on the channel.
 
     rules: when it sends which objects; None: all in every frame; congestion: how often it may send; None: always
+    awareness: when it says where it is itself; None: never
     """
 
-    def __init__(self, rules: GenerationRules | None = None, congestion: CongestionControl | None = None) -> None:
+    def __init__(
+        self,
+        rules: GenerationRules | None = None,
+        congestion: CongestionControl | None = None,
+        awareness: CamGeneration | None = None,
+    ) -> None:
         self.rules = rules or EveryFrame()
         self.rules.reset()
+        self.awareness = awareness
+        if awareness is not None:
+            awareness.reset()
         self.congestion = congestion or NoCongestionControl()
         self._uncontrolled = isinstance(self.congestion, NoCongestionControl)
         self._on_ns = 0
@@ -65,10 +75,24 @@ class Station:
 
     def transmit(self, time_ns: int, objects: ObjectStates, position: Floats) -> Generation:
         """What to send now. objects: n own ones, world frame; position: (3,) m, of the station"""
-        if not self._uncontrolled and not (self._running and self.congestion.may_send(time_ns)[0]):
+        if not self._may_send(time_ns):
             return Generation.nothing()
         while self._reports and (self._reports[0].time_ns < time_ns - _REPORTS_NS).all():
             self._reports.popleft()
         columns = zip(*((r.time_ns, r.position, r.velocity, r.sender_position) for r in self._reports), strict=True)
         heard = HeardObjects(*map(np.concatenate, columns)) if self._reports else HeardObjects.empty()
         return self.rules.generate(Perception.of(time_ns, objects, position=position, heard=heard))
+
+    def announce(self, time_ns: int, itself: ObjectStates) -> bool:
+        """Whether to say now where it is. itself: its own state, one row, world frame
+
+        A gate that is open is open for both kinds of messages of a frame, and the next wait counts the airtime of both.
+        """
+        if self.awareness is None or not self._may_send(time_ns):
+            return False
+        yaw = float(itself.yaw[0])
+        return self.awareness.generate(time_ns, itself.position[0], itself.velocity[0], yaw).generated
+
+    def _may_send(self, time_ns: int) -> bool:
+        """Whether congestion control lets it send now."""
+        return self._uncontrolled or (self._running and bool(self.congestion.may_send(time_ns)[0]))

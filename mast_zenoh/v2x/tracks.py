@@ -1,4 +1,4 @@
-"""Tracks to CPM and back: quantisation, 95 % confidences, classes, segmentation.
+"""Tracks to CPM and back, and a vehicle's own state to CAM and back: quantisation, confidences, classes, segmentation.
 
 Positions and velocities are in a plane that sender and receiver share: x east, y north, z up (`LocalPlane`), as
 PerceivedObjects of TS 103 324 v2.1.1. Numbers of units are rounded up, as the types of TS 102 894-2 v2.4.1 say (value n
@@ -18,6 +18,7 @@ from mast_zenoh.arrays.states import CLASS_INDEX, CLASSES, Floats, Ints, ObjectS
 from mast_zenoh.errors import MessageError
 from mast_zenoh.v2x import cpm
 from mast_zenoh.v2x.asn1.codec_kernels import Values
+from mast_zenoh.v2x.cam import Cam, VehicleMotion
 from mast_zenoh.v2x.cpm import Cpm
 from mast_zenoh.v2x.perceived_objects import (
     ABSENT,
@@ -84,6 +85,24 @@ for _profile, _name in ((PEDESTRIAN, "pedestrian"), (BICYCLIST, "bicycle"), (MOT
     _PROFILES[_profile] = CLASS_INDEX[_name]
 
 
+#: TrafficParticipantType of a station, in the order of `CLASSES`, and our class of each.
+_STATION_TYPES = np.array(
+    [
+        {"unknown": 0, "car": 5, "truck": 8, "bus": 6, "motorcycle": 4, "bicycle": 2, "pedestrian": 1}[name]
+        for name in CLASSES
+    ]
+)
+_STATIONS = _VEHICLES.copy()
+for _name, _codes in {"pedestrian": (1,), "bicycle": (2, 12), "motorcycle": (3, 4)}.items():
+    _STATIONS[list(_codes)] = CLASS_INDEX[_name]
+#: Standard deviations of each axis at the edge of a 95 % ellipse of a normal distribution.
+_SIGMAS_95_ELLIPSE = 2.4477
+#: Bounds of AltitudeConfidence, m.
+_ALTITUDES = np.array([0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0])
+#: Height of a vehicle that says where it is, m; a CAM does not have it.
+_ASSUMED_HEIGHT = 1.5
+
+
 def _units(values: Floats, unit: float) -> Values:
     """Numbers of units, rounded up except for rounding errors of whole ones."""
     return np.ceil(values / unit - 1e-6).astype(np.int64)
@@ -104,6 +123,15 @@ def _variance(confidence: Values, unit: float, largest: int, unknown: float) -> 
 def orientation_of(yaw: float) -> int:
     """Wgs84AngleValue of a yaw in rad (counter-clockwise from east): 0.1 deg clockwise from north."""
     return int(_units(np.array((90.0 - np.degrees(yaw)) % 360.0), _ANGLE)) % 3600
+
+
+def rotation_of(orientation: int) -> Floats:
+    """Active quaternion (4,) of the axes of a vehicle with a Wgs84AngleValue, which is read half a unit lower.
+
+    It is never that of the world's axes, which are a roadside unit's.
+    """
+    half = np.radians(90.0 - _ANGLE * (orientation - 0.5)) / 2.0
+    return np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
 
 
 def to_objects(
@@ -220,6 +248,82 @@ def _class_ids(objects: PerceivedObjects) -> NDArray[np.uint8]:
     order = np.lexsort((-np.arange(len(row)), confidence % 101))
     result[row[order]] = code[order]
     return result
+
+
+def to_cam(vehicle: ObjectStates, station_id: int, time_ms: int, plane: LocalPlane) -> Cam:
+    """The message of a vehicle (one row) about itself, without its low-frequency container.
+
+    Its reference position is on the ground, in the middle of its front. time_ms: TimestampIts
+    """
+    ((length, width, height),), (yaw,) = vehicle.size, vehicle.yaw
+    along = np.array([np.cos(yaw), np.sin(yaw)])
+    velocity, variance = vehicle.velocity[0, :2], vehicle.covariance[0]
+    backward = bool(velocity @ along < 0.0)
+    front = vehicle.position[0] + 0.5 * np.array([*(length * along), -height])
+    spread, axes = np.linalg.eigh(variance[:2, :2])
+    minor, major = np.clip(_units(_SIGMAS_95_ELLIPSE * np.sqrt(np.maximum(spread, 0.0)), _POSITION), 1, 4094).tolist()
+    position = dataclasses.replace(
+        plane.to_position(front),
+        altitude_confidence=int(np.searchsorted(_ALTITUDES, SIGMAS_95 * np.sqrt(max(variance[2, 2], 0.0)) - 1e-9)),
+        semi_major=major,
+        semi_minor=minor,
+        orientation=0 if minor == major else orientation_of(float(np.arctan2(axes[1, 1], axes[0, 1]))) % 1800,
+    )
+    of_speed = along @ variance[6:8, 6:8] @ along
+    motion = VehicleMotion(
+        heading=orientation_of(yaw + np.pi * backward),
+        speed=int(np.clip(_units(np.hypot(*velocity), _VELOCITY), 0, 16_382)),
+        speed_confidence=int(_confidence(of_speed, _VELOCITY, _LARGEST_VELOCITY)),
+        drive_direction=int(backward),
+        length=int(np.clip(_units(length, _DIMENSION), 1, 1022)),
+        length_confidence=0,
+        width=int(np.clip(_units(width, _DIMENSION), 1, 61)),
+    )
+    return Cam(station_id, time_ms % 65_536, int(_STATION_TYPES[vehicle.class_id[0]]), position, motion)
+
+
+def from_cam(message: Cam, plane: LocalPlane) -> ObjectStates:
+    """The vehicle that sends it (one row, id 0) in the plane; no row if the sender is none.
+
+    A CAM has no confidences of length and width: they are taken for right to a unit. Its height is assumed, and its
+    direction is taken for as good as its speed.
+    """
+    motion, place = message.vehicle, message.position
+    if motion is None:
+        return ObjectStates.empty()
+    yaw = np.radians(90.0 - _ANGLE * (motion.heading - 0.5)) + np.pi * (motion.drive_direction == 1)
+    along = np.array([np.cos(yaw), np.sin(yaw)])
+    units = np.array([motion.length, motion.width])
+    sides = np.where(units < (1023, 62), _DIMENSION * (units - 0.5), UNKNOWN_SIZE[:2])
+    size = np.array([*sides, _ASSUMED_HEIGHT])
+    centre = plane.to_point(place) + 0.5 * np.array([*(-size[0] * (motion.length < 1023) * along), size[2]])
+    moving = motion.speed < 16_383 and motion.heading < 3601
+    speed = _VELOCITY * max(motion.speed - 0.5, 0.0) * moving * (-1.0 if motion.drive_direction == 1 else 1.0)
+    covariance = np.zeros((9, 9))
+    covariance[:2, :2] = _ellipse(place)
+    altitude = place.altitude_confidence
+    covariance[2, 2] = ((_ALTITUDES[altitude] if altitude < 14 else UNKNOWN_POSITION) / SIGMAS_95) ** 2
+    half_widths = [*np.where(units < (1022, 61), _DIMENSION, UNKNOWN_DIMENSION), UNKNOWN_DIMENSION]
+    covariance[3:6, 3:6] = np.diag(np.square(half_widths)) / SIGMAS_95**2
+    confidence = np.array(motion.speed_confidence if moving and motion.speed < 16_382 else 0)
+    covariance[6:, 6:] = np.eye(3) * _variance(confidence, _VELOCITY, _LARGEST_VELOCITY, UNKNOWN_VELOCITY)
+    return ObjectStates.of(
+        centre[None],
+        velocity=np.array([[*(speed * along), 0.0]]),
+        size=size[None],
+        yaw=np.array([np.arctan2(np.sin(yaw), np.cos(yaw))]),
+        covariance=covariance[None],
+        class_id=_STATIONS[[message.station_type]],
+    )
+
+
+def _ellipse(position: Position) -> Floats:
+    """(2, 2) covariance of a reference position."""
+    axes = [position.semi_major, position.semi_minor if position.orientation < 3601 else position.semi_major]
+    major, minor = ((_POSITION * n if n < 4094 else UNKNOWN_POSITION) / _SIGMAS_95_ELLIPSE for n in axes)
+    turn = np.radians(90.0 - _ANGLE * (position.orientation - 0.5))
+    along = np.array([np.cos(turn), np.sin(turn)])
+    return minor**2 * np.eye(2) + (major**2 - minor**2) * np.outer(along, along)
 
 
 def segments(message: Cpm, max_bytes: int) -> list[Cpm]:

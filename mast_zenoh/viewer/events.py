@@ -116,6 +116,8 @@ def spans(run: RunRecord, times: Floats) -> list[dict[str, Any]]:
         why = f": {each['reason']}" if each["reason"] else ""
         words = f"the command centre cannot decide whether {agent} lies{why}", f"{agent} is no longer undecided"
         add(f"{agent} undecided", "undecided", *period, [agent], *words)
+    for each in result:
+        each |= {name: run.worded(each[name]) for name in ("begins", "ends")}
     return sorted(result, key=lambda each: (each["from_s"], each["label"]))
 
 

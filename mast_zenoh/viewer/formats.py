@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal, NamedTuple
 
-FormatName = Literal["csv", "parquet", "kitti", "mot", "openlabel", "foxglove", "rosbag2", "rrd", "pcap"]
+FormatName = Literal[
+    "csv", "parquet", "kitti", "mot", "openlabel", "foxglove", "rosbag2", "rrd", "pcap", "misbehaviour"
+]
 
 
 class Format(NamedTuple):
@@ -30,4 +32,5 @@ FORMATS: Mapping[str, Format] = {
     "rosbag2": Format("rosbag2.write", "rosbag2"),
     "rrd": Format("rrd.write", "rerun"),
     "pcap": Format("pcap.write"),
+    "misbehaviour": Format("misbehaviour.write"),
 }

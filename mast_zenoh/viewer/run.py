@@ -57,6 +57,15 @@ def column(table: Table, name: str) -> NDArray[np.float64]:
     return np.asarray(table[name], np.float64)
 
 
+#: What texts call a centre and its picture, and what they are in a run without one, in which the ego's are shown.
+_WITHOUT_CENTRE = (
+    ("the common picture", "the picture of the ego"),
+    ("The common picture", "The picture of the ego"),
+    ("the command centre", "the ego peer"),
+    ("The command centre", "The ego peer"),
+)
+
+
 @dataclass(frozen=True, eq=False)
 class RunRecord:
     """The contents of a run folder.
@@ -304,6 +313,19 @@ class RunRecord:
     def faulted(self) -> bool:
         """Whether links or faults are part of the run."""
         return any(each.get("kind") != "attack" for each in self.scenario.get("timeline", ()))
+
+    @property
+    def has_centre(self) -> bool:
+        """Whether agents share a picture; otherwise each has a peer, which makes its own."""
+        roles = {self.role(node) for node in self.run.get("nodes", {})}
+        return "peer" not in roles or not roles.isdisjoint(("command_center", "center"))
+
+    def worded(self, text: str) -> str:
+        """A text about the run in terms of a centre, in those of the ego and its peer if there is none."""
+        if not self.has_centre:
+            for central, own in _WITHOUT_CENTRE:
+                text = text.replace(central, own)
+        return text
 
     @property
     def withholds(self) -> bool:

@@ -1,23 +1,33 @@
 """Tracks travel as Collective Perception Messages: what receivers get is what the bytes say."""
 
+import asn1_oracle
 import msgpack
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mast_zenoh.arrays.geometry import tracks_in_world
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.packed import MAX_SEGMENT_BYTES, MOST_OBJECTS, Packed, codec_of, pack
 from mast_zenoh.messages.schemas import Header, Message
+from mast_zenoh.v2x import cam, cpm
+from mast_zenoh.v2x.asn1 import cpm_fields
+from mast_zenoh.v2x.tracks import orientation_of, rotation_of
 
 HEADER = Header("tracks", "infra_1", 3, 300_000_000, 3)
 
 
 def message(
-    n: int, seed: int = 0, spread_m: float = 80.0, origin: tuple[float, float, float] = (3.0, -4.0, 5.0)
+    n: int,
+    seed: int = 0,
+    spread_m: float = 80.0,
+    origin: tuple[float, float, float] = (3.0, -4.0, 5.0),
+    yaw: float | None = None,
 ) -> Message:
+    """Tracks of a roadside unit, or of a vehicle with this yaw (rad), in its own axes."""
     rng = np.random.default_rng(seed)
     root = rng.normal(0.0, 0.1, (n, 9, 9))
     states = ObjectStates.of(
@@ -31,19 +41,24 @@ def message(
         class_id=rng.integers(0, 7, n).astype(np.uint8),
     )
     frame = {"origin": np.array(origin), "rotation": np.array([1.0, 0.0, 0.0, 0.0])}
+    if yaw is not None:
+        frame["rotation"] = rotation_of(orientation_of(yaw))
     return codec.conform(HEADER, states.columns() | frame)
 
 
-def packed(sent: Message) -> Packed:
-    body = pack(sent, "cpm").body
+YAWS = st.none() | st.sampled_from([0.0, np.pi / 2, np.pi, -np.pi / 2]) | st.floats(-np.pi, np.pi)
+
+
+def packed(sent: Message, wire_codec: str = "cpm") -> Packed:
+    body = pack(sent, wire_codec).body
     assert isinstance(body, Packed)
     return body
 
 
 @settings(max_examples=40, deadline=None)
-@given(st.integers(0, 60), st.integers(0, 1 << 30))
-def test_what_is_read_is_written_again_with_the_same_bytes(n: int, seed: int) -> None:
-    received = pack(message(n, seed), "cpm")
+@given(st.integers(0, 60), st.integers(0, 1 << 30), YAWS)
+def test_what_is_read_is_written_again_with_the_same_bytes(n: int, seed: int, yaw: float | None) -> None:
+    received = pack(message(n, seed, yaw=yaw), "cpm")
     again = pack(Message(HEADER, dict(received.body)), "cpm")
     assert packed(again).segments == packed(received).segments
     decoded = codec.decode(codec.encode(received), "tracks")
@@ -53,22 +68,48 @@ def test_what_is_read_is_written_again_with_the_same_bytes(n: int, seed: int) ->
 
 
 @settings(max_examples=40, deadline=None)
-@given(st.integers(1, 40), st.integers(0, 1 << 30))
-def test_receivers_get_the_tracks_within_the_quantisation_of_the_standard(n: int, seed: int) -> None:
-    sent = message(n, seed)
+@given(st.integers(1, 40), st.integers(0, 1 << 30), YAWS)
+def test_receivers_get_the_tracks_within_the_quantisation_of_the_standard(n: int, seed: int, yaw: float | None) -> None:
+    sent = message(n, seed, yaw=yaw)
     body = packed(sent)
-    place = [each["position"] + each["origin"] for each in (sent.body, body)]
-    np.testing.assert_allclose(*place, atol=0.0051)
+    before, after = (tracks_in_world(each) for each in (sent.body, body))
+    np.testing.assert_allclose(after.position, before.position, atol=0.0051)
     np.testing.assert_allclose(body["origin"], sent.body["origin"], atol=0.02)
-    np.testing.assert_allclose(body["velocity"], sent.body["velocity"], atol=0.0051)
-    np.testing.assert_allclose(body["size"], sent.body["size"], atol=0.051)
-    turn = np.angle(np.exp(1j * (body["yaw"] - sent.body["yaw"])))
+    np.testing.assert_allclose(body["rotation"], sent.body["rotation"], atol=1e-9)
+    np.testing.assert_allclose(after.velocity, before.velocity, atol=0.0051)
+    np.testing.assert_allclose(after.size, before.size, atol=0.051)
+    turn = np.angle(np.exp(1j * (after.yaw - before.yaw)))
     assert np.abs(turn).max() <= np.radians(0.051)
-    np.testing.assert_allclose(body["score"], sent.body["score"], atol=0.5 / 15 + 1e-9)
-    np.testing.assert_array_equal(body["class_id"], sent.body["class_id"])
-    before, after = (np.sqrt(each["covariance"].diagonal(axis1=1, axis2=2)[:, :2]) for each in (sent.body, body))
-    assert ((after >= before - 1e-9) & (after <= before + 0.01)).all(), "in 95 % confidences of whole centimetres"
-    assert np.count_nonzero(body["covariance"]) <= 9 * n, "correlations are not sent"
+    np.testing.assert_allclose(after.score, before.score, atol=0.5 / 15 + 1e-9)
+    np.testing.assert_array_equal(after.class_id, before.class_id)
+    sigmas = [np.sqrt(each.covariance.diagonal(axis1=1, axis2=2)[:, :2]) for each in (before, after)]
+    assert ((sigmas[1] >= sigmas[0] - 1e-9) & (sigmas[1] <= sigmas[0] + 0.01)).all(), "in whole centimetres, of 95 %"
+    assert np.count_nonzero(np.abs(after.covariance) > 1e-9) <= 9 * n, "correlations are not sent"
+
+
+@pytest.mark.parametrize("yaw", [None, 0.0, 0.7, np.pi / 2, -3.0])
+def test_a_vehicle_says_that_it_is_one_and_where_it_heads_and_a_pole_that_it_is_a_roadside_unit(
+    yaw: float | None,
+) -> None:
+    for segment in packed(message(120, yaw=yaw)).segments:
+        decoded = cpm.decode(segment)
+        assert decoded.rsu == (yaw is None)
+        assert decoded.vehicle == (None if yaw is None else (orientation_of(yaw), 127))
+
+
+@pytest.mark.skipif(not asn1_oracle.FOLDER.is_dir(), reason="no ASN.1 modules in $MAST_DATA/etsi_asn1")
+@pytest.mark.parametrize(("yaw", "orientation"), [(None, None), (0.0, 900), (np.pi / 2, 0), (-np.pi / 2, 1800)])
+def test_asn1tools_reads_the_container_of_a_vehicle_or_of_a_roadside_unit(
+    yaw: float | None, orientation: int | None
+) -> None:
+    (segment,) = packed(message(5, yaw=yaw)).segments
+    content = asn1_oracle.decode("CPM", cpm_fields.LAYOUT.type, segment)["payload"]["cpmContainers"][0]
+    if orientation is None:
+        assert content["containerId"] == 2
+        assert content["containerData"] == {}
+    else:
+        assert content["containerId"] == 1
+        assert content["containerData"]["orientationAngle"] == {"value": orientation, "confidence": 127}
 
 
 def test_twenty_objects_take_some_hundred_bytes_and_many_are_segmented() -> None:
@@ -80,10 +121,11 @@ def test_twenty_objects_take_some_hundred_bytes_and_many_are_segmented() -> None
 
 
 def test_of_too_many_objects_those_with_the_best_scores_are_sent() -> None:
-    sent = message(MOST_OBJECTS + 300)
+    most = MOST_OBJECTS["cpm"]
+    sent = message(most + 300)
     body = packed(sent)
-    assert len(body["id"]) == MOST_OBJECTS
-    assert body["score"].min() >= np.sort(sent.body["score"])[-MOST_OBJECTS] - 0.04
+    assert len(body["id"]) == most
+    assert body["score"].min() >= np.sort(sent.body["score"])[-most] - 0.04
 
 
 def test_ids_are_reused_and_stay_different() -> None:
@@ -106,7 +148,9 @@ def test_what_cannot_be_expressed_is_refused() -> None:
         ({"cpm": [b""]}, "header"),
         ({"cpm": [b"x" * 2000]}, "expected at most 1400 bytes"),
         ({"cpm": [3]}, "expected at most 1400 bytes"),
-        ({"cam": [b"abc"]}, "columns missing"),
+        ({"denm": [b"abc"]}, "columns missing"),
+        ({"cam": [b"abc"]}, "header"),
+        ({"cam": 2 * [b"abc"]}, "expected a list of 0 to 1 segments"),
     ],
 )
 def test_other_bodies_are_refused(body: dict, problem: str) -> None:
@@ -115,6 +159,44 @@ def test_other_bodies_are_refused(body: dict, problem: str) -> None:
     )
     with pytest.raises(MessageError, match=problem):
         codec.decode(payload, "tracks")
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.integers(0, 1 << 30), YAWS)
+def test_what_a_vehicle_says_of_itself_is_read_within_the_units_of_the_standard_and_written_again(
+    seed: int, yaw: float | None
+) -> None:
+    sent = message(1, seed, yaw=yaw)
+    rng = np.random.default_rng(seed)
+    heading, speed = rng.uniform(-np.pi, np.pi), rng.choice([-3.0, 0.0, 12.0])
+    velocity = speed * np.array([[np.cos(heading), np.sin(heading), 0.0]])
+    states = tracks_in_world(sent.body).with_(
+        yaw=np.array([heading]), velocity=velocity, class_id=np.array([seed % 7], np.uint8)
+    )
+    still = {"origin": np.zeros(3), "rotation": np.array([1.0, 0.0, 0.0, 0.0])}
+    body = packed(codec.conform(HEADER, states.columns() | still), "cam")
+    read = tracks_in_world(body)
+    np.testing.assert_allclose(read.position[:, :2], states.position[:, :2], atol=0.04)
+    np.testing.assert_allclose(read.velocity, velocity, atol=0.02)
+    np.testing.assert_allclose(read.size[0, :2], np.minimum(states.size[0, :2], [99.0, 6.05]), atol=0.051)
+    assert abs(np.angle(np.exp(1j * (read.yaw[0] - heading)))) <= np.radians(0.051)
+    assert read.class_id.tolist() == [seed % 7]
+    np.testing.assert_allclose(read.covariance[0, :2, :2], states.covariance[0, :2, :2], atol=0.02)
+    assert len(body.segments[0]) < 50
+    again = packed(Message(HEADER, dict(body)), "cam")
+    assert again.segments == body.segments
+    decoded = codec.decode(codec.encode(Message(HEADER, body)), "tracks")
+    assert decoded.body.segments == body.segments
+
+
+def test_a_message_of_awareness_is_about_one_vehicle_the_best_known_or_is_not_sent() -> None:
+    sent = message(5)
+    (segment,) = packed(sent, "cam").segments
+    best = tracks_in_world(sent.body).select(np.argsort(-sent.body["score"])[:1])
+    np.testing.assert_allclose(tracks_in_world(packed(sent, "cam")).position[0, :2], best.position[0, :2], atol=8.0)
+    assert packed(message(0), "cam").segments == ()
+    assert codec_of(codec.decode(codec.encode(pack(message(0), "cam")), "tracks").body) == "cam"
+    assert cam.decode(segment).vehicle is not None
 
 
 def test_segments_of_different_messages_are_refused() -> None:
@@ -126,14 +208,14 @@ def test_segments_of_different_messages_are_refused() -> None:
 
 
 @settings(max_examples=300, deadline=None)
-@given(st.data())
-def test_damaged_bytes_are_refused_or_are_another_message(data: st.DataObject) -> None:
-    payload = bytearray(codec.encode(pack(message(5), "cpm")))
+@given(st.data(), st.sampled_from(["cpm", "cam"]))
+def test_damaged_bytes_are_refused_or_are_another_message(data: st.DataObject, wire_codec: str) -> None:
+    payload = bytearray(codec.encode(pack(message(5), wire_codec)))
     for _ in range(data.draw(st.integers(1, 4))):
         payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
     try:
         decoded = codec.decode(bytes(payload), "tracks")
     except MessageError:
         return
-    assert codec_of(decoded.body) == "cpm"
+    assert codec_of(decoded.body) == wire_codec
     assert codec.decode(codec.encode(decoded), "tracks").header == decoded.header

@@ -6,6 +6,7 @@ import pytest
 from tiny_world import Run, tiny
 
 from mast_zenoh.messages.packed import codec_of
+from mast_zenoh.v2x import cpm
 
 
 @cache
@@ -33,6 +34,18 @@ def test_broadcasts_are_collective_perception_messages_relative_to_their_sender(
         frame = message.header.frame
         assert message.body["origin"][0] == pytest.approx(-10.0 + 0.8 * frame, abs=0.02)
     assert not [m for m in run.decoded("agent/ego/tracks", "tracks") if codec_of(m.body)], "inside the car they are not"
+
+
+def test_a_car_says_that_it_is_a_vehicle_and_a_pole_that_it_is_a_roadside_unit() -> None:
+    run = played()
+    for message in run.decoded("agent/ego/broadcast", "tracks"):
+        (sent,) = map(cpm.decode, message.body.segments)
+        assert sent.vehicle == (900, 127), "it drives east"
+        assert not sent.rsu
+    for message in run.decoded("agent/infra_1/broadcast", "tracks"):
+        (sent,) = map(cpm.decode, message.body.segments)
+        assert sent.vehicle is None
+        assert sent.rsu
 
 
 def test_the_rules_send_less_than_everything_in_every_frame() -> None:

@@ -8,7 +8,14 @@ from perceptions import FRAME_NS, objects, reports
 
 from mast_zenoh.arrays.states import Bools, ObjectStates
 from mast_zenoh.config.registry import known_types
-from mast_zenoh.v2x import DistanceRedundancy, DynamicsRedundancy, FrequencyRedundancy, HeardObjects, RedundancyRule
+from mast_zenoh.v2x import (
+    DistanceRedundancy,
+    DynamicsRedundancy,
+    FrequencyRedundancy,
+    HeardObjects,
+    RedundancyRule,
+    SelfAnnouncementRedundancy,
+)
 
 ORIGIN = np.zeros(3)
 RULES = [FrequencyRedundancy(reports=0), DynamicsRedundancy(), DistanceRedundancy()]
@@ -101,3 +108,11 @@ def test_a_lie_next_to_an_object_silences_two_rules_but_not_the_comparison_of_dy
     own = objects(1, v=(10.0, 0.0))
     lie = reports(objects(1, x=1.0, v=(0.0, 0.0)))
     assert [left_out(rule, own, lie) for rule in RULES] == [[True], [False], [True]]
+
+
+def test_what_says_itself_where_it_is_is_left_out_and_what_others_report_is_not() -> None:
+    rule, own = SelfAnnouncementRedundancy(), objects(1, 2)
+    itself = reports(objects(2), sender_position=tuple(objects(2).position[0]))
+    assert left_out(rule, own, itself) == [False, True]
+    assert left_out(rule, own, reports(objects(1, 2))) == [False, False]
+    assert left_out(rule, own, itself, frame=11) == [False, False], "it has fallen silent"

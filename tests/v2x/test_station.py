@@ -3,7 +3,7 @@
 import numpy as np
 from perceptions import FRAME_NS, objects, sent_ids
 
-from mast_zenoh.v2x import AdaptiveDcc, CpmGeneration, FrequencyRedundancy
+from mast_zenoh.v2x import AdaptiveDcc, CamGeneration, CpmGeneration, FrequencyRedundancy, Vehicle
 from mast_zenoh.v2x.station import Station
 
 HERE = np.zeros(3)
@@ -56,3 +56,19 @@ def test_a_flood_of_reports_does_not_fill_the_memory() -> None:
     for frame in range(40):
         station.hear(frame * FRAME_NS, many, HERE)
     assert sum(map(len, station._reports)) <= 20_000
+
+
+def test_a_station_says_where_it_is_when_that_is_due_and_the_channel_allows_it() -> None:
+    def announced(station: Station, busy: float) -> list[int]:
+        frames = []
+        for frame in range(60):
+            station.measure(frame * FRAME_NS, busy, (frame - 1) * FRAME_NS, 400_000 * (frames[-1:] == [frame - 1]))
+            itself = Vehicle().state(np.array([2.5 * frame, 0.0, 0.0]), np.array([25.0, 0.0, 0.0]), 0.0)
+            frames += [frame] * station.announce(frame * FRAME_NS, itself)
+        return frames
+
+    assert announced(Station(), 0.0) == []
+    assert announced(Station(awareness=CamGeneration()), 0.0) == list(range(0, 60, 2)), "5 m, of which 4 are due"
+    control = AdaptiveDcc(least=0.0005, most=0.001)
+    limited = announced(Station(awareness=CamGeneration(), congestion=control), 0.95)
+    assert 5 < len(limited) < 20

@@ -25,7 +25,7 @@ from mast_zenoh.messagelog.reader import Recorded, read
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.packed import pack
 from mast_zenoh.messages.schemas import Message
-from mast_zenoh.v2x import cpm
+from mast_zenoh.v2x import cam, cpm
 from mast_zenoh.v2x.reference_position import Position
 from mast_zenoh.viewer.export import export, pcap
 from mast_zenoh.viewer.recorded import RecordedRun
@@ -36,7 +36,11 @@ INTERCEPTED = "agent/infra_1/broadcast"
 
 
 class Packet(NamedTuple):
-    """What a capture file says of a packet. time_ns: since 1970;  position: 1e-7 deg;  payload: behind BTP"""
+    """What a capture file says of a packet.
+
+    time_ns: since 1970;  position: 1e-7 deg;  speed: 0.01 m/s;  heading: 0.1 deg clockwise from north
+    payload: behind BTP
+    """
 
     time_ns: int
     source: bytes
@@ -44,6 +48,9 @@ class Packet(NamedTuple):
     time_ms: int
     position: tuple[int, int]
     mobile: bool
+    speed: int
+    heading: int
+    port: int
     payload: bytes
 
 
@@ -60,10 +67,13 @@ def packet_of(time_ns: int, data: bytes) -> Packet:
     address, link_layer, time_ms, *position, speed, heading, medium = struct.unpack("!H6sIiiHHI", data[26:54])
     assert address >> 15 == 1
     assert link_layer == source
-    assert (address & 0x3FF, speed, heading, medium) == (0, 0, 0, 0)
+    assert (address & 0x3FF, medium) == (0, 0)
     assert length == len(data) - 54
-    assert struct.unpack("!HH", data[54:58]) == (2009, 0)
-    return Packet(time_ns, source, address >> 10 & 31, time_ms, (*position,), bool(flags & 0x80), data[58:])
+    port, info = struct.unpack("!HH", data[54:58])
+    assert info == 0
+    speed = (speed & 0x7FFF ^ 0x4000) - 0x4000
+    mobile = bool(flags & 0x80)
+    return Packet(time_ns, source, address >> 10 & 31, time_ms, (*position,), mobile, speed, heading, port, data[58:])
 
 
 def packets(path: Path) -> list[Packet]:
@@ -84,19 +94,20 @@ def packets(path: Path) -> list[Packet]:
 @pytest.fixture(scope="session")
 def broadcast(tmp_path_factory: pytest.TempPathFactory) -> mast.Run:
     """A run whose peers broadcast CPMs, one of them through an adversary."""
-    attack = dict(n_adversaries=1, attack_start_s=0.3)
+    attack = dict(n_adversaries=1, attack_start_s=0.3, awareness=True)
     out = tmp_path_factory.mktemp("broadcast") / "run"
     return mast.run("congested", frames=FRAMES, seed=3, n_infrastructure=3, n_mobile=1, **attack, out=out)
 
 
 def by_key(run: mast.Run) -> dict[str, list[dict]]:
-    """Messages with a CPM, by the key on which they were sent, in order of frames."""
+    """Messages with a CPM or a CAM, by the key on which they were sent, in order of frames."""
     found: dict[str, list[dict]] = {}
     with (run.path / "messages.mcap").open("rb") as file:
         for _, channel, recorded in make_reader(file).iter_messages():
             message = msgpack.unpackb(recorded.data)
-            if "cpm" in message["body"]:
-                found.setdefault(channel.topic, []).append(message)
+            for codec_name in {"cpm", "cam"} & message["body"].keys():
+                coded = message | {"codec": codec_name, "segments": message["body"][codec_name]}
+                found.setdefault(channel.topic, []).append(coded)
     return {key: sorted(messages, key=lambda message: message["frame"]) for key, messages in found.items()}
 
 
@@ -111,19 +122,37 @@ def test_the_file_holds_what_each_station_sent_in_order(broadcast: mast.Run, out
     messages = by_key(broadcast)
     received, messages[INTERCEPTED] = messages[INTERCEPTED], messages.pop(f"{INTERCEPTED}/@tap/0")
     assert received != messages[INTERCEPTED], "the adversary changes nothing"
-    assert set(messages) == {f"agent/{name}/broadcast" for name in ("ego", "mobile_1", "infra_1", "infra_2", "infra_3")}
-    expected = [(message, segment) for message in in_order(messages) for segment in message["body"]["cpm"]]
+    tracks = {f"agent/{name}/broadcast" for name in ("ego", "mobile_1", "infra_1", "infra_2", "infra_3")}
+    assert set(messages) == tracks | {f"agent/{name}/awareness" for name in ("ego", "mobile_1")}
+    expected = [(message, segment) for message in in_order(messages) for segment in message["segments"]]
     found = packets(out)
     assert [packet.payload for packet in found] == [segment for _, segment in expected]
     for packet, (message, _) in zip(found, expected, strict=True):
-        decoded = cpm.decode(packet.payload)
         station = zlib.crc32(message["source"].encode())
-        assert decoded.station_id == station
         assert packet.source == b"\x02\x00" + station.to_bytes(4, "big")
         assert packet.time_ns == SCENE_BEGINS_S * 1_000_000_000 + message["time_ns"]
-        assert packet.time_ms == decoded.reference_time == message["time_ns"] // 1_000_000
+        assert packet.time_ms == message["time_ns"] // 1_000_000
+        decoded = (cam if message["codec"] == "cam" else cpm).decode(packet.payload)
+        assert decoded.station_id == station
         assert packet.position == (decoded.position.latitude, decoded.position.longitude)
-        assert (packet.station_type, packet.mobile) == (15, False), "the message has a roadside unit's container"
+        kind = packet.port, packet.station_type, packet.mobile
+        if message["codec"] == "cam":
+            assert kind == (2001, 5, True)
+            motion = decoded.vehicle
+            assert packet.speed == motion.speed * (-1 if motion.drive_direction == 1 else 1)
+            assert packet.heading == motion.heading
+        elif message["source"].startswith("peer_infra"):
+            assert kind == (2009, 15, False)
+            assert decoded.rsu
+            assert decoded.vehicle is None
+            assert (packet.speed, packet.heading) == (0, 0)
+        else:
+            assert kind == (2009, 0, True)
+            assert not decoded.rsu
+            assert (packet.speed, packet.heading) == (0, decoded.vehicle[0])
+    assert {packet.port for packet in found} == {2001, 2009}
+    assert len({packet.heading for packet in found}) > 2, "cars say where they head"
+    assert len({packet.speed for packet in found}) > 2
 
 
 def test_a_wire_that_is_intercepted_during_the_run_is_followed_to_its_publisher(broadcast: mast.Run, out: Path) -> None:
@@ -144,7 +173,7 @@ def test_a_wire_that_is_intercepted_during_the_run_is_followed_to_its_publisher(
     assert before
     assert since
     messages[INTERCEPTED] = before + since
-    expected = [segment for message in in_order(messages) for segment in message["body"]["cpm"]]
+    expected = [segment for message in in_order(messages) for segment in message["segments"]]
     assert [packet.payload for packet in packets(out)] == expected
 
 
@@ -154,23 +183,47 @@ def test_a_wire_that_is_intercepted_during_the_run_is_followed_to_its_publisher(
     time_ms=st.integers(0, 4_398_046_511_103),
     latitude=st.integers(-900_000_000, 900_000_001),
     longitude=st.integers(-1_800_000_000, 1_800_000_001),
-    rsu=st.booleans(),
+    orientation=st.none() | st.integers(0, 3601),
 )
-def test_headers_hold_station_time_and_position_of_any_message(
-    station: int, time_ms: int, latitude: int, longitude: int, rsu: bool
+def test_headers_hold_station_time_position_and_heading_of_any_message(
+    station: int, time_ms: int, latitude: int, longitude: int, orientation: int | None
 ) -> None:
-    message = cpm.Cpm(station, time_ms, Position(latitude, longitude), vehicle=None if rsu else (0, 127), rsu=rsu)
+    rsu = orientation is None
+    vehicle = None if orientation is None else (orientation, 127)
+    message = cpm.Cpm(station, time_ms, Position(latitude, longitude), vehicle=vehicle, rsu=rsu)
     segment = cpm.encode(message)
-    found = packet_of(0, pcap.packet(segment, message))
+    found = packet_of(0, pcap.packet(segment, 2009, pcap.sender_of("cpm", segment), time_ms))
     assert found.payload == segment
     assert int.from_bytes(found.source[2:], "big") == station
     assert found.time_ms == time_ms % 2**32
     assert found.position == (latitude, longitude)
     assert (found.station_type, found.mobile) == ((15, False) if rsu else (0, True))
+    unknown = orientation is None or orientation > 3599
+    assert found.heading == (0 if unknown else orientation)
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    speed=st.integers(0, 16383),
+    drive=st.integers(0, 2),
+    heading=st.integers(0, 3601),
+    type=st.integers(0, 255),
+    rsu=st.booleans(),
+)
+def test_headers_hold_speed_and_heading_of_a_vehicle_that_says_them(
+    speed: int, drive: int, heading: int, type: int, rsu: bool
+) -> None:
+    motion = cam.VehicleMotion(heading=heading, speed=speed, drive_direction=drive)
+    message = cam.Cam(7, 0, type, Position(1, 2), None if rsu else motion)
+    found = packet_of(0, pcap.packet(b"", 2001, pcap.sender_of("cam", cam.encode(message)), 0))
+    assert found.port == 2001
+    assert found.mobile == (not rsu)
+    assert found.speed == (0 if rsu or speed == 16383 else -speed if drive == 1 else speed)
+    assert found.heading == (0 if rsu or heading > 3599 else heading)
 
 
 def spoilt(change: Callable[[Recorded], Recorded]) -> Callable[..., Iterator[Recorded]]:
-    """A function that reads a recording, with the ego's message of frame 9 changed."""
+    """A function that reads a recording, with the ego's message about its tracks in frame 9 changed."""
 
     def reading(path: Path, wanted: Callable[[str], bool]) -> Iterator[Recorded]:
         for message in read(path, wanted):
@@ -221,7 +274,11 @@ def test_each_segment_of_a_message_is_a_packet(broadcast: mast.Run, out: Path, m
 
     monkeypatch.setattr(pcap, "read", spoilt(of_many_objects))
     export(broadcast.path, "pcap", out)
-    segments = [(packet, message) for packet in packets(out) if (message := cpm.decode(packet.payload)).segment]
+    segments = [
+        (packet, message)
+        for packet in packets(out)
+        if packet.port == 2009 and (message := cpm.decode(packet.payload)).segment
+    ]
     count = len(segments)
     assert count > 2
     assert [message.segment for _, message in segments] == [(number, count) for number in range(1, count + 1)]
@@ -246,7 +303,7 @@ def test_damaged_bytes_give_a_sound_file(broadcast: mast.Run, tmp_path: Path) ->
             patch.setattr(pcap, "read", spoilt(change))
             pcap.write(run, out)
         for packet in packets(out):
-            cpm.decode(packet.payload)
+            (cpm if packet.port == 2009 else cam).decode(packet.payload)
 
     check()
 
@@ -257,7 +314,7 @@ def test_a_run_without_such_messages_is_refused_and_the_error_says_how_to_get_so
     code, _, err = command("export", str(recorded.path), "--to", "pcap", "-o", str(out))
     assert code == ExportError.exit_code
     words = " ".join(err.split())
-    assert "found no wire with Collective Perception Messages, expected one at least" in words
+    assert "found no wire with V2X messages, expected one at least" in words
     assert "--set codec=cpm" in words
     assert "--to parquet" in words
     assert not out.exists()

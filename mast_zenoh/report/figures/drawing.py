@@ -127,7 +127,7 @@ def birdseye_figure(view: Frame) -> Figure:
 
 
 def _title(axes: Axes, title: str, view: Frame, size: float = 12.5, *, when: bool = True) -> None:
-    axes.set_title(plain(title), color=_WHITE, fontsize=size, loc="left", pad=6)
+    axes.set_title(plain(view.run.worded(title)), color=_WHITE, fontsize=size, loc="left", pad=6)
     if when:
         axes.set_title(view.time_label, color=FAINT, fontsize=10.5, loc="right", pad=6)
 

@@ -52,7 +52,7 @@ class Take:
         frames = run.objects["frame"]
         self.first, self.last = int(frames.min()), int(frames.max())
         own = rows(run.objects, run.objects["estimator"] == run.original(estimate))
-        self.run, self.estimate, self.title = replace(run, objects=own), estimate, title or TITLES[estimate]
+        self.run, self.estimate, self.title = replace(run, objects=own), estimate, title or run.worded(TITLES[estimate])
         seconds = run.seconds(np.arange(self.last + 1))
         regular = np.arange(self.last + 1) * run.period_s
         self.times: Floats = np.asarray(regular if seconds is None else seconds, np.float64)

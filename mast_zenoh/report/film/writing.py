@@ -163,8 +163,11 @@ def open_takes(run: Path, look: Look, against: Path | None = None) -> list[Take]
         return [Take(folders[0], estimate) for estimate in look.estimates]
     alike = folders[0].label == folders[1].label
     names = [folder.path.name if alike else folder.label for folder in folders]
-    title = TITLES[look.estimates[0]]
-    return [Take(folder, look.estimates[0], f"{name}: {title}") for folder, name in zip(folders, names, strict=True)]
+    estimate = look.estimates[0]
+    titles = [folder.worded(TITLES[estimate]) for folder in folders]
+    return [
+        Take(folder, estimate, f"{name}: {title}") for folder, name, title in zip(folders, names, titles, strict=True)
+    ]
 
 
 def _kind_of(out: Path, kinds: Sequence[str]) -> str:

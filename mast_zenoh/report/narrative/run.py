@@ -267,7 +267,8 @@ def headline(run: RunRecord, reference: Reference | None = None) -> str:
 def result(run: RunRecord, reference: Reference | None = None) -> str:
     """The largest change and its cause, in a sentence without a full stop; after the reference if that failed."""
     unsound = reference_status(reference)
-    return f"{capital(unsound)}: {_result(run, reference)}" if unsound else _result(run, reference)
+    text = run.worded(_result(run, reference))
+    return f"{capital(unsound)}: {text}" if unsound else text
 
 
 def _result(run: RunRecord, reference: Reference | None) -> str:

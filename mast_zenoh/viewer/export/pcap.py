@@ -1,4 +1,6 @@
-"""pcap: a capture file of the Collective Perception Messages that stations sent, as Wireshark opens it.
+"""pcap: a capture file of the V2X messages that stations sent, as Wireshark opens it.
+
+Collective Perception Messages, and Cooperative Awareness Messages.
 
 Ethernet, GeoNetworking (EN 302 636-4-1, single-hop broadcast, not secured) and BTP-B (EN 302 636-5-1) around each
 segment.
@@ -9,12 +11,14 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 from mast_zenoh.errors import ExportError, MessageError
 from mast_zenoh.messagelog.reader import Recorded, read
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.packed import Packed
-from mast_zenoh.v2x import cpm
+from mast_zenoh.v2x import cam, cpm
+from mast_zenoh.v2x.reference_position import Position
 from mast_zenoh.viewer.recorded import RecordedRun
 
 #: When a scene begins, s since 1970: 2004-01-01 00:00 UTC, from which the reference times in CPMs count.
@@ -39,25 +43,41 @@ _COMMON = struct.Struct("!BBBBHBB")
 _BTP_B, _SINGLE_HOP, _TRAFFIC_CLASS, _MOBILE = 0x20, 0x50, 2, 0x80
 #: Kind of address, link-layer address, ms modulo 2^32, latitude, longitude, speed, heading; data of the medium.
 _POSITION = struct.Struct("!H6sIiiHHI")
-_CONFIGURED, _ROADSIDE_UNIT, _UNKNOWN_STATION = 0x8000, 15 << 10, 0
-#: Destination port of CPMs, and its info.
-_BTP = struct.pack("!HH", 2009, 0)
+_CONFIGURED, _ROADSIDE_UNIT, _UNKNOWN_STATION = 0x8000, 15, 0
+#: Destination ports, by codec, and their info.
+_PORTS = {"cpm": 2009, "cam": 2001}
+_BTP = struct.Struct("!HH")
+
+
+class Sender(NamedTuple):
+    """What headers say of a sender.
+
+    type: of the station;  mobile: whether it moves;  position: reference position
+    speed: 0.01 m/s, negative backward;  heading: 0.1 deg clockwise from north; both 0 if unknown
+    """
+
+    station_id: int
+    type: int
+    mobile: bool
+    position: Position
+    speed: int = 0
+    heading: int = 0
 
 
 def write(run: RecordedRun, path: Path) -> None:
     """Write a packet for each segment that a publisher sent, before any interposer.
 
-    Raises ExportError if no wire of the run has CPMs.
+    Raises ExportError if no wire of the run has such messages.
     """
-    #: by frame after which they hold, the keys on which publishers send CPMs, with the keys of their wires
+    #: by frame after which they hold, the keys on which publishers send them, with the keys of their wires
     sources = [
-        (frame, {wire.legs[0].key: wire.key for wire in wiring.wires if wire.codec == "cpm"})
+        (frame, {wire.legs[0].key: wire.key for wire in wiring.wires if wire.codec in _PORTS})
         for frame, wiring in run.wirings
     ]
     wires = {wire for _, keys in sources for wire in keys.values()}
     if not wires:
         raise ExportError(
-            f"{run.path}: found no wire with Collective Perception Messages, expected one at least: "
+            f"{run.path}: found no wire with V2X messages, expected one at least: "
             "repeat the run with --set codec=cpm, as the scenarios peers and congested can, or use --to parquet"
         )
     refused = 0
@@ -76,34 +96,56 @@ def write(run: RecordedRun, path: Path) -> None:
 
 
 def _records(message: Recorded) -> Iterator[bytes]:
-    """Headers and packets of a message in the file. Raises MessageError, before the first one, if it is no CPM."""
+    """Headers and packets of a message in the file. Raises MessageError, before the first one, if it is no such one."""
     if message.malformed:
-        raise MessageError(f"{message.key}: found a malformed message, expected a CPM")
+        raise MessageError(f"{message.key}: found a malformed message, expected a CPM or a CAM")
     body = codec.decode(message.payload, message.type).body
     if not isinstance(body, Packed):
-        raise MessageError(f"{message.key}: found columns, expected a CPM")
+        raise MessageError(f"{message.key}: found columns, expected a CPM or a CAM")
     if message.time_ns >= _MAX_TIME_NS:
         raise MessageError(f"{message.key}: time_ns is {message.time_ns}, expected less than {_MAX_TIME_NS}")
     seconds, nanoseconds = divmod(message.time_ns, 1_000_000_000)
-    sender = cpm.decode(body.segments[0])
     for segment in body.segments:
-        data = packet(segment, sender)
+        data = packet(segment, _PORTS[body.codec], sender_of(body.codec, segment), message.time_ns // 1_000_000)
         yield _PACKET_HEADER.pack(EPOCH_S + seconds, nanoseconds, len(data), len(data))
         yield data
 
 
-def packet(segment: bytes, sender: cpm.Cpm) -> bytes:
-    """An Ethernet frame. segment: bytes of a CPM; sender: its station, position and time"""
-    address = _LOCAL + sender.station_id.to_bytes(4, "big")
-    station, mobile = (_ROADSIDE_UNIT, 0) if sender.rsu else (_UNKNOWN_STATION, _MOBILE)
-    time_ms, position = sender.reference_time % 2**32, sender.position
+def sender_of(name: str, segment: bytes) -> Sender:
+    """The sender that a message of a codec names."""
+    if name == "cam":
+        said = cam.decode(segment)
+        motion = said.vehicle or cam.VehicleMotion()
+        speed = 0 if motion.speed == cam.VehicleMotion.speed else motion.speed
+        speed *= -1 if motion.drive_direction == 1 else 1
+        heading = _heading(motion.heading)
+        return Sender(said.station_id, said.station_type % 32, said.vehicle is not None, said.position, speed, heading)
+    sender = cpm.decode(segment)
+    if sender.rsu:
+        return Sender(sender.station_id, _ROADSIDE_UNIT, False, sender.position)
+    heading = _heading(sender.vehicle[0]) if sender.vehicle else 0
+    return Sender(sender.station_id, _UNKNOWN_STATION, True, sender.position, 0, heading)
+
+
+def _heading(value: int) -> int:
+    """Heading of a header; 0 if it is not available."""
+    return value % 3600 if value <= 3600 else 0
+
+
+def packet(segment: bytes, port: int, sender: Sender, time_ms: int) -> bytes:
+    """An Ethernet frame. segment: bytes of a message; port: destination; time_ms: since the scene began"""
+    address, position = _LOCAL + sender.station_id.to_bytes(4, "big"), sender.position
+    kind = _CONFIGURED | sender.type << 10
+    # The speed has 15 bits, after the flag of an accurate position.
+    place = time_ms % 2**32, position.latitude, position.longitude, sender.speed & 0x7FFF, sender.heading, 0
+    length = _BTP.size + len(segment)
     return b"".join(
         [
             _ETHERNET.pack(_BROADCAST, address, _GEONETWORKING),
             _BASIC,
-            _COMMON.pack(_BTP_B, _SINGLE_HOP, _TRAFFIC_CLASS, mobile, len(_BTP) + len(segment), 1, 0),
-            _POSITION.pack(_CONFIGURED | station, address, time_ms, position.latitude, position.longitude, 0, 0, 0),
-            _BTP,
+            _COMMON.pack(_BTP_B, _SINGLE_HOP, _TRAFFIC_CLASS, _MOBILE * sender.mobile, length, 1, 0),
+            _POSITION.pack(kind, address, *place),
+            _BTP.pack(port, 0),
             segment,
         ]
     )

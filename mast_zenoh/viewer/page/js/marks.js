@@ -212,7 +212,7 @@ const CAUSES = {
   moved: "its object was moved",
   removed: "its object was removed",
   altered: "its object was altered",
-  withheld: "withheld by the command centre",
+  withheld: "withheld from the picture",
 };
 
 /**
