@@ -7,6 +7,12 @@ from mast_zenoh.scenario import agents_of, victims_of
 
 #: Where adversaries sit: on what an agent sends to all, on that to one listener, or on all that one listener hears.
 MAPS = {"sent": "on_broadcast.toml", "pair": "on_pair.toml", "heard": "on_pair.toml"}
+#: Integrity stages that can take one agent's word, each with the part of its settings that says whose.
+_OWN_WORD = {
+    "SequentialConsistency": lambda agent: dict(anchors=[agent]),
+    "TruthDiscovery": lambda agent: dict(anchors=[agent]),
+    "FaultOrLie": lambda agent: dict(stage=dict(type="SequentialConsistency", anchors=[agent])),
+}
 
 
 def scenario(
@@ -17,6 +23,9 @@ def scenario(
     defence=None,
     fusion="CovarianceIntersectionFusion",
     relays=False,
+    anchored=False,
+    gossip=False,
+    n_slanderers=0,
     codec="columns",
     scene="intersection",
     scene_index=None,
@@ -30,25 +39,42 @@ def scenario(
     all that the listener hears); listener: an agent;
     defence: an integrity stage for every peer; fusion: of the tracks of an object, a class;
     relays: whether peers relay their pictures, too, so that rumours spread;
+    anchored: whether a peer's defence takes the word of its own agent's sensors;
+    gossip: whether peers tell each other whom they trust, and use it beside their defence (default: FaultOrLie);
+    n_slanderers: agents besides, whose gossip says no trust in the listener and full trust in the compromised agents;
     codec: of broadcasts: columns, or cpm: Collective Perception Messages.
     """
     content = baseline(scene, scene_index, n_infrastructure, n_mobile)
     pipeline = content["command_center"]["pipeline"]
     pipeline["group_tracking"]["fusion"] = dict(type=fusion)
-    if defence:
-        pipeline["integrity"] = dict(type=defence)
+    if gossip:
+        defence = defence or "FaultOrLie"
+    elif n_slanderers:
+        raise ValueError("n_slanderers: found more than 0, expected gossip=true with it")
+    if anchored and defence not in _OWN_WORD:
+        raise ValueError(f"anchored: found {defence!r} as defence, expected one of {', '.join(_OWN_WORD)}")
+
+    def peer(agent=None):
+        if not defence:
+            return dict(pipeline=pipeline)
+        stage = dict(type=defence) | (_OWN_WORD[defence](agent) if agent else {})
+        return dict(pipeline=pipeline | dict(integrity=dict(type="Hearsay", stage=stage) if gossip else stage))
+
     if codec not in ("columns", "cpm"):
         raise ValueError(f"codec: found {codec!r}, expected 'columns' or 'cpm'")
     others = [agent for agent in agents_of(content["scene"]) if agent != listener]
-    victims = victims_of(content["scene"], n_adversaries)
-    if on == "heard":
-        victims = [others] if n_adversaries else []
+    liars = victims_of(content["scene"], n_adversaries)
+    victims = [others] if on == "heard" and liars else liars
     lies = uncoordinated(1, attack_start_s=attack_start_s)["adversaries"]["adversary_1"]["attack"]
+    slanderers = [agent for agent in others if agent not in liars][:n_slanderers]
+    slander = dict(type="Slander", slandered=[listener], praised=liars, start_s=attack_start_s)
     before = {} if on == "sent" else dict(peer=f"peer_{listener}")
     more = (
         ["cpm_broadcasts.toml"] * (codec == "cpm")
         + ["views.toml"] * bool(defence)
         + ["relays.toml"] * relays
+        + ["gossip.toml"] * gossip
+        + ["on_gossip.toml"] * bool(slanderers)
         + [MAPS[on]] * bool(victims)
     )
     if codec == "cpm":
@@ -57,10 +83,11 @@ def scenario(
         name="peers",
         broker=None,
         command_center=None,
-        peers={"*": dict(pipeline=pipeline)},
+        peers={agent: peer(agent) for agent in (listener, *others)} if anchored else {"*": peer()},
         adversaries={
-            f"adversary_{i}": dict(type="Adversary", agent=victim, attack=lies, **before)
-            for i, victim in enumerate(victims, 1)
+            name: dict(type="Adversary", agent=agent, attack=attack, **before)
+            for kind, agents, attack in (("adversary", victims, lies), ("slanderer", slanderers, slander))
+            for name, agent in ((f"{kind}_{i}", agent) for i, agent in enumerate(agents, 1))
         },
         keyexpr=dict(map="testbed.toml", rewrites=["peers.toml", *more]),
     )
