@@ -47,6 +47,7 @@ class _Place(Message, frozen=True):
     output: Text
     hears: dict[str, Text]
     says: list[Any]
+    before: Text = ""
 
 
 class _InterceptRequest(Message, frozen=True, tag_field="do", tag="intercept"):
@@ -94,10 +95,10 @@ def place_of(value: object) -> Place:
     """The place from its `place_json` form; raises MessageError."""
     place: _Place = codec.converted(value, _Place, "place")
     wires = wiring_of({"wires": place.says, "overhearers": []}, "place: says").wires
-    return Place(place.wire, place.input, place.output, place.hears, wires)
+    return Place(place.wire, place.input, place.output, place.hears, wires, place.before)
 
 
 def place_json(place: Place) -> dict[str, Any]:
     """A place as plain values."""
     data = {"wire": place.wire, "input": place.input, "output": place.output, "hears": dict(place.other_inputs)}
-    return data | {"says": Wiring(place.published_wires).to_json()["wires"]}
+    return data | {"says": Wiring(place.published_wires).to_json()["wires"], "before": place.before}
