@@ -67,6 +67,7 @@ class RunData:
     trust:    by frame, the first message about it
     receptions: by (agent, frame), busy ratio of the channel, ns of the agent's own message, and messages that arrived,
         all of the frame before
+    relays:   whether peers relay their pictures
     """
 
     record: Record
@@ -81,6 +82,7 @@ class RunData:
     link_reports: list[tuple[str, int, int, Body]] = field(default_factory=list)
     trust: dict[int, TrustUpdate] = field(default_factory=dict)
     receptions: dict[tuple[str, int], tuple[float, int, int]] = field(default_factory=dict)
+    relays: bool = False
 
     @property
     def period_s(self) -> float:
@@ -229,6 +231,7 @@ class Evaluation:
             data.period_s,
             from_absence,
             self.attribution,
+            data.relays,
         )
         spoofs = [meter.effects.spoofs for meter in data.meter.meters]
         duration = round(self.attribution.coast_s / data.period_s)

@@ -45,6 +45,10 @@ def between(
             "first_s": first_s,
             "half_after_s": half_after_s,
             "agents": {name: float(each[scored].mean()) for name, each in zip(names, deceived, strict=True)},
+            "since_s": {
+                name: float(scores.frames[each.argmax()]) * period_s if each.any() else None
+                for name, each in zip(names, deceived, strict=True)
+            },
         },
     }
 

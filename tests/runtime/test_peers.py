@@ -93,6 +93,19 @@ def test_a_lie_reaches_those_on_whose_wire_it_is_and_nobody_else(on: str, deceiv
     assert spread["most"] == pytest.approx(len(deceived) / len(AGENTS))
     assert spread["first_s"] >= 0.2
     assert (spread["half_after_s"] is not None) == (len(deceived) > 1)
+    since_s = {agent: since for agent, since in spread["since_s"].items() if since is not None}
+    assert since_s.keys() == deceived
+    assert min(since_s.values()) == spread["first_s"]
+
+
+def test_a_lie_to_one_peer_reaches_others_later_through_what_that_one_relays() -> None:
+    path, content = scenario.load("peers", [*LIES[1:], "on=pair", "relays=true", "scene=intersection:8"])
+    run = Run(scenario.resolve(path, content, frames=20, seed=0))
+    assert not run.failures
+    since_s = run.results["evaluator"]["metrics"]["between"]["deceived"]["since_s"]
+    assert since_s.pop("infra_1") is None, "it leaves out what has its own tracks in it"
+    first_s = since_s.pop("ego")
+    assert {round(since - first_s, 6) for since in since_s.values()} == {0.2}, "a frame to relay it, and one to begin"
 
 
 def test_without_a_lie_pictures_differ_little_and_nobody_is_deceived() -> None:
