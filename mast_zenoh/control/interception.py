@@ -70,6 +70,7 @@ class _Answer(Message, frozen=True):
     wires: list[Text]
     frame: Whole
     took_ms: Finite
+    before: Text = ""
 
 
 def sealed_parts(payload: bytes) -> tuple[bytes, bytes]:
@@ -87,7 +88,7 @@ def request_of(value: dict[str, Any]) -> Intercept | Release:
 
 
 def answer_of(payload: bytes) -> dict[str, Any]:
-    """The launcher's answer: action, node, wires, frame, took_ms; raises MessageError."""
+    """The launcher's answer: action, node, wires, frame, took_ms, before; raises MessageError."""
     return msgspec.structs.asdict(codec.decode(_Answer, payload, "intercept"))
 
 

@@ -125,7 +125,7 @@ def intercept(
     settings: Sequence[str] = (),
     allowed: AllowedCode = SHIPPED,
 ) -> dict[str, Any]:
-    """Put a node on a wire of a run; return node, wires, frame, took_ms.
+    """Put a node on a wire of a run; return action, node, wires, frame, took_ms, before.
 
     run:   the run folder
     file:  of the node; or an attack, by name, FILE.py or FILE.py:CLASS, which the shipped adversary carries out
