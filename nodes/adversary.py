@@ -1,9 +1,10 @@
 """An adversary on a wire: receives messages and forwards manipulated ones.
 
 It sits on `detections` (between an agent's sensors and its perception), on `pose` (between its positioning and the
-agent), on `tracks` or `view` (between the agent and the command centre, or between peers) or on `picture` (between the
-command centre and the agent), as the key-expression map specifies; also on several of them, and on those of several
-agents. Neither end can detect it: keys, headers and untouched rows are forwarded unchanged.
+agent), on `tracks` or `view` (between the agent and the command centre, or between peers), on `gossip` (between peers)
+or on `picture` (between the command centre and the agent), as the key-expression map specifies; also on several of
+them, and on those of several agents. Neither end can detect it: keys, headers and untouched rows are forwarded
+unchanged.
 """
 
 from __future__ import annotations
@@ -56,6 +57,7 @@ class Adversary(Node):
         "tracks": "tracks",
         "view": "view",
         "picture": "picture",
+        "gossip": "gossip",
         "overheard_picture": "picture",
         "trust": "trust",
         "directive": "directive",
@@ -67,6 +69,7 @@ class Adversary(Node):
         "tracks_out": "tracks",
         "view_out": "view",
         "picture_out": "picture",
+        "gossip_out": "gossip",
         "observation": "observation",
         "report": "attack_report",
     }
@@ -158,6 +161,16 @@ class Adversary(Node):
         else:
             victim.views.append(received)
             self.proceed_views(victim, context)
+
+    def on_gossip(self, received: Received, context: Context) -> None:
+        """The victim's trust in agents, on its way to others."""
+        victim, told = self.victim_of(received), received.body["trust"]
+        forged = victim.attack.forge_trust(received.time_ns, victim.agent, tuple(received.body["agents"]), told)
+        if np.array_equal(forged, told):
+            context.relay("gossip_out", received)
+        else:
+            context.relay("gossip_out", received, {**received.body, "trust": forged})
+            self.report(victim, Changes.of_message(np.zeros(3), np.zeros(3)), received, context)
 
     def on_overheard_picture(self, received: Received, context: Context) -> None:
         """The command centre's picture, which the attack knows from the next frame on."""

@@ -7,7 +7,8 @@ tells it which messages arrived.
 
 Only own perception is broadcast, as the standard intends (ETSI TS 103 324). Where a map has a wire for it
 (keyexpr_maps/relays.toml), a peer relays its picture, too, each object with the agents whose tracks are in it. A
-receiver leaves out objects that have its own tracks in them; others it may count twice: rumours.
+receiver leaves out objects that have its own tracks in them; others it may count twice: rumours. With
+keyexpr_maps/gossip.toml, it tells others its trust in agents: its own judgement, without what it heard.
 
 Where a map has a wire for it (keyexpr_maps/awareness.toml), the peer of a vehicle also says where its agent is itself,
 by Cooperative Awareness Messages. For a receiver, the sender is one more of the sender's tracks.
@@ -104,12 +105,14 @@ class Peer(Node):
         "heard_view": "view",
         "heard_awareness": "tracks",
         "relayed": "relayed",
+        "heard_gossip": "gossip",
         "reception": "reception",
     }
     outputs = {
         "broadcast": "tracks",
         "awareness": "tracks",
         "relay": "relayed",
+        "gossip": "gossip",
         "picture": "picture",
         "trust": "trust",
     }
@@ -138,6 +141,7 @@ class Peer(Node):
         self.aware = HeardTracks(0.0, AWARENESS_AGE_S)
         self.views: dict[str, tuple[int, Body]] = {}  # their times, ns, and columns
         self.relays: dict[str, Relay] = {}
+        self.trusts: dict[str, tuple[int, dict[str, float]]] = {}  # by teller, time, ns, and trust in agents
         self.origins = Origins()
         self.own: tuple[int, ObjectStates] | None = None  # time, ns, and tracks
         self.place = np.zeros(3)
@@ -193,6 +197,10 @@ class Peer(Node):
     def on_relayed(self, received: Received, context: Context) -> None:
         """The picture of another agent."""
         self.hear("relayed", received, context)
+
+    def on_heard_gossip(self, received: Received, context: Context) -> None:
+        """The trust of another agent in agents."""
+        self.hear("heard_gossip", received, context)
 
     def hear(self, port: str, received: Received, context: Context) -> None:
         """Keep a message of another agent for the next frame."""
@@ -252,6 +260,9 @@ class Peer(Node):
                     self.station.hear(received.time_ns, states, states.position[0])
             elif port == "heard_view":
                 self.views[sender] = received.time_ns, received.body
+            elif port == "heard_gossip":
+                trust = zip(received.body["agents"].tolist(), received.body["trust"].tolist(), strict=True)
+                self.trusts[sender] = received.time_ns, dict(trust)
             else:
                 self.relays[sender] = self.relay_of(received)
 
@@ -291,6 +302,8 @@ class Peer(Node):
             names.append(self.agent)
         if views := self.views_at(time_ns, items):
             self.pipeline.look(views)
+        if trusts := self.trusts_at(time_ns):
+            self.pipeline.hear(self.agent, trusts)
         relays = self.relays_at(time_ns)
         for name in sorted(relays):
             parts.append(relays[name].states)
@@ -304,7 +317,11 @@ class Peer(Node):
             body = picture.columns() | {"agents": text(origins), "origin": origin.astype(np.uint8)}
             context.publish("relay", body, frame=frame, time_ns=time_ns)
         if self.pipeline.trust is not None:
-            context.publish("trust", trust_body(self.pipeline.trust), frame=frame, time_ns=time_ns)
+            body = trust_body(self.pipeline.trust)
+            context.publish("trust", body, frame=frame, time_ns=time_ns)
+            if context.connected("gossip"):
+                told = {"agents": body["agents"], "trust": body["mean"]}
+                context.publish("gossip", told, frame=frame, time_ns=time_ns)
 
     def views_at(self, time_ns: int, items: Mapping[str, Received]) -> dict[str, SweptView]:
         """What the sensors of the agents cover, as far as it is known; by name."""
@@ -313,6 +330,11 @@ class Peer(Node):
         if "own_view" in items:
             views[self.agent] = view_of(items["own_view"].body)
         return views
+
+    def trusts_at(self, time_ns: int) -> dict[str, dict[str, float]]:
+        """The trust of other agents in agents, as far as it is known; by teller."""
+        self.trusts = {name: each for name, each in self.trusts.items() if abs(time_ns - each[0]) <= self.max_age_ns}
+        return {name: trust for name, (_, trust) in self.trusts.items()}
 
     def relays_at(self, time_ns: int) -> dict[str, Relay]:
         """The pictures of other agents, predicted to a time; by name."""

@@ -13,6 +13,12 @@ MAPS = {
     "heard": "on_pair.toml",
     "awareness": "on_awareness.toml",
 }
+#: Integrity stages that can take one agent's word, each with the part of its settings that says whose.
+_OWN_WORD = {
+    "SequentialConsistency": lambda agent: dict(anchors=[agent]),
+    "TruthDiscovery": lambda agent: dict(anchors=[agent]),
+    "FaultOrLie": lambda agent: dict(stage=dict(type="SequentialConsistency", anchors=[agent])),
+}
 
 
 def scenario(
@@ -23,6 +29,9 @@ def scenario(
     defence=None,
     fusion="CovarianceIntersectionFusion",
     relays=False,
+    anchored=False,
+    gossip=False,
+    n_slanderers=0,
     codec="columns",
     awareness=False,
     scene="intersection",
@@ -37,43 +46,61 @@ def scenario(
     that the listener hears), or awareness (what a vehicle says of itself, which is moved); listener: an agent;
     defence: an integrity stage for every peer; fusion: of the tracks of an object, a class;
     relays: whether peers relay their pictures, too, so that rumours spread;
+    anchored: whether a peer's defence takes the word of its own agent's sensors;
+    gossip: whether peers tell each other whom they trust, and use it beside their defence (default: FaultOrLie);
+    n_slanderers: agents besides, whose gossip says no trust in the listener and full trust in the compromised agents;
     codec: of broadcasts: columns, or cpm: Collective Perception Messages;
     awareness: whether vehicles say where they are, by Cooperative Awareness Messages.
     """
     content = baseline(scene, scene_index, n_infrastructure, n_mobile)
     pipeline = content["command_center"]["pipeline"]
     pipeline["group_tracking"]["fusion"] = dict(type=fusion)
-    if defence:
-        pipeline["integrity"] = dict(type=defence)
+    aware = dict(awareness=dict(type="CamGeneration")) if awareness else {}
+    if gossip:
+        defence = defence or "FaultOrLie"
+    elif n_slanderers:
+        raise ValueError("n_slanderers: found more than 0, expected gossip=true with it")
+    if anchored and defence not in _OWN_WORD:
+        raise ValueError(f"anchored: found {defence!r} as defence, expected one of {', '.join(_OWN_WORD)}")
+
+    def peer(agent=None):
+        if not defence:
+            return dict(pipeline=pipeline) | aware
+        stage = dict(type=defence) | (_OWN_WORD[defence](agent) if agent else {})
+        return dict(pipeline=pipeline | dict(integrity=dict(type="Hearsay", stage=stage) if gossip else stage)) | aware
+
     if codec not in ("columns", "cpm"):
         raise ValueError(f"codec: found {codec!r}, expected 'columns' or 'cpm'")
     others = [agent for agent in agents_of(content["scene"]) if agent != listener]
-    victims = victims_of(content["scene"], n_adversaries)
-    if on == "heard":
-        victims = [others] if n_adversaries else []
+    liars = victims_of(content["scene"], n_adversaries)
+    victims = [others] if on == "heard" and liars else liars
     lies = uncoordinated(1, attack_start_s=attack_start_s)["adversaries"]["adversary_1"]["attack"]
     if on == "awareness":
         victims = [agent for agent in others if not agent.startswith("infra")][:n_adversaries]
         lies["selection"] |= dict(n_false_positives=0.0, fraction_false_negatives=0.0, fraction_translations=1.0)
     before = dict(peer=f"peer_{listener}") if on in ("pair", "heard") else {}
+    slanderers = [agent for agent in others if agent not in liars][:n_slanderers]
+    slander = dict(type="Slander", slandered=[listener], praised=liars, start_s=attack_start_s)
     more = (
         ["cpm_broadcasts.toml"] * (codec == "cpm")
         + ["awareness.toml"] * awareness
         + ["views.toml"] * bool(defence)
         + ["relays.toml"] * relays
+        + ["gossip.toml"] * gossip
+        + ["on_gossip.toml"] * bool(slanderers)
         + [MAPS[on]] * bool(victims)
     )
     if codec == "cpm":
         content["agents"] = {"*": content["agents"]["*"] | dict(tracks_from="agent")}
-    aware = dict(awareness=dict(type="CamGeneration")) if awareness else {}
     return content | dict(
         name="peers",
         broker=None,
         command_center=None,
-        peers={"*": dict(pipeline=pipeline) | aware},
+        peers={agent: peer(agent) for agent in (listener, *others)} if anchored else {"*": peer()},
         adversaries={
-            f"adversary_{i}": dict(type="Adversary", agent=victim, attack=lies, **before)
-            for i, victim in enumerate(victims, 1)
+            name: dict(type="Adversary", agent=agent, attack=attack, **before)
+            for kind, agents, attack in (("adversary", victims, lies), ("slanderer", slanderers, slander))
+            for name, agent in ((f"{kind}_{i}", agent) for i, agent in enumerate(agents, 1))
         },
         keyexpr=dict(map="testbed.toml", rewrites=["peers.toml", *more]),
     )

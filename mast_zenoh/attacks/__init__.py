@@ -16,12 +16,13 @@
     disputes     attacks about which one agent's word stands against another's
     evasion      attacks that stay below what a defence looks for
     flood        an attack on the time of the command centre
+    slander      an attack on what agents say about whom they trust
     victim        what an adversary keeps of a compromised agent
 
 Everything is in the world frame; the nodes convert. See docs/attacks.md.
 """
 
-from mast_zenoh.attacks import disputes, evasion, flood, phantoms, real_objects  # noqa: F401 (found by name)
+from mast_zenoh.attacks import disputes, evasion, flood, phantoms, real_objects, slander  # noqa: F401 (found by name)
 from mast_zenoh.attacks.attack import Attack, PassThrough, UncoordinatedAttack, alter
 from mast_zenoh.attacks.campaign import Propagation
 from mast_zenoh.attacks.coordination import Coordination

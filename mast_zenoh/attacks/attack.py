@@ -66,6 +66,13 @@ class Attack(Adversary):
         """
         return position
 
+    def forge_trust(self, time_ns: int, teller: str, agents: tuple[str, ...], trust: Floats) -> Floats:
+        """The trust (a,) in agents that the victim is to tell others, 0 to 1; by default its own (a,).
+
+        time_ns: ns, of the message; teller: the victim; agents: names of those a agents
+        """
+        return trust
+
 
 class PassThrough(Attack):
     """Relays every message unchanged."""

@@ -401,6 +401,9 @@ class IntermittentAttack(Attack):
     def forge_pose(self, frame: int, time_ns: int, position: Floats) -> Floats:
         return self._attack.forge_pose(frame, time_ns, position) if self._awake(time_ns) else position
 
+    def forge_trust(self, time_ns: int, teller: str, agents: tuple[str, ...], trust: Floats) -> Floats:
+        return self._attack.forge_trust(time_ns, teller, agents, trust) if self._awake(time_ns) else trust
+
     @abstractmethod
     def _awake(self, time_ns: int) -> bool:
         """Whether the attack acts at a time, which is not before that of the last call."""

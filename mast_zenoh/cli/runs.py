@@ -211,6 +211,9 @@ def intercept(
         ),
     ],
     name: Annotated[str | None, typer.Option(help="Name of the new node. Default: its file's, with a number.")] = None,
+    before: Annotated[
+        str, typer.Option(metavar="NODE", help="The only subscriber before which it comes. Default: all of them.")
+    ] = "",
     input: Annotated[str | None, typer.Option(metavar="PORT", help="Its input port for the wire's messages.")] = None,
     output: Annotated[str | None, typer.Option(metavar="PORT", help="Its output port for the wire's messages.")] = None,
     settings: Annotated[
@@ -226,6 +229,7 @@ def intercept(
         wire,
         node,
         name=name,
+        before=before,
         input=input,
         output=output,
         settings=settings or (),

@@ -47,6 +47,7 @@ class _Place(Message, frozen=True):
     output: Text
     hears: dict[str, Text]
     says: list[Any]
+    before: Text = ""
 
 
 class _InterceptRequest(Message, frozen=True, tag_field="do", tag="intercept"):
@@ -69,6 +70,7 @@ class _Answer(Message, frozen=True):
     wires: list[Text]
     frame: Whole
     took_ms: Finite
+    before: Text = ""
 
 
 def sealed_parts(payload: bytes) -> tuple[bytes, bytes]:
@@ -86,7 +88,7 @@ def request_of(value: dict[str, Any]) -> Intercept | Release:
 
 
 def answer_of(payload: bytes) -> dict[str, Any]:
-    """The launcher's answer: action, node, wires, frame, took_ms; raises MessageError."""
+    """The launcher's answer: action, node, wires, frame, took_ms, before; raises MessageError."""
     return msgspec.structs.asdict(codec.decode(_Answer, payload, "intercept"))
 
 
@@ -94,10 +96,10 @@ def place_of(value: object) -> Place:
     """The place from its `place_json` form; raises MessageError."""
     place: _Place = codec.converted(value, _Place, "place")
     wires = wiring_of({"wires": place.says, "overhearers": []}, "place: says").wires
-    return Place(place.wire, place.input, place.output, place.hears, wires)
+    return Place(place.wire, place.input, place.output, place.hears, wires, place.before)
 
 
 def place_json(place: Place) -> dict[str, Any]:
     """A place as plain values."""
     data = {"wire": place.wire, "input": place.input, "output": place.output, "hears": dict(place.other_inputs)}
-    return data | {"says": Wiring(place.published_wires).to_json()["wires"]}
+    return data | {"says": Wiring(place.published_wires).to_json()["wires"], "before": place.before}

@@ -43,7 +43,7 @@ from mast_zenoh.metrics import (
     driving,
 )
 from mast_zenoh.metrics.attributor import Withheld
-from mast_zenoh.metrics.between import between
+from mast_zenoh.metrics.between import between, consistency_between
 from mast_zenoh.metrics.causes import ATTACK_CAUSES
 from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.metrics.measures import MEASURES, ScoredRun, check, estimates_of, frame_keys, measured, per_frame
@@ -68,6 +68,7 @@ class RunData:
     trust:    by frame, the first message about it
     receptions: by (agent, frame), busy ratio of the channel, ns and number of its own messages, and of those arrived,
         all of the frame before
+    relays:   whether peers relay their pictures
     """
 
     record: Record
@@ -82,6 +83,7 @@ class RunData:
     link_reports: list[tuple[str, int, int, Body]] = field(default_factory=list)
     trust: dict[int, TrustUpdate] = field(default_factory=dict)
     receptions: dict[tuple[str, int], tuple[float, int, int, int]] = field(default_factory=dict)
+    relays: bool = False
 
     @property
     def period_s(self) -> float:
@@ -230,6 +232,7 @@ class Evaluation:
             data.period_s,
             from_absence,
             self.attribution,
+            data.relays,
         )
         spoofs = [meter.effects.spoofs for meter in data.meter.meters]
         duration = round(self.attribution.coast_s / data.period_s)
@@ -326,6 +329,10 @@ class _Results:
         drives = driving.drives(self.settings.driving, data.record, scores, labels)
         summary, per_frame, failed_metrics = self._scored(scored)
         integrity, trust_tables = self._trust(scored)
+        own_pictures = [each.agent for each in data.record.series() if each.agent and each.estimator == PICTURE]
+        consistency = self.settings.consistency.summary(
+            scores.pairs, scores.series, own_pictures or [data.ego], scored, data.period_s
+        )
         return {
             "metrics": {
                 "frames": len(frames),
@@ -335,15 +342,13 @@ class _Results:
                 "same_as": _nested(scores.same_as),
                 "achieved": achievement.summary(targets, scores, labels.switch_by, data.ego, data.period_s, scored),
                 "driving": driving.summary(drives, scored),
-                "consistency": self.settings.consistency.summary(
-                    scores.pairs, scores.series, data.ego, scored, data.period_s
-                ),
+                "consistency": consistency,
                 "interposers": reports.summary(self.effects, agreement, data.roles, last, self.from_absence),
                 "picture_age_s": data.picture_age_s(frames[scored].tolist()),
                 "latency_ms": {"sim_to_picture": data.latency_percentiles_ms()},
                 "frames_per_second": 1e9 / times[1] if {0, 1} <= times.keys() else None,
                 **integrity,
-                **self._between(scored),
+                **(self._between(scored, consistency) if len(own_pictures) > 1 else {}),
                 **self._channel(scored),
             },
             "tables": {
@@ -378,13 +383,12 @@ class _Results:
         table["scored"] = np.tile(counts, len(scores.every_series))
         return summary, table, failed
 
-    def _between(self, scored: slice) -> dict[str, Any]:
-        """How the pictures of agents differ; empty where they share one."""
-        if len(_own_pictures(self.data)) < 2:
-            return {}
+    def _between(self, scored: slice, consistency: Mapping[str, Any]) -> dict[str, Any]:
+        """How the pictures of agents that do not share one differ. consistency: as in metrics.json"""
         cause = self.labels.cause
         scorer, blamed = self.settings.scorer, (cause >= 0) & (cause < len(ATTACK_CAUSES))
-        return {"between": between(self.scores, blamed, scorer.range_m, scorer.distance, self.data.period_s, scored)}
+        part = between(self.scores, blamed, scorer.range_m, scorer.distance, self.data.period_s, scored)
+        return {"between": part | {"consistency": consistency_between(consistency)} if part else part}
 
     def _channel(self, scored: slice) -> dict[str, Any]:
         """The load of the channel that stations share; empty without one."""

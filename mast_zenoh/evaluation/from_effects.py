@@ -28,21 +28,24 @@ from mast_zenoh.wiring.model import Passage, agent_of, peer_of
 _WITHOUT_ESTIMATE = ("truth", "mission", "report", "observation", "directive")
 
 
-def influence(passages: Sequence[Passage], series: Sequence[tuple[str, str]], is_link: Bools) -> Bools:
+def influence(
+    passages: Sequence[Passage], series: Sequence[tuple[str, str]], is_link: Bools, relays: bool = False
+) -> Bools:
     """Whether messages of each of p passages can affect each of s series: (p, s).
 
     A series is (agent, estimator). An agent's own tracks depend on its sensors alone. An unknown port may affect all
     other estimates. is_link: (p,) passages of links, whose effects on tracks count only for the tracks as received:
     whether the picture lacks an object because of them depends on the other agents that report it (`metrics.cut_off`).
+    relays: whether peers relay their pictures, so that what one of them hears may reach all others.
     """
     result = np.zeros((len(passages), len(series)), bool)
     for row, passage in enumerate(passages):
         for column, (agent, estimator) in enumerate(series):
-            result[row, column] = _influences(passage, agent, estimator, bool(is_link[row]))
+            result[row, column] = _influences(passage, agent, estimator, bool(is_link[row]), relays)
     return result
 
 
-def _influences(passage: Passage, agent: str, estimator: str, is_link: bool) -> bool:
+def _influences(passage: Passage, agent: str, estimator: str, is_link: bool, relays: bool) -> bool:
     own, port = agent == agent_of(passage.subject), passage.port
     if port in ("detections", "pose"):
         return own or estimator in FROM_CENTRE
@@ -50,8 +53,8 @@ def _influences(passage: Passage, agent: str, estimator: str, is_link: bool) -> 
         return (own and estimator == RECEIVED) or (not is_link and estimator in FROM_CENTRE)
     if port in ("status", "collated"):
         return not is_link and estimator in FROM_CENTRE
-    if port in ("broadcast", "awareness"):
-        return not own and estimator in FROM_CENTRE and passage.before in ("", peer_of(agent))
+    if port in ("broadcast", "awareness", "gossip"):
+        return not own and estimator in FROM_CENTRE and (relays or passage.before in ("", peer_of(agent)))
     if port == "picture":
         return estimator in BEHIND_DOWNLINK and passage.before in ("", agent)
     return port not in _WITHOUT_ESTIMATE and (estimator != LOCAL or port == "clock")
@@ -71,6 +74,7 @@ def manipulations(
     period_s: float,
     away: Bools,
     limits: AttributionLimits,
+    relays: bool = False,
 ) -> Manipulations:
     """The manipulations among the measured effects.
 
@@ -79,6 +83,7 @@ def manipulations(
     truth:  all objects, world frame; group = frame
     away:   (n,) effects due to the absence of an interposer, which are not manipulations
     limits: which effects count, and for how long
+    relays: see `influence`
     """
     is_link = np.array([roles.get(passage.node) == "link" for passage in effects.passages], bool)
     culprits = tuple(sorted({p.node for p, link in zip(effects.passages, is_link, strict=True) if not link}))
@@ -97,8 +102,8 @@ def manipulations(
     )
     result = Manipulations(
         culprits=culprits,
-        reach=influence(effects.passages, series, is_link),
-        shown=influence(effects.passages, series, np.zeros(len(is_link), bool)),
+        reach=influence(effects.passages, series, is_link, relays),
+        shown=influence(effects.passages, series, np.zeros(len(is_link), bool), relays),
         passage=passage,
         culprit=culprit_row[passage] if len(rows) else passage,
         kind=np.concatenate([np.full(len(inserted), INSERTED), kind]),

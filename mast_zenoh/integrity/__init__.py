@@ -17,7 +17,7 @@ consensus    groups of agents, counted checks of them, and what the admission of
 occupancy    areas that views show free or occupied
 
 The other stages have a file each: Plausibility, RobustFusion, Mate, SequentialConsistency, TruthDiscovery, FaultOrLie,
-and those after the field's published defences, Robosac, Pasac, Made, Prbi, PoseGuard, Cad.
+Hearsay, and those after the field's published defences, Robosac, Pasac, Made, Prbi, PoseGuard, Cad.
 """
 
 from mast_zenoh.integrity.base import (
@@ -32,6 +32,7 @@ from mast_zenoh.integrity.base import (
 )
 from mast_zenoh.integrity.cad import Cad
 from mast_zenoh.integrity.fault_or_lie import FaultOrLie
+from mast_zenoh.integrity.hearsay import Hearsay
 from mast_zenoh.integrity.made import Made
 from mast_zenoh.integrity.mate import Mate
 from mast_zenoh.integrity.pasac import Pasac
@@ -54,6 +55,7 @@ __all__ = [
     "Cad",
     "FaultOrLie",
     "FreeSpace",
+    "Hearsay",
     "Integrity",
     "KOfN",
     "Made",

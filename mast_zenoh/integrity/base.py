@@ -179,6 +179,14 @@ class Integrity(ABC):
         A stage should not act on them at once: when the fault is found, it excuses them.
         """
 
+    def hear(self, listener: str, trusts: Mapping[str, Mapping[str, float]]) -> None:  # noqa: B027 (a hook)
+        """Set what other agents say about whom they trust, for the next batch.
+
+        listener: the agent whose receiver this is; trusts: by teller, their trust in agents, 0 to 1
+
+        Called only where agents tell it to each other (keyexpr_maps/gossip.toml).
+        """
+
     @abstractmethod
     def assess(self, batch: Batch) -> Assessment:
         """Assess the agents and clusters of a batch; called once for each, in order of time.

@@ -461,7 +461,8 @@ class Interceptions:
         self._adopt(planned)
         self._inserted.add(name)
         self._state.given_up.discard(name)
-        return self._record("intercept", name, [place.wire], answer)
+        place_before = {"before": place.before} if place.before else {}
+        return self._record("intercept", name, [place.wire], answer | place_before)
 
     def _release(self, named: str | None, wire: str | None) -> Work:
         """Take a node off its wires, and end it once it has forwarded everything."""

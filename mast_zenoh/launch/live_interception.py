@@ -119,16 +119,18 @@ def intercept(
     file: str,
     *,
     name: str | None = None,
+    before: str = "",
     input: str | None = None,
     output: str | None = None,
     settings: Sequence[str] = (),
     allowed: AllowedCode = SHIPPED,
 ) -> dict[str, Any]:
-    """Put a node on a wire of a run; return node, wires, frame, took_ms.
+    """Put a node on a wire of a run; return action, node, wires, frame, took_ms, before.
 
     run:   the run folder
     file:  of the node; or an attack, by name, FILE.py or FILE.py:CLASS, which the shipped adversary carries out
     name:  name of the new node; None: the file's name with a number
+    before: the only subscriber before which it comes, which has a node of its own on the wire since launch; "": all
     input, output: its ports on the wire; None: the ports that carry the wire's messages
     settings: its parameters, `key=value`; a dotted key sets an item of a dict
     allowed: which of the code that the run folder names may run here
@@ -138,7 +140,8 @@ def intercept(
     """
     record = _running(run, allowed)
     resolved = Resolved.read(run, allowed)
-    node, spec, place = plan(resolved, wire, file, name=name, input=input, output=output, settings=settings)
+    ports = dict(input=input, output=output)
+    node, spec, place = plan(resolved, wire, file, name=name, before=before, settings=settings, **ports)
     add_surroundings({node: spec}, Recording.load(run / RECORDING))
     fields = {name: getattr(spec, name) for name in ("file", "type", "role", "config", "on_exit")}
     modules = [module for module in modules_of(Path(), spec.config, ()) if module not in resolved.modules]
@@ -164,6 +167,7 @@ def plan(
     file: str,
     *,
     name: str | None = None,
+    before: str = "",
     input: str | None = None,
     output: str | None = None,
     settings: Sequence[str] = (),
@@ -198,7 +202,7 @@ def plan(
             raise
         raise ConfigurationError(f"{error}; {unread}") from None
     subject = str(spec.config.get("agent", agent_of(target.subject)))
-    place = _place(cls, path, name, target, subject, wiring, resolved, input, output)
+    place = replace(_place(cls, path, name, target, subject, wiring, resolved, input, output), before=before)
     insert(wiring, name, place)
     return name, spec, place
 

@@ -256,7 +256,12 @@ def of_confidence(metrics: Mapping[str, Any], trackers: Mapping[str, Mapping[str
               compared with the truth
     """
     estimates = [*_estimates(metrics.get("consistency"))]
-    texts = [text for text in (_estimate_text(*estimate) for estimate in estimates) if text]
+    own_pictures = "between" in metrics
+    texts = [
+        text
+        for agent, estimate, summaries in estimates
+        if (text := _estimate_text(subject_of(agent, estimate, own_pictures), summaries))
+    ]
     if not any(summary.get("pairs") for _, _, summaries in estimates for summary in summaries.values()):
         texts += [_tracker_text(name, each) for name, each in trackers.items() if each["verdict"] == OVERCONFIDENT]
     if len(texts) > _MAX_LINES:
@@ -277,8 +282,8 @@ def _items(value: object) -> list[tuple[str, Any]]:
     return [(name, item) for name, item in items if isinstance(name, str) and name.isprintable()]
 
 
-def _estimate_text(agent: str, estimate: str, summaries: Mapping[str, Mapping[str, Any]]) -> str:
-    """What to say of an estimate; empty: nothing."""
+def _estimate_text(subject: str, summaries: Mapping[str, Mapping[str, Any]]) -> str:
+    """What to say of an estimate; empty: nothing. subject: of the sentence"""
     parts: list[str] = []
     for quantity, words in _QUANTITIES.items():
         summary = summaries.get(quantity, {})
@@ -286,7 +291,7 @@ def _estimate_text(agent: str, estimate: str, summaries: Mapping[str, Mapping[st
         if summary.get("verdict") == OVERCONFIDENT and isinstance(factor, float) and isinstance(nees, float):
             more = "" if parts else "more confident than accurate"
             parts.append(f"{_number(factor)} times {more}{words} (NEES {_number(nees)}, expected 2)".replace("  ", " "))
-    return f"{subject_of(agent, estimate)} is {', and '.join(parts)}" if parts else ""
+    return f"{subject} is {', and '.join(parts)}" if parts else ""
 
 
 def _tracker_text(node: str, summary: Mapping[str, Any]) -> str:

@@ -365,6 +365,10 @@ def _check_references(message: Message) -> None:
             raise MessageError(f"collated.agent: a row outside `agents`, which has {rows}")
     elif schema in ("tracks", "picture", "relayed") and len(set(body["id"].tolist())) != len(body["id"]):
         raise MessageError(f"{schema}.id: an id occurs twice")
+    elif schema == "gossip":
+        trust = body["trust"]
+        if len(trust) and not 0.0 <= trust.min() <= trust.max() <= 1.0:
+            raise MessageError("gossip.trust: a value is not from 0 to 1")
 
 
 def _names_differ(schema: str, body: Any, columns: tuple[Column, ...]) -> str:

@@ -259,6 +259,15 @@ BUILT_IN: Mapping[str, Schema] = {
             ),
         ),
         Schema(
+            "gossip",
+            1,
+            "an agent's own trust in agents, for other agents",
+            (
+                Column("agents", "str", ("a",), "", "names of the agents, sorted"),
+                Column("trust", "float64", ("a",), "", "trust in each agent, 0 to 1"),
+            ),
+        ),
+        Schema(
             "reception",
             2,
             "what arrived at a station of what was sent in the frame before, and the load of the channel",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import product
 from typing import Any
 
@@ -44,8 +45,38 @@ def between(
             "first_s": first_s,
             "half_after_s": half_after_s,
             "agents": {name: float(each.mean()) for name, each in zip(names, deceived, strict=True)},
+            "since_s": {
+                name: float(frames[each.argmax()]) * period_s if each.any() else None
+                for name, each in zip(names, deceived, strict=True)
+            },
         },
     }
+
+
+def consistency_between(consistency: Mapping[str, Any]) -> dict[str, Any]:
+    """The part `between.consistency`: how confident the pictures of agents are, compared with their accuracy.
+
+    consistency: as in metrics.json, see `Consistency.summary`
+
+    By quantity: `agents`, by name, `nees`, `low` and `high` of each picture with a defined value; `nees`, their mean;
+    `above` and `below`, names of the agents whose NEES is outside its 95 % bounds. Only `above` breaks the promise of a
+    covariance, which is an upper limit of the error.
+    """
+    pictures = {agent: estimates[PICTURE] for agent, estimates in consistency.items() if PICTURE in estimates}
+    part: dict[str, Any] = {}
+    for quantity in ("position", "velocity"):
+        agents = {
+            agent: {key: picture[quantity][key] for key in ("nees", "low", "high")}
+            for agent, picture in pictures.items()
+            if picture[quantity]["nees"] is not None
+        }
+        part[quantity] = {
+            "nees": mean_and_std(np.array([each["nees"] for each in agents.values()]))["mean"],
+            "above": [agent for agent, each in agents.items() if each["nees"] > each["high"]],
+            "below": [agent for agent, each in agents.items() if each["nees"] < each["low"]],
+            "agents": agents,
+        }
+    return part
 
 
 def _deceived(scores: Scores, blamed: Bools, series: list[int]) -> Bools:

@@ -7,7 +7,7 @@ and a truth object. Pure; docs/metrics.md.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -50,21 +50,22 @@ class Consistency:
         self,
         pairs: MatchedPairs,
         series: Sequence[tuple[str, str]],
-        ego: str,
+        pictures: Collection[str],
         scored: slice,
         period_s: float,
     ) -> dict[str, dict[str, dict[str, Any]]]:
         """NEES of position and velocity by agent and estimate; see `nees_summary`.
 
-        Of every agent's own tracks, as sent and as received; of the mission estimates; and of the ego's picture.
+        Of every agent's own tracks, as sent and as received; of the mission estimates; and of pictures.
 
         pairs: of the rows of `series`, (agent, estimator)
+        pictures: agents whose picture counts: one of those that share it, all of those that have their own
         scored: the frames that count
         """
         result: dict[str, dict[str, dict[str, Any]]] = {agent: {} for agent, _ in series}
         object_of = np.unique(pairs.truth.boxes.id, return_inverse=True)[1].reshape(-1)
         for row, (agent, estimator) in sorted(enumerate(series), key=lambda item: rank_of(item[1][1])):
-            if estimator in (LOCAL, RECEIVED, MISSION) or (agent, estimator) == (ego, PICTURE):
+            if estimator in (LOCAL, RECEIVED, MISSION) or (estimator == PICTURE and agent in pictures):
                 errors = pairs.errors(row, scored)
                 objects = object_of.take(errors.truth_row)
                 result[agent][estimator] = {

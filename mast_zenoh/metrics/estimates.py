@@ -97,8 +97,13 @@ def column_name(estimate: str) -> str:
     return ESTIMATES[estimate].column if estimate in ESTIMATES else estimate
 
 
-def subject_of(agent: str, estimate: str) -> str:
-    """An estimate of a named agent, as the subject of a sentence."""
+def subject_of(agent: str, estimate: str, own_picture: bool = False) -> str:
+    """An estimate of a named agent, as the subject of a sentence.
+
+    own_picture: whether each agent has a picture of its own
+    """
+    if own_picture and estimate == PICTURE:
+        return f"the picture of {agent}"
     form = ESTIMATES[estimate].agent if estimate in ESTIMATES else "{} ({estimate})"
     return form.format(agent, estimate=estimate)
 

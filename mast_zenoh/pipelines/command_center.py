@@ -52,6 +52,9 @@ class Pipeline(ABC):
         Called only where agents send views (keyexpr_maps/views.toml).
         """
 
+    def hear(self, listener: str, trusts: Mapping[str, Mapping[str, float]]) -> None:  # noqa: B027 (a hook)
+        """Set what other agents say about whom they trust, for the next step; see `Integrity.hear`."""
+
     @abstractmethod
     def step(
         self, time_ns: int, states: ObjectStates, agent: Ints, agents: tuple[str, ...], weights: Floats | None = None
@@ -116,6 +119,10 @@ class CommandCenterPipeline(Pipeline):
 
     def look(self, views: Mapping[str, SweptView]) -> None:
         self._views = views
+
+    def hear(self, listener: str, trusts: Mapping[str, Mapping[str, float]]) -> None:
+        if self.integrity is not None:
+            self.integrity.hear(listener, trusts)
 
     def step(
         self, time_ns: int, states: ObjectStates, agent: Ints, agents: tuple[str, ...], weights: Floats | None = None

@@ -466,6 +466,11 @@ def _check_forging(subject: str, attack: Attack, frame: int) -> None:
         position = attack.forge_pose(frame, time_ns, _AGENT_POSITION)
     expect(position.shape == (3,), f"{subject}: forge_pose: the shape is {position.shape}, expected (3,)")
     expect_finite((position,), f"{subject}: forge_pose")
+    trust = np.array([0.2, 1.0])
+    with unchanged(f"{subject}: forge_trust", trust=trust):
+        forged_trust = attack.forge_trust(time_ns, "infra_1", ("ego", "infra_1"), trust)
+    expect(forged_trust.shape == (2,), f"{subject}: forge_trust: the shape is {forged_trust.shape}, expected (2,)")
+    expect(bool(((forged_trust >= 0.0) & (forged_trust <= 1.0)).all()), f"{subject}: forge_trust: not from 0 to 1")
 
 
 def _check_tampering(subject: str, tampering: Tampering, objects: ObjectStates) -> None:

@@ -24,7 +24,7 @@ OF_OBJECTS = ("inserted", "removed", "moved", "altered")
 class Interposer:
     """A node on wires.
 
-    wires:    keys;  agents: owners of these wires;  before: agents whose copy of the picture alone passes through it
+    wires:    keys;  agents: owners of these wires;  before: subscribers whose copy of a message alone passes through it
     live:     first frame on its wire, if inserted during the run
     released: first frame after its removal, if removed during the run
     effects:  measured number of objects or messages by effect; None: not measured
@@ -121,6 +121,8 @@ def interposers(run: RunRecord) -> tuple[Interposer, ...]:
     for event in run.run.get("interceptions", ()):
         node = event["node"]
         wires.setdefault(node, {}).update(dict.fromkeys(event.get("wires", ())))
+        if event.get("before"):
+            before.setdefault(node, {})[event["before"]] = None
         (live if event["action"] == "intercept" else released)[node] = event["frame"]
     result = []
     for node, keys in wires.items():

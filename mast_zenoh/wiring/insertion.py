@@ -4,7 +4,7 @@ Pure functions.
 
 Inserting works as in a key-expression map: the publisher of the wire's key gets a tap key, to which only the new node
 subscribes, and the new node publishes the wire's key. Subscribers keep theirs. The new node comes at the end of the
-trunk: after all nodes on it, before the subscribers and their branches.
+trunk: after all nodes on it, before the subscribers and their branches; or at the end of the branch of one subscriber.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ class Place:
     """Where a node is inserted into a running mesh.
 
     wire:  key of the wire that it interposes;  input, output: its ports on that wire
+    before: the only subscriber before which it comes, a node with a branch; "": all
     other_inputs:    its other inputs, port by key of the wire
     published_wires: wires that it publishes, each with one leg
     """
@@ -33,13 +34,14 @@ class Place:
     output: str
     other_inputs: Mapping[str, str] = field(default_factory=dict)
     published_wires: tuple[Wire, ...] = ()
+    before: str = ""
 
 
 def insert(wiring: Wiring, node: str, place: Place) -> Wiring:
     """The wiring with `node` inserted into a wire.
 
-    Raises WiringError for an unknown wire, a node that is on it already, a listener at the source that would need
-    another key, a key that already has a publisher, and a name that cannot be part of a key.
+    Raises WiringError for an unknown wire, a node that is on it already, a subscriber or a listener at the source that
+    would need another key, a key that already has a publisher, and a name that cannot be part of a key.
     """
     if not _NAME.fullmatch(node):
         raise WiringError(f"node {node!r}: a node's name is one chunk of a key expression: letters, digits, _ . -")
@@ -50,18 +52,20 @@ def insert(wiring: Wiring, node: str, place: Place) -> Wiring:
     target = wires[place.wire]
     if node in parties(target):
         raise WiringError(f"{node} is already on the wire {target.key!r}: that would be a loop")
-    *before, last = target.legs
-    if not before:
-        _check_source(target)
-    taken = {leg.key for leg in target.every_leg}
-    tap = next(key for i in range(len(taken) + 1) if (key := f"{target.key}/{TAP}/{i}") not in taken)
-    into = Leg(tap, last.publisher, (Endpoint(node, place.input),))
-    out = replace(last, publisher=Endpoint(node, place.output))
-    wires[target.key] = replace(target, legs=(*before, into, out))
+    if place.before:
+        branch = _branch_of(target, place.before)
+        taps = f"{target.key}/{TAP}/{place.before}"
+        extended = replace(branch, legs=_extended(target, branch.legs, taps, node, place))
+        branches = tuple(extended if known == branch else known for known in target.branches)
+        wires[target.key] = replace(target, branches=branches)
+    else:
+        if len(target.legs) == 1:
+            _check_source(target)
+        wires[target.key] = replace(target, legs=_extended(target, target.legs, f"{target.key}/{TAP}", node, place))
     for key, port in place.other_inputs.items():
         *before, last = wires[key].legs
-        extended = replace(last, subscribers=(*last.subscribers, Endpoint(node, port)))
-        wires[key] = replace(wires[key], legs=(*before, extended))
+        heard = replace(last, subscribers=(*last.subscribers, Endpoint(node, port)))
+        wires[key] = replace(wires[key], legs=(*before, heard))
     for wire in place.published_wires:
         if wire.key in wires:
             raise WiringError(f"the key {wire.key!r} already has a publisher")
@@ -74,8 +78,8 @@ def remove(wiring: Wiring, node: str) -> Wiring:
 
     The publisher before the node then publishes on the key that the node used.
 
-    Raises WiringError for a node on no wire, for one before a single subscriber, and if a listener at the source
-    would need another key.
+    Raises WiringError for a node on no wire, for the first one before a single subscriber, and if a listener at the
+    source would need another key.
     """
     interposers_of = {wire.key: wire.interposers for wire in wiring.wires if wire.interposers}
     if not any(node in interposers for interposers in interposers_of.values()):
@@ -111,7 +115,7 @@ def taps_into(wiring: Wiring, nodes: Collection[str]) -> dict[str, str]:
     return {
         leg.key: end.node
         for wire in wiring.wires
-        for leg, onward in zip(wire.legs, wire.legs[1:], strict=False)
+        for leg, onward in wire.hops
         for end in leg.subscribers
         if end.node in nodes and end.node == onward.publisher.node
     }
@@ -121,6 +125,29 @@ def parties(wire: Wire) -> set[str]:
     """The nodes that publish or subscribe to any leg of a wire."""
     legs = wire.every_leg
     return {leg.publisher.node for leg in legs} | {end.node for leg in legs for end in wire.receivers(leg)}
+
+
+def _extended(wire: Wire, legs: tuple[Leg, ...], taps: str, node: str, place: Place) -> tuple[Leg, ...]:
+    """A trunk or a branch with a node at its end. taps: the keys of its tap legs, without their numbers"""
+    *before, last = legs
+    taken = {leg.key for leg in wire.every_leg}
+    tap = next(key for i in range(len(taken) + 1) if (key := f"{taps}/{i}") not in taken)
+    into = Leg(tap, last.publisher, (Endpoint(node, place.input),))
+    return (*before, into, replace(last, publisher=Endpoint(node, place.output)))
+
+
+def _branch_of(wire: Wire, subscriber: str) -> Branch:
+    """The branch of a subscriber; raises WiringError if it has none, as a subscriber keeps its key during a run."""
+    for branch in wire.branches:
+        if branch.subscriber.node == subscriber:
+            return branch
+    names = {end.node for end in wire.subscribers}
+    if subscriber not in names:
+        raise WiringError(f"{subscriber!r} does not subscribe to {wire.key!r}{nearest(subscriber, names)}")
+    raise WiringError(
+        f"no node is before {subscriber} alone on {wire.key!r}, and a subscriber keeps its key during a run: insert "
+        "the first one at launch (PassThrough), and leave it there"
+    )
 
 
 def _without_all(wire: Wire, nodes: Collection[str]) -> Wire:
@@ -144,7 +171,7 @@ def _without_all(wire: Wire, nodes: Collection[str]) -> Wire:
 
 
 def _shortened(trunk: tuple[Leg, ...], nodes: Collection[str]) -> list[Leg]:
-    """A trunk without some of its interposers."""
+    """A trunk or a branch without some of its interposers."""
     legs: list[Leg] = []
     for leg in trunk:
         if leg.publisher.node in nodes:  # the leg before leads only to it
@@ -164,8 +191,8 @@ def _check_source(wire: Wire) -> None:
 
 
 def _without(wire: Wire, node: str) -> Wire:
-    if any(node == leg.publisher.node for branch in wire.branches for leg in branch.legs):
-        raise WiringError(f"{node} is on the branch of one subscriber of {wire.key!r}: it cannot be released")
+    if any(node == branch.legs[0].publisher.node for branch in wire.branches):
+        raise WiringError(f"{node} begins the branch of one subscriber of {wire.key!r}: it cannot be released")
     wire = replace(wire, listeners=tuple(listener for listener in wire.listeners if listener.end.node != node))
     if len(wire.legs) > 1 and wire.legs[1].publisher.node == node:
         _check_source(wire)
@@ -175,4 +202,5 @@ def _without(wire: Wire, node: str) -> Wire:
             replace(leg, subscribers=tuple(end for end in leg.subscribers if end.node != node))
             for leg in _shortened(wire.legs, {node})
         ),
+        branches=tuple(replace(branch, legs=tuple(_shortened(branch.legs, {node}))) for branch in wire.branches),
     )

@@ -79,6 +79,13 @@ class Wire:
         return (*self.legs, *(leg for branch in self.branches for leg in branch.legs))
 
     @property
+    def hops(self) -> tuple[tuple[Leg, Leg], ...]:
+        """The leg into each interposer and the leg out of it; without those at the entrance of a branch."""
+        return tuple(
+            pair for legs in (self.legs, *(branch.legs for branch in self.branches)) for pair in pairwise(legs)
+        )
+
+    @property
     def interposers(self) -> tuple[str, ...]:
         """The nodes inserted into the wire: trunk first, then each branch."""
         return tuple(leg.publisher.node for leg in self.every_leg[1:])

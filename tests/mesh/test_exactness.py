@@ -47,7 +47,10 @@ def test_the_reference_scene_is_the_same_on_the_mesh_and_in_one_process(launch, 
 @pytest.mark.parametrize(
     "what",
     [
-        ("peers", "n_adversaries=1", "on=pair", "attack_start_s=0.2", "relays=true"),
+        (
+            *("peers", "n_adversaries=1", "on=pair", "attack_start_s=0.2", "relays=true"),
+            *("gossip=true", "n_slanderers=1"),
+        ),
         ("two_centres",),
         ("congested", "n_mobile=2", "n_adversaries=1", "attack_start_s=0.2"),
     ],

@@ -311,6 +311,24 @@ def test_an_interposer_affects_the_estimates_behind_its_wire(
 
 
 @pytest.mark.parametrize(
+    ("subject", "before", "relays", "affected"),
+    [
+        ("other", "", False, CENTRE),
+        ("other", "peer_ego", False, CENTRE),
+        ("other", "peer_third", False, []),
+        ("other", "peer_third", True, CENTRE),
+        ("ego", "peer_third", True, []),
+    ],
+)
+def test_an_interposer_before_one_peer_affects_others_only_through_relays_and_never_its_own_agent(
+    subject: str, before: str, relays: bool, affected: list[str]
+) -> None:
+    series = [("ego", estimator) for estimator in ESTIMATORS]
+    (mask,) = influence([passage("eve", "broadcast", subject, before)], series, np.array([False]), relays)
+    assert [estimator for estimator, each in zip(ESTIMATORS, mask, strict=True) if each] == affected
+
+
+@pytest.mark.parametrize(
     ("seen", "removed", "hidden"), [(8, 3, True), (7, 3, False), (8, 2, False)], ids=["enough", "unseen", "too few"]
 )
 def test_removed_detections_hide_an_object_only_from_an_agent_that_would_track_it(

@@ -14,6 +14,7 @@ from mast_zenoh.arrays.chi_square import mean_bounds
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.integrity.alarms import SAMPLES_PER_S
 from mast_zenoh.metrics import Consistency, Record, Scorer, Series
+from mast_zenoh.metrics.between import consistency_between
 from mast_zenoh.metrics.consistency import MAX_NEES, nees
 from mast_zenoh.tracking import kalman, tracks
 
@@ -189,7 +190,7 @@ def run_of(variance: float, frames: int = 60, missing: bool = False) -> tuple[Re
 def of_record(record: Record, scored: slice | None = None) -> dict[str, Any]:
     scores = Scorer().score(record)
     scored = slice(0, len(scores.frames)) if scored is None else scored
-    found = Consistency().summary(scores.pairs, scores.series, "ego", scored, PERIOD_S)
+    found = Consistency().summary(scores.pairs, scores.series, ["ego"], scored, PERIOD_S)
     json.dumps(found, allow_nan=False)
     return found
 
@@ -222,3 +223,30 @@ def test_runs_without_frames_or_tracks_have_undefined_values() -> None:
     assert run_of(1.0, frames=0)[1]["ego"]["picture"]["position"]["nees"] is None
     found = run_of(1.0, missing=True)[1]["ego"]["picture"]["velocity"]
     assert (found["pairs"], found["nees"], found["samples"]) == (0, None, 0.0)
+
+
+def test_pictures_of_agents_that_have_their_own_are_compared_one_by_one() -> None:
+    """The ego's is consistent, the car's is too certain, and the pole's has no usable covariance."""
+    random = np.random.default_rng(0)
+    place, frames = 20.0 * np.arange(4.0)[:, None] * np.array([1.0, 0.0]), 60
+    errors = random.normal(size=(frames // 10, 4, 2)).repeat(10, axis=0)  # about one independent sample per second
+    variances = {"ego": 1.0, "car": 0.01, "pole": 0.0}
+    estimates = {
+        Series(agent, "picture"): [states(place + 0.5 * error, 0.5 * error, 0.25 * variance) for error in errors]
+        for agent, variance in variances.items()
+    }
+    scores = Scorer().score(recorded([states(place, np.zeros((4, 2)), 0.0)] * frames, estimates, agents=AGENTS))
+    part = consistency_between(Consistency().summary(scores.pairs, scores.series, AGENTS, slice(0, frames), PERIOD_S))
+    expected = (errors**2).sum(axis=2).mean()
+    for quantity in ("position", "velocity"):
+        found = part[quantity]
+        assert list(found["agents"]) == ["ego", "car"], "of the pole, nothing can be said"
+        assert found["agents"]["ego"]["nees"] == pytest.approx(expected)
+        assert found["agents"]["car"]["nees"] == pytest.approx(100.0 * expected)
+        assert found["nees"] == pytest.approx(50.5 * expected)
+        assert (found["above"], found["below"]) == (["car"], [])
+
+
+def test_agents_without_any_picture_have_no_mean_consistency() -> None:
+    found = consistency_between({"ego": {"local": {}}})["position"]
+    assert found == {"nees": None, "above": [], "below": [], "agents": {}}

@@ -47,6 +47,13 @@ def test_each_estimate_has_a_row_with_its_verdict(folder: Path) -> None:
     assert unknown[7:] == ("0", "")
 
 
+def test_pictures_of_different_agents_have_different_names(run_folder: Callable[..., Path]) -> None:
+    picture = {"picture": {"position": summary(0.9), "velocity": summary(9.0)}}
+    folder = run_folder(metrics={"consistency": {"ego": picture, "infra_1": picture}, "between": {}})
+    lines = confidence_tables(RunRecord.load(folder))[0].lines
+    assert [line.cells[0] for line in lines] == ["the picture of ego", "the picture of infra_1"]
+
+
 def test_each_tracker_has_a_row(folder: Path) -> None:
     ego, silent = (line.cells for line in confidence_tables(RunRecord.load(folder))[1].lines)
     assert ego[1].startswith("1.90 (")

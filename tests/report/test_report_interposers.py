@@ -11,6 +11,7 @@ import pytest
 from mast_zenoh.report.figures.diagram import draw_wiring
 from mast_zenoh.report.figures.style import svg
 from mast_zenoh.report.html import environment
+from mast_zenoh.report.narrative.attribution import reaches
 from mast_zenoh.report.narrative.changes import effects
 from mast_zenoh.report.narrative.run import compromised, reading
 from mast_zenoh.report.tables.wiring import Spot, WireRow, all_wires, layout, wire_rows
@@ -179,6 +180,24 @@ def test_interposer_removed_during_the_run_is_named_and_drawn() -> None:
     assert figure is not None
     assert "frames 44 to 89" in {text.get_text() for text in figure.axes[0].texts}
     assert b"<svg" in svg(figure)
+
+
+def test_interposer_before_one_subscriber_that_was_removed_is_on_the_way_to_that_one_alone() -> None:
+    live = LIVE | {"wires": ["cc/picture"], "before": "infra_1"}
+    measured = {"mallory": MEASURED | {"wires": ["cc/picture"]}}
+    run = run_of(
+        [wire("cc/picture", ("silent",), before="infra_1")],
+        measured,
+        interceptions=(live, RELEASE | {"wires": ["cc/picture"]}),
+    )
+    (only_wire,) = all_wires(run)
+    assert only_wire["interposers"] == ["silent", "mallory"]
+    assert [(leg["from"], leg["to"]) for leg in only_wire["legs"] if "before" in leg] == [
+        ("silent", ["mallory"]),
+        ("mallory", ["infra_1"]),
+    ]
+    assert reaches(run, "mallory", "picture_received", "infra_1")
+    assert not reaches(run, "mallory", "picture_received", "ego")
 
 
 def test_live_interposer_that_remains_is_drawn_once() -> None:

@@ -1,13 +1,16 @@
 """Agents that fuse on board what they see and what they hear, without a centre."""
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
 from tiny_world import Run, tiny
 
+from mast_zenoh import scenario
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.study import definition
 
 ALONE = ("n_mobile=0",)
 LIES = (*ALONE, "n_adversaries=1", "attack_start_s=0.2")
@@ -90,6 +93,19 @@ def test_a_lie_reaches_those_on_whose_wire_it_is_and_nobody_else(on: str, deceiv
     assert spread["most"] == pytest.approx(len(deceived) / len(AGENTS))
     assert spread["first_s"] >= 0.2
     assert (spread["half_after_s"] is not None) == (len(deceived) > 1)
+    since_s = {agent: since for agent, since in spread["since_s"].items() if since is not None}
+    assert since_s.keys() == deceived
+    assert min(since_s.values()) == spread["first_s"]
+
+
+def test_a_lie_to_one_peer_reaches_others_later_through_what_that_one_relays() -> None:
+    path, content = scenario.load("peers", [*LIES[1:], "on=pair", "relays=true", "scene=intersection:8"])
+    run = Run(scenario.resolve(path, content, frames=20, seed=0))
+    assert not run.failures
+    since_s = run.results["evaluator"]["metrics"]["between"]["deceived"]["since_s"]
+    assert since_s.pop("infra_1") is None, "it leaves out what has its own tracks in it"
+    first_s = since_s.pop("ego")
+    assert {round(since - first_s, 6) for since in since_s.values()} == {0.2}, "a frame to relay it, and one to begin"
 
 
 def test_without_a_lie_pictures_differ_little_and_nobody_is_deceived() -> None:
@@ -128,6 +144,40 @@ def test_runs_with_relays_do_not_depend_on_the_order_of_delivery() -> None:
     plain, resolved = played(*ALONE, "relays=true"), tiny("peers", *ALONE, "relays=true", infrastructure=2)
     for shuffle in range(4):
         assert Run(resolved, shuffle=shuffle).messages == plain.messages
+
+
+def confidence(place: str, fusion: str) -> dict[str, Any]:
+    """How confident the pictures of the agents are in their positions, with a fusion of studies/fusion.py.
+
+    On a generated junction, as in the tiny world every agent sees everything and takes no object from others' pictures.
+    """
+    (configuration,) = definition.load("fusion", [f"place={place}", f"fusions={fusion}"]).configurations
+    path, content = scenario.load(configuration.scenario, configuration.settings)
+    run = Run(scenario.resolve(path, content, frames=34, seed=3000))
+    assert not run.failures
+    return run.results["evaluator"]["metrics"]["between"]["consistency"]["position"]
+
+
+@pytest.mark.parametrize(
+    ("place", "fusion"),
+    [
+        ("rumours", "ci"),
+        pytest.param("rumours", "ci_optimised", marks=pytest.mark.heavy),
+        pytest.param("peers", "naive", marks=pytest.mark.heavy),
+    ],
+)
+def test_no_picture_is_too_certain_with_covariance_intersection_or_without_rumours(place: str, fusion: str) -> None:
+    """A fusion that allows for any correlation may be below the lower bound, but not above the upper one."""
+    found = confidence(place, fusion)
+    assert len(found["agents"]) == 7
+    assert found["above"] == []
+
+
+def test_rumours_make_every_picture_of_the_naive_fusion_too_certain() -> None:
+    found = confidence("rumours", "naive")
+    assert found["above"] == list(found["agents"])
+    assert len(found["above"]) == 7
+    assert found["nees"] > 5.0 * max(each["high"] for each in found["agents"].values())
 
 
 def test_a_pattern_for_no_agent_is_refused() -> None:

@@ -20,6 +20,7 @@ from simulated_runs import (
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control.interception import Intercept
 from mast_zenoh.launch import live_interception
+from mast_zenoh.messages import codec
 from mast_zenoh.testing.simulation import World, check, play, small_world
 from mast_zenoh.wiring.insertion import Place
 
@@ -60,9 +61,9 @@ def tapped(mode: str, frames: int) -> World:
     )
 
 
-def request(resolved: Resolved, wire: str, file: str, name: str, *settings: str) -> Intercept:
+def request(resolved: Resolved, wire: str, file: str, name: str, *settings: str, before: str = "") -> Intercept:
     """A request to insert a node, as `mast intercept` makes it."""
-    return Intercept(*live_interception.plan(resolved, wire, file, name=name, settings=settings), ())
+    return Intercept(*live_interception.plan(resolved, wire, file, name=name, settings=settings, before=before), ())
 
 
 def test_fifty_insertions_and_removals_lose_duplicate_and_reorder_nothing() -> None:
@@ -139,6 +140,52 @@ def test_an_attack_started_during_a_run_deceives_from_its_first_frame_on_and_is_
         differing = [frame for frame, (found, honest) in enumerate(of_victim) if found != honest]
         assert min(differing) >= change["frame"], seed
         assert set(reports) >= set(differing), "each lie is reported"
+
+
+def test_a_liar_inserted_on_one_pair_of_peers_changes_what_that_receiver_hears_and_nothing_else() -> None:
+    """adversary_1 is on that pair since launch, but its attack starts after the end."""
+    settings = ("n_infrastructure=2", "n_mobile=0", "n_adversaries=1", "on=pair", "attack_start_s=1000")
+    resolved = resolve("peers", *settings, frames=40)
+    plain = in_one_process(resolved)
+    attack = ("attack.type=UncoordinatedAttack", "attack.start_s=0")
+    mallory = request(resolved, "agent/infra_1/broadcast", ADVERSARY, "mallory", *attack, before="peer_ego")
+    pair = "agent/infra_1/broadcast/@tap/peer_ego/0"
+    for seed in range(2):
+        steps = [(0.1 + 0.02 * seed, "intercept", "mallory"), (0.4 + 0.02 * seed, "release", "mallory")]
+        played, outcome = on_simulated_mesh(resolved, schedule(seed, *steps), (mallory,))
+        assert outcome.claims_to_be_exact(), seed
+        first, last = (change["frame"] for change in outcome.changes)
+        assert 10 < last < 38, "time remains before and after the attack"
+        honest = {(sent.key, sent.frame, sent.seq): sent for sent in plain.messages}
+        found = {(sent.key, sent.frame, sent.seq): sent for sent in played.messages}
+        own = {"attack/mallory/report", "agent/infra_1/broadcast/@tap/peer_ego/1"}
+        assert found.keys() - honest.keys() == {place for place in found if place[0] in own}
+        assert honest.keys() <= found.keys(), "no message is lost"
+        changed = [place for place, sent in honest.items() if found[place] != sent]
+        assert {key for key, _, _ in changed} == {pair, "agent/ego/picture", "agent/ego/mission"}, seed
+        lies = {frame for key, frame, _ in changed if key == pair}
+        assert lies
+        assert first <= min(lies) <= max(lies) < last, "before and after it, the pair is as without it"
+        for place in changed:
+            if place[0] == pair:
+                header = codec.decode_header(found[place].payload, "tracks")
+                assert header == codec.decode_header(honest[place].payload, "tracks"), "nothing gives the liar away"
+
+
+def test_in_real_time_a_node_on_one_pair_forwards_all_that_it_keeps_before_it_leaves() -> None:
+    settings = ("n_infrastructure=1", "n_mobile=0", "n_adversaries=1", "on=pair", "attack_start_s=1000")
+    resolved = resolve("peers", *settings, mode="realtime", frames=40)
+    wire = "agent/infra_1/broadcast"
+    relay = request(resolved, wire, RELAY, "relay", "keeps=True", before="peer_ego")
+    steps = [(0.6, "intercept", "relay"), (2.0, "release", "relay")]
+    played, outcome = on_simulated_mesh(resolved, schedule(1, *steps, calm=True), (relay,))
+    assert [change["action"] for change in outcome.changes] == ["intercept", "release"]
+    on_pair, tapped_ = (
+        [sent.seq for sent in played.messages if sent.key == f"{wire}/@tap/peer_ego/{tap}"] for tap in (0, 1)
+    )
+    assert on_pair == list(range(len(on_pair))), "none is lost, doubled or out of order"
+    assert len(on_pair) == len(played.frames(wire)) >= 39
+    assert len(set(tapped_)) == len(tapped_) > 5, "they went through the node"
 
 
 @pytest.mark.parametrize("mode", ["lockstep", "realtime"])

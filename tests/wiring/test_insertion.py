@@ -93,8 +93,30 @@ def test_an_inserted_node_comes_before_branches_whose_nodes_cannot_be_released()
     assert wiring.wires[0].branches == branched.wires[0].branches
     assert wiring.wires[0].subscribers == branched.wires[0].subscribers
     assert remove(wiring, "m") == branched
-    with pytest.raises(WiringError, match="link is on the branch of one subscriber of 'a/tracks'"):
+    with pytest.raises(WiringError, match="link begins the branch of one subscriber of 'a/tracks'"):
         remove(wiring, "link")
+
+
+def test_nodes_come_and_go_before_one_subscriber_that_has_a_branch_and_nobody_else_notices() -> None:
+    entrance, last = Endpoint("link", "in"), Endpoint("b", "in")
+    leg = Leg(f"a/tracks/{TAP}/b/0", Endpoint("link", "out"), (last,))
+    trunk = Leg("a/tracks", Endpoint("a", "out"), (entrance, Endpoint("c", "in")))
+    branched = Wiring((Wire("a/tracks", "", "tracks", (trunk,), (Branch(entrance, last, (leg,)),)),), RECORDER)
+    one = insert(branched, "m", Place("a/tracks", "in", "out", before="b"))
+    both = insert(one, "n", Place("a/tracks", "in", "out", before="b"))
+    assert both.wires[0].interposers == ("link", "m", "n")
+    for name in ("a", "b", "c"):
+        assert both.ports(name) == branched.ports(name), name
+    assert taps_into(both, ["m", "n"]) == {f"a/tracks/{TAP}/b/1": "m", f"a/tracks/{TAP}/b/2": "n"}
+    assert Wiring.from_json(both.to_json()) == both
+    assert {passage.before for passage in both.passages()} == {"b"}
+    assert remove(both, "n") == one
+    assert remove(remove(both, "m"), "n") == branched
+    assert never_inserted(both, {"m", "n"}) == branched
+    with pytest.raises(WiringError, match="no node is before c alone on 'a/tracks', and a subscriber keeps"):
+        insert(branched, "m", Place("a/tracks", "in", "out", before="c"))
+    with pytest.raises(WiringError, match="'d' does not subscribe to 'a/tracks'"):
+        insert(branched, "m", Place("a/tracks", "in", "out", before="d"))
 
 
 @pytest.mark.parametrize(

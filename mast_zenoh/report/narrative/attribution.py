@@ -38,7 +38,8 @@ def reaches(run: RunRecord, node: str, estimate: str, agent: str | None = None) 
     """
     passages = _passages(run, node)
     series = [(agent or run.ego or "", estimate)]
-    return not passages or bool(influence(passages, series, np.zeros(len(passages), bool)).any())
+    relays = any(wire.get("message") == "relayed" for wire in run.wiring.get("wires", ()))
+    return not passages or bool(influence(passages, series, np.zeros(len(passages), bool), relays).any())
 
 
 def _passages(run: RunRecord, node: str) -> list[Passage]:

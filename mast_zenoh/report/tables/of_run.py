@@ -84,12 +84,13 @@ _TRACKERS = (
 def confidence_tables(run: RunRecord) -> tuple[PageTable, PageTable]:
     """How confident estimates, and the trackers of nodes, are compared with their accuracy."""
     lines = []
+    own_pictures = "between" in run.metrics
     for agent, estimates in run.metrics.get("consistency", {}).items():
         for estimate, summaries in estimates.items():
             position, velocity = summaries["position"], summaries["velocity"]
             verdict = "; ".join(f"{name}: {each['verdict']}" for name, each in summaries.items() if each["verdict"])
             cells = (
-                subject_of(agent, estimate),
+                subject_of(agent, estimate, own_pictures),
                 *_numbers(position),
                 *_numbers(velocity),
                 str(position["pairs"]),

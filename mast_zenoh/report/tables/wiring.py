@@ -88,14 +88,18 @@ def all_wires(run: RunRecord) -> list[dict[str, Any]]:
         for key in each.wires if each.live is not None else ():
             wire = wires.get(key)
             if wire is not None and each.name not in wire.get("interposers", ()):
-                wires[key] = _with_interposer(wire, each.name)
+                wires[key] = _with_interposer(wire, each.name, each.before[0] if each.before else "")
     return list(wires.values())
 
 
-def _with_interposer(wire: dict[str, Any], node: str) -> dict[str, Any]:
-    """A wire with another interposer at the end of its trunk; its key is not known."""
+def _with_interposer(wire: dict[str, Any], node: str, before: str) -> dict[str, Any]:
+    """A wire with another interposer at the end of its trunk, or of the branch of the subscriber `before`.
+
+    Its key is not known.
+    """
     legs = list(wire.get("legs", ()))
-    index = next((i for i, leg in enumerate(legs) if leg["key"] == wire["key"]), None)
+    ends = [i for i, leg in enumerate(legs) if (leg.get("before") == before if before else leg["key"] == wire["key"])]
+    index = ends[-1] if ends else None
     if index is not None:
         last = legs[index]
         legs[index : index + 1] = [{**last, "key": "", "to": [node]}, {**last, "from": node}]

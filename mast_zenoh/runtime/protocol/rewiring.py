@@ -301,7 +301,7 @@ class WiringFollower:
         if host.frame > query_frame or not host.clocked or key not in newest:
             return True
         for wire in self.wiring.wires:
-            for leg, onward in zip(wire.legs, wire.legs[1:], strict=False):
+            for leg, onward in wire.hops:
                 if leg.key == key:
                     outlet_key = self.ports.outputs.get((onward.publisher.port, wire.subject))
                     out = self.outlets[outlet_key].newest if outlet_key else None
