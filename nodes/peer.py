@@ -20,11 +20,14 @@ import numpy as np
 
 from mast_zenoh.arrays.geometry import tracks_in_world
 from mast_zenoh.arrays.states import Bools, Ints, ObjectStates, concatenate
+from mast_zenoh.fusion.input_limit import InputLimit
 from mast_zenoh.gather import MAX_AGE_S, Gather, plausible_rows
 from mast_zenoh.integrity.views import SweptView, check_view, view_of
+from mast_zenoh.messages.limits import RowChoice
 from mast_zenoh.messages.schemas import Body, text
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.pipelines import Pipeline, trust_body
+from mast_zenoh.pipelines.admission import Admission
 from mast_zenoh.pipelines.heard import HeardTracks
 from mast_zenoh.pipelines.origins import Origins
 from mast_zenoh.runtime.mesh.hosting import main
@@ -80,6 +83,7 @@ class Peer(Node):
     memory_s: how long an object is kept that a newer message of its sender left out, as generation rules do; 0: not at
         all
     max_age_s: the greatest age of a track that is used
+    input_limit: which tracks are fused, if there are too many; None: FairInput, with as many as the scene needs
     """
 
     role = "peer"
@@ -103,6 +107,7 @@ class Peer(Node):
         congestion: CongestionControl | None = None,
         memory_s: float = 0.0,
         max_age_s: float = MAX_AGE_S,
+        input_limit: InputLimit | None = None,
     ) -> None:
         self.agent = agent
         self.pipeline = pipeline
@@ -111,6 +116,7 @@ class Peer(Node):
         self.sensed: Gather[str, Received] = Gather({"clock", "own"})
         self.inbox: list[Heard] = []  # what is not used yet
         self.heard = HeardTracks(memory_s, max_age_s)
+        self.admission = Admission(input_limit)
         self.views: dict[str, tuple[int, Body]] = {}  # their times, ns, and columns
         self.relays: dict[str, Relay] = {}
         self.origins = Origins()
@@ -126,8 +132,13 @@ class Peer(Node):
         ports = {source.port for source in context.subscriptions.values()}
         self.sensed.expected |= ports & {"pose", "own_view", "reception"}
 
+    def choice(self, port: str, subject: str, step: int) -> RowChoice | None:
+        """Of too many tracks, those that the input limit keeps."""
+        return self.admission.choice(subject, step) if port in ("own", "heard") else None
+
     def on_clock(self, received: Received, context: Context) -> None:
         """Fuse what there is for frames for which the agent sent nothing."""
+        self.admission.begin(received.frame)
         for frame, items in self.sensed.expired(received.frame):
             self.process(frame, items, context)
         self.sense("clock", received, context)
@@ -189,6 +200,7 @@ class Peer(Node):
         if "pose" in items:
             self.place = items["pose"].body["position"]
         if own := items.get("own"):
+            self.admission.note(self.agent, own.body)
             states = tracks_in_world(own.body)
             self.own = own.time_ns, self.plausible(states)
             self.broadcast(time_ns, own, states, context)
@@ -208,6 +220,7 @@ class Peer(Node):
                 self.counts[f"lost/{sender}"] += 1
             elif port == "heard":
                 self.counts[f"heard/{sender}"] += 1
+                self.admission.note(sender, received.body)
                 states = self.plausible(tracks_in_world(received.body))
                 self.heard.add(sender, received.time_ns, states)
                 self.station.hear(received.time_ns, states, received.body["origin"])
@@ -233,6 +246,7 @@ class Peer(Node):
             parts.append(predicted(self.own[1], (time_ns - self.own[0]) * 1e-9))
             agents.append(np.full(len(parts[-1]), len(names)))
             names.append(self.agent)
+        parts, agents = self.admitted(names, concatenate(parts), np.concatenate(agents))
         if views := self.views_at(time_ns, items):
             self.pipeline.look(views)
         relays = self.relays_at(time_ns)
@@ -249,6 +263,20 @@ class Peer(Node):
             context.publish("relay", body, frame=frame, time_ns=time_ns)
         if self.pipeline.trust is not None:
             context.publish("trust", trust_body(self.pipeline.trust), frame=frame, time_ns=time_ns)
+
+    def admitted(
+        self, names: Sequence[str], states: ObjectStates, agent: Ints
+    ) -> tuple[list[ObjectStates], list[Ints]]:
+        """The tracks that are fused, and their rows of `names`: all, unless there are too many."""
+        rows = [np.flatnonzero(agent == row) for row in range(len(names))]
+        objects = {name: (states.id[own], states.score[own]) for name, own in zip(names, rows, strict=True)}
+        selected = self.admission.select(objects)
+        if not selected:
+            return [states], [agent]
+        kept = np.sort(
+            np.concatenate([own[selected.get(name, slice(None))] for name, own in zip(names, rows, strict=True)])
+        )
+        return [states.select(kept)], [agent[kept]]
 
     def views_at(self, time_ns: int, items: Mapping[str, Received]) -> dict[str, SweptView]:
         """What the sensors of the agents cover, as far as it is known; by name."""
@@ -301,9 +329,10 @@ class Peer(Node):
         return states if len(rows) == len(states) else states.select(rows)
 
     def finish(self, context: Context) -> dict[str, Any]:
-        """Numbers of broadcasts, of messages heard and lost by sender, and what the pipeline counted."""
+        """Numbers of broadcasts, of messages heard and lost and of tracks left out, and what the pipeline counted."""
         innovations = self.pipeline.innovations
         facts = self.pipeline.facts() | {"radio": dict(sorted(self.counts.items()))}
+        facts |= {"left_out": self.admission.counts()}
         return facts | ({} if innovations is None else {"innovations": innovations.summary()})
 
 
