@@ -118,11 +118,10 @@ class FairInput(InputLimit):
         selected: dict[str, Ints] = {}
         counts = {name: len(objects[name].ids) for name in objects}
         if sum(counts.values()) > self.rows:
-            names = sorted(name for name in objects if counts[name])
-            shares = fair_shares(np.array([counts[name] for name in names], np.int64), self.rows).tolist()
-            for name, share in zip(names, shares, strict=True):
+            shares = fair_shares({name: count for name, count in counts.items() if count}, self.rows)
+            for name, share in shares.items():
                 if share < counts[name]:
-                    count = min(share, max(self.rows // len(names), self._with_reserve(self._usual.get(name, 0))))
+                    count = min(share, max(self.rows // len(shares), self._with_reserve(self._usual.get(name, 0))))
                     selected[name] = self._best(self._since.get(name, {}), objects[name], count)
         self._usual |= {name: count for name, count in counts.items() if name not in selected}
         self._remember({name: ids[selected[name]] if name in selected else ids for name, (ids, _) in objects.items()})
@@ -178,24 +177,20 @@ def rows_of(ids: Ints, known: Ints) -> Ints:
     table[known & (_TABLE - 1)] = True
     likely = np.flatnonzero(table[ids & (_TABLE - 1)])
     place = np.minimum(np.searchsorted(known, ids[likely]), len(known) - 1)
-    return likely[known[place] == ids[likely]]
+    return np.asarray(likely[known[place] == ids[likely]])
 
 
-def fair_shares(count: Ints, rows: int) -> Ints:
-    """(a,) number of rows that each agent may keep: max-min fair, their sum at most `rows`.
+def fair_shares(counts: Mapping[str, int], rows: int) -> dict[str, int]:
+    """Number of rows that each agent may keep: max-min fair, their sum at most `rows`.
 
-    count: (a,) rows of each agent. Agents with few rows keep all; the others get equally many, those that come first
-    one more if the rows cannot be divided.
+    counts: rows of each agent. Agents with few rows keep all; the others get equally many, those that come first in the
+    order of names one more if the rows cannot be divided.
     """
-    ascending = count.argsort(kind="stable")
-    sorted_count = count[ascending]
-    left = rows - (np.cumsum(sorted_count) - sorted_count)  # for this agent and those with more rows
-    sharing = len(count) - np.arange(len(count))
-    exceeds = sorted_count > left // sharing
-    if not exceeds.any():
-        return count.copy()
-    first = int(exceeds.argmax())
-    level, remainder = divmod(int(left[first]), int(sharing[first]))
-    share = np.minimum(count, level)
-    share[np.flatnonzero(count > level)[:remainder]] += 1
-    return share
+    shares, left = dict(counts), rows
+    for served, name in enumerate(ordered := sorted(counts, key=lambda name: (counts[name], name))):
+        level, remainder = divmod(left, len(counts) - served)
+        if counts[name] > level:
+            crowded = sorted(ordered[served:])
+            return shares | {each: level + (rank < remainder) for rank, each in enumerate(crowded)}
+        left -= counts[name]
+    return shares

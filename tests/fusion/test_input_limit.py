@@ -30,6 +30,11 @@ def kept(limit: InputLimit, frame: Frame) -> dict[int, set[int]]:
     return {agent: set(objects[str(agent)].ids[selected.get(str(agent), slice(None))].tolist()) for agent in frame}
 
 
+def by_name(values: list[int]) -> dict[str, int]:
+    """Values by the names a, b, c, ..."""
+    return {chr(ord("a") + place): value for place, value in enumerate(values)}
+
+
 def some(count: int, first: int = 0, score: float = 0.5) -> dict[int, float]:
     """Objects of equal score."""
     return dict.fromkeys(range(first, first + count), score)
@@ -77,7 +82,7 @@ def test_a_flood_takes_no_row_from_agents_within_their_share() -> None:
     ],
 )
 def test_shares_are_max_min_fair(count: list[int], rows: int, shares: list[int]) -> None:
-    assert fair_shares(np.array(count, np.int64), rows).tolist() == shares
+    assert fair_shares(by_name(count), rows) == by_name(shares)
 
 
 @given(count=st.lists(st.integers(1, 30), max_size=12), rows=st.integers(1, 100))
@@ -86,7 +91,7 @@ def test_shares_equal_dealing_row_by_row(count: list[int], rows: int) -> None:
     for _ in range(min(rows, sum(count))):
         hungry = [agent for agent, most in enumerate(count) if dealt[agent] < most]
         dealt[min(hungry, key=lambda agent: (dealt[agent], agent))] += 1
-    assert fair_shares(np.array(count, np.int64), rows).tolist() == dealt
+    assert fair_shares(by_name(count), rows) == by_name(dealt)
 
 
 def test_of_new_objects_those_of_high_score_are_kept() -> None:
