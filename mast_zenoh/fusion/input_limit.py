@@ -123,7 +123,7 @@ class FairInput(InputLimit):
                 if share < counts[name]:
                     count = min(share, max(self.rows // len(shares), self._with_reserve(self._usual.get(name, 0))))
                     selected[name] = self._best(self._since.get(name, {}), objects[name], count)
-        self._usual |= {name: count for name, count in counts.items() if name not in selected}
+        self._usual |= {name: count for name, count in counts.items() if count and name not in selected}
         self._remember({name: ids[selected[name]] if name in selected else ids for name, (ids, _) in objects.items()})
         return selected
 
