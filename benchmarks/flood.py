@@ -66,7 +66,7 @@ class Timed(InProcess):
 
 def in_process(name: str, settings: dict[str, Any], rows: int, frames: int) -> tuple[float, float]:
     """Seconds of a frame of all nodes but the adversary; objects that the ego's picture misses."""
-    path, loaded = scenario.load(name, [f"{key}={value!r}" for key, value in settings.items()])
+    path, loaded = scenario.load(name, [f"{key}={value}" for key, value in settings.items()])
     loaded["adversaries"]["adversary_1"]["attack"] = attack(rows)
     process = Timed(scenario.resolve(path, loaded, frames=frames))
     results = process.run()
