@@ -23,6 +23,7 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
+from mast_zenoh.messages.limits import RowChoice
 from mast_zenoh.messages.schemas import BUILT_IN, Body, Schema
 from mast_zenoh.wiring.model import Input, Wiring
 from mast_zenoh.wiring.received import Overheard, Received, Unopened
@@ -156,6 +157,15 @@ class Node:
         Receivers reject messages whose time is off by more than the sum over all nodes plus `limits.LEEWAY_S`.
         """
         return 0.0
+
+    def choice(self, port: str, subject: str, step: int) -> RowChoice | None:
+        """Which rows of a message on an input port are used; None: up to its limit, those with the highest scores.
+
+        subject: of the message's wire; step: frame in which it was sent
+
+        The result may depend on earlier frames alone, as the clock of the frame may not have arrived yet.
+        """
+        return None
 
     def start(self, context: Context) -> None:
         """Called once, before the first frame."""

@@ -13,8 +13,10 @@ from collections.abc import Iterable
 import numpy as np
 
 from mast_zenoh.arrays.geometry import tracks_in_world
+from mast_zenoh.fusion.input_limit import InputLimit
 from mast_zenoh.gather import MAX_AGE_S
 from mast_zenoh.integrity.views import check_view, collated_columns
+from mast_zenoh.messages.limits import RowChoice
 from mast_zenoh.messages.schemas import text
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.pipelines.collation import Collated, Collation
@@ -26,6 +28,7 @@ class Broker(Node):
 
     latency_s: age at which frames are emitted; patience: number of clocks, after that of its own frame, to wait for a
     missing message; capacity: messages kept per agent; max_age_s: the greatest age of an agent's tracks in a batch
+    input_limit: which tracks a batch has, if there are too many; None: FairInput, with as many as the scene needs
 
     The header gives the frame of a message and its time: an agent whose clock is wrong still completes its batches,
     and its tracks are predicted from the time in the header, forward or back, to the batch's time. A time that is
@@ -37,13 +40,22 @@ class Broker(Node):
     outputs = {"collated": "collated", "views": "views"}
 
     def __init__(
-        self, latency_s: float = 0.0, patience: int = 0, capacity: int = 10, max_age_s: float = MAX_AGE_S
+        self,
+        latency_s: float = 0.0,
+        patience: int = 0,
+        capacity: int = 10,
+        max_age_s: float = MAX_AGE_S,
+        input_limit: InputLimit | None = None,
     ) -> None:
-        self.collation = Collation(latency_s, patience, capacity, max_age_s)
+        self.collation = Collation(latency_s, patience, capacity, max_age_s, input_limit)
 
     def start(self, context: Context) -> None:
         """Collate views, too, if agents send any."""
         self.collation.with_views = any(source.port == "view" for source in context.subscriptions.values())
+
+    def choice(self, port: str, subject: str, step: int) -> RowChoice | None:
+        """Of too many rows, those that the input limit keeps."""
+        return self.collation.admission.choice(subject, step) if port == "tracks" else None
 
     def joined(self, node: str, role: str, context: Context) -> None:
         """Wait for an agent from now on."""
@@ -62,7 +74,7 @@ class Broker(Node):
     def on_tracks(self, received: Received, context: Context) -> None:
         """Store an agent's tracks, in the world frame."""
         states = tracks_in_world(received.body)
-        self.collation.add(received.subject, received.frame, received.time_ns, states)
+        self.collation.add(received.subject, received.frame, received.time_ns, states, received.body)
         self.emit_complete(context)
 
     def on_view(self, received: Received, context: Context) -> None:
@@ -98,8 +110,8 @@ class Broker(Node):
                 context.publish("views", {**agents, **collated_columns(bodies)}, **about)
 
     def finish(self, context: Context) -> dict[str, object]:
-        """Numbers of complete and overdue batches, of late messages, and of rejected ones."""
-        return {"collation": self.collation.counts()}
+        """Numbers of complete and overdue batches, of late messages, of rejected ones, and of tracks left out."""
+        return {"collation": self.collation.counts(), "left_out": self.collation.admission.counts()}
 
 
 if __name__ == "__main__":

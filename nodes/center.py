@@ -14,9 +14,11 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh.arrays.geometry import tracks_in_world
+from mast_zenoh.fusion.input_limit import InputLimit
 from mast_zenoh.fusion.regions import Region
 from mast_zenoh.gather import MAX_AGE_S, LatestBefore
 from mast_zenoh.integrity.views import check_view, view_of
+from mast_zenoh.messages.limits import RowChoice
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.pipelines import Pipeline, trust_body
 from mast_zenoh.pipelines.collation import Collated, Collation
@@ -28,7 +30,7 @@ class Center(Node):
 
     pipeline: from the agents' tracks to the picture, as in a command centre; region: its area
     margin_m: m around the region, in which tracks are used; overlap_m: m around it, in which objects are published
-    latency_s, patience, capacity, max_age_s: of the collation, as in a broker
+    latency_s, patience, capacity, max_age_s, input_limit: of the collation, as in a broker
     """
 
     role = "center"
@@ -45,13 +47,14 @@ class Center(Node):
         patience: int = 0,
         capacity: int = 10,
         max_age_s: float = MAX_AGE_S,
+        input_limit: InputLimit | None = None,
     ) -> None:
         if not 0.0 <= overlap_m <= margin_m < float("inf"):
             raise ValueError(f"margin_m, overlap_m: found {margin_m}, {overlap_m}, expected 0 <= overlap_m <= margin_m")
         self.pipeline = pipeline
         self.region = region
         self.margin_m, self.overlap_m = margin_m, overlap_m
-        self.collation = Collation(latency_s, patience, capacity, max_age_s)
+        self.collation = Collation(latency_s, patience, capacity, max_age_s, input_limit)
         self.poses: LatestBefore[np.ndarray] = LatestBefore()  # positions of the agent that carries the centre
         self.newest_ns = 0
 
@@ -59,6 +62,10 @@ class Center(Node):
         """Collate views, too, if agents send any."""
         self.pipeline.bind(context.seed, context.name)
         self.collation.with_views = any(source.port == "view" for source in context.subscriptions.values())
+
+    def choice(self, port: str, subject: str, step: int) -> RowChoice | None:
+        """Of too many rows, those that the input limit keeps."""
+        return self.collation.admission.choice(subject, step) if port == "tracks" else None
 
     def joined(self, node: str, role: str, context: Context) -> None:
         """Wait for an agent from now on."""
@@ -81,7 +88,7 @@ class Center(Node):
     def on_tracks(self, received: Received, context: Context) -> None:
         """Store an agent's tracks, in the world frame."""
         states = tracks_in_world(received.body)
-        self.collation.add(received.subject, received.frame, received.time_ns, states)
+        self.collation.add(received.subject, received.frame, received.time_ns, states, received.body)
         self.fuse(self.collation.complete(context.time_ns), context)
 
     def on_view(self, received: Received, context: Context) -> None:
@@ -122,9 +129,10 @@ class Center(Node):
                 context.publish("trust", trust_body(self.pipeline.trust), **about)
 
     def finish(self, context: Context) -> dict[str, Any]:
-        """The counts of the collation, and what the pipeline counted."""
+        """The counts of the collation, tracks left out by agent, and what the pipeline counted."""
         innovations = self.pipeline.innovations
         facts = self.pipeline.facts() | {"collation": self.collation.counts()}
+        facts |= {"left_out": self.collation.admission.counts()}
         return facts | ({} if innovations is None else {"innovations": innovations.summary()})
 
 

@@ -37,7 +37,7 @@ class CenterBroker(Node):
     def on_pictures(self, received: Received, context: Context) -> None:
         """Store the picture of a region."""
         states = ObjectStates.from_columns(received.body)
-        self.collation.add(received.subject, received.frame, received.time_ns, states)
+        self.collation.add(received.subject, received.frame, received.time_ns, states, received.body)
         self.emit(self.collation.complete(context.time_ns), context)
 
     def on_clock(self, received: Received, context: Context) -> None:

@@ -24,11 +24,14 @@ import numpy as np
 
 from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion, tracks_in_world
 from mast_zenoh.arrays.states import Bools, Ints, ObjectStates, concatenate
+from mast_zenoh.fusion.input_limit import InputLimit
 from mast_zenoh.gather import MAX_AGE_S, Gather, plausible_rows
 from mast_zenoh.integrity.views import SweptView, check_view, view_of
+from mast_zenoh.messages.limits import RowChoice
 from mast_zenoh.messages.schemas import Body, text
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.pipelines import Pipeline, trust_body
+from mast_zenoh.pipelines.admission import Admission
 from mast_zenoh.pipelines.heard import HeardTracks
 from mast_zenoh.pipelines.origins import Origins
 from mast_zenoh.runtime.mesh.hosting import main
@@ -93,6 +96,7 @@ class Peer(Node):
     correlations: whether broadcast covariances have correlations; standard messages have variances alone
     awareness: when it says where its agent is itself; None: never
     vehicle: what its agent knows of itself; None: it is no vehicle, and says nothing of itself
+    input_limit: which tracks are fused, if there are too many; None: FairInput, with as many as the scene needs
     """
 
     role = "peer"
@@ -128,6 +132,7 @@ class Peer(Node):
         correlations: bool = True,
         awareness: CamGeneration | None = None,
         vehicle: Vehicle | None = None,
+        input_limit: InputLimit | None = None,
     ) -> None:
         self.agent = agent
         self.correlations = correlations
@@ -139,6 +144,7 @@ class Peer(Node):
         self.inbox: list[Heard] = []  # what is not used yet
         self.heard = HeardTracks(memory_s, max_age_s)
         self.aware = HeardTracks(0.0, AWARENESS_AGE_S)
+        self.admission = Admission(input_limit)
         self.views: dict[str, tuple[int, Body]] = {}  # their times, ns, and columns
         self.relays: dict[str, Relay] = {}
         self.trusts: dict[str, tuple[int, dict[str, float]]] = {}  # by teller, time, ns, and trust in agents
@@ -155,8 +161,13 @@ class Peer(Node):
         ports = {source.port for source in context.subscriptions.values()}
         self.sensed.expected |= ports & {"pose", "own_view", "reception"}
 
+    def choice(self, port: str, subject: str, step: int) -> RowChoice | None:
+        """Of too many tracks, those that the input limit keeps."""
+        return self.admission.choice(subject, step) if port in ("own", "heard") else None
+
     def on_clock(self, received: Received, context: Context) -> None:
         """Fuse what there is for frames for which the agent sent nothing."""
+        self.admission.begin(received.frame)
         for frame, items in self.sensed.expired(received.frame):
             self.process(frame, items, context)
         self.sense("clock", received, context)
@@ -227,6 +238,7 @@ class Peer(Node):
             self.place = items["pose"].body["position"]
             self.announce(time_ns, items["pose"], context)
         if own := items.get("own"):
+            self.admission.note(self.agent, own.body)
             states = tracks_in_world(own.body)
             self.own = own.time_ns, self.plausible(states)
             self.broadcast(time_ns, own, states, context)
@@ -249,6 +261,7 @@ class Peer(Node):
                 self.counts[f"lost/{sender}"] += 1
             elif port == "heard":
                 self.counts[f"heard/{sender}"] += 1
+                self.admission.note(sender, received.body)
                 states = self.plausible(tracks_in_world(received.body))
                 self.heard.add(sender, received.time_ns, states)
                 self.station.hear(received.time_ns, states, received.body["origin"])
@@ -300,6 +313,7 @@ class Peer(Node):
             parts.append(predicted(self.own[1], (time_ns - self.own[0]) * 1e-9))
             agents.append(np.full(len(parts[-1]), len(names)))
             names.append(self.agent)
+        parts, agents = self.admitted(names, concatenate(parts), np.concatenate(agents))
         if views := self.views_at(time_ns, items):
             self.pipeline.look(views)
         if trusts := self.trusts_at(time_ns):
@@ -322,6 +336,20 @@ class Peer(Node):
             if context.connected("gossip"):
                 told = {"agents": body["agents"], "trust": body["mean"]}
                 context.publish("gossip", told, frame=frame, time_ns=time_ns)
+
+    def admitted(
+        self, names: Sequence[str], states: ObjectStates, agent: Ints
+    ) -> tuple[list[ObjectStates], list[Ints]]:
+        """The tracks that are fused, and their rows of `names`: all, unless there are too many."""
+        rows = [np.flatnonzero(agent == row) for row in range(len(names))]
+        objects = {name: (states.id[own], states.score[own]) for name, own in zip(names, rows, strict=True)}
+        selected = self.admission.select(objects)
+        if not selected:
+            return [states], [agent]
+        kept = np.sort(
+            np.concatenate([own[selected.get(name, slice(None))] for name, own in zip(names, rows, strict=True)])
+        )
+        return [states.select(kept)], [agent[kept]]
 
     def views_at(self, time_ns: int, items: Mapping[str, Received]) -> dict[str, SweptView]:
         """What the sensors of the agents cover, as far as it is known; by name."""
@@ -379,9 +407,10 @@ class Peer(Node):
         return states if len(rows) == len(states) else states.select(rows)
 
     def finish(self, context: Context) -> dict[str, Any]:
-        """Numbers of broadcasts, of messages heard and lost by sender, and what the pipeline counted."""
+        """Numbers of broadcasts, of messages heard and lost and of tracks left out, and what the pipeline counted."""
         innovations = self.pipeline.innovations
         facts = self.pipeline.facts() | {"radio": dict(sorted(self.counts.items()))}
+        facts |= {"left_out": self.admission.counts()}
         return facts | ({} if innovations is None else {"innovations": innovations.summary()})
 
 

@@ -170,6 +170,12 @@ def late(collations: Sequence[Mapping[str, Any]]) -> dict[str, int]:
     return {agent: sum(count.get(agent, 0) for count in counts) for agent in sorted(set().union(*counts))}
 
 
+def left_out(results: Mapping[str, Mapping[str, Any]]) -> dict[str, int]:
+    """Number of tracks by agent that input limits left out: of the node that left out most."""
+    counts = [counts_of(result.get("left_out")) for result in results.values()]
+    return {agent: max(count.get(agent, 0) for count in counts) for agent in sorted(set().union(*counts))}
+
+
 def counts_of(value: object) -> dict[str, int]:
     """The valid counts in a node's return value: printable names, integers from 0."""
     if not isinstance(value, Mapping):

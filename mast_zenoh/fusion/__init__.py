@@ -9,6 +9,7 @@ from mast_zenoh.fusion.covariance_check import CheckedCovariances, CovarianceChe
 from mast_zenoh.fusion.covariance_intersection import BestMemberFusion, CovarianceIntersectionFusion, NaiveKalmanFusion
 from mast_zenoh.fusion.group_tracking import GroupTrackerWrapper, UnfilteredGroupTracker
 from mast_zenoh.fusion.information_matrix import InformationMatrixGroupTracker
+from mast_zenoh.fusion.input_limit import FairInput, InputLimit, NoInputLimit
 from mast_zenoh.fusion.inverse_covariance_intersection import InverseCovarianceIntersectionFusion
 
 __all__ = [
@@ -18,12 +19,15 @@ __all__ = [
     "CovarianceCheck",
     "CovarianceIntersectionFusion",
     "DBSCANClusterer",
+    "FairInput",
     "Fusion",
     "GroupTracker",
     "GroupTrackerWrapper",
     "InformationMatrixGroupTracker",
+    "InputLimit",
     "InverseCovarianceIntersectionFusion",
     "NaiveKalmanFusion",
+    "NoInputLimit",
     "ReportedCovariances",
     "SampledAssignmentClusterer",
     "UnfilteredGroupTracker",

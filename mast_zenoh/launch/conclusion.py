@@ -109,7 +109,7 @@ def write(
     if "replay" in record:
         measured["replay"] = {key: value for key, value in record["replay"].items() if key != "notices"}
     refused = write_results(folder, handed_in, measured)
-    record["notices"] = notices.of_run(resolved, record, collations, measured, refused)
+    record["notices"] = notices.of_run(resolved, record, collations, measured, refused, results.left_out(handed_in))
     metrics = handed_in.get(results.EVALUATOR, {}).get("metrics")
     if isinstance(metrics, Mapping):
         record["notices"] += notices.of_scores(metrics, record["timings"].get("frames"))

@@ -45,6 +45,7 @@ def of_run(
     collations: Sequence[Mapping[str, Any]],
     measured: Mapping[str, Any],
     refused: Sequence[str],
+    left_out: Mapping[str, int],
 ) -> list[dict[str, Any]]:
     """The notices of a run, each as {"kind", "count", "text"}.
 
@@ -52,12 +53,14 @@ def of_run(
     collations: the brokers' counters
     measured:   late messages by agent, and in real time the latencies
     refused:    a sentence for each result that was refused
+    left_out:   number of tracks by agent that input limits left out
     """
     nodes = record["nodes"]
     parts: list[tuple[str, int, str]] = [
         *(("replay", 1, text) for text in record.get("replay", {}).get("notices", ())),
         ("late", *_late(measured["late"])),
         *((name, *_dropped(name, collations)) for name in _DROPPED),
+        ("left_out", *_left_out(left_out)),
         ("rejected", *_rejected(nodes)),
         ("foreign", *_foreign(list(nodes.values()))),
         ("control", *_control(record)),
@@ -102,6 +105,14 @@ def _late(late: Mapping[str, int]) -> tuple[int, str]:
 def _dropped(name: str, collations: Sequence[Mapping[str, Any]]) -> tuple[int, str]:
     count = sum(collation.get(name, 0) for collation in collations)
     return count, f"{count} {_DROPPED[name]}"
+
+
+def _left_out(left_out: Mapping[str, int]) -> tuple[int, str]:
+    """(count, text) of the tracks that input limits left out."""
+    agents = [f"{agent}: {count}" for agent, count in left_out.items() if count]
+    more = f" and {len(agents) - _MAX_KEYS} more" if len(agents) > _MAX_KEYS else ""
+    text = f"tracks not fused, as their agents sent too many ({', '.join(agents[:_MAX_KEYS])}{more}): see input_limit"
+    return sum(left_out.values()), text
 
 
 def _rejected(nodes: Mapping[str, Mapping[str, Any]]) -> tuple[int, str]:

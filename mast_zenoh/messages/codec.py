@@ -35,7 +35,7 @@ from mast_zenoh.messages.layout import (
     limit_of,
     split_header,
 )
-from mast_zenoh.messages.limits import NO_LIMITS, RowLimits
+from mast_zenoh.messages.limits import NO_LIMITS, RowChoice, RowLimits
 from mast_zenoh.messages.packed import CODECS, Packed, unpack
 from mast_zenoh.messages.schemas import SCHEMAS, Body, Column, Header, Message, Schema
 
@@ -103,16 +103,7 @@ def _converted(schema: str, column: str, array: Any, wire: np.dtype[Any]) -> NDA
 def check_values(message: Message, limits: RowLimits = NO_LIMITS) -> None:
     """Raise MessageError if `decode` would refuse a message that `conform` made."""
     header, full = message
-    _check_header(header)
-    kept = limits.shortened(header.schema, full, header.schema)
-    if kept is not full:
-        message = Message(header, kept)
-    layout = LAYOUTS[header.schema]
-    if not layout.plan_of(full).fits:
-        raise MessageError(f"{header.schema}: at most {MAX_BYTES} bytes allowed")
-    if not layout.is_sound(kept):
-        _check_columns(layout.schema, kept)
-    _check_references(message)
+    _check_kept(message, limits.shortened(header.schema, full, header.schema))
 
 
 def limited(message: Message, limits: RowLimits, limit_of: str | None = None) -> Message:
@@ -120,6 +111,34 @@ def limited(message: Message, limits: RowLimits, limit_of: str | None = None) ->
     header, body = message
     kept = limits.shortened(header.schema, body, limit_of or header.schema)
     return message if kept is body else Message(header, kept)
+
+
+def received(message: Message, limits: RowLimits, flaw: str, choice: RowChoice | None) -> Message:
+    """A message that `conform` made, as `decode` returns it to a receiver with a choice of rows.
+
+    flaw: why `check_values` refuses it; empty: it does not
+
+    Raises MessageError if `decode` would.
+    """
+    header, body = message
+    kept = limits.shortened(header.schema, body, header.schema, choice)
+    if kept is not body and choice is not None:
+        _check_kept(message, kept)  # other rows than the sender's check has seen
+    elif flaw:
+        raise MessageError(flaw)
+    return message if kept is body else Message(header, kept)
+
+
+def _check_kept(message: Message, kept: Body) -> None:
+    """Raise MessageError for a message that is too long, or whose header or kept rows are invalid."""
+    header, full = message
+    _check_header(header)
+    layout = LAYOUTS[header.schema]
+    if not layout.plan_of(full).fits:
+        raise MessageError(f"{header.schema}: at most {MAX_BYTES} bytes allowed")
+    if not layout.is_sound(kept):
+        _check_columns(layout.schema, kept)
+    _check_references(message if kept is full else Message(header, kept))
 
 
 def encode(message: Message) -> bytes:
@@ -139,28 +158,33 @@ def encode(message: Message) -> bytes:
 
 
 def decode(
-    payload: bytes, expected: str | Schema, limits: RowLimits = NO_LIMITS, limit_of: str | None = None
+    payload: bytes,
+    expected: str | Schema,
+    limits: RowLimits = NO_LIMITS,
+    limit_of: str | None = None,
+    choice: RowChoice | None = None,
 ) -> Message:
     """Decode a message of type `expected`: its name, or the schema of a recording.
 
     limit_of: which of the limits holds, None: that of its type; rows beyond it are left out, and not checked
+    choice: which rows are left out; None: those with the lowest scores
 
-    Raises MessageError for anything else: a truncated or oversized message, far too many rows, another version, a
-    missing or unknown column, a forged shape, a value that is not finite.
+    Raises MessageError for anything else: a truncated or oversized message, another version, a missing or unknown
+    column, a forged shape, a value that is not finite.
     """
     schema = SCHEMAS[expected] if isinstance(expected, str) else expected
-    limits.check_length(schema.name, len(payload))
     layout = layout_of(schema)
     header, place = _quick_header(payload, schema) or (None, 0)
     columns: Body | None = None if header is None else layout.split(payload, place)
     if header is None or columns is None:
+        limits.check_length(schema.name, len(payload))
         header, body = _unpack(payload, schema)
         columns = _packed(schema, body)
     if columns is None:
         if not isinstance(body, dict) or len(body) != len(schema.columns):
             raise MessageError(_names_differ(schema.name, body, schema.columns))
         columns = layout.unpack(body, len(payload) - place if place else 0) or _columns(schema, body)
-    kept = limits.shortened(schema.name, columns, limit_of or schema.name)
+    kept = limits.shortened(schema.name, columns, limit_of or schema.name, choice)
     if not layout.is_sound(kept):
         _check_columns(schema, kept)
     message = Message(header, kept)

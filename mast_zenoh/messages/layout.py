@@ -130,12 +130,30 @@ class Layout:
 
         place: in the message, after its header
 
-        Expected is a message as `codec.encode` makes it, with the sizes of the last one of its length.
+        Expected is a message as `codec.encode` makes it, with the sizes of the last one of its length, or of the only
+        ones that a message of numbers with so many bytes can have.
         """
-        plan = self._plan_of_length.get(len(payload) - place)
+        plan = self._plan_of_length.get(len(payload) - place) or self._plan_of_rows(len(payload) - place)
         if plan is None or not payload.startswith(self.body_prefix, place):
             return None
         return split_columns(payload, place + len(self.body_prefix), plan)
+
+    def _plan_of_rows(self, n_bytes: int) -> Plan | None:
+        """The plan of a message of numbers in which only the number of rows varies; None for other types.
+
+        n_bytes: of the message after its header
+        """
+        if len(self._sources) != 1 or TEXT in (none := self.plan((0,))).dtypes:
+            return None
+        one = self.plan((1,))
+        per_row = sum(size for _, _, size in one.packed) - sum(size for _, _, size in none.packed)
+        fixed = len(self.body_prefix) + sum(map(len, none.prefixes)) + sum(size for _, _, size in none.packed)
+        rows = (n_bytes - fixed) // per_row  # the prefixes grow by less than a row
+        if not 0 <= rows <= MAX_ROWS:
+            return None
+        plan = self.plan((rows,))
+        _remember(self._plan_of_length, n_bytes, plan)
+        return plan
 
     def unpack(self, body: Mapping[str, Any], n_bytes: int) -> dict[str, NDArray[Any]] | None:
         """The columns of a packed body, values unchecked; None if it is invalid in any way.

@@ -3,28 +3,30 @@
 Rows beyond are dropped before they cost anything.
 
 One node that sends 20,000 objects would otherwise slow every node that compares, fuses or scores them. The rows that
-are kept do not depend on their order: those with the highest scores, then the lowest ids, then the lowest positions.
-A message with far too many rows is refused whole: most such messages by their length, before anything is unpacked.
+are kept do not depend on their order: those with the highest scores, then the lowest ids, then the lowest positions. A
+node that fuses chooses them itself, so that a flood does not displace what was there before (`fusion.input_limit`).
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from math import prod
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mast_zenoh.arrays.states import lowest_rows
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messages.schemas import BUILT_IN, SCHEMAS, Body, Column, Header
 
 #: Rows beyond twice what is there: the least limit.
 _MARGIN = 16
 
-#: A message with more than this many times the rows of its limit is refused.
-_REFUSED = 50
+#: A message that is longer than one with this many times the rows of its limit is used only if it is encoded as ours
+#: are: any other has to be unpacked, which takes longer than all else.
+_UNPACKED = 50
 #: Shortened messages that are remembered: of as many sources as may send too many rows in one frame.
 _REMEMBERED = 64
 #: Bytes of a message besides its rows: its header, names, and columns of fixed size.
@@ -35,6 +37,17 @@ class Shortened(dict[str, Any]):
     """The columns of a message without the rows beyond its limit; `found` is how many rows it had."""
 
     found: int
+
+
+class RowChoice(NamedTuple):
+    """How a receiver chooses the rows of a message that has too many.
+
+    rows: that it uses of a message, at most
+    best: those rows, ascending, of the ids (n,) and scores (n,) of a message, and their number; values are unchecked
+    """
+
+    rows: int
+    best: Callable[[NDArray[np.int64], NDArray[np.float64], int], NDArray[np.int64]]
 
 
 #: Limit of messages of the type `tracks` that agents do not send as their tracks: an agent's mission estimate has its
@@ -49,16 +62,28 @@ def limits_for(detections: NDArray[np.int64], objects: int, per_agent: int | Non
     per_agent:  a limit on the rows of an agent's messages, instead of one from its detections
     """
     rows = per_agent or _MARGIN + 2 * int(detections.max(initial=0))
-    picture = _MARGIN + 2 * max(objects, int(detections.sum(axis=1).max(initial=0)))
+    picture = _MARGIN + 2 * max(objects, _most_at_once(detections))
     picture = max(rows, picture)
     limits = {"detections": rows, "tracks": rows, "collated": detections.shape[1] * rows, "picture": picture}
-    return limits | {OVERHEARD: rows + picture}
+    return limits | {"relayed": picture, OVERHEARD: rows + picture}
+
+
+def fused_rows(detections: NDArray[np.int64]) -> int:
+    """Rows of all agents that a fusion uses in a frame, at most: what they detect, and some more.
+
+    Less than the sum of what their messages may have, so that a flood of one is no slower than a busy frame.
+    detections: (F, A) of each agent in each frame
+    """
+    return _MARGIN + _most_at_once(detections)
+
+
+def _most_at_once(detections: NDArray[np.int64]) -> int:
+    return int(detections.sum(axis=1).max(initial=0))
 
 
 def excess(body: Shortened) -> str:
     """Why rows of a message were dropped."""
-    rows = len(body["score"])
-    return f"rows: found {body.found} rows, expected at most {rows}: only those with the highest scores are used"
+    return f"rows: found {body.found} rows, expected at most {len(body['score'])}: the others are not used"
 
 
 class RowLimits:
@@ -76,54 +101,53 @@ class RowLimits:
         for name in self.rows.keys() & BUILT_IN.keys():
             columns = BUILT_IN[name].columns
             if all(column.dtype != "str" and {*column.shape} <= {"n", *range(10)} for column in columns):
-                self._longest[name] = _OTHER_BYTES + self.accepted(name) * sum(map(_row_bytes, columns))
-
-    def accepted(self, schema: str) -> int:
-        """Most rows of a message of a type with a limit; with more it is refused, between both it is cut."""
-        return max(_REFUSED * self.rows[schema], self.rows.get(OVERHEARD, 0) if schema == "tracks" else 0)
+                rows_unpacked = max(_UNPACKED * self.rows[name], self.rows.get(OVERHEARD, 0))
+                self._longest[name] = _OTHER_BYTES + rows_unpacked * sum(map(_row_bytes, columns))
 
     def check_length(self, schema: str, length: int) -> None:
-        """Raise MessageError for a message so long that it has more rows than are accepted, or is malformed."""
+        """Raise MessageError for a message so long that to unpack it costs too much, if it is not as encoded here."""
         longest = self._longest.get(schema)
         if longest is not None and length > longest:
-            raise self._refusal(schema)
+            raise MessageError(
+                f"rows: {schema}: {length} bytes in another order than expected, at most {longest} allowed: "
+                "the message is not used"
+            )
 
-    def shortened(self, schema: str, columns: Body, limit_of: str) -> Body:
+    def shortened(self, schema: str, columns: Body, limit_of: str, choice: RowChoice | None = None) -> Body:
         """The columns without the rows beyond the limit of their type; the same object if there are none.
 
-        limit_of: which of `rows`
-
-        Raises MessageError for more rows than are accepted.
+        limit_of: which of `rows`; choice: of the receiver, None: the rows with the highest scores
         """
         limit = self.rows.get(limit_of)
-        if limit is None or len(columns["score"]) <= limit:
+        if choice is not None and limit is not None:
+            limit = min(limit, choice.rows)
+        found = len(columns["score"]) if limit is not None else 0
+        if limit is None or found <= limit:
             return columns
-        if schema in self.rows and len(columns["score"]) > self.accepted(schema):
-            raise self._refusal(schema)
-        for limited_by, found, kept in self._latest:
-            if found is columns and limited_by == limit_of:
+        if choice is not None:
+            return _with_rows(schema, columns, choice.best(columns["id"], columns["score"], limit))
+        for limited_by, message, kept in self._latest:
+            if message is columns and limited_by == limit_of:
                 return kept
-        score, position = columns["score"], columns["position"]
         ids = [columns["id"]] if "id" in columns else []
-        rows = _lowest([-score, *ids, *position.T], limit)
-        per_row = {column.name for column in SCHEMAS[schema].columns if _per_row(column)}
-        result = Shortened()
-        for name, values in columns.items():
-            result[name] = values[rows] if name in per_row else values
-            result[name].setflags(write=False)
-        result.found = len(score)
+        result = _with_rows(schema, columns, lowest_rows([-columns["score"], *ids, *columns["position"].T], limit))
         self._latest.append((limit_of, columns, result))
         return result
-
-    def _refusal(self, schema: str) -> MessageError:
-        return MessageError(
-            f"rows: more than {self.accepted(schema)} rows, expected at most {self.rows[schema]}: "
-            "the message is not used"
-        )
 
 
 #: For messages that are read without a run, such as those of recordings.
 NO_LIMITS = RowLimits({})
+
+
+def _with_rows(schema: str, columns: Body, rows: NDArray[np.int64]) -> Shortened:
+    """The columns of a message with these rows alone."""
+    per_row = {column.name for column in SCHEMAS[schema].columns if _per_row(column)}
+    result = Shortened()
+    for name, values in columns.items():
+        result[name] = values[rows] if name in per_row else values
+        result[name].setflags(write=False)
+    result.found = len(columns["score"])
+    return result
 
 
 def _per_row(column: Column) -> bool:
@@ -133,21 +157,6 @@ def _per_row(column: Column) -> bool:
 def _row_bytes(column: Column) -> int:
     shape: tuple[Any, ...] = column.shape[1:]  # numbers
     return int(np.dtype(column.dtype).itemsize * prod(shape)) if _per_row(column) else 0
-
-
-def _lowest(keys: Sequence[NDArray[Any]], count: int) -> NDArray[np.int64]:
-    """The `count` lowest rows by the first key, then by the next, ascending; in linear time."""
-    candidates, kept = np.arange(len(keys[0])), []
-    for key in keys:
-        values = key[candidates]
-        cutoff = np.partition(values, count - 1)[count - 1]
-        below = candidates[values < cutoff]
-        kept.append(below)
-        count -= len(below)
-        candidates = candidates[values == cutoff]
-        if len(candidates) <= count:
-            break
-    return np.sort(np.concatenate([*kept, candidates[:count]]))
 
 
 #: s, tolerance for times where no node declares that it changes them (`Node.restamps_s`): small shifts by an adversary

@@ -13,8 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mast_zenoh.arrays.states import Ints, ObjectStates, concatenate
+from mast_zenoh.fusion.input_limit import InputLimit
 from mast_zenoh.gather import MAX_AGE_S, CollationBuffer, plausible_rows
 from mast_zenoh.messages.schemas import Body
+from mast_zenoh.pipelines.admission import Admission
 from mast_zenoh.tracking.kalman import predicted
 
 
@@ -40,13 +42,19 @@ class Collation:
 
     latency_s: age at which frames are emitted; patience: number of clocks, after that of its own frame, to wait for a
     missing message; capacity: messages kept per agent; max_age_s: the greatest age of an agent's tracks in a batch
+    input_limit: which tracks a batch has, if there are many; None: all
     agents: those that are waited for; with_views: whether agents send views
 
     A time that is off by more than `max_age_s`, either way, counts as too old. Raises ValueError for negative values.
     """
 
     def __init__(
-        self, latency_s: float = 0.0, patience: int = 0, capacity: int = 10, max_age_s: float = MAX_AGE_S
+        self,
+        latency_s: float = 0.0,
+        patience: int = 0,
+        capacity: int = 10,
+        max_age_s: float = MAX_AGE_S,
+        input_limit: InputLimit | None = None,
     ) -> None:
         for name, value, least in (
             ("latency_s", latency_s, 0),
@@ -57,6 +65,7 @@ class Collation:
             if value < least:
                 raise ValueError(f"{name}: found {value}, expected {least} or more")
         self.with_views = False
+        self.admission = Admission(input_limit)
         self.agents: set[str] = set()
         self._latency_ns = round(latency_s * 1e9)
         self._patience = patience
@@ -85,8 +94,9 @@ class Collation:
         """Wait for an agent from the next frame on, whether or not its presence was announced."""
         self._newcomers.add(agent)
 
-    def add(self, agent: str, frame: int, time_ns: int, states: ObjectStates) -> None:
-        """Add an agent's tracks, world frame; may make batches due."""
+    def add(self, agent: str, frame: int, time_ns: int, states: ObjectStates, body: Body) -> None:
+        """Add an agent's tracks, world frame; may make batches due. body: columns of the message"""
+        self.admission.note(agent, body)
         if agent not in self.agents:
             # Not expected in this frame: whether its tracks arrive before the batch is emitted would be random.
             self.meet(agent)
@@ -106,6 +116,7 @@ class Collation:
 
     def begin(self, frame: int, time_ns: int) -> list[Collated]:
         """Open a new frame; returns the batches of older ones that have waited long enough."""
+        self.admission.begin(frame)
         overdue = time_ns - self._latency_ns
         frames = sorted(f for f, t in self._open_frames.items() if f < frame - self._patience and t < overdue)
         batches = [self._batch(each, "overdue") for each in frames]
@@ -138,8 +149,11 @@ class Collation:
         self._last_views |= self._views.pop(frame)
         self._last_views = {a: (t, v) for a, (t, v) in self._last_views.items() if abs(time_ns - t) <= self._max_age_ns}
         names = sorted(self._last)
+        tracks = {name: self._last[name][1] for name in names}
+        for name, rows in self.admission.select({name: (t.id, t.score) for name, t in tracks.items()}).items():
+            tracks[name] = tracks[name].select(rows)
         ages = [time_ns - self._last[name][0] for name in names]
-        parts = [predicted(self._last[name][1], age * 1e-9) for name, age in zip(names, ages, strict=True)]
+        parts = [predicted(tracks[name], age * 1e-9) for name, age in zip(names, ages, strict=True)]
         agent = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
         views = {name: (body, time_ns - at_ns) for name, (at_ns, body) in sorted(self._last_views.items())}
         return Collated(frame, time_ns, concatenate(parts), agent, tuple(names), np.array(ages, np.int64), views)

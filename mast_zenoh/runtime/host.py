@@ -129,6 +129,7 @@ class Host:
         self._last_step = self._end  # the latest step in which a message can have been sent
         self._awaited = timespan is not None and now is None and bool(ports.outputs) and _direct_clock(wiring)
         self._overhears = ANY in node.inputs.values()
+        self._chooses = type(node).choice is not Node.choice
         self._handlers = {port: getattr(node, handler) for port, handler in handler_names(type(node)).items()}
         if self._overhears:
             self._handlers = {port: self._rejecting(handler) for port, handler in self._handlers.items()}
@@ -271,15 +272,14 @@ class Host:
                 unopened = Unopened(port_input.message, port_input.subject, payload, step)  # type: ignore[arg-type]  # see Unopened
                 self._take(key, port_input, unopened, counted)
                 return
+        choice = self.node.choice(port_input.port, port_input.subject, step) if self._chooses else None
         try:
-            if flaw:
-                raise MessageError(flaw)
             if not isinstance(payload, Message):
-                message = codec.decode(payload, port_input.message, self.limits)
+                message = codec.decode(payload, port_input.message, self.limits, choice=choice)
             elif port_input.port in self.node.unopened:
                 message = payload
             else:
-                message = codec.limited(payload, self.limits)
+                message = codec.received(payload, self.limits, flaw, choice)
             _, source, frame, time_ns, _ = message.header
             kind = type(message.body)
             if (

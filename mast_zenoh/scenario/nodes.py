@@ -139,6 +139,13 @@ def add_surroundings(specs: Mapping[str, NodeSpec], recording: Recording) -> Non
             spec.config.setdefault("surroundings", surroundings_of(recording, known_victims))
 
 
+def add_input_limits(specs: Mapping[str, NodeSpec], rows: int) -> None:
+    """Limit what nodes fuse that have a parameter for that and no limit; rows: of a frame"""
+    for spec in specs.values():
+        if "input_limit" in inspect.signature(loading.node_class(Path(spec.file), spec.type)).parameters:
+            spec.config.setdefault("input_limit", {"type": "FairInput", "rows": rows})
+
+
 def _scene_parameters(recording: Recording, row: int) -> dict[str, Any]:
     """The parameters of an agent's node that the scene provides. row: of the agent"""
     agent = recording.agents[row]

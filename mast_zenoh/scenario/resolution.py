@@ -17,10 +17,10 @@ from mast_zenoh.config.resolved import DRIVER_ROLE, NodeSpec, Resolved, build_no
 from mast_zenoh.control.results import EVALUATOR
 from mast_zenoh.errors import ConfigurationError, NodeFileError, WiringError, nearest
 from mast_zenoh.messages import user_types
-from mast_zenoh.messages.limits import LEEWAY_S, limits_for
+from mast_zenoh.messages.limits import LEEWAY_S, fused_rows, limits_for
 from mast_zenoh.messages.schemas import Schema
 from mast_zenoh.node import Node
-from mast_zenoh.scenario.nodes import nodes_of, share_faults
+from mast_zenoh.scenario.nodes import add_input_limits, nodes_of, share_faults
 from mast_zenoh.scenario.reading import (
     RUN_DEFAULTS,
     check_run,
@@ -73,6 +73,7 @@ def resolve(
     recording = scenes.prepare(scene, options["seed"], options["frames"], cache_key)
     n_frames = len(recording) if options["frames"] is None else min(options["frames"], len(recording))
     nodes = nodes_of(path, scenario, recording, n_frames, record and options["record"])
+    add_input_limits(nodes, fused_rows(_detections(recording)))
     timeline = timeline_of(path, scenario, nodes, recording, n_frames, seed=options["seed"], mode=options["mode"])
     nodes |= timeline.links
     built_nodes = [build_node(spec, name, str(path)) for name, spec in nodes.items()]
@@ -147,13 +148,17 @@ def _uses_shipped_simulator(nodes: Mapping[str, NodeSpec]) -> bool:
     return all(Path(spec.file).resolve() == shipped for spec in nodes.values() if spec.role == DRIVER_ROLE)
 
 
-def _max_rows(recording: Recording, per_agent: int | None) -> dict[str, int]:
-    """Limits on the rows of messages, from what the sensors of a scene detect; per_agent: the scenario's own."""
+def _detections(recording: Recording) -> np.ndarray:
+    """(F, A) number of detections of each agent in each frame."""
     sensors = [len(agent.sensors) for agent in recording.agents]
     counts = np.diff(recording.detection_start).reshape(-1, sum(sensors))
-    by_agent = np.add.reduceat(counts, np.cumsum([0, *sensors[:-1]]), axis=1)
+    return np.asarray(np.add.reduceat(counts, np.cumsum([0, *sensors[:-1]]), axis=1))
+
+
+def _max_rows(recording: Recording, per_agent: int | None) -> dict[str, int]:
+    """Limits on the rows of messages, from what the sensors of a scene detect; per_agent: the scenario's own."""
     objects = int(np.diff(recording.truth_start).max(initial=0))
-    return limits_for(by_agent, objects, per_agent)
+    return limits_for(_detections(recording), objects, per_agent)
 
 
 def _leeway_ns(nodes: Iterable[Node], recording: Recording, frames: int) -> int:

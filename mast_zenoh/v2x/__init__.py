@@ -20,7 +20,6 @@ Sending:
                  AdaptiveDcc
     channel      airtime, busy ratio of the channel, and which transmissions arrive
     station      what one station sends: its rules, under its congestion control
-    input_limit  how many objects fusion gets from each agent: base class InputLimit; NoInputLimit, FairInput
 
 Arrays in, arrays out: no class here knows of nodes. Times are int64 ns, as in clocks.
 """
@@ -35,7 +34,6 @@ from mast_zenoh.v2x.generation import (
     GenerationRules,
     Perception,
 )
-from mast_zenoh.v2x.input_limit import FairInput, InputLimit, NoInputLimit, Selection
 from mast_zenoh.v2x.quality import PerceptionQuality, quality_of_score
 from mast_zenoh.v2x.redundancy import (
     DistanceRedundancy,
@@ -55,21 +53,17 @@ __all__ = [
     "DistanceRedundancy",
     "DynamicsRedundancy",
     "EveryFrame",
-    "FairInput",
     "FrequencyRedundancy",
     "Generation",
     "GenerationRules",
     "HeardObjects",
-    "InputLimit",
     "NoCongestionControl",
-    "NoInputLimit",
     "OfdmTiming",
     "Perception",
     "PerceptionQuality",
     "RadioChannel",
     "ReactiveDcc",
     "RedundancyRule",
-    "Selection",
     "SelfAnnouncementRedundancy",
     "Transmissions",
     "Vehicle",

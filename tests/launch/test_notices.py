@@ -33,9 +33,15 @@ def texts(resolved: Resolved, nodes: dict[str, Any] | None = None, **more: Any) 
     }
     measured = {"late": more.get("late", {})} | more.get("measured", {})
     collations, refused = more.get("collations", []), more.get("refused", [])
-    all_notices = notices.of_run(resolved, record, collations, measured, refused)
+    all_notices = notices.of_run(resolved, record, collations, measured, refused, more.get("left_out", {}))
     assert all(notice["count"] > 0 for notice in all_notices)
     return {notice["kind"]: notice["text"] for notice in all_notices}
+
+
+def test_the_notice_of_tracks_left_out_names_their_agents(world: Resolved) -> None:
+    text = texts(world, left_out={"infra_1": 20_000, "ego": 0})["left_out"]
+    assert "infra_1: 20000)" in text
+    assert "input_limit" in text
 
 
 def node(**counted: Any) -> dict[str, Any]:

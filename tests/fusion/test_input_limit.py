@@ -9,10 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mast_zenoh.arrays.states import Ints
 from mast_zenoh.config.registry import build, known_types
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.v2x.input_limit import FairInput, InputLimit, NoInputLimit, fair_shares
+from mast_zenoh.fusion.input_limit import FairInput, InputLimit, NoInputLimit, Objects, fair_shares, rows_of
 
 #: Objects of each agent in one frame: ids with scores.
 Frame = dict[int, dict[int, float]]
@@ -20,17 +19,20 @@ Frame = dict[int, dict[int, float]]
 
 def kept(limit: InputLimit, frame: Frame) -> dict[int, set[int]]:
     """Ids that are kept in a frame, by agent."""
-    agent = np.array([name for name, objects in frame.items() for _ in objects], np.int64)
-    ids = np.array([id_ for objects in frame.values() for id_ in objects], np.int64)
-    score = np.array([value for objects in frame.values() for value in objects.values()], np.float64)
-    rows, agents, dropped = limit.select(agent, ids, score)
-    assert rows.tolist() == sorted(set(rows.tolist()))
-    selected: dict[int, set[int]] = {name: set() for name in frame}
-    for row in rows.tolist():
-        selected[agent[row]].add(ids[row])
-    lost = {name: len(frame[name]) - len(selected[name]) for name in frame if frame[name]}
-    assert dict(zip(agents.tolist(), dropped.tolist(), strict=True)) == lost
-    return selected
+    objects = {
+        str(agent): Objects(np.array(list(scores), np.int64), np.array(list(scores.values()), np.float64))
+        for agent, scores in frame.items()
+    }
+    selected = limit.select(objects)
+    for agent, rows in selected.items():
+        assert rows.tolist() == sorted(set(rows.tolist()))
+        assert len(rows) < len(objects[agent].ids)
+    return {agent: set(objects[str(agent)].ids[selected.get(str(agent), slice(None))].tolist()) for agent in frame}
+
+
+def by_name(values: list[int]) -> dict[str, int]:
+    """Values by the names a, b, c, ..."""
+    return {chr(ord("a") + place): value for place, value in enumerate(values)}
 
 
 def some(count: int, first: int = 0, score: float = 0.5) -> dict[int, float]:
@@ -65,7 +67,7 @@ def test_up_to_the_limit_all_rows_are_kept() -> None:
 def test_a_flood_takes_no_row_from_agents_within_their_share() -> None:
     frame = {0: some(20_000, score=1.0), 1: some(20), 2: some(25), 3: some(1)}
     selected = kept(FairInput(rows=100), frame)
-    assert {agent: len(ids) for agent, ids in selected.items()} == {0: 54, 1: 20, 2: 25, 3: 1}
+    assert {agent: len(ids) for agent, ids in selected.items()} == {0: 25, 1: 20, 2: 25, 3: 1}
 
 
 @pytest.mark.parametrize(
@@ -80,7 +82,7 @@ def test_a_flood_takes_no_row_from_agents_within_their_share() -> None:
     ],
 )
 def test_shares_are_max_min_fair(count: list[int], rows: int, shares: list[int]) -> None:
-    assert fair_shares(np.array(count, np.int64), rows).tolist() == shares
+    assert fair_shares(by_name(count), rows) == by_name(shares)
 
 
 @given(count=st.lists(st.integers(1, 30), max_size=12), rows=st.integers(1, 100))
@@ -89,7 +91,7 @@ def test_shares_equal_dealing_row_by_row(count: list[int], rows: int) -> None:
     for _ in range(min(rows, sum(count))):
         hungry = [agent for agent, most in enumerate(count) if dealt[agent] < most]
         dealt[min(hungry, key=lambda agent: (dealt[agent], agent))] += 1
-    assert fair_shares(np.array(count, np.int64), rows).tolist() == dealt
+    assert fair_shares(by_name(count), rows) == by_name(dealt)
 
 
 def test_of_new_objects_those_of_high_score_are_kept() -> None:
@@ -113,6 +115,21 @@ def test_a_flood_displaces_at_most_the_reserve_and_the_youngest_objects_first() 
     for frame in range(30):
         selected = kept(limit, {0: some(20, score=0.3) | some(5000, 1000 + 5000 * frame, score=1.0)})
         assert selected[0] >= set(range(15))
+
+
+@given(before=st.integers(1, 20), reserve=st.floats(0.0, 0.3), flood=st.integers(100, 500))
+def test_a_flood_costs_no_object_that_was_there_before_and_little_more_than_these(
+    before: int, reserve: float, flood: int
+) -> None:
+    limit = FairInput(rows=60, reserve=reserve)
+    others = {agent: some(10) for agent in (1, 2, 3)}
+    kept(limit, others | {0: some(before, score=0.1)})
+    for number in range(12):
+        attacked = others | {0: some(before, score=0.1) | some(flood, 1000 + 500 * number, score=1.0)}
+        selected = kept(limit, attacked)
+        assert selected[0] >= set(range(before))
+        assert len(selected[0]) <= max(60 // 4, np.ceil(before / (1.0 - reserve)))
+        assert all(selected[agent] == set(others[agent]) for agent in others)
 
 
 def test_a_new_object_is_seen_although_old_ones_fill_the_share() -> None:
@@ -144,20 +161,11 @@ def test_an_id_is_known_only_within_its_agent() -> None:
     assert kept(limit, {0: {7: 0.1, 8: 0.9}, 1: {8: 0.1, 7: 0.9}}) == {0: {7}, 1: {8}}
 
 
-def test_repeated_ids_of_an_agent_over_its_share_are_not_kept() -> None:
-    limit = FairInput(rows=3)
-    kept(limit, {0: {1: 0.5}})
-    ids = np.array([1] * 50 + [2, 3])
-    rows, _, dropped = limit.select(np.zeros(52, np.int64), ids, np.ones(52))
-    assert rows.tolist() == [50, 51]
-    assert dropped.tolist() == [50]
-
-
 def test_memory_is_bounded_whatever_ids_arrive() -> None:
     limit = FairInput(rows=20, memory_frames=5)
     for frame in range(20):
         kept(limit, {agent: some(50, 50 * frame) for agent in range(3)})
-        assert len(limit._kept.ids) <= 20 * 5
+        assert sum(map(len, limit.kept.values())) <= 20 * 5
 
 
 def test_reset_forgets_all_frames() -> None:
@@ -173,11 +181,12 @@ FRAMES = st.lists(st.dictionaries(st.integers(0, 4), OBJECTS, max_size=5), min_s
 
 @given(frames=FRAMES, rows=st.integers(1, 40), reserve=st.floats(0.0, 1.0))
 @settings(max_examples=200)
-def test_the_limit_is_used_in_full_and_never_exceeded(frames: list[Frame], rows: int, reserve: float) -> None:
+def test_the_limit_is_never_exceeded_and_up_to_it_all_is_kept(frames: list[Frame], rows: int, reserve: float) -> None:
     limit = FairInput(rows=rows, reserve=reserve)
     for frame in frames:
         total = sum(map(len, frame.values()))
-        assert sum(map(len, kept(limit, frame).values())) == min(rows, total)
+        left = sum(map(len, kept(limit, frame).values()))
+        assert left == total if total <= rows else left <= rows
 
 
 @given(frames=FRAMES, rows=st.integers(1, 40), seed=st.integers(0, 100))
@@ -223,7 +232,27 @@ def test_which_objects_an_agent_keeps_depends_on_others_only_by_its_share(
 
 def test_ids_of_any_size_are_compared_exactly() -> None:
     limit = FairInput(rows=2, reserve=0.0)
-    big: Ints = np.array([2**62, 2**62 + 1, -(2**63)], np.int64)
-    limit.select(np.zeros(2, np.int64), big[:2], np.zeros(2))
-    rows, _, _ = limit.select(np.zeros(3, np.int64), big, np.array([0.0, 0.0, 1.0]))
-    assert rows.tolist() == [0, 1]
+    kept(limit, {0: {2**62: 0.0, 2**62 + 1: 0.0}})
+    assert kept(limit, {0: {2**62: 0.0, 2**62 + 1: 0.0, -(2**63): 1.0}}) == {0: {2**62, 2**62 + 1}}
+
+
+def test_a_message_is_cut_to_what_was_kept_and_new_objects_of_high_score() -> None:
+    limit = FairInput(rows=50)
+    kept(limit, {0: some(20, score=0.1)})
+    ids = np.random.default_rng(0).permutation(20_000)
+    rows = limit.cut(limit.kept["0"], Objects(ids, np.where(ids < 10_000, 0.5, 0.9)), 40)
+    assert sorted(ids[rows].tolist()) == [*range(20), *range(10_000, 10_020)]
+
+
+def test_cutting_a_message_changes_nothing_that_is_remembered() -> None:
+    limit = FairInput(rows=50)
+    kept(limit, {0: some(20)})
+    before = limit.kept
+    limit.cut(before["0"], Objects(np.arange(1000), np.ones(1000)), 40)
+    assert limit.kept is before
+
+
+def test_known_rows_are_found_whatever_their_remainders() -> None:
+    ids = np.array([5, 4096 + 5, 2 * 4096 + 5, 7, -1, -4097], np.int64)
+    assert rows_of(ids, np.array([-4097, 4096 + 5, 2**40])).tolist() == [1, 5]
+    assert rows_of(ids, np.zeros(0, np.int64)).tolist() == []

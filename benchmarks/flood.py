@@ -1,0 +1,118 @@
+"""What a flood of objects from one agent costs the others: frames/s with the flood, divided by that without it.
+
+    python benchmarks/flood.py [CONFIGURATION ...] [--rows 20000] [--rounds 5] [--frames 150] [--mesh]
+
+In one process, the processor time of all nodes but the adversary counts, without the end of the run; an adversary that
+floods takes many times as long as all the others. With --mesh it is the frame rate of lock-step runs of processes,
+which wait for the adversary, too. Runs without and with the flood alternate. The median of the ratios is printed, and
+the least and the greatest; and the objects of the ego's picture that are missed, without and with the flood.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import mast_zenoh as mast
+from mast_zenoh import scenario
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.runtime.host import Host
+from mast_zenoh.runtime.inproc import InProcess, find_result
+
+CPM = {"agents.*.tracks_from": "agent"}
+ON_TRACKS = {"n_adversaries": 1, "keyexpr.rewrites": ["on_tracks.toml"]}
+#: Scenario and settings, by name.
+CONFIGURATIONS: dict[str, tuple[str, dict[str, Any]]] = {
+    "centre": ("uncoordinated", ON_TRACKS),
+    "centre, max_rows=20000": ("uncoordinated", ON_TRACKS | {"run.max_rows": 20_000}),
+    "centre, cpm": ("uncoordinated", CPM | ON_TRACKS | {"keyexpr.rewrites": ["cpm.toml", "on_tracks.toml"]}),
+    "two centres": ("two_centres", {"n_adversaries": 1}),
+    "peers": ("peers", {"n_adversaries": 1}),
+    "peers, cpm": ("peers", {"n_adversaries": 1, "codec": "cpm"}),
+}
+START_S = 1.0
+
+
+def attack(rows: int) -> dict[str, Any]:
+    """A flood, or with 0 rows an adversary that changes nothing."""
+    return dict(type="Flood", rows=rows, start_s=START_S) if rows else dict(type="PassThrough")
+
+
+class Timed(InProcess):
+    """A run that adds up the processor time of each node, ns, in its handlers."""
+
+    def __init__(self, resolved: Resolved) -> None:
+        super().__init__(resolved)
+        self.spent: Counter[str] = Counter()
+        for host in self.hosts.values():
+            self._time(host)
+
+    def _time(self, host: Host) -> None:
+        deliver = host.deliver
+
+        def timed(*arguments: Any, **options: Any) -> None:
+            began = time.process_time_ns()
+            deliver(*arguments, **options)
+            self.spent[host.name] += time.process_time_ns() - began
+
+        host.deliver = timed
+
+
+def in_process(name: str, settings: dict[str, Any], rows: int, frames: int) -> tuple[float, float]:
+    """Seconds of a frame of all nodes but the adversary; objects that the ego's picture misses."""
+    path, loaded = scenario.load(name, [f"{key}={value}" for key, value in settings.items()])
+    loaded["adversaries"]["adversary_1"]["attack"] = attack(rows)
+    process = Timed(scenario.resolve(path, loaded, frames=frames))
+    results = process.run()
+    others = sum(spent for node, spent in process.spent.items() if node != "adversary_1")
+    return others * 1e-9 / frames, missed(
+        find_result({node: each for node, each in results.items() if node}, "metrics")
+    )
+
+
+def on_mesh(name: str, settings: dict[str, Any], rows: int, frames: int) -> tuple[float, float]:
+    """Seconds of a frame of a run of processes; objects that the ego's picture misses."""
+    more = settings | {"adversaries.adversary_1.attack": attack(rows)}
+    with tempfile.TemporaryDirectory() as folder:
+        run = mast.run(name, frames=frames, out=f"{folder}/run", runtime="mesh", record=False, report=False, **more)
+        return 1.0 / run.record["timings"]["frames_per_second"], missed(
+            json.loads(Path(folder, "run", "metrics.json").read_text("utf-8"))
+        )
+
+
+def missed(metrics: Any) -> float:
+    """Objects a frame that the first agent's picture misses."""
+    return float(next(iter(metrics["agents"].values()))["picture"]["fn"]["mean"])
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("configurations", nargs="*", default=list(CONFIGURATIONS))
+    parser.add_argument("--rows", type=int, default=20_000)
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--frames", type=int, default=150)
+    parser.add_argument("--mesh", action="store_true")
+    arguments = parser.parse_args()
+    measure = on_mesh if arguments.mesh else in_process
+    print(f"{'':28}{'median':>8}{'least':>8}{'most':>8}{'missed':>10}{'flooded':>9}")
+    for label in arguments.configurations:
+        name, settings = CONFIGURATIONS[label]
+        sides = [0, arguments.rows]
+        ratios = []
+        for _ in range(arguments.rounds):
+            sides.reverse()
+            found = {rows: measure(name, settings, rows, arguments.frames) for rows in sides}
+            ratios.append(found[0][0] / found[arguments.rows][0])
+        cells = [f"{value:8.2f}" for value in (statistics.median(ratios), min(ratios), max(ratios))]
+        print(f"{label:28}", *cells, f"{found[0][1]:10.2f}{found[arguments.rows][1]:9.2f}", sep="", flush=True)
+
+
+if __name__ == "__main__":
+    main()

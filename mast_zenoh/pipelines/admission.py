@@ -1,0 +1,59 @@
+"""Which tracks of each agent a node fuses: an input limit on messages and on the frame; counts what is left out."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+
+from mast_zenoh.arrays.states import Floats, Ints
+from mast_zenoh.fusion.input_limit import InputLimit, Kept, NoInputLimit, Objects
+from mast_zenoh.gather import LatestBefore
+from mast_zenoh.messages.limits import RowChoice, Shortened
+from mast_zenoh.messages.schemas import Body
+
+
+class Admission:
+    """Applies an input limit; None: NoInputLimit().
+
+    A message with more rows than can be used is cut before its rows are checked, by what was kept until two frames
+    before it was sent: a message may arrive before the clock of its frame, and must not depend on that.
+    """
+
+    def __init__(self, limit: InputLimit | None = None) -> None:
+        self.left_out: Counter[str] = Counter()  # number of rows, by agent
+        self._limit = limit or NoInputLimit()
+        self._kept: LatestBefore[Kept] = LatestBefore()
+        self._step = -1  # of the message last asked about, and what was kept before it
+        self._before: Kept = {}
+
+    def begin(self, frame: int) -> None:
+        """Open a frame: call it first of all in each."""
+        self._kept.add(frame, self._limit.kept)
+        self._step = -1
+
+    def choice(self, agent: str, step: int) -> RowChoice | None:
+        """Which rows of an agent's message are used; see `Node.choice`."""
+        limit = self._limit
+        if limit.rows is None:
+            return None
+        if step != self._step:
+            latest = self._kept.get(step)
+            self._step, self._before = step, {} if latest is None else latest[1]
+        kept: Mapping[int, int] = self._before.get(agent, {})
+        return RowChoice(limit.rows, lambda ids, score, rows: limit.cut(kept, Objects(ids, score), rows))
+
+    def note(self, agent: str, body: Body) -> None:
+        """Count the rows that a message of an agent had beyond those that are used."""
+        if type(body) is Shortened:
+            self.left_out[agent] += body.found - len(body["score"])
+
+    def select(self, objects: Mapping[str, tuple[Ints, Floats]]) -> dict[str, Ints]:
+        """Rows to fuse in a frame, of each agent of which some are left out. objects: ids and scores, by agent"""
+        selected = self._limit.select({name: Objects(*columns) for name, columns in objects.items()})
+        for name, rows in selected.items():
+            self.left_out[name] += len(objects[name][0]) - len(rows)
+        return selected
+
+    def counts(self) -> dict[str, int]:
+        """Number of rows that were left out, by agent."""
+        return dict(sorted(self.left_out.items()))
