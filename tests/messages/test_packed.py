@@ -1,5 +1,7 @@
 """Tracks travel as Collective Perception Messages: what receivers get is what the bytes say."""
 
+import zlib
+
 import asn1_oracle
 import msgpack
 import numpy as np
@@ -13,8 +15,8 @@ from mast_zenoh.errors import MessageError
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.packed import MAX_SEGMENT_BYTES, MOST_OBJECTS, Packed, codec_of, pack
 from mast_zenoh.messages.schemas import Header, Message
-from mast_zenoh.v2x import cam, cpm
-from mast_zenoh.v2x.asn1 import cpm_fields
+from mast_zenoh.v2x import Vehicle, cam, cpm
+from mast_zenoh.v2x.asn1 import cam_fields, cpm_fields
 from mast_zenoh.v2x.tracks import orientation_of, rotation_of
 
 HEADER = Header("tracks", "infra_1", 3, 300_000_000, 3)
@@ -197,6 +199,30 @@ def test_a_message_of_awareness_is_about_one_vehicle_the_best_known_or_is_not_se
     assert packed(message(0), "cam").segments == ()
     assert codec_of(codec.decode(codec.encode(pack(message(0), "cam")), "tracks").body) == "cam"
     assert cam.decode(segment).vehicle is not None
+
+
+@pytest.mark.skipif(not asn1_oracle.FOLDER.is_dir(), reason="no ASN.1 modules in $MAST_DATA/etsi_asn1")
+def test_asn1tools_reads_what_a_vehicle_says_of_itself() -> None:
+    vehicle = Vehicle(size=(4.5, 1.8, 1.6), kind="bus", position_std_m=0.5)
+    states = vehicle.state(np.array([10.0, 20.0, 0.0]), np.array([0.0, -12.0, 0.0]), -np.pi / 2)
+    still = {"origin": np.zeros(3), "rotation": np.array([1.0, 0.0, 0.0, 0.0])}
+    (segment,) = packed(codec.conform(HEADER, states.columns() | still), "cam").segments
+    plain = asn1_oracle.decode("CAM", cam_fields.LAYOUT.type, segment)
+    assert plain["header"] == {"protocolVersion": 2, "messageId": 2, "stationId": zlib.crc32(b"infra_1")}
+    assert plain["cam"]["generationDeltaTime"] == 300
+    parameters = plain["cam"]["camParameters"]
+    basic = parameters["basicContainer"]
+    assert basic["stationType"] == 6
+    ellipse = basic["referencePosition"]["positionConfidenceEllipse"]
+    assert ellipse["semiMajorAxisLength"] == ellipse["semiMinorAxisLength"] == 123, "cm, 2.45 standard deviations"
+    assert basic["referencePosition"]["altitude"] == {"altitudeValue": 0, "altitudeConfidence": "alt-002-00"}
+    motion = parameters["highFrequencyContainer"]["basicVehicleContainerHighFrequency"]
+    assert motion["heading"] == {"headingValue": 1800, "headingConfidence": 127}
+    assert motion["speed"] == {"speedValue": 1200, "speedConfidence": 20}
+    assert motion["driveDirection"] == "forward"
+    assert motion["vehicleLength"]["vehicleLengthValue"] == 45
+    assert motion["vehicleWidth"] == 18
+    assert "lowFrequencyContainer" not in parameters
 
 
 def test_segments_of_different_messages_are_refused() -> None:
