@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh.arrays.geometry import tracks_in_world
+from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.fusion.input_limit import InputLimit
 from mast_zenoh.fusion.regions import Region
 from mast_zenoh.gather import MAX_AGE_S, LatestBefore
@@ -61,7 +62,14 @@ class Center(Node):
     def start(self, context: Context) -> None:
         """Collate views, too, if agents send any."""
         self.pipeline.bind(context.seed, context.name)
-        self.collation.with_views = any(source.port == "view" for source in context.subscriptions.values())
+        ports = {source.port for source in context.subscriptions.values()}
+        self.collation.with_views = "view" in ports
+        if self.region.follows and "pose" not in ports:
+            kind = type(self.region).__name__
+            raise ConfigurationError(
+                f"{context.name}: region: found {kind}, which follows an agent, but no wire brings `pose`: "
+                "add a [[listen]] as in center_on_board.toml, or choose Rectangle"
+            )
 
     def choice(self, port: str, subject: str, step: int) -> RowChoice | None:
         """Of too many rows, those that the input limit keeps."""

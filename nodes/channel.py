@@ -81,11 +81,9 @@ class Channel(Node):
         frame, time_ns = received.frame, received.time_ns
         sent = sorted(each for each in self.sent if each.frame < frame)
         self.sent = [each for each in self.sent if each.frame >= frame]
-        places = [self.positions[name].get(frame) if name in self.positions else None for name in self.stations]
-        # A station that has never said where it is hears nothing, and is not heard.
-        position = np.array(
-            [np.full(2, 1e9 * (row + 1)) if place is None else place[1] for row, place in enumerate(places)]
-        )
+        nowhere = np.full(2, np.nan)  # neither hears nor is heard
+        latest = [self.positions[name].get(frame) if name in self.positions else None for name in self.stations]
+        position = np.array([nowhere if item is None else item[1] for item in latest]).reshape(-1, 2)
         row_of = {name: row for row, name in enumerate(self.stations)}
         frames = [(each.kind, row_of[each.sender], size) for each in sent for size in each.sizes]
         kind, sender, sizes = np.array(frames, np.int64).reshape(-1, 3).T
@@ -105,10 +103,10 @@ class Channel(Node):
         own_airtime = np.bincount(sender, airtime, n)
         self.note(busy, sending, missed, sizes)
         for row, name in enumerate(self.stations):
-            heard, aware = (np.flatnonzero(of_kind) for of_kind in sending & ~missed[:, :, row])
+            lost, lost_awareness = (np.flatnonzero(of_kind) for of_kind in sending & missed[:, :, row])
             body = {
-                "agents": text([self.stations[each] for each in heard if each != row]),
-                "aware": text([self.stations[each] for each in aware if each != row]),
+                "lost": text([self.stations[other] for other in lost if other != row]),
+                "lost_awareness": text([self.stations[other] for other in lost_awareness if other != row]),
                 "busy_ratio": busy[row : row + 1],
                 "sent": np.array([sending[:, row].sum()], np.int64),
                 "airtime_ns": np.array([own_airtime[row]], np.int64),

@@ -193,10 +193,10 @@ class Evaluator(Node):
         self.data.record.add(header.frame, route.series, objects, message.step, header.time_ns)
 
     def take_reception(self, message: Overheard, route: Route) -> None:
-        """Store how busy the channel was at a station, and what arrived there."""
+        """Store how busy the channel was at a station, and how many messages it lost."""
         body = message.body
-        arrived = len(body["agents"]) + len(body["aware"])
-        state = float(body["busy_ratio"][0]), int(body["airtime_ns"][0]), int(body["sent"][0]), arrived
+        lost = len(body["lost"]) + len(body["lost_awareness"])
+        state = float(body["busy_ratio"][0]), int(body["airtime_ns"][0]), int(body["sent"][0]), lost
         self.data.receptions[message.wire.subject, message.header.frame] = state
 
     def take_trust(self, message: Overheard, route: Route) -> None:

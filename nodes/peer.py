@@ -249,16 +249,14 @@ class Peer(Node):
         if reception is not None:
             busy, airtime_ns = float(reception.body["busy_ratio"][0]), int(reception.body["airtime_ns"][0])
             self.station.measure(reception.time_ns, busy, before_ns, airtime_ns)
-        arrived: dict[str, set[str]] | None = None
-        if reception is not None:
-            tracks, aware = (set(reception.body[name]) for name in ("agents", "aware"))
-            arrived = {"heard": tracks, "heard_view": tracks, "relayed": tracks, "heard_awareness": aware}
+        lost = {name: set() if reception is None else set(reception.body[name]) for name in ("lost", "lost_awareness")}
         ready = sorted((each for each in self.inbox if each.arrived < frame), key=Heard.order)
         self.inbox = [each for each in self.inbox if each.arrived >= frame]
         for _, port, received in ready:
             sender = received.subject
-            if arrived is not None and sender not in arrived[port]:
-                self.counts[f"lost/{sender}"] += 1
+            if sender in lost["lost_awareness" if port == "heard_awareness" else "lost"]:
+                if port in ("heard", "heard_awareness"):
+                    self.counts[f"lost/{sender}"] += 1
             elif port == "heard":
                 self.counts[f"heard/{sender}"] += 1
                 self.admission.note(sender, received.body)
@@ -272,11 +270,12 @@ class Peer(Node):
                 if len(states):
                     self.station.hear(received.time_ns, states, states.position[0])
             elif port == "heard_view":
-                self.views[sender] = received.time_ns, received.body
+                if received.time_ns >= self.views.get(sender, (0,))[0]:
+                    self.views[sender] = received.time_ns, received.body
             elif port == "heard_gossip":
                 trust = zip(received.body["agents"].tolist(), received.body["trust"].tolist(), strict=True)
                 self.trusts[sender] = received.time_ns, dict(trust)
-            else:
+            elif sender not in self.relays or received.time_ns >= self.relays[sender].time_ns:
                 self.relays[sender] = self.relay_of(received)
 
     def announce(self, time_ns: int, pose: Received, context: Context) -> None:
@@ -380,15 +379,14 @@ class Peer(Node):
 
         names: members of the step; agent: rows of these of its tracks, in the order of the pipeline's input
         """
-        direct = {name for name in names if not name.endswith(RELAY)}
-        origins = sorted(direct.union(*(relay.agents for relay in relays.values())))
+        direct = names[: len(names) - len(relays)]
+        origins = sorted(set(direct).union(*(relay.agents for relay in relays.values())))
         of_tracks = np.zeros((len(agent), len(origins)), np.bool_)
-        for row, name in enumerate(names):
-            if name in direct:
-                of_tracks[agent == row, origins.index(name)] = True
-            else:
-                relay = relays[name.removesuffix(RELAY)]
-                of_tracks[np.ix_(agent == row, [origins.index(each) for each in relay.agents])] = relay.origin
+        for row, name in enumerate(direct):
+            of_tracks[agent == row, origins.index(name)] = True
+        for row, relay in enumerate((relays[name] for name in sorted(relays)), len(direct)):
+            columns = [origins.index(name) for name in relay.agents]
+            of_tracks[np.ix_(agent == row, columns)] = relay.origin
         return origins, self.origins.update(picture.id, self.pipeline.members, of_tracks, origins)
 
     def relay_of(self, received: Received) -> Relay:

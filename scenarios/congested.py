@@ -50,5 +50,5 @@ def scenario(
         name="congested",
         peers={agent: peer | radio for agent, peer in content["peers"].items()},
         channel=dict(radio=dict(type="RadioChannel"), timing=dict(type="OfdmTiming")),
-        keyexpr=content["keyexpr"] | dict(rewrites=[maps[0], "channel.toml", *maps[1:]]),
+        keyexpr=content["keyexpr"] | dict(rewrites=[*maps, "channel.toml"]),
     )

@@ -18,6 +18,7 @@ _OWN_WORD = {
     "SequentialConsistency": lambda agent: dict(anchors=[agent]),
     "TruthDiscovery": lambda agent: dict(anchors=[agent]),
     "FaultOrLie": lambda agent: dict(stage=dict(type="SequentialConsistency", anchors=[agent])),
+    **dict.fromkeys(("Robosac", "Pasac", "Made", "PoseGuard"), lambda agent: dict(ego=agent)),
 }
 
 
@@ -29,7 +30,7 @@ def scenario(
     defence=None,
     fusion="CovarianceIntersectionFusion",
     relays=False,
-    anchored=False,
+    anchored=True,
     gossip=False,
     n_slanderers=0,
     codec="columns",
@@ -46,13 +47,17 @@ def scenario(
     that the listener hears), or awareness (what a vehicle says of itself, which is moved); listener: an agent;
     defence: an integrity stage for every peer; fusion: of the tracks of an object, a class;
     relays: whether peers relay their pictures, too, so that rumours spread;
-    anchored: whether a peer's defence takes the word of its own agent's sensors;
+    anchored: whether a peer's defence takes the word of its own agent's sensors, if it can take an agent's word;
     gossip: whether peers tell each other whom they trust, and use it beside their defence (default: FaultOrLie);
     n_slanderers: agents besides, whose gossip says no trust in the listener and full trust in the compromised agents;
     codec: of broadcasts: columns, or cpm: Collective Perception Messages;
     awareness: whether vehicles say where they are, by Cooperative Awareness Messages.
     """
     content = baseline(scene, scene_index, n_infrastructure, n_mobile)
+    if on not in MAPS:
+        raise ValueError(f"on: found {on!r}, expected one of {', '.join(MAPS)}")
+    if listener not in agents_of(content["scene"]):
+        raise ValueError(f"listener: no agent {listener!r} in this scene")
     pipeline = content["command_center"]["pipeline"]
     pipeline["group_tracking"]["fusion"] = dict(type=fusion)
     aware = dict(awareness=dict(type="CamGeneration")) if awareness else {}
@@ -60,8 +65,7 @@ def scenario(
         defence = defence or "FaultOrLie"
     elif n_slanderers:
         raise ValueError("n_slanderers: found more than 0, expected gossip=true with it")
-    if anchored and defence not in _OWN_WORD:
-        raise ValueError(f"anchored: found {defence!r} as defence, expected one of {', '.join(_OWN_WORD)}")
+    anchored = anchored and defence in _OWN_WORD
 
     def peer(agent=None):
         if not defence:

@@ -66,8 +66,8 @@ class RunData:
     tracks_sent: by (agent, frame), the frame in which the agent's tracks were sent
     attack_reports, link_reports: (interposer, frame, sequence number, columns)
     trust:    by frame, the first message about it
-    receptions: by (agent, frame), busy ratio of the channel, ns and number of its own messages, and of those arrived,
-        all of the frame before
+    receptions: by (agent, frame), busy ratio of the channel, ns and number of its own messages, and number of
+        those that it lost, all of the frame before
     relays:   whether peers relay their pictures
     """
 
@@ -397,7 +397,7 @@ class _Results:
         rows = [state for (_, frame), state in receptions if frame in frames]
         if not rows:
             return {}
-        busy, airtime_ns, sent, arrived = (np.array(column, np.float64) for column in zip(*rows, strict=True))
+        busy, airtime_ns, sent, lost = (np.array(column, np.float64) for column in zip(*rows, strict=True))
         stations = len({agent for agent, _ in self.data.receptions})
         expected = float(sent.sum()) * (stations - 1)
         return {
@@ -406,7 +406,7 @@ class _Results:
                 "busy_ratio": mean_and_std(busy),
                 "airtime_share": float(airtime_ns.mean()) / period_ns,
                 "sent": float((sent > 0).mean()),
-                "arrived": float(arrived.sum()) / expected if expected else None,
+                "arrived": 1.0 - float(lost.sum()) / expected if expected else None,
             }
         }
 

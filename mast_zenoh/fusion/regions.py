@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -13,6 +14,8 @@ from mast_zenoh.arrays.states import Bools, Floats
 
 class Region(ABC):
     """An area of the ground."""
+
+    follows: ClassVar[bool] = False  #: whether it must be told where its agent is
 
     @abstractmethod
     def contains(self, position: Floats, margin_m: float = 0.0) -> Bools:
@@ -54,6 +57,8 @@ class Around(Region):
 
     radius_m: m
     """
+
+    follows: ClassVar[bool] = True
 
     radius_m: float = 100.0
 

@@ -270,10 +270,16 @@ BUILT_IN: Mapping[str, Schema] = {
         Schema(
             "reception",
             2,
-            "what arrived at a station of what was sent in the frame before, and the load of the channel",
+            "what a station did not receive of what was sent in the frame before, and the load of the channel",
             (
-                Column("agents", "str", ("m",), "", "the stations whose tracks arrived, sorted"),
-                Column("aware", "str", ("k",), "", "the stations whose messages about themselves arrived, sorted"),
+                Column("lost", "str", ("m",), "", "the stations whose tracks were lost, sorted"),
+                Column(
+                    "lost_awareness",
+                    "str",
+                    ("k",),
+                    "",
+                    "the same of messages about themselves",
+                ),
                 Column("busy_ratio", "float64", (1,), "", "channel busy ratio, 0 to 1"),
                 Column("sent", "int64", (1,), "", "number of the station's own messages, 0 to 2"),
                 Column("airtime_ns", "int64", (1,), "ns", "of the station's own messages; 0: it sent none"),

@@ -64,6 +64,12 @@ def nodes_of(
     for agent_name, config in _peers(scenario.get("peers", {}), agents, f"{path}: peers"):
         if not isinstance(config, Mapping):
             raise ConfigurationError(f"{path}: peers: {agent_name}: found {config!r}, expected a dict")
+        control = (config.get("congestion") or {}).get("type", "NoCongestionControl")
+        if control != "NoCongestionControl" and scenario.get("channel") is None:
+            raise ConfigurationError(
+                f"{path}: peers.{agent_name}.congestion: found {control}, but the scenario has no `channel`: "
+                "add channel=dict() and the map channel.toml, or leave congestion out"
+            )
         if config.get("awareness") is not None:
             config = {**_vehicle_parameters(recording, agents.index(agent_name)), **config}
         add(peer_of(agent_name), "peer", {"agent": agent_name, **config})

@@ -150,13 +150,13 @@ def test_they_count_on_the_channel_and_are_lost_by_themselves() -> None:
     run = Run(tiny("congested", *AWARE, infrastructure=4, frames=25, edit=far))
     lost = run.results["channel"]["channel"]["lost"]
     assert lost > 0
-    received = [
-        (set(message.body["agents"].tolist()), set(message.body["aware"].tolist()))
+    lost_by_kind = [
+        (set(message.body["lost"].tolist()), set(message.body["lost_awareness"].tolist()))
         for name in ("infra_1", "infra_2", "infra_3", "infra_4")
         for message in run.decoded(f"agent/{name}/reception", "reception")
     ]
-    assert any("ego" in aware - tracks for tracks, aware in received)
-    assert any("ego" in tracks - aware for tracks, aware in received)
+    assert any("ego" in awareness - tracks for tracks, awareness in lost_by_kind)
+    assert any("ego" in tracks - awareness for tracks, awareness in lost_by_kind)
 
 
 def test_objects_that_say_themselves_where_they_are_are_left_out_if_the_rules_say_so() -> None:

@@ -7,6 +7,7 @@ import pytest
 from tiny_world import Run, tiny
 
 from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.errors import ConfigurationError
 
 
 @cache
@@ -84,3 +85,8 @@ def test_the_picture_of_two_centres_is_as_good_as_that_of_one() -> None:
     )
     assert two["fn"]["mean"] <= one["fn"]["mean"] + 0.5
     assert two["fp"]["mean"] <= one["fp"]["mean"] + 0.5
+
+
+def test_a_region_around_an_agent_needs_its_pose() -> None:
+    with pytest.raises(ConfigurationError, match="no wire brings `pose`"):
+        Run(tiny("two_centres", 'centers.west.region={"type": "Around"}', infrastructure=4, frames=5))

@@ -5,6 +5,7 @@ from functools import cache
 import pytest
 from tiny_world import Run, tiny
 
+from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.messages.packed import codec_of
 from mast_zenoh.v2x import cpm
 
@@ -87,3 +88,16 @@ def test_a_wire_with_a_codec_refuses_other_bodies() -> None:
     assert not run.failures
     assert {name for name in run.rejected if name.startswith("peer_")} == {"peer_ego", "peer_infra_2"}
     assert {kind for counts in run.rejected.values() for _, kind in counts} == {"codec"}
+
+
+def test_a_station_that_sends_nothing_loses_nothing() -> None:
+    """Views are sent in frames in which the rules leave the tracks out."""
+    run = played("defence=FaultOrLie")
+    radio = run.results["peer_ego"]["radio"]
+    assert radio["broadcasts"] < 25
+    assert not [name for name in radio if name.startswith("lost/")]
+
+
+def test_congestion_control_without_a_channel_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match="the scenario has no `channel`"):
+        tiny("peers", "n_mobile=0", 'peers.*.congestion={"type": "AdaptiveDcc"}', infrastructure=4, frames=5)

@@ -125,7 +125,7 @@ def test_evidence_is_what_the_reporter_had_received_from_the_reported_agent(judg
             assert report["frame"] - 10 <= frame < report["frame"]
             assert [m["frame"] for m in messages[key] if m["seq"] == each["seq"]] == [frame]
             (reception,) = [m for m in messages[f"agent/{observer}/reception"] if m["frame"] == frame + 1]
-            assert agent in column(reception["body"], "aware" if kind == "awareness" else "agents")
+            assert agent not in column(reception["body"], "lost_awareness" if kind == "awareness" else "lost")
     assert {"broadcast", "view", "awareness"} <= kinds
 
 

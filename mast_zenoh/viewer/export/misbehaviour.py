@@ -138,7 +138,7 @@ class _Reading:
         self.plane = LocalPlane()
         self.claims: dict[str, deque[_Claim]] = {}  # by key
         self.places: dict[str, list[float]] = {}  # (3) m, by agent
-        self.heard: dict[int, dict[str, Mapping[str, set[str]]]] = {}  # by frame and agent, who arrived, by port
+        self.lost: dict[int, dict[str, Mapping[str, set[str]]]] = {}  # by frame and agent, who was not heard, by port
         self.states: dict[tuple[str, str], int] = {}  # of agents, by (observer, agent)
         self.refused = 0
 
@@ -166,13 +166,13 @@ class _Reading:
             self.run.note(f"messages.mcap: invalid messages, which receivers refuse, are left out: {self.refused}")
 
     def receive(self, message: Recorded, agent: str) -> None:
-        """Note what the channel let arrive at an agent, of what was sent in the frame before."""
+        """Note what did not arrive at an agent, of what was sent in the frame before."""
         body = _body(message)
-        tracks, aware = (set(body[name].tolist()) for name in ("agents", "aware"))
-        arrived = {"broadcast": tracks, "view": tracks, "awareness": aware}
-        self.heard.setdefault(message.frame - 1, {})[agent] = arrived
-        while len(self.heard) > 2 * MOST_EVIDENCE:
-            del self.heard[min(self.heard)]
+        tracks, awareness = (set(body[name].tolist()) for name in ("lost", "lost_awareness"))
+        lost = {"broadcast": tracks, "view": tracks, "awareness": awareness}
+        self.lost.setdefault(message.frame - 1, {})[agent] = lost
+        while len(self.lost) > 2 * MOST_EVIDENCE:
+            del self.lost[min(self.lost)]
 
     def judged(
         self, message: Recorded, body: Body, observer: Observer, observers: Observers, channels: bool
@@ -221,8 +221,8 @@ class _Reading:
                 if not known or not 0 <= trust.time_ns - claim.time_ns <= EVIDENCE_S * 1e9:
                     continue
                 if channels and observer.agent:
-                    arrived = self.heard.get(claim.step, {}).get(observer.agent, {})
-                    if agent not in arrived.get(port, ()):
+                    lost = self.lost.get(claim.step, {}).get(observer.agent)
+                    if lost is None or agent in lost.get(port, ()):
                         continue
                 yield {"key": key, "frame": claim.frame, "seq": claim.seq}
 
