@@ -35,10 +35,9 @@ def tracks_of(source: str) -> bytes:
 
 
 def test_messages_waiting_for_a_clock_or_an_epoch_use_bounded_memory(launch) -> None:
-    # Within the limit on rows, so that the messages are kept.
-    run: Launched = launch(
-        "baseline", "--mode", "realtime", "--no-record", "--rate", "0.3", "--set", "run.max_rows=20000"
-    )
+    # Within the limits on rows, so that the messages are kept whole.
+    limits = ("--set", "run.max_rows=20000", "--set", 'broker.input_limit={"type": "NoInputLimit"}')
+    run: Launched = launch("baseline", "--mode", "realtime", "--no-record", "--rate", "0.3", *limits)
     with closing(Observer(run.started(), "clock")) as observer:
         eventually(lambda: observer.frame() > 3, "frames are played")
         flood = observer.publisher("agent/infra_1/tracks")
