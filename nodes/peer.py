@@ -203,7 +203,8 @@ class Peer(Node):
 
     def on_heard_awareness(self, received: Received, context: Context) -> None:
         """Where another agent says that it is."""
-        self.hear("heard_awareness", received, context)
+        if len(received.body["id"]):  # otherwise nothing is on the air
+            self.hear("heard_awareness", received, context)
 
     def on_relayed(self, received: Received, context: Context) -> None:
         """The picture of another agent."""

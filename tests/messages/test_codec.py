@@ -28,6 +28,8 @@ def column_of(column: Column, sizes: dict[str, int], rng: np.random.Generator) -
         return rng.permutation(10 * shape[0] + 1)[: shape[0]].astype(np.int64)
     if column.name == "agent":
         return rng.integers(0, sizes["a"], shape)
+    if column.name == "trust":
+        return rng.random(shape)
     if column.dtype == "float64":
         return rng.normal(size=shape) * 100
     return rng.integers(0, min(3, column.below), shape).astype(column.dtype)

@@ -7,7 +7,7 @@ import pytest
 from tiny_world import Run, tiny
 
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.errors import StartError
 
 
 @cache
@@ -88,5 +88,5 @@ def test_the_picture_of_two_centres_is_as_good_as_that_of_one() -> None:
 
 
 def test_a_region_around_an_agent_needs_its_pose() -> None:
-    with pytest.raises(ConfigurationError, match="no wire brings `pose`"):
+    with pytest.raises(StartError, match="no wire brings `pose`"):
         Run(tiny("two_centres", 'centers.west.region={"type": "Around"}', infrastructure=4, frames=5))

@@ -68,7 +68,7 @@ def test_slanderers_without_gossip_are_refused() -> None:
         tiny("peers", "n_slanderers=1")
 
 
-LIAR = ("scene=intersection:8", "defence=FaultOrLie", "n_adversaries=1", "attack_start_s=2.0")
+LIAR = ("scene=intersection:8", "defence=FaultOrLie", "anchored=false", "n_adversaries=1", "attack_start_s=2.0")
 
 
 @cache
