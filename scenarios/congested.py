@@ -36,19 +36,17 @@ def scenario(
         defence=defence,
         fusion=fusion,
         codec=codec,
+        rules=rules,
         awareness=awareness,
         scene=scene,
         scene_index=scene_index,
         n_infrastructure=n_infrastructure,
         n_mobile=n_mobile,
     )
-    # The rules leave objects out for up to a second.
-    memory_s = 0.0 if rules == "EveryFrame" else 1.05
-    radio = dict(rules=dict(type=rules), congestion=dict(type=congestion), memory_s=memory_s, max_age_s=1.2)
     maps = content["keyexpr"]["rewrites"]
     return content | dict(
         name="congested",
-        peers={agent: peer | radio for agent, peer in content["peers"].items()},
+        peers={agent: peer | dict(congestion=dict(type=congestion)) for agent, peer in content["peers"].items()},
         channel=dict(radio=dict(type="RadioChannel"), timing=dict(type="OfdmTiming")),
         keyexpr=content["keyexpr"] | dict(rewrites=[*maps, "channel.toml"]),
     )

@@ -34,6 +34,7 @@ def scenario(
     gossip=False,
     n_slanderers=0,
     codec="columns",
+    rules="EveryFrame",
     awareness=False,
     scene="intersection",
     scene_index=None,
@@ -51,6 +52,7 @@ def scenario(
     gossip: whether peers tell each other whom they trust, and use it beside their defence (default: FaultOrLie);
     n_slanderers: agents besides, whose gossip says no trust in the listener and full trust in the compromised agents;
     codec: of broadcasts: columns, or cpm: Collective Perception Messages;
+    rules: when a peer broadcasts what: EveryFrame, or CpmGeneration (the standard's);
     awareness: whether vehicles say where they are, by Cooperative Awareness Messages.
     """
     content = baseline(scene, scene_index, n_infrastructure, n_mobile)
@@ -60,7 +62,9 @@ def scenario(
         raise ValueError(f"listener: no agent {listener!r} in this scene")
     pipeline = content["command_center"]["pipeline"]
     pipeline["group_tracking"]["fusion"] = dict(type=fusion)
-    aware = dict(awareness=dict(type="CamGeneration")) if awareness else {}
+    # The rules leave objects out for up to a second.
+    radio = {} if rules == "EveryFrame" else dict(rules=dict(type=rules), memory_s=1.05, max_age_s=1.2)
+    radio |= dict(awareness=dict(type="CamGeneration")) if awareness else {}
     if gossip:
         defence = defence or "FaultOrLie"
     elif n_slanderers:
@@ -69,9 +73,9 @@ def scenario(
 
     def peer(agent=None):
         if not defence:
-            return dict(pipeline=pipeline) | aware
+            return dict(pipeline=pipeline) | radio
         stage = dict(type=defence) | (_OWN_WORD[defence](agent) if agent else {})
-        return dict(pipeline=pipeline | dict(integrity=dict(type="Hearsay", stage=stage) if gossip else stage)) | aware
+        return dict(pipeline=pipeline | dict(integrity=dict(type="Hearsay", stage=stage) if gossip else stage)) | radio
 
     if codec not in ("columns", "cpm"):
         raise ValueError(f"codec: found {codec!r}, expected 'columns' or 'cpm'")

@@ -14,12 +14,10 @@ _CHOICES = dict(
 )
 _WRAPPER = dict(type="GroupTrackerWrapper", tracker=dict(type="KalmanBoxTracker3D"))
 _ON_BOARD = "peers.*.pipeline.group_tracking"
-#: As the standard says when what is sent; objects are kept for a little more than the longest interval.
-_RULES = {"peers.*.rules": dict(type="CpmGeneration"), "peers.*.memory_s": 1.05, "peers.*.max_age_s": 1.2}
 _PLACES = dict(
     centre=("baseline", "command_center.pipeline.group_tracking", {}),
     peers=("peers", _ON_BOARD, {}),
-    cpm=("peers", _ON_BOARD, dict(codec="cpm") | _RULES),
+    cpm=("peers", _ON_BOARD, dict(codec="cpm", rules="CpmGeneration")),
     rumours=("peers", _ON_BOARD, dict(relays=True)),
 )
 

@@ -1,8 +1,5 @@
 """What standard messages cost a fusion: each of their limits alone, and all together, without an attack."""
 
-# As the standard says: an object is sent when it has changed, and kept for a little more than the longest interval.
-_RULES = {"peers.*.rules": dict(type="CpmGeneration"), "peers.*.memory_s": 1.05, "peers.*.max_age_s": 1.2}
-
 
 def study(n_mobile=3, junction=8, scenes=4, trials=3, frames=150, seed=3000):
     """Peers that hear all tracks in every frame, against peers that hear less.
@@ -14,9 +11,9 @@ def study(n_mobile=3, junction=8, scenes=4, trials=3, frames=150, seed=3000):
     n_mobile: cars with sensors, besides the ego and four poles; junction: the first of the generated junctions;
     scenes: their number; trials: seeds of each; seed: the first one; frames: of each run.
     """
-    quantised = dict(codec="cpm")
+    quantised, rules = dict(codec="cpm"), dict(rules="CpmGeneration")
     limits = dict(
-        tracks={}, variances={"peers.*.correlations": False}, quantised=quantised, rules=_RULES, cpm=_RULES | quantised
+        tracks={}, variances={"peers.*.correlations": False}, quantised=quantised, rules=rules, cpm=rules | quantised
     )
     runs = {name: dict(scenario="peers", parameters=dict(n_mobile=n_mobile) | limit) for name, limit in limits.items()}
     runs["radio"] = dict(scenario="congested", parameters=dict(n_mobile=n_mobile))

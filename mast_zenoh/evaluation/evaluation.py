@@ -43,10 +43,10 @@ from mast_zenoh.metrics import (
     driving,
 )
 from mast_zenoh.metrics.attributor import Withheld
-from mast_zenoh.metrics.between import between, consistency_between
 from mast_zenoh.metrics.causes import ATTACK_CAUSES
 from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.metrics.measures import MEASURES, ScoredRun, check, estimates_of, frame_keys, measured, per_frame
+from mast_zenoh.metrics.pictures import consistency_of_pictures, of_pictures
 from mast_zenoh.metrics.scores import mean_and_std
 from mast_zenoh.metrics.trust import Fault, TrustUpdate
 from mast_zenoh.wiring.model import agent_of
@@ -348,7 +348,7 @@ class _Results:
                 "latency_ms": {"sim_to_picture": data.latency_percentiles_ms()},
                 "frames_per_second": 1e9 / times[1] if {0, 1} <= times.keys() else None,
                 **integrity,
-                **(self._between(scored, consistency) if len(own_pictures) > 1 else {}),
+                **(self._pictures(scored, consistency) if len(own_pictures) > 1 else {}),
                 **self._channel(scored),
             },
             "tables": {
@@ -383,12 +383,12 @@ class _Results:
         table["scored"] = np.tile(counts, len(scores.every_series))
         return summary, table, failed
 
-    def _between(self, scored: slice, consistency: Mapping[str, Any]) -> dict[str, Any]:
+    def _pictures(self, scored: slice, consistency: Mapping[str, Any]) -> dict[str, Any]:
         """How the pictures of agents that do not share one differ. consistency: as in metrics.json"""
         cause = self.labels.cause
         scorer, blamed = self.settings.scorer, (cause >= 0) & (cause < len(ATTACK_CAUSES))
-        part = between(self.scores, blamed, scorer.range_m, scorer.distance, self.data.period_s, scored)
-        return {"between": part | {"consistency": consistency_between(consistency)} if part else part}
+        part = of_pictures(self.scores, blamed, scorer.range_m, scorer.distance, self.data.period_s, scored)
+        return {"pictures": part | {"consistency": consistency_of_pictures(consistency)} if part else part}
 
     def _channel(self, scored: slice) -> dict[str, Any]:
         """The load of the channel that stations share; empty without one."""

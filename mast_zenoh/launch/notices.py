@@ -267,7 +267,7 @@ def of_confidence(metrics: Mapping[str, Any], trackers: Mapping[str, Mapping[str
               compared with the truth
     """
     estimates = [*_estimates(metrics.get("consistency"))]
-    own_pictures = "between" in metrics
+    own_pictures = "pictures" in metrics
     texts = [
         text
         for agent, estimate, summaries in estimates

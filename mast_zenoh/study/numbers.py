@@ -72,7 +72,7 @@ def scored_frames(metrics: Mapping[str, Any]) -> tuple[int, int]:
 
 
 def numbers(metrics: Mapping[str, Any]) -> Iterator[Number]:
-    """The numbers below `agents`, `driving`, `achieved`, `between`, `channel` and `integrity` of metrics.json.
+    """The numbers below `agents`, `driving`, `achieved`, `pictures`, `channel` and `integrity` of metrics.json.
 
     In file order.
     `null` becomes NaN, true and false become 1 and 0; other values are skipped. Every cause in `causes` gets a number
@@ -94,7 +94,7 @@ def numbers(metrics: Mapping[str, Any]) -> Iterator[Number]:
                 yield Number(agent, estimator, f"{DRIVING}.{_CRITICAL}", float(critical), binary=True)
     for adversary, content in metrics.get(ACHIEVED, {}).items():
         yield from _flatten(adversary, ACHIEVED, (), content, frames)
-    for block in ("between", "channel"):
+    for block in ("pictures", "channel"):
         yield from _flatten("all", block, (), metrics.get(block, {}), frames)
     if metrics.get("integrity"):
         yield from _of_defence(metrics["integrity"])

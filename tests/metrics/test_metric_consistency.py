@@ -14,8 +14,8 @@ from mast_zenoh.arrays.chi_square import mean_bounds
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.integrity.alarms import SAMPLES_PER_S
 from mast_zenoh.metrics import Consistency, Record, Scorer, Series
-from mast_zenoh.metrics.between import consistency_between
 from mast_zenoh.metrics.consistency import MAX_NEES, nees
+from mast_zenoh.metrics.pictures import consistency_of_pictures
 from mast_zenoh.tracking import kalman, tracks
 
 PERIOD_S = 0.1
@@ -236,7 +236,9 @@ def test_pictures_of_agents_that_have_their_own_are_compared_one_by_one() -> Non
         for agent, variance in variances.items()
     }
     scores = Scorer().score(recorded([states(place, np.zeros((4, 2)), 0.0)] * frames, estimates, agents=AGENTS))
-    part = consistency_between(Consistency().summary(scores.pairs, scores.series, AGENTS, slice(0, frames), PERIOD_S))
+    part = consistency_of_pictures(
+        Consistency().summary(scores.pairs, scores.series, AGENTS, slice(0, frames), PERIOD_S)
+    )
     expected = (errors**2).sum(axis=2).mean()
     for quantity in ("position", "velocity"):
         found = part[quantity]
@@ -248,5 +250,5 @@ def test_pictures_of_agents_that_have_their_own_are_compared_one_by_one() -> Non
 
 
 def test_agents_without_any_picture_have_no_mean_consistency() -> None:
-    found = consistency_between({"ego": {"local": {}}})["position"]
+    found = consistency_of_pictures({"ego": {"local": {}}})["position"]
     assert found == {"nees": None, "above": [], "below": [], "agents": {}}

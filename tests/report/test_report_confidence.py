@@ -49,7 +49,7 @@ def test_each_estimate_has_a_row_with_its_verdict(folder: Path) -> None:
 
 def test_pictures_of_different_agents_have_different_names(run_folder: Callable[..., Path]) -> None:
     picture = {"picture": {"position": summary(0.9), "velocity": summary(9.0)}}
-    folder = run_folder(metrics={"consistency": {"ego": picture, "infra_1": picture}, "between": {}})
+    folder = run_folder(metrics={"consistency": {"ego": picture, "infra_1": picture}, "pictures": {}})
     lines = confidence_tables(RunRecord.load(folder))[0].lines
     assert [line.cells[0] for line in lines] == ["the picture of ego", "the picture of infra_1"]
 

@@ -112,8 +112,8 @@ def test_a_lie_about_itself_reaches_all_others_and_is_attributed() -> None:
     for agent, differs in (("ego", False), ("infra_1", True), ("infra_2", True)):
         picture = f"agent/{agent}/picture"
         assert (attacked.messages[picture] != honest.messages[picture]) == differs
-    between = attacked.results["evaluator"]["metrics"]["between"]["deceived"]
-    assert {agent for agent, share in between["agents"].items() if share > 0} == {"infra_1", "infra_2"}
+    deceived = attacked.results["evaluator"]["metrics"]["pictures"]["deceived"]
+    assert {agent for agent, share in deceived["agents"].items() if share > 0} == {"infra_1", "infra_2"}
 
 
 def test_a_message_that_the_adversary_empties_is_not_sent() -> None:

@@ -88,7 +88,7 @@ def test_a_lie_reaches_those_on_whose_wire_it_is_and_nobody_else(on: str, deceiv
     metrics = attacked.results["evaluator"]["metrics"]["agents"]
     lied = {agent for agent in AGENTS if metrics[agent]["picture"]["fp_split"]["attack"] > 0}
     assert lied == deceived, "the cause is attributed to those that it reached"
-    spread = attacked.results["evaluator"]["metrics"]["between"]["deceived"]
+    spread = attacked.results["evaluator"]["metrics"]["pictures"]["deceived"]
     assert {agent for agent, share in spread["agents"].items() if share > 0} == deceived
     assert spread["most"] == pytest.approx(len(deceived) / len(AGENTS))
     assert spread["first_s"] >= 0.2
@@ -102,19 +102,19 @@ def test_a_lie_to_one_peer_reaches_others_later_through_what_that_one_relays() -
     path, content = scenario.load("peers", [*LIES[1:], "on=pair", "relays=true", "scene=intersection:8"])
     run = Run(scenario.resolve(path, content, frames=20, seed=0))
     assert not run.failures
-    since_s = run.results["evaluator"]["metrics"]["between"]["deceived"]["since_s"]
+    since_s = run.results["evaluator"]["metrics"]["pictures"]["deceived"]["since_s"]
     assert since_s.pop("infra_1") is None, "it leaves out what has its own tracks in it"
     first_s = since_s.pop("ego")
     assert {round(since - first_s, 6) for since in since_s.values()} == {0.2}, "a frame to relay it, and one to begin"
 
 
 def test_without_a_lie_pictures_differ_little_and_nobody_is_deceived() -> None:
-    part = played(*ALONE).results["evaluator"]["metrics"]["between"]
-    assert part["pictures"] == 3
+    part = played(*ALONE).results["evaluator"]["metrics"]["pictures"]
+    assert part["count"] == 3
     assert part["deceived"]["most"] == 0.0
     assert part["deceived"]["first_s"] is None
     assert 0.0 < part["difference_gospa_m"]["mean"] < 5.0
-    assert "between" not in Run(tiny("baseline", infrastructure=2)).results["evaluator"]["metrics"]
+    assert "pictures" not in Run(tiny("baseline", infrastructure=2)).results["evaluator"]["metrics"]
 
 
 def test_an_agent_whose_peer_a_pattern_leaves_out_has_no_picture_and_is_not_heard() -> None:
@@ -155,7 +155,7 @@ def confidence(place: str, fusion: str) -> dict[str, Any]:
     path, content = scenario.load(configuration.scenario, configuration.settings)
     run = Run(scenario.resolve(path, content, frames=34, seed=3000))
     assert not run.failures
-    return run.results["evaluator"]["metrics"]["between"]["consistency"]["position"]
+    return run.results["evaluator"]["metrics"]["pictures"]["consistency"]["position"]
 
 
 @pytest.mark.parametrize(

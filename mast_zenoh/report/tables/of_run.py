@@ -84,7 +84,7 @@ _TRACKERS = (
 def confidence_tables(run: RunRecord) -> tuple[PageTable, PageTable]:
     """How confident estimates, and the trackers of nodes, are compared with their accuracy."""
     lines = []
-    own_pictures = "between" in run.metrics
+    own_pictures = "pictures" in run.metrics
     for agent, estimates in run.metrics.get("consistency", {}).items():
         for estimate, summaries in estimates.items():
             position, velocity = summaries["position"], summaries["velocity"]

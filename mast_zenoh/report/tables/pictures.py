@@ -21,8 +21,8 @@ _HEADS = [
 
 def picture_table(run: RunRecord) -> PageTable:
     """A line for each agent's picture; none where all agents get the same one."""
-    between = run.metrics.get("between", {})
-    deceived = between.get("deceived", {}).get("agents", {})
+    pictures = run.metrics.get("pictures", {})
+    deceived = pictures.get("deceived", {}).get("agents", {})
     return PageTable(_HEADS, [_line(run.metrics, agent, share) for agent, share in deceived.items()])
 
 
@@ -35,12 +35,12 @@ def _line(metrics: Mapping[str, Any], agent: str, deceived: float) -> Line:
 
 def picture_sentences(run: RunRecord) -> list[str]:
     """How far the agents' pictures differ, and how many agents attacks deceived; [] where all get the same picture."""
-    between = run.metrics.get("between", {})
-    if not between:
+    pictures = run.metrics.get("pictures", {})
+    if not pictures:
         return []
-    difference, deceived = between["difference_gospa_m"]["mean"], between["deceived"]
+    difference, deceived = pictures["difference_gospa_m"]["mean"], pictures["deceived"]
     apart = "" if difference is None else f", {difference:.1f} m apart (GOSPA)"
-    sentences = [f"{between['pictures']} agents have pictures of their own{apart}"]
+    sentences = [f"{pictures['count']} agents have pictures of their own{apart}"]
     if deceived["first_s"] is not None:
         share, most, first_s = deceived["share"]["mean"] or 0.0, deceived["most"], deceived["first_s"]
         when = f"{100.0 * share:.0f} % of them at a time, at most {100.0 * most:.0f} %, first at {first_s:.1f} s"

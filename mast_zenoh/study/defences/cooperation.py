@@ -139,7 +139,7 @@ class Collection(kinds.Collection):
             deceived=float(deceived.mean()) if len(deceived) else NAN,
             deceived_max=float(deceived.max()) if len(deceived) else NAN,
             nees=float(np.mean([each for each in nees if each is not None])) if nees else NAN,
-            gospa_m=metrics.get("between", {}).get("difference_gospa_m", {}).get("mean", NAN),
+            gospa_m=metrics.get("pictures", {}).get("difference_gospa_m", {}).get("mean", NAN),
             kb_per_s=part["kb_per_s"],
             busy_ratio=channel["busy_ratio"]["mean"] if channel else NAN,
             penetration=part["penetration"],

@@ -120,7 +120,9 @@ def test_the_deceived_share_of_a_run_is_that_of_its_metrics(tmp_path: Path) -> N
     metrics = run.summary
     part = Collection.evaluate(run.path, metrics, ["infra_1"])
     first, last = metrics["scored_frames"]
-    assert np.mean(part["deceived"][first : last + 1]) == pytest.approx(metrics["between"]["deceived"]["share"]["mean"])
+    assert np.mean(part["deceived"][first : last + 1]) == pytest.approx(
+        metrics["pictures"]["deceived"]["share"]["mean"]
+    )
     assert max(part["deceived"]) == pytest.approx(6 / 7)  # the liar's own picture is right
     assert 50.0 < part["kb_per_s"] < 500.0
     assert 0.0 < part["penetration"] < 1.0

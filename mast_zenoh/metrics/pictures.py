@@ -18,10 +18,10 @@ from mast_zenoh.metrics.scores import FALSE, MISSED, Scores, mean_and_std
 COMPARED = 4
 
 
-def between(
+def of_pictures(
     scores: Scores, blamed: Bools, range_m: float, distance: SetDistance, period_s: float, scored: slice
 ) -> dict[str, Any]:
-    """The part `between` of metrics.json; {} with fewer than two pictures. Agents must not share one.
+    """The part `pictures` of metrics.json; {} with fewer than two pictures. Agents must not share one.
 
     blamed: (n,) rows of `scores.judged` that are wrong because of an adversary
     range_m: m, from an agent, in which its picture is scored; distance: of sets; scored: the frames that count
@@ -37,7 +37,7 @@ def between(
     first_s = float(frames[wrong[0]]) * period_s if len(wrong) else None
     half_after_s = (float(frames[half[0]]) * period_s - first_s) if len(half) and first_s is not None else None
     return {
-        "pictures": len(names),
+        "count": len(names),
         "difference_gospa_m": mean_and_std(_differences(scores, names, rows, range_m, distance)[:, scored].ravel()),
         "deceived": {
             "share": mean_and_std(share),
@@ -53,8 +53,8 @@ def between(
     }
 
 
-def consistency_between(consistency: Mapping[str, Any]) -> dict[str, Any]:
-    """The part `between.consistency`: how confident the pictures of agents are, compared with their accuracy.
+def consistency_of_pictures(consistency: Mapping[str, Any]) -> dict[str, Any]:
+    """The part `pictures.consistency`: how confident the pictures of agents are, compared with their accuracy.
 
     consistency: as in metrics.json, see `Consistency.summary`
 
