@@ -13,7 +13,7 @@ Sending:
     generation   when a station sends which objects: base class GenerationRules; EveryFrame, CpmGeneration
     redundancy   objects that others have reported: base class RedundancyRule; FrequencyRedundancy, DynamicsRedundancy,
                  DistanceRedundancy, SelfAnnouncementRedundancy
-    quality      how well a station perceives its objects, 0 to 15: PerceptionQuality
+    quality      how well a station perceives its objects, 0 to 15
     object_table what a station remembers of each object
     awareness    what a Vehicle knows of itself, and when it says so: CamGeneration
     congestion   how often stations may send: base class CongestionControl; NoCongestionControl, ReactiveDcc,
@@ -34,7 +34,7 @@ from mast_zenoh.v2x.generation import (
     GenerationRules,
     Perception,
 )
-from mast_zenoh.v2x.quality import PerceptionQuality, quality_of_score
+from mast_zenoh.v2x.quality import quality_of_score
 from mast_zenoh.v2x.redundancy import (
     DistanceRedundancy,
     DynamicsRedundancy,
@@ -60,7 +60,6 @@ __all__ = [
     "NoCongestionControl",
     "OfdmTiming",
     "Perception",
-    "PerceptionQuality",
     "RadioChannel",
     "ReactiveDcc",
     "RedundancyRule",

@@ -33,20 +33,16 @@ class OfdmTiming:
 
     bit_rate_mbps: Mbit/s, one of BITS_PER_SYMBOL
     overhead_bytes: bytes around the message: GeoNetworking, BTP, security and MAC
-    aifs_s: s, quiet time before a transmission; 110 µs for best effort, 71 and 58 µs for the more urgent classes
-        (EN 302 663, table B.2)
     """
 
     bit_rate_mbps: float = 6.0
     overhead_bytes: int = 140
-    aifs_s: float = 110e-6
 
     def __post_init__(self) -> None:
         if self.bit_rate_mbps not in BITS_PER_SYMBOL:
             rates = ", ".join(f"{rate:g}" for rate in BITS_PER_SYMBOL)
             raise ValueError(f"bit_rate_mbps: found {self.bit_rate_mbps}, expected one of {rates}")
         check("0 or more", overhead_bytes=self.overhead_bytes)
-        check("0 or more, finite", aifs_s=self.aifs_s)
 
     def airtime_ns(self, message_bytes: Ints) -> Ints:
         """(m,) ns that the channel is busy with transmissions of messages of (m,) bytes.
@@ -56,10 +52,6 @@ class OfdmTiming:
         bits = (np.asarray(message_bytes, np.int64) + self.overhead_bytes) * 8 + SERVICE_AND_TAIL_BITS
         symbols = -(-bits // BITS_PER_SYMBOL[self.bit_rate_mbps])
         return np.asarray(PREAMBLE_NS + symbols * SYMBOL_NS)
-
-    def occupancy_ns(self, message_bytes: Ints) -> Ints:
-        """(m,) ns that no other station can use: airtime and the quiet time before it."""
-        return np.asarray(self.airtime_ns(message_bytes) + round(self.aifs_s * 1e9))
 
 
 class Transmissions(NamedTuple):

@@ -79,10 +79,6 @@ class CongestionControl(ABC):
         airtime_ns: (n,) ns, of the first
         """
 
-    def duty_cycle(self, airtime_ns: Ints) -> Floats:
-        """(n,) share of time in which each station may transmit messages of `airtime_ns` (n,) ns."""
-        return np.asarray(airtime_ns / np.maximum(self.interval_ns(airtime_ns), 1))
-
     @abstractmethod
     def _begin(self, stations: int) -> None:
         """Begin with n stations."""
@@ -100,9 +96,6 @@ class NoCongestionControl(CongestionControl):
 
     def interval_ns(self, airtime_ns: Ints) -> Ints:
         return np.zeros(len(self._sent_ns), np.int64)
-
-    def duty_cycle(self, airtime_ns: Ints) -> Floats:
-        return np.ones(len(self._sent_ns))
 
     def _begin(self, stations: int) -> None:
         pass

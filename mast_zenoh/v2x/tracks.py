@@ -33,6 +33,7 @@ from mast_zenoh.v2x.perceived_objects import (
     VRU,
     PerceivedObjects,
 )
+from mast_zenoh.v2x.quality import MAX_QUALITY, quality_of_score
 from mast_zenoh.v2x.reference_position import LocalPlane, Position
 
 #: Standard deviations in half a two-sided 95 % interval of a normal distribution.
@@ -155,7 +156,7 @@ def to_objects(
     objects.angles_confidence[:, 0] = 127
     objects.dimensions[:] = np.clip(_units(tracks.size, _DIMENSION), 1, 255)
     objects.dimensions_confidence[:] = _confidence(variance[:, 3:6], _DIMENSION, _LARGEST_DIMENSION)
-    objects.quality[:] = np.clip(np.rint(15.0 * tracks.score), 0, 15)
+    objects.quality[:] = quality_of_score(tracks.score)
     if age is not None:
         objects.age[:] = np.clip(age, 0, _LONGEST_AGE)
     classes = np.empty((len(tracks), 5), np.int64)
@@ -211,7 +212,7 @@ def from_cpm(message: Cpm, plane: LocalPlane) -> tuple[ObjectStates, Ints]:
         size=np.where(sized, _DIMENSION * (objects.dimensions - 0.5), UNKNOWN_SIZE),
         yaw=np.arctan2(np.sin(yaw), np.cos(yaw)),
         covariance=covariance,
-        score=np.where(objects.quality == ABSENT, 1.0, objects.quality / 15.0),
+        score=np.where(objects.quality == ABSENT, 1.0, objects.quality / MAX_QUALITY),
         class_id=_class_ids(objects),
     )
     return states, objects.delta_time.copy()

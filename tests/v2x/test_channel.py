@@ -43,8 +43,8 @@ def test_another_byte_never_shortens_a_transmission_and_adds_at_most_a_symbol(si
 
 @pytest.mark.parametrize(("objects", "stations"), [(10, 88), (20, 56), (30, 41)])
 def test_at_10_hz_the_target_load_is_reached_by_a_known_number_of_stations(objects: int, stations: int) -> None:
-    """As computed by hand from the sizes of CPMs, with the shortest quiet time."""
-    seconds = OfdmTiming(aifs_s=58e-6).occupancy_ns(np.array([CPM_BYTES[objects]]))[0] / 1e9
+    """As computed by hand from the sizes of CPMs, with a quiet time of 58 µs before each."""
+    seconds = OfdmTiming().airtime_ns(np.array([CPM_BYTES[objects]]))[0] / 1e9 + 58e-6
     assert int(TARGET / (10.0 * seconds)) == stations
 
 
