@@ -138,10 +138,8 @@ class Center(Node):
 
     def finish(self, context: Context) -> dict[str, Any]:
         """The counts of the collation, tracks left out by agent, and what the pipeline counted."""
-        innovations = self.pipeline.innovations
-        facts = self.pipeline.facts() | {"collation": self.collation.counts()}
-        facts |= {"left_out": self.collation.admission.counts()}
-        return facts | ({} if innovations is None else {"innovations": innovations.summary()})
+        collated = {"collation": self.collation.counts(), "left_out": self.collation.admission.counts()}
+        return self.pipeline.results() | collated
 
 
 if __name__ == "__main__":

@@ -95,8 +95,7 @@ class CommandCenter(Node):
 
     def finish(self, context: Context) -> dict[str, Any]:
         """What the pipeline counted, and how far tracks were from what its tracker expected, if they tell."""
-        innovations = self.pipeline.innovations
-        return self.pipeline.facts() | ({} if innovations is None else {"innovations": innovations.summary()})
+        return self.pipeline.results()
 
 
 if __name__ == "__main__":

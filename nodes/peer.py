@@ -142,6 +142,7 @@ class Peer(Node):
         self.max_age_ns = round(max_age_s * 1e9)
         self.sensed: Gather[str, Received] = Gather({"clock", "own"})
         self.inbox: list[Heard] = []  # what is not used yet
+        self.waiting: Counter[str] = Counter()  # messages in it, by sender
         self.heard = HeardTracks(memory_s, max_age_s)
         self.aware = HeardTracks(0.0, AWARENESS_AGE_S)
         self.admission = Admission(input_limit)
@@ -216,9 +217,10 @@ class Peer(Node):
 
     def hear(self, port: str, received: Received, context: Context) -> None:
         """Keep a message of another agent for the next frame."""
-        if sum(each.received.subject == received.subject for each in self.inbox) >= MAX_WAITING:
+        if self.waiting[received.subject] >= MAX_WAITING:
             context.reject(f"overflow: more than {MAX_WAITING} messages of {received.subject} in a frame")
             return
+        self.waiting[received.subject] += 1
         self.inbox.append(Heard(context.frame, port, received))
 
     def sense(self, port: str, received: Received, context: Context) -> None:
@@ -253,6 +255,7 @@ class Peer(Node):
         lost = {name: set() if reception is None else set(reception.body[name]) for name in ("lost", "lost_awareness")}
         ready = sorted((each for each in self.inbox if each.arrived < frame), key=Heard.order)
         self.inbox = [each for each in self.inbox if each.arrived >= frame]
+        self.waiting = Counter(each.received.subject for each in self.inbox)
         for _, port, received in ready:
             sender = received.subject
             if sender in lost["lost_awareness" if port == "heard_awareness" else "lost"]:
@@ -407,10 +410,8 @@ class Peer(Node):
 
     def finish(self, context: Context) -> dict[str, Any]:
         """Numbers of broadcasts, of messages heard and lost and of tracks left out, and what the pipeline counted."""
-        innovations = self.pipeline.innovations
-        facts = self.pipeline.facts() | {"radio": dict(sorted(self.counts.items()))}
-        facts |= {"left_out": self.admission.counts()}
-        return facts | ({} if innovations is None else {"innovations": innovations.summary()})
+        counts = {"radio": dict(sorted(self.counts.items())), "left_out": self.admission.counts()}
+        return self.pipeline.results() | counts
 
 
 if __name__ == "__main__":

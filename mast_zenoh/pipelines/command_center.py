@@ -46,6 +46,11 @@ class Pipeline(ABC):
         """What the pipeline counted, for the results of its node; empty by default."""
         return {}
 
+    def results(self) -> dict[str, Any]:
+        """What it counted, and how far clusters were from what was expected, if they tell; of its node."""
+        innovations = self.innovations
+        return self.facts() | ({} if innovations is None else {"innovations": innovations.summary()})
+
     def look(self, views: Mapping[str, SweptView]) -> None:  # noqa: B027 (a hook: most pipelines need no views)
         """Set what the agents' sensors cover, by agent, for the next step.
 
