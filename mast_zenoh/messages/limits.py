@@ -144,7 +144,7 @@ def _with_rows(schema: str, columns: Body, rows: NDArray[np.int64]) -> Shortened
     per_row = {column.name for column in SCHEMAS[schema].columns if _per_row(column)}
     result = Shortened()
     for name, values in columns.items():
-        result[name] = values[rows] if name in per_row else values
+        result[name] = values[rows] if name in per_row else values.view()
         result[name].setflags(write=False)
     result.found = len(columns["score"])
     return result

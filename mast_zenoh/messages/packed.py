@@ -97,8 +97,9 @@ def unpack(codec: str, data: Sequence[object]) -> Packed:
     body["origin"], body["rotation"] = origin, rotation
     if len(set(body["id"].tolist())) != len(body["id"]):
         raise MessageError(f"{codec}: an object id occurs twice")
-    for column in body.values():
-        column.setflags(write=False)
+    for name, column in body.items():
+        body[name] = column.view()  # empty columns are those of all empty states
+        body[name].setflags(write=False)
     body.codec, body.segments = codec, tuple(parts)
     return body
 

@@ -23,24 +23,21 @@ class Admission:
         self.left_out: Counter[str] = Counter()  # number of rows, by agent
         self._limit = limit or NoInputLimit()
         self._kept: LatestBefore[Kept] = LatestBefore()
-        self._step = -1  # of the message last asked about, and what was kept before it
-        self._before: Kept = {}
 
     def begin(self, frame: int) -> None:
         """Open a frame: call it first of all in each."""
         self._kept.add(frame, self._limit.kept)
-        self._step = -1
 
     def choice(self, agent: str, step: int) -> RowChoice | None:
         """Which rows of an agent's message are used; see `Node.choice`."""
         limit = self._limit
         if limit.rows is None:
             return None
-        if step != self._step:
-            latest = self._kept.get(step)
-            self._step, self._before = step, {} if latest is None else latest[1]
-        kept: Mapping[int, int] = self._before.get(agent, {})
-        return RowChoice(limit.rows, lambda ids, score, rows: limit.cut(kept, Objects(ids, score), rows))
+        return RowChoice(limit.rows, lambda ids, score, rows: self._cut(agent, step, Objects(ids, score), rows))
+
+    def _cut(self, agent: str, step: int, objects: Objects, rows: int) -> Ints:
+        latest = self._kept.get(step)
+        return self._limit.cut({} if latest is None else latest[1].get(agent, {}), objects, rows)
 
     def note(self, agent: str, body: Body) -> None:
         """Count the rows that a message of an agent had beyond those that are used."""

@@ -13,7 +13,7 @@ from mast_zenoh.arrays.geometry import tracks_in_world
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messages import codec
-from mast_zenoh.messages.packed import MAX_SEGMENT_BYTES, MOST_OBJECTS, Packed, codec_of, pack
+from mast_zenoh.messages.packed import MAX_SEGMENT_BYTES, MOST_OBJECTS, Packed, codec_of, pack, unpack
 from mast_zenoh.messages.schemas import Header, Message
 from mast_zenoh.v2x import Vehicle, cam, cpm
 from mast_zenoh.v2x.asn1 import cam_fields, cpm_fields
@@ -245,3 +245,8 @@ def test_damaged_bytes_are_refused_or_are_another_message(data: st.DataObject, w
         return
     assert codec_of(decoded.body) == wire_codec
     assert codec.decode(codec.encode(decoded), "tracks").header == decoded.header
+
+
+def test_messages_without_objects_leave_empty_states_writable() -> None:
+    unpack("cam", [])
+    assert all(column.flags.writeable for column in ObjectStates.empty().columns().values())

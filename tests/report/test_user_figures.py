@@ -156,7 +156,8 @@ def test_a_figure_that_cannot_be_drawn_is_named_with_the_reason(run_folder: Fold
     assert "Text could not be drawn: TypeError: draw returned str, expected a Matplotlib figure or None" in page
     assert "Camera could not be drawn: ValueError: name: found 'camera', which another figure has" in page
     assert (
-        "Lost could not be drawn: ValueError: after: found 'nowhere', expected one of scores, confidence, trust" in page
+        "Lost could not be drawn: ValueError: after: found 'nowhere', expected one of scores, confidence, pictures, trust"
+        in page
     )
     assert page.count('<h2 id="camera">') == 1, "the built-in one is there too"
 
