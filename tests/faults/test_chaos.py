@@ -16,7 +16,7 @@ from mast_zenoh.launch import run
 from mast_zenoh.messagelog.difference import compare, explain
 
 #: Numbers from 0 to 19; all after the first four are heavy.
-TWENTY = [number if number < 4 else pytest.param(number, marks=pytest.mark.heavy) for number in range(20)]
+TWENTY = [number if number < 1 else pytest.param(number, marks=pytest.mark.heavy) for number in range(20)]
 
 #: On the mesh, with fewer processes.
 SMALL = ("n_infrastructure=1",)

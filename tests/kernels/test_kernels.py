@@ -522,6 +522,7 @@ def played(scene: str, mode: str, file: Path):
     return np.load(file)
 
 
+@pytest.mark.heavy
 @compiled
 def test_a_recorded_scene_has_the_same_tracks_with_compiled_and_numpy_kernels(tmp_path):
     scene = "intersection"

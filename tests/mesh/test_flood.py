@@ -34,6 +34,7 @@ def tracks_of(source: str) -> bytes:
     return codec.encode(codec.conform(header, states.columns() | reference))
 
 
+@pytest.mark.heavy
 def test_messages_waiting_for_a_clock_or_an_epoch_use_bounded_memory(launch) -> None:
     # Within the limits on rows, so that the messages are kept whole.
     limits = ("--set", "run.max_rows=20000", "--set", 'broker.input_limit={"type": "NoInputLimit"}')

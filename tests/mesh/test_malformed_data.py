@@ -30,6 +30,7 @@ def garbage(count: int) -> list[bytes]:
     ]
 
 
+@pytest.mark.heavy
 def test_a_hundred_thousand_malformed_messages_are_counted_and_end_no_node(launch) -> None:
     run: Launched = launch("coordinated", "--mode", "realtime", "--set", "scene_index=1", "--no-record")
     with closing(Observer(run.started(), "clock")) as observer:

@@ -47,7 +47,9 @@ KINDS = {"uncoordinated": (*BY_TWO, "fraction_translations=0.5"), "coordinated":
 
 
 @pytest.mark.parametrize("name", KINDS)
-@pytest.mark.parametrize(("lossy", "orders"), [(False, 70), (True, 20)])
+@pytest.mark.parametrize(
+    ("lossy", "orders"), [(False, 20), (True, 20), pytest.param(False, 70, marks=pytest.mark.heavy)]
+)
 def test_any_order_of_delivery_gives_the_same_bytes_encoded_or_not(name: str, lossy: bool, orders: int) -> None:
     plain = played(name, *KINDS[name], lossy=lossy)
     assert len(plain.messages["agent/infra_1/pose"]) == (8 if lossy else 12)

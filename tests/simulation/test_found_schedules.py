@@ -73,6 +73,7 @@ def test_a_schedule_that_once_broke_a_promise_breaks_none(
 SEEDS = 1000
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("plant", PLANTS, ids=lambda plant: plant.__name__)
 def test_a_planted_bug_is_found(plant: Plant, worlds: dict[str, World], monkeypatch: pytest.MonkeyPatch) -> None:
     plant(monkeypatch)

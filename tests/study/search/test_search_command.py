@@ -17,6 +17,7 @@ from mast_zenoh.study import definition, execution
 from mast_zenoh.study.search import searching
 
 
+@pytest.mark.heavy
 def test_a_small_search_is_played_printed_and_continued(mast, tmp_path: Path) -> None:
     pytest.importorskip("optuna", reason="Optuna is not installed")
     study = write_study(tmp_path, trials=2, candidates=3, batch=3, seeds=1)
