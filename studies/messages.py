@@ -1,7 +1,7 @@
 """What standard messages cost a fusion: each of their limits alone, and all together, without an attack."""
 
 
-def study(n_mobile=3, junction=8, scenes=4, trials=3, frames=150, seed=3000):
+def study(n_mobile=3, junction=8, scenes=4, trials=5, frames=150, seed=3000):
     """Peers that hear all tracks in every frame, against peers that hear less.
 
     tracks: all columns, in every frame; variances: without correlations; quantised: the bytes of CPMs, in every frame;
