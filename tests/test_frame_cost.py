@@ -23,6 +23,7 @@ def assert_within_budgets(costs: dict[str, dict]) -> None:
         pytest.fail("\n".join(excesses), pytrace=False)
 
 
+@pytest.mark.heavy
 def test_calls_bytes_and_messages_of_a_frame_are_within_their_budgets() -> None:
     require_comparable(instructions=False)
     assert_within_budgets(cost.measure(instructions=False))

@@ -31,6 +31,7 @@ def study_file(tmp_path: Path) -> Path:
     return file
 
 
+@pytest.mark.heavy
 def test_a_study_writes_the_same_tables_as_the_command_line(study_file: Path, tmp_path: Path) -> None:
     study = mast.study(study_file, trials=2, jobs=1, out=tmp_path / "out")
     assert study.table().equals(csv.read_csv(tmp_path / "out" / "table.csv"))

@@ -53,12 +53,14 @@ def test_every_figure_of_the_study_is_printed_too() -> None:
     assert all(figure.pdf for figure in figures_of_defences(matrix()).values())
 
 
+@pytest.mark.heavy
 def test_defences_that_suspend_nobody_have_no_curve_and_are_named() -> None:
     caption = figures_of_defences(replace(matrix(), not_suspending=["Cad"]))["detection_delay"].caption
     assert caption.endswith("Not drawn, as they suspended nobody: Cad.")
     assert "Not drawn" not in figures_of_defences(matrix())["detection_delay"].caption
 
 
+@pytest.mark.heavy
 def test_trust_over_time_has_a_panel_per_trial_and_says_how_many_are_missing() -> None:
     small, large = (trust_figure(matrix(panels=count).panels, 0) for count in (1, 12))
     assert large.pixels[1] > 3 * small.pixels[1]

@@ -87,6 +87,7 @@ def test_parameters_are_labelled_in_words_with_their_unit() -> None:
     assert {parameter: label_of(parameter) for parameter in labels} == labels
 
 
+@pytest.mark.heavy
 def test_figures_are_reproducible_and_state_their_sample(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = [BASELINE, *grid("a", n=(1, 2), fp=(1.0, 5.0, 20.0)), *grid("b", n=(1, 2, 3, 4), fp=(1.0, 2.0, 5.0, 9.0))]
     drawn = []

@@ -27,7 +27,15 @@ from mast_zenoh.testing.simulation.world import KINDS, small_world
 SEEDS = 1000  # among all worlds
 
 
-@pytest.mark.parametrize(("number", "name"), list(enumerate(["lockstep", "steps", "late", "realtime"])))
+@pytest.mark.parametrize(
+    ("number", "name"),
+    [
+        (0, "lockstep"),
+        (1, "steps"),
+        pytest.param(2, "late", marks=pytest.mark.heavy),
+        pytest.param(3, "realtime", marks=pytest.mark.heavy),
+    ],
+)
 def test_runs_with_random_schedules_keep_every_promise(worlds: dict[str, World], number: int, name: str) -> None:
     explore(worlds[name], range(number, SEEDS, len(worlds)))
 

@@ -129,6 +129,7 @@ def simulated() -> Coverage:
     return interval_coverage.table()
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("world", list(interval_coverage.worlds()), ids=lambda world: world.name)
 def test_claimed_intervals_cover_93_to_97_per_cent(simulated: Coverage, world: interval_coverage.World) -> None:
     claimed = {
@@ -139,12 +140,14 @@ def test_claimed_intervals_cover_93_to_97_per_cent(simulated: Coverage, world: i
     assert all(93.0 <= percent <= 97.0 for percent in claimed.values()), claimed
 
 
+@pytest.mark.heavy
 def test_intervals_of_success_rates_cover_at_least_95_per_cent(simulated: Coverage) -> None:
     rates = {name: cells for name, cells in simulated.items() if name.startswith("success rate")}
     assert len(rates) == 6
     assert min(min(cells.values()) for cells in rates.values()) >= 95.0
 
 
+@pytest.mark.heavy
 def test_intervals_of_added_missed_objects_cover_at_least_93_per_cent_with_any_number_of_seeds(
     simulated: Coverage,
 ) -> None:
@@ -154,11 +157,13 @@ def test_intervals_of_added_missed_objects_cover_at_least_93_per_cent_with_any_n
     assert simulated["missed objects added, uncoordinated-2, t for every mean"][1, 5] < 80.0
 
 
+@pytest.mark.heavy
 def test_three_correlated_scenes_of_twenty_seeds_are_covered(simulated: Coverage) -> None:
     """A bootstrap that treats scenes and seeds as independent covers 71 % here."""
     assert 93.0 <= simulated["normal, scenes of a seed correlate at 0.98"][3, 20] <= 97.0
 
 
+@pytest.mark.heavy
 def test_page_shows_the_simulated_coverage(simulated: Coverage) -> None:
     """Within 0.3, as another NumPy version may draw other samples."""
     lines = [line.strip("| \n").split(" | ") for line in PAGE.read_text("utf-8").splitlines() if line.startswith("| ")]

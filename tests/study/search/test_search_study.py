@@ -82,6 +82,7 @@ def lines(folder: Path, name: str) -> list[dict[str, str]]:
     return list(csv.DictReader((folder / name).read_text().splitlines()))
 
 
+@pytest.mark.heavy
 def test_the_result_is_near_the_optimum_and_better_than_the_default(synthetic, tmp_path: Path) -> None:
     study = definition.load(str(write_study(tmp_path, candidates=32, batch=8)))
     finished = carry_out(study, tmp_path / "out")
