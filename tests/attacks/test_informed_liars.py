@@ -39,6 +39,8 @@ def played(attack: type[AdaptiveAttack] | None, liars: int, defence: str, run: t
     """One run of `defence_cell` with liars among its five agents; attack None: without any."""
     junction, seed = run
     kind = dict(type=f"{informed_liars.__file__}:{attack.__name__}", **more) if attack else "uncoordinated"
+    # Undefended is without the input limit, too, which alone takes away half of a swarm.
+    limit = {"broker.input_limit": dict(type="NoInputLimit")} if defence == "NoIntegrity" else {}
     with TemporaryDirectory() as folder:
         metrics = mast.run(
             "defence_cell",
@@ -55,6 +57,7 @@ def played(attack: type[AdaptiveAttack] | None, liars: int, defence: str, run: t
             placement="random",
             placement_seed=seed,
             placement_frames=FRAMES,
+            **limit,
         ).summary
     picture = metrics["agents"]["ego"]["picture"]
     agents = metrics.get("integrity", {}).get("agents", {})
