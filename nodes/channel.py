@@ -1,7 +1,7 @@
 """The radio channel that all agents share: who hears whom, and how busy the channel is.
 
 It is part of the world, like the simulator: it listens to what all peers broadcast, their agents' tracks and where they
-are themselves, and tells each peer in the next frame which of the messages arrived, how busy the channel was, and how
+are themselves, and tells each peer in the next frame which of the messages were lost, how busy the channel was, and how
 long its own messages were on the air. Where stations are is what the simulator says, not what they claim.
 """
 

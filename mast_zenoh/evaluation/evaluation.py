@@ -329,7 +329,7 @@ class _Results:
         drives = driving.drives(self.settings.driving, data.record, scores, labels)
         summary, per_frame, failed_metrics = self._scored(scored)
         integrity, trust_tables = self._trust(scored)
-        own_pictures = [each.agent for each in data.record.series() if each.agent and each.estimator == PICTURE]
+        own_pictures = _own_pictures(data)
         consistency = self.settings.consistency.summary(
             scores.pairs, scores.series, own_pictures or [data.ego], scored, data.period_s
         )

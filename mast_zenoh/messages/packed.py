@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion, states_to_local, tracks_in_world
-from mast_zenoh.arrays.states import Floats, Ints, ObjectStates, concatenate
+from mast_zenoh.arrays.states import Floats, Ints, ObjectStates, concatenate, lowest_rows
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messages.schemas import Body, Message
 from mast_zenoh.v2x import cam, cpm
@@ -67,7 +67,7 @@ def pack(message: Message, codec: str) -> Message:
     if not all(np.isfinite(column).all() for column in (*states.columns().values(), body["origin"])):
         raise MessageError(f"{header.schema}: a value is not finite")
     if len(states) > most:
-        states = states.select(np.sort(np.argsort(-states.score, kind="stable")[:most]))
+        states = states.select(lowest_rows([-states.score], most))
     station, time_ms = zlib.crc32(header.source.encode()), header.time_ns // 1_000_000
     if codec == "cam":
         cams = [to_cam(states, station, time_ms, _PLANE)] if len(states) else []
