@@ -3,8 +3,9 @@
 Rows beyond are dropped before they cost anything.
 
 One node that sends 20,000 objects would otherwise slow every node that compares, fuses or scores them. The rows that
-are kept do not depend on their order: those with the highest scores, then the lowest ids, then the lowest positions. A
-node that fuses chooses them itself, so that a flood does not displace what was there before (`fusion.input_limit`).
+are kept do not depend on their order, unless there are very many: those with the highest scores, then the lowest ids,
+then the lowest positions. A node that fuses chooses them itself, so that a flood does not displace what was there
+before (`fusion.input_limit`).
 """
 
 from __future__ import annotations
@@ -24,9 +25,9 @@ from mast_zenoh.messages.schemas import BUILT_IN, SCHEMAS, Body, Column, Header
 #: Rows beyond twice what is there: the least limit.
 _MARGIN = 16
 
-#: A message that is longer than one with this many times the rows of its limit is used only if it is encoded as ours
-#: are: any other has to be unpacked, which takes longer than all else.
-_UNPACKED = 50
+#: Of a message with more than this many times the rows of its limit, only the first ones are looked at. It is used only
+#: if it is encoded as ours are: any other has to be unpacked, which takes longer than all else.
+_LOOKED_AT = 50
 #: Shortened messages that are remembered: of as many sources as may send too many rows in one frame.
 _REMEMBERED = 64
 #: Bytes of a message besides its rows: its header, names, and columns of fixed size.
@@ -101,7 +102,7 @@ class RowLimits:
         for name in self.rows.keys() & BUILT_IN.keys():
             columns = BUILT_IN[name].columns
             if all(column.dtype != "str" and {*column.shape} <= {"n", *range(10)} for column in columns):
-                rows_unpacked = max(_UNPACKED * self.rows[name], self.rows.get(OVERHEARD, 0))
+                rows_unpacked = max(_LOOKED_AT * self.rows[name], self.rows.get(OVERHEARD, 0))
                 self._longest[name] = _OTHER_BYTES + rows_unpacked * sum(map(_row_bytes, columns))
 
     def check_length(self, schema: str, length: int) -> None:
@@ -124,13 +125,15 @@ class RowLimits:
         found = len(columns["score"]) if limit is not None else 0
         if limit is None or found <= limit:
             return columns
+        most = _LOOKED_AT * limit
         if choice is not None:
-            return _with_rows(schema, columns, choice.best(columns["id"], columns["score"], limit))
+            return _with_rows(schema, columns, choice.best(columns["id"][:most], columns["score"][:most], limit))
         for limited_by, message, kept in self._latest:
             if message is columns and limited_by == limit_of:
                 return kept
-        ids = [columns["id"]] if "id" in columns else []
-        result = _with_rows(schema, columns, lowest_rows([-columns["score"], *ids, *columns["position"].T], limit))
+        ids = [columns["id"][:most]] if "id" in columns else []
+        keys = [-columns["score"][:most], *ids, *columns["position"][:most].T]
+        result = _with_rows(schema, columns, lowest_rows(keys, limit))
         self._latest.append((limit_of, columns, result))
         return result
 

@@ -56,6 +56,20 @@ def test_rows_are_limited_equally_with_and_without_encoding() -> None:
     assert len(plain["id"]) == 50
 
 
+def test_of_a_message_with_far_too_many_rows_only_the_first_are_looked_at() -> None:
+    limits = RowLimits({"tracks": 2})
+    sent = message(flood(200, score=np.arange(200) / 1000.0))  # the last have the highest scores
+    for kept in (codec.decode(codec.encode(sent), "tracks", limits), codec.limited(sent, limits)):
+        assert kept.body["id"].tolist() == sent.body["id"][98:100].tolist()
+        assert kept.body.found == 200
+
+    def last(ids: Any, score: Any, rows: int) -> Any:
+        assert len(ids) == len(score) == 100
+        return np.arange(len(ids) - rows, len(ids))
+
+    assert chosen(sent, RowChoice(2, last), limits) == [sent.body["id"][98:100].tolist()] * 2
+
+
 def test_dropped_rows_are_not_checked_and_kept_rows_are() -> None:
     limits = RowLimits({"tracks": 5})
     score = np.arange(10) / 10.0
