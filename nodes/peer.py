@@ -17,13 +17,13 @@ by Cooperative Awareness Messages. For a receiver, the sender is one more of the
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion, tracks_in_world
-from mast_zenoh.arrays.states import Bools, Ints, ObjectStates, concatenate
+from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.fusion.input_limit import InputLimit
 from mast_zenoh.gather import MAX_AGE_S, Gather, plausible_rows
 from mast_zenoh.integrity.views import SweptView, check_view, view_of
@@ -32,55 +32,20 @@ from mast_zenoh.messages.schemas import Body, text
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.pipelines import Pipeline, trust_body
 from mast_zenoh.pipelines.admission import Admission
-from mast_zenoh.pipelines.heard import HeardTracks
-from mast_zenoh.pipelines.origins import Origins
+from mast_zenoh.pipelines.heard import AgentTracks, HeardTracks
+from mast_zenoh.pipelines.inbox import MAX_WAITING, Heard, Inbox
+from mast_zenoh.pipelines.relays import Relay, Relays
 from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.tracking.kalman import predicted
 from mast_zenoh.v2x import CamGeneration, CongestionControl, GenerationRules, Vehicle
 from mast_zenoh.v2x.station import Station
 
-#: Ending of the name under which what an agent relays is fused, beside what it broadcasts.
-RELAY = "/relay"
-#: Messages of one agent that wait for the next frame, at most.
-MAX_WAITING = 64
 #: How long what a vehicle says of itself is used, s: until its next message, after 1 s at the latest, is overdue.
 AWARENESS_AGE_S = 1.2
 #: Id of a sender among its own tracks.
 ITSELF = 1 << 62
 #: Frame of reference of what a vehicle says of itself.
 WORLD = {"origin": np.zeros(3), "rotation": np.array([1.0, 0.0, 0.0, 0.0])}
-
-
-class Relay(NamedTuple):
-    """Objects of another agent's picture.
-
-    states: n objects at `time_ns`, world frame; origin: (n, a) whether each of `agents` is among their origins
-    """
-
-    time_ns: int
-    states: ObjectStates
-    agents: tuple[str, ...]
-    origin: Bools
-
-    def without(self, agent: str) -> Relay:
-        """The objects that have none of an agent's tracks in them."""
-        if agent not in self.agents:
-            return self
-        kept = ~self.origin[:, self.agents.index(agent)]
-        return self._replace(states=self.states.select(kept), origin=self.origin[kept])
-
-
-class Heard(NamedTuple):
-    """A message from another agent. arrived: frame of arrival"""
-
-    arrived: int
-    port: str
-    received: Received
-
-    def order(self) -> tuple[Any, ...]:
-        """Its place among those that arrived in the same frame."""
-        header = self.received.message.header
-        return self.arrived, self.received.subject, self.port, header.time_ns, header.frame, header.seq
 
 
 class Peer(Node):
@@ -141,15 +106,13 @@ class Peer(Node):
         self.vehicle = vehicle
         self.max_age_ns = round(max_age_s * 1e9)
         self.sensed: Gather[str, Received] = Gather({"clock", "own"})
-        self.inbox: list[Heard] = []  # what is not used yet
-        self.waiting: Counter[str] = Counter()  # messages in it, by sender
+        self.inbox = Inbox()
         self.heard = HeardTracks(memory_s, max_age_s)
         self.aware = HeardTracks(0.0, AWARENESS_AGE_S)
         self.admission = Admission(input_limit)
         self.views: dict[str, tuple[int, Body]] = {}  # their times, ns, and columns
-        self.relays: dict[str, Relay] = {}
+        self.relays = Relays(agent, max_age_s)
         self.trusts: dict[str, tuple[int, dict[str, float]]] = {}  # by teller, time, ns, and trust in agents
-        self.origins = Origins()
         self.own: tuple[int, ObjectStates] | None = None  # time, ns, and tracks
         self.place = np.zeros(3)
         self.newest_ns = 0
@@ -217,11 +180,8 @@ class Peer(Node):
 
     def hear(self, port: str, received: Received, context: Context) -> None:
         """Keep a message of another agent for the next frame."""
-        if self.waiting[received.subject] >= MAX_WAITING:
+        if not self.inbox.add(Heard(context.frame, port, received.subject, received.message)):
             context.reject(f"overflow: more than {MAX_WAITING} messages of {received.subject} in a frame")
-            return
-        self.waiting[received.subject] += 1
-        self.inbox.append(Heard(context.frame, port, received))
 
     def sense(self, port: str, received: Received, context: Context) -> None:
         """Process a frame once all has arrived that its agent and the channel send."""
@@ -253,34 +213,31 @@ class Peer(Node):
             busy, airtime_ns = float(reception.body["busy_ratio"][0]), int(reception.body["airtime_ns"][0])
             self.station.measure(reception.time_ns, busy, before_ns, airtime_ns)
         lost = {name: set() if reception is None else set(reception.body[name]) for name in ("lost", "lost_awareness")}
-        ready = sorted((each for each in self.inbox if each.arrived < frame), key=Heard.order)
-        self.inbox = [each for each in self.inbox if each.arrived >= frame]
-        self.waiting = Counter(each.received.subject for each in self.inbox)
-        for _, port, received in ready:
-            sender = received.subject
+        for _, port, sender, message in self.inbox.take(frame):
+            time_ns, body = message.header.time_ns, message.body
             if sender in lost["lost_awareness" if port == "heard_awareness" else "lost"]:
                 if port in ("heard", "heard_awareness"):
                     self.counts[f"lost/{sender}"] += 1
             elif port == "heard":
                 self.counts[f"heard/{sender}"] += 1
-                self.admission.note(sender, received.body)
-                states = self.plausible(tracks_in_world(received.body))
-                self.heard.add(sender, received.time_ns, states)
-                self.station.hear(received.time_ns, states, received.body["origin"])
+                self.admission.note(sender, body)
+                states = self.plausible(tracks_in_world(body))
+                self.heard.add(sender, time_ns, states)
+                self.station.hear(time_ns, states, body["origin"])
             elif port == "heard_awareness":
                 self.counts[f"aware/{sender}"] += 1
-                states = self.plausible(tracks_in_world(received.body))
-                self.aware.add(sender, received.time_ns, states.with_(id=np.full(len(states), ITSELF)))
+                states = self.plausible(tracks_in_world(body))
+                self.aware.add(sender, time_ns, states.with_(id=np.full(len(states), ITSELF)))
                 if len(states):
-                    self.station.hear(received.time_ns, states, states.position[0])
+                    self.station.hear(time_ns, states, states.position[0])
             elif port == "heard_view":
-                if received.time_ns >= self.views.get(sender, (0,))[0]:
-                    self.views[sender] = received.time_ns, received.body
+                if time_ns >= self.views.get(sender, (0,))[0]:
+                    self.views[sender] = time_ns, body
             elif port == "heard_gossip":
-                trust = zip(received.body["agents"].tolist(), received.body["trust"].tolist(), strict=True)
-                self.trusts[sender] = received.time_ns, dict(trust)
-            elif sender not in self.relays or received.time_ns >= self.relays[sender].time_ns:
-                self.relays[sender] = self.relay_of(received)
+                trust = zip(body["agents"].tolist(), body["trust"].tolist(), strict=True)
+                self.trusts[sender] = time_ns, dict(trust)
+            else:
+                self.relays.add(sender, self.relay_of(time_ns, body))
 
     def announce(self, time_ns: int, pose: Received, context: Context) -> None:
         """Say where the agent is, if that is due."""
@@ -306,31 +263,17 @@ class Peer(Node):
 
     def fuse(self, frame: int, time_ns: int, items: Mapping[str, Received], context: Context) -> None:
         """Publish the picture of a frame, and the trust in agents and objects."""
-        names, states, agent = self.heard.at(time_ns)
-        parts, agents = [states], [agent]
-        senders, states, agent = self.aware.at(time_ns)
-        names += [sender for sender in senders if sender not in names]
-        parts.append(states)
-        agents.append(np.array([names.index(sender) for sender in senders], np.int64)[agent])
-        if self.own is not None and abs(time_ns - self.own[0]) <= self.max_age_ns:
-            parts.append(predicted(self.own[1], (time_ns - self.own[0]) * 1e-9))
-            agents.append(np.full(len(parts[-1]), len(names)))
-            names.append(self.agent)
-        parts, agents = self.admitted(names, concatenate(parts), np.concatenate(agents))
+        tracks = self.heard.at(time_ns).joined(self.aware.at(time_ns), *self.own_at(time_ns)).admitted(self.admission)
+        relays = self.relays.at(time_ns)
+        tracks = tracks.joined(*(AgentTracks.of(name, relay.states) for name, relay in relays.items()))
         if views := self.views_at(time_ns, items):
             self.pipeline.look(views)
         if trusts := self.trusts_at(time_ns):
             self.pipeline.hear(self.agent, trusts)
-        relays = self.relays_at(time_ns)
-        for name in sorted(relays):
-            parts.append(relays[name].states)
-            agents.append(np.full(len(parts[-1]), len(names)))
-            names.append(f"{name}{RELAY}")
-        agent = np.concatenate(agents)
-        picture, support = self.pipeline.step(time_ns, concatenate(parts), agent, tuple(names))
+        picture, support = self.pipeline.step(time_ns, tracks.states, tracks.agent, tracks.names)
         context.publish("picture", picture.columns() | {"support": support}, frame=frame, time_ns=time_ns)
         if context.connected("relay"):
-            origins, origin = self.origins_of(picture, names, agent, relays)
+            origins, origin = self.relays.origins_of(picture.id, self.pipeline.members, tracks, relays)
             body = picture.columns() | {"agents": text(origins), "origin": origin.astype(np.uint8)}
             context.publish("relay", body, frame=frame, time_ns=time_ns)
         if self.pipeline.trust is not None:
@@ -340,19 +283,12 @@ class Peer(Node):
                 told = {"agents": body["agents"], "trust": body["mean"]}
                 context.publish("gossip", told, frame=frame, time_ns=time_ns)
 
-    def admitted(
-        self, names: Sequence[str], states: ObjectStates, agent: Ints
-    ) -> tuple[list[ObjectStates], list[Ints]]:
-        """The tracks that are fused, and their rows of `names`: all, unless there are too many."""
-        rows = [np.flatnonzero(agent == row) for row in range(len(names))]
-        objects = {name: (states.id[own], states.score[own]) for name, own in zip(names, rows, strict=True)}
-        selected = self.admission.select(objects)
-        if not selected:
-            return [states], [agent]
-        kept = np.sort(
-            np.concatenate([own[selected.get(name, slice(None))] for name, own in zip(names, rows, strict=True)])
-        )
-        return [states.select(kept)], [agent[kept]]
+    def own_at(self, time_ns: int) -> list[AgentTracks]:
+        """The tracks of its agent, predicted to a time; none if they are too old."""
+        if self.own is None or abs(time_ns - self.own[0]) > self.max_age_ns:
+            return []
+        at_ns, states = self.own
+        return [AgentTracks.of(self.agent, predicted(states, (time_ns - at_ns) * 1e-9))]
 
     def views_at(self, time_ns: int, items: Mapping[str, Received]) -> dict[str, SweptView]:
         """What the sensors of the agents cover, as far as it is known; by name."""
@@ -367,40 +303,12 @@ class Peer(Node):
         self.trusts = {name: each for name, each in self.trusts.items() if abs(time_ns - each[0]) <= self.max_age_ns}
         return {name: trust for name, (_, trust) in self.trusts.items()}
 
-    def relays_at(self, time_ns: int) -> dict[str, Relay]:
-        """The pictures of other agents, predicted to a time; by name."""
-        ages = {name: time_ns - relay.time_ns for name, relay in self.relays.items()}
-        self.relays = {name: relay for name, relay in self.relays.items() if abs(ages[name]) <= self.max_age_ns}
-        return {
-            name: relay._replace(states=predicted(relay.states, ages[name] * 1e-9))
-            for name, relay in self.relays.items()
-        }
-
-    def origins_of(
-        self, picture: ObjectStates, names: Sequence[str], agent: Ints, relays: Mapping[str, Relay]
-    ) -> tuple[list[str], Bools]:
-        """Names of a agents, sorted, and whether each is among the origins of each object of the picture: (n, a).
-
-        names: members of the step; agent: rows of these of its tracks, in the order of the pipeline's input
-        """
-        direct = names[: len(names) - len(relays)]
-        origins = sorted(set(direct).union(*(relay.agents for relay in relays.values())))
-        of_tracks = np.zeros((len(agent), len(origins)), np.bool_)
-        for row, name in enumerate(direct):
-            of_tracks[agent == row, origins.index(name)] = True
-        for row, relay in enumerate((relays[name] for name in sorted(relays)), len(direct)):
-            columns = [origins.index(name) for name in relay.agents]
-            of_tracks[np.ix_(agent == row, columns)] = relay.origin
-        return origins, self.origins.update(picture.id, self.pipeline.members, of_tracks, origins)
-
-    def relay_of(self, received: Received) -> Relay:
-        """The objects in a message about a picture, without absurd ones and those with own tracks in them."""
-        body = received.body
+    def relay_of(self, time_ns: int, body: Body) -> Relay:
+        """The objects in a message about a picture, without absurd ones."""
         states = ObjectStates.from_columns(body)
         plausible = plausible_rows(states)
         self.counts["absurd"] += len(states) - len(plausible)
-        relay = Relay(received.time_ns, states.select(plausible), tuple(body["agents"]), body["origin"][plausible] > 0)
-        return relay.without(self.agent)
+        return Relay(time_ns, states.select(plausible), tuple(body["agents"]), body["origin"][plausible] > 0)
 
     def plausible(self, states: ObjectStates) -> ObjectStates:
         """The states without absurd ones, which are counted."""

@@ -1,4 +1,4 @@
-"""What an agent has heard from others: the newest tracks of each, at any later time."""
+"""What an agent has heard from others: the newest tracks of each, at any later time; and tracks of several agents."""
 
 from __future__ import annotations
 
@@ -8,7 +8,43 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Ints, ObjectStates, concatenate
 from mast_zenoh.gather import MAX_AGE_S
+from mast_zenoh.pipelines.admission import Admission
 from mast_zenoh.tracking.kalman import predicted
+
+
+class AgentTracks(NamedTuple):
+    """Tracks of several agents at one time.
+
+    names: of the agents; states: n tracks, world frame; agent: (n,) rows of `names`
+    """
+
+    names: tuple[str, ...]
+    states: ObjectStates
+    agent: Ints
+
+    @classmethod
+    def of(cls, name: str, states: ObjectStates) -> AgentTracks:
+        """The tracks of one agent."""
+        return cls((name,), states, np.zeros(len(states), np.int64))
+
+    def joined(self, *others: AgentTracks) -> AgentTracks:
+        """These and those of others; an agent may have tracks in several."""
+        if not others:
+            return self
+        parts = (self, *others)
+        names = list(dict.fromkeys(name for part in parts for name in part.names))
+        row_of = {name: row for row, name in enumerate(names)}
+        agent = [np.array([row_of[name] for name in part.names], np.int64)[part.agent] for part in parts]
+        return AgentTracks(tuple(names), concatenate([part.states for part in parts]), np.concatenate(agent))
+
+    def admitted(self, admission: Admission) -> AgentTracks:
+        """Those that an input limit keeps."""
+        rows = {name: np.flatnonzero(self.agent == row) for row, name in enumerate(self.names)}
+        selected = admission.select({name: (self.states.id[own], self.states.score[own]) for name, own in rows.items()})
+        if not selected:
+            return self
+        kept = np.sort(np.concatenate([own[selected.get(name, slice(None))] for name, own in rows.items()]))
+        return self._replace(states=self.states.select(kept), agent=self.agent[kept])
 
 
 class HeardTracks:
@@ -37,8 +73,8 @@ class HeardTracks:
             self._newest[sender] = time_ns
             self._added.append((sender, time_ns, states))
 
-    def at(self, time_ns: int) -> tuple[list[str], ObjectStates, Ints]:
-        """Names of the senders, sorted; n tracks of all, predicted to a time; and (n,) rows of the senders.
+    def at(self, time_ns: int) -> AgentTracks:
+        """The tracks of all senders, predicted to a time; names are sorted.
 
         Those of a sender are sorted by time, the newest first, and then as in their messages.
         """
@@ -55,7 +91,7 @@ class HeardTracks:
         parts = [predicted(states.select(rows), float(age_ns[rows[0]]) * 1e-9) for rows in groups]
         if len(parts) > 1:
             states = concatenate(parts).select(np.argsort(np.concatenate(groups)))
-        return names, parts[0] if len(parts) == 1 else states, sender
+        return AgentTracks(tuple(names), parts[0] if len(parts) == 1 else states, sender)
 
     def _merged(self) -> Known:
         """What is known with the messages added since, of senders that are not too old."""

@@ -63,7 +63,7 @@ def test_tracks_of_different_times_are_all_predicted_and_stay_with_their_senders
     heard.add("a", 0, tracks(2, 1))
     heard.add("b", PERIOD_NS, tracks(5))
     names, states, sender = heard.at(2 * PERIOD_NS)
-    assert names == ["a", "b"]
+    assert names == ("a", "b")
     assert list(zip(sender.tolist(), states.id.tolist(), strict=True)) == [(0, 2), (0, 1), (1, 5), (1, 4)]
     np.testing.assert_allclose(states.position[:, 0], [2.0, 2.0, 1.0, 2.0])
 
@@ -71,8 +71,8 @@ def test_tracks_of_different_times_are_all_predicted_and_stay_with_their_senders
 def test_what_is_too_old_is_not_used() -> None:
     heard = HeardTracks(max_age_s=0.3)
     heard.add("a", 0, tracks(1))
-    assert heard.at(3 * PERIOD_NS)[0] == ["a"]
-    assert heard.at(4 * PERIOD_NS)[0] == []
+    assert heard.at(3 * PERIOD_NS).names == ("a",)
+    assert heard.at(4 * PERIOD_NS).names == ()
 
 
 def test_invalid_times_are_refused() -> None:
