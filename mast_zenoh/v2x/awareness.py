@@ -96,25 +96,18 @@ class CamGeneration:
         check("1 or more", repeats=self.repeats)
         if self.least_s > self.most_s:
             raise ValueError(f"least_s: found {self.least_s}, expected at most `most_s`, which is {self.most_s}")
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget all messages."""
         self._sent: _Sent | None = None
         self._low_frequency_ns: int | None = None
         self._period_s = self.most_s
         self._repeated = 0
 
-    def generate(
-        self, time_ns: int, position: Floats, velocity: Floats, yaw: float, interval_s: float = 0.1
-    ) -> CamDecision:
+    def generate(self, time_ns: int, position: Floats, velocity: Floats, yaw: float) -> CamDecision:
         """Whether to send a CAM now.
 
         position: (3,) m; velocity: (3,) m/s; yaw: rad, of the station, world frame
-        interval_s: s, least time between two messages that congestion control allows
         """
         now = _Sent(time_ns, position, float(np.linalg.norm(velocity)), yaw)
-        if not self._is_due(now, min(max(interval_s, self.least_s), self.most_s)):
+        if not self._is_due(now):
             return CamDecision(False, False)
         self._sent = now
         low_frequency = self._passed(time_ns, self._low_frequency_ns, self.low_frequency_s)
@@ -122,12 +115,12 @@ class CamGeneration:
             self._low_frequency_ns = time_ns
         return CamDecision(True, low_frequency)
 
-    def _is_due(self, now: _Sent, interval_s: float) -> bool:
+    def _is_due(self, now: _Sent) -> bool:
         """Whether to send a CAM; updates the period."""
         if self._sent is None:
             return True
         last_ns = self._sent.time_ns
-        if not self._passed(now.time_ns, last_ns, interval_s):
+        if not self._passed(now.time_ns, last_ns, self.least_s):
             return False
         if self._changed(self._sent, now):
             self._period_s = min((now.time_ns - last_ns) / 1e9, self.most_s)

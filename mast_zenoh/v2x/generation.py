@@ -88,15 +88,8 @@ class GenerationRules(ABC):
         return True
 
     @abstractmethod
-    def generate(self, perception: Perception, interval_s: float = 0.1) -> Generation:
-        """What to send now.
-
-        interval_s: s, least time between two messages; where a gate of `CongestionControl` is asked first, the default
-        """
-
-    @abstractmethod
-    def reset(self) -> None:
-        """Forget all messages."""
+    def generate(self, perception: Perception) -> Generation:
+        """What to send now."""
 
 
 class EveryFrame(GenerationRules):
@@ -106,11 +99,8 @@ class EveryFrame(GenerationRules):
     def uses_heard(self) -> bool:
         return False
 
-    def generate(self, perception: Perception, interval_s: float = 0.1) -> Generation:
+    def generate(self, perception: Perception) -> Generation:
         return Generation(True, np.arange(len(perception.objects), dtype=np.int64), True)
-
-    def reset(self) -> None:
-        pass
 
 
 @dataclass(kw_only=True, eq=False)
@@ -179,23 +169,19 @@ class CpmGeneration(GenerationRules):
             if name not in CLASS_INDEX:
                 raise ValueError(f"type_a: found {name!r}, expected some of {', '.join(CLASS_INDEX)}")
         self._type_a = np.array([CLASS_INDEX[name] for name in self.type_a], np.uint8)
-        self.reset()
+        self._sent = SentObjects(self.remembered)
+        self._message_ns: int | None = None
+        self._sensors_ns: int | None = None
 
     @property
     def uses_heard(self) -> bool:
         return bool(self.redundancy)
 
-    def reset(self) -> None:
-        self._sent = SentObjects(self.remembered)
-        self._message_ns: int | None = None
-        self._sensors_ns: int | None = None
-
-    def generate(self, perception: Perception, interval_s: float = 0.1) -> Generation:
-        interval_s = min(max(interval_s, self.least_s), self.most_s)
+    def generate(self, perception: Perception) -> Generation:
         now = perception.time_ns
         self._sent.forget(now - round(self.retention_s * 1e9))
         self._sent.note_perceived(perception.objects.id, now)
-        if not self._due(now, self._message_ns, interval_s):
+        if not self._due(now, self._message_ns, self.least_s):
             return Generation.nothing()
         good = (perception.quality > self.quality).nonzero()[0]
         by_id = good[perception.objects.id[good].argsort()]  # so that the order of rows does not matter

@@ -31,10 +31,7 @@ class Station:
         awareness: CamGeneration | None = None,
     ) -> None:
         self.rules = rules or EveryFrame()
-        self.rules.reset()
         self.awareness = awareness
-        if awareness is not None:
-            awareness.reset()
         self.congestion = congestion or NoCongestionControl()
         self._uncontrolled = isinstance(self.congestion, NoCongestionControl)
         self._on_ns = 0

@@ -44,15 +44,15 @@ def test_invalid_parameters_are_refused(parameters: dict[str, Any], problem: str
 def test_every_frame_sends_all_objects_in_their_order() -> None:
     states = objects(3, 1, 2)
     for frame in range(3):
-        generation = EveryFrame().generate(perceived(frame, states), interval_s=1.0)
+        generation = EveryFrame().generate(perceived(frame, states))
         assert generation.generated
         assert generation.sensors
         assert sent_ids(generation, states) == [3, 1, 2]
 
 
-def sent(rules: GenerationRules, frame: int, states: ObjectStates, interval_s: float = 0.1, **others: Any) -> list[int]:
+def sent(rules: GenerationRules, frame: int, states: ObjectStates, **others: Any) -> list[int]:
     """The ids that are sent in a frame, sorted."""
-    return sorted(sent_ids(rules.generate(perceived(frame, states, **others), interval_s), states))
+    return sorted(sent_ids(rules.generate(perceived(frame, states, **others)), states))
 
 
 def test_a_new_object_is_sent_at_once_and_an_unchanged_one_after_a_second() -> None:
@@ -137,17 +137,10 @@ def test_without_objects_only_sensor_information_is_sent_once_a_second() -> None
     assert all(message.sensors == message.generated for message in messages.values())
 
 
-def test_a_message_waits_for_the_interval_that_the_channel_allows() -> None:
-    rules = CpmGeneration()
+def test_a_message_waits_for_the_least_interval() -> None:
+    rules = CpmGeneration(least_s=0.4)
     moving = [objects(1, x=50.0 * frame) for frame in range(20)]
-    assert [frame for frame in range(20) if sent(rules, frame, moving[frame], 0.4)] == [0, 4, 8, 12, 16]
-
-
-@pytest.mark.parametrize(("interval_s", "frames"), [(0.0, [0, 1, 2]), (5.0, [0, 10, 20])])
-def test_the_interval_is_limited_to_a_tenth_and_a_full_second(interval_s: float, frames: list[int]) -> None:
-    rules = CpmGeneration()
-    sent_in = [frame for frame in range(25) if sent(rules, frame, objects(1, x=50.0 * frame), interval_s)]
-    assert sent_in[:3] == frames
+    assert [frame for frame in range(20) if sent(rules, frame, moving[frame])] == [0, 4, 8, 12, 16]
 
 
 def test_frames_whose_times_are_rounded_are_not_skipped() -> None:
@@ -199,18 +192,6 @@ def test_memory_is_bounded_and_keeps_what_was_perceived_last() -> None:
     assert set(range(570, 600)) <= set(rules._sent.ids.tolist())
 
 
-def test_reset_forgets_all_messages() -> None:
-    rules = CpmGeneration()
-    first = rules.generate(perceived(0, objects(1, 2)))
-    rules.reset()
-    again = rules.generate(perceived(0, objects(1, 2)))
-    assert (again.generated, again.sensors, again.rows.tolist()) == (
-        first.generated,
-        first.sensors,
-        first.rows.tolist(),
-    )
-
-
 #: One object in one frame: id, x, speed, class; whether it is there is up to the list.
 SEEN = st.tuples(
     st.integers(0, 5), st.sampled_from([0.0, 3.0, 6.0, 20.0]), st.floats(0.0, 3.0), st.sampled_from(CLASSES)
@@ -255,10 +236,10 @@ def plain_rules(frames: list[list[tuple[int, float, float, str]]], interval: int
 @given(frames=FRAMES, interval=st.integers(1, 4))
 @settings(max_examples=200)
 def test_messages_equal_those_of_the_rules_object_by_object(frames: list[list[Any]], interval: int) -> None:
-    rules = CpmGeneration()
+    rules = CpmGeneration(least_s=interval * 0.1)
     for frame, expected in enumerate(plain_rules(frames, interval)):
         states = states_of(frames[frame])
-        generation = rules.generate(perceived(frame, states), interval * 0.1)
+        generation = rules.generate(perceived(frame, states))
         message = (set(sent_ids(generation, states)), generation.sensors) if generation.generated else None
         assert message == expected, frame
 
@@ -278,16 +259,16 @@ def test_messages_do_not_depend_on_the_order_of_rows(frames: list[list[Any]], se
         assert messages[0] == messages[1]
 
 
-@given(frames=FRAMES, interval_s=st.floats(0.0, 1.0))
+@given(frames=FRAMES, interval_s=st.floats(0.1, 1.0))
 def test_no_object_is_silent_for_longer_than_its_limit_and_an_interval(
     frames: list[list[Any]], interval_s: float
 ) -> None:
-    rules = CpmGeneration()
+    rules = CpmGeneration(least_s=interval_s)
     last: dict[int, int] = {}
-    interval_ns = max(interval_s, 0.1) * 1e9 + FRAME_NS
+    interval_ns = interval_s * 1e9 + FRAME_NS
     for frame, seen in enumerate(frames):
         states = states_of(seen)
-        generation = rules.generate(perceived(frame, states), interval_s)
+        generation = rules.generate(perceived(frame, states))
         last |= dict.fromkeys(sent_ids(generation, states), frame)
         for id_, _, _, cls in seen:
             limit_ns = 0.5e9 if cls in ("pedestrian", "bicycle") else 1e9
