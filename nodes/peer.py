@@ -110,6 +110,7 @@ class Peer(Node):
         self.heard = HeardTracks(memory_s, max_age_s)
         self.aware = HeardTracks(0.0, AWARENESS_AGE_S)
         self.admission = Admission(input_limit)
+        self.beyond: dict[str, int] = {}  # rows that the newest message of each agent had besides those that are used
         self.views: dict[str, tuple[int, Body]] = {}  # their times, ns, and columns
         self.relays = Relays(agent, max_age_s)
         self.trusts: dict[str, tuple[int, dict[str, float]]] = {}  # by teller, time, ns, and trust in agents
@@ -201,7 +202,7 @@ class Peer(Node):
             self.place = items["pose"].body["position"]
             self.announce(time_ns, items["pose"], context)
         if own := items.get("own"):
-            self.admission.note(self.agent, own.body)
+            self.beyond[self.agent] = self.admission.note(self.agent, own.body)
             states = tracks_in_world(own.body)
             self.own = own.time_ns, self.plausible(states)
             self.broadcast(time_ns, own, states, context)
@@ -220,7 +221,7 @@ class Peer(Node):
                     self.counts[f"lost/{sender}"] += 1
             elif port == "heard":
                 self.counts[f"heard/{sender}"] += 1
-                self.admission.note(sender, body)
+                self.beyond[sender] = self.admission.note(sender, body)
                 states = self.plausible(tracks_in_world(body))
                 self.heard.add(sender, time_ns, states)
                 self.station.hear(time_ns, states, body["origin"])
@@ -263,7 +264,8 @@ class Peer(Node):
 
     def fuse(self, frame: int, time_ns: int, items: Mapping[str, Received], context: Context) -> None:
         """Publish the picture of a frame, and the trust in agents and objects."""
-        tracks = self.heard.at(time_ns).joined(self.aware.at(time_ns), *self.own_at(time_ns)).admitted(self.admission)
+        tracks = self.heard.at(time_ns).joined(self.aware.at(time_ns), *self.own_at(time_ns))
+        tracks = tracks.admitted(self.admission, self.beyond)
         relays = self.relays.at(time_ns)
         tracks = tracks.joined(*(AgentTracks.of(name, relay.states) for name, relay in relays.items()))
         if views := self.views_at(time_ns, items):

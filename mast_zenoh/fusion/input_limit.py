@@ -23,10 +23,12 @@ class Objects(NamedTuple):
     """Objects of an agent.
 
     ids: (n,) int64, of its tracks, unique; score: (n,) in [0, 1], as it claims
+    beyond: number of rows that its message had besides, which are not used in any case
     """
 
     ids: Ints
     score: Floats
+    beyond: int = 0
 
 
 #: By agent, for each of its objects the frame since which it is kept.
@@ -116,15 +118,17 @@ class FairInput(InputLimit):
     def select(self, objects: Mapping[str, Objects]) -> dict[str, Ints]:
         self._frame += 1
         selected: dict[str, Ints] = {}
-        counts = {name: len(objects[name].ids) for name in objects}
+        usual = {name: len(ids) for name, (ids, _, _) in objects.items() if len(ids)}
+        counts = {name: count + objects[name].beyond for name, count in usual.items()}
         if sum(counts.values()) > self.rows:
-            shares = fair_shares({name: count for name, count in counts.items() if count}, self.rows)
+            shares = fair_shares(counts, self.rows)
             for name, share in shares.items():
                 if share < counts[name]:
                     count = min(share, max(self.rows // len(shares), self._with_reserve(self._usual.get(name, 0))))
-                    selected[name] = self._best(self._since.get(name, {}), objects[name], count)
-        self._usual |= {name: count for name, count in counts.items() if count and name not in selected}
-        self._remember({name: ids[selected[name]] if name in selected else ids for name, (ids, _) in objects.items()})
+                    if count < usual.pop(name):
+                        selected[name] = self._best(self._since.get(name, {}), objects[name], count)
+        self._usual |= usual
+        self._remember({name: own.ids[selected.get(name, slice(None))] for name, own in objects.items()})
         return selected
 
     def cut(self, kept: Mapping[int, int], objects: Objects, rows: int) -> Ints:
@@ -136,7 +140,7 @@ class FairInput(InputLimit):
 
     def _best(self, since: Mapping[int, int], objects: Objects, count: int) -> Ints:
         """(count,) rows to keep of an agent with more, ascending. since: of its objects that were kept before"""
-        ids, score = objects
+        ids, score, _ = objects
         old = rows_of(ids, np.array(sorted(since), np.int64))
         n_new = min(len(ids) - len(old), max(count - len(old), int(count * self.reserve)))
         rank = -score

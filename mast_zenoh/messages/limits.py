@@ -70,12 +70,14 @@ def limits_for(detections: NDArray[np.int64], objects: int, per_agent: int | Non
 
 
 def fused_rows(detections: NDArray[np.int64]) -> int:
-    """Rows of all agents that a fusion uses in a frame, at most: what they detect, and some more.
+    """Rows of all agents that a fusion uses in a frame, at most: what they detect, half of it, and some more.
 
+    Trackers go on with objects that were not detected, and peers keep what they have heard: of junctions with up to
+    twelve agents, they had 1.15 times the most detections.
     Less than the sum of what their messages may have, so that a flood of one is no slower than a busy frame.
     detections: (F, A) of each agent in each frame
     """
-    return _MARGIN + _most_at_once(detections)
+    return _MARGIN + _most_at_once(detections) * 3 // 2
 
 
 def _most_at_once(detections: NDArray[np.int64]) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 
-from mast_zenoh.arrays.states import Floats, Ints
+from mast_zenoh.arrays.states import Ints
 from mast_zenoh.fusion.input_limit import InputLimit, Kept, NoInputLimit, Objects
 from mast_zenoh.gather import LatestBefore
 from mast_zenoh.messages.limits import RowChoice, Shortened
@@ -39,18 +39,19 @@ class Admission:
         latest = self._kept.get(step)
         return self._limit.cut({} if latest is None else latest[1].get(agent, {}), objects, rows)
 
-    def note(self, agent: str, body: Body) -> None:
-        """Count the rows that a message of an agent had beyond those that are used."""
-        if type(body) is Shortened:
-            self.left_out[agent] += body.found - len(body["score"])
+    def note(self, agent: str, body: Body) -> int:
+        """Number of rows that a message of an agent had beyond those that are used; they count as left out."""
+        beyond = body.found - len(body["score"]) if type(body) is Shortened else 0
+        self.left_out[agent] += beyond
+        return beyond
 
-    def select(self, objects: Mapping[str, tuple[Ints, Floats]]) -> dict[str, Ints]:
-        """Rows to fuse in a frame, of each agent of which some are left out. objects: ids and scores, by agent"""
-        selected = self._limit.select({name: Objects(*columns) for name, columns in objects.items()})
+    def select(self, objects: Mapping[str, Objects]) -> dict[str, Ints]:
+        """Rows to fuse in a frame, of each agent of which some are left out. objects: by agent"""
+        selected = self._limit.select(objects)
         for name, rows in selected.items():
-            self.left_out[name] += len(objects[name][0]) - len(rows)
+            self.left_out[name] += len(objects[name].ids) - len(rows)
         return selected
 
     def counts(self) -> dict[str, int]:
         """Number of rows that were left out, by agent."""
-        return dict(sorted(self.left_out.items()))
+        return {name: count for name, count in sorted(self.left_out.items()) if count}

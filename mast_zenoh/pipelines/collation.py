@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mast_zenoh.arrays.states import Ints, ObjectStates, concatenate
-from mast_zenoh.fusion.input_limit import InputLimit
+from mast_zenoh.fusion.input_limit import InputLimit, Objects
 from mast_zenoh.gather import MAX_AGE_S, CollationBuffer, plausible_rows
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.pipelines.admission import Admission
@@ -35,6 +35,17 @@ class Collated(NamedTuple):
     agents: tuple[str, ...]
     age_ns: Ints
     views: Mapping[str, tuple[Body, int]]
+
+
+class Tracks(NamedTuple):
+    """The tracks of an agent.
+
+    states: n tracks at `time_ns`, world frame; beyond: number of rows that its message had besides
+    """
+
+    time_ns: int
+    states: ObjectStates
+    beyond: int
 
 
 class Collation:
@@ -70,9 +81,9 @@ class Collation:
         self._latency_ns = round(latency_s * 1e9)
         self._patience = patience
         self._max_age_ns = round(max_age_s * 1e9)
-        self._tracks: CollationBuffer[tuple[int, ObjectStates]] = CollationBuffer(capacity)
+        self._tracks: CollationBuffer[Tracks] = CollationBuffer(capacity)
         self._views: CollationBuffer[tuple[int, Body]] = CollationBuffer(capacity)
-        self._last: dict[str, tuple[int, ObjectStates]] = {}  # their times, ns, and tracks
+        self._last: dict[str, Tracks] = {}
         self._last_views: dict[str, tuple[int, Body]] = {}
         self._gone: set[str] = set()
         self._newcomers: set[str] = set()
@@ -96,7 +107,7 @@ class Collation:
 
     def add(self, agent: str, frame: int, time_ns: int, states: ObjectStates, body: Body) -> None:
         """Add an agent's tracks, world frame; may make batches due. body: columns of the message"""
-        self.admission.note(agent, body)
+        beyond = self.admission.note(agent, body)
         if agent not in self.agents:
             # Not expected in this frame: whether its tracks arrive before the batch is emitted would be random.
             self.meet(agent)
@@ -105,7 +116,7 @@ class Collation:
         if len(plausible) < len(states):
             self._absurd += len(states) - len(plausible)
             states = states.select(plausible)
-        self._tracks.push(agent, frame, (time_ns, states))
+        self._tracks.push(agent, frame, Tracks(time_ns, states, beyond))
 
     def add_view(self, agent: str, frame: int, time_ns: int, body: Body) -> None:
         """Add the columns of what an agent's sensor covers; may make batches due."""
@@ -145,14 +156,15 @@ class Collation:
         time_ns = self._open_frames.pop(frame)
         self._batches[how] += 1
         self._last |= self._tracks.pop(frame)
-        self._last = {a: (t, s) for a, (t, s) in self._last.items() if abs(time_ns - t) <= self._max_age_ns}
+        self._last = {a: last for a, last in self._last.items() if abs(time_ns - last.time_ns) <= self._max_age_ns}
         self._last_views |= self._views.pop(frame)
         self._last_views = {a: (t, v) for a, (t, v) in self._last_views.items() if abs(time_ns - t) <= self._max_age_ns}
         names = sorted(self._last)
-        tracks = {name: self._last[name][1] for name in names}
-        for name, rows in self.admission.select({name: (t.id, t.score) for name, t in tracks.items()}).items():
+        tracks = {name: self._last[name].states for name in names}
+        objects = {name: Objects(each.id, each.score, self._last[name].beyond) for name, each in tracks.items()}
+        for name, rows in self.admission.select(objects).items():
             tracks[name] = tracks[name].select(rows)
-        ages = [time_ns - self._last[name][0] for name in names]
+        ages = [time_ns - self._last[name].time_ns for name in names]
         parts = [predicted(tracks[name], age * 1e-9) for name, age in zip(names, ages, strict=True)]
         agent = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
         views = {name: (body, time_ns - at_ns) for name, (at_ns, body) in sorted(self._last_views.items())}

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
 from mast_zenoh.arrays.states import Ints, ObjectStates, concatenate
+from mast_zenoh.fusion.input_limit import Objects
 from mast_zenoh.gather import MAX_AGE_S
 from mast_zenoh.pipelines.admission import Admission
 from mast_zenoh.tracking.kalman import predicted
@@ -37,10 +39,13 @@ class AgentTracks(NamedTuple):
         agent = [np.array([row_of[name] for name in part.names], np.int64)[part.agent] for part in parts]
         return AgentTracks(tuple(names), concatenate([part.states for part in parts]), np.concatenate(agent))
 
-    def admitted(self, admission: Admission) -> AgentTracks:
-        """Those that an input limit keeps."""
+    def admitted(self, admission: Admission, beyond: Mapping[str, int]) -> AgentTracks:
+        """Those that an input limit keeps. beyond: rows that messages of agents had besides, where there were any"""
         rows = {name: np.flatnonzero(self.agent == row) for row, name in enumerate(self.names)}
-        selected = admission.select({name: (self.states.id[own], self.states.score[own]) for name, own in rows.items()})
+        ids, score = self.states.id, self.states.score
+        selected = admission.select(
+            {name: Objects(ids[own], score[own], beyond.get(name, 0)) for name, own in rows.items()}
+        )
         if not selected:
             return self
         kept = np.sort(np.concatenate([own[selected.get(name, slice(None))] for name, own in rows.items()]))

@@ -70,6 +70,19 @@ def test_a_flood_takes_no_row_from_agents_within_their_share() -> None:
     assert {agent: len(ids) for agent, ids in selected.items()} == {0: 25, 1: 20, 2: 25, 3: 1}
 
 
+def test_rows_that_were_cut_from_a_message_count_as_sent() -> None:
+    limit = FairInput(rows=100)
+    for beyond, expected in ((0, 40), (0, 40), (19_960, 54), (0, 60)):  # 54: a third more than before
+        sent = {0: some(60 if beyond or expected == 60 else 40), 1: some(30)}
+        objects = {
+            str(agent): Objects(np.array(list(ids), np.int64), np.full(len(ids), 0.5), beyond if agent == 0 else 0)
+            for agent, ids in sent.items()
+        }
+        selected = limit.select(objects)
+        assert len(selected.get("0", sent[0])) == expected
+        assert "1" not in selected
+
+
 @pytest.mark.parametrize(
     ("count", "rows", "shares"),
     [

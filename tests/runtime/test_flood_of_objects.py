@@ -81,6 +81,21 @@ def test_a_flood_costs_no_object_that_was_there_before_and_is_told(run: str) -> 
     assert sum(n for (_, kind), n in process.hosts[counter].rejected.items() if kind == "rows") >= flooded - 1
 
 
+@pytest.mark.heavy
+@pytest.mark.parametrize(
+    "sets",
+    [
+        ["scene_index=9", "n_infrastructure=1", "n_mobile=7", "codec=cpm", "rules=CpmGeneration", "awareness=true"],
+        ["scene_index=10", "n_infrastructure=3", "n_mobile=5", "rules=CpmGeneration", "awareness=true"],
+        ["scene_index=8", "n_infrastructure=1", "n_mobile=6", "codec=cpm", "awareness=true"],
+    ],
+)
+def test_of_many_honest_peers_all_tracks_are_fused(sets: list[str]) -> None:
+    path, loaded = scenario.load("peers", sets)
+    _, returned, _ = played(scenario.resolve(path, loaded, frames=60))
+    assert results.left_out(returned) == {}
+
+
 def test_a_flood_leaves_few_more_rows_than_its_agent_had() -> None:
     rows = {
         name: [len(m.payload.body["id"]) for m in played(resolved("centre", attack))[0] if m.key == "cc/collated"]
