@@ -156,6 +156,7 @@ def pack_frames(
         "id": str(run.run.get("id", "")),
         "frames": len(frames),
         "ego": run.ego or "",
+        "centre": run.has_centre,
         "scored": run.scored_frames,
         "gate_m": run.gate_m,
         "range_m": run.range_m,

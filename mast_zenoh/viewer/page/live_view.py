@@ -37,7 +37,7 @@ _RESULTS_S = 60.0
 _PATIENCE_S = 2.0
 #: Parts of the header that rarely change: the page gets them once, and again when they change.
 LASTING = (
-    *("format", "id", "label", "ego", "scored", "gate_m", "range_m", "classes", "colours", "estimates"),
+    *("format", "id", "label", "ego", "centre", "scored", "gate_m", "range_m", "classes", "colours", "estimates"),
     *("buildings", "tops", "agents", "states", "flags", "judged", "effects", "recorded"),
 )
 

@@ -36,6 +36,13 @@ def partitioned_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return play("attack_during_partition", ["partition_s=2.0", "partition_until_s=3.0"], folder, frames=36)
 
 
+@pytest.fixture(scope="session")
+def run_of_peers(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a short run without a command centre."""
+    folder = tmp_path_factory.mktemp("runs") / "peers"
+    return play("peers", ["n_infrastructure=2", "n_mobile=1"], folder, frames=3)
+
+
 def play(name: str, settings: list[str], folder: Path, frames: int = FRAMES) -> Path:
     """Play a shipped scenario in this process."""
     path, loaded = scenario.load(name, settings)

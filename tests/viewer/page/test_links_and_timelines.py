@@ -33,6 +33,18 @@ def links(page: WatchedPage, frame: int) -> dict[str, str]:
     return {link["agent"]: link["state"] for link in page.run("viewer.marks(0)")["links"]["links"]}
 
 
+def test_a_run_without_a_command_centre_has_no_links_to_one(
+    run_of_peers: Path, tmp_path: Path, open_page: OpenPage
+) -> None:
+    (tmp_path / "page.html").write_bytes(viewer_page([run_of_peers], 1))
+    page = open_page(tmp_path / "page.html")
+    assert links(page, 1) == {}
+    assert "command centre" not in page.page.locator(".v-legend").inner_text()
+    page.page.get_by_text("layers").click()
+    assert page.page.get_by_label("sensor ranges").count() == 1
+    assert page.page.get_by_label("links to the command centre").count() == 0
+
+
 def test_a_partition_cuts_the_links_of_its_agents(both: Path, open_page: OpenPage) -> None:
     page = open_page(both)
     page.run("viewer.state.showPanels(1)")

@@ -107,7 +107,8 @@ export class Controls {
       state.set({ swipe: !state.swipe });
     };
     this.swipe = element("button", { type: "button", title: "compare two panels by swiping (w)", onclick: onswipe }, "swipe");
-    const layers = Object.entries(LAYERS).map(([name, [label]]) => {
+    const possible = Object.entries(LAYERS).filter(([name]) => name !== "links" || state.runs.some((run) => run.header.centre));
+    const layers = possible.map(([name, [label]]) => {
       const box = element("input", { type: "checkbox", checked: state.layers[name] });
       box.addEventListener("change", () => state.set({ layers: { ...state.layers, [name]: box.checked } }));
       return element("label", { "data-layer": name }, box, ` ${label}`);
@@ -255,7 +256,7 @@ export function legendOf(palette, runs) {
     );
   }
   const spans = runs.flatMap((run) => run.spans);
-  if (runs.some((run) => run.agents.length)) signs.push(key("link to the command centre", `<path d="M1 7H21" stroke="${palette.faint}" stroke-width="1.4"/>`));
+  if (runs.some((run) => run.header.centre && run.agents.length)) signs.push(key("link to the command centre", `<path d="M1 7H21" stroke="${palette.faint}" stroke-width="1.4"/>`));
   if (spans.some((span) => span.cut?.length)) {
     signs.push(key("cut by a partition", `<path d="M0 7H7M15 7H22" stroke="${palette.fault}" stroke-width="2" stroke-dasharray="4 2"/>` +
       `<path d="M8 2V12M14 2V12" stroke="${palette.fault}" stroke-width="2"/>`));

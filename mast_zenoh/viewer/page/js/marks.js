@@ -159,13 +159,14 @@ const BESIDE_M = 14;
  */
 
 /**
- * The links in a frame.
+ * The links in a frame; none in a run without a command centre.
  * @param {import("./run.js").Run} run
  * @param {number} frame
  * @param {AgentMark[]} agents
  * @returns {LinkMarks}
  */
 export function linkMarks(run, frame, agents) {
+  if (!run.header.centre) return { x: 0, y: 0, links: [] };
   const time = run.times[frame];
   const present = run.spans.filter((span) => span.from_s <= time + 1e-6 && time + 1e-6 < span.until_s);
   const impaired = new Set(present.flatMap((span) => span.impaired ?? []));
