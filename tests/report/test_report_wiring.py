@@ -55,6 +55,33 @@ def test_nodes_do_not_overlap(agents: int, chain: int, message: str) -> None:
         assert abs(ax - bx) >= WIDE or abs(ay - by) >= HIGH
 
 
+@pytest.mark.parametrize("agents", [2, 7, 20])
+def test_peers_stand_beside_their_agents_and_send_to_one_node_for_all_others(agents: int) -> None:
+    names = [f"car_{k}" for k in range(agents)]
+    roles = {"simulator": "simulator", "liar": "adversary"} | dict.fromkeys(names, "agent")
+    wires = []
+    for name in names:
+        roles[f"peer_{name}"] = "peer"
+        wires.append(a_wire(f"agent/{name}/detections", "detections", "simulator", [name]))
+        wires.append(a_wire(f"agent/{name}/tracks", "tracks", name, [f"peer_{name}"]))
+        wires.append(a_wire(f"agent/{name}/picture", "picture", f"peer_{name}", [name]))
+        others = [f"peer_{other}" for other in names if other != name]
+        liars = ("liar",) if name == "car_1" else ()
+        wires.append(a_wire(f"agent/{name}/broadcast", "tracks", f"peer_{name}", others, liars))
+    for wire in wires:
+        wire["subject"] = wire["key"].split("/")[1]
+    plan = layout(a_run(wires, roles))
+    assert plan is not None
+    for (ax, ay), (bx, by) in itertools.combinations(plan.places.values(), 2):
+        assert abs(ax - bx) >= WIDE or abs(ay - by) >= HIGH
+    for name in names:
+        (x, y), (beside, level) = plan.places[Spot(name)], plan.places[Spot(f"peer_{name}")]
+        assert (beside > x, level) == (True, y)
+    hearing = Spot("all other peers") if agents > 2 else Spot("peer_car_0")
+    assert "liar" in {source.node for source, target in plan.lines if target == hearing}
+    assert len([pair for pair in plan.lines if "peer" in pair[0].node]) == 2 * agents
+
+
 def test_nodes_on_a_wire_are_between_its_ends_in_order() -> None:
     plan = layout(mesh(3, 2, "tracks"))
     assert plan is not None

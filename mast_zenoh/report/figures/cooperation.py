@@ -21,6 +21,8 @@ _PANELS = (
 )
 #: Factor by which the points of neighbouring architectures are moved apart, so that bars do not overlap.
 _APART = 1.035
+#: Factor between the outermost numbers of agents and the ends of their axis.
+_BESIDE = 1.2
 
 
 def figure_of_cooperation(table: CooperationTable) -> RenderedFigure:
@@ -35,15 +37,16 @@ def figure_of_cooperation(table: CooperationTable) -> RenderedFigure:
         axes.set_xticks(agents, labels=[str(each) for each in agents], minor=False)
         axes.xaxis.set_minor_formatter(NullFormatter())
         axes.tick_params(axis="x", which="minor", length=0)
+        axes.set_xlim(agents[0] / _BESIDE, agents[-1] * _BESIDE)
         for index, architecture in enumerate(architectures):
             rows = [row for row in table.rows if row.architecture == architecture]
             _curve(axes, rows, name, factor, index, _APART ** (index - (len(architectures) - 1) / 2.0))
-        if name == "kb_per_s":
+        bottom, top = axes.get_ylim()
+        if name == "kb_per_s" and bottom > 0.0 and top > 10.0 * bottom:
             axes.set_yscale("log")
             axes.yaxis.set_major_formatter(ScalarFormatter())
             axes.yaxis.set_minor_formatter(NullFormatter())
         else:
-            bottom, top = axes.get_ylim()
             axes.set_ylim(min(0.0, bottom), 1.05 * top)
         axes.set_ylabel(label, fontsize=9.5, color=INK)
     for axes in panels[2:]:

@@ -9,7 +9,7 @@ from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 from matplotlib.path import Path as Curve
 
 from mast_zenoh.report.figures.style import Figure, plain
-from mast_zenoh.report.tables.wiring import FLOW, GAP, HIGH, ROW, WIDE, Layout, Spot, layout, live_frames
+from mast_zenoh.report.tables.wiring import GAP, HIGH, ROW, WIDE, Layout, Spot, column_of, layout, live_frames
 from mast_zenoh.viewer.palette import ADVERSARY_ON_LIGHT, FAINT, FAULT_ON_LIGHT, INK, LOCAL, RUN_COLOURS
 from mast_zenoh.viewer.run import RunRecord
 
@@ -48,12 +48,14 @@ def _route(run: RunRecord, plan: Layout, source: Spot, target: Spot) -> Curve:
         offset = 0.3 if ay < by else -0.3
         lift = HIGH / 2 if ay < by else -HIGH / 2
         return Curve([(ax + offset, ay + lift), (bx + offset, by - lift)])
+    if bx < ax and ay == by:  # back to its own agent
+        return Curve([(ax - _HALF, ay + 0.09), (bx + _HALF, by + 0.09)])
     if bx <= ax:  # back: down, along under everything, and up next to the target
         rise = bx + _HALF + 0.24
         points = [(ax, ay + HIGH / 2), (ax, plan.floor), (rise, plan.floor), (rise, by + 0.09), (bx + _HALF, by + 0.09)]
         return Curve(points)
     start, end = ax + _HALF, bx - _HALF
-    fans_out = run.role(source.node) in FLOW and run.role(source.node) != "agent"
+    fans_out = column_of(run, source.node) is not None and run.role(source.node) not in ("agent", "peer")
     bend = min(GAP, end - start) - 0.14  # leaves a level end for the arrowhead
     low, high = (start, start + bend) if fans_out else (end - 0.14 - bend, end - 0.14)
     middle = (low + high) / 2
@@ -67,7 +69,7 @@ def _is_attacker(run: RunRecord, node: str) -> bool:
 
 def _is_above_flow(run: RunRecord, plan: Layout, spot: Spot) -> bool:
     """Whether a node is drawn above the flow."""
-    return run.role(spot.node) not in FLOW and plan.places[spot][1] <= -1.2 * ROW
+    return column_of(run, spot.node) is None and plan.places[spot][1] <= -1.2 * ROW
 
 
 def _draw_line(axes: Axes, route: Curve, colour: str, width: float) -> None:
@@ -106,7 +108,7 @@ def _draw_node(axes: Axes, run: RunRecord, node: str, x: float, y: float, when: 
 
 def _name_lines(axes: Axes, run: RunRecord, plan: Layout) -> None:
     """Label lines once per gap between columns, and lines back and above the flow."""
-    columns = sorted({x for spot, (x, _) in plan.places.items() if run.role(spot.node) in FLOW})
+    columns = sorted({x for spot, (x, _) in plan.places.items() if column_of(run, spot.node) is not None})
     labels: dict[tuple[float, float, str, str], list[str]] = {}
     for (source, target), line in plan.lines.items():
         (ax, ay), (bx, by) = plan.places[source], plan.places[target]

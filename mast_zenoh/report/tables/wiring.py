@@ -10,8 +10,10 @@ from typing import Any, NamedTuple
 from mast_zenoh.viewer.interposers import interposers
 from mast_zenoh.viewer.run import RunRecord
 
-#: Roles along the flow of a frame, left to right; the agents stand one above the other.
-FLOW = ("simulator", "agent", "broker", "command_center")
+#: The receivers of what a peer sends to all others, drawn as one node.
+_OTHER_PEERS = "all other peers"
+#: Columns of roles along the flow of a frame, left to right; the agents stand one above the other, their peers beside.
+_COLUMNS = {"simulator": 0, "agent": 1, "center": 2, "peer": 2, "broker": 3, "command_center": 4, _OTHER_PEERS: 4}
 #: Listen-only roles, and messages for all nodes or for listeners only: in the table but not in the diagram.
 _LISTENERS = ("evaluator", "recorder", "visualizer")
 _UNDRAWN = ("clock", "truth", "attack_report")
@@ -115,6 +117,11 @@ def live_frames(run: RunRecord) -> dict[str, str]:
     }
 
 
+def column_of(run: RunRecord, node: str) -> int | None:
+    """The column in which a node is drawn; None: it is outside the flow of a frame."""
+    return _COLUMNS.get(node, _COLUMNS.get(run.role(node)))
+
+
 class Spot(NamedTuple):
     """A node in the diagram; an interposer of two wires may have two spots.
 
@@ -158,7 +165,7 @@ def layout(run: RunRecord) -> Layout | None:
     Interposers are placed between the ends of their wire, half a row above its agent. Nodes outside the flow (a
     coordinator) are placed above their neighbours.
     """
-    wires = [wire for wire in all_wires(run) if wire.get("message") not in _UNDRAWN]
+    wires = [_grouped(run, wire) for wire in all_wires(run) if wire.get("message") not in _UNDRAWN]
     lines = _lines(run, wires)
     spots = sorted({spot for pair in lines for spot in pair})
     if not spots:
@@ -166,6 +173,9 @@ def layout(run: RunRecord) -> Layout | None:
     agents = sorted({s.node for s in spots if run.role(s.node) == "agent"}, key=lambda n: (n != run.ego, _natural(n)))
     row = {agent: float(index) for index, agent in enumerate(agents)}
     middle = max(len(agents) - 1, 0) / 2
+    for wire in wires:
+        if run.role(wire["publisher"]) == "peer" and wire.get("subject") in row:
+            row[wire["publisher"]] = row[wire["subject"]]
 
     wire_positions: dict[Spot, tuple[int, float]] = {}  # of interposers: position in the chain, row
     slots_after: dict[int, int] = defaultdict(int)
@@ -176,22 +186,23 @@ def layout(run: RunRecord) -> Layout | None:
             row_of_wire = next((row[end] for end in (before, *ends) if end in row), middle)
             wire_positions.setdefault(Spot(node, after), (order, row_of_wire - 0.5))
             slots_after[after] = max(slots_after[after], order + 1)
+    used = {column_of(run, spot.node) for spot in spots}
     column_x = [0.0]
-    for index in range(len(FLOW)):
-        column_x.append(column_x[-1] + (WIDE + GAP) * (1 + slots_after[index]))
+    for index in range(max(_COLUMNS.values()) + 1):
+        column_x.append(column_x[-1] + (WIDE + GAP) * ((index in used) + slots_after[index]))
 
     places: dict[Spot, tuple[float, float]] = {}
-    stacked: dict[str, int] = defaultdict(int)
+    stacked: dict[int, int] = defaultdict(int)
     for spot in spots:
-        role = run.role(spot.node)
+        column = column_of(run, spot.node)
         if spot in wire_positions:
             order, level = wire_positions[spot]
             places[spot] = column_x[spot.after] + (WIDE + GAP) * (order + 1), level * ROW
-        elif spot.node in row:
-            places[spot] = column_x[1], row[spot.node] * ROW
-        elif role in FLOW:
-            places[spot] = column_x[FLOW.index(role)], (middle + stacked[role]) * ROW
-            stacked[role] += 1
+        elif column is not None and spot.node in row:
+            places[spot] = column_x[column], row[spot.node] * ROW
+        elif column is not None:
+            places[spot] = column_x[column], (middle + stacked[column]) * ROW
+            stacked[column] += 1
     above = min((y for _, y in places.values()), default=0.0) - 1.4 * ROW
     for index, spot in enumerate([spot for spot in spots if spot not in places]):
         near = [
@@ -220,15 +231,27 @@ def _orders(wire: Mapping[str, Any]) -> dict[str, tuple[int, str]]:
 
 def _gap(run: RunRecord, wire: Mapping[str, Any]) -> int:
     """The column to the left of a wire's interposers."""
-    ends = [run.role(end) for end in (wire["publisher"], *wire["subscribers"][:1])]
-    return min((FLOW.index(role) for role in ends if role in FLOW), default=len(FLOW) - 1)
+    columns = [column_of(run, end) for end in (wire["publisher"], *wire["subscribers"][:1])]
+    return min((column for column in columns if column is not None), default=max(_COLUMNS.values()))
+
+
+def _grouped(run: RunRecord, wire: dict[str, Any]) -> dict[str, Any]:
+    """A wire with one node in place of all peers that hear it; one that an interposer serves alone stays."""
+    if sum(run.role(node) == "peer" for node in wire.get("subscribers", ())) < 2:
+        return wire
+
+    def grouped(nodes: Sequence[str]) -> list[str]:
+        return list(dict.fromkeys(_OTHER_PEERS if run.role(node) == "peer" else node for node in nodes))
+
+    legs = [leg if leg.get("before") else {**leg, "to": grouped(leg["to"])} for leg in wire.get("legs", ())]
+    return {**wire, "subscribers": grouped(wire["subscribers"]), "legs": legs}
 
 
 def _lines(run: RunRecord, wires: Sequence[Mapping[str, Any]]) -> dict[tuple[Spot, Spot], Line]:
     columns_by_node: dict[str, int] = {}
     for wire in wires:
         for node in wire.get("interposers", ()):
-            columns_by_node[node] = min(columns_by_node.get(node, len(FLOW)), _gap(run, wire))
+            columns_by_node[node] = min(columns_by_node.get(node, len(_COLUMNS)), _gap(run, wire))
     lines: dict[tuple[Spot, Spot], Line] = defaultdict(Line)
     for wire in wires:
         chain = wire.get("interposers", ())
