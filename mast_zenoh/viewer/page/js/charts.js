@@ -91,9 +91,10 @@ export class Charts {
     const rows = measures.map(([label, measure, unit, least]) => ({ label, unit, least, lines: this.lines(palette, measure) }));
     const judged = state.runs[state.panels[0].run];
     if (judged.header.judged) {
+      const colours = palette.agents;
       const lines = judged.agents.map((agent, index) => ({
-        values: judged.trust(index), times: judged.times, colour: palette.agents[index % palette.agents.length],
-        dash: DASHES[index % DASHES.length], name: agent.name, scored: [0, -1],
+        values: judged.trust(index), times: judged.times, colour: colours[index % colours.length],
+        dash: DASHES[(index + Math.floor(index / colours.length)) % DASHES.length], name: agent.name, scored: [0, -1],
       }));
       rows.push({ label: "trust", unit: "", least: 1, lines });
     }
