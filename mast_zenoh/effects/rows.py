@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.matching import min_cost_matching
 from mast_zenoh.arrays.states import Bools, Floats, Ints, within_runs
-from mast_zenoh.messages.schemas import BUILT_IN, SCHEMAS, Body, Header, Schema
+from mast_zenoh.messages.schemas import SCHEMAS, Body, Header, Schema
 from mast_zenoh.metrics.boxes import find
 from mast_zenoh.metrics.manipulations import ALTERED, INSERTED, MOVED, REMOVED
 
@@ -31,9 +31,13 @@ _APPEARANCE, _CONFIRMING = ("class_id", "size"), ("score", "covariance")
 
 
 class _Columns(NamedTuple):
-    """The columns of a message type: columns with a row for each object, and others."""
+    """The columns of a message type: columns with a row for each object, and others.
+
+    wide: those of the others that have a row for each object, of a size that may differ between messages
+    """
 
     rows: tuple[str, ...]
+    wide: tuple[str, ...]
     others: tuple[str, ...]
 
 
@@ -51,16 +55,15 @@ def _columns(schema: Schema) -> _Columns:
     names = tuple(column.name for column in schema.columns)
     usual = all((c.dtype, c.shape) == _OF_OBJECTS.get(c.name, (c.dtype, c.shape)) for c in schema.columns)
     if "position" not in names or not usual:
-        return _Columns((), names)
-    # Our types' other letters (agents) are constant in a run, but may differ between messages of a user's type.
+        return _Columns((), (), names)
+    # Other letters, such as the number of agents, may differ between messages.
     rows = tuple(
         column.name
         for column in schema.columns
-        if column.shape[0] == "n"
-        and column.dtype != "str"
-        and (schema.name in BUILT_IN or all(isinstance(size, int) for size in column.shape[1:]))
+        if column.shape[0] == "n" and column.dtype != "str" and all(isinstance(size, int) for size in column.shape[1:])
     )
-    return _Columns(rows, tuple(name for name in names if name not in rows))
+    wide = tuple(column.name for column in schema.columns if column.shape[:1] == ("n",) and column.name not in rows)
+    return _Columns(rows, wide, tuple(name for name in names if name not in rows))
 
 
 class Rows(NamedTuple):
@@ -286,14 +289,20 @@ def changed_objects(
     the rows does not matter. If the frame of reference of a message was changed, all its objects count.
     """
     bodies = [item.before for item in messages], [item.after for item in messages]
-    names, message_columns = _columns(SCHEMAS[message])
+    names, wide, message_columns = _columns(SCHEMAS[message])
     others = tuple(
-        tuple(name for name in message_columns if not _equal(a[name], b[name])) for a, b in zip(*bodies, strict=True)
+        tuple(
+            name
+            for name in message_columns
+            if not _equal(a[name], b[name]) and (name not in wide or len(a[name]) == len(b[name]))
+        )
+        for a, b in zip(*bodies, strict=True)
     )
     sides, rows, effect, columns = _compared(*bodies, names)
     of_before, of_after = (np.append(side.message, -1) for side in sides)
     message_row = np.where(rows[0] >= 0, of_before[rows[0]], of_after[rows[1]])
-    reframed = np.array([any(name in pair for name in other for pair in _REFERENCES) for other in others], bool)
+    stated = {name for pair in _REFERENCES if _has(bodies[0][0], pair) for name in pair}
+    reframed = np.array([not stated.isdisjoint(other) for other in others], bool)
     chosen = ((effect != UNCHANGED) | reframed[message_row]).nonzero()[0]
     rows, effect, columns, message_row = rows[:, chosen], effect[chosen], columns[chosen], message_row[chosen]
     positions, velocity = np.full((2, len(chosen), 3), np.nan), np.full((len(chosen), 3), np.nan)

@@ -84,7 +84,7 @@ class FairInput(InputLimit):
     launcher assigns, so that one attacker is one agent.
 
     An agent that exceeds its share does not get all of it, but as many rows as it had when it last kept within it, and
-    room for new ones; at least `rows / a`. So a flood costs about what its agent did before.
+    room for new ones; at least `rows / a`. So a flood costs about what its agent did before; the others share the rest.
 
     Within such an agent, only its own rows count. First come objects that were kept before, the oldest first; then new
     ones, by score. A part is reserved for new ones, so that a person who steps into the street is seen. What was kept
@@ -121,12 +121,14 @@ class FairInput(InputLimit):
         usual = {name: len(ids) for name, (ids, _, _) in objects.items() if len(ids)}
         counts = {name: count + objects[name].beyond for name, count in usual.items()}
         if sum(counts.values()) > self.rows:
-            shares = fair_shares(counts, self.rows)
-            for name, share in shares.items():
-                if share < counts[name]:
-                    count = min(share, max(self.rows // len(shares), self._with_reserve(self._usual.get(name, 0))))
-                    if count < usual.pop(name):
-                        selected[name] = self._best(self._since.get(name, {}), objects[name], count)
+            exceeding = {name for name, share in fair_shares(counts, self.rows).items() if share < counts[name]}
+            for name in exceeding:
+                most = max(self.rows // len(counts), self._with_reserve(self._usual.get(name, 0)))
+                counts[name] = min(counts[name], most)
+            for name, share in fair_shares(counts, self.rows).items():  # what these do not get is for the others
+                if share < usual[name]:
+                    selected[name] = self._best(self._since.get(name, {}), objects[name], share)
+            usual = {name: count for name, count in usual.items() if name not in exceeding}
         self._usual |= usual
         self._remember({name: own.ids[selected.get(name, slice(None))] for name, own in objects.items()})
         return selected

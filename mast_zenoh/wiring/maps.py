@@ -128,7 +128,8 @@ def resolve(
 
     Raises WiringError, naming the file and the entry, for unknown keys, roles, nodes, ports or messages, invalid key
     expressions, a wire with several publishers, a node twice on one wire, a rewrite that matches no wire, or is for a
-    role that does not subscribe to the wire, a node that would receive its own messages, and an entry without any node.
+    role that does not subscribe to the wire, a node that would receive its own messages, a port that would publish two
+    wires of one subject, and an entry without any node.
     """
     for name in nodes:
         if not _CHUNK.fullmatch(name):
@@ -172,7 +173,21 @@ def resolve(
         template = _template_of(entry["wire"], templates, place)
         for key in templates[template] if entry["wire"] == template else [entry["wire"]]:
             wires[key] = replace(wires[key], codec=_codec(entry["codec"], wires[key].message, place))
-    return Wiring(tuple(wires.values()), _overhearers(nodes))
+    wiring = Wiring(tuple(wires.values()), _overhearers(nodes))
+    _check_outputs(wiring)
+    return wiring
+
+
+def _check_outputs(wiring: Wiring) -> None:
+    """Raise WiringError for a port that would publish two wires of one subject: its node could not tell them apart."""
+    keys: dict[tuple[str, str, str], str] = {}
+    for wire, leg in wiring.legs():
+        node, port = leg.publisher.node, leg.publisher.port
+        other = keys.setdefault((node, port, wire.subject), leg.key)
+        if other != leg.key:
+            raise WiringError(
+                f"{node}.{port} would publish on {other!r} and on {leg.key!r}: expected a port for each, or two nodes"
+            )
 
 
 def _instances(

@@ -10,7 +10,7 @@ import pytest
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.effects.passages import KNOWN_FRAMES, REMEMBERED, Interval, PassageMeter
 from mast_zenoh.messages import codec
-from mast_zenoh.messages.schemas import Header
+from mast_zenoh.messages.schemas import Header, text
 from mast_zenoh.wiring.model import Input, Passage
 from mast_zenoh.wiring.received import Overheard
 
@@ -145,3 +145,34 @@ def test_a_changed_time_withholds_nothing_if_the_receiver_uses_the_frame() -> No
     metered.close(100)
     assert effects(metered) == {"restamped": 1}
     assert changed(metered) == 0
+
+
+def relayed(frame: int, agents: list[str], origin: list[list[int]], ids: tuple[int, ...] = (1, 2)) -> Overheard:
+    """A relayed picture of objects that stand 20 m apart, with their origins among agents."""
+    position = np.array([[20.0 * id_, 0.0, 0.0] for id_ in ids])
+    columns = ObjectStates.of(position, id=np.array(ids)).columns()
+    body = columns | {"agents": text(agents), "origin": np.array(origin, np.uint8).reshape(len(ids), len(agents))}
+    message = codec.conform(Header("relayed", "a", frame, frame * PERIOD_NS, frame), body)
+    return Overheard("key", Input("everything", "a", "relayed", "a"), message, frame)
+
+
+@pytest.mark.parametrize("agents", [["a", "b"], ["a", "b", "nobody"], ["z"]])
+def test_forged_origins_change_messages_and_no_object(agents: list[str]) -> None:
+    metered = meter("relayed")
+    for frame in range(3):
+        heard = ["a", "b"][: frame + 1]
+        metered.take_received(relayed(frame, heard, [[1] * len(heard)] * 2))
+        metered.take_sent(relayed(frame, agents, [[0] * len(agents)] * 2))
+    metered.close(100)
+    assert effects(metered) == {"reframed": 3}
+    assert {each.columns for each in metered.effects.messages} <= {("origin",), ("agents", "origin")}
+    assert changed(metered) == 0
+
+
+def test_a_hidden_object_of_a_relayed_picture_is_removed_whatever_its_origins() -> None:
+    metered = meter("relayed")
+    metered.take_received(relayed(0, ["a", "b"], [[1, 0], [1, 1]]))
+    metered.take_sent(relayed(0, ["a", "b"], [[1, 0]], ids=(1,)))
+    metered.close(100)
+    assert effects(metered) == {}
+    assert [changes.id.tolist() for changes in metered.effects.objects if len(changes.id)] == [[2]]

@@ -117,6 +117,20 @@ def test_each_further_sensor_of_an_agent_has_a_wire_for_interposers_of_its_agent
         resolve(nodes, {"insert": [{**insertion()["insert"][0], "wire": "agent/ego/detections"}]})
 
 
+def test_a_port_cannot_publish_two_wires_of_one_agent() -> None:
+    peers = {f"peer_{name}": node("peer", inputs="heard:tracks", outputs="said:tracks", agent=name) for name in "ab"}
+    liar = node("adversary", inputs="seen:tracks", outputs="told:tracks", agent="a")
+    nodes = {"simulator": SIMULATOR, "a": AGENT, "b": AGENT, "broker": BROKER, **peers, "liar": liar}
+    inserts = [
+        {"wire": f"agent/{{agent}}/{wire}", "role": "adversary", "input": "seen", "output": "told"}
+        for wire in ("broadcast", "tracks")
+    ]
+    assert resolve(nodes, broadcasts("other peer.heard"), {"insert": inserts[:1]}).passages()
+    reason = r"liar\.told would publish on 'agent/a/tracks' and on 'agent/a/broadcast': expected a port for each"
+    with pytest.raises(WiringError, match=reason):
+        resolve(nodes, broadcasts("other peer.heard"), {"insert": inserts})
+
+
 def test_an_inserted_node_subscribes_to_the_tap_and_publishes_on_the_old_key() -> None:
     nodes = {"simulator": SIMULATOR, "ego": AGENT, "infra_1": AGENT, "adversary_1": interposer(agent="infra_1")}
     wiring = resolve(nodes, insertion())
