@@ -172,7 +172,11 @@ class Peer(Node):
             self.hear("heard_awareness", received, context)
 
     def on_relayed(self, received: Received, context: Context) -> None:
-        """The picture of another agent."""
+        """The picture of another agent. Origins that are no agents would go round among peers for ever."""
+        known = {source.subject for source in context.subscriptions.values() if source.port == "relayed"}
+        if unknown := sorted(set(received.body["agents"]) - known - {self.agent}):
+            context.reject(f"implausible: relayed: agents: {len(unknown)} unknown, such as {unknown[0]!r}")
+            return
         self.hear("relayed", received, context)
 
     def on_heard_gossip(self, received: Received, context: Context) -> None:
