@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats
+from mast_zenoh.errors import MessageError
 
 #: Values of the standard for what is not known.
 UNAVAILABLE_SEMI_AXIS, UNAVAILABLE_ANGLE, UNAVAILABLE_ALTITUDE, UNAVAILABLE_CONFIDENCE = 4095, 3601, 800_001, 15
+UNAVAILABLE_LATITUDE, UNAVAILABLE_LONGITUDE = 900_000_001, 1_800_000_001
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,12 @@ class LocalPlane:
         return Position(int(np.rint(1e7 * latitude)), int(np.rint(1e7 * longitude)), int(np.rint(100.0 * altitude)))
 
     def to_point(self, position: Position) -> Floats:
-        """The point (3,) of the plane at a reference position; an unavailable altitude is that of the origin."""
+        """The point (3,) of the plane at a reference position; an unavailable altitude is that of the origin.
+
+        Raises MessageError if latitude or longitude is unavailable.
+        """
+        if position.latitude == UNAVAILABLE_LATITUDE or position.longitude == UNAVAILABLE_LONGITUDE:
+            raise MessageError("referencePosition: found an unavailable latitude or longitude, expected a place")
         north, east = self._metres_per_degree()
         altitude = self.altitude if position.altitude == UNAVAILABLE_ALTITUDE else 0.01 * position.altitude
         return np.array(

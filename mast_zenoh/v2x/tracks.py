@@ -180,7 +180,7 @@ def from_cpm(message: Cpm, plane: LocalPlane) -> tuple[ObjectStates, Ints]:
 
     Objects whose x or y is out of range are left out, as their position is unknown. Ids are object ids. The covariance
     is diagonal. A z that is absent or out of range is that of the reference position; an absent yaw is the direction of
-    the velocity.
+    the velocity. A dimension that is out of range is its least, with UNKNOWN_DIMENSION.
     """
     objects = message.objects
     if objects is None:
@@ -198,12 +198,14 @@ def from_cpm(message: Cpm, plane: LocalPlane) -> tuple[ObjectStates, Ints]:
         np.radians(_ANGLE * (objects.angles[:, 0] - 0.5)),
         np.arctan2(velocity[:, 1], velocity[:, 0]),
     )
-    sized = (objects.dimensions >= 1) & (objects.dimensions <= 254)
+    # 255 is out of range: a long vehicle, of at least that length.
+    sized = (objects.dimensions >= 1) & (objects.dimensions <= 255)
+    measured = np.where(sized & (objects.dimensions < 255), objects.dimensions_confidence, 0)
     covariance = np.zeros((n, 9, 9))
     diagonal = np.einsum("nii->ni", covariance)
     confidence = np.where(known, objects.position_confidence, 0)
     diagonal[:, :3] = _variance(confidence, _POSITION, _LARGEST_POSITION, UNKNOWN_POSITION)
-    diagonal[:, 3:6] = _variance(objects.dimensions_confidence, _DIMENSION, _LARGEST_DIMENSION, UNKNOWN_DIMENSION)
+    diagonal[:, 3:6] = _variance(measured, _DIMENSION, _LARGEST_DIMENSION, UNKNOWN_DIMENSION)
     diagonal[:, 6:] = velocity_variance
     states = ObjectStates.of(
         position,

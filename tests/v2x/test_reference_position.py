@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mast_zenoh.errors import MessageError
 from mast_zenoh.v2x.reference_position import LocalPlane, Position
 
 PLANE = LocalPlane(48.76, 11.43, 370.0)
@@ -54,3 +55,9 @@ def test_the_plane_is_within_20_centimetres_of_the_exact_one_at_a_kilometre(lati
 
 def test_an_unavailable_altitude_is_that_of_the_origin():
     assert PLANE.to_point(Position(487_600_000, 114_300_000))[2] == 0.0
+
+
+@pytest.mark.parametrize("place", [dict(latitude=900_000_001), dict(longitude=1_800_000_001)])
+def test_an_unavailable_place_is_refused(place: dict[str, int]) -> None:
+    with pytest.raises(MessageError, match="referencePosition: found an unavailable latitude or longitude"):
+        LocalPlane().to_point(Position(**{"latitude": 0, "longitude": 0} | place))

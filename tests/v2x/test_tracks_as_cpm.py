@@ -114,6 +114,15 @@ def test_what_is_out_of_range_has_the_values_of_the_standard():
     assert received.id.tolist() == [2]
 
 
+def test_a_vehicle_longer_than_can_be_said_is_read_as_long_and_as_uncertain():
+    covariance = np.eye(9)[None] * 0.01
+    tram = ObjectStates.of(np.ones((1, 3)), size=np.array([[30.0, 2.5, 3.5]]), covariance=covariance)
+    received, _ = from_cpm(sent(tram, PLANE.to_position(np.zeros(3))), PLANE)
+    np.testing.assert_allclose(received.size, [[25.45, 2.45, 3.45]])
+    widths = SIGMAS_95 * np.sqrt(received.covariance[0].diagonal()[3:6])
+    np.testing.assert_allclose(widths, [UNKNOWN_DIMENSION, 0.2, 0.2], atol=0.1)
+
+
 def test_angles_turn_counter_clockwise_from_east_and_orientations_clockwise_from_north():
     states = ObjectStates.of(np.zeros((4, 3)), yaw=np.array([0.0, np.pi / 2, -np.pi / 2, -1e-9]))
     objects = to_objects(states, np.arange(4), np.zeros(3))
@@ -180,9 +189,9 @@ def test_whatever_decodes_becomes_finite_states():
         maker = MessageMaker(random, random.choice([0.1, 0.5, 0.9]), beyond=True)
         try:
             message = cpm.decode(damaged(random, uper.encode(layout, from_plain(layout, maker.draw(layout.type)))))
+            states, _ = from_cpm(message, PLANE)
         except MessageError:
             continue
-        states, _ = from_cpm(message, PLANE)
         decoded += 1
         assert all(np.isfinite(column).all() for column in states.columns().values())
         assert (states.size > 0).all()
