@@ -74,7 +74,7 @@ class CamGeneration:
     follow at the interval after which that happened, `repeats` times, then every `most_s`.
 
     least_s, most_s: s, limits of the time between two CAMs (T_GenCamMin, T_GenCamMax)
-    heading_deg, moved_m, speed_mps: degrees, m and m/s, changes that call for a CAM
+    heading_deg, moved_m, speed_mps: changes of °, m and m/s that call for a CAM
     repeats: number of CAMs at the interval of the last change (N_GenCam)
     low_frequency_s: s, between two low-frequency containers
     tolerance_s: s, by which a frame may be early and still count as due; times of frames are rounded
