@@ -90,7 +90,8 @@ class CamGeneration:
     tolerance_s: float = 0.001
 
     def __post_init__(self) -> None:
-        check("more than 0, finite", least_s=self.least_s, most_s=self.most_s, low_frequency_s=self.low_frequency_s)
+        check("more than 0 and at most 60 s", least_s=self.least_s, most_s=self.most_s)
+        check("more than 0, finite", low_frequency_s=self.low_frequency_s)
         check("0 or more, finite", heading_deg=self.heading_deg, moved_m=self.moved_m, speed_mps=self.speed_mps)
         check("0 or more, finite", tolerance_s=self.tolerance_s)
         check("1 or more", repeats=self.repeats)

@@ -168,7 +168,8 @@ class CpmGeneration(GenerationRules):
     tolerance_s: float = 0.001
 
     def __post_init__(self) -> None:
-        check("more than 0, finite", least_s=self.least_s, most_s=self.most_s, sensors_s=self.sensors_s)
+        check("more than 0 and at most 60 s", least_s=self.least_s, most_s=self.most_s)
+        check("more than 0, finite", sensors_s=self.sensors_s)
         check("more than 0, finite", type_a_s=self.type_a_s, retention_s=self.retention_s)
         check("0 or more, finite", moved_m=self.moved_m, speed_mps=self.speed_mps, direction_deg=self.direction_deg)
         check("0 or more, finite", direction_speed_mps=self.direction_speed_mps, tolerance_s=self.tolerance_s)
