@@ -345,6 +345,15 @@ def test_a_run_without_such_messages_is_refused_and_the_error_says_how_to_get_so
     assert not out.exists()
 
 
+def test_a_wrong_folder_is_named_before_a_missing_file_name(broadcast: mast.Run, tmp_path: Path) -> None:
+    code, _, err = command("export", str(tmp_path / "nowhere"), "--to", "pcap")
+    assert code == RunFolderError.exit_code
+    assert "nowhere: no such folder" in " ".join(err.split())
+    code, _, err = command("export", str(broadcast.path), "--to", "pcap")
+    assert code == 2
+    assert "expected the new file or folder" in " ".join(err.split())
+
+
 def test_a_damaged_recording_and_a_write_error_leave_nothing_behind(
     broadcast: mast.Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
