@@ -22,6 +22,13 @@ _OWN_WORD = {
 }
 
 
+def _first(agents, count, name):
+    """So many of some agents; raises ValueError, which names the parameter, for more than there are."""
+    if not 0 <= count <= len(agents):
+        raise ValueError(f"{name}: found {count}, expected 0 to {len(agents)}: {', '.join(agents)}")
+    return agents[:count]
+
+
 def scenario(
     n_adversaries=0,
     on="sent",
@@ -69,6 +76,8 @@ def scenario(
         defence = defence or "FaultOrLie"
     elif n_slanderers:
         raise ValueError("n_slanderers: found more than 0, expected gossip=true with it")
+    if on == "awareness" and n_adversaries and not awareness:
+        raise ValueError("on: found 'awareness', expected awareness=true with it, so that vehicles say where they are")
     anchored = anchored and defence in _OWN_WORD
 
     def peer(agent=None):
@@ -84,10 +93,10 @@ def scenario(
     victims = [others] if on == "heard" and liars else liars
     lies = uncoordinated(1, attack_start_s=attack_start_s)["adversaries"]["adversary_1"]["attack"]
     if on == "awareness":
-        victims = [agent for agent in others if not agent.startswith("infra")][:n_adversaries]
+        victims = _first([agent for agent in others if not agent.startswith("infra")], n_adversaries, "n_adversaries")
         lies["selection"] |= dict(n_false_positives=0.0, fraction_false_negatives=0.0, fraction_translations=1.0)
     before = dict(peer=f"peer_{listener}") if on in ("pair", "heard") else {}
-    slanderers = [agent for agent in others if agent not in liars][:n_slanderers]
+    slanderers = _first([agent for agent in others if agent not in liars], n_slanderers, "n_slanderers")
     slander = dict(type="Slander", slandered=[listener], praised=liars, start_s=attack_start_s)
     more = (
         ["cpm_broadcasts.toml"] * (codec == "cpm")

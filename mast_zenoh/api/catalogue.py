@@ -15,12 +15,13 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, overload
 
-from mast_zenoh import attacks, fusion, integrity, links, metrics, scenes, sensing, tracking
+from mast_zenoh import attacks, fusion, integrity, links, metrics, scenes, sensing, tracking, v2x
 from mast_zenoh.config import bundle, loading, plugins, registry
 from mast_zenoh.config.scene_names import short_form
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.faults import Fault
 from mast_zenoh.faults.network import HostPartition
+from mast_zenoh.messages.packed import CODECS
 from mast_zenoh.messages.schemas import BUILT_IN, Schema
 from mast_zenoh.metrics.measures import MEASURES
 from mast_zenoh.node import Node
@@ -34,11 +35,14 @@ _SUFFIXES = {
     "bits_per_s": "bit/s",
     "_mps2": "m/s²",
     "_mps": "m/s",
+    "_mbps": "Mbit/s",
+    "_dbm": "dBm",
     "_deg": "°",
     "_rad": "rad",
     "_hz": "Hz",
     "_ms": "ms",
     "_mb": "MB",
+    "_db": "dB",
     "_s": "s",
     "_m": "m",
 }
@@ -202,11 +206,22 @@ _BASES: Mapping[str, Mapping[str, type]] = {
         "optional metrics, listed in evaluator=dict(metrics=[…])": metrics.Metric,
         "assigners: match tracks to true objects": metrics.Assigner,
     },
+    "rules": {"generation rules: when a peer sends which objects": v2x.GenerationRules},
+    "redundancy": {"redundancy rules: leave out what others have reported": v2x.RedundancyRule},
+    "congestion": {"congestion control: how often a peer may send": v2x.CongestionControl},
+    "channel": {
+        "radio: which transmissions arrive": v2x.RadioChannel,
+        "timing: how long transmissions are on the air": v2x.OfdmTiming,
+    },
+    "awareness": {
+        "when the peer of a vehicle says where the vehicle is": v2x.CamGeneration,
+        "what a vehicle knows of itself": v2x.Vehicle,
+    },
 }
 #: Kinds that are files, by the name of the function that each file defines.
 _FILES = {"scenarios": "scenario", "studies": "study"}
 
-KINDS = (*_BASES, "messages", *_FILES)
+KINDS = (*_BASES, "codecs", "messages", *_FILES)
 
 _WIDTH = 80  # of the text of an entry
 _MAX_ASSIGNMENT = 34  # of a parameter with its default, beside its meaning
@@ -311,7 +326,8 @@ def list_kind(kind: str) -> Listing:
 
     Entries have parameters with defaults and units.
 
-    kind: attacks, trackers, fusion, defences, scenes, links, faults, metrics, messages, scenarios or studies
+    kind: attacks, trackers, fusion, defences, scenes, links, faults, metrics, rules, redundancy, congestion, channel,
+        awareness, codecs, messages, scenarios or studies
 
     Raises ConfigurationError for any other.
     """
@@ -321,6 +337,9 @@ def list_kind(kind: str) -> Listing:
         return Listing(kind, list(_files(kind, _FILES[kind])))
     if kind == "messages":
         return Listing(kind, list(_messages()))
+    if kind == "codecs":
+        group = "codecs of wires, named in a [[codec]] of a key-expression map"
+        return Listing(kind, [Entry(name, group, codec.meaning) for name, codec in CODECS.items()])
     plugins.load()
     entries = list(_special(kind))
     for group, base in _BASES[kind].items():

@@ -27,6 +27,13 @@ BASE_CLASSES: dict[str, tuple[str, ...]] = {
     "metric": ("mast_zenoh.metrics.FrameMetric", "mast_zenoh.metrics.RunMetric", "mast_zenoh.metrics.Assigner"),
     "link rule": ("mast_zenoh.links.Rule",),
     "fault": ("mast_zenoh.faults.Fault",),
+    "rule of the radio": (
+        "mast_zenoh.v2x.GenerationRules",
+        "mast_zenoh.v2x.RedundancyRule",
+        "mast_zenoh.v2x.CongestionControl",
+        "mast_zenoh.v2x.CamGeneration",
+        "mast_zenoh.v2x.RadioChannel",
+    ),
     "check": ("mast_zenoh.checks.RunCheck",),
     "report figure": ("mast_zenoh.report.RunFigure",),
     "deployment engine": ("mast_zenoh.launch.engine.Engine",),

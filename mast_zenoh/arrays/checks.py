@@ -10,6 +10,8 @@ from typing import Any
 EXPECTED: dict[str, Callable[[Any], bool]] = {
     "more than 0": lambda value: value > 0.0,
     "more than 0, finite": lambda value: 0.0 < value < inf,
+    "more than 0 and at most 60 s": lambda value: 0.0 < value <= 60.0,
+    "0 to 60 s": lambda value: 0.0 <= value <= 60.0,
     "more than 0 and at most 1000": lambda value: 0.0 < value <= 1e3,
     "more than 0 and less than 1": lambda value: 0.0 < value < 1.0,
     "more than 0 and at most 1": lambda value: 0.0 < value <= 1.0,

@@ -22,8 +22,8 @@ _WORD = re.compile(r"[\w@.-]+")
 _RUN = "run.json"  # of every run folder
 #: What `mast list` lists; a test compares it with `api.catalogue`, which is slow to load.
 KINDS = (
-    *("attacks", "trackers", "fusion", "defences", "scenes", "links", "faults", "metrics", "messages"),
-    *("scenarios", "studies"),
+    *("attacks", "trackers", "fusion", "defences", "scenes", "links", "faults", "metrics"),
+    *("rules", "redundancy", "congestion", "channel", "awareness", "codecs", "messages", "scenarios", "studies"),
 )
 
 Completer = Callable[[Any, list[str], str], list[str]]

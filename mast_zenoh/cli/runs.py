@@ -87,12 +87,18 @@ def report(
 def export(
     run_folder: FinishedRun,
     to: Annotated[FormatName, typer.Option(help="The format, see docs/exports.md.")],
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="PATH", help="The new file or folder.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="PATH", help="The new file or folder. Required.")
+    ] = None,
 ) -> None:
     """Write a finished run in another format."""
     from mast_zenoh.viewer import export as formats
+    from mast_zenoh.viewer.recorded import RecordedRun
 
     with reading(run_folder):
+        if out is None:
+            RecordedRun.load(run_folder)  # a wrong folder is named first
+            raise typer.BadParameter("missing: expected the new file or folder", param_hint="--out / -o")
         exported = formats.export(run_folder, to, out)
     for path in exported.paths:
         _out.plain(f"exported: {path}")

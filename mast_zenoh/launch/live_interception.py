@@ -326,6 +326,10 @@ def _own_wires(cls: type[Node], name: str, resolved: Resolved) -> list[Wire]:
 
 def _running(run: Path, allowed: AllowedCode) -> dict[str, Any]:
     """Read run.json of a run; raises NotRunning unless it is running on a mesh."""
+    if not run.is_dir():
+        raise NotRunning(f"{run}: no such folder: the run is not up yet, or its folder is another one")
+    if not (run / "run.json").exists():
+        raise NotRunning(f"{run}: found no run.json: the run is not up yet, or this is not the folder of a run")
     record: dict[str, Any] = liveness.current_record(read_json(run / "run.json"))
     if record.get("status") != "running":
         raise NotRunning(f"{run}: the run is over: {record.get('status')}")

@@ -285,7 +285,7 @@ def _packed(schema: Schema, body: Any) -> Body | None:
     if not isinstance(body, dict) or len(body) != 1:
         return None
     ((codec, data),) = body.items()
-    if codec not in CODECS or schema.name not in CODECS[codec]:
+    if codec not in CODECS or schema.name not in CODECS[codec].messages:
         return None
     return unpack(codec, data)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,8 +32,25 @@ from mast_zenoh.v2x.tracks import (
     to_objects,
 )
 
-#: By name of a codec, the message types that it can carry.
-CODECS = {"cpm": ("tracks",), "cam": ("tracks",)}
+
+class Codec(NamedTuple):
+    """A format of messages.
+
+    meaning: what it is;  messages: the types that it can carry;  ports: output ports of their publishers; none: any
+    """
+
+    meaning: str
+    messages: tuple[str, ...]
+    ports: tuple[str, ...] = ()
+
+
+#: The codecs by name.
+CODECS = {
+    "cpm": Codec("Collective Perception Messages (ETSI TS 103 324): the tracks of a station", ("tracks",)),
+    "cam": Codec(
+        "Cooperative Awareness Messages (ETSI TS 103 900): one object, the sender itself", ("tracks",), ("awareness",)
+    ),
+}
 
 #: Bytes of a segment, at most: what a frame of IEEE 802.11p carries beside its headers.
 MAX_SEGMENT_BYTES = 1400

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Ints, ObjectStates, concatenate
 from mast_zenoh.fusion.input_limit import Objects
 from mast_zenoh.gather import MAX_AGE_S
@@ -61,9 +62,7 @@ class HeardTracks:
     """
 
     def __init__(self, memory_s: float = 0.0, max_age_s: float = MAX_AGE_S) -> None:
-        for name, value in (("memory_s", memory_s), ("max_age_s", max_age_s)):
-            if not 0.0 <= value < float("inf"):
-                raise ValueError(f"{name}: found {value}, expected 0 or more")
+        check("0 to 60 s", memory_s=memory_s, max_age_s=max_age_s)
         self._memory_ns, self._max_age_ns = round(memory_s * 1e9), round(max_age_s * 1e9)
         self._newest: dict[str, int] = {}  # time of the newest message of each sender, ns
         self._known = Known([], ObjectStates.empty(), *np.zeros((2, 0), np.int64))

@@ -4,6 +4,7 @@
     reading     load: calls its `scenario(...)` with the launch-time parameters, and applies dotted settings; valid keys
     nodes       the nodes of the run, and what attackers know about the scene
     timeline    links, faults and attacks over time
+    cooperation    options of peers and centres, and the maps that they need, fit each other
     resolution  resolve: prepares the scene, builds every node once, and resolves the key of every port
 
 The result is a `mast_zenoh.config.resolved.Resolved`: processes get that as JSON, never the Python file.

@@ -220,12 +220,19 @@ def _with_settings(path: Path, scenario: Mapping[str, Any], dotted: Mapping[str,
     created = []
     for key in sorted(dotted, key=_generality):
         first, _, others = key.partition(".")
-        agent, deeper, _ = others.partition(".")
-        if first == "agents" and deeper and _give_own_entry(result, agent, f"{path}: --set {key}"):
-            created.append((key, agent))
-        set_dotted(result, key, dotted[key], str(path))
+        agent, _, deeper = others.partition(".")
+        entries = [agent]
+        if first in OF_AGENTS and deeper:
+            entries, is_new = _entries_of_agent(result, first, agent, f"{path}: --set {key}")
+            created += [(key, agent)] * is_new
+        for entry in entries:
+            set_dotted(result, f"{first}.{entry}.{deeper}" if deeper else key, dotted[key], str(path))
     _check_agents(result, created, str(path))
     return result
+
+
+#: Keys of a scenario that configure agents by name or pattern, each with the entries that it has if it is left out.
+OF_AGENTS: dict[str, dict[str, Any]] = {"agents": {"*": {}}, "peers": {}}
 
 
 def _generality(key: str) -> tuple[bool, int]:
@@ -235,22 +242,27 @@ def _generality(key: str) -> tuple[bool, int]:
     """
     first, _, others = key.partition(".")
     name = others.partition(".")[0]
-    return (not set("*?[") & set(name), len(name)) if first == "agents" else (False, bool(others) - 1)
+    return (not set("*?[") & set(name), len(name)) if first in OF_AGENTS else (False, bool(others) - 1)
 
 
-def _give_own_entry(scenario: dict[str, Any], name: str, place: str) -> bool:
-    """Copy the entry that configures an agent, or all agents of a pattern; False if there is one of this name.
+def _entries_of_agent(scenario: dict[str, Any], first: str, name: str, place: str) -> tuple[list[str], bool]:
+    """The entries that a setting of an agent, or of all agents of a pattern, changes, and whether one of them is new.
 
+    first: the key of the entries, see OF_AGENTS. An agent or a pattern that a more general entry configures gets a
+    copy of that as its own entry. A pattern also changes the entries that match it.
     Raises ConfigurationError if no entry configures it.
     """
-    agents = scenario.setdefault("agents", {"*": {}})
-    if not isinstance(agents, dict) or name in agents:
-        return False
-    pattern = best_pattern(agents, name)
-    if pattern is None:
-        raise ConfigurationError(f"{place}: no {name!r} there{nearest(name, agents)}")
-    agents[name] = registry.own_copy(agents[pattern])
-    return True
+    configured = scenario.setdefault(first, dict(OF_AGENTS[first]))
+    if not isinstance(configured, dict):
+        return [name], False
+    entries = [entry for entry in configured if entry == name or best_pattern([name], entry)]
+    is_new = name not in configured and (general := best_pattern(configured, name)) is not None
+    if is_new:
+        configured[name] = registry.own_copy(configured[general])
+        entries.append(name)
+    if not entries:
+        raise ConfigurationError(f"{place}: no {name!r} there{nearest(name, configured)}")
+    return entries, is_new
 
 
 def _check_agents(scenario: Mapping[str, Any], created: Sequence[tuple[str, str]], place: str) -> None:

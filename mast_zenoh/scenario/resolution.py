@@ -20,6 +20,7 @@ from mast_zenoh.messages import user_types
 from mast_zenoh.messages.limits import LEEWAY_S, fused_rows, limits_for
 from mast_zenoh.messages.schemas import Schema
 from mast_zenoh.node import Node
+from mast_zenoh.scenario.cooperation import check_cooperation, uncovered
 from mast_zenoh.scenario.nodes import add_input_limits, nodes_of, share_faults
 from mast_zenoh.scenario.reading import (
     RUN_DEFAULTS,
@@ -80,7 +81,10 @@ def resolve(
     messages = _messages(path, nodes)
     user_types.use(messages)
     unused = {name: node.unused for name, node in zip(nodes, built_nodes, strict=True)}
-    wiring = _wiring(path, scenario, nodes, unused, rewrites(timeline.links))
+    sources = _sources(path, scenario, rewrites(timeline.links))
+    wiring = _wiring(path, nodes, unused, sources)
+    built = {name: (spec, node) for (name, spec), node in zip(nodes.items(), built_nodes, strict=True)}
+    check_cooperation(path, built, sources, wiring, recording.period_ns)
     if any(wire.message == "sweep" for wire in wiring.wires):
         recording = scenes.prepare_sweeps(recording, scene, options["seed"], options["frames"], cache_key)
         nodes[driver_of(nodes)].config["recording"] = recording
@@ -102,7 +106,7 @@ def resolve(
         network=timeline.network,
         leeway_ns=_leeway_ns(built_nodes, recording, n_frames) if _uses_shipped_simulator(nodes) else None,
         messages=messages,
-        idle=timeline.idle,
+        idle=(*timeline.idle, *uncovered(built, recording, n_frames)),
         max_rows=_max_rows(recording, options["max_rows"]),
         plugins=plugins.used_by([*registry.type_names(scenario), *registry.type_names(scene_spec)]),
         recording=recording,
@@ -184,14 +188,8 @@ def _restamps_s(node: Node, duration_s: float) -> float:
     return seconds
 
 
-def _wiring(
-    path: Path,
-    scenario: Mapping[str, Any],
-    nodes: Mapping[str, NodeSpec],
-    unused: Mapping[str, Collection[str]],
-    more: Sequence[Any],
-) -> Wiring:
-    """The wiring under the scenario's own rewrites, followed by those in `more`. unused: ports by node"""
+def _sources(path: Path, scenario: Mapping[str, Any], more: Sequence[Any]) -> list[tuple[str, Mapping[str, Any]]]:
+    """The scenario's map and its own rewrites, followed by those in `more`."""
     options = {"map": "testbed.toml", "rewrites": [], **scenario.get("keyexpr", {})}
     for key in options:
         if key not in ("map", "rewrites"):
@@ -206,6 +204,13 @@ def _wiring(
         else:
             file = bundle.find("keyexpr_maps", str(source), path.parent)
             sources.append((str(source), maps.load(file or bundle.ROOT / "keyexpr_maps" / str(source))))
+    return sources
+
+
+def _wiring(
+    path: Path, nodes: Mapping[str, NodeSpec], unused: Mapping[str, Collection[str]], sources: maps.Sources
+) -> Wiring:
+    """The wiring under a map and its rewrites. unused: ports by node"""
     node_options = {}
     for name, spec in nodes.items():
         cls = loading.node_class(Path(spec.file), spec.type)

@@ -74,7 +74,7 @@ class CamGeneration:
     follow at the interval after which that happened, `repeats` times, then every `most_s`.
 
     least_s, most_s: s, limits of the time between two CAMs (T_GenCamMin, T_GenCamMax)
-    heading_deg, moved_m, speed_mps: degrees, m and m/s, changes that call for a CAM
+    heading_deg, moved_m, speed_mps: changes of °, m and m/s that call for a CAM
     repeats: number of CAMs at the interval of the last change (N_GenCam)
     low_frequency_s: s, between two low-frequency containers
     tolerance_s: s, by which a frame may be early and still count as due; times of frames are rounded
@@ -90,7 +90,8 @@ class CamGeneration:
     tolerance_s: float = 0.001
 
     def __post_init__(self) -> None:
-        check("more than 0, finite", least_s=self.least_s, most_s=self.most_s, low_frequency_s=self.low_frequency_s)
+        check("more than 0 and at most 60 s", least_s=self.least_s, most_s=self.most_s)
+        check("more than 0, finite", low_frequency_s=self.low_frequency_s)
         check("0 or more, finite", heading_deg=self.heading_deg, moved_m=self.moved_m, speed_mps=self.speed_mps)
         check("0 or more, finite", tolerance_s=self.tolerance_s)
         check("1 or more", repeats=self.repeats)

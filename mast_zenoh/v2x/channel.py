@@ -31,7 +31,7 @@ SLOT_PROBABILITY = 2 / (BACKOFF_SLOTS + 1)
 class OfdmTiming:
     """Durations of transmissions of IEEE 802.11 at 10 MHz.
 
-    bit_rate_mbps: Mbit/s, one of BITS_PER_SYMBOL
+    bit_rate_mbps: Mbit/s, one of 3, 4.5, 6, 9, 12, 18, 24 and 27
     overhead_bytes: bytes around the message: GeoNetworking, BTP, security and MAC
     """
 
@@ -85,7 +85,7 @@ class RadioChannel:
     loss_1m_db: dB, path loss at 1 m; 47.86 in free space at 5.9 GHz
     near_exponent, far_exponent: of the path loss before and after the breakpoint
     breakpoint_m: m, distance at which the slope changes
-    fading_m: Nakagami's m, a whole number: 1 is Rayleigh fading, larger is milder
+    fading_shape: Nakagami's m, a whole number: 1 is Rayleigh fading, larger is milder
     sensitivity_dbm: power at which a transmission is decoded; -82 at 6 Mbit/s (IEEE 802.11-2020, table 17-18)
     busy_dbm: mean power from which the channel counts as busy (TS 102 687, clause 4)
     window_s: s, over which the busy ratio is measured
@@ -100,7 +100,7 @@ class RadioChannel:
     near_exponent: float = 2.1
     far_exponent: float = 3.8
     breakpoint_m: float = 100.0
-    fading_m: int = 3
+    fading_shape: int = 3
     sensitivity_dbm: float = -82.0
     busy_dbm: float = -85.0
     window_s: float = 0.1
@@ -109,8 +109,8 @@ class RadioChannel:
     def __post_init__(self) -> None:
         check("more than 0, finite", near_exponent=self.near_exponent, far_exponent=self.far_exponent)
         check("more than 0, finite", window_s=self.window_s)
-        check("1 or more", breakpoint_m=self.breakpoint_m, fading_m=self.fading_m)
-        check("a whole number", fading_m=self.fading_m)
+        check("1 or more", breakpoint_m=self.breakpoint_m, fading_shape=self.fading_shape)
+        check("a whole number", fading_shape=self.fading_shape)
         check("True or False", hidden_terminals=self.hidden_terminals)
 
     def mean_power_dbm(self, distance: Floats) -> Floats:
@@ -137,9 +137,9 @@ class RadioChannel:
         P(power >= sensitivity) for power ~ Gamma(m, mean/m): exp(-x) (1 + x + ... + x^(m-1)/(m-1)!), where
         x = m * sensitivity / mean.
         """
-        x = self.fading_m * np.exp((self.sensitivity_dbm - self.mean_power_dbm(distance)) * (np.log(10.0) / 10.0))
+        x = self.fading_shape * np.exp((self.sensitivity_dbm - self.mean_power_dbm(distance)) * (np.log(10.0) / 10.0))
         term, total = np.ones_like(x), np.ones_like(x)
-        for k in range(1, self.fading_m):
+        for k in range(1, self.fading_shape):
             term = term * x / k
             total += term
         return np.asarray(np.exp(-x) * total)

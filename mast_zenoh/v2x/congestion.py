@@ -43,7 +43,7 @@ class CongestionControl(ABC):
         self._wait_ns: Ints = np.zeros(stations, np.int64)
         self._airtime_ns: Ints = np.zeros(stations, np.int64)
         self._slot: int | None = None
-        self._begin(stations)
+        self.begin(stations)
 
     def measure(self, time_ns: int, busy_ratio: Floats) -> None:
         """Note the busy ratio (n,) measured at a time; it holds for all slots since the last measurement.
@@ -54,7 +54,7 @@ class CongestionControl(ABC):
         slot = time_ns // SLOT_NS
         first = slot if self._slot is None else max(self._slot + 1, slot - MAX_SLOTS + 1)
         for current in range(first, slot + 1):
-            self._note_slot(current, busy, time_ns)
+            self.note_slot(current, busy, time_ns)
             self._slot = current
 
     def may_send(self, time_ns: int) -> Bools:
@@ -80,11 +80,11 @@ class CongestionControl(ABC):
         """
 
     @abstractmethod
-    def _begin(self, stations: int) -> None:
+    def begin(self, stations: int) -> None:
         """Begin with n stations."""
 
     @abstractmethod
-    def _note_slot(self, slot: int, busy: Floats, time_ns: int) -> None:
+    def note_slot(self, slot: int, busy: Floats, time_ns: int) -> None:
         """Note the busy ratio (n,) of one slot."""
 
 
@@ -97,10 +97,10 @@ class NoCongestionControl(CongestionControl):
     def interval_ns(self, airtime_ns: Ints) -> Ints:
         return np.zeros(len(self._sent_ns), np.int64)
 
-    def _begin(self, stations: int) -> None:
+    def begin(self, stations: int) -> None:
         pass
 
-    def _note_slot(self, slot: int, busy: Floats, time_ns: int) -> None:
+    def note_slot(self, slot: int, busy: Floats, time_ns: int) -> None:
         pass
 
 
@@ -143,11 +143,11 @@ class ReactiveDcc(CongestionControl):
     def interval_ns(self, airtime_ns: Ints) -> Ints:
         return np.asarray(self._intervals_ns[self._state])
 
-    def _begin(self, stations: int) -> None:
+    def begin(self, stations: int) -> None:
         self._busy = np.zeros((max(self._rise, self._fall), stations))  # the newest slot first
         self._state = np.zeros(stations, np.int64)
 
-    def _note_slot(self, slot: int, busy: Floats, time_ns: int) -> None:
+    def note_slot(self, slot: int, busy: Floats, time_ns: int) -> None:
         self._busy = np.vstack([busy, self._busy[:-1]])
         at_least, at_most = self._busy[: self._rise].min(axis=0), self._busy[: self._fall].max(axis=0)
         rise_to, fall_to = (np.searchsorted(self._bounds, busy, side="right") for busy in (at_least, at_most))
@@ -201,12 +201,12 @@ class AdaptiveDcc(CongestionControl):
     def interval_ns(self, airtime_ns: Ints) -> Ints:
         return np.asarray(np.clip(airtime_ns / self._delta, MIN_INTERVAL_NS, MAX_INTERVAL_NS), np.int64)
 
-    def _begin(self, stations: int) -> None:
+    def begin(self, stations: int) -> None:
         self._delta = np.full(stations, (self.least + self.most) / 2.0)
         self._mean = np.zeros(stations)
         self._newest = np.zeros((self.period_slots, stations))
 
-    def _note_slot(self, slot: int, busy: Floats, time_ns: int) -> None:
+    def note_slot(self, slot: int, busy: Floats, time_ns: int) -> None:
         self._newest = np.vstack([busy, self._newest[:-1]])
         if slot % self.period_slots:
             return

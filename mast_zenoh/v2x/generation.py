@@ -6,7 +6,7 @@ After ETSI TS 103 324 v2.1.1, clause 6.1. A station has its own instance; all it
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,6 +58,20 @@ class Perception:
     def select(self, rows: Ints) -> Perception:
         """The same with some of the objects."""
         return Perception(self.time_ns, self.objects.select(rows), self.quality[rows], self.position, self.heard)
+
+    def redundant(self, rules: Iterable[RedundancyRule]) -> Bools:
+        """(n,) which objects one of some rules leaves out; raises ValueError for a rule that returns something else."""
+        redundant = np.zeros(len(self.objects), bool)
+        for rule in rules:
+            found = rule.redundant(self.time_ns, self.objects, self.position, self.heard)
+            if not isinstance(found, np.ndarray) or found.shape != redundant.shape or found.dtype != bool:
+                kind = f"{found.dtype} {found.shape}" if isinstance(found, np.ndarray) else type(found).__name__
+                raise ValueError(
+                    f"{type(rule).__name__}: found {kind} as which objects to leave out, expected an array "
+                    f"bool {redundant.shape}: one value for each own object"
+                )
+            redundant |= found
+        return redundant
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,7 +130,7 @@ class CpmGeneration(GenerationRules):
     sensors_s: s, between two sensor information containers (T_AddSensorInformation; clause 6.1.2.2)
     moved_m: m, by which an object must have moved to be due (clause 6.1.2.3, as the next three)
     speed_mps: m/s, by which its speed must have changed
-    direction_deg: degrees, by which the direction of its velocity must have changed
+    direction_deg: °, by which the direction of its velocity must have changed
     direction_speed_mps: m/s, speed below which a velocity has no direction; the standard has no such limit, so that
         noise makes parked cars due
     type_a: classes of type A; the standard's are pedestrians, light vehicles such as bicycles, and animals
@@ -154,7 +168,8 @@ class CpmGeneration(GenerationRules):
     tolerance_s: float = 0.001
 
     def __post_init__(self) -> None:
-        check("more than 0, finite", least_s=self.least_s, most_s=self.most_s, sensors_s=self.sensors_s)
+        check("more than 0 and at most 60 s", least_s=self.least_s, most_s=self.most_s)
+        check("more than 0, finite", sensors_s=self.sensors_s)
         check("more than 0, finite", type_a_s=self.type_a_s, retention_s=self.retention_s)
         check("0 or more, finite", moved_m=self.moved_m, speed_mps=self.speed_mps, direction_deg=self.direction_deg)
         check("0 or more, finite", direction_speed_mps=self.direction_speed_mps, tolerance_s=self.tolerance_s)
@@ -208,8 +223,7 @@ class CpmGeneration(GenerationRules):
         waiting = change.new | (change.silence_s >= self.type_a_s - self.tolerance_s)
         due[type_a] = bool((type_a & waiting).any())
         due |= self.send_all
-        for rule in self.redundancy:
-            due &= ~rule.redundant(perception.time_ns, objects, perception.position, perception.heard)
+        due &= ~perception.redundant(self.redundancy)
         rows = due.nonzero()[0]
         first = np.lexsort((objects.id[rows], -self._utility(perception.quality, change)[rows], ~change.new[rows]))
         return rows[first[: self.most_objects]]

@@ -74,12 +74,10 @@ class RedundancyRule(ABC):
         elapsed = (time_ns - recent.time_ns) / 1e9
         predicted = recent.position + recent.velocity * elapsed[:, None]
         report, row = _nearest_own(predicted, own, self.gate_m)
-        return self._redundant(own, row, origin, recent.select(report), predicted[report])
+        return self.left_out(own, row, origin, recent.select(report), predicted[report])
 
     @abstractmethod
-    def _redundant(
-        self, own: ObjectStates, row: Ints, origin: Floats, reports: HeardObjects, predicted: Floats
-    ) -> Bools:
+    def left_out(self, own: ObjectStates, row: Ints, origin: Floats, reports: HeardObjects, predicted: Floats) -> Bools:
         """(n,) which objects to leave out.
 
         row: (p,) the own object that each of p reports is about; predicted: (p, 3) m, where its object would be now
@@ -111,9 +109,7 @@ class FrequencyRedundancy(RedundancyRule):
         super().__post_init__()
         check("0 or more", reports=self.reports)
 
-    def _redundant(
-        self, own: ObjectStates, row: Ints, origin: Floats, reports: HeardObjects, predicted: Floats
-    ) -> Bools:
+    def left_out(self, own: ObjectStates, row: Ints, origin: Floats, reports: HeardObjects, predicted: Floats) -> Bools:
         return np.asarray(np.bincount(row, minlength=len(own)) > self.reports)
 
 
@@ -134,9 +130,7 @@ class DynamicsRedundancy(RedundancyRule):
         super().__post_init__()
         check("0 or more, finite", distance_m=self.distance_m, speed_mps=self.speed_mps)
 
-    def _redundant(
-        self, own: ObjectStates, row: Ints, origin: Floats, reports: HeardObjects, predicted: Floats
-    ) -> Bools:
+    def left_out(self, own: ObjectStates, row: Ints, origin: Floats, reports: HeardObjects, predicted: Floats) -> Bools:
         newest = np.full(len(own), np.iinfo(np.int64).min)
         np.maximum.at(newest, row, reports.time_ns)
         moved = np.linalg.norm(own.position[row] - reports.position, axis=1)
@@ -160,9 +154,7 @@ class DistanceRedundancy(RedundancyRule):
         super().__post_init__()
         check("0 or more, finite", distance_m=self.distance_m)
 
-    def _redundant(
-        self, own: ObjectStates, row: Ints, origin: Floats, reports: HeardObjects, predicted: Floats
-    ) -> Bools:
+    def left_out(self, own: ObjectStates, row: Ints, origin: Floats, reports: HeardObjects, predicted: Floats) -> Bools:
         near = np.linalg.norm(reports.sender_position - origin, axis=1) <= self.distance_m
         return np.asarray(np.bincount(row[near], minlength=len(own)) > 0)
 
@@ -174,8 +166,6 @@ class SelfAnnouncementRedundancy(RedundancyRule):
     A report whose object is at the position of its sender is such an announcement.
     """
 
-    def _redundant(
-        self, own: ObjectStates, row: Ints, origin: Floats, reports: HeardObjects, predicted: Floats
-    ) -> Bools:
+    def left_out(self, own: ObjectStates, row: Ints, origin: Floats, reports: HeardObjects, predicted: Floats) -> Bools:
         itself = (reports.sender_position == reports.position).all(axis=1)
         return np.asarray(np.bincount(row[itself], minlength=len(own)) > 0)

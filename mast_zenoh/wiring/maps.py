@@ -172,7 +172,7 @@ def resolve(
     for place, entry in _entries(sources, "codec"):
         template = _template_of(entry["wire"], templates, place)
         for key in templates[template] if entry["wire"] == template else [entry["wire"]]:
-            wires[key] = replace(wires[key], codec=_codec(entry["codec"], wires[key].message, place))
+            wires[key] = replace(wires[key], codec=_codec(entry["codec"], wires[key], place))
     wiring = Wiring(tuple(wires.values()), _overhearers(nodes))
     _check_outputs(wiring)
     return wiring
@@ -265,13 +265,21 @@ def _listen(wire: Wire, entry: Mapping[str, Any], nodes: Mapping[str, NodeOption
     return listen(wire, [Listener(end, "leg" in entry) for end in ends], place, every="*" in entry["wire"])
 
 
-def _codec(codec: str, message: str, place: str) -> str:
+def _codec(name: str, wire: Wire, place: str) -> str:
     """The codec of a wire; raises WiringError for one that cannot carry its messages."""
-    if codec not in CODECS:
-        raise WiringError(f"{place}: codec: no codec {codec!r}{nearest(codec, CODECS)}")
-    if message not in CODECS[codec]:
-        raise WiringError(f"{place}: codec: {codec} carries {', '.join(CODECS[codec])}, the wire {message!r}")
-    return codec
+    if name not in CODECS:
+        raise WiringError(f"{place}: codec: no codec {name!r}{nearest(name, CODECS)}")
+    codec, publisher = CODECS[name], wire.legs[0].publisher
+    if wire.message not in codec.messages:
+        raise WiringError(f"{place}: codec: {name} carries {', '.join(codec.messages)}, the wire {wire.message!r}")
+    if codec.ports and publisher.port not in codec.ports:
+        others = [other for other, each in CODECS.items() if wire.message in each.messages and not each.ports]
+        raise WiringError(
+            f"{place}: codec: found {name} on {wire.key!r}, which {publisher.node} publishes on its port "
+            f"{publisher.port!r}; {name} is for {', '.join(codec.ports)}: {codec.meaning}; "
+            f"expected {', '.join(others)}, or no codec"
+        )
+    return name
 
 
 def _check_affected(

@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 import mast_zenoh as mast
-from mast_zenoh import attacks, faults, fusion, integrity, links, metrics, pipelines, scenes, sensing, tracking
+from mast_zenoh import attacks, faults, fusion, integrity, links, metrics, pipelines, scenes, sensing, tracking, v2x
 from mast_zenoh.api.catalogue import KINDS, Entry, described, unit_of
 from mast_zenoh.cli.app import app
 from mast_zenoh.config import bundle, registry
@@ -34,6 +34,11 @@ BASES: dict[str, list[type]] = {
     "links": [links.Rule],
     "faults": [faults.Fault],
     "metrics": [metrics.Metric, metrics.Assigner],
+    "rules": [v2x.GenerationRules],
+    "redundancy": [v2x.RedundancyRule],
+    "congestion": [v2x.CongestionControl],
+    "channel": [v2x.RadioChannel, v2x.OfdmTiming],
+    "awareness": [v2x.CamGeneration, v2x.Vehicle],
 }
 
 
@@ -74,6 +79,7 @@ def test_entries_without_a_class_are_listed_too() -> None:
     assert set(links.PROFILES) <= set(mast.list("links").names)
     assert set(HOST_FAULTS) <= set(mast.list("faults").names)
     assert MEASURES.keys() <= set(mast.list("metrics").names)
+    assert mast.list("codecs").names == ("cpm", "cam")
     for kind in ("scenarios", "studies"):
         assert [f"{name}.py" for name in mast.list(kind).names] == bundle.names(kind)
 
@@ -83,6 +89,8 @@ def test_units_come_from_names_and_descriptions() -> None:
         ("start_s", "", "s"),
         ("sigma_mps2", "", "m/s²"),
         ("bits_per_s", "", "bit/s"),
+        ("bit_rate_mbps", "", "Mbit/s"),
+        ("power_dbm", "", "dBm"),
         ("yaw_noise_deg", "", "°"),
         ("box", "m, length, width and height", "m"),
         ("at", "s of scene time; it begins", "s"),

@@ -45,7 +45,8 @@ def play(folder: Path) -> Callable[..., mast.Run]:
 
     def played(name: str, **parameters: Any) -> mast.Run:
         scenario = str(folder / name) if name in FILES else name
-        return mast.run(scenario, frames=FRAMES, seed=3, report=False, out=str(folder / f"run of {name}"), **parameters)
+        out = folder / " ".join(["run of", name, *map(str, parameters.values())])
+        return mast.run(scenario, frames=FRAMES, seed=3, report=False, out=str(out), **parameters)
 
     return played
 
@@ -137,6 +138,28 @@ def test_the_fault_jams_its_targets_for_its_duration(play: Callable[..., mast.Ru
     lost = run.attacks.filter(pc.field("effect") == "dropped").to_pylist()
     assert {row["interposer"] for row in lost} == {"link_infra_1", "link_infra_2"}
     assert {10 <= row["frame"] < 30 for row in lost} == {True}
+
+
+def channel(run: mast.Run) -> dict[str, Any]:
+    """What the channel carried, by its results."""
+    counts: dict[str, Any] = json.loads((run.path / "results" / "channel" / "results.json").read_text())["channel"]
+    return counts
+
+
+def test_the_rules_of_the_radio_say_what_is_sent_and_what_arrives(play: Callable[..., mast.Run]) -> None:
+    run = play("on_the_air.py")
+    announced = [message.frame for message in run.messages("agent/ego/awareness") if len(message["id"])]
+    assert len(announced) > 3
+    assert min(np.diff(announced)) >= 5, "the beacon is due twice a second"
+    everything, nearby = play("on_the_air.py", redundancy=False), play("on_the_air.py", range_m=10.0)
+    assert channel(run)["bytes"] < 0.6 * channel(everything)["bytes"], "others have reported much of it"
+    assert channel(nearby)["arrived"] < 0.1 * channel(everything)["arrived"]
+
+
+def test_own_rules_are_listed_with_their_parameters(folder: Path) -> None:
+    (printed,) = carry_out("$ mast list redundancy NearerStation --file on_the_air.py", folder)
+    assert "Leaves out objects that a station nearer to them has reported" in printed
+    assert "gate_m = 2.0 m" in printed
 
 
 def test_the_node_counts_the_objects_of_the_picture(play: Callable[..., mast.Run]) -> None:

@@ -20,6 +20,7 @@ from PIL import Image
 
 from mast_zenoh import scenario
 from mast_zenoh.attacks.adaptive import AdaptiveAttack, Lies, Moment
+from mast_zenoh.config import loading
 from mast_zenoh.config.registry import known_types
 from mast_zenoh.effects import EFFECTS
 from mast_zenoh.integrity import STATES, Integrity
@@ -28,6 +29,7 @@ from mast_zenoh.integrity.sequential import CONTRADICTION_TAIL, FALSE_ALARMS_PER
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.launch.tables import read_table
 from mast_zenoh.metrics.causes import CAUSES
+from mast_zenoh.study.numbers import numbers
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -192,6 +194,21 @@ def test_achievements_and_consequences_for_driving_are_documented(run: Path) -> 
     documented = {name.replace("…", "") for name in named_in(METRICS, "## What it would mean for driving")}
     for key in metrics["driving"]["ego"]["mission"]:
         assert key in documented or key.removesuffix("_attack") in documented, f"driving: {key} is not on the page"
+
+
+def test_every_block_of_the_metrics_that_a_study_reads_is_on_the_page() -> None:
+    page = (ROOT / "docs" / "studies.md").read_text("utf-8").split("Every number in `metrics.json` becomes a row")[1]
+    table = page.split("\n\n")[1]
+    blocks = dict(pictures=dict(deceived=dict(share=0.5)), channel=dict(busy_ratio=dict(mean=0.1, std=0.0)))
+    for number in numbers(dict(agents={}, **blocks)):
+        assert f"| `{number.owner}` | `{number.estimator}` |" in table, f"{number} is not on the page"
+
+
+def test_studies_that_the_page_about_messages_names_have_the_parameters_that_it_sets() -> None:
+    commands = re.findall(r"`mast study (\w+) --set (\w+)=", (ROOT / "docs" / "v2x.md").read_text("utf-8"))
+    assert ("messages", "trials") in commands, "the page says by which command its table is made"
+    for name, parameter in commands:
+        assert parameter in inspect.signature(loading.function("studies", name, "study")[1]).parameters
 
 
 def test_all_that_an_adaptive_attack_gets_and_returns_is_on_the_page() -> None:

@@ -13,6 +13,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
     sizes = ("--set", "n_infrastructure=2", "--set", "n_adversaries=1")
     maps = "keyexpr.rewrites=['on_detections.toml', 'views.toml', 'cpm.toml']"
     sizes += ("--set", maps, "--set", "command_center.pipeline.integrity={'type': 'Pasac'}")
+    sizes += ("--set", "agents.*.tracks_from='agent'")
     words = ("run", "uncoordinated", "--frames", "3", "--runtime", "inproc", "--no-report", *sizes)
     assert command(*words, "--out", folder).code == 0
     return folder

@@ -188,6 +188,17 @@ def test_arbitrary_bytes_are_refused_as_a_request(payload: bytes) -> None:
         unseal(payload, b"secret")
 
 
+def test_a_run_that_is_not_up_yet_is_told_from_a_folder_that_is_none(tmp_path: Path) -> None:
+    for folder, what in (
+        ("later", "no such folder: the run is not up yet"),
+        (".", "found no run.json: the run is not up"),
+    ):
+        with pytest.raises(NotRunning, match=what):
+            intercept(tmp_path / folder, TRACKS, "adversary.py")
+        with pytest.raises(NotRunning, match=what):
+            release(tmp_path / folder, name="m")
+
+
 @pytest.mark.parametrize(
     ("record", "what"),
     [

@@ -100,6 +100,19 @@ def test_a_vehicle_says_that_it_is_one_and_where_it_heads_and_a_pole_that_it_is_
 
 
 @pytest.mark.skipif(not asn1_oracle.FOLDER.is_dir(), reason="no ASN.1 modules in $MAST_DATA/etsi_asn1")
+@pytest.mark.parametrize("yaw", [None, 0.0, np.pi / 2, -2.0])
+def test_positions_in_the_bytes_are_east_and_north_of_the_sender_wherever_it_heads(yaw: float | None) -> None:
+    """TS 103 324 v2.1.1, annex A, PerceivedObjects: x east, y north, for vehicles as for roadside units."""
+    sent = message(6, yaw=yaw)
+    (segment,) = packed(sent).segments
+    decoded = cpm.decode(segment)
+    assert decoded.objects is not None
+    east_north = tracks_in_world(sent.body).position - sent.body["origin"]
+    kept = np.argsort(sent.body["id"] % 65_536)
+    rows = np.argsort(decoded.objects.id)
+    np.testing.assert_allclose(0.01 * decoded.objects.position[rows], east_north[kept], atol=0.03)
+
+
 @pytest.mark.parametrize(("yaw", "orientation"), [(None, None), (0.0, 900), (np.pi / 2, 0), (-np.pi / 2, 1800)])
 def test_asn1tools_reads_the_container_of_a_vehicle_or_of_a_roadside_unit(
     yaw: float | None, orientation: int | None

@@ -76,5 +76,5 @@ def test_what_is_too_old_is_not_used() -> None:
 
 
 def test_invalid_times_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"memory_s: found -1\.0, expected 0 or more"):
+    with pytest.raises(ValueError, match=r"memory_s: found -1\.0, expected 0 to 60 s"):
         HeardTracks(-1.0)

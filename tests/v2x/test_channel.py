@@ -71,13 +71,13 @@ def test_no_station_is_heard_below_the_threshold_at_1_m() -> None:
     assert channel.audible(line(0.0, 1.0)).tolist() == [[True, False], [False, True]]
 
 
-@pytest.mark.parametrize("fading_m", [1, 2, 3, 5])
-def test_decoding_agrees_with_draws_of_nakagami_fading(fading_m: int) -> None:
-    channel = RadioChannel(fading_m=fading_m)
+@pytest.mark.parametrize("fading_shape", [1, 2, 3, 5])
+def test_decoding_agrees_with_draws_of_nakagami_fading(fading_shape: int) -> None:
+    channel = RadioChannel(fading_shape=fading_shape)
     distance = np.array([50.0, 150.0, 250.0, 400.0])
     rng = np.random.default_rng(0)
     mean_mw = 10.0 ** (channel.mean_power_dbm(distance) / 10.0)
-    power = rng.gamma(fading_m, mean_mw / fading_m, (40_000, 4))
+    power = rng.gamma(fading_shape, mean_mw / fading_shape, (40_000, 4))
     decoded = (10.0 * np.log10(power) >= channel.sensitivity_dbm).mean(axis=0)
     assert channel.decoding_probability(distance) == pytest.approx(decoded, abs=0.01)
 

@@ -14,7 +14,7 @@ from perceptions import FRAME_NS, objects, perceived, reports, sent_ids
 from mast_zenoh.arrays.states import CLASSES, ObjectStates, concatenate
 from mast_zenoh.config.registry import build, known_types
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.v2x import CpmGeneration, DistanceRedundancy, EveryFrame, GenerationRules, Perception
+from mast_zenoh.v2x import CpmGeneration, DistanceRedundancy, EveryFrame, GenerationRules, Perception, RedundancyRule
 
 NOTHING = objects()
 
@@ -39,6 +39,21 @@ def test_both_rules_can_be_named_in_a_scenario_with_redundancy_rules() -> None:
 def test_invalid_parameters_are_refused(parameters: dict[str, Any], problem: str) -> None:
     with pytest.raises(ConfigurationError, match=problem):
         build(dict(type="CpmGeneration", **parameters), GenerationRules, "generation")
+
+
+@pytest.mark.parametrize(
+    ("answer", "kind"),
+    [(np.ones(1, bool), r"bool \(1,\)"), (np.zeros(3), r"float64 \(3,\)"), ([True, False, True], "list")],
+)
+def test_a_redundancy_rule_answers_for_each_object_or_is_named_in_an_error(answer: Any, kind: str) -> None:
+    class Careless(RedundancyRule):
+        def left_out(self, *_: Any) -> Any:
+            return answer
+
+    rules = CpmGeneration(redundancy=(Careless(),))
+    expected = rf"Careless: found {kind} as which objects to leave out, expected an array bool \(3,\)"
+    with pytest.raises(ValueError, match=expected):
+        rules.generate(perceived(0, objects(1, 2, 3), heard=reports(objects(1))))
 
 
 def test_every_frame_sends_all_objects_in_their_order() -> None:

@@ -33,6 +33,7 @@ from mast_zenoh.viewer.recorded import RecordedRun
 FRAMES = 12
 SCENE_BEGINS_S = 1_072_915_200  # 2004-01-01
 INTERCEPTED = "agent/infra_1/broadcast"
+ADVERSARY = b"\x02\x00" + zlib.crc32(b"adversary_1").to_bytes(4, "big")
 
 
 class Packet(NamedTuple):
@@ -118,14 +119,13 @@ def in_order(messages: dict[str, list[dict]]) -> list[dict]:
 
 
 def test_the_file_holds_what_each_station_sent_in_order(broadcast: mast.Run, out: Path) -> None:
-    assert export(broadcast.path, "pcap", out) == ((out,), ())
+    assert export(broadcast.path, "pcap", out).paths == (out,)
     messages = by_key(broadcast)
-    received, messages[INTERCEPTED] = messages[INTERCEPTED], messages.pop(f"{INTERCEPTED}/@tap/0")
-    assert received != messages[INTERCEPTED], "the adversary changes nothing"
+    messages[INTERCEPTED] = messages.pop(f"{INTERCEPTED}/@tap/0")
     tracks = {f"agent/{name}/broadcast" for name in ("ego", "mobile_1", "infra_1", "infra_2", "infra_3")}
     assert set(messages) == tracks | {f"agent/{name}/awareness" for name in ("ego", "mobile_1")}
     expected = [(message, segment) for message in in_order(messages) for segment in message["segments"]]
-    found = packets(out)
+    found = [packet for packet in packets(out) if packet.source != ADVERSARY]
     assert [packet.payload for packet in found] == [segment for _, segment in expected]
     for packet, (message, _) in zip(found, expected, strict=True):
         station = zlib.crc32(message["source"].encode())
@@ -155,6 +155,31 @@ def test_the_file_holds_what_each_station_sent_in_order(broadcast: mast.Run, out
     assert len({packet.speed for packet in found}) > 2
 
 
+def test_what_an_adversary_changes_is_in_packets_of_its_own_and_the_command_says_so(
+    broadcast: mast.Run, out: Path
+) -> None:
+    code, _, err = command("export", str(broadcast.path), "--to", "pcap", "-o", str(out))
+    assert code == 0
+    messages = by_key(broadcast)
+    originals = {message["seq"]: message["segments"] for message in messages[f"{INTERCEPTED}/@tap/0"]}
+    lies = [message for message in messages[INTERCEPTED] if message["segments"] != originals[message["seq"]]]
+    assert lies
+    found = [packet for packet in packets(out) if packet.source == ADVERSARY]
+    assert [packet.payload for packet in found] == [segment for lie in lies for segment in lie["segments"]]
+    assert {cpm.decode(packet.payload).station_id for packet in found} == {zlib.crc32(b"peer_infra_1")}
+    said = f"adversary_1 sends {len(found)} packets to all in place of those on {INTERCEPTED}"
+    assert said in " ".join(err.split())
+    assert ADVERSARY.hex(":") in err
+
+
+def test_what_is_passed_on_is_there_once_and_a_lie_to_one_listener_names_it(tmp_path: Path) -> None:
+    lies = dict(n_adversaries=1, attack_start_s=0.5, on="pair", codec="cpm")
+    run = mast.run("peers", frames=8, n_infrastructure=2, n_mobile=0, **lies, out=tmp_path / "run")
+    (sentence,) = export(run.path, "pcap", tmp_path / "run.pcap").missing
+    assert sentence.startswith("adversary_1 sends 3 packets to peer_ego in place of those on agent/infra_1/broadcast")
+    assert len(packets(tmp_path / "run.pcap")) == 8 * len(run.agents) + 3
+
+
 def test_a_wire_that_is_intercepted_during_the_run_is_followed_to_its_publisher(broadcast: mast.Run, out: Path) -> None:
     run = RecordedRun.load(broadcast.path)
     ((_, intercepted),) = run.wirings
@@ -174,7 +199,7 @@ def test_a_wire_that_is_intercepted_during_the_run_is_followed_to_its_publisher(
     assert since
     messages[INTERCEPTED] = before + since
     expected = [segment for message in in_order(messages) for segment in message["segments"]]
-    assert [packet.payload for packet in packets(out)] == expected
+    assert [packet.payload for packet in packets(out) if packet.source != ADVERSARY] == expected
 
 
 @settings(max_examples=200, deadline=None)
@@ -259,7 +284,7 @@ def test_an_invalid_message_is_left_out_and_counted(
     out.unlink()
     monkeypatch.setattr(pcap, "read", spoilt(change))
     exported = export(broadcast.path, "pcap", out)
-    assert exported.missing == ("messages.mcap: invalid messages, which receivers refuse, are left out: 1",)
+    assert exported.missing[1:] == ("messages.mcap: invalid messages, which receivers refuse, are left out: 1",)
     assert len(packets(out)) == len(whole) - 1
 
 
@@ -318,6 +343,15 @@ def test_a_run_without_such_messages_is_refused_and_the_error_says_how_to_get_so
     assert "--set codec=cpm" in words
     assert "--to parquet" in words
     assert not out.exists()
+
+
+def test_a_wrong_folder_is_named_before_a_missing_file_name(broadcast: mast.Run, tmp_path: Path) -> None:
+    code, _, err = command("export", str(tmp_path / "nowhere"), "--to", "pcap")
+    assert code == RunFolderError.exit_code
+    assert "nowhere: no such folder" in " ".join(err.split())
+    code, _, err = command("export", str(broadcast.path), "--to", "pcap")
+    assert code == 2
+    assert "expected the new file or folder" in " ".join(err.split())
 
 
 def test_a_damaged_recording_and_a_write_error_leave_nothing_behind(

@@ -1,4 +1,4 @@
-"""pcap: a capture file of the V2X messages that stations sent, as Wireshark opens it.
+"""pcap: a capture file of the V2X messages that stations and adversaries sent, as Wireshark opens it.
 
 Collective Perception Messages, and Cooperative Awareness Messages.
 
@@ -9,7 +9,10 @@ segment.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+import zlib
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,6 +23,7 @@ from mast_zenoh.messages.packed import Packed
 from mast_zenoh.v2x import cam, cpm
 from mast_zenoh.v2x.reference_position import Position
 from mast_zenoh.viewer.recorded import RecordedRun
+from mast_zenoh.wiring.model import Passage, Wiring
 
 #: When a scene begins, s since 1970: 2004-01-01 00:00 UTC, from which the reference times in CPMs count.
 EPOCH_S = 1_072_915_200
@@ -52,7 +56,8 @@ _BTP = struct.Struct("!HH")
 class Sender(NamedTuple):
     """What headers say of a sender.
 
-    type: of the station;  mobile: whether it moves;  position: reference position
+    station_id: from which its address is made;  type: of the station;  mobile: whether it moves
+    position: reference position
     speed: 0.01 m/s, negative backward;  heading: 0.1 deg clockwise from north; both 0 if unknown
     """
 
@@ -64,39 +69,89 @@ class Sender(NamedTuple):
     heading: int = 0
 
 
+class _Legs(NamedTuple):
+    """The keys of a wiring on which V2X messages are sent.
+
+    wires: of wires;  publishers: of stations;  attackers: on which adversaries send, each with its passage
+    """
+
+    wires: frozenset[str]
+    publishers: frozenset[str]
+    attackers: Mapping[str, Passage]
+
+    @classmethod
+    def of(cls, run: RecordedRun, wiring: Wiring) -> _Legs:
+        """The legs of one of a run's wirings."""
+        wires = [wire for wire in wiring.wires if wire.codec in _PORTS]
+        keys = frozenset(wire.key for wire in wires)
+        passages = [each for each in wiring.passages() if each.wire in keys and run.role(each.node) != "link"]
+        return cls(keys, frozenset(wire.legs[0].key for wire in wires), {each.sent: each for each in passages})
+
+
 def write(run: RecordedRun, path: Path) -> None:
-    """Write a packet for each segment that a publisher sent, before any interposer.
+    """Write a packet for each segment that a publisher sent, and for each that an adversary sent instead.
+
+    Messages that an adversary passes on as it received them are not repeated. A note names each adversary with packets.
 
     Raises ExportError if no wire of the run has such messages.
     """
-    #: by frame after which they hold, the keys on which publishers send them, with the keys of their wires
-    sources = [
-        (frame, {wire.legs[0].key: wire.key for wire in wiring.wires if wire.codec in _PORTS})
-        for frame, wiring in run.wirings
-    ]
-    wires = {wire for _, keys in sources for wire in keys.values()}
+    every = [(frame, _Legs.of(run, wiring)) for frame, wiring in run.wirings]
+    wires = frozenset().union(*(legs.wires for _, legs in every))
     if not wires:
         raise ExportError(
             f"{run.path}: found no wire with V2X messages, expected one at least: "
             "repeat the run with --set codec=cpm, as the scenarios peers and congested can, or use --to parquet"
         )
     refused = 0
+    forged: Counter[tuple[str, str, str]] = Counter()
     with path.open("wb") as file:
         file.write(_FILE_HEADER)
-        for message in read(run.path, wires.__contains__):
-            sent = next(keys for frame, keys in reversed(sources) if frame < message.step or frame < 0)
-            if message.key not in sent:
-                continue  # behind an interposer
-            try:
-                file.writelines(_records(message))
-            except MessageError:
-                refused += 1
+        for _, group in groupby(read(run.path, wires.__contains__), key=lambda message: message.order[:5]):
+            of_one = [(message, _in_force(every, message.step)) for message in group]
+            payloads = {message.key: message.payload for message, _ in of_one}
+            lies = [(message, legs.attackers.get(message.key)) for message, legs in of_one]
+            original: list[tuple[Recorded, Passage | None]]
+            original = [(message, None) for message, legs in of_one if message.key in legs.publishers]
+            for message, attack in [*original, *((message, attack) for message, attack in lies if attack)]:
+                if attack and message.payload == payloads.get(attack.received):
+                    continue  # passed on
+                try:
+                    records = list(_records(message, attack.node if attack else None))
+                except MessageError:
+                    refused += 1
+                    continue
+                file.writelines(records)
+                if attack:
+                    forged[attack.node, attack.wire, attack.before or "all"] += len(records) // 2
+    for (node, wire, listener), count in sorted(forged.items()):
+        run.note(
+            f"{node} sends {count} packets to {listener} in place of those on {wire}: "
+            f"both are in the file, its own from {_address(_station_of(node)).hex(':')}"
+        )
     if refused:
         run.note(f"messages.mcap: invalid messages, which receivers refuse, are left out: {refused}")
 
 
-def _records(message: Recorded) -> Iterator[bytes]:
-    """Headers and packets of a message in the file. Raises MessageError, before the first one, if it is no such one."""
+def _in_force(every: Sequence[tuple[int, _Legs]], step: int) -> _Legs:
+    """The legs when a message was sent in a step of the run; -1: unknown."""
+    return next(legs for frame, legs in reversed(every) if frame < step or frame < 0)
+
+
+def _station_of(node: str) -> int:
+    """The station id of a node."""
+    return zlib.crc32(node.encode())
+
+
+def _address(station_id: int) -> bytes:
+    """The link-layer address of a station."""
+    return _LOCAL + station_id.to_bytes(4, "big")
+
+
+def _records(message: Recorded, node: str | None) -> Iterator[bytes]:
+    """Headers and packets of a message in the file. Raises MessageError, before the first one, if it is no such one.
+
+    node: the adversary that sends it from an address of its own; None: the station that the message names
+    """
     if message.malformed:
         raise MessageError(f"{message.key}: found a malformed message, expected a CPM or a CAM")
     body = codec.decode(message.payload, message.type).body
@@ -106,7 +161,9 @@ def _records(message: Recorded) -> Iterator[bytes]:
         raise MessageError(f"{message.key}: time_ns is {message.time_ns}, expected less than {_MAX_TIME_NS}")
     seconds, nanoseconds = divmod(message.time_ns, 1_000_000_000)
     for segment in body.segments:
-        data = packet(segment, _PORTS[body.codec], sender_of(body.codec, segment), message.time_ns // 1_000_000)
+        sender = sender_of(body.codec, segment)
+        sender = sender if node is None else sender._replace(station_id=_station_of(node))
+        data = packet(segment, _PORTS[body.codec], sender, message.time_ns // 1_000_000)
         yield _PACKET_HEADER.pack(EPOCH_S + seconds, nanoseconds, len(data), len(data))
         yield data
 
@@ -134,7 +191,7 @@ def _heading(value: int) -> int:
 
 def packet(segment: bytes, port: int, sender: Sender, time_ms: int) -> bytes:
     """An Ethernet frame. segment: bytes of a message; port: destination; time_ms: since the scene began"""
-    address, position = _LOCAL + sender.station_id.to_bytes(4, "big"), sender.position
+    address, position = _address(sender.station_id), sender.position
     kind = _CONFIGURED | sender.type << 10
     # The speed has 15 bits, after the flag of an accurate position.
     place = time_ms % 2**32, position.latitude, position.longitude, sender.speed & 0x7FFF, sender.heading, 0
