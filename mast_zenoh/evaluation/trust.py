@@ -26,7 +26,7 @@ from mast_zenoh.metrics.trust import (
 from mast_zenoh.wiring.model import agent_of
 
 #: Ports of what an agent sends to the command centre or to other agents, and of what its own tracks depend on.
-UPSTREAM = ("detections", "pose", "sweep", "tracks", "view", "status", "broadcast", "relay")
+UPSTREAM = ("detections", "pose", "sweep", "tracks", "view", "status", "broadcast", "awareness", "relay")
 
 #: m, in the bird's-eye view, from an object of the centre to the real object that it stands for.
 GATE_M = 2.0
