@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import product
 from typing import Any
 
@@ -30,7 +30,7 @@ def of_pictures(
     names = [agent for agent in scores.agents if agent in rows]
     if len(names) < 2:
         return {}
-    deceived = _deceived(scores, blamed, [rows[name] for name in names])[:, scored]
+    deceived = deceived_agents(scores, blamed, names).T[:, scored]
     frames, share = scores.frames[scored], deceived.mean(axis=0)
     wrong = np.flatnonzero(share > 0.0)
     half = np.flatnonzero(share >= 0.5)
@@ -79,14 +79,18 @@ def consistency_of_pictures(consistency: Mapping[str, Any]) -> dict[str, Any]:
     return part
 
 
-def _deceived(scores: Scores, blamed: Bools, series: list[int]) -> Bools:
-    """(a, f) whether the picture of each of a series is wrong in each frame because of an adversary."""
+def deceived_agents(scores: Scores, blamed: Bools, agents: Sequence[str]) -> Bools:
+    """(f, a) whether the picture of each agent is wrong in each frame because of an adversary.
+
+    blamed: as for `of_pictures`; an agent without a picture of its own is not deceived
+    """
     judged = scores.judged
     bad = blamed & ((judged.outcome == FALSE) | (judged.outcome == MISSED))
     frame = np.searchsorted(scores.frames, judged.frame[bad])
-    found = np.zeros((len(scores.series), len(scores.frames)), np.bool_)
-    found[judged.series[bad], frame] = True
-    return found[series]
+    wrong = np.zeros((len(scores.frames), len(scores.series) + 1), np.bool_)
+    wrong[frame, judged.series[bad]] = True
+    rows = {agent: row for row, (agent, estimator) in enumerate(scores.series) if estimator == PICTURE}
+    return wrong[:, [rows.get(agent, -1) for agent in agents]]
 
 
 def _differences(
