@@ -16,6 +16,7 @@ from mast_zenoh.evaluation.from_effects import (
     add_pose_manipulations,
     displaced_by_links,
     effects_of_absence,
+    first_change,
     manipulations,
     stopped_by_links,
     without_unseen,
@@ -386,7 +387,10 @@ class _Results:
     def _pictures(self, scored: slice, consistency: Mapping[str, Any]) -> dict[str, Any]:
         """How the pictures of agents that do not share one differ. consistency: as in metrics.json"""
         scorer = self.settings.scorer
-        part = of_pictures(self.scores, self._blamed(), scorer.range_m, scorer.distance, self.data.period_s, scored)
+        lies_from = first_change(self.effects, self.data.roles, self.from_absence)
+        part = of_pictures(
+            self.scores, self._blamed(), scorer.range_m, scorer.distance, self.data.period_s, scored, lies_from
+        )
         return {"pictures": part | {"consistency": consistency_of_pictures(consistency)} if part else part}
 
     def _blamed(self) -> Bools:
