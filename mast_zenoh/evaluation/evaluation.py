@@ -16,6 +16,7 @@ from mast_zenoh.evaluation.from_effects import (
     add_pose_manipulations,
     displaced_by_links,
     effects_of_absence,
+    first_change,
     manipulations,
     stopped_by_links,
     without_unseen,
@@ -46,7 +47,7 @@ from mast_zenoh.metrics.attributor import Withheld
 from mast_zenoh.metrics.causes import ATTACK_CAUSES
 from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.metrics.measures import MEASURES, ScoredRun, check, estimates_of, frame_keys, measured, per_frame
-from mast_zenoh.metrics.pictures import consistency_of_pictures, of_pictures
+from mast_zenoh.metrics.pictures import consistency_of_pictures, deceived_agents, of_pictures
 from mast_zenoh.metrics.scores import mean_and_std
 from mast_zenoh.metrics.trust import Fault, TrustUpdate
 from mast_zenoh.wiring.model import agent_of
@@ -385,10 +386,16 @@ class _Results:
 
     def _pictures(self, scored: slice, consistency: Mapping[str, Any]) -> dict[str, Any]:
         """How the pictures of agents that do not share one differ. consistency: as in metrics.json"""
-        cause = self.labels.cause
-        scorer, blamed = self.settings.scorer, (cause >= 0) & (cause < len(ATTACK_CAUSES))
-        part = of_pictures(self.scores, blamed, scorer.range_m, scorer.distance, self.data.period_s, scored)
+        scorer = self.settings.scorer
+        lies_from = first_change(self.effects, self.data.roles, self.from_absence)
+        part = of_pictures(
+            self.scores, self._blamed(), scorer.range_m, scorer.distance, self.data.period_s, scored, lies_from
+        )
         return {"pictures": part | {"consistency": consistency_of_pictures(consistency)} if part else part}
+
+    def _blamed(self) -> Bools:
+        """(n,) rows of `Scores.judged` that are wrong because of an adversary."""
+        return np.asarray((self.labels.cause >= 0) & (self.labels.cause < len(ATTACK_CAUSES)))
 
     def _channel(self, scored: slice) -> dict[str, Any]:
         """The load of the channel that stations share; empty without one."""
@@ -420,7 +427,15 @@ class _Results:
         agents = data.record.agents
         lies = trust.lies(self.effects, data.roles, agents, frames, self.from_absence)
         part = trust.integrity(
-            updates, lies, settings.faults, agents, frames, data.times_ns, data.period_s, settings.attribution.coast_s
+            updates,
+            lies,
+            settings.faults,
+            agents,
+            frames,
+            data.times_ns,
+            data.period_s,
+            settings.attribution.coast_s,
+            deceived_agents(self.scores, self._blamed(), agents) if data.relays else None,
         )
         part["withheld"] = trust.withheld(
             tables["trust_objects"], self.scores.truth, frames, scored, settings.scorer.min_points

@@ -156,6 +156,17 @@ def effects_of_absence(effects: Effects, absences: Mapping[str, Bools], frames: 
     return result
 
 
+def first_change(effects: Effects, roles: Mapping[str, str], away: Bools) -> int | None:
+    """The frame in which an interposer other than a link first changed a message; None: never.
+
+    away: (n,) effects due to the absence of an interposer, which do not count
+    """
+    is_link = np.array([roles.get(passage.node) == "link" for passage in effects.passages], bool)
+    counts = ~away & ~is_link[effects.passage]
+    counts[effects.rows("unsettled")] = False
+    return int(effects.step[counts].min()) if counts.any() else None
+
+
 def stopped_by_links(effects: Effects, roles: Mapping[str, str], agents: Sequence[str], frames: Ints) -> Bools:
     """Whether a link stopped an agent's tracks of a frame or the batch: (f, a).
 

@@ -20,13 +20,15 @@ from mast_zenoh.metrics.trust import (
     TrustUpdate,
     agent_table,
     fault_frames,
+    lasting,
     object_table,
     summary,
 )
+from mast_zenoh.pipelines.relays import RELAY
 from mast_zenoh.wiring.model import agent_of
 
 #: Ports of what an agent sends to the command centre or to other agents, and of what its own tracks depend on.
-UPSTREAM = ("detections", "pose", "sweep", "tracks", "view", "status", "broadcast", "relay")
+UPSTREAM = ("detections", "pose", "sweep", "tracks", "view", "status", "broadcast", "awareness", "relay")
 
 #: m, in the bird's-eye view, from an object of the centre to the real object that it stands for.
 GATE_M = 2.0
@@ -58,17 +60,48 @@ def integrity(
     times_ns: Mapping[int, int],
     period_s: float,
     lasting_s: float,
+    deceived: Bools | None = None,
 ) -> dict[str, Any]:
     """The part `integrity` of metrics.json, without withheld objects.
 
     lied: (f, a) as from `lies`;  faults: by agent;  lasting_s: s for which a lie or a fault counts
+    deceived: (f, a) whether an agent's picture has an error that an adversary caused; None: agents do not relay theirs
     """
     times_s = np.array([times_ns.get(frame, 0) for frame in frames.tolist()], np.float64) * 1e-9
     conduct = Conduct(lied, fault_frames(faults, agents, times_s), round(lasting_s / period_s))
     part = summary(TrustHistory.of(updates, agents, frames), conduct, agents, times_s, period_s, STATES)
     for agent, kinds in ((agent, {kind for kind, _, _ in faults.get(agent, ())}) for agent in agents):
         part["agents"][agent]["faults"] = sorted(kinds)
+    if deceived is not None:
+        history = TrustHistory.of(updates, [f"{agent}{RELAY}" for agent in agents], frames)
+        judged = np.isfinite(history.log_odds).any(axis=0)
+        was_deceived = lasting(deceived, conduct.lasting_frames)  # as a lie lasts: evidence is summed over time
+        of_judged = {agents[index]: was_deceived[:, index] for index in np.flatnonzero(judged).tolist()}
+        of_run = summary(history, conduct, agents, times_s, period_s, STATES)
+        part["relays"] = _relays(of_run, of_judged, times_s)
     return part
+
+
+def _relays(of_run: Mapping[str, Any], deceived: Mapping[str, Bools], times_s: Floats) -> dict[str, Any]:
+    """How what agents relay was judged.
+
+    of_run: the summary, with the conduct of the agents
+    deceived: by agent that was judged, (f,) whether its picture was wrong because of an adversary, not long before
+    """
+    relays = {
+        agent: {name: of_run["agents"][agent][name] for name in ("suspensions", "undecided", "false_alarms", "seconds")}
+        for agent in deceived
+    }
+    for agent, relay in relays.items():
+        for period in (*relay["suspensions"], *relay["undecided"]):
+            # A peer judges what it heard in the frame before.
+            row = int(np.searchsorted(times_s, period["from_s"] - 1e-6)) - 1
+            period["deceived"] = bool(deceived[agent][max(row, 0)])
+    return {
+        "agents": relays,
+        "honest_suspended": [agent for agent, relay in relays.items() if relay["false_alarms"]],
+        "false_alarms": sum(relay["false_alarms"] for relay in relays.values()),
+    }
 
 
 def withheld(objects: Table, truth: TruthTable, frames: Ints, scored: slice, min_points: int) -> dict[str, Any]:

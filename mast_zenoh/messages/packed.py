@@ -109,7 +109,8 @@ def unpack(codec: str, data: Sequence[object]) -> Packed:
         if not isinstance(part, bytes) or len(part) > MAX_SEGMENT_BYTES:
             raise MessageError(f"{codec}: segment {number}: expected at most {MAX_SEGMENT_BYTES} bytes")
         parts.append(part)
-    states, origin, rotation = _read_cam(parts) if codec == "cam" else _read_cpm(parts)
+    # What a CAM says is where its sender is: in the sender's own frame, a lie would be no change of an object.
+    states, origin, rotation = (_read_cam(parts), np.zeros(3), _STILL) if codec == "cam" else _read_cpm(parts)
     body = Packed(states_to_local(states, origin, rotation).columns())
     body["origin"], body["rotation"] = origin, rotation
     if len(set(body["id"].tolist())) != len(body["id"]):
@@ -121,13 +122,9 @@ def unpack(codec: str, data: Sequence[object]) -> Packed:
     return body
 
 
-def _read_cam(data: Sequence[bytes]) -> tuple[ObjectStates, Floats, Floats]:
-    """The sender in its message, world frame, and its frame of reference: origin (3,) and rotation (4,)."""
-    if not data:
-        return ObjectStates.empty(), np.zeros(3), _STILL
-    message = cam.decode(data[0])
-    rotation = _STILL if message.vehicle is None else rotation_of(message.vehicle.heading)
-    return from_cam(message, _PLANE), _PLANE.to_point(message.position), rotation
+def _read_cam(data: Sequence[bytes]) -> ObjectStates:
+    """The sender in its message, world frame; none without a message."""
+    return from_cam(cam.decode(data[0]), _PLANE) if data else ObjectStates.empty()
 
 
 def _read_cpm(data: Sequence[bytes]) -> tuple[ObjectStates, Floats, Floats]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import product
 from typing import Any
 
@@ -19,19 +19,28 @@ COMPARED = 4
 
 
 def of_pictures(
-    scores: Scores, blamed: Bools, range_m: float, distance: SetDistance, period_s: float, scored: slice
+    scores: Scores,
+    blamed: Bools,
+    range_m: float,
+    distance: SetDistance,
+    period_s: float,
+    scored: slice,
+    lies_from: int | None,
 ) -> dict[str, Any]:
     """The part `pictures` of metrics.json; {} with fewer than two pictures. Agents must not share one.
 
     blamed: (n,) rows of `scores.judged` that are wrong because of an adversary
     range_m: m, from an agent, in which its picture is scored; distance: of sets; scored: the frames that count
+    lies_from: frame of the first message that an adversary changed, from which on shares count; None: no lie
     """
     rows = {agent: row for row, (agent, estimator) in enumerate(scores.series) if estimator == PICTURE}
     names = [agent for agent in scores.agents if agent in rows]
     if len(names) < 2:
         return {}
-    deceived = _deceived(scores, blamed, [rows[name] for name in names])[:, scored]
-    frames, share = scores.frames[scored], deceived.mean(axis=0)
+    deceived = deceived_agents(scores, blamed, names).T[:, scored]
+    since = int(np.searchsorted(scores.frames[scored], lies_from or 0))
+    frames, deceived = scores.frames[scored][since:], deceived[:, since:]
+    share = deceived.mean(axis=0)
     wrong = np.flatnonzero(share > 0.0)
     half = np.flatnonzero(share >= 0.5)
     first_s = float(frames[wrong[0]]) * period_s if len(wrong) else None
@@ -40,11 +49,14 @@ def of_pictures(
         "count": len(names),
         "difference_gospa_m": mean_and_std(_differences(scores, names, rows, range_m, distance)[:, scored].ravel()),
         "deceived": {
+            "lies_from_s": None if lies_from is None else lies_from * period_s,
             "share": mean_and_std(share),
             "most": float(share.max(initial=0.0)),
             "first_s": first_s,
             "half_after_s": half_after_s,
-            "agents": {name: float(each.mean()) for name, each in zip(names, deceived, strict=True)},
+            "agents": {
+                name: float(each.mean()) if len(each) else 0.0 for name, each in zip(names, deceived, strict=True)
+            },
             "since_s": {
                 name: float(frames[each.argmax()]) * period_s if each.any() else None
                 for name, each in zip(names, deceived, strict=True)
@@ -79,14 +91,18 @@ def consistency_of_pictures(consistency: Mapping[str, Any]) -> dict[str, Any]:
     return part
 
 
-def _deceived(scores: Scores, blamed: Bools, series: list[int]) -> Bools:
-    """(a, f) whether the picture of each of a series is wrong in each frame because of an adversary."""
+def deceived_agents(scores: Scores, blamed: Bools, agents: Sequence[str]) -> Bools:
+    """(f, a) whether the picture of each agent is wrong in each frame because of an adversary.
+
+    blamed: as for `of_pictures`; an agent without a picture of its own is not deceived
+    """
     judged = scores.judged
     bad = blamed & ((judged.outcome == FALSE) | (judged.outcome == MISSED))
     frame = np.searchsorted(scores.frames, judged.frame[bad])
-    found = np.zeros((len(scores.series), len(scores.frames)), np.bool_)
-    found[judged.series[bad], frame] = True
-    return found[series]
+    wrong = np.zeros((len(scores.frames), len(scores.series) + 1), np.bool_)
+    wrong[frame, judged.series[bad]] = True
+    rows = {agent: row for row, (agent, estimator) in enumerate(scores.series) if estimator == PICTURE}
+    return wrong[:, [rows.get(agent, -1) for agent in agents]]
 
 
 def _differences(

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mast_zenoh.evaluation.trust import integrity
 from mast_zenoh.metrics.trust import (
     Conduct,
     TrustHistory,
@@ -152,6 +153,32 @@ def test_periods_of_an_undecided_agent_are_listed_and_are_neither_suspensions_no
     assert agent["suspended_after_s"] is None, "an undecided liar is not detected"
     assert agent["seconds"]["honest"]["undecided"] == pytest.approx(0.2)
     assert whole["seconds"]["lying"]["undecided"] == pytest.approx(0.1)
+
+
+def test_what_agents_relay_is_judged_apart_and_the_relay_of_an_honest_agent_is_honest_if_deceived() -> None:
+    """Agent a lies in frame 2; b relays a rumour in frame 4, and is honest."""
+    names = ("a", "b", "a/relay", "b/relay")
+    updates = [update(frame, dict.fromkeys(names, TRUSTED)) for frame in range(4)]
+    updates += [update(frame, dict.fromkeys(names, TRUSTED) | {"b/relay": SUSPENDED}) for frame in (5, 6, 15)]
+    updates += [update(9, dict.fromkeys(names, TRUSTED)), update(17, {"a/relay": SUSPENDED})]
+    deceived = np.zeros((20, 2), bool)
+    deceived[4, 1] = True
+    frames, times_ns = np.arange(20), {frame: frame * 100_000_000 for frame in range(20)}
+    updates.sort(key=lambda each: each.frame)
+    part = integrity(updates, frames_of(2), {}, AGENTS, frames, times_ns, 0.1, 2.0, deceived)
+    assert (part["honest_suspended"], part["false_alarms"]) == ([], 0)
+    relays = part["relays"]
+    assert (relays["honest_suspended"], relays["false_alarms"]) == (["b"], 2)
+    periods = [
+        [(e["from_s"], e["conduct"], e["deceived"]) for e in r["suspensions"]] for r in relays["agents"].values()
+    ]
+    assert periods == [[(1.7, "lying", False)], [(0.5, "honest", True), (1.5, "honest", True)]]
+    short = integrity(updates, frames_of(2), {}, AGENTS, frames, times_ns, 0.1, 0.5, deceived)["relays"]["agents"]["b"]
+    assert [each["deceived"] for each in short["suspensions"]] == [True, False]
+
+
+def test_without_relays_nothing_is_said_about_them() -> None:
+    assert "relays" not in integrity([update(0, {"a": TRUSTED})], frames_of(), {}, AGENTS, np.arange(20), {}, 0.1, 2.0)
 
 
 def test_seconds_are_split_by_conduct_and_state() -> None:

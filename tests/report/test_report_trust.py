@@ -153,6 +153,21 @@ def test_agents_have_the_colour_of_their_state_and_withheld_objects_are_outlined
     assert pixels(after, WITHHELD) > pixels(before, WITHHELD)
 
 
+def test_suspended_relays_of_honest_agents_are_named_with_those_whose_agents_were_deceived(
+    run_folder: Callable[..., Path],
+) -> None:
+    def relayed(deceived: bool, conduct: str = "honest") -> dict[str, Any]:
+        return dict(suspensions=[suspension(1.0, None, conduct) | dict(deceived=deceived)])
+
+    agents = {"ego": relayed(True, "lying"), "infra_2": relayed(False), "infra_4": relayed(True)}
+    relays = dict(agents=agents, honest_suspended=["infra_2", "infra_4"], false_alarms=2)
+    path = edit(run_folder("uncoordinated"), metrics={"integrity": INTEGRITY | {"relays": relays}})
+    run = RunRecord.load(path)
+    expected = "What honest agents relay was suspended 2 times: infra_2, infra_4; deceived by an attack then: infra_4"
+    assert expected in trust_sentences(run)
+    assert suspension_lines(run)[-1] == expected
+
+
 def test_without_trust_the_picture_has_no_state_colours(run_folder: Callable[..., Path]) -> None:
     run = RunRecord.load(run_folder("uncoordinated"))
     view = frame_view(run, 33)

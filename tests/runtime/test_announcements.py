@@ -13,6 +13,7 @@ from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.v2x import cam
 
 KEY = "agent/ego/awareness"
+DEFENCE = "defence=FaultOrLie"
 AWARE = ("n_mobile=0", "awareness=true")
 
 
@@ -81,8 +82,9 @@ def test_a_vehicle_says_where_it_is_after_four_metres_or_a_second_and_a_pole_doe
         assert said.generation_delta_time == message.header.frame * PERIOD_NS // 1_000_000
         assert (said.vehicle.heading, said.vehicle.speed) == (900, 800), "east, 8 m/s"
         assert (said.vehicle.length, said.vehicle.width) == (45, 18), "those of the scene"
-        front = message.body["origin"]
-        np.testing.assert_allclose(front[:2], [-10.0 + 0.8 * message.header.frame + 2.25, 0.0], atol=0.02)
+        assert not message.body["origin"].any(), "world frame"
+        place = [[-10.0 + 0.8 * message.header.frame, 0.0]]
+        np.testing.assert_allclose(message.body["position"][:, :2], place, atol=0.05)
     assert not [key for key in run.messages if key.startswith("agent/infra") and key.endswith("awareness")]
 
 
@@ -104,7 +106,7 @@ def test_a_lie_about_itself_reaches_all_others_and_is_attributed() -> None:
     honest, attacked = played("peers", *AWARE, blind=True), played("peers", *AWARE, *lies, blind=True)
     assert attacked.messages[f"{KEY}/@tap/0"] == honest.messages[KEY]
     changed = [
-        np.linalg.norm(after.body["position"] + after.body["origin"] - before.body["position"] - before.body["origin"])
+        np.linalg.norm(after.body["position"] - before.body["position"])
         for before, after in zip(honest.decoded(KEY, "tracks"), attacked.decoded(KEY, "tracks"), strict=True)
     ]
     assert changed[0] == 0.0
@@ -114,6 +116,16 @@ def test_a_lie_about_itself_reaches_all_others_and_is_attributed() -> None:
         assert (attacked.messages[picture] != honest.messages[picture]) == differs
     deceived = attacked.results["evaluator"]["metrics"]["pictures"]["deceived"]
     assert {agent for agent, share in deceived["agents"].items() if share > 0} == {"infra_1", "infra_2"}
+
+
+@pytest.mark.parametrize("name", ["peers", "congested"])
+def test_a_lie_about_itself_is_a_moved_object_that_its_agent_lies_about(name: str) -> None:
+    run = played(name, *AWARE, "n_adversaries=1", "on=awareness", "listener=infra_1", "attack_start_s=0.2", DEFENCE)
+    metrics = run.results["evaluator"]["metrics"]
+    measured = metrics["interposers"]["adversary_1"]
+    assert measured["effects"] == {"moved": 4}
+    assert measured["agreement"] == "agrees"
+    assert {agent for agent, each in metrics["integrity"]["agents"].items() if each["lied"]} == {"ego"}
 
 
 def test_a_message_that_the_adversary_empties_is_not_sent() -> None:

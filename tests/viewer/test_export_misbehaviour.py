@@ -39,6 +39,15 @@ def judged(tmp_path_factory: pytest.TempPathFactory) -> mast.Run:
 
 
 @pytest.fixture(scope="session")
+def judged_relays(tmp_path_factory: pytest.TempPathFactory) -> mast.Run:
+    """A run whose peers judge what others relay, too; an adversary is on one wire."""
+    settings = dict(n_infrastructure=3, n_mobile=1, defence="Pasac", relays=True)
+    attack = dict(n_adversaries=1, attack_start_s=0.5)
+    out = tmp_path_factory.mktemp("judged") / "run"
+    return mast.run("peers", frames=25, seed=3, **settings, **attack, out=out)
+
+
+@pytest.fixture(scope="session")
 def judged_by_centre(tmp_path_factory: pytest.TempPathFactory) -> mast.Run:
     """A run whose command centre judges agents; adversaries are on the wires of two."""
     settings = dict(n_infrastructure=4, defence="Pasac", attack_start_s=0.3)
@@ -127,6 +136,21 @@ def test_evidence_is_what_the_reporter_had_received_from_the_reported_agent(judg
             (reception,) = [m for m in messages[f"agent/{observer}/reception"] if m["frame"] == frame + 1]
             assert agent not in column(reception["body"], "lost_awareness" if kind == "awareness" else "lost")
     assert {"broadcast", "view", "awareness"} <= kinds
+
+
+def test_a_report_about_a_relay_names_the_agent_its_station_and_the_pictures_that_it_relayed(
+    judged_relays: mast.Run, out: Path
+) -> None:
+    export(judged_relays.path, "misbehaviour", out)
+    found = reports(out)
+    assert {report["relayed"] for report in found} == {False, True}
+    for report in found:
+        assert "/" not in report["reported"]
+        assert report["reporter"] != f"peer_{report['reported']}"
+        assert report["reported_station_id"] == zlib.crc32(f"peer_{report['reported']}".encode())
+        kinds = {each["key"].rpartition("/")[2] for each in report["evidence"]}
+        assert kinds == ({"relay"} if report["relayed"] else {"broadcast", "view"})
+        assert {each["key"].split("/")[1] for each in report["evidence"]} == {report["reported"]}
 
 
 def test_a_report_of_a_centre_has_no_place_and_names_what_its_broker_received(

@@ -313,8 +313,26 @@ def trust_sentences(run: RunRecord) -> list[str]:
     objects = (
         f"Withheld from the picture, per frame: {withheld['false']:.2f} false and {withheld['true']:.2f} true objects"
     )
-    sentences = [*missed, alarms or "No honest agent was suspended", *([undecided] if names else [])]
+    sentences = [*missed, alarms or "No honest agent was suspended", *_relay_sentences(part)]
+    sentences += [undecided] if names else []
     return [*sentences, *([objects] if withheld else [])]
+
+
+def _relay_sentences(part: Mapping[str, Any]) -> list[str]:
+    """Which honest agents had what they relay suspended, and which of these relayed an attack's errors; [] for none."""
+    relays = part.get("relays", {})
+    honest = relays.get("honest_suspended", ())
+    if not honest:
+        return []
+    periods = {agent: relays["agents"][agent]["suspensions"] for agent in honest}
+    deceived = [
+        agent
+        for agent, of_agent in periods.items()
+        if any(each["deceived"] for each in of_agent if each["conduct"] == "honest")
+    ]
+    times = "once" if relays["false_alarms"] == 1 else f"{relays['false_alarms']} times"
+    sentence = f"What honest agents relay was suspended {times}: {', '.join(honest)}"
+    return [f"{sentence}; deceived by an attack then: {', '.join(deceived) or 'none'}"]
 
 
 def suspension_lines(run: RunRecord) -> list[str]:
@@ -332,7 +350,7 @@ def suspension_lines(run: RunRecord) -> list[str]:
         for agent, of_agent in lines.items()
         for line in (of_agent if len(of_agent) <= _MOST_SUSPENSIONS else [_flicker(run, agent, times[agent])])
     ]
-    return _first_lines(shown, "suspensions more")
+    return [*_first_lines(shown, "suspensions more"), *_relay_sentences(run.metrics.get("integrity", {}))]
 
 
 def _flicker(run: RunRecord, agent: str, periods: Sequence[Mapping[str, Any]]) -> str:

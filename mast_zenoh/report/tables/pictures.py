@@ -14,7 +14,7 @@ _HEADS = [
     Head("missed", "objects per frame"),
     Head("false", "objects per frame"),
     Head("RMSE (m)"),
-    Head("deceived (% of the frames)"),
+    Head("deceived (% of the frames\nfrom the first lie on)"),
     Head("NEES of positions"),
 ]
 
@@ -44,7 +44,9 @@ def picture_sentences(run: RunRecord) -> list[str]:
     if deceived["first_s"] is not None:
         share, most, first_s = deceived["share"]["mean"] or 0.0, deceived["most"], deceived["first_s"]
         when = f"{100.0 * share:.0f} % of them at a time, at most {100.0 * most:.0f} %, first at {first_s:.1f} s"
-        sentences.append(f"Attacks deceived {when}")
+        lies_from_s = deceived.get("lies_from_s")
+        since = "" if lies_from_s is None else f" from the first changed message on, at {lies_from_s:.1f} s"
+        sentences.append(f"Attacks deceived {when}{since}")
     return sentences
 
 

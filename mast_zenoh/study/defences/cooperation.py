@@ -62,6 +62,7 @@ class CooperationRecord:
 
     From the start of the attack on:
     errors:      missed and false objects per frame in the ego's picture
+    From the first message on that an adversary changed, as `pictures.deceived` of metrics.json:
     deceived:    mean share of the agents that are deceived;  deceived_max: the greatest share in a frame
     Over the scored frames:
     nees:        normalised error squared of the positions in a picture, mean over agents; 2 is consistent
@@ -95,6 +96,7 @@ class Collection(kinds.Collection):
 
         frames_s:    s of scene time of each frame
         deceived:    by frame, the share of the agents that are deceived
+        lies_from_s: s, the first frame of which an adversary changed a message; None: nobody lied
         kb_per_s:    kB/s that an agent sends to others, mean
         penetration: share of the vehicles that are agents
         """
@@ -103,7 +105,11 @@ class Collection(kinds.Collection):
 
         recording = Recording.load(folder / RECORDING)
         times_s = (recording.times_ns - recording.times_ns[0]) * 1e-9
-        objects = Run(folder).objects.select(["frame", "agent", "estimator", "outcome", "cause"])
+        run = Run(folder)
+        changes = run.attacks.select(["frame", "role", "effect"])
+        lied_in, role, effect = (column.to_numpy(zero_copy_only=False) for column in changes.columns)
+        lied_in = lied_in[(role != "link") & (effect != "unsettled") & (lied_in >= 0)]
+        objects = run.objects.select(["frame", "agent", "estimator", "outcome", "cause"])
         frame, agent, estimator, outcome, cause = (column.to_numpy(zero_copy_only=False) for column in objects.columns)
         wrong = (estimator == PICTURE) & np.isin(outcome, ("false", "missed")) & np.isin(cause, ATTACK_CAUSES)
         names = sorted(metrics["agents"])
@@ -120,6 +126,7 @@ class Collection(kinds.Collection):
         return {
             "frames_s": np.round(times_s, 9).tolist(),
             "deceived": np.round(deceived.mean(axis=0), 9).tolist(),
+            "lies_from_s": round(float(times_s[min(lied_in.min(), len(times_s) - 1)]), 9) if len(lied_in) else None,
             "kb_per_s": round(bytes_sent * 1e-3 / (duration_s * len(recording.agents)), 6),
             "penetration": round(sensing / vehicles, 6),
         }
@@ -131,7 +138,9 @@ class Collection(kinds.Collection):
         table = outcome.per_frame
         rows = (table["agent"] == ego(metrics)) & (table["estimator"] == PICTURE)
         rows &= (table["frame"] >= start) & (table["frame"] <= last)
-        deceived = np.array(part["deceived"][start : last + 1])
+        lies_from_s = part.get("lies_from_s")
+        lies_from = start if lies_from_s is None else int(np.searchsorted(part["frames_s"], lies_from_s - _ROUNDING_S))
+        deceived = np.array(part["deceived"][max(first, lies_from) : last + 1])
         nees = [agent[PICTURE]["position"]["nees"] for agent in metrics["consistency"].values() if PICTURE in agent]
         channel = metrics.get("channel", {})
         return CooperationRecord(

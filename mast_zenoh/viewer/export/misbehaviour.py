@@ -24,12 +24,13 @@ from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.v2x.reference_position import LocalPlane
 from mast_zenoh.viewer.recorded import RecordedRun
-from mast_zenoh.wiring.model import Wire, Wiring
+from mast_zenoh.wiring.model import Wire, Wiring, agent_of, part_of
 
 #: Age of the messages that are named as evidence, s, and number of these on each key, at most.
 EVIDENCE_S, MOST_EVIDENCE = 1.0, 20
-#: Ports whose messages are evidence: what an agent says.
+#: Ports whose messages are evidence: what an agent says, and its picture, which is judged by itself.
 _CLAIMS = ("tracks", "broadcast", "awareness", "view")
+_RELAY = "relay"
 
 
 class Detector(NamedTuple):
@@ -99,7 +100,7 @@ class Observers:
         evidence: dict[str, dict[str, str]] = {}
         for wire in self.wiring.wires:
             port = wire.legs[0].publisher.port
-            if port in _CLAIMS and wire.subject != trust.subject:
+            if port in (*_CLAIMS, _RELAY) and wire.subject != trust.subject:
                 keys = [leg.key for leg in wire.every_leg if nodes & {end.node for end in leg.subscribers}]
                 evidence.setdefault(wire.subject, {}).update(dict.fromkeys(keys, port))
         return Observer(node, trust.subject, evidence)
@@ -169,7 +170,7 @@ class _Reading:
         """Note what did not arrive at an agent, of what was sent in the frame before."""
         body = _body(message)
         tracks, awareness = (set(body[name].tolist()) for name in ("lost", "lost_awareness"))
-        lost = {"broadcast": tracks, "view": tracks, "awareness": awareness}
+        lost = {"broadcast": tracks, "view": tracks, _RELAY: tracks, "awareness": awareness}
         self.lost.setdefault(message.frame - 1, {})[agent] = lost
         while len(self.lost) > 2 * MOST_EVIDENCE:
             del self.lost[min(self.lost)]
@@ -179,9 +180,10 @@ class _Reading:
     ) -> Iterator[dict[str, Any]]:
         """The reports that a trust message gives rise to. channels: whether messages may be lost on a channel"""
         columns = (body[name].tolist() for name in ("agents", "state", "reason", "log_odds", "mean"))
-        for agent, state, reason, log_odds, mean in zip(*columns, strict=True):
-            before = self.states.get((observer.node, agent), 0)
-            self.states[observer.node, agent] = state
+        for subject, state, reason, log_odds, mean in zip(*columns, strict=True):
+            agent, relayed = agent_of(subject), part_of(subject) == _RELAY
+            before = self.states.get((observer.node, subject), 0)
+            self.states[observer.node, subject] = state
             if state not in (FAULTY, SUSPENDED) or state == before or agent == observer.agent:
                 continue
             detector = next((each for each in DETECTORS if reason.startswith(each.reason)), None)
@@ -190,6 +192,7 @@ class _Reading:
                 "reporter_station_id": zlib.crc32(observer.node.encode()),
                 "reported": agent,
                 "reported_station_id": zlib.crc32(observers.stations.get(agent, agent).encode()),
+                "relayed": relayed,
                 "frame": message.frame,
                 "generation_time_us": message.time_ns // 1000,
                 "observation_location": self.location(observer.agent),
@@ -200,7 +203,7 @@ class _Reading:
                 "reason": reason,
                 "confidence": float(1.0 / (1.0 + np.exp(np.clip(log_odds, -500.0, 500.0)))),
                 "trust": mean,
-                "evidence": list(self.evidence(message, agent, observer, channels)),
+                "evidence": list(self.evidence(message, agent, relayed, observer, channels)),
             }
 
     def location(self, agent: str) -> dict[str, float] | None:
@@ -212,9 +215,16 @@ class _Reading:
         metres = dict(zip(("x_m", "y_m", "z_m"), place, strict=True))
         return metres | {"latitude": position.latitude / 1e7, "longitude": position.longitude / 1e7}
 
-    def evidence(self, trust: Recorded, agent: str, observer: Observer, channels: bool) -> Iterator[dict[str, Any]]:
-        """The newest messages of an agent that an observer had when it judged it, by key."""
+    def evidence(
+        self, trust: Recorded, agent: str, relayed: bool, observer: Observer, channels: bool
+    ) -> Iterator[dict[str, Any]]:
+        """The newest messages of an agent that an observer had when it judged it, by key.
+
+        relayed: whether it judged what the agent relays
+        """
         for key, port in sorted(observer.evidence.get(agent, {}).items()):
+            if (port == _RELAY) != relayed:
+                continue
             for claim in self.claims.get(key, ()):
                 # A peer uses what it hears from the next frame on.
                 known = claim.step < trust.frame if observer.agent else claim.step <= trust.frame

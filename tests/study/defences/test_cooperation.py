@@ -119,10 +119,17 @@ def test_the_deceived_share_of_a_run_is_that_of_its_metrics(tmp_path: Path) -> N
     )
     metrics = run.summary
     part = Collection.evaluate(run.path, metrics, ["infra_1"])
-    first, last = metrics["scored_frames"]
-    assert np.mean(part["deceived"][first : last + 1]) == pytest.approx(
-        metrics["pictures"]["deceived"]["share"]["mean"]
-    )
+    cell = CooperationCell("peers", 7, attacked=True, attack_start_s=1.0)
+    columns = dict(agent="ego", estimator="picture", frame=25, fn=1.0, fp=1.0)
+    per_frame = {name: np.array([value], object) for name, value in columns.items()}
+    trial_of_run = outcome(cell.label, "junction", 0, metrics | {"defence": part}, per_frame)
+    record = Collection({cell.label: cell}, ["junction"], [0]).record(cell, trial_of_run)
+    _, last = metrics["scored_frames"]
+    measured = metrics["pictures"]["deceived"]
+    assert part["lies_from_s"] == measured["lies_from_s"] == 2.0
+    assert record.deceived == pytest.approx(measured["share"]["mean"])
+    assert record.deceived == pytest.approx(np.mean(part["deceived"][20 : last + 1])), "not the frames before"
+    assert record.deceived_max == pytest.approx(measured["most"])
     assert max(part["deceived"]) == pytest.approx(6 / 7)  # the liar's own picture is right
     assert 50.0 < part["kb_per_s"] < 500.0
     assert 0.0 < part["penetration"] < 1.0
