@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import Bools
 from mast_zenoh.metrics.achievement import DISPLACED_M
-from mast_zenoh.report.narrative.attribution import culprit_names
+from mast_zenoh.metrics.estimates import PICTURE
+from mast_zenoh.report.narrative.attribution import culprit_names, reaches
 from mast_zenoh.report.narrative.changes import (
     DISPLACED,
     FALSE,
@@ -92,8 +93,24 @@ def _sentence(run: RunRecord, adversary: Interposer) -> str:
     if adversary.views:
         see = "says it sees" if len(adversary.agents) == 1 else "say they see"
         clauses.append(f"changed what {join_names(adversary.agents)} {see} in {plural(adversary.views, 'view')}")
-    what = join_names(clauses)
-    return f"In {join_names(_places(run, adversary))}, {adversary.name} {what}{_when(run, adversary)}."
+    what, places = join_names(clauses), join_names(_places(run, adversary))
+    if adversary.before and adversary.agents:
+        places += f" on the way to {_listeners(run, adversary)} alone"
+    return f"In {places}, {adversary.name} {what}{_when(run, adversary)}."
+
+
+def _listeners(run: RunRecord, adversary: Interposer) -> str:
+    """The agents whose copy of messages alone passes through an adversary; other subscribers by their names."""
+    agent_of_peer = {peer_of(agent): agent for agent in run.metrics.get("agents", {})}
+    listeners = [agent_of_peer.get(before, before) for before in adversary.before]
+    return join_names(["the ego" if name == run.ego else name for name in listeners])
+
+
+def altered_on_the_way(run: RunRecord) -> set[str]:
+    """The agents that do not lie, but whose messages adversaries change for single subscribers."""
+    hostile = [each for each in interposers(run) if not each.is_link]
+    at_source = {agent for each in hostile if not each.before for agent in each.agents}
+    return {agent for each in hostile if each.before for agent in each.agents} - at_source
 
 
 def _of_objects(adversary: Interposer, effect: str, rows: int) -> str:
@@ -193,11 +210,13 @@ def _reasons(run: RunRecord, interposer: Interposer, blamed_for: str) -> list[st
         return ["what it did was not measured"]
     if not interposer.changed:
         return [_idle(run, interposer)]
-    if interposer.before and not {run.ego, peer_of(str(run.ego))} & set(interposer.before):
-        agents = ", ".join(interposer.before)
+    relayed = bool(blamed_for) and reaches(run, interposer.name, PICTURE)  # what another agent heard reached the ego
+    if interposer.before and not relayed and not {run.ego, peer_of(str(run.ego))} & set(interposer.before):
+        listeners = _listeners(run, interposer)
         if set(interposer.wires) == {"clock"}:
-            return [f"it delayed the clock of {agents}, not of the ego"]
-        return [f"it sat on the picture's path to {agents}, not to the ego"]
+            return [f"it delayed the clock of {listeners}, not of the ego"]
+        path = "picture's path" if run.has_centre else "path of messages"
+        return [f"it sat on the {path} to {listeners}, not to the ego"]
     if run.targets is None:
         return []
     targets = rows(run.targets, run.targets["adversary"] == interposer.name)
