@@ -41,7 +41,7 @@ from mast_zenoh.report.tables.of_run import (
 )
 from mast_zenoh.report.tables.pictures import channel_sentences, picture_sentences, picture_table
 from mast_zenoh.report.tables.scores import Cell, ScoreTable, Value, number, score_table, signed
-from mast_zenoh.report.tables.study import sections, side_by_side
+from mast_zenoh.report.tables.study import difference_title, sections, side_by_side
 from mast_zenoh.report.tables.wiring import wire_rows
 from mast_zenoh.run_files import write_bytes
 from mast_zenoh.version import __version__
@@ -373,7 +373,7 @@ def write_trials_page(
     rows, facts = titled(rows, facts)
     comparisons = compare(rows, facts.baseline)
     tables = sections(rows, facts.baseline, comparisons)
-    scores = side_by_side(rows)
+    scores, title = side_by_side(rows), difference_title(rows, facts.baseline)
     content = {
         "title": f"Study {facts.name}",
         "headline": result(rows, facts, comparisons).removesuffix("."),
@@ -384,10 +384,11 @@ def write_trials_page(
         "reservations": reservations(rows, facts),
         "reading": other_changes(rows, facts, comparisons),
         "figures": figures,
-        "added": [each for each in tables if each.title.startswith("What the attack adds")],
+        "added": [each for each in tables if each.title.startswith(title)],
+        "added_title": title,
         "comparisons": comparisons_made(comparisons),
         "scores": scores if scores.lines else None,
-        "others": [each for each in tables if not each.title.startswith(("What the attack adds", "Scores"))],
+        "others": [each for each in tables if not each.title.startswith((title, "Scores"))],
         "configurations": [
             (label, scenario, settings, facts.done.get(label, 0), facts.planned)
             for label, (scenario, settings) in facts.configurations.items()

@@ -92,6 +92,16 @@ DEFENCE: Groups = (
 )
 
 
+#: The estimator of what adversaries achieved.
+ACHIEVED = "achieved"
+
+
+def attacks_differ(rows: Iterable[StudyRow], baseline: str) -> bool:
+    """Whether all configurations but the baseline have adversaries, so that differences are what attacks add."""
+    has_attack = {row.label: any(each.estimator == ACHIEVED for each in row.estimates) for row in rows if row.estimates}
+    return not has_attack.pop(baseline, False) and bool(has_attack) and all(has_attack.values())
+
+
 def columns_of(groups: Groups) -> list[Column]:
     """All columns of the groups, one after the other."""
     return [column for _, columns in groups for column in columns]
