@@ -28,6 +28,7 @@ from mast_zenoh.report.narrative.run import headline, reading, reference_status,
 from mast_zenoh.report.narrative.study import compare, comparisons_made, other_changes, reservations, result, titled
 from mast_zenoh.report.run_figure import FigureContext
 from mast_zenoh.report.tables.of_run import (
+    NEES_TITLE,
     achieved_table,
     cause_table,
     check_rows,
@@ -35,6 +36,7 @@ from mast_zenoh.report.tables.of_run import (
     confidence_tables,
     driving_table,
     latency_tables,
+    nees_table,
     suspension_table,
     trust_sentences,
     undecided_table,
@@ -230,6 +232,11 @@ def write_study_report(study_folder: Path, runs: Mapping[str, Path], frame: int 
         "facts": facts_of_compared(folders),
         "figures": figures,
         **_score_rows(table),
+        "nees": nees_table(
+            {label: run.metrics for label, run in folders.items()},
+            next((run.ego for run in folders.values() if run.ego), "ego"),
+        ),
+        "nees_title": NEES_TITLE,
         "pages": pages,
     }
     return render("study.html.j2", content, study_folder)

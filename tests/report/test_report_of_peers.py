@@ -66,6 +66,18 @@ def test_without_a_suspended_agent_none_is_the_reason_for_missed_objects(heard: 
     assert "the ego misses 1.14 for this." in defence_sentence(heard)
 
 
+def test_of_several_judges_the_sentence_names_the_one_that_it_is_about(heard: RunRecord) -> None:
+    assert defence_sentence(heard).startswith("FaultOrLie of the ego's peer (the others judge for themselves) ")
+
+
+def test_slander_is_described_as_what_it_is(gossip: RunRecord) -> None:
+    slander = next(text for text in attack_description(gossip) if "slanderer_1" in text)
+    assert "changed whom the agent says it trusts in " in slander
+    (reason,) = explanations(gossip)["slanderer_1"]
+    assert reason.startswith("it changed no single object that could be false or missed: ")
+    assert reason.endswith(" messages changed outside their objects")
+
+
 def test_of_a_slanderer_only_the_gossip_is_compromised(gossip: RunRecord) -> None:
     assert compromised(gossip) == "one of two roadside sensors and the gossip of one of two vehicles"
 

@@ -56,6 +56,9 @@ _MESSAGES = {
     "forged": "forged {}",
 }
 
+#: How it is said of gossip that it is reframed.
+_OF_GOSSIP = "changed whom the agent says it trusts in {}"
+
 
 def attack_description(run: RunRecord) -> list[str]:
     """Sentences: what each adversary did, where and when; which coordinators directed it; faults of the scenario."""
@@ -85,9 +88,8 @@ def _sentence(run: RunRecord, adversary: Interposer) -> str:
     """`In the detections of infra_1, adversary_1 inserted four objects that did not exist, from t = 4.0 s to 5.9 s.`"""
     effects = adversary.effects_besides_views
     clauses = [_of_objects(adversary, name, effects[name]) for name in OF_OBJECTS if effects.get(name)]
-    clauses += [
-        words.format(plural(effects[name], "message")) for name, words in _MESSAGES.items() if effects.get(name)
-    ]
+    messages = dict(_MESSAGES, reframed=_OF_GOSSIP) if changes_gossip_alone(run, adversary) else _MESSAGES
+    clauses += [words.format(plural(effects[name], "message")) for name, words in messages.items() if effects.get(name)]
     rest = [name for name in effects if name not in (*OF_OBJECTS, *_MESSAGES, "unsettled") and effects[name]]
     clauses += [f"{name} {plural(effects[name], 'message')}" for name in rest]
     if adversary.views:
@@ -97,6 +99,14 @@ def _sentence(run: RunRecord, adversary: Interposer) -> str:
     if adversary.before and adversary.agents:
         places += f" on the way to {_listeners(run, adversary)} alone"
     return f"In {places}, {adversary.name} {what}{_when(run, adversary)}."
+
+
+def changes_gossip_alone(run: RunRecord, adversary: Interposer) -> bool:
+    """Whether an adversary changed what agents say of each other, and nothing that they say of objects."""
+    if run.attacks is None:
+        return False
+    changed = run.attacks["message"][run.attacks["interposer"] == adversary.name]
+    return bool(len(changed) and (changed == "gossip").all())
 
 
 def _listeners(run: RunRecord, adversary: Interposer) -> str:
@@ -221,7 +231,9 @@ def _reasons(run: RunRecord, interposer: Interposer, blamed_for: str) -> list[st
         return []
     targets = rows(run.targets, run.targets["adversary"] == interposer.name)
     if not len(targets["frame"]):
-        return [] if blamed_for else [f"no object was manipulated that can be judged: {effects(interposer)}"]
+        return (
+            [] if blamed_for else [f"it changed no single object that could be false or missed: {effects(interposer)}"]
+        )
     achieved = run.metrics.get("achieved", {}).get(interposer.name, {})
     if (targets["frame"] >= run.metrics.get("frames", 0)).all():
         return ["what it sent is about frames that the run does not have"]

@@ -328,6 +328,10 @@ def plural(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
+#: Effects whose names need other words.
+_EFFECT_WORDS = {"reframed": "changed outside their objects"}
+
+
 def effects(interposer: Interposer) -> str:
     """Measured effects: `478 rows of 6 objects inserted, 8 messages dropped, 110 views changed`."""
     counts = interposer.effects_besides_views
@@ -339,7 +343,7 @@ def effects(interposer: Interposer) -> str:
 
 def _effect(interposer: Interposer, effect: str, number: int) -> str:
     if effect not in OF_OBJECTS:
-        return f"{plural(number, 'message')} {effect}"
+        return f"{plural(number, 'message')} {_EFFECT_WORDS.get(effect, effect)}"
     object_count, clutter = interposer.objects.get(effect, (0, False))
     parts = [plural(object_count, "object")] * bool(object_count) + ["clutter"] * clutter
     return f"{plural(number, 'row')} of {' and of '.join(parts) or 'objects'} {effect}"

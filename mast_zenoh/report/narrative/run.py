@@ -10,7 +10,7 @@ import numpy as np
 from mast_zenoh.messagelog import churn
 from mast_zenoh.metrics.estimates import ESTIMATES, IN_TRANSIT, LOCAL, MAIN, MISSION, PICTURE, RECEIVED
 from mast_zenoh.report.comparison import Reference
-from mast_zenoh.report.narrative.adversaries import altered_on_the_way, late_start_s, period
+from mast_zenoh.report.narrative.adversaries import altered_on_the_way, changes_gossip_alone, late_start_s, period
 from mast_zenoh.report.narrative.attribution import cause_clause, causes, due_to_causes
 from mast_zenoh.report.narrative.changes import (
     DISPLACED,
@@ -53,8 +53,8 @@ def compromised(run: RunRecord) -> str:
     hostile = [each for each in interposers(run) if not each.is_link]
     kinds = {agent.name: agent.kind for agent in run.recording.agents} if run.recording else {}
     everywhere = [each for each in hostile if not each.before]
-    gossip = {agent for each in everywhere if _changes_gossip_alone(run, each) for agent in each.agents}
-    all_messages = {agent for each in everywhere if not _changes_gossip_alone(run, each) for agent in each.agents}
+    gossip = {agent for each in everywhere if changes_gossip_alone(run, each) for agent in each.agents}
+    all_messages = {agent for each in everywhere if not changes_gossip_alone(run, each) for agent in each.agents}
     names = set(kinds) or set(run.metrics.get("agents", {})) | {agent for each in hostile for agent in each.agents}
     groups = [
         (noun, {name for name in names if kinds.get(name, "static" if name.startswith("infra") else "mobile") == kind})
@@ -79,14 +79,6 @@ def _shares(groups: Sequence[tuple[str, set[str]]], agents: set[str]) -> list[st
         elif number:
             shares.append(f"{'all' if number == len(group) else f'{count(number)} of'} {count(len(group))} {noun}s")
     return shares
-
-
-def _changes_gossip_alone(run: RunRecord, adversary: Interposer) -> bool:
-    """Whether an adversary changed what agents say of each other, and nothing that they say of objects."""
-    if run.attacks is None:
-        return False
-    changed = run.attacks["message"][run.attacks["interposer"] == adversary.name]
-    return bool(len(changed) and (changed == "gossip").all())
 
 
 def _on_the_way(run: RunRecord, names: set[str], hostile: Sequence[Interposer]) -> list[str]:
@@ -181,7 +173,9 @@ def defence_sentence(run: RunRecord) -> str:
         false, true = measured["withheld"]["false"], measured["withheld"]["true"]
         what = f"{false:.2f} false and {true:.2f} true objects a frame" if false or true else "nothing"
         text += f"{',' if len(did) > 1 else ''} and withheld {what}{_missed_for_it(run, true)}"
-    return f"{run.defence or 'The defence'} {text}."
+    judges = sum(run.role(name) == "peer" for name in run.run.get("nodes", {}))
+    of_ego = " of the ego's peer (the others judge for themselves)" if judges > 1 and not run.has_centre else ""
+    return f"{run.defence or 'The defence'}{of_ego} {text}."
 
 
 def _missed_for_it(run: RunRecord, withheld: float) -> str:

@@ -14,7 +14,6 @@ from mast_zenoh.report.tables.study_rows import (
     ESTIMATORS,
     PAPER,
     Column,
-    attacks_differ,
     bounds,
     columns_of,
     value,
