@@ -28,6 +28,7 @@ from mast_zenoh.report.narrative.run import headline, reading, reference_status,
 from mast_zenoh.report.narrative.study import compare, comparisons_made, other_changes, reservations, result, titled
 from mast_zenoh.report.run_figure import FigureContext
 from mast_zenoh.report.tables.of_run import (
+    NEES_TITLE,
     achieved_table,
     cause_table,
     check_rows,
@@ -35,13 +36,14 @@ from mast_zenoh.report.tables.of_run import (
     confidence_tables,
     driving_table,
     latency_tables,
+    nees_table,
     suspension_table,
     trust_sentences,
     undecided_table,
 )
 from mast_zenoh.report.tables.pictures import channel_sentences, picture_sentences, picture_table
 from mast_zenoh.report.tables.scores import Cell, ScoreTable, Value, number, score_table, signed
-from mast_zenoh.report.tables.study import sections, side_by_side
+from mast_zenoh.report.tables.study import difference_title, sections, side_by_side
 from mast_zenoh.report.tables.wiring import wire_rows
 from mast_zenoh.run_files import write_bytes
 from mast_zenoh.version import __version__
@@ -230,6 +232,11 @@ def write_study_report(study_folder: Path, runs: Mapping[str, Path], frame: int 
         "facts": facts_of_compared(folders),
         "figures": figures,
         **_score_rows(table),
+        "nees": nees_table(
+            {label: run.metrics for label, run in folders.items()},
+            next((run.ego for run in folders.values() if run.ego), "ego"),
+        ),
+        "nees_title": NEES_TITLE,
         "pages": pages,
     }
     return render("study.html.j2", content, study_folder)
@@ -373,7 +380,7 @@ def write_trials_page(
     rows, facts = titled(rows, facts)
     comparisons = compare(rows, facts.baseline)
     tables = sections(rows, facts.baseline, comparisons)
-    scores = side_by_side(rows)
+    scores, title = side_by_side(rows), difference_title(rows, facts.baseline)
     content = {
         "title": f"Study {facts.name}",
         "headline": result(rows, facts, comparisons).removesuffix("."),
@@ -384,10 +391,11 @@ def write_trials_page(
         "reservations": reservations(rows, facts),
         "reading": other_changes(rows, facts, comparisons),
         "figures": figures,
-        "added": [each for each in tables if each.title.startswith("What the attack adds")],
+        "added": [each for each in tables if each.title.startswith(title)],
+        "added_title": title,
         "comparisons": comparisons_made(comparisons),
         "scores": scores if scores.lines else None,
-        "others": [each for each in tables if not each.title.startswith(("What the attack adds", "Scores"))],
+        "others": [each for each in tables if not each.title.startswith((title, "Scores"))],
         "configurations": [
             (label, scenario, settings, facts.done.get(label, 0), facts.planned)
             for label, (scenario, settings) in facts.configurations.items()

@@ -13,7 +13,7 @@ from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.narrative.adversaries import explanations
 from mast_zenoh.report.narrative.changes import effects, plural
 from mast_zenoh.report.narrative.run import defence_sentence, headline, reference_status, status
-from mast_zenoh.report.tables.of_run import causes_as_rich, check_lines, suspension_lines, undecided_lines
+from mast_zenoh.report.tables.of_run import causes_as_rich, check_lines, nees_as_rich, suspension_lines, undecided_lines
 from mast_zenoh.report.tables.pictures import channel_sentences, picture_sentences
 from mast_zenoh.report.tables.scores import as_rich, score_table
 from mast_zenoh.viewer.interposers import BAD, interposers
@@ -31,6 +31,9 @@ def show(console: Console, runs: Mapping[str, Path]) -> None:
     agent = next((run.ego for run in folders.values() if run.ego), "ego")
     console.print(as_rich(score_table({label: run.metrics for label, run in folders.items()}, agent=agent)))
     _show_causes(console, folders, agent)
+    nees = nees_as_rich({label: run.metrics for label, run in folders.items()}, agent) if len(runs) > 1 else None
+    if nees is not None:
+        console.print(nees)
     for label, run in folders.items():
         prefix = f"{label}: " if len(runs) > 1 else ""
         _show_lines(console, prefix, run)

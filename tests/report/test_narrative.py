@@ -524,7 +524,7 @@ def test_a_forged_view_is_described_as_what_the_agent_says_it_sees(run_of: RunOf
     words = "adversary_1 changed the frame of reference of 2 messages and changed what infra_1 says it sees in 25 views"
     assert words in attack_description(run)[0]
     (adversary,) = (each for each in interposers(run) if each.name == "adversary_1")
-    assert effects_in_words(adversary) == "2 messages reframed, 25 views changed"
+    assert effects_in_words(adversary) == "2 messages changed outside their objects, 25 views changed"
     assert adversary.other == "2 reframed, 25 views changed"
     assert "adversary_1 changes what infra_1 says it sees" in [event.text for event in first_changes(run)]
 

@@ -11,8 +11,8 @@ import pytest
 
 from mast_zenoh.metrics import Consistency
 from mast_zenoh.report.html import write_report
-from mast_zenoh.report.tables.of_run import confidence_tables
-from mast_zenoh.report.tables.text_table import DASH
+from mast_zenoh.report.tables.of_run import confidence_tables, nees_table
+from mast_zenoh.report.tables.text_table import DASH, Line
 from mast_zenoh.tracking import Innovations
 from mast_zenoh.viewer.run import RunRecord
 
@@ -70,5 +70,38 @@ def test_the_page_has_both_tables_and_says_what_is_left_out(folder: Path) -> Non
 
 def test_runs_of_earlier_versions_have_no_such_section(run_folder: Callable[..., Path]) -> None:
     run = run_folder()
-    assert [table.lines for table in confidence_tables(RunRecord.load(run))] == [[], []]
+    assert [table.lines for table in confidence_tables(RunRecord.load(run))] == [[], [], []]
     assert 'id="confidence"' not in write_report(run).read_text()
+
+
+def heavy_tailed() -> dict[str, Any]:
+    """Of an estimate most of whose errors are as its covariances say, and some far beyond."""
+    values = np.random.default_rng(0).chisquare(2, 400)
+    return Consistency().nees_summary(np.where(np.arange(400) % 10, values, 400.0), np.arange(400) % 40, 0.1)
+
+
+def test_a_mean_above_its_bounds_is_named_though_the_median_is_as_expected(run_folder: Callable[..., Path]) -> None:
+    picture = {"picture": {"position": heavy_tailed(), "velocity": summary(0.9)}}
+    assert picture["picture"]["position"]["verdict"] is None
+    folder = run_folder(metrics={"consistency": {"ego": picture}})
+    (line,) = confidence_tables(RunRecord.load(folder))[0].lines
+    assert line.cells[-1] == "position: NEES above its bounds"
+
+
+def test_of_many_estimates_those_of_other_agents_are_folded(run_folder: Callable[..., Path]) -> None:
+    good, bad = ({"picture": dict.fromkeys(("position", "velocity"), summary(scale))} for scale in (1.0, 9.0))
+    consistency = {"ego": good, "infra_1": bad} | {f"mobile_{i}": good for i in range(12)}
+    folder = run_folder(metrics={"consistency": consistency, "pictures": {}})
+    shown, _, folded = confidence_tables(RunRecord.load(folder))
+    assert [line.cells[0] for line in shown.lines] == ["the picture of ego", "the picture of infra_1"]
+    assert len(folded.lines) == 12
+    page = write_report(folder).read_text()
+    assert "<details><summary>12 estimates of the other agents</summary>" in page
+
+
+def test_compared_runs_have_the_nees_of_the_picture_beside_each_other() -> None:
+    picture = {"picture": {"position": heavy_tailed(), "velocity": summary(0.9)}}
+    metrics = {"naive": {"consistency": {"ego": picture}}, "none": {}}
+    (line,) = nees_table(metrics, "ego").lines
+    position, velocity = (picture["picture"][name]["nees"] for name in ("position", "velocity"))
+    assert line == Line(("naive", f"{position:.2f}*", f"{velocity:.2f}", DASH, DASH), "bad")

@@ -47,3 +47,20 @@ def test_nothing_is_said_where_all_agents_get_the_same_picture(tmp_path: Path) -
     record = RunRecord.load(run.path)
     assert not picture_table(record).lines
     assert picture_sentences(record) == channel_sentences(record) == []
+
+
+def test_the_pictures_whose_errors_exceed_their_covariances_are_counted() -> None:
+    above = {"position": {"nees": 44.12, "above": ["ego", "b"]}, "velocity": {"nees": 1.0, "above": []}}
+    pictures = {
+        "count": 3,
+        "difference_gospa_m": {"mean": 4.04},
+        "deceived": {"first_s": 2.0, "share": {"mean": 0.125}, "most": 0.875},
+        "consistency": above,
+    }
+    run = RunRecord(Path("run"), {}, {}, {}, {"pictures": pictures}, None, None, None, None)
+    assert picture_sentences(run) == [
+        "3 agents have pictures of their own; GOSPA between two: 4.0 m, mostly objects that one of them lacks",
+        "Attacks deceived 13 % of them at a time, at most 88 %, first at 2.0 s",
+        "Errors are larger than covariances say (NEES above its 95 % bounds, 2 expected): "
+        "positions in 2 of 3 pictures (on average 44.1)",
+    ]

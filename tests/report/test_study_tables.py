@@ -171,7 +171,7 @@ def test_result_is_the_largest_significant_change_of_what_the_ego_acts_on() -> N
         ),
         (
             Estimate(0.0, 0.0, 0.0, zero_share=1.0, seeds=20),
-            "No attack changes false or missed objects in any estimate of the ego, in any trial",
+            "No configuration changes false or missed objects in any estimate of the ego, in any trial",
         ),
         (None, "No trial has results for its baseline"),
     ],
@@ -207,7 +207,9 @@ def test_headline_prefers_identity_switches_and_ignores_rmse_below_one_centimetr
     assert "0.10 more identity switches" in words(fp_iob=nothing, id_switches_iob=switches, rmse_m_iob=rmse)[0]
     assert "0.20 m more RMSE" in words(fp_iob=nothing, rmse_m_iob=rmse)[0]
     headline, others = words(fp_iob=nothing, rmse_m_iob=estimate(0.0006, 0.0002))
-    assert headline.startswith("No attack changes false or missed objects in any estimate of the ego distinguishably")
+    assert headline.startswith(
+        "No configuration changes false or missed objects in any estimate of the ego distinguishably"
+    )
     assert any(sentence.startswith("RMSE: in a the picture has 0.0006 m more") for sentence in others)
 
 
@@ -292,3 +294,15 @@ def test_a_wide_table_has_parts_of_whole_groups_and_one_caption() -> None:
     ]
     assert ["".join(cell.text for cell in part.lines[0][1]) for part in parts] == ["abcde", "fghi", "jkl"]
     assert [part.caption for part in parts] == ["", "", "all of it"]
+
+
+def test_without_attacks_differences_are_those_from_the_baseline() -> None:
+    honest = {series: value for series, value in ROWS[1].estimates.items() if series.estimator != "achieved"}
+    text = shown([BASELINE, replace(ROWS[1], estimates=honest)])
+    assert "Difference from the baseline: ego with the picture" in text
+    assert "attack" not in text.lower()
+    same = {series: estimate(0.0) for series in honest if series.metric in ("fp_iob", "fn_iob")}
+    unchanged = {series: Estimate(0.0, 0.0, 0.0, zero_share=1.0, scenes=3, seeds=20) for series in same}
+    assert "No configuration changes false or missed objects" in " ".join(
+        shown([BASELINE, replace(ROWS[1], estimates=honest | unchanged)]).split()
+    )

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import Bools
 from mast_zenoh.metrics.achievement import DISPLACED_M
-from mast_zenoh.report.narrative.attribution import culprit_names
+from mast_zenoh.metrics.estimates import PICTURE
+from mast_zenoh.report.narrative.attribution import culprit_names, reaches
 from mast_zenoh.report.narrative.changes import (
     DISPLACED,
     FALSE,
@@ -55,6 +56,9 @@ _MESSAGES = {
     "forged": "forged {}",
 }
 
+#: How it is said of gossip that it is reframed.
+_OF_GOSSIP = "changed whom the agent says it trusts in {}"
+
 
 def attack_description(run: RunRecord) -> list[str]:
     """Sentences: what each adversary did, where and when; which coordinators directed it; faults of the scenario."""
@@ -84,16 +88,39 @@ def _sentence(run: RunRecord, adversary: Interposer) -> str:
     """`In the detections of infra_1, adversary_1 inserted four objects that did not exist, from t = 4.0 s to 5.9 s.`"""
     effects = adversary.effects_besides_views
     clauses = [_of_objects(adversary, name, effects[name]) for name in OF_OBJECTS if effects.get(name)]
-    clauses += [
-        words.format(plural(effects[name], "message")) for name, words in _MESSAGES.items() if effects.get(name)
-    ]
+    messages = dict(_MESSAGES, reframed=_OF_GOSSIP) if changes_gossip_alone(run, adversary) else _MESSAGES
+    clauses += [words.format(plural(effects[name], "message")) for name, words in messages.items() if effects.get(name)]
     rest = [name for name in effects if name not in (*OF_OBJECTS, *_MESSAGES, "unsettled") and effects[name]]
     clauses += [f"{name} {plural(effects[name], 'message')}" for name in rest]
     if adversary.views:
         see = "says it sees" if len(adversary.agents) == 1 else "say they see"
         clauses.append(f"changed what {join_names(adversary.agents)} {see} in {plural(adversary.views, 'view')}")
-    what = join_names(clauses)
-    return f"In {join_names(_places(run, adversary))}, {adversary.name} {what}{_when(run, adversary)}."
+    what, places = join_names(clauses), join_names(_places(run, adversary))
+    if adversary.before and adversary.agents:
+        places += f" on the way to {_listeners(run, adversary)} alone"
+    return f"In {places}, {adversary.name} {what}{_when(run, adversary)}."
+
+
+def changes_gossip_alone(run: RunRecord, adversary: Interposer) -> bool:
+    """Whether an adversary changed what agents say of each other, and nothing that they say of objects."""
+    if run.attacks is None:
+        return False
+    changed = run.attacks["message"][run.attacks["interposer"] == adversary.name]
+    return bool(len(changed) and (changed == "gossip").all())
+
+
+def _listeners(run: RunRecord, adversary: Interposer) -> str:
+    """The agents whose copy of messages alone passes through an adversary; other subscribers by their names."""
+    agent_of_peer = {peer_of(agent): agent for agent in run.metrics.get("agents", {})}
+    listeners = [agent_of_peer.get(before, before) for before in adversary.before]
+    return join_names(["the ego" if name == run.ego else name for name in listeners])
+
+
+def altered_on_the_way(run: RunRecord) -> set[str]:
+    """The agents that do not lie, but whose messages adversaries change for single subscribers."""
+    hostile = [each for each in interposers(run) if not each.is_link]
+    at_source = {agent for each in hostile if not each.before for agent in each.agents}
+    return {agent for each in hostile if each.before for agent in each.agents} - at_source
 
 
 def _of_objects(adversary: Interposer, effect: str, rows: int) -> str:
@@ -193,16 +220,20 @@ def _reasons(run: RunRecord, interposer: Interposer, blamed_for: str) -> list[st
         return ["what it did was not measured"]
     if not interposer.changed:
         return [_idle(run, interposer)]
-    if interposer.before and not {run.ego, peer_of(str(run.ego))} & set(interposer.before):
-        agents = ", ".join(interposer.before)
+    relayed = bool(blamed_for) and reaches(run, interposer.name, PICTURE)  # what another agent heard reached the ego
+    if interposer.before and not relayed and not {run.ego, peer_of(str(run.ego))} & set(interposer.before):
+        listeners = _listeners(run, interposer)
         if set(interposer.wires) == {"clock"}:
-            return [f"it delayed the clock of {agents}, not of the ego"]
-        return [f"it sat on the picture's path to {agents}, not to the ego"]
+            return [f"it delayed the clock of {listeners}, not of the ego"]
+        path = "picture's path" if run.has_centre else "path of messages"
+        return [f"it sat on the {path} to {listeners}, not to the ego"]
     if run.targets is None:
         return []
     targets = rows(run.targets, run.targets["adversary"] == interposer.name)
     if not len(targets["frame"]):
-        return [] if blamed_for else [f"no object was manipulated that can be judged: {effects(interposer)}"]
+        return (
+            [] if blamed_for else [f"it changed no single object that could be false or missed: {effects(interposer)}"]
+        )
     achieved = run.metrics.get("achieved", {}).get(interposer.name, {})
     if (targets["frame"] >= run.metrics.get("frames", 0)).all():
         return ["what it sent is about frames that the run does not have"]

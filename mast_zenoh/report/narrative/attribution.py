@@ -204,7 +204,7 @@ _MAX_CULPRITS = 3
 def due_to_causes(run: RunRecord, changes: Sequence[Change]) -> str:
     """`are due to adversary_1 and adversary_2`: measured causes shared by all changes."""
     singular = ("1 ", "1.0 ", "no ")
-    one = len(changes) == 1 and (changes[0].kind == DISPLACED or amount(changes[0], run.ego).startswith(singular))
+    one = len(changes) == 1 and (changes[0].kind == DISPLACED or amount(run, changes[0]).startswith(singular))
     return f"{'is' if one else 'are'} due to {join_names(causes(run, changes[0]))}"
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mast_zenoh.metrics.estimates import ESTIMATES, IN_TRANSIT, RECEIVED, place_of
+from mast_zenoh.metrics.estimates import ESTIMATES, IN_TRANSIT, PICTURE, RECEIVED, place_of
 from mast_zenoh.viewer.interposers import EFFECTS, OF_OBJECTS, Interposer
 from mast_zenoh.viewer.run import RunRecord
 
@@ -92,13 +92,18 @@ def between(
 
 
 def attributed(run: RunRecord, agents: Iterable[str] | None = None) -> list[Change]:
-    """Errors of a run due to attacks, links and faults, and the defence, by its own measurements."""
+    """Errors of a run due to attacks, links and faults, and the defence, by its own measurements.
+
+    Groups of causes with less than MIN_NAMED_SHARE of the errors are left out: no sentence names them.
+    """
     changes = []
     for agent in agents or [run.ego or ""]:
         for estimate in ESTIMATES:
             here = run.summary(estimate, agent)
             for kind in (FALSE, MISSED, IDENTITY):
                 if {"attack", "fault"} <= (parts := _split(here, kind)).keys():
+                    all_errors = sum(parts.values())
+                    parts = {name: part for name, part in parts.items() if part >= MIN_NAMED_SHARE * all_errors}
                     amount = sum(parts.values())
                     weight = _weight(run, kind, here, amount)
                     changes.append(_change(run, agent, estimate, kind, amount, weight, parts))
@@ -293,7 +298,16 @@ def small(number: float) -> str:
     return f"{number:.2g}" if number >= 0.0005 else "less than 0.001"
 
 
-def amount(change: Change, ego: str | None, *, where: bool = True, more: bool = False) -> str:
+def place(run: RunRecord, change: Change) -> str:
+    """Where a change is: `in the common picture`, `in the picture of mobile_1`."""
+    if change.estimate != PICTURE or change.agent == run.ego:
+        return place_of(change.estimate, change.agent, run.ego)
+    if "pictures" in run.metrics:  # each agent has its own
+        return f"in the picture of {change.agent}"
+    return f"in the common picture in range of {change.agent}"
+
+
+def amount(run: RunRecord, change: Change, *, where: bool = True, more: bool = False) -> str:
     """The amount of a change: `5.50 false objects a frame in the common picture`.
 
     more: as a difference: `5.50 more false objects a frame in the common picture`
@@ -306,12 +320,16 @@ def amount(change: Change, ego: str | None, *, where: bool = True, more: bool = 
         text = f"{size:.0f} {f'{word} ' if more else ''}identity switch{'' if round(size) == 1 else 'es'}"
     else:
         text, unit = objects(size, f"{word} {change.kind}" if more else change.kind), " a frame"
-    return f"{text}{unit}{f' {place_of(change.estimate, change.agent, ego)}' if where else ''}"
+    return f"{text}{unit}{f' {place(run, change)}' if where else ''}"
 
 
 def plural(number: int, noun: str) -> str:
     """`1 frame`, `20 frames`."""
     return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+#: Effects whose names need other words.
+_EFFECT_WORDS = {"reframed": "changed outside their objects"}
 
 
 def effects(interposer: Interposer) -> str:
@@ -325,7 +343,7 @@ def effects(interposer: Interposer) -> str:
 
 def _effect(interposer: Interposer, effect: str, number: int) -> str:
     if effect not in OF_OBJECTS:
-        return f"{plural(number, 'message')} {effect}"
+        return f"{plural(number, 'message')} {_EFFECT_WORDS.get(effect, effect)}"
     object_count, clutter = interposer.objects.get(effect, (0, False))
     parts = [plural(object_count, "object")] * bool(object_count) + ["clutter"] * clutter
     return f"{plural(number, 'row')} of {' and of '.join(parts) or 'objects'} {effect}"

@@ -10,7 +10,7 @@ import numpy as np
 from mast_zenoh.messagelog import churn
 from mast_zenoh.metrics.estimates import ESTIMATES, IN_TRANSIT, LOCAL, MAIN, MISSION, PICTURE, RECEIVED
 from mast_zenoh.report.comparison import Reference
-from mast_zenoh.report.narrative.adversaries import late_start_s, period
+from mast_zenoh.report.narrative.adversaries import altered_on_the_way, changes_gossip_alone, late_start_s, period
 from mast_zenoh.report.narrative.attribution import cause_clause, causes, due_to_causes
 from mast_zenoh.report.narrative.changes import (
     DISPLACED,
@@ -40,30 +40,65 @@ from mast_zenoh.viewer.interposers import Interposer, failures_of, frames_of, in
 from mast_zenoh.viewer.run import RunRecord, Table, rows
 from mast_zenoh.wiring.model import peer_of
 
+#: Agents that are named as senders; more are counted.
+_MOST_SENDERS = 3
+
 
 def compromised(run: RunRecord) -> str:
     """Positions of adversaries in words; empty: none.
 
-    `two of four roadside sensors`, `the picture's path to ego`, `what ego hears`
+    `two of four roadside sensors`, `the gossip of one of three vehicles`, `what infra_1 sends to the ego`,
+    `what mobile_1 hears`, `the picture's path to ego`
     """
     hostile = [each for each in interposers(run) if not each.is_link]
     kinds = {agent.name: agent.kind for agent in run.recording.agents} if run.recording else {}
-    compromised_agents = {agent for each in hostile for agent in each.agents}
-    names = set(kinds) or set(run.metrics.get("agents", {})) | compromised_agents
-    places = []
-    for kind, noun in (("static", "roadside sensor"), ("mobile", "vehicle")):
-        group = {name for name in names if kinds.get(name, "static" if name.startswith("infra") else "mobile") == kind}
-        number = len(group & compromised_agents)
-        if number and len(group) == 1:
-            places.append(f"the {noun}")
-        elif number:
-            places.append(f"{'all' if number == len(group) else f'{count(number)} of'} {count(len(group))} {noun}s")
-    heard = {peer_of(name): f"what {name} hears" for name in names}
-    befores = dict.fromkeys(before for each in hostile for before in each.before)
-    places += [heard.get(before, f"the picture's path to {before}") for before in befores]
+    everywhere = [each for each in hostile if not each.before]
+    gossip = {agent for each in everywhere if changes_gossip_alone(run, each) for agent in each.agents}
+    all_messages = {agent for each in everywhere if not changes_gossip_alone(run, each) for agent in each.agents}
+    names = set(kinds) or set(run.metrics.get("agents", {})) | {agent for each in hostile for agent in each.agents}
+    groups = [
+        (noun, {name for name in names if kinds.get(name, "static" if name.startswith("infra") else "mobile") == kind})
+        for kind, noun in (("static", "roadside sensor"), ("mobile", "vehicle"))
+    ]
+    places = _shares(groups, all_messages)
+    if alone := _shares(groups, gossip - all_messages):
+        places.append(f"the gossip of {join_names(alone)}")
+    places += _on_the_way(run, names, hostile)
     other_wires = [wire for each in hostile if not each.agents and not each.before for wire in each.wires]
     places += dict.fromkeys(f"the wire {wire}" for wire in other_wires)
     return " and ".join(places)
+
+
+def _shares(groups: Sequence[tuple[str, set[str]]], agents: set[str]) -> list[str]:
+    """How many of each kind of agent are among some: `two of four roadside sensors`; groups: (noun, all agents)."""
+    shares = []
+    for noun, group in groups:
+        number = len(group & agents)
+        if number and len(group) == 1:
+            shares.append(f"the {noun}")
+        elif number:
+            shares.append(f"{'all' if number == len(group) else f'{count(number)} of'} {count(len(group))} {noun}s")
+    return shares
+
+
+def _on_the_way(run: RunRecord, names: set[str], hostile: Sequence[Interposer]) -> list[str]:
+    """What adversaries change for single subscribers: `what infra_1 sends to the ego`, `what mobile_1 hears`."""
+    listeners = {peer_of(name): name for name in names}
+    places = []
+    for before in dict.fromkeys(before for each in hostile for before in each.before):
+        senders = {agent for each in hostile if before in each.before for agent in each.agents}
+        listener = listeners.get(before, before)
+        to = "the ego" if listener == run.ego else listener
+        if before not in listeners and not senders:
+            places.append(f"the picture's path to {before}")
+        elif before in listeners and senders >= names - {listener}:
+            places.append(f"what {to} hears")
+        elif len(senders) > _MOST_SENDERS:
+            places.append(f"what {count(len(senders))} agents send to {to}")
+        else:
+            verb = "sends" if len(senders) == 1 else "send"
+            places.append(f"what {join_names(sorted(senders))} {verb} to {to}")
+    return places
 
 
 #: How a run that did not end well failed, by its status.
@@ -128,13 +163,19 @@ def defence_sentence(run: RunRecord) -> str:
     did = [agents_suspended if suspended else "set no agent's state to suspended"]
     did += [join_names([f"{name} ({_when(agents[name])})" for name in suspended], _MOST_NAMES)] if suspended else []
     did += _doubts(agents)
-    did += [f"although {join_names(missed, _MOST_NAMES)} lied"] if missed else []
+    on_the_way = altered_on_the_way(run)
+    lied, altered = ([name for name in missed if (name in on_the_way) == way] for way in (False, True))
+    ego_hears = f"what the ego hears of {join_names(altered, _MOST_NAMES)} is altered on the way"
+    although = [f"{join_names(lied, _MOST_NAMES)} lied"] * bool(lied) + [ego_hears] * bool(altered)
+    did += [f"although {join_names(although)}"] if although else []
     text = ", ".join(did)
     if "withheld" in measured:
         false, true = measured["withheld"]["false"], measured["withheld"]["true"]
         what = f"{false:.2f} false and {true:.2f} true objects a frame" if false or true else "nothing"
         text += f"{',' if len(did) > 1 else ''} and withheld {what}{_missed_for_it(run, true)}"
-    return f"{run.defence or 'The defence'} {text}."
+    judges = sum(run.role(name) == "peer" for name in run.run.get("nodes", {}))
+    of_ego = " of the ego's peer (the others judge for themselves)" if judges > 1 and not run.has_centre else ""
+    return f"{run.defence or 'The defence'}{of_ego} {text}."
 
 
 def _missed_for_it(run: RunRecord, withheld: float) -> str:
@@ -145,7 +186,9 @@ def _missed_for_it(run: RunRecord, withheld: float) -> str:
     missed = (run.summary(PICTURE).get("fn_split") or {}).get("withheld")
     if missed is None or f"{missed:.2f}" == f"{withheld:.2f}":
         return ""
-    return f"; in its range, the ego misses {missed:.2f} for this and because only suspended agents report them"
+    suspended = any(agent["suspensions"] for agent in run.metrics["integrity"]["agents"].values())
+    also = " and because only suspended agents report them" if suspended else ""
+    return f"; in its range, the ego misses {missed:.2f} for this{also}"
 
 
 def _doubts(agents: dict[str, Any]) -> list[str]:
@@ -217,7 +260,8 @@ def _scores(run: RunRecord, change: Change | None) -> str:
         if kind != DISPLACED or not matched.sum():
             return ""
         text = f"an RMSE of {float(np.sqrt((squared * matched).sum() / matched.sum())):.2f} m"
-    return f"{ESTIMATES[estimate].subject} has {text}"
+    own_picture = estimate == PICTURE and "pictures" in run.metrics
+    return f"{'the picture of the ego' if own_picture else ESTIMATES[estimate].subject} has {text}"
 
 
 def _aim(run: RunRecord) -> str:
@@ -282,18 +326,18 @@ def _result(run: RunRecord, reference: Reference | None) -> str:
     places, change = compromised(run), _largest(run, reference)
     if change is None:
         return _unchanged(run, places, reference)
-    what = amount(change, run.ego, more=reference is not None)
+    what = amount(run, change, more=reference is not None)
     if reference is not None:
         what += f" than {reference.name}{cause_clause(run, change, reference.run)}"
     else:
         what += f" {due_to_causes(run, [change])}"
-    if change.estimate == RECEIVED:
+    if change.estimate == RECEIVED or (change.agent != run.ego and "pictures" in run.metrics):
         what = f"{_picture_unchanged(run, reference)}; {what}"
     return capital(f"{places} compromised: " * bool(places) + what + _limits(run, reference, change))
 
 
 def _picture_unchanged(run: RunRecord, reference: Reference | None) -> str:
-    """States that nothing beyond the tracks that agents sent changed, and what the defence did about them."""
+    """States that the picture that the ego uses is unchanged, and what the defence did about the tracks."""
     if reference is not None:
         return f"the common picture scores as in {reference.name}"
     judged = f"after {run.defence}, " if run.defence else ""
@@ -321,7 +365,7 @@ def _limits(run: RunRecord, reference: Reference | None, change: Change) -> str:
     relevant = [each for kind in kinds for each in acted_on if each.kind == kind] or acted_on
     if not relevant:
         return ""
-    amounts = [amount(each, run.ego, where=False, more=reference is not None) for each in relevant]
+    amounts = [amount(run, each, where=False, more=reference is not None) for each in relevant]
     return f"; in what the ego acts on, {join_names(amounts)}"
 
 
@@ -402,7 +446,7 @@ def _other_changes(run: RunRecord, reference: Reference | None) -> list[str]:
             by_cause.setdefault(tuple(causes(run, change, reference.run if reference else None)), []).append(change)
     sentences = []
     for cause, group in by_cause.items():
-        text = capital(join_names([amount(each, run.ego, more=reference is not None) for each in group]))
+        text = capital(join_names([amount(run, each, more=reference is not None) for each in group]))
         if reference is None:
             sentences.append(f"{text} {due_to_causes(run, group)}.")
         else:  # the headline explains missing causes
@@ -419,7 +463,7 @@ def _transit(run: RunRecord) -> list[str]:
             continue
         notable = [each for each in between(run, run.summary(estimate), sent) if abs(each.weight) >= NOTHING]
         if notable:
-            differs = join_names([amount(each, run.ego, where=False, more=True) for each in notable])
+            differs = join_names([amount(run, each, where=False, more=True) for each in notable])
             sentences.append(f"The picture {where} has {differs} than when the command centre sent it.")
     return sentences[-1:]
 
@@ -469,7 +513,7 @@ def study_headline(runs: Mapping[str, RunRecord], table: ScoreTable) -> str:
     label, change = max(known, key=lambda item: abs(item[1].weight))
     places = compromised(runs[label])
     start = f"{places} compromised ({label})" if places else label
-    return capital(f"{start}: {amount(change, runs[label].ego, more=True)} than {table.reference}")
+    return capital(f"{start}: {amount(runs[label], change, more=True)} than {table.reference}")
 
 
 def study_reading(runs: Mapping[str, RunRecord], table: ScoreTable) -> list[str]:
@@ -491,7 +535,7 @@ def study_reading(runs: Mapping[str, RunRecord], table: ScoreTable) -> list[str]
         lasts = ""
         if during is not None and change.kind in (FALSE, MISSED):
             lasts = f" ({during:+.2f} while the attack lasts)".replace("-", "\u2212")
-        what = amount(change, run.ego, more=True)
+        what = amount(run, change, more=True)
         sentences.append(f"In run {label}{where}, {what}{lasts}{cause_clause(run, change, reference)}.")
     if len(runs) > 1 and reference.summary("local"):
         own = {str([run.summary("local").get(key) for key in ("fn", "fp", "tp")]) for run in runs.values()}

@@ -8,7 +8,16 @@ from dataclasses import dataclass, replace
 
 from mast_zenoh.metrics.estimates import ESTIMATES, LOCAL, MISSION, PICTURE
 from mast_zenoh.metrics.study_results import Estimate, IdleAttack, Series, StudyFacts, StudyRow, plural
-from mast_zenoh.report.tables.study_rows import ADDED, ALL_SCORES, ESTIMATORS, PAPER, Column, bounds, columns_of, value
+from mast_zenoh.report.tables.study_rows import (
+    ADDED,
+    ALL_SCORES,
+    ESTIMATORS,
+    PAPER,
+    Column,
+    bounds,
+    columns_of,
+    value,
+)
 
 LEVEL = 0.05
 
@@ -121,7 +130,7 @@ def _attacked(rows: Sequence[StudyRow], facts: StudyFacts) -> list[StudyRow]:
     return [row for row in rows if row.label != facts.baseline and row.label not in facts.never_attacked]
 
 
-_NO_CHANGE = "No attack changes false or missed objects in any estimate of the ego"
+_NO_CHANGE = "No configuration changes false or missed objects in any estimate of the ego"
 
 
 def _result(rows: Sequence[StudyRow], attacked: Sequence[StudyRow], comparisons: Comparisons) -> str:
@@ -236,7 +245,7 @@ def comparisons_made(comparisons: Comparisons) -> str:
     others = f" table.csv has {comparisons.others} more, which are not counted." if comparisons.others else ""
     return (
         f"{plural(count, 'comparison')} with the baseline, each with its own 95 % interval: "
-        f"{LEVEL * count:.1f} of them would exclude 0 by chance if no attack did anything. "
+        f"{LEVEL * count:.1f} of them would exclude 0 by chance if nothing differed. "
         f"They hold together at 95 % if each is held to a level of {comparisons.bonferroni:.2g} (Bonferroni). "
         f"* marks the {comparisons.remaining()} that remain distinguishable from 0 after Holm's procedure.{others}"
     )

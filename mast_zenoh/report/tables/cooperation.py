@@ -13,6 +13,7 @@ from mast_zenoh.report.tables.text_table import (
     measured,
     number,
     percent,
+    whole_percent,
 )
 
 _ABOUT = (
@@ -102,4 +103,4 @@ def _brief_line(row: CooperationRow) -> list[str]:
 
 
 def _share(each: Measured) -> str:
-    return number(100.0 * each.value, 0) if each.known else DASH
+    return whole_percent(each.value) if each.known else DASH

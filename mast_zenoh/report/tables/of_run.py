@@ -9,9 +9,10 @@ from typing import Any, NamedTuple
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from mast_zenoh.metrics.estimates import ESTIMATES, LOCAL, MISSION, TRUTH, subject_of
+from mast_zenoh.metrics.estimates import ESTIMATES, LOCAL, MISSION, PICTURE, TRUTH, subject_of
 from mast_zenoh.report.narrative.adversaries import explanations
 from mast_zenoh.report.narrative.attribution import reaches
+from mast_zenoh.report.tables.pictures import exceeds
 from mast_zenoh.report.tables.text_table import DASH, Head, Line, PageTable
 from mast_zenoh.tracking.base import OVERCONFIDENT
 from mast_zenoh.viewer.events import doubts, suspensions
@@ -63,12 +64,16 @@ def _achieved(name: str, each: Mapping[str, Any], *, in_picture: bool) -> Line:
     return Line((name, *inserted, *hidden, *moved, both("first_success_s", "{:.1f}"), both("id_switches", "{}")))
 
 
+_NEES_QUANTITIES = {"position": "positions", "velocity": "velocities"}
+NEES_TITLE = "NEES: errors relative to covariances, 2 expected; * above its 95 % bounds"
 _NEES = ("NEES\n(bounds)", "times more\nconfident", "typically")
 _ESTIMATES = (
     Head("estimate", kind="text"),
     *(Head(text, group) for group in ("position", "velocity") for text in _NEES),
     *(Head("pairs"), Head("verdict", kind="text")),
 )
+#: The verdict where the mean of the errors alone, not their median, is beyond what covariances say.
+_ABOVE = "NEES above its bounds"
 _TRACKERS = (
     Head("tracker of", kind="text"),
     *(
@@ -81,14 +86,53 @@ _TRACKERS = (
 )
 
 
-def confidence_tables(run: RunRecord) -> tuple[PageTable, PageTable]:
-    """How confident estimates, and the trackers of nodes, are compared with their accuracy."""
+_NEES_OF = (PICTURE, MISSION)
+
+
+def nees_table(runs: Mapping[str, Mapping[str, Any]], agent: str) -> PageTable:
+    """The NEES of positions and velocities in an agent's picture and mission estimate, a line per run.
+
+    runs: metrics by label; no lines where none has any. Lines with a value above its bounds are bad.
+    """
+    heads = [Head(name, ESTIMATES[estimate].column) for estimate in _NEES_OF for name in _NEES_QUANTITIES.values()]
     lines = []
+    for label, metrics in runs.items():
+        of_agent = metrics.get("consistency", {}).get(agent, {})
+        summaries = [of_agent.get(estimate, {}).get(name, {}) for estimate in _NEES_OF for name in _NEES_QUANTITIES]
+        if any(each.get("nees") is not None for each in summaries):
+            cells = [_nees_cell(each) for each in summaries]
+            lines.append(Line((label, *cells), "bad" if any(map(exceeds, summaries)) else ""))
+    return PageTable([Head("run", kind="text"), *heads], lines, dense=False)
+
+
+def _nees_cell(summary: Mapping[str, Any]) -> str:
+    nees = summary.get("nees")
+    return DASH if nees is None else f"{_number(nees)}{'*' * exceeds(summary)}"
+
+
+def nees_as_rich(runs: Mapping[str, Mapping[str, Any]], agent: str) -> Table | None:
+    """The same for the terminal; None: not known."""
+    return _as_rich(nees_table(runs, agent), NEES_TITLE)
+
+
+#: More estimates than these are split into those of the ego and the others.
+_MOST_ESTIMATES = 12
+
+
+def confidence_tables(run: RunRecord) -> tuple[PageTable, PageTable, PageTable]:
+    """How confident estimates, and the trackers of nodes, are compared with their accuracy.
+
+    The third: estimates besides the ego's that have no notable verdict, if there are many.
+    """
+    every: list[Line] = []
+    lines: list[Line] = []
+    others: list[Line] = []
     own_pictures = "pictures" in run.metrics
     for agent, estimates in run.metrics.get("consistency", {}).items():
         for estimate, summaries in estimates.items():
             position, velocity = summaries["position"], summaries["velocity"]
-            verdict = "; ".join(f"{name}: {each['verdict']}" for name, each in summaries.items() if each["verdict"])
+            verdicts = {name: each["verdict"] or _ABOVE * exceeds(each) for name, each in summaries.items()}
+            verdict = "; ".join(f"{name}: {each}" for name, each in verdicts.items() if each)
             cells = (
                 subject_of(agent, estimate, own_pictures),
                 *_numbers(position),
@@ -96,7 +140,9 @@ def confidence_tables(run: RunRecord) -> tuple[PageTable, PageTable]:
                 str(position["pairs"]),
                 verdict,
             )
-            lines.append(Line(cells, "bad" if OVERCONFIDENT in verdict else ""))
+            line = Line(cells, "bad" if OVERCONFIDENT in verdict else "")
+            every.append(line)
+            (lines if agent == run.ego or line.style else others).append(line)
     trackers = [
         Line(
             (
@@ -108,7 +154,9 @@ def confidence_tables(run: RunRecord) -> tuple[PageTable, PageTable]:
         )
         for name, each in run.run.get("innovations", {}).items()
     ]
-    return PageTable(_ESTIMATES, lines), PageTable(_TRACKERS, trackers)
+    if len(every) <= _MOST_ESTIMATES:
+        lines, others = every, []
+    return PageTable(_ESTIMATES, lines), PageTable(_TRACKERS, trackers), PageTable(_ESTIMATES, others)
 
 
 def _numbers(summary: Mapping[str, Any]) -> tuple[str, str, str]:
@@ -138,6 +186,9 @@ _WRONG_BRAKING = {"needless_brake_share": "brakes needlessly", "missed_brake_sha
 #: Shares below this count as none.
 _MIN_SHARE = 0.0005
 
+
+#: s, least times to collision beyond this say nothing more.
+_LONG_S = 60.0
 
 _DRIVING = (
     *("objects in\ncorridor", "false", "missed", "overlapping\nthe ego", "least time to\ncollision (s)", "brakes"),
@@ -207,7 +258,9 @@ def _driving(labels: Sequence[str], summary: dict[str, Any], reference_summary: 
         return text(key, 1, 100.0) + (f" ({'; '.join(notes)})" if notes else "")
 
     counts = (text(key, 2) for key in ("corridor_objects", "corridor_false", "corridor_missed", "overlapping_objects"))
-    ttc, brake = text("min_ttc_s", 1, missing="never"), text("brake_share", 1, 100.0)
+    far = (summary.get("min_ttc_s") or 0.0) > _LONG_S
+    ttc = f"more than {_LONG_S:.0f}" if far else text("min_ttc_s", 1, missing="never")
+    brake = text("brake_share", 1, 100.0)
     return Line((*labels, *counts, ttc, brake, share("needless_brake_share"), share("missed_brake_share")))
 
 
@@ -455,10 +508,13 @@ def latency_tables(metrics: Mapping[str, Any]) -> tuple[PageTable, PageTable, Pa
 
 def causes_as_rich(runs: Mapping[str, Mapping[str, Any]], agent: str) -> Table | None:
     """Terminal table of the causes of an agent's errors, a line per run; None: not known."""
-    source = cause_table(runs, agent)
+    return _as_rich(cause_table(runs, agent), "Causes of missed and false objects, per frame in the picture")
+
+
+def _as_rich(source: PageTable, title: str) -> Table | None:
+    """A table of grouped columns for the terminal; None without lines."""
     if not source.lines:
         return None
-    title = "Causes of missed and false objects, per frame in the picture"
     table = Table(title=title, title_justify="left", title_style="dim", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.add_column("", justify="left", no_wrap=True)
     for group, heads in source.groups[1:]:

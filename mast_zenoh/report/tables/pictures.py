@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from mast_zenoh.metrics.estimates import PICTURE
-from mast_zenoh.report.tables.text_table import DASH, Head, Line, PageTable
+from mast_zenoh.report.tables.text_table import DASH, Head, Line, PageTable, whole_percent
 from mast_zenoh.viewer.run import RunRecord
 
+_QUANTITIES = {"position": "positions", "velocity": "velocities"}
 _HEADS = [
     Head("agent", kind="text"),
     Head("missed", "objects per frame"),
@@ -28,9 +29,16 @@ def picture_table(run: RunRecord) -> PageTable:
 
 def _line(metrics: Mapping[str, Any], agent: str, deceived: float) -> Line:
     scores = metrics["agents"][agent][PICTURE]
-    nees = metrics["consistency"].get(agent, {}).get(PICTURE, {}).get("position", {}).get("nees")
+    position = metrics["consistency"].get(agent, {}).get(PICTURE, {}).get("position", {})
     cells = [_number(each) for each in (scores["fn"]["mean"], scores["fp"]["mean"], scores["rmse_m"])]
-    return Line((agent, *cells, _number(100.0 * deceived, 0), _number(nees)))
+    nees = _number(position.get("nees"))
+    nees += f" (bound {_number(position['high'])})" if exceeds(position) else ""
+    return Line((agent, *cells, whole_percent(deceived), nees), "bad" if exceeds(position) else "")
+
+
+def exceeds(summary: Mapping[str, Any]) -> bool:
+    """Whether the mean NEES of a summary is above its 95 % bounds, whatever its median is."""
+    return summary.get("nees") is not None and summary.get("high") is not None and summary["nees"] > summary["high"]
 
 
 def picture_sentences(run: RunRecord) -> list[str]:
@@ -39,15 +47,29 @@ def picture_sentences(run: RunRecord) -> list[str]:
     if not pictures:
         return []
     difference, deceived = pictures["difference_gospa_m"]["mean"], pictures["deceived"]
-    apart = "" if difference is None else f", {difference:.1f} m apart (GOSPA)"
+    apart = (
+        "" if difference is None else f"; GOSPA between two: {difference:.1f} m, mostly objects that one of them lacks"
+    )
     sentences = [f"{pictures['count']} agents have pictures of their own{apart}"]
     if deceived["first_s"] is not None:
         share, most, first_s = deceived["share"]["mean"] or 0.0, deceived["most"], deceived["first_s"]
-        when = f"{100.0 * share:.0f} % of them at a time, at most {100.0 * most:.0f} %, first at {first_s:.1f} s"
+        when = f"{whole_percent(share)} % of them at a time, at most {whole_percent(most)} %, first at {first_s:.1f} s"
         lies_from_s = deceived.get("lies_from_s")
         since = "" if lies_from_s is None else f" from the first changed message on, at {lies_from_s:.1f} s"
         sentences.append(f"Attacks deceived {when}{since}")
-    return sentences
+    return [*sentences, *_consistency(pictures)]
+
+
+def _consistency(pictures: Mapping[str, Any]) -> list[str]:
+    """In how many pictures errors are larger than covariances say; [] if in none."""
+    too_high = {name: each for name, each in pictures.get("consistency", {}).items() if each["above"]}
+    if not too_high:
+        return []
+    parts = [
+        f"{_QUANTITIES[name]} in {len(each['above'])} of {pictures['count']} pictures (on average {each['nees']:.1f})"
+        for name, each in too_high.items()
+    ]
+    return [f"Errors are larger than covariances say (NEES above its 95 % bounds, 2 expected): {', '.join(parts)}"]
 
 
 def channel_sentences(run: RunRecord) -> list[str]:
@@ -57,9 +79,9 @@ def channel_sentences(run: RunRecord) -> list[str]:
         return []
     arrived = channel["arrived"]
     of_messages = "no message was sent" if arrived is None else f"{100.0 * arrived:.1f} % of the messages arrived"
-    busy, sent = (100.0 * share for share in (channel["busy_ratio"]["mean"] or 0.0, channel["sent"]))
+    busy, sent = map(whole_percent, (channel["busy_ratio"]["mean"] or 0.0, channel["sent"]))
     stations = f"Radio channel of {channel['stations']} stations"
-    return [f"{stations}: {busy:.0f} % busy; a station sent in {sent:.0f} % of the frames; {of_messages}"]
+    return [f"{stations}: {busy} % busy; a station sent in {sent} % of the frames; {of_messages}"]
 
 
 def _number(value: float | None, digits: int = 2) -> str:

@@ -26,6 +26,7 @@ from mast_zenoh.report.narrative.study import (
     titled,
 )
 from mast_zenoh.report.tables.study_rows import (
+    ACHIEVED,
     ADDED,
     ALL_SCORES,
     DEFENCE,
@@ -35,6 +36,7 @@ from mast_zenoh.report.tables.study_rows import (
     SCORES,
     Column,
     Groups,
+    attacks_differ,
     bounds,
     columns_of,
     over_frames,
@@ -44,7 +46,7 @@ from mast_zenoh.report.tables.study_rows import (
 )
 from mast_zenoh.report.tables.text_table import DASH, csv_text, digits, number
 
-_ACHIEVED, _ALL = "achieved", "all"
+_ALL = "all"
 _WRONG = {"fp": "false objects", "fn": "missed objects"}
 _PAIRED = "Difference from the baseline of the same scene and seed; mean and 95 % interval over seeds of these scenes."
 
@@ -104,11 +106,18 @@ class Section:
 def sections(rows: Sequence[StudyRow], baseline: str, comparisons: Comparisons) -> list[Section]:
     """All non-empty tables of a study."""
     attacked = [row for row in rows if row.label != baseline]
-    tables = [_paper(attacked, comparisons), *_added(attacked, comparisons), *_to_other_scenes(attacked)]
+    title = difference_title(rows, baseline)
+    tables = [_paper(title, attacked, comparisons), *_added(title, attacked, comparisons)]
+    tables += _to_other_scenes(title, attacked)
     tables += [_scores(rows, group) for group in ALL_SCORES]
     tables += [*_achieved(attacked), _defence(rows), _others(rows)]
     tables += [_causes(rows, estimator, outcome) for estimator in ("picture", "mission") for outcome in _WRONG]
     return [section for section in tables if section.lines and section.headings]
+
+
+def difference_title(rows: Sequence[StudyRow], baseline: str) -> str:
+    """How the titles of tables of differences from the baseline begin."""
+    return "What the attack adds" if attacks_differ(rows, baseline) else "Difference from the baseline"
 
 
 def side_by_side(rows: Sequence[StudyRow]) -> Section:
@@ -116,7 +125,7 @@ def side_by_side(rows: Sequence[StudyRow]) -> Section:
     return _table("", "", SCORES, rows, lambda row, column: _over_trials(column.of(row)))
 
 
-def _paper(rows: Sequence[StudyRow], comparisons: Comparisons) -> Section:
+def _paper(title: str, rows: Sequence[StudyRow], comparisons: Comparisons) -> Section:
     caption = (
         "Objects per frame: mean ± standard deviation over the frames of all trials; below it the 95 % interval of the "
         "mean over seeds of these scenes, each trial paired with its baseline, after that mean where it differs."
@@ -128,15 +137,15 @@ def _paper(rows: Sequence[StudyRow], comparisons: Comparisons) -> Section:
         below = bounds(estimate) if same else over_trials(estimate)
         return Cell(over_frames(estimate), below, comparisons.remains(row, column))
 
-    return _table("What the attack adds, in the paper's columns", caption, PAPER, rows, cell)
+    return _table(f"{title}, in the paper's columns", caption, PAPER, rows, cell)
 
 
-def _added(rows: Sequence[StudyRow], comparisons: Comparisons) -> list[Section]:
-    """A table per estimate that an attack changes; the terminal shows the ego's."""
+def _added(title: str, rows: Sequence[StudyRow], comparisons: Comparisons) -> list[Section]:
+    """A table per estimate that differs; the terminal shows the ego's."""
     tables = []
     for estimator, group in zip(ESTIMATORS, ADDED, strict=True):
         section = _table(
-            f"What the attack adds: {group[0]}",
+            f"{title}: {group[0]}",
             _PAIRED,
             (group,),
             rows,
@@ -147,13 +156,13 @@ def _added(rows: Sequence[StudyRow], comparisons: Comparisons) -> list[Section]:
     return tables
 
 
-def _to_other_scenes(rows: Sequence[StudyRow]) -> list[Section]:
+def _to_other_scenes(title: str, rows: Sequence[StudyRow]) -> list[Section]:
     """Increments with intervals to other scenes, for estimates that have them."""
     caption = "The same means, with the 95 % interval to other scenes drawn like these, and other seeds."
     groups = [group for group in ADDED if any(not math.isnan(c.of(row).scenes_low) for row in rows for c in group[1])]
     return [
         _table(
-            f"What the attack adds, to other scenes: {group[0]}",
+            f"{title}, to other scenes: {group[0]}",
             caption,
             (group,),
             rows,
@@ -172,7 +181,7 @@ def _scores(rows: Sequence[StudyRow], group: tuple[str, tuple[Column, ...]]) -> 
 
 def _achieved(rows: Sequence[StudyRow]) -> list[Section]:
     """Achievements of all adversaries together, and of each one."""
-    series = list(dict.fromkeys(each for row in rows for each in row.estimates if each.estimator == _ACHIEVED))
+    series = list(dict.fromkeys(each for row in rows for each in row.estimates if each.estimator == ACHIEVED))
     names = list(dict.fromkeys(each.metric for each in series))
     all_adversaries = [each.owner for each in series if each.owner == _ALL][:1]
     single_adversaries = list(dict.fromkeys(each.owner for each in series if each.owner != _ALL))
@@ -185,7 +194,7 @@ def _achieved(rows: Sequence[StudyRow]) -> list[Section]:
     ):
         cells = {
             row.label if owner == _ALL else f"{row.label}: {owner}": tuple(
-                _over_trials(row.get(name, _ACHIEVED, owner)) for name in names
+                _over_trials(row.get(name, ACHIEVED, owner)) for name in names
             )
             for row in rows
             for owner in group

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from mast_zenoh.metrics.estimates import ESTIMATES, MAIN
 from mast_zenoh.metrics.measures import MEASURES
 from mast_zenoh.metrics.study_results import MIN_SEEDS, Estimate, StudyRow
-from mast_zenoh.report.tables.text_table import DASH, number
+from mast_zenoh.report.tables.text_table import DASH, number, whole_percent
 
 #: The warning of a table with such an increment.
 MOSTLY_ZERO = (
@@ -92,6 +92,16 @@ DEFENCE: Groups = (
 )
 
 
+#: The estimator of what adversaries achieved.
+ACHIEVED = "achieved"
+
+
+def attacks_differ(rows: Iterable[StudyRow], baseline: str) -> bool:
+    """Whether all configurations but the baseline have adversaries, so that differences are what attacks add."""
+    has_attack = {row.label: any(each.estimator == ACHIEVED for each in row.estimates) for row in rows if row.estimates}
+    return not has_attack.pop(baseline, False) and bool(has_attack) and all(has_attack.values())
+
+
 def columns_of(groups: Groups) -> list[Column]:
     """All columns of the groups, one after the other."""
     return [column for _, columns in groups for column in columns]
@@ -125,7 +135,7 @@ def over_trials(estimate: Estimate) -> str:
 def value(estimate: Estimate) -> str:
     """The mean over trials alone: `3.42`, a success rate as `85 %`."""
     mean = estimate.trial_mean
-    return f"{100.0 * mean:.0f} %" if estimate.rate and not math.isnan(mean) else number(mean, _digits(estimate))
+    return f"{whole_percent(mean)} %" if estimate.rate and not math.isnan(mean) else number(mean, _digits(estimate))
 
 
 def bounds(estimate: Estimate, *, scenes: bool = False) -> str:
@@ -133,13 +143,13 @@ def bounds(estimate: Estimate, *, scenes: bool = False) -> str:
     low, high = (estimate.scenes_low, estimate.scenes_high) if scenes else (estimate.low, estimate.high)
     if not math.isnan(low):
         digits = _digits(estimate)
-        ends = (f"{100.0 * end:.0f}" if estimate.rate else number(end, digits) for end in (low, high))
+        ends = (whole_percent(end) if estimate.rate else number(end, digits) for end in (low, high))
         return f"[{', '.join(ends)}]"
     if scenes or math.isnan(estimate.trial_mean):
         return ""
     if estimate.mostly_zero:
-        share, first, last = (100.0 * each for each in (estimate.zero_share, estimate.zero_low, estimate.zero_high))
-        return f"(0 in {share:.0f} % [{first:.0f}, {last:.0f}])"
+        share, first, last = map(whole_percent, (estimate.zero_share, estimate.zero_low, estimate.zero_high))
+        return f"(0 in {share} % [{first}, {last}])"
     return f"(n < {MIN_SEEDS})" if estimate.seeds < MIN_SEEDS else "(all equal)"
 
 

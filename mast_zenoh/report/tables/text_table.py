@@ -180,6 +180,11 @@ def number(value: float, digits: int = 2) -> str:
     return text.replace("-", "" if float(text) == 0.0 else "\u2212")
 
 
+def whole_percent(share: float) -> str:
+    """A share in per cent, halves rounded up: 0.125 is `13`, 0.875 is `88`."""
+    return DASH if math.isnan(share) else number(math.floor(100.0 * share + 0.5), 0)
+
+
 def digits(*values: float) -> list[str]:
     """All digits of numbers; `inf` is not reached, empty is unknown."""
     return ["" if math.isnan(value) else repr(float(value)) for value in values]
@@ -224,7 +229,7 @@ def percent(share: Measured, unit: str = "", beyond: str = "") -> str:
     """`44 [38, 47]`, in per cent; unit: after the value;  beyond: what stands for an infinite number."""
     if not share.known:
         return DASH
-    value, low, high = (beyond if math.isinf(each) else number(100.0 * each, 0) for each in share[:3])
+    value, low, high = (beyond if math.isinf(each) else whole_percent(each) for each in share[:3])
     return f"{value}{unit}" if math.isnan(share.low) else f"{value}{unit} [{low}, {high}]"
 
 

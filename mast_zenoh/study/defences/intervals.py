@@ -18,7 +18,7 @@ from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.metrics.study_results import BINOMIAL, BOOTSTRAP, MIN_SEEDS, NAN, POISSON, Measured, Survival
 from mast_zenoh.study.statistics import CONFIDENCE, clopper_pearson
 
-#: Minimum number of trials for a bootstrap.
+#: Minimum number of trials for a bootstrap, and for the interval of a share that is 0 or 1 in all of them.
 MIN_TRIALS = MIN_SEEDS
 RESAMPLES = 2000
 #: Share of resamples that must have a value.
@@ -158,13 +158,13 @@ def _equal(values: ArrayLike) -> bool:
 
 
 def _at_limit(measured: Measured, trials: int, bounds: tuple[float, float]) -> Measured:
-    """The mean of equal values: without an interval, except for shares of 0 or 1.
+    """The mean of equal values: without an interval, except for shares of 0 or 1 in MIN_TRIALS trials or more.
 
     If all trials are at a limit of a share, it is at least as extreme in truth as the exact binomial bound for as many
     trials: the probability that a trial is at the limit cannot exceed the mean's distance from the other limit.
     """
     value = measured.value
-    if bounds != (0.0, 1.0) or min(abs(value), abs(1.0 - value)) > _EQUAL or not trials:
+    if bounds != (0.0, 1.0) or min(abs(value), abs(1.0 - value)) > _EQUAL or trials < MIN_TRIALS:
         return measured
     exact = share_of_trials(trials if value > 0.5 else 0, trials)
     return measured._replace(low=exact.low, high=exact.high, interval=exact.interval)

@@ -34,6 +34,8 @@ def test_the_bootstrap_contains_the_true_mean_about_as_often_as_it_says() -> Non
     ("measured", "value", "low"),
     [
         (intervals.mean([1.0, 2.0, 3.0, 4.0]), 2.5, NAN),  # fewer than five trials have no interval
+        (intervals.mean([1.0], (0.0, 1.0)), 1.0, NAN),  # of shares, too
+        (intervals.share([0.0] * 4, [7.0] * 4), 0.0, NAN),
         (intervals.mean([0.3] * 10), 0.3, NAN),  # nor have equal ones, as their spread is unknown
         (intervals.mean([NAN]), NAN, NAN),
         (intervals.share(0.1 * np.arange(1, 7), np.arange(1.0, 7.0)), 0.1, NAN),  # equal in all trials
