@@ -53,6 +53,7 @@ _MESSAGES = {
     "restamped": "changed the time of {}",
     "reframed": "changed the frame of reference of {}",
     "forged": "forged {}",
+    "slandered": "changed the trust in agents that is told in {}",
 }
 
 
