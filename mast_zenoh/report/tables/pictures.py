@@ -43,10 +43,10 @@ def picture_sentences(run: RunRecord) -> list[str]:
     sentences = [f"{pictures['count']} agents have pictures of their own{apart}"]
     if deceived["first_s"] is not None:
         share, most, first_s = deceived["share"]["mean"] or 0.0, deceived["most"], deceived["first_s"]
-        when = f"{100.0 * share:.0f} % of them at a time, at most {100.0 * most:.0f} %, first at {first_s:.1f} s"
         lies_from_s = deceived.get("lies_from_s")
-        since = "" if lies_from_s is None else f" from the first changed message on, at {lies_from_s:.1f} s"
-        sentences.append(f"Attacks deceived {when}{since}")
+        since = "" if lies_from_s is None else f" from the first lie on ({lies_from_s:.1f} s)"
+        when = f"{100.0 * share:.0f} % of them at a time{since}, at most {100.0 * most:.0f} %, first at {first_s:.1f} s"
+        sentences.append(f"Attacks deceived {when}")
     return sentences
 
 
