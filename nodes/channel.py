@@ -52,7 +52,7 @@ class Channel(Node):
         self.sent: list[Sent] = []
         self.before_ns: int | None = None  # time of the frame before
         self.busy: list[float] = []
-        self.counts: Counter[str] = Counter()
+        self.counts = Counter(dict.fromkeys(("frames", "bytes", "arrived", "lost"), 0))
 
     def start(self, context: Context) -> None:
         """All stations whose broadcasts it hears."""
@@ -74,6 +74,9 @@ class Channel(Node):
     def take(self, kind: int, received: Received, context: Context) -> None:
         """A message of a kind is on the air, unless it has no bytes."""
         if sizes := sizes_of(received):
+            # Counted here, because no frame comes after the last one.
+            self.counts["frames"] += len(sizes)
+            self.counts["bytes"] += sum(sizes)
             self.sent.append(Sent(context.frame, kind, received.message.header.seq, received.subject, sizes))
 
     def on_clock(self, received: Received, context: Context) -> None:
@@ -101,7 +104,7 @@ class Channel(Node):
         sending = np.zeros((2, n), bool)
         sending[kind, sender] = True
         own_airtime = np.bincount(sender, airtime, n)
-        self.note(busy, sending, missed, sizes)
+        self.note(busy, sending, missed)
         for row, name in enumerate(self.stations):
             lost, lost_awareness = (np.flatnonzero(of_kind) for of_kind in sending & missed[:, :, row])
             body = {
@@ -113,18 +116,19 @@ class Channel(Node):
             }
             context.publish("reception", body, subject=name, frame=frame, time_ns=time_ns)
 
-    def note(self, busy: np.ndarray, sending: np.ndarray, missed: np.ndarray, sizes: np.ndarray) -> None:
-        """Count for the results. busy: (n,); sending: (2, n); missed: (2, n, n); sizes: (m,) bytes"""
+    def note(self, busy: np.ndarray, sending: np.ndarray, missed: np.ndarray) -> None:
+        """Count for the results. busy: (n,); sending: (2, n); missed: (2, n, n)"""
         self.busy.append(float(busy.mean()) if len(busy) else 0.0)
-        self.counts["frames"] += len(sizes)
-        self.counts["bytes"] += int(sizes.sum())
         pairs = int(sending.sum()) * (len(self.stations) - 1)
         lost = int(missed[sending].sum()) - int(missed.diagonal(axis1=1, axis2=2)[sending].sum())
         self.counts["arrived"] += pairs - lost
         self.counts["lost"] += lost
 
     def finish(self, context: Context) -> dict[str, object]:
-        """Frames and bytes on the air, messages that arrived and were lost, and the mean and greatest busy ratio."""
+        """Frames and bytes on the air, messages that arrived and were lost, and the mean and greatest busy ratio.
+
+        Whether messages of the last frame arrived is not known: they are among the frames and bytes alone.
+        """
         busy = self.busy or [0.0]
         ratios = {"busy_ratio_mean": sum(busy) / len(busy), "busy_ratio_max": max(busy)}
         return {"channel": {"stations": len(self.stations), **self.counts, **ratios}}

@@ -19,7 +19,7 @@ from mast_zenoh.wiring.model import Passage, Wiring
 from mast_zenoh.wiring.received import Overheard
 
 #: Effects on whole messages.
-DELAYED, DROPPED, REPEATED, CORRUPTED, RESTAMPED, REFRAMED, FORGED, UNSETTLED = MESSAGE_EFFECTS = (
+DELAYED, DROPPED, REPEATED, CORRUPTED, RESTAMPED, REFRAMED, FORGED, UNSETTLED, SLANDERED = MESSAGE_EFFECTS = (
     "delayed",
     "dropped",
     "repeated",
@@ -28,6 +28,7 @@ DELAYED, DROPPED, REPEATED, CORRUPTED, RESTAMPED, REFRAMED, FORGED, UNSETTLED = 
     "reframed",
     "forged",
     "unsettled",
+    "slandered",
 )
 
 #: Number of frames by which nodes may differ, in real time, about the time of a live wiring change.
@@ -232,7 +233,8 @@ class PassageEffects:
         for each, names in zip(self._pending, others, strict=True):
             self._note_pose(each, names)
             if names:
-                self.messages.append(MessageEffect(REFRAMED, each.frame, each.seq, each.step, columns=names))
+                effect = SLANDERED if self._type == "gossip" else REFRAMED
+                self.messages.append(MessageEffect(effect, each.frame, each.seq, each.step, columns=names))
         self._pending = []
 
     def _note_pose(self, change: ChangedMessage, names: tuple[str, ...]) -> None:

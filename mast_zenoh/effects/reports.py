@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.matching import greedy_matching
 from mast_zenoh.arrays.states import Bools, Floats, Ints
-from mast_zenoh.effects.passages import DELAYED, DROPPED, REFRAMED, REPEATED, RESTAMPED, UNSETTLED
+from mast_zenoh.effects.passages import DELAYED, DROPPED, REFRAMED, REPEATED, RESTAMPED, SLANDERED, UNSETTLED
 from mast_zenoh.effects.table import CODE, EFFECTS, Effects
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics.boxes import Places, find, occurs, pairs_within
@@ -123,7 +123,8 @@ def _match_attacks(
     claims = np.flatnonzero(names == REFRAMED)
     group = reported_rows["node"] * span + frame[1]
     of_type = np.array([passage.message in _WITHOUT_OBJECTS for passage in effects.passages], bool)
-    rows = np.flatnonzero((effects.code == CODE[REFRAMED]) & of_type[effects.passage])
+    whole = np.isin(effects.code, [CODE[REFRAMED], CODE[SLANDERED]])
+    rows = np.flatnonzero(whole & of_type[effects.passage])
     changed = node_row[rows] * span + frame[0][rows]
     reported[rows] |= np.isin(changed, group[claims])
     confirmed[claims] = np.isin(group[claims], changed)

@@ -234,6 +234,7 @@ class Evaluation:
             from_absence,
             self.attribution,
             data.relays,
+            _own_pictures(data),
         )
         spoofs = [meter.effects.spoofs for meter in data.meter.meters]
         duration = round(self.attribution.coast_s / data.period_s)

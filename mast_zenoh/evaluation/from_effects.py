@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -60,6 +60,29 @@ def _influences(passage: Passage, agent: str, estimator: str, is_link: bool, rel
     return port not in _WITHOUT_ESTIMATE and (estimator != LOCAL or port == "clock")
 
 
+#: Ports of what an agent sends to the peers of others, and of what its own tracks and its own peer's picture depend on.
+_ON_AIR = ("broadcast", "awareness", "gossip", "relay")
+_OWN = ("detections", "pose", "tracks", "sweep", "view", "status")
+
+
+def delays(
+    passages: Sequence[Passage], series: Sequence[tuple[str, str]], own_pictures: Collection[str], relays: bool
+) -> Ints:
+    """Number of frames after its own from which on a message of a passage can have been used for a series: (p, s).
+
+    A peer uses what it hears from the next frame on.
+    own_pictures: agents that have a picture of their own, from their peers
+    relays: see `influence`; a relayed picture is heard once more
+    """
+    result = np.zeros((len(passages), len(series)), np.int64)
+    for row, passage in enumerate(passages):
+        for column, (agent, estimator) in enumerate(series):
+            heard = passage.port in _ON_AIR or (passage.port in _OWN and agent != agent_of(passage.subject))
+            if heard and agent in own_pictures and estimator in FROM_CENTRE:
+                result[row, column] = 2 if relays and passage.before not in ("", peer_of(agent)) else 1
+    return result
+
+
 #: Share of the frames of a second in which an agent that tracks an object sees it.
 SEEN_SHARE = 0.8
 #: Detections in two seconds without which no track begins.
@@ -75,6 +98,7 @@ def manipulations(
     away: Bools,
     limits: AttributionLimits,
     relays: bool = False,
+    own_pictures: Collection[str] = (),
 ) -> Manipulations:
     """The manipulations among the measured effects.
 
@@ -83,7 +107,7 @@ def manipulations(
     truth:  all objects, world frame; group = frame
     away:   (n,) effects due to the absence of an interposer, which are not manipulations
     limits: which effects count, and for how long
-    relays: see `influence`
+    relays, own_pictures: see `influence` and `delays`
     """
     is_link = np.array([roles.get(passage.node) == "link" for passage in effects.passages], bool)
     culprits = tuple(sorted({p.node for p, link in zip(effects.passages, is_link, strict=True) if not link}))
@@ -104,6 +128,7 @@ def manipulations(
         culprits=culprits,
         reach=influence(effects.passages, series, is_link, relays),
         shown=influence(effects.passages, series, np.zeros(len(is_link), bool), relays),
+        delay=delays(effects.passages, series, own_pictures, relays),
         passage=passage,
         culprit=culprit_row[passage] if len(rows) else passage,
         kind=np.concatenate([np.full(len(inserted), INSERTED), kind]),
@@ -259,6 +284,7 @@ def add_pose_manipulations(
                     manipulations.culprits,
                     manipulations.reach,
                     manipulations.shown,
+                    manipulations.delay,
                     passage=np.full(n, index),
                     culprit=np.full(n, culprit),
                     kind=np.full(n, kind),
@@ -271,7 +297,9 @@ def add_pose_manipulations(
                 )
             )
     columns = (np.concatenate([getattr(part, name) for part in parts]) for name in COLUMNS)
-    return Manipulations(manipulations.culprits, manipulations.reach, manipulations.shown, *columns)
+    return Manipulations(
+        manipulations.culprits, manipulations.reach, manipulations.shown, manipulations.delay, *columns
+    )
 
 
 def _apparent_positions(spoof: Spoof, truth: TruthTable) -> Floats:

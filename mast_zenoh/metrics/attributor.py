@@ -145,12 +145,11 @@ class Histories(NamedTuple):
         same &= np.abs(self.frame[last] - self.frame) <= max_frames
         return np.where(same, last, -1)
 
-    def period_start(self) -> Ints:
-        """First frame (n,) of the current evaluated, or unevaluated, period of each row."""
-        seen = self.outcome != UNEVALUATED
+    def period_start(self, holds: Bools) -> Ints:
+        """First frame (n,) of the period of each row in which something (n,) holds, or in which it does not."""
         first = np.ones(len(self.row), bool)
         first[1:] = (np.diff(self.series) != 0) | (np.diff(self.id) != 0) | (np.diff(self.frame) != 1)
-        first[1:] |= seen[1:] != seen[:-1]
+        first[1:] |= holds[1:] != holds[:-1]
         start = np.maximum.accumulate(np.where(first, np.arange(len(first)), 0)) if len(first) else first.astype(int)
         return np.asarray(self.frame[start])
 
@@ -334,19 +333,28 @@ class Attributor:
             if culprit >= 0:
                 same = explained & (nearest_kind == kind) & (distance <= best + self.limits.same_m)
                 by[false_rows[same], culprit] = True
+        # What was false before the lie can have reached the estimate is not the lie's, as long as such errors last.
+        blamed = false_rows[explained]
+        first_shown = manipulations.first_shown(tracks.series[blamed], by[blamed], self.span)
+        before = tracks.period_start(false)[blamed] < first_shown
+        before &= tracks.frame[blamed] < first_shown + self.begin
+        cause[blamed[before]], by[blamed[before]] = UNKNOWN, False
+        extended = false.copy()
+        extended[blamed[before]] = False
         local = self.local[tracks.series]
-        self._extend_causes(false & local, cause, by)
+        self._extend_causes(extended & local, cause, by)
         # What an agent itself reports wrongly, by no manipulation, is in the other estimates without them too.
         genuine = (false & local & (cause < 0)).nonzero()[0]
         others = (~local & (cause >= 0)).nonzero()[0]
         places = Places(tracks.frame[others], tracks.position[others])
         row, _ = nearest(places, Places(tracks.frame[genuine], tracks.position[genuine]), self.limits.lie_m)
         cause[others[row >= 0]], by[others[row >= 0]] = UNKNOWN, False
-        self._extend_causes(false & ~local, cause, by)
+        self._extend_causes(extended & ~local, cause, by)
         # A track of a real object becomes inaccurate while that object is hidden, moved or altered, if it is there.
         free = (false & (cause < 0)).nonzero()[0]
         free = free[self.last_evaluated[free]]
-        self._blame_hiding(self.last_id[free], tracks.frame[free], tracks.series[free], free, cause, by)
+        since = tracks.period_start(false)[free]
+        self._blame_hiding(self.last_id[free], tracks.frame[free], tracks.series[free], free, cause, by, since=since)
         return cause, by
 
     def _extend_causes(self, false: Bools, cause: Ints, by: Bools) -> None:
@@ -393,9 +401,10 @@ class Attributor:
         by: Bools,
         most: int | None = None,
         received: Bools | None = None,
+        since: Ints | None = None,
     ) -> None:
-        """Set cause and culprits of `rows` whose object was recently hidden; most, received: see `Hidden.recent`."""
-        for code, culprit, blamed in self.hidden.recent(truth_id, frame, series, self.own, most, received):
+        """Set cause and culprits of `rows` whose object was recently hidden; the last three: see `Hidden.recent`."""
+        for code, culprit, blamed in self.hidden.recent(truth_id, frame, series, self.own, most, received, since):
             selected = rows[blamed]
             selected = selected[(cause[selected] < 0) | (cause[selected] == code)]
             cause[selected] = code
@@ -441,7 +450,15 @@ class Attributor:
         if len(self.manipulations):
             received &= reporting(self.scores, truths.id[rows], truths.frame[rows]).any(axis=1)
         self._blame_hiding(
-            truths.id[rows], truths.frame[rows], truths.series[rows], rows, cause, by, self.begin, received
+            truths.id[rows],
+            truths.frame[rows],
+            truths.series[rows],
+            rows,
+            cause,
+            by,
+            self.begin,
+            received,
+            truths.period_start(missed)[rows],
         )
         # The previous track of the object now follows a manipulated object.
         matched = truths.outcome == MATCHED
@@ -454,7 +471,7 @@ class Attributor:
         cause[free], by[free] = track_cause[at], track_by[at]
         free = rows[cause[rows] < 0]
         tracked = self._tracked(truths, free)
-        is_new = truths.frame[free] - truths.period_start()[free] < self.begin
+        is_new = truths.frame[free] - truths.period_start(truths.outcome != UNEVALUATED)[free] < self.begin
         own = self.own[truths.series[free]]
         id_frame = truths.id[free], truths.frame[free]
         disconnected = ~own & self.cut_off_objects.contains(*id_frame, tracked=is_new)

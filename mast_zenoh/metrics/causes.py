@@ -52,17 +52,20 @@ def claimed_positions(manipulations: Manipulations, period_s: float, coast: int,
     steps = np.full(len(manipulations), coast + 1)
     same = (np.diff(manipulations.object) == 0) & (np.diff(manipulations.passage) == 0)
     steps[:-1] = np.where(same, np.minimum(np.diff(manipulations.frame), coast + 1), steps[:-1])
-    row = np.repeat(np.arange(len(manipulations)), steps)
-    lead_frames = within_runs(steps)
-    frame = manipulations.frame[row] + lead_frames
-    row, frame, lead_frames = row[frame < span], frame[frame < span], lead_frames[frame < span]
-    ahead = manipulations.velocity[row] * (lead_frames * period_s)[:, None]
-    index, series = manipulations.shown[manipulations.passage[row]].nonzero()
-    group = series * span + frame[index]
-    return (
-        Places(group, (manipulations.position[row] + ahead)[index]),
-        Places(group, (manipulations.original[row] + ahead)[index]),
-    )
+    row, lead_frames = np.repeat(np.arange(len(manipulations)), steps), within_runs(steps)
+    parts = []
+    for delay in np.unique(manipulations.delay).tolist():
+        later = lead_frames + delay  # until the next one can have been used
+        frame = manipulations.frame[row] + later
+        passage = manipulations.passage[row]
+        visible = (manipulations.shown & (manipulations.delay == delay))[passage] & (frame < span)[:, None]
+        index, series = visible.nonzero()
+        at = row[index]
+        ahead = manipulations.velocity[at] * (later[index] * period_s)[:, None]
+        group = series * span + frame[index]
+        parts.append((group, manipulations.position[at] + ahead, manipulations.original[at] + ahead))
+    group, position, original = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return Places(group, position), Places(group, original)
 
 
 class Labels(NamedTuple):
@@ -84,11 +87,12 @@ class Labels(NamedTuple):
 class Hidden:
     """Truth objects that were removed, moved or altered, with their frames.
 
-    parts: for each kind and passage: the kind, culprit (-1: a link), influenced series (s,) bool, ids of the
-           objects and frames (n,), sorted by both, and the number of frames after that for which it counts
+    parts: for each kind and passage: the kind, culprit (-1: a link), influenced series (s,) bool, frames after its own
+           from which it counts in each (s,), ids of the objects and frames (n,), sorted by both, and the number of
+           frames after that for which it counts
     """
 
-    parts: tuple[tuple[int, int, Bools, Ints, Ints, int], ...]
+    parts: tuple[tuple[int, int, Bools, Ints, Ints, Ints, int], ...]
 
     @classmethod
     def of(cls, manipulations: Manipulations) -> Hidden:
@@ -103,7 +107,8 @@ class Hidden:
                 rows = rows[np.lexsort((hidden.frame[rows], hidden.object[rows]))]
                 culprit = int(hidden.culprit[rows[0]])
                 lasts = int(hidden.lasts[rows[0]])
-                parts.append((kind, culprit, hidden.reach[passage], hidden.object[rows], hidden.frame[rows], lasts))
+                where = hidden.reach[passage], hidden.delay[passage]
+                parts.append((kind, culprit, *where, hidden.object[rows], hidden.frame[rows], lasts))
         return cls(tuple(parts))
 
     def recent(
@@ -114,6 +119,7 @@ class Hidden:
         own: Bools,
         most: int | None = None,
         received: Bools | None = None,
+        since: Ints | None = None,
     ) -> Iterator[tuple[int, int, Bools]]:
         """For each part, code of the cause, culprit, and whether objects (n,) were recently hidden.
 
@@ -121,15 +127,20 @@ class Hidden:
         own: (s,) series of what the broker receives from an agent
         most: largest number of frames after the manipulation; None: as long as that counts
         received: (n,) objects that the broker received from some agent: no removal before it hid them; None: none
+        since: (n,) first frame of an error of each object, which must not be before it was first hidden; None: any
         """
         if not len(truth_id):
             return
-        for kind, culprit, reach, ids, frames, lasts in self.parts:
+        for kind, culprit, reach, delay, ids, frames, lasts in self.parts:
             span = int(max(frames.max(), frame.max())) + 1
             known = ids * span + frames
-            last = np.searchsorted(known, truth_id * span + frame, side="right") - 1
+            usable = np.maximum(frame - delay[series], -1)  # a message of frame 0 has not arrived in frame 0
+            last = np.searchsorted(known, truth_id * span + usable, side="right") - 1
             longest = lasts if most is None else min(lasts, most)
             same = (last >= 0) & (ids[last] == truth_id) & (frame - frames[last] <= longest)
+            if since is not None:
+                first = np.minimum(np.searchsorted(known, truth_id * span), len(known) - 1)
+                same &= since >= frames[first] + delay[series]
             if received is not None and kind == REMOVED and (reach & own).any():
                 same &= ~received
             yield (kind if culprit >= 0 else FAULT), culprit, same & reach[series]

@@ -32,11 +32,13 @@ class Manipulations:
     lasts:    (n,) number of frames after its own in which it still counts
     reach:    (p, s) bool: which of s series can lack or displace an object because of each of p passages
     shown:    (p, s) bool: which can have a false track because of it
+    delay:    (p, s) number of frames after its own from which on a manipulation can have been used for each series
     """
 
     culprits: tuple[str, ...]
     reach: Bools
     shown: Bools
+    delay: Ints
     passage: Ints
     culprit: Ints
     kind: Ints
@@ -52,19 +54,21 @@ class Manipulations:
 
     def select(self, rows: Bools | Ints) -> Manipulations:
         """The rows selected by a mask or an index array."""
-        return Manipulations(self.culprits, self.reach, self.shown, *(getattr(self, name)[rows] for name in COLUMNS))
+        columns = (getattr(self, name)[rows] for name in COLUMNS)
+        return Manipulations(self.culprits, self.reach, self.shown, self.delay, *columns)
 
     def first_shown(self, series: Ints, by: Bools, span: int) -> Ints:
-        """First frame (n,) in which any of the culprits (n, c) showed an object; `span` if none did.
+        """First frame (n,) in which a series can have an object that any of the culprits (n, c) showed.
 
-        The object must be visible in the series. For rows without a culprit, links are used.
+        `span` if none did. The object must be visible in the series. For rows without a culprit, links are used.
         """
         first_frame = np.full((len(self.culprits) + 1, self.shown.shape[1]), span)  # the last row is for links
         shows = np.isin(self.kind, (INSERTED, MOVED))
         for culprit in range(-1, len(self.culprits)):
             rows = (shows & (self.culprit == culprit)).nonzero()[0]
             if len(rows):
-                frame = np.where(self.shown[self.passage[rows]], self.frame[rows, None], span)
+                passage = self.passage[rows]
+                frame = np.where(self.shown[passage], self.frame[rows, None] + self.delay[passage], span)
                 first_frame[culprit] = frame.min(axis=0)
         responsible = np.column_stack([by, ~by.any(axis=1)])
         return np.asarray(np.where(responsible, first_frame[:, series].T, span).min(axis=1))
@@ -74,4 +78,5 @@ def no_manipulations(n_series: int) -> Manipulations:
     """Manipulations without rows."""
     zero, nowhere = np.zeros(0, np.int64), np.zeros((0, 3))
     no_reach = np.zeros((0, n_series), bool)
-    return Manipulations((), no_reach, no_reach, zero, zero, zero, zero, zero, nowhere, nowhere, nowhere, zero)
+    columns = (zero, zero, zero, zero, zero, nowhere, nowhere, nowhere, zero)
+    return Manipulations((), no_reach, no_reach, no_reach.astype(np.int64), *columns)

@@ -151,7 +151,8 @@ def _changes(
         names, others = [], [column.name for column in schema.columns]
     changed = [name for name in others if not _equal(before.body[name], after.body[name])]
     if changed:
-        yield {"effect": "reframed", "columns": " ".join(changed)}
+        effect = "slandered" if passage.message == "gossip" else "reframed"
+        yield {"effect": effect, "columns": " ".join(changed)}
     where = passage.subject, before.header.frame
     for i, j in _objects(before.body, after.body, names):
         yield from _object(before.body, after.body, names, i, j, where, poses)

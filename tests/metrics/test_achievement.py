@@ -93,6 +93,7 @@ def test_an_object_is_hidden_when_missed_for_a_second_and_in_most_attempted_fram
 
 @given(frames=st.sets(st.integers(0, 9), min_size=1), believed=st.sets(st.integers(0, 9)))
 def test_an_inserted_object_is_accepted_when_tracked_in_any_frame(frames: set[int], believed: set[int]) -> None:
+    believed = {frame for frame in believed if frame >= min(frames)}  # a track that was there before is no success
     picture = [ACCEPTED if frame in believed else THERE for frame in range(10)]
     achievements = achieved(lies("inserted", frames, FALSE), picture)["eve"]
     both = frames & believed

@@ -12,7 +12,7 @@ import pytest
 from metric_worlds import LOCAL, NOTHING, PICTURE, Row, cars, effects, explained, labelled, passage, recorded
 
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.evaluation.from_effects import influence, without_unseen
+from mast_zenoh.evaluation.from_effects import delays, influence, without_unseen
 from mast_zenoh.metrics import ESTIMATORS, Record, Series, causes_of
 from mast_zenoh.metrics.attributor import Withheld
 from mast_zenoh.metrics.trust import TrustUpdate
@@ -140,11 +140,24 @@ CASES = {
         errors(range(30), "track", "inserted", "eve"),
         lies("inserted", range(10), lambda frame: (60.0 + frame, 0.0), (10.0, 0.0)),
     ),
-    "a false track is natural before the first insertion": Case(
+    "a false track that was there before the first insertion is natural, until a second after it": Case(
+        [CAR] * 20,
+        [FALSE] * 20,
+        errors(range(15), "track", "clutter") + errors(range(15, 20), "track", "inserted", "eve"),
+        lies("inserted", range(5, 20), FAR),
+    ),
+    "a false track is not attributed before the first insertion": Case(
         [CAR] * 10,
-        [FALSE] * 10,
-        errors(range(5), "track", "clutter") + errors(range(5, 10), "track", "inserted", "eve"),
+        [FALSE] * 4 + [CAR] + [FALSE] * 5,
+        errors(range(4), "track", "clutter") + errors(range(5, 10), "track", "inserted", "eve"),
         lies("inserted", range(5, 10), FAR),
+    ),
+    "an object that was missed before it was hidden is not missed because of the attack": Case(
+        [CAR] * 30,
+        [CAR if frame < 14 or frame == 20 else NOTHING for frame in range(30)],
+        errors(range(14, 20), "truth", "occlusion or range") + errors(range(21, 28), "truth", "removed", "eve")
+        + errors([28, 29], "truth", "occlusion or range"),
+        lies("removed", [16, 17], (3.9, 0.0)),
     ),
     "a false track is not attributed for more than four seconds after its extrapolation": Case(
         [CAR] * 100,
@@ -326,6 +339,27 @@ def test_an_interposer_before_one_peer_affects_others_only_through_relays_and_ne
     series = [("ego", estimator) for estimator in ESTIMATORS]
     (mask,) = influence([passage("eve", "broadcast", subject, before)], series, np.array([False]), relays)
     assert [estimator for estimator, each in zip(ESTIMATORS, mask, strict=True) if each] == affected
+
+
+@pytest.mark.parametrize(
+    ("port", "subject", "before", "relays", "frames"),
+    [
+        ("broadcast", "other", "", False, 1),
+        ("awareness", "other", "peer_ego", True, 1),
+        ("broadcast", "other", "peer_third", True, 2),
+        ("detections", "other", "", False, 1),
+        ("detections", "ego", "", False, 0),
+    ],
+)
+def test_a_peer_uses_what_it_hears_a_frame_later_and_what_another_relays_two_frames_later(
+    port: str, subject: str, before: str, relays: bool, frames: int
+) -> None:
+    series = [("ego", estimator) for estimator in ESTIMATORS]
+    (of_peer,) = delays([passage("eve", port, subject, before)], series, ["ego"], relays)
+    assert dict(zip(ESTIMATORS, of_peer.tolist(), strict=True)) == {
+        estimator: frames if estimator in CENTRE else 0 for estimator in ESTIMATORS
+    }
+    assert not delays([passage("eve", port, subject, before)], series, [], relays).any(), "a centre has no such delay"
 
 
 @pytest.mark.parametrize(

@@ -504,6 +504,7 @@ def test_every_kind_of_effect_is_described(run_of: RunOf) -> None:
         ({"dropped": 3, "delayed": 1}, "delayed 1 message and dropped 3 messages"),
         ({"forged": 2}, "forged 2 messages"),
         ({"reframed": 2}, "changed the frame of reference of 2 messages"),
+        ({"slandered": 2}, "changed the trust in agents that is told in 2 messages"),
         ({"moved": 7}, "moved objects (7 rows)"),
         ({"sung": 2}, "sung 2 messages"),
     ):

@@ -53,7 +53,7 @@ def test_slander_is_measured_on_the_wire_and_reported() -> None:
     last = run.decoded("agent/infra_1/gossip", "gossip")[-1].body
     assert dict(zip(last["agents"], last["trust"] == 0.0, strict=True))["ego"]
     found = run.results["evaluator"]["metrics"]["interposers"]["slanderer_1"]
-    assert found["effects"] == {"reframed": 10}, "from 0.2 s on"
+    assert found["effects"] == {"slandered": 10}, "from 0.2 s on"
     assert found["agreement"] == "agrees"
 
 

@@ -91,7 +91,7 @@ def test_a_lie_reaches_those_on_whose_wire_it_is_and_nobody_else(on: str, deceiv
     spread = attacked.results["evaluator"]["metrics"]["pictures"]["deceived"]
     assert {agent for agent, share in spread["agents"].items() if share > 0} == deceived
     assert spread["most"] == pytest.approx(len(deceived) / len(AGENTS))
-    assert spread["first_s"] >= 0.2
+    assert spread["first_s"] > 0.25, "a message of 0.2 s is used one frame later"
     assert (spread["half_after_s"] is not None) == (len(deceived) > 1)
     since_s = {agent: since for agent, since in spread["since_s"].items() if since is not None}
     assert since_s.keys() == deceived

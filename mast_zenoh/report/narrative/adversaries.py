@@ -54,6 +54,7 @@ _MESSAGES = {
     "restamped": "changed the time of {}",
     "reframed": "changed the frame of reference of {}",
     "forged": "forged {}",
+    "slandered": "changed the trust in agents that is told in {}",
 }
 
 #: How it is said of gossip that it is reframed.

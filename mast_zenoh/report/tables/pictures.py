@@ -53,10 +53,10 @@ def picture_sentences(run: RunRecord) -> list[str]:
     sentences = [f"{pictures['count']} agents have pictures of their own{apart}"]
     if deceived["first_s"] is not None:
         share, most, first_s = deceived["share"]["mean"] or 0.0, deceived["most"], deceived["first_s"]
-        when = f"{whole_percent(share)} % of them at a time, at most {whole_percent(most)} %, first at {first_s:.1f} s"
         lies_from_s = deceived.get("lies_from_s")
-        since = "" if lies_from_s is None else f" from the first changed message on, at {lies_from_s:.1f} s"
-        sentences.append(f"Attacks deceived {when}{since}")
+        since = "" if lies_from_s is None else f" from the first lie on ({lies_from_s:.1f} s)"
+        parts = f"{whole_percent(share)} % of them at a time{since}, at most {whole_percent(most)} %"
+        sentences.append(f"Attacks deceived {parts}, first at {first_s:.1f} s")
     return [*sentences, *_consistency(pictures)]
 
 
