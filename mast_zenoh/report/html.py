@@ -44,6 +44,7 @@ from mast_zenoh.report.tables.of_run import (
 from mast_zenoh.report.tables.pictures import channel_sentences, picture_sentences, picture_table
 from mast_zenoh.report.tables.scores import Cell, ScoreTable, Value, number, score_table, signed
 from mast_zenoh.report.tables.study import difference_title, sections, side_by_side
+from mast_zenoh.report.tables.text_table import TextTable
 from mast_zenoh.report.tables.wiring import wire_rows
 from mast_zenoh.run_files import write_bytes
 from mast_zenoh.version import __version__
@@ -371,15 +372,20 @@ _SHOWN_AT_ONCE = 10
 
 
 def write_trials_page(
-    folder: Path, rows: Sequence[StudyRow], facts: StudyFacts, figures: Mapping[str, RenderedFigure]
+    folder: Path,
+    rows: Sequence[StudyRow],
+    facts: StudyFacts,
+    figures: Mapping[str, RenderedFigure],
+    tables: Sequence[TextTable] = (),
 ) -> Path:
     """Write `report.html` into the folder of a study, and return its path.
 
-    figures: of `figures_over_trials`, by name
+    figures: of `figures_over_trials`, by name;  tables: of a study of defences
     """
     rows, facts = titled(rows, facts)
     comparisons = compare(rows, facts.baseline)
-    tables = sections(rows, facts.baseline, comparisons)
+    own_tables = [(each.title, each.about, each.on_page()) for each in tables]
+    parts = sections(rows, facts.baseline, comparisons)
     scores, title = side_by_side(rows), difference_title(rows, facts.baseline)
     content = {
         "title": f"Study {facts.name}",
@@ -391,11 +397,12 @@ def write_trials_page(
         "reservations": reservations(rows, facts),
         "reading": other_changes(rows, facts, comparisons),
         "figures": figures,
-        "added": [each for each in tables if each.title.startswith(title)],
+        "added": [each for each in parts if each.title.startswith(title)],
         "added_title": title,
+        "own_tables": own_tables,
         "comparisons": comparisons_made(comparisons),
         "scores": scores if scores.lines else None,
-        "others": [each for each in tables if not each.title.startswith((title, "Scores"))],
+        "others": [each for each in parts if not each.title.startswith((title, "Scores"))],
         "configurations": [
             (label, scenario, settings, facts.done.get(label, 0), facts.planned)
             for label, (scenario, settings) in facts.configurations.items()

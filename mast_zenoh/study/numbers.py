@@ -15,6 +15,11 @@ NAN = float("nan")
 ACHIEVED = "achieved"
 #: The estimator of what the command centre's defence did.
 DEFENCE = "defence"
+#: Numbers of all agents together that tables show, by block: how pictures differ and are deceived, and the channel.
+COOPERATION = {
+    "pictures": ("difference_gospa_m", "deceived.share", "deceived.most"),
+    "channel": ("busy_ratio", "sent", "arrived"),
+}
 #: Prefix of metrics of an estimate's consequences for driving.
 DRIVING = "driving"
 #: s; a trial with a smaller minimum time to collision is critical: van der Horst (1990), see `metrics.driving`.
@@ -94,7 +99,7 @@ def numbers(metrics: Mapping[str, Any]) -> Iterator[Number]:
                 yield Number(agent, estimator, f"{DRIVING}.{_CRITICAL}", float(critical), binary=True)
     for adversary, content in metrics.get(ACHIEVED, {}).items():
         yield from _flatten(adversary, ACHIEVED, (), content, frames)
-    for block in ("pictures", "channel"):
+    for block in COOPERATION:
         yield from _flatten("all", block, (), metrics.get(block, {}), frames)
     if metrics.get("integrity"):
         yield from _of_defence(metrics["integrity"])

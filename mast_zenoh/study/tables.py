@@ -20,7 +20,7 @@ from mast_zenoh.run_files import write_bytes
 from mast_zenoh.study import numbers, statistics
 from mast_zenoh.study.defences import kinds
 from mast_zenoh.study.definition import Study
-from mast_zenoh.study.numbers import ACHIEVED, COMPROMISED, DEFENCE, NAN, SELECTIVE, Number, ego
+from mast_zenoh.study.numbers import ACHIEVED, COMPROMISED, COOPERATION, DEFENCE, NAN, SELECTIVE, Number, ego
 from mast_zenoh.study.store import Store, TableFile
 from mast_zenoh.study.trial import Outcome, Trial
 
@@ -119,7 +119,7 @@ def write(
     if own is not None:
         figures = {**own.figures, **figures}
         names += own.names
-    report = write_trials_page(store.folder, rows, facts, figures)
+    report = write_trials_page(store.folder, rows, facts, figures, () if own is None else own.tables)
     return StudyResult(store.folder, rows, facts, [store.folder / name for name in names], report, own)
 
 
@@ -158,7 +158,7 @@ def _write_parquet(
 
 
 class Samples:
-    """The reported numbers: of the ego, compromised agents, achievements and the defence."""
+    """The reported numbers: of the ego, compromised agents, achievements, the defence, pictures and the channel."""
 
     def __init__(self, study: Study, seeds: Sequence[int]) -> None:
         """seeds: the planned seeds of every configuration and scene."""
@@ -178,7 +178,8 @@ class Samples:
         for number in trial_numbers:
             if number.metric in SELECTIVE:
                 continue
-            if number.owner in (agent, COMPROMISED) or number.estimator in (ACHIEVED, DEFENCE):
+            of_all = number.metric in COOPERATION.get(number.estimator, ())
+            if number.owner in (agent, COMPROMISED) or number.estimator in (ACHIEVED, DEFENCE) or of_all:
                 series = Series(*number[:3])
                 if series not in cells:
                     cells[series] = np.full((3, len(self._scene), len(self._seed)), NAN)

@@ -11,6 +11,7 @@ from study_samples import BASELINE, facts, grid
 from mast_zenoh.metrics.study_results import FailedTrial
 from mast_zenoh.report.figures.study import figures_over_trials
 from mast_zenoh.report.html import write_trials_page
+from mast_zenoh.report.tables.text_table import TextTable
 
 ROWS = [BASELINE, *grid("uncoordinated", n=(1, 2), false_positives=(1.0, 5.0, 20.0))]
 FAILED = [
@@ -68,3 +69,10 @@ def test_failed_trials_are_listed_first_with_seed_error_and_command(page) -> Non
     assert "b" not in parsed.tags
     assert "2 more" in parsed.text, "only the first ten are listed openly"
     assert "48 of 60" in parsed.text
+
+
+def test_the_tables_of_a_study_of_defences_are_on_the_page(tmp_path: Path) -> None:
+    own = TextTable("Lies", "Of each trial.", ("architecture", "added by lies"), [["centre", "2.00 [1.00, 3.00]"]], 1)
+    page = Page(write_trials_page(tmp_path, ROWS, facts(ROWS), {}, [own]))
+    for text in ("Lies", "Of each trial.", "architecture", "centre", "2.00 [1.00, 3.00]"):
+        assert text in page.text

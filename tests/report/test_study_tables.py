@@ -306,3 +306,14 @@ def test_without_attacks_differences_are_those_from_the_baseline() -> None:
     assert "No configuration changes false or missed objects" in " ".join(
         shown([BASELINE, replace(ROWS[1], estimates=honest | unchanged)]).split()
     )
+
+
+def test_studies_of_peers_and_radio_show_whom_attacks_deceived_and_the_load_of_the_channel() -> None:
+    deceived, busy = Series("all", "pictures", "deceived.share"), Series("all", "channel", "busy_ratio")
+    peers = replace(ROWS[1], estimates={**ROWS[1].estimates, deceived: estimate(0.25, 0.1)})
+    radio = replace(ROWS[2], estimates={**ROWS[2].estimates, deceived: estimate(0.3, 0.1), busy: estimate(0.6, 0.1)})
+    text = shown([BASELINE, peers, radio])
+    table = text.split("Pictures and radio channel")[1]
+    for value in ("0.25", "0.30", "0.60", "[0.50, 0.70]"):
+        assert value in table
+    assert "Pictures and radio channel" not in shown()

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from mast_zenoh.metrics.study_results import Series
 from mast_zenoh.study.statistics import (
     Moments,
     clopper_pearson,
@@ -17,6 +18,7 @@ from mast_zenoh.study.statistics import (
     p_value_of_zero_mean,
     pooled_moments,
     rate_interval,
+    value_range,
 )
 
 
@@ -173,3 +175,9 @@ def test_page_shows_the_simulated_coverage(simulated: Coverage) -> None:
         assert name in documented, name
         values = [float(cell) for cell in documented[name] if cell]
         assert values == pytest.approx([float(cell) for cell in cells if cell], abs=0.3), name
+
+
+def test_shares_of_pictures_and_of_the_channel_end_at_one() -> None:
+    assert value_range(Series("all", "pictures", "deceived.share")) == (0.0, 1.0)
+    assert value_range(Series("all", "channel", "busy_ratio")) == (0.0, 1.0)
+    assert value_range(Series("all", "pictures", "difference_gospa_m")) == (0.0, np.inf)

@@ -29,6 +29,7 @@ from mast_zenoh.report.tables.study_rows import (
     ACHIEVED,
     ADDED,
     ALL_SCORES,
+    COOPERATION,
     DEFENCE,
     ESTIMATORS,
     MOSTLY_ZERO,
@@ -110,7 +111,7 @@ def sections(rows: Sequence[StudyRow], baseline: str, comparisons: Comparisons) 
     tables = [_paper(title, attacked, comparisons), *_added(title, attacked, comparisons)]
     tables += _to_other_scenes(title, attacked)
     tables += [_scores(rows, group) for group in ALL_SCORES]
-    tables += [*_achieved(attacked), _defence(rows), _others(rows)]
+    tables += [*_achieved(attacked), _defence(rows), _cooperation(rows), _others(rows)]
     tables += [_causes(rows, estimator, outcome) for estimator in ("picture", "mission") for outcome in _WRONG]
     return [section for section in tables if section.lines and section.headings]
 
@@ -213,6 +214,13 @@ def _defence(rows: Sequence[StudyRow]) -> Section:
     )
     defended = [row for row in rows if any(series.estimator == "defence" for series in row.estimates)]
     return _table("What the defence did", caption, DEFENCE, defended, lambda row, column: _over_trials(column.of(row)))
+
+
+def _cooperation(rows: Sequence[StudyRow]) -> Section:
+    caption = "Shares of the agents, of the time, of the frames and of the messages; mean and 95 % interval over seeds."
+    apart = [row for row in rows if any(series.estimator in ("pictures", "channel") for series in row.estimates)]
+    title = "Pictures and radio channel"
+    return _table(title, caption, COOPERATION, apart, lambda row, column: _over_trials(column.of(row)))
 
 
 def _others(rows: Sequence[StudyRow]) -> Section:

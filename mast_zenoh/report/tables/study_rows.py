@@ -92,6 +92,32 @@ DEFENCE: Groups = (
 )
 
 
+#: How far the pictures of agents differ and are deceived, and the load of the radio channel.
+COOPERATION: Groups = (
+    (
+        "pictures of the agents",
+        tuple(
+            Column(heading, metric, "pictures", "all")
+            for heading, metric in (
+                ("GOSPA between two m", "difference_gospa_m"),
+                ("deceived at a time", "deceived.share"),
+                ("deceived at most", "deceived.most"),
+            )
+        ),
+    ),
+    (
+        "radio channel",
+        tuple(
+            Column(heading, metric, "channel", "all")
+            for heading, metric in (
+                ("busy", "busy_ratio"),
+                ("frames a station sent in", "sent"),
+                ("messages arrived", "arrived"),
+            )
+        ),
+    ),
+)
+
 #: The estimator of what adversaries achieved.
 ACHIEVED = "achieved"
 

@@ -37,6 +37,11 @@ class TextTable(NamedTuple):
     texts: int
     latex: str = ""
 
+    def on_page(self) -> PageTable:
+        """The table for an HTML page."""
+        heads = [Head(text, kind="text" if i < self.texts else "num") for i, text in enumerate(self.headings)]
+        return PageTable(heads, [Line(line) for line in self.lines])
+
     def as_rich(self) -> Table:
         """A table for a terminal of 80 columns: its cells are wrapped between words, which are never cut."""
         result = Table(

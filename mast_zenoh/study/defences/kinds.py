@@ -21,7 +21,7 @@ from mast_zenoh.study.trial import Outcome, TrialKey
 
 if TYPE_CHECKING:
     from mast_zenoh.report.figures.drawing import RenderedFigure
-    from mast_zenoh.report.tables.text_table import ResultTables
+    from mast_zenoh.report.tables.text_table import ResultTables, TextTable
 
 
 class DefenceCell:
@@ -41,11 +41,15 @@ class DefenceCell:
 
 @dataclass(frozen=True, slots=True)
 class StudyFiles:
-    """What a study of defences, or a search, wrote: figures for the page, file names, and tables for the terminal."""
+    """What a study of defences, or a search, wrote.
+
+    figures, tables: for the page;  names: of files;  as_rich: the tables for the terminal
+    """
 
     figures: Mapping[str, RenderedFigure]
     names: Sequence[str]
     as_rich: Callable[[], Any]
+    tables: Sequence[TextTable] = ()
 
 
 class Collection(ABC):
@@ -119,7 +123,7 @@ class Collection(ABC):
         for figure in figures.values():
             figure.save(folder)
         names = [*texts, *(name for figure in figures.values() for name in figure.names)]
-        return StudyFiles(figures, names, tables.as_rich)
+        return StudyFiles(figures, names, tables.as_rich, tables.tables)
 
 
 def collection_of(kind: str) -> type[Collection]:
