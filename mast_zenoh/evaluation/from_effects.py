@@ -27,6 +27,9 @@ from mast_zenoh.wiring.model import Passage, agent_of, peer_of
 #: Ports of messages that no estimate depends on: the truth, and estimates, which are scored at their source.
 _WITHOUT_ESTIMATE = ("truth", "mission", "report", "observation", "directive")
 
+#: Ports of messages that peers send each other.
+_BETWEEN_PEERS = ("broadcast", "broadcast_view", "awareness", "relay", "gossip")
+
 
 def influence(
     passages: Sequence[Passage], series: Sequence[tuple[str, str]], is_link: Bools, relays: bool = False
@@ -53,8 +56,9 @@ def _influences(passage: Passage, agent: str, estimator: str, is_link: bool, rel
         return (own and estimator == RECEIVED) or (not is_link and estimator in FROM_CENTRE)
     if port in ("status", "collated"):
         return not is_link and estimator in FROM_CENTRE
-    if port in ("broadcast", "awareness", "gossip"):
-        return not own and estimator in FROM_CENTRE and (relays or passage.before in ("", peer_of(agent)))
+    if port in _BETWEEN_PEERS:
+        heard = not own and (relays or passage.before in ("", peer_of(agent)))
+        return heard and not is_link and estimator in FROM_CENTRE
     if port == "picture":
         return estimator in BEHIND_DOWNLINK and passage.before in ("", agent)
     return port not in _WITHOUT_ESTIMATE and (estimator != LOCAL or port == "clock")

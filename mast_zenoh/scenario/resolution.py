@@ -80,7 +80,7 @@ def resolve(
     messages = _messages(path, nodes)
     user_types.use(messages)
     unused = {name: node.unused for name, node in zip(nodes, built_nodes, strict=True)}
-    wiring = _wiring(path, scenario, nodes, unused, rewrites(timeline.links))
+    wiring = _wiring(path, scenario, nodes, unused, rewrites(timeline.links, nodes))
     if any(wire.message == "sweep" for wire in wiring.wires):
         recording = scenes.prepare_sweeps(recording, scene, options["seed"], options["frames"], cache_key)
         nodes[driver_of(nodes)].config["recording"] = recording
