@@ -52,13 +52,14 @@ def _columns(schema: Schema) -> _Columns:
     usual = all((c.dtype, c.shape) == _OF_OBJECTS.get(c.name, (c.dtype, c.shape)) for c in schema.columns)
     if "position" not in names or not usual:
         return _Columns((), names)
-    # Our types' other letters (agents) are constant in a run, but may differ between messages of a user's type.
+    # Our types' other letters (agents) are constant in a run, but may differ between messages of a user's type, and
+    # between relayed pictures.
     rows = tuple(
         column.name
         for column in schema.columns
         if column.shape[0] == "n"
         and column.dtype != "str"
-        and (schema.name in BUILT_IN or all(isinstance(size, int) for size in column.shape[1:]))
+        and (schema.name in BUILT_IN.keys() - {"relayed"} or all(isinstance(size, int) for size in column.shape[1:]))
     )
     return _Columns(rows, tuple(name for name in names if name not in rows))
 

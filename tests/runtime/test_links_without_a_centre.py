@@ -78,6 +78,15 @@ def test_the_evaluator_measures_what_links_report(settings: tuple[str, ...]) -> 
     assert interposers["link_infra_2"]["effects"]["delayed"] > 0
 
 
+def test_corrupted_messages_between_peers_cost_one_message_each_and_are_measured() -> None:
+    corrupt = dict(type="Corrupt", at=0.1, node="ego", probability=0.7, flips=3)
+    run = Run(world(ALL_WIRES, (corrupt,)))
+    assert not run.failures
+    assert run.rejected.keys() <= {"peer_ego", "peer_infra_1", "peer_infra_2"}
+    effects = run.results["evaluator"]["metrics"]["interposers"]["link_ego"]["effects"]
+    assert effects["corrupted"] > 0
+
+
 def heard(run: Run, agent: str) -> dict[str, int]:
     counts = run.results[f"peer_{agent}"]["radio"]
     return {name.removeprefix("heard/"): n for name, n in counts.items() if name.startswith("heard/")}
