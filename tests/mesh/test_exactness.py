@@ -72,9 +72,10 @@ def test_links_and_faults_without_a_centre_are_the_same_on_the_mesh_and_in_one_p
     faults = [
         dict(type="Partition", at=0.2, until=0.4, node="infra_1"),
         dict(type="Loss", at=0.1, node="ego", probability=0.4),
+        dict(type="BandwidthLimit", at=0.0, nodes=["ego", "infra_3"], bits_per_s=300_000.0),
         dict(type="Delay", at=0.1, node="infra_2", mean_s=0.15, jitter_s=0.1),
     ]
-    what = (*what, f"faults={json.dumps(faults)}", 'links={"infra_*": "wireless_v2x"}')
+    what = (*what, f"faults={json.dumps(faults)}")
     mesh = on_mesh(launch, *what)
     assert any(message.message == "link_report" for message in read(mesh))
     assert_equal(mesh, run_alone(tmp_path / "inproc", *what, frames=FRAMES, record=True))
