@@ -1,7 +1,9 @@
 """A link: an agent's imperfect connection to the network.
 
 It is inserted before the broker on the wires that its agent publishes (tracks, status, view), and before its agent on
-those that it receives (the picture): see keyexpr_maps/network.toml. The rules act on every message in order: they
+those that it receives (the picture): see keyexpr_maps/network.toml. With several centres it is before all of them
+(network_centers.toml). Between peers it is an agent's connection to the radio: on all that the agent's peer sends,
+before all others, and on all that the peer hears (network_peers.toml). The rules act on every message in order: they
 forward, delay, drop, duplicate or change it.
 """
 
@@ -36,6 +38,18 @@ from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.wiring.model import part_of
 
+#: Ports of messages that the agent's peer sends, besides those of WIRES, and of those that it hears.
+PEER_UP = {"broadcast": "tracks", "broadcast_view": "view", "awareness": "tracks"}
+PEER_DOWN = {
+    "heard": "tracks",
+    "heard_view": "view",
+    "heard_awareness": "tracks",
+    "heard_relayed": "relayed",
+    "heard_gossip": "gossip",
+}
+#: Ports of views, each with the port of the tracks that have the same errors of the sender's pose.
+VIEWS = {"view": "tracks", "broadcast_view": "broadcast"}
+
 
 class Event(NamedTuple):
     """A row of the link report."""
@@ -54,17 +68,22 @@ class Link(Node):
     agent: the agent of the link; rules_up, rules_down: rules for messages from the agent, and to the agent
     rules_sensor: rules for the agent's detections, where a map inserts the link there; None: `rules_up`
     rules_of_sensors: by name, those for the detections of further sensors; for the others, `rules_sensor`
+    peer: the agent's peer, before which the link is on what it hears; empty: none
 
-    A wire's messages pass through the port of their type, `tracks` to `tracks_out`. A subclass can have more ports:
-    handlers that call `carry`.
+    A wire's messages pass through the port of their type, `tracks` to `tracks_out`; most of those between peers through
+    a port of their wire. A subclass can have more ports: handlers that call `carry`.
     """
 
     role = "link"
-    inputs = {"clock": "clock", "pose": "pose", **{wire: wire for wire in WIRES}}
-    outputs = {**{f"{wire}_out": wire for wire in WIRES}, "report": "link_report"}
-    unopened = WIRES
+    inputs = {"clock": "clock", "pose": "pose", **{wire: wire for wire in WIRES}, **PEER_UP, **PEER_DOWN}
+    outputs = {
+        **{f"{wire}_out": wire for wire in WIRES},
+        **{f"{port}_out": message for port, message in (*PEER_UP.items(), *PEER_DOWN.items())},
+        "report": "link_report",
+    }
+    unopened = (*WIRES, *PEER_UP, *PEER_DOWN)
     prompt = True
-    down = ("picture",)  #: ports of messages to the agent; all others are for messages from the agent
+    down = ("picture", *PEER_DOWN)  #: ports of messages to the agent; all others are for messages from the agent
 
     def __init__(
         self,
@@ -73,14 +92,16 @@ class Link(Node):
         rules_down: tuple[Rule, ...] = (),
         rules_sensor: tuple[Rule, ...] | None = None,
         rules_of_sensors: Mapping[str, tuple[Rule, ...]] | None = None,
+        peer: str = "",
     ) -> None:
         self.agent = agent
+        self.peer = peer
         self.rules = {"up": rules_up, "down": rules_down, "sensor": rules_up if rules_sensor is None else rules_sensor}
         self.rules |= {f"sensor/{name}": rules for name, rules in (rules_of_sensors or {}).items()}
         self.chains: dict[tuple[str, str], Chain] = {}
         self.poses: LatestBefore[SenderPose] = LatestBefore()
         self.newest_pose: SenderPose | None = None
-        self.events: list[Event] = []
+        self.events: list[tuple[Event, str]] = []  # with its port
         self.clocks: tuple[tuple[int, int], tuple[int, int]] = ((-1, 0), (-1, 0))  # frame and time of the latest two
         self.carried: Counter[str] = Counter()
         self.fates: dict[str, Counter[str]] = {}
@@ -127,6 +148,46 @@ class Link(Node):
         """The broker's collations, if a map inserts the link there."""
         self.carry("collated", received, context)
 
+    def on_relayed(self, received: Received, context: Context) -> None:
+        """The picture that the agent's peer relays."""
+        self.carry("relayed", received, context)
+
+    def on_gossip(self, received: Received, context: Context) -> None:
+        """The trust that the agent's peer publishes."""
+        self.carry("gossip", received, context)
+
+    def on_broadcast(self, received: Received, context: Context) -> None:
+        """The tracks that the agent's peer broadcasts."""
+        self.carry("broadcast", received, context)
+
+    def on_broadcast_view(self, received: Received, context: Context) -> None:
+        """The view that the agent's peer broadcasts."""
+        self.carry("broadcast_view", received, context)
+
+    def on_awareness(self, received: Received, context: Context) -> None:
+        """The agent's own state, from its peer."""
+        self.carry("awareness", received, context)
+
+    def on_heard(self, received: Received, context: Context) -> None:
+        """The tracks of another agent, in transit to the agent's peer."""
+        self.carry("heard", received, context)
+
+    def on_heard_view(self, received: Received, context: Context) -> None:
+        """The view of another agent, in transit to the agent's peer."""
+        self.carry("heard_view", received, context)
+
+    def on_heard_awareness(self, received: Received, context: Context) -> None:
+        """Another agent's own state, in transit to the agent's peer."""
+        self.carry("heard_awareness", received, context)
+
+    def on_heard_relayed(self, received: Received, context: Context) -> None:
+        """The picture of another agent, in transit to the agent's peer."""
+        self.carry("heard_relayed", received, context)
+
+    def on_heard_gossip(self, received: Received, context: Context) -> None:
+        """The trust of another agent, in transit to the agent's peer."""
+        self.carry("heard_gossip", received, context)
+
     def carry(self, port: str, received: Received, context: Context) -> None:
         """Apply the rules of its wire to a message."""
         self.carried[port] += 1
@@ -143,7 +204,7 @@ class Link(Node):
                 now_ns=context.now_ns,
                 size=len(received.encoded) if chain.needs_size else 0,
                 position=pose.position if pose else None,
-                referenced=chain.needs_frame and has_frame(columns_of(received)),
+                referenced=chain.needs_frame and port not in self.down and has_frame(columns_of(received)),
                 sensed=sensed,
             )
         )
@@ -157,10 +218,10 @@ class Link(Node):
         rules = self.rules["down" if port in self.down else "sensor" if port == "detections" else "up"]
         if port == "detections":
             rules = self.rules.get(f"sensor/{part_of(subject)}", rules)
-        of_sender = {type(rule).__name__ for rule in rules if rule.of_sender} if port == "view" else set()
+        of_sender = {type(rule).__name__ for rule in rules if rule.of_sender} if port in VIEWS else set()
 
         def rng(kind: str, *more: int) -> np.random.Generator:
-            return context.rng("link", "tracks" if kind in of_sender else port, subject, kind, *more)
+            return context.rng("link", VIEWS[port] if kind in of_sender else port, subject, kind, *more)
 
         chain = Chain(rules, rng)
         self.chains[port, subject] = chain
@@ -198,20 +259,23 @@ class Link(Node):
             return
         for fate, rule in outcome.fates.items():
             wire = WIRES.index(port) if port in WIRES else WIRES.index(header.schema)
-            self.events.append(Event(wire, header.frame, header.seq, FATES.index(fate), rule, outcome.delay_s))
+            event = Event(wire, header.frame, header.seq, FATES.index(fate), rule, outcome.delay_s)
+            self.events.append((event, port))
 
     def report(self, context: Context) -> None:
         """Report what was done in the previous step, except delays by less than a frame."""
         (previous, previous_ns), (now, now_ns) = self.clocks
         period_s = (now_ns - previous_ns) * 1e-9 / (now - previous) if previous >= 0 else 0.0
         rows = sorted(
-            event for event in self.events if FATES[event.fate] != "delayed" or event.delay_s > period_s - 1e-9
+            (event, port)
+            for event, port in self.events
+            if FATES[event.fate] != "delayed" or event.delay_s > period_s - 1e-9
         )
         self.events.clear()
-        for event in rows:
-            self.fates.setdefault(WIRES[event.port], Counter())[FATES[event.fate]] += 1
+        for event, port in rows:
+            self.fates.setdefault(port, Counter())[FATES[event.fate]] += 1
         if rows:
-            columns = zip(Event._fields, zip(*rows, strict=True), strict=True)
+            columns = zip(Event._fields, zip(*(event for event, _ in rows), strict=True), strict=True)
             context.publish("report", {name: np.array(column) for name, column in columns})
 
     def finish(self, context: Context) -> dict[str, object]:

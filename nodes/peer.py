@@ -79,6 +79,7 @@ class Peer(Node):
     }
     outputs = {
         "broadcast": "tracks",
+        "broadcast_view": "view",
         "awareness": "tracks",
         "relay": "relayed",
         "gossip": "gossip",
@@ -146,7 +147,9 @@ class Peer(Node):
         self.sense("own", received, context)
 
     def on_own_view(self, received: Received, context: Context) -> None:
-        """What the sensor of its agent covers."""
+        """What the sensor of its agent covers, which the others are told too, in every frame."""
+        if context.connected("broadcast_view"):
+            context.publish("broadcast_view", received.body, frame=received.frame, time_ns=received.time_ns)
         self.sense("own_view", received, context)
 
     def on_reception(self, received: Received, context: Context) -> None:

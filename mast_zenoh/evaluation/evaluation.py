@@ -252,6 +252,10 @@ class Evaluation:
             Withheld.of(updates, agents, scores.frames, SUSPENDED),
             np.asarray(displaced.any(axis=1)),
             [ego_of(agents)] if _own_pictures(data) else None,  # the trust of the ego's peer is evaluated
+            {
+                agent: cut_off_objects(self.cut_off, data, scores, effects, displaced, min_points, agent)
+                for agent in _own_pictures(data)
+            },
         )
         return _Results(self, data, scores, effects, from_absence, interposed, attributor.labels())
 
@@ -271,11 +275,22 @@ def _own_pictures(data: RunData) -> list[str]:
 
 
 def cut_off_objects(
-    cut_off: CutOff, data: RunData, scores: Scores, effects: Effects, displaced: Bools, min_points: int
+    cut_off: CutOff,
+    data: RunData,
+    scores: Scores,
+    effects: Effects,
+    displaced: Bools,
+    min_points: int,
+    listener: str = "",
 ) -> CutOffObjects:
-    """Objects known only to agents whose tracks links did not deliver, or displaced (n, a)."""
+    """Objects known only to agents whose tracks links did not deliver, or displaced (n, a).
+
+    listener: the agent to whose peer they did not deliver them; empty: a centre
+    """
     agents, frames = scores.agents, scores.frames
-    silent = data.presence.absent(agents, frames) | stopped_by_links(effects, data.roles, agents, frames)
+    silent = data.presence.absent(agents, frames) | stopped_by_links(effects, data.roles, agents, frames, listener)
+    if listener:
+        displaced = displaced & (np.array(agents) != listener)
     within = cut_off.useful_age_s / data.period_s + 1e-6
     sent = [
         [data.tracks_sent.get((agent, frame), np.inf) - frame <= within for agent in agents]

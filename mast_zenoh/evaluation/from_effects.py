@@ -27,6 +27,11 @@ from mast_zenoh.wiring.model import Passage, agent_of, peer_of
 #: Ports of messages that no estimate depends on: the truth, and estimates, which are scored at their source.
 _WITHOUT_ESTIMATE = ("truth", "mission", "report", "observation", "directive")
 
+#: Ports of the tracks and of the batch that a centre fuses.
+_TO_CENTRE = ("tracks", "collated")
+#: Ports of messages that peers send each other.
+_BETWEEN_PEERS = ("broadcast", "broadcast_view", "awareness", "relay", "gossip")
+
 
 def influence(
     passages: Sequence[Passage], series: Sequence[tuple[str, str]], is_link: Bools, relays: bool = False
@@ -53,8 +58,9 @@ def _influences(passage: Passage, agent: str, estimator: str, is_link: bool, rel
         return (own and estimator == RECEIVED) or (not is_link and estimator in FROM_CENTRE)
     if port in ("status", "collated"):
         return not is_link and estimator in FROM_CENTRE
-    if port in ("broadcast", "awareness", "gossip"):
-        return not own and estimator in FROM_CENTRE and (relays or passage.before in ("", peer_of(agent)))
+    if port in _BETWEEN_PEERS:
+        heard = not own and (relays or passage.before in ("", peer_of(agent)))
+        return heard and not is_link and estimator in FROM_CENTRE
     if port == "picture":
         return estimator in BEHIND_DOWNLINK and passage.before in ("", agent)
     return port not in _WITHOUT_ESTIMATE and (estimator != LOCAL or port == "clock")
@@ -192,17 +198,22 @@ def first_change(effects: Effects, roles: Mapping[str, str], away: Bools) -> int
     return int(effects.step[counts].min()) if counts.any() else None
 
 
-def stopped_by_links(effects: Effects, roles: Mapping[str, str], agents: Sequence[str], frames: Ints) -> Bools:
+def stopped_by_links(
+    effects: Effects, roles: Mapping[str, str], agents: Sequence[str], frames: Ints, listener: str = ""
+) -> Bools:
     """Whether a link stopped an agent's tracks of a frame or the batch: (f, a).
 
     To stop is to drop, damage or delay.
+    listener: the agent whose peer did not hear them; what it hears, it uses in the frame after; empty: a centre
     """
     result = np.zeros((len(frames), len(agents)), bool)
     rows = effects.rows("dropped", "delayed", "corrupted", "unsettled")
     for index, passage in enumerate(effects.passages):
-        if roles.get(passage.node) != "link" or passage.port not in ("tracks", "collated"):
+        if roles.get(passage.node) != "link" or passage.port not in (("broadcast",) if listener else _TO_CENTRE):
             continue
-        lost = np.isin(frames, effects.frame[rows[effects.passage[rows] == index]])
+        if listener and (passage.subject == listener or passage.before not in ("", peer_of(listener))):
+            continue
+        lost = np.isin(frames - bool(listener), effects.frame[rows[effects.passage[rows] == index]])
         if passage.port == "collated":
             result |= lost[:, None]
         elif passage.subject in agents:
@@ -217,7 +228,7 @@ def displaced_by_links(manipulations: Manipulations, effects: Effects, scores: S
     moved = (manipulations.kind == MOVED) & (manipulations.culprit < 0)
     for index, passage in enumerate(effects.passages):
         rows = (moved & (manipulations.passage == index)).nonzero()[0]
-        if len(rows) and passage.port == "tracks" and passage.subject in agents:
+        if len(rows) and passage.port in ("tracks", "broadcast") and passage.subject in agents:
             places = manipulations.object[rows], manipulations.frame[rows]
             result[:, agents.index(passage.subject)] |= occurs(keys, places)
     return result

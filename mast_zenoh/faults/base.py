@@ -116,11 +116,12 @@ class _OwnParameters:
 
 @dataclass(frozen=True, kw_only=True)
 class LinkFault(RuleFault):
-    """A fault of links between agents and command centre.
+    """A fault of links between agents and command centre, or between peers.
 
-    direction: "up" (to the command centre), "down" (from it) or "both"
+    direction: "up" (what the agent, or its peer, sends), "down" (what it receives) or "both"
 
-    Targets may also be keys of wires: agent/infra_1/tracks (published by infra_1), cc/picture (received by all agents).
+    Targets may also be keys of wires: agent/infra_1/tracks (published by infra_1; agent/infra_1/broadcast between
+    peers), cc/picture (received by all agents).
     """
 
     direction: str = "both"

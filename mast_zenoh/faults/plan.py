@@ -16,6 +16,7 @@ from mast_zenoh.config.process_steps import REALTIME, UNDONE_BY, ProcessStep
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.faults.base import DIRECTIONS, SENSOR, Fault, Impair, Rule
 from mast_zenoh.streams import stream
+from mast_zenoh.wiring.model import peer_of
 
 #: For each action on a node, the states in which it is allowed, and the resulting state.
 _TRANSITIONS = {
@@ -274,7 +275,7 @@ def links(
         parts = {name: ("", *sensors.get(name, ())) for name in agents}
         keys = [f"agent/{name}/detections{part and f'/{part}'}" for name in agents for part in parts[name]]
     else:
-        keys = [f"agent/{name}/{port}" for name in agents for port in ("tracks", "status")] + ["cc/picture"]
+        keys = _keys(agents, roles)
     directions: dict[str, set[str]] = {}
     for selector in selectors:
         if "/" in selector:
@@ -282,7 +283,7 @@ def links(
             if not matching:
                 raise ConfigurationError(f"{place}: no wire {selector!r} goes through a link{nearest(selector, keys)}")
             for key in matching:
-                for name in agents if key == "cc/picture" else [key.split("/")[1]]:
+                for name in agents if key.startswith("cc/") else [key.split("/")[1]]:
                     directions.setdefault(name, set()).add(_way(key))
             continue
         for name in resolve_names([selector], roles, rng, place, more=keys):
@@ -304,9 +305,23 @@ def links(
     }
 
 
+def _keys(agents: Sequence[str], roles: Mapping[str, str]) -> list[str]:
+    """The keys of wires that go through links."""
+    peers = {name for name, role in roles.items() if role == "peer"}
+    centers = [name for name, role in roles.items() if role == "center"]
+    keys = [
+        f"agent/{name}/{port}"
+        for name in agents
+        for port in (("broadcast",) if peer_of(name) in peers else ("tracks", "status"))
+    ]
+    if centers and "command_center" not in roles.values():
+        return keys + [f"cc/{name}/picture" for name in centers]
+    return keys if peers else [*keys, "cc/picture"]
+
+
 def _way(key: str) -> str:
     """The direction of a link, or the sensor, that messages of a key belong to."""
-    if key == "cc/picture":
+    if key.startswith("cc/"):
         return "down"
     _, _, port, *part = key.split("/")
     return "/".join([SENSOR, *part]) if port == "detections" else "up"

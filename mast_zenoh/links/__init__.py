@@ -34,8 +34,8 @@ from mast_zenoh.links.transit import (
     Reorder,
 )
 
-#: The ports of a link that messages pass through; link reports contain indices into this tuple.
-WIRES = ("tracks", "status", "picture", "detections", "collated", "view")
+#: The types of messages that pass through a link, and ports for them; link reports contain indices into this tuple.
+WIRES = ("tracks", "status", "picture", "detections", "collated", "view", "relayed", "gossip")
 #: The effects on a message; link reports contain indices into this tuple.
 FATES = ("dropped", "delayed", "duplicated", "corrupted", "altered", "edited")
 

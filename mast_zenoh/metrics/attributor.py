@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -227,6 +228,7 @@ class Attributor:
     withheld: by the command centre, or by a peer; None: it has no integrity stage
     displaced: (n,) rows of the truth of which a link moved a track; None: none
     judged: agents from whose pictures it withheld objects; None: all
+    cut_off_peers: by agent, objects known only to agents that are disconnected from its peer
     """
 
     def __init__(
@@ -240,7 +242,9 @@ class Attributor:
         withheld: Withheld | None = None,
         displaced: Bools | None = None,
         judged: Collection[str] | None = None,
+        cut_off_peers: Mapping[str, CutOffObjects] = MappingProxyType({}),
     ) -> None:
+        self.cut_off_peers = cut_off_peers
         self.min_points, self.withheld = min_points, withheld
         self.limits, self.scores, self.manipulations, self.truth = limits, scores, manipulations, scores.truth
         self.period_s, self.cut_off_objects = period_s, cut_off_objects or CutOffObjects.nothing()
@@ -436,7 +440,7 @@ class Attributor:
         # Tracks of objects known only to disconnected agents.
         truth_id = np.where(astray >= 0, np.append(truths.id[missed], -1)[astray], last_id)
         disconnected = np.isin(cause[free], (LAG, DUPLICATE)) & ~self.own[tracks.series[free]]
-        disconnected &= self.cut_off_objects.contains(truth_id, tracks.frame[free])
+        disconnected &= self._cut_off(tracks.series[free], truth_id, tracks.frame[free])
         cause[free[disconnected]] = FAULT
         return cause
 
@@ -474,7 +478,7 @@ class Attributor:
         is_new = truths.frame[free] - truths.period_start(truths.outcome != UNEVALUATED)[free] < self.begin
         own = self.own[truths.series[free]]
         id_frame = truths.id[free], truths.frame[free]
-        disconnected = ~own & self.cut_off_objects.contains(*id_frame, tracked=is_new)
+        disconnected = ~own & self._cut_off(truths.series[free], *id_frame, tracked=is_new)
         disturbed = ~own & tracked & occurs(id_frame, self.displaced)
         false, places = tracks.outcome == FALSE, truths.places(free)
         near_inaccurate, near_faulty = (
@@ -487,6 +491,14 @@ class Attributor:
             FUSION,
         )
         return cause, by
+
+    def _cut_off(self, series: Ints, truth_id: Ints, frame: Ints, tracked: Bools | None = None) -> Bools:
+        """Whether objects (m,) in estimates of m series are known only to agents that are disconnected from them."""
+        result = self.cut_off_objects.contains(truth_id, frame, tracked)
+        for agent, cut_off in self.cut_off_peers.items():
+            own = self.column[series] == self.scores.agents.index(agent)
+            result |= own & cut_off.contains(truth_id, frame, tracked)
+        return result
 
     def _tracked(self, rows: Histories, selected: Ints) -> Bools:
         """Whether the input of each row's estimate contains its object.

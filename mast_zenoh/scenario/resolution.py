@@ -81,7 +81,7 @@ def resolve(
     messages = _messages(path, nodes)
     user_types.use(messages)
     unused = {name: node.unused for name, node in zip(nodes, built_nodes, strict=True)}
-    sources = _sources(path, scenario, rewrites(timeline.links))
+    sources = _sources(path, scenario, rewrites(timeline.links, nodes))
     wiring = _wiring(path, nodes, unused, sources)
     built = {name: (spec, node) for (name, spec), node in zip(nodes.items(), built_nodes, strict=True)}
     check_cooperation(path, built, sources, wiring, recording.period_ns)

@@ -19,13 +19,16 @@ from mast_zenoh.faults.base import DIRECTIONS, SENSOR, Rule
 from mast_zenoh.scenario.nodes import node_spec
 from mast_zenoh.scenes.agents import best_pattern
 from mast_zenoh.scenes.recording import Recording
+from mast_zenoh.wiring.model import peer_of
 
 #: The attack that acts only as a coordinator says.
 DIRECTED = "CoordinatedAttack"
 #: The coordination without a plan of its own: its adversaries keep the name of their attack.
 _PLAIN = "Coordinator"
-#: The rewrite that puts every link between its agent and the network.
+#: The rewrite that puts every link between its agent and the centre.
 REWRITE = "network.toml"
+#: Those that put it elsewhere, by a role that the scenario has.
+REWRITES = {"peer": "network_peers.toml", "center": "network_centers.toml"}
 
 _log = logging.getLogger("mast.scenario")
 
@@ -91,7 +94,9 @@ def timeline_of(
         if SENSOR in timed_rules:
             rules["rules_sensor"] = timed_rules[SENSOR]
         further = {way.partition("/")[2]: rules for way, rules in timed_rules.items() if "/" in way}
-        more = {"rules_of_sensors": further} if further else {}
+        more: dict[str, Any] = {"rules_of_sensors": further} if further else {}
+        if "peer" in roles.values():
+            more["peer"] = peer_of(agent)
         specs[name] = node_spec(path, name, "link", {"agent": agent, **rules, **more})
     hosts = network.resolve(
         scenario.get("hosts", {}),
@@ -127,8 +132,12 @@ def _short(place: str) -> str:
     return place.rpartition(": ")[2]
 
 
-def rewrites(links: Mapping[str, NodeSpec]) -> list[str | dict[str, Any]]:
+def rewrites(links: Mapping[str, NodeSpec], nodes: Mapping[str, NodeSpec]) -> list[str | dict[str, Any]]:
     """What puts links between their agents and the network, and faulty sensors before their agents."""
+    roles = {spec.role for spec in nodes.values()}
+    network_maps = [file for role, file in REWRITES.items() if role in roles]
+    if "center" not in roles and (not network_maps or roles & {"broker", "command_center"}):
+        network_maps.append(REWRITE)
     sensors = [
         dict(
             wire=f"agent/{spec.config['agent']}/detections{part}",
@@ -143,7 +152,7 @@ def rewrites(links: Mapping[str, NodeSpec]) -> list[str | dict[str, Any]]:
             *(f"/{sensor}" for sensor in spec.config.get("rules_of_sensors", ())),
         ]
     ]
-    return [*([REWRITE] if links else []), *([{"insert": sensors}] if sensors else [])]
+    return [*(network_maps if links else []), *([{"insert": sensors}] if sensors else [])]
 
 
 def _faults(path: Path, specs: object) -> tuple[list[tuple[str, Fault]], list[tuple[str, Mapping[str, Any]]]]:

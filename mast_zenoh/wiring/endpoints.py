@@ -15,6 +15,10 @@ ROLES = (
 )
 
 
+#: Before a role: its nodes that do not belong to the subject.
+OTHER = "other "
+
+
 @dataclass(frozen=True, slots=True)
 class NodeOptions:
     """The properties of a node that the wiring depends on.
@@ -48,12 +52,18 @@ def members(
 
     A node belongs to a subject if it is the subject, or if its option with the placeholder's name names it (an option
     may name several subjects). If no node
-    of the role has that option, all of them belong to every subject.
+    of the role has that option, all of them belong to every subject. `other role` means the nodes of the role that do
+    not belong to it.
 
     node: keep only the node of this name
 
     Raises WiringError for an unknown role, and for a name that no node of the role has.
     """
+    if role.startswith(OTHER):
+        role = role.removeprefix(OTHER)
+        own = members(role, nodes, place, placeholder=placeholder, subject=subject)
+        every = members(role, nodes, place, node=node)
+        return {name: other for name, other in every.items() if name not in own}
     subject = agent_of(subject)
     roles = {*ROLES, *(other.role for other in nodes.values())}
     if role not in roles:

@@ -33,7 +33,8 @@ A map (TOML, or the same as a dict) lists wires. A rewrite changes them: it inse
 placeholder names, if it has that role; else the nodes of the role whose option with the placeholder's name has its
 value (`adversary` with `agent="infra_1"`); else, if none has such an option, all nodes of the role.
 `other role.port` means the nodes of the role that do not belong to the value: `other peer.heard` on a wire with
-`{agent}` leads to the peers of all other agents.
+`{agent}` leads to the peers of all other agents, and `role = "other link"` of an insert means the links of all other
+agents.
 `{sensor}`, after `{agent}`, stands for each sensor of the agent but the first: `agent/infra_1/detections/radar`.
 
 A chain on a wire K turns `publisher -> K -> subscribers` into `publisher -> K/@tap/0 -> node -> K/@tap/1 -> node -> K`:
@@ -68,7 +69,7 @@ from typing import Any
 from mast_zenoh.errors import WiringError, nearest
 from mast_zenoh.messages.packed import CODECS
 from mast_zenoh.messages.schemas import SCHEMAS
-from mast_zenoh.wiring.endpoints import NodeOptions, members, ports
+from mast_zenoh.wiring.endpoints import OTHER, NodeOptions, members, ports
 from mast_zenoh.wiring.model import (
     ANY,
     TAP,
@@ -144,7 +145,7 @@ def resolve(
             raise WiringError(f"{place}: the wire {entry['key']!r} already has a publisher")
         templates[entry["key"]] = []
         subscribing[entry["key"]] = {
-            str(reference).partition(".")[0].removeprefix("other ") for reference in _listed(entry["to"])
+            str(reference).partition(".")[0].removeprefix(OTHER) for reference in _listed(entry["to"])
         }
         for wire in _instances(entry, nodes, optional, place):
             if wire.key in wires:
@@ -157,6 +158,8 @@ def resolve(
         template = _template_of(entry["wire"], templates, place)
         keys = templates[template] if entry["wire"] == template else [entry["wire"]]
         if "to" in entry and entry["to"] not in list(subscribing[template]):
+            if entry.get("optional"):
+                continue
             hint = nearest(str(entry["to"]), subscribing[template])
             raise WiringError(f"{place}: to: no role {entry['to']!r} subscribes to the wire {template!r}{hint}")
         if entry["wire"] != template:
@@ -208,10 +211,7 @@ def _instances(
             if not match:
                 raise WiringError(f"{place}: {reference!r} is not an endpoint, expected role.port, or other role.port")
             other, role, port = match.groups()
-            referenced = members(role, nodes, place, placeholder=placeholder, subject=subject)
-            if other:
-                every = members(role, nodes, place)
-                referenced = {name: node for name, node in every.items() if name not in referenced}
+            referenced = members(f"{other or ''}{role}", nodes, place, placeholder=placeholder, subject=subject)
             return ports(referenced, port, message, place, output=output, optional=optional.get(role, ()))
 
         key = template.replace(f"{{{placeholder}}}", agent_of(subject)).replace(f"{{{PART}}}", part_of(subject))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import tarfile
 from pathlib import Path
@@ -58,3 +59,23 @@ def test_the_reference_scene_is_the_same_on_the_mesh_and_in_one_process(launch, 
 )
 def test_cooperation_without_a_centre_is_the_same_on_the_mesh_and_in_one_process(launch, tmp_path: Path, what) -> None:
     assert_equal(on_mesh(launch, *what), run_alone(tmp_path / "inproc", *what, frames=FRAMES, record=True))
+
+
+@pytest.mark.parametrize(
+    "what",
+    [("peers", "relays=true", "gossip=true"), ("congested", "n_mobile=2"), ("two_centres",)],
+    ids=lambda what: what[0],
+)
+def test_links_and_faults_without_a_centre_are_the_same_on_the_mesh_and_in_one_process(
+    launch, tmp_path: Path, what
+) -> None:
+    faults = [
+        dict(type="Partition", at=0.2, until=0.4, node="infra_1"),
+        dict(type="Loss", at=0.1, node="ego", probability=0.4),
+        dict(type="BandwidthLimit", at=0.0, nodes=["ego", "infra_3"], bits_per_s=300_000.0),
+        dict(type="Delay", at=0.1, node="infra_2", mean_s=0.15, jitter_s=0.1),
+    ]
+    what = (*what, f"faults={json.dumps(faults)}")
+    mesh = on_mesh(launch, *what)
+    assert any(message.message == "link_report" for message in read(mesh))
+    assert_equal(mesh, run_alone(tmp_path / "inproc", *what, frames=FRAMES, record=True))

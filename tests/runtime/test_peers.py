@@ -108,6 +108,28 @@ def test_a_lie_to_one_peer_reaches_others_later_through_what_that_one_relays() -
     assert {round(since - first_s, 6) for since in since_s.values()} == {0.2}, "a frame to relay it, and one to begin"
 
 
+@pytest.mark.parametrize("on", ["sent", "pair"])
+def test_an_adversary_on_tracks_and_views_that_does_not_attack_yet_changes_no_message(on: str) -> None:
+    def edit(content: dict[str, Any]) -> None:
+        content["keyexpr"]["rewrites"].append("on_broadcast_view.toml")
+
+    settings = (*ALONE, "defence=FaultOrLie")
+    waiting = ("n_adversaries=1", "attack_start_s=100.0", f"on={on}")
+    honest, silent = played(*settings), Run(tiny("peers", *settings, *waiting, infrastructure=2, edit=edit))
+    assert not silent.failures
+    for key, messages in honest.messages.items():
+        assert silent.messages[key] == messages, key
+
+
+def test_the_peers_of_all_others_hear_the_view_of_an_agent_as_its_own_peer_forwards_it() -> None:
+    run = played(*ALONE, "defence=FaultOrLie")
+    views, forwarded = (run.decoded(f"agent/infra_1/{wire}", "view") for wire in ("view", "broadcast_view"))
+    for view, other in zip(views, forwarded, strict=True):
+        assert view.header._replace(source="") == other.header._replace(source="")
+        assert view.body.keys() == other.body.keys()
+        assert all(np.array_equal(view.body[name], other.body[name]) for name in view.body)
+
+
 def test_without_a_lie_pictures_differ_little_and_nobody_is_deceived() -> None:
     part = played(*ALONE).results["evaluator"]["metrics"]["pictures"]
     assert part["count"] == 3
