@@ -189,7 +189,7 @@ class Peer(Node):
     def hear(self, port: str, received: Received, context: Context) -> None:
         """Keep a message of another agent for the next frame."""
         if not self.inbox.add(Heard(context.frame, port, received.subject, received.message)):
-            context.reject(f"overflow: more than {MAX_WAITING} messages of {received.subject} in a frame")
+            context.reject(f"overflow: more than {MAX_WAITING} messages of {received.subject} on {port} in a frame")
 
     def sense(self, port: str, received: Received, context: Context) -> None:
         """Process a frame once all has arrived that its agent and the channel send."""

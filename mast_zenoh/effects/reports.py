@@ -25,7 +25,8 @@ _ACTIONS = ("inserted", "removed", "moved", "altered", REFRAMED)
 #: Messages without objects that adversaries report as changed.
 _WITHOUT_OBJECTS = ("pose", "view", "gossip")
 #: The effects that correspond to each of `links.FATES`, in that order. A corrupted message may still be readable.
-_FATES = ((DROPPED, UNSETTLED), (DELAYED, UNSETTLED), (REPEATED,), EFFECTS, (RESTAMPED, REFRAMED), KINDS)
+#: A wrong pose moves the sender in messages about itself, and else the frame of reference.
+_FATES = ((DROPPED, UNSETTLED), (DELAYED, UNSETTLED), (REPEATED,), EFFECTS, (RESTAMPED, REFRAMED, "moved"), KINDS)
 
 
 @dataclass(frozen=True, slots=True)

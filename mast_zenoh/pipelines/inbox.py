@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from mast_zenoh.messages.schemas import Message
 
-#: Messages of one agent that wait for the next frame, at most.
+#: Messages on one wire in a frame that wait for the next one, at most.
 MAX_WAITING = 64
 
 
@@ -18,6 +18,11 @@ class Heard(NamedTuple):
     port: str
     sender: str
     message: Message
+
+    @property
+    def wire(self) -> tuple[str, str, int]:
+        """Its sender, port and frame of arrival."""
+        return self.sender, self.port, self.arrived
 
     def order(self) -> tuple[Any, ...]:
         """Its place among those that wait."""
@@ -30,13 +35,14 @@ class Inbox:
 
     def __init__(self) -> None:
         self._messages: list[Heard] = []
-        self._waiting: Counter[str] = Counter()  # by sender
+        # By wire and frame: only messages of one wire arrive in a fixed order.
+        self._waiting: Counter[tuple[str, str, int]] = Counter()
 
     def add(self, heard: Heard) -> bool:
-        """Add a message; False if too many of its sender wait already."""
-        if self._waiting[heard.sender] >= MAX_WAITING:
+        """Add a message; False if too many on its wire arrived in the frame already."""
+        if self._waiting[heard.wire] >= MAX_WAITING:
             return False
-        self._waiting[heard.sender] += 1
+        self._waiting[heard.wire] += 1
         self._messages.append(heard)
         return True
 
@@ -44,5 +50,5 @@ class Inbox:
         """Take out the messages that arrived before a frame."""
         ready = sorted((heard for heard in self._messages if heard.arrived < frame), key=Heard.order)
         self._messages = [heard for heard in self._messages if heard.arrived >= frame]
-        self._waiting = Counter(heard.sender for heard in self._messages)
+        self._waiting = Counter(heard.wire for heard in self._messages)
         return ready

@@ -87,6 +87,17 @@ def test_corrupted_messages_between_peers_cost_one_message_each_and_are_measured
     assert effects["corrupted"] > 0
 
 
+def test_what_a_peer_refuses_of_a_flood_does_not_depend_on_the_order_of_delivery() -> None:
+    flood = dict(type="Flood", at=0.2, until=0.7, node="infra_2", copies=20)
+    held = dict(type="Pause", at=0.3, until=0.6, node="infra_2")
+    resolved = world((*PEERS, "relays=true"), (flood, held))
+    plain, other = Run(resolved), Run(resolved, shuffle=1)
+    overflown = {(node, key.split("/")[2]) for node, keys in plain.rejected.items() for key, _ in keys}
+    assert {("peer_ego", "broadcast"), ("peer_ego", "relay")} <= overflown
+    assert other.messages == plain.messages
+    assert other.rejected == plain.rejected
+
+
 def heard(run: Run, agent: str) -> dict[str, int]:
     counts = run.results[f"peer_{agent}"]["radio"]
     return {name.removeprefix("heard/"): n for name, n in counts.items() if name.startswith("heard/")}
