@@ -192,7 +192,7 @@ def test_an_object_that_others_have_reported_is_left_out_until_they_stop() -> No
 
 
 def test_an_object_is_new_again_after_it_was_forgotten() -> None:
-    rules = CpmGeneration(retention_s=2.0, most_s=1000.0)
+    rules = CpmGeneration(retention_s=2.0, most_s=60.0)
     sent(rules, 0, objects(1))
     assert sent(rules, 20, objects(1)) == []
     assert sent(rules, 40, objects(1)) == [], "it was perceived in between"
