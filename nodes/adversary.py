@@ -91,8 +91,12 @@ class Adversary(Node):
 
     def start(self, context: Context) -> None:
         """Initialise the random streams."""
-        ports = {source.port for source in context.subscriptions.values()}
-        self.last_wire = next((port for port in ("tracks", "detections") if port in ports), "")
+        sources: dict[str, set[str]] = {}
+        for wire in context.subscriptions.values():
+            sources.setdefault(wire.port, set()).add(wire.source)
+        if "view" in sources and sources["view"].isdisjoint(sources.get("tracks", ())):
+            sources.pop("tracks", None)  # a peer sends no tracks before it has its agent's view
+        self.last_wire = next((port for port in ("tracks", "detections") if port in sources), "")
         self.add_sensors(context)
         for name, victim in self.victims.items():
             victim.attack.inform(self.surroundings)

@@ -242,8 +242,9 @@ class Peer(Node):
                 if time_ns >= self.views.get(sender, (0,))[0]:
                     self.views[sender] = time_ns, body
             elif port == "heard_gossip":
-                trust = zip(body["agents"].tolist(), body["trust"].tolist(), strict=True)
-                self.trusts[sender] = time_ns, dict(trust)
+                if time_ns >= self.trusts.get(sender, (0,))[0]:
+                    trust = zip(body["agents"].tolist(), body["trust"].tolist(), strict=True)
+                    self.trusts[sender] = time_ns, dict(trust)
             else:
                 self.relays.add(sender, self.relay_of(time_ns, body))
 

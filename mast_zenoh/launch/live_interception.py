@@ -283,6 +283,7 @@ def _port(ports: Mapping[str, str], target: Wire, requested: str | None, place: 
     if ANY in ports.values():
         raise NodeFileError(f"{place} subscribes to every key: it cannot be put on a wire")
     matching = [port for port, message in ports.items() if message == target.message]
+    of_type = {"input": target.message, "output": f"{target.message}_out"}[side]
     if requested is not None:
         if requested not in ports:
             raise NodeFileError(f"{place}: no {side} port {requested!r}{nearest(requested, ports)}")
@@ -291,6 +292,8 @@ def _port(ports: Mapping[str, str], target: Wire, requested: str | None, place: 
                 f"{place}: {side} {requested!r} carries {ports[requested]!r} messages, not {target.message!r}"
             )
         return requested
+    if of_type in matching:  # a link has more ports for other wires of this type
+        return of_type
     if len(matching) != 1:
         candidates = f"the {side}s {', '.join(matching)}: choose one with --{side}" if matching else f"no {side}"
         raise NodeFileError(

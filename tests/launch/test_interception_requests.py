@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tiny_world import tiny
 
+from mast_zenoh.config import bundle
 from mast_zenoh.config.allowed_code import SHIPPED
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.config.settings import nested
@@ -122,6 +123,14 @@ def test_a_port_must_be_named_if_several_match(resolved: Resolved, tmp_path: Pat
         plan(resolved, TRACKS, two, input="bb")
     with pytest.raises(NodeFileError, match="which the wire 'cc/picture' carries"):
         plan(resolved, "cc/picture", two)
+
+
+def test_a_link_is_put_on_a_wire_with_the_ports_named_after_its_message_type(resolved: Resolved) -> None:
+    _, spec, place = plan(resolved, TRACKS, str(bundle.ROOT / "nodes" / "link.py"))
+    assert spec.type == "Link"
+    assert (place.input, place.output) == ("tracks", "tracks_out")
+    assert place.other_inputs == {"clock": "clock", "agent/infra_1/pose": "pose"}
+    assert [wire.message for wire in place.published_wires] == ["link_report"]
 
 
 def test_a_node_that_redefines_a_message_type_of_the_run_is_refused(resolved: Resolved, tmp_path: Path) -> None:

@@ -4,10 +4,11 @@ from functools import cache
 
 import numpy as np
 import pytest
-from tiny_world import Run, tiny
+from tiny_world import Bench, Run, tiny
 
 from mast_zenoh import scenario
 from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.messages.schemas import text
 
 ALONE = ("n_mobile=0", "attack_start_s=0.2")
 AGENTS = ("ego", "infra_1", "infra_2", "infra_3")
@@ -46,6 +47,16 @@ def test_of_honest_agents_neither_gossip_nor_slander_changes_anything(name: str)
     assert {key for key in run.messages if "gossip" not in key and not key.startswith("attack")} == set(plain.messages)
     for key, messages in plain.messages.items():
         assert run.messages[key] == messages, key
+
+
+def test_gossip_that_a_link_holds_up_does_not_replace_newer_gossip() -> None:
+    bench = Bench(tiny("peers", *ALONE, *SETTINGS["gossip"], infrastructure=3), "peer_ego")
+    for step, about, trust in ((5, 5, 0.2), (6, 3, 0.9)):
+        bench.clock(step)
+        told = {"agents": text(["infra_2"]), "trust": np.array([trust])}
+        bench.send("heard_gossip", told, about, subject="infra_1", step=step)
+        bench.node.open_inbox(step + 1, None, 0)
+        assert bench.node.trusts["infra_1"][1] == {"infra_2": 0.2}
 
 
 def test_slander_is_measured_on_the_wire_and_reported() -> None:

@@ -108,10 +108,10 @@ def test_a_lie_to_one_peer_reaches_others_later_through_what_that_one_relays() -
     assert {round(since - first_s, 6) for since in since_s.values()} == {0.2}, "a frame to relay it, and one to begin"
 
 
-@pytest.mark.parametrize("on", ["sent", "pair"])
-def test_an_adversary_on_tracks_and_views_that_does_not_attack_yet_changes_no_message(on: str) -> None:
+@pytest.mark.parametrize(("on", "view"), [("sent", "broadcast_view"), ("pair", "broadcast_view"), ("sent", "view")])
+def test_an_adversary_on_tracks_and_views_that_does_not_attack_yet_changes_no_message(on: str, view: str) -> None:
     def edit(content: dict[str, Any]) -> None:
-        content["keyexpr"]["rewrites"].append("on_broadcast_view.toml")
+        content["keyexpr"]["rewrites"].append(f"on_{view}.toml")
 
     settings = (*ALONE, "defence=FaultOrLie")
     waiting = ("n_adversaries=1", "attack_start_s=100.0", f"on={on}")

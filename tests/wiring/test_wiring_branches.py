@@ -240,3 +240,51 @@ def test_a_listener_that_forwards_the_wire_is_refused() -> None:
     listens = {"listen": [{"wire": "agent/infra_1/pose", "role": "adversary", "input": "pose"}]}
     with pytest.raises(WiringError, match="would receive its own messages"):
         resolve_pose(posed(adversary_1="infra_1"), on_pose(to="agent"), listens)
+
+
+HEARD = {
+    "key": "agent/{agent}/broadcast",
+    "message": "tracks",
+    "from": "peer.broadcast",
+    "to": ["other peer.heard"],
+}
+AGENTS = ("ego", "infra_1", "infra_2")
+
+
+def hearing(*linked: str) -> dict[str, NodeOptions]:
+    return {
+        **{name: node("agent") for name in AGENTS},
+        **{f"peer_{name}": node("peer", "heard:tracks", "broadcast:tracks", agent=name) for name in AGENTS},
+        **{f"link_{a}": node("link", "in:tracks", "out:tracks", agent=a, peer=f"peer_{a}") for a in linked},
+    }
+
+
+def before_peers(role: str = "other link", to: str = "peer", **more: Any) -> dict:
+    entry = {"wire": "agent/{agent}/broadcast", "role": role, "input": "in", "output": "out", "to": to}
+    return {"insert": [entry | more]}
+
+
+def test_the_links_of_all_other_agents_come_before_the_peers_that_their_options_name() -> None:
+    wiring = resolve(hearing("ego", "infra_1"), before_peers(), wires=(HEARD,))
+    branches = {
+        wire.subject: {branch.subscriber.node: [leg.publisher.node for leg in branch.legs] for branch in wire.branches}
+        for wire in wiring.wires
+    }
+    assert branches == {
+        "ego": {"peer_infra_1": ["link_infra_1"]},
+        "infra_1": {"peer_ego": ["link_ego"]},
+        "infra_2": {"peer_ego": ["link_ego"], "peer_infra_1": ["link_infra_1"]},
+    }
+
+
+def test_an_agents_own_link_cannot_come_before_its_peer_which_does_not_hear_it() -> None:
+    with pytest.raises(WiringError, match="link_ego is to come before peer_ego, but 'agent/ego/broadcast' leads to"):
+        resolve(hearing("ego"), before_peers("link"), wires=(HEARD,))
+
+
+def test_an_optional_rewrite_for_a_role_that_does_not_subscribe_is_left_out() -> None:
+    nodes = hearing("ego")
+    with pytest.raises(WiringError, match="no role 'broker' subscribes to the wire"):
+        resolve(nodes, before_peers(to="broker"), wires=(HEARD,))
+    plain = resolve(nodes, wires=(HEARD,))
+    assert resolve(nodes, before_peers(to="broker", optional=True), wires=(HEARD,)) == plain
