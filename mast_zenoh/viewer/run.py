@@ -317,7 +317,7 @@ class RunRecord:
     @property
     def has_centre(self) -> bool:
         """Whether agents share a picture; otherwise each has a peer, which makes its own."""
-        roles = {spec["role"] for spec in self.scenario.get("nodes", {}).values()}
+        roles = {spec.get("role") for spec in self.scenario.get("nodes", {}).values()}
         return "peer" not in roles or not roles.isdisjoint(("command_center", "center"))
 
     def worded(self, text: str) -> str:

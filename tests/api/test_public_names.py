@@ -25,7 +25,8 @@ _BASES = """
     attacks.Propagation attacks.Imitation tracking.Tracker tracking.Assignment pipelines.Pipeline fusion.Clusterer
     fusion.Fusion fusion.GroupTracker integrity.Integrity scenes.Scene scenes.Sensor sensing.Detector
     metrics.FrameMetric metrics.RunMetric metrics.Assigner links.Rule faults.Fault launch.engine.Engine
-    checks.RunCheck report.RunFigure
+    checks.RunCheck report.RunFigure v2x.GenerationRules v2x.RedundancyRule v2x.CongestionControl v2x.CamGeneration
+    v2x.RadioChannel
 """
 BASES = {f"mast_zenoh.{place}" for place in _BASES.split()}
 MEMBERS = {

@@ -114,7 +114,7 @@ def test_an_agent_that_is_not_an_object_of_the_scene_is_no_vehicle() -> None:
 
 
 def test_the_summary_covers_the_scored_frames() -> None:
-    """The inserted car is known from frame 28 on."""
+    """A false object that was there before a lie, which is known from frame 28 on, is not the lie's."""
     missing = driving_metrics.summary(driven([CAR], [[]] * FRAMES), slice(20, 30))["ego"]
     assert missing["truth"] == {
         "corridor_objects": 1.0,
@@ -128,10 +128,11 @@ def test_the_summary_covers_the_scored_frames() -> None:
         "corridor_missed": 1.0,
         "missed_brake_share": pytest.approx((30 - FIRST) / 10),
     }
-    lies = [row for row in shown("inserted", CAR) if row[1] >= 28]
-    inserted = driving_metrics.summary(driven([], [[CAR]] * FRAMES, lies), slice(20, 30))["ego"]["local"]
-    shares = (inserted[name] for name in ("brake_share", "needless_brake_share", "needless_brake_share_attack"))
-    assert [*shares, inserted["corridor_false"]] == pytest.approx([0.4, 0.4, 0.2, 1.0])
+    for first, by_attack in ((0, 0.4), (28, 0.0)):
+        lies = [row for row in shown("inserted", CAR) if row[1] >= first]
+        inserted = driving_metrics.summary(driven([], [[CAR]] * FRAMES, lies), slice(20, 30))["ego"]["local"]
+        shares = (inserted[name] for name in ("brake_share", "needless_brake_share", "needless_brake_share_attack"))
+        assert [*shares, inserted["corridor_false"]] == pytest.approx([0.4, 0.4, by_attack, 1.0])
     assert inserted["missed_brake_share_attack"] == 0.0
 
 

@@ -72,7 +72,7 @@ def test_of_several_judges_the_sentence_names_the_one_that_it_is_about(heard: Ru
 
 def test_slander_is_described_as_what_it_is(gossip: RunRecord) -> None:
     slander = next(text for text in attack_description(gossip) if "slanderer_1" in text)
-    assert "changed whom the agent says it trusts in " in slander
+    assert "changed the trust in agents that is told in " in slander
     (reason,) = explanations(gossip)["slanderer_1"]
     assert reason.startswith("it changed no single object that could be false or missed: ")
     assert reason.endswith(" messages changed outside their objects")

@@ -135,7 +135,7 @@ def test_evidence_is_what_the_reporter_had_received_from_the_reported_agent(judg
             assert [m["frame"] for m in messages[key] if m["seq"] == each["seq"]] == [frame]
             (reception,) = [m for m in messages[f"agent/{observer}/reception"] if m["frame"] == frame + 1]
             assert agent not in column(reception["body"], "lost_awareness" if kind == "awareness" else "lost")
-    assert {"broadcast", "view", "awareness"} <= kinds
+    assert {"broadcast", "broadcast_view", "awareness"} <= kinds
 
 
 def test_a_report_about_a_relay_names_the_agent_its_station_and_the_pictures_that_it_relayed(
@@ -149,7 +149,7 @@ def test_a_report_about_a_relay_names_the_agent_its_station_and_the_pictures_tha
         assert report["reporter"] != f"peer_{report['reported']}"
         assert report["reported_station_id"] == zlib.crc32(f"peer_{report['reported']}".encode())
         kinds = {each["key"].rpartition("/")[2] for each in report["evidence"]}
-        assert kinds == ({"relay"} if report["relayed"] else {"broadcast", "view"})
+        assert kinds == ({"relay"} if report["relayed"] else {"broadcast", "broadcast_view"})
         assert {each["key"].split("/")[1] for each in report["evidence"]} == {report["reported"]}
 
 

@@ -57,9 +57,6 @@ _MESSAGES = {
     "slandered": "changed the trust in agents that is told in {}",
 }
 
-#: How it is said of gossip that it is reframed.
-_OF_GOSSIP = "changed whom the agent says it trusts in {}"
-
 
 def attack_description(run: RunRecord) -> list[str]:
     """Sentences: what each adversary did, where and when; which coordinators directed it; faults of the scenario."""
@@ -89,8 +86,9 @@ def _sentence(run: RunRecord, adversary: Interposer) -> str:
     """`In the detections of infra_1, adversary_1 inserted four objects that did not exist, from t = 4.0 s to 5.9 s.`"""
     effects = adversary.effects_besides_views
     clauses = [_of_objects(adversary, name, effects[name]) for name in OF_OBJECTS if effects.get(name)]
-    messages = dict(_MESSAGES, reframed=_OF_GOSSIP) if changes_gossip_alone(run, adversary) else _MESSAGES
-    clauses += [words.format(plural(effects[name], "message")) for name, words in messages.items() if effects.get(name)]
+    clauses += [
+        words.format(plural(effects[name], "message")) for name, words in _MESSAGES.items() if effects.get(name)
+    ]
     rest = [name for name in effects if name not in (*OF_OBJECTS, *_MESSAGES, "unsettled") and effects[name]]
     clauses += [f"{name} {plural(effects[name], 'message')}" for name in rest]
     if adversary.views:

@@ -29,7 +29,7 @@ from mast_zenoh.wiring.model import Wire, Wiring, agent_of, part_of
 #: Age of the messages that are named as evidence, s, and number of these on each key, at most.
 EVIDENCE_S, MOST_EVIDENCE = 1.0, 20
 #: Ports whose messages are evidence: what an agent says, and its picture, which is judged by itself.
-_CLAIMS = ("tracks", "broadcast", "awareness", "view")
+_CLAIMS = ("tracks", "broadcast", "awareness", "view", "broadcast_view")
 _RELAY = "relay"
 
 
@@ -170,7 +170,7 @@ class _Reading:
         """Note what did not arrive at an agent, of what was sent in the frame before."""
         body = _body(message)
         tracks, awareness = (set(body[name].tolist()) for name in ("lost", "lost_awareness"))
-        lost = {"broadcast": tracks, "view": tracks, _RELAY: tracks, "awareness": awareness}
+        lost = {"broadcast": tracks, "broadcast_view": tracks, _RELAY: tracks, "awareness": awareness}
         self.lost.setdefault(message.frame - 1, {})[agent] = lost
         while len(self.lost) > 2 * MOST_EVIDENCE:
             del self.lost[min(self.lost)]
