@@ -77,6 +77,12 @@ def quaternion_from_rotation(rotation: Floats) -> Floats:
     return np.where(q[..., :1] < 0.0, -q, q)
 
 
+def scalar_last_quaternions(yaw: Floats) -> Floats:
+    """(n, 4) x y z w, the order of many file formats, of rotations about the vertical by yaw (n,)."""
+    zero = np.zeros_like(yaw)
+    return np.stack([zero, zero, np.sin(yaw / 2), np.cos(yaw / 2)], axis=1)
+
+
 def states_to_world(states: ObjectStates, origin: Floats, rotation: Floats) -> ObjectStates:
     """Transform states from a frame of reference to the world frame.
 

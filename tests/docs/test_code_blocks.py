@@ -31,6 +31,8 @@ from mast_zenoh.cli.app import app
 from mast_zenoh.config import registry
 from mast_zenoh.faults import Fault
 from mast_zenoh.launch import run as launcher
+from mast_zenoh.ros2.data_keys import parse_data_key
+from mast_zenoh.ros2.type_store import decode
 from mast_zenoh.security.authority import Authority
 from mast_zenoh.study import definition
 from mast_zenoh.study.search import searching
@@ -231,6 +233,13 @@ def simulated_run(block: Block, folder: Path) -> None:
         assert events == ast.literal_eval(comment)
 
 
+def message_of_ros(block: Block, folder: Path) -> None:
+    names = executed(block)
+    key = parse_data_key(names["key"])
+    assert (key.domain, key.topic) == (0, "/mast/picture")
+    assert decode(key.type_name, names["payload"]).header.frame_id == "map"
+
+
 #: By page the function that runs its Python blocks in order; None: another test runs them.
 RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "exports.md": [None],  # test_export_labels.py
@@ -241,6 +250,7 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "network.md": [whole_scenario],
     "python.md": [None] * 13,  # test_page_examples.py
     "recording.md": [messages_of_a_run],
+    "ros2.md": [message_of_ros],
     "scene_arrays.md": [None] * 3,  # test_page_examples.py
     "scenarios.md": [whole_scenario, results_of_a_node],
     "search.md": [study_with_a_search],

@@ -60,12 +60,6 @@ def missed(frame: Frame, series: Series) -> ObjectStates:
     return frame.objects[TRUTH].select(frame.truth_outcomes[series].code == OUTCOMES.index("missed"))
 
 
-def quaternions(yaw: Floats) -> Floats:
-    """(n, 4) x y z w of rotations about the vertical by yaw (n,)."""
-    zero = np.zeros_like(yaw)
-    return np.stack([zero, zero, np.sin(yaw / 2), np.cos(yaw / 2)], axis=1)
-
-
 def wall_lines(scene: Recording) -> Floats:
     """(n, 2, 3) m: the upper edge of every wall of the buildings, the lower one at z = 0, and the corners."""
     segments = [np.zeros((0, 2, 3))]

@@ -36,6 +36,7 @@ from foxglove.messages import (
 )
 from PIL import Image
 
+from mast_zenoh.arrays.geometry import scalar_last_quaternions
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.metrics.record import Series
@@ -47,7 +48,6 @@ from mast_zenoh.viewer.export.columns import (
     class_names,
     colours,
     missed,
-    quaternions,
     transforms_of,
     wall_lines,
 )
@@ -127,7 +127,7 @@ def change_entities(frame: Frame) -> list[SceneEntity]:
 
 def box_entities(frame: Frame, states: ObjectStates, colour: Ints, outcomes: Sequence[str]) -> list[SceneEntity]:
     """An entity for each object, named by its id: its box, a line ahead, and its other values as text."""
-    turns, kinds = quaternions(states.yaw), class_names(states)
+    turns, kinds = scalar_last_quaternions(states.yaw), class_names(states)
     ahead = np.stack([np.cos(states.yaw), np.sin(states.yaw), 0 * states.yaw], axis=1) * (states.size[:, :1] / 2 + 1.2)
     lines = np.stack([states.position, states.position + ahead], axis=1).tolist()
     entities = []

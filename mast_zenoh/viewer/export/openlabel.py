@@ -12,8 +12,9 @@ from typing import Any, TextIO
 
 import numpy as np
 
+from mast_zenoh.arrays.geometry import scalar_last_quaternions
 from mast_zenoh.metrics.record import Series
-from mast_zenoh.viewer.export.columns import class_names, quaternions, standard_deviations, stem
+from mast_zenoh.viewer.export.columns import class_names, standard_deviations, stem
 from mast_zenoh.viewer.frame import Frame, Pose
 from mast_zenoh.viewer.recorded import RecordedRun
 from mast_zenoh.viewer.routes import TRUTH
@@ -86,7 +87,7 @@ class _File:
 def _frame(frame: Frame, series: Series) -> dict[str, Any]:
     """A frame: time in s, poses of the agents, and the objects by id."""
     states, outcomes = frame.objects[series], frame.outcomes[series]
-    values = np.concatenate([states.position, quaternions(states.yaw), states.size], axis=1).tolist()
+    values = np.concatenate([states.position, scalar_last_quaternions(states.yaw), states.size], axis=1).tolist()
     deviations = np.nan_to_num(standard_deviations(states), nan=-1.0).tolist()
     objects: dict[str, Any] = {}
     for k, (track, kind) in enumerate(zip(states.id.tolist(), class_names(states), strict=True)):

@@ -11,10 +11,11 @@ import numpy as np
 import rerun
 import rerun.blueprint as views
 
+from mast_zenoh.arrays.geometry import scalar_last_quaternions
 from mast_zenoh.arrays.states import Ints, ObjectStates
 from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.metrics.record import Series
-from mast_zenoh.viewer.export.columns import cameras, class_names, colours, missed, quaternions, wall_lines
+from mast_zenoh.viewer.export.columns import cameras, class_names, colours, missed, wall_lines
 from mast_zenoh.viewer.frame import Frame, FramedRun
 from mast_zenoh.viewer.palette import ADVERSARY, BUILDING_EDGE, GROUND, OUTCOME_COLOURS, rgb
 from mast_zenoh.viewer.routes import TRUTH
@@ -107,7 +108,7 @@ def _boxes(states: ObjectStates, colour: Ints, labels: list[str]) -> rerun.Boxes
     return rerun.Boxes3D(
         centers=states.position,
         half_sizes=states.size / 2,
-        quaternions=quaternions(states.yaw),
+        quaternions=scalar_last_quaternions(states.yaw),
         colors=colour.astype(np.uint8),
         labels=labels,
         show_labels=False,
