@@ -75,7 +75,7 @@ def test_slander_is_described_as_what_it_is(gossip: RunRecord) -> None:
     assert "changed the trust in agents that is told in " in slander
     (reason,) = explanations(gossip)["slanderer_1"]
     assert reason.startswith("it changed no single object that could be false or missed: ")
-    assert reason.endswith(" messages changed outside their objects")
+    assert reason.endswith(" messages slandered")
 
 
 def test_of_a_slanderer_only_the_gossip_is_compromised(gossip: RunRecord) -> None:
