@@ -408,7 +408,8 @@ class Attributor:
         since: Ints | None = None,
     ) -> None:
         """Set cause and culprits of `rows` whose object was recently hidden; the last three: see `Hidden.recent`."""
-        for code, culprit, blamed in self.hidden.recent(truth_id, frame, series, self.own, most, received, since):
+        recent = self.hidden.recent(truth_id, frame, series, self.own, most, received, since, self.begin)
+        for code, culprit, blamed in recent:
             selected = rows[blamed]
             selected = selected[(cause[selected] < 0) | (cause[selected] == code)]
             cause[selected] = code

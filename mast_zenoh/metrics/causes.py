@@ -120,6 +120,7 @@ class Hidden:
         most: int | None = None,
         received: Bools | None = None,
         since: Ints | None = None,
+        natural: int = 0,
     ) -> Iterator[tuple[int, int, Bools]]:
         """For each part, code of the cause, culprit, and whether objects (n,) were recently hidden.
 
@@ -127,7 +128,8 @@ class Hidden:
         own: (s,) series of what the broker receives from an agent
         most: largest number of frames after the manipulation; None: as long as that counts
         received: (n,) objects that the broker received from some agent: no removal before it hid them; None: none
-        since: (n,) first frame of an error of each object, which must not be before it was first hidden; None: any
+        since: (n,) first frame of an error of each object; None: any. One that was there before an adversary first hid
+            the object goes on by itself for `natural` frames
         """
         if not len(truth_id):
             return
@@ -138,9 +140,10 @@ class Hidden:
             last = np.searchsorted(known, truth_id * span + usable, side="right") - 1
             longest = lasts if most is None else min(lasts, most)
             same = (last >= 0) & (ids[last] == truth_id) & (frame - frames[last] <= longest)
-            if since is not None:
+            if since is not None and culprit >= 0:
                 first = np.minimum(np.searchsorted(known, truth_id * span), len(known) - 1)
-                same &= since >= frames[first] + delay[series]
+                first_hidden = frames[first] + delay[series]
+                same &= (since >= first_hidden) | (frame >= first_hidden + natural)
             if received is not None and kind == REMOVED and (reach & own).any():
                 same &= ~received
             yield (kind if culprit >= 0 else FAULT), culprit, same & reach[series]
