@@ -146,6 +146,7 @@ def test_a_listing_is_a_sequence_with_a_readable_repr() -> None:
         mast.list("attack")
 
 
+@pytest.mark.heavy
 def test_the_command_line_prints_the_same_listings() -> None:
     def printed(*words: str) -> str:
         done = CliRunner().invoke(app, ["list", *words])

@@ -215,6 +215,7 @@ def test_failures_in_a_comparison_are_reported_and_give_exit_code_30_unless_allo
     assert (prefix in out) == (name == "center")
 
 
+@pytest.mark.heavy
 def test_a_run_that_cannot_be_compared_keeps_its_results_and_its_own_error(mast, tmp_path: Path) -> None:
     path = str(failing.write("attack", tmp_path))
     assert mast("run", "baseline", *SHORT, "--no-report", "--out", "other")[0] == 0

@@ -49,6 +49,7 @@ def test_every_role_runs_in_its_own_process_with_the_metrics_of_one_process_and_
     )
 
 
+@pytest.mark.heavy
 def test_simultaneous_runs_do_not_interfere_and_interposers_that_change_nothing_leave_no_trace(
     launch, tmp_path: Path
 ) -> None:

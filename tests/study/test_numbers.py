@@ -249,6 +249,7 @@ def also_in(tracks: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> np.n
     return ((distance <= NEAR_M) & same_frame).any(axis=1)
 
 
+@pytest.mark.heavy
 def test_false_tracks_are_attributed_to_the_adversary_that_causes_them() -> None:
     new = correct = 0
     for seed in (0, 1):
