@@ -114,6 +114,7 @@ class Peer(Node):
         self.beyond: dict[str, int] = {}  # rows that the newest message of each agent had besides those that are used
         self.views: dict[str, tuple[int, Body]] = {}  # their times, ns, and columns
         self.relays = Relays(agent, max_age_s)
+        self.relaying: set[str] = set()  # agents that can be origins of what others relay
         self.trusts: dict[str, tuple[int, dict[str, float]]] = {}  # by teller, time, ns, and trust in agents
         self.own: tuple[int, ObjectStates] | None = None  # time, ns, and tracks
         self.place = np.zeros(3)
@@ -124,7 +125,9 @@ class Peer(Node):
         """Wait in each frame for all that the agent and the channel send."""
         self.pipeline.bind(context.seed, context.name)
         self.station.switch_on(float(context.rng("switched on").random()))
-        ports = {source.port for source in context.subscriptions.values()}
+        sources = context.subscriptions.values()
+        ports = {source.port for source in sources}
+        self.relaying = {self.agent, *(source.subject for source in sources if source.port == "relayed")}
         self.sensed.expected |= ports & {"pose", "own_view", "reception"}
 
     def choice(self, port: str, subject: str, step: int) -> RowChoice | None:
@@ -176,8 +179,7 @@ class Peer(Node):
 
     def on_relayed(self, received: Received, context: Context) -> None:
         """The picture of another agent. Origins that are no agents would go round among peers for ever."""
-        known = {source.subject for source in context.subscriptions.values() if source.port == "relayed"}
-        if unknown := sorted(set(received.body["agents"]) - known - {self.agent}):
+        if unknown := sorted(set(received.body["agents"]) - self.relaying):
             context.reject(f"implausible: relayed: agents: {len(unknown)} unknown, such as {unknown[0]!r}")
             return
         self.hear("relayed", received, context)

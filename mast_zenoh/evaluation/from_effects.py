@@ -29,8 +29,10 @@ _WITHOUT_ESTIMATE = ("truth", "mission", "report", "observation", "directive")
 
 #: Ports of the tracks and of the batch that a centre fuses.
 _TO_CENTRE = ("tracks", "collated")
+#: Ports of messages on which an agent's own tracks and its own peer's picture depend.
+OWN = ("detections", "pose", "sweep", "tracks", "view", "status")
 #: Ports of messages that peers send each other.
-_BETWEEN_PEERS = ("broadcast", "broadcast_view", "awareness", "relay", "gossip")
+BETWEEN_PEERS = ("broadcast", "broadcast_view", "awareness", "relay", "gossip")
 
 
 def influence(
@@ -58,17 +60,12 @@ def _influences(passage: Passage, agent: str, estimator: str, is_link: bool, rel
         return (own and estimator == RECEIVED) or (not is_link and estimator in FROM_CENTRE)
     if port in ("status", "collated"):
         return not is_link and estimator in FROM_CENTRE
-    if port in _BETWEEN_PEERS:
+    if port in BETWEEN_PEERS:
         heard = not own and (relays or passage.before in ("", peer_of(agent)))
         return heard and not is_link and estimator in FROM_CENTRE
     if port == "picture":
         return estimator in BEHIND_DOWNLINK and passage.before in ("", agent)
     return port not in _WITHOUT_ESTIMATE and (estimator != LOCAL or port == "clock")
-
-
-#: Ports of what an agent sends to the peers of others, and of what its own tracks and its own peer's picture depend on.
-_ON_AIR = ("broadcast", "awareness", "gossip", "relay")
-_OWN = ("detections", "pose", "tracks", "sweep", "view", "status")
 
 
 def delays(
@@ -83,7 +80,7 @@ def delays(
     result = np.zeros((len(passages), len(series)), np.int64)
     for row, passage in enumerate(passages):
         for column, (agent, estimator) in enumerate(series):
-            heard = passage.port in _ON_AIR or (passage.port in _OWN and agent != agent_of(passage.subject))
+            heard = passage.port in BETWEEN_PEERS or (passage.port in OWN and agent != agent_of(passage.subject))
             if heard and agent in own_pictures and estimator in FROM_CENTRE:
                 result[row, column] = 2 if relays and passage.before not in ("", peer_of(agent)) else 1
     return result

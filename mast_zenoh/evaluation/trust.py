@@ -9,6 +9,7 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.effects import Effects
+from mast_zenoh.evaluation.from_effects import BETWEEN_PEERS, OWN
 from mast_zenoh.integrity import STATES
 from mast_zenoh.metrics import Table
 from mast_zenoh.metrics.boxes import Places, nearest
@@ -28,7 +29,7 @@ from mast_zenoh.pipelines.relays import RELAY
 from mast_zenoh.wiring.model import agent_of
 
 #: Ports of what an agent sends to the command centre or to other agents, and of what its own tracks depend on.
-UPSTREAM = ("detections", "pose", "sweep", "tracks", "view", "status", "broadcast", "awareness", "relay")
+UPSTREAM = (*OWN, *(port for port in BETWEEN_PEERS if port != "gossip"))
 
 #: m, in the bird's-eye view, from an object of the centre to the real object that it stands for.
 GATE_M = 2.0
