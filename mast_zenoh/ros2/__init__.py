@@ -4,6 +4,7 @@ Pure functions: bytes, names and arrays in, the same out. Nothing here opens a s
 
 definitions       message types that rosbags does not have: vision_msgs and autoware_perception_msgs
 type_store        classes of all message types, their CDR bytes and hashes
+connection        how to reach a router of rmw_zenoh, as scenarios say it
 names             names of topics, nodes and types, and how keys write them
 data_keys         the key expression of a topic's messages
 qos               quality of service in tokens

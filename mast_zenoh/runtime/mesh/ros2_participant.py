@@ -1,0 +1,321 @@
+"""A node of ROS 2 on a router of rmw_zenoh: it publishes, subscribes, and knows who else is in its domain.
+
+What others send is untrusted: what is not a message of rmw_zenoh is counted by reason, logged once for each topic, and
+dropped. Peers whose type or hash differs are silent on a mesh; their tokens tell of them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import socket
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from typing import Any, Self
+
+import zenoh
+import zenoh.ext
+
+from mast_zenoh.errors import MessageError, NotRunning
+from mast_zenoh.ros2 import type_store
+from mast_zenoh.ros2.attachments import Attachment, gid_of, parse_attachment
+from mast_zenoh.ros2.connection import Connection
+from mast_zenoh.ros2.data_keys import DataKey
+from mast_zenoh.ros2.liveliness_tokens import EndpointToken, NodeToken, all_tokens, parse_token
+from mast_zenoh.ros2.qos import Qos
+from mast_zenoh.ros2.type_store import RosMessage
+from mast_zenoh.runtime.mesh.session import open_session
+
+log = logging.getLogger("mast.ros2")
+
+#: Called with each valid message, in a thread of Zenoh.
+Handler = Callable[[RosMessage, Attachment], None]
+
+#: Bytes of a message: a larger one is refused unread.
+MOST_BYTES = 1 << 24
+#: Tokens that are remembered: of a domain with more, the rest is not known.
+MOST_TOKENS = 10_000
+#: Reasons that are told apart in counts and warnings: peers choose the words of some.
+MOST_REASONS = 50
+
+#: s, in which a router must have answered.
+_CONNECT_S = 5.0
+#: s, for which a peer that takes nothing is waited for; then its link ends. As in rmw_zenoh's own settings.
+_PATIENCE_S = 60.0
+#: Of a peer that keeps what it has sent for those that come late.
+_LATE = "transient_local"
+
+_SETTINGS: dict[str, Any] = {
+    "mode": "client",
+    "connect/timeout_ms": round(1000 * _CONNECT_S),
+    "connect/retry": {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 2},
+    "timestamping/enabled": True,  # the caches of those that keep messages need it
+    "transport/link/tx/lease": round(1000 * _PATIENCE_S),
+    "transport/link/tx/queue/congestion_control/block/wait_before_close": round(1e6 * _PATIENCE_S),
+}
+
+
+class Publisher:
+    """Publishes the messages of a topic, numbered from 1.
+
+    token: what makes it known
+    """
+
+    def __init__(self, token: EndpointToken, session: zenoh.Session, *, wait: bool) -> None:
+        self.token = token
+        self._gid = gid_of(token.write())
+        self._sequence = 0
+        self._alive = session.liveliness().declare_token(token.write())
+        congestion = zenoh.CongestionControl.BLOCK if wait else zenoh.CongestionControl.DROP
+        key = token.data_key.write()
+        self._publisher: Any
+        if token.qos.durability == _LATE:
+            self._publisher = zenoh.ext.declare_advanced_publisher(
+                session,
+                key,
+                congestion_control=congestion,
+                express=True,
+                cache=zenoh.ext.CacheConfig(token.qos.depth),
+                publisher_detection=True,
+            )
+        else:
+            self._publisher = session.declare_publisher(key, congestion_control=congestion, express=True)
+
+    @property
+    def sent(self) -> int:
+        """Number of messages that have been published."""
+        return self._sequence
+
+    def publish(self, message: RosMessage) -> None:
+        """Publish a message of the topic's type."""
+        self.publish_bytes(type_store.encode(message))
+
+    def publish_bytes(self, payload: bytes) -> None:
+        """Publish a message that is encoded already."""
+        self._sequence += 1
+        attachment = Attachment(self._sequence, time.time_ns(), self._gid)
+        self._publisher.put(payload, attachment=attachment.write())
+
+
+class Participant:
+    """A node of ROS 2, from `with` to its end.
+
+    connection: its router and domain
+    name, namespace: of the node
+    wait:    whether messages wait for a peer that takes none, for a minute at most, or are dropped after a second
+
+    refused: number of received messages and tokens that were dropped, by reason
+    warnings: sentences about peers that cannot hear this node, or that it cannot hear
+
+    Raises NotRunning if the router does not answer, with the reason, and ValueError for an invalid name.
+    """
+
+    def __init__(
+        self, connection: Connection, name: str = "mast_bridge", namespace: str = "/", *, wait: bool = True
+    ) -> None:
+        self.connection = connection
+        self.refused: Counter[str] = Counter()
+        self.warnings: list[str] = []
+        self._wait = wait
+        self._declared: list[Any] = []
+        self._endpoints: list[EndpointToken] = []
+        self._known: dict[str, NodeToken | EndpointToken] = {}
+        self._lock = threading.Lock()
+        self._logged: set[str] = set()
+        NodeToken(connection.domain, "0", 0, name, namespace)  # checks the names before anything is opened
+        self._session = _open(connection)
+        try:
+            self._node = NodeToken(connection.domain, str(self._session.zid()), 0, name, namespace)
+            liveliness = self._session.liveliness()
+            self._declared.append(liveliness.declare_token(self._node.write()))
+            watch: Any = zenoh.handlers.Callback(self._on_token, indirect=False)
+            self._declared.append(liveliness.declare_subscriber(all_tokens(connection.domain), watch, history=True))
+        except BaseException:
+            self._session.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def session_id(self) -> str:
+        """The id of the session in tokens, hexadecimal."""
+        return self._node.session
+
+    def publisher(self, topic: str, type_name: str, qos: Qos | None = None) -> Publisher:
+        """A publisher of a topic; one that is `transient_local` keeps its messages for those that come late.
+
+        Raises ValueError for an invalid topic, KeyError for an unknown type.
+        """
+        publisher = Publisher(self._endpoint("publisher", topic, type_name, qos), self._session, wait=self._wait)
+        self._declared.append(publisher)
+        return publisher
+
+    def subscribe(self, topic: str, type_name: str, handler: Handler, qos: Qos | None = None) -> None:
+        """Have a handler called with each message of a topic; raises as `publisher` does.
+
+        The handler must be quick: the messages of a session wait for each other.
+        """
+        token = self._endpoint("subscription", topic, type_name, qos)
+        self._declared.append(self._session.liveliness().declare_token(token.write()))
+        take: Any = zenoh.handlers.Callback(lambda sample: self._take(token, handler, sample), indirect=True)
+        key, late = token.data_key.write(), token.qos.durability == _LATE
+        subscriber: Any = (
+            zenoh.ext.declare_advanced_subscriber(
+                self._session,
+                key,
+                take,
+                history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=token.qos.depth),
+            )
+            if late
+            else self._session.declare_subscriber(key, take)
+        )
+        self._declared.append(subscriber)
+
+    def graph(self) -> list[NodeToken | EndpointToken]:
+        """The nodes and endpoints of the domain that are known now, by their tokens; also its own."""
+        with self._lock:
+            return [self._known[token] for token in sorted(self._known)]
+
+    def publishers_of(self, topic: str) -> list[EndpointToken]:
+        """The publishers of a topic that others have, whatever their type."""
+        return self._others("publisher", topic)
+
+    def subscriptions_of(self, topic: str) -> list[EndpointToken]:
+        """The subscriptions to a topic that others have, whatever their type."""
+        return self._others("subscription", topic)
+
+    def close(self) -> None:
+        """Leave; what has been published is handed over first."""
+        self._session.close()
+        self._declared.clear()
+
+    # -- inside --------------------------------------------------------------------------------------------------------
+
+    def _endpoint(self, kind: str, topic: str, type_name: str, qos: Qos | None) -> EndpointToken:
+        key = DataKey.of(self.connection.domain, topic, type_name)
+        number = len(self._endpoints) + 1  # the node itself has 0
+        token = EndpointToken(self._node, number, kind, topic, type_name, key.type_hash, qos or Qos())
+        self._endpoints.append(token)
+        for other in self._others("subscription" if kind == "publisher" else "publisher", topic):
+            self._compare(token, other)
+        return token
+
+    def _others(self, kind: str, topic: str) -> list[EndpointToken]:
+        return [
+            each
+            for each in self.graph()
+            if isinstance(each, EndpointToken)
+            and each.kind == kind
+            and each.topic == topic
+            and each.node.session != self._node.session
+        ]
+
+    def _take(self, token: EndpointToken, handler: Handler, sample: zenoh.Sample) -> None:
+        """Check a received message, and pass it on."""
+        try:
+            if sample.kind != zenoh.SampleKind.PUT:
+                raise MessageError("deleted: expected a message")
+            if sample.attachment is None:
+                raise MessageError("attachment: found none, expected that of rmw_zenoh")
+            attachment = parse_attachment(sample.attachment.to_bytes())
+            if len(sample.payload) > MOST_BYTES:
+                raise MessageError(f"size: found {len(sample.payload)} bytes, expected at most {MOST_BYTES}")
+            message = type_store.decode(token.type_name, sample.payload.to_bytes())
+        except MessageError as error:
+            self.refuse(token.topic, str(error))
+            return
+        try:
+            handler(message, attachment)
+        except MessageError as error:
+            self.refuse(token.topic, str(error))
+
+    def refuse(self, topic: str, reason: str) -> None:
+        """Count a message of a topic that is of no use, by the reason's part before the colon; log the first one."""
+        kind = " ".join(reason.split(":", 1)[0].split())[:120]
+        with self._lock:
+            if kind not in self.refused and len(self.refused) >= MOST_REASONS:
+                kind = "other reasons"
+            self.refused[kind] += 1
+            is_first = topic not in self._logged
+            self._logged.add(topic)
+        if is_first:
+            log.warning("%s: refused a message: %s (more on this topic will only be counted)", topic, reason)
+
+    def _on_token(self, sample: zenoh.Sample) -> None:
+        """Follow the tokens of the domain."""
+        key = str(sample.key_expr)
+        if sample.kind != zenoh.SampleKind.PUT:
+            with self._lock:
+                self._known.pop(key, None)
+            return
+        try:
+            token = parse_token(key)
+        except MessageError as error:
+            self.refuse("liveliness", str(error))
+            return
+        with self._lock:
+            if key in self._known or len(self._known) >= MOST_TOKENS:
+                return
+            self._known[key] = token
+            own = list(self._endpoints)
+        if isinstance(token, EndpointToken) and token.node.session != self._node.session:
+            for endpoint in own:
+                if endpoint.topic == token.topic and {endpoint.kind, token.kind} == {"publisher", "subscription"}:
+                    self._compare(endpoint, token)
+
+    def _compare(self, own: EndpointToken, other: EndpointToken) -> None:
+        """Warn of a peer on the same topic with another type, or with the same of other fields."""
+        if own.type_name != other.type_name:
+            difference = f"{other.type_name}, expected {own.type_name}"
+        elif own.type_hash != other.type_hash:
+            difference = f"another definition of {own.type_name} ({other.type_hash}), expected {own.type_hash}"
+        else:
+            return
+        name = f"{other.node.namespace.rstrip('/')}/{other.node.name}"
+        sentence = f"{own.topic}: the {other.kind} of {name} has {difference}: the two do not hear each other"
+        with self._lock:
+            is_new = sentence not in self.warnings and len(self.warnings) < MOST_REASONS
+            if is_new:
+                self.warnings.append(sentence)
+        if is_new:
+            log.warning("%s", sentence)
+
+
+def _open(connection: Connection) -> zenoh.Session:
+    """A session with the router; raises NotRunning with the reason if it does not answer."""
+    settings = _SETTINGS | {"connect/endpoints": [connection.router]}
+    if connection.tls is not None:
+        tls: dict[str, Any] = {"root_ca_certificate": str(connection.tls.ca), "verify_name_on_connect": True}
+        if connection.tls.certificate is not None:
+            tls |= {
+                "connect_certificate": str(connection.tls.certificate),
+                "connect_private_key": str(connection.tls.key),
+                "enable_mtls": True,
+            }
+        settings |= {"transport/link/tls": tls}
+    try:
+        return open_session(settings)
+    except zenoh.ZError:
+        raise NotRunning(f"{connection.router}: {_reason(connection)}") from None
+
+
+def _reason(connection: Connection) -> str:
+    """Why a router does not answer."""
+    expected = "expected a router of rmw_zenoh: start one with `ros2 run rmw_zenoh_cpp rmw_zenohd`"
+    if not connection.router.startswith(("udp", "quic")):
+        host, _, port = connection.router.partition("/")[2].rpartition(":")
+        try:
+            with contextlib.closing(socket.create_connection((host.strip("[]"), int(port)), _CONNECT_S)):
+                pass
+        except (OSError, OverflowError) as error:
+            return f"nothing answers there ({getattr(error, 'strerror', None) or error}), {expected}"
+    if connection.tls is not None:
+        return "something listens there, but refuses these certificates, or is no router"
+    found = f"something listens there, but answers as no router within {_CONNECT_S:g} s: perhaps it demands TLS"
+    return f"{found}; {expected}"
