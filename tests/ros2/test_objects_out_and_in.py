@@ -301,9 +301,7 @@ def test_an_invalid_header_is_refused(states: ObjectStates, change: Callable[[An
 def test_a_message_of_another_type_is_refused(states: ObjectStates) -> None:
     with pytest.raises(MessageError, match=r"TrackedObjects: expected vision_msgs/msg/Detection3DArray or"):
         received_detections(tracked_objects(states, 0, "map"))
-    with pytest.raises(
-        MessageError, match=r"Clock: expected autoware_perception_msgs/msg/TrackedObjects or"
-    ):
+    with pytest.raises(MessageError, match=r"Clock: expected autoware_perception_msgs/msg/TrackedObjects or"):
         received_tracks(clock(0))
 
 

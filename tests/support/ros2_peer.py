@@ -54,6 +54,8 @@ class Tracker:
     def __call__(self, message: Any) -> Any:
         stamp = message.header.stamp
         time = stamp.sec + stamp.nanosec * 1e-9
+        if time < self.time:  # another run
+            self.known, self.next = {}, 1
         elapsed, left, known, objects = time - self.time, dict(self.known), {}, []
         for detection in message.detections:
             place = detection.bbox.center.position
