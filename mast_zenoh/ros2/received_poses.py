@@ -56,7 +56,9 @@ def received_pose(message: RosMessage) -> ReceivedPose:
     reason = _reason(pose)
     if reason:
         raise MessageError(f"{type_store.ODOMETRY}: pose: {reason}")
-    if not np.linalg.norm(velocity) <= MOST_SPEED:
+    with np.errstate(over="ignore"):
+        too_fast = not np.linalg.norm(velocity) <= MOST_SPEED
+    if too_fast:
         raise MessageError(f"{type_store.ODOMETRY}: twist: velocity: not finite or beyond {MOST_SPEED:g} m/s")
     columns = {
         "position": pose[:3],
