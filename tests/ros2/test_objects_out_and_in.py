@@ -300,8 +300,16 @@ def test_an_invalid_header_is_refused(states: ObjectStates, change: Callable[[An
 def test_a_message_of_another_type_is_refused(states: ObjectStates) -> None:
     with pytest.raises(MessageError, match=r"TrackedObjects: expected vision_msgs/msg/Detection3DArray or"):
         received_detections(tracked_objects(states, 0, "map"))
-    with pytest.raises(MessageError, match=r"Detection3DArray: expected autoware_perception_msgs/msg/TrackedObjects"):
-        received_tracks(detection_array(states, 0, "map"))
+    with pytest.raises(MessageError, match=r"MarkerArray: expected autoware_perception_msgs/msg/TrackedObjects or"):
+        received_tracks(marker_array(states, np.zeros((N, 3), np.int64), 0, "map"))
+
+
+def test_detections_with_ids_are_tracks_that_may_move(states: ObjectStates) -> None:
+    received = received_tracks(sent(detection_array(states, 0, "map")))
+    np.testing.assert_array_equal(np.sort(received.objects.id), np.sort(states.id))
+    np.testing.assert_array_equal(received.objects.position, states.position[received.rows])
+    assert not received.objects.velocity.any()
+    np.testing.assert_allclose(received.objects.covariance[:, 6, 6], received_objects.ASSUMED.velocity**2)
 
 
 @pytest.mark.parametrize(
