@@ -71,6 +71,7 @@ class Received(Generic[Objects]):
     frame_id: name of their frame of reference
     time_ns:  ns, of its header
     objects:  those that can be used
+    rows:     (n,) where they are in the message
     dropped:  number of the others, by reason
     unclassified: number of objects with a class that is not ours; they are of the class unknown
     """
@@ -78,6 +79,7 @@ class Received(Generic[Objects]):
     frame_id: str
     time_ns: int
     objects: Objects
+    rows: Ints
     dropped: Mapping[str, int]
     unclassified: int
 
@@ -139,6 +141,7 @@ def _received(message: RosMessage, objects: Objects, rows: _Rows, keep: Bools) -
         frame_of(message.header.frame_id),
         time_of(message.header.stamp),
         objects,
+        keep.nonzero()[0].astype(np.int64),
         dict(rows.dropped),
         int(np.count_nonzero(rows.unclassified & keep)),
     )
