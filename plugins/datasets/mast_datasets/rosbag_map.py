@@ -105,12 +105,15 @@ class AgentEntry:
 
 @dataclass(frozen=True, eq=False)
 class TruthEntry:
-    """An object of the truth, or a topic with lists of objects (body None), without those of some ids."""
+    """An object of the truth, or a topic with lists of objects (body None), without those of some ids.
+
+    without: ids as the messages have them: text, a UUID in hexadecimal digits, or one of our whole numbers
+    """
 
     name: str
     source: Source
     body: Body | None
-    without: frozenset[int]
+    without: frozenset[str]
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,7 +220,7 @@ def _truth(name: str, table: Element, received: bool) -> TruthEntry:
     if table.get("size") is None:
         _check_keys(table, (*_SOURCE, "without"))
         without = table.get("without")
-        ids = frozenset() if without is None else frozenset(each.integer() for each in without.elements())
+        ids = frozenset() if without is None else frozenset(each.name(-(2**63)) for each in without.elements())
         return TruthEntry(name, _source(table, received, ("without",)), None, ids)
     return TruthEntry(name, _source(table, received, _BODY), _body(table, _SOURCE), frozenset())
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from array import array
 from collections import Counter
@@ -20,14 +21,15 @@ from mast_zenoh.arrays.geometry import heading, quaternion_from_rotation, rotati
 from mast_zenoh.arrays.states import Bools, Detections, Floats, Ints, ObjectStates
 from mast_zenoh.errors import ConfigurationError, MessageError, SceneError, nearest
 from mast_zenoh.ros2 import type_store
-from mast_zenoh.ros2.object_ids import id_of_text
+from mast_zenoh.ros2.object_ids import id_of_text, id_of_uuid
 from mast_zenoh.ros2.received_objects import Received, received_detections, received_tracks
 from mast_zenoh.ros2.received_poses import POSES, stamped_poses
 
 #: Limit on the messages of all mapped topics.
 MAX_MESSAGES = 5_000_000
-_MAX_REASONS = 20  # that are told apart, of one topic
+_MAX_REMARKS = 20  # that are told apart, of one topic
 _MAX_DETECTED = 1000
+_UUID = re.compile("-?".join(f"[0-9a-fA-F]{{{count}}}" for count in (8, 4, 4, 4, 12)))
 _TYPES_OF_DETECTIONS = (type_store.DETECTIONS, type_store.DETECTED_OBJECTS)
 _TYPES_OF_TRUTH = (type_store.TRACKED_OBJECTS, type_store.DETECTIONS)
 
@@ -70,7 +72,7 @@ def _slerp(first: Floats, second: Floats, share: Floats) -> Floats:
 class TopicReader(ABC):
     """Collects what one entry of the map wants of the messages of its topic.
 
-    count: messages;  left_out: how many messages or objects cannot be used, by reason
+    count: messages;  remarks: what was left out or changed, in words, and how often
     changes: whether it changes the messages that it reads
     """
 
@@ -79,7 +81,7 @@ class TopicReader(ABC):
     def __init__(self, source: Source, frames: Mapping[str, Pose]) -> None:
         self.source = source
         self.count = 0
-        self.left_out: Counter[str] = Counter()
+        self.remarks: Counter[str] = Counter()
         self._frames = frames
         self._frame_id = ""
 
@@ -108,8 +110,15 @@ class TopicReader(ABC):
         """Read a message. Raises MessageError if it cannot be used."""
 
     def _leave_out(self, reason: str, number: int = 1) -> None:
-        known = reason in self.left_out or len(self.left_out) < _MAX_REASONS
-        self.left_out[f"{reason:.160}" if known else "other reasons"] += number
+        self._remark(f"left out: {reason:.160}", number)
+
+    def _remark(self, remark: str, number: int) -> None:
+        known = remark in self.remarks or len(self.remarks) < _MAX_REMARKS
+        self.remarks[remark if known else "left out for other reasons"] += number
+
+    def _count_unclassified(self, number: int) -> None:
+        if number:
+            self._remark("a class that none of ours is, now unknown", number)
 
     def _time(self, header_ns: int, received_ns: int) -> int:
         return (received_ns if self.source.received else header_ns) + self.source.offset_ns
@@ -178,7 +187,7 @@ class PoseReader(TopicReader):
         """All poses in the world; of several at one time, the first."""
         times, first = np.unique(np.frombuffer(self._times, np.int64), return_index=True)
         if len(first) < len(self._times):
-            self._leave_out("at the same time as another one", len(self._times) - len(first))
+            self._leave_out("a pose at the time of another one", len(self._times) - len(first))
         values = np.frombuffer(self._values, np.float64).reshape(-1, 7)[first]
         origin = self._origin()
         rotation = origin.rotation @ rotation_from_quaternion(values[:, 3:])
@@ -216,8 +225,12 @@ class DetectionReader(TopicReader):
             return own_decoder(place, topic, types)
         self._check_type(topic, _TYPES_OF_DETECTIONS, "; `fields` reads other types")
         if topic.type == type_store.DETECTED_OBJECTS:
-            for name in ("axes", "classes"):
-                if getattr(self._entry, name) not in (None, {}):
+            for name, given in (
+                ("axes", self._entry.axes is not None),
+                ("size", self._entry.size is not None),
+                ("classes", bool(self._entry.classes)),
+            ):
+                if given:
                     raise ConfigurationError(f"{self.source.place}: {topic.type} has no use for `{name}`")
         return known_decoder(place, topic)
 
@@ -239,14 +252,11 @@ class DetectionReader(TopicReader):
             )
         for reason, number in received.dropped.items():
             self._leave_out(reason, number)
-        if received.unclassified:
-            self._leave_out(
-                "the class, which none of ours is (they are unknown); `classes` names ours", received.unclassified
-            )
+        self._count_unclassified(received.unclassified)
         found = received.objects
         near = np.linalg.norm(found.position, axis=1) < entry.nearest_m
         if near.any():
-            self._leave_out(f"nearer than {entry.nearest_m:g} m", int(near.sum()))
+            self._leave_out(f"nearer than nearest_m, {entry.nearest_m:g} m", int(near.sum()))
             found = found.select(np.flatnonzero(~near))
         self._total += len(found)
         if self._total > MAX_BOXES:
@@ -369,7 +379,7 @@ class ObjectReader(TopicReader):
 
     def __init__(self, entry: TruthEntry, frames: Mapping[str, Pose]) -> None:
         super().__init__(entry.source, frames)
-        self._without = entry.without
+        self._without_names, self._without = entry.without, frozenset[int]()
         self._ids, self._times, self._values = array("q"), array("q"), array("d")
 
     def decoder(self, place: str, topic: Topic, types: Mapping[str, Any]) -> Decode:
@@ -377,6 +387,11 @@ class ObjectReader(TopicReader):
         self._check_type(topic, _TYPES_OF_TRUTH, hint)
         if self.source.child:
             raise ConfigurationError(f"{self.source.place}: {topic.type} has no use for `child`")
+        is_uuid = _UUID.fullmatch if topic.type == type_store.TRACKED_OBJECTS else lambda _: None
+        self._without = frozenset(
+            id_of_uuid(bytes.fromhex(name.replace("-", ""))) if is_uuid(name) else id_of_text(name)
+            for name in self._without_names
+        )
         return known_decoder(place, topic)
 
     @property
@@ -396,8 +411,7 @@ class ObjectReader(TopicReader):
             ids = np.array([id_of_text(text) for text in texts], np.int64)
         for reason, number in received.dropped.items():
             self._leave_out(reason, number)
-        if received.unclassified:
-            self._leave_out("the class, which none of ours is (they are unknown)", received.unclassified)
+        self._count_unclassified(received.unclassified)
         found = received.objects
         self._check_frame(received.frame_id)
         time = self._time(received.time_ns, received_ns)
@@ -422,7 +436,7 @@ class ObjectReader(TopicReader):
         repeated = np.zeros(len(order), bool)
         repeated[1:] = (np.diff(ids[order]) == 0) & (np.diff(times[order]) == 0)
         if repeated.any():
-            self._leave_out("at the same time as another one with this id", int(repeated.sum()))
+            self._leave_out("an object at the time of another one with its id", int(repeated.sum()))
             order = order[~repeated]
         found = []
         for rows in np.split(order, np.flatnonzero(np.diff(ids[order])) + 1) if len(order) else []:
@@ -500,8 +514,8 @@ def _check_used(bag: Bag, reader: TopicReader) -> None:
         )
     if not reader.used:
         child = f"none of {source.child!r}" if source.child else "none that can be used"
-        reasons = "; ".join(f"{number}: {reason}" for reason, number in reader.left_out.most_common(3))
+        reasons = "; ".join(f"{remark}: {number}" for remark, number in reader.remarks.most_common(3))
         raise SceneError(
             f"{bag.path}: {source.topic}: found {reader.count} messages, {child} ({source.place})"
-            + (f"; left out {reasons}" if reasons else "")
+            + (f"; {reasons}" if reasons else "")
         )

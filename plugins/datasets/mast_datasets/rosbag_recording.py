@@ -79,8 +79,8 @@ class BagScene:
                 self._measured[place] = reader.measured()
             elif isinstance(reader, ObjectReader):
                 self._lists[place] = reader.objects()
-            for reason, number in sorted(reader.left_out.items()):
-                self.notes.append(f"{reader.source.topic} ({reader.count} messages): {number} times {reason}")
+            for remark, number in sorted(reader.remarks.items()):
+                self.notes.append(f"{reader.source.topic}: {remark}: {number} in {reader.count} messages")
         ego, *others = bag_map.agents
         mobile = [agent for agent in others if not agent.fixed]
         chosen = scene.playing([ego, *mobile], [agent for agent in others if agent.fixed], "agents that never move")

@@ -238,6 +238,8 @@ _COLUMNS = {
 }
 _DEFINITIONS = ("topic_type", "encoding", "encoded_message_definition")
 _HASH = "type_description_hash"
+#: Limits on the steps of SQLite's virtual machine for all queries of a file.
+_STEPS_ALWAYS, _STEPS_PER_BYTE, _STEPS_AT_ONCE = 10_000_000, 20, 100_000
 _READABLE = ("sqlite_master", "message_definitions", *_COLUMNS)
 
 
@@ -245,6 +247,9 @@ _READABLE = ("sqlite_master", "message_definitions", *_COLUMNS)
 def _database(file: Path) -> Iterator[sqlite3.Connection]:
     """A database, opened so that it is read only, and that no SQL in it runs. Raises SceneError for all failures."""
     size = file.stat().st_size
+    journal = file.with_name(f"{file.name}-wal")
+    if journal.is_file() and journal.stat().st_size:
+        raise SceneError(f"{journal}: found messages that are not in the bag yet, expected a bag that was closed")
     try:
         # Immutable: neither locks nor journals beside the file, which might be anything.
         uri = f"file:{quote(str(file.absolute()))}?mode=ro&immutable=1"
@@ -254,24 +259,11 @@ def _database(file: Path) -> Iterator[sqlite3.Connection]:
             connection.execute("PRAGMA cell_size_check = ON")
             connection.set_authorizer(_authorize)
             # A damaged tree of pages can lead to the same page again and again: the rows of a sound one fit the file.
-            steps = _Steps(10_000_000 + 20 * size)
-            connection.set_progress_handler(steps, _Steps.EACH)
+            remaining = iter(range((_STEPS_ALWAYS + _STEPS_PER_BYTE * size) // _STEPS_AT_ONCE))
+            connection.set_progress_handler(lambda: next(remaining, None) is None, _STEPS_AT_ONCE)
             yield connection
     except (sqlite3.Error, sqlite3.Warning, ValueError, OverflowError) as error:
         raise SceneError(f"{file}: cannot be read as SQLite3: {error}") from error
-
-
-class _Steps:
-    """Ends a query after a number of steps of SQLite's virtual machine."""
-
-    EACH = 1_000_000
-
-    def __init__(self, most: int) -> None:
-        self._remaining = most
-
-    def __call__(self) -> bool:
-        self._remaining -= self.EACH
-        return self._remaining < 0
 
 
 def _authorize(action: int, first: str | None, *_: str | None) -> int:
