@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from inspect import signature
 from typing import Any
 from xml.sax.saxutils import quoteattr
@@ -189,7 +190,7 @@ def intercept_topic(
     odometry: str = "",
     ready: Callable[[Participant], None] = lambda participant: None,
 ) -> dict[str, Any]:
-    """Publish on a topic what arrives before it, as an interposer wants it, until `stop` is set; return the counts.
+    """Publish on a topic what arrives before it, as an interposer wants it, until `stop` is set or Ctrl-C.
 
     type_name: of ALTERABLE;  odometry: a topic with the agent's pose, in the frame of reference of the objects; "": it
     is at the origin, as for objects in the vehicle's own frame;  ready: called when it is between them
@@ -220,7 +221,8 @@ def intercept_topic(
             participant.subscribe(odometry, type_store.ODOMETRY, on_pose)
         participant.subscribe(topic + BEFORE, type_name, on_objects)
         ready(participant)
-        stop.wait()
+        with suppress(KeyboardInterrupt):
+            stop.wait()
         counts = {"messages": interposer.messages, "changed": interposer.changed, "published": publisher.sent}
     if interposer.failed:
         raise HandlerFailed(f"{interposer.failed}: it was on {topic}, and what it failed on was passed on as it was")

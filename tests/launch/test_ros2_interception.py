@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import queue
+import signal
+import subprocess
 import threading
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
@@ -24,7 +26,8 @@ from mast_zenoh.ros2.pose_messages import clock, odometry
 from mast_zenoh.ros2.received_objects import received_tracks
 from mast_zenoh.runtime.mesh.ros2_participant import Participant
 from mast_zenoh.runtime.mesh.session import open_router
-from tests.support.launched import eventually
+from tests.support import commands_in_process
+from tests.support.launched import MAST, eventually
 
 TOPIC = "/car/perception/objects"
 SEED = 5
@@ -223,3 +226,52 @@ def test_what_cannot_be_read_is_passed_on_and_a_failed_node_is_an_error(router: 
     assert [message.header.frame_id for message in received] == ["", "map", "map"]
     assert isinstance(between.error, HandlerFailed)
     assert "RuntimeError: no idea" in str(between.error)
+
+
+def command(*words: str, folder: Path) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [*MAST, "intercept", *words], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+
+
+def test_the_command_writes_the_launch_file_attacks_until_it_is_interrupted_and_says_what_it_did(
+    router: str, tmp_path: Path
+) -> None:
+    (tmp_path / "shift.py").write_text(SHIFT)
+    words = ("--ros2", TOPIC, "--with", "shift.py", "--launch", "before.launch.xml", "--router", router)
+    process = command(*words, folder=tmp_path)
+    arrived: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    with Participant(Connection(router), "tracker") as tracker, Participant(Connection(router), "planner") as planner:
+        planner.subscribe(TOPIC, type_store.TRACKED_OBJECTS, lambda message, _: arrived.put(message))
+        own = tracker.publisher(TOPIC + "/before", type_store.TRACKED_OBJECTS)
+        eventually(lambda: tracker.subscriptions_of(TOPIC + "/before"), "the interposer")
+        eventually(lambda: planner.publishers_of(TOPIC), "its publisher")
+        for message in messages(5):
+            own.publish(message)
+            arrived.get(timeout=20.0)
+    process.send_signal(signal.SIGINT)
+    output, _ = process.communicate(timeout=30.0)
+    assert process.returncode == 0, output
+    assert "publisher: ros2 launch before.launch.xml file:=ITS_LAUNCH_FILE" in output
+    assert f"publisher: ros2 run PACKAGE NODE --ros-args -r {TOPIC}:={TOPIC}/before" in output
+    assert "messages: 5, changed: 5, published: 5" in output
+    assert (tmp_path / "before.launch.xml").read_text() == launch_fragment(TOPIC)
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "problem"),
+    [
+        ([], 2, "expected a node or an attack"),
+        (["--with", "UncoordinatedAttack"], 2, "expected the folder of a running run and --wire, or --ros2 TOPIC"),
+        (["run", "--with", "x.py", "--ros2", TOPIC], 2, "found RUN and --ros2"),
+        (["--with", "UncoordinatedAttack", "--ros2", "objects"], 10, "--ros2: topic 'objects/before'"),
+        (["--with", "UncoordinatedAttack", "--ros2", TOPIC, "--type", "Odometry"], 10, "--type: found 'Odometry'"),
+        (["--with", "missing.py", "--ros2", TOPIC], 12, "no node file or attack 'missing.py'"),
+        (["--with", "UncoordinatedAttack", "--ros2", TOPIC, "--set", "attack.no=1"], 10, "no"),
+        (["--with", "UncoordinatedAttack", "--ros2", TOPIC, "--router", "here"], 10, "ros2.router: found 'here'"),
+    ],
+)
+def test_a_wrong_command_says_what_is_wrong(words: list[str], code: int, problem: str) -> None:
+    ended = commands_in_process.command("intercept", *words)
+    assert ended.code == code
+    assert problem in " ".join((ended.out + ended.err).replace("│", " ").split())
