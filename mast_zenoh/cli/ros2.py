@@ -119,7 +119,7 @@ def between(
         print_line(f"publisher: ros2 launch {launch} file:=ITS_LAUNCH_FILE")
     print_line(f"publisher: ros2 run PACKAGE NODE --ros-args -r {topic}:={topic}{BEFORE}")
 
-    def ready(_: Participant) -> None:
+    def ready() -> None:
         print_line(f"{file} is between {topic}{BEFORE} and {topic} on {connection.router}, domain {connection.domain}")
         print_line(LAST_LINE)
 

@@ -6,6 +6,7 @@ and what it says there is published on TOPIC, as the adversary wants it.
 
 from __future__ import annotations
 
+import queue
 import threading
 from collections.abc import Callable
 from contextlib import suppress
@@ -41,6 +42,8 @@ from mast_zenoh.wiring.model import Input, Ports
 BEFORE = "/before"
 
 _WIRE = "tracks"  # what all these messages are to an interposer
+#: Messages that wait for the node, at most, and s between two looks whether to stop.
+_MOST_WAITING, _LOOK_S = 256, 0.1
 #: Messages that a node may keep back; of more, the oldest are not published.
 _MOST_KEPT = 1000
 _WORLD = {"origin": np.zeros(3), "rotation": np.array([1.0, 0.0, 0.0, 0.0])}
@@ -50,17 +53,17 @@ _STILL = {"position": np.zeros(3), "rotation": _WORLD["rotation"], "velocity": n
 class ObjectsInterposer:
     """Passes messages of objects through a node of this testbed, without I/O.
 
-    node: an interposer with ports for tracks, such as an adversary;  place: its file and class, for errors
+    node: an interposer with ports for tracks, such as an adversary;  source: its file and class, for errors
     agent: the subject of its messages;  name: of the node;  seed: of its draws
 
     Each message is a frame of its own. Times are those of the messages' stamps, from 0 at the first one.
     messages, changed: number of messages that were received, and that were published with a difference
     """
 
-    def __init__(self, node: Node, agent: str, *, place: str, name: str, seed: int) -> None:
+    def __init__(self, node: Node, agent: str, *, source: str, name: str, seed: int) -> None:
         inputs = {port: message for port, message in node.inputs.items() if port not in node.listening}
-        port = port_of(inputs, _WIRE, None, place, "input", "the topic")
-        out = port_of(node.outputs, _WIRE, None, place, "output", "the topic")
+        port = port_of(inputs, _WIRE, None, source, "input", "the topic")
+        out = port_of(node.outputs, _WIRE, None, source, "output", "the topic")
         by_key = {_WIRE: Input(port, agent, _WIRE, agent)}
         by_key |= {other: Input(other, agent, other, "simulator") for other in ("clock", "pose") if other in inputs}
         self._agent = agent
@@ -77,8 +80,8 @@ class ObjectsInterposer:
         """The first error of the node's handlers; "": none."""
         return next((f"{failure.where}: {failure.exception}" for failure in self._host.failures.values()), "")
 
-    def place(self, pose: Body) -> None:
-        """Set the pose of the agent in the messages' frame of reference, columns of `pose`."""
+    def set_pose(self, pose: Body) -> None:
+        """Set where the agent is in the messages' frame of reference, columns of `pose`."""
         self._pose = pose
 
     def through(self, message: RosMessage) -> list[RosMessage]:
@@ -98,19 +101,15 @@ class ObjectsInterposer:
         self._deliver("clock", "simulator", frame, time_ns, {})
         self._deliver("pose", "simulator", frame, time_ns, self._pose)
         self._deliver(_WIRE, self._agent, frame, time_ns, received.objects.columns() | _WORLD)
-        if self._failures() > failures:
-            self._published.clear()
+        published, self._published = self._published, []
+        results = [result for each in published if (result := self._result(each)) is not None]
+        if self._failures() > failures and frame not in (each.header.frame for each in published):
             del self._kept[frame]
-            return [message]
-        return [result for each in self._taken() if (result := self._result(each)) is not None]
+            results.append(message)
+        return results
 
     def _failures(self) -> int:
         return sum(failure.count for failure in self._host.failures.values())
-
-    def _taken(self) -> list[Message]:
-        taken = self._published.copy()
-        self._published.clear()
-        return taken
 
     def _deliver(self, key: str, source: str, frame: int, time_ns: int, body: Body) -> None:
         if key in self._host.subscriptions:
@@ -152,7 +151,7 @@ def interposer_of(file: str, topic: str, settings: list[str], seed: int) -> Obje
     agent = str(config.get("agent", agent))
     spec = node_spec(path, name, cls.role, config | {"file": str(path)})
     node = build_node(spec, name, str(path))
-    return ObjectsInterposer(node, agent, place=f"{path}: {cls.__name__}", name=name, seed=seed)
+    return ObjectsInterposer(node, agent, source=f"{path}: {cls.__name__}", name=name, seed=seed)
 
 
 def launch_fragment(topic: str) -> str:
@@ -188,41 +187,55 @@ def intercept_topic(
     stop: threading.Event,
     *,
     odometry: str = "",
-    ready: Callable[[Participant], None] = lambda participant: None,
+    ready: Callable[[], None] = lambda: None,
+    warn: Callable[[str], None] = lambda sentence: None,
 ) -> dict[str, Any]:
     """Publish on a topic what arrives before it, as an interposer wants it, until `stop` is set or Ctrl-C.
 
     type_name: of ALTERABLE;  odometry: a topic with the agent's pose, in the frame of reference of the objects; "": it
-    is at the origin, as for objects in the vehicle's own frame;  ready: called when it is between them
+    is at the origin, as for objects in the vehicle's own frame
+    ready: called when it is between them;  warn: called once, when the node fails for the first time
 
-    Returns messages, changed, published, and refused by reason. Raises NotRunning without a router, HandlerFailed if
-    the node has failed.
+    Returns messages, changed, published, and refused by reason. Raises NotRunning without a router, HandlerFailed at
+    the end if the node has failed.
     """
-    lock = threading.Lock()
+    arrived: queue.Queue[RosMessage] = queue.Queue(_MOST_WAITING)
     with Participant(connection, "mast_interposer") as participant:
         publisher = participant.publisher(topic, type_name)
 
-        def on_objects(message: RosMessage, _: Attachment) -> None:
-            with lock:
-                try:
-                    results = interposer.through(message)
-                except MessageError as error:
-                    results = [message]  # what cannot be read cannot be attacked
-                    participant.refuse(topic + BEFORE, str(error))
-                for each in results:
-                    publisher.publish(each)
+        def keep(message: RosMessage, _: Attachment) -> None:
+            try:
+                arrived.put_nowait(message)
+            except queue.Full:
+                raise MessageError(f"overtaken: more than {_MOST_WAITING} messages wait for the node") from None
 
-        def on_pose(message: RosMessage, _: Attachment) -> None:
-            pose = received_pose(message)
-            with lock:
-                interposer.place(pose.columns)
+        def pass_on(message: RosMessage) -> None:
+            if message.__msgtype__ == type_store.ODOMETRY:
+                interposer.set_pose(received_pose(message).columns)
+                return
+            has_failed = interposer.failed
+            try:
+                results = interposer.through(message)
+            except MessageError:
+                publisher.publish(message)  # what cannot be read cannot be attacked
+                raise
+            for each in results:
+                publisher.publish(each)
+            if interposer.failed and not has_failed:
+                warn(f"{interposer.failed}: what the node fails on is passed on as it is")
 
         if odometry:
-            participant.subscribe(odometry, type_store.ODOMETRY, on_pose)
-        participant.subscribe(topic + BEFORE, type_name, on_objects)
-        ready(participant)
+            participant.subscribe(odometry, type_store.ODOMETRY, keep)
+        participant.subscribe(topic + BEFORE, type_name, keep)
+        ready()
         with suppress(KeyboardInterrupt):
-            stop.wait()
+            while not stop.is_set():
+                try:
+                    pass_on(arrived.get(timeout=_LOOK_S))
+                except queue.Empty:
+                    continue
+                except MessageError as error:
+                    participant.refuse(topic + BEFORE, str(error))
         counts = {"messages": interposer.messages, "changed": interposer.changed, "published": publisher.sent}
     if interposer.failed:
         raise HandlerFailed(f"{interposer.failed}: it was on {topic}, and what it failed on was passed on as it was")

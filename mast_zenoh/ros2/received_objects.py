@@ -157,7 +157,7 @@ class _Rows:
     id: (n,); position: (n, 3) m; quaternion: (n, 4) w x y z; size: (n, 3) m; score: (n,); class_id: (n,) uint8
     position_covariance: (n, 3, 3) m²
     velocity: (n, 3) m/s, velocity_covariance: (n, 3, 3) m²/s², in the axes of the object
-    unclassified: (n,) whether the class is not ours
+    unclassified: (n,) whether the class is not ours;  named: (n,) whether it has an id, where ids are needed
     """
 
     def __init__(self, message: RosMessage, number: int) -> None:
@@ -169,6 +169,7 @@ class _Rows:
         self.score = np.ones(number)
         self.class_id = np.zeros(number, np.uint8)
         self.unclassified: Bools = np.zeros(number, bool)
+        self.named: Bools = np.ones(number, bool)
         self.position_covariance, self.velocity_covariance = np.zeros((2, number, 3, 3))
         self.dropped: Counter[str] = Counter()
 
@@ -230,6 +231,7 @@ class _Rows:
         speed = np.linalg.norm(self.velocity, axis=1)
         yield f"velocity: beyond {MOST_SPEED:g} m/s", np.asarray(speed <= MOST_SPEED)
         yield "score: not from 0 to 1", (self.score >= 0.0) & (self.score <= 1.0)
+        yield "id: none", self.named
 
 
 def _vision_rows(message: RosMessage) -> _Rows:
@@ -254,6 +256,7 @@ def _vision_rows(message: RosMessage) -> _Rows:
 def _vision_tracks(message: RosMessage) -> _Rows:
     rows = _vision_rows(message)
     rows.id = np.array([id_of_text(each.id) for each in message.detections], np.int64)
+    rows.named = np.array([each.id != "" for each in message.detections], bool)
     return rows
 
 

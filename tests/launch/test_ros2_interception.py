@@ -77,7 +77,9 @@ def interposer(folder: Path, text: str, *settings: str) -> ObjectsInterposer:
 
 def test_an_attack_changes_its_object_in_each_message_and_knows_its_agents_pose(tmp_path: Path) -> None:
     node = interposer(tmp_path, SHIFT)
-    node.place({"position": np.array([4.0, 5.0, 6.0]), "rotation": np.array([1.0, 0, 0, 0]), "velocity": np.zeros(3)})
+    node.set_pose(
+        {"position": np.array([4.0, 5.0, 6.0]), "rotation": np.array([1.0, 0, 0, 0]), "velocity": np.zeros(3)}
+    )
     for k, message in enumerate(messages(3)):
         (result,) = node.through(message)
         before, after = received_tracks(message).objects, received_tracks(result).objects
@@ -118,6 +120,37 @@ def test_a_node_may_drop_messages_and_one_on_which_it_fails_passes_unchanged(tmp
     ]
     assert "RuntimeError: no idea" in node.failed
     assert node.changed == 0
+
+
+LATE = """
+from mast_zenoh.node import Node
+
+
+class Late(Node):
+    role = "adversary"
+    inputs = {"clock": "clock", "tracks": "tracks"}
+    outputs = {"tracks_out": "tracks"}
+
+    def __init__(self):
+        self.waiting = []
+
+    def on_clock(self, received, context):
+        while self.waiting:
+            context.relay("tracks_out", self.waiting.pop())
+
+    def on_tracks(self, received, context):
+        if received.frame == 2:
+            raise RuntimeError("no idea")
+        self.waiting.append(received)
+"""
+
+
+def test_a_failing_node_loses_none_of_the_messages_that_it_had_kept_back(tmp_path: Path) -> None:
+    node = interposer(tmp_path, LATE)
+    sent = messages(5)
+    results = [node.through(message) for message in sent]
+    stamps = [[each.header.stamp.nanosec // 10**8 for each in result] for result in results]
+    assert stamps == [[], [0], [1, 2], [], [3]]
 
 
 def test_a_node_without_ports_for_objects_is_refused_by_name(tmp_path: Path) -> None:
@@ -172,9 +205,7 @@ class Between:
 
         def run() -> None:
             try:
-                self.counts = ros2_interception.intercept_topic(
-                    *arguments, odometry=odometry, ready=lambda _: self._ready.set()
-                )
+                self.counts = ros2_interception.intercept_topic(*arguments, odometry=odometry, ready=self._ready.set)
             except HandlerFailed as error:
                 self.error = error
 
