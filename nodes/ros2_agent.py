@@ -36,7 +36,8 @@ class Ros2Agent(Agent):
     receives: what comes from ROS 2: its tracks, or detections for its own pipeline
     message: type of these, TrackedObjects or Detection3DArray with ids; of detections, Detection3DArray or
         DetectedObjects; "": the first one
-    pose: type of its pose from ROS 2, Odometry, PoseStamped or PoseWithCovarianceStamped; "": that of the scene
+    pose: type of its pose from ROS 2, Odometry, PoseStamped, PoseWithCovarianceStamped or TransformStamped; "": that of
+        the scene
     wait_s: how long a frame waits in lock-step, s; start_s: how long the run waits for the node before its first frame
     skew_s: greatest distance of a stamp from the time of a frame, s
     stamps: the clock of stamps: the scene's, as on /clock, or the wall clock

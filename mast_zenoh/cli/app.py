@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from mast_zenoh.cli import completion, deploy, options, runs, scenarios, view
+from mast_zenoh.cli import completion, deploy, options, ros2, runs, scenarios, view
 from mast_zenoh.cli.options import err as _err
 from mast_zenoh.cli.options import out as _out
 from mast_zenoh.errors import Interrupted, MastError, UntrustedCode
 from mast_zenoh.launch import ending
 
 if TYPE_CHECKING:
+    from mast_zenoh.launch.context import RunContext
     from mast_zenoh.study.definition import Study
 
 app = typer.Typer(
@@ -58,8 +59,17 @@ def run(
     options.check_environment(runtime, resolved.mode, secure, endpoint, viewed=shown)
     environment: dict[str, Any] = {"runtime": runtime, "endpoint": endpoint, "secure": secure}
     allowed: dict[str, Any] = {"allow_failures": allow_failures, "allow_churn": allow_churn}
-    with options.silenced(quiet), view.viewer(shown) as prepare:
+    connection = loaded.get("ros2")
+    if runtime == "inproc" and connection is not None:
+        _err.warn("ros2: no bridge: a single process has no mesh to observe; `mast ros2 RUN` plays the finished run")
+        connection = None
+    with options.silenced(quiet), view.viewer(shown) as show, ros2.bridge_process(connection) as publish:
         console = _err if quiet else _out
+
+        def prepare(context: RunContext) -> None:
+            show(context)
+            publish(context)
+
         finished = launcher.run(resolved, out, **environment, **allowed, prepare=prepare, console=console, quiet=quiet)
         options.conclude(finished, report=report, against=against, allow_failures=allow_failures)
 
@@ -184,6 +194,7 @@ app.command("list")(scenarios.list_kind)
 app.command()(runs.export)
 app.command(cls=options.SecureCommand)(runs.replay)
 app.command()(view.view)
+app.command("ros2")(ros2.ros2)
 app.command()(runs.animate)
 app.command()(runs.snapshot)
 app.command()(runs.logs)

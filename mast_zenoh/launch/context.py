@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import queue
 import signal
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -51,7 +51,8 @@ class RunContext(RunState):
     record:   run.json so far; an engine sets `endpoint` and `deployment` in it
     secure:   one of `security.levels.LEVELS`
     detours:  by node, another endpoint at which it reaches the router; set these before the run starts
-    viewer:   whether a viewer may join the mesh; on a secure mesh it gets its own credentials
+    viewer:   whether observers may join the mesh; on a secure mesh they get the viewer's credentials
+    awaited:  called in turn when observers can join the mesh: the nodes start when all have returned
 
     The launcher sets these during the run:
 
@@ -66,6 +67,7 @@ class RunContext(RunState):
     secure: str = "open"
     detours: dict[str, str] = field(default_factory=dict)
     viewer: bool = False
+    awaited: list[Callable[[], None]] = field(default_factory=list)
     first_frame_s: float | None = field(default=None, init=False)
     mesh: Mesh | None = field(default=None, init=False)
     signatures: Signatures = field(init=False)

@@ -116,6 +116,10 @@ class MeshLauncher(LauncherActions):
         context, steps = self._context, self._protocol.steps
         try:
             context.record["steps"] = steps.done
+            if context.awaited:
+                self._write_nodes()  # observers read there where the router is
+            for wait in context.awaited:
+                wait()
             steps.start_all()
             self._write_nodes()
             while not self.advance():

@@ -17,6 +17,7 @@ object_markers    objects as a MarkerArray, for RViz
 pose_messages     poses as TFMessage and Odometry; Clock
 trust_messages    trust as a DiagnosticArray
 received_objects  Detection3DArray, DetectedObjects and TrackedObjects as our objects
+altered_objects   messages of objects some of which an interposer has altered
 received_poses    Odometry and TFMessage as our poses
 
 outside           the interface of a node's link to nodes of ROS 2; needs no rosbags

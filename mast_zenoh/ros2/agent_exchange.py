@@ -19,8 +19,9 @@ from mast_zenoh.ros2.object_messages import detection_array, states_of
 from mast_zenoh.ros2.outside import Outside, ros2_name, topic_prefix
 from mast_zenoh.ros2.pose_messages import clock, odometry, transform_message
 from mast_zenoh.ros2.received_objects import Received, received_detections, received_tracks
-from mast_zenoh.ros2.received_poses import PLACES, ReceivedPose, received_place, received_pose
+from mast_zenoh.ros2.received_poses import ReceivedPose, received_pose, stamped_poses
 from mast_zenoh.ros2.spatial import Transform
+from mast_zenoh.ros2.type_store import RosMessage
 from mast_zenoh.sensing import to_world
 from mast_zenoh.tracking.kalman import predicted
 
@@ -40,8 +41,7 @@ DETECTION_TYPES: Mapping[str, str] = {
 }
 POSE_TYPES: Mapping[str, str] = {
     "Odometry": type_store.ODOMETRY,
-    "PoseStamped": PLACES[0],
-    "PoseWithCovarianceStamped": PLACES[1],
+    **{name: f"geometry_msgs/msg/{name}" for name in ("PoseStamped", "PoseWithCovarianceStamped", "TransformStamped")},
 }
 
 
@@ -81,7 +81,7 @@ class AgentExchange(FrameExchange):
         answers = [AnswerTopic(self.objects_topic, _of(object_type, known), read, use)]
         self.has_pose = bool(pose_type)
         if pose_type:
-            read_pose = received_pose if pose_type == "Odometry" else received_place
+            read_pose = received_pose if pose_type == "Odometry" else _received_place
             answers.append(AnswerTopic(self.pose_topic, _of(pose_type, POSE_TYPES), read_pose, self._use_pose))
         self.questions = [topic.name for topic in answers]
         # An agent that is placed from outside has no frame of which the run says where it is.
@@ -154,6 +154,16 @@ class Velocities:
 
 def _in_world(states: ObjectStates, placement: Placement) -> ObjectStates:
     return states_to_world(states, placement.position, placement.rotation)
+
+
+def _received_place(message: RosMessage) -> ReceivedPose:
+    """A pose without a velocity; raises MessageError for one that cannot be used."""
+    placed = stamped_poses(message)
+    if not placed.transforms:
+        raise MessageError(f"pose: {next(iter(placed.dropped), 'none')}")
+    (transform,) = placed.transforms
+    columns = {"position": transform.position, "rotation": transform.rotation, "velocity": np.zeros(3)}
+    return ReceivedPose(transform.parent, transform.child, transform.time_ns, columns)
 
 
 def _of(name: str, types: Mapping[str, str]) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Self
 
@@ -65,6 +65,11 @@ class Connection:
             expected = "certificates in `tls` for it" if tls is None else "tls/HOST:PORT, because there is `tls`"
             raise ConfigurationError(f"{place}.router: found {router!r}, expected {expected}")
         return cls(router, domain, tls)
+
+    def to_json(self) -> dict[str, Any]:
+        """A dict from which `of` makes it again, wherever that is: files have absolute paths."""
+        tls = None if self.tls is None else {key: str(path) for key, path in asdict(self.tls).items() if path}
+        return {"router": self.router, "domain": self.domain, **({"tls": tls} if tls else {})}
 
 
 def _tls(config: Any, place: str) -> Tls:

@@ -88,7 +88,7 @@ class Outside(Protocol):
         ...
 
     def heard(self, topic: str) -> bool:
-        """Whether a program outside subscribes to a topic."""
+        """Whether a program outside subscribes to an announced topic."""
         ...
 
 

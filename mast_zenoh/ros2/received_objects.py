@@ -73,6 +73,7 @@ class Received(Generic[Objects]):
     frame_id: name of their frame of reference
     time_ns:  ns, of its header
     objects:  those that can be used
+    rows:     (n,) where they are in the message
     dropped:  number of the others, by reason
     unclassified: number of objects with a class that is not ours; they are of the class unknown
     """
@@ -80,6 +81,7 @@ class Received(Generic[Objects]):
     frame_id: str
     time_ns: int
     objects: Objects
+    rows: Ints
     dropped: Mapping[str, int]
     unclassified: int
 
@@ -143,6 +145,7 @@ def _received(message: RosMessage, objects: Objects, rows: _Rows, keep: Bools) -
         frame_of(message.header.frame_id),
         time_of(message.header.stamp),
         objects,
+        keep.nonzero()[0].astype(np.int64),
         dict(rows.dropped),
         int(np.count_nonzero(rows.unclassified & keep)),
     )
@@ -154,7 +157,7 @@ class _Rows:
     id: (n,); position: (n, 3) m; quaternion: (n, 4) w x y z; size: (n, 3) m; score: (n,); class_id: (n,) uint8
     position_covariance: (n, 3, 3) m²
     velocity: (n, 3) m/s, velocity_covariance: (n, 3, 3) m²/s², in the axes of the object
-    unclassified: (n,) whether the class is not ours
+    unclassified: (n,) whether the class is not ours;  named: (n,) whether it has an id, where ids are needed
     """
 
     def __init__(self, message: RosMessage, number: int) -> None:
@@ -166,6 +169,7 @@ class _Rows:
         self.score = np.ones(number)
         self.class_id = np.zeros(number, np.uint8)
         self.unclassified: Bools = np.zeros(number, bool)
+        self.named: Bools = np.ones(number, bool)
         self.position_covariance, self.velocity_covariance = np.zeros((2, number, 3, 3))
         self.dropped: Counter[str] = Counter()
 
@@ -227,6 +231,7 @@ class _Rows:
         speed = np.linalg.norm(self.velocity, axis=1)
         yield f"velocity: beyond {MOST_SPEED:g} m/s", np.asarray(speed <= MOST_SPEED)
         yield "score: not from 0 to 1", (self.score >= 0.0) & (self.score <= 1.0)
+        yield "id: none", self.named
 
 
 def _vision_rows(message: RosMessage) -> _Rows:
@@ -251,6 +256,7 @@ def _vision_rows(message: RosMessage) -> _Rows:
 def _vision_tracks(message: RosMessage) -> _Rows:
     rows = _vision_rows(message)
     rows.id = np.array([id_of_text(each.id) for each in message.detections], np.int64)
+    rows.named = np.array([each.id != "" for each in message.detections], bool)
     return rows
 
 

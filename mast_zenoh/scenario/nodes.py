@@ -147,9 +147,18 @@ def add_surroundings(specs: Mapping[str, NodeSpec], recording: Recording) -> Non
 
 def add_input_limits(specs: Mapping[str, NodeSpec], rows: int) -> None:
     """Limit what nodes fuse that have a parameter for that and no limit; rows: of a frame"""
+    _add_default(specs, "input_limit", {"type": "FairInput", "rows": rows})
+
+
+def add_ros2(specs: Mapping[str, NodeSpec], connection: Mapping[str, Any]) -> None:
+    """Name the router of ROS 2 to nodes that have the parameter `ros2` and none of their own."""
+    _add_default(specs, "ros2", connection)
+
+
+def _add_default(specs: Mapping[str, NodeSpec], parameter: str, value: Mapping[str, Any]) -> None:
     for spec in specs.values():
-        if "input_limit" in inspect.signature(loading.node_class(Path(spec.file), spec.type)).parameters:
-            spec.config.setdefault("input_limit", {"type": "FairInput", "rows": rows})
+        if parameter in inspect.signature(loading.node_class(Path(spec.file), spec.type)).parameters:
+            spec.config.setdefault(parameter, dict(value))
 
 
 def _scene_parameters(recording: Recording, row: int) -> dict[str, Any]:

@@ -43,12 +43,12 @@ RUN_DEFAULTS: dict[str, Any] = {
     "record": True,
     "max_rows": None,
 }
-#: Keys whose values are dicts; those of nodes that a run can do without may be None.
+#: Keys whose values are dicts; those of what a run can do without may be None.
 _DICTS = (
     *("broker", "command_center", "channel", "evaluator", "coordinator"),
-    *("agents", "centers", "peers", "adversaries", "nodes", "links", "hosts", "keyexpr", "run"),
+    *("agents", "centers", "peers", "adversaries", "nodes", "links", "hosts", "keyexpr", "ros2", "run"),
 )
-_OPTIONAL = ("broker", "command_center", "channel", "coordinator")
+_OPTIONAL = ("broker", "command_center", "channel", "coordinator", "ros2")
 
 
 def normalise_keys(scenario: Mapping[str, Any], place: str) -> dict[str, Any]:

@@ -20,8 +20,9 @@ from mast_zenoh.messages import user_types
 from mast_zenoh.messages.limits import LEEWAY_S, fused_rows, limits_for
 from mast_zenoh.messages.schemas import Schema
 from mast_zenoh.node import Node
+from mast_zenoh.ros2.connection import Connection
 from mast_zenoh.scenario.cooperation import check_cooperation, uncovered
-from mast_zenoh.scenario.nodes import add_input_limits, nodes_of, share_faults
+from mast_zenoh.scenario.nodes import add_input_limits, add_ros2, nodes_of, share_faults
 from mast_zenoh.scenario.reading import (
     RUN_DEFAULTS,
     check_run,
@@ -65,6 +66,8 @@ def resolve(
     overrides = {key: value for key, value in dict(run, seed=seed, frames=frames).items() if value is not None}
     options = RUN_DEFAULTS | dict(scenario.get("run", {})) | overrides
     check_run(options, str(path))
+    config = scenario.get("ros2")
+    connection = None if config is None else Connection.of(config, f"{path}: ros2")
     try:
         scene_spec = choose_scene(scenario.get("scene", "intersection"))
     except ConfigurationError as error:
@@ -75,6 +78,8 @@ def resolve(
     n_frames = len(recording) if options["frames"] is None else min(options["frames"], len(recording))
     nodes = nodes_of(path, scenario, recording, n_frames, record and options["record"])
     add_input_limits(nodes, fused_rows(_detections(recording)))
+    if connection is not None:
+        add_ros2(nodes, connection.to_json())
     timeline = timeline_of(path, scenario, nodes, recording, n_frames, seed=options["seed"], mode=options["mode"])
     nodes |= timeline.links
     built_nodes = [build_node(spec, name, str(path)) for name, spec in nodes.items()]

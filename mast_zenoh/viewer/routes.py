@@ -10,8 +10,8 @@ from mast_zenoh.wiring.model import Wire, Wiring
 
 #: The objects of the scene, as a series like the estimates; and what else frames are made of.
 TRUTH, CLOCK = Series("", "truth"), Series("", "clock")
-#: Name of the series of an agent's poses.
-POSE = "pose"
+#: Names of the series of an agent's poses, and of the trust that a centre or a peer has.
+POSE, TRUST = "pose", "trust"
 
 
 def routes(wiring: Wiring, agents: Sequence[str]) -> dict[str, list[Series]]:
@@ -30,7 +30,7 @@ def topics(wiring: Wiring, agents: Sequence[str]) -> dict[Series, str]:
     """A key expression for each series of objects: that of its wire, with `/received` for those as received."""
     names: dict[Series, str] = {}
     for wire, _, series in _keys(wiring, agents):
-        if series.estimator not in (CLOCK.estimator, POSE):
+        if series.estimator not in (CLOCK.estimator, POSE, TRUST):
             ending = {RECEIVED: "/received", PICTURE_RECEIVED: f"/received/{series.agent}"}.get(series.estimator, "")
             names[series] = wire.key + ending
     return names
@@ -65,6 +65,8 @@ def _of_wire(wire: Wire, agents: Sequence[str], brokers: set[str]) -> list[tuple
         return [(source.key, CLOCK)]
     if wire.message == "truth":
         return [(source.key, TRUTH)]
+    if wire.message == TRUST:
+        return [(source.key, Series(publisher, TRUST))]
     if wire.message == "pose" and wire.subject in agents:
         return [(source.key, Series(wire.subject, POSE))]
     if wire.message == "picture":

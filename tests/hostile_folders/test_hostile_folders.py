@@ -28,7 +28,7 @@ from pyarrow import parquet
 
 import mast_zenoh as mast
 from mast_zenoh import errors
-from mast_zenoh.cli import view
+from mast_zenoh.cli import observers
 from mast_zenoh.errors import MastError, UntrustedCode
 from mast_zenoh.report.figures import drawing
 from mast_zenoh.viewer.page.page import ViewerServer
@@ -116,7 +116,7 @@ def quiet_viewers(monkeypatch: pytest.MonkeyPatch) -> None:
         raise AssertionError("a viewer of a running run was started")
 
     monkeypatch.setattr(ViewerServer, "serve_forever", lambda self: None)
-    monkeypatch.setattr(view, "start", refuse)
+    monkeypatch.setattr(observers, "start", refuse)
     monkeypatch.setattr(drawing, "png", lambda figure: b"")
     monkeypatch.setattr(drawing, "svg", lambda figure: b"")
 

@@ -17,8 +17,9 @@ from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.messages.schemas import Message
 from mast_zenoh.ros2 import type_store
 from mast_zenoh.ros2.object_messages import detection_array, tracked_objects
-from mast_zenoh.ros2.pose_messages import odometry
+from mast_zenoh.ros2.pose_messages import odometry, transform_message
 from mast_zenoh.ros2.received_objects import received_tracks
+from mast_zenoh.ros2.spatial import Transform
 from mast_zenoh.testing.outside import FakeLink
 
 AGENT, CENTER, ADVERSARY = "ros2_agent.py", "ros2_command_center.py", "ros2_adversary.py"
@@ -169,18 +170,30 @@ def test_velocities_of_detections_with_ids_are_those_of_their_positions() -> Non
     assert {int(message.body["id"][0]) for message in ego.heard(TRACKS)} == {8}
 
 
-def test_the_pose_can_come_from_outside() -> None:
+def pose_message(kind: str, time_ns: int, x: float) -> Any:
+    """A pose on the x axis, in a message of a type."""
+    place = {"position": np.array([x, 0.0, 0.0]), "rotation": np.array([1.0, 0, 0, 0]), "velocity": np.zeros(3)}
+    whole = odometry(place, time_ns, "map", "base_link")
+    if kind == "Odometry":
+        return whole
+    if kind == "TransformStamped":
+        moved = Transform("map", "base_link", time_ns, place["position"], place["rotation"])
+        return transform_message([moved]).transforms[0]
+    pose = whole.pose.pose if kind == "PoseStamped" else whole.pose
+    return type_store.TYPES[f"geometry_msgs/msg/{kind}"](whole.header, pose)
+
+
+@pytest.mark.parametrize("kind", ["Odometry", "PoseStamped", "PoseWithCovarianceStamped", "TransformStamped"])
+def test_the_pose_can_come_from_outside(kind: str) -> None:
     def program(topic: str, message: Any) -> list[tuple[str, Any]]:
         if topic != SENT:
             return []
-        place = {"position": np.array([50.0, 0.0, 0.0]), "rotation": np.array([1.0, 0, 0, 0]), "velocity": np.zeros(3)}
-        time_ns = stamp_of(message)
         return [
-            ("/mast/ego/received_pose", through(odometry(place, time_ns, "map", "base_link"))),
+            ("/mast/ego/received_pose", through(pose_message(kind, stamp_of(message), 50.0))),
             ("/mast/ego/received_detections", through(message)),
         ]
 
-    ego = Bench(world(receives="detections", pose="Odometry", tracks_from="agent"), "ego", link=FakeLink(program))
+    ego = Bench(world(receives="detections", pose=kind, tracks_from="agent"), "ego", link=FakeLink(program))
     ego.play(0, pose=pose(), detections=detections((10.0, 2.0)))
     assert ego.heard(TRACKS)[0].body["origin"].tolist() == [50.0, 0.0, 0.0]
 

@@ -305,6 +305,15 @@ def test_a_message_of_another_type_is_refused(states: ObjectStates) -> None:
         received_tracks(clock(0))
 
 
+def test_detections_without_ids_are_no_tracks(states: ObjectStates) -> None:
+    message = sent(detection_array(states, TIME_NS, "map"))
+    for each in message.detections[:3]:
+        each.id = ""
+    received = received_tracks(message)
+    assert received.objects.id.tolist() == states.id[3:].tolist()
+    assert received.dropped == {"id: none": 3}
+
+
 def test_a_detection_array_with_ids_can_be_tracks_without_velocities(states: ObjectStates) -> None:
     received = received_tracks(sent(detection_array(states, TIME_NS, "map")))
     assert received.objects.id.tolist() == states.id.tolist()

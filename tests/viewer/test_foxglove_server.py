@@ -19,7 +19,8 @@ import mast_zenoh as mast
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.viewer.recorded import RecordedRun
 from mast_zenoh.viewer.servers import foxglove as foxglove_server
-from mast_zenoh.viewer.servers.foxglove import FoxgloveServer, Playback, Status
+from mast_zenoh.viewer.servers.foxglove import FoxgloveServer
+from mast_zenoh.viewer.servers.playback import Playback, Status
 
 PLAYING, PAUSED, ENDED = 0, 1, 3
 MESSAGE, TIME, STATE = 1, 2, 5

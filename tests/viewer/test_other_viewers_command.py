@@ -14,7 +14,7 @@ import pytest
 import typer
 
 import mast_zenoh as mast
-from mast_zenoh.cli import view
+from mast_zenoh.cli import observers, view
 from mast_zenoh.errors import RunFolderError
 
 
@@ -72,18 +72,18 @@ def test_options_that_do_not_fit_a_run_are_refused_by_name(
     refused("expected one", recorded.path, foxglove=True, rerun=True)
     refused("expected one", recorded.path, other=Path("other"), rerun=True)
     for status in ("running", "finished"):
-        monkeypatch.setattr(view, "record_of", lambda folder, status=status: {"status": status})
+        monkeypatch.setattr(observers, "record_of", lambda folder, status=status: {"status": status})
         own_page = "--frame and --open are for this testbed's own page"
         refused(own_page, tmp_path, foxglove=True, browser=True)
         refused(own_page, tmp_path, rerun=True, frame=3)
         refused("--rate and --loop are for --foxglove", tmp_path, loop=True)
         refused("expected a router, such as tcp/HOST:7447, for --run", tmp_path, run="some_id")
-    monkeypatch.setattr(view, "record_of", lambda folder: {"status": "running"})
+    monkeypatch.setattr(observers, "record_of", lambda folder: {"status": "running"})
     for target in (tmp_path, "tcp/127.0.0.1:1"):
         for words in ({"frame": 3}, {"foxglove": True, "loop": True}, {"foxglove": True, "rate": 2.0}):
             refused("expected a finished one for --frame, --rate and --loop", target, **words)
     statuses = {"done": "finished", "busy": "running"}
-    monkeypatch.setattr(view, "record_of", lambda folder: {"status": statuses[folder.name]})
+    monkeypatch.setattr(observers, "record_of", lambda folder: {"status": statuses[folder.name]})
     for one, other in (("done", "busy"), ("busy", "done")):
         with pytest.raises(RunFolderError, match="busy: the run is still in progress"):
             view.view(str(tmp_path / one), tmp_path / other)

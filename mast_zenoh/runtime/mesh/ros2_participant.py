@@ -89,6 +89,11 @@ class Publisher:
         """Number of messages that have been published."""
         return self._sequence
 
+    @property
+    def is_wanted(self) -> bool:
+        """Whether anything subscribes to the topic, as far as the router has told; see `Participant.settle`."""
+        return bool(self._publisher.matching_status.matching)
+
     def publish(self, message: RosMessage) -> None:
         """Publish a message of the topic's type."""
         self.publish_bytes(type_store.encode(message))
@@ -183,6 +188,16 @@ class Participant:
             else self._session.declare_subscriber(key, take)
         )
         self._declared.append(subscriber)
+
+    def settle(self) -> None:
+        """Wait until the router knows what has been declared, and has told which of it is wanted."""
+        for _ in self._session.liveliness().get(self._node.write(), timeout=_CONNECT_S):
+            pass  # a router answers in order
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether there is a link to the router now; a lost one is opened again."""
+        return bool(self._session.info.routers_zid())
 
     def graph(self) -> list[NodeToken | EndpointToken]:
         """The nodes and endpoints of the domain that are known now, by their tokens; also its own."""

@@ -4,4 +4,6 @@ observed     what an observer must know of a run: scenario, wiring, scene
 reception    the newest messages of each key, in bounded rings; rates, lag and loss on the wires
 measurement  a running run, whose frames are measured as the evaluator measures them
 observer     all of these for one run
+every_frame  every frame of a run, each as soon as it is whole
+priority     the right of an observer to the processors
 """

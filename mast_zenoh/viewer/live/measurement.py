@@ -19,7 +19,7 @@ from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics.estimates import LOCAL, MISSION, PICTURE, PICTURE_RECEIVED, RECEIVED
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.runtime.host import Host
-from mast_zenoh.viewer.frame import Frame, FramedRun
+from mast_zenoh.viewer.frame import Evaluated, Frame, FramedRun
 from mast_zenoh.viewer.live.observed import ObservedRun
 from mast_zenoh.viewer.live.reception import Sample
 from mast_zenoh.viewer.routes import CLOCK, routes
@@ -71,6 +71,11 @@ class LiveRun(FramedRun):
         """The wiring at the beginning."""
         assert self.first_wiring is not None
         return [(-1, self.first_wiring)]
+
+    @cached_property
+    def evaluated(self) -> Evaluated:
+        """The evaluator's tables of this frame; all objects are unevaluated if it was not measured."""
+        return Evaluated(None, None, None, {}) if self.all_objects is None else super().evaluated
 
     @cached_property
     def agents(self) -> tuple[str, ...]:
@@ -138,6 +143,10 @@ class FrameMeter:
         needed = node.routes.keys() | node.metered | routes(wiring, self.agents).keys()
         return {leg.key: wire.message for wire, leg in wiring.legs() if leg.key in needed}
 
+    def keys_of_series(self, wiring: Wiring) -> dict[str, list[Series]]:
+        """The keys whose messages a frame has, and the series on each."""
+        return routes(wiring, self.agents)
+
     def clock_key(self, wiring: Wiring) -> str:
         """The key of the clock; "": none."""
         return next((key for key, series in routes(wiring, self.agents).items() if CLOCK in series), "")
@@ -155,15 +164,33 @@ class FrameMeter:
         run:      as of an earlier frame;  roles: of all nodes
         messages: those about this frame, perhaps among others
         """
+        frame, sound = self._decoded(run, number, messages, wiring)
+        if frame is None:
+            return None
         host, node = self._host(wiring)
+        for name, role in roles.items():
+            if name != _NAME:
+                host.joined(name, role)
+        for key, sample in sound:
+            host.deliver(key, sample.payload, sample.step, counted=False)
+        return replace(frame, run=run.at(node.evaluation.frame_tables(node.data)))
+
+    def unmeasured(
+        self, run: LiveRun, number: int, messages: Iterable[tuple[str, Sample]], wiring: Wiring
+    ) -> Frame | None:
+        """A frame as `measure` makes it, in a small part of the time: no object is evaluated."""
+        return self._decoded(run, number, messages, wiring)[0]
+
+    def _decoded(
+        self, run: LiveRun, number: int, messages: Iterable[tuple[str, Sample]], wiring: Wiring
+    ) -> tuple[Frame | None, list[tuple[str, Sample]]]:
+        """A frame with what its messages hold, None without a clock; and those messages that receivers accept."""
         types = {leg.key: wire.message for wire, leg in wiring.legs()}
         series_by_key = routes(wiring, self.agents)
         timespan = self._resolved.timespan
         bodies: dict[Series, Body] = {}
+        sound: list[tuple[str, Sample]] = []
         time_ns, refused = -1, 0
-        for name, role in roles.items():
-            if name != _NAME:
-                host.joined(name, role)
         for key, sample in messages:
             if key not in types:
                 continue
@@ -181,10 +208,8 @@ class FrameMeter:
                 time_ns = message.header.time_ns
             for series in series_by_key.get(key, ()):
                 bodies.setdefault(series, message.body)
-            host.deliver(key, sample.payload, sample.step, counted=False)
-        if time_ns < 0:
-            return None
-        return Frame(run.at(node.evaluation.frame_tables(node.data)), number, time_ns, bodies, refused)
+            sound.append((key, sample))
+        return None if time_ns < 0 else Frame(run, number, time_ns, bodies, refused), sound
 
     def _build(self) -> Any:
         return registry.construct(self._evaluator, self._config, f"scenario.json: {_NAME}")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import socket
 import tempfile
+import threading
+import time
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -138,6 +140,17 @@ def is_starting(path: Path) -> bool:
     """Whether the run in a folder has not started its nodes yet, and may do so soon."""
     record = liveness.current_record(run_folder.json_or_empty(path / "run.json"))
     return record.get("status") == RUNNING and record.get("runtime") == "mesh" and not record.get("endpoint")
+
+
+def await_start(folder: Path, timeout_s: float, stop: threading.Event, allowed: AllowedCode = SHIPPED) -> ObservedRun:
+    """The run of a folder, once it has started its nodes; raises NotRunning if it does not, or cannot be observed.
+
+    allowed: which of the code that it names may run
+    """
+    deadline = time.monotonic() + timeout_s
+    while is_starting(folder) and time.monotonic() < deadline and not stop.is_set():
+        stop.wait(0.1)
+    return ObservedRun.of_folder(folder, allowed)
 
 
 def check_reachable(endpoint: str) -> None:

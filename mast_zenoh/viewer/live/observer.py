@@ -15,7 +15,7 @@ from mast_zenoh.control import prefix
 from mast_zenoh.viewer.frame import Frame
 from mast_zenoh.viewer.live.measurement import FrameMeter, LiveRun
 from mast_zenoh.viewer.live.observed import ObservedRun
-from mast_zenoh.viewer.live.reception import Reception, WireMeter, WireState
+from mast_zenoh.viewer.live.reception import KEPT, Arrival, Reception, WireMeter, WireState
 from mast_zenoh.wiring.model import Wiring
 
 #: Most frames a second that are measured.
@@ -30,7 +30,7 @@ _BEHIND = 2
 #: s without a clock after which the last frame is taken as whole: the run has paused or ended.
 _SILENCE_S = 0.5
 #: Frames of which parts are missing after a subscription, because a publisher did not know of it yet.
-_SETTLING = 3
+SETTLING = 3
 #: s between two questions whether a silent run is over.
 _ASK_S = 2.0
 #: Questions without an answer after which a run elsewhere has ended: one can get lost.
@@ -58,12 +58,15 @@ class Observer:
     """Receives a run passively: it is no member of the mesh, and no node waits for it.
 
     session: a client of the run's router, with the viewer's credentials if the mesh is secure
+    room:    None: frames are measured at a pace that the run does not feel; else everything is received, and so many
+             messages of a key can wait
 
     run:    the observed run;  insertions: nodes inserted since the observer joined
     wiring: the current one;  meter: measures its frames;  record: the run as of the newest measured frame
+    types:  message types of the keys that frames need;  clock_key: the one of the clock
     """
 
-    def __init__(self, run: ObservedRun, session: zenoh.Session) -> None:
+    def __init__(self, run: ObservedRun, session: zenoh.Session, room: int | None = None) -> None:
         self.run = run
         self.session = session
         self.meter = FrameMeter(run.resolved)
@@ -71,13 +74,14 @@ class Observer:
         self.insertions: list[Insertion] = []
         self._base = prefix(run.id)
         timespan = run.resolved.timespan
-        self._reception = Reception(session, self._base, None if timespan is None else max(1, timespan.frames))
+        frames = None if timespan is None else max(1, timespan.frames)
+        self._reception = Reception(session, self._base, frames, room or KEPT)
         self._wires = WireMeter(self._reception)
-        self._types: dict[str, str] = {}
-        self._clock = ""
+        self.types: dict[str, str] = {}
+        self.clock_key = ""
         # In lock-step the next frame waits until all copies of a message have been sent. So if frames are fast, this
         # observer receives copies only for the moment that a measured frame needs.
-        self._in_bursts = run.resolved.mode == "lockstep"
+        self._in_bursts = run.resolved.mode == "lockstep" and room is None
         self._listening = self._receiving = True
         self._settled = False  # whether all publishers know of the subscriptions
         self._last = -1
@@ -141,7 +145,7 @@ class Observer:
         except Exception as error:  # of an open mesh anything may come: one frame is lost, and the page says so
             self.note(f"frame {number} cannot be measured: {error!r:.200}")
             measured, self._last = None, number
-        self._wires.note(now, self._types)
+        self._wires.note(now, self.types)
         self._frames_per_s = (newest - self._newest_then) / (now - self._measured_at)
         self._measured_at, self._newest_then = now, newest
         # What is done with a frame takes about as long as measuring it.
@@ -169,16 +173,17 @@ class Observer:
             self._listening = everything
             self._receive(everything=everything)
 
-    def keep_up(self) -> None:
-        """Follow changes of the run without measuring frames."""
+    def keep_up(self) -> list[Arrival]:
+        """Follow changes of the run without measuring frames; returns what has arrived."""
         self._take_updates()
-        self._reception.poll()
-        newest = self._reception.newest_step(self._clock)
+        arrived = self._reception.poll()
+        newest = self._reception.newest_step(self.clock_key)
         if newest != self._newest:
             self._newest, self._since = newest, time.monotonic()
         if self._receiving and not self._settled and newest >= 0:
             self._settled = True
-            self._last = max(self._last, newest + _SETTLING)
+            self._last = max(self._last, newest + SETTLING)
+        return arrived
 
     def note(self, sentence: str) -> None:
         """Add to what the page says about the view, once; the latest ten are kept."""
@@ -187,7 +192,7 @@ class Observer:
 
     def wires(self) -> list[WireState]:
         """The wires that are received, those with interposers first."""
-        return self._wires.states(self.wiring, self._types, self.roles, self._newest)
+        return self._wires.states(self.wiring, self.types, self.roles, self._newest)
 
     def is_over(self) -> bool:
         """Whether the run has ended; asks only if it has been silent for some time.
@@ -210,8 +215,8 @@ class Observer:
 
     def _follow(self) -> None:
         """Receive the keys of the current wiring."""
-        self._types = self.meter.keys(self.wiring)
-        self._clock = self.meter.clock_key(self.wiring)
+        self.types = self.meter.keys(self.wiring)
+        self.clock_key = self.meter.clock_key(self.wiring)
         self._subscribe()
 
     def _receive(self, *, everything: bool) -> None:
@@ -222,7 +227,7 @@ class Observer:
 
     def _subscribe(self) -> None:
         self._settled = False
-        self._reception.subscribe(self._types if self._receiving else [self._clock])
+        self._reception.subscribe(self.types if self._receiving else [self.clock_key])
         if self._receiving:  # wait until the router knows: it takes what a session sends in order
             for _ in self.session.liveliness().get(f"{self._base}/alive/*", timeout=_ROUTER_S):
                 pass

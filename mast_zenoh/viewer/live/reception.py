@@ -17,7 +17,7 @@ from mast_zenoh.messages import codec
 from mast_zenoh.runtime.protocol.traffic import stamp_of
 from mast_zenoh.wiring.model import Wire, Wiring
 
-#: Messages of a key that wait in its ring, and that are kept after they were taken from it.
+#: Messages of a key that are kept after they were taken from its ring, and for which the ring has room by default.
 KEPT = 16
 #: s, over which a rate is measured.
 _WINDOW_S = 2.0
@@ -34,15 +34,25 @@ class Sample(NamedTuple):
     payload: bytes
 
 
+class Arrival(NamedTuple):
+    """A message of a key that has just arrived. step: frame of the run in which it was sent"""
+
+    key: str
+    step: int
+    payload: zenoh.ZBytes
+
+
 class Reception:
     """The newest messages of some keys.
 
     prefix: of all keys of the run
     frames: number of frames that the run can have: a message with a later step is forged; None: not known
+    room:   messages of a key that can wait until they are taken: beyond it, the oldest are dropped
     """
 
-    def __init__(self, session: zenoh.Session, prefix: str, frames: int | None = None) -> None:
+    def __init__(self, session: zenoh.Session, prefix: str, frames: int | None = None, room: int = KEPT) -> None:
         self._session = session
+        self._room = room
         self._end = 1 << 62 if frames is None else frames
         self._prefix = prefix
         self._subscribers: dict[str, Any] = {}
@@ -56,18 +66,21 @@ class Reception:
             self._kept.pop(key)
         for key in wanted:
             if key not in self._subscribers:
-                ring: Any = zenoh.handlers.RingChannel(KEPT)
+                ring: Any = zenoh.handlers.RingChannel(self._room)
                 self._subscribers[key] = self._session.declare_subscriber(f"{self._prefix}/{key}", ring)
                 self._kept[key] = deque(maxlen=KEPT)
 
-    def poll(self) -> None:
-        """Take what has arrived; messages from outside the run are left out."""
+    def poll(self) -> list[Arrival]:
+        """Take what has arrived, and return it, key by key; messages from outside the run are left out."""
+        arrived = []
         for key, subscriber in self._subscribers.items():
             kept = self._kept[key]
             while (sample := subscriber.handler.try_recv()) is not None:
                 _, step = stamp_of(sample.attachment)
                 if 0 <= step < self._end:
                     kept.append((step, sample.payload))
+                    arrived.append(Arrival(key, step, sample.payload))
+        return arrived
 
     def newest_step(self, key: str) -> int:
         """The step of the newest message of a key; -1: there is none."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import threading
 import time
 from contextlib import suppress
@@ -14,13 +13,12 @@ import numpy as np
 import zenoh
 
 from mast_zenoh.arrays.states import Floats, ObjectStates
-from mast_zenoh.config.allowed_code import SHIPPED, AllowedCode
-from mast_zenoh.errors import ConfigurationError, MastError
+from mast_zenoh.errors import MastError
 from mast_zenoh.metrics.estimates import ESTIMATORS
 from mast_zenoh.scenes.recording import truth_states
 from mast_zenoh.viewer.events import spans
 from mast_zenoh.viewer.frame import Frame
-from mast_zenoh.viewer.live.observed import ObservedRun, is_starting
+from mast_zenoh.viewer.live.observed import ObservedRun
 from mast_zenoh.viewer.live.observer import POLL_S, Observer
 from mast_zenoh.viewer.page.block import Surroundings, Truth, boxes_of, motion_of, pack_frames
 from mast_zenoh.viewer.page.columns import Packer
@@ -29,8 +27,6 @@ from mast_zenoh.viewer.page.page import policy, viewer_page
 from mast_zenoh.viewer.routes import TRUTH
 from mast_zenoh.viewer.run import RunRecord
 
-#: Niceness of the viewer, the greatest: no frame waits for it. An environment variable changes it.
-_NICENESS, NICENESS = 19, "MAST_VIEWER_NICENESS"
 #: s in which a finished run must have its results.
 _RESULTS_S = 60.0
 #: s after which a page that does not read is taken as stopped.
@@ -118,25 +114,6 @@ class LiveBlocks:
         return Surroundings(position, rotation, tuple(sweep[number : number + 1] for sweep in scene.sweeps))
 
 
-def yield_processors() -> None:
-    """Let every other process go first. Only for a process with a session of its own.
-
-    Linux shares processors between sessions before it looks at the niceness of processes, so the session's own
-    niceness counts.
-    """
-    value = os.environ.get(NICENESS, str(_NICENESS))
-    if not value.isdigit() or int(value) > _NICENESS:
-        raise ConfigurationError(f"{NICENESS}: found {value!r}, expected a number from 0 to {_NICENESS}")
-    niceness = int(value)
-    os.nice(niceness)
-    if niceness == _NICENESS and hasattr(os, "SCHED_IDLE"):  # any node that wakes up takes the processor at once
-        with suppress(PermissionError):  # a container may forbid it
-            for thread in os.listdir("/proc/self/task"):
-                os.sched_setscheduler(int(thread), os.SCHED_IDLE, os.sched_param(0))
-    with suppress(OSError):  # not on every system
-        Path("/proc/self/autogroup").write_text(str(niceness))
-
-
 def show(run: ObservedRun, session: zenoh.Session, server: LiveServer, stop: threading.Event) -> None:
     """Show a running run on a server until `stop` is set, also after its end.
 
@@ -185,14 +162,3 @@ def _finished_page(folder: Path, stop: threading.Event) -> bytes | None:
             return viewer_page([folder])
         stop.wait(1.0)
     return None
-
-
-def await_start(folder: Path, timeout_s: float, stop: threading.Event, allowed: AllowedCode = SHIPPED) -> ObservedRun:
-    """The run of a folder, once it has started its nodes; raises NotRunning if it does not, or cannot be viewed.
-
-    allowed: which of the code that it names may run
-    """
-    deadline = time.monotonic() + timeout_s
-    while is_starting(folder) and time.monotonic() < deadline and not stop.is_set():
-        stop.wait(0.1)
-    return ObservedRun.of_folder(folder, allowed)

@@ -13,7 +13,7 @@ from mast_zenoh.viewer.export import not_installed
 from mast_zenoh.viewer.frame import FramedRun
 from mast_zenoh.viewer.loopback import tunnel
 from mast_zenoh.viewer.recorded import RecordedRun
-from mast_zenoh.viewer.servers.foxglove import Playback
+from mast_zenoh.viewer.servers.playback import Playback
 
 #: Prints a line for the user.
 PrintLine = Callable[[str], None]

@@ -1,0 +1,285 @@
+"""`mast ros2`: the bridge that publishes a run, running or finished, in ROS 2; also the one that a scenario names."""
+
+from __future__ import annotations
+
+import subprocess
+import tempfile
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from mast_zenoh.cli import observers
+from mast_zenoh.cli.observers import LAST_LINE, print_line
+from mast_zenoh.cli.options import Confirmed, allowed_code, refuse, run_argument
+from mast_zenoh.cli.options import err as _err
+from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.ros2.connection import ROUTER, Connection
+from mast_zenoh.run_files import reading
+
+if TYPE_CHECKING:
+    from mast_zenoh.config.allowed_code import AllowedCode
+    from mast_zenoh.launch.context import RunContext
+    from mast_zenoh.runtime.mesh.ros2_participant import Participant
+    from mast_zenoh.viewer.frame import Frame
+    from mast_zenoh.viewer.servers.ros2 import Ros2Bridge
+
+_READY_S = 60.0  # for a bridge to be ready, for which a run waits
+_LAST_FRAMES_S = 20.0  # for a bridge to send the rest of a run that has ended
+
+
+Router = Annotated[str, typer.Option(metavar="ENDPOINT", help="The router of rmw_zenoh.")]
+Domain = Annotated[int, typer.Option(help="ROS_DOMAIN_ID.")]
+TlsCa = Annotated[
+    Path | None, typer.Option("--tls-ca", help="The router demands TLS: certificate of its authority, PEM.")
+]
+TlsCertificate = Annotated[
+    Path | None, typer.Option("--tls-certificate", help="The own certificate, if the router demands one.")
+]
+TlsKey = Annotated[Path | None, typer.Option("--tls-key", help="The key of that certificate.")]
+
+
+def ros2(
+    target: Annotated[str, run_argument("The folder of a run, finished or running; or its router, tcp/HOST:PORT.")],
+    router: Router = ROUTER,
+    domain: Domain = 0,
+    namespace: Annotated[str, typer.Option(help="Before the topics of objects and odometry.")] = "/",
+    tls_ca: TlsCa = None,
+    tls_certificate: TlsCertificate = None,
+    tls_key: TlsKey = None,
+    rate: Annotated[float, typer.Option(min=0.01, max=100.0, help="Finished run: s of the scene per s.")] = 1.0,
+    loop: Annotated[bool, typer.Option("--loop", help="Finished run: begin again at the end.")] = False,
+    every_frame: Annotated[
+        bool,
+        typer.Option(
+            "--every-frame",
+            help="Running run in lock-step: send all frames, not only as many as cost the run nothing. It then waits "
+            "for copies of all messages, and shares its processors with the bridge.",
+        ),
+    ] = False,
+    run: Annotated[str, typer.Option(metavar="ID", help="Which run of the router, if there are several.")] = "",
+    confirmed: Confirmed = False,
+    attached: Annotated[bool, typer.Option("--attached", hidden=True)] = False,
+) -> None:
+    """Publish a run in ROS 2, while it is running or afterwards: objects, markers, poses, transforms, clock.
+
+    Nothing of ROS needs to be installed here, but a router of rmw_zenoh must be running. Ctrl-C ends the bridge, never
+    the run.
+    """
+    config = _config(router, domain, tls_ca, tls_certificate, tls_key)
+    connection = Connection.of(config, "ros2")
+    if attached:
+        _observe(target, run, allowed_code(confirmed=confirmed), connection, namespace, every_frame=every_frame)
+        return
+    shown = observers.target_of(target, run)
+    refuse(
+        shown.running and (rate != 1.0 or loop), "found a running run, expected a finished one for --rate and --loop"
+    )
+    refuse(not shown.running and every_frame, "--every-frame is for running runs: of a finished one, all are sent")
+    if shown.running:
+        words = [*_words(config), f"--namespace={namespace}", *([f"--run={run}"] if run else [])]
+        words += [word for word, is_set in (("--every-frame", every_frame), ("--trust", confirmed)) if is_set]
+        raise typer.Exit(observers.observe_apart("ros2", shown, allowed_code(confirmed=confirmed), words))
+    _play(shown.folder, connection, namespace, rate=rate, loop=loop)
+
+
+def between(
+    topic: str,
+    file: str,
+    settings: list[str],
+    *,
+    type_name: str,
+    odometry: str,
+    seed: int,
+    launch: Path | None,
+    router: tuple[str, int, Path | None, Path | None, Path | None],
+) -> None:
+    """Put a node or an attack between two ROS 2 nodes until Ctrl-C, see `mast_zenoh.launch.ros2_interception`.
+
+    launch: a new file for the launch file that remaps the publisher;  router: as the options of `ros2` say it
+    """
+    from mast_zenoh.launch.folder import write_new
+
+    with bridge_modules():
+        from mast_zenoh.launch.ros2_interception import (
+            BEFORE,
+            check_interception,
+            intercept_topic,
+            interposer_of,
+            launch_fragment,
+        )
+    connection = Connection.of(_config(*router), "ros2")
+    check_interception(topic, type_name)
+    interposer = interposer_of(file, topic, settings, seed)
+    if launch is not None:
+        write_new(launch, lambda path: path.write_text(launch_fragment(topic), encoding="utf-8"))
+        print_line(f"publisher: ros2 launch {launch} file:=ITS_LAUNCH_FILE")
+    print_line(f"publisher: ros2 run PACKAGE NODE --ros-args -r {topic}:={topic}{BEFORE}")
+
+    def ready() -> None:
+        print_line(f"{file} is between {topic}{BEFORE} and {topic} on {connection.router}, domain {connection.domain}")
+        print_line(LAST_LINE)
+
+    counts = intercept_topic(
+        connection, topic, type_name, interposer, threading.Event(), odometry=odometry, ready=ready
+    )
+    print_line("")
+    print_line(f"messages: {counts['messages']}, changed: {counts['changed']}, published: {counts['published']}")
+    for reason, number in counts["refused"].items():
+        _err.warn(f"{number} messages were not understood: {reason}")
+
+
+def _config(
+    router: str, domain: int, tls_ca: Path | None, tls_certificate: Path | None, tls_key: Path | None
+) -> dict[str, Any]:
+    """A connection as a scenario has it."""
+    tls = {"ca": tls_ca, "certificate": tls_certificate, "key": tls_key}
+    tls = {name: value for name, value in tls.items() if value is not None}
+    return {"router": router, "domain": domain, **({"tls": tls} if tls else {})}
+
+
+def _words(config: Mapping[str, Any]) -> list[str]:
+    """A connection as options of this command."""
+    words = {"router": config.get("router", ROUTER), "domain": config.get("domain", 0)}
+    words |= {f"tls-{name}": value for name, value in (config.get("tls") or {}).items() if value is not None}
+    return [f"--{name}={value}" for name, value in words.items()]
+
+
+def _play(folder: Path, connection: Connection, namespace: str, *, rate: float, loop: bool) -> None:
+    """Publish a finished run until its end, or Ctrl-C."""
+    with bridge_modules():
+        from mast_zenoh.viewer.recorded import RecordedRun
+        from mast_zenoh.viewer.servers.ros2 import Ros2Bridge, played
+
+    with reading(folder):
+        run = RecordedRun.load(folder)
+    frames = played(run, rate=rate, loop=loop)
+    with _participant(connection, namespace) as participant:
+        _publish(Ros2Bridge(run, participant, namespace), frames, lambda: run.missing)
+
+
+def _observe(
+    target: str, run: str, allowed: AllowedCode, connection: Connection, namespace: str, *, every_frame: bool
+) -> None:
+    """Publish a running run until its end, or until standard input ends."""
+    with bridge_modules():
+        from mast_zenoh.viewer.live import priority
+        from mast_zenoh.viewer.live.every_frame import EveryFrame
+        from mast_zenoh.viewer.live.observer import Observer
+        from mast_zenoh.viewer.servers.ros2 import Ros2Bridge
+
+    with ExitStack() as stack:
+        participant = stack.enter_context(_participant(connection, namespace))
+        running, session, stop = observers.join(stack, target, run, allowed)
+        if every_frame or running.resolved.mode == "realtime":
+            every = EveryFrame(running, session)
+            stack.callback(every.close)
+            priority.yield_to_nodes()
+            bridge = Ros2Bridge(every.observer.record, participant, namespace)
+            frames = every.frames(stop, lambda: bridge.shows_outcomes)
+            _publish(bridge, frames, lambda: [*every.tally.sentences(), *every.observer.meter.notes])
+        else:
+            observer = Observer(running, session)
+            stack.callback(observer.close)
+            priority.yield_processors()
+            bridge = Ros2Bridge(observer.record, participant, namespace)
+            _publish(bridge, observer.frames(stop), lambda: observer.meter.notes)
+
+
+def _publish(bridge: Ros2Bridge, frames: Iterator[Frame], sentences: Callable[[], Iterable[str]]) -> None:
+    """Publish frames, and say what is missing. sentences: about the frames"""
+    from mast_zenoh.viewer.export.ros2_layouts import write_layouts
+
+    with tempfile.TemporaryDirectory(prefix="mast-ros2-") as folder:
+        layouts = write_layouts(bridge.messages, Path(folder))
+        print_line(f"rviz: {layouts.rviz}")
+        print_line(f"foxglove: {layouts.foxglove}")
+        print_line(LAST_LINE)
+        try:
+            for frame in frames:
+                bridge.publish(frame)
+        except KeyboardInterrupt:
+            print_line("")
+    print_line(f"sent: {bridge.sent} frames")
+    for sentence in (*sentences(), *bridge.sentences()):
+        _err.warn(sentence)
+
+
+@contextmanager
+def bridge_process(config: Mapping[str, Any] | None) -> Iterator[Callable[[RunContext], None]]:
+    """Yield a callback that starts a bridge process for a run on a mesh, if its scenario has `ros2`.
+
+    The run begins when the bridge receives it. The context waits until the bridge has sent the last frames.
+    """
+    children: list[tuple[subprocess.Popen[bytes], threading.Thread]] = []
+
+    def prepare(context: RunContext) -> None:
+        if config is None:
+            return
+        context.viewer = True
+        # --trust: this process's own run
+        child = observers.start("ros2", str(context.folder), *_words(config), "--trust", stdout=subprocess.PIPE)
+        ready = threading.Event()
+
+        def relay() -> None:
+            for line in child.stdout or ():
+                if line.startswith(LAST_LINE.encode()):
+                    ready.set()
+                else:
+                    print_line(line.decode().rstrip())
+            ready.set()
+
+        reader = threading.Thread(target=relay, daemon=True)
+        reader.start()
+        children.append((child, reader))
+        context.awaited.append(lambda: _wait_for(ready, context))
+
+    try:
+        yield prepare
+    finally:
+        for child, reader in children:
+            try:
+                child.wait(_LAST_FRAMES_S)
+            except subprocess.TimeoutExpired:
+                _err.warn(f"the bridge to ROS 2 has not sent the last frames within {_LAST_FRAMES_S:g} s")
+                observers.end(child)
+            reader.join()
+            if child.returncode:
+                _err.warn(f"the bridge to ROS 2 has ended with exit code {child.returncode}: the run had none")
+
+
+def _wait_for(ready: threading.Event, context: RunContext) -> None:
+    """Wait until a bridge receives the run, has failed or takes too long, or a signal ends the run."""
+    for _ in range(round(10 * _READY_S)):
+        if ready.wait(0.1) or context.signals:
+            return
+    _err.warn(f"the bridge to ROS 2 was not ready within {_READY_S:g} s: it lacks the first frames")
+
+
+@contextmanager
+def _participant(connection: Connection, namespace: str) -> Iterator[Participant]:
+    """The bridge's node, which is named; what it lacks is loaded first."""
+    with bridge_modules():
+        from mast_zenoh.runtime.mesh.ros2_participant import Participant
+        from mast_zenoh.viewer.servers.ros2 import NODE
+    try:
+        participant = Participant(connection, NODE, namespace)
+    except ValueError as error:
+        raise ConfigurationError(f"ros2: {error}") from None
+    with participant:
+        print_line(f"ros2: {namespace.rstrip('/')}/{NODE} on {connection.router}, domain {connection.domain}")
+        yield participant
+
+
+@contextmanager
+def bridge_modules() -> Iterator[None]:
+    """Raise ExportError if an import in this context fails because the extra `ros2` is not installed."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        from mast_zenoh.viewer.export import not_installed
+
+        raise not_installed(error, "ros2") from None

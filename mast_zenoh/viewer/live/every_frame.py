@@ -1,0 +1,221 @@
+"""Every frame of a running run, each as soon as it is whole; measured where there is time for it.
+
+Zenoh's own threads fill queues of limited length, so nothing that is done with a frame holds back the run. What does
+not fit, comes too late or is forged is counted.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Collection, Iterable, Iterator
+from dataclasses import dataclass
+
+import zenoh
+
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.errors import MessageError
+from mast_zenoh.messages import codec
+from mast_zenoh.viewer.frame import Frame
+from mast_zenoh.viewer.live.observed import ObservedRun
+from mast_zenoh.viewer.live.observer import SETTLING, Observer
+from mast_zenoh.viewer.live.reception import Arrival, Sample
+
+#: s between two looks at what has arrived.
+POLL_S = 0.01
+#: Frames for which a silent key is waited for: its messages may be delayed on a link, or its node may have died.
+PATIENCE = 10
+#: Messages of one key about one frame, at most: a publisher of a run sends one, and a link may repeat it.
+MOST_PER_KEY = 32
+#: s of a run in real time for which messages can wait, and the fewest and most of a key.
+_ROOM_S, _LEAST_ROOM, _MOST_ROOM = 20.0, 64, 512
+#: Whole frames that wait, above which there is no time to measure.
+_MOST_WAITING = 5
+#: s without measurements after which they are tried again, first and at most: each time twice as long.
+_PAUSE_S, _LONGEST_PAUSE_S = 5.0, 320.0
+
+
+@dataclass
+class Tally:
+    """Numbers of frames and messages of a running run.
+
+    frames:     that were complete, or waited for as long as they can be;  unmeasured: of them, without outcomes
+    lost:       frames that never came: there was no room, or the router dropped them
+    late:       messages that came after their frame
+    refused:    messages that receivers refuse as well, or that nobody sends
+    """
+
+    frames: int = 0
+    unmeasured: int = 0
+    lost: int = 0
+    late: int = 0
+    refused: int = 0
+
+    def sentences(self) -> list[str]:
+        """What is missing from the frames, in words; [] if nothing is."""
+        words = {
+            "frames were lost: there was no room for them, or the router dropped them": self.lost,
+            "messages came after their frame, and are missing from it": self.late,
+            "invalid messages were left out": self.refused,
+            "frames were not evaluated in time: their markers have the colour of unevaluated ones": self.unmeasured,
+        }
+        return [f"{number} {text}" for text, number in words.items() if number]
+
+
+class FrameAssembler:
+    """Puts messages together by the frame that they are about.
+
+    A frame is whole when every key has been heard of it or of a later frame, of those that were heard in the latest
+    PATIENCE frames.
+
+    keys: of messages that a frame has;  clock: the one of them that every frame has
+    """
+
+    def __init__(self, keys: Collection[str], clock: str, tally: Tally) -> None:
+        self.tally = tally
+        self._frames: dict[int, dict[str, list[Sample]]] = {}
+        self._next = -1  # the frame that is due; -1: none has begun
+        self._newest_clock = -1
+        self.follow(keys, clock)
+
+    def follow(self, keys: Collection[str], clock: str) -> None:
+        """Go on with other keys: the wiring has changed."""
+        self._clock = clock
+        self._newest = dict.fromkeys(keys, -1)  # by key, the latest frame that it was heard of
+        self._heard = dict.fromkeys(keys, self._newest_clock)  # by key, the clock then
+
+    def add(self, key: str, frame: int, sample: Sample) -> None:
+        """Add a message about a frame."""
+        if key == self._clock and frame > self._newest_clock:
+            if self._next < 0:  # of frames before, and of the first ones, parts may be missing
+                self._next = frame + SETTLING if frame else 0
+            self._newest_clock = frame
+        if frame < self._next:
+            self.tally.late += key != self._clock and self.tally.frames > 0
+            return
+        samples = self._frames.setdefault(frame, {}).setdefault(key, []) if frame <= self._last else []
+        if frame > self._last or len(samples) >= MOST_PER_KEY:
+            self.tally.refused += 1
+            return
+        samples.append(sample)
+        if key in self._newest:
+            self._newest[key] = max(self._newest[key], frame)
+            self._heard[key] = self._newest_clock
+
+    def whole(self, *, over: bool = False) -> Iterator[tuple[int, list[tuple[str, Sample]]]]:
+        """The frames that are whole now, in order, with their messages. over: nothing more comes"""
+        while 0 <= self._next <= self._newest_clock and (over or self._is_whole()):
+            if self._clock in self._frames.get(self._next, ()):
+                number, by_key = self._next, self._frames.pop(self._next)
+                self._next += 1
+                self.tally.frames += 1
+                yield number, [(key, sample) for key, samples in by_key.items() for sample in samples]
+                continue
+            begun = [number for number, by_key in self._frames.items() if self._clock in by_key]
+            following = min(begun, default=self._newest_clock + 1)
+            self.tally.lost += following - self._next
+            self._next = following
+            self._frames = {number: by_key for number, by_key in self._frames.items() if number >= following}
+
+    @property
+    def _last(self) -> int:
+        """The last frame about which there can be messages by now."""
+        return self._newest_clock + PATIENCE
+
+    def _is_whole(self) -> bool:
+        if self._newest_clock >= self._next + PATIENCE:
+            return True
+        since = self._newest_clock - PATIENCE
+        return all(self._newest[key] >= self._next for key, heard in self._heard.items() if heard >= since)
+
+
+class EveryFrame:
+    """Receives every frame of a running run; it is no member of the mesh, and no node waits for it.
+
+    session: a client of the run's router, with the viewer's credentials if the mesh is secure
+    """
+
+    def __init__(self, run: ObservedRun, session: zenoh.Session) -> None:
+        self.observer = Observer(run, session, room_for(run.resolved))
+        self.tally = Tally()
+        self._assembler = FrameAssembler(self._keys(), self.observer.clock_key, self.tally)
+        self._wiring = self.observer.wiring
+        self._types = self.observer.types
+        self._resume_at, self._pause_s = 0.0, _PAUSE_S
+
+    def frames(self, stop: threading.Event, measured: Callable[[], bool] = lambda: True) -> Iterator[Frame]:
+        """All frames until the run ends or `stop` is set. measured: whether outcomes of objects are of use now"""
+        over = False
+        while not over:
+            stop.wait(POLL_S)
+            over = stop.is_set() or self.observer.is_over()  # asked first: what has arrived until then is taken
+            self._add(self.observer.keep_up())
+            waiting = deque(self._assembler.whole(over=over))
+            while waiting:
+                number, messages = waiting.popleft()
+                if measured() and self._has_time(len(waiting)):
+                    frame = self._measured(number, messages)
+                else:
+                    self.tally.unmeasured += measured()
+                    frame = self._unmeasured(number, messages)
+                if frame is not None:
+                    self.tally.refused += frame.refused
+                    yield frame
+                else:  # its clock is invalid
+                    self.tally.frames -= 1
+                    self.tally.lost += 1
+
+    def close(self) -> None:
+        """Unsubscribe from everything."""
+        self.observer.close()
+
+    def _keys(self) -> Collection[str]:
+        return self.observer.meter.keys_of_series(self.observer.wiring)
+
+    def _add(self, arrived: Iterable[Arrival]) -> None:
+        if self.observer.wiring is not self._wiring:
+            self._wiring, self._types = self.observer.wiring, self.observer.types
+            self._assembler.follow(self._keys(), self.observer.clock_key)
+        clock, timespan = self.observer.clock_key, self.observer.run.resolved.timespan
+        # The clock first: it tells which frames there can be.
+        for key, step, content in sorted(arrived, key=lambda each: each.key != clock):
+            payload = content.to_bytes()
+            try:
+                header = codec.decode_header_only(payload, self._types[key])
+            except (MessageError, KeyError):
+                self.tally.refused += 1
+                continue
+            if timespan is not None and timespan.refusal(header, step):
+                self.tally.refused += 1
+            else:
+                self._assembler.add(key, header.frame, Sample(step, payload))
+
+    def _has_time(self, waiting: int) -> bool:
+        """Whether there is time to measure a frame. waiting: number of whole frames after it"""
+        now = time.monotonic()
+        if waiting > _MOST_WAITING and now >= self._resume_at:
+            self._resume_at = now + self._pause_s
+            self._pause_s = min(2 * self._pause_s, _LONGEST_PAUSE_S)
+        return now >= self._resume_at
+
+    def _measured(self, number: int, messages: list[tuple[str, Sample]]) -> Frame | None:
+        observer = self.observer
+        try:
+            return observer.meter.measure(observer.record, number, messages, observer.wiring, observer.roles)
+        except Exception as error:  # of an open mesh anything may come
+            observer.note(f"frame {number} cannot be measured: {error!r:.200}")
+            self.tally.unmeasured += 1
+            return self._unmeasured(number, messages)
+
+    def _unmeasured(self, number: int, messages: list[tuple[str, Sample]]) -> Frame | None:
+        return self.observer.meter.unmeasured(self.observer.record, number, messages, self.observer.wiring)
+
+
+def room_for(resolved: Resolved) -> int:
+    """How many messages of a key can wait: in real time those of some seconds."""
+    if resolved.mode != "realtime":
+        return _MOST_ROOM
+    per_s = resolved.rate / (resolved.period_ns * 1e-9)
+    return min(max(math.ceil(_ROOM_S * per_s), _LEAST_ROOM), _MOST_ROOM)

@@ -1,0 +1,250 @@
+"""A foreign client of ROS 2 sees the bridge and receives a finished run; RViz and Foxglove get layouts of it."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from launched import eventually
+from plain_record import PlainRecord
+from ros2_client import ForeignClient, expected_messages, ros2_router
+
+import mast_zenoh as mast_package
+from mast_zenoh.viewer.export.ros2_layouts import write_layouts
+from mast_zenoh.viewer.export.ros2_messages import RunMessages
+from mast_zenoh.viewer.frame import Frame
+from mast_zenoh.viewer.recorded import RecordedRun
+from mast_zenoh.viewer.servers.ros2 import Ros2Bridge
+
+FAST = ("--rate", "10")
+
+
+@pytest.fixture(scope="module")
+def run(recorded: mast_package.Run) -> RecordedRun:
+    return RecordedRun.load(recorded.path)
+
+
+@pytest.fixture(scope="module")
+def topics(run: RecordedRun) -> dict[str, str]:
+    """All topics of the run, and their types."""
+    return {topic.name: topic.type_name for topic in RunMessages(run).topics}
+
+
+class Bridge:
+    """`mast ros2` in a process of its own."""
+
+    def __init__(self, target: object, *words: str) -> None:
+        command = [sys.executable, "-m", "mast_zenoh", "ros2", str(target), *words]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        self.lines: dict[str, str] = {}
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            if line.startswith("Ctrl-C"):
+                break
+            name, _, value = line.strip().partition(": ")
+            self.lines[name] = value
+
+    def ended(self) -> str:
+        """What it has printed after it was ready; it has succeeded without a warning."""
+        output, errors = self.process.communicate(timeout=60)
+        assert (self.process.returncode, errors) == (0, "")
+        return output
+
+
+def test_a_foreign_client_receives_every_frame_of_a_finished_run(
+    recorded: mast_package.Run, run: RecordedRun, topics: dict[str, str], tmp_path: Path
+) -> None:
+    chosen = {topic: kind for topic, kind in topics.items() if "/infra_" not in topic and "/mission" not in topic}
+    with ros2_router() as router, ForeignClient(router, chosen, tmp_path / "received.json") as client:
+        bridge = Bridge(recorded.path, f"--router={router}", *FAST)
+        assert bridge.ended() == "sent: 30 frames\n"
+        expected = expected_messages(run, chosen)
+        counts = {topic: len(messages) for topic, messages in expected.items()}
+        eventually(lambda: client.counts() == counts, f"all messages: {counts}, not {client.counts()}", 20)
+        received = client.messages()
+    for topic, messages in expected.items():
+        assert received[topic] == messages, topic
+    assert {count for topic, count in counts.items() if topic != "/tf_static"} == {30}
+
+
+def test_what_a_client_receives_is_what_was_recorded(
+    recorded: mast_package.Run, record: PlainRecord, tmp_path: Path
+) -> None:
+    topics = {
+        "/clock": "rosgraph_msgs/msg/Clock",
+        "/fleet/cc/picture": "vision_msgs/msg/Detection3DArray",
+        "/fleet/agent/ego/odometry": "nav_msgs/msg/Odometry",
+    }
+    with ros2_router() as router, ForeignClient(router, topics, tmp_path / "received.json", domain=7) as client:
+        bridge = Bridge(recorded.path, f"--router={router}", "--domain=7", "--namespace=/fleet", *FAST)
+        bridge.ended()
+        eventually(lambda: set(client.counts().values()) == {30}, "every frame")
+        received = client.messages()
+    for frame, (clock, picture, odometry) in enumerate(zip(*received.values(), strict=True)):
+        assert clock["clock"]["sec"] * 10**9 + clock["clock"]["nanosec"] == record.times_ns[frame]
+        assert picture["header"] == {"stamp": clock["clock"], "frame_id": "world"}
+        order = np.argsort([int(each["id"]) for each in picture["detections"]])
+        places = [list(picture["detections"][k]["bbox"]["center"]["position"].values()) for k in order]
+        np.testing.assert_array_equal(np.reshape(places, (-1, 3)), record.boxes["picture"][frame].box[:, :3])
+        place = list(odometry["pose"]["pose"]["position"].values())
+        np.testing.assert_array_equal(place, record.poses["ego"][frame][0])
+
+
+def test_a_foreign_client_that_comes_late_lists_the_bridge_and_gets_the_mounts_of_sensors(
+    recorded: mast_package.Run, topics: dict[str, str], tmp_path: Path
+) -> None:
+    with ros2_router() as router:
+        bridge = Bridge(recorded.path, f"--router={router}", "--loop")
+        try:
+            with ForeignClient(router, {"/tf_static": "tf2_msgs/msg/TFMessage"}, tmp_path / "received.json") as client:
+                eventually(lambda: client.counts()["/tf_static"], "the mounts")
+                (message,) = client.messages()["/tf_static"]
+                graph = client.graph()
+        finally:
+            bridge.process.send_signal(signal.SIGINT)
+        assert bridge.process.wait(30) == 0
+    assert {topic: each["types"] for topic, each in graph.items()} == {name: [kind] for name, kind in topics.items()}
+    assert {node for each in graph.values() for node in each["nodes"]} == {"/mast_bridge"}
+    frames = {each["child_frame_id"]: each["header"]["frame_id"] for each in message["transforms"]}
+    assert frames["world"] == "map"
+    assert frames["ego/lidar"] == frames["ego/camera_optical"] == "ego"
+    assert not Path(bridge.lines["rviz"]).exists(), "layouts are there as long as the bridge"
+
+
+class Wanted:
+    """A participant that keeps what is published; some topics are wanted."""
+
+    def __init__(self, *wanted: str) -> None:
+        self.published: list[tuple[str, Any]] = []
+        self.wanted, self.warnings, self.is_connected = wanted, [], True
+
+    def publisher(self, name: str, kind: str, qos: object) -> Any:
+        outer = self
+
+        class Kept:
+            is_wanted = name in outer.wanted
+
+            def publish(self, message: Any) -> None:
+                outer.published.append((name, message))
+
+        return Kept()
+
+    def settle(self) -> None:
+        pass
+
+
+def test_objects_are_converted_only_for_topics_that_are_subscribed_to(run: RecordedRun) -> None:
+    participant: Any = Wanted("/cc/picture/markers", "/agent/ego/odometry")
+    bridge = Ros2Bridge(run, participant)
+    assert bridge.shows_outcomes
+    bridge.publish(next(iter(run)))
+    topics = [name for name, _ in participant.published]
+    assert topics == ["/tf_static", "/clock", "/tf", "/agent/ego/odometry", "/cc/picture/markers"]
+    assert not Ros2Bridge(run, Wanted("/cc/picture")).shows_outcomes  # type: ignore[arg-type]
+
+
+def test_a_frame_that_ros_cannot_express_is_counted_and_the_next_one_is_published(run: RecordedRun) -> None:
+    participant: Any = Wanted()
+    bridge = Ros2Bridge(run, participant)
+    frame = next(iter(run))
+    for time_ns in (-1, 2**31 * 10**9, 5):
+        bridge.publish(Frame(run, 0, time_ns, frame.bodies))
+    assert [message.clock.nanosec for name, message in participant.published if name == "/clock"] == [5]
+    assert bridge.sentences() == ["2 frames were incomplete: something in them cannot be expressed in ROS"]
+
+
+def test_frames_without_a_link_are_counted(run: RecordedRun) -> None:
+    participant: Any = Wanted()
+    bridge = Ros2Bridge(run, participant)
+    participant.is_connected = False
+    bridge.publish(next(iter(run)))
+    (sentence,) = bridge.sentences()
+    assert sentence == "1 frames were published while there was no link to the router: nothing received them"
+
+
+def test_the_rviz_file_has_a_display_for_every_topic_that_rviz_can_show(
+    run: RecordedRun, topics: dict[str, str], tmp_path: Path
+) -> None:
+    layouts = write_layouts(RunMessages(run), tmp_path)
+    text = layouts.rviz.read_text()
+    assert text.startswith(f"# rviz2 -d {layouts.rviz} --ros-args -p use_sim_time:=true\n")
+    manager = yaml.safe_load(text)["Visualization Manager"]
+    assert manager["Global Options"]["Fixed Frame"] == "map"
+    assert manager["Views"]["Current"]["Class"] == "rviz_default_plugins/TopDownOrtho"
+    by_topic = {each["Topic"]["Value"]: each for each in manager["Displays"] if "Topic" in each}
+    of_displays = {
+        "visualization_msgs/msg/MarkerArray": "rviz_default_plugins/MarkerArray",
+        "nav_msgs/msg/Odometry": "rviz_default_plugins/Odometry",
+        "vision_msgs/msg/Detection3DArray": "vision_msgs_rviz_plugins/Detection3DArray",
+        "autoware_perception_msgs/msg/TrackedObjects": "autoware_perception_rviz_plugin/TrackedObjects",
+        "autoware_perception_msgs/msg/PredictedObjects": "autoware_perception_rviz_plugin/PredictedObjects",
+    }
+    shown = {name: kind for name, kind in topics.items() if kind in of_displays}
+    assert {name: each["Class"] for name, each in by_topic.items()} == {
+        name: of_displays[kind] for name, kind in shown.items()
+    }
+    enabled = {name for name, each in by_topic.items() if each["Enabled"]}
+    assert enabled == {"/scene/truth/markers", "/cc/picture/markers"}
+    assert all(each["Enabled"] is each["Value"] for each in manager["Displays"])
+    assert all(each["Topic"]["Reliability Policy"] == "Reliable" for each in by_topic.values())
+    classes = [each["Class"] for each in manager["Displays"]]
+    assert classes[:2] == ["rviz_default_plugins/Grid", "rviz_default_plugins/TF"]
+
+
+def test_the_foxglove_layout_shows_markers_on_the_map(run: RecordedRun, tmp_path: Path) -> None:
+    layout = json.loads(write_layouts(RunMessages(run), tmp_path).foxglove.read_text())
+    (panel,) = layout["configById"].values()
+    assert layout["layout"] in layout["configById"]
+    assert panel["followTf"] == "map"
+    visible = {topic for topic, each in panel["topics"].items() if each["visible"]}
+    assert visible == {"/scene/truth/markers", "/cc/picture/markers"}
+
+
+@pytest.fixture
+def keyless(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An installation without the extra `ros2`."""
+    for name in [name for name in sys.modules if name.partition(".")[0] == "rosbags"]:
+        monkeypatch.delitem(sys.modules, name)
+    for name in [name for name in sys.modules if "ros2" in name and name.startswith("mast_zenoh")]:
+        if name not in ("mast_zenoh.ros2", "mast_zenoh.ros2.connection", "mast_zenoh.cli.ros2"):
+            monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "rosbags", None)
+
+
+Command = Callable[..., tuple[int, str, str]]
+
+
+def test_what_cannot_be_published_is_refused_with_the_reason_and_its_own_exit_code(
+    mast: Command, recorded: mast_package.Run, tmp_path: Path
+) -> None:
+    def refused(code: int, message: str, *words: str) -> None:
+        found, _, errors = mast("ros2", *words)
+        assert (found, message in errors) == (code, True), (found, errors)
+
+    run = str(recorded.path)
+    refused(26, "tcp/127.0.0.1:9: nothing answers there (Connection refused)", run, "--router=tcp/127.0.0.1:9")
+    refused(15, "no such folder", "nosuch")
+    refused(15, "found no run.json: the run has not begun", str(tmp_path))
+    refused(10, "domain -1: expected 0 to", run, "--domain=-1")
+    refused(10, "router: found 'localhost', expected a form such as", run, "--router=localhost")
+    refused(10, "expected certificates in `tls`", run, "--router=tls/127.0.0.1:9")
+    refused(10, "found 'nosuch.pem', expected a file", run, "--router=tls/127.0.0.1:9", "--tls-ca=nosuch.pem")
+    refused(2, "--every-frame is for running runs", run, "--every-frame")
+    refused(2, "tcp/HOST:7447, for --run", run, "--run=x")
+    with ros2_router() as router:
+        refused(10, "namespace: topic '/a b'", run, f"--router={router}", "--namespace=/a b")
+        refused(26, "", "tcp/127.0.0.1:9", f"--router={router}")
+
+
+@pytest.mark.usefixtures("keyless")
+def test_without_the_extra_the_command_names_it(mast: Command, recorded: mast_package.Run) -> None:
+    code, _, errors = mast("ros2", str(recorded.path))
+    assert (code, "rosbags is not installed: pip install 'mast-zenoh[ros2]'" in errors) == (18, True), errors
