@@ -147,12 +147,17 @@ class Ros2Agent(Agent):
             self.newest = frame
             self.publish_mission(perceived, tracks, context)
 
-    def measurement(self, perceived: Perceived, detections: Detections | None) -> Measurement:
-        """Detections in the world, None: nothing, as its first sensor's."""
+    def measurement(self, perceived: Perceived, answer: tuple[int, Detections] | None) -> Measurement:
+        """Detections in the world and their time, None: nothing at the frame's time, as its first sensor's.
+
+        A tracker never goes back in time.
+        """
         mount = perceived.mount
-        if detections is None:
-            return Measurement(perceived.time_ns, 0, Detections.empty(), mount)
-        return Measurement(perceived.time_ns, 0, to_sensor(detections, *sensor_in_world(perceived.pose, mount)), mount)
+        if answer is None:
+            return Measurement(max(perceived.time_ns, self.tracks_ns), 0, Detections.empty(), mount)
+        time_ns, detections = answer
+        own = to_sensor(detections, *sensor_in_world(perceived.pose, mount))
+        return Measurement(max(time_ns, self.tracks_ns), 0, own, mount)
 
     def finish(self, context: Context) -> dict[str, Any]:
         """How often an answer was waited for, and missing; what its own tracker tells."""

@@ -78,11 +78,11 @@ class AgentExchange(FrameExchange):
         known = TRACK_TYPES if objects == "tracks" else DETECTION_TYPES
         read: Callable[[Any], Received[Any]] = received_tracks if objects == "tracks" else received_detections
         use = self._use_tracks if objects == "tracks" else self._use_detections
-        answers = [AnswerTopic(self.objects_topic, _of(object_type, known), read, use)]
+        answers = [AnswerTopic(self.objects_topic, _of("message", object_type, known), read, use)]
         self.has_pose = bool(pose_type)
         if pose_type:
             read_pose = received_pose if pose_type == "Odometry" else _received_place
-            answers.append(AnswerTopic(self.pose_topic, _of(pose_type, POSE_TYPES), read_pose, self._use_pose))
+            answers.append(AnswerTopic(self.pose_topic, _of("pose", pose_type, POSE_TYPES), read_pose, self._use_pose))
         self.questions = [topic.name for topic in answers]
         # An agent that is placed from outside has no frame of which the run says where it is.
         transforms = FrameTransforms(world, () if pose_type else (self.agent_frame,))
@@ -120,10 +120,14 @@ class AgentExchange(FrameExchange):
             tracks = self._velocities.added(tracks, about.time_ns + about.skew_ns)
         return predicted(tracks, -about.skew_ns * 1e-9)
 
-    def _use_detections(self, received: Received[Detections], about: About, placement: Placement) -> Detections:
+    def _use_detections(
+        self, received: Received[Detections], about: About, placement: Placement
+    ) -> tuple[int, Detections]:
+        """The time of the measurement, ns, and what was detected, world frame."""
         if about.late:
             raise MessageError("late: detections of an earlier frame, without which it was tracked")
-        return to_world(received.objects, placement.position, rotation_from_quaternion(placement.rotation))
+        rotation = rotation_from_quaternion(placement.rotation)
+        return about.time_ns + about.skew_ns, to_world(received.objects, placement.position, rotation)
 
     def _use_pose(self, received: ReceivedPose, about: About, placement: Placement) -> Placement:
         columns = received.columns
@@ -166,7 +170,7 @@ def _received_place(message: RosMessage) -> ReceivedPose:
     return ReceivedPose(transform.parent, transform.child, transform.time_ns, columns)
 
 
-def _of(name: str, types: Mapping[str, str]) -> str:
+def _of(parameter: str, name: str, types: Mapping[str, str]) -> str:
     if name not in types:
-        raise ValueError(f"found {name!r}, expected one of {', '.join(types)}")
+        raise ValueError(f"{parameter}: found {name!r}, expected one of {', '.join(types)}")
     return types[name]

@@ -157,6 +157,20 @@ def test_a_skewed_stamp_is_predicted_to_the_frame(resolved: Resolved) -> None:
     np.testing.assert_allclose(message.body["position"][0], [0.4, 0.0, 0.0])
 
 
+@pytest.mark.parametrize("skew_s", [0.04, -0.04])
+def test_detections_with_a_skewed_stamp_are_tracked_at_their_time(resolved: Resolved, skew_s: float) -> None:
+    def seen_at_its_stamp(message: Any) -> Any:
+        time_ns = stamp_of(message) + round(skew_s * 1e9)
+        states = ObjectStates.of(np.array([[10e-9 * time_ns, 3.0, 0.8]]), size=np.full((1, 3), 2.0))
+        return detection_array(states, max(0, time_ns), "map")
+
+    link = answering("/mast/ego/received_detections", seen_at_its_stamp)
+    ego = Bench(resolved, "ego", link=link, receives="detections")
+    play(ego, 20)
+    last = ego.heard(TRACKS)[-1]
+    np.testing.assert_allclose(last.body["position"][0, :2], [10e-9 * last.header.time_ns, 3.0], atol=0.05)
+
+
 def test_velocities_of_detections_with_ids_are_those_of_their_positions() -> None:
     def moving(message: Any) -> Any:
         time_ns = stamp_of(message)
@@ -393,7 +407,10 @@ def test_a_message_without_an_answer_is_forwarded_unchanged(attacked: Resolved, 
     [
         ({"ros2": {"router": "nowhere"}}, "ros2.router: found 'nowhere', expected a form such as"),
         ({"wait_s": 60.0}, "wait_s: found 60.0, expected 0 to 5"),
-        ({"message": "DetectedObjects"}, "found 'DetectedObjects', expected one of TrackedObjects, Detection3DArray"),
+        (
+            {"message": "DetectedObjects"},
+            "message: found 'DetectedObjects', expected one of TrackedObjects, Detection3DArray",
+        ),
         ({"receives": "radar"}, "receives: found 'radar'"),
     ],
 )
