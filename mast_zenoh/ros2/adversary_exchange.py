@@ -52,15 +52,17 @@ class _Sent:
         """The columns to forward when these objects come back; None: the message as it was.
 
         An object with an id that was sent is that object: what is equal to what was sent keeps its bytes. Objects that
-        ROS cannot express stay as they are.
+        ROS cannot express stay as they are, and no other one gets their ids.
         """
         ids = np.arange(len(self.body["score"])) if self.port == "detections" else self.body["id"]
-        row_of_id = {number: row for row, number in reversed(list(enumerate(ids.tolist())))}
+        row_of_id = {number: row for row, number in enumerate(ids.tolist())}
         sent = {number: row for row, number in enumerate(self.expressed.id.tolist())}
+        hidden_ids = row_of_id.keys() - sent.keys()
+        hidden = sorted(row_of_id[number] for number in hidden_ids)
+        returned = returned.select(np.array([number not in hidden_ids for number in returned.id.tolist()], bool))
         known = np.array([row for row, number in enumerate(returned.id.tolist()) if number in sent], int)
         sent_rows = [sent[number] for number in returned.id[known].tolist()]
         rows = np.array([row_of_id[number] for number in returned.id[known].tolist()], int)
-        hidden = sorted({*range(len(ids))} - {row_of_id[number] for number in sent})
         columns, untouched = {}, len(known) == len(returned) and sent_rows == [*range(len(self.expressed))]
         expressed = _columns(self.port, self.expressed)
         for name, values in _columns(self.port, returned).items():

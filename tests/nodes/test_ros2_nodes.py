@@ -387,6 +387,19 @@ def test_rows_that_ros_cannot_express_are_forwarded_as_they_are(attacked: Resolv
         np.testing.assert_array_equal(message.body["size"], body["size"])
 
 
+def test_no_object_gets_the_id_of_one_that_ros_cannot_express(attacked: Resolved) -> None:
+    body = body_of("tracks")
+    body["size"] = np.asarray(body["size"]).copy()
+    body["size"][1] = 0.0
+    twin = ObjectStates.of(np.zeros((1, 3)), id=np.asarray(body["id"])[1:2], size=np.ones((1, 3)))
+
+    def add(objects: list[Any]) -> None:
+        objects += tracked_objects(twin, 0, "x").objects
+
+    for message in intercepted(attacked, "tracks", edited(add), body):
+        assert sorted(message.body["id"].tolist()) == sorted(np.asarray(body["id"]).tolist())
+
+
 @pytest.mark.parametrize("waits", [True, False])
 def test_a_message_without_an_answer_is_forwarded_unchanged(attacked: Resolved, waits: bool) -> None:
     thief = Bench(attacked, "thief", link=FakeLink(waits=waits))
