@@ -120,10 +120,12 @@ class TruthEntry:
 class BagMap:
     """A map. period_ns: of the frames; max_gap_ns: the longest time between two poses that is bridged
 
+    bag:    path of its bag, from the folder of the map; "": it is given otherwise
     frames: pose in the world of each fixed frame; types: definition of message types, by name
     """
 
     place: str
+    bag: str
     period_ns: int
     max_gap_ns: int
     frames: Mapping[str, Pose]
@@ -164,7 +166,7 @@ def parse_map(content: Mapping[str, Any], path: Path) -> BagMap:
 
 
 def _parsed(whole: Element) -> BagMap:
-    _check_keys(whole, ("agents", "truth", "frames", "types", "rate_hz", "max_gap_s", "time"))
+    _check_keys(whole, ("bag", "agents", "truth", "frames", "types", "rate_hz", "max_gap_s", "time"))
     times = _times(whole, False)
     frames = {name: _pose(each) for name, each in _entries(whole, "frames")}
     types = {name: each.text() for name, each in _entries(whole, "types")}
@@ -174,8 +176,16 @@ def _parsed(whole: Element) -> BagMap:
     truth = [_truth(name, each, times) for name, each in _entries(whole, "truth")]
     rate_hz = _number(whole, "rate_hz", 10.0, 0.01, 1000.0)
     max_gap_s = _number(whole, "max_gap_s", 0.5, 0.0, 3600.0)
+    bag = whole.get("bag")
     return BagMap(
-        str(whole.path), round(1e9 / rate_hz), round(max_gap_s * 1e9), frames, types, tuple(agents), tuple(truth)
+        place=str(whole.path),
+        bag="" if bag is None else _short(bag),
+        period_ns=round(1e9 / rate_hz),
+        max_gap_ns=round(max_gap_s * 1e9),
+        frames=frames,
+        types=types,
+        agents=tuple(agents),
+        truth=tuple(truth),
     )
 
 

@@ -18,7 +18,7 @@ from mast_datasets.rosbag_storage import Bag, Topic
 from mast_datasets.rosbag_types import Decode, known_decoder, own_decoder, parse_definition
 from mast_datasets.traffic import MAX_BOXES
 from mast_zenoh.arrays.geometry import heading, quaternion_from_rotation, rotation_from_quaternion, rotation_from_yaw
-from mast_zenoh.arrays.states import Bools, Detections, Floats, Ints, ObjectStates
+from mast_zenoh.arrays.states import DETECTION_COLUMNS, Bools, Detections, Floats, Ints, ObjectStates
 from mast_zenoh.errors import ConfigurationError, MessageError, SceneError, nearest
 from mast_zenoh.ros2 import type_store
 from mast_zenoh.ros2.object_ids import id_of_text, id_of_uuid
@@ -29,6 +29,7 @@ from mast_zenoh.ros2.received_poses import POSES, stamped_poses
 MAX_MESSAGES = 5_000_000
 _MAX_REMARKS = 20  # that are told apart, of one topic
 _MAX_DETECTED = 1000
+_DETECTION = 18  # numbers of a detection
 _UUID = re.compile("-?".join(f"[0-9a-fA-F]{{{count}}}" for count in (8, 4, 4, 4, 12)))
 _TYPES_OF_DETECTIONS = (type_store.DETECTIONS, type_store.DETECTED_OBJECTS)
 _TYPES_OF_TRUTH = (type_store.TRACKED_OBJECTS, type_store.DETECTIONS)
@@ -197,14 +198,24 @@ class PoseReader(TopicReader):
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """The measurements of a sensor. times_ns: (K,) ns, ascending; detections: of each, in `frame`
+    """The measurements of a sensor.
 
-    fixed: pose of a frame in the world that they are in; None: they are in the sensor's
+    times_ns:   (K,) ns, ascending
+    first:      (K,) row of the first detection of each, and count: (K,) how many it has
+    detections: of all measurements
+    fixed:      pose in the world of the fixed frame that they are in; None: they are in the sensor's
     """
 
     times_ns: Ints
-    detections: tuple[Detections, ...]
+    first: Ints
+    count: Ints
+    detections: Detections
     fixed: Pose | None
+
+    def detections_of(self, measurement: int) -> Detections:
+        """The detections of a measurement; views, not copies."""
+        first = int(self.first[measurement])
+        return self.detections.select(slice(first, first + int(self.count[measurement])))
 
 
 class DetectionReader(TopicReader):
@@ -215,10 +226,8 @@ class DetectionReader(TopicReader):
     def __init__(self, entry: DetectionsEntry, source: Source, frames: Mapping[str, Pose]) -> None:
         super().__init__(source, frames)
         self._entry = entry
-        self._times = array("q")
-        self._detections: list[Detections] = []
+        self._times, self._counts, self._values = array("q"), array("q"), array("d")
         self._fixed = frames.get(entry.frame)
-        self._total = 0
 
     def decoder(self, place: str, topic: Topic, types: Mapping[str, Any]) -> Decode:
         if self._entry.paths:
@@ -258,11 +267,12 @@ class DetectionReader(TopicReader):
         if near.any():
             self._leave_out(f"nearer than nearest_m, {entry.nearest_m:g} m", int(near.sum()))
             found = found.select(np.flatnonzero(~near))
-        self._total += len(found)
-        if self._total > MAX_BOXES:
+        if len(self._values) > MAX_BOXES * _DETECTION:
             raise SceneError(f"{self.source.topic}: found more than {MAX_BOXES} detections, expected at most as many")
         self._times.append(self._time(received.time_ns, received_ns))
-        self._detections.append(found)
+        self._counts.append(len(found))
+        for columns in zip(*(getattr(found, name) for name in DETECTION_COLUMNS), strict=True):
+            self._values.extend(np.hstack([np.ravel(column) for column in columns]).tolist())
 
     def _converted(self, message: dict[str, Any]) -> Any:
         """A Detection3DArray of a message of another type."""
@@ -306,9 +316,14 @@ class DetectionReader(TopicReader):
 
     def measured(self) -> Measured:
         """All measurements, by time."""
-        times = np.frombuffer(self._times, np.int64)
-        order = np.argsort(times, kind="stable")
-        return Measured(times[order], tuple(self._detections[row] for row in order), self._fixed)
+        times, count = np.frombuffer(self._times, np.int64), np.frombuffer(self._counts, np.int64)
+        order, first = np.argsort(times, kind="stable"), np.cumsum(count) - count
+        values = np.frombuffer(self._values, np.float64).reshape(-1, _DETECTION)
+        position, size, yaw, score, class_id, covariance = np.split(values, [3, 6, 7, 8, 9], axis=1)
+        detections = Detections(
+            position, size, yaw[:, 0], score[:, 0], class_id[:, 0].astype(np.uint8), covariance.reshape(-1, 3, 3)
+        )
+        return Measured(times[order], first[order], count[order], detections, self._fixed)
 
 
 _TYPE: Mapping[str, Callable[..., Any]] = type_store.TYPES

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -65,9 +66,10 @@ class BagScene:
     Raises SceneError and ConfigurationError, as `Scene.record` does.
     """
 
-    def __init__(self, scene: DataSetScene, part: Part, bag_map: BagMap, readers: Mapping[str, TopicReader]) -> None:
-        self._path, self._detector, self._name = scene.path, scene.detector, scene.root.name
-        self._map = bag_map
+    def __init__(
+        self, scene: DataSetScene, path: Path, part: Part, bag_map: BagMap, readers: Mapping[str, TopicReader]
+    ) -> None:
+        self._path, self._detector, self._map = path, scene.detector, bag_map
         self.notes: list[str] = []
         self._tracks: dict[str, PoseTrack] = {}
         self._measured: dict[str, Measured] = {}
@@ -92,7 +94,7 @@ class BagScene:
         """The recording of the first `frames` frames; None: of all. seed: of generated detections"""
         boxes, own_ids = self._boxes()
         paths = [self._agent_path(agent, own_ids.get(agent.name, -1)) for agent in self._agents]
-        generated = assemble(self._name, self._times_ns, boxes, paths, self._detector, seed=seed, frames=frames)
+        generated = assemble(self._path.name, self._times_ns, boxes, paths, self._detector, seed=seed, frames=frames)
         recording = self._with_detections(generated)
         return replace(recording, notes=tuple(self.notes))
 
@@ -307,7 +309,7 @@ def _measured_rows(measured: Measured, source: Ints, frame: Ints, poses: _Poses,
     """
     parts = []
     for row in source.tolist():
-        detections = measured.detections[row]
+        detections = measured.detections_of(row)
         pose = sensor_pose(poses.position[row], poses.rotation[row], lidar.mount_position, lidar.mount_rotation)
         if measured.fixed is None:
             parts.append(replace(detections, yaw=_about_vertical(detections.yaw, pose[1])))

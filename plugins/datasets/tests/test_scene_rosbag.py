@@ -409,6 +409,22 @@ def test_without_a_map_the_topics_of_the_bag_are_listed(tmp_path: Path) -> None:
     ]
 
 
+def test_a_map_that_names_its_bag_is_a_scene(tmp_path: Path) -> None:
+    folder = write_recording(tmp_path / "bag", junction(frames=4))
+    content = (folder / "topics.toml").read_text()
+    (tmp_path / "map.toml").write_text(f'bag = "bag"\n{content}')
+    scene = RosBag(path=str(tmp_path / "map.toml"))
+    assert scene.inputs() == (folder, tmp_path / "map.toml")
+    read = scene.record(0, None)
+    assert read.name == "bag"
+    np.testing.assert_array_equal(read.truth.position, RosBag(path=str(folder)).record(0, None).truth.position)
+    with pytest.raises(ConfigurationError, match="topics are given, expected None"):
+        RosBag(path=scene.path, topics={}).record(0, None)
+    (tmp_path / "map.toml").write_text(content)
+    with pytest.raises(ConfigurationError, match=r"map\.toml: bag is missing"):
+        scene.record(0, None)
+
+
 def test_a_map_may_be_a_file_beside_a_bag_that_is_a_file(tmp_path: Path) -> None:
     folder = write_recording(tmp_path / "bag", junction(frames=4))
     (tmp_path / "alone.db3").write_bytes((folder / "bag.db3").read_bytes())
@@ -417,6 +433,8 @@ def test_a_map_may_be_a_file_beside_a_bag_that_is_a_file(tmp_path: Path) -> None
     named = RosBag(path=str(folder), topics=str(tmp_path / "alone.toml")).record(0, None)
     np.testing.assert_array_equal(alone.truth.position, named.truth.position)
     assert (alone.name, named.name) == ("alone.db3", "bag")
+    scene = RosBag(path=str(tmp_path / "alone.db3"))
+    assert scene.inputs() == (tmp_path / "alone.db3", tmp_path / "alone.toml"), "a changed map is not in the cache"
 
 
 EGO = bag_map()["agents"]["ego"]
