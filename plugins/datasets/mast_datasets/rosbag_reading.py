@@ -8,7 +8,7 @@ from array import array
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -158,12 +158,13 @@ class PoseReader(TopicReader):
 
     def __init__(self, source: Source, frames: Mapping[str, Pose]) -> None:
         super().__init__(source, frames)
-        self._times, self._values = array("q"), array("d")
+        self._links = {child: _Link(array("q"), array("d")) for child in source.chain or ("",)}
+        self._parents = dict(zip(source.chain[1:], source.chain, strict=False))
 
     def decoder(self, place: str, topic: Topic, types: Mapping[str, Any]) -> Decode:
         self._check_type(topic, POSES)
         has_children = topic.type in POSES[1:2] + POSES[4:]
-        if has_children != bool(self.source.child):
+        if has_children != bool(self.source.chain):
             expected = "`child`, the frame whose pose is wanted" if has_children else "no `child`"
             raise ConfigurationError(
                 f"{self.source.place}: {topic.name} is of the type {topic.type}, expected {expected}"
@@ -172,28 +173,61 @@ class PoseReader(TopicReader):
 
     @property
     def used(self) -> int:
-        return len(self._times)
+        return min(len(link.times) for link in self._links.values())
 
     def _read(self, message: Any, received_ns: int) -> None:
         received = stamped_poses(message)
         for reason, number in received.dropped.items():
             self._leave_out(reason, number)
         for each in received.transforms:
-            if self.source.child in ("", each.child):
+            child = each.child if self.source.chain else ""
+            link = self._links.get(child)
+            if link is None:
+                continue
+            expected = self._parents.get(child)
+            if expected is None:
                 self._check_frame(each.parent)
-                self._times.append(self._time(each.time_ns, received_ns))
-                self._values.extend((*each.position.tolist(), *each.rotation.tolist()))
+            elif each.parent != expected:
+                raise ConfigurationError(
+                    f"{self.source.place}.child: {self.source.topic}: {child!r} is in the frame {each.parent!r:.80}, "
+                    f"expected {expected!r}"
+                )
+            link.times.append(self._time(each.time_ns, received_ns))
+            link.values.extend((*each.position.tolist(), *each.rotation.tolist()))
 
-    def track(self) -> PoseTrack:
-        """All poses in the world; of several at one time, the first."""
-        times, first = np.unique(np.frombuffer(self._times, np.int64), return_index=True)
-        if len(first) < len(self._times):
-            self._leave_out("a pose at the time of another one", len(self._times) - len(first))
-        values = np.frombuffer(self._values, np.float64).reshape(-1, 7)[first]
-        origin = self._origin()
-        rotation = origin.rotation @ rotation_from_quaternion(values[:, 3:])
-        position = values[:, :3] @ origin.rotation.T + origin.position
-        return PoseTrack(times, position, quaternion_from_rotation(rotation))
+    def track(self, max_gap_ns: int) -> PoseTrack:
+        """All poses in the world, at the times of the last frame of a chain; of several at one time, the first.
+
+        max_gap_ns: of the other frames of a chain, the longest time between two poses that is bridged
+        """
+        *above, last = (self._track_of(link) for link in self._links.values())
+        times, position, rotation = last.times_ns, last.position, rotation_from_quaternion(last.quaternion)
+        known = np.ones(len(times), bool)
+        for track in reversed(above):
+            origin, turn, is_known = track.at(times, max_gap_ns)
+            position, rotation = origin + (turn @ position[:, :, None])[:, :, 0], turn @ rotation
+            known &= is_known
+        if not known.all():
+            self._leave_out("a pose without one of a frame above it in the chain", int((~known).sum()))
+            if not known.any():
+                raise SceneError(f"{self.source.place}: {self.source.topic}: found no time with all frames of `child`")
+        world = self._origin()
+        position, rotation = position[known] @ world.rotation.T + world.position, world.rotation @ rotation[known]
+        return PoseTrack(times[known], position, quaternion_from_rotation(rotation))
+
+    def _track_of(self, link: _Link) -> PoseTrack:
+        times, first = np.unique(np.frombuffer(link.times, np.int64), return_index=True)
+        if len(first) < len(link.times):
+            self._leave_out("a pose at the time of another one", len(link.times) - len(first))
+        values = np.frombuffer(link.values, np.float64).reshape(-1, 7)[first]
+        return PoseTrack(times, values[:, :3], values[:, 3:])
+
+
+class _Link(NamedTuple):
+    """Poses of a frame in the one above it: ns of each, and x y z w x y z of each."""
+
+    times: array[int]
+    values: array[float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -400,7 +434,7 @@ class ObjectReader(TopicReader):
     def decoder(self, place: str, topic: Topic, types: Mapping[str, Any]) -> Decode:
         hint = "; an object with a pose needs `size` and `class`" if topic.type in POSES else ""
         self._check_type(topic, _TYPES_OF_TRUTH, hint)
-        if self.source.child:
+        if self.source.chain:
             raise ConfigurationError(f"{self.source.place}: {topic.type} has no use for `child`")
         is_uuid = _UUID.fullmatch if topic.type == type_store.TRACKED_OBJECTS else lambda _: None
         self._without = frozenset(
@@ -528,7 +562,7 @@ def _check_used(bag: Bag, reader: TopicReader) -> None:
             f"{bag.listed_topics()}"
         )
     if not reader.used:
-        child = f"none of {source.child!r}" if source.child else "none that can be used"
+        child = f"none for each of {', '.join(source.chain)}" if source.chain else "none that can be used"
         reasons = "; ".join(f"{remark}: {number}" for remark, number in reader.remarks.most_common(3))
         raise SceneError(
             f"{bag.path}: {source.topic}: found {reader.count} messages, {child} ({source.place})"

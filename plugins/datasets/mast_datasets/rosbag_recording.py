@@ -76,7 +76,7 @@ class BagScene:
         self._lists: dict[str, list[TrueObject]] = {}
         for place, reader in readers.items():
             if isinstance(reader, PoseReader):
-                self._tracks[place] = reader.track()
+                self._tracks[place] = reader.track(bag_map.max_gap_ns)
             elif isinstance(reader, DetectionReader):
                 self._measured[place] = reader.measured()
             elif isinstance(reader, ObjectReader):

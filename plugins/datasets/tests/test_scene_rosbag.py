@@ -231,6 +231,31 @@ def test_odometry_transforms_and_stamped_poses_are_the_same(tmp_path: Path) -> N
         np.testing.assert_allclose(read.agent_rotation[:, column], read.agent_rotation[:, 0])
 
 
+def test_a_chain_of_transforms_is_followed_down(tmp_path: Path) -> None:
+    quarter, messages = rotation_from_yaw(np.pi / 2), []
+    for time in range(0, 11 * FRAME, FRAME):
+        messages.append(Sent("/tf", time, transforms(time, "odom", {"base": ((time / 1e9, 0.0, 0.0), quarter)})))
+        if time % (5 * FRAME) == 0 and time < 10 * FRAME:
+            messages.append(Sent("/tf", time, transforms(time, "map", {"odom": ((10.0, time / 1e9, 0.0), quarter)})))
+    path = bag(tmp_path, *messages)
+
+    def scene(child: Any) -> RosBag:
+        agents = dict(ego=dict(pose=dict(topic="/tf", child=child), detections=dict(kind="lidar")))
+        return RosBag(path=path, topics=bag_map(agents=agents))
+
+    read = scene(["odom", "base"]).record(0, None)
+    seconds = np.arange(6) / 10
+    np.testing.assert_allclose(read.agent_position[:, 0, :2], np.stack([0.0 * seconds + 10.0, 2.0 * seconds], axis=1))
+    np.testing.assert_allclose(np.abs(heading(read.agent_rotation[:, 0])), np.pi)
+    assert "/tf: left out: a pose without one of a frame above it in the chain: 5 in 13 messages" in read.notes
+    with pytest.raises(ConfigurationError, match="is in the frame 'odom', expected one of `frames`"):
+        scene("base").record(0, None)
+    with pytest.raises(ConfigurationError, match="child: /tf: 'odom' is in the frame 'map', expected 'other'"):
+        scene(["other", "odom"]).record(0, None)
+    with pytest.raises(SceneError, match="/tf: found 13 messages, none for each of odom, wheel"):
+        scene(["odom", "wheel"]).record(0, None)
+
+
 def test_frames_and_origins_place_poses_in_the_world(tmp_path: Path) -> None:
     path = bag(tmp_path, *straight())
     place = dict(position=[100.0, 50.0, 0.0], yaw_deg=90.0)
