@@ -29,6 +29,7 @@ from mast_zenoh.ros2.received_poses import POSES, stamped_poses
 MAX_MESSAGES = 5_000_000
 _MAX_REMARKS = 20  # that are told apart, of one topic
 _MAX_DETECTED = 1000
+_MAX_NS = 2**61
 _DETECTION = 18  # numbers of a detection
 _UUID = re.compile("-?".join(f"[0-9a-fA-F]{{{count}}}" for count in (8, 4, 4, 4, 12)))
 _TYPES_OF_DETECTIONS = (type_store.DETECTIONS, type_store.DETECTED_OBJECTS)
@@ -122,7 +123,11 @@ class TopicReader(ABC):
             self._remark("a class that none of ours is, now unknown", number)
 
     def _time(self, header_ns: int, received_ns: int) -> int:
-        return (received_ns if self.source.received else header_ns) + self.source.offset_ns
+        """The time, ns, that counts. Raises MessageError for one whose differences from others overflow."""
+        time_ns = (received_ns if self.source.received else header_ns) + self.source.offset_ns
+        if abs(time_ns) > _MAX_NS:
+            raise MessageError(f"a time further than {_MAX_NS} ns from 1970")
+        return time_ns
 
     def _check_type(self, topic: Topic, known: Sequence[str], hint: str = "") -> None:
         if topic.type not in known:
@@ -316,16 +321,13 @@ class DetectionReader(TopicReader):
             raise MessageError(f"{'.'.join(map(str, paths['list']))} is no list")
         if len(listed) > _MAX_DETECTED:
             raise MessageError(f"found {len(listed)} detections, expected at most {_MAX_DETECTED}")
-        header = _value(message, ("header",))
-        stamp = _TYPE["builtin_interfaces/msg/Time"](
-            _value(header, ("stamp", "sec")), _value(header, ("stamp", "nanosec"))
+        s, ns, frame_id = (
+            _value(message, ("header", *path)) for path in (("stamp", "sec"), ("stamp", "nanosec"), ("frame_id",))
         )
-        detections = []
-        for each in listed:
-            detections.append(self._detection(each, paths))
-        return _TYPE[type_store.DETECTIONS](
-            _TYPE["std_msgs/msg/Header"](stamp, _value(header, ("frame_id",))), detections
-        )
+        if not isinstance(s, int) or not isinstance(ns, int) or not isinstance(frame_id, str):
+            raise MessageError("header: found another type, expected std_msgs/msg/Header")
+        header = _TYPE["std_msgs/msg/Header"](_TYPE["builtin_interfaces/msg/Time"](s, ns), frame_id)
+        return _TYPE[type_store.DETECTIONS](header, [self._detection(each, paths) for each in listed])
 
     def _detection(self, each: Any, paths: Mapping[str, tuple[str | int, ...]]) -> Any:
         x, y, z = _numbers(_value(each, paths["position"]), "xyz")
@@ -524,7 +526,7 @@ def read_topics(bag: Bag, bag_map: BagMap) -> dict[str, TopicReader]:
         if last.get(topic.name) != topic:
             if topic.name in last and last[topic.name].type != topic.type:
                 raise SceneError(
-                    f"{bag.path}: {topic.name} has messages of {last[topic.name].type} and of {topic.type}"
+                    f"{bag.path}: {topic.name} has messages of {last[topic.name].type!r} and {topic.type!r}"
                 )
             own = [reader for reader in readers.values() if reader.source.topic == topic.name]
             decoders = [reader.decoder(str(bag.path), topic, types) for reader in own]

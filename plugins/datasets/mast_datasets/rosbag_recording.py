@@ -82,7 +82,9 @@ class BagScene:
             elif isinstance(reader, ObjectReader):
                 self._lists[place] = reader.objects()
             for remark, number in sorted(reader.remarks.items()):
-                self.notes.append(f"{reader.source.topic}: {remark}: {number} in {reader.count} messages")
+                note = f"{reader.source.topic}: {remark}: {number} in {reader.count} messages"
+                if note not in self.notes:  # of a topic that several agents are on
+                    self.notes.append(note)
         ego, *others = bag_map.agents
         mobile = [agent for agent in others if not agent.fixed]
         chosen = scene.playing([ego, *mobile], [agent for agent in others if agent.fixed], "agents that never move")

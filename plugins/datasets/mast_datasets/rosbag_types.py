@@ -70,7 +70,7 @@ def known_decoder(place: str, topic: Topic) -> Decode:
                 )
     if topic.hash.startswith("RIHS01_") and topic.hash != type_store.type_hash(topic.type):
         raise SceneError(
-            f"{place}: {topic.name}: the bag has another version of {topic.type}: found the hash {topic.hash:.80}, "
+            f"{place}: {topic.name}: the bag has another version of {topic.type}: found the hash {topic.hash!r:.80}, "
             f"expected {type_store.type_hash(topic.type)}"
         )
     return lambda payload: type_store.decode(topic.type, payload)
@@ -111,7 +111,7 @@ def _check_nesting(place: str, topic: Topic, fields: Fields, kind: str, depth: i
             f"{nearest(kind, list(fields))}"
         )
     if depth > _MAX_DEPTH:
-        raise SceneError(f"{place}: {topic.name}: {topic.type} has types in types, deeper than {_MAX_DEPTH}")
+        raise SceneError(f"{place}: {topic.name}: {topic.type!r} has types in types, deeper than {_MAX_DEPTH}")
     for _, description in fields[kind]:
         is_single = description[0] in (Nodetype.BASE, Nodetype.NAME)
         inner = description if is_single else description[1][0]

@@ -18,6 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mast_datasets import RosBag, rosbag_storage
 from mast_datasets.rosbag_map import parse_map
+from mast_datasets.rosbag_reading import DetectionReader
 from mast_datasets.rosbag_storage import Topic
 from mast_datasets.rosbag_types import known_decoder, own_decoder, parse_definition
 from rosbag_writer import Sent, odometry, pose_stamped, transforms, write_bag, write_recording
@@ -28,6 +29,7 @@ from mast_zenoh.ros2.object_markers import marker_array
 from mast_zenoh.ros2.object_messages import tracked_objects
 
 POSE = dict(topic="/pose")
+HEADER = {"stamp": {"sec": 1, "nanosec": 1}, "frame_id": "a"}
 MAP = dict(frames=dict(map={}), agents=dict(ego=dict(pose=POSE, detections=dict(kind="lidar"))))
 
 
@@ -136,7 +138,7 @@ def test_a_hostile_folder_or_database_is_refused(damage: Damage, message: str, b
         (sql("UPDATE messages SET data = x'00010000ffffffff'"), "cannot be read"),
         (
             sql("UPDATE topics SET type_description_hash = 'RIHS01_00'"),
-            "another version of .*: found the hash RIHS01_00",
+            "another version of .*: found the hash 'RIHS01_00'",
         ),
         (
             sql("UPDATE message_definitions SET encoded_message_definition = 'int32 x'"),
@@ -259,6 +261,47 @@ def test_absurd_times_are_refused_before_frames_are_made(tmp_path: Path) -> None
     path = str(write_bag(tmp_path / "bag", far))
     with pytest.raises(SceneError, match=r"10001000000\d* frames|frames, expected at most 200000"):
         RosBag(path=path, topics=MAP).record(0, None)
+
+
+def test_times_that_overflow_are_left_out(bag: Path) -> None:
+    (bag / "topics.toml").write_text('time = "received"\n' + (bag / "topics.toml").read_text())
+    last = f"UPDATE messages SET timestamp = {2**63 - 1} WHERE id = (SELECT max(id) FROM messages)"
+    sql(last, f"UPDATE messages SET timestamp = {-(2**63)} WHERE id = (SELECT min(id) FROM messages)").apply(bag)
+    notes = RosBag(path=str(bag)).record(0, None).notes
+    assert sum(f"left out: a time further than {2**61} ns from 1970" in note for note in notes) == 2
+
+
+def test_names_of_topics_do_not_reach_the_terminal_as_they_are(bag: Path) -> None:
+    sql("UPDATE topics SET name = '/a' || char(27, 91, 50, 74) || char(10) || 'b' WHERE name = '/objects'").apply(bag)
+    with pytest.raises(ConfigurationError, match=r"\n  /a\[2Jb  autoware_perception_msgs/msg/TrackedObjects  4"):
+        read(bag)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        {},
+        {"header": 5},
+        {"header": {"stamp": {"sec": "x", "nanosec": 1}, "frame_id": "a"}},
+        {"header": {"stamp": {"sec": 1, "nanosec": 1}, "frame_id": 7}},
+        {"header": HEADER, "list": np.zeros(3)},
+        {"header": HEADER, "list": [{}] * 1001},
+        {"header": HEADER, "list": [5]},
+        {"header": HEADER, "list": [{"place": {"x": 1.0, "y": 2.0}}]},
+        {"header": HEADER, "list": [{"place": [1.0, 2.0]}]},
+        {"header": HEADER, "list": [{"place": ["a", "b", "c"]}]},
+        {"header": HEADER, "list": [{"place": [1.0, 2.0, 3.0], "score": "high"}]},
+    ],
+)
+def test_messages_of_an_own_type_with_other_values_are_left_out(message: dict[str, Any]) -> None:
+    fields = dict(list="list", position="place", score="score")
+    sensor = dict(kind="camera", topic="/found", frame="a", fields=fields, size=[1.0, 1.0, 1.0])
+    (agent,) = parse_map(dict(agents=dict(ego=dict(pose=POSE, detections=sensor))), Path("map")).agents
+    entry = agent.sensors[0]
+    assert entry.source is not None
+    reader = DetectionReader(entry, entry.source, {})
+    reader.add(message, 0)
+    assert (reader.used, sum(reader.remarks.values())) == (0, 1)
 
 
 def test_poses_none_of_which_can_be_used_are_refused_with_the_reason(tmp_path: Path) -> None:
