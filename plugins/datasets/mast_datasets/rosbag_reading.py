@@ -29,6 +29,7 @@ from mast_zenoh.ros2.received_poses import POSES, stamped_poses
 MAX_MESSAGES = 5_000_000
 _MAX_REMARKS = 20  # that are told apart, of one topic
 _MAX_DETECTED = 1000
+_MAX_OBJECTS = 20_000  # of a topic with lists, by their ids
 _MAX_NS = 2**61
 _DETECTION = 18  # numbers of a detection
 _UUID = re.compile("-?".join(f"[0-9a-fA-F]{{{count}}}" for count in (8, 4, 4, 4, 12)))
@@ -489,6 +490,9 @@ class ObjectReader(TopicReader):
         if repeated.any():
             self._leave_out("an object at the time of another one with its id", int(repeated.sum()))
             order = order[~repeated]
+        objects = len(np.unique(ids))
+        if objects > _MAX_OBJECTS:
+            raise SceneError(f"{self.source.topic}: found {objects} objects, expected at most {_MAX_OBJECTS}")
         found = []
         for rows in np.split(order, np.flatnonzero(np.diff(ids[order])) + 1) if len(order) else []:
             rotation = np.stack([rotation_from_yaw(yaw) for yaw in values[rows, 3].tolist()])

@@ -19,7 +19,7 @@ from mast_datasets.rosbag_reading import (
     TopicReader,
     TrueObject,
 )
-from mast_datasets.traffic import DataSetScene
+from mast_datasets.traffic import MAX_BOXES, DataSetScene
 from mast_zenoh.arrays.geometry import heading, to_world, wrap_angle
 from mast_zenoh.arrays.states import DETECTION_COLUMNS, Bools, Detections, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
@@ -86,9 +86,9 @@ class BagScene:
                 if note not in self.notes:  # of a topic that several agents are on
                     self.notes.append(note)
         ego, *others = bag_map.agents
-        mobile = [agent for agent in others if not agent.fixed]
-        chosen = scene.playing([ego, *mobile], [agent for agent in others if agent.fixed], "agents that never move")
-        names = {agent.name for part in chosen for agent in part}
+        moving = [ego, *(agent for agent in others if not agent.fixed)]
+        playing = scene.playing(moving, [agent for agent in others if agent.fixed], "agents that never move")
+        names = {agent.name for agents in playing for agent in agents}
         self._agents = [agent for agent in bag_map.agents if agent.name in names]
         self._times_ns = self._frames(part)
 
@@ -199,12 +199,28 @@ class BagScene:
                 continue
             for each in self._lists[entry.source.place]:
                 number += 1
-                poses = _Poses(*each.poses.at(self._times_ns, self._map.max_gap_ns))
-                frame = np.flatnonzero(poses.known)
-                row = np.searchsorted(each.poses.times_ns, self._times_ns[frame], side="right") - 1
-                ids, yaw = np.full(len(frame), number, np.int64), heading(poses.rotation[frame])
-                parts.append(Boxes(frame, ids, poses.position[frame], each.size[row], yaw, each.class_id[row]))
+                parts.append(self._boxes_of_list(number, each))
+        total = sum(map(len, parts))
+        if total > MAX_BOXES:
+            raise SceneError(f"{self._path}: found {total} boxes in all frames, expected at most {MAX_BOXES}")
         return Boxes.concatenate(parts), own_ids
+
+    def _boxes_of_list(self, number: int, tracked: TrueObject) -> Boxes:
+        """The boxes of an object of a list in the frames in which its pose is known."""
+        times = tracked.poses.times_ns
+        first = int(np.searchsorted(self._times_ns, times[0]))
+        within = self._times_ns[first : np.searchsorted(self._times_ns, times[-1], side="right")]
+        poses = _Poses(*tracked.poses.at(within, self._map.max_gap_ns))
+        known = np.flatnonzero(poses.known)
+        row = np.searchsorted(times, within[known], side="right") - 1
+        return Boxes(
+            frame=first + known,
+            id=np.full(len(known), number, np.int64),
+            position=poses.position[known],
+            size=tracked.size[row],
+            yaw=heading(poses.rotation[known]),
+            class_id=tracked.class_id[row],
+        )
 
     def _note_absence(self, name: str, known: Bools) -> None:
         if not known.all():
