@@ -23,10 +23,12 @@ from rosbag_writer import (
     write_bag,
     write_recording,
 )
+from typer.testing import CliRunner
 
 import mast_zenoh as mast
 from mast_zenoh.arrays.geometry import heading, rotation_from_yaw, to_world
 from mast_zenoh.arrays.states import CLASS_INDEX, Detections
+from mast_zenoh.cli.app import app
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.ros2 import type_store
 from mast_zenoh.ros2.object_messages import tracked_objects
@@ -595,3 +597,20 @@ def test_runs_of_real_robots_track_their_chairs(tiers: Path, tmp_path: Path) -> 
         assert tracked - 0.2 < local[0]["tp"]["mean"] <= tracked
         assert local[0]["rmse_m"] < error_m
         assert local[0] == local[1], "attacks do not reach an agent's own tracks"
+
+
+def test_an_exported_run_plays_with_the_same_truth(tmp_path: Path) -> None:
+    scene = dict(type="Intersection", scene_index=1, n_infrastructure=1)
+    mast.run("baseline", scene=scene, frames=4, out=tmp_path / "run", report=False)
+    result = CliRunner().invoke(app, ["export", str(tmp_path / "run"), "--to", "rosbag2", "-o", str(tmp_path / "bag")])
+    assert result.exit_code == 0, result.output
+    ego = dict(pose=dict(topic="/tf", child="ego"))
+    ego["detections"] = CAMERA | dict(topic="/agent/ego/tracks", frame="world")
+    topics = dict(frames=dict(world={}), agents=dict(ego=ego), truth=dict(all=dict(topic="/scene/truth")))
+    read = RosBag(path=str(tmp_path / "bag"), topics=topics).record(0, None)
+    original = mast.scene(scene, frames=4).recording
+    assert len(read.truth) == len(original.truth)
+    np.testing.assert_allclose(read.agent_position[:, 0], original.agent_position[:, 0], atol=1e-9)
+    for frame in range(4):
+        offset = read.truth_at(frame).position[:, None] - original.truth_at(frame).position
+        assert np.linalg.norm(offset, axis=2).min(axis=1).max() < 1e-5
