@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mast_datasets.rosbag_map import BagMap, DetectionsEntry, Pose, Source, TruthEntry
 from mast_datasets.rosbag_storage import Bag, Topic
-from mast_datasets.rosbag_types import Decode, known_decoder, own_decoder, parse_definition
+from mast_datasets.rosbag_types import Decode, OwnType, known_decoder, parse_definition
 from mast_datasets.traffic import MAX_BOXES
 from mast_zenoh.arrays.geometry import heading, quaternion_from_rotation, rotation_from_quaternion, rotation_from_yaw
 from mast_zenoh.arrays.states import DETECTION_COLUMNS, Bools, Detections, Floats, Ints, ObjectStates
@@ -271,7 +271,15 @@ class DetectionReader(TopicReader):
 
     def decoder(self, place: str, topic: Topic, types: Mapping[str, Any]) -> Decode:
         if self._entry.paths:
-            return own_decoder(place, topic, types)
+            own = OwnType(place, topic, types)
+            try:
+                element = own.element_of(self._entry.paths["list"])
+                for name, path in self._entry.paths.items():
+                    if name != "list":
+                        own.check_path(element, path)
+            except ValueError as error:
+                raise ConfigurationError(f"{self.source.place}.fields: {topic.name}: {error}") from None
+            return own.decode
         self._check_type(topic, _TYPES_OF_DETECTIONS, "; `fields` reads other types")
         if topic.type == type_store.DETECTED_OBJECTS:
             for name, given in (
@@ -328,7 +336,13 @@ class DetectionReader(TopicReader):
         if not isinstance(s, int) or not isinstance(ns, int) or not isinstance(frame_id, str):
             raise MessageError("header: found another type, expected std_msgs/msg/Header")
         header = _TYPE["std_msgs/msg/Header"](_TYPE["builtin_interfaces/msg/Time"](s, ns), frame_id)
-        return _TYPE[type_store.DETECTIONS](header, [self._detection(each, paths) for each in listed])
+        detections = []
+        for each in listed:
+            try:
+                detections.append(self._detection(each, paths))
+            except MessageError as error:
+                self._leave_out(str(error))
+        return _TYPE[type_store.DETECTIONS](header, detections)
 
     def _detection(self, each: Any, paths: Mapping[str, tuple[str | int, ...]]) -> Any:
         x, y, z = _numbers(_value(each, paths["position"]), "xyz")
@@ -406,13 +420,14 @@ def _change(message: Any, entry: DetectionsEntry) -> None:
         box = each.bbox
         if entry.axes is not None:
             point, size, turn = box.center.position, box.size, box.center.orientation
-            point.x, point.y, point.z = (entry.axes @ (point.x, point.y, point.z)).tolist()
-            size.x, size.y, size.z = (np.abs(entry.axes) @ (size.x, size.y, size.z)).tolist()
             turn.x, turn.y, turn.z, turn.w = 0.0, 0.0, 0.0, 1.0
-            for result in each.results:
-                covariance = result.pose.covariance.reshape(6, 6).copy()
-                covariance[:3, :3] = entry.axes @ covariance[:3, :3] @ entry.axes.T
-                result.pose.covariance = covariance.ravel()
+            with np.errstate(all="ignore"):  # values may be anything
+                point.x, point.y, point.z = (entry.axes @ (point.x, point.y, point.z)).tolist()
+                size.x, size.y, size.z = (np.abs(entry.axes) @ (size.x, size.y, size.z)).tolist()
+                for result in each.results:
+                    covariance = result.pose.covariance.reshape(6, 6).copy()
+                    covariance[:3, :3] = entry.axes @ covariance[:3, :3] @ entry.axes.T
+                    result.pose.covariance = covariance.ravel()
         if entry.size is not None:
             box.size.x, box.size.y, box.size.z = entry.size.tolist()
 

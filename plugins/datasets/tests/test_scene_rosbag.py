@@ -352,6 +352,15 @@ def test_detections_of_a_users_own_type_are_read_by_paths(storage: str, tmp_path
     assert "/found: left out: nearer than nearest_m, 0.1 m: 1 in 1 messages" in read.notes
     fixed = RosBag(path=path, topics=with_detections(**entries, size=[0.5, 0.5, 1.0])).record(0, None)
     np.testing.assert_allclose(fixed.detections.size, [[0.5, 0.5, 1.0]])
+    for changed, message in (
+        (dict(position="plaice"), "plaice of lab_msgs/msg/Thing: found no 'plaice', .* did you mean 'place'"),
+        (dict(score="guesses.score"), "found no 'score', expected one of a number"),
+        (dict(score="guesses.0.score.x"), "found no 'x', expected one of no step"),
+        (dict(list="header"), "header of lab_msgs/msg/Found is no list of messages"),
+    ):
+        topics = with_detections(**entries | dict(fields=FIELDS | changed))
+        with pytest.raises(ConfigurationError, match=f"detections.fields: /found: .*{message}"):
+            RosBag(path=path, topics=topics).record(0, None)
 
 
 def test_truth_in_lists_keeps_the_same_objects(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from mast_datasets import RosBag, rosbag_storage
 from mast_datasets.rosbag_map import parse_map
 from mast_datasets.rosbag_reading import DetectionReader
 from mast_datasets.rosbag_storage import Topic
-from mast_datasets.rosbag_types import known_decoder, own_decoder, parse_definition
+from mast_datasets.rosbag_types import OwnType, known_decoder, parse_definition
 from rosbag_writer import Sent, odometry, pose_stamped, transforms, write_bag, write_recording
 
 from mast_zenoh.errors import ConfigurationError, MastError, MessageError, SceneError
@@ -277,6 +277,16 @@ def test_names_of_topics_do_not_reach_the_terminal_as_they_are(bag: Path) -> Non
         read(bag)
 
 
+def own_reader(**entries: Any) -> DetectionReader:
+    """A reader of detections of a type that is not known. entries: of the map"""
+    fields = dict(list="list", position="place", score="score")
+    sensor = dict(kind="camera", topic="/found", frame="a", fields=fields, size=[1.0, 1.0, 1.0]) | entries
+    (agent,) = parse_map(dict(agents=dict(ego=dict(pose=POSE, detections=sensor))), Path("map")).agents
+    entry = agent.sensors[0]
+    assert entry.source is not None
+    return DetectionReader(entry, entry.source, {})
+
+
 @pytest.mark.parametrize(
     "message",
     [
@@ -286,22 +296,31 @@ def test_names_of_topics_do_not_reach_the_terminal_as_they_are(bag: Path) -> Non
         {"header": {"stamp": {"sec": 1, "nanosec": 1}, "frame_id": 7}},
         {"header": HEADER, "list": np.zeros(3)},
         {"header": HEADER, "list": [{}] * 1001},
-        {"header": HEADER, "list": [5]},
-        {"header": HEADER, "list": [{"place": {"x": 1.0, "y": 2.0}}]},
-        {"header": HEADER, "list": [{"place": [1.0, 2.0]}]},
-        {"header": HEADER, "list": [{"place": ["a", "b", "c"]}]},
-        {"header": HEADER, "list": [{"place": [1.0, 2.0, 3.0], "score": "high"}]},
     ],
 )
 def test_messages_of_an_own_type_with_other_values_are_left_out(message: dict[str, Any]) -> None:
-    fields = dict(list="list", position="place", score="score")
-    sensor = dict(kind="camera", topic="/found", frame="a", fields=fields, size=[1.0, 1.0, 1.0])
-    (agent,) = parse_map(dict(agents=dict(ego=dict(pose=POSE, detections=sensor))), Path("map")).agents
-    entry = agent.sensors[0]
-    assert entry.source is not None
-    reader = DetectionReader(entry, entry.source, {})
+    reader = own_reader()
     reader.add(message, 0)
     assert (reader.used, sum(reader.remarks.values())) == (0, 1)
+
+
+@pytest.mark.parametrize(
+    "element",
+    [
+        5,
+        {"place": {"x": 1.0, "y": 2.0}},
+        {"place": [1.0, 2.0]},
+        {"place": ["a", "b", "c"]},
+        {"place": [1.0, 2.0, np.inf]},
+        {"place": [1.0, 2.0, 3.0], "score": "high"},
+        {"place": [1.0, 2.0, 3.0], "score": 7.0},
+    ],
+)
+def test_detections_of_an_own_type_with_other_values_are_left_out(element: Any) -> None:
+    reader = own_reader(axes=["z", "-x", "-y"])
+    reader.add({"header": HEADER, "list": [{"place": [1.0, 2.0, 3.0], "score": 0.5}, element]}, 0)
+    assert (reader.used, sum(reader.remarks.values())) == (1, 1)
+    np.testing.assert_array_equal(reader.measured().detections.position, [[3.0, -1.0, -2.0]])
 
 
 def test_poses_none_of_which_can_be_used_are_refused_with_the_reason(tmp_path: Path) -> None:
@@ -371,7 +390,7 @@ def topic(kind: str, definition: str = "") -> Topic:
 def test_own_types_are_decoded_as_rosbags_does(message: Any, little_endian: bool) -> None:
     kind = message.__msgtype__
     payload = bytes(type_store.STORE.serialize_cdr(message, kind, little_endian=little_endian))
-    _assert_same(own_decoder("bag", topic(kind), {})(payload), known_decoder("bag", topic(kind))(payload))
+    _assert_same(OwnType("bag", topic(kind), {}).decode(payload), known_decoder("bag", topic(kind))(payload))
 
 
 def _assert_same(found: Any, expected: Any) -> None:
@@ -395,7 +414,7 @@ def test_any_bytes_of_an_own_type_are_a_message_or_none(data: st.DataObject) -> 
     for _ in range(data.draw(st.integers(0, 4))):
         payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
     with contextlib.suppress(MessageError):
-        own_decoder("bag", topic(kind), {})(bytes(payload[: data.draw(st.integers(0, len(payload)))]))
+        OwnType("bag", topic(kind), {}).decode(bytes(payload[: data.draw(st.integers(0, len(payload)))]))
 
 
 @pytest.mark.parametrize(
@@ -411,15 +430,15 @@ def test_any_bytes_of_an_own_type_are_a_message_or_none(data: st.DataObject) -> 
 )
 def test_hostile_definitions_are_refused(definition: str, error: type[MastError], message: str) -> None:
     with pytest.raises(error, match=message):
-        own_decoder("bag", topic("a/msg/Own", definition), {})
+        OwnType("bag", topic("a/msg/Own", definition), {})
 
 
 def test_lists_of_absurd_length_end_with_the_message() -> None:
     for definition in ("uint8[999999999999] data\n", "string[999999999999] data\n", "a/Own2[999999999999] data\n"):
         other = {"a/msg/Own2": parse_definition("a/msg/Own2", "")}
-        decode = own_decoder("bag", topic("a/msg/Own", definition), other)
+        decode = OwnType("bag", topic("a/msg/Own", definition), other).decode
         with pytest.raises(MessageError, match="a/msg/Own"):
             decode(b"\0\1\0\0" + bytes(100))
-    decode = own_decoder("bag", topic("a/msg/Own", "float64[] data\n"), {})
+    decode = OwnType("bag", topic("a/msg/Own", "float64[] data\n"), {}).decode
     with pytest.raises(MessageError, match="4294967295 elements"):
         decode(b"\0\1\0\0" + b"\xff" * 4)
