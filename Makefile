@@ -27,7 +27,7 @@ test: .venv/ready
 	$(PYTEST) $(or $(TESTS),-m 'not heavy')
 
 # These, then the heavy ones: containers, hosts, browsers, the commands of pages, every way to end a run.
-test-all: test
+test-all: test .venv/ros2/ready
 	$(PYTEST) -m heavy
 
 # `make fuzz SEED=7` repeats the draws of an earlier run with that seed.
@@ -77,6 +77,7 @@ lock: .venv/tools/ready
 	$(LOCK) $(UPGRADE) --extra dev --output-file requirements-dev.txt pyproject.toml
 	$(LOCK) --constraint requirements-dev.txt --group build --output-file requirements.txt pyproject.toml
 	$(LOCK) $(UPGRADE) --group tools --output-file requirements-tools.txt
+	$(LOCK) $(UPGRADE) --group pyproject.toml:ros2 --output-file requirements-ros2.txt
 
 # Release files: source archives and wheels of the package and its plugin, and the bill of materials (CycloneDX) of the wheel with its dependencies.
 dist: .venv/ready .venv/tools/ready
@@ -106,6 +107,12 @@ INSTALL = $(BIN)/$(PIP) --no-deps --no-build-isolation --editable . --editable p
 .venv/tools/ready: requirements-tools.txt
 	$(PYTHON) -m venv .venv/tools
 	$(TOOLS)/$(PIP) --require-hashes --requirement requirements-tools.txt
+	touch $@
+
+# ROS 2 itself, for the tests that compare with it: they are skipped, with the reason, where there are no wheels of it.
+.venv/ros2/ready: requirements-ros2.txt | .venv/installed
+	$(PYTHON) -m venv .venv/ros2
+	-.venv/ros2/bin/$(PIP) --require-hashes --requirement requirements-ros2.txt
 	touch $@
 
 clean:

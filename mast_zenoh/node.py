@@ -25,11 +25,22 @@ import numpy as np
 
 from mast_zenoh.messages.limits import RowChoice
 from mast_zenoh.messages.schemas import BUILT_IN, Body, Schema
+from mast_zenoh.ros2.outside import Outside, OutsideTopics
 from mast_zenoh.wiring.model import Input, Wiring
 from mast_zenoh.wiring.received import Overheard, Received, Unopened
 
 #: The names for files of nodes and for the runtime.
-__all__ = ["Context", "Node", "Overheard", "Received", "Source", "Unopened", "handler_names"]
+__all__ = [
+    "Context",
+    "Node",
+    "Outside",
+    "OutsideTopics",
+    "Overheard",
+    "Received",
+    "Source",
+    "Unopened",
+    "handler_names",
+]
 
 
 class Context(Protocol):
@@ -47,6 +58,11 @@ class Context(Protocol):
     log: logging.Logger
     subscriptions: Mapping[str, Input]
     wiring: Wiring
+
+    @property
+    def outside(self) -> Outside:
+        """The link to programs outside the run, of a node that has topics there (`Node.outside_topics`)."""
+        ...
 
     @property
     def now_ns(self) -> int:
@@ -157,6 +173,16 @@ class Node:
         Receivers reject messages whose time is off by more than the sum over all nodes plus `limits.LEEWAY_S`.
         """
         return 0.0
+
+    def outside_topics(self, context: Context) -> OutsideTopics | None:
+        """The topics on which the node, as configured, receives messages from outside the run; None: it has no link.
+
+        Called before `start`, when `context` has no link yet. The link is open from `start` to `finish`.
+        """
+        return None
+
+    def arrived(self, context: Context) -> None:
+        """Called in real time when messages from outside have arrived; `context.outside.take()` has them."""
 
     def choice(self, port: str, subject: str, step: int) -> RowChoice | None:
         """Which rows of a message on an input port are used; None: up to its limit, those with the highest scores.

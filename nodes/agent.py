@@ -12,7 +12,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion, states_to_local, states_to_world
-from mast_zenoh.arrays.states import Detections, ObjectStates
+from mast_zenoh.arrays.states import Detections, Floats, ObjectStates
 from mast_zenoh.gather import Gather, LatestBefore
 from mast_zenoh.integrity.views import UNKNOWN_SPACE, SweptView, view_columns
 from mast_zenoh.node import Context, Node, Received
@@ -39,6 +39,21 @@ class Measurement(NamedTuple):
     sensor: int
     detections: Detections
     mount: Pose
+
+
+class Perceived(NamedTuple):
+    """What an agent perceived in a frame.
+
+    pose: of the agent in the world; mount: of its first sensor
+    free: how far that one sees in each direction; None: unknown
+    """
+
+    frame: int
+    time_ns: int
+    pose: Pose
+    mount: Pose
+    measured: list[Measurement]
+    free: Floats | None
 
 
 class Agent(Node):
@@ -174,15 +189,33 @@ class Agent(Node):
         if pose is None or mount is None:
             return  # its pose or its sensor's mount has never arrived
         self.last, self.mount, self.newest_ns = pose, mount, time_ns
-        origin, rotation = self.pipeline.reference(pose)
-        for each in sorted(measured, key=lambda each: (each.time_ns, each.sensor)):
+        free = items["sweep"].body["free"] if "sweep" in items else None
+        self.estimate(Perceived(frame, time_ns, pose, mount, measured, free), context)
+
+    def estimate(self, perceived: Perceived, context: Context) -> None:
+        """Track what was perceived in a frame, and publish both estimates."""
+        tracks = self.track(perceived)
+        self.publish_tracks(perceived, tracks, context)
+        self.publish_mission(perceived, tracks, context)
+
+    def track(self, perceived: Perceived) -> ObjectStates:
+        """The tracks at the time of a frame, in the pipeline's frame of reference."""
+        for each in sorted(perceived.measured, key=lambda each: (each.time_ns, each.sensor)):
             probability = self.sensors[each.sensor].detection_probability if self.sensors else None
             of_sensor = self.lidars[each.sensor], *(() if probability is None else (probability,))
-            self.tracks, origin, rotation = self.pipeline.track(
-                each.time_ns, each.detections, pose, each.mount, *of_sensor
+            self.tracks, _, _ = self.pipeline.track(
+                each.time_ns, each.detections, perceived.pose, each.mount, *of_sensor
             )
             self.tracks_ns = each.time_ns
-        tracks = predicted(self.tracks, (time_ns - self.tracks_ns) * 1e-9)
+        return predicted(self.tracks, (perceived.time_ns - self.tracks_ns) * 1e-9)
+
+    def publish_tracks(self, perceived: Perceived, tracks: ObjectStates, context: Context) -> None:
+        """Publish the tracks of a frame, and its view.
+
+        tracks: at the time of the frame, in the pipeline's frame of reference
+        """
+        frame, time_ns, pose, mount, _, free = perceived
+        origin, rotation = self.pipeline.reference(pose)
         reference, published = {"origin": origin, "rotation": rotation}, tracks
         if self.tracks_from == "agent":
             turn = WORLD["rotation"]
@@ -191,14 +224,18 @@ class Agent(Node):
             published = states_to_local(states_to_world(tracks, origin, rotation), pose.position, turn)
             reference = {"origin": pose.position, "rotation": turn}
         context.publish("tracks", published.columns() | reference, frame=frame, time_ns=time_ns)
-        free = items["sweep"].body["free"] if "sweep" in items else UNKNOWN_SPACE
         if context.connected("view"):
             view = self.pipeline.view(pose, mount, self.lidars[0])
-            context.publish("view", view_columns(view, free), frame=frame, time_ns=time_ns)
+            swept = UNKNOWN_SPACE if free is None else free
+            context.publish("view", view_columns(view, swept), frame=frame, time_ns=time_ns)
+
+    def publish_mission(self, perceived: Perceived, tracks: ObjectStates, context: Context) -> None:
+        """Publish the mission estimate of a frame, and its status. tracks: see `publish_tracks`"""
+        frame, time_ns, pose, mount, measured, free = perceived
         if context.connected("mission"):
-            if "sweep" in items:
+            if free is not None:
                 self.pipeline.mission.look(SweptView(self.pipeline.view(pose, mount, self.lidars[0]), free))
-            own = states_to_world(tracks, origin, rotation)
+            own = states_to_world(tracks, *self.pipeline.reference(pose))
             mission = self.pipeline.mission.estimate(time_ns, own, self.picture_at(frame, time_ns))
             context.publish("mission", mission.columns() | WORLD, frame=frame, time_ns=time_ns)
         if frame % self.status_every == 0:

@@ -23,6 +23,7 @@ LOCKS = {
         *PROJECT["build-system"]["requires"],
     ],
     "requirements-tools.txt": PROJECT["dependency-groups"]["tools"],
+    "requirements-ros2.txt": PROJECT["dependency-groups"]["ros2"],
 }
 
 #: Their major versions follow the calendar (setuptools: every removal of a feature): a bound would only exclude fixes.

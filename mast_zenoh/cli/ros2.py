@@ -31,18 +31,25 @@ _READY_S = 60.0  # for a bridge to be ready, for which a run waits
 _LAST_FRAMES_S = 20.0  # for a bridge to send the rest of a run that has ended
 
 
+Router = Annotated[str, typer.Option(metavar="ENDPOINT", help="The router of rmw_zenoh.")]
+Domain = Annotated[int, typer.Option(help="ROS_DOMAIN_ID.")]
+TlsCa = Annotated[
+    Path | None, typer.Option("--tls-ca", help="The router demands TLS: certificate of its authority, PEM.")
+]
+TlsCertificate = Annotated[
+    Path | None, typer.Option("--tls-certificate", help="The own certificate, if the router demands one.")
+]
+TlsKey = Annotated[Path | None, typer.Option("--tls-key", help="The key of that certificate.")]
+
+
 def ros2(
     target: Annotated[str, run_argument("The folder of a run, finished or running; or its router, tcp/HOST:PORT.")],
-    router: Annotated[str, typer.Option(metavar="ENDPOINT", help="The router of rmw_zenoh.")] = ROUTER,
-    domain: Annotated[int, typer.Option(help="ROS_DOMAIN_ID.")] = 0,
+    router: Router = ROUTER,
+    domain: Domain = 0,
     namespace: Annotated[str, typer.Option(help="Before the topics of objects and odometry.")] = "/",
-    tls_ca: Annotated[
-        Path | None, typer.Option("--tls-ca", help="The router demands TLS: certificate of its authority, PEM.")
-    ] = None,
-    tls_certificate: Annotated[
-        Path | None, typer.Option("--tls-certificate", help="The bridge's own certificate, if it demands one.")
-    ] = None,
-    tls_key: Annotated[Path | None, typer.Option("--tls-key", help="The key of that certificate.")] = None,
+    tls_ca: TlsCa = None,
+    tls_certificate: TlsCertificate = None,
+    tls_key: TlsKey = None,
     rate: Annotated[float, typer.Option(min=0.01, max=100.0, help="Finished run: s of the scene per s.")] = 1.0,
     loop: Annotated[bool, typer.Option("--loop", help="Finished run: begin again at the end.")] = False,
     every_frame: Annotated[
@@ -62,9 +69,7 @@ def ros2(
     Nothing of ROS needs to be installed here, but a router of rmw_zenoh must be running. Ctrl-C ends the bridge, never
     the run.
     """
-    tls = {"ca": tls_ca, "certificate": tls_certificate, "key": tls_key}
-    tls = {name: value for name, value in tls.items() if value is not None}
-    config = {"router": router, "domain": domain, **({"tls": tls} if tls else {})}
+    config = _config(router, domain, tls_ca, tls_certificate, tls_key)
     connection = Connection.of(config, "ros2")
     if attached:
         _observe(target, run, allowed_code(confirmed=confirmed), connection, namespace, every_frame=every_frame)
@@ -81,6 +86,61 @@ def ros2(
     _play(shown.folder, connection, namespace, rate=rate, loop=loop)
 
 
+def between(
+    topic: str,
+    file: str,
+    settings: list[str],
+    *,
+    type_name: str,
+    odometry: str,
+    seed: int,
+    launch: Path | None,
+    router: tuple[str, int, Path | None, Path | None, Path | None],
+) -> None:
+    """Put a node or an attack between two ROS 2 nodes until Ctrl-C, see `mast_zenoh.launch.ros2_interception`.
+
+    launch: a new file for the launch file that remaps the publisher;  router: as the options of `ros2` say it
+    """
+    from mast_zenoh.launch.folder import write_new
+
+    with bridge_modules():
+        from mast_zenoh.launch.ros2_interception import (
+            BEFORE,
+            check_interception,
+            intercept_topic,
+            interposer_of,
+            launch_fragment,
+        )
+    connection = Connection.of(_config(*router), "ros2")
+    check_interception(topic, type_name)
+    interposer = interposer_of(file, topic, settings, seed)
+    if launch is not None:
+        write_new(launch, lambda path: path.write_text(launch_fragment(topic), encoding="utf-8"))
+        print_line(f"publisher: ros2 launch {launch} file:=ITS_LAUNCH_FILE")
+    print_line(f"publisher: ros2 run PACKAGE NODE --ros-args -r {topic}:={topic}{BEFORE}")
+
+    def ready() -> None:
+        print_line(f"{file} is between {topic}{BEFORE} and {topic} on {connection.router}, domain {connection.domain}")
+        print_line(LAST_LINE)
+
+    counts = intercept_topic(
+        connection, topic, type_name, interposer, threading.Event(), odometry=odometry, ready=ready
+    )
+    print_line("")
+    print_line(f"messages: {counts['messages']}, changed: {counts['changed']}, published: {counts['published']}")
+    for reason, number in counts["refused"].items():
+        _err.warn(f"{number} messages were not understood: {reason}")
+
+
+def _config(
+    router: str, domain: int, tls_ca: Path | None, tls_certificate: Path | None, tls_key: Path | None
+) -> dict[str, Any]:
+    """A connection as a scenario has it."""
+    tls = {"ca": tls_ca, "certificate": tls_certificate, "key": tls_key}
+    tls = {name: value for name, value in tls.items() if value is not None}
+    return {"router": router, "domain": domain, **({"tls": tls} if tls else {})}
+
+
 def _words(config: Mapping[str, Any]) -> list[str]:
     """A connection as options of this command."""
     words = {"router": config.get("router", ROUTER), "domain": config.get("domain", 0)}
@@ -90,7 +150,7 @@ def _words(config: Mapping[str, Any]) -> list[str]:
 
 def _play(folder: Path, connection: Connection, namespace: str, *, rate: float, loop: bool) -> None:
     """Publish a finished run until its end, or Ctrl-C."""
-    with _bridge_modules():
+    with bridge_modules():
         from mast_zenoh.viewer.recorded import RecordedRun
         from mast_zenoh.viewer.servers.ros2 import Ros2Bridge, played
 
@@ -105,7 +165,7 @@ def _observe(
     target: str, run: str, allowed: AllowedCode, connection: Connection, namespace: str, *, every_frame: bool
 ) -> None:
     """Publish a running run until its end, or until standard input ends."""
-    with _bridge_modules():
+    with bridge_modules():
         from mast_zenoh.viewer.live import priority
         from mast_zenoh.viewer.live.every_frame import EveryFrame
         from mast_zenoh.viewer.live.observer import Observer
@@ -202,7 +262,7 @@ def _wait_for(ready: threading.Event, context: RunContext) -> None:
 @contextmanager
 def _participant(connection: Connection, namespace: str) -> Iterator[Participant]:
     """The bridge's node, which is named; what it lacks is loaded first."""
-    with _bridge_modules():
+    with bridge_modules():
         from mast_zenoh.runtime.mesh.ros2_participant import Participant
         from mast_zenoh.viewer.servers.ros2 import NODE
     try:
@@ -215,7 +275,7 @@ def _participant(connection: Connection, namespace: str) -> Iterator[Participant
 
 
 @contextmanager
-def _bridge_modules() -> Iterator[None]:
+def bridge_modules() -> Iterator[None]:
     """Raise ExportError if an import in this context fails because the extra `ros2` is not installed."""
     try:
         yield

@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from mast_zenoh.cli import completion, options, standard_streams
+from mast_zenoh.cli import completion, options, ros2, standard_streams
 from mast_zenoh.cli.options import err as _err
 from mast_zenoh.cli.options import out as _out
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.launch import stop_signals
+from mast_zenoh.ros2.connection import ROUTER
 from mast_zenoh.run_files import reading
 from mast_zenoh.viewer.formats import FormatName
 
@@ -207,15 +208,18 @@ def logs(
         _err.warn(f"{run_folder / log}: {problem}")
 
 
+_BETWEEN = "Between two ROS 2 nodes"
+
+
 def intercept(
-    run_folder: RunningRun,
-    wire: Annotated[str, typer.Option(help="The wire to intercept: agent/infra_2/tracks.")],
+    run_folder: Annotated[Path | None, options.run_argument("The folder of a running run.")] = None,
+    wire: Annotated[str, typer.Option(help="The wire to intercept: agent/infra_2/tracks.")] = "",
     node: Annotated[
         str,
         typer.Option(
             "--with", metavar="NODE.py|ATTACK", help="A node's file; or an attack: its name, FILE.py or FILE.py:CLASS."
         ),
-    ],
+    ] = "",
     name: Annotated[str | None, typer.Option(help="Name of the new node. Default: its file's, with a number.")] = None,
     before: Annotated[
         str, typer.Option(metavar="NODE", help="The only subscriber before which it comes. Default: all of them.")
@@ -226,8 +230,56 @@ def intercept(
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A parameter of the node, or a dotted path.")
     ] = None,
     confirmed: options.Confirmed = False,
+    topic: Annotated[
+        str,
+        typer.Option(
+            "--ros2",
+            metavar="TOPIC",
+            help="Instead of a run: publish TOPIC as the node wants it, from what its publisher, remapped, says on "
+            "TOPIC/before.",
+            rich_help_panel=_BETWEEN,
+        ),
+    ] = "",
+    type_name: Annotated[
+        str,
+        typer.Option("--type", help="Of its messages; or vision_msgs/msg/Detection3DArray.", rich_help_panel=_BETWEEN),
+    ] = "autoware_perception_msgs/msg/TrackedObjects",
+    odometry: Annotated[
+        str,
+        typer.Option(
+            metavar="TOPIC",
+            help="Where the publisher is, in the frame of its objects. Default: at the origin.",
+            rich_help_panel=_BETWEEN,
+        ),
+    ] = "",
+    launch: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Write a launch file that starts another one with the topic remapped.",
+            rich_help_panel=_BETWEEN,
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of its random draws.", rich_help_panel=_BETWEEN)] = 0,
+    router: ros2.Router = ROUTER,
+    domain: ros2.Domain = 0,
+    tls_ca: ros2.TlsCa = None,
+    tls_certificate: ros2.TlsCertificate = None,
+    tls_key: ros2.TlsKey = None,
 ) -> None:
-    """Insert a node into a wire during a run; no message is lost or duplicated."""
+    """Insert a node into a wire during a run; no message is lost or duplicated. Or put it between two ROS 2 nodes."""
+    options.refuse(not node, "expected a node or an attack", "--with")
+    if topic:
+        of_runs = {"RUN": run_folder, "--wire": wire, "--name": name, "--before": before, "--input": input}
+        given = [option for option, value in {**of_runs, "--output": output}.items() if value]
+        options.refuse(given, f"found {', '.join(given)} and --ros2: there is no run between two ROS 2 nodes")
+        place = (router, domain, tls_ca, tls_certificate, tls_key)
+        chosen: dict[str, Any] = {"type_name": type_name, "odometry": odometry, "seed": seed, "launch": launch}
+        ros2.between(topic, node, settings or [], router=place, **chosen)
+        return
+    options.refuse(run_folder is None or not wire, "expected the folder of a running run and --wire, or --ros2 TOPIC")
+    options.refuse(launch or odometry, "--launch and --odometry are for --ros2")
+    assert run_folder is not None
     from mast_zenoh.launch import live_interception
 
     result = live_interception.intercept(

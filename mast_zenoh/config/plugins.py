@@ -217,6 +217,7 @@ DATA_SETS = {
     "RCooperScene": DataSet("rcooper", "RCooper"),
     "TUMTrafV2X": DataSet("tumtraf", "TUMTraf V2X"),
     "UrbanIngV2X": DataSet("urbaning", "UrbanIng-V2X"),
+    "RosBag": DataSet("rosbag", "ROS 2 bags"),
 }
 
 

@@ -221,6 +221,11 @@ class Resolved:
             (run_folder / name).write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 
 
+def has_topics_outside(spec: NodeSpec) -> bool:
+    """Whether a node exchanges messages with programs outside the run."""
+    return loading.node_class(Path(spec.file), spec.type).outside_topics is not Node.outside_topics
+
+
 def build_node(spec: NodeSpec, name: str, place: str = "scenario.json", cls: type[Node] | None = None) -> Node:
     """Build the node of a spec.
 

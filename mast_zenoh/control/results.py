@@ -13,7 +13,7 @@ import msgpack
 import numpy as np
 from msgspec import UNSET, Meta, UnsetType
 
-from mast_zenoh.config.resolved import NodeSpec
+from mast_zenoh.config.resolved import NodeSpec, has_topics_outside
 from mast_zenoh.control import codec
 from mast_zenoh.control.codec import (
     ONE_LINE,
@@ -174,6 +174,22 @@ def left_out(results: Mapping[str, Mapping[str, Any]]) -> dict[str, int]:
     """Number of tracks by agent that input limits left out: of the node that left out most."""
     counts = [counts_of(result.get("left_out")) for result in results.values()]
     return {agent: max(count.get(agent, 0) for count in counts) for agent in sorted(set().union(*counts))}
+
+
+def outside(results: Mapping[str, Mapping[str, Any]], nodes: Mapping[str, NodeSpec]) -> dict[str, dict[str, Any]]:
+    """What nodes that exchange messages with programs outside the run counted, by node, see `FrameExchange.results`.
+
+    A node that handed in no counts has 0 everywhere.
+    """
+    found: dict[str, dict[str, Any]] = {}
+    for name, spec in nodes.items():
+        if has_topics_outside(spec):
+            value = results.get(name, {}).get("outside")
+            told = value if isinstance(value, Mapping) else {}
+            names = ("asked", "answered", "late", "unanswered")
+            counts = dict.fromkeys(names, 0) | {key: n for key, n in counts_of(told).items() if key in names}
+            found[name] = {**counts, **{part: counts_of(told.get(part)) for part in ("refused", "left_out")}}
+    return found
 
 
 def counts_of(value: object) -> dict[str, int]:

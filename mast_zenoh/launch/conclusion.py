@@ -109,6 +109,8 @@ def write(
     if "replay" in record:
         measured["replay"] = {key: value for key, value in record["replay"].items() if key != "notices"}
     refused = write_results(folder, handed_in, measured)
+    if outside := results.outside(handed_in, resolved.nodes):
+        record["outside"] = outside
     record["notices"] = notices.of_run(resolved, record, collations, measured, refused, results.left_out(handed_in))
     metrics = handed_in.get(results.EVALUATOR, {}).get("metrics")
     if isinstance(metrics, Mapping):

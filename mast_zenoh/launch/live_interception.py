@@ -181,7 +181,7 @@ def plan(
     if wire not in wires:
         raise WiringError(f"no wire {wire!r}{nearest(wire, wires)}")
     unread = _load_modules(resolved)
-    path, config = _node_of(file, nested(settings))
+    path, config = node_of(file, nested(settings))
     target = wires[wire]
     cls = loading.node_class(path, config.get("type"))
     declared = {schema.name: schema for schema in resolved.messages}
@@ -216,7 +216,7 @@ def _load_modules(resolved: Resolved) -> UntrustedCode | None:
     return None
 
 
-def _node_of(text: str, config: dict[str, Any]) -> tuple[Path, dict[str, Any]]:
+def node_of(text: str, config: dict[str, Any]) -> tuple[Path, dict[str, Any]]:
     """(file, parameters) of the node that `--with` names; of an attack, those of the shipped adversary."""
     file, _, name = text.partition(":")
     path = bundle.find("nodes", file, Path.cwd())
@@ -259,8 +259,9 @@ def _place(
     (such as an adversary's report).
     """
     placed = {port: message for port, message in cls.inputs.items() if port not in cls.listening or port == input}
-    input_port = _port(placed, target, input, f"{path}: {cls.__name__}", "input")
-    output_port = _port(cls.outputs, target, output, f"{path}: {cls.__name__}", "output")
+    place, wire = f"{path}: {cls.__name__}", f"the wire {target.key!r}"
+    input_port = port_of(placed, target.message, input, place, "input", wire)
+    output_port = port_of(cls.outputs, target.message, output, place, "output", wire)
     other_inputs: dict[str, str] = {}
     usual = _usual_inputs(cls)
     for port, message in cls.inputs.items():
@@ -279,26 +280,26 @@ def _place(
     return Place(target.key, input_port, output_port, other_inputs, published_wires)
 
 
-def _port(ports: Mapping[str, str], target: Wire, requested: str | None, place: str, side: str) -> str:
+def port_of(ports: Mapping[str, str], message: str, requested: str | None, place: str, side: str, wire: str) -> str:
+    """The port of a node for messages of a type: the requested one, or the only one.
+
+    ports: those of a side, "input" or "output", with their types;  wire: what carries the messages, for errors
+    """
     if ANY in ports.values():
         raise NodeFileError(f"{place} subscribes to every key: it cannot be put on a wire")
-    matching = [port for port, message in ports.items() if message == target.message]
-    of_type = {"input": target.message, "output": f"{target.message}_out"}[side]
+    matching = [port for port, carried in ports.items() if carried == message]
+    of_type = {"input": message, "output": f"{message}_out"}[side]
     if requested is not None:
         if requested not in ports:
             raise NodeFileError(f"{place}: no {side} port {requested!r}{nearest(requested, ports)}")
         if requested not in matching:
-            raise NodeFileError(
-                f"{place}: {side} {requested!r} carries {ports[requested]!r} messages, not {target.message!r}"
-            )
+            raise NodeFileError(f"{place}: {side} {requested!r} carries {ports[requested]!r} messages, not {message!r}")
         return requested
     if of_type in matching:  # a link has more ports for other wires of this type
         return of_type
     if len(matching) != 1:
         candidates = f"the {side}s {', '.join(matching)}: choose one with --{side}" if matching else f"no {side}"
-        raise NodeFileError(
-            f"{place}: {candidates} for {target.message!r} messages, which the wire {target.key!r} carries"
-        )
+        raise NodeFileError(f"{place}: {candidates} for {message!r} messages, which {wire} carries")
     return matching[0]
 
 

@@ -68,6 +68,7 @@ def of_run(
         ("churn", *_churned(record)),
         ("recording", *_first(of_recording(record))),
         ("disconnected", *_first(record.get("disconnected", ()))),
+        *(("outside", *_outside(name, counts)) for name, counts in record.get("outside", {}).items()),
         ("results", len(refused), f"{len(refused)} refused: {'; '.join(refused)}"),
     ]
     return [{"kind": kind, "count": count, "text": text} for kind, count, text in parts if count]
@@ -90,6 +91,24 @@ def of_scores(metrics: Mapping[str, Any], played: int | None = None) -> list[dic
     frames = "the only frame is" if count == 1 else f"all {count} frames are"
     text = f"too short to score settled frames alone: {frames} scored, including frames in which tracks begin"
     return [*notices, {"kind": "unsettled", "count": count, "text": text}]
+
+
+def _outside(name: str, counts: Mapping[str, Any]) -> tuple[int, str]:
+    """(count, text) of what a node received from outside the run, by its own count."""
+    asked, unanswered, late = counts["asked"], counts["unanswered"], counts["late"]
+    text = f"{name} uses a program outside the run, on which the results depend: "
+    if not asked:
+        text += "it was sent no message"
+    elif not (unanswered or late):
+        text += f"it answered each of {number(asked, 'message')}"
+    else:
+        text += f"{unanswered + late} of {number(asked, 'message')} had no answer in time"
+        text += f", {late} had one later" if late else ""
+    refused = Counter(counts["refused"])
+    if refused:
+        reason, most = min(refused.items(), key=lambda item: (-item[1], item[0]))
+        text += f"; it refused {number(refused.total(), 'received message')} (most: {most}, {reason})"
+    return max(1, unanswered + late), text
 
 
 def _late(late: Mapping[str, int]) -> tuple[int, str]:

@@ -252,7 +252,9 @@ def _run_inproc(
             display.update(frame, lambda: observation.status(frame, process.hosts))
             return not received
 
-        process = InProcess(resolved.in_folder(folder), progress=progress, tap=observation.tap)
+        process = InProcess(
+            resolved.in_folder(folder), progress=progress, tap=observation.tap, stopping=lambda: bool(received)
+        )
         outcomes: dict[str, dict[str, Any]] = {}
         try:
             with stop_signals.second_interrupts(received):

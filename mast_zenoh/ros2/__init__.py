@@ -17,5 +17,6 @@ object_markers    objects as a MarkerArray, for RViz
 pose_messages     poses as TFMessage and Odometry; Clock
 trust_messages    trust as a DiagnosticArray
 received_objects  Detection3DArray, DetectedObjects and TrackedObjects as our objects
+altered_objects   messages of objects some of which an interposer has altered
 received_poses    Odometry and TFMessage as our poses
 """

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from mast_zenoh.arrays.geometry import rotation_from_quaternion, scalar_last_quaternions
-from mast_zenoh.arrays.states import CLASSES, Floats, ObjectStates
+from mast_zenoh.arrays.states import CLASSES, Detections, Floats, ObjectStates
 from mast_zenoh.ros2 import type_store
 from mast_zenoh.ros2.object_ids import uuids
 from mast_zenoh.ros2.spatial import duration, header, poses, turned, upper_left, vectors
@@ -68,6 +68,20 @@ _Classification, _Shape, _Path, _TrackedKinematics, _Tracked, _PredictedKinemati
 
 _ZERO = _Vector(0.0, 0.0, 0.0)
 _NO_ACCELERATION = _AccelWithCovariance(_Accel(_ZERO, _ZERO), np.zeros(36))
+
+
+def states_of(detections: Detections) -> ObjectStates:
+    """Detections as states whose ids are their rows, in the same frame."""
+    covariance = np.zeros((len(detections), 9, 9))
+    covariance[:, :3, :3] = detections.covariance
+    return ObjectStates.of(
+        detections.position,
+        size=detections.size,
+        yaw=detections.yaw,
+        score=detections.score,
+        class_id=detections.class_id,
+        covariance=covariance,
+    )
 
 
 def detection_array(states: ObjectStates, time_ns: int, frame_id: str) -> RosMessage:

@@ -1,5 +1,7 @@
 """Objects of ROS 2 as ours: Detection3DArray and DetectedObjects as detections, TrackedObjects as tracks.
 
+A Detection3DArray with ids can be tracks, too, without velocities.
+
 A message that is none raises an error. Objects that cannot be used are left out and counted by reason.
 """
 
@@ -16,7 +18,7 @@ from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Detections, Floats, Ints, ObjectStates
 from mast_zenoh.errors import MessageError
 from mast_zenoh.ros2 import type_store
-from mast_zenoh.ros2.object_ids import id_of_uuid
+from mast_zenoh.ros2.object_ids import id_of_text, id_of_uuid
 from mast_zenoh.ros2.object_messages import AUTOWARE_LABELS
 from mast_zenoh.ros2.spatial import MOST_METRES, frame_of, is_unit, pose_rows, time_of, turned, vector_rows
 from mast_zenoh.ros2.type_store import RosMessage
@@ -71,6 +73,7 @@ class Received(Generic[Objects]):
     frame_id: name of their frame of reference
     time_ns:  ns, of its header
     objects:  those that can be used
+    rows:     (n,) where they are in the message
     dropped:  number of the others, by reason
     unclassified: number of objects with a class that is not ours; they are of the class unknown
     """
@@ -78,6 +81,7 @@ class Received(Generic[Objects]):
     frame_id: str
     time_ns: int
     objects: Objects
+    rows: Ints
     dropped: Mapping[str, int]
     unclassified: int
 
@@ -105,16 +109,18 @@ def received_detections(message: RosMessage) -> Received[Detections]:
 
 
 def received_tracks(message: RosMessage, assumed: Uncertainty = ASSUMED) -> Received[ObjectStates]:
-    """The tracks of TrackedObjects, in the frame of its header.
+    """The tracks of TrackedObjects or of a Detection3DArray with ids, in the frame of its header.
 
-    assumed: where a covariance is 0, and for sizes, whose variances Autoware does not have
+    assumed: where a covariance is 0, and for sizes, whose variances neither type has. The velocities of a
+             Detection3DArray are 0, with this uncertainty
 
     Of several objects with one id, the first counts. Raises MessageError for another type, too many objects, or an
     invalid header.
     """
-    if message.__msgtype__ != type_store.TRACKED_OBJECTS:
-        raise MessageError(f"{message.__msgtype__}: expected {type_store.TRACKED_OBJECTS}")
-    rows = _tracked_rows(message)
+    read = {type_store.TRACKED_OBJECTS: _tracked_rows, type_store.DETECTIONS: _vision_tracks}
+    if message.__msgtype__ not in read:
+        raise MessageError(f"{message.__msgtype__}: expected {' or '.join(read)}")
+    rows = read[message.__msgtype__](message)
     keep = rows.usable()
     rotation = rotation_from_quaternion(rows.quaternion[keep])
     covariance = np.zeros((int(keep.sum()), 9, 9))
@@ -139,6 +145,7 @@ def _received(message: RosMessage, objects: Objects, rows: _Rows, keep: Bools) -
         frame_of(message.header.frame_id),
         time_of(message.header.stamp),
         objects,
+        keep.nonzero()[0].astype(np.int64),
         dict(rows.dropped),
         int(np.count_nonzero(rows.unclassified & keep)),
     )
@@ -150,7 +157,7 @@ class _Rows:
     id: (n,); position: (n, 3) m; quaternion: (n, 4) w x y z; size: (n, 3) m; score: (n,); class_id: (n,) uint8
     position_covariance: (n, 3, 3) m²
     velocity: (n, 3) m/s, velocity_covariance: (n, 3, 3) m²/s², in the axes of the object
-    unclassified: (n,) whether the class is not ours
+    unclassified: (n,) whether the class is not ours;  named: (n,) whether it has an id, where ids are needed
     """
 
     def __init__(self, message: RosMessage, number: int) -> None:
@@ -162,6 +169,7 @@ class _Rows:
         self.score = np.ones(number)
         self.class_id = np.zeros(number, np.uint8)
         self.unclassified: Bools = np.zeros(number, bool)
+        self.named: Bools = np.ones(number, bool)
         self.position_covariance, self.velocity_covariance = np.zeros((2, number, 3, 3))
         self.dropped: Counter[str] = Counter()
 
@@ -223,6 +231,7 @@ class _Rows:
         speed = np.linalg.norm(self.velocity, axis=1)
         yield f"velocity: beyond {MOST_SPEED:g} m/s", np.asarray(speed <= MOST_SPEED)
         yield "score: not from 0 to 1", (self.score >= 0.0) & (self.score <= 1.0)
+        yield "id: none", self.named
 
 
 def _vision_rows(message: RosMessage) -> _Rows:
@@ -241,6 +250,13 @@ def _vision_rows(message: RosMessage) -> _Rows:
     rows.position_covariance = _of_positions(
         [np.zeros(36) if result is None else result.pose.covariance for result in best]
     )
+    return rows
+
+
+def _vision_tracks(message: RosMessage) -> _Rows:
+    rows = _vision_rows(message)
+    rows.id = np.array([id_of_text(each.id) for each in message.detections], np.int64)
+    rows.named = np.array([each.id != "" for each in message.detections], bool)
     return rows
 
 

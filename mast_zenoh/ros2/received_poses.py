@@ -1,4 +1,4 @@
-"""Poses of ROS 2 as ours: Odometry as a `pose`, TFMessage as transforms between frames."""
+"""Poses of ROS 2 as ours: Odometry as a `pose`; TFMessage and all other poses as transforms between frames."""
 
 from __future__ import annotations
 
@@ -18,6 +18,10 @@ from mast_zenoh.ros2.type_store import RosMessage
 
 #: Transforms of a message, at most: a vehicle has tens.
 MOST_TRANSFORMS = 1000
+
+
+#: Types of a pose without a velocity.
+PLACES = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped")
 
 
 class ReceivedPose(NamedTuple):
@@ -63,6 +67,21 @@ def received_pose(message: RosMessage) -> ReceivedPose:
     return ReceivedPose(frame_id, child, time_of(message.header.stamp), columns)
 
 
+def received_place(message: RosMessage) -> ReceivedPose:
+    """The pose in a PoseStamped or a PoseWithCovarianceStamped; child_frame_id is empty, and the velocity 0.
+
+    Raises MessageError as `received_pose` does.
+    """
+    if message.__msgtype__ not in PLACES:
+        raise MessageError(f"{message.__msgtype__}: expected {' or '.join(PLACES)}")
+    inner = message.pose if message.__msgtype__ == PLACES[0] else message.pose.pose
+    pose = pose_rows([inner])[0]
+    if reason := _reason(pose):
+        raise MessageError(f"{message.__msgtype__}: pose: {reason}")
+    columns = {"position": pose[:3], "rotation": pose[3:], "velocity": np.zeros(3)}
+    return ReceivedPose(frame_of(message.header.frame_id), "", time_of(message.header.stamp), columns)
+
+
 def received_transforms(message: RosMessage) -> ReceivedTransforms:
     """The transforms in a TFMessage; raises MessageError for another type or too many of them."""
     if message.__msgtype__ != type_store.TF_MESSAGE:
@@ -79,21 +98,60 @@ def received_transforms(message: RosMessage) -> ReceivedTransforms:
     return ReceivedTransforms(tuple(transforms), dict(dropped))
 
 
+def stamped_poses(message: RosMessage) -> ReceivedTransforms:
+    """The poses in a message of a type of POSES, as transforms; the child of a pose without one is "".
+
+    A single pose that cannot be used is counted, as those of a TFMessage are. Raises MessageError for another type or
+    too many transforms.
+    """
+    kind = message.__msgtype__
+    if kind == type_store.TF_MESSAGE:
+        return received_transforms(message)
+    if kind not in POSES:
+        raise MessageError(f"{kind}: expected {', '.join(POSES)}")
+    try:
+        if kind == _TRANSFORM_STAMPED:
+            return ReceivedTransforms((_transform(message),), {})
+        pose = message.pose if kind == _POSE_STAMPED else message.pose.pose
+        child = message.child_frame_id.removeprefix("/") if kind == type_store.ODOMETRY else ""
+        return ReceivedTransforms((_placed(message.header, child, pose.position, pose.orientation),), {})
+    except MessageError as error:
+        return ReceivedTransforms((), {str(error): 1})
+
+
+_POSE_STAMPED, _TRANSFORM_STAMPED = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped"
+#: Types that `stamped_poses` reads.
+POSES = (
+    type_store.ODOMETRY,
+    type_store.TF_MESSAGE,
+    _POSE_STAMPED,
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    _TRANSFORM_STAMPED,
+)
+
+
 def _transform(stamped: RosMessage) -> Transform:
     """A transform; raises MessageError with a reason without values that the sender chooses."""
-    position, turn = stamped.transform.translation, stamped.transform.rotation
+    try:
+        child = frame_of(stamped.child_frame_id)
+    except MessageError:
+        raise MessageError("frame_id: invalid") from None
+    result = _placed(stamped.header, child, stamped.transform.translation, stamped.transform.rotation)
+    if result.parent == child:
+        raise MessageError("frame_id: a frame is its own parent")
+    return result
+
+
+def _placed(header: RosMessage, child: str, position: RosMessage, turn: RosMessage) -> Transform:
+    """A position and a quaternion; raises MessageError with a reason without values that the sender chooses."""
     values = np.array([position.x, position.y, position.z, turn.w, turn.x, turn.y, turn.z])
     reason = _reason(values)
     if reason:
         raise MessageError(reason)
     try:
-        parent, child = frame_of(stamped.header.frame_id), frame_of(stamped.child_frame_id)
-        time_ns = time_of(stamped.header.stamp)
+        return Transform(frame_of(header.frame_id), child, time_of(header.stamp), values[:3], values[3:])
     except MessageError as error:
         raise MessageError(str(error).partition(":")[0] + ": invalid") from None
-    if parent == child:
-        raise MessageError("frame_id: a frame is its own parent")
-    return Transform(parent, child, time_ns, values[:3], values[3:])
 
 
 def _reason(pose: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> str:

@@ -11,7 +11,7 @@ import logging
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from mast_zenoh.messages import codec
 from mast_zenoh.messages.limits import NO_LIMITS, Shortened, Timespan, excess
 from mast_zenoh.messages.packed import Packed, codec_of, pack
 from mast_zenoh.messages.schemas import Body, Header, Message
-from mast_zenoh.node import Node, Overheard, Received, Source, Unopened, handler_names
+from mast_zenoh.node import Node, Outside, Overheard, Received, Source, Unopened, handler_names
 from mast_zenoh.runtime.waiting import DELAYED, HELD, Delayed, Held, HeldMessages, Room
 from mast_zenoh.streams import stream
 from mast_zenoh.wiring.model import ANY, NO_WIRING, Input, Ports, Wiring
@@ -30,6 +30,19 @@ from mast_zenoh.wiring.model import ANY, NO_WIRING, Input, Ports, Wiring
 MAX_DELAY_S = 3600.0  #: longest delay of a message
 _FOREVER = 1 << 62  # ns, or steps
 _MAX_REASON = 200  # characters kept of the reason of a rejection
+
+
+class Link(Outside, Protocol):
+    """A node's link to programs outside the run, as the runtime opens it."""
+
+    def note_clock(self, frame: int) -> None:
+        """Note that the clock of a frame has arrived now."""
+
+    def end(self) -> None:
+        """Wait for nothing any more; from any thread, or a signal handler."""
+
+    def close(self) -> None:
+        """End the link."""
 
 
 class Outgoing(NamedTuple):
@@ -130,6 +143,7 @@ class Host:
         self._awaited = timespan is not None and now is None and bool(ports.outputs) and _direct_clock(wiring)
         self._overhears = ANY in node.inputs.values()
         self._chooses = type(node).choice is not Node.choice
+        self.link: Link | None = None  # of a node that has topics outside the run
         self._handlers = {port: getattr(node, handler) for port, handler in handler_names(type(node)).items()}
         if self._overhears:
             self._handlers = {port: self._rejecting(handler) for port, handler in self._handlers.items()}
@@ -154,6 +168,12 @@ class Host:
         message = codec.conform(header, body)
         self._seq[key] += 1
         self._send_message(key, message)
+
+    @property
+    def outside(self) -> Outside:
+        if self.link is None:
+            raise ConfigurationError(f"{self.name}: outside: the node names no topics in `outside_topics`")
+        return self.link
 
     @property
     def now_ns(self) -> int:
@@ -219,6 +239,10 @@ class Host:
             raise
         for peer, role in sorted(peers.items()):
             self.joined(peer, role)
+
+    def arrived(self) -> None:
+        """Tell the node that messages from outside have arrived."""
+        self._guard("arrived", self.node.arrived, self)
 
     def joined(self, peer: str, role: str) -> None:
         """Tell the node that another one has joined."""
@@ -445,6 +469,8 @@ class Host:
             self._last_step = min(self.frame + 1, self._end)
         if self._now is not None and self._started_ns is None:
             self._started_ns = self._now()
+        if self.link is not None:
+            self.link.note_clock(self.frame)
         self._handle(key, port_input, received, counted)
         if self._now is None:
             self._send_due(self._step)

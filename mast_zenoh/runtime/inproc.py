@@ -35,6 +35,7 @@ class InProcess:
     encode:  pass bytes between the nodes, as a mesh does, instead of messages
     tap:     called with every message sent, tap legs included
     progress: called with the number of frames played; the run ends early when it returns False
+    stopping: whether the run is to end after the current frame: then no node waits for programs outside it
     """
 
     def __init__(
@@ -45,6 +46,7 @@ class InProcess:
         encode: bool = False,
         tap: Callable[[Outgoing], None] | None = None,
         progress: Callable[[int], bool | None] | None = None,
+        stopping: Callable[[], bool] = lambda: False,
     ) -> None:
         self._resolved = resolved
         user_types.use(resolved.messages)
@@ -57,6 +59,7 @@ class InProcess:
             self._subscribers[key].append(subscriber)
         self._tap = tap
         self._progress = progress
+        self._stopping = stopping
         self._pending: _Fifo | _Shuffled = _Fifo() if shuffle is None else _Shuffled(shuffle)
         self._results: dict[str, dict[str, Any]] = {}
         self._all_hosts: list[Host] = []  # including those of nodes that ended or were restarted
@@ -77,8 +80,16 @@ class InProcess:
         """Run to the end of the scene; returns the results of every node's `finish`.
 
         The number of frames and the wall-clock time, s, are under "". Raises StartError for a node whose `start` fails,
-        and NodeDied when the node that drives the scene fails.
+        and NodeDied when the node that drives the scene fails. Raises NotRunning for a node whose link to programs
+        outside the run cannot be opened.
         """
+        try:
+            return self._run()
+        finally:
+            for host in self._all_hosts:
+                _close_link(host)
+
+    def _run(self) -> dict[str, dict[str, Any]]:
         for name in list(self.hosts):
             self._start(name)
         self._drain()
@@ -106,6 +117,10 @@ class InProcess:
 
     def _start(self, name: str) -> None:
         host = self.hosts[name]
+        if (topics := host.node.outside_topics(host)) is not None:
+            from mast_zenoh.runtime.mesh.ros2_link import Ros2Link  # needs the extra ros2
+
+            host.link = Ros2Link(name, topics, waits=True, stopping=self._stopping)
         try:
             host.start(self._peers(name))
         except KeyboardInterrupt:
@@ -157,6 +172,8 @@ class InProcess:
                     self.ended_hosts[step.node] = self.hosts.pop(step.node)
                 if step.action == "leave":
                     self._results[step.node] = self.ended_hosts[step.node].finish()
+                if step.action in LEAVING:
+                    _close_link(self.ended_hosts[step.node])
             for host in self.hosts.values():
                 for step in group:
                     (host.joined if step.node in new_hosts else host.left)(step.node, self._roles[step.node])
@@ -184,6 +201,13 @@ class InProcess:
         if self._tap:
             self._tap(message)
         self._pending.push(self._subscribers[message.key], message)
+
+
+def _close_link(host: Host) -> None:
+    """Close a node's link to programs outside the run, if it has one."""
+    if host.link is not None:
+        host.link.close()
+        host.link = None
 
 
 class _Fifo(deque[tuple[str, Outgoing]]):

@@ -36,6 +36,7 @@ def contents(recording: Recording) -> list[tuple[str, str]]:
         ("seen", f"objects in a frame with at least {SEEN_RETURNS} lidar returns: {shares}"),
         ("detections", _detections(recording)),
         ("buildings", str(len(recording.buildings))),
+        *(("note", note) for note in recording.notes),
     ]
 
 

@@ -199,6 +199,7 @@ class Recording:
     sweeps:             for each agent (F, bands, sectors) float32, m, of its first sensor, see `sensing.raycast`; ():
                         unknown
     measurements:       when the sensors measured; None: in every frame, at its time
+    notes:              what its source left out or assumed, in sentences, for people
     """
 
     name: str
@@ -218,6 +219,7 @@ class Recording:
     building_height: Floats
     sweeps: tuple[NDArray[np.float32], ...] = ()
     measurements: Measurements | None = None
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -352,6 +354,8 @@ class Recording:
             "period_ns": self.period_ns,
             "agents": [agent_to_json(agent) for agent in self.agents],
         }
+        if self.notes:
+            header["notes"] = self.notes
         arrays: dict[str, NDArray[Any]] = {"head": np.array(json.dumps(header))}
         arrays |= self._columns()
         arrays |= {f"sweeps.{index}": sweep for index, sweep in enumerate(self.sweeps)}
@@ -395,6 +399,7 @@ class Recording:
                 measurements=Measurements(*(arrays[f"measurements.{name}"] for name in _MEASUREMENTS))
                 if "measurements.age_ns" in arrays
                 else None,
+                notes=tuple(map(str, header.get("notes", ()))),
                 **{name: arrays[name] for name in _ARRAYS},
             )
         except _DAMAGE as error:
@@ -406,7 +411,8 @@ class Recording:
 _ARRAYS = tuple(
     field.name
     for field in fields(Recording)
-    if field.name not in ("name", "agents", "period_ns", "truth", "detections", "buildings", "sweeps", "measurements")
+    if field.name
+    not in ("name", "agents", "period_ns", "truth", "detections", "buildings", "sweeps", "measurements", "notes")
 )
 _MEASUREMENTS = tuple(field.name for field in fields(Measurements))
 

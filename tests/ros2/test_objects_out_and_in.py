@@ -18,6 +18,7 @@ from mast_zenoh.ros2 import received_objects, type_store
 from mast_zenoh.ros2.object_ids import id_of_text, id_of_uuid, uuids
 from mast_zenoh.ros2.object_markers import marker_array
 from mast_zenoh.ros2.object_messages import detection_array, predicted_objects, tracked_objects
+from mast_zenoh.ros2.pose_messages import clock
 from mast_zenoh.ros2.received_objects import Uncertainty, received_detections, received_tracks
 from mast_zenoh.ros2.type_store import TYPES
 
@@ -300,8 +301,25 @@ def test_an_invalid_header_is_refused(states: ObjectStates, change: Callable[[An
 def test_a_message_of_another_type_is_refused(states: ObjectStates) -> None:
     with pytest.raises(MessageError, match=r"TrackedObjects: expected vision_msgs/msg/Detection3DArray or"):
         received_detections(tracked_objects(states, 0, "map"))
-    with pytest.raises(MessageError, match=r"Detection3DArray: expected autoware_perception_msgs/msg/TrackedObjects"):
-        received_tracks(detection_array(states, 0, "map"))
+    with pytest.raises(MessageError, match=r"Clock: expected autoware_perception_msgs/msg/TrackedObjects or"):
+        received_tracks(clock(0))
+
+
+def test_detections_without_ids_are_no_tracks(states: ObjectStates) -> None:
+    message = sent(detection_array(states, TIME_NS, "map"))
+    for each in message.detections[:3]:
+        each.id = ""
+    received = received_tracks(message)
+    assert received.objects.id.tolist() == states.id[3:].tolist()
+    assert received.dropped == {"id: none": 3}
+
+
+def test_a_detection_array_with_ids_can_be_tracks_without_velocities(states: ObjectStates) -> None:
+    received = received_tracks(sent(detection_array(states, TIME_NS, "map")))
+    assert received.objects.id.tolist() == states.id.tolist()
+    np.testing.assert_array_equal(received.objects.position, states.position)
+    assert not received.objects.velocity.any()
+    np.testing.assert_allclose(received.objects.covariance[:, 6, 6], 2.0**2)
 
 
 @pytest.mark.parametrize(

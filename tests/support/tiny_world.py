@@ -155,10 +155,11 @@ class Run:
 class Bench:
     """One node of a scenario by itself; the test plays all other nodes.
 
+    link: to programs outside the run, for a node that has one
     said: all messages published so far, as (key, message); outbox: those not yet checked by the test
     """
 
-    def __init__(self, resolved: Resolved, name: str, *, encode: bool = True, **config: Any) -> None:
+    def __init__(self, resolved: Resolved, name: str, *, encode: bool = True, link: Any = None, **config: Any) -> None:
         wiring = Wiring.from_json(resolved.wiring)
         self.encode = encode
         self.ports = wiring.ports(name)
@@ -168,6 +169,9 @@ class Bench:
         self.host = Host(
             name, self.node, self.ports, resolved.seed, encode=encode, emit=self.outbox.append, wiring=wiring
         )
+        if link is not None:
+            self.node.outside_topics(self.host)
+            self.host.link = link
         self.host.start({other: spec.role for other, spec in resolved.nodes.items() if other != name})
         self.said: list[tuple[str, Message]] = []
         self.payloads: list[bytes] = []

@@ -33,7 +33,7 @@ log = logging.getLogger("mast.ros2")
 #: Called with each valid message, in a thread of Zenoh.
 Handler = Callable[[RosMessage, Attachment], None]
 
-#: Bytes of a message: a larger one is refused unread.
+#: Bytes of a message, if a subscriber says nothing else: a larger one is refused unread.
 MOST_BYTES = 1 << 24
 #: Tokens that are remembered: of a domain with more, the rest is not known.
 MOST_TOKENS = 10_000
@@ -161,14 +161,20 @@ class Participant:
         self._declared.append(publisher)
         return publisher
 
-    def subscribe(self, topic: str, type_name: str, handler: Handler, qos: Qos | None = None) -> None:
+    def subscribe(
+        self, topic: str, type_name: str, handler: Handler, qos: Qos | None = None, *, most_bytes: int = MOST_BYTES
+    ) -> None:
         """Have a handler called with each message of a topic; raises as `publisher` does.
+
+        most_bytes: of a message: a larger one is refused unread
 
         The handler must be quick: the messages of a session wait for each other.
         """
         token = self._endpoint("subscription", topic, type_name, qos)
         self._declared.append(self._session.liveliness().declare_token(token.write()))
-        take: Any = zenoh.handlers.Callback(lambda sample: self._take(token, handler, sample), indirect=True)
+        take: Any = zenoh.handlers.Callback(
+            lambda sample: self._take(token, handler, sample, most_bytes), indirect=True
+        )
         key, late = token.data_key.write(), token.qos.durability == _LATE
         subscriber: Any = (
             zenoh.ext.declare_advanced_subscriber(
@@ -231,7 +237,7 @@ class Participant:
             and each.node.session != self._node.session
         ]
 
-    def _take(self, token: EndpointToken, handler: Handler, sample: zenoh.Sample) -> None:
+    def _take(self, token: EndpointToken, handler: Handler, sample: zenoh.Sample, most_bytes: int) -> None:
         """Check a received message, and pass it on."""
         try:
             if sample.kind != zenoh.SampleKind.PUT:
@@ -239,8 +245,8 @@ class Participant:
             if sample.attachment is None:
                 raise MessageError("attachment: found none, expected that of rmw_zenoh")
             attachment = parse_attachment(sample.attachment.to_bytes())
-            if len(sample.payload) > MOST_BYTES:
-                raise MessageError(f"size: found {len(sample.payload)} bytes, expected at most {MOST_BYTES}")
+            if len(sample.payload) > most_bytes:
+                raise MessageError(f"size: found {len(sample.payload)} bytes, expected at most {most_bytes}")
             message = type_store.decode(token.type_name, sample.payload.to_bytes())
         except MessageError as error:
             self.refuse(token.topic, str(error))

@@ -24,6 +24,7 @@ from mast_zenoh.control import files, prefix
 from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.messages.schemas import SCHEMAS
 from mast_zenoh.node import Node
+from mast_zenoh.runtime.host import Link
 from mast_zenoh.runtime.protocol.actions import DOZE_S, DRAIN_TIMEOUT_S, OFFER_TIMEOUT_S, Actions, Clocks
 from mast_zenoh.runtime.protocol.driver import DriverProtocol, protocol_of
 from mast_zenoh.runtime.protocol.traffic import Inbox, Item, stamp_of
@@ -83,7 +84,18 @@ class ZenohProcess(Actions):
         self._receive_control()
 
     def run(self) -> None:
-        """Join the mesh, take part until the run stops, hand in the results."""
+        """Join the mesh, take part until the run stops, hand in the results.
+
+        Raises NotRunning for a node whose link to programs outside the run cannot be opened.
+        """
+        link = self._open_link()
+        try:
+            self._take_part()
+        finally:
+            if link is not None:
+                link.close()
+
+    def _take_part(self) -> None:
         protocol, inbox = self.protocol, self.inbox
         protocol.start()
         while not protocol.ended:
@@ -99,7 +111,23 @@ class ZenohProcess(Actions):
 
     def stop(self, reason: str) -> None:
         """Have the node hand in its results and end; from any thread, or a signal handler."""
-        self.inbox.put(("stop", reason))
+        self.protocol.request_stop(reason)
+
+    def _open_link(self) -> Link | None:
+        """Open the node's link to programs outside the run, if it has topics there."""
+        protocol = self.protocol
+        topics = protocol.host.node.outside_topics(protocol.host)
+        if topics is None:
+            return None
+        from mast_zenoh.runtime.mesh.ros2_link import Ros2Link  # needs the extra ros2
+
+        def notify() -> None:
+            if not protocol.lockstep:  # there, the handler that waits takes what arrives
+                self.inbox.put(("arrived",))
+
+        link = Ros2Link(protocol.name, topics, waits=protocol.lockstep, notify=notify)
+        protocol.host.link, protocol.on_stop = link, link.end
+        return link
 
     def _wait(self) -> Item | None:
         """The next item; None if the protocol is due first."""

@@ -84,6 +84,7 @@ class NodeProtocol:
         self.members: dict[str, str] = {}
         self.stop_reason: str | None = None
         self.on_kill: Callable[[], None] | None = None  # ends the process at once
+        self.on_stop: Callable[[], None] = lambda: None  # ends what a handler waits for
         self.arrived_ns: dict[str, dict[int, int]] = {}  # by key, when the newest frames arrived, on the wall clock
         self.host_facts: dict[str, Any] = {}  # facts of its host, for run.json
         self._process = process
@@ -168,7 +169,12 @@ class NodeProtocol:
             reason = self.signatures.open(key, payload, flow.decode_stop)
             if self.on_kill is not None and key == f"leave/{self.name}" and reason == flow.KILL:
                 self.on_kill()
-            self.inbox.put(("stop", reason))
+            self.request_stop(reason)
+
+    def request_stop(self, reason: str) -> None:
+        """Have the node hand in its results and end; from any thread, or a signal handler."""
+        self.on_stop()
+        self.inbox.put(("stop", reason))
 
     def receive_drain(self, query: Query, payload: bytes) -> None:
         """Receive a drain query."""
@@ -225,6 +231,9 @@ class NodeProtocol:
                 self.receiving.receive(*event[1:])
         elif kind == "epoch":
             self._enter_epoch(*event[1:])
+        elif kind == "arrived":
+            if self.receiving.started and self._results is None:
+                self.host.arrived()
         elif kind == "stop":
             self._stop(event[1])
         elif kind == "matched":

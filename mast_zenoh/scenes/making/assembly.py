@@ -247,7 +247,7 @@ def _rigs(times_ns: Ints, paths: Sequence[AgentPath], kept: int) -> tuple[Rig, .
     for path in paths:
         of_frames = None if path.measured_ns is None else path.measured_ns - start
         if of_frames is None:
-            rigs.append(Rig())
+            rigs += [Rig()] * len(path.agent.sensors)
             continue
         schedule = Schedule.recorded(times_ns - start, of_frames, np.arange(len(times_ns)))
         rigs.append(Rig(schedule.before(kept)))

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mast_zenoh.config.process_steps import ProcessStep
-from mast_zenoh.config.resolved import NodeSpec, Resolved, build_node
+from mast_zenoh.config.resolved import NodeSpec, Resolved, build_node, has_topics_outside
 from mast_zenoh.control.interception import Intercept
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.launch import live_interception
@@ -49,6 +49,12 @@ class World:
         """
         user_types.use(resolved.messages)
         resolved.load_modules()
+        for name, spec in resolved.nodes.items():
+            if has_topics_outside(spec):
+                raise ConfigurationError(
+                    f"{name}: {spec.type} exchanges messages with programs outside the run, which a simulated mesh "
+                    "does not have: expected nodes without; test such a node by testing.outside.FakeLink"
+                )
         planned: list[Intercept] = []
         for request in requests:
             if isinstance(request, Mapping):

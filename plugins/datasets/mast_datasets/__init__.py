@@ -10,6 +10,7 @@ from mast_datasets.dair import DAIRScene
 from mast_datasets.kitti import KittiTracking
 from mast_datasets.opv2v import MultiV2XScene, OPV2VScene, V2V4RealScene, V2XRealScene
 from mast_datasets.rcooper import RCooperScene
+from mast_datasets.rosbag import RosBag
 from mast_datasets.sumo import SumoTrace
 from mast_datasets.tumtraf import TUMTrafV2X
 from mast_datasets.urbaning import UrbanIngV2X
@@ -23,6 +24,7 @@ __all__ = [
     "MultiV2XScene",
     "OPV2VScene",
     "RCooperScene",
+    "RosBag",
     "SumoTrace",
     "TUMTrafV2X",
     "UrbanIngV2X",

@@ -7,6 +7,7 @@ import commonroad_writer
 import dair_writer
 import kitti_writer
 import opv2v_writer
+import rosbag_writer
 import sumo_writer
 import tumtraf_writer
 import urbaning_writer
@@ -21,6 +22,7 @@ TWINS: dict[str, Callable[[Path, Recording], Path]] = {
     "V2V4RealScene": lambda folder, source: opv2v_writer.write_v2v4real(source, folder),
     "DAIRScene": lambda folder, source: dair_writer.write_spd(folder, source, len(source)),
     "RCooperScene": lambda folder, source: dair_writer.write_rcooper(folder, source, len(source)),
+    "RosBag": lambda folder, source: rosbag_writer.write_recording(folder, source),
     "KittiTracking": lambda folder, source: kitti_writer.write_kitti(source, folder),
     "CommonRoadScenario": lambda folder, source: commonroad_writer.write_commonroad(source, folder.with_suffix(".xml")),
     "SumoTrace": lambda folder, source: sumo_writer.write_sumo(source, folder),

@@ -12,6 +12,7 @@ import dair_writer
 import mast_datasets
 import numpy as np
 import pytest
+import rosbag_writer
 import sumo_writer
 from comparison import junction
 from damages import DAMAGE, damaged
@@ -34,6 +35,7 @@ WORDS += ["!!python/tuple [1]", "*id001", "&id001 x", "\n", '"', "true"]
 #: Further layouts that readers know.
 LAYOUTS = {
     "DAIRScene, DAIR-V2X-C": lambda folder, source: dair_writer.write_c(folder, source, len(source)),
+    "RosBag, MCAP": lambda folder, source: rosbag_writer.write_recording(folder, source, "mcap, zstd chunks"),
     "SumoTrace, CSV": lambda folder, source: sumo_writer.write_sumo(source, folder, "csv"),
 }
 #: Small scenes of the others.

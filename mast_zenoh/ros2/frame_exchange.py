@@ -1,0 +1,260 @@
+"""Questions to nodes of ROS 2 about frames, and their answers: which frame an answer is about, and how long to wait.
+
+In lock-step a question is waited for up to a limit; in real time, what has arrived counts. Answers are told apart by
+their stamps. What answers no question, or cannot be used, is counted by reason.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+from mast_zenoh.errors import MessageError
+from mast_zenoh.ros2 import type_store
+from mast_zenoh.ros2.connection import Connection
+from mast_zenoh.ros2.frame_transforms import FrameTransforms, Placement
+from mast_zenoh.ros2.outside import Outside, OutsideTopic, OutsideTopics
+from mast_zenoh.ros2.received_poses import received_transforms
+from mast_zenoh.ros2.type_store import RosMessage
+
+TF, TF_STATIC = "/tf", "/tf_static"
+_TF_TOPICS = (
+    OutsideTopic(TF, type_store.TF_MESSAGE, depth=100, most_bytes=1 << 17),
+    OutsideTopic(TF_STATIC, type_store.TF_MESSAGE, lasting=True, depth=100, most_bytes=1 << 17),
+)
+
+#: Frames to which an answer can belong, the newest.
+KEPT = 64
+#: After this number of questions in a row without an answer, each is waited for only `BRIEF_S`, s, until one comes.
+MOST_SILENT, BRIEF_S = 3, 0.02
+#: s, the longest wait that can be set: several nodes that wait in one frame stay below the driver's limit.
+MOST_WAIT_S = 5.0
+#: s, for a node outside to subscribe after it has begun to publish.
+_SUBSCRIBE_S = 2.0
+#: Reasons that are told apart.
+_MOST_REASONS = 50
+
+
+class About(NamedTuple):
+    """What an answer is about.
+
+    frame:   of the question;  time_ns: of that frame
+    skew_ns: by how much its stamp is later than the frame, ns, in the scene's time
+    late:    whether the frame went on without it
+    """
+
+    frame: int
+    time_ns: int
+    skew_ns: int
+    late: bool
+
+
+class Answer(NamedTuple):
+    """An answer as it is used. topic: on which it came;  content: what `AnswerTopic.use` has made of it"""
+
+    topic: str
+    about: About
+    content: Any
+
+
+@dataclass(frozen=True, slots=True)
+class AnswerTopic:
+    """A topic on which answers come.
+
+    read: turns a message into an object with `frame_id`, `time_ns` and perhaps `dropped`, objects left out by reason
+    use:  turns that, what it is about, and where its frame of reference is in the world, into an answer
+
+    Both raise MessageError for what cannot be used.
+    """
+
+    name: str
+    type_name: str
+    read: Callable[[RosMessage], Any]
+    use: Callable[[Any, About, Placement], Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """How long answers are waited for, and which stamps they may have.
+
+    wait_s: limit in lock-step, s;  skew_s: greatest distance of a stamp from the time of a frame, s
+    stamps: the clock of stamps: the scene's, as on /clock, or the wall clock
+    start_s: s, for which a node outside is waited for before the first frame
+
+    Raises ValueError for values out of range.
+    """
+
+    wait_s: float = 1.0
+    skew_s: float = 0.1
+    stamps: Literal["scene", "wall"] = "scene"
+    start_s: float = 10.0
+
+    def __post_init__(self) -> None:
+        for name, most in (("wait_s", MOST_WAIT_S), ("skew_s", 10.0), ("start_s", 20.0)):
+            if not 0.0 <= getattr(self, name) <= most:
+                raise ValueError(f"{name}: found {getattr(self, name)}, expected 0 to {most:g}")
+
+
+class FrameExchange:
+    """The questions of one node, and the answers to them.
+
+    answers: topics on which they come
+    transforms: of frames of reference;  listens_to_tf: whether /tf and /tf_static are received
+    refused: number of received messages that are of no use, by reason
+    left_out: number of objects and transforms that are not used of used messages, by reason
+    """
+
+    def __init__(
+        self,
+        connection: Connection,
+        answers: Collection[AnswerTopic],
+        transforms: FrameTransforms,
+        timing: Timing,
+        *,
+        listens_to_tf: bool = True,
+    ) -> None:
+        self.transforms = transforms
+        self.refused: Counter[str] = Counter()
+        self.left_out: Counter[str] = Counter()
+        self._timing = timing
+        self._topics = {topic.name: topic for topic in answers}
+        received = [OutsideTopic(topic.name, topic.type_name) for topic in answers]
+        self.topics = OutsideTopics(connection, (*(_TF_TOPICS if listens_to_tf else ()), *received))
+        self._times: dict[int, int] = {}  # of the newest frames, ns
+        self._open: dict[tuple[int, str], bool] = {}  # questions without an answer: whether their frame went on
+        self._answered: set[tuple[int, str]] = set()
+        self._counts = dict.fromkeys(("asked", "answered", "late"), 0)
+        self._silent = 0
+
+    def start(self, outside: Outside, questions: Collection[str]) -> bool:
+        """Wait for a node outside that answers; False if there is none. questions: topics that it may subscribe to"""
+        topics = list(self._topics)
+        if not outside.wait(self._timing.start_s, lambda: all(map(outside.present, topics))):
+            return False
+        outside.wait(_SUBSCRIBE_S, lambda: any(map(outside.heard, questions)), topics)
+        return True
+
+    def begin(self, frame: int, time_ns: int) -> None:
+        """A frame has begun; in real time, the questions of earlier ones are given up."""
+        self._times[frame] = time_ns
+        if len(self._times) > KEPT:
+            del self._times[min(self._times)]
+            oldest = min(self._times)
+            self._open = {key: late for key, late in self._open.items() if key[0] >= oldest}
+            self._answered = {key for key in self._answered if key[0] >= oldest}
+        for key in self._open:
+            self._open[key] = self._open[key] or key[0] < frame
+
+    def ask(self, frame: int, topics: Collection[str]) -> None:
+        """A question about a frame has been sent, to be answered on these topics."""
+        for topic in topics:
+            self._open[frame, topic] = False
+            self._counts["asked"] += 1
+
+    def collect(self, outside: Outside, frame: int) -> list[Answer]:
+        """The answers that have arrived; in lock-step, those to the questions about a frame are waited for."""
+        answers: list[Answer] = []
+
+        def settled() -> bool:
+            answers.extend(self._take(outside))
+            return not self._missing(frame)
+
+        if not outside.waits:
+            settled()
+            return answers
+        limit_s = self._timing.wait_s if self._silent < MOST_SILENT else min(BRIEF_S, self._timing.wait_s)
+        if outside.wait(limit_s, settled, self._missing(frame)):
+            self._silent = 0
+            return answers
+        missing = self._missing(frame)
+        self._silent += 1
+        for topic in missing:
+            self._open[frame, topic] = True
+        if outside.ended:  # nobody has failed to answer
+            self._counts["asked"] -= len(missing)
+        return answers
+
+    def results(self, outside: Outside) -> dict[str, Any]:
+        """The counts, for the results of a node."""
+        unanswered = self._counts["asked"] - self._counts["answered"] - self._counts["late"]
+        counts = {**self._counts, "unanswered": unanswered, "waits": outside.waits}
+        return {**counts, "refused": dict(self.refused + Counter(outside.refused)), "left_out": dict(self.left_out)}
+
+    def refuse(self, error: MessageError) -> None:
+        """Count a message that cannot be used, by the reason's part before the colon."""
+        _count(self.refused, str(error).partition(":")[0], 1)
+
+    # -- inside --------------------------------------------------------------------------------------------------------
+
+    def _missing(self, frame: int) -> list[str]:
+        return [topic for about, topic in self._open if about == frame and not self._open[about, topic]]
+
+    def _take(self, outside: Outside) -> Iterator[Answer]:
+        for topic, message in outside.take():
+            try:
+                if topic in self._topics:
+                    yield self._answer(self._topics[topic], message, outside)
+                else:
+                    self._add_transforms(message, static=topic == TF_STATIC)
+            except MessageError as error:
+                self.refuse(error)
+
+    def _answer(self, topic: AnswerTopic, message: RosMessage, outside: Outside) -> Answer:
+        received = topic.read(message)
+        about = self._about(received.time_ns, topic.name, outside)
+        placement = self.transforms.place(received.frame_id, received.time_ns, about.time_ns + about.skew_ns)
+        content = topic.use(received, about, placement)
+        for reason, number in getattr(received, "dropped", {}).items():
+            _count(self.left_out, reason, number)
+        del self._open[about.frame, topic.name]
+        self._answered.add((about.frame, topic.name))
+        self._counts["late" if about.late else "answered"] += 1
+        return Answer(topic.name, about, content)
+
+    def _about(self, stamp_ns: int, topic: str, outside: Outside) -> About:
+        """The frame that a stamp belongs to: the nearest one, no further away than is allowed."""
+        time_ns = self._scene_time(stamp_ns, outside)
+        frame = min(self._times, key=lambda frame: (abs(self._times[frame] - time_ns), frame), default=None)
+        if frame is None or abs(self._times[frame] - time_ns) > self._timing.skew_s * 1e9:
+            raise MessageError(f"stamp: found {stamp_ns} ns, expected at most {self._timing.skew_s:g} s from a frame")
+        late = self._open.get((frame, topic))
+        if late is None:
+            answered = (frame, topic) in self._answered
+            raise MessageError("duplicate: another answer to this question" if answered else "no question: not asked")
+        return About(frame, self._times[frame], time_ns - self._times[frame], late)
+
+    def _scene_time(self, stamp_ns: int, outside: Outside) -> int:
+        """The scene's time at a stamp; raises MessageError for a wall-clock time before the first frame."""
+        if self._timing.stamps == "scene":
+            return stamp_ns
+        arrivals = {frame: at for frame, at in outside.clock_arrivals_ns.items() if frame in self._times}
+        frames = sorted(frame for frame, at in arrivals.items() if at <= stamp_ns)
+        if not frames:
+            raise MessageError(f"stamp: found {stamp_ns} ns, expected a time after the first clock")
+        frame = frames[-1]
+        if outside.waits:  # the scene's time stands still within a frame
+            return self._times[frame]
+        # Between two clocks by their times of arrival; after the newest one, at the pace before it.
+        other = min((other for other in arrivals if other > frame), default=frames[-2] if len(frames) > 1 else None)
+        pace = 1.0
+        if other is not None:
+            pace = (self._times[other] - self._times[frame]) / ((arrivals[other] - arrivals[frame]) or 1)
+        return self._times[frame] + round((stamp_ns - arrivals[frame]) * pace)
+
+    def _add_transforms(self, message: RosMessage, *, static: bool) -> None:
+        received = received_transforms(message)
+        for reason, number in received.dropped.items():
+            _count(self.left_out, reason, number)
+        for parent, child, time_ns, position, rotation in received.transforms:
+            try:
+                self.transforms.add(parent, child, time_ns, Placement(position, rotation), static=static)
+            except MessageError as error:
+                _count(self.left_out, str(error).partition(":")[0], 1)
+
+
+def _count(counts: Counter[str], reason: str, number: int) -> None:
+    """Count a reason; peers choose the words of some, so that only the first ones are told apart."""
+    reason = " ".join(reason.split())[:120]
+    counts[reason if reason in counts or len(counts) < _MOST_REASONS else "other reasons"] += number

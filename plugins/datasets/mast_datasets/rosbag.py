@@ -1,0 +1,89 @@
+"""ROS 2 bags as scenes: poses, truth and detections of the topics that a map names."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mast_datasets.rosbag_map import BagMap, parse_map, read_map
+from mast_datasets.rosbag_storage import METADATA, SUFFIXES, Bag, open_bag
+from mast_datasets.traffic import ABOVE_0, DataSetScene
+from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.scenes.recording import Recording
+
+#: Name of a map in the folder of a bag.
+MAP = "topics.toml"
+
+
+@dataclass(kw_only=True, eq=False)
+class RosBag(DataSetScene):
+    """A ROS 2 bag, in the storage SQLite3 or MCAP, with a map of its topics; see docs/scenes_rosbag.md.
+
+    path:             a folder with metadata.yaml, or a file
+    topics:           the map, or the TOML file that holds it; None: topics.toml in the folder, or the TOML file beside
+                      the bag's file that has its name
+    start_s:          s from the first time at which all agents have a pose to the first frame
+    duration_s:       s from the first frame to the last; None: as long as all agents have a pose
+    n_infrastructure: agents that never move to use, besides the first agent, the first ones; None: all
+    n_mobile:         other agents to use, besides the first agent, the first ones; None: all
+    detector:         the model that generates the detections of sensors for which the map has no topic
+    max_unpacked_mb:  limit on the files unpacked from a bag that is compressed file by file, 10^6 bytes
+    """
+
+    short_name = "rosbag"
+    files = ((METADATA, "*.db3"), (METADATA, "*.mcap"), (METADATA, "*.zstd"))
+
+    topics: str | dict[str, Any] | None = None
+    start_s: float = 0.0
+    duration_s: float | None = None
+    max_unpacked_mb: float = 4000.0
+
+    def __post_init__(self) -> None:
+        self.check(start_s=(0.0, math.inf), duration_s=ABOVE_0, max_unpacked_mb=ABOVE_0)
+
+    @classmethod
+    def recognises(cls, path: Path) -> bool:
+        return super().recognises(path) or (path.is_file() and path.suffix in SUFFIXES)
+
+    def inputs(self) -> Sequence[Path]:
+        """The bag, and the file of the map."""
+        file = self._map_file()
+        return (self.root,) if file is None else (self.root, file)
+
+    def record(self, seed: int, frames: int | None) -> Recording:
+        try:
+            from mast_datasets import rosbag_reading, rosbag_recording
+        except ModuleNotFoundError as error:
+            if (error.name or "").partition(".")[0] != "rosbags":
+                raise
+            raise ConfigurationError(
+                f"{self.path}: rosbags is not installed, expected pip install 'mast-zenoh[ros2]'"
+            ) from None
+        with open_bag(self.root, self.max_unpacked_mb) as bag:
+            bag_map = self._map(bag)
+            readers = rosbag_reading.read_topics(bag, bag_map)
+        part = rosbag_recording.Part(self.start_s, self.duration_s)
+        return rosbag_recording.BagScene(self, part, bag_map, readers).recording(seed, frames)
+
+    def _map_file(self) -> Path | None:
+        """The file with the map; None: it is given, or there is none."""
+        if isinstance(self.topics, str):
+            return Path(self.topics)
+        return self._usual_map if self.topics is None and self._usual_map.is_file() else None
+
+    @property
+    def _usual_map(self) -> Path:
+        return self.root / MAP if self.root.is_dir() else self.root.with_suffix(".toml")
+
+    def _map(self, bag: Bag) -> BagMap:
+        if (file := self._map_file()) is not None:
+            return read_map(file)
+        if isinstance(self.topics, Mapping):
+            return parse_map(self.topics, Path(f"{type(self).__name__}.topics"))
+        raise ConfigurationError(
+            f"{self.path}: found no map of its topics, expected {self._usual_map}, or `topics` "
+            f"(docs/scenes_rosbag.md); the bag has {bag.listed_topics()}"
+        )

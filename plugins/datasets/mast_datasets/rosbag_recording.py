@@ -1,0 +1,350 @@
+"""Makes a recording of a ROS 2 bag from its poses, objects and detections: frames, boxes, and when sensors measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from mast_datasets.rosbag_map import AgentEntry, BagMap, Body, Pose
+from mast_datasets.rosbag_reading import (
+    DetectionReader,
+    Measured,
+    ObjectReader,
+    PoseReader,
+    PoseTrack,
+    TopicReader,
+    TrueObject,
+)
+from mast_datasets.traffic import DataSetScene
+from mast_zenoh.arrays.geometry import heading, to_world, wrap_angle
+from mast_zenoh.arrays.states import DETECTION_COLUMNS, Bools, Detections, Floats, Ints
+from mast_zenoh.errors import ConfigurationError, SceneError
+from mast_zenoh.scenes.making.assembly import AgentPath, Boxes, assemble
+from mast_zenoh.scenes.making.sensor_types import Schedule
+from mast_zenoh.scenes.recording import NO_MEASUREMENT, Measurements, Recording, SceneAgent
+from mast_zenoh.sensing import Camera, LidarSensor, sensor_pose, to_sensor
+
+_MAX_FRAMES = 200_000
+_LEVEL = 1e-3  # cosine of the tilt of a sensor that looks straight down or up: yaws about its axis say nothing
+_CAMERA = Camera(mount_position=np.zeros(3))
+
+
+@dataclass(frozen=True, eq=False)
+class _Poses:
+    """Poses at n times, as `PoseTrack.at` gives them: position (n, 3), rotation (n, 3, 3), known (n,)."""
+
+    position: Floats
+    rotation: Floats
+    known: Bools
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Detections of one sensor in all frames: each with its frame (n,) and truth id (n,)."""
+
+    frame: Ints
+    detections: Detections
+    truth_id: Ints
+
+
+class Part(NamedTuple):
+    """Which part of a bag is played, s after all agents have a pose; duration_s None: to the end"""
+
+    start_s: float
+    duration_s: float | None
+
+
+class BagScene:
+    """What was read of a bag, on the frames of a scene.
+
+    notes: what is left out, and what is not of the bag, in sentences
+
+    Raises SceneError and ConfigurationError, as `Scene.record` does.
+    """
+
+    def __init__(self, scene: DataSetScene, part: Part, bag_map: BagMap, readers: Mapping[str, TopicReader]) -> None:
+        self._path, self._detector, self._name = scene.path, scene.detector, scene.root.name
+        self._map = bag_map
+        self.notes: list[str] = []
+        self._tracks: dict[str, PoseTrack] = {}
+        self._measured: dict[str, Measured] = {}
+        self._lists: dict[str, list[TrueObject]] = {}
+        for place, reader in readers.items():
+            if isinstance(reader, PoseReader):
+                self._tracks[place] = reader.track()
+            elif isinstance(reader, DetectionReader):
+                self._measured[place] = reader.measured()
+            elif isinstance(reader, ObjectReader):
+                self._lists[place] = reader.objects()
+            for remark, number in sorted(reader.remarks.items()):
+                self.notes.append(f"{reader.source.topic}: {remark}: {number} in {reader.count} messages")
+        ego, *others = bag_map.agents
+        mobile = [agent for agent in others if not agent.fixed]
+        chosen = scene.playing([ego, *mobile], [agent for agent in others if agent.fixed], "agents that never move")
+        names = {agent.name for part in chosen for agent in part}
+        self._agents = [agent for agent in bag_map.agents if agent.name in names]
+        self._times_ns = self._frames(part)
+
+    def recording(self, seed: int, frames: int | None) -> Recording:
+        """The recording of the first `frames` frames; None: of all. seed: of generated detections"""
+        boxes, own_ids = self._boxes()
+        paths = [self._agent_path(agent, own_ids.get(agent.name, -1)) for agent in self._agents]
+        generated = assemble(self._name, self._times_ns, boxes, paths, self._detector, seed=seed, frames=frames)
+        recording = self._with_detections(generated)
+        return replace(recording, notes=tuple(self.notes))
+
+    def _frames(self, part: Part) -> Ints:
+        """(F,) ns, the times of the frames of a part of the time in which all agents of the map have a pose."""
+        moving = {
+            agent.name: self._tracks[agent.pose.place].times_ns
+            for agent in self._map.agents
+            if not isinstance(agent.pose, Pose)
+        }
+        times = moving or self._times_of_data()
+        begins, ends = ({name: int(each[end]) for name, each in times.items()} for end in (0, -1))
+        latest, earliest = max(begins, key=begins.__getitem__), min(ends, key=ends.__getitem__)
+        first, last = (begins[latest], ends[earliest]) if moving else (min(begins.values()), max(ends.values()))
+        if first > last:
+            raise SceneError(
+                f"{self._path}: the poses of {earliest} end {(first - last) / 1e9:.3f} s before those of {latest} "
+                "begin, expected a time at which all agents have one; `offset_s` and `time` of the map align clocks"
+            )
+        if first - min(begins.values()) > self._map.period_ns:
+            late = (first - min(begins.values())) / 1e9
+            self.notes.append(f"frames begin with the poses of {latest}, {late:.3f} s after those of others")
+        if max(ends.values()) - last > self._map.period_ns:
+            early = (max(ends.values()) - last) / 1e9
+            self.notes.append(f"frames end with the poses of {earliest}, {early:.3f} s before those of others")
+        if part.start_s > (last - first) / 1e9:
+            raise ConfigurationError(
+                f"{self._path}: start_s is {part.start_s:g}, expected 0 to {(last - first) / 1e9:g}"
+            )
+        begin = first + round(part.start_s * 1e9)
+        whole = part.duration_s is None or part.duration_s > (last - begin) / 1e9
+        end = last if whole or part.duration_s is None else begin + round(part.duration_s * 1e9)
+        count = (end - begin) // self._map.period_ns + 1
+        if count > _MAX_FRAMES:
+            raise SceneError(
+                f"{self._path}: found times from {first} to {last} ns: {count} frames, expected at most {_MAX_FRAMES}; "
+                "choose a part by start_s and duration_s, or other times by `time` of the map"
+            )
+        return begin + np.arange(count, dtype=np.int64) * self._map.period_ns
+
+    def _times_of_data(self) -> dict[str, Ints]:
+        """Times of measurements and of the truth, for a scene in which no agent moves."""
+        times = {place: measured.times_ns for place, measured in self._measured.items()}
+        times |= {place: track.times_ns for place, track in self._tracks.items()}
+        times |= {
+            f"{place} {row}": each.poses.times_ns
+            for place, objects in self._lists.items()
+            for row, each in enumerate(objects)
+        }
+        if not times:
+            raise ConfigurationError(
+                f"{self._map.place}: found no topics, expected at least one, for the times of frames"
+            )
+        return times
+
+    def _poses(self, agent: AgentEntry, times_ns: Ints) -> _Poses:
+        """Poses of an agent at times (n,)."""
+        if not isinstance(agent.pose, Pose):
+            return _Poses(*self._tracks[agent.pose.place].at(times_ns, self._map.max_gap_ns))
+        count = len(times_ns)
+        position, rotation = np.tile(agent.pose.position, (count, 1)), np.tile(agent.pose.rotation, (count, 1, 1))
+        return _Poses(position, rotation, np.ones(count, bool))
+
+    def _agent_path(self, agent: AgentEntry, object_id: int) -> AgentPath:
+        poses = self._poses(agent, self._times_ns)
+        if not poses.known.all():
+            assert not isinstance(agent.pose, Pose)
+            time = int(self._times_ns[np.flatnonzero(~poses.known)[0]])
+            times = self._tracks[agent.pose.place].times_ns
+            after = int(np.searchsorted(times, time))
+            gap_s, at_s = (times[after] - times[after - 1]) / 1e9, (time - self._times_ns[0]) / 1e9
+            raise SceneError(
+                f"{self._path}: agent {agent.name}: {agent.pose.topic}: found no pose for {gap_s:.3f} s, {at_s:.3f} s "
+                f"after the first frame, expected one every {self._map.max_gap_ns / 1e9:g} s (max_gap_s of the map); "
+                "start_s and duration_s choose a part"
+            )
+        sensors = tuple(entry.sensor for entry in agent.sensors)
+        kind = "static" if agent.fixed else "mobile"
+        described = SceneAgent(agent.name, kind, object_id, sensors[0].lidar, _CAMERA, sensors)
+        velocity = np.zeros_like(poses.position) if agent.fixed else None
+        return AgentPath(described, poses.position, poses.rotation, velocity)
+
+    def _boxes(self) -> tuple[Boxes, dict[str, int]]:
+        """The boxes of all objects in the frames, and by agent the id of its own object."""
+        parts: list[Boxes] = [_NO_BOXES]
+        own_ids: dict[str, int] = {}
+        for number, agent in enumerate(self._map.agents, start=1):  # agents that do not play are objects, too
+            if agent.body is not None:
+                own_ids[agent.name] = number
+                poses = self._poses(agent, self._times_ns)
+                parts.append(_boxes_of(number, agent.body, poses))
+                self._note_absence(agent.name, poses.known)
+        number = len(self._map.agents)
+        for entry in self._map.truth:
+            if entry.body is not None:
+                number += 1
+                poses = _Poses(*self._tracks[entry.source.place].at(self._times_ns, self._map.max_gap_ns))
+                parts.append(_boxes_of(number, entry.body, poses))
+                self._note_absence(entry.name, poses.known)
+                continue
+            for each in self._lists[entry.source.place]:
+                number += 1
+                poses = _Poses(*each.poses.at(self._times_ns, self._map.max_gap_ns))
+                frame = np.flatnonzero(poses.known)
+                row = np.searchsorted(each.poses.times_ns, self._times_ns[frame], side="right") - 1
+                ids, yaw = np.full(len(frame), number, np.int64), heading(poses.rotation[frame])
+                parts.append(Boxes(frame, ids, poses.position[frame], each.size[row], yaw, each.class_id[row]))
+        return Boxes.concatenate(parts), own_ids
+
+    def _note_absence(self, name: str, known: Bools) -> None:
+        if not known.all():
+            self.notes.append(
+                f"{name}: not there in {int((~known).sum())} of {len(known)} frames, which have no pose of it"
+            )
+
+    def _with_detections(self, recording: Recording) -> Recording:
+        """A recording whose sensors with a topic have the detections and the times of the bag, in its frames."""
+        frames, start = len(recording), int(self._times_ns[0])
+        shape = frames, len(recording.sensor_names)
+        age, position, rotation = np.zeros(shape, np.int64), np.empty((*shape, 3)), np.empty((*shape, 3, 3))
+        rows: list[_Rows] = []
+        generated: list[str] = []
+        for agent_row, agent in enumerate(self._agents):
+            for sensor_row, entry in enumerate(agent.sensors):
+                column = len(rows)
+                position[:, column] = recording.agent_position[:, agent_row]
+                rotation[:, column] = recording.agent_rotation[:, agent_row]
+                name = recording.sensor_names[column]
+                if entry.source is None:
+                    rows.append(_rows_of(recording, agent_row, sensor_row))
+                    generated.append(name)
+                    continue
+                measured = self._measured[entry.source.place]
+                poses = self._poses(agent, measured.times_ns)
+                usable = np.flatnonzero(poses.known)
+                schedule = Schedule.recorded(self._times_ns - start, measured.times_ns[usable] - start, usable)
+                self._note_measurements(name, measured, usable, schedule)
+                new = np.flatnonzero(schedule.source[:frames] >= 0)
+                source = schedule.source[new]
+                age[:, column] = NO_MEASUREMENT
+                age[new, column] = self._times_ns[new] - measured.times_ns[source]
+                position[new, column], rotation[new, column] = poses.position[source], poses.rotation[source]
+                rows.append(_measured_rows(measured, source, new, poses, entry.sensor.lidar))
+        if generated:
+            detector = type(self._detector).__name__
+            self.notes.append(f"{', '.join(generated)}: no detections in the bag, those of {detector} instead")
+        if len(generated) == len(rows):
+            return recording
+        detections, starts, truth_id = _joined(rows, frames)
+        complete = replace(
+            recording,
+            detections=detections,
+            detection_start=starts,
+            detection_truth_id=truth_id,
+            measurements=Measurements(age, position, rotation),
+        )
+        complete.validate()
+        return complete
+
+    def _note_measurements(self, name: str, measured: Measured, usable: Ints, schedule: Schedule) -> None:
+        """Say how many measurements are new in no frame, of all frames of the scene."""
+        times, frames = measured.times_ns[usable], self._times_ns
+        within = int(np.count_nonzero((times >= frames[0]) & (times <= frames[-1])))
+        used, total = int(np.count_nonzero(schedule.source >= 0)), len(measured.times_ns)
+        for number, why in (
+            (total - within, "outside the frames, or without a pose of the agent"),
+            (within - used, "with a newer one in the same frame; a higher rate_hz of the map keeps more"),
+        ):
+            if number:
+                self.notes.append(f"{name}: {number} of {total} measurements left out: {why}")
+
+
+_NO_BOXES = Boxes(
+    frame=np.zeros(0, np.int64),
+    id=np.zeros(0, np.int64),
+    position=np.zeros((0, 3)),
+    size=np.zeros((0, 3)),
+    yaw=np.zeros(0),
+    class_id=np.zeros(0, np.uint8),
+)
+
+
+def _boxes_of(number: int, body: Body, poses: _Poses) -> Boxes:
+    """The boxes of an object in the frames in which its pose is known."""
+    frame = np.flatnonzero(poses.known)
+    rotation, count = poses.rotation[frame], len(frame)
+    return Boxes(
+        frame=frame,
+        id=np.full(count, number, np.int64),
+        position=poses.position[frame] + rotation @ body.centre,
+        size=np.tile(body.size, (count, 1)),
+        yaw=heading(rotation),
+        class_id=np.full(count, body.class_id, np.uint8),
+    )
+
+
+def _rows_of(recording: Recording, agent: int, sensor: int) -> _Rows:
+    """The detections of a sensor in a recording."""
+    column, sensors = recording.column(agent, sensor), len(recording.sensor_names)
+    start = recording.detection_start
+    counts = np.diff(start).reshape(-1, sensors)[:, column]
+    frame = np.repeat(np.arange(len(counts)), counts)
+    first = np.repeat(start[:-1].reshape(-1, sensors)[:, column], counts)
+    rows = first + np.arange(len(frame)) - np.repeat(np.cumsum(counts) - counts, counts)
+    return _Rows(frame, recording.detections.select(rows), recording.detection_truth_id[rows])
+
+
+def _measured_rows(measured: Measured, source: Ints, frame: Ints, poses: _Poses, lidar: LidarSensor) -> _Rows:
+    """Recorded detections in the frame of their sensor when it measured.
+
+    source: (n,) rows of the measurements; frame: (n,) in which each is new; poses: of the agent at all measurements
+    """
+    parts = []
+    for row in source.tolist():
+        detections = measured.detections[row]
+        pose = sensor_pose(poses.position[row], poses.rotation[row], lidar.mount_position, lidar.mount_rotation)
+        if measured.fixed is None:
+            parts.append(replace(detections, yaw=_about_vertical(detections.yaw, pose[1])))
+            continue
+        origin, turn = measured.fixed
+        in_world = replace(
+            detections,
+            position=to_world(detections.position, origin, turn),
+            yaw=detections.yaw + heading(turn),
+            covariance=turn @ detections.covariance @ turn.T,
+        )
+        parts.append(to_sensor(in_world, *pose))
+    frames = np.repeat(frame, [len(part) for part in parts])
+    return _Rows(frames, _concatenated(parts), np.full(len(frames), -1, np.int64))
+
+
+def _about_vertical(yaw: Floats, rotation: Floats) -> Floats:
+    """Yaws (n,) about the world's vertical, less the sensor's heading, of yaws about the z axis of a tilted sensor.
+
+    rotation: (3, 3) of the sensor. Boxes stand upright in the world: so their directions ahead have no part along it.
+    """
+    ahead = np.stack([np.cos(yaw), np.sin(yaw), np.zeros(len(yaw))], axis=1)
+    if abs(rotation[2, 2]) > _LEVEL:
+        ahead[:, 2] = -ahead[:, :2] @ rotation[2, :2] / rotation[2, 2]
+    x, y, _ = (ahead @ rotation.T).T
+    return wrap_angle(np.arctan2(y, x) - heading(rotation))
+
+
+def _concatenated(parts: list[Detections]) -> Detections:
+    parts = [Detections.empty(), *parts]
+    return Detections(*(np.concatenate([getattr(part, name) for part in parts]) for name in DETECTION_COLUMNS))
+
+
+def _joined(sensors: list[_Rows], frames: int) -> tuple[Detections, Ints, Ints]:
+    """The columns of a recording of the detections of all sensors, in their order."""
+    group = np.concatenate([each.frame * len(sensors) + column for column, each in enumerate(sensors)])
+    order = np.argsort(group, kind="stable")
+    start = np.searchsorted(group[order], np.arange(frames * len(sensors) + 1)).astype(np.int64)
+    detections = _concatenated([each.detections for each in sensors]).select(order)
+    return detections, start, np.concatenate([each.truth_id for each in sensors])[order]

@@ -1,0 +1,382 @@
+"""A ROS 2 bag of anybody's costs an error that names the file: never a crash, code, or reading outside its folder."""
+
+import contextlib
+import shutil
+import sqlite3
+import struct
+import sys
+from pathlib import Path
+from typing import Any
+
+import mast_datasets
+import numpy as np
+import pytest
+import zstandard
+from comparison import junction
+from damages import ANYTHING, Damage, assert_refused, content, put, removed, text
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mast_datasets import RosBag, rosbag_storage
+from mast_datasets.rosbag_map import parse_map
+from mast_datasets.rosbag_storage import Topic
+from mast_datasets.rosbag_types import known_decoder, own_decoder, parse_definition
+from rosbag_writer import Sent, odometry, pose_stamped, transforms, write_bag, write_recording
+
+from mast_zenoh.errors import ConfigurationError, MastError, MessageError, SceneError
+from mast_zenoh.ros2 import type_store
+from mast_zenoh.ros2.object_markers import marker_array
+from mast_zenoh.ros2.object_messages import tracked_objects
+
+POSE = dict(topic="/pose")
+MAP = dict(frames=dict(map={}), agents=dict(ego=dict(pose=POSE, detections=dict(kind="lidar"))))
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bag in SQLite3 with its map."""
+    return write_recording(tmp_path_factory.mktemp("sound") / "bag", junction(frames=4))
+
+
+@pytest.fixture
+def bag(sound: Path, tmp_path: Path) -> Path:
+    """A copy of it, to be damaged."""
+    return Path(shutil.copytree(sound, tmp_path / "bag"))
+
+
+@pytest.fixture
+def mcap(tmp_path: Path) -> Path:
+    """A bag in MCAP with its map."""
+    return write_recording(tmp_path / "mcap", junction(frames=4), "mcap, zstd chunks")
+
+
+def read(folder: Path) -> object:
+    return RosBag(path=str(folder)).record(0, None)
+
+
+def sql(*statements: str) -> Damage:
+    """Run SQL in the database of a bag."""
+
+    def change(root: Path) -> None:
+        with contextlib.closing(sqlite3.connect(root / "bag.db3")) as connection:
+            for statement in statements:
+                connection.execute(statement)
+            connection.commit()
+
+    return Damage("bag.db3", change)
+
+
+def link(file: str, target: str) -> Damage:
+    """Put a link in the place of a file."""
+
+    def change(root: Path) -> None:
+        outside = root.parent / "outside"
+        (root / file).rename(outside)
+        (root / file).symlink_to(target or outside)
+
+    return Damage(file, change)
+
+
+COPY = "CREATE TABLE copy AS SELECT * FROM messages"
+NAMES = "relative_file_paths:\n  - bag.db3"
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (text("metadata.yaml", "- bag.db3", "- ../outside.db3"), "expected the name of a file"),
+        (text("metadata.yaml", "- bag.db3", "- /etc/passwd"), "expected the name of a file"),
+        (text("metadata.yaml", "- bag.db3", "- a/b/bag.db3"), "expected the name of a file"),
+        (text("metadata.yaml", "- bag.db3", "- 'a?mode=rwc'")._replace(file="a?mode=rwc"), "found no such file"),
+        (text("metadata.yaml", "- bag.db3", "- missing.db3")._replace(file="missing.db3"), "found no such file"),
+        (text("metadata.yaml", "- bag.db3", "- ."), "expected the name of a file"),
+        (text("metadata.yaml", "rosbag2_bagfile_information", "information"), "rosbag2_bagfile_information is missing"),
+        (text("metadata.yaml", "compression_mode: ''", "compression_mode: zip"), "expected none, file or message"),
+        (content("metadata.yaml", b"a: &a [*a]"), "expected one of a value before it"),
+        (content("metadata.yaml", b"!!python/object/apply:os.system [ls]"), "expected"),
+        (content("metadata.yaml", b"[" * 100_000), "not YAML|nested deeper"),
+        (removed("bag.db3"), "found no such file"),
+        (link("bag.db3", ""), "found a link"),
+        (link("bag.db3", "/dev/zero"), "found a link"),
+        (link("metadata.yaml", ""), "found a link"),
+        (content("bag.db3", b"no database"), "begins with .* expected a bag of ROS 2"),
+        (content("bag.db3", b"SQLite format 3\0" + bytes(5000)), "cannot be read as SQLite3"),
+        (content("bag.db3-wal", b"x"), "expected a bag that was closed"),
+        (sql("DROP TABLE messages"), "table messages: found no column"),
+        (sql("ALTER TABLE topics DROP COLUMN type"), "table topics: found no column type"),
+        (
+            sql(COPY, "DROP TABLE messages", "CREATE VIEW messages AS SELECT * FROM copy"),
+            "table messages: found no col",
+        ),
+        (
+            sql(
+                "DROP TABLE messages",
+                "CREATE TABLE messages (topic_id INTEGER, timestamp INTEGER, "
+                "data BLOB GENERATED ALWAYS AS (zeroblob(1000000000)))",
+            ),
+            "table messages: found no column data",
+        ),
+        (sql("UPDATE messages SET data = zeroblob(20000000)"), "found a message of 20000000 bytes|cannot be read"),
+        (sql("UPDATE messages SET data = 'text'"), "found a message that is no bytes"),
+        (sql("UPDATE messages SET timestamp = 'late'"), "found a message that is no bytes with a whole time"),
+        (sql("UPDATE topics SET name = zeroblob(100)"), "found a name of a topic"),
+        (sql("UPDATE topics SET serialization_format = 'json'"), "found messages encoded as 'json', expected cdr"),
+    ],
+)
+def test_a_hostile_folder_or_database_is_refused(damage: Damage, message: str, bag: Path) -> None:
+    assert_refused(read, bag, damage, message)
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (
+            sql("UPDATE messages SET data = substr(data, 1, length(data) - 4)"),
+            "message 0, received at .* cannot be read",
+        ),
+        (sql("UPDATE messages SET data = x'00010000ffffffff'"), "cannot be read"),
+        (
+            sql("UPDATE topics SET type_description_hash = 'RIHS01_00'"),
+            "another version of .*: found the hash RIHS01_00",
+        ),
+        (
+            sql("UPDATE message_definitions SET encoded_message_definition = 'int32 x'"),
+            "the bag has another version of .*: found the fields x, expected",
+        ),
+        (sql("UPDATE message_definitions SET encoded_message_definition = '{'"), "cannot be read"),
+        (sql("DELETE FROM messages"), "/tf has no messages"),
+    ],
+)
+def test_messages_that_are_not_of_their_type_are_refused(damage: Damage, message: str, bag: Path) -> None:
+    assert_refused(read, bag, Damage("bag", damage.apply), message)
+
+
+def test_a_type_that_is_of_no_use_is_refused_by_the_map(bag: Path) -> None:
+    sql("UPDATE topics SET type = 'std_msgs/msg/String' WHERE name = '/tf'").apply(bag)
+    with pytest.raises(ConfigurationError, match=r"/tf is of the type 'std_msgs/msg/String', expected nav_msgs"):
+        read(bag)
+
+
+def test_a_query_ends_that_takes_more_steps_than_a_sound_file_can(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 20000) "
+    sql(f"{rows} INSERT INTO messages (topic_id, timestamp, data) SELECT 99, i, x'' FROM n").apply(bag)
+    read(bag)
+    monkeypatch.setattr(rosbag_storage, "_STEPS_ALWAYS", 10_000)
+    monkeypatch.setattr(rosbag_storage, "_STEPS_PER_BYTE", 0)
+    monkeypatch.setattr(rosbag_storage, "_STEPS_AT_ONCE", 1000)
+    with pytest.raises(SceneError, match=r"bag\.db3: cannot be read as SQLite3: interrupted"):
+        read(bag)
+
+
+def test_a_bag_that_was_cut_off_is_refused_wherever(mcap: Path) -> None:
+    whole = (mcap / "mcap.mcap").read_bytes()
+    end = whole.rindex(b"\x0f" + struct.pack("<Q", 4))  # of the data; what follows is a summary, which is not read
+    for length in (8, 9, 100, end // 2, end - 1, end):
+        (mcap / "mcap.mcap").write_bytes(whole[:length])
+        with pytest.raises(SceneError, match=r"mcap\.mcap: cannot be read as MCAP: it is cut off"):
+            read(mcap)
+
+
+def record(opcode: int, data: bytes) -> bytes:
+    return struct.pack("<BQ", opcode, len(data)) + data
+
+
+def string(value: str) -> bytes:
+    return struct.pack("<I", len(value)) + value.encode()
+
+
+def chunk(data: bytes, compression: str, size: int, crc: int = 0) -> bytes:
+    return record(6, struct.pack("<QQQI", 0, 0, size, crc) + string(compression) + struct.pack("<Q", len(data)) + data)
+
+
+MAGIC = b"\x89MCAP0\r\n"
+END = record(15, bytes(4))
+BOMB = zstandard.compress(bytes(300_000_000))
+SCHEMA = struct.pack("<H", 1) + string("a/msg/B") + string("ros2msg")
+CHANNEL = record(4, struct.pack("<HH", 1, 9) + string("/pose") + string("cdr") + struct.pack("<I", 0))
+ZSTD_OF_ZEROS = zstandard.compress(bytes(1000))
+
+
+@pytest.mark.parametrize(
+    ("records", "message"),
+    [
+        (chunk(BOMB, "zstd", 300_000_000), "found a chunk of 300000000 bytes unpacked"),
+        (chunk(BOMB, "zstd", 1000), "claims to have 1000"),
+        (chunk(ZSTD_OF_ZEROS, "zstd", 999), "found a chunk of 1000 bytes"),
+        (chunk(ZSTD_OF_ZEROS, "zstd", 1000, crc=1), "checksum"),
+        (chunk(b"no frame", "zstd", 1000), "cannot be read as MCAP"),
+        (chunk(b"no frame", "lz4", 1000), "a damaged chunk"),
+        (chunk(b"", "rar", 0), "compressed by 'rar', expected zstd or lz4"),
+        (chunk(struct.pack("<BQ", 5, 10**15), "", 9), "longer than its chunk"),
+        (struct.pack("<BQ", 5, 2**63), "cut off"),
+        (record(5, bytes(30)), "a message of channel 0, which is unknown"),
+        (record(5, b""), "cannot be read as MCAP"),
+        (record(3, b"\1"), "cannot be read as MCAP"),
+        (record(4, struct.pack("<HH", 1, 9) + struct.pack("<I", 2**32 - 1)), "cannot be read as MCAP"),
+        (
+            record(4, struct.pack("<HH", 1, 9) + string("/" * 2000) + string("cdr") + bytes(4)),
+            "found a name of a topic",
+        ),
+        (record(3, SCHEMA + string("x" * 300_000)), "found a definition of 300000 bytes"),
+        (record(3, SCHEMA + struct.pack("<I", 2) + b"\xff\xfe") + CHANNEL[:9] + b"\1\0\1\0" + CHANNEL[13:], "utf-8"),
+    ],
+)
+def test_hostile_records_of_mcap_are_refused(records: bytes, message: str, tmp_path: Path) -> None:
+    file = tmp_path / "a.mcap"
+    file.write_bytes(MAGIC + record(1, string("ros2") + string("")) + records + END)
+    with pytest.raises(SceneError, match=rf"a\.mcap: .*{message}"):
+        RosBag(path=str(file), topics=MAP).record(0, None)
+
+
+def test_chunks_that_unpack_to_more_than_any_recording_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rosbag_storage, "_ALWAYS_BYTES", 0)
+    file = tmp_path / "a.mcap"
+    zeros = chunk(zstandard.compress(record(200, bytes(10_000_000))), "zstd", 10_000_009)
+    file.write_bytes(MAGIC + record(1, string("ros2") + string("")) + zeros * 3 + END)
+    with pytest.raises(SceneError, match="bytes unpacked in a file of"):
+        RosBag(path=str(file), topics=MAP).record(0, None)
+
+
+def test_compressed_files_and_messages_unpack_to_their_limits_only(tmp_path: Path) -> None:
+    source = junction(frames=4)
+    files = write_recording(tmp_path / "files", source, "sqlite3, zstd file")
+    with pytest.raises(SceneError, match=r"files\.db3\.zstd: unpacks to more than 0\.05 MB"):
+        RosBag(path=str(files), max_unpacked_mb=0.05).record(0, None)
+    (files / "files.db3.zstd").write_bytes(b"no frame")
+    with pytest.raises(SceneError, match=r"files\.db3\.zstd: cannot be unpacked"):
+        read(files)
+    messages = write_recording(tmp_path / "messages", source, "sqlite3, zstd messages")
+    with contextlib.closing(sqlite3.connect(messages / "messages.db3")) as connection:
+        connection.execute("UPDATE messages SET data = ?", (zstandard.compress(bytes(100_000_000)),))
+        connection.commit()
+    with pytest.raises(SceneError, match=r"messages\.db3: .* found a message of 100000000 bytes"):
+        read(messages)
+
+
+def test_absurd_times_are_refused_before_frames_are_made(tmp_path: Path) -> None:
+    far = [Sent("/pose", time, pose_stamped(time, "map", (0.0, 0.0, 0.0))) for time in (-(10**18), 0, 10**8)]
+    path = str(write_bag(tmp_path / "bag", far))
+    with pytest.raises(SceneError, match=r"10001000000\d* frames|frames, expected at most 200000"):
+        RosBag(path=path, topics=MAP).record(0, None)
+
+
+def test_poses_none_of_which_can_be_used_are_refused_with_the_reason(tmp_path: Path) -> None:
+    nowhere = [Sent("/pose", time, pose_stamped(time, "map", (1e300, 0.0, 0.0))) for time in (0, 10**8)]
+    with pytest.raises(
+        SceneError, match=r"/pose: found 2 messages, none that can be used .*position: beyond 1e.07 m: 2"
+    ):
+        RosBag(path=str(write_bag(tmp_path / "bag", nowhere)), topics=MAP).record(0, None)
+
+
+def test_without_rosbags_the_error_says_how_to_get_it(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in ("rosbag_reading", "rosbag_recording", "rosbag_types"):
+        monkeypatch.delitem(sys.modules, f"mast_datasets.{module}")
+        monkeypatch.delattr(mast_datasets, module)
+    for module in [name for name in sys.modules if name.partition(".")[0] == "rosbags"]:
+        monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(ConfigurationError, match=r"rosbags is not installed, .* pip install 'mast-zenoh\[ros2\]'"):
+        read(bag)
+
+
+@settings(max_examples=60, deadline=None)
+@given(place=st.floats(0, 0.999), value=ANYTHING)
+def test_any_map_is_read_or_refused(place: float, value: Any) -> None:
+    source = dict(topic="/a", child="b", origin=dict(position=[0, 0, 0], yaw_deg=1.0), offset_s=0.5, time="header")
+    sensor = dict(kind="camera", frame="c", topic="/d", axes=["z", "-x", "-y"], classes={"0": "car"}, size=[1, 1, 1])
+    sensor |= dict(fields=dict(list="a.b", position="c"), azimuth_deg=[-10, 10], range_m=9.0, nearest_m=0.1)
+    body = {"size": [1, 1, 1], "class": "car", "centre": [0, 0, 0]}
+    whole: dict[str, Any] = dict(
+        rate_hz=10.0,
+        frames=dict(map={}),
+        types={"a/msg/B": "int32 x"},
+        agents=dict(ego=dict(pose=source, body=body, detections=[sensor])),
+        truth=dict(one=source | body, all=dict(topic="/e", without=[1, "x"])),
+    )
+    parse_map(whole, Path("map"))
+    places = list(_places(whole, ""))
+    put(whole, places[int(len(places) * place)], value)
+    with contextlib.suppress(ConfigurationError):
+        parse_map(whole, Path("map"))
+
+
+def _places(value: Any, place: str) -> Any:
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, inner in items:
+        here = f"{place}.{key}" if isinstance(value, dict) else f"{place}[{key}]"
+        if "/" not in here:
+            yield here
+            yield from _places(inner, here)
+
+
+KNOWN = [
+    odometry(5, "map", (1.0, 2.0, 3.0)),
+    transforms(5, "map", {"a": ((1, 2, 3), np.eye(3)), "a longer name": ((4, 5, 6), np.eye(3))}),
+    tracked_objects(junction(frames=4).truth_at(0), 7, "map"),
+    marker_array(
+        junction(frames=4).truth_at(0), np.zeros((len(junction(frames=4).truth_at(0)), 3), np.int64), 7, "map"
+    ),
+]
+
+
+def topic(kind: str, definition: str = "") -> Topic:
+    return Topic("/topic", kind, definition, "", "cdr")
+
+
+@pytest.mark.parametrize("message", KNOWN, ids=lambda message: message.__msgtype__)
+@pytest.mark.parametrize("little_endian", [True, False])
+def test_own_types_are_decoded_as_rosbags_does(message: Any, little_endian: bool) -> None:
+    kind = message.__msgtype__
+    payload = bytes(type_store.STORE.serialize_cdr(message, kind, little_endian=little_endian))
+    _assert_same(own_decoder("bag", topic(kind), {})(payload), known_decoder("bag", topic(kind))(payload))
+
+
+def _assert_same(found: Any, expected: Any) -> None:
+    if isinstance(found, dict):
+        assert found
+        for name, value in found.items():
+            _assert_same(value, getattr(expected, name))
+    elif isinstance(found, list):
+        assert len(found) == len(expected)
+        for one, other in zip(found, expected, strict=True):
+            _assert_same(one, other)
+    else:
+        np.testing.assert_array_equal(found, expected)
+
+
+@settings(max_examples=80, deadline=None)
+@given(data=st.data())
+def test_any_bytes_of_an_own_type_are_a_message_or_none(data: st.DataObject) -> None:
+    kind = "vision_msgs/msg/Detection3DArray"
+    payload = bytearray(type_store.encode(KNOWN[2])[:400])
+    for _ in range(data.draw(st.integers(0, 4))):
+        payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
+    with contextlib.suppress(MessageError):
+        own_decoder("bag", topic(kind), {})(bytes(payload[: data.draw(st.integers(0, len(payload)))]))
+
+
+@pytest.mark.parametrize(
+    ("definition", "error", "message"),
+    [
+        ("a/Own inner\n", SceneError, "has types in types, deeper than 20"),
+        ("a/Other inner\n", ConfigurationError, "the bag has no definition of 'a/msg/Other'"),
+        ("uint8[-3] data\n", SceneError, "a list of -3 elements"),
+        ("int32 x; import os\n", SceneError, "cannot be read"),
+        ("int32 x\n" * 50_000, SceneError, "a definition of 400000 characters"),
+        ("uint8[" + "9" * 5000 + "] data\n", SceneError, "cannot be read"),
+    ],
+)
+def test_hostile_definitions_are_refused(definition: str, error: type[MastError], message: str) -> None:
+    with pytest.raises(error, match=message):
+        own_decoder("bag", topic("a/msg/Own", definition), {})
+
+
+def test_lists_of_absurd_length_end_with_the_message() -> None:
+    for definition in ("uint8[999999999999] data\n", "string[999999999999] data\n", "a/Own2[999999999999] data\n"):
+        other = {"a/msg/Own2": parse_definition("a/msg/Own2", "")}
+        decode = own_decoder("bag", topic("a/msg/Own", definition), other)
+        with pytest.raises(MessageError, match="a/msg/Own"):
+            decode(b"\0\1\0\0" + bytes(100))
+    decode = own_decoder("bag", topic("a/msg/Own", "float64[] data\n"), {})
+    with pytest.raises(MessageError, match="4294967295 elements"):
+        decode(b"\0\1\0\0" + b"\xff" * 4)

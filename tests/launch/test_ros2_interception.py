@@ -1,0 +1,308 @@
+"""Between two ROS 2 nodes, a node of this testbed changes what it attacks and nothing else, and loses no message."""
+
+from __future__ import annotations
+
+import queue
+import signal
+import subprocess
+import threading
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from ros2_messages import plain, random_states
+
+from mast_zenoh.errors import ConfigurationError, HandlerFailed, MessageError, NodeFileError
+from mast_zenoh.launch import ros2_interception
+from mast_zenoh.launch.ros2_interception import ObjectsInterposer, interposer_of, launch_fragment
+from mast_zenoh.ros2 import type_store
+from mast_zenoh.ros2.connection import Connection
+from mast_zenoh.ros2.object_messages import detection_array, tracked_objects
+from mast_zenoh.ros2.pose_messages import clock, odometry
+from mast_zenoh.ros2.received_objects import received_tracks
+from mast_zenoh.runtime.mesh.ros2_participant import Participant
+from mast_zenoh.runtime.mesh.session import open_router
+from tests.support import commands_in_process
+from tests.support.launched import MAST, eventually
+
+TOPIC = "/car/perception/objects"
+SEED = 5
+WALL_NS = 1_700_000_000 * 10**9  # as a robot's clock says it
+
+SHIFT = """
+import numpy as np
+
+from mast_zenoh.arrays.states import canonical_order
+from mast_zenoh.attacks import Attack, alter
+
+
+class Shift(Attack):
+    def step(self, frame, time_ns, objects, agent_position, directive=None):
+        self.at = frame, time_ns, agent_position
+        rows = canonical_order(objects)[:1]
+        return alter(objects, move=rows, offset=np.array([[1.0, 0.0, 0.0]]))
+"""
+HALF = """
+from mast_zenoh.node import Node
+
+
+class Half(Node):
+    role = "adversary"
+    inputs = {"tracks": "tracks"}
+    outputs = {"tracks_out": "tracks"}
+
+    def on_tracks(self, received, context):
+        if received.frame == 1:
+            raise RuntimeError("no idea")
+        if received.frame != 2:
+            context.relay("tracks_out", received)
+"""
+
+
+def messages(n: int) -> list[Any]:
+    """Messages of a tracker: six objects that stand still."""
+    states = random_states(np.random.default_rng(1), 6)
+    return [tracked_objects(states, WALL_NS + k * 10**8, "map") for k in range(n)]
+
+
+def interposer(folder: Path, text: str, *settings: str) -> ObjectsInterposer:
+    file = folder / "own.py"
+    file.write_text(text)
+    return interposer_of(str(file), TOPIC, list(settings), SEED)
+
+
+def test_an_attack_changes_its_object_in_each_message_and_knows_its_agents_pose(tmp_path: Path) -> None:
+    node = interposer(tmp_path, SHIFT)
+    node.set_pose(
+        {"position": np.array([4.0, 5.0, 6.0]), "rotation": np.array([1.0, 0, 0, 0]), "velocity": np.zeros(3)}
+    )
+    for k, message in enumerate(messages(3)):
+        (result,) = node.through(message)
+        before, after = received_tracks(message).objects, received_tracks(result).objects
+        moved = np.flatnonzero((before.position != after.position).any(axis=1))
+        assert len(moved) == 1
+        np.testing.assert_allclose((after.position - before.position)[moved[0]], [1.0, 0.0, 0.0], atol=1e-12)
+        untouched = [plain(each) for row, each in enumerate(message.objects) if row != moved[0]]
+        assert [plain(each) for row, each in enumerate(result.objects) if row != moved[0]] == untouched
+        assert plain(result.header) == plain(message.header)
+        victim = next(iter(node._host.node.victims.values()))  # type: ignore[attr-defined]
+        frame, time_ns, position = victim.attack.at
+        assert (frame, time_ns, position.tolist()) == (k, k * 10**8, [4.0, 5.0, 6.0])
+    assert (node.messages, node.changed) == (3, 3)
+
+
+def test_a_shipped_attack_needs_only_its_name() -> None:
+    node = interposer_of("UncoordinatedAttack", TOPIC, ["attack.start_s=0"], SEED)
+    results = [result for message in messages(30) for result in node.through(message)]
+    assert len(results) == 30
+    assert node.changed > 0
+
+
+def test_detections_of_vision_msgs_can_be_attacked_too(tmp_path: Path) -> None:
+    states = random_states(np.random.default_rng(1), 4)
+    (result,) = interposer(tmp_path, SHIFT).through(detection_array(states, WALL_NS, "base_link"))
+    assert (received_tracks(result).objects.position != states.position).any(axis=1).sum() == 1
+
+
+def test_a_node_may_drop_messages_and_one_on_which_it_fails_passes_unchanged(tmp_path: Path) -> None:
+    node = interposer(tmp_path, HALF)
+    sent = messages(4)
+    results = [node.through(message) for message in sent]
+    assert [[plain(each) for each in result] for result in results] == [
+        [plain(sent[0])],
+        [plain(sent[1])],
+        [],
+        [plain(sent[3])],
+    ]
+    assert "RuntimeError: no idea" in node.failed
+    assert node.changed == 0
+
+
+LATE = """
+from mast_zenoh.node import Node
+
+
+class Late(Node):
+    role = "adversary"
+    inputs = {"clock": "clock", "tracks": "tracks"}
+    outputs = {"tracks_out": "tracks"}
+
+    def __init__(self):
+        self.waiting = []
+
+    def on_clock(self, received, context):
+        while self.waiting:
+            context.relay("tracks_out", self.waiting.pop())
+
+    def on_tracks(self, received, context):
+        if received.frame == 2:
+            raise RuntimeError("no idea")
+        self.waiting.append(received)
+"""
+
+
+def test_a_failing_node_loses_none_of_the_messages_that_it_had_kept_back(tmp_path: Path) -> None:
+    node = interposer(tmp_path, LATE)
+    sent = messages(5)
+    results = [node.through(message) for message in sent]
+    stamps = [[each.header.stamp.nanosec // 10**8 for each in result] for result in results]
+    assert stamps == [[], [0], [1, 2], [], [3]]
+
+
+def test_a_node_without_ports_for_objects_is_refused_by_name(tmp_path: Path) -> None:
+    with pytest.raises(NodeFileError, match=r"Half: no input for 'tracks' messages, which the topic carries"):
+        interposer(tmp_path, HALF.replace('"tracks": "tracks"', '"pose": "pose"').replace("on_tracks", "on_pose"))
+    with pytest.raises(NodeFileError, match="no node file or attack 'UncoordinatedAttac'"):
+        interposer_of("UncoordinatedAttac", TOPIC, [], SEED)
+
+
+def test_what_is_no_message_of_objects_raises(tmp_path: Path) -> None:
+    with pytest.raises(MessageError, match="Clock: expected"):
+        interposer(tmp_path, SHIFT).through(clock(1))
+
+
+def test_the_launch_file_remaps_the_topic_of_the_file_that_it_includes() -> None:
+    root = ElementTree.fromstring(launch_fragment(TOPIC))
+    group = root.find("group")
+    assert group is not None
+    assert [each.tag for each in group] == ["set_remap", "include"]
+    assert group[0].attrib == {"from": TOPIC, "to": TOPIC + "/before"}
+    assert group[1].attrib == {"file": "$(var file)"}
+
+
+@pytest.mark.parametrize(
+    ("topic", "type_name", "problem"),
+    [
+        ("objects", type_store.TRACKED_OBJECTS, "--ros2: topic 'objects/before'"),
+        (TOPIC, type_store.CLOCK, "--type: found 'rosgraph_msgs/msg/Clock'"),
+        (TOPIC, "TrackedObjects", "--type: found 'TrackedObjects'.*autoware_perception_msgs/msg/TrackedObjects"),
+    ],
+)
+def test_a_wrong_topic_or_type_is_refused(topic: str, type_name: str, problem: str) -> None:
+    with pytest.raises(ConfigurationError, match=problem):
+        ros2_interception.check_interception(topic, type_name)
+
+
+@pytest.fixture
+def router() -> Iterator[str]:
+    session, endpoint = open_router()
+    yield endpoint
+    session.close()
+
+
+class Between:
+    """An interposer between two nodes on a router, until `end`."""
+
+    def __init__(self, router: str, node: ObjectsInterposer, odometry: str = "") -> None:
+        self.counts: dict[str, Any] = {}
+        self.error: BaseException | None = None
+        self._stop, self._ready = threading.Event(), threading.Event()
+        arguments = Connection(router), TOPIC, type_store.TRACKED_OBJECTS, node, self._stop
+
+        def run() -> None:
+            try:
+                self.counts = ros2_interception.intercept_topic(*arguments, odometry=odometry, ready=self._ready.set)
+            except HandlerFailed as error:
+                self.error = error
+
+        self._thread = threading.Thread(target=run)
+        self._thread.start()
+        assert self._ready.wait(20.0)
+
+    def end(self) -> None:
+        self._stop.set()
+        self._thread.join(20.0)
+        assert not self._thread.is_alive()
+
+
+def test_all_messages_between_two_nodes_arrive_in_order_attacked(router: str, tmp_path: Path) -> None:
+    between = Between(router, interposer(tmp_path, SHIFT), "/car/odometry")
+    arrived: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    pose = {"position": np.array([7.0, 0, 0]), "rotation": np.array([1.0, 0, 0, 0]), "velocity": np.zeros(3)}
+    with Participant(Connection(router), "tracker") as tracker, Participant(Connection(router), "planner") as planner:
+        planner.subscribe(TOPIC, type_store.TRACKED_OBJECTS, lambda message, _: arrived.put(message))
+        own = tracker.publisher(TOPIC + "/before", type_store.TRACKED_OBJECTS)
+        place = tracker.publisher("/car/odometry", type_store.ODOMETRY)
+        eventually(lambda: tracker.subscriptions_of(TOPIC + "/before"), "the interposer")
+        eventually(lambda: planner.publishers_of(TOPIC), "its publisher")
+        place.publish(odometry(pose, 1, "map", "base_link"))
+        sent = messages(50)
+        for message in sent:
+            own.publish(message)
+        received = [arrived.get(timeout=20.0) for _ in sent]
+        between.end()
+    assert [message.header.stamp.nanosec for message in received] == [m.header.stamp.nanosec for m in sent]
+    assert all(len(message.objects) == 6 for message in received)
+    assert between.counts == {"messages": 50, "changed": 50, "published": 50, "refused": {}}
+
+
+def test_what_cannot_be_read_is_passed_on_and_a_failed_node_is_an_error(router: str, tmp_path: Path) -> None:
+    between = Between(router, interposer(tmp_path, HALF))
+    arrived: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    with Participant(Connection(router), "tracker") as tracker, Participant(Connection(router), "planner") as planner:
+        planner.subscribe(TOPIC, type_store.TRACKED_OBJECTS, lambda message, _: arrived.put(message))
+        own = tracker.publisher(TOPIC + "/before", type_store.TRACKED_OBJECTS)
+        eventually(lambda: tracker.subscriptions_of(TOPIC + "/before"), "the interposer")
+        eventually(lambda: planner.publishers_of(TOPIC), "its publisher")
+        first, second = messages(2)
+        own.publish(replace(first, header=replace(first.header, frame_id="")))
+        own.publish(first)
+        own.publish(second)
+        received = [arrived.get(timeout=20.0) for _ in range(3)]
+        between.end()
+    assert [message.header.frame_id for message in received] == ["", "map", "map"]
+    assert isinstance(between.error, HandlerFailed)
+    assert "RuntimeError: no idea" in str(between.error)
+
+
+def command(*words: str, folder: Path) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [*MAST, "intercept", *words], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+
+
+def test_the_command_writes_the_launch_file_attacks_until_it_is_interrupted_and_says_what_it_did(
+    router: str, tmp_path: Path
+) -> None:
+    (tmp_path / "shift.py").write_text(SHIFT)
+    words = ("--ros2", TOPIC, "--with", "shift.py", "--launch", "before.launch.xml", "--router", router)
+    process = command(*words, folder=tmp_path)
+    arrived: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    with Participant(Connection(router), "tracker") as tracker, Participant(Connection(router), "planner") as planner:
+        planner.subscribe(TOPIC, type_store.TRACKED_OBJECTS, lambda message, _: arrived.put(message))
+        own = tracker.publisher(TOPIC + "/before", type_store.TRACKED_OBJECTS)
+        eventually(lambda: tracker.subscriptions_of(TOPIC + "/before"), "the interposer")
+        eventually(lambda: planner.publishers_of(TOPIC), "its publisher")
+        for message in messages(5):
+            own.publish(message)
+            arrived.get(timeout=20.0)
+    process.send_signal(signal.SIGINT)
+    output, _ = process.communicate(timeout=30.0)
+    assert process.returncode == 0, output
+    assert "publisher: ros2 launch before.launch.xml file:=ITS_LAUNCH_FILE" in output
+    assert f"publisher: ros2 run PACKAGE NODE --ros-args -r {TOPIC}:={TOPIC}/before" in output
+    assert "messages: 5, changed: 5, published: 5" in output
+    assert (tmp_path / "before.launch.xml").read_text() == launch_fragment(TOPIC)
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "problem"),
+    [
+        ([], 2, "expected a node or an attack"),
+        (["--with", "UncoordinatedAttack"], 2, "expected the folder of a running run and --wire, or --ros2 TOPIC"),
+        (["run", "--with", "x.py", "--ros2", TOPIC], 2, "found RUN and --ros2"),
+        (["--with", "UncoordinatedAttack", "--ros2", "objects"], 10, "--ros2: topic 'objects/before'"),
+        (["--with", "UncoordinatedAttack", "--ros2", TOPIC, "--type", "Odometry"], 10, "--type: found 'Odometry'"),
+        (["--with", "missing.py", "--ros2", TOPIC], 12, "no node file or attack 'missing.py'"),
+        (["--with", "UncoordinatedAttack", "--ros2", TOPIC, "--set", "attack.no=1"], 10, "no"),
+        (["--with", "UncoordinatedAttack", "--ros2", TOPIC, "--router", "here"], 10, "ros2.router: found 'here'"),
+    ],
+)
+def test_a_wrong_command_says_what_is_wrong(words: list[str], code: int, problem: str) -> None:
+    ended = commands_in_process.command("intercept", *words)
+    assert ended.code == code
+    assert problem in " ".join((ended.out + ended.err).replace("│", " ").split())
