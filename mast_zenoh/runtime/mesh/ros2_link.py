@@ -106,7 +106,7 @@ class Ros2Link:
         return bool(self._participant.publishers_of(topic))
 
     def heard(self, topic: str) -> bool:
-        return bool(self._participant.subscriptions_of(topic))
+        return self._publishers[topic].is_wanted
 
     def note_clock(self, frame: int) -> None:
         """Note that the clock of a frame has arrived now."""
