@@ -25,8 +25,9 @@ from mast_zenoh.viewer.live.reception import Arrival, Sample
 
 #: s between two looks at what has arrived.
 POLL_S = 0.01
-#: Frames for which a silent key is waited for: its messages may be delayed on a link, or its node may have died.
-PATIENCE = 10
+#: For how long a silent key is waited for, whose node is there: frames in lock-step, and at least; s in real time, in
+#: which busy machines and links delay messages.
+PATIENCE, _PATIENCE_S = 10, 5.0
 #: Messages of one key about one frame, at most: a publisher of a run sends one, and a link may repeat it.
 MOST_PER_KEY = 32
 #: s of a run in real time for which messages can wait, and the fewest and most of a key.
@@ -68,13 +69,15 @@ class FrameAssembler:
     """Puts messages together by the frame that they are about.
 
     A frame is whole when every key has been heard of it or of a later frame, of those that were heard in the latest
-    PATIENCE frames.
+    frames.
 
     keys: of messages that a frame has;  clock: the one of them that every frame has
+    patience: number of these latest frames, for which a frame waits at most
     """
 
-    def __init__(self, keys: Collection[str], clock: str, tally: Tally) -> None:
+    def __init__(self, keys: Collection[str], clock: str, tally: Tally, patience: int = PATIENCE) -> None:
         self.tally = tally
+        self._patience = patience
         self._frames: dict[int, dict[str, list[Sample]]] = {}
         self._next = -1  # the frame that is due; -1: none has begun
         self._newest_clock = -1
@@ -91,8 +94,9 @@ class FrameAssembler:
         if key == self._clock and frame > self._newest_clock:
             if self._next < 0:  # of frames before, and of the first ones, parts may be missing
                 self._next = frame + SETTLING if frame else 0
+                self._heard = dict.fromkeys(self._heard, frame)
             self._newest_clock = frame
-        if frame < self._next:
+        if frame < self._next or self._next < 0:
             self.tally.late += key != self._clock and self.tally.frames > 0
             return
         samples = self._frames.setdefault(frame, {}).setdefault(key, []) if frame <= self._last else []
@@ -104,9 +108,14 @@ class FrameAssembler:
             self._newest[key] = max(self._newest[key], frame)
             self._heard[key] = self._newest_clock
 
-    def whole(self, *, over: bool = False) -> Iterator[tuple[int, list[tuple[str, Sample]]]]:
-        """The frames that are whole now, in order, with their messages. over: nothing more comes"""
-        while 0 <= self._next <= self._newest_clock and (over or self._is_whole()):
+    def whole(
+        self, *, silent: Collection[str] = (), over: bool = False
+    ) -> Iterator[tuple[int, list[tuple[str, Sample]]]]:
+        """The frames that are whole now, in order, with their messages.
+
+        silent: keys on which nothing comes for now;  over: nothing more comes at all
+        """
+        while 0 <= self._next <= self._newest_clock and (over or self._is_whole(silent)):
             if self._clock in self._frames.get(self._next, ()):
                 number, by_key = self._next, self._frames.pop(self._next)
                 self._next += 1
@@ -122,13 +131,14 @@ class FrameAssembler:
     @property
     def _last(self) -> int:
         """The last frame about which there can be messages by now."""
-        return self._newest_clock + PATIENCE
+        return self._newest_clock + self._patience
 
-    def _is_whole(self) -> bool:
-        if self._newest_clock >= self._next + PATIENCE:
+    def _is_whole(self, silent: Collection[str]) -> bool:
+        if self._newest_clock >= self._next + self._patience:
             return True
-        since = self._newest_clock - PATIENCE
-        return all(self._newest[key] >= self._next for key, heard in self._heard.items() if heard >= since)
+        since = self._newest_clock - self._patience
+        awaited = (key for key, heard in self._heard.items() if heard >= since and key not in silent)
+        return all(self._newest[key] >= self._next for key in awaited)
 
 
 class EveryFrame:
@@ -140,7 +150,8 @@ class EveryFrame:
     def __init__(self, run: ObservedRun, session: zenoh.Session) -> None:
         self.observer = Observer(run, session, room_for(run.resolved))
         self.tally = Tally()
-        self._assembler = FrameAssembler(self._keys(), self.observer.clock_key, self.tally)
+        patience = patience_for(run.resolved)
+        self._assembler = FrameAssembler(self._keys(), self.observer.clock_key, self.tally, patience)
         self._wiring = self.observer.wiring
         self._types = self.observer.types
         self._resume_at, self._pause_s = 0.0, _PAUSE_S
@@ -152,7 +163,7 @@ class EveryFrame:
             stop.wait(POLL_S)
             over = stop.is_set() or self.observer.is_over()  # asked first: what has arrived until then is taken
             self._add(self.observer.keep_up())
-            waiting = deque(self._assembler.whole(over=over))
+            waiting = deque(self._assembler.whole(silent=self._silent(), over=over))
             while waiting:
                 number, messages = waiting.popleft()
                 if measured() and self._has_time(len(waiting)):
@@ -173,6 +184,11 @@ class EveryFrame:
 
     def _keys(self) -> Collection[str]:
         return self.observer.meter.keys_of_series(self.observer.wiring)
+
+    def _silent(self) -> Collection[str]:
+        """The keys of nodes that are down."""
+        down = self.observer.down
+        return {leg.key for _, leg in self._wiring.legs() if leg.publisher.node in down} if down else ()
 
     def _add(self, arrived: Iterable[Arrival]) -> None:
         if self.observer.wiring is not self._wiring:
@@ -213,9 +229,17 @@ class EveryFrame:
         return self.observer.meter.unmeasured(self.observer.record, number, messages, self.observer.wiring)
 
 
+def patience_for(resolved: Resolved) -> int:
+    """For how many frames a silent key is waited for."""
+    return max(PATIENCE, _frames_in(_PATIENCE_S, resolved)) if resolved.mode == "realtime" else PATIENCE
+
+
 def room_for(resolved: Resolved) -> int:
     """How many messages of a key can wait: in real time those of some seconds."""
     if resolved.mode != "realtime":
         return _MOST_ROOM
-    per_s = resolved.rate / (resolved.period_ns * 1e-9)
-    return min(max(math.ceil(_ROOM_S * per_s), _LEAST_ROOM), _MOST_ROOM)
+    return min(max(_frames_in(_ROOM_S, resolved), _LEAST_ROOM), _MOST_ROOM)
+
+
+def _frames_in(seconds: float, resolved: Resolved) -> int:
+    return math.ceil(seconds * resolved.rate / (resolved.period_ns * 1e-9))
