@@ -89,7 +89,7 @@ class AdversaryExchange(FrameExchange):
     name: of its node;  wires: (port, subject) of each, such as ("tracks", "infra_1")
 
     What is in transit is sent on /mast/NAME/SUBJECT/PORT/in, and what comes back is received on .../out, both in the
-    frame of reference of the wire, which is called `intercepted`.
+    frame of reference of the wire, which is called `intercepted`. The wire of the picture has no subject.
     """
 
     def __init__(self, name: str, connection: Connection, timing: Timing, wires: Collection[tuple[str, str]]) -> None:

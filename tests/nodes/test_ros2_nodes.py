@@ -387,6 +387,27 @@ def test_rows_that_ros_cannot_express_are_forwarded_as_they_are(attacked: Resolv
         np.testing.assert_array_equal(message.body["size"], body["size"])
 
 
+def test_a_picture_keeps_the_support_of_the_objects_that_come_back() -> None:
+    def edit(content: dict[str, Any]) -> None:
+        content["adversaries"] = {"thief": {"type": "Ros2Adversary", "file": ADVERSARY, "agent": "ego"}}
+        content["keyexpr"] = {"map": "testbed.toml", "rewrites": ["on_picture.toml"]}
+
+    states = random_states(np.random.default_rng(9), 3)
+    body = states.columns() | {"support": np.array([1, 2, 3])}
+    added = ObjectStates.of(np.zeros((1, 3)), id=np.array([777]), size=np.ones((1, 3)))
+
+    def change(objects: list[Any]) -> None:
+        objects[:] = [objects[2], objects[0], *tracked_objects(added, 0, "x").objects]
+
+    sent, back = "/mast/thief/picture/in", "/mast/thief/picture/out"
+    thief = Bench(tiny(edit=edit), "thief", link=answering(back, edited(change), sent))
+    thief.play(0, picture=body)
+    ((_, forwarded),) = thief.said
+    assert forwarded.body["id"].tolist() == [states.id[2], states.id[0], 777]
+    assert forwarded.body["support"].tolist() == [3, 1, 2]
+    np.testing.assert_array_equal(forwarded.body["covariance"][:2], states.covariance[[2, 0]])
+
+
 def test_no_object_gets_the_id_of_one_that_ros_cannot_express(attacked: Resolved) -> None:
     body = body_of("tracks")
     body["size"] = np.asarray(body["size"]).copy()
