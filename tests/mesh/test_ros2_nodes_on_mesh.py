@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
 from equal_runs import assert_equal
+from launched import Observer, eventually
 from ros2_process import ADVERSARY, AGENT, CENTER, Ros2Process
 from ros2_worlds import with_ros2
 
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import Interrupted, NotRunning
+from mast_zenoh.launch import live_interception
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.messagelog.reader import read
 from mast_zenoh.replay import resolution as replay
@@ -24,6 +27,8 @@ from mast_zenoh.security.levels import router_settings
 
 pytestmark = pytest.mark.mesh
 
+ROOT = Path(__file__).parents[2]
+QUIET, ADVERSARY_FILE = ROOT / "tests" / "support" / "live" / "quiet.py", ROOT / "nodes" / "ros2_adversary.py"
 PLACES = {"agent": ("tracks", AGENT), "center": ("echo", CENTER), "adversary": ("raise", ADVERSARY)}
 
 
@@ -129,6 +134,27 @@ def test_with_tls_on_both_meshes_and_certificates_on_both_sides(tmp_path: Path, 
         folder = played(with_ros2(place, endpoint, ros2=ros2), tmp_path / "run", secure="mtls")
     session.close()
     assert counts(folder)["answered"] == 12
+
+
+@pytest.mark.heavy
+def test_a_node_of_ros_is_put_into_a_wire_of_a_running_mesh(launch: Any, router: str) -> None:
+    with Ros2Process("raise", router, *ADVERSARY):
+        run = launch(str(QUIET), "--mode", "lockstep")
+        record = run.started()
+        with closing(Observer(record, "agent/infra_1/tracks")) as observer:
+            eventually(lambda: observer.samples, "tracks")
+            settings = (f"ros2.router={router}", "agent=infra_1")
+            live_interception.intercept(
+                run.out, "agent/infra_1/tracks", str(ADVERSARY_FILE), name="thief", settings=settings
+            )
+            reached = len(observer.samples) + 5
+            eventually(lambda: len(observer.samples) >= reached, "tracks that have passed through ROS")
+        run.interrupted()
+    counts_of_run = run.record()["outside"]["thief"]
+    assert counts_of_run["answered"] >= 5
+    assert (counts_of_run["unanswered"], counts_of_run["refused"]) == (0, {})
+    numbers = [message.seq for message in read(run.out) if message.key == "agent/infra_1/tracks"]
+    assert numbers == list(range(len(numbers)))
 
 
 @pytest.mark.heavy

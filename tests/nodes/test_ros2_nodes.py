@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +25,7 @@ from mast_zenoh.ros2.pose_messages import odometry, transform_message
 from mast_zenoh.ros2.received_objects import received_tracks
 from mast_zenoh.ros2.spatial import Transform
 from mast_zenoh.testing.outside import FakeLink
+from mast_zenoh.testing.simulation.world import World
 
 AGENT, CENTER, ADVERSARY = "ros2_agent.py", "ros2_command_center.py", "ros2_adversary.py"
 SENT, BACK = "/mast/ego/detections", "/mast/ego/received_tracks"
@@ -459,8 +464,14 @@ def test_without_the_extra_the_error_names_it(monkeypatch: pytest.MonkeyPatch, r
         Bench(resolved, "ego")
 
 
-def test_a_simulated_mesh_refuses_nodes_with_topics_outside(resolved: Resolved) -> None:
-    from mast_zenoh.testing.simulation.world import World
+def test_other_scenarios_need_no_library_of_ros() -> None:
+    code = "import sys; from tiny_world import tiny; tiny(frames=2); print('rosbags' in sys.modules)"
+    support = str(Path(__file__).parents[1] / "support")
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([support, os.environ.get("PYTHONPATH", "")])}
+    found = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert found.stdout == "False\n"
 
+
+def test_a_simulated_mesh_refuses_nodes_with_topics_outside(resolved: Resolved) -> None:
     with pytest.raises(ConfigurationError, match="ego: Ros2Agent exchanges messages with programs outside the run"):
         World.of(replace(resolved, modules=()))
