@@ -179,7 +179,8 @@ class FrameExchange:
     def results(self, outside: Outside) -> dict[str, Any]:
         """The counts, for the results of a node."""
         unanswered = self._counts["asked"] - self._counts["answered"] - self._counts["late"]
-        counts = {**self._counts, "unanswered": unanswered, "waits": outside.waits}
+        counts: dict[str, Any] = {**self._counts, "waits": outside.waits}
+        counts["unanswered"] = max(0, unanswered)  # an answer may come after the end of the run was announced
         return {**counts, "refused": dict(self.refused + Counter(outside.refused)), "left_out": dict(self.left_out)}
 
     def refuse(self, error: MessageError) -> None:

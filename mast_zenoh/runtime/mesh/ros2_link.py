@@ -76,7 +76,7 @@ class Ros2Link:
     @property
     def refused(self) -> Mapping[str, int]:
         """Number of messages that were dropped before the node got them, by reason."""
-        return Counter(self._participant.refused) + self._overflows
+        return Counter(self._participant.refused) + Counter(self._overflows)  # copies: other threads count on
 
     def announce(self, topic: str, type_name: str) -> None:
         if topic not in self._publishers:
