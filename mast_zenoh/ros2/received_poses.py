@@ -143,5 +143,4 @@ def _reason(pose: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> str:
         return "a value is not finite"
     if np.abs(pose[:3]).max() > MOST_METRES:
         return f"position: beyond {MOST_METRES:g} m"
-    with np.errstate(over="ignore"):
-        return "" if is_unit(pose[3:]) else "orientation: a quaternion whose length is not 1"
+    return "" if is_unit(pose[3:]) else "orientation: a quaternion whose length is not 1"

@@ -123,4 +123,5 @@ def vector_rows(messages: Sequence[RosMessage]) -> Floats:
 
 def is_unit(quaternions: Floats) -> Bools:
     """(...,) whether quaternions (..., 4) have length 1, nearly."""
-    return np.asarray(np.abs(np.linalg.norm(quaternions, axis=-1) - 1.0) <= _LENGTH_TOLERANCE)
+    with np.errstate(over="ignore"):
+        return np.asarray(np.abs(np.linalg.norm(quaternions, axis=-1) - 1.0) <= _LENGTH_TOLERANCE)
