@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import queue
 import threading
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from inspect import signature
@@ -45,7 +46,11 @@ _WIRE = "tracks"  # what all these messages are to an interposer
 #: Messages that wait for the node, at most, and s between two looks whether to stop.
 _MOST_WAITING, _LOOK_S = 256, 0.1
 #: Messages that a node may keep back; of more, the oldest are not published.
-_MOST_KEPT = 1000
+_MOST_KEPT = 200
+#: ns, the longest time between two messages that is none of a jump of the clock.
+_LONGEST_STEP_NS = 10 * 10**9
+#: s, for messages that wait when the interception ends.
+_REST_S = 2.0
 _WORLD = {"origin": np.zeros(3), "rotation": np.array([1.0, 0.0, 0.0, 0.0])}
 _STILL = {"position": np.zeros(3), "rotation": _WORLD["rotation"], "velocity": np.zeros(3)}
 
@@ -56,8 +61,11 @@ class ObjectsInterposer:
     node: an interposer with ports for tracks, such as an adversary;  source: its file and class, for errors
     agent: the subject of its messages;  name: of the node;  seed: of its draws
 
-    Each message is a frame of its own. Times are those of the messages' stamps, from 0 at the first one.
+    Each message is a frame of its own. Times are those of the messages' stamps, from 0 at the first one; where stamps
+    jump, back or by more than 10 s, the time stands still for one message.
+
     messages, changed: number of messages that were received, and that were published with a difference
+    jumps: number of jumps of the stamps
     """
 
     def __init__(self, node: Node, agent: str, *, source: str, name: str, seed: int) -> None:
@@ -71,9 +79,10 @@ class ObjectsInterposer:
         self._host = Host(name, node, Ports(by_key, {(out, agent): _WIRE}), seed, encode=False, emit=self._on_message)
         self._host.start({})
         self._pose: Body = _STILL
-        self._kept: dict[int, tuple[RosMessage, Received[ObjectStates]]] = {}
-        self._first_ns: int | None = None
-        self.messages = self.changed = 0
+        self._kept: dict[int, tuple[str, bytes, Received[ObjectStates]]] = {}  # by frame: type and bytes
+        self._stamp_ns: int | None = None  # of the newest message
+        self._time_ns = 0
+        self.messages = self.changed = self.jumps = 0
 
     @property
     def failed(self) -> str:
@@ -90,44 +99,56 @@ class ObjectsInterposer:
         A message on which the node fails is passed on as it is. Raises MessageError for one that cannot be read.
         """
         received = received_tracks(message)
-        if self._first_ns is None:
-            self._first_ns = received.time_ns
-        frame, time_ns = self.messages, max(0, received.time_ns - self._first_ns)
+        self._advance(received.time_ns)
+        frame = self.messages
         self.messages += 1
-        self._kept[frame] = message, received
-        while len(self._kept) > _MOST_KEPT:
-            del self._kept[min(self._kept)]
         failures = self._failures()
-        self._deliver("clock", "simulator", frame, time_ns, {})
-        self._deliver("pose", "simulator", frame, time_ns, self._pose)
-        self._deliver(_WIRE, self._agent, frame, time_ns, received.objects.columns() | _WORLD)
+        self._deliver("clock", "simulator", frame, {})
+        self._deliver("pose", "simulator", frame, self._pose)
+        self._deliver(_WIRE, self._agent, frame, received.objects.columns() | _WORLD)
         published, self._published = self._published, []
-        results = [result for each in published if (result := self._result(each)) is not None]
-        if self._failures() > failures and frame not in (each.header.frame for each in published):
-            del self._kept[frame]
-            results.append(message)
+        results, is_out = [], False
+        for each in published:
+            if each.header.frame == frame:
+                results.append(self._result(message, received, each))
+                is_out = True
+            elif each.header.frame in self._kept:
+                kind, payload, earlier = self._kept.pop(each.header.frame)
+                results.append(self._result(type_store.decode(kind, payload), earlier, each))
+        if is_out:
+            return results
+        if self._failures() > failures:
+            return [*results, message]
+        self._kept[frame] = message.__msgtype__, type_store.encode(message), received  # bytes take a tenth of the room
+        if len(self._kept) > _MOST_KEPT:
+            del self._kept[min(self._kept)]
         return results
+
+    def _advance(self, stamp_ns: int) -> None:
+        """Go on with the time by the difference of two stamps."""
+        step_ns = 0 if self._stamp_ns is None else stamp_ns - self._stamp_ns
+        self._stamp_ns = stamp_ns
+        if 0 <= step_ns <= _LONGEST_STEP_NS:
+            self._time_ns += step_ns
+        else:
+            self.jumps += 1
 
     def _failures(self) -> int:
         return sum(failure.count for failure in self._host.failures.values())
 
-    def _deliver(self, key: str, source: str, frame: int, time_ns: int, body: Body) -> None:
+    def _deliver(self, key: str, source: str, frame: int, body: Body) -> None:
         if key in self._host.subscriptions:
-            self._host.deliver(key, codec.conform(Header(key, source, frame, time_ns, frame), body), frame)
+            self._host.deliver(key, codec.conform(Header(key, source, frame, self._time_ns, frame), body), frame)
 
     def _on_message(self, out: Outgoing) -> None:
         if out.key == _WIRE and isinstance(out.payload, Message):
             self._published.append(out.payload)
 
-    def _result(self, published: Message) -> RosMessage | None:
-        """A message with what the node has made of its objects; None: it is kept no longer."""
-        if published.header.frame not in self._kept:
-            return None
-        message, received = self._kept[published.header.frame]
+    def _result(self, message: RosMessage, received: Received[ObjectStates], published: Message) -> RosMessage:
+        """A message with what the node has made of its objects."""
         wanted = ObjectStates.from_columns(published.body)
-        result = altered(message, received, wanted)
         self.changed += not _equal(wanted, received.objects)
-        return result
+        return altered(message, received, wanted)
 
 
 def _equal(first: ObjectStates, second: ObjectStates) -> bool:
@@ -228,15 +249,56 @@ def intercept_topic(
             participant.subscribe(odometry, type_store.ODOMETRY, keep)
         participant.subscribe(topic + BEFORE, type_name, keep)
         ready()
+        warned = _Once(warn)
         with suppress(KeyboardInterrupt):
             while not stop.is_set():
-                try:
-                    pass_on(arrived.get(timeout=_LOOK_S))
-                except queue.Empty:
-                    continue
-                except MessageError as error:
-                    participant.refuse(topic + BEFORE, str(error))
+                _watch(participant, topic, warned)
+                _pass_on_next(arrived, pass_on, participant, topic)
+        deadline = time.monotonic() + _REST_S
+        for _ in range(arrived.qsize()):
+            if time.monotonic() < deadline:
+                _pass_on_next(arrived, pass_on, participant, topic)
+        for _ in range(arrived.qsize()):
+            participant.refuse(topic + BEFORE, "interrupted: the node had no time for it")
         counts = {"messages": interposer.messages, "changed": interposer.changed, "published": publisher.sent}
+    if interposer.jumps:
+        warn(f"{topic}: the stamps have jumped {interposer.jumps} times: the attack's time stood still there")
     if interposer.failed:
         raise HandlerFailed(f"{interposer.failed}: it was on {topic}, and what it failed on was passed on as it was")
+    if not interposer.messages:
+        warn(f"nothing has arrived on {topic}{BEFORE}: nothing was attacked")
     return counts | {"refused": dict(participant.refused)}
+
+
+class _Once:
+    """Passes each warning on once."""
+
+    def __init__(self, warn: Callable[[str], None]) -> None:
+        self._warn = warn
+        self._said: set[str] = set()
+
+    def __call__(self, sentence: str) -> None:
+        if sentence not in self._said:
+            self._said.add(sentence)
+            self._warn(sentence)
+
+
+def _watch(participant: Participant, topic: str, warn: Callable[[str], None]) -> None:
+    """Warn of what makes an interception ineffective."""
+    for other in participant.publishers_of(topic)[:1]:
+        name = f"{other.node.namespace.rstrip('/')}/{other.node.name}"
+        warn(f"{name} publishes on {topic} itself: what it says is not attacked; start it with the topic remapped")
+    if not participant.is_connected:
+        warn("there is no link to the router: meanwhile messages are lost")
+
+
+def _pass_on_next(
+    arrived: queue.Queue[RosMessage], pass_on: Callable[[RosMessage], None], participant: Participant, topic: str
+) -> None:
+    """Pass the next message on, if there is one soon; count one that cannot be read."""
+    try:
+        pass_on(arrived.get(timeout=_LOOK_S))
+    except queue.Empty:
+        pass
+    except MessageError as error:
+        participant.refuse(topic + BEFORE, str(error))

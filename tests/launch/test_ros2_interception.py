@@ -153,6 +153,27 @@ def test_a_failing_node_loses_none_of_the_messages_that_it_had_kept_back(tmp_pat
     assert stamps == [[], [0], [1, 2], [], [3]]
 
 
+@pytest.mark.parametrize("first_s", [0, 2**31 - 1])
+def test_a_stamp_of_another_clock_neither_starts_nor_stops_an_attack(first_s: int, tmp_path: Path) -> None:
+    node = interposer(tmp_path, SHIFT)
+    states = random_states(np.random.default_rng(1), 6)
+    node.through(tracked_objects(states, first_s * 10**9, "map"))
+    times = []
+    for message in messages(3):
+        node.through(message)
+        times.append(next(iter(node._host.node.victims.values())).attack.at[1])  # type: ignore[attr-defined]
+    assert times == [0, 10**8, 2 * 10**8]
+    assert node.jumps == 1
+
+
+def test_what_a_node_keeps_back_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ros2_interception, "_MOST_KEPT", 3)
+    node = interposer(tmp_path, HALF.replace("received.frame == 1", "False").replace("received.frame != 2", "False"))
+    for message in messages(10):
+        assert node.through(message) == []
+    assert len(node._kept) == 3
+
+
 def test_a_node_without_ports_for_objects_is_refused_by_name(tmp_path: Path) -> None:
     with pytest.raises(NodeFileError, match=r"Half: no input for 'tracks' messages, which the topic carries"):
         interposer(tmp_path, HALF.replace('"tracks": "tracks"', '"pose": "pose"').replace("on_tracks", "on_pose"))
@@ -201,6 +222,7 @@ class Between:
         self.counts: dict[str, Any] = {}
         self.error: BaseException | None = None
         self._stop, self._ready = threading.Event(), threading.Event()
+        self.warnings: list[str] = []
         arguments = Connection(router), TOPIC, type_store.TRACKED_OBJECTS, node, self._stop
 
         def run() -> None:
@@ -213,17 +235,27 @@ class Between:
         self._thread.start()
         assert self._ready.wait(20.0)
 
+    def __enter__(self) -> Between:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.end()
+
     def end(self) -> None:
+        """Stop it, and wait until it has."""
         self._stop.set()
         self._thread.join(20.0)
         assert not self._thread.is_alive()
 
 
 def test_all_messages_between_two_nodes_arrive_in_order_attacked(router: str, tmp_path: Path) -> None:
-    between = Between(router, interposer(tmp_path, SHIFT), "/car/odometry")
     arrived: queue.SimpleQueue[Any] = queue.SimpleQueue()
     pose = {"position": np.array([7.0, 0, 0]), "rotation": np.array([1.0, 0, 0, 0]), "velocity": np.zeros(3)}
-    with Participant(Connection(router), "tracker") as tracker, Participant(Connection(router), "planner") as planner:
+    with (
+        Between(router, interposer(tmp_path, SHIFT), "/car/odometry") as between,
+        Participant(Connection(router), "tracker") as tracker,
+        Participant(Connection(router), "planner") as planner,
+    ):
         planner.subscribe(TOPIC, type_store.TRACKED_OBJECTS, lambda message, _: arrived.put(message))
         own = tracker.publisher(TOPIC + "/before", type_store.TRACKED_OBJECTS)
         place = tracker.publisher("/car/odometry", type_store.ODOMETRY)
@@ -241,9 +273,12 @@ def test_all_messages_between_two_nodes_arrive_in_order_attacked(router: str, tm
 
 
 def test_what_cannot_be_read_is_passed_on_and_a_failed_node_is_an_error(router: str, tmp_path: Path) -> None:
-    between = Between(router, interposer(tmp_path, HALF))
     arrived: queue.SimpleQueue[Any] = queue.SimpleQueue()
-    with Participant(Connection(router), "tracker") as tracker, Participant(Connection(router), "planner") as planner:
+    with (
+        Between(router, interposer(tmp_path, HALF)) as between,
+        Participant(Connection(router), "tracker") as tracker,
+        Participant(Connection(router), "planner") as planner,
+    ):
         planner.subscribe(TOPIC, type_store.TRACKED_OBJECTS, lambda message, _: arrived.put(message))
         own = tracker.publisher(TOPIC + "/before", type_store.TRACKED_OBJECTS)
         eventually(lambda: tracker.subscriptions_of(TOPIC + "/before"), "the interposer")
@@ -257,6 +292,20 @@ def test_what_cannot_be_read_is_passed_on_and_a_failed_node_is_an_error(router: 
     assert [message.header.frame_id for message in received] == ["", "map", "map"]
     assert isinstance(between.error, HandlerFailed)
     assert "RuntimeError: no idea" in str(between.error)
+
+
+def test_a_publisher_that_was_not_remapped_is_named(router: str, tmp_path: Path) -> None:
+    with (
+        Between(router, interposer(tmp_path, SHIFT)) as between,
+        Participant(Connection(router), "tracker") as tracker,
+    ):
+        tracker.publisher(TOPIC, type_store.TRACKED_OBJECTS)
+        eventually(lambda: between.warnings, "a warning")
+    between.end()
+    assert between.warnings == [
+        f"/tracker publishes on {TOPIC} itself: what it says is not attacked; start it with the topic remapped",
+        f"nothing has arrived on {TOPIC}/before: nothing was attacked",
+    ]
 
 
 def command(*words: str, folder: Path) -> subprocess.Popen[str]:
