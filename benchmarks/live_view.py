@@ -22,7 +22,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from itertools import count
 from pathlib import Path
 from typing import NamedTuple
@@ -153,12 +153,16 @@ def counted_frames(out: Path) -> Iterator[Callable[[], int]]:
         yield lambda: played
 
 
-def windows(kinds: Sequence[str], seconds: float) -> Iterator[tuple[str, Window]]:
+#: An observer of a kind of the run in a folder: yields its processes. kind none: nothing
+Beside = Callable[[str, Path], AbstractContextManager[list[psutil.Process]]]
+
+
+def windows(kinds: Sequence[str], seconds: float, beside: Beside) -> Iterator[tuple[str, Window]]:
     """Measure one run as long as it plays: none, a kind, none, another kind, none, ..."""
     with running("--frames", str(_FRAMES)) as (run, out), counted_frames(out) as played:
         for number in count():
             kind = "none" if number % 2 == 0 else kinds[number // 2 % len(kinds)]
-            with viewer(kind, out) as processes:
+            with beside(kind, out) as processes:
                 time.sleep(_SETTLE_S)
                 begin, frames, used = time.monotonic(), played(), processor_s(processes)
                 time.sleep(seconds)
@@ -170,32 +174,35 @@ def windows(kinds: Sequence[str], seconds: float) -> Iterator[tuple[str, Window]
                 return
 
 
-def compare(runs: int, seconds: float, kinds: list[str]) -> None:
-    """Print how the frame rate with each kind of viewer differs from that without, in percent, with a 95 % interval."""
+def compare(runs: int, seconds: float, kinds: list[str], beside: Beside = viewer, name: str = "viewer") -> None:
+    """Print how the frame rate with each kind of observer differs from that without, in percent, with a 95 % interval.
+
+    name: of the observers
+    """
     ratios: dict[str, list[float]] = {kind: [] for kind in kinds}
     shares: dict[str, list[float]] = {kind: [] for kind in kinds}
     plain: list[float] = []
     for turn in range(runs):
         before, viewed = 0.0, ("", Window(0.0, 0.0))
-        for kind, window in windows(kinds if turn % 2 == 0 else kinds[::-1], seconds):
+        for kind, window in windows(kinds if turn % 2 == 0 else kinds[::-1], seconds, beside):
             if kind != "none":
                 viewed = kind, window
                 continue
             plain.append(window.rate)
             if before:
-                name, own = viewed
-                ratios[name].append(2 * own.rate / (before + window.rate))
-                shares[name].append(own.share)
-                print(f"  {name}: {own.rate:.1f} frames/s, {before:.1f} before, {window.rate:.1f} after", flush=True)
+                shown, own = viewed
+                ratios[shown].append(2 * own.rate / (before + window.rate))
+                shares[shown].append(own.share)
+                print(f"  {shown}: {own.rate:.1f} frames/s, {before:.1f} before, {window.rate:.1f} after", flush=True)
             before = window.rate
-    print(f"without a viewer: median {statistics.median(plain):.1f} frames/s")
+    print(f"without a {name}: median {statistics.median(plain):.1f} frames/s")
     chance = np.random.default_rng(0)
     for kind in kinds:
         samples = np.median(chance.choice(ratios[kind], (10_000, len(ratios[kind]))), axis=1)
         low, high = (100 * (value - 1) for value in np.quantile(samples, (0.025, 0.975)))
         median = 100 * (statistics.median(ratios[kind]) - 1)
         print(f"{kind:>8}: median {median:+.1f} % ({low:+.1f} to {high:+.1f}) of {len(ratios[kind])} windows,")
-        print(f"          with {statistics.median(shares[kind]):.1f} % of a processor for the viewer")
+        print(f"          with {statistics.median(shares[kind]):.1f} % of a processor for the {name}")
 
 
 def memory(minutes: float) -> None:

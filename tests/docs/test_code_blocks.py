@@ -250,7 +250,7 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "network.md": [whole_scenario],
     "python.md": [None] * 13,  # test_page_examples.py
     "recording.md": [messages_of_a_run],
-    "ros2.md": [message_of_ros],
+    "ros2.md": [part_of_a_scenario, message_of_ros],
     "scene_arrays.md": [None] * 3,  # test_page_examples.py
     "scenarios.md": [whole_scenario, results_of_a_node],
     "search.md": [study_with_a_search],

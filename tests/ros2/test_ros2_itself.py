@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import subprocess
+import zlib
+from base64 import b64decode
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,7 @@ import pytest
 from ros2_messages import random_message
 
 from mast_zenoh.ros2 import type_store
+from mast_zenoh.ros2.data_keys import parse_data_key
 from mast_zenoh.ros2.definitions import DEFINITIONS
 
 ROOT = Path(__file__).parents[2]
@@ -37,11 +40,21 @@ def payloads(type_name: str) -> list[bytes]:
     return [type_store.encode(random_message(type_name, random)) for _ in range(25)]
 
 
+def of_session() -> list[tuple[str, bytes]]:
+    """Type and payload of the messages that the bridge sent in the recorded session, of these types."""
+    sent = json.loads((ROOT / "tests/viewer/ros2_golden_session.json").read_text())["messages"]
+    typed = [(parse_data_key(each["key"]).type_name, zlib.decompress(b64decode(each["payload"]))) for each in sent]
+    return [(name, payload) for name, payload in typed if name in OF_ROS]
+
+
 @pytest.fixture(scope="module")
 def answer() -> dict[str, Any]:
     """What ROS 2 says about all of them."""
     request = {
-        "payloads": [[name, payload.hex()] for name in OF_ROS for payload in payloads(name)],
+        "payloads": [
+            *([name, payload.hex()] for name in OF_ROS for payload in payloads(name)),
+            *([name, payload.hex()] for name, payload in of_session()),
+        ],
         "hashes": list(OF_ROS),
         "definitions": DEFINED,
     }
@@ -59,6 +72,14 @@ def test_ros_reads_our_bytes_and_writes_the_same_but_for_padding(row: int, answe
     assert list(map(len, theirs)) == list(map(len, ours))
     # Fast CDR leaves in padding what was in memory.
     assert [type_store.encode(type_store.decode(OF_ROS[row], payload)) for payload in theirs] == ours
+
+
+def test_ros_reads_what_the_bridge_sends(answer: dict[str, Any]) -> None:
+    sent = of_session()
+    read = [bytes.fromhex(payload) for payload in answer["payloads"][-len(sent) :]]
+    assert {name for name, _ in sent} == set(OF_ROS)
+    for (name, ours), theirs in zip(sent, read, strict=True):
+        assert type_store.encode(type_store.decode(name, theirs)) == ours
 
 
 @pytest.mark.parametrize("type_name", OF_ROS)
