@@ -91,9 +91,11 @@ def resolve(
     user_types.use(recorded.messages)
     wiring, rewired = _initial_wiring(folder)
     roles = {name: spec.role for name, spec in recorded.nodes.items() if name not in rewired}
-    # What came from programs outside the run is in the recording; they need not be there again.
-    outside = {name for name in roles if has_topics_outside(recorded.nodes[name])} if not (scenario or settings) else ()
-    division = cut(wiring, roles, place, outside)
+    division = cut(wiring, roles, place)
+    if not (scenario or settings):
+        # What came from programs outside the run is in the recording; they need not be there again.
+        outside = {name for name in division.live if has_topics_outside(recorded.nodes[name])}
+        division = cut(wiring, roles, place, outside) if outside else division
     kept = division.live if record else {name for name in division.live if roles[name] != "recorder"}
     live = live_nodes(recorded, kept, scenario, settings)
     classes = {name: loading.node_class(Path(spec.file), spec.type) for name, spec in live.nodes.items()}

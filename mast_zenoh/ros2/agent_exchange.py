@@ -13,7 +13,7 @@ from mast_zenoh.errors import MessageError
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.ros2 import type_store
 from mast_zenoh.ros2.connection import Connection
-from mast_zenoh.ros2.frame_exchange import TF, About, AnswerTopic, FrameExchange, Timing
+from mast_zenoh.ros2.frame_exchange import TF, About, AnswerTopic, FrameExchange, Timing, check_names
 from mast_zenoh.ros2.frame_transforms import FrameTransforms, Placement, composed
 from mast_zenoh.ros2.object_messages import detection_array, states_of
 from mast_zenoh.ros2.outside import Outside, ros2_name, topic_prefix
@@ -55,7 +55,7 @@ class AgentExchange(FrameExchange):
 
     Topics are below /mast/NAME: odometry and detections are sent; `objects_topic` and `pose_topic` are received.
 
-    Raises ValueError for unknown types.
+    Raises ValueError for unknown types, and for names that ROS does not allow.
     """
 
     def __init__(
@@ -70,6 +70,7 @@ class AgentExchange(FrameExchange):
         world: str,
         clock_topic: str,
     ) -> None:
+        check_names(world, clock_topic)
         prefix = topic_prefix(name)
         self.agent_frame, self.world, self.clock_topic = ros2_name(name), world, clock_topic
         self.odometry_topic, self.detections_topic = f"{prefix}/odometry", f"{prefix}/detections"

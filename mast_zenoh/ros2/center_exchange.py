@@ -10,7 +10,7 @@ from mast_zenoh.arrays.geometry import states_to_world
 from mast_zenoh.arrays.states import Ints, ObjectStates
 from mast_zenoh.ros2 import type_store
 from mast_zenoh.ros2.connection import Connection
-from mast_zenoh.ros2.frame_exchange import About, AnswerTopic, FrameExchange, Timing
+from mast_zenoh.ros2.frame_exchange import About, AnswerTopic, FrameExchange, Timing, check_names
 from mast_zenoh.ros2.frame_transforms import FrameTransforms, Placement
 from mast_zenoh.ros2.object_messages import tracked_objects
 from mast_zenoh.ros2.outside import Outside, ros2_name, topic_prefix
@@ -34,6 +34,7 @@ class CenterExchange(FrameExchange):
     """
 
     def __init__(self, name: str, connection: Connection, timing: Timing, *, world: str, clock_topic: str) -> None:
+        check_names(world, clock_topic)
         self._prefix, self._world, self._clock_topic = topic_prefix(name), world, clock_topic
         self.picture_topic = f"{self._prefix}/received_picture"
         self._agents: dict[str, str] = {}  # topics by agent

@@ -15,6 +15,7 @@ from mast_zenoh.errors import MessageError
 from mast_zenoh.ros2 import type_store
 from mast_zenoh.ros2.connection import Connection
 from mast_zenoh.ros2.frame_transforms import FrameTransforms, Placement
+from mast_zenoh.ros2.names import check_topic
 from mast_zenoh.ros2.outside import Outside, OutsideTopic, OutsideTopics
 from mast_zenoh.ros2.received_poses import received_transforms
 from mast_zenoh.ros2.type_store import RosMessage
@@ -95,6 +96,17 @@ class Timing:
         for name, most in (("wait_s", MOST_WAIT_S), ("skew_s", 10.0), ("start_s", 20.0)):
             if not 0.0 <= getattr(self, name) <= most:
                 raise ValueError(f"{name}: found {getattr(self, name)}, expected 0 to {most:g}")
+
+
+def check_names(world: str, clock_topic: str) -> None:
+    """Raise ValueError for a name of the world's frame, or of the topic of a clock, that ROS does not allow."""
+    if not 0 < len(world) <= 255 or world.startswith("/"):
+        raise ValueError(f"world: found {world!r:.80}, expected the name of a frame, such as 'map'")
+    if clock_topic:
+        try:
+            check_topic(clock_topic)
+        except ValueError as error:
+            raise ValueError(f"clock: {error}") from None
 
 
 class FrameExchange:

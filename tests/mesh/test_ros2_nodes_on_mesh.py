@@ -25,7 +25,7 @@ from mast_zenoh.runtime.mesh.session import open_router
 from mast_zenoh.security.authority import Authority
 from mast_zenoh.security.levels import router_settings
 
-pytestmark = pytest.mark.mesh
+pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 
 ROOT = Path(__file__).parents[2]
 QUIET, ADVERSARY_FILE = ROOT / "tests" / "support" / "live" / "quiet.py", ROOT / "nodes" / "ros2_adversary.py"
@@ -72,7 +72,6 @@ def test_a_run_with_an_agent_of_ros_is_the_same_on_the_mesh_and_in_one_process(r
     )
 
 
-@pytest.mark.heavy
 @pytest.mark.parametrize("place", ["center", "adversary"])
 def test_runs_with_other_nodes_of_ros_are_the_same_on_the_mesh_and_in_one_process(
     router: str, tmp_path: Path, place: str
@@ -86,7 +85,6 @@ def test_runs_with_other_nodes_of_ros_are_the_same_on_the_mesh_and_in_one_proces
     assert counts(mesh)["answered"] == 12
 
 
-@pytest.mark.heavy
 @pytest.mark.parametrize("place", PLACES)
 def test_a_recorded_run_is_replayed_without_ros(router: str, tmp_path: Path, place: str) -> None:
     behaviour, topics = PLACES[place]
@@ -98,7 +96,6 @@ def test_a_recorded_run_is_replayed_without_ros(router: str, tmp_path: Path, pla
     assert ours["agents"]["ego"]["picture"] == theirs["agents"]["ego"]["picture"]
 
 
-@pytest.mark.heavy
 @pytest.mark.parametrize("place", PLACES)
 def test_in_real_time_a_quick_node_of_ros_is_in_time(router: str, tmp_path: Path, place: str) -> None:
     behaviour, topics = PLACES[place]
@@ -112,7 +109,6 @@ def test_in_real_time_a_quick_node_of_ros_is_in_time(router: str, tmp_path: Path
         assert sorted(frames) == [*range(12)], "one message a frame"
 
 
-@pytest.mark.heavy
 @pytest.mark.parametrize("place", PLACES)
 def test_with_tls_on_both_meshes_and_certificates_on_both_sides(tmp_path: Path, place: str) -> None:
     """The run has its own authority; that of the router of ROS is another one."""
@@ -136,7 +132,6 @@ def test_with_tls_on_both_meshes_and_certificates_on_both_sides(tmp_path: Path, 
     assert counts(folder)["answered"] == 12
 
 
-@pytest.mark.heavy
 def test_a_node_of_ros_is_put_into_a_wire_of_a_running_mesh(launch: Any, router: str) -> None:
     with Ros2Process("raise", router, *ADVERSARY):
         run = launch(str(QUIET), "--mode", "lockstep")
@@ -157,7 +152,6 @@ def test_a_node_of_ros_is_put_into_a_wire_of_a_running_mesh(launch: Any, router:
     assert numbers == list(range(len(numbers)))
 
 
-@pytest.mark.heavy
 def test_a_node_of_ros_that_dies_in_a_run_costs_only_its_answers(router: str, tmp_path: Path) -> None:
     with Ros2Process("dies", router, *AGENT):
         folder = played(with_ros2("agent", router, frames=30), tmp_path / "run")
@@ -166,7 +160,6 @@ def test_a_node_of_ros_that_dies_in_a_run_costs_only_its_answers(router: str, tm
     assert found["answered"] + found["unanswered"] == 30
 
 
-@pytest.mark.heavy
 @pytest.mark.parametrize("runtime", ["mesh", "inproc"])
 def test_a_run_that_waits_for_ros_is_stopped_at_once(router: str, tmp_path: Path, runtime: str) -> None:
     resolved = with_ros2("agent", router, frames=3, wait_s=5.0)
@@ -177,7 +170,6 @@ def test_a_run_that_waits_for_ros_is_stopped_at_once(router: str, tmp_path: Path
     assert counts(ended.folder)["unanswered"] == 0, "a wait that the end of the run ended is not counted"
 
 
-@pytest.mark.heavy
 def test_a_run_whose_router_of_ros_is_not_there_says_why(tmp_path: Path) -> None:
     ended = launcher.run(with_ros2("agent", "tcp/127.0.0.1:1"), tmp_path / "run")
     assert ended.error is not None

@@ -447,6 +447,8 @@ def test_a_message_without_an_answer_is_forwarded_unchanged(attacked: Resolved, 
         ({"ros2": {"router": "nowhere"}}, "ros2.router: found 'nowhere', expected a form such as"),
         ({"wait_s": 60.0}, "wait_s: found 60.0, expected 0 to 5"),
         ({"message": "DetectedObjects"}, "message: found 'DetectedObjects', expected one of TrackedObjects, "),
+        ({"clock": "a clock"}, "clock: topic 'a clock': expected /name"),
+        ({"world": "/map"}, "world: found '/map', expected the name of a frame"),
         ({"receives": "radar"}, "receives: found 'radar'"),
     ],
 )

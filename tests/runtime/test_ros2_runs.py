@@ -62,6 +62,7 @@ def test_an_adversary_that_returns_what_it_gets_leaves_no_trace(router: str) -> 
     assert ours["interposers"]["thief"]["effects"] == {}
 
 
+@pytest.mark.heavy
 def test_what_an_adversary_changes_is_measured_on_the_wires(router: str) -> None:
     with Ros2Process("raise", router, *ADVERSARY):
         attacked = Run(with_ros2("adversary", router))
@@ -74,6 +75,7 @@ def test_what_an_adversary_changes_is_measured_on_the_wires(router: str) -> None
     np.testing.assert_allclose(np.asarray(table["after_z"]) - np.asarray(table["before_z"]), 1.0)
 
 
+@pytest.mark.heavy
 def test_the_picture_of_a_node_of_ros_goes_to_the_agents(router: str) -> None:
     with Ros2Process("echo", router, *CENTER):
         run = Run(with_ros2("center", router))
@@ -95,6 +97,7 @@ def test_a_run_goes_on_without_a_node_of_ros_and_says_so(router: str, place: str
     assert "on which the results depend: 12 of 12 messages had no answer in time" in notice["text"]
 
 
+@pytest.mark.heavy
 def test_a_silent_node_of_ros_costs_a_few_waits(router: str) -> None:
     with Ros2Process("mute", router, *AGENT):
         run = Run(with_ros2("agent", router, wait_s=0.05))

@@ -1,4 +1,4 @@
-"""A process of its own that takes part in a mesh of ROS 2 by zenoh-ros2-sdk, none of whose code is ours.
+"""A process of its own that takes part in a mesh of ROS 2 by zenoh-ros2-sdk: only the texts of some types are ours.
 
     python ros2_peer.py BEHAVIOUR HOST:PORT RECEIVED TYPE SENT TYPE [RECEIVED TYPE SENT TYPE ...]
 
@@ -16,8 +16,11 @@ import signal
 import sys
 from typing import Any
 
+import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from zenoh_ros2_sdk import ROS2Publisher, ROS2Subscriber, ZenohSession
+
+from mast_zenoh.ros2.definitions import DEFINITIONS
 
 VISION, AUTOWARE = "vision_msgs/msg/Detection3DArray", "autoware_perception_msgs/msg/TrackedObjects"
 
@@ -75,8 +78,6 @@ class Tracker:
 
     def tracked(self, number: int, detection: Any, velocity: list[float]) -> Any:
         """An object of Autoware; without an orientation, its velocity is in the axes of the header's frame."""
-        import numpy as np
-
         types = self.types
         zero = types["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
         covariance = np.zeros(36)
@@ -135,8 +136,6 @@ def interrupting() -> Any:
 
 
 def main() -> None:
-    from mast_zenoh.ros2.definitions import DEFINITIONS  # texts of vision_msgs and autoware_perception_msgs
-
     behaviour, address, *topics = sys.argv[1:]
     peer = Peer(address, dict(DEFINITIONS))
     kept: list[Any] = []
