@@ -182,7 +182,7 @@ class Node:
         return None
 
     def arrived(self, context: Context) -> None:
-        """Called in real time when messages from outside have arrived; `context.outside.take()` has them."""
+        """Called in real time when messages from outside have arrived; `Outside.take` has them."""
 
     def choice(self, port: str, subject: str, step: int) -> RowChoice | None:
         """Which rows of a message on an input port are used; None: up to its limit, those with the highest scores.

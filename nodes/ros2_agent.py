@@ -36,7 +36,8 @@ class Ros2Agent(Agent):
     receives: what comes from ROS 2: its tracks, or detections for its own pipeline
     message: type of these, TrackedObjects or Detection3DArray with ids; of detections, Detection3DArray or
         DetectedObjects; "": the first one
-    pose: type of its pose from ROS 2, Odometry, PoseStamped or PoseWithCovarianceStamped; "": that of the scene
+    pose: type of its pose from ROS 2, Odometry, PoseStamped, PoseWithCovarianceStamped or TransformStamped; "": that of
+        the scene
     wait_s: how long a frame waits in lock-step, s; start_s: how long the run waits for the node before its first frame
     skew_s: greatest distance of a stamp from the time of a frame, s
     stamps: the clock of stamps: the scene's, as on /clock, or the wall clock
@@ -146,12 +147,17 @@ class Ros2Agent(Agent):
             self.newest = frame
             self.publish_mission(perceived, tracks, context)
 
-    def measurement(self, perceived: Perceived, detections: Detections | None) -> Measurement:
-        """Detections in the world, None: nothing, as its first sensor's."""
+    def measurement(self, perceived: Perceived, answer: tuple[int, Detections] | None) -> Measurement:
+        """Detections in the world and their time, None: nothing at the frame's time, as its first sensor's.
+
+        A tracker never goes back in time.
+        """
         mount = perceived.mount
-        if detections is None:
-            return Measurement(perceived.time_ns, 0, Detections.empty(), mount)
-        return Measurement(perceived.time_ns, 0, to_sensor(detections, *sensor_in_world(perceived.pose, mount)), mount)
+        if answer is None:
+            return Measurement(max(perceived.time_ns, self.tracks_ns), 0, Detections.empty(), mount)
+        time_ns, detections = answer
+        own = to_sensor(detections, *sensor_in_world(perceived.pose, mount))
+        return Measurement(max(time_ns, self.tracks_ns), 0, own, mount)
 
     def finish(self, context: Context) -> dict[str, Any]:
         """How often an answer was waited for, and missing; what its own tracker tells."""

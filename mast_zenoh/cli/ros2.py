@@ -174,18 +174,20 @@ def _observe(
     with ExitStack() as stack:
         participant = stack.enter_context(_participant(connection, namespace))
         running, session, stop = observers.join(stack, target, run, allowed)
+        nodes = running.resolved.nodes
+        partners = {name: spec.config for name, spec in nodes.items() if "ros2" in spec.config}
         if every_frame or running.resolved.mode == "realtime":
             every = EveryFrame(running, session)
             stack.callback(every.close)
             priority.yield_to_nodes()
-            bridge = Ros2Bridge(every.observer.record, participant, namespace)
+            bridge = Ros2Bridge(every.observer.record, participant, namespace, partners)
             frames = every.frames(stop, lambda: bridge.shows_outcomes)
             _publish(bridge, frames, lambda: [*every.tally.sentences(), *every.observer.meter.notes])
         else:
             observer = Observer(running, session)
             stack.callback(observer.close)
             priority.yield_processors()
-            bridge = Ros2Bridge(observer.record, participant, namespace)
+            bridge = Ros2Bridge(observer.record, participant, namespace, partners)
             _publish(bridge, observer.frames(stop), lambda: observer.meter.notes)
 
 

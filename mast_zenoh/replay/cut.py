@@ -37,15 +37,15 @@ class Cut:
     wiring: Wiring
 
 
-def cut(wiring: Wiring, roles: Mapping[str, str], place: Place) -> Cut:
+def cut(wiring: Wiring, roles: Mapping[str, str], place: Place, fixed: Collection[str] = ()) -> Cut:
     """Divide a run at its agents or at its simulator.
 
     Played are the nodes of the roles before the cut, and those that were inserted into their wires. Nodes on the wires
     between two live nodes are live, and so are coordinators of live adversaries.
 
-    wiring: of the recorded run;  roles: by node
+    wiring: of the recorded run;  roles: by node;  fixed: nodes that are played, wherever they are
     """
-    first = {name for name, role in roles.items() if role in PLAYED_ROLES[place]}
+    first = {name for name, role in roles.items() if role in PLAYED_ROLES[place]} | {*fixed}
     interposers = {name for wire in wiring.wires for name in wire.interposers}
     between = {name for name, role in roles.items() if name in interposers or role in _ON_WIRES} - first
     live = roles.keys() - first - between

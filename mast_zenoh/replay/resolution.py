@@ -11,7 +11,7 @@ from typing import Any
 from mast_zenoh.config import loading
 from mast_zenoh.config.allowed_code import SHIPPED, AllowedCode
 from mast_zenoh.config.process_steps import REALTIME, ProcessStep
-from mast_zenoh.config.resolved import DRIVER_ROLE, RECORDING, NodeSpec, Resolved, build_node
+from mast_zenoh.config.resolved import DRIVER_ROLE, RECORDING, NodeSpec, Resolved, build_node, has_topics_outside
 from mast_zenoh.errors import ConfigurationError, MastError
 from mast_zenoh.launch import liveness
 from mast_zenoh.launch.folder import json_or_empty
@@ -75,7 +75,8 @@ def resolve(
     """Prepare the replay of the run in a folder.
 
     place:    after which nodes the run is cut, see `cut`
-    scenario: a scenario file with other settings of live nodes;  settings: the same, as `KEY=VALUE`
+    scenario: a scenario file with other settings of live nodes;  settings: the same, as `KEY=VALUE`. Without both,
+              nodes that exchange messages with programs outside the run are played
     frames:   how many to play, None: all;  repeats: how often, None: until it is stopped
     record:   whether the replay is recorded, too;  allowed: which of the code that the folder names may run
 
@@ -90,7 +91,9 @@ def resolve(
     user_types.use(recorded.messages)
     wiring, rewired = _initial_wiring(folder)
     roles = {name: spec.role for name, spec in recorded.nodes.items() if name not in rewired}
-    division = cut(wiring, roles, place)
+    # What came from programs outside the run is in the recording; they need not be there again.
+    outside = {name for name in roles if has_topics_outside(recorded.nodes[name])} if not (scenario or settings) else ()
+    division = cut(wiring, roles, place, outside)
     kept = division.live if record else {name for name in division.live if roles[name] != "recorder"}
     live = live_nodes(recorded, kept, scenario, settings)
     classes = {name: loading.node_class(Path(spec.file), spec.type) for name, spec in live.nodes.items()}

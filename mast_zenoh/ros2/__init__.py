@@ -1,6 +1,6 @@
 """ROS 2 messages without an installation of ROS: the format of rmw_zenoh, and conversions from and to our columns.
 
-Pure functions: bytes, names and arrays in, the same out. Nothing here opens a session.
+Bytes, names and arrays in, the same out. Nothing here opens a session.
 
 definitions       message types that rosbags does not have: vision_msgs and autoware_perception_msgs
 type_store        classes of all message types, their CDR bytes and hashes
@@ -19,4 +19,9 @@ trust_messages    trust as a DiagnosticArray
 received_objects  Detection3DArray, DetectedObjects and TrackedObjects as our objects
 altered_objects   messages of objects some of which an interposer has altered
 received_poses    Odometry and TFMessage as our poses
+
+outside           the interface of a node's link to nodes of ROS 2; needs no rosbags
+frame_transforms  where frames of reference are in the world, from /tf
+frame_exchange    questions about frames and their answers: stamps, waiting, counts
+agent_exchange, center_exchange, adversary_exchange    what nodes of these roles send and receive
 """

@@ -114,10 +114,11 @@ class AdversaryExchange(FrameExchange):
     def send(self, outside: Outside, frame: int, wire: tuple[str, str], body: Body) -> bool:
         """Send a message in transit, and ask about it.
 
-        False: it cannot be sent, because its frame is too old, or was sent already, or ROS cannot express it.
+        False: it cannot be sent, because its frame is too old or was sent already, because ROS cannot express it, or
+        because its wire was not there at the start.
         """
         topic, time_ns = self.topic(wire, "out"), self._times.get(frame)
-        if time_ns is None or (topic, frame) in self._sent:
+        if time_ns is None or (topic, frame) in self._sent or wire not in self._types:
             return False
         try:
             message = _message(wire[0], body, time_ns)

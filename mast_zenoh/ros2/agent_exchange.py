@@ -19,8 +19,9 @@ from mast_zenoh.ros2.object_messages import detection_array, states_of
 from mast_zenoh.ros2.outside import Outside, ros2_name, topic_prefix
 from mast_zenoh.ros2.pose_messages import clock, odometry, transform_message
 from mast_zenoh.ros2.received_objects import Received, received_detections, received_tracks
-from mast_zenoh.ros2.received_poses import PLACES, ReceivedPose, received_place, received_pose
+from mast_zenoh.ros2.received_poses import ReceivedPose, received_pose, stamped_poses
 from mast_zenoh.ros2.spatial import Transform
+from mast_zenoh.ros2.type_store import RosMessage
 from mast_zenoh.sensing import to_world
 from mast_zenoh.tracking.kalman import predicted
 
@@ -40,8 +41,7 @@ DETECTION_TYPES: Mapping[str, str] = {
 }
 POSE_TYPES: Mapping[str, str] = {
     "Odometry": type_store.ODOMETRY,
-    "PoseStamped": PLACES[0],
-    "PoseWithCovarianceStamped": PLACES[1],
+    **{name: f"geometry_msgs/msg/{name}" for name in ("PoseStamped", "PoseWithCovarianceStamped", "TransformStamped")},
 }
 
 
@@ -78,11 +78,11 @@ class AgentExchange(FrameExchange):
         known = TRACK_TYPES if objects == "tracks" else DETECTION_TYPES
         read: Callable[[Any], Received[Any]] = received_tracks if objects == "tracks" else received_detections
         use = self._use_tracks if objects == "tracks" else self._use_detections
-        answers = [AnswerTopic(self.objects_topic, _of(object_type, known), read, use)]
+        answers = [AnswerTopic(self.objects_topic, _of("message", object_type, known), read, use)]
         self.has_pose = bool(pose_type)
         if pose_type:
-            read_pose = received_pose if pose_type == "Odometry" else received_place
-            answers.append(AnswerTopic(self.pose_topic, _of(pose_type, POSE_TYPES), read_pose, self._use_pose))
+            read_pose = received_pose if pose_type == "Odometry" else _received_place
+            answers.append(AnswerTopic(self.pose_topic, _of("pose", pose_type, POSE_TYPES), read_pose, self._use_pose))
         self.questions = [topic.name for topic in answers]
         # An agent that is placed from outside has no frame of which the run says where it is.
         transforms = FrameTransforms(world, () if pose_type else (self.agent_frame,))
@@ -120,10 +120,14 @@ class AgentExchange(FrameExchange):
             tracks = self._velocities.added(tracks, about.time_ns + about.skew_ns)
         return predicted(tracks, -about.skew_ns * 1e-9)
 
-    def _use_detections(self, received: Received[Detections], about: About, placement: Placement) -> Detections:
+    def _use_detections(
+        self, received: Received[Detections], about: About, placement: Placement
+    ) -> tuple[int, Detections]:
+        """The time of the measurement, ns, and what was detected, world frame."""
         if about.late:
             raise MessageError("late: detections of an earlier frame, without which it was tracked")
-        return to_world(received.objects, placement.position, rotation_from_quaternion(placement.rotation))
+        rotation = rotation_from_quaternion(placement.rotation)
+        return about.time_ns + about.skew_ns, to_world(received.objects, placement.position, rotation)
 
     def _use_pose(self, received: ReceivedPose, about: About, placement: Placement) -> Placement:
         columns = received.columns
@@ -156,7 +160,17 @@ def _in_world(states: ObjectStates, placement: Placement) -> ObjectStates:
     return states_to_world(states, placement.position, placement.rotation)
 
 
-def _of(name: str, types: Mapping[str, str]) -> str:
+def _received_place(message: RosMessage) -> ReceivedPose:
+    """A pose without a velocity; raises MessageError for one that cannot be used."""
+    placed = stamped_poses(message)
+    if not placed.transforms:
+        raise MessageError(f"pose: {next(iter(placed.dropped), 'none')}")
+    (transform,) = placed.transforms
+    columns = {"position": transform.position, "rotation": transform.rotation, "velocity": np.zeros(3)}
+    return ReceivedPose(transform.parent, transform.child, transform.time_ns, columns)
+
+
+def _of(parameter: str, name: str, types: Mapping[str, str]) -> str:
     if name not in types:
-        raise ValueError(f"found {name!r}, expected one of {', '.join(types)}")
+        raise ValueError(f"{parameter}: found {name!r}, expected one of {', '.join(types)}")
     return types[name]

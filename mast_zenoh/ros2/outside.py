@@ -1,6 +1,6 @@
 """What a node can exchange with nodes of ROS 2 outside the run: topics, and the interface of its link to them.
 
-The runtime opens a link (`mast_zenoh.runtime.mesh.ros2_link`); a node gets it as `context.outside`. Needs no rosbags.
+The runtime opens a link (`mast_zenoh.runtime.mesh.ros2_link`); a node gets it as `Context.outside`. Needs no rosbags.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class Outside(Protocol):
         ...
 
     def heard(self, topic: str) -> bool:
-        """Whether a program outside subscribes to a topic."""
+        """Whether a program outside subscribes to an announced topic."""
         ...
 
 

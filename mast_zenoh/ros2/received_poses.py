@@ -20,10 +20,6 @@ from mast_zenoh.ros2.type_store import RosMessage
 MOST_TRANSFORMS = 1000
 
 
-#: Types of a pose without a velocity.
-PLACES = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped")
-
-
 class ReceivedPose(NamedTuple):
     """The pose of a vehicle.
 
@@ -56,7 +52,9 @@ def received_pose(message: RosMessage) -> ReceivedPose:
     reason = _reason(pose)
     if reason:
         raise MessageError(f"{type_store.ODOMETRY}: pose: {reason}")
-    if not np.linalg.norm(velocity) <= MOST_SPEED:
+    with np.errstate(over="ignore"):
+        too_fast = not np.linalg.norm(velocity) <= MOST_SPEED
+    if too_fast:
         raise MessageError(f"{type_store.ODOMETRY}: twist: velocity: not finite or beyond {MOST_SPEED:g} m/s")
     columns = {
         "position": pose[:3],
@@ -65,21 +63,6 @@ def received_pose(message: RosMessage) -> ReceivedPose:
     }
     frame_id, child = frame_of(message.header.frame_id), frame_of(message.child_frame_id)
     return ReceivedPose(frame_id, child, time_of(message.header.stamp), columns)
-
-
-def received_place(message: RosMessage) -> ReceivedPose:
-    """The pose in a PoseStamped or a PoseWithCovarianceStamped; child_frame_id is empty, and the velocity 0.
-
-    Raises MessageError as `received_pose` does.
-    """
-    if message.__msgtype__ not in PLACES:
-        raise MessageError(f"{message.__msgtype__}: expected {' or '.join(PLACES)}")
-    inner = message.pose if message.__msgtype__ == PLACES[0] else message.pose.pose
-    pose = pose_rows([inner])[0]
-    if reason := _reason(pose):
-        raise MessageError(f"{message.__msgtype__}: pose: {reason}")
-    columns = {"position": pose[:3], "rotation": pose[3:], "velocity": np.zeros(3)}
-    return ReceivedPose(frame_of(message.header.frame_id), "", time_of(message.header.stamp), columns)
 
 
 def received_transforms(message: RosMessage) -> ReceivedTransforms:

@@ -17,6 +17,7 @@ from mast_zenoh.errors import ConfigurationError, NodeFileError, nearest
 from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.metrics.achievement import ALL
 from mast_zenoh.pipelines.agent import DUE, IDLE
+from mast_zenoh.ros2.outside import ros2_name
 from mast_zenoh.scenes.agents import best_pattern
 from mast_zenoh.scenes.recording import NO_MEASUREMENT, Recording
 from mast_zenoh.sensing import LidarSensor
@@ -155,10 +156,34 @@ def add_ros2(specs: Mapping[str, NodeSpec], connection: Mapping[str, Any]) -> No
     _add_default(specs, "ros2", connection)
 
 
+def check_ros2_names(path: Path, specs: Mapping[str, NodeSpec]) -> None:
+    """Raise ConfigurationError if nodes of ROS 2 take part, and two names of nodes are one in ROS 2."""
+    names: dict[str, str] = {}
+    for name in specs if any(True for _ in _with_parameters(specs, "ros2")) else ():
+        if (other := names.setdefault(ros2_name(name), name)) != name:
+            raise ConfigurationError(
+                f"{path}: {name} and {other}: both are {ros2_name(name)} in ROS 2, which allows letters, digits and _: "
+                "rename one"
+            )
+
+
+def share_ros2_clock(specs: Mapping[str, NodeSpec]) -> None:
+    """Have one node send the clock to ROS 2, the first that can: of two, one may be behind, and the clock goes back."""
+    topic = "/clock"
+    for spec in _with_parameters(specs, "ros2", "clock"):
+        topic = "" if spec.config.setdefault("clock", topic) else topic
+
+
 def _add_default(specs: Mapping[str, NodeSpec], parameter: str, value: Mapping[str, Any]) -> None:
+    for spec in _with_parameters(specs, parameter):
+        spec.config.setdefault(parameter, dict(value))
+
+
+def _with_parameters(specs: Mapping[str, NodeSpec], *parameters: str) -> Iterator[NodeSpec]:
+    """The nodes whose class has these parameters."""
     for spec in specs.values():
-        if parameter in inspect.signature(loading.node_class(Path(spec.file), spec.type)).parameters:
-            spec.config.setdefault(parameter, dict(value))
+        if set(parameters) <= inspect.signature(loading.node_class(Path(spec.file), spec.type)).parameters.keys():
+            yield spec
 
 
 def _scene_parameters(recording: Recording, row: int) -> dict[str, Any]:

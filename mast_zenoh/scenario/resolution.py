@@ -22,7 +22,14 @@ from mast_zenoh.messages.schemas import Schema
 from mast_zenoh.node import Node
 from mast_zenoh.ros2.connection import Connection
 from mast_zenoh.scenario.cooperation import check_cooperation, uncovered
-from mast_zenoh.scenario.nodes import add_input_limits, add_ros2, nodes_of, share_faults
+from mast_zenoh.scenario.nodes import (
+    add_input_limits,
+    add_ros2,
+    check_ros2_names,
+    nodes_of,
+    share_faults,
+    share_ros2_clock,
+)
 from mast_zenoh.scenario.reading import (
     RUN_DEFAULTS,
     check_run,
@@ -80,6 +87,8 @@ def resolve(
     add_input_limits(nodes, fused_rows(_detections(recording)))
     if connection is not None:
         add_ros2(nodes, connection.to_json())
+    check_ros2_names(path, nodes)
+    share_ros2_clock(nodes)
     timeline = timeline_of(path, scenario, nodes, recording, n_frames, seed=options["seed"], mode=options["mode"])
     nodes |= timeline.links
     built_nodes = [build_node(spec, name, str(path)) for name, spec in nodes.items()]

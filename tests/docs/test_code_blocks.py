@@ -269,6 +269,7 @@ WALK_THROUGHS = (
     "interception.md",
     "replay.md",
     "plugins.md",
+    "ros2_nodes.md",
     "stone_soup.md",
     "tutorial.md",
     "tutorial_defence.md",

@@ -55,8 +55,8 @@ def test_ports_of_shipped_nodes_have_known_message_types(node: type[Node]) -> No
         assert callable(getattr(node, f"on_{port}")), schema
 
 
-def test_each_role_has_one_shipped_node_named_after_it_and_centres_have_a_broker_of_their_own() -> None:
-    files = [Path(name).stem for name in bundle.names("nodes")]
+def test_each_role_has_one_shipped_node_named_after_it_centres_have_a_broker_of_their_own_and_ros_has_some() -> None:
+    files = [Path(name).stem.removeprefix("ros2_") for name in bundle.names("nodes")]
     assert sorted(node.role for node in SHIPPED_NODES) == sorted("broker" if f == "center_broker" else f for f in files)
 
 

@@ -17,8 +17,9 @@ from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.messages.schemas import Message
 from mast_zenoh.ros2 import type_store
 from mast_zenoh.ros2.object_messages import detection_array, tracked_objects
-from mast_zenoh.ros2.pose_messages import odometry
+from mast_zenoh.ros2.pose_messages import odometry, transform_message
 from mast_zenoh.ros2.received_objects import received_tracks
+from mast_zenoh.ros2.spatial import Transform
 from mast_zenoh.testing.outside import FakeLink
 
 AGENT, CENTER, ADVERSARY = "ros2_agent.py", "ros2_command_center.py", "ros2_adversary.py"
@@ -156,6 +157,20 @@ def test_a_skewed_stamp_is_predicted_to_the_frame(resolved: Resolved) -> None:
     np.testing.assert_allclose(message.body["position"][0], [0.4, 0.0, 0.0])
 
 
+@pytest.mark.parametrize("skew_s", [0.04, -0.04])
+def test_detections_with_a_skewed_stamp_are_tracked_at_their_time(resolved: Resolved, skew_s: float) -> None:
+    def seen_at_its_stamp(message: Any) -> Any:
+        time_ns = stamp_of(message) + round(skew_s * 1e9)
+        states = ObjectStates.of(np.array([[10e-9 * time_ns, 3.0, 0.8]]), size=np.full((1, 3), 2.0))
+        return detection_array(states, max(0, time_ns), "map")
+
+    link = answering("/mast/ego/received_detections", seen_at_its_stamp)
+    ego = Bench(resolved, "ego", link=link, receives="detections")
+    play(ego, 20)
+    last = ego.heard(TRACKS)[-1]
+    np.testing.assert_allclose(last.body["position"][0, :2], [10e-9 * last.header.time_ns, 3.0], atol=0.05)
+
+
 def test_velocities_of_detections_with_ids_are_those_of_their_positions() -> None:
     def moving(message: Any) -> Any:
         time_ns = stamp_of(message)
@@ -169,18 +184,30 @@ def test_velocities_of_detections_with_ids_are_those_of_their_positions() -> Non
     assert {int(message.body["id"][0]) for message in ego.heard(TRACKS)} == {8}
 
 
-def test_the_pose_can_come_from_outside() -> None:
+def pose_message(kind: str, time_ns: int, x: float) -> Any:
+    """A pose on the x axis, in a message of a type."""
+    place = {"position": np.array([x, 0.0, 0.0]), "rotation": np.array([1.0, 0, 0, 0]), "velocity": np.zeros(3)}
+    whole = odometry(place, time_ns, "map", "base_link")
+    if kind == "Odometry":
+        return whole
+    if kind == "TransformStamped":
+        moved = Transform("map", "base_link", time_ns, place["position"], place["rotation"])
+        return transform_message([moved]).transforms[0]
+    pose = whole.pose.pose if kind == "PoseStamped" else whole.pose
+    return type_store.TYPES[f"geometry_msgs/msg/{kind}"](whole.header, pose)
+
+
+@pytest.mark.parametrize("kind", ["Odometry", "PoseStamped", "PoseWithCovarianceStamped", "TransformStamped"])
+def test_the_pose_can_come_from_outside(kind: str) -> None:
     def program(topic: str, message: Any) -> list[tuple[str, Any]]:
         if topic != SENT:
             return []
-        place = {"position": np.array([50.0, 0.0, 0.0]), "rotation": np.array([1.0, 0, 0, 0]), "velocity": np.zeros(3)}
-        time_ns = stamp_of(message)
         return [
-            ("/mast/ego/received_pose", through(odometry(place, time_ns, "map", "base_link"))),
+            ("/mast/ego/received_pose", through(pose_message(kind, stamp_of(message), 50.0))),
             ("/mast/ego/received_detections", through(message)),
         ]
 
-    ego = Bench(world(receives="detections", pose="Odometry", tracks_from="agent"), "ego", link=FakeLink(program))
+    ego = Bench(world(receives="detections", pose=kind, tracks_from="agent"), "ego", link=FakeLink(program))
     ego.play(0, pose=pose(), detections=detections((10.0, 2.0)))
     assert ego.heard(TRACKS)[0].body["origin"].tolist() == [50.0, 0.0, 0.0]
 
@@ -380,7 +407,7 @@ def test_a_message_without_an_answer_is_forwarded_unchanged(attacked: Resolved, 
     [
         ({"ros2": {"router": "nowhere"}}, "ros2.router: found 'nowhere', expected a form such as"),
         ({"wait_s": 60.0}, "wait_s: found 60.0, expected 0 to 5"),
-        ({"message": "DetectedObjects"}, "found 'DetectedObjects', expected one of TrackedObjects, Detection3DArray"),
+        ({"message": "DetectedObjects"}, "message: found 'DetectedObjects', expected one of TrackedObjects, "),
         ({"receives": "radar"}, "receives: found 'radar'"),
     ],
 )

@@ -7,9 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from ros2_messages import random_states
 
 from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.errors import MessageError
 from mast_zenoh.ros2 import frame_exchange
 from mast_zenoh.ros2.connection import Connection
 from mast_zenoh.ros2.frame_exchange import TF, TF_STATIC, About, AnswerTopic, FrameExchange, Timing
@@ -18,7 +21,7 @@ from mast_zenoh.ros2.object_messages import tracked_objects
 from mast_zenoh.ros2.pose_messages import transform_message
 from mast_zenoh.ros2.received_objects import Received, received_tracks
 from mast_zenoh.ros2.spatial import Transform
-from mast_zenoh.ros2.type_store import TRACKED_OBJECTS
+from mast_zenoh.ros2.type_store import TF_MESSAGE, TRACKED_OBJECTS, decode, encode
 from mast_zenoh.testing.outside import FakeLink
 
 PERIOD_NS = 100_000_000
@@ -187,3 +190,39 @@ def test_a_wall_clock_stamp_before_the_first_clock_is_refused() -> None:
 def test_limits_out_of_range_are_refused(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=f"{name}: found {value}, expected 0 to"):
         Timing(**{name: value})
+
+
+PAYLOADS = {
+    TOPIC: (TRACKED_OBJECTS, encode(about(PERIOD_NS)[1])),
+    TF: (
+        TF_MESSAGE,
+        encode(transform_message([Transform("map", "car", PERIOD_NS, np.ones(3), np.array([1.0, 0.0, 0.0, 0.0]))])),
+    ),
+}
+BYTES = st.lists(st.tuples(st.integers(0, 1 << 16), st.integers(0, 255)), max_size=30)
+
+
+@given(messages=st.lists(st.tuples(st.sampled_from(sorted(PAYLOADS)), BYTES), max_size=5))
+def test_messages_with_any_bytes_changed_are_answers_or_counted(
+    messages: list[tuple[str, list[tuple[int, int]]]],
+) -> None:
+    answers, link = exchange(), FakeLink()
+    arrived = 0
+    for topic, changes in messages:
+        type_name, original = PAYLOADS[topic]
+        payload = bytearray(original)
+        for place, value in changes:
+            payload[place % len(payload)] = value
+        try:
+            link.arrive(topic, decode(type_name, bytes(payload)))
+        except MessageError:
+            continue  # the participant counts it
+        arrived += topic == TOPIC
+    used = ask(answers, link, 1)
+    refused = sum(answers.refused.values())
+    assert len(used) <= 1, "one answer to a question"
+    assert arrived <= len(used) + refused, "nothing is silent"
+    for _, _, (number, skew_ns, position) in used:
+        assert number <= len(STATES)
+        assert abs(skew_ns) <= 100_000_000
+        assert np.isfinite(position).all()

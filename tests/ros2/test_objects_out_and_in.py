@@ -270,7 +270,9 @@ def test_reasons_are_counted_apart(states: ObjectStates) -> None:
     for k in (0, 1):
         message.objects[k].existence_probability = 2.0
     message.objects[2].shape.dimensions.x = NAN
-    assert received_tracks(message).dropped == {"a value is not finite": 1, "score: not from 0 to 1": 2}
+    received = received_tracks(message)
+    assert received.dropped == {"a value is not finite": 1, "score: not from 0 to 1": 2}
+    assert received.rows.tolist() == list(range(3, len(states))), "the others are told by their place in the message"
 
 
 def test_too_many_objects_are_refused_as_a_whole(states: ObjectStates) -> None:

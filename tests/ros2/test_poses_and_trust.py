@@ -16,7 +16,7 @@ from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body, Header, Message, text
 from mast_zenoh.ros2 import received_poses, type_store
 from mast_zenoh.ros2.pose_messages import clock, odometry, transform_message
-from mast_zenoh.ros2.received_poses import received_pose, received_transforms
+from mast_zenoh.ros2.received_poses import received_pose, received_transforms, stamped_poses
 from mast_zenoh.ros2.spatial import Transform
 from mast_zenoh.ros2.trust_messages import diagnostic_array
 
@@ -157,7 +157,47 @@ def test_an_odometry_that_cannot_be_used_is_refused_with_the_reason(
     assert reason in str(refusal.value)
 
 
+@pytest.mark.parametrize("kind", received_poses.POSES)
+def test_a_pose_of_any_type_is_a_transform(kind: str, pose: Body) -> None:
+    whole = odometry(pose, TIME_NS, "map", "ego")
+    covered, (stamped,) = whole.pose, transform_message([Transform("map", "ego", TIME_NS, *_placed(pose))]).transforms
+    fields = {
+        type_store.ODOMETRY: (whole.child_frame_id, covered, whole.twist),
+        type_store.TF_MESSAGE: (),
+        "geometry_msgs/msg/PoseStamped": (covered.pose,),
+        "geometry_msgs/msg/PoseWithCovarianceStamped": (covered,),
+        "geometry_msgs/msg/TransformStamped": (stamped.child_frame_id, stamped.transform),
+    }[kind]
+    head = [[stamped]] if kind == type_store.TF_MESSAGE else [whole.header]
+    message = sent(type_store.TYPES[kind](*head, *fields))
+    (found,) = stamped_poses(message).transforms
+    has_child = kind in (type_store.ODOMETRY, type_store.TF_MESSAGE, "geometry_msgs/msg/TransformStamped")
+    assert found[:3] == ("map", "ego" if has_child else "", TIME_NS)
+    np.testing.assert_allclose(found.position, pose["position"])
+    np.testing.assert_allclose(found.rotation, pose["rotation"], atol=1e-15)
+
+
+def _placed(pose: Body) -> tuple[Any, Any]:
+    return pose["position"], pose["rotation"]
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (set_to("pose.pose.position.y", NAN), "a value is not finite"),
+        (set_to("header.frame_id", ""), "frame_id: invalid"),
+        (set_to("header.stamp.sec", -1), "stamp: invalid"),
+    ],
+)
+def test_a_single_pose_that_cannot_be_used_is_counted(pose: Body, change: Callable[[Any], None], reason: str) -> None:
+    message = sent(odometry(pose, TIME_NS, "map", "ego"))
+    change(message)
+    assert stamped_poses(message) == ((), {reason: 1})
+
+
 def test_a_message_of_another_type_is_no_pose() -> None:
+    with pytest.raises(MessageError, match="Clock: expected nav_msgs/msg/Odometry, "):
+        stamped_poses(clock(0))
     for read, expected in ((received_pose, type_store.ODOMETRY), (received_transforms, type_store.TF_MESSAGE)):
         with pytest.raises(MessageError, match=f"Clock: expected {expected}"):
             read(clock(0))

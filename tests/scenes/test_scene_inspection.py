@@ -75,6 +75,16 @@ def test_a_check_lists_the_contents_and_draws_the_first_frame(tmp_path: Path) ->
         assert len(image.convert("RGB").getcolors(10**6) or []) > 20
 
 
+def test_notes_of_a_scene_last_and_are_listed(tmp_path: Path) -> None:
+    notes = ("2 of 5 measurements left out", "poses end early")
+    replace(road(), notes=notes).save(tmp_path / "road.npz")
+    assert Recording.load(tmp_path / "road.npz").notes == notes
+    result = CliRunner().invoke(app, ["scene", "check", str(tmp_path / "road.npz")])
+    assert [f"note        {note}" for note in notes] == [
+        line for line in result.output.splitlines() if "note  " in line
+    ]
+
+
 def test_a_converted_scene_plays_like_the_original(tmp_path: Path) -> None:
     target = tmp_path / "junction.npz"
     command = ["scene", "convert", "intersection:1", str(target), "--frames", "4", "--seed", "5"]

@@ -4,13 +4,15 @@
 
 It prints `ready` once all is declared, and ends when its standard input closes. Behaviours, for each message that it
 receives: `echo` sends it back as it is; `tracks` sends what it detects as objects with ids and velocities; `mute` sends
-nothing; `raise` lifts all objects by 1 m and sends them back; `drop` sends the message back without its first object.
+nothing; `raise` lifts all objects by 1 m and sends them back; `drop` sends the message back without its first object;
+`dies` is `tracks` for five messages, then kills itself; `interrupts` sends SIGINT to its parent, once.
 """
 
 from __future__ import annotations
 
 import copy
 import os
+import signal
 import sys
 from typing import Any
 
@@ -54,6 +56,8 @@ class Tracker:
     def __call__(self, message: Any) -> Any:
         stamp = message.header.stamp
         time = stamp.sec + stamp.nanosec * 1e-9
+        if time < self.time:  # another run
+            self.known, self.next = {}, 1
         elapsed, left, known, objects = time - self.time, dict(self.known), {}, []
         for detection in message.detections:
             place = detection.bbox.center.position
@@ -107,6 +111,29 @@ def dropped(message: Any) -> Any:
     return message
 
 
+def dying(tracker: Tracker) -> Any:
+    left = [5]
+
+    def answer(message: Any) -> Any:
+        left[0] -= 1
+        if left[0] < 0:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return tracker(message)
+
+    return answer
+
+
+def interrupting() -> Any:
+    sent: list[int] = []
+
+    def answer(message: Any) -> None:
+        if not sent:
+            sent.append(1)
+            os.kill(os.getppid(), signal.SIGINT)
+
+    return answer
+
+
 def main() -> None:
     from mast_zenoh.ros2.definitions import DEFINITIONS  # texts of vision_msgs and autoware_perception_msgs
 
@@ -119,12 +146,16 @@ def main() -> None:
             "tracks": Tracker(peer.session.store.types),
             "raise": lifted,
             "drop": dropped,
+            "dies": dying(Tracker(peer.session.store.types)),
+            "interrupts": interrupting(),
         }
         publisher, make = peer.publisher(sent, sent_type), answers.get(behaviour)
 
         def answer(message: Any, publisher: Any = publisher, make: Any = make) -> None:
             if make is not None:
                 result = make(message)
+                if result is None:
+                    return
                 publisher.publish(**{name: getattr(result, name) for name in vars(result) if name != "__msgtype__"})
 
         kept += [publisher, peer.subscribe(received, received_type, answer)]

@@ -38,6 +38,19 @@ def topics(run: RecordedRun) -> dict[str, str]:
     return {topic.name: topic.type_name for topic in RunMessages(run).topics}
 
 
+def test_what_nodes_of_ros_2_in_the_run_send_themselves_is_left_to_them(run: RecordedRun) -> None:
+    """Two senders of a clock, one of them behind, would make it go back; a frame has one parent."""
+    partners = {"infra_1": {"clock": "/clock"}, "infra_2": {"clock": ""}}
+    alone, beside = RunMessages(run), RunMessages(run, partners=partners)
+    assert {topic.name for topic in alone.topics} - {topic.name for topic in beside.topics} == {"/clock"}
+    frame = next(iter(run))
+    placed = [
+        {each.child_frame_id for each in dict(messages.of(frame))["/tf"].transforms} for messages in (alone, beside)
+    ]
+    assert placed[0] - placed[1] == {"infra_1", "infra_2"}
+    assert "/clock" not in dict(beside.of(frame))
+
+
 class Bridge:
     """`mast ros2` in a process of its own."""
 

@@ -95,18 +95,20 @@ class Ros2Link:
 
     def wait(self, limit_s: float, done: Callable[[], bool], needed: Sequence[str] = ()) -> bool:
         deadline = time.monotonic() + limit_s
-        while not done():
+        while True:
+            self._changed.clear()
+            if done():
+                return True
             left_s = deadline - time.monotonic()
             if left_s <= 0.0 or self.ended or not all(map(self.present, needed)):
                 return False
             self._changed.wait(min(left_s, _LOOK_S))
-        return True
 
     def present(self, topic: str) -> bool:
         return bool(self._participant.publishers_of(topic))
 
     def heard(self, topic: str) -> bool:
-        return bool(self._participant.subscriptions_of(topic))
+        return self._publishers[topic].is_wanted
 
     def note_clock(self, frame: int) -> None:
         """Note that the clock of a frame has arrived now."""

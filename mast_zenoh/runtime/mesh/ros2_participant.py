@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import re
 import socket
 import threading
 import time
@@ -257,8 +258,11 @@ class Participant:
             self.refuse(token.topic, str(error))
 
     def refuse(self, topic: str, reason: str) -> None:
-        """Count a message of a topic that is of no use, by the reason's part before the colon; log the first one."""
-        kind = " ".join(reason.split(":", 1)[0].split())[:120]
+        """Count a message of a topic that is of no use, by the reason's part before the colon; log the first one.
+
+        Numbers in it, which peers choose, are not told apart.
+        """
+        kind = re.sub(r"\b[0-9]+\b", "N", " ".join(reason.split(":", 1)[0].split()))[:120]
         with self._lock:
             if kind not in self.refused and len(self.refused) >= MOST_REASONS:
                 kind = "other reasons"
@@ -278,7 +282,7 @@ class Participant:
         try:
             token = parse_token(key)
         except MessageError as error:
-            self.refuse("liveliness", str(error))
+            self.refuse("liveliness", f"token: {error}")
             return
         with self._lock:
             if key in self._known or len(self._known) >= MOST_TOKENS:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -52,19 +52,25 @@ class RunMessages:
     """What a run is in ROS 2.
 
     namespace: before the topics of objects and odometry; the others have the names that ROS expects
+    partners: configurations of the nodes of ROS 2 that take part in the run now, by name: they send the clock, and
+        where their agents are
 
     topics: all of them
     objects: by series, the topic of its detections;  odometry: by agent, its topic
     """
 
-    def __init__(self, run: FramedRun, namespace: str = "/") -> None:
+    def __init__(
+        self, run: FramedRun, namespace: str = "/", partners: Mapping[str, Mapping[str, Any]] | None = None
+    ) -> None:
         self.run = run
+        self._partners = partners or {}
+        self._sends_clock = not any(config.get("clock") for config in self._partners.values())
         names = _Names(namespace)
         self.objects: Mapping[Series, str] = {series: names.of(key) for series, key in run.topics.items()}
         self.odometry: Mapping[str, str] = {agent: names.of(f"agent/{agent}/odometry") for agent in run.agents}
         judged = any(wire.message == TRUST for _, wiring in run.wirings for wire in wiring.wires)
         self.topics = (
-            Topic(CLOCK, type_store.CLOCK),
+            *([Topic(CLOCK, type_store.CLOCK)] if self._sends_clock else []),
             Topic(TRANSFORMS, type_store.TF_MESSAGE),
             Topic(MOUNTS, type_store.TF_MESSAGE, kept=True),
             *(Topic(topic, type_store.ODOMETRY) for topic in self.odometry.values()),
@@ -83,7 +89,8 @@ class RunMessages:
         ValueError for a time that ROS cannot express.
         """
         time_ns = frame.time_ns
-        yield CLOCK, clock(time_ns)
+        if self._sends_clock:
+            yield CLOCK, clock(time_ns)
         yield TRANSFORMS, transform_message(self._poses(frame))
         for agent, topic in self.odometry.items():
             body = frame.bodies.get(Series(agent, POSE))
@@ -109,8 +116,10 @@ class RunMessages:
                 yield topic + ending, convert(states, frame.time_ns, WORLD)
 
     def _poses(self, frame: Frame) -> Iterator[Transform]:
-        """Where the agents are."""
+        """Where the agents are, but for those that say it themselves."""
         for agent, pose in frame.poses.items():
+            if agent in self._partners:
+                continue
             yield Transform(WORLD, agent, frame.time_ns, pose.position, quaternion_from_rotation(pose.rotation))
 
     def _mounts(self) -> Iterator[Transform]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.ros2.qos import Qos
@@ -23,7 +24,7 @@ class Ros2Bridge:
 
     A peer that takes nothing is waited for until its link ends: `publish` blocks for so long.
 
-    participant: the node;  namespace: before the topics of objects and odometry
+    participant: the node;  namespace: before the topics of objects and odometry;  partners: see `RunMessages`
 
     messages: what it publishes;  sent: number of frames;  failed: of frames of which something could not be converted
     unheard:  of frames that were published while there was no router
@@ -31,8 +32,14 @@ class Ros2Bridge:
     Raises ConfigurationError for names that ROS does not allow.
     """
 
-    def __init__(self, run: FramedRun, participant: Participant, namespace: str = "/") -> None:
-        self.messages = RunMessages(run, namespace)
+    def __init__(
+        self,
+        run: FramedRun,
+        participant: Participant,
+        namespace: str = "/",
+        partners: Mapping[str, Mapping[str, Any]] | None = None,
+    ) -> None:
+        self.messages = RunMessages(run, namespace, partners)
         self.sent = self.failed = self.unheard = 0
         self._participant = participant
         try:

@@ -16,13 +16,14 @@ from mast_zenoh.scenes.recording import Recording
 
 #: Name of a map in the folder of a bag.
 MAP = "topics.toml"
+MAP_SUFFIX = ".toml"
 
 
 @dataclass(kw_only=True, eq=False)
 class RosBag(DataSetScene):
     """A ROS 2 bag, in the storage SQLite3 or MCAP, with a map of its topics; see docs/scenes_rosbag.md.
 
-    path:             a folder with metadata.yaml, or a file
+    path:             a folder with metadata.yaml, a file, or a map that names its bag
     topics:           the map, or the TOML file that holds it; None: topics.toml in the folder, or the TOML file beside
                       the bag's file that has its name
     start_s:          s from the first time at which all agents have a pose to the first frame
@@ -50,8 +51,8 @@ class RosBag(DataSetScene):
 
     def inputs(self) -> Sequence[Path]:
         """The bag, and the file of the map."""
-        file = self._map_file()
-        return (self.root,) if file is None else (self.root, file)
+        bag, file = self._files()
+        return (bag,) if file is None else (bag, file)
 
     def record(self, seed: int, frames: int | None) -> Recording:
         try:
@@ -62,24 +63,33 @@ class RosBag(DataSetScene):
             raise ConfigurationError(
                 f"{self.path}: rosbags is not installed, expected pip install 'mast-zenoh[ros2]'"
             ) from None
-        with open_bag(self.root, self.max_unpacked_mb) as bag:
-            bag_map = self._map(bag)
+        path, file = self._files()
+        with open_bag(path, self.max_unpacked_mb) as bag:
+            bag_map = self._map(bag, file)
             readers = rosbag_reading.read_topics(bag, bag_map)
         part = rosbag_recording.Part(self.start_s, self.duration_s)
-        return rosbag_recording.BagScene(self, part, bag_map, readers).recording(seed, frames)
+        return rosbag_recording.BagScene(self, path, part, bag_map, readers).recording(seed, frames)
 
-    def _map_file(self) -> Path | None:
-        """The file with the map; None: it is given, or there is none."""
+    def _files(self) -> tuple[Path, Path | None]:
+        """The bag, and the file with the map; None: the map is given, or there is none."""
+        if self.root.suffix == MAP_SUFFIX:
+            if self.topics is not None:
+                raise ConfigurationError(f"{self.path}: topics are given, expected None: the path is that of a map")
+            bag = read_map(self.root).bag
+            if not bag:
+                raise ConfigurationError(f"{self.path}: bag is missing, expected the path of the bag of this map")
+            return self.root.parent / bag, self.root
         if isinstance(self.topics, str):
-            return Path(self.topics)
-        return self._usual_map if self.topics is None and self._usual_map.is_file() else None
+            return self.root, Path(self.topics)
+        usual = self._usual_map
+        return self.root, usual if self.topics is None and usual.is_file() else None
 
     @property
     def _usual_map(self) -> Path:
-        return self.root / MAP if self.root.is_dir() else self.root.with_suffix(".toml")
+        return self.root / MAP if self.root.is_dir() else self.root.with_suffix(MAP_SUFFIX)
 
-    def _map(self, bag: Bag) -> BagMap:
-        if (file := self._map_file()) is not None:
+    def _map(self, bag: Bag, file: Path | None) -> BagMap:
+        if file is not None:
             return read_map(file)
         if isinstance(self.topics, Mapping):
             return parse_map(self.topics, Path(f"{type(self).__name__}.topics"))

@@ -24,6 +24,7 @@ from mast_zenoh.sensing import LidarSensor
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
 _MAX_ENTRIES = 1000  # agents, and objects
 _MAX_TEXT = 1000
+_MAX_CHAIN = 20  # frames
 _KINDS: Mapping[str, type[Sensor]] = {"lidar": Lidar, "camera": ObjectCamera, "radar": Radar}
 _AXES = {"x": 0, "y": 1, "z": 2}
 
@@ -40,14 +41,15 @@ class Source:
     """Messages of a topic.
 
     place:     of the entry in the map, for messages
-    child:     name of the frame whose pose is wanted, of a topic with transforms; "": the pose of the message
+    chain:     of a topic with transforms: names of frames, from the child of a fixed frame down to that whose pose is
+               wanted; empty: the pose of the message
     origin:    where the frame of the messages is in the world; None: as `frames` says
     offset_ns: ns, added to their times;  received: whether those are times of recording, rather than of headers
     """
 
     place: str
     topic: str
-    child: str
+    chain: tuple[str, ...]
     origin: Pose | None
     offset_ns: int
     received: bool
@@ -120,10 +122,12 @@ class TruthEntry:
 class BagMap:
     """A map. period_ns: of the frames; max_gap_ns: the longest time between two poses that is bridged
 
+    bag:    path of its bag, from the folder of the map; "": it is given otherwise
     frames: pose in the world of each fixed frame; types: definition of message types, by name
     """
 
     place: str
+    bag: str
     period_ns: int
     max_gap_ns: int
     frames: Mapping[str, Pose]
@@ -164,7 +168,7 @@ def parse_map(content: Mapping[str, Any], path: Path) -> BagMap:
 
 
 def _parsed(whole: Element) -> BagMap:
-    _check_keys(whole, ("agents", "truth", "frames", "types", "rate_hz", "max_gap_s", "time"))
+    _check_keys(whole, ("bag", "agents", "truth", "frames", "types", "rate_hz", "max_gap_s", "time"))
     times = _times(whole, False)
     frames = {name: _pose(each) for name, each in _entries(whole, "frames")}
     types = {name: each.text() for name, each in _entries(whole, "types")}
@@ -174,8 +178,16 @@ def _parsed(whole: Element) -> BagMap:
     truth = [_truth(name, each, times) for name, each in _entries(whole, "truth")]
     rate_hz = _number(whole, "rate_hz", 10.0, 0.01, 1000.0)
     max_gap_s = _number(whole, "max_gap_s", 0.5, 0.0, 3600.0)
+    bag = whole.get("bag")
     return BagMap(
-        str(whole.path), round(1e9 / rate_hz), round(max_gap_s * 1e9), frames, types, tuple(agents), tuple(truth)
+        place=str(whole.path),
+        bag="" if bag is None else _short(bag),
+        period_ns=round(1e9 / rate_hz),
+        max_gap_ns=round(max_gap_s * 1e9),
+        frames=frames,
+        types=types,
+        agents=tuple(agents),
+        truth=tuple(truth),
     )
 
 
@@ -240,11 +252,20 @@ def _source(table: Element, received: bool, further: Collection[str] = ()) -> So
     return Source(
         f"{table.path}: {table.place}",
         _short(table["topic"]),
-        "" if child is None else _short(child),
+        () if child is None else _chain(child),
         None if origin is None else _pose(origin),
         round(_number(table, "offset_s", 0.0, -1e9, 1e9) * 1e9),
         _times(table, received),
     )
+
+
+def _chain(child: Element) -> tuple[str, ...]:
+    """The frames of a chain, that is written as a list, or as the name of the only one."""
+    listed = child.elements() if isinstance(child.value, list) else [child]
+    names = tuple(_short(each) for each in listed)
+    if not 0 < len(set(names)) == len(names) <= _MAX_CHAIN:
+        child.fail(f"1 to {_MAX_CHAIN} different frames")
+    return names
 
 
 def _times(table: Element, default: bool) -> bool:

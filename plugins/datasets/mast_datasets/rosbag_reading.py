@@ -8,17 +8,17 @@ from array import array
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mast_datasets.rosbag_map import BagMap, DetectionsEntry, Pose, Source, TruthEntry
 from mast_datasets.rosbag_storage import Bag, Topic
-from mast_datasets.rosbag_types import Decode, known_decoder, own_decoder, parse_definition
+from mast_datasets.rosbag_types import Decode, OwnType, known_decoder, parse_definition
 from mast_datasets.traffic import MAX_BOXES
 from mast_zenoh.arrays.geometry import heading, quaternion_from_rotation, rotation_from_quaternion, rotation_from_yaw
-from mast_zenoh.arrays.states import Bools, Detections, Floats, Ints, ObjectStates
+from mast_zenoh.arrays.states import DETECTION_COLUMNS, Bools, Detections, Floats, Ints, ObjectStates
 from mast_zenoh.errors import ConfigurationError, MessageError, SceneError, nearest
 from mast_zenoh.ros2 import type_store
 from mast_zenoh.ros2.object_ids import id_of_text, id_of_uuid
@@ -29,6 +29,9 @@ from mast_zenoh.ros2.received_poses import POSES, stamped_poses
 MAX_MESSAGES = 5_000_000
 _MAX_REMARKS = 20  # that are told apart, of one topic
 _MAX_DETECTED = 1000
+_MAX_OBJECTS = 20_000  # of a topic with lists, by their ids
+_MAX_NS = 2**61
+_DETECTION = 18  # numbers of a detection
 _UUID = re.compile("-?".join(f"[0-9a-fA-F]{{{count}}}" for count in (8, 4, 4, 4, 12)))
 _TYPES_OF_DETECTIONS = (type_store.DETECTIONS, type_store.DETECTED_OBJECTS)
 _TYPES_OF_TRUTH = (type_store.TRACKED_OBJECTS, type_store.DETECTIONS)
@@ -121,7 +124,11 @@ class TopicReader(ABC):
             self._remark("a class that none of ours is, now unknown", number)
 
     def _time(self, header_ns: int, received_ns: int) -> int:
-        return (received_ns if self.source.received else header_ns) + self.source.offset_ns
+        """The time, ns, that counts. Raises MessageError for one whose differences from others overflow."""
+        time_ns = (received_ns if self.source.received else header_ns) + self.source.offset_ns
+        if abs(time_ns) > _MAX_NS:
+            raise MessageError(f"a time further than {_MAX_NS} ns from 1970")
+        return time_ns
 
     def _check_type(self, topic: Topic, known: Sequence[str], hint: str = "") -> None:
         if topic.type not in known:
@@ -157,12 +164,13 @@ class PoseReader(TopicReader):
 
     def __init__(self, source: Source, frames: Mapping[str, Pose]) -> None:
         super().__init__(source, frames)
-        self._times, self._values = array("q"), array("d")
+        self._links = {child: _Link(array("q"), array("d")) for child in source.chain or ("",)}
+        self._parents = dict(zip(source.chain[1:], source.chain, strict=False))
 
     def decoder(self, place: str, topic: Topic, types: Mapping[str, Any]) -> Decode:
         self._check_type(topic, POSES)
         has_children = topic.type in POSES[1:2] + POSES[4:]
-        if has_children != bool(self.source.child):
+        if has_children != bool(self.source.chain):
             expected = "`child`, the frame whose pose is wanted" if has_children else "no `child`"
             raise ConfigurationError(
                 f"{self.source.place}: {topic.name} is of the type {topic.type}, expected {expected}"
@@ -171,40 +179,83 @@ class PoseReader(TopicReader):
 
     @property
     def used(self) -> int:
-        return len(self._times)
+        return min(len(link.times) for link in self._links.values())
 
     def _read(self, message: Any, received_ns: int) -> None:
         received = stamped_poses(message)
         for reason, number in received.dropped.items():
             self._leave_out(reason, number)
         for each in received.transforms:
-            if self.source.child in ("", each.child):
+            child = each.child if self.source.chain else ""
+            link = self._links.get(child)
+            if link is None:
+                continue
+            expected = self._parents.get(child)
+            if expected is None:
                 self._check_frame(each.parent)
-                self._times.append(self._time(each.time_ns, received_ns))
-                self._values.extend((*each.position.tolist(), *each.rotation.tolist()))
+            elif each.parent != expected:
+                raise ConfigurationError(
+                    f"{self.source.place}.child: {self.source.topic}: {child!r} is in the frame {each.parent!r:.80}, "
+                    f"expected {expected!r}"
+                )
+            link.times.append(self._time(each.time_ns, received_ns))
+            link.values.extend((*each.position.tolist(), *each.rotation.tolist()))
 
-    def track(self) -> PoseTrack:
-        """All poses in the world; of several at one time, the first."""
-        times, first = np.unique(np.frombuffer(self._times, np.int64), return_index=True)
-        if len(first) < len(self._times):
-            self._leave_out("a pose at the time of another one", len(self._times) - len(first))
-        values = np.frombuffer(self._values, np.float64).reshape(-1, 7)[first]
-        origin = self._origin()
-        rotation = origin.rotation @ rotation_from_quaternion(values[:, 3:])
-        position = values[:, :3] @ origin.rotation.T + origin.position
-        return PoseTrack(times, position, quaternion_from_rotation(rotation))
+    def track(self, max_gap_ns: int) -> PoseTrack:
+        """All poses in the world, at the times of the last frame of a chain; of several at one time, the first.
+
+        max_gap_ns: of the other frames of a chain, the longest time between two poses that is bridged
+        """
+        *above, last = (self._track_of(link) for link in self._links.values())
+        times, position, rotation = last.times_ns, last.position, rotation_from_quaternion(last.quaternion)
+        known = np.ones(len(times), bool)
+        for track in reversed(above):
+            origin, turn, is_known = track.at(times, max_gap_ns)
+            position, rotation = origin + (turn @ position[:, :, None])[:, :, 0], turn @ rotation
+            known &= is_known
+        if not known.all():
+            self._leave_out("a pose without one of a frame above it in the chain", int((~known).sum()))
+            if not known.any():
+                raise SceneError(f"{self.source.place}: {self.source.topic}: found no time with all frames of `child`")
+        world = self._origin()
+        position, rotation = position[known] @ world.rotation.T + world.position, world.rotation @ rotation[known]
+        return PoseTrack(times[known], position, quaternion_from_rotation(rotation))
+
+    def _track_of(self, link: _Link) -> PoseTrack:
+        times, first = np.unique(np.frombuffer(link.times, np.int64), return_index=True)
+        if len(first) < len(link.times):
+            self._leave_out("a pose at the time of another one", len(link.times) - len(first))
+        values = np.frombuffer(link.values, np.float64).reshape(-1, 7)[first]
+        return PoseTrack(times, values[:, :3], values[:, 3:])
+
+
+class _Link(NamedTuple):
+    """Poses of a frame in the one above it: ns of each, and x y z w x y z of each."""
+
+    times: array[int]
+    values: array[float]
 
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """The measurements of a sensor. times_ns: (K,) ns, ascending; detections: of each, in `frame`
+    """The measurements of a sensor.
 
-    fixed: pose of a frame in the world that they are in; None: they are in the sensor's
+    times_ns:   (K,) ns, ascending
+    first:      (K,) row of the first detection of each, and count: (K,) how many it has
+    detections: of all measurements
+    fixed:      pose in the world of the fixed frame that they are in; None: they are in the sensor's
     """
 
     times_ns: Ints
-    detections: tuple[Detections, ...]
+    first: Ints
+    count: Ints
+    detections: Detections
     fixed: Pose | None
+
+    def detections_of(self, measurement: int) -> Detections:
+        """The detections of a measurement; views, not copies."""
+        first = int(self.first[measurement])
+        return self.detections.select(slice(first, first + int(self.count[measurement])))
 
 
 class DetectionReader(TopicReader):
@@ -215,14 +266,20 @@ class DetectionReader(TopicReader):
     def __init__(self, entry: DetectionsEntry, source: Source, frames: Mapping[str, Pose]) -> None:
         super().__init__(source, frames)
         self._entry = entry
-        self._times = array("q")
-        self._detections: list[Detections] = []
+        self._times, self._counts, self._values = array("q"), array("q"), array("d")
         self._fixed = frames.get(entry.frame)
-        self._total = 0
 
     def decoder(self, place: str, topic: Topic, types: Mapping[str, Any]) -> Decode:
         if self._entry.paths:
-            return own_decoder(place, topic, types)
+            own = OwnType(place, topic, types)
+            try:
+                element = own.element_of(self._entry.paths["list"])
+                for name, path in self._entry.paths.items():
+                    if name != "list":
+                        own.check_path(element, path)
+            except ValueError as error:
+                raise ConfigurationError(f"{self.source.place}.fields: {topic.name}: {error}") from None
+            return own.decode
         self._check_type(topic, _TYPES_OF_DETECTIONS, "; `fields` reads other types")
         if topic.type == type_store.DETECTED_OBJECTS:
             for name, given in (
@@ -258,11 +315,12 @@ class DetectionReader(TopicReader):
         if near.any():
             self._leave_out(f"nearer than nearest_m, {entry.nearest_m:g} m", int(near.sum()))
             found = found.select(np.flatnonzero(~near))
-        self._total += len(found)
-        if self._total > MAX_BOXES:
+        if len(self._values) > MAX_BOXES * _DETECTION:
             raise SceneError(f"{self.source.topic}: found more than {MAX_BOXES} detections, expected at most as many")
         self._times.append(self._time(received.time_ns, received_ns))
-        self._detections.append(found)
+        self._counts.append(len(found))
+        for columns in zip(*(getattr(found, name) for name in DETECTION_COLUMNS), strict=True):
+            self._values.extend(np.hstack([np.ravel(column) for column in columns]).tolist())
 
     def _converted(self, message: dict[str, Any]) -> Any:
         """A Detection3DArray of a message of another type."""
@@ -272,16 +330,19 @@ class DetectionReader(TopicReader):
             raise MessageError(f"{'.'.join(map(str, paths['list']))} is no list")
         if len(listed) > _MAX_DETECTED:
             raise MessageError(f"found {len(listed)} detections, expected at most {_MAX_DETECTED}")
-        header = _value(message, ("header",))
-        stamp = _TYPE["builtin_interfaces/msg/Time"](
-            _value(header, ("stamp", "sec")), _value(header, ("stamp", "nanosec"))
+        s, ns, frame_id = (
+            _value(message, ("header", *path)) for path in (("stamp", "sec"), ("stamp", "nanosec"), ("frame_id",))
         )
+        if not isinstance(s, int) or not isinstance(ns, int) or not isinstance(frame_id, str):
+            raise MessageError("header: found another type, expected std_msgs/msg/Header")
+        header = _TYPE["std_msgs/msg/Header"](_TYPE["builtin_interfaces/msg/Time"](s, ns), frame_id)
         detections = []
         for each in listed:
-            detections.append(self._detection(each, paths))
-        return _TYPE[type_store.DETECTIONS](
-            _TYPE["std_msgs/msg/Header"](stamp, _value(header, ("frame_id",))), detections
-        )
+            try:
+                detections.append(self._detection(each, paths))
+            except MessageError as error:
+                self._leave_out(str(error))
+        return _TYPE[type_store.DETECTIONS](header, detections)
 
     def _detection(self, each: Any, paths: Mapping[str, tuple[str | int, ...]]) -> Any:
         x, y, z = _numbers(_value(each, paths["position"]), "xyz")
@@ -306,9 +367,14 @@ class DetectionReader(TopicReader):
 
     def measured(self) -> Measured:
         """All measurements, by time."""
-        times = np.frombuffer(self._times, np.int64)
-        order = np.argsort(times, kind="stable")
-        return Measured(times[order], tuple(self._detections[row] for row in order), self._fixed)
+        times, count = np.frombuffer(self._times, np.int64), np.frombuffer(self._counts, np.int64)
+        order, first = np.argsort(times, kind="stable"), np.cumsum(count) - count
+        values = np.frombuffer(self._values, np.float64).reshape(-1, _DETECTION)
+        position, size, yaw, score, class_id, covariance = np.split(values, [3, 6, 7, 8, 9], axis=1)
+        detections = Detections(
+            position, size, yaw[:, 0], score[:, 0], class_id[:, 0].astype(np.uint8), covariance.reshape(-1, 3, 3)
+        )
+        return Measured(times[order], first[order], count[order], detections, self._fixed)
 
 
 _TYPE: Mapping[str, Callable[..., Any]] = type_store.TYPES
@@ -354,13 +420,14 @@ def _change(message: Any, entry: DetectionsEntry) -> None:
         box = each.bbox
         if entry.axes is not None:
             point, size, turn = box.center.position, box.size, box.center.orientation
-            point.x, point.y, point.z = (entry.axes @ (point.x, point.y, point.z)).tolist()
-            size.x, size.y, size.z = (np.abs(entry.axes) @ (size.x, size.y, size.z)).tolist()
             turn.x, turn.y, turn.z, turn.w = 0.0, 0.0, 0.0, 1.0
-            for result in each.results:
-                covariance = result.pose.covariance.reshape(6, 6).copy()
-                covariance[:3, :3] = entry.axes @ covariance[:3, :3] @ entry.axes.T
-                result.pose.covariance = covariance.ravel()
+            with np.errstate(all="ignore"):  # values may be anything
+                point.x, point.y, point.z = (entry.axes @ (point.x, point.y, point.z)).tolist()
+                size.x, size.y, size.z = (np.abs(entry.axes) @ (size.x, size.y, size.z)).tolist()
+                for result in each.results:
+                    covariance = result.pose.covariance.reshape(6, 6).copy()
+                    covariance[:3, :3] = entry.axes @ covariance[:3, :3] @ entry.axes.T
+                    result.pose.covariance = covariance.ravel()
         if entry.size is not None:
             box.size.x, box.size.y, box.size.z = entry.size.tolist()
 
@@ -385,7 +452,7 @@ class ObjectReader(TopicReader):
     def decoder(self, place: str, topic: Topic, types: Mapping[str, Any]) -> Decode:
         hint = "; an object with a pose needs `size` and `class`" if topic.type in POSES else ""
         self._check_type(topic, _TYPES_OF_TRUTH, hint)
-        if self.source.child:
+        if self.source.chain:
             raise ConfigurationError(f"{self.source.place}: {topic.type} has no use for `child`")
         is_uuid = _UUID.fullmatch if topic.type == type_store.TRACKED_OBJECTS else lambda _: None
         self._without = frozenset(
@@ -438,6 +505,9 @@ class ObjectReader(TopicReader):
         if repeated.any():
             self._leave_out("an object at the time of another one with its id", int(repeated.sum()))
             order = order[~repeated]
+        objects = len(np.unique(ids))
+        if objects > _MAX_OBJECTS:
+            raise SceneError(f"{self.source.topic}: found {objects} objects, expected at most {_MAX_OBJECTS}")
         found = []
         for rows in np.split(order, np.flatnonzero(np.diff(ids[order])) + 1) if len(order) else []:
             rotation = np.stack([rotation_from_yaw(yaw) for yaw in values[rows, 3].tolist()])
@@ -475,7 +545,7 @@ def read_topics(bag: Bag, bag_map: BagMap) -> dict[str, TopicReader]:
         if last.get(topic.name) != topic:
             if topic.name in last and last[topic.name].type != topic.type:
                 raise SceneError(
-                    f"{bag.path}: {topic.name} has messages of {last[topic.name].type} and of {topic.type}"
+                    f"{bag.path}: {topic.name} has messages of {last[topic.name].type!r} and {topic.type!r}"
                 )
             own = [reader for reader in readers.values() if reader.source.topic == topic.name]
             decoders = [reader.decoder(str(bag.path), topic, types) for reader in own]
@@ -513,7 +583,7 @@ def _check_used(bag: Bag, reader: TopicReader) -> None:
             f"{bag.listed_topics()}"
         )
     if not reader.used:
-        child = f"none of {source.child!r}" if source.child else "none that can be used"
+        child = f"none for each of {', '.join(source.chain)}" if source.chain else "none that can be used"
         reasons = "; ".join(f"{remark}: {number}" for remark, number in reader.remarks.most_common(3))
         raise SceneError(
             f"{bag.path}: {source.topic}: found {reader.count} messages, {child} ({source.place})"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from mast_datasets.rosbag_reading import (
     TopicReader,
     TrueObject,
 )
-from mast_datasets.traffic import DataSetScene
+from mast_datasets.traffic import MAX_BOXES, DataSetScene
 from mast_zenoh.arrays.geometry import heading, to_world, wrap_angle
 from mast_zenoh.arrays.states import DETECTION_COLUMNS, Bools, Detections, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
@@ -65,26 +66,29 @@ class BagScene:
     Raises SceneError and ConfigurationError, as `Scene.record` does.
     """
 
-    def __init__(self, scene: DataSetScene, part: Part, bag_map: BagMap, readers: Mapping[str, TopicReader]) -> None:
-        self._path, self._detector, self._name = scene.path, scene.detector, scene.root.name
-        self._map = bag_map
+    def __init__(
+        self, scene: DataSetScene, path: Path, part: Part, bag_map: BagMap, readers: Mapping[str, TopicReader]
+    ) -> None:
+        self._path, self._detector, self._map = path, scene.detector, bag_map
         self.notes: list[str] = []
         self._tracks: dict[str, PoseTrack] = {}
         self._measured: dict[str, Measured] = {}
         self._lists: dict[str, list[TrueObject]] = {}
         for place, reader in readers.items():
             if isinstance(reader, PoseReader):
-                self._tracks[place] = reader.track()
+                self._tracks[place] = reader.track(bag_map.max_gap_ns)
             elif isinstance(reader, DetectionReader):
                 self._measured[place] = reader.measured()
             elif isinstance(reader, ObjectReader):
                 self._lists[place] = reader.objects()
             for remark, number in sorted(reader.remarks.items()):
-                self.notes.append(f"{reader.source.topic}: {remark}: {number} in {reader.count} messages")
+                note = f"{reader.source.topic}: {remark}: {number} in {reader.count} messages"
+                if note not in self.notes:  # of a topic that several agents are on
+                    self.notes.append(note)
         ego, *others = bag_map.agents
-        mobile = [agent for agent in others if not agent.fixed]
-        chosen = scene.playing([ego, *mobile], [agent for agent in others if agent.fixed], "agents that never move")
-        names = {agent.name for part in chosen for agent in part}
+        moving = [ego, *(agent for agent in others if not agent.fixed)]
+        playing = scene.playing(moving, [agent for agent in others if agent.fixed], "agents that never move")
+        names = {agent.name for agents in playing for agent in agents}
         self._agents = [agent for agent in bag_map.agents if agent.name in names]
         self._times_ns = self._frames(part)
 
@@ -92,7 +96,7 @@ class BagScene:
         """The recording of the first `frames` frames; None: of all. seed: of generated detections"""
         boxes, own_ids = self._boxes()
         paths = [self._agent_path(agent, own_ids.get(agent.name, -1)) for agent in self._agents]
-        generated = assemble(self._name, self._times_ns, boxes, paths, self._detector, seed=seed, frames=frames)
+        generated = assemble(self._path.name, self._times_ns, boxes, paths, self._detector, seed=seed, frames=frames)
         recording = self._with_detections(generated)
         return replace(recording, notes=tuple(self.notes))
 
@@ -195,12 +199,28 @@ class BagScene:
                 continue
             for each in self._lists[entry.source.place]:
                 number += 1
-                poses = _Poses(*each.poses.at(self._times_ns, self._map.max_gap_ns))
-                frame = np.flatnonzero(poses.known)
-                row = np.searchsorted(each.poses.times_ns, self._times_ns[frame], side="right") - 1
-                ids, yaw = np.full(len(frame), number, np.int64), heading(poses.rotation[frame])
-                parts.append(Boxes(frame, ids, poses.position[frame], each.size[row], yaw, each.class_id[row]))
+                parts.append(self._boxes_of_list(number, each))
+        total = sum(map(len, parts))
+        if total > MAX_BOXES:
+            raise SceneError(f"{self._path}: found {total} boxes in all frames, expected at most {MAX_BOXES}")
         return Boxes.concatenate(parts), own_ids
+
+    def _boxes_of_list(self, number: int, tracked: TrueObject) -> Boxes:
+        """The boxes of an object of a list in the frames in which its pose is known."""
+        times = tracked.poses.times_ns
+        first = int(np.searchsorted(self._times_ns, times[0]))
+        within = self._times_ns[first : np.searchsorted(self._times_ns, times[-1], side="right")]
+        poses = _Poses(*tracked.poses.at(within, self._map.max_gap_ns))
+        known = np.flatnonzero(poses.known)
+        row = np.searchsorted(times, within[known], side="right") - 1
+        return Boxes(
+            frame=first + known,
+            id=np.full(len(known), number, np.int64),
+            position=poses.position[known],
+            size=tracked.size[row],
+            yaw=heading(poses.rotation[known]),
+            class_id=tracked.class_id[row],
+        )
 
     def _note_absence(self, name: str, known: Bools) -> None:
         if not known.all():
@@ -307,7 +327,7 @@ def _measured_rows(measured: Measured, source: Ints, frame: Ints, poses: _Poses,
     """
     parts = []
     for row in source.tolist():
-        detections = measured.detections[row]
+        detections = measured.detections_of(row)
         pose = sensor_pose(poses.position[row], poses.rotation[row], lidar.mount_position, lidar.mount_rotation)
         if measured.fixed is None:
             parts.append(replace(detections, yaw=_about_vertical(detections.yaw, pose[1])))

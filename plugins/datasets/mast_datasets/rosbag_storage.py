@@ -115,7 +115,7 @@ class Bag:
     def listed_topics(self) -> str:
         """All topics with types and numbers of messages, a line each. Raises SceneError with the file."""
         topics = self.topics()
-        lines = [f"\n  {name:.120}  {kind:.120}  {count}" for name, (kind, count) in topics.items()]
+        lines = [f"\n  {_printable(name)}  {_printable(kind)}  {count}" for name, (kind, count) in topics.items()]
         more = f"\n  and {len(lines) - _LISTED} more" if len(lines) > _LISTED else ""
         return f"{len(lines)} topics (name, type, messages):{''.join(lines[:_LISTED])}{more}"
 
@@ -154,6 +154,11 @@ def open_bag(path: Path, max_unpacked_mb: float) -> Iterator[Bag]:
             unpacked.append(Path(folder) / f"{index}")
             remaining -= _unpack_file(file, unpacked[-1], remaining, max_unpacked_mb)
         yield Bag(path, tuple(unpacked), False)
+
+
+def _printable(text: str) -> str:
+    """A name of a bag without what would move the cursor of a terminal."""
+    return "".join(filter(str.isprintable, text[:120]))
 
 
 def _name_in(folder: Path, element: Element) -> str:

@@ -23,6 +23,9 @@ Decode = Callable[[bytes], Any]
 #: Fields of types by name: pairs of a name and a description, as rosbags has them.
 Fields = dict[str, list[tuple[str, Any]]]
 
+#: Steps to a value in nested messages and lists.
+Steps = tuple[str | int, ...]
+
 _MAX_DEPTH = 20
 _MAX_DEFINITION = 200_000
 _NUMBERS = {
@@ -49,12 +52,17 @@ def parse_definition(name: str, text: str) -> Fields:
     return {kind: list(fields) for kind, (_, fields) in parsed.items()}
 
 
+def all_fields() -> Fields:
+    """The fields of all types that are known."""
+    return {kind: list(fields) for kind, (_, fields) in type_store.STORE.fielddefs.items()}
+
+
 def known_decoder(place: str, topic: Topic) -> Decode:
     """How to decode a type that is known. place: of the bag, for messages
 
     Raises SceneError if the bag has another version of it.
     """
-    ours = {kind: list(fields) for kind, (_, fields) in type_store.STORE.fielddefs.items()}
+    ours = all_fields()
     if topic.definition:
         try:
             theirs = parse_definition(topic.type, topic.definition)
@@ -70,7 +78,7 @@ def known_decoder(place: str, topic: Topic) -> Decode:
                 )
     if topic.hash.startswith("RIHS01_") and topic.hash != type_store.type_hash(topic.type):
         raise SceneError(
-            f"{place}: {topic.name}: the bag has another version of {topic.type}: found the hash {topic.hash:.80}, "
+            f"{place}: {topic.name}: the bag has another version of {topic.type}: found the hash {topic.hash!r:.80}, "
             f"expected {type_store.type_hash(topic.type)}"
         )
     return lambda payload: type_store.decode(topic.type, payload)
@@ -83,24 +91,60 @@ def _normal(fields: list[tuple[str, Any]]) -> list[tuple[str, Any]]:
 _FILLER = ("structure_needs_at_least_one_member", (Nodetype.BASE, ("uint8", 0)))
 
 
-def own_decoder(place: str, topic: Topic, of_map: Mapping[str, Fields]) -> Decode:
-    """How to decode a type by its definition, as nested dicts and lists.
+class OwnType:
+    """A type that is read by its definition, as nested dicts and lists.
 
-    of_map: fields by name of the types that the map defines; they take precedence over those of the bag
-    place: of the bag, for messages
+    place: of the bag, for messages;  of_map: fields of the types that the map defines, by name; they take precedence
 
-    Raises ConfigurationError if neither defines the type, and SceneError for a definition that is none.
+    Raises ConfigurationError if neither the map nor the bag defines the type, and SceneError for a definition that is
+    none.
     """
-    fields = {kind: list(fields) for kind, (_, fields) in type_store.STORE.fielddefs.items()}
-    if topic.definition:
-        try:
-            fields |= parse_definition(topic.type, topic.definition)
-        except ValueError as error:
-            raise SceneError(f"{place}: {topic.name}: {error}") from None
-    for defined in of_map.values():
-        fields |= defined
-    _check_nesting(place, topic, fields, topic.type, 0, set())
-    return lambda payload: _Reader(fields, payload).message(topic.type)
+
+    def __init__(self, place: str, topic: Topic, of_map: Mapping[str, Fields]) -> None:
+        self._name, self._fields = topic.type, all_fields()
+        if topic.definition:
+            try:
+                self._fields |= parse_definition(topic.type, topic.definition)
+            except ValueError as error:
+                raise SceneError(f"{place}: {topic.name}: {error}") from None
+        for defined in of_map.values():
+            self._fields |= defined
+        _check_nesting(place, topic, self._fields, topic.type, 0, set())
+
+    def decode(self, payload: bytes) -> Any:
+        """The message of a payload. Raises MessageError for bytes that are none."""
+        return _Reader(self._fields, payload).message(self._name)
+
+    def element_of(self, path: Steps) -> str:
+        """The type of the elements of the list at a path. Raises ValueError if there is no list of messages."""
+        kind, detail = self._at(self._name, path)
+        if kind not in (Nodetype.ARRAY, Nodetype.SEQUENCE) or detail[0][0] != Nodetype.NAME:
+            raise ValueError(f"{_written(path)} of {self._name} is no list of messages")
+        return str(detail[0][1])
+
+    def check_path(self, name: str, path: Steps) -> None:
+        """Raise ValueError if a type of this name has nothing at a path."""
+        self._at(name, path)
+
+    def _at(self, name: str, path: Steps) -> Any:
+        """The description of what is at a path in a type."""
+        description: Any = (Nodetype.NAME, name)
+        for step in path:
+            kind, detail = description
+            if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE) and isinstance(step, int):
+                description = detail[0]
+                continue
+            fields = dict(self._fields[detail]) if kind == Nodetype.NAME else {}
+            if step not in fields:
+                known = ", ".join(fields) or ("a number" if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE) else "no step")
+                hint = nearest(str(step), fields)
+                raise ValueError(f"{_written(path)} of {name}: found no {step!r}, expected one of {known}{hint}")
+            description = fields[step]
+        return description
+
+
+def _written(path: Steps) -> str:
+    return ".".join(map(str, path))
 
 
 def _check_nesting(place: str, topic: Topic, fields: Fields, kind: str, depth: int, checked: set[str]) -> None:
@@ -111,7 +155,7 @@ def _check_nesting(place: str, topic: Topic, fields: Fields, kind: str, depth: i
             f"{nearest(kind, list(fields))}"
         )
     if depth > _MAX_DEPTH:
-        raise SceneError(f"{place}: {topic.name}: {topic.type} has types in types, deeper than {_MAX_DEPTH}")
+        raise SceneError(f"{place}: {topic.name}: {topic.type!r} has types in types, deeper than {_MAX_DEPTH}")
     for _, description in fields[kind]:
         is_single = description[0] in (Nodetype.BASE, Nodetype.NAME)
         inner = description if is_single else description[1][0]

@@ -23,10 +23,12 @@ from rosbag_writer import (
     write_bag,
     write_recording,
 )
+from typer.testing import CliRunner
 
 import mast_zenoh as mast
 from mast_zenoh.arrays.geometry import heading, rotation_from_yaw, to_world
 from mast_zenoh.arrays.states import CLASS_INDEX, Detections
+from mast_zenoh.cli.app import app
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.ros2 import type_store
 from mast_zenoh.ros2.object_messages import tracked_objects
@@ -231,6 +233,31 @@ def test_odometry_transforms_and_stamped_poses_are_the_same(tmp_path: Path) -> N
         np.testing.assert_allclose(read.agent_rotation[:, column], read.agent_rotation[:, 0])
 
 
+def test_a_chain_of_transforms_is_followed_down(tmp_path: Path) -> None:
+    quarter, messages = rotation_from_yaw(np.pi / 2), []
+    for time in range(0, 11 * FRAME, FRAME):
+        messages.append(Sent("/tf", time, transforms(time, "odom", {"base": ((time / 1e9, 0.0, 0.0), quarter)})))
+        if time % (5 * FRAME) == 0 and time < 10 * FRAME:
+            messages.append(Sent("/tf", time, transforms(time, "map", {"odom": ((10.0, time / 1e9, 0.0), quarter)})))
+    path = bag(tmp_path, *messages)
+
+    def scene(child: Any) -> RosBag:
+        agents = dict(ego=dict(pose=dict(topic="/tf", child=child), detections=dict(kind="lidar")))
+        return RosBag(path=path, topics=bag_map(agents=agents))
+
+    read = scene(["odom", "base"]).record(0, None)
+    seconds = np.arange(6) / 10
+    np.testing.assert_allclose(read.agent_position[:, 0, :2], np.stack([0.0 * seconds + 10.0, 2.0 * seconds], axis=1))
+    np.testing.assert_allclose(np.abs(heading(read.agent_rotation[:, 0])), np.pi)
+    assert "/tf: left out: a pose without one of a frame above it in the chain: 5 in 13 messages" in read.notes
+    with pytest.raises(ConfigurationError, match="is in the frame 'odom', expected one of `frames`"):
+        scene("base").record(0, None)
+    with pytest.raises(ConfigurationError, match="child: /tf: 'odom' is in the frame 'map', expected 'other'"):
+        scene(["other", "odom"]).record(0, None)
+    with pytest.raises(SceneError, match="/tf: found 13 messages, none for each of odom, wheel"):
+        scene(["odom", "wheel"]).record(0, None)
+
+
 def test_frames_and_origins_place_poses_in_the_world(tmp_path: Path) -> None:
     path = bag(tmp_path, *straight())
     place = dict(position=[100.0, 50.0, 0.0], yaw_deg=90.0)
@@ -325,6 +352,15 @@ def test_detections_of_a_users_own_type_are_read_by_paths(storage: str, tmp_path
     assert "/found: left out: nearer than nearest_m, 0.1 m: 1 in 1 messages" in read.notes
     fixed = RosBag(path=path, topics=with_detections(**entries, size=[0.5, 0.5, 1.0])).record(0, None)
     np.testing.assert_allclose(fixed.detections.size, [[0.5, 0.5, 1.0]])
+    for changed, message in (
+        (dict(position="plaice"), "plaice of lab_msgs/msg/Thing: found no 'plaice', .* did you mean 'place'"),
+        (dict(score="guesses.score"), "found no 'score', expected one of a number"),
+        (dict(score="guesses.0.score.x"), "found no 'x', expected one of no step"),
+        (dict(list="header"), "header of lab_msgs/msg/Found is no list of messages"),
+    ):
+        topics = with_detections(**entries | dict(fields=FIELDS | changed))
+        with pytest.raises(ConfigurationError, match=f"detections.fields: /found: .*{message}"):
+            RosBag(path=path, topics=topics).record(0, None)
 
 
 def test_truth_in_lists_keeps_the_same_objects(tmp_path: Path) -> None:
@@ -409,6 +445,22 @@ def test_without_a_map_the_topics_of_the_bag_are_listed(tmp_path: Path) -> None:
     ]
 
 
+def test_a_map_that_names_its_bag_is_a_scene(tmp_path: Path) -> None:
+    folder = write_recording(tmp_path / "bag", junction(frames=4))
+    content = (folder / "topics.toml").read_text()
+    (tmp_path / "map.toml").write_text(f'bag = "bag"\n{content}')
+    scene = RosBag(path=str(tmp_path / "map.toml"))
+    assert scene.inputs() == (folder, tmp_path / "map.toml")
+    read = scene.record(0, None)
+    assert read.name == "bag"
+    np.testing.assert_array_equal(read.truth.position, RosBag(path=str(folder)).record(0, None).truth.position)
+    with pytest.raises(ConfigurationError, match="topics are given, expected None"):
+        RosBag(path=scene.path, topics={}).record(0, None)
+    (tmp_path / "map.toml").write_text(content)
+    with pytest.raises(ConfigurationError, match=r"map\.toml: bag is missing"):
+        scene.record(0, None)
+
+
 def test_a_map_may_be_a_file_beside_a_bag_that_is_a_file(tmp_path: Path) -> None:
     folder = write_recording(tmp_path / "bag", junction(frames=4))
     (tmp_path / "alone.db3").write_bytes((folder / "bag.db3").read_bytes())
@@ -417,6 +469,8 @@ def test_a_map_may_be_a_file_beside_a_bag_that_is_a_file(tmp_path: Path) -> None
     named = RosBag(path=str(folder), topics=str(tmp_path / "alone.toml")).record(0, None)
     np.testing.assert_array_equal(alone.truth.position, named.truth.position)
     assert (alone.name, named.name) == ("alone.db3", "bag")
+    scene = RosBag(path=str(tmp_path / "alone.db3"))
+    assert scene.inputs() == (tmp_path / "alone.db3", tmp_path / "alone.toml"), "a changed map is not in the cache"
 
 
 EGO = bag_map()["agents"]["ego"]
@@ -552,3 +606,20 @@ def test_runs_of_real_robots_track_their_chairs(tiers: Path, tmp_path: Path) -> 
         assert tracked - 0.2 < local[0]["tp"]["mean"] <= tracked
         assert local[0]["rmse_m"] < error_m
         assert local[0] == local[1], "attacks do not reach an agent's own tracks"
+
+
+def test_an_exported_run_plays_with_the_same_truth(tmp_path: Path) -> None:
+    scene = dict(type="Intersection", scene_index=1, n_infrastructure=1)
+    mast.run("baseline", scene=scene, frames=4, out=tmp_path / "run", report=False)
+    result = CliRunner().invoke(app, ["export", str(tmp_path / "run"), "--to", "rosbag2", "-o", str(tmp_path / "bag")])
+    assert result.exit_code == 0, result.output
+    ego = dict(pose=dict(topic="/tf", child="ego"))
+    ego["detections"] = CAMERA | dict(topic="/agent/ego/tracks", frame="world")
+    topics = dict(frames=dict(world={}), agents=dict(ego=ego), truth=dict(all=dict(topic="/scene/truth")))
+    read = RosBag(path=str(tmp_path / "bag"), topics=topics).record(0, None)
+    original = mast.scene(scene, frames=4).recording
+    assert len(read.truth) == len(original.truth)
+    np.testing.assert_allclose(read.agent_position[:, 0], original.agent_position[:, 0], atol=1e-9)
+    for frame in range(4):
+        offset = read.truth_at(frame).position[:, None] - original.truth_at(frame).position
+        assert np.linalg.norm(offset, axis=2).min(axis=1).max() < 1e-5

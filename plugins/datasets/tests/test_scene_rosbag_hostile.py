@@ -18,8 +18,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mast_datasets import RosBag, rosbag_storage
 from mast_datasets.rosbag_map import parse_map
+from mast_datasets.rosbag_reading import DetectionReader
 from mast_datasets.rosbag_storage import Topic
-from mast_datasets.rosbag_types import known_decoder, own_decoder, parse_definition
+from mast_datasets.rosbag_types import OwnType, known_decoder, parse_definition
 from rosbag_writer import Sent, odometry, pose_stamped, transforms, write_bag, write_recording
 
 from mast_zenoh.errors import ConfigurationError, MastError, MessageError, SceneError
@@ -28,6 +29,7 @@ from mast_zenoh.ros2.object_markers import marker_array
 from mast_zenoh.ros2.object_messages import tracked_objects
 
 POSE = dict(topic="/pose")
+HEADER = {"stamp": {"sec": 1, "nanosec": 1}, "frame_id": "a"}
 MAP = dict(frames=dict(map={}), agents=dict(ego=dict(pose=POSE, detections=dict(kind="lidar"))))
 
 
@@ -136,7 +138,7 @@ def test_a_hostile_folder_or_database_is_refused(damage: Damage, message: str, b
         (sql("UPDATE messages SET data = x'00010000ffffffff'"), "cannot be read"),
         (
             sql("UPDATE topics SET type_description_hash = 'RIHS01_00'"),
-            "another version of .*: found the hash RIHS01_00",
+            "another version of .*: found the hash 'RIHS01_00'",
         ),
         (
             sql("UPDATE message_definitions SET encoded_message_definition = 'int32 x'"),
@@ -261,6 +263,66 @@ def test_absurd_times_are_refused_before_frames_are_made(tmp_path: Path) -> None
         RosBag(path=path, topics=MAP).record(0, None)
 
 
+def test_times_that_overflow_are_left_out(bag: Path) -> None:
+    (bag / "topics.toml").write_text('time = "received"\n' + (bag / "topics.toml").read_text())
+    last = f"UPDATE messages SET timestamp = {2**63 - 1} WHERE id = (SELECT max(id) FROM messages)"
+    sql(last, f"UPDATE messages SET timestamp = {-(2**63)} WHERE id = (SELECT min(id) FROM messages)").apply(bag)
+    notes = RosBag(path=str(bag)).record(0, None).notes
+    assert sum(f"left out: a time further than {2**61} ns from 1970" in note for note in notes) == 2
+
+
+def test_names_of_topics_do_not_reach_the_terminal_as_they_are(bag: Path) -> None:
+    sql("UPDATE topics SET name = '/a' || char(27, 91, 50, 74) || char(10) || 'b' WHERE name = '/objects'").apply(bag)
+    with pytest.raises(ConfigurationError, match=r"\n  /a\[2Jb  autoware_perception_msgs/msg/TrackedObjects  4"):
+        read(bag)
+
+
+def own_reader(**entries: Any) -> DetectionReader:
+    """A reader of detections of a type that is not known. entries: of the map"""
+    fields = dict(list="list", position="place", score="score")
+    sensor = dict(kind="camera", topic="/found", frame="a", fields=fields, size=[1.0, 1.0, 1.0]) | entries
+    (agent,) = parse_map(dict(agents=dict(ego=dict(pose=POSE, detections=sensor))), Path("map")).agents
+    entry = agent.sensors[0]
+    assert entry.source is not None
+    return DetectionReader(entry, entry.source, {})
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        {},
+        {"header": 5},
+        {"header": {"stamp": {"sec": "x", "nanosec": 1}, "frame_id": "a"}},
+        {"header": {"stamp": {"sec": 1, "nanosec": 1}, "frame_id": 7}},
+        {"header": HEADER, "list": np.zeros(3)},
+        {"header": HEADER, "list": [{}] * 1001},
+    ],
+)
+def test_messages_of_an_own_type_with_other_values_are_left_out(message: dict[str, Any]) -> None:
+    reader = own_reader()
+    reader.add(message, 0)
+    assert (reader.used, sum(reader.remarks.values())) == (0, 1)
+
+
+@pytest.mark.parametrize(
+    "element",
+    [
+        5,
+        {"place": {"x": 1.0, "y": 2.0}},
+        {"place": [1.0, 2.0]},
+        {"place": ["a", "b", "c"]},
+        {"place": [1.0, 2.0, np.inf]},
+        {"place": [1.0, 2.0, 3.0], "score": "high"},
+        {"place": [1.0, 2.0, 3.0], "score": 7.0},
+    ],
+)
+def test_detections_of_an_own_type_with_other_values_are_left_out(element: Any) -> None:
+    reader = own_reader(axes=["z", "-x", "-y"])
+    reader.add({"header": HEADER, "list": [{"place": [1.0, 2.0, 3.0], "score": 0.5}, element]}, 0)
+    assert (reader.used, sum(reader.remarks.values())) == (1, 1)
+    np.testing.assert_array_equal(reader.measured().detections.position, [[3.0, -1.0, -2.0]])
+
+
 def test_poses_none_of_which_can_be_used_are_refused_with_the_reason(tmp_path: Path) -> None:
     nowhere = [Sent("/pose", time, pose_stamped(time, "map", (1e300, 0.0, 0.0))) for time in (0, 10**8)]
     with pytest.raises(
@@ -328,7 +390,7 @@ def topic(kind: str, definition: str = "") -> Topic:
 def test_own_types_are_decoded_as_rosbags_does(message: Any, little_endian: bool) -> None:
     kind = message.__msgtype__
     payload = bytes(type_store.STORE.serialize_cdr(message, kind, little_endian=little_endian))
-    _assert_same(own_decoder("bag", topic(kind), {})(payload), known_decoder("bag", topic(kind))(payload))
+    _assert_same(OwnType("bag", topic(kind), {}).decode(payload), known_decoder("bag", topic(kind))(payload))
 
 
 def _assert_same(found: Any, expected: Any) -> None:
@@ -352,7 +414,7 @@ def test_any_bytes_of_an_own_type_are_a_message_or_none(data: st.DataObject) -> 
     for _ in range(data.draw(st.integers(0, 4))):
         payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
     with contextlib.suppress(MessageError):
-        own_decoder("bag", topic(kind), {})(bytes(payload[: data.draw(st.integers(0, len(payload)))]))
+        OwnType("bag", topic(kind), {}).decode(bytes(payload[: data.draw(st.integers(0, len(payload)))]))
 
 
 @pytest.mark.parametrize(
@@ -368,15 +430,15 @@ def test_any_bytes_of_an_own_type_are_a_message_or_none(data: st.DataObject) -> 
 )
 def test_hostile_definitions_are_refused(definition: str, error: type[MastError], message: str) -> None:
     with pytest.raises(error, match=message):
-        own_decoder("bag", topic("a/msg/Own", definition), {})
+        OwnType("bag", topic("a/msg/Own", definition), {})
 
 
 def test_lists_of_absurd_length_end_with_the_message() -> None:
     for definition in ("uint8[999999999999] data\n", "string[999999999999] data\n", "a/Own2[999999999999] data\n"):
         other = {"a/msg/Own2": parse_definition("a/msg/Own2", "")}
-        decode = own_decoder("bag", topic("a/msg/Own", definition), other)
+        decode = OwnType("bag", topic("a/msg/Own", definition), other).decode
         with pytest.raises(MessageError, match="a/msg/Own"):
             decode(b"\0\1\0\0" + bytes(100))
-    decode = own_decoder("bag", topic("a/msg/Own", "float64[] data\n"), {})
+    decode = OwnType("bag", topic("a/msg/Own", "float64[] data\n"), {}).decode
     with pytest.raises(MessageError, match="4294967295 elements"):
         decode(b"\0\1\0\0" + b"\xff" * 4)

@@ -126,7 +126,7 @@ SOUND = Attachment(1, 0, bytes(16)).write()
     [
         (type_store.encode(clock(1)), None, "attachment"),
         (type_store.encode(clock(1)), b"\x0fsequence_number" + bytes(40), "attachment with text labels"),
-        (type_store.encode(clock(1)), b"short", "attachment of 5 bytes"),
+        (type_store.encode(clock(1)), b"short", "attachment of N bytes"),
         (b"", SOUND, type_store.CLOCK),
         (type_store.encode(clock(1))[:-1], SOUND, type_store.CLOCK),
         (bytes(ros2_participant.MOST_BYTES + 1), SOUND, "size"),

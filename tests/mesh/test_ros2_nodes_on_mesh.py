@@ -1,0 +1,159 @@
+"""Nodes of ROS 2 in a process of their own take part in runs on a mesh, as in one process; also by TLS."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from equal_runs import assert_equal
+from ros2_process import ADVERSARY, AGENT, CENTER, Ros2Process
+from ros2_worlds import with_ros2
+
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.errors import Interrupted, NotRunning
+from mast_zenoh.launch import run as launcher
+from mast_zenoh.messagelog.reader import read
+from mast_zenoh.replay import resolution as replay
+from mast_zenoh.ros2.connection import Tls
+from mast_zenoh.runtime.mesh.session import open_router
+from mast_zenoh.security.authority import Authority
+from mast_zenoh.security.levels import router_settings
+
+pytestmark = pytest.mark.mesh
+
+PLACES = {"agent": ("tracks", AGENT), "center": ("echo", CENTER), "adversary": ("raise", ADVERSARY)}
+
+
+@pytest.fixture(scope="module")
+def router() -> Iterator[str]:
+    session, endpoint = open_router()
+    yield endpoint
+    session.close()
+
+
+def played(resolved: Resolved, out: Path, **options: Any) -> Path:
+    """The folder of a run, which must end well."""
+    ended = launcher.run(resolved, out, **options)
+    assert ended.error is None, ended.error
+    return ended.folder
+
+
+def counts(folder: Path) -> dict[str, Any]:
+    """What the node of ROS 2 answered, from run.json."""
+    (found,) = json.loads((folder / "run.json").read_text())["outside"].values()
+    return found
+
+
+def test_a_run_with_an_agent_of_ros_is_the_same_on_the_mesh_and_in_one_process(router: str, tmp_path: Path) -> None:
+    resolved = with_ros2("agent", router, record=True)
+    with Ros2Process("tracks", router, *AGENT):
+        mesh = played(resolved, tmp_path / "mesh")
+        alone = played(resolved, tmp_path / "alone", runtime="inproc")
+    assert_equal(mesh, alone)
+    assert (
+        counts(mesh)
+        == counts(alone)
+        == {
+            "asked": 12,
+            "answered": 12,
+            "late": 0,
+            "unanswered": 0,
+            "refused": {},
+            "left_out": {},
+        }
+    )
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("place", ["center", "adversary"])
+def test_runs_with_other_nodes_of_ros_are_the_same_on_the_mesh_and_in_one_process(
+    router: str, tmp_path: Path, place: str
+) -> None:
+    resolved = with_ros2(place, router, record=True)
+    behaviour, topics = PLACES[place]
+    with Ros2Process(behaviour, router, *topics):
+        mesh = played(resolved, tmp_path / "mesh")
+        alone = played(resolved, tmp_path / "alone", runtime="inproc")
+    assert_equal(mesh, alone)
+    assert counts(mesh)["answered"] == 12
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("place", PLACES)
+def test_a_recorded_run_is_replayed_without_ros(router: str, tmp_path: Path, place: str) -> None:
+    behaviour, topics = PLACES[place]
+    with Ros2Process(behaviour, router, *topics):
+        recorded = played(with_ros2(place, router, record=True), tmp_path / "run", runtime="inproc")
+    prepared = replay.resolve(recorded)
+    again = played(prepared.resolved, tmp_path / "again", runtime="inproc")
+    ours, theirs = (json.loads((folder / "metrics.json").read_text()) for folder in (recorded, again))
+    assert ours["agents"]["ego"]["picture"] == theirs["agents"]["ego"]["picture"]
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("place", PLACES)
+def test_in_real_time_a_quick_node_of_ros_is_in_time(router: str, tmp_path: Path, place: str) -> None:
+    behaviour, topics = PLACES[place]
+    with Ros2Process(behaviour, router, *topics):
+        folder = played(with_ros2(place, router, mode="realtime", record=True), tmp_path / "run")
+    found = counts(folder)
+    assert found["asked"] == 12
+    assert found["answered"] + found["late"] > 0
+    for key in ("agent/infra_1/tracks", "cc/picture")[place == "agent" :]:
+        frames = [message.frame for message in read(folder) if message.key == key]
+        assert sorted(frames) == [*range(12)], "one message a frame"
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("place", PLACES)
+def test_with_tls_on_both_meshes_and_certificates_on_both_sides(tmp_path: Path, place: str) -> None:
+    """The run has its own authority; that of the router of ROS is another one."""
+    authority = Authority("ros")
+    settings = router_settings("mtls", authority.issue("router", ["127.0.0.1"]))
+    session, endpoint = open_router("tls/127.0.0.1:0", security=settings)
+    files = authority.issue("robot")
+    tls = Tls(*(tmp_path / name for name in ("ca.pem", "robot.pem", "robot.key")))
+    contents = files.authority, files.certificate, files.key
+    for path, content in zip((tls.ca, tls.certificate, tls.key), contents, strict=True):
+        assert path is not None
+        path.write_bytes(content)
+    ros2 = {
+        "router": endpoint,
+        "tls": {"ca": str(tls.ca), "certificate": str(tls.certificate), "key": str(tls.key)},
+    }
+    behaviour, topics = PLACES[place]
+    with Ros2Process(behaviour, endpoint, *topics, tls=tls):
+        folder = played(with_ros2(place, endpoint, ros2=ros2), tmp_path / "run", secure="mtls")
+    session.close()
+    assert counts(folder)["answered"] == 12
+
+
+@pytest.mark.heavy
+def test_a_node_of_ros_that_dies_in_a_run_costs_only_its_answers(router: str, tmp_path: Path) -> None:
+    with Ros2Process("dies", router, *AGENT):
+        folder = played(with_ros2("agent", router, frames=30), tmp_path / "run")
+    found = counts(folder)
+    assert 0 < found["answered"] < 30
+    assert found["answered"] + found["unanswered"] == 30
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("runtime", ["mesh", "inproc"])
+def test_a_run_that_waits_for_ros_is_stopped_at_once(router: str, tmp_path: Path, runtime: str) -> None:
+    resolved = with_ros2("agent", router, frames=3, wait_s=5.0)
+    with Ros2Process("interrupts", router, *AGENT):
+        ended = launcher.run(resolved, tmp_path / "run", runtime=runtime)
+    assert isinstance(ended.error, Interrupted), ended.error
+    assert ended.record["nodes"]["infra_1"]["ended"] == "ok"
+    assert counts(ended.folder)["unanswered"] == 0, "a wait that the end of the run ended is not counted"
+
+
+@pytest.mark.heavy
+def test_a_run_whose_router_of_ros_is_not_there_says_why(tmp_path: Path) -> None:
+    ended = launcher.run(with_ros2("agent", "tcp/127.0.0.1:1"), tmp_path / "run")
+    assert ended.error is not None
+    assert "expected a router of rmw_zenoh" in (ended.folder / "logs" / "infra_1.log").read_text()
+    assert NotRunning.exit_code == ended.record["nodes"]["infra_1"]["exit"]
