@@ -128,10 +128,11 @@ def processor_s(processes: list[psutil.Process]) -> float:
 
 
 class Window(NamedTuple):
-    """A window of a run: frames/s, and the share of a processor that the viewer used, %."""
+    """A window of a run: frames/s, the viewer's share of a processor, %, and the run's processor time, ms a frame."""
 
     rate: float
     share: float
+    effort: float
 
 
 @contextmanager
@@ -160,14 +161,18 @@ Beside = Callable[[str, Path], AbstractContextManager[list[psutil.Process]]]
 def windows(kinds: Sequence[str], seconds: float, beside: Beside) -> Iterator[tuple[str, Window]]:
     """Measure one run as long as it plays: none, a kind, none, another kind, none, ..."""
     with running("--frames", str(_FRAMES)) as (run, out), counted_frames(out) as played:
+        launcher = psutil.Process(run.pid)
+        own = [launcher, *launcher.children(recursive=True)]
         for number in count():
             kind = "none" if number % 2 == 0 else kinds[number // 2 % len(kinds)]
             with beside(kind, out) as processes:
                 time.sleep(_SETTLE_S)
-                begin, frames, used = time.monotonic(), played(), processor_s(processes)
+                begin, frames = time.monotonic(), played()
+                used, of_run = processor_s(processes), processor_s(own)
                 time.sleep(seconds)
-                passed = time.monotonic() - begin
-                window = Window((played() - frames) / passed, 100 * (processor_s(processes) - used) / passed)
+                passed, frames = time.monotonic() - begin, played() - frames
+                share = 100 * (processor_s(processes) - used) / passed
+                window = Window(frames / passed, share, 1000 * (processor_s(own) - of_run) / frames)
             assert run.poll() is None
             yield kind, window
             if kind == "none" and played() > _LAST * _FRAMES:
@@ -181,20 +186,27 @@ def compare(runs: int, seconds: float, kinds: list[str], beside: Beside = viewer
     """
     ratios: dict[str, list[float]] = {kind: [] for kind in kinds}
     shares: dict[str, list[float]] = {kind: [] for kind in kinds}
+    efforts: dict[str, list[float]] = {kind: [] for kind in kinds}
     plain: list[float] = []
     for turn in range(runs):
-        before, viewed = 0.0, ("", Window(0.0, 0.0))
+        before, viewed = Window(0.0, 0.0, 0.0), ("", Window(0.0, 0.0, 0.0))
         for kind, window in windows(kinds if turn % 2 == 0 else kinds[::-1], seconds, beside):
             if kind != "none":
                 viewed = kind, window
                 continue
             plain.append(window.rate)
-            if before:
+            if before.rate:
                 shown, own = viewed
-                ratios[shown].append(2 * own.rate / (before + window.rate))
+                ratios[shown].append(2 * own.rate / (before.rate + window.rate))
+                efforts[shown].append(2 * own.effort / (before.effort + window.effort))
                 shares[shown].append(own.share)
-                print(f"  {shown}: {own.rate:.1f} frames/s, {before:.1f} before, {window.rate:.1f} after", flush=True)
-            before = window.rate
+                for title, values in (
+                    ("frames/s", (own.rate, before.rate, window.rate)),
+                    ("ms a frame", (own.effort, before.effort, window.effort)),
+                ):
+                    during, earlier, later = (f"{value:.1f}" for value in values)
+                    print(f"  {shown}: {during} {title}, {earlier} before, {later} after", flush=True)
+            before = window
     print(f"without a {name}: median {statistics.median(plain):.1f} frames/s")
     chance = np.random.default_rng(0)
     for kind in kinds:
@@ -202,6 +214,7 @@ def compare(runs: int, seconds: float, kinds: list[str], beside: Beside = viewer
         low, high = (100 * (value - 1) for value in np.quantile(samples, (0.025, 0.975)))
         median = 100 * (statistics.median(ratios[kind]) - 1)
         print(f"{kind:>8}: median {median:+.1f} % ({low:+.1f} to {high:+.1f}) of {len(ratios[kind])} windows,")
+        print(f"          processor time of the run: {100 * (statistics.median(efforts[kind]) - 1):+.1f} % a frame,")
         print(f"          with {statistics.median(shares[kind]):.1f} % of a processor for the {name}")
 
 

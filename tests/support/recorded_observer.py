@@ -40,6 +40,7 @@ class RecordedObserver:
         self.insertions: list[Insertion] = []
         self.down: list[str] = []
         self.frame = numbers[-1]
+        self._due, self._effort_s, self._share = 0.0, 0.0, 1.0
         self._wires = [*wires]
         messages = [(m.frame, (m.key, Sample(m.step, m.payload))) for m in read(folder)]
         roles = {name: spec.role for name, spec in resolved.nodes.items()}

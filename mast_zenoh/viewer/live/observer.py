@@ -85,7 +85,8 @@ class Observer:
         self._listening = self._receiving = True
         self._settled = False  # whether all publishers know of the subscriptions
         self._last = -1
-        self._due = 0.0
+        self._due = self._effort_s = 0.0
+        self._share = _PROCESSOR_SHARE[run.resolved.mode]
         self._measured_at, self._newest_then = 0.0, -1
         self._frames_per_s = 0.0
         self._time_s = 0.0
@@ -149,8 +150,8 @@ class Observer:
         self._frames_per_s = (newest - self._newest_then) / (now - self._measured_at)
         self._measured_at, self._newest_then = now, newest
         # What is done with a frame takes about as long as measuring it.
-        effort_s = 2.0 * (time.process_time() - begun)
-        self._due = now + max(1.0 / _MOST_FRAMES_PER_S, effort_s / _PROCESSOR_SHARE[self.run.resolved.mode])
+        self._effort_s = time.process_time() - begun
+        self._due = now + max(1.0 / _MOST_FRAMES_PER_S, 2.0 * self._effort_s / self._share)
         if measured is not None:
             self._last, self._time_s = number, measured.time_ns * 1e-9
             assert isinstance(measured.run, LiveRun)
@@ -162,7 +163,9 @@ class Observer:
         while not stop.is_set():
             frame = self.advance()
             if frame is not None:
+                begun = time.process_time()
                 yield frame
+                self._due += max(0.0, time.process_time() - begun - self._effort_s) / self._share
             elif self.is_over():
                 return
             stop.wait(POLL_S)
