@@ -227,7 +227,9 @@ class Between:
 
         def run() -> None:
             try:
-                self.counts = ros2_interception.intercept_topic(*arguments, odometry=odometry, ready=self._ready.set)
+                self.counts = ros2_interception.intercept_topic(
+                    *arguments, odometry=odometry, ready=self._ready.set, warn=self.warnings.append
+                )
             except HandlerFailed as error:
                 self.error = error
 
