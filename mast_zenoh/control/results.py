@@ -186,9 +186,11 @@ def outside(results: Mapping[str, Mapping[str, Any]], nodes: Mapping[str, NodeSp
         if has_topics_outside(spec):
             value = results.get(name, {}).get("outside")
             told = value if isinstance(value, Mapping) else {}
-            names = ("asked", "answered", "late", "unanswered")
-            counts = dict.fromkeys(names, 0) | {key: n for key, n in counts_of(told).items() if key in names}
-            found[name] = {**counts, **{part: counts_of(told.get(part)) for part in ("refused", "left_out")}}
+            names = ("asked", "answered", "late", "unanswered", "interrupted", "unclassified")
+            counts: dict[str, Any] = dict.fromkeys(names, 0)
+            counts |= {key: n for key, n in counts_of(told).items() if key in (*names, "predicted")}
+            parts = ("publishers", "refused", "left_out")
+            found[name] = {**counts, "waits": told.get("waits") is True, **{p: counts_of(told.get(p)) for p in parts}}
     return found
 
 

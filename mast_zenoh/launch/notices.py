@@ -97,7 +97,9 @@ def _outside(name: str, counts: Mapping[str, Any]) -> tuple[int, str]:
     """(count, text) of what a node received from outside the run, by its own count."""
     asked, unanswered, late = counts["asked"], counts["unanswered"], counts["late"]
     text = f"{name} uses a program outside the run, on which the results depend: "
-    if not asked:
+    if not asked and counts["interrupted"]:
+        text += f"{number(counts['interrupted'], 'message')} had no answer yet when the run was stopped"
+    elif not asked:
         text += "it was sent no message"
     elif not (unanswered or late):
         text += f"it answered each of {number(asked, 'message')}"
@@ -108,6 +110,9 @@ def _outside(name: str, counts: Mapping[str, Any]) -> tuple[int, str]:
     if refused:
         reason, most = min(refused.items(), key=lambda item: (-item[1], item[0]))
         text += f"; it refused {number(refused.total(), 'received message')} (most: {most}, {reason})"
+    for topic, publishers in counts["publishers"].items():
+        if publishers > 1:
+            text += f"; {publishers} publishers sent on {topic}, expected one: any of them may have answered"
     return max(1, unanswered + late), text
 
 

@@ -131,8 +131,8 @@ class AdversaryExchange(FrameExchange):
         self._sent[topic, frame] = _Sent(wire[0], body, expressed)
         for old in [key for key in self._sent if key[1] not in self._times]:
             del self._sent[old]
+        self.ask(outside, frame, [topic])
         outside.send(self.topic(wire, "in"), message)
-        self.ask(frame, [topic])
         return True
 
     def _use(self, topic: str) -> Callable[[Received[ObjectStates], About, Placement], Columns | None]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any, Literal
 
@@ -18,7 +19,7 @@ from mast_zenoh.ros2.frame_transforms import FrameTransforms, Placement, compose
 from mast_zenoh.ros2.object_messages import detection_array, states_of
 from mast_zenoh.ros2.outside import Outside, ros2_name, topic_prefix
 from mast_zenoh.ros2.pose_messages import clock, odometry, transform_message
-from mast_zenoh.ros2.received_objects import Received, received_detections, received_tracks
+from mast_zenoh.ros2.received_objects import MOST_SPEED, TOO_FAST, Received, received_detections, received_tracks
 from mast_zenoh.ros2.received_poses import ReceivedPose, received_pose, stamped_poses
 from mast_zenoh.ros2.spatial import Transform
 from mast_zenoh.ros2.type_store import RosMessage
@@ -99,11 +100,12 @@ class AgentExchange(FrameExchange):
         return self.start(outside, [self.detections_topic, self.odometry_topic])
 
     def send(self, outside: Outside, frame: int, time_ns: int, pose: Body | None, detections: Detections) -> None:
-        """Send a frame, and ask about it.
+        """Ask about a frame, and send it.
 
         pose: columns of a `pose` message, None: unknown;  detections: in the world
         """
         self.begin(frame, time_ns)
+        self.ask(outside, frame, self.questions)
         if self.clock_topic:
             outside.send(self.clock_topic, clock(time_ns))
         if pose is not None:
@@ -113,12 +115,14 @@ class AgentExchange(FrameExchange):
                 outside.send(TF, transform_message([placed]))
                 self.transforms.place_own(self.agent_frame, time_ns, Placement(placed.position, placed.rotation))
         outside.send(self.detections_topic, detection_array(states_of(detections), time_ns, self.world))
-        self.ask(frame, self.questions)
 
     def _use_tracks(self, received: Received[ObjectStates], about: About, placement: Placement) -> ObjectStates:
         tracks = _in_world(received.objects, placement)
         if self._topics[self.objects_topic].type_name == type_store.DETECTIONS:
-            tracks = self._velocities.added(tracks, about.time_ns + about.skew_ns)
+            tracks = self._velocities.added(tracks, about.time_ns + about.skew_ns, self._period_ns() / 2e9)
+            plausible = np.linalg.norm(tracks.velocity, axis=1) <= MOST_SPEED
+            self.leave_out(TOO_FAST, int(np.count_nonzero(~plausible)))
+            tracks = tracks.select(plausible)
         return predicted(tracks, -about.skew_ns * 1e-9)
 
     def _use_detections(
@@ -141,19 +145,24 @@ class Velocities:
     """Velocities of tracks that have none, from their positions in the message before."""
 
     def __init__(self) -> None:
-        self._time_ns = -1  # of the positions; -1: none yet
-        self._positions: dict[int, Floats] = {}
+        self._time_ns: int | None = None  # of what is known
+        self._known: dict[int, tuple[Floats, Floats]] = {}  # positions and velocities by id
 
-    def added(self, tracks: ObjectStates, time_ns: int) -> ObjectStates:
-        """Tracks with the velocities of those that were known less than a second ago; the others have 0."""
-        elapsed_s = (time_ns - self._time_ns) * 1e-9
+    def added(self, tracks: ObjectStates, time_ns: int, least_s: float) -> ObjectStates:
+        """Tracks with the velocities of those that were known less than a second ago; the others have 0.
+
+        least_s: s, time between messages below which velocities stay as they were: rounding would be all there is
+        """
+        elapsed_s = math.inf if self._time_ns is None else (time_ns - self._time_ns) * 1e-9
         velocity = np.zeros((len(tracks), 3))
-        if 0.0 < elapsed_s <= _VELOCITY_AGE_S:
-            for row, (number, position) in enumerate(zip(tracks.id.tolist(), tracks.position, strict=True)):
-                velocity[row] = (position - self._positions.get(number, position)) / elapsed_s
-        if time_ns > self._time_ns:
+        for row, (number, position) in enumerate(zip(tracks.id.tolist(), tracks.position, strict=True)):
+            if number in self._known and abs(elapsed_s) <= _VELOCITY_AGE_S:
+                before, known = self._known[number]
+                velocity[row] = (position - before) / elapsed_s if elapsed_s > least_s else known
+        if elapsed_s > least_s:
             self._time_ns = time_ns
-            self._positions = dict(zip(tracks.id.tolist(), tracks.position, strict=True))
+            rows = zip(tracks.id.tolist(), tracks.position, velocity, strict=True)
+            self._known = {number: (position, known) for number, position, known in rows}
         return tracks.with_(velocity=velocity)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from mast_zenoh.arrays.geometry import states_to_world
 from mast_zenoh.arrays.states import Ints, ObjectStates
+from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.ros2 import type_store
 from mast_zenoh.ros2.connection import Connection
 from mast_zenoh.ros2.frame_exchange import About, AnswerTopic, FrameExchange, Timing, check_names
@@ -42,7 +43,12 @@ class CenterExchange(FrameExchange):
         super().__init__(connection, [answer], FrameTransforms(world), timing)
 
     def join(self, outside: Outside, agents: Collection[str]) -> bool:
-        """Make the topics known, and wait for a node that answers; False if there is none."""
+        """Make the topics known, and wait for a node that answers; False if there is none.
+
+        Raises ConfigurationError for too many agents.
+        """
+        if len(agents) > MOST_AGENTS:
+            raise ConfigurationError(f"agents: found {len(agents)}, expected at most {MOST_AGENTS} with ROS 2")
         if self._clock_topic:
             outside.announce(self._clock_topic, type_store.CLOCK)
         for agent in sorted(agents):
@@ -50,8 +56,9 @@ class CenterExchange(FrameExchange):
         return self.start(outside, list(self._agents.values()))
 
     def send(self, outside: Outside, frame: int, time_ns: int, tracks: Mapping[str, ObjectStates]) -> None:
-        """Send the tracks of each agent, world frame, and ask about the frame."""
+        """Ask about a frame, and send the tracks of each agent, world frame; agents that are too many are counted."""
         self.begin(frame, time_ns)
+        self.ask(outside, frame, [self.picture_topic])
         if self._clock_topic:
             outside.send(self._clock_topic, clock(time_ns))
         for agent in sorted(tracks.keys() - self._agents.keys()):
@@ -59,7 +66,8 @@ class CenterExchange(FrameExchange):
         for agent, topic in sorted(self._agents.items()):
             states = tracks.get(agent, ObjectStates.empty())
             outside.send(topic, tracked_objects(states, time_ns, self._world))
-        self.ask(frame, [self.picture_topic])
+        hidden = tracks.keys() - self._agents.keys()
+        self.leave_out(f"agent: beyond {MOST_AGENTS}", sum(len(tracks[agent]) for agent in hidden))
 
     def _add(self, outside: Outside, agent: str) -> None:
         if len(self._agents) < MOST_AGENTS:

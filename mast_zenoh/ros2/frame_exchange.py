@@ -1,11 +1,12 @@
 """Questions to nodes of ROS 2 about frames, and their answers: which frame an answer is about, and how long to wait.
 
 In lock-step a question is waited for up to a limit; in real time, what has arrived counts. Answers are told apart by
-their stamps. What answers no question, or cannot be used, is counted by reason.
+their stamps. What answers no question, came before it, or cannot be used, is counted by reason.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
@@ -28,7 +29,8 @@ _TF_TOPICS = (
 
 #: Frames to which an answer can belong, the newest.
 KEPT = 64
-#: After this number of questions in a row without an answer, each is waited for only `BRIEF_S`, s, until one comes.
+#: After this number of questions in a row without an answer, each is waited for only `BRIEF_S`, s, until one comes,
+#: also a late one.
 MOST_SILENT, BRIEF_S = 3, 0.02
 #: s, the longest wait that can be set: several nodes that wait in one frame stay below the driver's limit.
 MOST_WAIT_S = 5.0
@@ -36,6 +38,8 @@ MOST_WAIT_S = 5.0
 _SUBSCRIBE_S = 2.0
 #: Reasons that are told apart.
 _MOST_REASONS = 50
+#: Publishers of a topic that are told apart.
+MOST_PUBLISHERS = 16
 
 
 class About(NamedTuple):
@@ -116,6 +120,7 @@ class FrameExchange:
     transforms: of frames of reference;  listens_to_tf: whether /tf and /tf_static are received
     refused: number of received messages that are of no use, by reason
     left_out: number of objects and transforms that are not used of used messages, by reason
+    unclassified: number of used objects with a class that is not ours
     """
 
     def __init__(
@@ -130,6 +135,7 @@ class FrameExchange:
         self.transforms = transforms
         self.refused: Counter[str] = Counter()
         self.left_out: Counter[str] = Counter()
+        self.unclassified = 0
         self._timing = timing
         self._topics = {topic.name: topic for topic in answers}
         received = [OutsideTopic(topic.name, topic.type_name) for topic in answers]
@@ -137,7 +143,9 @@ class FrameExchange:
         self._times: dict[int, int] = {}  # of the newest frames, ns
         self._open: dict[tuple[int, str], bool] = {}  # questions without an answer: whether their frame went on
         self._answered: set[tuple[int, str]] = set()
-        self._counts = dict.fromkeys(("asked", "answered", "late"), 0)
+        self._counts = dict.fromkeys(("asked", "answered", "late", "interrupted"), 0)
+        self._early: list[Answer] = []  # late ones, which arrived before the newest question
+        self._gids: dict[str, set[bytes]] = {name: set() for name in self._topics}  # of publishers, by topic
         self._silent = 0
 
     def start(self, outside: Outside, questions: Collection[str]) -> bool:
@@ -159,15 +167,16 @@ class FrameExchange:
         for key in self._open:
             self._open[key] = self._open[key] or key[0] < frame
 
-    def ask(self, frame: int, topics: Collection[str]) -> None:
-        """A question about a frame has been sent, to be answered on these topics."""
+    def ask(self, outside: Outside, frame: int, topics: Collection[str]) -> None:
+        """A question about a frame is sent next, answered on these topics; what came before is no answer to it."""
+        self._early.extend(self._take(outside))
         for topic in topics:
             self._open[frame, topic] = False
             self._counts["asked"] += 1
 
     def collect(self, outside: Outside, frame: int) -> list[Answer]:
         """The answers that have arrived; in lock-step, those to the questions about a frame are waited for."""
-        answers: list[Answer] = []
+        answers, self._early = self._early, []
 
         def settled() -> bool:
             answers.extend(self._take(outside))
@@ -186,6 +195,7 @@ class FrameExchange:
             self._open[frame, topic] = True
         if outside.ended:  # nobody has failed to answer
             self._counts["asked"] -= len(missing)
+            self._counts["interrupted"] += len(missing)
         return answers
 
     def results(self, outside: Outside) -> dict[str, Any]:
@@ -193,11 +203,19 @@ class FrameExchange:
         unanswered = self._counts["asked"] - self._counts["answered"] - self._counts["late"]
         counts: dict[str, Any] = {**self._counts, "waits": outside.waits}
         counts["unanswered"] = max(0, unanswered)  # an answer may come after the end of the run was announced
-        return {**counts, "refused": dict(self.refused + Counter(outside.refused)), "left_out": dict(self.left_out)}
+        counts["unclassified"] = self.unclassified
+        publishers = {topic: len(gids) for topic, gids in self._gids.items() if gids}
+        refused = dict(self.refused + Counter(outside.refused))
+        return {**counts, "publishers": publishers, "refused": refused, "left_out": dict(self.left_out)}
 
     def refuse(self, error: MessageError) -> None:
         """Count a message that cannot be used, by the reason's part before the colon."""
         _count(self.refused, str(error).partition(":")[0], 1)
+
+    def leave_out(self, reason: str, number: int) -> None:
+        """Count objects or transforms that are left out, by reason."""
+        if number:
+            _count(self.left_out, reason, number)
 
     # -- inside --------------------------------------------------------------------------------------------------------
 
@@ -205,9 +223,11 @@ class FrameExchange:
         return [topic for about, topic in self._open if about == frame and not self._open[about, topic]]
 
     def _take(self, outside: Outside) -> Iterator[Answer]:
-        for topic, message in outside.take():
+        for topic, message, gid in outside.take():
             try:
                 if topic in self._topics:
+                    if len(self._gids[topic]) < MOST_PUBLISHERS:
+                        self._gids[topic].add(gid)
                     yield self._answer(self._topics[topic], message, outside)
                 else:
                     self._add_transforms(message, static=topic == TF_STATIC)
@@ -218,9 +238,12 @@ class FrameExchange:
         received = topic.read(message)
         about = self._about(received.time_ns, topic.name, outside)
         placement = self.transforms.place(received.frame_id, received.time_ns, about.time_ns + about.skew_ns)
+        if about.late:  # it is slow, not silent; what uses the answer may refuse it
+            self._silent = 0
         content = topic.use(received, about, placement)
         for reason, number in getattr(received, "dropped", {}).items():
-            _count(self.left_out, reason, number)
+            self.leave_out(reason, number)
+        self.unclassified += getattr(received, "unclassified", 0)
         del self._open[about.frame, topic.name]
         self._answered.add((about.frame, topic.name))
         self._counts["late" if about.late else "answered"] += 1
@@ -231,12 +254,23 @@ class FrameExchange:
         time_ns = self._scene_time(stamp_ns, outside)
         frame = min(self._times, key=lambda frame: (abs(self._times[frame] - time_ns), frame), default=None)
         if frame is None or abs(self._times[frame] - time_ns) > self._timing.skew_s * 1e9:
+            if self._times and time_ns < min(self._times.values()):  # it is at work on what it got long ago
+                self._silent = 0
             raise MessageError(f"stamp: found {stamp_ns} ns, expected at most {self._timing.skew_s:g} s from a frame")
-        late = self._open.get((frame, topic))
+        late, is_newest = self._open.get((frame, topic)), frame == max(self._times)
+        skew_ns = time_ns - self._times[frame]
+        # In lock-step, the scene's time stands still: what is nearer to the next frame is about that one.
+        if outside.waits and is_newest and 2 * skew_ns > self._period_ns() > 0:
+            raise MessageError(f"before its question: found {skew_ns} ns after the newest frame")
         if late is None:
-            answered = (frame, topic) in self._answered
-            raise MessageError("duplicate: another answer to this question" if answered else "no question: not asked")
-        return About(frame, self._times[frame], time_ns - self._times[frame], late)
+            if (frame, topic) in self._answered:
+                raise MessageError("duplicate: another answer to this question")
+            raise MessageError("before its question: not asked yet" if is_newest else "no question: not asked")
+        return About(frame, self._times[frame], skew_ns, late)
+
+    def _period_ns(self) -> int:
+        """The shortest time between two of the newest frames, ns; 0: unknown."""
+        return min((after - before for before, after in itertools.pairwise(sorted(self._times.values()))), default=0)
 
     def _scene_time(self, stamp_ns: int, outside: Outside) -> int:
         """The scene's time at a stamp; raises MessageError for a wall-clock time before the first frame."""
@@ -259,12 +293,12 @@ class FrameExchange:
     def _add_transforms(self, message: RosMessage, *, static: bool) -> None:
         received = received_transforms(message)
         for reason, number in received.dropped.items():
-            _count(self.left_out, reason, number)
+            self.leave_out(reason, number)
         for parent, child, time_ns, position, rotation in received.transforms:
             try:
                 self.transforms.add(parent, child, time_ns, Placement(position, rotation), static=static)
             except MessageError as error:
-                _count(self.left_out, str(error).partition(":")[0], 1)
+                self.leave_out(str(error).partition(":")[0], 1)
 
 
 def _count(counts: Counter[str], reason: str, number: int) -> None:

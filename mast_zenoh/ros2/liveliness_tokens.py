@@ -121,6 +121,11 @@ def all_tokens(domain: int) -> str:
     return f"{_ADMIN_SPACE}/{check_domain(domain)}/**"
 
 
+def tokens_of(domain: int, topic: str) -> str:
+    """The key expression of the tokens of a topic's endpoints."""
+    return f"{_ADMIN_SPACE}/{check_domain(domain)}/*/*/*/*/*/*/*/{mangle(topic)}/**"
+
+
 def parse_token(token: str) -> NodeToken | EndpointToken:
     """The node or endpoint of a token; raises MessageError with the reason if it is none of rmw_zenoh's."""
     try:

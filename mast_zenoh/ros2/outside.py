@@ -38,10 +38,11 @@ class OutsideTopics:
 
 
 class Arrival(NamedTuple):
-    """A message from outside: a valid one of its topic's type, with values of any kind."""
+    """A message from outside: a valid one of its topic's type, with values of any kind. gid: of its publisher"""
 
     topic: str
     message: Any
+    gid: bytes
 
 
 class Outside(Protocol):
@@ -84,7 +85,7 @@ class Outside(Protocol):
         ...
 
     def present(self, topic: str) -> bool:
-        """Whether a program outside publishes on a topic."""
+        """Whether a program outside publishes on a topic: it says so, or a message has come lately."""
         ...
 
     def heard(self, topic: str) -> bool:

@@ -29,6 +29,8 @@ MOST_OBJECTS = 1000
 MOST_SIZE_M = 300.0
 #: Largest speed, m/s.
 MOST_SPEED = 150.0
+#: Why an object is left out that is faster.
+TOO_FAST = f"velocity: beyond {MOST_SPEED:g} m/s"
 #: Cosine of the largest angle between a box's upward axis and the vertical: our boxes stand upright.
 _LEAST_UPRIGHT = float(np.cos(np.radians(45.0)))
 #: The most negative eigenvalue of a covariance in relation to its largest one: rounding to float32.
@@ -229,7 +231,7 @@ class _Rows:
         sizes = (self.size > 0.0) & (self.size <= MOST_SIZE_M)
         yield f"size: not above 0 and at most {MOST_SIZE_M:g} m", np.asarray(sizes.all(axis=1))
         speed = np.linalg.norm(self.velocity, axis=1)
-        yield f"velocity: beyond {MOST_SPEED:g} m/s", np.asarray(speed <= MOST_SPEED)
+        yield TOO_FAST, np.asarray(speed <= MOST_SPEED)
         yield "score: not from 0 to 1", (self.score >= 0.0) & (self.score <= 1.0)
         yield "id: none", self.named
 

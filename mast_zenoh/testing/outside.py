@@ -18,7 +18,6 @@ class FakeLink:
     program: called with the topic and the content of each message that the node sends
     waits: whether the run waits for answers, as in lock-step
     sent: the messages of the node, as (topic, message);  announced: their types by topic
-    late: (topic, message) that the test has put there, which arrive with the next message
     waited_s: the limits of the waits that were in vain, s
     clock_arrivals_ns, refused: see `Outside`
     """
@@ -43,9 +42,9 @@ class FakeLink:
         for answer in self.program(topic, message):
             self.arrive(*answer)
 
-    def arrive(self, topic: str, message: Any) -> None:
-        """Let a message from outside arrive."""
-        self._arrivals.append(Arrival(topic, message))
+    def arrive(self, topic: str, message: Any, gid: bytes = bytes(16)) -> None:
+        """Let a message from outside arrive. gid: of its publisher"""
+        self._arrivals.append(Arrival(topic, message, gid))
 
     def take(self) -> list[Arrival]:
         arrivals, self._arrivals = self._arrivals, []

@@ -9,10 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from ros2_worlds import with_ros2
 from tiny_world import tiny
 
 from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.control import results
 from mast_zenoh.errors import StallError
 from mast_zenoh.launch import ending, notices, run
 from mast_zenoh.report.html import write_report
@@ -52,6 +54,25 @@ def realtime(world: Resolved, p99: float | None, speed: float = 10.0, **more: An
     """The notice on how a 10 Hz real-time run kept pace; "" for none."""
     measured = {"latency_ms": {"sim_to_picture": {"p99": p99}}}
     return texts(replace(world, mode="realtime"), measured=measured, speed=speed, **more).get("behind", "")
+
+
+def outside(world: Resolved, **told: Any) -> str:
+    """The notice on a node that returned these counts of what came from outside."""
+    nodes = with_ros2("agent", "tcp/127.0.0.1:7447").nodes
+    counts = results.outside({"infra_1": {"outside": told}}, nodes)
+    record = {"nodes": {}, "invalid_control": {}, "outside": counts}
+    measured: dict[str, Any] = {"late": {}}
+    (notice,) = notices.of_run(world, record, [], measured, [], {})
+    return str(notice["text"]).partition("results depend: ")[2]
+
+
+def test_the_notice_of_a_program_outside_tells_of_interrupted_waits_and_of_second_publishers(world: Resolved) -> None:
+    assert outside(world) == "it was sent no message"
+    assert outside(world, interrupted=1) == "1 message had no answer yet when the run was stopped"
+    several = outside(world, asked=3, answered=3, publishers={"/a": 2, "/b": 1})
+    assert several == (
+        "it answered each of 3 messages; 2 publishers sent on /a, expected one: any of them may have answered"
+    )
 
 
 def test_an_uneventful_run_has_no_notices(world: Resolved) -> None:

@@ -66,6 +66,10 @@ def test_a_run_with_an_agent_of_ros_is_the_same_on_the_mesh_and_in_one_process(r
             "answered": 12,
             "late": 0,
             "unanswered": 0,
+            "interrupted": 0,
+            "unclassified": 0,
+            "waits": True,
+            "publishers": {AGENT[2]: 1},
             "refused": {},
             "left_out": {},
         }

@@ -28,7 +28,7 @@ EVERYWHERE = {
         ("/mast/thief/infra_1/detections/out", type_store.DETECTIONS),
     ],
 }
-FRAMES, MESSAGES = 8, 5
+FRAMES, MESSAGES = 8, 6
 
 
 def world(**options: Any) -> Resolved:
@@ -73,12 +73,18 @@ def bodies(name: str, random: np.random.Generator) -> dict[str, dict[str, Any]]:
 def flooded(resolved: Resolved, name: str, seed: int, *, waits: bool) -> Bench:
     """A node after frames in which it gets messages of all kinds from outside."""
     random = np.random.default_rng(seed)
-    link = FakeLink(waits=waits)
+    answers: list[tuple[str, Any]] = []
+    link = FakeLink(lambda topic, message: answers, waits=waits)
     bench = Bench(resolved, name, link=link)
     for frame in range(FRAMES):
-        for _ in range(MESSAGES):
+        answers.clear()
+        for place in range(2 * MESSAGES):
             topic, type_name = EVERYWHERE[name][int(random.integers(len(EVERYWHERE[name])))]
-            link.arrive(topic, through(hostile(type_name, random)))
+            message = through(hostile(type_name, random))
+            if place % 2:
+                answers.append((topic, message))
+            else:
+                link.arrive(topic, message)
         bench.play(frame, **bodies(name, random))
         bench.host.arrived()
         bench._collect()  # decodes, so checks, what it has published

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import subprocess
 import sys
@@ -189,6 +190,47 @@ def test_velocities_of_detections_with_ids_are_those_of_their_positions() -> Non
     assert {int(message.body["id"][0]) for message in ego.heard(TRACKS)} == {8}
 
 
+def with_ids(*states: tuple[int, float, int]) -> FakeLink:
+    """Answers with one object each, as (id, x, ns by which the stamp is late)."""
+    left = list(states)
+
+    def next_one(message: Any) -> Any:
+        number, x, skew_ns = left.pop(0)
+        objects = ObjectStates.of(np.array([[x, 0.0, 0.0]]), id=np.array([number]), size=np.ones((1, 3)))
+        return detection_array(objects, stamp_of(message) + skew_ns, "map")
+
+    return answering(BACK, next_one)
+
+
+def test_velocities_are_kept_when_stamps_are_too_close_for_new_ones() -> None:
+    link = with_ids((8, 0.0, 0), (8, 3.0, 49_999_999), (8, 3.001, -49_999_999), (8, 6.0, 0))
+    ego = Bench(world(message="Detection3DArray"), "ego", link=link)
+    play(ego, 4)
+    velocities = [message.body["velocity"][0, 0] for message in ego.heard(TRACKS)]
+    np.testing.assert_allclose(velocities, [0.0, 20.0, 20.0, 20.0], rtol=1e-6)
+
+
+def test_tracks_that_jump_are_left_out_and_counted() -> None:
+    link = with_ids((8, 0.0, 0), (8, 1e7, 0), (8, 1e7, 0))
+    ego = Bench(world(message="Detection3DArray"), "ego", link=link)
+    play(ego, 3)
+    assert [message.body["velocity"][:, 0].tolist() for message in ego.heard(TRACKS)] == [[0.0], [], [0.0]]
+    assert ego.host.finish()["outside"]["left_out"] == {"velocity: beyond 150 m/s": 1}
+
+
+def test_a_forger_who_answers_ahead_of_the_question_is_refused(resolved: Resolved) -> None:
+    link = answering(BACK, as_tracks)
+    ego = Bench(resolved, "ego", link=link)
+    forged = ObjectStates.of(np.array([[666.0, 0.0, 0.0]]), size=np.ones((1, 3)))
+    for frame in range(4):
+        link.arrive(BACK, tracked_objects(forged, frame * PERIOD_NS, "map"), b"forger")
+        ego.play(frame, pose=pose(), detections=detections((10.0, 2.0)))
+    assert [message.body["position"][0, 0] < 20.0 for message in ego.heard(TRACKS)] == [True] * 4
+    outside = ego.host.finish()["outside"]
+    assert outside["refused"] == {"before its question": 4}
+    assert outside["publishers"] == {BACK: 2}
+
+
 def pose_message(kind: str, time_ns: int, x: float) -> Any:
     """A pose on the x axis, in a message of a type."""
     place = {"position": np.array([x, 0.0, 0.0]), "rotation": np.array([1.0, 0, 0, 0]), "velocity": np.zeros(3)}
@@ -218,11 +260,14 @@ def test_the_pose_can_come_from_outside(kind: str) -> None:
 
 
 def test_what_cannot_be_used_costs_its_message_and_is_counted(resolved: Resolved) -> None:
-    ego = Bench(resolved, "ego", link=(link := FakeLink()))
     states = random_states(np.random.default_rng(0), 2)
-    link.arrive(BACK, tracked_objects(states, 0, "nowhere"))
-    link.arrive(BACK, tracked_objects(states, 10**18, "map"))
-    link.arrive(BACK, tracked_objects(random_states(np.random.default_rng(0), 1001), 0, "map"))
+    answers = [
+        tracked_objects(states, 0, "nowhere"),
+        tracked_objects(states, 10**18, "map"),
+        tracked_objects(random_states(np.random.default_rng(0), 1001), 0, "map"),
+    ]
+    link = FakeLink(lambda topic, message: [(BACK, answer) for answer in answers] if topic == SENT else [])
+    ego = Bench(resolved, "ego", link=link)
     play(ego, 1, (10.0, 2.0))
     outside = ego.host.finish()["outside"]
     assert outside["refused"] == {"unknown frame": 1, "stamp": 1, type_store.TRACKED_OBJECTS: 1}
@@ -293,6 +338,19 @@ def test_in_real_time_a_centre_gives_a_frame_up_when_the_next_begins(resolved: R
     center.clock(2)
     assert [message.header.frame for message in center.heard(PICTURE)] == [0, 1], "one a frame"
     assert len(center.heard(PICTURE)[1].body["id"]) == 2, "predicted from the late one"
+
+
+def test_a_centre_refuses_too_many_agents_at_its_start_and_counts_those_that_come_later(
+    resolved: Resolved, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    exchanges = importlib.import_module("mast_zenoh.ros2.center_exchange")
+    monkeypatch.setattr(exchanges, "MOST_AGENTS", 3)
+    center = center_of(resolved, FakeLink())
+    center.play(0, collated=batch(0, ("ego", 1.0), ("late_1", 2.0), ("late_2", 3.0)))
+    assert center.host.finish()["outside"]["left_out"] == {"agent: beyond 3": 2}
+    monkeypatch.setattr(exchanges, "MOST_AGENTS", 2)
+    with pytest.raises(ConfigurationError, match="agents: found 3, expected at most 2"):
+        center_of(resolved, FakeLink())
 
 
 # -- the adversary -----------------------------------------------------------------------------------------------------

@@ -46,7 +46,7 @@ def about(time_ns: int, frame_id: str = "map", states: ObjectStates = STATES) ->
 def ask(answers: FrameExchange, link: FakeLink, frame: int, arriving: Iterable[tuple[str, Any]] = ()) -> list[Any]:
     """Begin a frame and ask about it; these messages arrive then. Returns (frame, late, content) of the answers."""
     answers.begin(frame, frame * PERIOD_NS)
-    answers.ask(frame, [TOPIC])
+    answers.ask(link, frame, [TOPIC])
     for message in arriving:
         link.arrive(*message)
     return [(each.about.frame, each.about.late, each.content) for each in answers.collect(link, frame)]
@@ -113,6 +113,52 @@ def test_after_three_silent_frames_waits_are_short_until_an_answer_comes() -> No
     assert link.waited_s == [0.7, 0.7, 0.7, brief, brief, 0.7]
 
 
+def test_a_late_answer_ends_the_silence() -> None:
+    answers, link = exchange(wait_s=0.7), FakeLink()
+    for frame in range(4):
+        ask(answers, link, frame)
+    assert ask(answers, link, 4, [about(PERIOD_NS)])[0][:2] == (1, True)
+    ask(answers, link, 5)
+    assert link.waited_s[-2:] == [frame_exchange.BRIEF_S, 0.7]
+
+
+def test_an_answer_about_a_frame_long_ago_ends_the_silence_too() -> None:
+    answers, link = exchange(wait_s=0.7), FakeLink()
+    for frame in range(1, frame_exchange.KEPT + 4):
+        ask(answers, link, frame)
+    assert ask(answers, link, 100, [about(PERIOD_NS)]) == []
+    ask(answers, link, 101)
+    assert answers.refused == {"stamp": 1}
+    assert link.waited_s[-2:] == [frame_exchange.BRIEF_S, 0.7]
+
+
+@pytest.mark.parametrize("waits", [True, False], ids=["lockstep", "realtime"])
+def test_what_comes_before_the_question_is_no_answer(waits: bool) -> None:
+    answers, link = exchange(), FakeLink(waits=waits)
+    ask(answers, link, 1)
+    answers.begin(2, 2 * PERIOD_NS)
+    link.arrive(*about(2 * PERIOD_NS))
+    link.arrive(*about(PERIOD_NS))
+    assert [each[:2] for each in ask(answers, link, 2, [about(2 * PERIOD_NS)])] == [(1, True), (2, False)]
+    assert answers.refused == {"before its question": 1}
+
+
+def test_in_lock_step_a_stamp_nearer_to_the_next_frame_is_before_its_question() -> None:
+    answers, link = exchange(), FakeLink()
+    ask(answers, link, 1, [about(PERIOD_NS)])
+    used = ask(answers, link, 2, [about(3 * PERIOD_NS), about(2 * PERIOD_NS + 50_000_000)])
+    assert [(frame, content[1]) for frame, _, content in used] == [(2, 50_000_000)]
+    assert answers.refused == {"before its question": 1}
+
+
+def test_publishers_of_answers_are_counted_up_to_a_limit() -> None:
+    answers, link = exchange(), FakeLink()
+    for number in range(2 * frame_exchange.MOST_PUBLISHERS):
+        link.arrive(*about(0), gid=number.to_bytes(16, "big"))
+    ask(answers, link, 0, [about(0)])
+    assert answers.results(link)["publishers"] == {TOPIC: frame_exchange.MOST_PUBLISHERS}
+
+
 def test_in_real_time_nothing_is_waited_for() -> None:
     answers, link = exchange(), FakeLink(waits=False)
     assert ask(answers, link, 0) == []
@@ -126,6 +172,7 @@ def test_a_question_during_which_the_run_was_stopped_is_not_counted() -> None:
     link.end()
     ask(answers, link, 1)
     assert counts(answers, link) == {"asked": 1, "answered": 1, "late": 0, "unanswered": 0}
+    assert answers.results(link)["interrupted"] == 1
 
 
 def test_frames_of_reference_come_from_transforms_at_the_stamp() -> None:
@@ -155,6 +202,15 @@ def test_objects_that_are_left_out_are_counted_by_reason() -> None:
     bad = STATES.with_(size=np.zeros((3, 3)))
     assert ask(answers, link, 1, [about(PERIOD_NS, states=bad)])[0][2][0] == 0
     assert answers.left_out == {"size: not above 0 and at most 300 m": 3}
+
+
+def test_objects_with_a_foreign_class_are_counted() -> None:
+    answers, link = exchange(), FakeLink()
+    topic, message = about(PERIOD_NS)
+    for each in message.objects:
+        each.classification[0].label = 200
+    assert ask(answers, link, 1, [(topic, message)])[0][2][0] == 3
+    assert answers.results(link)["unclassified"] == 3
 
 
 @pytest.mark.parametrize(

@@ -130,8 +130,8 @@ def ticker(router: str) -> Iterator[zenoh.Publisher]:
     session.close()
 
 
-def tick(ticker: zenoh.Publisher, second: int) -> None:
-    ticker.put(encode(clock(second * 10**9)), attachment=Attachment(1, 0, bytes(16)).write())
+def tick(ticker: zenoh.Publisher, second: int, gid: bytes = bytes(16)) -> None:
+    ticker.put(encode(clock(second * 10**9)), attachment=Attachment(1, 0, gid).write())
 
 
 def in_thread(call: Any) -> queue.SimpleQueue[Any]:
@@ -168,6 +168,26 @@ def test_the_newest_messages_of_a_flood_are_kept_and_the_others_counted(router: 
     assert [arrival.message.clock.sec for arrival in link.take()] == list(range(92, 100))
     ticker.put(bytes(2000), attachment=Attachment(1, 0, bytes(16)).write())
     eventually(lambda: link.refused.get("size") == 1, "a refusal", DEADLINE_S)
+    link.close()
+
+
+def test_a_flood_of_one_publisher_does_not_displace_another(router: str, ticker: zenoh.Publisher) -> None:
+    link = link_to(router)
+    eventually(lambda: ticker.matching_status.matching, "the subscription", DEADLINE_S)  # type: ignore[attr-defined]
+    tick(ticker, 1000, b"honest".ljust(16))
+    for second in range(100):
+        tick(ticker, second)
+    eventually(lambda: link.refused.get("overtaken") == 93, "the end of the flood", DEADLINE_S)
+    assert [arrival.message.clock.sec for arrival in link.take()] == [1000, *range(93, 100)]
+    link.close()
+
+
+def test_a_message_proves_that_its_publisher_is_there(router: str, ticker: zenoh.Publisher) -> None:
+    link = link_to(router)
+    eventually(lambda: ticker.matching_status.matching, "the subscription", DEADLINE_S)  # type: ignore[attr-defined]
+    assert not link.present("/ticks"), "it has no token"
+    tick(ticker, 1)
+    eventually(lambda: link.present("/ticks"), "the message", DEADLINE_S)
     link.close()
 
 

@@ -1,11 +1,14 @@
 """A node's link to nodes of ROS 2: opens a participant for it, keeps what arrives, and waits for answers.
 
-Zenoh's threads put what arrives into queues of limited length and size; the node's thread takes it out. Signal
-handlers and other threads end a wait by setting `ended`, which is looked at every 50 ms.
+Zenoh's threads put what arrives into queues of limited length and size; the node's thread takes it out. In a full
+queue, the publisher with most messages loses its oldest one: a flood does not displace the others.
+
+Signal handlers and other threads end a wait by setting `ended`, which is looked at every 50 ms.
 """
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import Counter, deque
@@ -19,6 +22,8 @@ from mast_zenoh.runtime.mesh.ros2_participant import Participant, Publisher
 
 #: s, after which a wait looks whether it has become useless.
 _LOOK_S = 0.05
+#: s, for which a message proves that a publisher is there that has no known token.
+_PRESENT_S = 5.0
 #: Frames whose clocks' times of arrival are kept.
 _CLOCKS_KEPT = 64
 
@@ -54,7 +59,9 @@ class Ros2Link:
         self._publishers: dict[str, Publisher] = {}
         self._own_gids: set[bytes] = set()
         self._changed = threading.Event()
-        self._waiting = {topic.name: deque[Any](maxlen=topic.depth) for topic in topics.received}
+        self._lock = threading.Lock()
+        self._waiting = {topic.name: deque[Arrival]() for topic in topics.received}
+        self._unannounced: dict[str, float] = {}  # when a message came without a known publisher, by topic
         # A peer that takes nothing must not stop the run: its messages are dropped.
         self._participant = Participant(topics.connection, ros2_name(f"mast_{name}"), wait=False)
         try:
@@ -88,9 +95,11 @@ class Ros2Link:
 
     def take(self) -> list[Arrival]:
         self._changed.clear()
-        arrivals = []
-        for topic, waiting in self._waiting.items():
-            arrivals += [Arrival(topic, waiting.popleft()) for _ in range(len(waiting))]
+        arrivals: list[Arrival] = []
+        with self._lock:
+            for waiting in self._waiting.values():
+                arrivals += waiting
+                waiting.clear()
         return arrivals
 
     def wait(self, limit_s: float, done: Callable[[], bool], needed: Sequence[str] = ()) -> bool:
@@ -105,7 +114,8 @@ class Ros2Link:
             self._changed.wait(min(left_s, _LOOK_S))
 
     def present(self, topic: str) -> bool:
-        return bool(self._participant.publishers_of(topic))
+        is_recent = time.monotonic() - self._unannounced.get(topic, -math.inf) < _PRESENT_S
+        return is_recent or self._participant.is_published(topic)
 
     def heard(self, topic: str) -> bool:
         return self._publishers[topic].is_wanted
@@ -126,9 +136,15 @@ class Ros2Link:
         def keep(message: Any, attachment: Attachment) -> None:
             if attachment.gid in self._own_gids:  # of this node, as on /tf
                 return
-            if len(waiting) == topic.depth:
-                self._overflows["overtaken"] += 1  # by newer ones of its topic
-            waiting.append(message)
+            if not self._participant.is_published(topic.name):
+                self._unannounced[topic.name] = time.monotonic()
+            with self._lock:
+                waiting.append(Arrival(topic.name, message, attachment.gid))
+                if len(waiting) > topic.depth:
+                    gids = [arrival.gid for arrival in waiting]
+                    ((most, _),) = Counter(gids).most_common(1)
+                    del waiting[gids.index(most)]
+                    self._overflows["overtaken"] += 1  # by newer ones of its topic
             if not self._changed.is_set():
                 self._changed.set()
                 self._notify()

@@ -24,7 +24,7 @@ from mast_zenoh.ros2 import type_store
 from mast_zenoh.ros2.attachments import Attachment, gid_of, parse_attachment
 from mast_zenoh.ros2.connection import Connection
 from mast_zenoh.ros2.data_keys import DataKey
-from mast_zenoh.ros2.liveliness_tokens import EndpointToken, NodeToken, all_tokens, parse_token
+from mast_zenoh.ros2.liveliness_tokens import EndpointToken, NodeToken, all_tokens, parse_token, tokens_of
 from mast_zenoh.ros2.qos import Qos
 from mast_zenoh.ros2.type_store import RosMessage
 from mast_zenoh.runtime.mesh.session import open_session
@@ -36,8 +36,9 @@ Handler = Callable[[RosMessage, Attachment], None]
 
 #: Bytes of a message, if a subscriber says nothing else: a larger one is refused unread.
 MOST_BYTES = 1 << 24
-#: Tokens that are remembered: of a domain with more, the rest is not known.
-MOST_TOKENS = 10_000
+#: Tokens that are remembered. Of a domain with more, the rest is counted, and not known; but of each topic on which the
+#: node itself publishes or subscribes, some are remembered always.
+MOST_TOKENS, MOST_TOKENS_OF_TOPIC = 10_000, 256
 #: Reasons that are told apart in counts and warnings: peers choose the words of some.
 MOST_REASONS = 50
 
@@ -126,8 +127,11 @@ class Participant:
         self.warnings: list[str] = []
         self._wait = wait
         self._declared: list[Any] = []
-        self._endpoints: list[EndpointToken] = []
+        self._endpoints: dict[str, list[EndpointToken]] = {}  # own ones, by topic
+        self._n_endpoints = 0
         self._known: dict[str, NodeToken | EndpointToken] = {}
+        self._of_topics: dict[tuple[str, str], dict[str, EndpointToken]] = {}  # of endpoints, by kind and topic
+        self._is_complete = True  # no token has been forgotten
         self._lock = threading.Lock()
         self._logged: set[str] = set()
         NodeToken(connection.domain, "0", 0, name, namespace)  # checks the names before anything is opened
@@ -208,6 +212,11 @@ class Participant:
         """The publishers of a topic that others have, whatever their type."""
         return self._others("publisher", topic)
 
+    def is_published(self, topic: str) -> bool:
+        """Whether others have a publisher of a topic, whatever its type."""
+        with self._lock:
+            return any(map(self._is_other, self._of_topics.get(("publisher", topic), {}).values()))
+
     def subscriptions_of(self, topic: str) -> list[EndpointToken]:
         """The subscriptions to a topic that others have, whatever their type."""
         return self._others("subscription", topic)
@@ -221,22 +230,26 @@ class Participant:
 
     def _endpoint(self, kind: str, topic: str, type_name: str, qos: Qos | None) -> EndpointToken:
         key = DataKey.of(self.connection.domain, topic, type_name)
-        number = len(self._endpoints) + 1  # the node itself has 0
+        self._n_endpoints += 1
+        number = self._n_endpoints  # the node itself has 0
         token = EndpointToken(self._node, number, kind, topic, type_name, key.type_hash, qos or Qos())
-        self._endpoints.append(token)
+        with self._lock:
+            self._endpoints.setdefault(topic, []).append(token)
+        if not self._is_complete:
+            for reply in self._session.liveliness().get(tokens_of(self.connection.domain, topic), timeout=_CONNECT_S):
+                if reply.ok is not None:
+                    self._on_token(reply.ok)
         for other in self._others("subscription" if kind == "publisher" else "publisher", topic):
             self._compare(token, other)
         return token
 
     def _others(self, kind: str, topic: str) -> list[EndpointToken]:
-        return [
-            each
-            for each in self.graph()
-            if isinstance(each, EndpointToken)
-            and each.kind == kind
-            and each.topic == topic
-            and each.node.session != self._node.session
-        ]
+        with self._lock:
+            known = self._of_topics.get((kind, topic), {})
+            return [known[token] for token in sorted(known) if self._is_other(known[token])]
+
+    def _is_other(self, token: EndpointToken) -> bool:
+        return token.node.session != self._node.session
 
     def _take(self, token: EndpointToken, handler: Handler, sample: zenoh.Sample, most_bytes: int) -> None:
         """Check a received message, and pass it on."""
@@ -276,23 +289,45 @@ class Participant:
         """Follow the tokens of the domain."""
         key = str(sample.key_expr)
         if sample.kind != zenoh.SampleKind.PUT:
-            with self._lock:
-                self._known.pop(key, None)
+            self._forget(key)
             return
         try:
             token = parse_token(key)
         except MessageError as error:
             self.refuse("liveliness", f"token: {error}")
             return
-        with self._lock:
-            if key in self._known or len(self._known) >= MOST_TOKENS:
-                return
-            self._known[key] = token
-            own = list(self._endpoints)
-        if isinstance(token, EndpointToken) and token.node.session != self._node.session:
+        if not self._remember(key, token):
+            self._is_complete = False
+            self.refuse("tokens", f"token beyond {MOST_TOKENS}: the rest of the domain is not known")
+            return
+        if isinstance(token, EndpointToken) and self._is_other(token):
+            with self._lock:
+                own = list(self._endpoints.get(token.topic, ()))
             for endpoint in own:
-                if endpoint.topic == token.topic and {endpoint.kind, token.kind} == {"publisher", "subscription"}:
+                if {endpoint.kind, token.kind} == {"publisher", "subscription"}:
                     self._compare(endpoint, token)
+
+    def _remember(self, key: str, token: NodeToken | EndpointToken) -> bool:
+        """Remember a token; False if there is no room."""
+        with self._lock:
+            has_room = key in self._known or len(self._known) < MOST_TOKENS
+            if isinstance(token, EndpointToken):
+                of_topic = self._of_topics.get((token.kind, token.topic), {})
+                has_room |= token.topic in self._endpoints and len(of_topic) < MOST_TOKENS_OF_TOPIC
+                if has_room:
+                    self._of_topics.setdefault((token.kind, token.topic), of_topic)[key] = token
+            if has_room:
+                self._known[key] = token
+        return has_room
+
+    def _forget(self, key: str) -> None:
+        with self._lock:
+            token = self._known.pop(key, None)
+            if isinstance(token, EndpointToken):
+                place = token.kind, token.topic
+                del self._of_topics[place][key]
+                if not self._of_topics[place]:
+                    del self._of_topics[place]
 
     def _compare(self, own: EndpointToken, other: EndpointToken) -> None:
         """Warn of a peer on the same topic with another type, or with the same of other fields."""

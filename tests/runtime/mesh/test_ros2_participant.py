@@ -157,6 +157,35 @@ def test_tokens_that_are_none_are_counted_and_their_number_is_limited(
         tokens.append(liveliness.declare_token("@ros2_lv/6/abc/nonsense"))
         eventually(lambda: participant.refused, "a refused token", DEADLINE_S)
         assert len(participant.graph()) == 10
+        assert participant.refused["token beyond N"] >= 10
+
+
+def test_a_flood_of_tokens_hides_no_publisher_of_own_topics(
+    router: str, peer: zenoh.Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ros2_participant, "MOST_TOKENS", 10)
+    monkeypatch.setattr(ros2_participant, "MOST_TOKENS_OF_TOPIC", 3)
+
+    def publisher(topic: str, number: int) -> str:
+        node = NodeToken(7, "abc", 0, "stranger")
+        return EndpointToken(node, number, "publisher", topic, type_store.CLOCK, None).write()
+
+    with Participant(Connection(router, domain=7)) as participant:
+        received(participant, "/early")
+        flood = [peer.liveliness().declare_token(NodeToken(7, "abc", n, f"node_{n}").write()) for n in range(20)]
+        honest = [peer.liveliness().declare_token(publisher(topic, 1)) for topic in ("/early", "/late")]
+        eventually(lambda: participant.is_published("/early"), "the publisher", DEADLINE_S)
+        assert not participant.is_published("/late"), "no own topic yet, and no room"
+        received(participant, "/late")
+        assert participant.is_published("/late")
+        many = [peer.liveliness().declare_token(publisher("/early", n)) for n in range(2, 12)]
+        refused = participant.refused["token beyond N"]
+        eventually(lambda: participant.refused["token beyond N"] >= refused + 8, "the rest", DEADLINE_S)
+        assert len(participant.publishers_of("/early")) == 3
+        for token in (*honest, *many):
+            token.undeclare()
+        eventually(lambda: not participant.is_published("/early"), "the end of the publishers", DEADLINE_S)
+        assert len(flood) == 20
 
 
 def test_a_router_that_is_not_there_is_an_error_with_the_reason(router: str, monkeypatch: pytest.MonkeyPatch) -> None:
