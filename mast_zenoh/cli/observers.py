@@ -121,16 +121,18 @@ def wait(child: subprocess.Popen[bytes]) -> int:
         return 0
 
 
-def end(child: subprocess.Popen[bytes]) -> None:
-    """Have an observer end; kill it if it does not."""
+def end(child: subprocess.Popen[bytes], within_s: float = _END_S) -> None:
+    """Have an observer end; kill it if it does not in time, s, or at Ctrl-C."""
     assert child.stdin is not None
     with suppress(BrokenPipeError):
         child.stdin.close()
     try:
-        child.wait(_END_S)
-    except subprocess.TimeoutExpired:
-        child.kill()
-        child.wait()
+        with suppress(subprocess.TimeoutExpired):
+            child.wait(within_s)
+    finally:
+        if child.poll() is None:
+            child.kill()
+            child.wait()
 
 
 # -- in the process itself ---------------------------------------------------------------------------------------------

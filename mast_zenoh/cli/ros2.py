@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 _READY_S = 60.0  # for a bridge to be ready, for which a run waits
 _LAST_FRAMES_S = 20.0  # for a bridge to send the rest of a run that has ended
+_INTERRUPTED_S = 2.0  # for a bridge to end after an interrupt
 
 
 Router = Annotated[str, typer.Option(metavar="ENDPOINT", help="The router of rmw_zenoh.")]
@@ -179,24 +180,34 @@ def _observe(
         if every_frame or running.resolved.mode == "realtime":
             every = EveryFrame(running, session)
             stack.callback(every.close)
-            priority.yield_to_nodes()
+            restore = priority.yield_to_nodes()
+            stack.callback(restore)
             bridge = Ros2Bridge(every.observer.record, participant, namespace, partners)
-            frames = every.frames(stop, lambda: bridge.shows_outcomes)
+            frames = every.frames(stop, lambda: bridge.shows_outcomes, restore)
             _publish(bridge, frames, lambda: [*every.tally.sentences(), *every.observer.meter.notes])
         else:
             observer = Observer(running, session)
             stack.callback(observer.close)
-            priority.yield_processors()
+            restore = priority.yield_processors()
+            stack.callback(restore)
             bridge = Ros2Bridge(observer.record, participant, namespace, partners)
-            _publish(bridge, observer.frames(stop), lambda: observer.meter.notes)
+            _publish(bridge, observer.frames(stop, restore), lambda: observer.meter.notes, lambda: observer.frame + 1)
 
 
-def _publish(bridge: Ros2Bridge, frames: Iterator[Frame], sentences: Callable[[], Iterable[str]]) -> None:
-    """Publish frames, and say what is missing. sentences: about the frames"""
+def _publish(
+    bridge: Ros2Bridge,
+    frames: Iterator[Frame],
+    sentences: Callable[[], Iterable[str]],
+    played: Callable[[], int] | None = None,
+) -> None:
+    """Publish frames, and say what is missing.
+
+    sentences: about the frames;  played: number of frames that the run had up to now, if only some of them are sent
+    """
     from mast_zenoh.viewer.export.ros2_layouts import write_layouts
 
-    with tempfile.TemporaryDirectory(prefix="mast-ros2-") as folder:
-        layouts = write_layouts(bridge.messages, Path(folder))
+    with _folder_of_process() as folder:
+        layouts = write_layouts(bridge.messages, folder)
         print_line(f"rviz: {layouts.rviz}")
         print_line(f"foxglove: {layouts.foxglove}")
         print_line(LAST_LINE)
@@ -205,9 +216,76 @@ def _publish(bridge: Ros2Bridge, frames: Iterator[Frame], sentences: Callable[[]
                 bridge.publish(frame)
         except KeyboardInterrupt:
             print_line("")
-    print_line(f"sent: {bridge.sent} frames")
+    number = f"{bridge.sent} of {played()}" if played is not None else str(bridge.sent)
+    reason = ": in lock-step as many as cost the run nothing; every_frame sends all" if played is not None else ""
+    print_line(f"sent: {number} frames{reason}")
     for sentence in (*sentences(), *bridge.sentences()):
         _err.warn(sentence)
+
+
+@contextmanager
+def _folder_of_process() -> Iterator[Path]:
+    """A temporary folder that is there as long as this process, also if that is killed."""
+    folder = tempfile.mkdtemp(prefix="mast-ros2-")
+    # Whatever ends this process closes the pipe.
+    command = ["/bin/sh", "-c", 'cat >/dev/null; rm -rf -- "$0"', folder]
+    quiet = subprocess.DEVNULL
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=quiet, stderr=quiet, cwd="/", start_new_session=True):
+        yield Path(folder)
+
+
+class _BridgeProcess:
+    """A bridge that was started with a run. ready: set when it receives the run, or has ended"""
+
+    def __init__(self, process: subprocess.Popen[bytes], context: RunContext) -> None:
+        self.ready = threading.Event()
+        self._process = process
+        self._context = context
+        self._last_frame = -1  # of the run, when the bridge ended
+        self._interrupted = False
+        self._reader = threading.Thread(target=self._relay, daemon=True)
+        self._reader.start()
+
+    def interrupt(self) -> None:
+        """Have it end at once; kill it if it does not."""
+        self._interrupted = True
+        observers.end(self._process, _INTERRUPTED_S)
+
+    def finish(self) -> None:
+        """Wait until it has sent the last frames; an interrupt ends it at once, a second one kills it."""
+        process, signals = self._process, self._context.signals
+        try:
+            if signals:
+                if len(signals) > 1:
+                    process.kill()
+                self.interrupt()
+            process.wait(_LAST_FRAMES_S)
+        except subprocess.TimeoutExpired:
+            _err.warn(f"the bridge to ROS 2 has not sent the last frames within {_LAST_FRAMES_S:g} s")
+            observers.end(process)
+        except KeyboardInterrupt:
+            self.interrupt()
+            raise
+        else:
+            if process.returncode and not self._interrupted:
+                _err.warn(f"the bridge to ROS 2 has ended with exit code {process.returncode}{self._since()}")
+        finally:
+            self._reader.join()
+
+    def _since(self) -> str:
+        """What the run had of the bridge when that ended."""
+        frame, frames = self._last_frame, self._context.resolved.frames
+        return ": the run had none" if frame < 0 else f" at frame {frame} of {frames}: the run had none from then on"
+
+    def _relay(self) -> None:
+        """Print what it prints."""
+        for line in self._process.stdout or ():
+            if line.startswith(LAST_LINE.encode()):
+                self.ready.set()
+            else:
+                print_line(line.decode().rstrip())
+        self._last_frame = self._context.frame
+        self.ready.set()
 
 
 @contextmanager
@@ -216,41 +294,28 @@ def bridge_process(config: Mapping[str, Any] | None) -> Iterator[Callable[[RunCo
 
     The run begins when the bridge receives it. The context waits until the bridge has sent the last frames.
     """
-    children: list[tuple[subprocess.Popen[bytes], threading.Thread]] = []
+    bridges: list[_BridgeProcess] = []
 
     def prepare(context: RunContext) -> None:
         if config is None:
             return
         context.viewer = True
         # --trust: this process's own run
-        child = observers.start("ros2", str(context.folder), *_words(config), "--trust", stdout=subprocess.PIPE)
-        ready = threading.Event()
-
-        def relay() -> None:
-            for line in child.stdout or ():
-                if line.startswith(LAST_LINE.encode()):
-                    ready.set()
-                else:
-                    print_line(line.decode().rstrip())
-            ready.set()
-
-        reader = threading.Thread(target=relay, daemon=True)
-        reader.start()
-        children.append((child, reader))
-        context.awaited.append(lambda: _wait_for(ready, context))
+        words = [*_words(config), "--trust", *(["--every-frame"] if config.get("every_frame") else [])]
+        process = observers.start("ros2", str(context.folder), *words, stdout=subprocess.PIPE)
+        bridge = _BridgeProcess(process, context)
+        bridges.append(bridge)
+        context.awaited.append(lambda: _wait_for(bridge.ready, context))
 
     try:
         yield prepare
+    except KeyboardInterrupt:  # after the run
+        for bridge in bridges:
+            bridge.interrupt()
+        raise
     finally:
-        for child, reader in children:
-            try:
-                child.wait(_LAST_FRAMES_S)
-            except subprocess.TimeoutExpired:
-                _err.warn(f"the bridge to ROS 2 has not sent the last frames within {_LAST_FRAMES_S:g} s")
-                observers.end(child)
-            reader.join()
-            if child.returncode:
-                _err.warn(f"the bridge to ROS 2 has ended with exit code {child.returncode}: the run had none")
+        for bridge in bridges:
+            bridge.finish()
 
 
 def _wait_for(ready: threading.Event, context: RunContext) -> None:

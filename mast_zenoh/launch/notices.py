@@ -106,10 +106,11 @@ def _outside(name: str, counts: Mapping[str, Any]) -> tuple[int, str]:
     else:
         text += f"{unanswered + late} of {number(asked, 'message')} had no answer in time"
         text += f", {late} had one later" if late else ""
-    refused = Counter(counts["refused"])
-    if refused:
-        reason, most = min(refused.items(), key=lambda item: (-item[1], item[0]))
-        text += f"; it refused {number(refused.total(), 'received message')} (most: {most}, {reason})"
+    for word, what in (("refused", "received message"), ("left_out", "object")):
+        reasons = Counter(counts[word])
+        if reasons:
+            reason, most = min(reasons.items(), key=lambda item: (-item[1], item[0]))
+            text += f"; it {word.replace('_', ' ')} {number(reasons.total(), what)} (most: {most}, {reason})"
     for topic, publishers in counts["publishers"].items():
         if publishers > 1:
             text += f"; {publishers} publishers sent on {topic}, expected one: any of them may have answered"

@@ -1,27 +1,37 @@
 """ROS 2 messages without an installation of ROS: the format of rmw_zenoh, and conversions from and to our columns.
 
-Bytes, names and arrays in, the same out. Nothing here opens a session.
+Nothing here opens a session. The first two groups are functions of their arguments alone: bytes, names and arrays in,
+the same out. The third has state: what nodes of a run have asked nodes of ROS 2, and what they wait for.
 
-definitions       message types that rosbags does not have: vision_msgs and autoware_perception_msgs
-type_store        classes of all message types, their CDR bytes and hashes
-connection        how to reach a router of rmw_zenoh, as scenarios say it
+Keys, tokens and bytes of rmw_zenoh:
+
+connection        how to reach a router, as scenarios say it, and what they say of the bridge
 names             names of topics, nodes and types, and how keys write them
 data_keys         the key expression of a topic's messages
 qos               quality of service in tokens
 liveliness_tokens tokens that make nodes, publishers and subscriptions known
 attachments       sequence number, time and publisher of a message
+definitions       message types that rosbags does not have: vision_msgs and autoware_perception_msgs
+type_store        classes of all message types, their CDR bytes and hashes
 
-spatial           parts of messages: headers, poses, covariances
+Messages from our columns, and back:
+
+spatial           parts of messages: times, headers, poses, covariances
+object_ids        ids of objects: our whole numbers, and texts and UUIDs
 object_messages   objects as Detection3DArray, TrackedObjects and PredictedObjects
 object_markers    objects as a MarkerArray, for RViz
-pose_messages     poses as TFMessage and Odometry; Clock
+pose_messages     poses as TFMessage and Odometry; times as Clock
 trust_messages    trust as a DiagnosticArray
 received_objects  Detection3DArray, DetectedObjects and TrackedObjects as our objects
-altered_objects   messages of objects some of which an interposer has altered
 received_poses    Odometry and TFMessage as our poses
+altered_objects   messages of objects some of which an interposer has altered
 
-outside           the interface of a node's link to nodes of ROS 2; needs no rosbags
-frame_transforms  where frames of reference are in the world, from /tf
+Nodes of a run that exchange messages with nodes of ROS 2:
+
+outside           topics, and the interface of a node's link to ROS 2; needs no rosbags
+frame_transforms  where frames of reference are in the world, from /tf and /tf_static
 frame_exchange    questions about frames and their answers: stamps, waiting, counts
-agent_exchange, center_exchange, adversary_exchange    what nodes of these roles send and receive
+agent_exchange    what an agent sends, and its tracks, detections or pose that come back
+center_exchange   what a command centre sends, and the picture that comes back
+adversary_exchange what an adversary sends, and what it forwards instead
 """

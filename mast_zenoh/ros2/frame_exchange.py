@@ -24,7 +24,7 @@ from mast_zenoh.ros2.type_store import RosMessage
 TF, TF_STATIC = "/tf", "/tf_static"
 _TF_TOPICS = (
     OutsideTopic(TF, type_store.TF_MESSAGE, depth=100, most_bytes=1 << 17),
-    OutsideTopic(TF_STATIC, type_store.TF_MESSAGE, lasting=True, depth=100, most_bytes=1 << 17),
+    OutsideTopic(TF_STATIC, type_store.TF_MESSAGE, transient_local=True, depth=100, most_bytes=1 << 17),
 )
 
 #: Frames to which an answer can belong, the newest.

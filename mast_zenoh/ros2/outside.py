@@ -18,13 +18,13 @@ from mast_zenoh.ros2.connection import Connection
 class OutsideTopic(NamedTuple):
     """A topic of ROS 2 on which a node receives messages from outside the run.
 
-    lasting: whether what was sent earlier arrives, too, as on /tf_static
+    transient_local: whether what was sent earlier arrives, too, as on /tf_static
     depth: messages that wait for the node, at most: the newest;  most_bytes: of one of them
     """
 
     name: str
     type_name: str
-    lasting: bool = False
+    transient_local: bool = False
     depth: int = 8
     most_bytes: int = 1 << 21
 

@@ -12,9 +12,11 @@ from dataclasses import dataclass
 
 from mast_zenoh.errors import MessageError
 
+#: The durability of a publisher that keeps its newest messages for later subscribers.
+TRANSIENT_LOCAL = "transient_local"
 #: Values of the policies, in the order of rmw's numbers.
 RELIABILITIES = ("system_default", "reliable", "best_effort", "unknown", "best_available")
-DURABILITIES = ("system_default", "transient_local", "volatile", "unknown", "best_available")
+DURABILITIES = ("system_default", TRANSIENT_LOCAL, "volatile", "unknown", "best_available")
 HISTORIES = ("system_default", "keep_last", "keep_all", "unknown")
 LIVELINESSES = ("system_default", "automatic", "manual_by_node", "manual_by_topic", "unknown", "best_available")
 

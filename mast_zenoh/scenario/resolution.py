@@ -20,7 +20,7 @@ from mast_zenoh.messages import user_types
 from mast_zenoh.messages.limits import LEEWAY_S, fused_rows, limits_for
 from mast_zenoh.messages.schemas import Schema
 from mast_zenoh.node import Node
-from mast_zenoh.ros2.connection import Connection
+from mast_zenoh.ros2.connection import BridgeConfig
 from mast_zenoh.scenario.cooperation import check_cooperation, uncovered
 from mast_zenoh.scenario.nodes import (
     add_input_limits,
@@ -74,7 +74,7 @@ def resolve(
     options = RUN_DEFAULTS | dict(scenario.get("run", {})) | overrides
     check_run(options, str(path))
     config = scenario.get("ros2")
-    connection = None if config is None else Connection.of(config, f"{path}: ros2")
+    connection = None if config is None else BridgeConfig.of(config, f"{path}: ros2").connection
     try:
         scene_spec = choose_scene(scenario.get("scene", "intersection"))
     except ConfigurationError as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import signal
 import subprocess
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
@@ -78,9 +79,9 @@ def sent(output: str) -> int:
     """Number of frames that a bridge has sent; nothing is missing but outcomes."""
     warnings = [line for line in output.splitlines() if line.startswith("warning: ")]
     assert all("were not evaluated in time" in line for line in warnings), output
-    match = re.search(r"^sent: (\d+) frames$", output, re.MULTILINE)
+    match = re.search(r"^sent: (\d+) frames$|^sent: (\d+) of \d+ frames: in lock-step", output, re.MULTILINE)
     assert match, output
-    return int(match[1])
+    return int(match[1] or match[2])
 
 
 def test_a_foreign_client_receives_every_frame_of_a_run_in_real_time_also_if_it_stalls(
@@ -158,6 +159,66 @@ def test_secure_meshes_and_routers_that_demand_certificates_are_bridged(
         assert_recorded(client, run.out, 40)
 
 
+def assert_leaves_no_layouts(output: str) -> None:
+    """A bridge that is over has deleted its files, also if it was killed."""
+    match = re.search(r"^rviz: (.*)$", output, re.MULTILINE)
+    assert match, output
+    eventually(lambda: not Path(match[1]).parent.exists(), f"{match[1]} is deleted", 20)
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("signals", [1, 2])
+def test_an_interrupt_ends_a_run_and_its_bridge_also_if_that_is_stuck(signals: int, launch: Launch) -> None:
+    with ros2_router() as router:
+        run = launch("coordinated", "--frames", "2000", *settings_of(router))
+        run.at_frame(5)
+        (bridge,) = [child for child in psutil.Process(run.process.pid).children() if "ros2" in child.cmdline()]
+        bridge.suspend()
+        for _ in range(signals):
+            run.process.send_signal(signal.SIGINT)
+        output = run.ended(130)
+        assert not alive([bridge.pid])
+        assert "has not sent the last frames" not in output
+        assert_leaves_no_layouts(output)
+
+
+@pytest.mark.heavy
+def test_a_run_whose_bridge_is_killed_says_since_when_it_had_none(launch: Launch) -> None:
+    with ros2_router() as router:
+        run = launch("coordinated", "--frames", "400", *settings_of(router))
+        run.at_frame(5)
+        (bridge,) = [child for child in psutil.Process(run.process.pid).children() if "ros2" in child.cmdline()]
+        bridge.kill()
+        output = run.ended()
+    match = re.search(r"exit code -9 at frame (\d+) of 400: the run had none from then on", output)
+    assert match, output
+    assert 5 <= int(match[1]) < 400
+    assert_leaves_no_layouts(output)
+
+
+@pytest.mark.heavy
+def test_a_scenario_can_ask_for_every_frame_in_lock_step(launch: Launch, client_of: Any) -> None:
+    with ros2_router() as router:
+        client = client_of(router)
+        run = launch("coordinated", "--frames", "60", "--set", "ros2.every_frame=true", *settings_of(router))
+        assert sent(run.ended()) == 60
+        assert_recorded(client, run.out, 60)
+
+
+def test_of_a_short_run_in_lock_step_the_last_frame_is_sent_at_least(launch: Launch, client_of: Any) -> None:
+    with ros2_router() as router:
+        client = client_of(router)
+        run = launch("coordinated", "--frames", "31", *settings_of(router))
+        output = run.ended()
+        number = sent(output)
+        assert f"sent: {number} of 31 frames: in lock-step as many as cost the run nothing; every_frame sends" in output
+        eventually(lambda: client.counts()["/clock"] == number, "the frames")
+        received = client.messages()
+    expected = expected_messages(RecordedRun.load(run.out), TOPICS)
+    for topic in ("/clock", "/cc/picture"):
+        assert received[topic][-1] == expected[topic][-1], topic
+
+
 @pytest.mark.heavy
 def test_in_lock_step_the_newest_frames_are_sent_at_a_pace_that_costs_little(launch: Launch, client_of: Any) -> None:
     with ros2_router() as router:
@@ -166,6 +227,7 @@ def test_in_lock_step_the_newest_frames_are_sent_at_a_pace_that_costs_little(lau
         output = run.ended()
         number = sent(output)
         assert 0 < number < 200
+        assert f"sent: {number} of 200 frames: " in output
         eventually(lambda: client.counts()["/clock"] == number, "the frames")
         received = client.messages()
     expected = expected_messages(RecordedRun.load(run.out), TOPICS)

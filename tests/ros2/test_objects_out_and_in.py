@@ -422,6 +422,15 @@ def test_a_cylinder_is_as_wide_as_long_and_a_polygon_is_enclosed(states: ObjectS
     np.testing.assert_allclose(found.position[1], centre, atol=1e-12)
 
 
+@pytest.mark.filterwarnings("error")
+def test_absurd_values_are_refused_without_a_warning(states: ObjectStates) -> None:
+    message = detected(states)
+    message.objects[0].shape.type = 2
+    message.objects[0].shape.footprint.points.append(TYPES["geometry_msgs/msg/Point32"](1.0, -1.0, 0.0))
+    set_to(f"{POSE}.orientation", 1e308, 1e308, 0.0, 0.0)(message.objects[0])
+    assert received_detections(message).dropped == {"orientation: a quaternion whose length is not 1": 1}
+
+
 def test_what_a_tracker_does_not_state_is_assumed(states: ObjectStates) -> None:
     message = sent(tracked_objects(states, 0, "map"))
     kinematics = message.objects[0].kinematics

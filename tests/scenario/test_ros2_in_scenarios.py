@@ -12,6 +12,7 @@ from tiny_world import tiny
 
 from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.ros2.connection import Connection
 from mast_zenoh.scenario.nodes import check_ros2_names
 
 AGENT = {"type": "Ros2Agent", "file": "ros2_agent.py"}
@@ -34,6 +35,18 @@ def test_the_router_of_the_scenario_is_that_of_nodes_without_their_own() -> None
     assert (nodes["infra_1"]["ros2"]["router"], nodes["infra_1"]["ros2"]["domain"]) == ("tcp/10.0.0.2:7447", 3)
     assert nodes["infra_2"]["ros2"] == {"router": "tcp/10.0.0.1:7447"}
     assert "ros2" not in nodes["ego"]
+
+
+def test_whether_every_frame_is_sent_is_said_of_the_bridge_and_not_of_a_node() -> None:
+    router = {"router": "tcp/10.0.0.2:7447"}
+    nodes = resolved({"infra_1": AGENT}, ros2={**router, "every_frame": True})
+    assert nodes["infra_1"]["ros2"] == {**router, "domain": 0}
+    with pytest.raises(ConfigurationError, match=r"ros2: 'every_frames': unknown key.*every_frame"):
+        resolved(ros2={"every_frames": True})
+    with pytest.raises(ConfigurationError, match=r"ros2.every_frame: found 'yes', expected True or False"):
+        resolved(ros2={"every_frame": "yes"})
+    with pytest.raises(ConfigurationError, match=r"'every_frame': unknown key"):
+        Connection.of({"every_frame": True}, "ros2")
 
 
 def test_one_node_sends_the_clock() -> None:

@@ -52,6 +52,9 @@ class RecordedObserver:
     def advance(self) -> Frame | None:
         return self.waiting.popleft() if self.waiting else None
 
+    def last_frame(self) -> Frame | None:
+        return None
+
     def is_over(self) -> bool:
         return not self.waiting
 

@@ -108,7 +108,7 @@ def expected_messages(run: Any, topics: Iterable[str], namespace: str = "/") -> 
 
     wanted, messages = set(topics), RunMessages(run, namespace)
     result: dict[str, list[Any]] = {topic: [] for topic in topics}
-    for pairs in (messages.kept(), *(messages.of(frame, wanted.__contains__) for frame in run)):
+    for pairs in (messages.transient_local(), *(messages.of(frame, wanted.__contains__) for frame in run)):
         for topic, message in pairs:
             if topic in wanted:
                 received = decode(message.__msgtype__, encode(message))

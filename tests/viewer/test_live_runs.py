@@ -15,8 +15,11 @@ from recorded_observer import NUMBERS, RecordedObserver
 import mast_zenoh as mast
 from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.control import prefix
 from mast_zenoh.launch.tables import from_arrow, read_table
 from mast_zenoh.messagelog.reader import read
+from mast_zenoh.runtime.mesh.session import open_client, open_router
+from mast_zenoh.runtime.protocol.traffic import ATTACHMENT, MARK
 from mast_zenoh.viewer.frame import Frame, FramedRun
 from mast_zenoh.viewer.live.measurement import FrameMeter, LiveRun
 from mast_zenoh.viewer.live.observer import Observer
@@ -127,6 +130,39 @@ def test_a_frame_is_shown_with_and_without_a_prepared_scene(recorded: mast.Run, 
 def source(recorded: mast.Run) -> FramedRun:
     observer: Any = RecordedObserver(recorded.path)
     return replace(observer.record, frames=Observer.frames(observer, threading.Event()))
+
+
+def test_the_newest_frame_of_a_run_that_ends_comes_out_even_if_it_ends_at_once(recorded: mast.Run) -> None:
+    """All messages have arrived before the observer looks for the first time."""
+    known = Measured(recorded.path)
+    run: Any = SimpleNamespace(
+        id="short",
+        resolved=known.resolved,
+        roles=known.roles,
+        scene=None,
+        credentials=None,
+        folder=recorded.path,
+        current_wiring=lambda session: None,
+        is_over=lambda session: True,
+    )
+    router, endpoint = open_router()
+    with router, open_client(endpoint) as session, open_client(endpoint) as publisher:
+        observer = Observer(run, session)
+        arrived = session.declare_subscriber(f"{prefix('short')}/end")
+        for message in read(recorded.path):
+            stamp = ATTACHMENT.pack(MARK, 0, message.step)
+            publisher.put(f"{prefix('short')}/{message.key}", message.payload, attachment=stamp)
+        publisher.put(f"{prefix('short')}/end", b"")
+        arrived.recv()
+        ended: list[bool] = []
+        (frame,) = observer.frames(threading.Event(), lambda: ended.append(True))
+        assert observer.last_frame() is None, "only once"
+        observer.close()
+    *_, last = RecordedRun.load(recorded.path)
+    assert (frame.index, observer.frame, ended) == (last.index, last.index, [True])
+    assert frame.objects.keys() == last.objects.keys()
+    for series, states in last.objects.items():
+        assert np.array_equal(frame.objects[series].position, states.position)
 
 
 def test_the_frames_of_a_running_run_are_those_of_the_finished_one(source: FramedRun, recorded: mast.Run) -> None:

@@ -132,18 +132,30 @@ def test_a_foreign_client_that_comes_late_lists_the_bridge_and_gets_the_mounts_o
     assert not Path(bridge.lines["rviz"]).exists(), "layouts are there as long as the bridge"
 
 
+def test_a_bridge_that_is_killed_leaves_no_layouts(recorded: mast_package.Run) -> None:
+    with ros2_router() as router:
+        bridge = Bridge(recorded.path, f"--router={router}", "--loop")
+        folder = Path(bridge.lines["rviz"]).parent
+        assert {each.name for each in folder.iterdir()} == {"mast.rviz", "mast.foxglove.json"}
+        bridge.process.kill()
+        bridge.process.communicate()
+    eventually(lambda: not folder.exists(), f"{folder} is deleted", 20)
+
+
 class Wanted:
     """A participant that keeps what is published; some topics are wanted."""
 
     def __init__(self, *wanted: str) -> None:
         self.published: list[tuple[str, Any]] = []
-        self.wanted, self.warnings, self.is_connected = wanted, [], True
+        self.wanted, self.warnings, self.router = {*wanted}, [], "1"
 
     def publisher(self, name: str, kind: str, qos: object) -> Any:
         outer = self
 
         class Kept:
-            is_wanted = name in outer.wanted
+            @property
+            def is_wanted(self) -> bool:
+                return name in outer.wanted
 
             def publish(self, message: Any) -> None:
                 outer.published.append((name, message))
@@ -174,13 +186,39 @@ def test_a_frame_that_ros_cannot_express_is_counted_and_the_next_one_is_publishe
     assert bridge.sentences() == ["2 frames were incomplete: something in them cannot be expressed in ROS"]
 
 
-def test_frames_without_a_link_are_counted(run: RecordedRun) -> None:
-    participant: Any = Wanted()
-    bridge = Ros2Bridge(run, participant)
-    participant.is_connected = False
-    bridge.publish(next(iter(run)))
-    (sentence,) = bridge.sentences()
-    assert sentence == "1 frames were published while there was no link to the router: nothing received them"
+@pytest.fixture
+def lossy(run: RecordedRun) -> Callable[..., int]:
+    """Publishes frames, each with another router ("": none) and other wanted topics; returns how many are counted."""
+
+    def published(*states: tuple[str, set[str]]) -> int:
+        participant: Any = Wanted()
+        bridge, frame = Ros2Bridge(run, participant), next(iter(run))
+        for participant.router, participant.wanted in states:
+            bridge.publish(frame)
+        assert [sentence.split(" ", 1)[1] for sentence in bridge.sentences()] == [
+            "frames were published while there was no link to the router, or before all subscriptions were back after "
+            "that: not everything received them"
+        ][: bridge.unheard]
+        return bridge.unheard
+
+    return published
+
+
+def test_frames_without_a_link_are_counted(lossy: Callable[..., int]) -> None:
+    assert lossy(("1", set()), ("", set()), ("", set()), ("1", set())) == 2
+
+
+def test_frames_are_counted_until_what_subscribed_before_a_loss_of_the_link_does_so_again(
+    lossy: Callable[..., int],
+) -> None:
+    both = {"/tf", "/cc/picture"}
+    assert lossy(("1", both), ("", set()), ("2", set()), ("2", {"/tf"}), ("2", both), ("2", both)) == 3
+    assert lossy(("1", both), ("2", set()), ("2", both)) == 1, "the loss came between two frames"
+    assert lossy(("1", both), ("1", set()), ("", set()), ("2", {"/tf"}), ("2", both)) == 2, "subscriptions end first"
+
+
+def test_a_subscription_that_ends_by_itself_is_not_waited_for(lossy: Callable[..., int]) -> None:
+    assert lossy(("1", {"/tf"}), ("1", set()), ("1", set())) == 0
 
 
 def test_the_rviz_file_has_a_display_for_every_topic_that_rviz_can_show(

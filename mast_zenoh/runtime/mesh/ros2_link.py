@@ -17,7 +17,7 @@ from typing import Any
 
 from mast_zenoh.ros2.attachments import Attachment, gid_of
 from mast_zenoh.ros2.outside import Arrival, OutsideTopic, OutsideTopics, ros2_name
-from mast_zenoh.ros2.qos import Qos
+from mast_zenoh.ros2.qos import TRANSIENT_LOCAL, Qos
 from mast_zenoh.runtime.mesh.ros2_participant import Participant, Publisher
 
 #: s, after which a wait looks whether it has become useless.
@@ -26,8 +26,6 @@ _LOOK_S = 0.05
 _PRESENT_S = 5.0
 #: Frames whose clocks' times of arrival are kept.
 _CLOCKS_KEPT = 64
-
-_TRANSIENT_LOCAL = "transient_local"
 
 
 class Ros2Link:
@@ -149,5 +147,5 @@ class Ros2Link:
                 self._changed.set()
                 self._notify()
 
-        qos = Qos(durability=_TRANSIENT_LOCAL, depth=topic.depth) if topic.lasting else Qos(depth=topic.depth)
+        qos = Qos(durability=TRANSIENT_LOCAL, depth=topic.depth) if topic.transient_local else Qos(depth=topic.depth)
         self._participant.subscribe(topic.name, topic.type_name, keep, qos, most_bytes=topic.most_bytes)

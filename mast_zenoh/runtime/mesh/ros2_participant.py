@@ -25,7 +25,7 @@ from mast_zenoh.ros2.attachments import Attachment, gid_of, parse_attachment
 from mast_zenoh.ros2.connection import Connection
 from mast_zenoh.ros2.data_keys import DataKey
 from mast_zenoh.ros2.liveliness_tokens import EndpointToken, NodeToken, all_tokens, parse_token, tokens_of
-from mast_zenoh.ros2.qos import Qos
+from mast_zenoh.ros2.qos import TRANSIENT_LOCAL, Qos
 from mast_zenoh.ros2.type_store import RosMessage
 from mast_zenoh.runtime.mesh.session import open_session
 
@@ -46,8 +46,6 @@ MOST_REASONS = 50
 _CONNECT_S = 5.0
 #: s, for which a peer that takes nothing is waited for; then its link ends. As in rmw_zenoh's own settings.
 _PATIENCE_S = 60.0
-#: Of a peer that keeps what it has sent for those that come late.
-_LATE = "transient_local"
 
 _SETTINGS: dict[str, Any] = {
     "mode": "client",
@@ -73,7 +71,7 @@ class Publisher:
         congestion = zenoh.CongestionControl.BLOCK if wait else zenoh.CongestionControl.DROP
         key = token.data_key.write()
         self._publisher: Any
-        if token.qos.durability == _LATE:
+        if token.qos.durability == TRANSIENT_LOCAL:
             self._publisher = zenoh.ext.declare_advanced_publisher(
                 session,
                 key,
@@ -180,7 +178,7 @@ class Participant:
         take: Any = zenoh.handlers.Callback(
             lambda sample: self._take(token, handler, sample, most_bytes), indirect=True
         )
-        key, late = token.data_key.write(), token.qos.durability == _LATE
+        key = token.data_key.write()
         subscriber: Any = (
             zenoh.ext.declare_advanced_subscriber(
                 self._session,
@@ -188,7 +186,7 @@ class Participant:
                 take,
                 history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=token.qos.depth),
             )
-            if late
+            if token.qos.durability == TRANSIENT_LOCAL
             else self._session.declare_subscriber(key, take)
         )
         self._declared.append(subscriber)
@@ -199,9 +197,9 @@ class Participant:
             pass  # a router answers in order
 
     @property
-    def is_connected(self) -> bool:
-        """Whether there is a link to the router now; a lost one is opened again."""
-        return bool(self._session.info.routers_zid())
+    def router(self) -> str:
+        """The id of the router to which there is a link now; "": none, until a lost one is opened again."""
+        return "".join(map(str, self._session.info.routers_zid()))
 
     def graph(self) -> list[NodeToken | EndpointToken]:
         """The nodes and endpoints of the domain that are known now, by their tokens; also its own."""

@@ -41,11 +41,11 @@ Wanted = Callable[[str], bool]
 
 
 class Topic(NamedTuple):
-    """A topic and its type. kept: it has one message, which those get that come late"""
+    """A topic and its type. transient_local: it has one message, which later subscribers get, too"""
 
     name: str
     type_name: str
-    kept: bool = False
+    transient_local: bool = False
 
 
 class RunMessages:
@@ -72,14 +72,14 @@ class RunMessages:
         self.topics = (
             *([Topic(CLOCK, type_store.CLOCK)] if self._sends_clock else []),
             Topic(TRANSFORMS, type_store.TF_MESSAGE),
-            Topic(MOUNTS, type_store.TF_MESSAGE, kept=True),
+            Topic(MOUNTS, type_store.TF_MESSAGE, transient_local=True),
             *(Topic(topic, type_store.ODOMETRY) for topic in self.odometry.values()),
             *(Topic(name + ending, kind) for name in self.objects.values() for ending, kind in _TYPES.items()),
             *([Topic(DIAGNOSTICS, type_store.DIAGNOSTIC_ARRAY)] if judged else []),
         )
 
-    def kept(self) -> Iterator[tuple[str, RosMessage]]:
-        """The messages of topics that are kept: where the world and the sensors are, at any time."""
+    def transient_local(self) -> Iterator[tuple[str, RosMessage]]:
+        """The messages of transient-local topics: where the world and the sensors are, at any time."""
         yield MOUNTS, transform_message(self._mounts())
 
     def of(self, frame: Frame, wanted: Wanted = lambda topic: True) -> Iterator[tuple[str, RosMessage]]:

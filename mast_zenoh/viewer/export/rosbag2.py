@@ -14,7 +14,7 @@ from mast_zenoh.viewer.recorded import RecordedRun
 
 _NEVER = QosTime(2147483647, 4294967295)
 #: Of topics whose message those get that subscribe late.
-_KEPT = Qos(
+_TRANSIENT_LOCAL_PROFILE = Qos(
     QosHistory.KEEP_LAST,
     1,
     QosReliability.RELIABLE,
@@ -41,7 +41,7 @@ def write(run: RecordedRun, path: Path) -> None:
                 topic.name,
                 topic.type_name,
                 typestore=type_store.STORE,
-                offered_qos_profiles=[_KEPT] if topic.kept else [],
+                offered_qos_profiles=[_TRANSIENT_LOCAL_PROFILE] if topic.transient_local else [],
             )
             for topic in messages.topics
             if topic.name != CLOCK
@@ -52,7 +52,7 @@ def write(run: RecordedRun, path: Path) -> None:
                 bag.write(connections[topic], time_ns, type_store.encode(message))
 
         for number, frame in enumerate(run):
-            for topic, message in messages.kept() if number == 0 else ():
+            for topic, message in messages.transient_local() if number == 0 else ():
                 send(topic, message, frame.time_ns)
             for topic, message in messages.of(frame):
                 send(topic, message, frame.time_ns)

@@ -156,15 +156,26 @@ class EveryFrame:
         self._types = self.observer.types
         self._resume_at, self._pause_s = 0.0, _PAUSE_S
 
-    def frames(self, stop: threading.Event, measured: Callable[[], bool] = lambda: True) -> Iterator[Frame]:
-        """All frames until the run ends or `stop` is set. measured: whether outcomes of objects are of use now"""
+    def frames(
+        self,
+        stop: threading.Event,
+        measured: Callable[[], bool] = lambda: True,
+        ended: Callable[[], None] = lambda: None,
+    ) -> Iterator[Frame]:
+        """All frames until the run ends, or until `stop` is set: then none of those that wait.
+
+        measured: whether outcomes of objects are of use now;  ended: called when the run has ended
+        """
         over = False
         while not over:
-            stop.wait(POLL_S)
-            over = stop.is_set() or self.observer.is_over()  # asked first: what has arrived until then is taken
+            if stop.wait(POLL_S):
+                return
+            over = self.observer.is_over()  # asked first: what has arrived until then is taken
+            if over:
+                ended()
             self._add(self.observer.keep_up())
             waiting = deque(self._assembler.whole(silent=self._silent(), over=over))
-            while waiting:
+            while waiting and not stop.is_set():
                 number, messages = waiting.popleft()
                 if measured() and self._has_time(len(waiting)):
                     frame = self._measured(number, messages)

@@ -37,6 +37,8 @@ _ASK_S = 2.0
 _QUESTIONS = 3
 #: Fewest frames for which reception pauses: those after a new subscription are not whole.
 _FEWEST_SKIPPED = 20
+#: s before the end of a run from which on everything is received, so that its last frame can be measured.
+_LAST_S = 0.5
 #: Longest wait for an answer of the router, s.
 _ROUTER_S = 1.0
 _MOST_NOTES = 10
@@ -84,7 +86,8 @@ class Observer:
         self._in_bursts = run.resolved.mode == "lockstep" and room is None
         self._listening = self._receiving = True
         self._settled = False  # whether all publishers know of the subscriptions
-        self._last = -1
+        self._last = -1  # the newest frame that has been measured
+        self._incomplete = -1  # the newest frame of which parts may be missing, because of a new subscription
         self._due = self._effort_s = 0.0
         self._share = _PROCESSOR_SHARE[run.resolved.mode]
         self._measured_at, self._newest_then = 0.0, -1
@@ -130,36 +133,27 @@ class Observer:
         self.keep_up()
         now, newest = time.monotonic(), self._newest
         if now < self._due:
-            if self._in_bursts and (self._due - now) * self._frames_per_s > _FEWEST_SKIPPED:
+            if self._in_bursts and self._ends_soon:
+                self._receive(everything=True)
+            elif self._in_bursts and (self._due - now) * self._frames_per_s > _FEWEST_SKIPPED:
                 self._receive(everything=False)
             return None
         if not self._receiving:
             self._receive(everything=True)
             return None
         number = newest if now - self._since > _SILENCE_S else newest - _BEHIND
-        if number <= self._last or number < 0:
+        if number <= max(self._last, self._incomplete) or number < 0:
             return None
-        begun = time.process_time()
-        try:
-            messages = self._reception.sent_since(number)
-            measured = self.meter.measure(self.record, number, messages, self.wiring, self.roles)
-        except Exception as error:  # of an open mesh anything may come: one frame is lost, and the page says so
-            self.note(f"frame {number} cannot be measured: {error!r:.200}")
-            measured, self._last = None, number
-        self._wires.note(now, self.types)
-        self._frames_per_s = (newest - self._newest_then) / (now - self._measured_at)
-        self._measured_at, self._newest_then = now, newest
-        # What is done with a frame takes about as long as measuring it.
-        self._effort_s = time.process_time() - begun
-        self._due = now + max(1.0 / _MOST_FRAMES_PER_S, 2.0 * self._effort_s / self._share)
-        if measured is not None:
-            self._last, self._time_s = number, measured.time_ns * 1e-9
-            assert isinstance(measured.run, LiveRun)
-            self.record = measured.run
-        return measured
+        self._last = -1  # the newest frame that has been measured
+        self._incomplete = -1  # the newest frame of which parts may be missing, because of a new subscription
+        self._due = self._effort_s = 0.0
+        self._share = _PROCESSOR_SHARE[run.resolved.mode]
 
-    def frames(self, stop: threading.Event) -> Iterator[Frame]:
-        """All frames that are measured, until the run ends or `stop` is set."""
+    def frames(self, stop: threading.Event, ended: Callable[[], None] = lambda: None) -> Iterator[Frame]:
+        """All frames that are measured, until the run ends or `stop` is set; of a run that ends also its newest one.
+
+        ended: called when the run has ended
+        """
         while not stop.is_set():
             frame = self.advance()
             if frame is not None:
@@ -167,8 +161,22 @@ class Observer:
                 yield frame
                 self._due += max(0.0, time.process_time() - begun - self._effort_s) / self._share
             elif self.is_over():
+                ended()
+                if (frame := self.last_frame()) is not None:
+                    yield frame
                 return
             stop.wait(POLL_S)
+
+    def last_frame(self) -> Frame | None:
+        """The newest frame of a run that is over; None if it was measured before, or is known in part only."""
+        self.keep_up()
+        number = self._newest
+        if number <= self._last or number < 0:
+            return None
+        heard = {key for key, _ in self._reception.sent_since(number)}
+        if number <= self._incomplete and not heard >= self.meter.keys_of_series(self.wiring).keys():
+            return None
+        return self._measured(number)
 
     def listen(self, *, everything: bool) -> None:
         """Receive everything that frames need, or only the clock, which costs the run nothing."""
@@ -185,7 +193,7 @@ class Observer:
             self._newest, self._since = newest, time.monotonic()
         if self._receiving and not self._settled and newest >= 0:
             self._settled = True
-            self._last = max(self._last, newest + SETTLING)
+            self._incomplete = newest + SETTLING
         return arrived
 
     def note(self, sentence: str) -> None:
@@ -215,6 +223,34 @@ class Observer:
         for entity in self._declared:
             entity.undeclare()
         self._reception.close()
+
+    @property
+    def _ends_soon(self) -> bool:
+        """Whether the run has played all but its last frames, as far as its scenario says."""
+        remaining = self.run.resolved.frames - 1 - self._newest
+        return remaining <= max(_FEWEST_SKIPPED, _LAST_S * self._frames_per_s)
+
+    def _measured(self, number: int) -> Frame | None:
+        """Measure a frame; None if it cannot be measured."""
+        now, newest = time.monotonic(), self._newest
+        begun = time.process_time()
+        try:
+            messages = self._reception.sent_since(number)
+            measured = self.meter.measure(self.record, number, messages, self.wiring, self.roles)
+        except Exception as error:  # of an open mesh anything may come: one frame is lost, and the page says so
+            self.note(f"frame {number} cannot be measured: {error!r:.200}")
+            measured, self._last = None, number
+        self._wires.note(now, self.types)
+        self._frames_per_s = (newest - self._newest_then) / (now - self._measured_at)
+        self._measured_at, self._newest_then = now, newest
+        # What is done with a frame takes about as long as measuring it.
+        effort_s = 2.0 * (time.process_time() - begun)
+        self._due = now + max(1.0 / _MOST_FRAMES_PER_S, effort_s / _PROCESSOR_SHARE[self.run.resolved.mode])
+        if measured is not None:
+            self._last, self._time_s = number, measured.time_ns * 1e-9
+            assert isinstance(measured.run, LiveRun)
+            self.record = measured.run
+        return measured
 
     def _follow(self) -> None:
         """Receive the keys of the current wiring."""

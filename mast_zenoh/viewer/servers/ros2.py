@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping
+import time
+from collections.abc import Iterator, Mapping, Set
 from typing import Any
 
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.ros2.qos import Qos
+from mast_zenoh.ros2.qos import TRANSIENT_LOCAL, Qos
 from mast_zenoh.runtime.mesh.ros2_participant import Participant, Publisher
 from mast_zenoh.viewer.export.ros2_messages import MARKERS, RunMessages
 from mast_zenoh.viewer.frame import Frame, FramedRun
@@ -16,7 +17,9 @@ from mast_zenoh.viewer.servers.playback import Playback, Status
 log = logging.getLogger("mast.ros2")
 
 NODE = "mast_bridge"
-_KEPT = Qos(durability="transient_local", depth=1)
+_ONE_MESSAGE = Qos(durability=TRANSIENT_LOCAL, depth=1)
+#: s, from a topic's last subscription on, in which a loss of the link must be noticed to be the reason for its end.
+_LOSS_S = 2.0
 
 
 class Ros2Bridge:
@@ -27,7 +30,7 @@ class Ros2Bridge:
     participant: the node;  namespace: before the topics of objects and odometry;  partners: see `RunMessages`
 
     messages: what it publishes;  sent: number of frames;  failed: of frames of which something could not be converted
-    unheard:  of frames that were published while there was no router
+    unheard:  of frames that were published while there was no link to the router, or before subscriptions came back
 
     Raises ConfigurationError for names that ROS does not allow.
     """
@@ -44,26 +47,31 @@ class Ros2Bridge:
         self._participant = participant
         try:
             self._publishers: dict[str, Publisher] = {
-                topic.name: participant.publisher(topic.name, topic.type_name, _KEPT if topic.kept else None)
-                for topic in self.messages.topics
+                name: participant.publisher(name, kind, _ONE_MESSAGE if transient_local else None)
+                for name, kind, transient_local in self.messages.topics
             }
         except ValueError as error:
             raise ConfigurationError(f"ros2: {error}") from None
-        for name, message in self.messages.kept():
+        for name, message in self.messages.transient_local():
             self._publishers[name].publish(message)
         participant.settle()
+        self._router = participant.router
+        self._wanted_at: dict[str, float] = {}  # by topic, when it was last wanted, s on the monotonic clock
+        self._awaited: set[str] = set()  # topics that were wanted before a loss of the link, and are not wanted again
 
     def publish(self, frame: Frame) -> None:
         """Publish a frame, its clock first."""
-        self.unheard += not self._participant.is_connected
+        wanted = {each.name for each in self.messages.topics if not each.transient_local and self._is_wanted(each.name)}
+        self.unheard += self._is_unheard(wanted)
         try:
-            for name, message in self.messages.of(frame, self._is_wanted):
+            for name, message in self.messages.of(frame, wanted.__contains__):
                 self._publishers[name].publish(message)
         except Exception as error:  # such as times and names that ROS cannot express; of an open mesh anything may come
             if not self.failed:
                 log.warning("frame %d is incomplete: %r (others like it will only be counted)", frame.index, error)
             self.failed += 1
         self.sent += 1
+        self._wanted_at |= dict.fromkeys(wanted, time.monotonic())  # a peer that takes nothing may have been waited for
 
     @property
     def shows_outcomes(self) -> bool:
@@ -74,9 +82,19 @@ class Ros2Bridge:
         """What went wrong, in words; [] if nothing did."""
         words = {
             "frames were incomplete: something in them cannot be expressed in ROS": self.failed,
-            "frames were published while there was no link to the router: nothing received them": self.unheard,
+            "frames were published while there was no link to the router, or before all subscriptions were back after "
+            "that: not everything received them": self.unheard,
         }
         return [f"{number} {text}" for text, number in words.items() if number] + self._participant.warnings
+
+    def _is_unheard(self, wanted: Set[str]) -> bool:
+        """Whether there is no link to the router, or topics are not wanted since it was lost. wanted: topics now"""
+        router, now = self._participant.router, time.monotonic()
+        if not router or router != self._router:  # a new router does not know the old one's clients until they connect
+            self._awaited |= {topic for topic, at in self._wanted_at.items() if now - at < _LOSS_S}
+        self._awaited -= wanted
+        self._router = router
+        return not router or bool(self._awaited)
 
     def _is_wanted(self, topic: str) -> bool:
         return self._publishers[topic].is_wanted

@@ -18,14 +18,14 @@ from mast_zenoh.ros2.connection import Connection
 from mast_zenoh.ros2.data_keys import DataKey
 from mast_zenoh.ros2.liveliness_tokens import EndpointToken, NodeToken
 from mast_zenoh.ros2.pose_messages import clock
-from mast_zenoh.ros2.qos import Qos
+from mast_zenoh.ros2.qos import TRANSIENT_LOCAL, Qos
 from mast_zenoh.runtime.mesh import ros2_participant
 from mast_zenoh.runtime.mesh.ros2_participant import Participant
 from mast_zenoh.runtime.mesh.session import open_client, open_router
 from tests.support.launched import eventually
 
 DEADLINE_S = 20.0
-LATE = Qos(durability="transient_local", depth=1)
+ONE_MESSAGE = Qos(durability=TRANSIENT_LOCAL, depth=1)
 
 
 @pytest.fixture(scope="module")
@@ -71,11 +71,11 @@ def test_messages_arrive_in_order_numbered_from_1_with_the_id_of_their_publisher
 
 def test_one_who_comes_late_gets_what_was_kept(router: str) -> None:
     with Participant(Connection(router), "early") as early:
-        publisher = early.publisher("/kept", type_store.CLOCK, LATE)
+        publisher = early.publisher("/kept", type_store.CLOCK, ONE_MESSAGE)
         publisher.publish(clock(1_000_000_000))
         publisher.publish(clock(2_000_000_000))
         with Participant(Connection(router), "late") as late:
-            message, _ = received(late, "/kept", LATE).get(timeout=DEADLINE_S)
+            message, _ = received(late, "/kept", ONE_MESSAGE).get(timeout=DEADLINE_S)
     assert message.clock.sec == 2
 
 
