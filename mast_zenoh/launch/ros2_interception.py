@@ -288,7 +288,7 @@ def _watch(participant: Participant, topic: str, warn: Callable[[str], None]) ->
     for other in participant.publishers_of(topic)[:1]:
         name = f"{other.node.namespace.rstrip('/')}/{other.node.name}"
         warn(f"{name} publishes on {topic} itself: what it says is not attacked; start it with the topic remapped")
-    if not participant.is_connected:
+    if not participant.router:
         warn("there is no link to the router: meanwhile messages are lost")
 
 

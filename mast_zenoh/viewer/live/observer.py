@@ -144,10 +144,7 @@ class Observer:
         number = newest if now - self._since > _SILENCE_S else newest - _BEHIND
         if number <= max(self._last, self._incomplete) or number < 0:
             return None
-        self._last = -1  # the newest frame that has been measured
-        self._incomplete = -1  # the newest frame of which parts may be missing, because of a new subscription
-        self._due = self._effort_s = 0.0
-        self._share = _PROCESSOR_SHARE[run.resolved.mode]
+        return self._measured(number)
 
     def frames(self, stop: threading.Event, ended: Callable[[], None] = lambda: None) -> Iterator[Frame]:
         """All frames that are measured, until the run ends or `stop` is set; of a run that ends also its newest one.
@@ -244,8 +241,8 @@ class Observer:
         self._frames_per_s = (newest - self._newest_then) / (now - self._measured_at)
         self._measured_at, self._newest_then = now, newest
         # What is done with a frame takes about as long as measuring it.
-        effort_s = 2.0 * (time.process_time() - begun)
-        self._due = now + max(1.0 / _MOST_FRAMES_PER_S, effort_s / _PROCESSOR_SHARE[self.run.resolved.mode])
+        self._effort_s = time.process_time() - begun
+        self._due = now + max(1.0 / _MOST_FRAMES_PER_S, 2.0 * self._effort_s / self._share)
         if measured is not None:
             self._last, self._time_s = number, measured.time_ns * 1e-9
             assert isinstance(measured.run, LiveRun)
