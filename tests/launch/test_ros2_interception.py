@@ -261,7 +261,7 @@ def test_all_messages_between_two_nodes_arrive_in_order_attacked(router: str, tm
         planner.subscribe(TOPIC, type_store.TRACKED_OBJECTS, lambda message, _: arrived.put(message))
         own = tracker.publisher(TOPIC + "/before", type_store.TRACKED_OBJECTS)
         place = tracker.publisher("/car/odometry", type_store.ODOMETRY)
-        eventually(lambda: tracker.subscriptions_of(TOPIC + "/before"), "the interposer")
+        eventually(lambda: own.is_wanted, "the interposer")
         eventually(lambda: planner.publishers_of(TOPIC), "its publisher")
         place.publish(odometry(pose, 1, "map", "base_link"))
         sent = messages(50)
@@ -283,7 +283,7 @@ def test_what_cannot_be_read_is_passed_on_and_a_failed_node_is_an_error(router: 
     ):
         planner.subscribe(TOPIC, type_store.TRACKED_OBJECTS, lambda message, _: arrived.put(message))
         own = tracker.publisher(TOPIC + "/before", type_store.TRACKED_OBJECTS)
-        eventually(lambda: tracker.subscriptions_of(TOPIC + "/before"), "the interposer")
+        eventually(lambda: own.is_wanted, "the interposer")
         eventually(lambda: planner.publishers_of(TOPIC), "its publisher")
         first, second = messages(2)
         own.publish(replace(first, header=replace(first.header, frame_id="")))
@@ -326,7 +326,7 @@ def test_the_command_writes_the_launch_file_attacks_until_it_is_interrupted_and_
     with Participant(Connection(router), "tracker") as tracker, Participant(Connection(router), "planner") as planner:
         planner.subscribe(TOPIC, type_store.TRACKED_OBJECTS, lambda message, _: arrived.put(message))
         own = tracker.publisher(TOPIC + "/before", type_store.TRACKED_OBJECTS)
-        eventually(lambda: tracker.subscriptions_of(TOPIC + "/before"), "the interposer")
+        eventually(lambda: own.is_wanted, "the interposer")
         eventually(lambda: planner.publishers_of(TOPIC), "its publisher")
         for message in messages(5):
             own.publish(message)

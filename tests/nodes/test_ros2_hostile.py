@@ -99,7 +99,7 @@ def through(message: Any) -> Any:
 @pytest.mark.parametrize("name", EVERYWHERE)
 def test_messages_of_all_kinds_are_counted_and_the_node_lives(name: str, waits: bool, fuzzing: Fuzzing) -> None:
     resolved, used = world(), 0
-    for seed in range(fuzzing.seed, fuzzing.seed + (300 if fuzzing.long else 1)):
+    for seed in range(fuzzing.seed, fuzzing.seed + (300 if fuzzing.long else 3)):
         bench = flooded(resolved, name, seed, waits=waits)
         assert bench.host.failures == {}, seed
         counts = bench.host.finish()["outside"]
@@ -116,7 +116,7 @@ def test_detections_of_all_kinds_are_counted_and_the_agent_lives(fuzzing: Fuzzin
     ]
     monkeypatch.setitem(EVERYWHERE, "ego", topics)
     resolved = world(receives="detections", pose="Odometry")
-    for seed in range(fuzzing.seed, fuzzing.seed + (300 if fuzzing.long else 1)):
+    for seed in range(fuzzing.seed, fuzzing.seed + (300 if fuzzing.long else 3)):
         bench = flooded(resolved, "ego", seed, waits=True)
         assert bench.host.failures == {}, seed
         assert len(bench.heard("agent/ego/tracks")) == FRAMES, "one message a frame"
