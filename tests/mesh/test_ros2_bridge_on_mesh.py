@@ -84,6 +84,7 @@ def sent(output: str) -> int:
     return int(match[1] or match[2])
 
 
+@pytest.mark.heavy
 def test_a_foreign_client_receives_every_frame_of_a_run_in_real_time_also_if_it_stalls(
     launch: Launch, client_of: Any
 ) -> None:

@@ -19,6 +19,7 @@ _RIGHT_ENDS = """() => [...document.querySelectorAll("section.run figure.dark.wi
 })"""
 
 
+@pytest.mark.heavy
 def test_a_study_fits_500_px_and_paper(three_runs: dict[str, Path], tmp_path: Path) -> None:
     page_file = write_study_report(tmp_path, three_runs)
     with chromium() as browser:

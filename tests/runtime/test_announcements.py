@@ -118,6 +118,7 @@ def test_a_lie_about_itself_reaches_all_others_and_is_attributed() -> None:
     assert {agent for agent, share in deceived["agents"].items() if share > 0} == {"infra_1", "infra_2"}
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("name", ["peers", "congested"])
 def test_a_lie_about_itself_is_a_moved_object_that_its_agent_lies_about(name: str) -> None:
     run = played(name, *AWARE, "n_adversaries=1", "on=awareness", "listener=infra_1", "attack_start_s=0.2", DEFENCE)

@@ -72,6 +72,7 @@ class Bridge:
         return output
 
 
+@pytest.mark.heavy
 def test_a_foreign_client_receives_every_frame_of_a_finished_run(
     recorded: mast_package.Run, run: RecordedRun, topics: dict[str, str], tmp_path: Path
 ) -> None:

@@ -567,6 +567,7 @@ def robots(*names: str, chairs: tuple[str, ...] = ("chair2", "chair_final")) -> 
     return TIERS | dict(agents=agents, truth={name: TIERS["truth"][name] for name in chairs})
 
 
+@pytest.mark.heavy
 def test_four_real_robots_detect_what_the_page_says(tiers: Path) -> None:
     topics = robots("turtle05", "turtle01", "turtle03", "turtle04")
     read = RosBag(path=str(tiers / "shortbag_20221011.db3"), topics=topics).record(0, None)
