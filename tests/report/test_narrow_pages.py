@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import pytest
 from browser import chromium
 from study_samples import BASELINE, estimate, facts, row
 
