@@ -170,7 +170,7 @@ def _observe(
         from mast_zenoh.viewer.live import priority
         from mast_zenoh.viewer.live.every_frame import EveryFrame
         from mast_zenoh.viewer.live.observer import Observer
-        from mast_zenoh.viewer.servers.ros2 import Ros2Bridge
+        from mast_zenoh.viewer.servers.ros2 import Ros2Bridge, frames_to_the_end
 
     with ExitStack() as stack:
         participant = stack.enter_context(_participant(connection, namespace))
@@ -191,7 +191,8 @@ def _observe(
             restore = priority.yield_processors()
             stack.callback(restore)
             bridge = Ros2Bridge(observer.record, participant, namespace, partners)
-            _publish(bridge, observer.frames(stop, restore), lambda: observer.meter.notes, lambda: observer.frame + 1)
+            frames = frames_to_the_end(bridge, observer, stop, restore)
+            _publish(bridge, frames, lambda: observer.meter.notes, lambda: max(observer.frame, bridge.newest) + 1)
 
 
 def _publish(

@@ -212,7 +212,10 @@ def test_of_a_short_run_in_lock_step_the_last_frame_is_sent_at_least(launch: Lau
         run = launch("coordinated", "--frames", "31", *settings_of(router))
         output = run.ended()
         number = sent(output)
-        assert f"sent: {number} of 31 frames: in lock-step as many as cost the run nothing; every_frame sends" in output
+        assert (
+            f"sent: {number} of 31 frames: in lock-step as many as cost the run nothing; every_frame sends all"
+            in output
+        )
         eventually(lambda: client.counts()["/clock"] == number, "the frames")
         received = client.messages()
     expected = expected_messages(RecordedRun.load(run.out), TOPICS)

@@ -6,8 +6,10 @@ import json
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -22,7 +24,7 @@ from mast_zenoh.viewer.export.ros2_layouts import write_layouts
 from mast_zenoh.viewer.export.ros2_messages import RunMessages
 from mast_zenoh.viewer.frame import Frame
 from mast_zenoh.viewer.recorded import RecordedRun
-from mast_zenoh.viewer.servers.ros2 import Ros2Bridge
+from mast_zenoh.viewer.servers.ros2 import Ros2Bridge, frames_to_the_end
 
 FAST = ("--rate", "10")
 
@@ -216,6 +218,25 @@ def test_frames_are_counted_until_what_subscribed_before_a_loss_of_the_link_does
     assert lossy(("1", both), ("", set()), ("2", set()), ("2", {"/tf"}), ("2", both), ("2", both)) == 3
     assert lossy(("1", both), ("2", set()), ("2", both)) == 1, "the loss came between two frames"
     assert lossy(("1", both), ("1", set()), ("", set()), ("2", {"/tf"}), ("2", both)) == 2, "subscriptions end first"
+
+
+@pytest.mark.parametrize(("frames", "is_stopped", "expected"), [(30, False, [4, 29]), (5, False, [4]), (30, True, [4])])
+def test_the_last_frame_of_a_run_comes_from_its_recording_if_it_did_not_arrive(
+    frames: int, is_stopped: bool, expected: list[int], run: RecordedRun, recorded: mast_package.Run
+) -> None:
+    stop, participant = threading.Event(), Wanted()
+    observer: Any = SimpleNamespace(
+        frames=lambda stop, ended: (frame for frame in run if frame.index == 4),
+        run=SimpleNamespace(folder=recorded.path, resolved=SimpleNamespace(frames=frames)),
+    )
+    bridge = Ros2Bridge(run, participant)  # type: ignore[arg-type]
+    for frame in frames_to_the_end(bridge, observer, stop, lambda: None):
+        bridge.publish(frame)
+        if is_stopped:
+            stop.set()
+    clocks = [message.clock for name, message in participant.published if name == "/clock"]
+    assert [round((clock.sec + clock.nanosec * 1e-9) / run.period_s) for clock in clocks] == expected
+    assert bridge.newest == expected[-1]
 
 
 def test_a_subscription_that_ends_by_itself_is_not_waited_for(lossy: Callable[..., int]) -> None:

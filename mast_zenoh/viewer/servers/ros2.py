@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import logging
+import threading
 import time
-from collections.abc import Iterator, Mapping, Set
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Set
+from contextlib import suppress
 from typing import Any
 
-from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.errors import ConfigurationError, RunFolderError
 from mast_zenoh.ros2.qos import TRANSIENT_LOCAL, Qos
 from mast_zenoh.runtime.mesh.ros2_participant import Participant, Publisher
 from mast_zenoh.viewer.export.ros2_messages import MARKERS, RunMessages
 from mast_zenoh.viewer.frame import Frame, FramedRun
+from mast_zenoh.viewer.live.observer import Observer
+from mast_zenoh.viewer.recorded import RecordedRun
 from mast_zenoh.viewer.servers.playback import Playback, Status
 
 log = logging.getLogger("mast.ros2")
@@ -29,7 +34,8 @@ class Ros2Bridge:
 
     participant: the node;  namespace: before the topics of objects and odometry;  partners: see `RunMessages`
 
-    messages: what it publishes;  sent: number of frames;  failed: of frames of which something could not be converted
+    messages: what it publishes;  sent: number of frames;  newest: index of the newest one, -1: none
+    failed:   of frames of which something could not be converted
     unheard:  of frames that were published while there was no link to the router, or before subscriptions came back
 
     Raises ConfigurationError for names that ROS does not allow.
@@ -44,6 +50,7 @@ class Ros2Bridge:
     ) -> None:
         self.messages = RunMessages(run, namespace, partners)
         self.sent = self.failed = self.unheard = 0
+        self.newest = -1
         self._participant = participant
         try:
             self._publishers: dict[str, Publisher] = {
@@ -71,6 +78,7 @@ class Ros2Bridge:
                 log.warning("frame %d is incomplete: %r (others like it will only be counted)", frame.index, error)
             self.failed += 1
         self.sent += 1
+        self.newest = max(self.newest, frame.index)
         self._wanted_at |= dict.fromkeys(wanted, time.monotonic())  # a peer that takes nothing may have been waited for
 
     @property
@@ -98,6 +106,23 @@ class Ros2Bridge:
 
     def _is_wanted(self, topic: str) -> bool:
         return self._publishers[topic].is_wanted
+
+
+def frames_to_the_end(
+    bridge: Ros2Bridge, observer: Observer, stop: threading.Event, ended: Callable[[], None]
+) -> Iterator[Frame]:
+    """The frames that an observer measures, and the last one of the run: from its recording, if it did not arrive.
+
+    stop, ended: see `Observer.frames`
+    """
+    yield from observer.frames(stop, ended)
+    folder = observer.run.folder
+    if folder is None or stop.is_set() or bridge.newest >= observer.run.resolved.frames - 1:
+        return
+    with suppress(RunFolderError):  # not recorded
+        (last,) = deque(RecordedRun.load(folder), maxlen=1)
+        if last.index > bridge.newest:
+            yield last
 
 
 def played(run: FramedRun, *, rate: float = 1.0, loop: bool = False) -> Iterator[Frame]:
