@@ -20,6 +20,7 @@ PAGE = (Path(__file__).parents[2] / "docs" / "ros2_nodes.md").read_text(encoding
 FILES = dict(re.findall(r"^```python file=(\S+)\n(.*?)^```$", PAGE, flags=re.S | re.M))
 
 
+@pytest.mark.heavy
 def test_the_node_of_the_page_is_an_agents_perception(tmp_path: Path) -> None:
     pytest.importorskip("zenoh_ros2_sdk", reason="zenoh-ros2-sdk is not installed", exc_type=ImportError)
     for name, text in FILES.items():

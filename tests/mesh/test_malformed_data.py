@@ -76,6 +76,7 @@ def test_a_hundred_thousand_malformed_messages_are_counted_and_end_no_node(launc
     assert 0 < logs.count("rejected a message") <= sum(hearers.values()), "logged once per source"
 
 
+@pytest.mark.heavy
 def test_foreign_messages_are_recorded_unchanged_and_marked(launch) -> None:
     run: Launched = launch("baseline", "--mode", "realtime", "--frames", "40")
     record = run.started()

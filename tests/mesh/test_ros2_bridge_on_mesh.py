@@ -206,6 +206,7 @@ def test_a_scenario_can_ask_for_every_frame_in_lock_step(launch: Launch, client_
         assert_recorded(client, run.out, 60)
 
 
+@pytest.mark.heavy
 def test_of_a_short_run_in_lock_step_the_last_frame_is_sent_at_least(launch: Launch, client_of: Any) -> None:
     with ros2_router() as router:
         client = client_of(router)

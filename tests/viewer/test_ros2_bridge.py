@@ -295,6 +295,7 @@ def keyless(monkeypatch: pytest.MonkeyPatch) -> None:
 Command = Callable[..., tuple[int, str, str]]
 
 
+@pytest.mark.heavy
 def test_what_cannot_be_published_is_refused_with_the_reason_and_its_own_exit_code(
     mast: Command, recorded: mast_package.Run, tmp_path: Path
 ) -> None:
