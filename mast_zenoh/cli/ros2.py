@@ -180,7 +180,8 @@ def _observe(
         if every_frame or running.resolved.mode == "realtime":
             every = EveryFrame(running, session)
             stack.callback(every.close)
-            restore = priority.yield_to_nodes()
+            # In real time the run waits for nobody, and on a busy machine a process of low priority would lose frames.
+            restore = priority.yield_to_nodes() if running.resolved.mode == "lockstep" else lambda: None
             stack.callback(restore)
             bridge = Ros2Bridge(every.observer.record, participant, namespace, partners)
             frames = every.frames(stop, lambda: bridge.shows_outcomes, restore)

@@ -244,6 +244,7 @@ def test_in_lock_step_the_newest_frames_are_sent_at_a_pace_that_costs_little(lau
 
 
 @pytest.mark.heavy
+@pytest.mark.timeout(600)
 def test_a_running_run_can_be_bridged_later_with_every_frame(launch: Launch, client_of: Any) -> None:
     with ros2_router() as router:
         client = client_of(router)
@@ -251,7 +252,8 @@ def test_a_running_run_can_be_bridged_later_with_every_frame(launch: Launch, cli
         record = run.at_frame(5)
         command = [*MAST, "ros2", record["endpoint"], f"--router={router}", "--every-frame"]
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as bridge:
-            run.ended()
+            code, own = run.end(450)
+            assert code == 0, own
             output, _ = bridge.communicate(timeout=120)
         assert bridge.returncode == 0, output
         received = client.messages()
