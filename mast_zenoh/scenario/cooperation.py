@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
 
-from mast_zenoh.config import loading
 from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.fusion.regions import Region
 from mast_zenoh.gather import MAX_AGE_S
 from mast_zenoh.node import Node
+from mast_zenoh.scenario.nodes import takes
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.v2x import CpmGeneration, EveryFrame
 from mast_zenoh.v2x.station import Station
@@ -37,7 +36,7 @@ def check_cooperation(
     _check_awareness(path, specs, sources)
     for wire in wiring.wires:
         agent = specs.get(wire.subject)
-        if wire.codec == "cpm" and agent is not None and _takes(agent, "tracks_from"):
+        if wire.codec == "cpm" and agent is not None and takes(agent, "tracks_from"):
             found = agent.config.get("tracks_from", "world")
             if found != "agent":
                 raise ConfigurationError(
@@ -75,7 +74,7 @@ def _check_awareness(path: Path, specs: Mapping[str, NodeSpec], sources: Sources
                 f"{path}: peers.{spec.config['agent']}.awareness: no map has a wire for it: "
                 "add awareness.toml to keyexpr.rewrites, or leave awareness out"
             )
-    if places and all(_takes(spec, "awareness") and spec.config.get("awareness") is None for spec in peers):
+    if places and all(takes(spec, "awareness") and spec.config.get("awareness") is None for spec in peers):
         raise ConfigurationError(
             f"{path}: keyexpr.rewrites: found {places[0]}, but no peer has `awareness`: "
             'add awareness=dict(type="CamGeneration") to peers, or leave the map out'
@@ -85,11 +84,6 @@ def _check_awareness(path: Path, specs: Mapping[str, NodeSpec], sources: Sources
 def _wires_from(sources: Sources, matches: Callable[[str], bool]) -> Iterator[str]:
     """The files of maps that have wires of some publishers (role.port)."""
     return (file for file, content in sources for entry in content.get("wire", ()) if matches(str(entry["from"])))
-
-
-def _takes(spec: NodeSpec, parameter: str) -> bool:
-    """Whether the class of a node has a parameter; a user's may do without."""
-    return parameter in inspect.signature(loading.node_class(Path(spec.file), spec.type)).parameters
 
 
 def _check_ages(place: str, spec: NodeSpec, station: Station, period_ns: int) -> None:

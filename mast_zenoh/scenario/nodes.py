@@ -117,8 +117,7 @@ def _peers(patterns: Mapping[str, Any], agents: Iterable[str], place: str) -> It
 
 def share_faults(evaluator: NodeSpec, faults: Mapping[str, Any]) -> None:
     """Let the evaluator know the faults of each agent, to compare them with its trust."""
-    accepted = inspect.signature(loading.node_class(Path(evaluator.file), evaluator.type)).parameters
-    if "faults" in accepted:
+    if takes(evaluator, "faults"):
         evaluator.config.setdefault("faults", dict(faults))
 
 
@@ -140,8 +139,7 @@ def add_surroundings(specs: Mapping[str, NodeSpec], recording: Recording) -> Non
     attackers = {name: spec for name, spec in specs.items() if spec.role in ("adversary", "coordinator")}
     victims = list(dict.fromkeys(agent for spec in attackers.values() for agent in spec.agents))
     for spec in attackers.values():
-        cls = loading.node_class(Path(spec.file), spec.type)
-        if "surroundings" in inspect.signature(cls).parameters:
+        if takes(spec, "surroundings"):
             known_victims = victims if spec.role == "coordinator" else spec.agents
             spec.config.setdefault("surroundings", surroundings_of(recording, known_victims))
 
@@ -181,9 +179,12 @@ def _add_default(specs: Mapping[str, NodeSpec], parameter: str, value: Mapping[s
 
 def _with_parameters(specs: Mapping[str, NodeSpec], *parameters: str) -> Iterator[NodeSpec]:
     """The nodes whose class has these parameters."""
-    for spec in specs.values():
-        if set(parameters) <= inspect.signature(loading.node_class(Path(spec.file), spec.type)).parameters.keys():
-            yield spec
+    return (spec for spec in specs.values() if all(takes(spec, parameter) for parameter in parameters))
+
+
+def takes(spec: NodeSpec, parameter: str) -> bool:
+    """Whether the class of a node has a parameter; a user's may do without."""
+    return parameter in inspect.signature(loading.node_class(Path(spec.file), spec.type)).parameters
 
 
 def _scene_parameters(recording: Recording, row: int) -> dict[str, Any]:
