@@ -70,7 +70,7 @@ def ros2(
     Nothing of ROS needs to be installed here, but a router of rmw_zenoh must be running. Ctrl-C ends the bridge, never
     the run.
     """
-    config = _config(router, domain, tls_ca, tls_certificate, tls_key)
+    config = connection_config(router, domain, tls_ca, tls_certificate, tls_key)
     connection = Connection.of(config, "ros2")
     if attached:
         _observe(target, run, allowed_code(confirmed=confirmed), connection, namespace, every_frame=every_frame)
@@ -96,11 +96,11 @@ def between(
     odometry: str,
     seed: int,
     launch: Path | None,
-    router: tuple[str, int, Path | None, Path | None, Path | None],
+    connection: Connection,
 ) -> None:
     """Put a node or an attack between two ROS 2 nodes until Ctrl-C, see `mast_zenoh.launch.ros2_interception`.
 
-    launch: a new file for the launch file that remaps the publisher;  router: as the options of `ros2` say it
+    launch: a new file for the launch file that remaps the publisher
     """
     from mast_zenoh.launch.folder import write_new
 
@@ -112,7 +112,6 @@ def between(
             interposer_of,
             launch_fragment,
         )
-    connection = Connection.of(_config(*router), "ros2")
     check_interception(topic, type_name)
     interposer = interposer_of(file, topic, settings, seed)
     if launch is not None:
@@ -133,7 +132,7 @@ def between(
         _err.warn(f"{number} messages were not understood: {reason}")
 
 
-def _config(
+def connection_config(
     router: str, domain: int, tls_ca: Path | None, tls_certificate: Path | None, tls_key: Path | None
 ) -> dict[str, Any]:
     """A connection as a scenario has it."""

@@ -16,7 +16,7 @@ from mast_zenoh.cli.options import err as _err
 from mast_zenoh.cli.options import out as _out
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.launch import stop_signals
-from mast_zenoh.ros2.connection import ROUTER
+from mast_zenoh.ros2.connection import ROUTER, Connection
 from mast_zenoh.run_files import reading
 from mast_zenoh.viewer.formats import FormatName
 
@@ -273,9 +273,9 @@ def intercept(
         of_runs = {"RUN": run_folder, "--wire": wire, "--name": name, "--before": before, "--input": input}
         given = [option for option, value in {**of_runs, "--output": output}.items() if value]
         options.refuse(given, f"found {', '.join(given)} and --ros2: there is no run between two ROS 2 nodes")
-        place = (router, domain, tls_ca, tls_certificate, tls_key)
+        connection = Connection.of(ros2.connection_config(router, domain, tls_ca, tls_certificate, tls_key), "ros2")
         chosen: dict[str, Any] = {"type_name": type_name, "odometry": odometry, "seed": seed, "launch": launch}
-        ros2.between(topic, node, settings or [], router=place, **chosen)
+        ros2.between(topic, node, settings or [], connection=connection, **chosen)
         return
     options.refuse(run_folder is None or not wire, "expected the folder of a running run and --wire, or --ros2 TOPIC")
     options.refuse(launch or odometry, "--launch and --odometry are for --ros2")

@@ -14,6 +14,7 @@ from mast_zenoh.ros2 import type_store
 from mast_zenoh.ros2.object_ids import UUID_BYTES
 from mast_zenoh.ros2.object_messages import detection_array, tracked_objects
 from mast_zenoh.ros2.received_objects import Received
+from mast_zenoh.ros2.spatial import time_of
 from mast_zenoh.ros2.type_store import RosMessage
 
 #: Types that can be altered.
@@ -35,16 +36,19 @@ def altered(message: RosMessage, received: Received[ObjectStates], wanted: Objec
         raise MessageError(f"{message.__msgtype__}: expected {' or '.join(ALTERABLE)}")
     is_tracked = message.__msgtype__ == type_store.TRACKED_OBJECTS
     sent: list[RosMessage] = list(message.objects if is_tracked else message.detections)
-    row_of = dict(zip(received.objects.id.tolist(), received.rows.tolist(), strict=True))
-    given = dict(zip(received.objects.id.tolist(), range(len(received.objects)), strict=True))
-    result: dict[int, RosMessage] = {row: each for row, each in enumerate(sent) if row not in row_of.values()}
+    index_of, rows = (
+        {number: index for index, number in enumerate(received.objects.id.tolist())},
+        received.rows.tolist(),
+    )
+    unreceived = set(range(len(sent))).difference(rows)
+    result: dict[int, RosMessage] = {row: sent[row] for row in unreceived}
     of_wanted = _converted(message, wanted)
     added = []
     for index, (number, converted) in enumerate(zip(wanted.id.tolist(), of_wanted, strict=True)):
-        if number in row_of:
-            differing = _differences(received.objects, given[number], wanted, index)
-            change = _tracked if is_tracked else _detected
-            result[row_of[number]] = change(sent[row_of[number]], converted, differing)
+        if number in index_of:
+            own, row = index_of[number], rows[index_of[number]]
+            differing = _differences(received.objects, own, wanted, index)
+            result[row] = (_tracked if is_tracked else _detected)(sent[row], converted, differing)
         else:
             added.append(_named(converted, number, sent, is_tracked))
     objects = [result[row] for row in sorted(result)] + added
@@ -53,12 +57,11 @@ def altered(message: RosMessage, received: Received[ObjectStates], wanted: Objec
 
 def _converted(message: RosMessage, states: ObjectStates) -> Sequence[RosMessage]:
     """Objects as messages, with the header's stamp and frame."""
-    header = message.header
-    time_ns = header.stamp.sec * 10**9 + header.stamp.nanosec
+    where = time_of(message.header.stamp), message.header.frame_id
     if message.__msgtype__ == type_store.TRACKED_OBJECTS:
-        tracked: Sequence[RosMessage] = tracked_objects(states, time_ns, header.frame_id).objects
+        tracked: Sequence[RosMessage] = tracked_objects(states, *where).objects
         return tracked
-    detections: Sequence[RosMessage] = detection_array(states, time_ns, header.frame_id).detections
+    detections: Sequence[RosMessage] = detection_array(states, *where).detections
     return detections
 
 

@@ -219,6 +219,21 @@ class Participant:
         """The subscriptions to a topic that others have, whatever their type."""
         return self._others("subscription", topic)
 
+    def refuse(self, topic: str, reason: str) -> None:
+        """Count a message of a topic that is of no use, by the reason's part before the colon; log the first one.
+
+        Numbers in it, which peers choose, are not told apart.
+        """
+        kind = re.sub(r"\b[0-9]+\b", "N", " ".join(reason.split(":", 1)[0].split()))[:120]
+        with self._lock:
+            if kind not in self.refused and len(self.refused) >= MOST_REASONS:
+                kind = "other reasons"
+            self.refused[kind] += 1
+            is_first = topic not in self._logged
+            self._logged.add(topic)
+        if is_first:
+            log.warning("%s: refused a message: %s (more on this topic will only be counted)", topic, reason)
+
     def close(self) -> None:
         """Leave; what has been published is handed over first."""
         self._session.close()
@@ -259,29 +274,9 @@ class Participant:
             attachment = parse_attachment(sample.attachment.to_bytes())
             if len(sample.payload) > most_bytes:
                 raise MessageError(f"size: found {len(sample.payload)} bytes, expected at most {most_bytes}")
-            message = type_store.decode(token.type_name, sample.payload.to_bytes())
+            handler(type_store.decode(token.type_name, sample.payload.to_bytes()), attachment)
         except MessageError as error:
             self.refuse(token.topic, str(error))
-            return
-        try:
-            handler(message, attachment)
-        except MessageError as error:
-            self.refuse(token.topic, str(error))
-
-    def refuse(self, topic: str, reason: str) -> None:
-        """Count a message of a topic that is of no use, by the reason's part before the colon; log the first one.
-
-        Numbers in it, which peers choose, are not told apart.
-        """
-        kind = re.sub(r"\b[0-9]+\b", "N", " ".join(reason.split(":", 1)[0].split()))[:120]
-        with self._lock:
-            if kind not in self.refused and len(self.refused) >= MOST_REASONS:
-                kind = "other reasons"
-            self.refused[kind] += 1
-            is_first = topic not in self._logged
-            self._logged.add(topic)
-        if is_first:
-            log.warning("%s: refused a message: %s (more on this topic will only be counted)", topic, reason)
 
     def _on_token(self, sample: zenoh.Sample) -> None:
         """Follow the tokens of the domain."""
