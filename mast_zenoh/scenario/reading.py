@@ -46,7 +46,7 @@ RUN_DEFAULTS: dict[str, Any] = {
 #: Keys whose values are dicts; those of nodes that a run can do without may be None.
 _DICTS = (
     *("broker", "command_center", "channel", "evaluator", "coordinator"),
-    *("agents", "centers", "peers", "adversaries", "nodes", "links", "hosts", "keyexpr", "run"),
+    *("agents", "centers", "peers", "drivers", "world", "adversaries", "nodes", "links", "hosts", "keyexpr", "run"),
 )
 _OPTIONAL = ("broker", "command_center", "channel", "coordinator")
 

@@ -1,0 +1,84 @@
+"""The drivers of a scenario, the world that obeys them, and the wires between them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from mast_zenoh.config import registry
+from mast_zenoh.config.resolved import NodeSpec
+from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.scenes import Recording, Scene
+from mast_zenoh.scenes.stepped import check_cars
+
+#: The map of the wires of drivers; added where a scenario has drivers.
+MAP = "driving.toml"
+#: File of the simulator that is stepped.
+_WORLD = "world.py"
+#: By estimate: its wire, and whether a driver receives what the publisher sends, before any interposer.
+_WIRES = {
+    "truth": ("scene/truth", False),
+    "safety": ("agent/{agent}/tracks", True),
+    "mission": ("agent/{agent}/mission", False),
+}
+
+
+def driver_of_car(car: str) -> str:
+    """The name of the node that drives the car of an agent."""
+    return f"driver_{car}"
+
+
+def simulator_config(
+    path: Path, scenario: Mapping[str, Any], recording: Recording, frames: int, scene: tuple[Mapping[str, Any], int]
+) -> dict[str, Any]:
+    """The configuration of the simulator: with drivers it is a world.
+
+    scene: its spec, and the seed of the run
+
+    Raises ConfigurationError for a scene that cannot be stepped, an agent without a car, and a `world` without drivers
+    """
+    config = {"recording": recording, "frames": frames}
+    drivers, options = scenario.get("drivers", {}), scenario.get("world", {})
+    if not drivers:
+        if options:
+            raise ConfigurationError(
+                f"{path}: world: found {dict(options)!r}, expected `drivers` beside it: it obeys them"
+            )
+        return config
+    spec, seed = scene
+    for key in ("recording", "scene", "frames", "drivers"):
+        if key in options:
+            raise ConfigurationError(f"{path}: world.{key}: it follows from the scenario: leave it out")
+    try:
+        world = registry.build(spec, Scene, f"{path}: scene").world(seed, len(recording))
+        check_cars(drivers, world.cars)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{path}: {error}") from None
+    names = {car: driver_of_car(car) for car in drivers}
+    return {"file": _WORLD, **config, "scene": dict(spec), "drivers": names, **options}
+
+
+def drivers(path: Path, scenario: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Yield (name, configuration) of each driver's node."""
+    for car, config in scenario.get("drivers", {}).items():
+        if not isinstance(config, Mapping):
+            raise ConfigurationError(f"{path}: drivers.{car}: found {config!r}, expected a dict")
+        yield driver_of_car(car), {"agent": car, **config}
+
+
+def rewrites(nodes: Mapping[str, NodeSpec], unused: Mapping[str, Any]) -> list[str | dict[str, Any]]:
+    """What connects drivers with the world, and with the estimates that they use. unused: ports by node"""
+    listening = [
+        {"wire": wire, "role": "driver", "input": estimate, "node": name, **({"leg": "source"} if source else {})}
+        for name, spec in nodes.items()
+        if spec.role == "driver"
+        for estimate, (wire, source) in _wires_of(spec).items()
+        if estimate not in unused[name]
+    ]
+    return [MAP, {"listen": listening}] if listening else []
+
+
+def _wires_of(spec: NodeSpec) -> dict[str, tuple[str, bool]]:
+    """The wires of all estimates of the agent of a driver."""
+    return {name: (wire.replace("{agent}", spec.agents[0]), source) for name, (wire, source) in _WIRES.items()}
