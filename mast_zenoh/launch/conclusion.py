@@ -110,6 +110,7 @@ def write(
         measured["replay"] = {key: value for key, value in record["replay"].items() if key != "notices"}
     refused = write_results(folder, handed_in, measured)
     record["notices"] = notices.of_run(resolved, record, collations, measured, refused, results.left_out(handed_in))
+    record["notices"] += notices.of_commands(handed_in.get(driver_of(resolved.nodes), {}).get("commands"))
     metrics = handed_in.get(results.EVALUATOR, {}).get("metrics")
     if isinstance(metrics, Mapping):
         record["notices"] += notices.of_scores(metrics, record["timings"].get("frames"))
