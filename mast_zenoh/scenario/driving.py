@@ -6,6 +6,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from mast_zenoh.config import registry
 from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.errors import ConfigurationError
@@ -30,13 +32,12 @@ def driver_of_car(car: str) -> str:
 
 
 def simulator_config(
-    path: Path, scenario: Mapping[str, Any], recording: Recording, frames: int, scene: tuple[Mapping[str, Any], int]
+    path: Path, scenario: Mapping[str, Any], recording: Recording, frames: int, spec: Mapping[str, Any]
 ) -> dict[str, Any]:
     """The configuration of the simulator: with drivers it is a world.
 
-    scene: its spec, and the seed of the run
-
-    Raises ConfigurationError for a scene that cannot be stepped, an agent without a car, and a `world` without drivers
+    spec: of the scene
+    Raises ConfigurationError for a scene that cannot be stepped, an agent without a car, and a `world` without drivers.
     """
     config = {"recording": recording, "frames": frames}
     drivers, options = scenario.get("drivers", {}), scenario.get("world", {})
@@ -46,13 +47,23 @@ def simulator_config(
                 f"{path}: world: found {dict(options)!r}, expected `drivers` beside it: it obeys them"
             )
         return config
-    spec, seed = scene
     for key in ("recording", "scene", "frames", "drivers"):
         if key in options:
             raise ConfigurationError(f"{path}: world.{key}: it follows from the scenario: leave it out")
+    if type(registry.build(spec, Scene, f"{path}: scene")).world is Scene.world:
+        raise ConfigurationError(
+            f"{path}: drivers: a scene of the type {spec['type']} cannot be stepped, so its cars cannot be driven: "
+            "expected Intersection, or a scene of yours that defines `world`"
+        )
+    if recording.measurements is not None:
+        timed = np.flatnonzero(recording.measurements.age_ns.any(axis=0))
+        found = ", ".join(recording.sensor_names[column] for column in timed[:5])
+        raise ConfigurationError(
+            f"{path}: drivers: {found} measure at times of their own: expected sensors without rate_hz and phase_s, as "
+            "a scene with drivers is stepped frame by frame"
+        )
     try:
-        world = registry.build(spec, Scene, f"{path}: scene").world(seed, len(recording))
-        check_cars(drivers, world.cars)
+        check_cars(drivers, [agent.name for agent in recording.agents if agent.kind == "mobile"])
     except ConfigurationError as error:
         raise ConfigurationError(f"{path}: {error}") from None
     names = {car: driver_of_car(car) for car in drivers}

@@ -38,9 +38,9 @@ def nodes_of(
     recording: Recording,
     frames: int,
     record: bool,
-    scene: tuple[Mapping[str, Any], int],
+    scene: Mapping[str, Any],
 ) -> dict[str, NodeSpec]:
-    """The specs of all nodes except the links, the simulator first. scene: its spec, and the seed of the run"""
+    """The specs of all nodes except the links, the simulator first. scene: its spec"""
     specs: dict[str, NodeSpec] = {}
 
     def add(name: str, role: str, config: Mapping[str, Any]) -> None:

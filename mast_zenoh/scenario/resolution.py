@@ -75,7 +75,7 @@ def resolve(
     recording = scenes.prepare(scene, options["seed"], options["frames"], cache_key)
     n_frames = len(recording) if options["frames"] is None else min(options["frames"], len(recording))
     recorded = record and options["record"]
-    nodes = nodes_of(path, scenario, recording, n_frames, recorded, (scene_spec, options["seed"]))
+    nodes = nodes_of(path, scenario, recording, n_frames, recorded, scene_spec)
     add_input_limits(nodes, fused_rows(_detections(recording)))
     timeline = timeline_of(path, scenario, nodes, recording, n_frames, seed=options["seed"], mode=options["mode"])
     nodes |= timeline.links

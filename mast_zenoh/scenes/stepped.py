@@ -49,17 +49,3 @@ def check_cars(names: Iterable[str], cars: Iterable[str]) -> None:
     for name in names:
         if name not in cars:
             raise ConfigurationError(f"drivers: {name!r} is not a car of this scene{nearest(name, cars)}")
-
-
-def check_sensors(world: World) -> None:
-    """Raise ConfigurationError for sensors that do not measure in every frame, which stepped worlds do not have yet."""
-    timed = [
-        f"{world.agents[agent].name}/{world.agents[agent].sensors[sensor].name}"
-        for agent, sensor, rig in world.sensors()
-        if rig.schedule is not None
-    ]
-    if timed:
-        raise ConfigurationError(
-            f"{world.name}: {', '.join(timed[:5])}: found sensors with rate_hz or phase_s, expected sensors that "
-            "measure in every frame: a scene with drivers is stepped frame by frame"
-        )

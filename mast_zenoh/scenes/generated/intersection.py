@@ -17,7 +17,7 @@ from mast_zenoh.scenes.making.observe import World, detect, lidar_visibility, ma
 from mast_zenoh.scenes.making.sensor_types import SensorsByAgent, equip
 from mast_zenoh.scenes.making.virtual_agents import POLE_HEIGHT_M, POLE_PITCH_DEG, roof_sensors
 from mast_zenoh.scenes.recording import Recording, SceneAgent, truth_states
-from mast_zenoh.scenes.stepped import SteppedWorld, check_sensors
+from mast_zenoh.scenes.stepped import SteppedWorld
 from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
 from mast_zenoh.streams import stream
 
@@ -164,9 +164,7 @@ class Intersection(Scene):
         def snapshot(motion: Motion) -> World:
             return self._world(site, motion, motorised)
 
-        world = JunctionWorld(traffic, _names(motorised), snapshot, self.detector, steps=steps, step_s=step_s)
-        check_sensors(world.now())
-        return world
+        return JunctionWorld(traffic, _names(motorised), snapshot, self.detector, steps=steps, step_s=step_s)
 
     def _site(self, seed: int) -> _Site:
         """The junction and its road users."""
