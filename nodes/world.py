@@ -1,6 +1,6 @@
 """The world: a simulator whose scene follows from commands. Drivers drive some cars; all others react to them.
 
-In every frame it publishes what `simulator.py` does, with the same sensors, and a route for each driver. A command of a
+In every frame it publishes what nodes/simulator.py does, with the same sensors, and a route for each driver. A command of a
 frame acts in the next one. Without commands it publishes the prepared scene, bit by bit.
 """
 

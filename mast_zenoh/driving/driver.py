@@ -48,8 +48,8 @@ class Driver(ABC):
     def drive(self, situation: Situation) -> Command:
         """What the car is to do until the next frame.
 
-        The command must be within `situation.limits`: the car refuses any other. The result must not depend on the
-        order of the objects.
+        The command must be within the limits of the situation: the car refuses any other. The result must not depend on
+        the order of the objects.
         """
 
 
@@ -67,7 +67,8 @@ class FollowingDriver(Driver):
     emergency:   when it brakes as hard as it can; None: TimeToCollision()
     horizon_m:   m, how far ahead it looks
     margin_m:    m, on either side of the car, in which it brakes for objects
-    preview_s:   s, and at least `preview_m` m
+    preview_s:   s, how far ahead it steers
+    preview_m:   m, how far ahead it steers at least
     """
 
     def __init__(
