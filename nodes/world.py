@@ -1,7 +1,7 @@
 """The world: a simulator whose scene follows from commands. Drivers drive some cars; all others react to them.
 
-In every frame it publishes what nodes/simulator.py does, with the same sensors, and a route for each driver. A command of a
-frame acts in the next one. Without commands it publishes the prepared scene, bit by bit.
+In every frame it publishes what nodes/simulator.py does, with the same sensors, and a route for each driver. A command
+of a frame acts in the next one. Without commands it publishes the prepared scene, bit by bit.
 """
 
 from __future__ import annotations
@@ -85,6 +85,9 @@ class WorldSimulator(Source):
 
     def on_command(self, received: Received, context: Context) -> None:
         """What a driver wants of its car."""
+        if received.subject not in self.cars:
+            context.reject(f"unknown: {received.subject} is not one of the driven cars")
+            return
         command = Command(*(float(received.body[name][0]) for name in Command._fields))
         if reason := self.cars[received.subject].receive(received.frame, context.frame, command):
             context.reject(reason)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -78,16 +78,16 @@ def drivers(path: Path, scenario: Mapping[str, Any]) -> Iterator[tuple[str, Mapp
         yield driver_of_car(car), {"agent": car, **config}
 
 
-def rewrites(nodes: Mapping[str, NodeSpec], unused: Mapping[str, Any]) -> list[str | dict[str, Any]]:
-    """What connects drivers with the world, and with the estimates that they use. unused: ports by node"""
+def rewrites(nodes: Mapping[str, NodeSpec], inputs: Mapping[str, Collection[str]]) -> list[str | dict[str, Any]]:
+    """What connects drivers with the world, and with the estimates that they use. inputs: ports by node"""
     listening = [
         {"wire": wire, "role": "driver", "input": estimate, "node": name, **({"leg": "source"} if source else {})}
         for name, spec in nodes.items()
         if spec.role == "driver"
         for estimate, (wire, source) in _wires_of(spec).items()
-        if estimate not in unused[name]
+        if estimate in inputs[name]
     ]
-    return [MAP, {"listen": listening}] if listening else []
+    return [MAP, {"listen": listening}] if any(spec.role == "driver" for spec in nodes.values()) else []
 
 
 def _wires_of(spec: NodeSpec) -> dict[str, tuple[str, bool]]:

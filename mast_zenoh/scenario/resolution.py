@@ -83,7 +83,8 @@ def resolve(
     messages = _messages(path, nodes)
     user_types.use(messages)
     unused = {name: node.unused for name, node in zip(nodes, built_nodes, strict=True)}
-    more = [*driving.rewrites(nodes, unused), *rewrites(timeline.links, nodes)]
+    inputs = {name: node.inputs.keys() - set(node.unused) for name, node in zip(nodes, built_nodes, strict=True)}
+    more = [*driving.rewrites(nodes, inputs), *rewrites(timeline.links, nodes)]
     sources = _sources(path, scenario, more)
     wiring = _wiring(path, nodes, unused, sources)
     built = {name: (spec, node) for (name, spec), node in zip(nodes.items(), built_nodes, strict=True)}

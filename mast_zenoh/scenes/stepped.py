@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import TYPE_CHECKING
 
 from mast_zenoh.arrays.states import Floats
@@ -21,11 +21,11 @@ class SteppedWorld(ABC):
     Without commands it is, bit by bit, the scene that `Scene.record` prepares for the same seed. A command changes what
     depends on it, and nothing else: all random numbers come from streams of their own.
 
-    detector: of sensors without one of their own; cars: rows of the agents that can be driven, by name
+    detector: of sensors without one of their own; cars: names of the agents that can be driven
     """
 
     detector: Detector
-    cars: Mapping[str, int]
+    cars: Collection[str]
 
     @abstractmethod
     def now(self) -> World:

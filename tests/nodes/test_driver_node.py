@@ -95,12 +95,22 @@ def test_it_stops_at_a_line() -> None:
     assert message.body["acceleration"][0] < -2.0
 
 
-def test_a_route_without_a_way_is_rejected_and_the_frame_has_no_command() -> None:
+@pytest.mark.parametrize(
+    ("body", "kind"),
+    [
+        (route(points=1), "points"),
+        (route(points=1001), "points"),
+        (route() | {"speed": np.full(81, 1e300)}, "absurd"),
+        (route() | {"size": np.array([1e9, 2.0])}, "absurd"),
+    ],
+    ids=["short", "long", "fast", "huge"],
+)
+def test_a_route_that_leads_nowhere_is_rejected_and_the_frame_has_no_command(body: dict, kind: str) -> None:
     bench = Bench(resolved(), "driver_ego")
     bench.clock(0)
     bench.send("pose", moving(), 0)
-    assert bench.send("route", route(points=1), 0) == []
-    assert [reason for _, reason in bench.host.rejected] == ["short"]
+    assert bench.send("route", body, 0) == []
+    assert [reason for _, reason in bench.host.rejected] == [kind]
     assert drive(bench, 1, tracks()) is not None
 
 

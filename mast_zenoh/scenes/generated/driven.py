@@ -98,7 +98,8 @@ class JunctionWorld(SteppedWorld):
         steps: int,
         step_s: float,
     ) -> None:
-        self.cars, self.detector = cars, detector
+        self.cars, self.detector = tuple(cars), detector
+        self._rows = cars
         self._traffic, self._snapshot = traffic, snapshot
         self._steps, self._step_s = steps, step_s
         traffic.release()
@@ -109,13 +110,13 @@ class JunctionWorld(SteppedWorld):
         return self._snapshot(Motion(position[None], yaw[None], speed[None], path[None]))
 
     def route(self, car: str) -> RouteAhead:
-        return self._traffic.route_ahead(self.cars[car])
+        return self._traffic.route_ahead(self._rows[car])
 
     def size(self, car: str) -> Floats:
-        return self._traffic.movers.size[self.cars[car], :2]
+        return self._traffic.movers.size[self._rows[car], :2]
 
     def step(self, commands: Mapping[str, Command]) -> None:
-        self._traffic.commands = {self.cars[car]: command for car, command in commands.items()}
+        self._traffic.commands = {self._rows[car]: command for car, command in commands.items()}
         for _ in range(self._steps):
             self._traffic.move(self._chosen, self._step_s)
             self._chosen = self._traffic.decide()
