@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from driven import driven
 
 from mast_zenoh.launch import run
@@ -16,12 +17,12 @@ ATTACK = ("attack=GhostAhead", "wire=detections", "attack_start_s=0.6")
 
 
 def test_the_scene_of_the_folder_is_what_happened(tmp_path: Path) -> None:
-    ended = run.run(driven(*ATTACK, frames=16, record=True), tmp_path / "run", runtime="inproc")
+    ended = run.run(driven(*ATTACK, frames=12, record=True), tmp_path / "run", runtime="inproc")
     assert ended.error is None
-    scene, prepared = Recording.load(ended.folder / "scene.npz"), driven(frames=16).recording
+    scene, prepared = Recording.load(ended.folder / "scene.npz"), driven(frames=12).recording
     assert prepared is not None
     sent = {(message.key, message.frame): message.payload for message in read(ended.folder)}
-    for frame in range(16):
+    for frame in range(12):
         truth = codec.decode(sent["scene/truth", frame], "truth").body
         assert np.array_equal(scene.truth_at(frame).position, truth["position"])
         assert np.array_equal(scene.points_at(frame), truth["points"])
@@ -34,6 +35,7 @@ def test_the_scene_of_the_folder_is_what_happened(tmp_path: Path) -> None:
     assert not [notice for notice in ended.record["notices"] if notice["kind"] == "scene"]
 
 
+@pytest.mark.heavy
 def test_without_a_recording_it_is_told_that_pictures_show_the_prepared_scene(tmp_path: Path) -> None:
     ended = run.run(driven(frames=6), tmp_path / "run", runtime="inproc")
     (told,) = [notice["text"] for notice in ended.record["notices"] if notice["kind"] == "scene"]

@@ -11,7 +11,7 @@ from mast_zenoh import replay, scenario
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.messagelog.difference import compare
 
-pytestmark = pytest.mark.mesh
+pytestmark = [pytest.mark.mesh, pytest.mark.heavy]
 FRAMES = 24
 
 ROUGH = """

@@ -27,7 +27,7 @@ def speeds(run: Run) -> np.ndarray:
     return np.array([np.hypot(*pose.body["velocity"][:2]) for pose in run.decoded("agent/ego/pose", "pose")])
 
 
-@pytest.mark.parametrize("rough", [False, True])
+@pytest.mark.parametrize("rough", [pytest.param(False, marks=pytest.mark.heavy), True])
 def test_any_order_of_delivery_gives_the_same_bytes_encoded_or_not(rough: bool) -> None:
     plain, edit = played(*SEIZED, rough=rough), over_a_rough_link if rough else None
     for options in (dict(shuffle=1), dict(encode=False, shuffle=2)):
@@ -81,6 +81,7 @@ def test_lost_and_late_commands_are_held_then_the_car_brakes_and_that_is_counted
     assert counts["braked"] > 0
 
 
+@pytest.mark.heavy
 def test_a_second_driver_of_the_same_design_does_not_change_the_random_numbers_of_others() -> None:
     def two(content: dict[str, Any]) -> None:
         content["scene"] = content["scene"] | dict(n_mobile=1)

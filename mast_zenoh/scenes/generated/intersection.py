@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -156,7 +157,7 @@ class Intersection(Scene):
     def world(self, seed: int, frames: int | None) -> SteppedWorld:
         site = self._site(seed)
         _, start, motorised = self._drive(site, seed, frames)
-        traffic = DrivenTraffic(site.network, site.movers, seed, f"intersection/{self.scene_index}")
+        traffic = DrivenTraffic(site.junction.network, site.movers, seed, f"intersection/{self.scene_index}")
         traffic.release()
         steps, step_s = self._steps()
         traffic.run(round(_WARM_UP_S * self.rate_hz) + start, steps, step_s)
@@ -168,26 +169,21 @@ class Intersection(Scene):
 
     def _site(self, seed: int) -> _Site:
         """The junction and its road users."""
-        layout = stream(self.scene_index, "intersection")
-        arms = _arms(self.scene_index, layout)
-        density = layout.uniform(3.2, 4.8)  # motor vehicles per lane
-        network = Network.of(plan(arms), green_s=float(layout.uniform(11.0, 16.0)), red_s=2.0)
-        buildings = rows_of_buildings(arms, layout)
-        lanes = sum(arm.lanes for arm in arms)
+        junction = _junction(self.scene_index)
         movers, kinds = road_users(
-            network,
+            junction.network,
             {
-                "vehicle": self._count("n_vehicles", max(round(lanes * density), _VEHICLES, 1 + (self.n_mobile or 0))),
-                "bicycle": self._count("n_bicycles", int(layout.integers(3, 7))),
-                "pedestrian": self._count("n_pedestrians", int(layout.integers(7, 14))),
+                "vehicle": self._count("n_vehicles", max(junction.vehicles, _VEHICLES, 1 + (self.n_mobile or 0))),
+                "bicycle": self._count("n_bicycles", junction.bicycles),
+                "pedestrian": self._count("n_pedestrians", junction.pedestrians),
             },
             stream(seed, "intersection", self.scene_index, "movers"),
         )
-        return _Site(arms, network, buildings, movers, kinds)
+        return _Site(junction, movers, kinds)
 
     def _world(self, site: _Site, motion: Motion, motorised: list[int]) -> World:
         """The scene without visibility and detections, with the sensors of its agents."""
-        poles = _poles(site.arms, _POLES if self.n_infrastructure is None else self.n_infrastructure)
+        poles = _poles(site.junction.arms, _POLES if self.n_infrastructure is None else self.n_infrastructure)
         world = _world(
             f"intersection-{self.scene_index}",
             round(1e9 / self.rate_hz),
@@ -196,7 +192,7 @@ class Intersection(Scene):
             motion,
             motorised,
             poles,
-            site.buildings,
+            site.junction.buildings,
         )
         agents, rigs = equip(world.name, world.agents, self.sensors or {}, world.times_ns, world.period_ns)
         return replace(world, agents=agents, rigs=rigs)
@@ -218,7 +214,10 @@ class Intersection(Scene):
         frames = round(_WINDOW_S * self.rate_hz) if frames is None else frames
         if frames < 1:
             raise ConfigurationError(f"Intersection: {frames} frames, expected at least 1")
-        movers, traffic = site.movers, Traffic(site.network, site.movers, seed, f"intersection/{self.scene_index}")
+        movers, traffic = (
+            site.movers,
+            Traffic(site.junction.network, site.movers, seed, f"intersection/{self.scene_index}"),
+        )
         steps, dt = self._steps()
         traffic.run(round(_WARM_UP_S * self.rate_hz), steps, dt)
         window, search = round(_WINDOW_S * self.rate_hz), round(_SEARCH_S * self.rate_hz)
@@ -226,7 +225,7 @@ class Intersection(Scene):
         motion = traffic.run(search + max(window, frames), steps, dt)
         motorised = np.flatnonzero(movers.user == ROAD)
         cars = motorised[movers.size_class[motorised] == 0]
-        start, ego = _choose_ego(site.network, motion.frames(slice(search + window)), cars, window)
+        start, ego = _choose_ego(site.junction.network, motion.frames(slice(search + window)), cars, window)
         motion = motion.frames(slice(start, start + frames))
         distance = np.hypot(*np.moveaxis(motion.position[:window, motorised], -1, 0)).mean(axis=0)
         others = [int(row) for row in motorised[np.argsort(distance, kind="stable")] if row != ego]
@@ -234,12 +233,34 @@ class Intersection(Scene):
 
 
 @dataclass(frozen=True, eq=False)
-class _Site:
-    """A junction and its road users; buildings: outlines and heights, kinds: class name of each mover."""
+class _Junction:
+    """What no seed changes. buildings: outlines and heights; vehicles, bicycles, pedestrians: usual numbers"""
 
     arms: tuple[Arm, ...]
     network: Network
     buildings: tuple[tuple[Floats, ...], Floats]
+    vehicles: int
+    bicycles: int
+    pedestrians: int
+
+
+@lru_cache(maxsize=8)
+def _junction(scene_index: int) -> _Junction:
+    """The junction of a number."""
+    layout = stream(scene_index, "intersection")
+    arms = _arms(scene_index, layout)
+    density = layout.uniform(3.2, 4.8)  # motor vehicles per lane
+    network = Network.of(plan(arms), green_s=float(layout.uniform(11.0, 16.0)), red_s=2.0)
+    buildings = rows_of_buildings(arms, layout)
+    vehicles = round(sum(arm.lanes for arm in arms) * density)
+    return _Junction(arms, network, buildings, vehicles, int(layout.integers(3, 7)), int(layout.integers(7, 14)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Site:
+    """A junction and its road users; kinds: class name of each mover."""
+
+    junction: _Junction
     movers: Movers
     kinds: list[str]
 
