@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,11 @@ def test_the_scene_of_the_folder_is_what_happened(tmp_path: Path) -> None:
         assert np.array_equal(scene.detections_at(frame, 0).position, sensed["position"]), "before the adversary"
     assert np.array_equal(scene.agent_rotation[:3].round(9), prepared.agent_rotation[:3].round(9))
     assert not np.array_equal(scene.agent_position, prepared.agent_position)
+    metrics = json.loads((ended.folder / "metrics.json").read_text())
+    way = np.hypot(*np.diff(scene.agent_position[:, 0, :2], axis=0).T).sum()
+    assert metrics["driven"].keys() == {"ego"}
+    assert metrics["driven"]["ego"]["progress_m"] == pytest.approx(way)
+    assert metrics["driven"]["ego"]["collisions"] == []
     assert not [notice for notice in ended.record["notices"] if notice["kind"] == "scene"]
 
 
