@@ -39,6 +39,7 @@ LAYERS: dict[str, str] = {
     "messages": "schemas, codec, memory layout, validation",
     "v2x": "standard messages (CAM, CPM) as wire formats, when they are sent, and the load of their channel",
     "links": "network effects: loss, delay, duplication, corruption",
+    "driving": "cars that react: motion, car following, drivers, what happened to a car",
     "metrics": "compares estimates with the truth",
     "tracking": "turns detections into tracks",
     "sensing": "lidar and detector models",

@@ -211,7 +211,10 @@ class Node:
 
 
 class Source(Node, ABC):
-    """A node that drives the scene: the runtime requests each frame when it is due."""
+    """A node that drives the scene: the runtime requests each frame when it is due, or ahead of it without inputs.
+
+    It publishes in `advance` alone.
+    """
 
     period_ns: int = 100_000_000
 

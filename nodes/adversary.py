@@ -1,10 +1,10 @@
 """An adversary on a wire: receives messages and forwards manipulated ones.
 
 It sits on `detections` (between an agent's sensors and its perception), on `pose` (between its positioning and the
-agent), on `tracks` or `view` (between the agent and the command centre, or between peers), on `gossip` (between peers)
-or on `picture` (between the command centre and the agent), as the key-expression map specifies; also on several of
-them, and on those of several agents. Neither end can detect it: keys, headers and untouched rows are forwarded
-unchanged.
+agent), on `tracks` or `view` (between the agent and the command centre, or between peers), on `gossip` (between peers),
+on `picture` (between the command centre and the agent) or on `command` (between a driver and its car), as the
+key-expression map specifies; also on several of them, and on those of several agents. Neither end can detect it: keys,
+headers and untouched rows are forwarded unchanged.
 """
 
 from __future__ import annotations
@@ -58,6 +58,7 @@ class Adversary(Node):
         "view": "view",
         "picture": "picture",
         "gossip": "gossip",
+        "command": "command",
         "overheard_picture": "picture",
         "trust": "trust",
         "directive": "directive",
@@ -70,6 +71,7 @@ class Adversary(Node):
         "view_out": "view",
         "picture_out": "picture",
         "gossip_out": "gossip",
+        "command_out": "command",
         "observation": "observation",
         "report": "attack_report",
     }
@@ -174,6 +176,18 @@ class Adversary(Node):
             context.relay("gossip_out", received)
         else:
             context.relay("gossip_out", received, {**received.body, "trust": forged})
+            self.report(victim, Changes.of_message(np.zeros(3), np.zeros(3)), received, context)
+
+    def on_command(self, received: Received, context: Context) -> None:
+        """What the victim's driver wants, on its way to the car."""
+        victim, body = self.victim_of(received), received.body
+        told = float(body["acceleration"][0]), float(body["curvature"][0])
+        forged = victim.attack.forge_command(received.time_ns, *told)
+        if forged == told:
+            context.relay("command_out", received)
+        else:
+            columns = {"acceleration": np.array([forged[0]]), "curvature": np.array([forged[1]])}
+            context.relay("command_out", received, columns)
             self.report(victim, Changes.of_message(np.zeros(3), np.zeros(3)), received, context)
 
     def on_overheard_picture(self, received: Received, context: Context) -> None:

@@ -119,6 +119,7 @@ class Evaluator(Node):
         self.routes = routes(wiring, self.agents)
         self.takes = {key: getattr(self, route.take) for key, route in self.routes.items()}
         self.metered = set(self.data.meter.keys())
+        self.data.driven |= {wire.subject for wire in wiring.wires if wire.message == "command"}
         self.data.relays = self.data.relays or any(wire.message == "relayed" for wire in wiring.wires)
         for route in self.routes.values():
             self.data.record.expect(route.series)

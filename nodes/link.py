@@ -136,6 +136,10 @@ class Link(Node):
         """The picture, in transit to the agent."""
         self.carry("picture", received, context)
 
+    def on_command(self, received: Received, context: Context) -> None:
+        """A command for the agent's car, in transit to it."""
+        self.carry("command", received, context)
+
     def on_view(self, received: Received, context: Context) -> None:
         """The agent's view."""
         self.carry("view", received, context)

@@ -15,9 +15,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, overload
 
-from mast_zenoh import attacks, fusion, integrity, links, metrics, scenes, sensing, tracking, v2x
+from mast_zenoh import attacks, driving, fusion, integrity, links, metrics, scenes, sensing, tracking, v2x
 from mast_zenoh.config import bundle, loading, plugins, registry
 from mast_zenoh.config.scene_names import short_form
+from mast_zenoh.driving.following import IntelligentDriverModel
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.faults import Fault
 from mast_zenoh.faults.network import HostPartition
@@ -206,6 +207,11 @@ _BASES: Mapping[str, Mapping[str, type]] = {
         "optional metrics, listed in evaluator=dict(metrics=[…])": metrics.Metric,
         "assigners: match tracks to true objects": metrics.Assigner,
     },
+    "drivers": {
+        "drivers: command the cars of agents": driving.Driver,
+        "what a car can do": driving.CarLimits,
+        "car following of drivers": IntelligentDriverModel,
+    },
     "rules": {"generation rules: when a peer sends which objects": v2x.GenerationRules},
     "redundancy": {"redundancy rules: leave out what others have reported": v2x.RedundancyRule},
     "congestion": {"congestion control: how often a peer may send": v2x.CongestionControl},
@@ -326,8 +332,8 @@ def list_kind(kind: str) -> Listing:
 
     Entries have parameters with defaults and units.
 
-    kind: attacks, trackers, fusion, defences, scenes, links, faults, metrics, rules, redundancy, congestion, channel,
-        awareness, codecs, messages, scenarios or studies
+    kind: attacks, trackers, fusion, defences, scenes, links, faults, metrics, drivers, rules, redundancy, congestion,
+        channel, awareness, codecs, messages, scenarios or studies
 
     Raises ConfigurationError for any other.
     """

@@ -66,6 +66,13 @@ class Attack(Adversary):
         """
         return position
 
+    def forge_command(self, time_ns: int, acceleration: float, curvature: float) -> tuple[float, float]:
+        """The acceleration, m/s^2, and the curvature, 1/m, that the victim's car is told; by default its driver's.
+
+        time_ns: ns, of the command
+        """
+        return acceleration, curvature
+
     def forge_trust(self, time_ns: int, teller: str, agents: tuple[str, ...], trust: Floats) -> Floats:
         """The trust (a,) in agents that the victim is to tell others, 0 to 1; by default its own (a,).
 

@@ -58,6 +58,12 @@ class Route:
             return np.array(self.position[0])
         return np.array([np.interp(time_s, self.time_s, self.position[:, axis]) for axis in range(3)])
 
+    def time_near(self, position: Floats) -> float:
+        """s, to 0.1 s the first time at which the route is nearest to a position (>= 2,) m in the bird's-eye view."""
+        times = np.arange(self.time_s[0], self.time_s[-1] + 1e-9, 0.1)
+        offset = [np.interp(times, self.time_s, self.position[:, axis]) - position[axis] for axis in (0, 1)]
+        return float(times[np.hypot(*offset).argmin()])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AgentSensor:

@@ -22,7 +22,7 @@ _WORD = re.compile(r"[\w@.-]+")
 _RUN = "run.json"  # of every run folder
 #: What `mast list` lists; a test compares it with `api.catalogue`, which is slow to load.
 KINDS = (
-    *("attacks", "trackers", "fusion", "defences", "scenes", "links", "faults", "metrics"),
+    *("attacks", "trackers", "fusion", "defences", "scenes", "links", "faults", "metrics", "drivers"),
     *("rules", "redundancy", "congestion", "channel", "awareness", "codecs", "messages", "scenarios", "studies"),
 )
 

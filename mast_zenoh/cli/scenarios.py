@@ -53,8 +53,8 @@ def _wrapped(text: str, width: int) -> Iterator[str]:
 
 _WIDTH = 80
 _HELP = (
-    "attacks, trackers, fusion, defences, scenes, links, faults, metrics, rules, redundancy, congestion, channel, "
-    "awareness, codecs, messages, scenarios or studies. Default: all their names."
+    "attacks, trackers, fusion, defences, scenes, links, faults, metrics, drivers, rules, redundancy, congestion, "
+    "channel, awareness, codecs, messages, scenarios or studies. Default: all their names."
 )
 
 

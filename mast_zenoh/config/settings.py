@@ -14,7 +14,7 @@ from mast_zenoh.errors import ConfigurationError, nearest
 #: The keys of a scenario, described in docs/scenarios.md.
 KEYS = (
     *("name", "scene", "agents", "broker", "command_center", "centers", "peers", "channel", "evaluator"),
-    *("adversaries", "coordinator", "nodes", "links", "faults", "hosts", "keyexpr", "ros2", "run"),
+    *("drivers", "world", "adversaries", "coordinator", "nodes", "links", "faults", "hosts", "keyexpr", "ros2", "run"),
 )
 #: Those of them that hold a list, which a setting can replace.
 LISTS = ("faults",)

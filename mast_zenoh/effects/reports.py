@@ -23,7 +23,7 @@ SAME_PLACE_M = 0.05
 #: Effects on objects, in the order of `attacks.ACTIONS`.
 _ACTIONS = ("inserted", "removed", "moved", "altered", REFRAMED)
 #: Messages without objects that adversaries report as changed.
-_WITHOUT_OBJECTS = ("pose", "view", "gossip")
+_WITHOUT_OBJECTS = ("pose", "view", "gossip", "command")
 #: The effects that correspond to each of `links.FATES`, in that order. A corrupted message may still be readable.
 #: A wrong pose moves the sender in messages about itself, and else the frame of reference.
 _FATES = ((DROPPED, UNSETTLED), (DELAYED, UNSETTLED), (REPEATED,), EFFECTS, (RESTAMPED, REFRAMED, "moved"), KINDS)

@@ -14,8 +14,8 @@ from mast_zenoh.config.resolved import NodeSpec, Resolved, driver_of
 from mast_zenoh.control import results
 from mast_zenoh.control.results import EVALUATOR, TABLES, counts_of
 from mast_zenoh.errors import RunFolderError
+from mast_zenoh.launch import driven_scene, notices
 from mast_zenoh.launch import folder as run_folder
-from mast_zenoh.launch import notices
 from mast_zenoh.messagelog import churn
 from mast_zenoh.messagelog.reader import first_incomplete_frame, first_missing_frame
 from mast_zenoh.run_files import subfolder
@@ -112,6 +112,9 @@ def write(
     if outside := results.outside(handed_in, resolved.nodes):
         record["outside"] = outside
     record["notices"] = notices.of_run(resolved, record, collations, measured, refused, results.left_out(handed_in))
+    if problem := driven_scene.write(folder, resolved):
+        record["notices"].append({"kind": "scene", "count": 1, "text": problem})
+    record["notices"] += notices.of_commands(handed_in.get(driver_of(resolved.nodes), {}).get("commands"))
     metrics = handed_in.get(results.EVALUATOR, {}).get("metrics")
     if isinstance(metrics, Mapping):
         record["notices"] += notices.of_scores(metrics, record["timings"].get("frames"))

@@ -16,7 +16,7 @@ import numpy as np
 
 from mast_zenoh.config import registry
 from mast_zenoh.config.resolved import NodeSpec, Resolved
-from mast_zenoh.control.results import EVALUATOR
+from mast_zenoh.control.results import EVALUATOR, counts_of
 from mast_zenoh.errors import nearest
 from mast_zenoh.integrity import Integrity
 from mast_zenoh.messagelog import churn
@@ -115,6 +115,20 @@ def _outside(name: str, counts: Mapping[str, Any]) -> tuple[int, str]:
         if publishers > 1:
             text += f"; {publishers} publishers sent on {topic}, expected one: any of them may have answered"
     return max(1, unanswered + late), text
+
+
+def of_commands(cars: object) -> list[dict[str, Any]]:
+    """Notices of cars that had no new command in some frames. cars: what the simulator counted, by car"""
+    notices = []
+    for car, counts in cars.items() if isinstance(cars, Mapping) else ():
+        frames = counts_of(counts)
+        held, braked, refused = (frames.get(name, 0) for name in ("held", "braked", "refused"))
+        if held + braked + refused == 0:
+            continue
+        text = f"the car of {car} had no new command in {number(held + braked, 'frame')}"
+        text += f": it went on in {held} and braked in {braked}; {number(refused, 'command')} refused"
+        notices.append({"kind": "commands", "count": held + braked + refused, "text": text})
+    return notices
 
 
 def _late(late: Mapping[str, int]) -> tuple[int, str]:

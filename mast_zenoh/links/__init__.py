@@ -35,7 +35,7 @@ from mast_zenoh.links.transit import (
 )
 
 #: The types of messages that pass through a link, and ports for them; link reports contain indices into this tuple.
-WIRES = ("tracks", "status", "picture", "detections", "collated", "view", "relayed", "gossip")
+WIRES = ("tracks", "status", "picture", "detections", "collated", "view", "relayed", "gossip", "command")
 #: The effects on a message; link reports contain indices into this tuple.
 FATES = ("dropped", "delayed", "duplicated", "corrupted", "altered", "edited")
 

@@ -247,6 +247,26 @@ BUILT_IN: Mapping[str, Schema] = {
                 ),
             ),
         ),
+        Schema(
+            "route",
+            1,
+            "what a car's map and the traffic lights tell its driver, world frame",
+            (
+                Column("position", "float64", ("k", 2), "m", "points in the middle of its lane, from the car on"),
+                Column("speed", "float64", ("k",), "m/s", "greatest speed at each point"),
+                Column("stop", "float64", ("m",), "m", "from the car's front to where it must stop; no rows: nowhere"),
+                Column("size", "float64", (2,), "m", "length and width of the car"),
+            ),
+        ),
+        Schema(
+            "command",
+            1,
+            "what a driver wants of its car until the next frame",
+            (
+                Column("acceleration", "float64", (1,), "m/s²", "along the car; negative: it brakes"),
+                Column("curvature", "float64", (1,), "1/m", "of the way of its middle, positive to the left"),
+            ),
+        ),
         Schema("tracks", 1, "an agent's confirmed tracks", (*_states(), *_FRAME_OF_REFERENCE)),
         Schema(
             "relayed",
@@ -335,7 +355,7 @@ BUILT_IN: Mapping[str, Schema] = {
             1,
             "what a link did to messages in the previous step; for the evaluator only",
             (
-                Column("port", "uint8", ("n",), "", "index into mast_zenoh.links.WIRES", below=8),
+                Column("port", "uint8", ("n",), "", "index into mast_zenoh.links.WIRES", below=9),
                 Column("frame", "int64", ("n",), "", "frame of the message"),
                 Column("seq", "int64", ("n",), "", "sequence number of the message"),
                 Column("fate", "uint8", ("n",), "", "index into mast_zenoh.links.FATES", below=6),

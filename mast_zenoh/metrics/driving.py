@@ -6,7 +6,7 @@ Open loop: the corridor is along the path that the vehicle drove in the scene. P
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -73,11 +73,15 @@ class SafeDistance(BrakingRule):
         self.response_s, self.acceleration = response_s, acceleration
         self.braking, self.braking_ahead = braking, braking_ahead
 
-    def brakes(self, gap_m: Floats, speed_mps: Floats, ahead_mps: Floats) -> Bools:
+    def distance_m(self, speed_mps: Floats, ahead_mps: Floats) -> Floats:
+        """The minimum safe distance (n,) m at speeds (n,) m/s, as of `brakes`."""
         response, final_speed = self.response_s, speed_mps + self.response_s * self.acceleration
         own_m = speed_mps * response + self.acceleration * response**2 / 2.0 + final_speed**2 / (2.0 * self.braking)
         ahead_m = np.maximum(ahead_mps, 0.0) ** 2 / (2.0 * self.braking_ahead)
-        return np.asarray((speed_mps > STANDING_MPS) & (gap_m < np.maximum(own_m - ahead_m, 0.0)))
+        return np.asarray(np.maximum(own_m - ahead_m, 0.0))
+
+    def brakes(self, gap_m: Floats, speed_mps: Floats, ahead_mps: Floats) -> Bools:
+        return np.asarray((speed_mps > STANDING_MPS) & (gap_m < self.distance_m(speed_mps, ahead_mps)))
 
 
 class TimeToCollision(BrakingRule):
@@ -140,6 +144,7 @@ class Ahead(NamedTuple):
     row: (k,) of the objects;  gap_m: (k,) m, along the path from the vehicle's front
     ttc_s: (k,) s, time to collision at constant speeds, inf: never;  brake: (k,) whether the vehicle has to brake
     overlapping: (j,) rows of the objects that overlap the vehicle and are not among these
+    speed_mps: (k,) m/s, of the object along the path
     """
 
     row: Ints
@@ -147,6 +152,7 @@ class Ahead(NamedTuple):
     ttc_s: Floats
     brake: Bools
     overlapping: Ints
+    speed_mps: Floats
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -196,9 +202,8 @@ class Driving:
         speed = np.hypot(*vehicle.velocity[objects.frame[row], :2].T)
         ahead_speed = c[rows] * objects.velocity[row, 0] + s[rows] * objects.velocity[row, 1]
         rule = self.rule or SafeDistance()
-        return Ahead(
-            row, gap, time_to_collision(gap, speed, ahead_speed), rule.brakes(gap, speed, ahead_speed), overlapping
-        )
+        ttc, brake = time_to_collision(gap, speed, ahead_speed), rule.brakes(gap, speed, ahead_speed)
+        return Ahead(row, gap, ttc, brake, overlapping, ahead_speed)
 
 
 def _overlaps(vehicle: Vehicle, objects: Objects, row: Ints) -> Bools:
@@ -301,19 +306,11 @@ def drives(driving: Driving, record: Record, scores: Scores, labels: Labels) -> 
     """The behaviour of each vehicle among the agents, by (agent, estimate).
 
     "truth" is one of the estimates.
-    Only agents that are objects of the scene in all frames are vehicles.
     """
     result: dict[tuple[str, str], Drive] = {}
-    truth = scores.truth
-    for column, agent in enumerate(record.agents):
-        vehicle = _vehicle(truth, column, len(scores.frames))
-        if vehicle is None:
-            continue
-        others = (truth.boxes.id != truth.agent_object[truth.boxes.group, column]).nonzero()[0]
-        boxes = truth.boxes.select(others)
-        real = Objects(boxes.group, boxes.position, truth.velocity[others], boxes.size, boxes.yaw)
+    for agent, vehicle, real, every_id in vehicles(record.agents, scores.truth, len(scores.frames)):
         by_truth = driving.ahead(vehicle, real)
-        ids = boxes.id[by_truth.row]
+        ids = every_id[by_truth.row]
         result[agent, TRUTH] = _drive(by_truth, real, len(scores.frames))
         for estimate in ESTIMATES:
             if Series(agent, estimate) not in record.series():
@@ -329,6 +326,20 @@ def drives(driving: Driving, record: Record, scores: Scores, labels: Labels) -> 
                 drive, result[agent, TRUTH], (ahead, tracks, *false), (by_truth, real, *missed)
             )
     return result
+
+
+def vehicles(agents: Sequence[str], truth: TruthTable, n_frames: int) -> Iterator[tuple[str, Vehicle, Objects, Ints]]:
+    """Yield each vehicle among the agents: its name, itself, all other objects, and their ids (n,).
+
+    Only agents that are objects of the scene in all frames are vehicles.
+    """
+    for column, agent in enumerate(agents):
+        vehicle = _vehicle(truth, column, n_frames)
+        if vehicle is not None:
+            others = (truth.boxes.id != truth.agent_object[truth.boxes.group, column]).nonzero()[0]
+            boxes = truth.boxes.select(others)
+            objects = Objects(boxes.group, boxes.position, truth.velocity[others], boxes.size, boxes.yaw)
+            yield agent, vehicle, objects, boxes.id
 
 
 def _vehicle(truth: TruthTable, agent: int, n_frames: int) -> Vehicle | None:

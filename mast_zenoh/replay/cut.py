@@ -12,8 +12,11 @@ from mast_zenoh.node import Node
 from mast_zenoh.wiring import insertion
 from mast_zenoh.wiring.model import ANY, Branch, Endpoint, Leg, Listener, Wire, Wiring
 
-#: The roles that are played, by the place of the cut.
-PLAYED_ROLES: Mapping[str, tuple[str, ...]] = {"agents": (DRIVER_ROLE, "agent"), "simulator": (DRIVER_ROLE,)}
+#: The roles that are played, by the place of the cut; drivers, because a recorded truth follows from their commands.
+PLAYED_ROLES: Mapping[str, tuple[str, ...]] = {
+    "agents": (DRIVER_ROLE, "driver", "agent"),
+    "simulator": (DRIVER_ROLE, "driver"),
+}
 Place = Literal["agents", "simulator"]
 
 #: Roles that are on wires, or direct nodes that are.

@@ -18,6 +18,7 @@ from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.metrics.achievement import ALL
 from mast_zenoh.pipelines.agent import DUE, IDLE
 from mast_zenoh.ros2.outside import ros2_name
+from mast_zenoh.scenario import driving
 from mast_zenoh.scenes.agents import best_pattern
 from mast_zenoh.scenes.recording import NO_MEASUREMENT, Recording
 from mast_zenoh.sensing import LidarSensor
@@ -28,14 +29,19 @@ ON_EXIT = ("fail", "continue", "restart")
 #: s, between two rows of a route.
 ROUTE_STEP_S = 0.5
 
-_DEFAULT_ON_EXIT = dict.fromkeys(("agent", "peer", "adversary", "coordinator", "link"), "continue")
+_DEFAULT_ON_EXIT = dict.fromkeys(("agent", "peer", "driver", "adversary", "coordinator", "link"), "continue")
 _CONTROLS = ("type", "file", "on_exit", "role")
 
 
 def nodes_of(
-    path: Path, scenario: Mapping[str, Any], recording: Recording, frames: int, record: bool
+    path: Path,
+    scenario: Mapping[str, Any],
+    recording: Recording,
+    frames: int,
+    record: bool,
+    scene: Mapping[str, Any],
 ) -> dict[str, NodeSpec]:
-    """The specs of all nodes except the links, the simulator first."""
+    """The specs of all nodes except the links, the simulator first. scene: its spec"""
     specs: dict[str, NodeSpec] = {}
 
     def add(name: str, role: str, config: Mapping[str, Any]) -> None:
@@ -47,7 +53,7 @@ def nodes_of(
             raise ConfigurationError(f"{path}: {name}: another node already has this name")
         specs[name] = node_spec(path, name, role, config)
 
-    add("simulator", "simulator", {"recording": recording, "frames": frames})
+    add("simulator", "simulator", driving.simulator_config(path, scenario, recording, frames, scene))
     patterns = scenario.get("agents", {"*": {}})
     for row, agent in enumerate(recording.agents):
         pattern = best_pattern(patterns, agent.name)
@@ -74,6 +80,8 @@ def nodes_of(
         if config.get("awareness") is not None:
             config = {**_vehicle_parameters(recording, agents.index(agent_name)), **config}
         add(peer_of(agent_name), "peer", {"agent": agent_name, **config})
+    for name, config in driving.drivers(path, scenario):
+        add(name, "driver", config)
     if scenario.get("channel") is not None:
         add("channel", "channel", scenario["channel"])
     adversaries = scenario.get("adversaries", {})

@@ -46,7 +46,8 @@ RUN_DEFAULTS: dict[str, Any] = {
 #: Keys whose values are dicts; those of what a run can do without may be None.
 _DICTS = (
     *("broker", "command_center", "channel", "evaluator", "coordinator"),
-    *("agents", "centers", "peers", "adversaries", "nodes", "links", "hosts", "keyexpr", "ros2", "run"),
+    *("agents", "centers", "peers", "drivers", "world", "adversaries", "nodes", "links", "hosts", "keyexpr", "ros2"),
+    "run",
 )
 _OPTIONAL = ("broker", "command_center", "channel", "coordinator", "ros2")
 

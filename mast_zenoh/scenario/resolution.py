@@ -21,6 +21,7 @@ from mast_zenoh.messages.limits import LEEWAY_S, fused_rows, limits_for
 from mast_zenoh.messages.schemas import Schema
 from mast_zenoh.node import Node
 from mast_zenoh.ros2.connection import BridgeConfig
+from mast_zenoh.scenario import driving
 from mast_zenoh.scenario.cooperation import check_cooperation, uncovered
 from mast_zenoh.scenario.nodes import (
     add_input_limits,
@@ -83,7 +84,8 @@ def resolve(
     cache_key = json.dumps(scene_spec, sort_keys=True)
     recording = scenes.prepare(scene, options["seed"], options["frames"], cache_key)
     n_frames = len(recording) if options["frames"] is None else min(options["frames"], len(recording))
-    nodes = nodes_of(path, scenario, recording, n_frames, record and options["record"])
+    recorded = record and options["record"]
+    nodes = nodes_of(path, scenario, recording, n_frames, recorded, scene_spec)
     add_input_limits(nodes, fused_rows(_detections(recording)))
     if connection is not None:
         add_ros2(nodes, connection.to_json())
@@ -95,7 +97,9 @@ def resolve(
     messages = _messages(path, nodes)
     user_types.use(messages)
     unused = {name: node.unused for name, node in zip(nodes, built_nodes, strict=True)}
-    sources = _sources(path, scenario, rewrites(timeline.links, nodes))
+    inputs = {name: node.inputs.keys() - set(node.unused) for name, node in zip(nodes, built_nodes, strict=True)}
+    more = [*driving.rewrites(nodes, inputs), *rewrites(timeline.links, nodes)]
+    sources = _sources(path, scenario, more)
     wiring = _wiring(path, nodes, unused, sources)
     built = {name: (spec, node) for (name, spec), node in zip(nodes.items(), built_nodes, strict=True)}
     check_cooperation(path, built, sources, wiring, recording.period_ns)
@@ -161,9 +165,9 @@ def _messages(path: Path, nodes: Mapping[str, NodeSpec]) -> tuple[Schema, ...]:
 
 
 def _uses_shipped_simulator(nodes: Mapping[str, NodeSpec]) -> bool:
-    """Whether the shipped simulator plays the scene; others may use other times."""
-    shipped = (bundle.ROOT / "nodes" / "simulator.py").resolve()
-    return all(Path(spec.file).resolve() == shipped for spec in nodes.values() if spec.role == DRIVER_ROLE)
+    """Whether a shipped simulator plays the scene; others may use other times."""
+    shipped = [(bundle.ROOT / "nodes" / name).resolve() for name in ("simulator.py", "world.py")]
+    return all(Path(spec.file).resolve() in shipped for spec in nodes.values() if spec.role == DRIVER_ROLE)
 
 
 def _detections(recording: Recording) -> np.ndarray:

@@ -5,9 +5,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
+from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.scenes.recording import Recording
+
+if TYPE_CHECKING:
+    from mast_zenoh.scenes.stepped import SteppedWorld
 
 
 class Scene(ABC):
@@ -40,6 +44,16 @@ class Scene(ABC):
         The result depends on (self, seed) alone. Raises SceneError with file, place and reason when data is missing,
         truncated or inconsistent, and ConfigurationError for an invalid parameter.
         """
+
+    def world(self, seed: int, frames: int | None) -> SteppedWorld:
+        """The scene of `record` as a world that drivers change, in its first frame.
+
+        Raises ConfigurationError for a scene that cannot be stepped: only `record` is required of a scene.
+        """
+        raise ConfigurationError(
+            f"scene: {type(self).__name__} cannot be stepped, so its cars cannot be driven: expected Intersection, or "
+            "a scene of yours that defines `world`; or leave out `drivers`"
+        )
 
     def inputs(self) -> Sequence[Path]:
         """Files and folders that the recording depends on; the disk cache tracks them."""

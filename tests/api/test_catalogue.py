@@ -10,7 +10,20 @@ import pytest
 from typer.testing import CliRunner
 
 import mast_zenoh as mast
-from mast_zenoh import attacks, faults, fusion, integrity, links, metrics, pipelines, scenes, sensing, tracking, v2x
+from mast_zenoh import (
+    attacks,
+    driving,
+    faults,
+    fusion,
+    integrity,
+    links,
+    metrics,
+    pipelines,
+    scenes,
+    sensing,
+    tracking,
+    v2x,
+)
 from mast_zenoh.api.catalogue import KINDS, Entry, described, unit_of
 from mast_zenoh.cli.app import app
 from mast_zenoh.config import bundle, registry
@@ -34,6 +47,7 @@ BASES: dict[str, list[type]] = {
     "links": [links.Rule],
     "faults": [faults.Fault],
     "metrics": [metrics.Metric, metrics.Assigner],
+    "drivers": [driving.Driver, driving.CarLimits],
     "rules": [v2x.GenerationRules],
     "redundancy": [v2x.RedundancyRule],
     "congestion": [v2x.CongestionControl],

@@ -150,6 +150,13 @@ def whole_scenario(block: Block, folder: Path) -> None:
     assert scenario.resolve(path, content, frames=120).nodes
 
 
+def played_scenario(block: Block, folder: Path) -> None:
+    (folder / "mine.py").write_text(block.content)
+    path, content = scenario.load(str(folder / "mine.py"))
+    run = launcher.run(scenario.resolve(path, content, frames=14), folder / "played", runtime="inproc")
+    assert run.error is None
+
+
 def random_faults(block: Block, folder: Path) -> None:
     assert all(registry.build(fault, Fault, "faults") for fault in executed(block)["faults"])
 
@@ -242,6 +249,7 @@ def message_of_ros(block: Block, folder: Path) -> None:
 
 #: By page the function that runs its Python blocks in order; None: another test runs them.
 RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
+    "driving.md": [whole_scenario, played_scenario],
     "exports.md": [None],  # test_export_labels.py
     "faults.md": [part_of_a_scenario, part_of_a_scenario, random_faults, fault_of_ones_own],
     "fusion.md": [whole_scenario],

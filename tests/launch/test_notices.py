@@ -46,6 +46,18 @@ def test_the_notice_of_tracks_left_out_names_their_agents(world: Resolved) -> No
     assert "input_limit" in text
 
 
+def test_a_car_without_new_commands_has_a_notice_and_an_obedient_one_has_none() -> None:
+    counts = dict(commanded=100, held=3, braked=2, refused=1)
+    obedient = dict(commanded=105, held=0, braked=0, refused=0)
+    (notice,) = notices.of_commands({"ego": counts, "mobile_1": obedient})
+    assert (notice["kind"], notice["count"]) == ("commands", 6)
+    assert notice["text"] == (
+        "the car of ego had no new command in 5 frames: it went on in 3 and braked in 2; 1 command refused"
+    )
+    for invalid in (None, [], "ego", {"ego": None}, {"ego": {"held": -1, "braked": "many"}}):
+        assert notices.of_commands(invalid) == []
+
+
 def node(**counted: Any) -> dict[str, Any]:
     return {"rejected": {}, "first_rejected": {}, "foreign": {}} | counted
 

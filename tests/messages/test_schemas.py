@@ -55,9 +55,11 @@ def test_ports_of_shipped_nodes_have_known_message_types(node: type[Node]) -> No
         assert callable(getattr(node, f"on_{port}")), schema
 
 
-def test_each_role_has_one_shipped_node_named_after_it_centres_have_a_broker_of_their_own_and_ros_has_some() -> None:
+def test_each_role_has_shipped_nodes_named_after_it() -> None:
+    """Centres have a broker of their own, a world is a simulator too, and some roles have a node of ROS 2."""
+    roles = {"center_broker": "broker", "world": "simulator"}
     files = [Path(name).stem.removeprefix("ros2_") for name in bundle.names("nodes")]
-    assert sorted(node.role for node in SHIPPED_NODES) == sorted("broker" if f == "center_broker" else f for f in files)
+    assert sorted(node.role for node in SHIPPED_NODES) == sorted(roles.get(file, file) for file in files)
 
 
 def test_every_message_type_is_used() -> None:

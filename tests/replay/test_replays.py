@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from driven import driven
 from recorded_runs import FRAMES, RUNS
 from tiny_world import Run as Played
 
@@ -64,6 +65,16 @@ def test_nodes_are_divided_at_the_cut(
     division = divided(name, place)
     assert division.played == played | {"simulator"}
     assert division.live == live
+
+
+@pytest.mark.parametrize(("place", "agents"), [("agents", {"ego", "infra_1"}), ("simulator", set())])
+def test_drivers_and_what_is_on_their_commands_are_played_as_the_truth_follows_from_them(
+    place: Place, agents: set[str]
+) -> None:
+    resolved = driven("attack=SeizedCommands", frames=4, record=True)
+    roles = {name: spec.role for name, spec in resolved.nodes.items()}
+    division = cut(Wiring.from_json(resolved.wiring), roles, place)
+    assert division.played == {"simulator", "driver_ego", "adversary_1", *agents}
 
 
 def test_all_players_and_live_nodes_receive_the_clock_once(divided: Callable[[str, Place], Cut]) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import failing
 import pytest
+from driven import driven, over_a_rough_link
 from simulated_runs import (
     assert_equals_one_process,
     assert_same_messages,
@@ -131,6 +132,11 @@ def test_a_real_log_gives_the_same_messages_as_in_one_process() -> None:
     settings = (f"scene=av2:{logs[0].parent}", "n_infrastructure=1", "n_adversaries=1")
     resolved = resolve("uncoordinated", *settings, frames=8)
     assert_equals_one_process(resolved)
+
+
+def test_a_world_that_waits_for_commands_gives_the_same_messages_as_in_one_process() -> None:
+    resolved = driven("attack=SeizedCommands", "attack_start_s=0.6", edit=over_a_rough_link, frames=12, record=True)
+    assert_equals_one_process(resolved, *harmless_schedules(resolved, 2))
 
 
 @pytest.mark.parametrize("seed", TWENTY)

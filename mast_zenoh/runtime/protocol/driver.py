@@ -84,7 +84,7 @@ class DriverState(Enum):
 
 
 class DriverProtocol(NodeProtocol):
-    """A NodeProtocol whose node is a Source: it has no inputs and publishes in `advance`.
+    """A NodeProtocol whose node is a Source: it publishes in `advance`.
 
     arguments, options: of NodeProtocol
     expected: name to role of all nodes
@@ -356,7 +356,8 @@ class DriverProtocol(NodeProtocol):
         if not self.scene.send(self.frames):
             return False
         self.report()
-        self.scene.prepare()
+        if not self.host.subscriptions:  # otherwise the next frame depends on what arrives during this one
+            self.scene.prepare()
         return True
 
     def _emit(self, message: Outgoing) -> None:
@@ -382,7 +383,7 @@ class DriverProtocol(NodeProtocol):
 
 @dataclass(eq=False)
 class SceneFrames:
-    """Prepares each frame while the mesh handles the previous one.
+    """Prepares each frame while the mesh handles the previous one, if it does not depend on that.
 
     Until it is sent, a frame is only bytes in this process: no node can act on it too early.
 
@@ -420,4 +421,5 @@ class SceneFrames:
         for message in self._ready:
             self.send_message(message)
             self.sent[message.key] += 1
+        self._ready = None
         return True

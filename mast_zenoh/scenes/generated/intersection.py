@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -10,12 +11,14 @@ from mast_zenoh.arrays.geometry import rotation_from_yaw, rotation_from_yaw_pitc
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats, Ints, ObjectStates
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.scenes.base import Scene
+from mast_zenoh.scenes.generated.driven import DrivenTraffic, JunctionWorld
 from mast_zenoh.scenes.generated.junction import PAVEMENT, PAVEMENT_END, REACH, ROAD, Arm, arms_of, corners, plan
 from mast_zenoh.scenes.generated.traffic import Motion, Movers, Network, Traffic, road_users
 from mast_zenoh.scenes.making.observe import World, detect, lidar_visibility, make_recording
 from mast_zenoh.scenes.making.sensor_types import SensorsByAgent, equip
 from mast_zenoh.scenes.making.virtual_agents import POLE_HEIGHT_M, POLE_PITCH_DEG, roof_sensors
 from mast_zenoh.scenes.recording import Recording, SceneAgent, truth_states
+from mast_zenoh.scenes.stepped import SteppedWorld
 from mast_zenoh.sensing import Camera, DetectionModel, Detector, LidarSensor
 from mast_zenoh.streams import stream
 
@@ -145,65 +148,126 @@ class Intersection(Scene):
             raise ConfigurationError(f"Intersection: rate_hz is {self.rate_hz}, expected 1 to 100")
 
     def record(self, seed: int, frames: int | None) -> Recording:
-        frames = round(_WINDOW_S * self.rate_hz) if frames is None else frames
-        if frames < 1:
-            raise ConfigurationError(f"Intersection: {frames} frames, expected at least 1")
-        n_mobile = self.n_mobile or 0
-        layout = stream(self.scene_index, "intersection")
-        arms = _arms(self.scene_index, layout)
-        density = layout.uniform(3.2, 4.8)  # motor vehicles per lane
-        network = Network.of(plan(arms), green_s=float(layout.uniform(11.0, 16.0)), red_s=2.0)
-        buildings, heights = rows_of_buildings(arms, layout)
-        lanes = sum(arm.lanes for arm in arms)
+        site = self._site(seed)
+        motion, _, motorised = self._drive(site, seed, frames)
+        world = self._world(site, motion, motorised)
+        points = lidar_visibility(world)
+        return make_recording(world, points, *detect(world, points, self.detector, seed))
+
+    def world(self, seed: int, frames: int | None) -> SteppedWorld:
+        site = self._site(seed)
+        _, start, motorised = self._drive(site, seed, frames)
+        traffic = DrivenTraffic(site.junction.network, site.movers, seed, f"intersection/{self.scene_index}")
+        traffic.release()
+        steps, step_s = self._steps()
+        traffic.run(round(_WARM_UP_S * self.rate_hz) + start, steps, step_s)
+
+        def snapshot(motion: Motion) -> World:
+            return self._world(site, motion, motorised)
+
+        return JunctionWorld(traffic, _names(motorised), snapshot, self.detector, steps=steps, step_s=step_s)
+
+    def _site(self, seed: int) -> _Site:
+        """The junction and its road users."""
+        junction = _junction(self.scene_index)
         movers, kinds = road_users(
-            network,
+            junction.network,
             {
-                "vehicle": self._count("n_vehicles", max(round(lanes * density), _VEHICLES, 1 + n_mobile)),
-                "bicycle": self._count("n_bicycles", int(layout.integers(3, 7))),
-                "pedestrian": self._count("n_pedestrians", int(layout.integers(7, 14))),
+                "vehicle": self._count("n_vehicles", max(junction.vehicles, _VEHICLES, 1 + (self.n_mobile or 0))),
+                "bicycle": self._count("n_bicycles", junction.bicycles),
+                "pedestrian": self._count("n_pedestrians", junction.pedestrians),
             },
             stream(seed, "intersection", self.scene_index, "movers"),
         )
-        motion, ego, others = self._drive(network, movers, seed, frames)
-        motorised = [ego, *others[:n_mobile]]
+        return _Site(junction, movers, kinds)
+
+    def _world(self, site: _Site, motion: Motion, motorised: list[int]) -> World:
+        """The scene without visibility and detections, with the sensors of its agents."""
+        poles = _poles(site.junction.arms, _POLES if self.n_infrastructure is None else self.n_infrastructure)
         world = _world(
             f"intersection-{self.scene_index}",
             round(1e9 / self.rate_hz),
-            movers,
-            kinds,
+            site.movers,
+            site.kinds,
             motion,
             motorised,
-            _poles(arms, _POLES if self.n_infrastructure is None else self.n_infrastructure),
-            (buildings, heights),
+            poles,
+            site.junction.buildings,
         )
         agents, rigs = equip(world.name, world.agents, self.sensors or {}, world.times_ns, world.period_ns)
-        world = replace(world, agents=agents, rigs=rigs)
-        points = lidar_visibility(world)
-        return make_recording(world, points, *detect(world, points, self.detector, seed))
+        return replace(world, agents=agents, rigs=rigs)
 
     def _count(self, name: str, default: int) -> int:
         configured: int | None = getattr(self, name)
         return default if configured is None else configured
 
-    def _drive(self, network: Network, movers: Movers, seed: int, frames: int) -> tuple[Motion, int, list[int]]:
-        """The motion in the recorded frames, the ego, and the other motor vehicles.
-
-        The other vehicles are sorted by their distance from the junction.
-        """
+    def _steps(self) -> tuple[int, float]:
+        """Steps of the traffic in a frame, and the length of a step, s."""
         steps = int(np.ceil(10.0 / self.rate_hz - 1e-9))
-        dt = 1.0 / (self.rate_hz * steps)
-        traffic = Traffic(network, movers, seed, f"intersection/{self.scene_index}")
+        return steps, 1.0 / (self.rate_hz * steps)
+
+    def _drive(self, site: _Site, seed: int, frames: int | None) -> tuple[Motion, int, list[int]]:
+        """The motion in the recorded frames, the first of them after the warm-up, and the agents among the vehicles.
+
+        The ego comes first, and the others by their distance from the junction.
+        """
+        frames = round(_WINDOW_S * self.rate_hz) if frames is None else frames
+        if frames < 1:
+            raise ConfigurationError(f"Intersection: {frames} frames, expected at least 1")
+        movers, traffic = (
+            site.movers,
+            Traffic(site.junction.network, site.movers, seed, f"intersection/{self.scene_index}"),
+        )
+        steps, dt = self._steps()
         traffic.run(round(_WARM_UP_S * self.rate_hz), steps, dt)
         window, search = round(_WINDOW_S * self.rate_hz), round(_SEARCH_S * self.rate_hz)
         # The choice depends only on the window, so that a shorter recording is the start of a longer one.
         motion = traffic.run(search + max(window, frames), steps, dt)
         motorised = np.flatnonzero(movers.user == ROAD)
         cars = motorised[movers.size_class[motorised] == 0]
-        start, ego = _choose_ego(network, motion.frames(slice(search + window)), cars, window)
+        start, ego = _choose_ego(site.junction.network, motion.frames(slice(search + window)), cars, window)
         motion = motion.frames(slice(start, start + frames))
         distance = np.hypot(*np.moveaxis(motion.position[:window, motorised], -1, 0)).mean(axis=0)
         others = [int(row) for row in motorised[np.argsort(distance, kind="stable")] if row != ego]
-        return motion, ego, others
+        return motion, start, [ego, *others[: self.n_mobile or 0]]
+
+
+@dataclass(frozen=True, eq=False)
+class _Junction:
+    """What no seed changes. buildings: outlines and heights; vehicles, bicycles, pedestrians: usual numbers"""
+
+    arms: tuple[Arm, ...]
+    network: Network
+    buildings: tuple[tuple[Floats, ...], Floats]
+    vehicles: int
+    bicycles: int
+    pedestrians: int
+
+
+@lru_cache(maxsize=8)
+def _junction(scene_index: int) -> _Junction:
+    """The junction of a number."""
+    layout = stream(scene_index, "intersection")
+    arms = _arms(scene_index, layout)
+    density = layout.uniform(3.2, 4.8)  # motor vehicles per lane
+    network = Network.of(plan(arms), green_s=float(layout.uniform(11.0, 16.0)), red_s=2.0)
+    buildings = rows_of_buildings(arms, layout)
+    vehicles = round(sum(arm.lanes for arm in arms) * density)
+    return _Junction(arms, network, buildings, vehicles, int(layout.integers(3, 7)), int(layout.integers(7, 14)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Site:
+    """A junction and its road users; kinds: class name of each mover."""
+
+    junction: _Junction
+    movers: Movers
+    kinds: list[str]
+
+
+def _names(motorised: list[int]) -> dict[str, int]:
+    """The mover of each agent that is a motor vehicle, by name."""
+    return {"ego" if k == 0 else f"mobile_{k}": row for k, row in enumerate(motorised)}
 
 
 def _kind(scene_index: int) -> str:
@@ -266,9 +330,8 @@ def _world(
     frames, n = motion.yaw.shape
     heights = movers.size[:, 2]
     agents = []
-    for k, row in enumerate(motorised):
-        sensors = roof_sensors(float(heights[row]))
-        agents.append(SceneAgent("ego" if k == 0 else f"mobile_{k}", "mobile", row, *sensors))
+    for name_of_car, row in _names(motorised).items():
+        agents.append(SceneAgent(name_of_car, "mobile", row, *roof_sensors(float(heights[row]))))
     for k in range(len(poles)):
         pole = Camera(mount_position=np.zeros(3))
         agents.append(SceneAgent(f"infra_{k + 1}", "static", -1, LidarSensor.infrastructure(), pole))

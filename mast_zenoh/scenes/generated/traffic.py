@@ -211,6 +211,8 @@ class Traffic:
         #: (n,) s, time of the first refused request for the right of way; inf: no request. A mover keeps requesting,
         #: even if it has slowed down so much that it need not decide yet.
         self.refused = np.full(n, np.inf)
+        #: (n,) whether each mover must stop at the line, by the last decision.
+        self.must_stop = np.zeros(n, bool)
         self._signalled = np.array(
             [bool(lane.follow) and network.lanes[lane.follow[0]].connector for lane in network.lanes]
         )
@@ -244,26 +246,38 @@ class Traffic:
 
     def step(self, dt: float) -> None:
         """Advance the simulation by `dt` s."""
+        self.move(self.decide(), dt)
+
+    def decide(self) -> Floats:
+        """Acceleration (n,) m/s^2 that each mover chooses now; grants rights of way, so once before each `move`."""
         movers, table = self.movers, self.network.table
         end = table.length[self.route[:, 0]]
         gap, leader_speed = self._leader()
         to_line = end - self.s - movers.size[:, 0] / 2
-        must_stop = self._right_of_way(to_line)
+        self.must_stop = self._right_of_way(to_line)
         acceleration = np.minimum(
             self._follow(gap, leader_speed),
-            np.where(must_stop, self._follow(to_line + movers.gap - _STOP_AHEAD, np.zeros(len(gap))), np.inf),
+            np.where(self.must_stop, self._follow(to_line + movers.gap - _STOP_AHEAD, np.zeros(len(gap))), np.inf),
         )
         ahead = table.limit_at(self.route[:, 1], np.zeros(len(gap)))
         desired_speed = np.minimum(movers.speed, table.limit_at(self.route[:, 0], self.s))
         desired_speed = np.minimum(desired_speed, np.sqrt(ahead**2 + 2 * _COMFORT * np.maximum(end - self.s, 0.0)))
         free = np.maximum(movers.acceleration * (1.0 - (self.v / desired_speed) ** 4), -movers.braking)
         # The intelligent driver's acceleration is the free one plus the (negative) interaction.
-        acceleration = np.clip(free + np.minimum(acceleration, 0.0), -_HARDEST_BRAKING, movers.acceleration)
+        return np.asarray(np.clip(free + np.minimum(acceleration, 0.0), -_HARDEST_BRAKING, movers.acceleration))
+
+    def move(self, acceleration: Floats, dt: float) -> None:
+        """Move all movers for `dt` s. acceleration: (n,) m/s^2"""
+        end = self.network.table.length[self.route[:, 0]]
         new_speed = np.maximum(self.v + acceleration * dt, 0.0)
-        self.s += (self.v + new_speed) / 2 * dt
+        self.s += self._progress((self.v + new_speed) / 2 * dt)
         self.v = new_speed
         self.time += dt
         self._advance(end)
+
+    def _progress(self, distance: Floats) -> Floats:
+        """Progress (n,) m along the paths of movers that drive a distance (n,) m."""
+        return distance
 
     def _leader(self) -> tuple[Floats, Floats]:
         """Free distance (n,) m to the mover ahead of each, and its speed (n,) m/s."""

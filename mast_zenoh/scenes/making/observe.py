@@ -131,13 +131,15 @@ class Moment:
     rotation: Floats
 
 
-def lidar_visibility(world: World, columns: Sequence[int] | None = None) -> NDArray[np.int32]:
+def lidar_visibility(
+    world: World, columns: Sequence[int] | None = None, walls: Walls | None = None
+) -> NDArray[np.int32]:
     """Lidar returns (N, A) of each truth row at each agent's first sensor, by ray casting.
 
-    columns: the agents to compute; None: all
+    columns: the agents to compute; None: all; walls: of the world's buildings; None: they are computed
     """
     points = np.zeros((len(world.truth), len(world.agents)), np.int32)
-    walls = Walls.of_buildings(world.buildings, world.building_height)
+    walls = Walls.of_buildings(world.buildings, world.building_height) if walls is None else walls
     for frame in range(len(world.times_ns)):
         for column in range(len(world.agents)) if columns is None else columns:
             moment = world.moment(column, Rig(), frame)
@@ -171,21 +173,51 @@ def detect(
     ground: (F, A) m, z of the ground at each agent; None: 0.
     recorded: agents whose lidar returns the data gives: they count for measurements between frames, too
     """
-    walls = Walls.of_buildings(world.buildings, world.building_height)
-    sensors = [
-        (agent, sensor, rig, (rig.detector or detector).begin(world.agents[agent].name, described.name, period_s))
-        for agent, sensor, rig in world.sensors()
-        for described in [world.agents[agent].sensors[sensor]]
-        for period_s in [_period_s(world, rig)]
-    ]
+    detection = FrameDetection(world, detector, seed)
     batches: list[Detections] = []
     ids: list[Ints] = []
     for frame in range(len(world.times_ns)):
-        for agent, sensor, rig, own_detector in sensors:
+        for detections, truth_id in detection.of(world, frame, points, ground, recorded):
+            batches.append(detections)
+            ids.append(truth_id)
+    flat = Detections(*(np.concatenate([getattr(part, name) for part in batches]) for name in DETECTION_COLUMNS))
+    return flat, np.cumsum([0, *map(len, ids)]), np.concatenate(ids)
+
+
+class FrameDetection:
+    """Detects objects frame by frame; errors of a sensor that last go on from one frame to the next.
+
+    world: its agents, sensors and buildings; detector: of sensors without one of their own; seed: of the run
+    """
+
+    def __init__(self, world: World, detector: Detector, seed: int) -> None:
+        self.walls = Walls.of_buildings(world.buildings, world.building_height)
+        self._seed = seed
+        self._sensors = [
+            (agent, sensor, rig, (rig.detector or detector).begin(world.agents[agent].name, described.name, period_s))
+            for agent, sensor, rig in world.sensors()
+            for described in [world.agents[agent].sensors[sensor]]
+            for period_s in [_period_s(world, rig)]
+        ]
+
+    def of(
+        self,
+        world: World,
+        frame: int,
+        points: NDArray[np.int32],
+        ground: Floats | None = None,
+        recorded: Sequence[int] = (),
+        number: int | None = None,
+    ) -> Iterator[tuple[Detections, Ints]]:
+        """Yield the detections of each sensor in a frame, and the truth ids (n,) of these, -1 for clutter.
+
+        world: with at least this frame; number: of the frame in the run, None: `frame`; the others as for `detect`
+        """
+        number = frame if number is None else number
+        for agent, sensor, rig, own_detector in self._sensors:
             moment = world.moment(agent, rig, frame)
             if moment is None:
-                batches.append(Detections.empty())
-                ids.append(np.zeros(0, np.int64))
+                yield Detections.empty(), np.zeros(0, np.int64)
                 continue
             described = world.agents[agent]
             lidar = described.sensors[sensor].lidar
@@ -193,19 +225,21 @@ def detect(
             if sensor == 0 and (at_frame or agent in recorded):
                 returns = points[world.rows(moment.source), agent]
             else:
-                returns = _returns(world, agent, lidar, moment, walls)
-            detections, truth_id = own_detector.detect(
+                returns = _returns(world, agent, lidar, moment, self.walls)
+            yield own_detector.detect(
                 moment.truth,
                 returns,
                 lidar,
                 *sensor_pose(moment.position, moment.rotation, lidar.mount_position, lidar.mount_rotation),
                 0.0 if ground is None else float(ground[frame, agent]),
-                stream(seed, "detector", described.name, frame, *([described.sensors[sensor].name] if sensor else [])),
+                stream(
+                    self._seed,
+                    "detector",
+                    described.name,
+                    number,
+                    *([described.sensors[sensor].name] if sensor else []),
+                ),
             )
-            batches.append(detections)
-            ids.append(truth_id)
-    flat = Detections(*(np.concatenate([getattr(part, name) for part in batches]) for name in DETECTION_COLUMNS))
-    return flat, np.cumsum([0, *map(len, ids)]), np.concatenate(ids)
 
 
 def _period_s(world: World, rig: Rig) -> float:
@@ -233,9 +267,9 @@ def _measurements(world: World) -> Measurements | None:
     return Measurements(age, position, rotation)
 
 
-def _seen(world: World, points: NDArray[np.int32]) -> NDArray[np.int32]:
+def most_seen(world: World, points: NDArray[np.int32], walls: Walls | None = None) -> NDArray[np.int32]:
     """Lidar returns (N, A) at the agents: the most that one of their sensors has at the times of the frames."""
-    walls = Walls.of_buildings(world.buildings, world.building_height)
+    walls = Walls.of_buildings(world.buildings, world.building_height) if walls is None else walls
     for agent, sensor, _ in world.sensors():
         for frame in range(len(world.times_ns)) if sensor else ():
             moment = world.moment(agent, Rig(), frame)
@@ -256,7 +290,7 @@ def make_recording(
         times_ns=world.times_ns,
         truth=world.truth,
         truth_start=world.truth_start,
-        points=_seen(world, points),
+        points=most_seen(world, points),
         agent_position=world.agent_position,
         agent_rotation=world.agent_rotation,
         agent_velocity=world.agent_velocity,
@@ -283,23 +317,29 @@ def with_sweeps(recording: Recording) -> Recording:
 
 def _sweeps(recording: Recording, agent: int) -> NDArray[np.float32]:
     """(F, bands, sectors) float32, m, of one agent."""
-    described = recording.agents[agent]
-    rays = SweepRays.of(described.sensor)
     walls = Walls.of_buildings(recording.buildings, recording.building_height)
-    sweeps = np.empty((len(recording), rays.bands, rays.sectors), np.float32)
-    background, last_pose = np.zeros(0), b""
-    for frame in range(len(recording)):
-        position, rotation = sensor_pose(
-            recording.agent_position[frame, agent],
-            recording.agent_rotation[frame, agent],
-            described.sensor.mount_position,
-            described.sensor.mount_rotation,
-        )
+    caster = SweepCaster(recording.agents[agent], walls)
+    poses = recording.agent_position[:, agent], recording.agent_rotation[:, agent]
+    return np.stack([caster.sweep(recording.truth_at(k), *pose) for k, pose in enumerate(zip(*poses, strict=True))])
+
+
+class SweepCaster:
+    """How far an agent's first sensor sees in each direction, frame by frame."""
+
+    def __init__(self, agent: SceneAgent, walls: Walls) -> None:
+        self._agent, self._walls = agent, walls
+        self._rays = SweepRays.of(agent.sensor)
+        self._background, self._last_pose = np.zeros(0), b""
+
+    def sweep(self, truth: ObjectStates, position: Floats, rotation: Floats) -> NDArray[np.float32]:
+        """(bands, sectors) m that each direction is free. position (3,) m, rotation (3, 3): of the agent"""
+        agent = self._agent
+        mount = agent.sensor.mount_position, agent.sensor.mount_rotation
+        position, rotation = sensor_pose(position, rotation, *mount)
         pose = position.tobytes() + rotation.tobytes()
-        if pose != last_pose:  # that of a pole never changes
-            background, last_pose = rays.background(position, rotation, walls), pose
-        truth = recording.truth_at(frame)
-        own = np.flatnonzero((truth.id == described.object_id) & (truth.id >= 0))
+        if pose != self._last_pose:  # that of a pole never changes
+            self._background, self._last_pose = self._rays.background(position, rotation, self._walls), pose
+        own = np.flatnonzero((truth.id == agent.object_id) & (truth.id >= 0))
         boxes = truth.position, truth.size, truth.yaw
-        sweeps[frame] = rays.sweep(background, position, rotation, boxes, int(own[0]) if len(own) else -1)
-    return sweeps
+        free = self._rays.sweep(self._background, position, rotation, boxes, int(own[0]) if len(own) else -1)
+        return np.asarray(free, np.float32)

@@ -1,0 +1,16 @@
+"""Cars that react: how they move, how they are driven, and what happens to them.
+
+    motion        a car along its lane and beside it; commands, and what a car can do
+    actuation     which of the commands that arrive a car carries out
+    following     car following: the intelligent driver model
+    driver        base class of drivers, and the shipped one
+    consequences  what happened to a car: collisions, hard braking, progress
+
+Arrays in, arrays out; `nodes/world.py` and `nodes/driver.py` connect them. See docs/driving.md.
+"""
+
+from mast_zenoh.driving.actuation import Actuation
+from mast_zenoh.driving.driver import Driver, FollowingDriver, Situation
+from mast_zenoh.driving.motion import CarLimits, Command, RouteAhead
+
+__all__ = ["Actuation", "CarLimits", "Command", "Driver", "FollowingDriver", "RouteAhead", "Situation"]

@@ -1,0 +1,53 @@
+"""Which of the commands that arrive a car carries out: the newest; without one it holds on, then it brakes."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from mast_zenoh.driving.motion import CarLimits, Command
+
+
+class Actuation:
+    """What one car does with the commands that it gets.
+
+    A command of a frame acts in the next one. If that one has no command, because it is late, lost or refused, the car
+    goes on as the newest command said, for at most `hold_frames` frames; then it brakes, straight along its last
+    curvature, until a newer command arrives. A late command acts when it arrives, if it is new enough to be held.
+
+    limits: of the car; braking: m/s^2, of a car without commands
+    counts: of frames, by what the car did: "commanded", "held", "braked"; and of refused commands, "refused"
+    """
+
+    def __init__(self, limits: CarLimits, hold_frames: int, braking: float) -> None:
+        self.limits, self.hold_frames, self.braking = limits, hold_frames, braking
+        self.counts: Counter[str] = Counter(commanded=0, held=0, braked=0, refused=0)
+        self._newest: tuple[int, Command] | None = None
+
+    def receive(self, frame: int, now: int, command: Command) -> str:
+        """Take a command of a frame; returns the reason why it is refused, or "". now: the current frame"""
+        reason = self._refusal(frame, now, command)
+        if reason:
+            self.counts["refused"] += 1
+        else:
+            self._newest = frame, command
+        return reason
+
+    def _refusal(self, frame: int, now: int, command: Command) -> str:
+        if frame > now:
+            return f"early: command of frame {frame}, which has not begun"
+        if self._newest is not None and frame <= self._newest[0]:
+            return f"old: command of frame {frame} after that of frame {self._newest[0]}"
+        return self.limits.refusal(command)
+
+    def act(self, frame: int) -> Command:
+        """What the car does from the frame before until `frame`."""
+        if self._newest is None:
+            self.counts["braked"] += 1
+            return Command(-self.braking, 0.0)
+        sent, command = self._newest
+        missing = frame - 1 - sent
+        if missing <= self.hold_frames:
+            self.counts["held" if missing > 0 else "commanded"] += 1
+            return command
+        self.counts["braked"] += 1
+        return Command(-self.braking, command.curvature)

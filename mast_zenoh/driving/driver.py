@@ -1,0 +1,140 @@
+"""Drivers: from what a car knows to what it does."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mast_zenoh.arrays.checks import check
+from mast_zenoh.arrays.states import Floats, ObjectStates
+from mast_zenoh.driving.following import IntelligentDriverModel
+from mast_zenoh.driving.motion import CarLimits, Command, RouteAhead
+from mast_zenoh.metrics.driving import BrakingRule, Driving, Objects, TimeToCollision, Vehicle
+
+
+@dataclass(frozen=True, eq=False)
+class Situation:
+    """What a driver knows of one frame.
+
+    time_ns:  ns, of the frame
+    position: (3,) m, velocity: (3,) m/s, world frame, and heading: rad, of the car, as it believes
+    size:     (2,) m, its length and width
+    route:    its lane ahead
+    objects:  n objects that it believes are there now, world frame; it may be one of them itself
+    limits:   what the car can do
+    """
+
+    time_ns: int
+    position: Floats
+    velocity: Floats
+    heading: float
+    size: Floats
+    route: RouteAhead
+    objects: ObjectStates
+    limits: CarLimits = field(default_factory=CarLimits)
+
+    @property
+    def speed(self) -> float:
+        """m/s, of the car."""
+        return float(np.hypot(self.velocity[0], self.velocity[1]))
+
+
+class Driver(ABC):
+    """Base class of drivers. A subclass takes its parameters as keywords."""
+
+    @abstractmethod
+    def drive(self, situation: Situation) -> Command:
+        """What the car is to do until the next frame.
+
+        The command must be within the limits of the situation: the car refuses any other. The result must not depend on
+        the order of the objects.
+        """
+
+
+#: m, places of a stopped car's front before the line.
+_BEFORE_LINE_M = 0.8
+
+
+class FollowingDriver(Driver):
+    """Follows its lane and the car ahead, and stops at lines: the intelligent driver model, with emergency braking.
+
+    It steers towards a point of its lane that is `preview_s` ahead (pure pursuit: Coulter, Implementation of the Pure
+    Pursuit Path Tracking Algorithm, CMU-RI-TR-92-01, 1992).
+
+    following:   distances and accelerations; None: IntelligentDriverModel()
+    emergency:   when it brakes as hard as it can; None: TimeToCollision()
+    horizon_m:   m, how far ahead it looks
+    margin_m:    m, on either side of the car, in which it brakes for objects
+    preview_s:   s, how far ahead it steers
+    preview_m:   m, how far ahead it steers at least
+    """
+
+    def __init__(
+        self,
+        *,
+        following: IntelligentDriverModel | None = None,
+        emergency: BrakingRule | None = None,
+        horizon_m: float = 60.0,
+        margin_m: float = 0.3,
+        preview_s: float = 1.0,
+        preview_m: float = 4.0,
+    ) -> None:
+        check("more than 0, finite", preview_s=preview_s, preview_m=preview_m)
+        self.following = following or IntelligentDriverModel()
+        self.corridor = Driving(rule=emergency or TimeToCollision(), horizon_m=horizon_m, margin_m=margin_m)
+        self.preview_s, self.preview_m = preview_s, preview_m
+
+    def drive(self, situation: Situation) -> Command:
+        speed, limits = situation.speed, situation.limits
+        objects = situation.objects
+        ahead = self.corridor.ahead(
+            _along_route(situation),
+            Objects(np.zeros(len(objects), np.int64), objects.position, objects.velocity, objects.size, objects.yaw),
+        )
+        acceleration = -limits.braking
+        if not ahead.brake.any():
+            gap, other = ahead.gap_m, ahead.speed_mps
+            if np.isfinite(situation.route.stop_m):  # a line is a standing car, before which it stops nearer
+                gap = np.append(gap, situation.route.stop_m + self.following.gap_m - _BEFORE_LINE_M)
+                other = np.append(other, 0.0)
+            own = np.array([speed])
+            acceleration = float(self.following.free(own, self._desired(situation.route))[0])
+            acceleration += float(self.following.interaction(speed * np.ones(len(gap)), gap, other).min(initial=0.0))
+        return limits.nearest(acceleration, self._curvature(situation))
+
+    def _desired(self, route: RouteAhead) -> Floats:
+        """(1,) m/s at which the car can still slow down comfortably for all that is ahead."""
+        distance = _distances(route.position)
+        allowed = np.sqrt(route.speed**2 + 2.0 * self.following.braking * distance)
+        return np.array([max(float(allowed.min()), 0.1)])
+
+    def _curvature(self, situation: Situation) -> float:
+        """1/m, of the arc from the car to a point of its lane ahead."""
+        distance = _distances(situation.route.position)
+        preview = min(max(self.preview_s * situation.speed, self.preview_m), float(distance[-1]))
+        target = [np.interp(preview, distance, situation.route.position[:, axis]) for axis in (0, 1)]
+        offset = np.array(target) - situation.position[:2]
+        across = np.cos(situation.heading) * offset[1] - np.sin(situation.heading) * offset[0]
+        return float(2.0 * across / max(float(offset @ offset), 1.0))
+
+
+def _distances(position: Floats) -> Floats:
+    """Distance (k,) m of each point (k, 2) m from the first one, along the points."""
+    return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(position, axis=0).T))])
+
+
+def _along_route(situation: Situation) -> Vehicle:
+    """The car now, and then along its route: the corridor in which it looks for objects."""
+    points = situation.route.position[1:]
+    position = np.concatenate([situation.position[None, :2], points])
+    step = np.diff(position, axis=0)
+    heading = np.concatenate([[situation.heading], np.arctan2(step[:, 1], step[:, 0])])
+    return Vehicle(
+        np.column_stack([position, np.full(len(position), situation.position[2])]),
+        np.tile(situation.velocity, (len(position), 1)),
+        heading,
+        float(situation.size[0]),
+        float(situation.size[1]),
+    )

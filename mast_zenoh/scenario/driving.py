@@ -1,0 +1,95 @@
+"""The drivers of a scenario, the world that obeys them, and the wires between them."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mast_zenoh.config import registry
+from mast_zenoh.config.resolved import NodeSpec
+from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.scenes import Recording, Scene
+from mast_zenoh.scenes.stepped import check_cars
+
+#: The map of the wires of drivers; added where a scenario has drivers.
+MAP = "driving.toml"
+#: File of the simulator that is stepped.
+_WORLD = "world.py"
+#: By estimate: its wire, and whether a driver receives what the publisher sends, before any interposer.
+_WIRES = {
+    "truth": ("scene/truth", False),
+    "safety": ("agent/{agent}/tracks", True),
+    "mission": ("agent/{agent}/mission", False),
+}
+
+
+def driver_of_car(car: str) -> str:
+    """The name of the node that drives the car of an agent."""
+    return f"driver_{car}"
+
+
+def simulator_config(
+    path: Path, scenario: Mapping[str, Any], recording: Recording, frames: int, spec: Mapping[str, Any]
+) -> dict[str, Any]:
+    """The configuration of the simulator: with drivers it is a world.
+
+    spec: of the scene
+    Raises ConfigurationError for a scene that cannot be stepped, an agent without a car, and a `world` without drivers.
+    """
+    config = {"recording": recording, "frames": frames}
+    drivers, options = scenario.get("drivers", {}), scenario.get("world", {})
+    if not drivers:
+        if options:
+            raise ConfigurationError(
+                f"{path}: world: found {dict(options)!r}, expected `drivers` beside it: it obeys them"
+            )
+        return config
+    for key in ("recording", "scene", "frames", "drivers"):
+        if key in options:
+            raise ConfigurationError(f"{path}: world.{key}: it follows from the scenario: leave it out")
+    if type(registry.build(spec, Scene, f"{path}: scene")).world is Scene.world:
+        raise ConfigurationError(
+            f"{path}: drivers: a scene of the type {spec['type']} cannot be stepped, so its cars cannot be driven: "
+            "expected Intersection, or a scene of yours that defines `world`"
+        )
+    if recording.measurements is not None:
+        timed = np.flatnonzero(recording.measurements.age_ns.any(axis=0))
+        found = ", ".join(recording.sensor_names[column] for column in timed[:5])
+        raise ConfigurationError(
+            f"{path}: drivers: {found} measure at times of their own: expected sensors without rate_hz and phase_s, as "
+            "a scene with drivers is stepped frame by frame"
+        )
+    try:
+        check_cars(drivers, [agent.name for agent in recording.agents if agent.kind == "mobile"])
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{path}: {error}") from None
+    names = {car: driver_of_car(car) for car in drivers}
+    return {"file": _WORLD, **config, "scene": dict(spec), "drivers": names, **options}
+
+
+def drivers(path: Path, scenario: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Yield (name, configuration) of each driver's node."""
+    for car, config in scenario.get("drivers", {}).items():
+        if not isinstance(config, Mapping):
+            raise ConfigurationError(f"{path}: drivers.{car}: found {config!r}, expected a dict")
+        yield driver_of_car(car), {"agent": car, **config}
+
+
+def rewrites(nodes: Mapping[str, NodeSpec], inputs: Mapping[str, Collection[str]]) -> list[str | dict[str, Any]]:
+    """What connects drivers with the world, and with the estimates that they use. inputs: ports by node"""
+    listening = [
+        {"wire": wire, "role": "driver", "input": estimate, "node": name, **({"leg": "source"} if source else {})}
+        for name, spec in nodes.items()
+        if spec.role == "driver"
+        for estimate, (wire, source) in _wires_of(spec).items()
+        if estimate in inputs[name]
+    ]
+    return [MAP, {"listen": listening}] if any(spec.role == "driver" for spec in nodes.values()) else []
+
+
+def _wires_of(spec: NodeSpec) -> dict[str, tuple[str, bool]]:
+    """The wires of all estimates of the agent of a driver."""
+    return {name: (wire.replace("{agent}", spec.agents[0]), source) for name, (wire, source) in _WIRES.items()}

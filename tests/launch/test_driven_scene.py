@@ -1,0 +1,51 @@
+"""After a run with drivers, the scene in its folder is what happened; without a recording, that is told."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from driven import driven
+
+from mast_zenoh.launch import run
+from mast_zenoh.messagelog.reader import read
+from mast_zenoh.messages import codec
+from mast_zenoh.scenes import Recording
+
+ATTACK = ("attack=GhostAhead", "wire=detections", "attack_start_s=0.6")
+
+
+def test_the_scene_of_the_folder_is_what_happened(tmp_path: Path) -> None:
+    ended = run.run(driven(*ATTACK, frames=12, record=True), tmp_path / "run", runtime="inproc")
+    assert ended.error is None
+    scene, prepared = Recording.load(ended.folder / "scene.npz"), driven(frames=12).recording
+    assert prepared is not None
+    sent = {(message.key, message.frame): message.payload for message in read(ended.folder)}
+    for frame in range(12):
+        truth = codec.decode(sent["scene/truth", frame], "truth").body
+        assert np.array_equal(scene.truth_at(frame).position, truth["position"])
+        assert np.array_equal(scene.points_at(frame), truth["points"])
+        pose = codec.decode(sent["agent/ego/pose", frame], "pose").body
+        assert np.array_equal(scene.agent_position[frame, 0], pose["position"])
+        sensed = codec.decode(sent["agent/ego/detections/@tap/0", frame], "detections").body
+        assert np.array_equal(scene.detections_at(frame, 0).position, sensed["position"]), "before the adversary"
+    assert np.array_equal(scene.agent_rotation[:3].round(9), prepared.agent_rotation[:3].round(9))
+    assert not np.array_equal(scene.agent_position, prepared.agent_position)
+    metrics = json.loads((ended.folder / "metrics.json").read_text())
+    way = np.hypot(*np.diff(scene.agent_position[:, 0, :2], axis=0).T).sum()
+    assert metrics["driven"].keys() == {"ego"}
+    assert metrics["driven"]["ego"]["progress_m"] == pytest.approx(way)
+    assert metrics["driven"]["ego"]["collisions"] == []
+    assert not [notice for notice in ended.record["notices"] if notice["kind"] == "scene"]
+
+
+@pytest.mark.heavy
+def test_without_a_recording_it_is_told_that_pictures_show_the_prepared_scene(tmp_path: Path) -> None:
+    ended = run.run(driven(frames=6), tmp_path / "run", runtime="inproc")
+    (told,) = [notice["text"] for notice in ended.record["notices"] if notice["kind"] == "scene"]
+    assert told.startswith("figures, films and views of this run show its prepared scene")
+    prepared = driven(frames=6).recording
+    assert prepared is not None
+    assert np.array_equal(Recording.load(ended.folder / "scene.npz").agent_position, prepared.agent_position)

@@ -1,0 +1,122 @@
+"""The driver's node: one command a frame, from the newest estimate of an earlier one."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from driven import driven
+from tiny_world import Bench, pose, tracks
+
+from mast_zenoh.config.resolved import Resolved
+
+COMMAND = "agent/ego/command"
+
+
+@cache
+def resolved(estimate: str = "mission") -> Resolved:
+    return driven(f"estimate={estimate}", frames=4)
+
+
+def route(stop: float | None = None, points: int = 81) -> dict[str, np.ndarray]:
+    return {
+        "position": np.column_stack([np.arange(float(points)), np.zeros(points)]),
+        "speed": np.full(points, 14.0),
+        "stop": np.array([] if stop is None else [stop]),
+        "size": np.array([4.5, 1.9]),
+    }
+
+
+def moving(speed: float = 10.0) -> dict[str, np.ndarray]:
+    return pose() | {"velocity": np.array([speed, 0.0, 0.0])}
+
+
+def drive(bench: Bench, frame: int, estimate: dict | None, port: str = "mission") -> float | None:
+    """The acceleration that the driver commands in a frame; None: it commands nothing."""
+    published = bench.play(frame, pose=moving(), route=route())
+    if estimate is not None:
+        published += bench.send(port, estimate, frame)
+    assert {key for key, _ in published} <= {COMMAND}
+    assert {message.header.frame for _, message in published} <= {frame}
+    return float(published[0][1].body["acceleration"][0]) if published else None
+
+
+@pytest.mark.parametrize("estimate", ["safety", "mission"])
+def test_it_brakes_for_a_car_ahead_in_the_frame_after_it_learns_of_it(estimate: str) -> None:
+    bench = Bench(resolved(estimate), "driver_ego")
+    assert drive(bench, 0, tracks(), estimate) == -3.0, "it has not seen anything yet"
+    free = drive(bench, 1, tracks((30.0, 0.0)), estimate)
+    assert free is not None
+    assert free > 0.0
+    braking = drive(bench, 2, tracks((30.0, 0.0)), estimate)
+    assert braking is not None
+    assert braking < -1.0
+
+
+def test_objects_move_on_until_they_are_used() -> None:
+    """A car that leaves at the same speed is as far ahead a frame later."""
+    standing, leaving = (Bench(resolved(), "driver_ego") for _ in range(2))
+    found = []
+    for bench, velocity in ((standing, (0.0, 0.0)), (leaving, (10.0, 0.0))):
+        drive(bench, 0, tracks((30.0, 0.0), velocity=velocity))
+        found.append(drive(bench, 1, None))
+    assert found[0] is not None
+    assert found[1] is not None
+    assert found[0] < found[1] < 0.7
+
+
+def test_without_an_estimate_for_too_long_it_brakes_and_counts_that() -> None:
+    bench = Bench(resolved(), "driver_ego", estimate_age_s=0.2)
+    commands = [drive(bench, frame, tracks() if frame == 0 else None) for frame in range(6)]
+    assert [command == -3.0 for command in commands] == [True, False, False, True, True, True]
+    assert bench.node.finish(bench.host) == {"commands": 6, "blind": 4}
+
+
+def test_the_order_in_which_the_messages_of_a_frame_arrive_does_not_matter() -> None:
+    commands = []
+    for order in (("pose", "route", "mission"), ("mission", "route", "pose"), ("route", "mission", "pose")):
+        bench = Bench(resolved(), "driver_ego")
+        drive(bench, 0, tracks((40.0, 0.0)))
+        bench.clock(1)
+        bodies = {"pose": moving(), "route": route(), "mission": tracks((20.0, 0.0))}
+        for port in order:
+            bench.send(port, bodies[port], 1)
+        commands.append(bench.payloads[-1])
+    assert len(set(commands)) == 1
+
+
+def test_it_stops_at_a_line() -> None:
+    bench = Bench(resolved(), "driver_ego")
+    drive(bench, 0, tracks())
+    bench.clock(1)
+    bench.send("pose", moving(), 1)
+    ((_, message),) = bench.send("route", route(stop=15.0), 1)
+    assert message.body["acceleration"][0] < -2.0
+
+
+@pytest.mark.parametrize(
+    ("body", "kind"),
+    [
+        (route(points=1), "points"),
+        (route(points=1001), "points"),
+        (route() | {"speed": np.full(81, 1e300)}, "route.speed"),
+        (route() | {"stop": np.array([np.nan])}, "route.stop"),
+    ],
+    ids=["short", "long", "fast", "nan"],
+)
+def test_a_route_that_leads_nowhere_is_rejected_and_the_frame_has_no_command(body: dict, kind: str) -> None:
+    bench = Bench(resolved(), "driver_ego")
+    bench.clock(0)
+    bench.send("pose", moving(), 0)
+    assert bench.send("route", body, 0) == []
+    assert [reason for _, reason in bench.host.rejected] == [kind]
+    assert drive(bench, 1, tracks()) is not None
+
+
+def test_absurd_objects_are_left_out() -> None:
+    bench = Bench(resolved(), "driver_ego")
+    drive(bench, 0, tracks((1e300, 0.0), (30.0, 0.0)))
+    braking = drive(bench, 1, None)
+    assert braking is not None
+    assert braking < -1.0

@@ -1,0 +1,120 @@
+"""Runs with drivers: exact under any order, and what an attack does to a car that reacts."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from driven import driven, over_a_rough_link
+from tiny_world import Run
+
+from mast_zenoh.errors import ConfigurationError
+
+GHOST = ("attack=GhostAhead", "attack_start_s=0.8")
+SEIZED = ("attack=SeizedCommands", "attack_start_s=1.0")
+
+
+@cache
+def played(*settings: str, rough: bool = False) -> Run:
+    run = Run(driven(*settings, edit=over_a_rough_link if rough else None))
+    assert not run.failures
+    return run
+
+
+def speeds(run: Run) -> np.ndarray:
+    return np.array([np.hypot(*pose.body["velocity"][:2]) for pose in run.decoded("agent/ego/pose", "pose")])
+
+
+@pytest.mark.parametrize("rough", [pytest.param(False, marks=pytest.mark.heavy), True])
+def test_any_order_of_delivery_gives_the_same_bytes_encoded_or_not(rough: bool) -> None:
+    plain, edit = played(*SEIZED, rough=rough), over_a_rough_link if rough else None
+    for options in (dict(shuffle=1), dict(encode=False, shuffle=2)):
+        other = Run(driven(*SEIZED, edit=edit), **options)
+        assert other.messages == plain.messages, options
+        assert other.packed == plain.packed, options
+
+
+def test_the_driver_commands_in_every_frame_and_the_car_obeys_in_the_next() -> None:
+    run = played()
+    commands = run.decoded("agent/ego/command", "command")
+    assert [message.header.frame for message in commands] == list(range(24))
+    speed = speeds(run)
+    for frame in range(5, 24):
+        told = float(commands[frame - 1].body["acceleration"][0])
+        assert speed[frame] == pytest.approx(max(speed[frame - 1] + 0.1 * told, 0.0), abs=1e-9)
+    assert not run.rejected
+
+
+def test_a_ghost_ahead_slows_the_car_and_the_twin_without_it_is_the_same_before() -> None:
+    honest, attacked = played(), played(*GHOST)
+    before = [list(run.messages["scene/truth"][:9]) for run in (honest, attacked)]
+    assert before[0] == before[1], "the same seed, the same world"
+    assert speeds(attacked)[-1] < speeds(honest)[-1] - 1.0
+
+
+def test_a_ghost_in_the_picture_does_nothing_to_a_driver_that_trusts_its_own_tracks_alone() -> None:
+    honest, attacked = played("estimate=safety"), played("estimate=safety", *GHOST)
+    assert honest.messages["scene/truth"] == attacked.messages["scene/truth"]
+
+
+def test_seized_commands_act_on_the_car_and_end() -> None:
+    run = played(*SEIZED)
+    told, carried = (run.decoded(key, "command") for key in ("agent/ego/command/@tap/0", "agent/ego/command"))
+    forged = [
+        k
+        for k, (a, b) in enumerate(zip(told, carried, strict=True))
+        if a.body["acceleration"] != b.body["acceleration"]
+    ]
+    assert forged == list(range(10, 24))
+    speed = speeds(run)
+    assert (np.diff(speed[10:]) <= 0.0).all()
+    assert (run.decoded("attack/adversary_1/report", "attack_report"))[-1].header.frame == 23
+
+
+def test_lost_and_late_commands_are_held_then_the_car_brakes_and_that_is_counted() -> None:
+    run = played(rough=True)
+    counts = run.results["simulator"]["commands"]["ego"]
+    assert counts["commanded"] + counts["held"] + counts["braked"] == 24 - 1 - 4
+    assert counts["held"] > 0
+    assert counts["braked"] > 0
+
+
+@pytest.mark.heavy
+def test_a_second_driver_of_the_same_design_does_not_change_the_random_numbers_of_others() -> None:
+    def two(content: dict[str, Any]) -> None:
+        content["scene"] = content["scene"] | dict(n_mobile=1)
+
+    def driving(content: dict[str, Any]) -> None:
+        two(content)
+        content["drivers"] = content["drivers"] | dict(mobile_1=dict(driver=dict(type="FollowingDriver")))
+
+    one, both = Run(driven(edit=two, frames=6)), Run(driven(edit=driving, frames=6))
+    assert one.messages["agent/infra_1/detections"][:5] == both.messages["agent/infra_1/detections"][:5]
+    assert "agent/mobile_1/command" in both.messages
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (dict(drivers=dict(infra_1=dict())), r"drivers: 'infra_1' is not a car of this scene.*ego"),
+        (dict(drivers=dict(ego="fast")), r"drivers\.ego: found 'fast', expected a dict"),
+        (dict(drivers={}), r"world: found .*take_over_s.*expected `drivers`"),
+        (dict(world=dict(frames=3)), r"world\.frames: it follows from the scenario"),
+        (dict(scene=dict(type="TinyScene"), world={}), r"TinyScene cannot be stepped.*expected Intersection"),
+        (dict(drivers=dict(ego=dict(driver=dict(type="Folowing")))), r"no Driver named 'Folowing'.*FollowingDriver"),
+        (
+            dict(drivers=dict(ego=dict(driver=dict(type="FollowingDriver"), estimate="picture"))),
+            r"estimate: found 'picture'",
+        ),
+        (
+            dict(scene=dict(type="Intersection", sensors={"ego": [dict(type="Lidar", rate_hz=5.0)]})),
+            r"drivers: ego/lidar measure at times of their own",
+        ),
+    ],
+    ids=lambda value: None if isinstance(value, dict) else value[:20],
+)
+def test_a_scenario_that_cannot_be_driven_is_refused(change: dict[str, Any], reason: str) -> None:
+    with pytest.raises(ConfigurationError, match=reason):
+        driven(edit=lambda content: content.update(change), frames=4)
