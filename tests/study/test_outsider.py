@@ -202,7 +202,6 @@ def reply(link: socket.socket) -> bytes:
 
 
 def test_connections_go_to_the_target_except_while_redirected() -> None:
-    before = threading.active_count()
     with echo(b"true") as port, echo(b"rogue") as other, closing(Detour(lambda: port)) as detour:
         first = socket.create_connection(("127.0.0.1", detour.port), 5)
         assert reply(first) == b"true?"
@@ -213,10 +212,10 @@ def test_connections_go_to_the_target_except_while_redirected() -> None:
             first = socket.create_connection(("127.0.0.1", detour.port), 5)
             assert reply(first) == word
         first.close()
-    for thread in threading.enumerate():
-        if thread is not threading.current_thread() and thread.name != "MainThread" and thread.daemon:
-            thread.join(5)
-    assert threading.active_count() == before
+    relays = [thread for thread in threading.enumerate() if thread.name == "detour"]
+    for thread in relays:
+        thread.join(5)
+    assert not any(thread.is_alive() for thread in relays)
 
 
 def test_connection_to_a_closed_port_is_closed() -> None:
