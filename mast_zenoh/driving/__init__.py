@@ -4,7 +4,10 @@
     actuation     which of the commands that arrive a car carries out
     following     car following: the intelligent driver model
     driver        base class of drivers, and the shipped one
-    consequences  what happened to a car: collisions, hard braking, progress
+    corridor      what is ahead of a car, along its lane
+    consequences  what happened to a car: collisions, near misses, comfort, progress
+    braking       when it brakes, what made that needful, and whether the truth did
+    followers     what happens to the traffic behind it
 
 Arrays in, arrays out; `nodes/world.py` and `nodes/driver.py` connect them. See docs/driving.md.
 """
