@@ -25,6 +25,7 @@ def scenario(
     scene_index=None,
     n_infrastructure=None,
     n_mobile=None,
+    cars=1,
 ):
     """The ego of a generated junction is driven.
 
@@ -34,10 +35,14 @@ def scenario(
     wire: of the ego, on which the adversary is: picture, detections or command; None: picture, or what the attack
     needs;
     estimate: what the driver believes: mission, safety (own tracks alone) or truth;
-    driver: the same of a driver, such as "FollowingDriver".
+    driver: the same of a driver, such as "FollowingDriver";
+    cars: number of cars with drivers: the ego, mobile_1, mobile_2, …
     """
+    if cars > 1:
+        n_mobile = max(n_mobile or 0, cars - 1)
+    one = dict(estimate=estimate, driver=resolve_choice(driver, Driver))
     driven = baseline(scene, scene_index, n_infrastructure, n_mobile) | dict(
-        name="driving", drivers=dict(ego=dict(estimate=estimate, driver=resolve_choice(driver, Driver)))
+        name="driving", drivers=dict(ego=one) | {f"mobile_{k}": one for k in range(1, cars)}
     )
     if attack is None:
         return driven
