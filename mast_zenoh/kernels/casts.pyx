@@ -1,7 +1,7 @@
 # cython: language_level=3, cdivision=True
 """Kernels for lidar returns. The NumPy references document them.
 
-A beam is cast twice, at boxes that are MARGIN_M larger and smaller: rounding cannot matter where both agree. Objects about
+`nearest_hits` computes what its reference does, number by number. For `has_returns` a beam is cast twice, at boxes that are MARGIN_M larger and smaller: rounding cannot matter where both agree. Objects about
 which they do not agree are left to the reference, so the results are equal to its results.
 """
 
@@ -12,7 +12,7 @@ import numpy
 
 from mast_zenoh import kernels
 from mast_zenoh.kernels.arrays cimport (
-    byte_data, contiguous, empty_vector, float_data, int_data, length, zero_vector,
+    byte_data, contiguous, empty_matrix, empty_vector, float_data, int_data, length, writable_data, zero_vector,
 )
 from mast_zenoh.kernels.table cimport SOURCE_DIGEST
 
@@ -286,3 +286,60 @@ def has_returns(position, size, yaw, sensor, walls, occluders, Py_ssize_t least)
             position[open_rows], size[open_rows], yaw[open_rows], sensor, walls, occluders, least
         )
     return result
+
+
+def nearest_hits(across, up, double range_m, rotation, origin, half, box, azimuth, channels):
+    across, up, rotation, origin, half = (
+        contiguous(across), contiguous(up), contiguous(rotation), contiguous(origin), contiguous(half)
+    )
+    box, azimuth, channels = contiguous(box), contiguous(azimuth), contiguous(channels).reshape(-1)
+    cdef const double* wide = float_data(across, 2)
+    cdef const double* high = float_data(up, 2)
+    cdef const double* R = float_data(rotation, 3)
+    cdef const double* sensor = float_data(origin, 2)
+    cdef const double* extent = float_data(half, 2)
+    cdef const np.int64_t* row = int_data(box)
+    cdef const np.int64_t* column = int_data(azimuth)
+    cdef const np.int64_t* limits = int_data(channels)
+    cdef Py_ssize_t azimuths = length(across, 1), elevations = length(up, 1), beams = azimuths * elevations
+    cdef Py_ssize_t k, axis, channel, beam, found = 0, n = length(box)
+    cdef double enter, leave, direction, centre, span
+    cdef double[3] along, lift, start, size
+    best, first = empty_vector(np.NPY_DOUBLE, beams), empty_vector(np.NPY_INT64, beams)
+    cdef double* nearest = writable_data(best, 1)
+    cdef np.int64_t* owner = int_data(first)
+    for beam in range(beams):
+        owner[beam] = -1
+    for k in range(n):
+        for axis in range(3):
+            along[axis] = R[9 * row[k] + 3 * axis] * wide[column[k]] + R[9 * row[k] + 3 * axis + 1] * wide[azimuths + column[k]]
+            lift[axis] = R[9 * row[k] + 3 * axis + 2]
+            start[axis], size[axis] = -sensor[3 * row[k] + axis], extent[3 * row[k] + axis]
+        for channel in range(limits[2 * k], limits[2 * k + 1]):
+            enter, leave = 0.0, range_m
+            for axis in range(3):
+                direction = high[channel] * along[axis] + high[elevations + channel] * lift[axis]
+                if fabs(direction) < 1e-12:
+                    direction = 1e-12
+                centre, span = start[axis] / direction, size[axis] / fabs(direction)
+                enter, leave = fmax(enter, centre - span), fmin(leave, centre + span)
+            beam = column[k] * elevations + channel
+            if enter <= leave and (owner[beam] < 0 or enter < nearest[beam]):
+                found += owner[beam] < 0
+                nearest[beam], owner[beam] = enter, row[k]
+    hit_box, hit_beam = empty_vector(np.NPY_INT64, found), empty_vector(np.NPY_INT64, found)
+    distances, directions = empty_vector(np.NPY_DOUBLE, found), empty_matrix(found, 3)
+    cdef np.int64_t* to_box = int_data(hit_box)
+    cdef np.int64_t* to_beam = int_data(hit_beam)
+    cdef double* distance = writable_data(distances, 1)
+    cdef double* towards = writable_data(directions, 2)
+    found = 0
+    for beam in range(beams):
+        if owner[beam] >= 0:
+            channel, k = beam % elevations, beam // elevations
+            to_box[found], to_beam[found], distance[found] = owner[beam], beam, nearest[beam]
+            towards[3 * found] = high[channel] * wide[k]
+            towards[3 * found + 1] = high[channel] * wide[azimuths + k]
+            towards[3 * found + 2] = high[elevations + channel]
+            found += 1
+    return hit_box, hit_beam, distances, directions

@@ -208,6 +208,18 @@ def looked_for(random, n, m):
     return *around, sensor, walls if random.random() < 0.8 else None, states, int(random.integers(0, 20))
 
 
+def cast(random, n, m):
+    """Columns of beams that may hit n boxes, of a lidar of m + 1 azimuths and 5 elevations."""
+    angle, rise = np.linspace(-3, 3, m + 1), np.linspace(-0.4, 0.2, 5)
+    across, up = (np.stack([np.cos(each), np.sin(each)]) for each in (angle, rise))
+    turned = np.stack([rotation_from_yaw_pitch(*random.uniform(-1, 1, 2)) for _ in range(n)] or [np.eye(3)])[:n]
+    k = 4 * n
+    first = random.integers(0, 4, k)
+    channels = np.stack([first, first + random.integers(0, 6 - first)], axis=1)
+    boxes = turned, random.normal(0, 6, (n, 3)), random.uniform(0.3, 4, (n, 3))
+    return across, up, 20.0, *boxes, np.repeat(np.arange(n), 4), random.integers(0, m + 1, k), channels
+
+
 def members(random, n, m):
     """Rows (c, a) of n tracks in clusters, at most one of each agent, and none empty."""
     labels = np.unique(random.integers(0, m + 1, n), return_inverse=True)[1] if n else np.zeros(0, np.int64)
@@ -390,6 +402,7 @@ ARGUMENTS = {
     "free_ranges": swept,
     "box_visibility": box_visibility,
     "has_returns": looked_for,
+    "nearest_hits": cast,
     "ray_evidence": ray_evidence,
     "median_boxes": median_boxes,
     "track_offsets": track_offsets,

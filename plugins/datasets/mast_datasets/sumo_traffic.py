@@ -141,7 +141,7 @@ class SumoTraffic(DataSetScene):
                 )
             if start_s > inputs.begin_s:
                 simulation.advance(start_s)
-            present = simulation.step(0, [])
+            present = simulation.step(0)
             duration_s = max(_WINDOW_S, frames / self.rate_hz)
             cars = self._choose(simulation, present, duration_s, f"{inputs.path}: at {start_s:g} s")
             surroundings = self._surroundings(inputs, simulation, present, cars["ego"])
