@@ -1,16 +1,23 @@
 """Cars that react: the ego drives by what its agent believes, and all others react to it.
 
 A driver follows the lane and the car ahead, and stops at lines. It believes the mission estimate of its agent: own
-tracks and the picture. Without an attack it hits nothing. An adversary changes the picture on its way to the ego, or
-what its driver tells the car.
+tracks and the picture. Without an attack it hits nothing. An adversary changes the picture on its way to the ego, what
+agents tell the command centre, what the ego's sensors detect, or what its driver tells the car.
 """
 
 from baseline import scenario as baseline
 
 from mast_zenoh.attacks import Attack
 from mast_zenoh.driving import Driver
+from mast_zenoh.integrity import Integrity
+from mast_zenoh.scenario import victims_of
 from mast_zenoh.study.defences import resolve_choice
 
+#: Attacks by name.
+ATTACKS = {
+    # The picture as it was: 1000 lies per second are all of its objects.
+    "stale_picture": dict(type="Replay", delay_s=2.0, budget=1000.0),
+}
 #: The wires of attacks that are not on the picture.
 WIRES = {"SeizedCommands": "command"}
 
@@ -19,6 +26,10 @@ def scenario(
     attack=None,
     attack_start_s=4.0,
     wire=None,
+    n_adversaries=2,
+    compromised=(),
+    defence=None,
+    veto=False,
     estimate="mission",
     driver="FollowingDriver",
     scene="intersection",
@@ -28,22 +39,36 @@ def scenario(
 ):
     """The ego of a generated junction is driven.
 
-    attack: class, such as "GhostAhead" or "SeizedCommands", FILE.py or FILE.py:CLASS, or a dict with one of these as
-    `type`, and parameters; None: no adversary;
+    attack: a name such as "stale_picture", a class, such as "GhostAhead" or "SeizedCommands", FILE.py or FILE.py:CLASS,
+    or a dict with one of these as `type`, and parameters; None: no adversary;
     attack_start_s: start of the attack, in scene time;
-    wire: of the ego, on which the adversary is: picture, detections or command; None: picture, or what the attack
-    needs;
+    wire: where the adversary is: picture, detections or command of the ego, "detections picture" for both; or tracks:
+    n_adversaries other agents lie to the command centre, those of `compromised` first, then poles; None: picture, or
+    what the attack needs;
+    defence: of the command centre, such as "FaultOrLie", FILE.py or FILE.py:CLASS, or a dict; None: none;
+    veto: whether the driver's own sensors overrule the mission estimate;
     estimate: what the driver believes: mission, safety (own tracks alone) or truth;
     driver: the same of a driver, such as "FollowingDriver".
     """
-    driven = baseline(scene, scene_index, n_infrastructure, n_mobile) | dict(
-        name="driving", drivers=dict(ego=dict(estimate=estimate, driver=resolve_choice(driver, Driver)))
-    )
-    if attack is None:
-        return driven
-    attack = resolve_choice(attack, Attack)
-    wire = wire or WIRES.get(attack["type"], "picture")
-    return driven | dict(
-        adversaries=dict(adversary_1=dict(type="Adversary", agent="ego", attack=dict(start_s=attack_start_s) | attack)),
-        keyexpr=dict(map="testbed.toml", rewrites=["driving.toml", f"on_{wire}.toml"]),
-    )
+    content = baseline(scene, scene_index, n_infrastructure, n_mobile)
+    drives = dict(estimate=estimate, driver=resolve_choice(driver, Driver)) | ({"veto": True} if veto else {})
+    content |= dict(name="driving", drivers=dict(ego=drives))
+    rewrites = []
+    if attack is not None:
+        attack = resolve_choice(ATTACKS.get(attack, attack) if isinstance(attack, str) else attack, Attack)
+        attack = dict(start_s=attack_start_s) | attack
+        wires = (wire or WIRES.get(attack["type"], "picture")).split()
+        rewrites = ["driving.toml", *(f"on_{name}.toml" for name in wires)]
+        victims = victims_of(content["scene"], n_adversaries, compromised) if wires == ["tracks"] else ("ego",)
+        content |= dict(
+            adversaries={
+                f"adversary_{number}": dict(type="Adversary", agent=victim, attack=attack)
+                for number, victim in enumerate(victims, 1)
+            }
+        )
+    if defence is not None:
+        center = content["command_center"]
+        stage = dict(integrity=resolve_choice(defence, Integrity))
+        content |= dict(command_center=center | dict(pipeline=center["pipeline"] | stage))
+        rewrites = [*(rewrites or ["driving.toml"]), "views.toml"]
+    return content | dict(keyexpr=dict(map="testbed.toml", rewrites=rewrites))
