@@ -191,6 +191,7 @@ def outside(results: Mapping[str, Mapping[str, Any]], nodes: Mapping[str, NodeSp
             counts |= {key: n for key, n in counts_of(told).items() if key in (*names, "predicted")}
             parts = ("publishers", "refused", "left_out")
             found[name] = {**counts, "waits": told.get("waits") is True, **{p: counts_of(told.get(p)) for p in parts}}
+            found[name]["absent"] = _texts(told.get("absent"))
     return found
 
 
@@ -199,6 +200,13 @@ def counts_of(value: object) -> dict[str, int]:
     if not isinstance(value, Mapping):
         return {}
     return {str(name): n for name, n in value.items() if type(n) is int and n >= 0 and str(name).isprintable()}
+
+
+def _texts(value: object) -> dict[str, str]:
+    """The valid texts in a node's return value: printable, 300 characters at most."""
+    items = value.items() if isinstance(value, Mapping) else ()
+    valid = {str(name): text for name, text in items if isinstance(text, str) and text.isprintable()}
+    return {name: text[:300] for name, text in valid.items() if name.isprintable()}
 
 
 #: The place of a value: the place of its container, and its key or index in that; None at the top.

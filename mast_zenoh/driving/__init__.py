@@ -4,6 +4,7 @@
     actuation     which of the commands that arrive a car carries out
     following     car following: the intelligent driver model
     driver        base class of drivers, and the shipped one
+    veto          own sensors overrule what others made of the mission estimate
     consequences  what happened to a car: collisions, hard braking, progress
 
 Arrays in, arrays out; `nodes/world.py` and `nodes/driver.py` connect them. See docs/driving.md.

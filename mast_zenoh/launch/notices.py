@@ -106,6 +106,8 @@ def _outside(name: str, counts: Mapping[str, Any]) -> tuple[int, str]:
     else:
         text += f"{unanswered + late} of {number(asked, 'message')} had no answer in time"
         text += f", {late} had one later" if late else ""
+    for topic, absence in counts["absent"].items():
+        text += f"; nothing came on {topic} {absence}"
     for word, what in (("refused", "received message"), ("left_out", "object")):
         reasons = Counter(counts[word])
         if reasons:

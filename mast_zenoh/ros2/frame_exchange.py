@@ -147,11 +147,13 @@ class FrameExchange:
         self._early: list[Answer] = []  # late ones, which arrived before the newest question
         self._gids: dict[str, set[bytes]] = {name: set() for name in self._topics}  # of publishers, by topic
         self._silent = 0
+        self._absent: dict[str, str] = {}  # why nothing arrives, by topic
 
     def start(self, outside: Outside, questions: Collection[str]) -> bool:
         """Wait for a node outside that answers; False if there is none. questions: topics that it may subscribe to"""
         topics = list(self._topics)
         if not outside.wait(self._timing.start_s, lambda: all(map(outside.present, topics))):
+            self._note_absent(outside, topics, 0)
             return False
         outside.wait(_SUBSCRIBE_S, lambda: any(map(outside.heard, questions)), topics)
         return True
@@ -191,6 +193,8 @@ class FrameExchange:
             return answers
         missing = self._missing(frame)
         self._silent += 1
+        if self._silent == 1 and not outside.ended:
+            self._note_absent(outside, missing, frame)
         for topic in missing:
             self._open[frame, topic] = True
         if outside.ended:  # nobody has failed to answer
@@ -204,9 +208,13 @@ class FrameExchange:
         counts: dict[str, Any] = {**self._counts, "waits": outside.waits}
         counts["unanswered"] = max(0, unanswered)  # an answer may come after the end of the run was announced
         counts["unclassified"] = self.unclassified
+        if not outside.waits:
+            newest = max(self._times, default=0)
+            self._note_absent(outside, self._missing(newest), newest)
         publishers = {topic: len(gids) for topic, gids in self._gids.items() if gids}
         refused = dict(self.refused + Counter(outside.refused))
-        return {**counts, "publishers": publishers, "refused": refused, "left_out": dict(self.left_out)}
+        reasons = {"publishers": publishers, "refused": refused, "left_out": dict(self.left_out)}
+        return {**counts, **reasons, "absent": self._absent}
 
     def refuse(self, error: MessageError) -> None:
         """Count a message that cannot be used, by the reason's part before the colon."""
@@ -218,6 +226,12 @@ class FrameExchange:
             _count(self.left_out, reason, number)
 
     # -- inside --------------------------------------------------------------------------------------------------------
+
+    def _note_absent(self, outside: Outside, topics: Collection[str], frame: int) -> None:
+        """Note why nothing can arrive on topics from a frame on; an earlier reason stands until an answer comes."""
+        for topic in topics:
+            if topic not in self._absent and (reason := outside.absence(topic)):
+                self._absent[topic] = f"from frame {frame} on: {reason}"
 
     def _missing(self, frame: int) -> list[str]:
         return [topic for about, topic in self._open if about == frame and not self._open[about, topic]]
@@ -247,6 +261,7 @@ class FrameExchange:
         del self._open[about.frame, topic.name]
         self._answered.add((about.frame, topic.name))
         self._counts["late" if about.late else "answered"] += 1
+        self._absent.pop(topic.name, None)
         return Answer(topic.name, about, content)
 
     def _about(self, stamp_ns: int, topic: str, outside: Outside) -> About:

@@ -92,6 +92,10 @@ class Outside(Protocol):
         """Whether a program outside subscribes to an announced topic."""
         ...
 
+    def absence(self, topic: str) -> str:
+        """Why nothing can arrive on a topic now, as a clause; "": a program outside publishes on it."""
+        ...
+
 
 def required(module: str) -> Any:
     """A module that needs the extra ros2; raises ConfigurationError if that is not installed."""

@@ -72,6 +72,7 @@ def test_a_run_with_an_agent_of_ros_is_the_same_on_the_mesh_and_in_one_process(r
             "publishers": {AGENT[2]: 1},
             "refused": {},
             "left_out": {},
+            "absent": {},
         }
     )
 

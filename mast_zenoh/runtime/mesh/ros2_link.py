@@ -18,7 +18,7 @@ from typing import Any
 from mast_zenoh.ros2.attachments import Attachment, gid_of
 from mast_zenoh.ros2.outside import Arrival, OutsideTopic, OutsideTopics, ros2_name
 from mast_zenoh.ros2.qos import TRANSIENT_LOCAL, Qos
-from mast_zenoh.runtime.mesh.ros2_participant import Participant, Publisher
+from mast_zenoh.runtime.mesh.ros2_participant import MAST_PREFIX, Participant, Publisher
 
 #: s, after which a wait looks whether it has become useless.
 _LOOK_S = 0.05
@@ -61,7 +61,7 @@ class Ros2Link:
         self._waiting = {topic.name: deque[Arrival]() for topic in topics.received}
         self._unannounced: dict[str, float] = {}  # when a message came without a known publisher, by topic
         # A peer that takes nothing must not stop the run: its messages are dropped.
-        self._participant = Participant(topics.connection, ros2_name(f"mast_{name}"), wait=False)
+        self._participant = Participant(topics.connection, ros2_name(MAST_PREFIX + name), wait=False)
         try:
             for topic in topics.received:
                 self._subscribe(topic)
@@ -117,6 +117,9 @@ class Ros2Link:
 
     def heard(self, topic: str) -> bool:
         return self._publishers[topic].is_wanted
+
+    def absence(self, topic: str) -> str:
+        return self._participant.absence(topic)
 
     def note_clock(self, frame: int) -> None:
         """Note that the clock of a frame has arrived now."""
