@@ -16,14 +16,17 @@ def content_of(*settings: str) -> dict:
     [
         ("picture", ["ego"]),
         ("detections", ["ego"]),
-        ("detections picture", ["ego"]),
+        ("detections picture", ["ego", "ego"]),
         ("tracks", ["infra_1", "infra_2"]),
     ],
 )
 def test_the_ego_is_the_victim_unless_others_lie_to_the_command_centre(wire: str, victims: list[str]) -> None:
     content = content_of("attack=GhostAhead", f"wire={wire}")
     assert [adversary["agent"] for adversary in content["adversaries"].values()] == victims
-    assert content["keyexpr"]["rewrites"] == ["driving.toml", *(f"on_{name}.toml" for name in wire.split())]
+    assert content["keyexpr"]["rewrites"][0] == "driving.toml"
+    resolved = scenario.resolve(scenario.load("driving")[0], content, seed=0, frames=20)
+    interposers = [name for each in resolved.wiring["wires"] for name in each["interposers"]]
+    assert sorted(interposers) == sorted(content["adversaries"]), "each is on one wire"
 
 
 def test_agents_to_compromise_are_named_in_order() -> None:
@@ -42,6 +45,15 @@ def test_a_defence_judges_what_agents_send_to_the_command_centre_and_hears_their
 def test_an_attack_has_a_name_and_begins_when_the_scenario_says() -> None:
     (adversary,) = content_of("attack=stale_picture", "attack_start_s=3.0")["adversaries"].values()
     assert adversary["attack"] == {"start_s": 3.0, "type": "Replay", "delay_s": 2.0, "budget": 1000.0}
+
+
+def test_the_crowd_of_the_junction_can_be_chosen() -> None:
+    assert content_of("n_vehicles=30", "n_pedestrians=9")["scene"]["n_pedestrians"] == 9
+
+
+def test_an_unknown_wire_names_the_nearest() -> None:
+    with pytest.raises(ConfigurationError, match=r"wire: found 'pictur'.*picture"):
+        content_of("attack=cut_in", "wire=pictur")
 
 
 def test_an_unknown_attack_names_the_nearest() -> None:

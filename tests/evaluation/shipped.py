@@ -35,6 +35,7 @@ VARIANTS: dict[str, list[tuple[str, ...]]] = {
         ("attack=GhostAhead",),
         ("attack=SeizedCommands",),
         ("attack=stale_picture", "wire=tracks", "defence=FaultOrLie"),
+        ("attack=hidden_leader",),
     ],
     "defence_cell": [("defence=FaultOrLie", "attack=BlindSpot", "placement=random")],
     "sybil": [("run.mode=lockstep", "run.record=True")],
