@@ -49,6 +49,7 @@ def scenario(
     n_vehicles=None,
     n_bicycles=None,
     n_pedestrians=None,
+    cars=1,
 ):
     """The ego of a generated junction is driven.
 
@@ -63,12 +64,15 @@ def scenario(
     veto: whether the driver's own sensors overrule the mission estimate;
     estimate: what the driver believes: mission, safety (own tracks alone) or truth;
     driver: the same of a driver, such as "FollowingDriver";
-    n_vehicles, n_bicycles, n_pedestrians: of the junction; None: as many as it usually has.
+    n_vehicles, n_bicycles, n_pedestrians: of the junction; None: as many as it usually has;
+    cars: number of cars with drivers: the ego, mobile_1, mobile_2, …
     """
+    if cars > 1:
+        n_mobile = max(n_mobile or 0, cars - 1)
     scene = choose_scene(scene, n_vehicles=n_vehicles, n_bicycles=n_bicycles, n_pedestrians=n_pedestrians)
     content = baseline(scene, scene_index, n_infrastructure, n_mobile)
-    drives = dict(estimate=estimate, driver=resolve_choice(driver, Driver)) | ({"veto": True} if veto else {})
-    content |= dict(name="driving", drivers=dict(ego=drives))
+    one = dict(estimate=estimate, driver=resolve_choice(driver, Driver)) | ({"veto": True} if veto else {})
+    content |= dict(name="driving", drivers=dict(ego=one) | {f"mobile_{k}": one for k in range(1, cars)})
     rewrites = []
     if attack is not None:
         attack, usual = ATTACKS.get(attack, (attack, None)) if isinstance(attack, str) else (attack, None)
