@@ -36,7 +36,7 @@ from mast_zenoh.messagelog.churn import BACK, LOST
 EVALUATOR = "evaluator"
 
 #: Tables that only the evaluator may return; they are written to the top of the run folder.
-TABLES = ("metrics", "objects", "attacks", "targets", "driving", "trust", "trust_objects")
+TABLES = ("metrics", "objects", "attacks", "targets", "driving", "driven", "trust", "trust_objects")
 
 #: Limits of a node's result, bytes. The evaluator's tables have a row for each object, agent and frame.
 MAX_RESULT = 32 << 20
