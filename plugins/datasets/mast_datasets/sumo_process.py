@@ -22,6 +22,7 @@ import numpy as np
 #: Bytes of a message in either direction.
 MAX_MESSAGE = 200_000_000
 _MAX_MEMORY = 8_000_000_000
+_END_S = 3
 _MAX_OUTPUT = 1_000_000  # bytes of each file that SUMO writes: its messages are in one
 #: Of moveToXY: the car stays on its route, or is beside the road, where nobody sees it.
 _KEEP_ROUTE_OR_LEAVE_ROAD = 3
@@ -153,7 +154,7 @@ def main(descriptor: int) -> None:
         try:
             method, arguments, limit_s = msgpack.unpackb(pipe.recv_bytes(MAX_MESSAGE), raw=False)
         except (EOFError, OSError):
-            return
+            break
         signal.alarm(limit_s)  # whose default is to end the process, also within SUMO
         try:
             simulation = simulation or Simulation()
@@ -164,7 +165,11 @@ def main(descriptor: int) -> None:
         try:
             pipe.send_bytes(msgpack.packb(answer, use_bin_type=True))
         except OSError:
-            return
+            break
+    if simulation is not None:
+        signal.alarm(_END_S)
+        with contextlib.suppress(Exception):
+            simulation.sumo.close()
 
 
 if __name__ == "__main__":
