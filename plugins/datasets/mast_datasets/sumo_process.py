@@ -84,8 +84,13 @@ class Simulation:
         return {"vehicles": vehicles, "persons": persons, "state": values, "shapes": shapes, "around": around}
 
     def around(self, name: str, lanes: list[str]) -> tuple[Any, Any]:
-        """The foes of a vehicle at the next junctions, and the states of the links at the ends of some lanes."""
-        foes = self.sumo.vehicle.getJunctionFoes(name, FOES_M) if name in self.sumo.vehicle.getIDList() else ()
+        """The foes of a vehicle at the next junctions, each with whether it is on one, and the states of links.
+
+        lanes: the links are those at their ends
+        """
+        vehicle = self.sumo.vehicle
+        foes = vehicle.getJunctionFoes(name, FOES_M) if name in vehicle.getIDList() else ()
+        foes = [(*foe, vehicle.getLaneID(foe[0]).startswith(":")) for foe in foes]
         return foes, [[link[5] for link in self.sumo.lane.getLinks(lane)] for lane in lanes]
 
     def cars(self, names: list[str]) -> list[Any]:
