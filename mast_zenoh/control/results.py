@@ -179,18 +179,21 @@ def left_out(results: Mapping[str, Mapping[str, Any]]) -> dict[str, int]:
 def outside(results: Mapping[str, Mapping[str, Any]], nodes: Mapping[str, NodeSpec]) -> dict[str, dict[str, Any]]:
     """What nodes that exchange messages with programs outside the run counted, by node, see `FrameExchange.results`.
 
-    A node that handed in no counts has 0 everywhere.
+    A node that handed in no counts, because it was lost, has none: {}.
     """
     found: dict[str, dict[str, Any]] = {}
     for name, spec in nodes.items():
         if has_topics_outside(spec):
-            value = results.get(name, {}).get("outside")
-            told = value if isinstance(value, Mapping) else {}
+            told = results.get(name, {}).get("outside")
+            if not isinstance(told, Mapping):
+                found[name] = {}
+                continue
             names = ("asked", "answered", "late", "unanswered", "interrupted", "unclassified")
             counts: dict[str, Any] = dict.fromkeys(names, 0)
             counts |= {key: n for key, n in counts_of(told).items() if key in (*names, "predicted")}
             parts = ("publishers", "refused", "left_out")
             found[name] = {**counts, "waits": told.get("waits") is True, **{p: counts_of(told.get(p)) for p in parts}}
+            found[name]["absent"] = _texts(told.get("absent"))
     return found
 
 
@@ -199,6 +202,13 @@ def counts_of(value: object) -> dict[str, int]:
     if not isinstance(value, Mapping):
         return {}
     return {str(name): n for name, n in value.items() if type(n) is int and n >= 0 and str(name).isprintable()}
+
+
+def _texts(value: object) -> dict[str, str]:
+    """The valid texts in a node's return value: printable, 300 characters at most."""
+    items = value.items() if isinstance(value, Mapping) else ()
+    valid = {str(name): text for name, text in items if isinstance(text, str) and text.isprintable()}
+    return {name: text[:300] for name, text in valid.items() if name.isprintable()}
 
 
 #: The place of a value: the place of its container, and its key or index in that; None at the top.

@@ -116,6 +116,10 @@ class EndpointToken:
         return f"{node}/{mangle(self.topic)}/{dds_type(self.type_name)}/{hash_chunk(self.type_hash)}/{self.qos.write()}"
 
 
+#: The key expression of the tokens of all domains.
+ALL_DOMAINS = f"{_ADMIN_SPACE}/**"
+
+
 def all_tokens(domain: int) -> str:
     """The key expression of all tokens in a domain."""
     return f"{_ADMIN_SPACE}/{check_domain(domain)}/**"

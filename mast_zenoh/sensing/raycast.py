@@ -44,6 +44,7 @@ class Walls:
         )
 
 
+@kernel
 def lidar_points(
     lidar: LidarSensor,
     sensor_position: Floats,

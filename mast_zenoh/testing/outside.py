@@ -62,6 +62,9 @@ class FakeLink:
     def heard(self, topic: str) -> bool:
         return True
 
+    def absence(self, topic: str) -> str:
+        return ""
+
     def note_clock(self, frame: int) -> None:
         self.clock_arrivals_ns.setdefault(frame, frame)
 

@@ -208,6 +208,18 @@ def looked_for(random, n, m):
     return *around, sensor, walls if random.random() < 0.8 else None, states, int(random.integers(0, 20))
 
 
+def cast(random, n, m):
+    """A lidar among boxes and walls, on one of the boxes or on none."""
+    boxes = places(random, n), random.uniform(0.3, 6, (n, 3)), random.uniform(-4, 4, n)
+    step = random.choice([0.5, 0.7])  # 0.7: beams after a turn are not at the same places
+    lidar = LidarSensor(
+        azimuth_step_deg=step, elevation_max_deg=30.0, channels=20, max_range_m=random.choice([9.0, 90.0])
+    )
+    pose = random.normal(0, 5, 3), rotation_from_yaw_pitch(*random.uniform(-1, 1, 2))
+    walls = Walls(random.normal(0, 30, (m, 2)), random.normal(0, 30, (m, 2)), random.uniform(-1, 9, m))
+    return lidar, *pose, *boxes, walls if random.random() < 0.8 else None, int(random.integers(-1, n)) if n else -1
+
+
 def members(random, n, m):
     """Rows (c, a) of n tracks in clusters, at most one of each agent, and none empty."""
     labels = np.unique(random.integers(0, m + 1, n), return_inverse=True)[1] if n else np.zeros(0, np.int64)
@@ -390,6 +402,7 @@ ARGUMENTS = {
     "free_ranges": swept,
     "box_visibility": box_visibility,
     "has_returns": looked_for,
+    "lidar_points": cast,
     "ray_evidence": ray_evidence,
     "median_boxes": median_boxes,
     "track_offsets": track_offsets,

@@ -72,6 +72,7 @@ def test_a_run_with_an_agent_of_ros_is_the_same_on_the_mesh_and_in_one_process(r
             "publishers": {AGENT[2]: 1},
             "refused": {},
             "left_out": {},
+            "absent": {},
         }
     )
 
@@ -162,6 +163,7 @@ def test_a_node_of_ros_that_dies_in_a_run_costs_only_its_answers(router: str, tm
     found = counts(folder)
     assert 0 < found["answered"] < 30
     assert found["answered"] + found["unanswered"] == 30
+    assert found["absent"][AGENT[2]].endswith("on: no node of ROS 2 is in domain 0")
 
 
 @pytest.mark.parametrize("runtime", ["mesh", "inproc"])

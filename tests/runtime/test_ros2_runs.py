@@ -25,6 +25,7 @@ from mast_zenoh.ros2.pose_messages import clock
 from mast_zenoh.ros2.type_store import CLOCK, TF_MESSAGE, encode
 from mast_zenoh.runtime.mesh import ros2_participant
 from mast_zenoh.runtime.mesh.ros2_link import Ros2Link
+from mast_zenoh.runtime.mesh.ros2_participant import Participant
 from mast_zenoh.runtime.mesh.session import open_client, open_router
 from tests.support.launched import eventually
 
@@ -95,6 +96,7 @@ def test_a_run_goes_on_without_a_node_of_ros_and_says_so(router: str, place: str
     (notice,) = (each for each in ended.record["notices"] if each["kind"] == "outside")
     assert notice["count"] == 12
     assert "on which the results depend: 12 of 12 messages had no answer in time" in notice["text"]
+    assert "from frame 0 on: no node of ROS 2 is in domain 0" in notice["text"]
 
 
 @pytest.mark.heavy
@@ -157,6 +159,29 @@ def test_a_wait_ends_with_the_run_and_with_the_router(ending: str) -> None:
         each.close()
     if ending == "stop":
         session.close()
+
+
+def test_a_link_knows_why_nothing_arrives() -> None:
+    session, endpoint = open_router()
+    link, known = link_to(endpoint), []
+
+    def says(reason: str) -> None:
+        eventually(lambda: link.absence("/ticks") == reason, reason, DEADLINE_S)
+
+    says("no node of ROS 2 is in domain 0")
+    with Participant(Connection(endpoint, domain=3), "far"):
+        says("no node of ROS 2 is in domain 0, but in 3")
+    with Participant(Connection(endpoint), "tracker") as tracker:
+        says("nobody publishes it; in domain 0 there are the nodes /tracker")
+        known.append(tracker.publisher("/tocks", CLOCK))
+        says(f"nobody publishes it; {CLOCK} is published on /tocks")
+        known.append(tracker.publisher("/ticks", TF_MESSAGE))
+        says(f"/tracker publishes it with {TF_MESSAGE}, expected {CLOCK}")
+        known.append(tracker.publisher("/ticks", CLOCK))
+        says("")
+    session.close()
+    says(f"the link to the router {endpoint} has ended")
+    link.close()
 
 
 def test_the_newest_messages_of_a_flood_are_kept_and_the_others_counted(router: str, ticker: zenoh.Publisher) -> None:

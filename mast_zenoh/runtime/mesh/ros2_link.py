@@ -18,7 +18,7 @@ from typing import Any
 from mast_zenoh.ros2.attachments import Attachment, gid_of
 from mast_zenoh.ros2.outside import Arrival, OutsideTopic, OutsideTopics, ros2_name
 from mast_zenoh.ros2.qos import TRANSIENT_LOCAL, Qos
-from mast_zenoh.runtime.mesh.ros2_participant import Participant, Publisher
+from mast_zenoh.runtime.mesh.ros2_participant import MAST_PREFIX, Participant, Publisher
 
 #: s, after which a wait looks whether it has become useless.
 _LOOK_S = 0.05
@@ -61,7 +61,7 @@ class Ros2Link:
         self._waiting = {topic.name: deque[Arrival]() for topic in topics.received}
         self._unannounced: dict[str, float] = {}  # when a message came without a known publisher, by topic
         # A peer that takes nothing must not stop the run: its messages are dropped.
-        self._participant = Participant(topics.connection, ros2_name(f"mast_{name}"), wait=False)
+        self._participant = Participant(topics.connection, ros2_name(MAST_PREFIX + name), wait=False)
         try:
             for topic in topics.received:
                 self._subscribe(topic)
@@ -103,10 +103,10 @@ class Ros2Link:
     def wait(self, limit_s: float, done: Callable[[], bool], needed: Sequence[str] = ()) -> bool:
         deadline = time.monotonic() + limit_s
         while True:
+            left_s = deadline - time.monotonic()  # before `done`, which may take long: what came in time counts
             self._changed.clear()
             if done():
                 return True
-            left_s = deadline - time.monotonic()
             if left_s <= 0.0 or self.ended or not all(map(self.present, needed)):
                 return False
             self._changed.wait(min(left_s, _LOOK_S))
@@ -117,6 +117,9 @@ class Ros2Link:
 
     def heard(self, topic: str) -> bool:
         return self._publishers[topic].is_wanted
+
+    def absence(self, topic: str) -> str:
+        return self._participant.absence(topic)
 
     def note_clock(self, frame: int) -> None:
         """Note that the clock of a frame has arrived now."""

@@ -7,13 +7,14 @@ dropped. Peers whose type or hash differs are silent on a mesh; their tokens tel
 from __future__ import annotations
 
 import contextlib
+import itertools
 import logging
 import re
 import socket
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Self
 
 import zenoh
@@ -24,7 +25,7 @@ from mast_zenoh.ros2 import type_store
 from mast_zenoh.ros2.attachments import Attachment, gid_of, parse_attachment
 from mast_zenoh.ros2.connection import Connection
 from mast_zenoh.ros2.data_keys import DataKey
-from mast_zenoh.ros2.liveliness_tokens import EndpointToken, NodeToken, all_tokens, parse_token, tokens_of
+from mast_zenoh.ros2.liveliness_tokens import ALL_DOMAINS, EndpointToken, NodeToken, all_tokens, parse_token, tokens_of
 from mast_zenoh.ros2.qos import TRANSIENT_LOCAL, Qos
 from mast_zenoh.ros2.type_store import RosMessage
 from mast_zenoh.runtime.mesh.session import open_session
@@ -41,6 +42,9 @@ MOST_BYTES = 1 << 24
 MOST_TOKENS, MOST_TOKENS_OF_TOPIC = 10_000, 256
 #: Reasons that are told apart in counts and warnings: peers choose the words of some.
 MOST_REASONS = 50
+
+#: The names of ROS 2 nodes that are nodes of a run begin with it.
+MAST_PREFIX = "mast_"
 
 #: s, in which a router must have answered.
 _CONNECT_S = 5.0
@@ -219,6 +223,27 @@ class Participant:
         """The subscriptions to a topic that others have, whatever their type."""
         return self._others("subscription", topic)
 
+    def absence(self, topic: str) -> str:
+        """Why nothing can arrive on a topic to which this node subscribes, as a clause; "": others publish on it."""
+        if not self.router:
+            return f"the link to the router {self.connection.router} has ended"
+        with self._lock:
+            own = next(token for token in self._endpoints[topic] if token.kind == "subscription")
+        published = self.publishers_of(topic)
+        if any((token.type_name, token.type_hash) == (own.type_name, own.type_hash) for token in published):
+            return ""
+        if published:
+            return f"{_full_name(published[0].node)} publishes it with {_difference(own, published[0])}"
+        others = [token for token in self.graph() if self._is_other(token) and not _is_of_mast(token)]
+        publishers = [token for token in others if isinstance(token, EndpointToken) and token.kind == "publisher"]
+        if similar := sorted({token.topic for token in publishers if token.type_name == own.type_name}):
+            return f"nobody publishes it; {own.type_name} is published on {_some(similar)}"
+        if nodes := sorted({_full_name(_node_of(token)) for token in others}):
+            return f"nobody publishes it; in domain {self.connection.domain} there are the nodes {_some(nodes)}"
+        absence = f"no node of ROS 2 is in domain {self.connection.domain}"
+        elsewhere = self._other_domains()
+        return f"{absence}, but in {_some([str(domain) for domain in elsewhere])}" if elsewhere else absence
+
     def refuse(self, topic: str, reason: str) -> None:
         """Count a message of a topic that is of no use, by the reason's part before the colon; log the first one.
 
@@ -261,8 +286,19 @@ class Participant:
             known = self._of_topics.get((kind, topic), {})
             return [known[token] for token in sorted(known) if self._is_other(known[token])]
 
-    def _is_other(self, token: EndpointToken) -> bool:
-        return token.node.session != self._node.session
+    def _is_other(self, token: NodeToken | EndpointToken) -> bool:
+        return _node_of(token).session != self._node.session
+
+    def _other_domains(self) -> list[int]:
+        """The other domains in which the router knows nodes that are not of a run."""
+        found: set[int] = set()
+        replies = self._session.liveliness().get(ALL_DOMAINS, timeout=_CONNECT_S)
+        for reply in itertools.islice(replies, MOST_TOKENS):
+            with contextlib.suppress(MessageError):
+                token = parse_token(str(reply.ok.key_expr)) if reply.ok is not None else self._node
+                if not _is_of_mast(token):
+                    found.add(_node_of(token).domain)
+        return sorted(found - {self.connection.domain})
 
     def _take(self, token: EndpointToken, handler: Handler, sample: zenoh.Sample, most_bytes: int) -> None:
         """Check a received message, and pass it on."""
@@ -324,20 +360,42 @@ class Participant:
 
     def _compare(self, own: EndpointToken, other: EndpointToken) -> None:
         """Warn of a peer on the same topic with another type, or with the same of other fields."""
-        if own.type_name != other.type_name:
-            difference = f"{other.type_name}, expected {own.type_name}"
-        elif own.type_hash != other.type_hash:
-            difference = f"another definition of {own.type_name} ({other.type_hash}), expected {own.type_hash}"
-        else:
+        if (own.type_name, own.type_hash) == (other.type_name, other.type_hash):
             return
-        name = f"{other.node.namespace.rstrip('/')}/{other.node.name}"
-        sentence = f"{own.topic}: the {other.kind} of {name} has {difference}: the two do not hear each other"
+        found = f"the {other.kind} of {_full_name(other.node)} has {_difference(own, other)}"
+        sentence = f"{own.topic}: {found}: the two do not hear each other"
         with self._lock:
             is_new = sentence not in self.warnings and len(self.warnings) < MOST_REASONS
             if is_new:
                 self.warnings.append(sentence)
         if is_new:
             log.warning("%s", sentence)
+
+
+def _difference(own: EndpointToken, other: EndpointToken) -> str:
+    """What is found at an endpoint of the same topic whose type or definition differs, and what is expected."""
+    if own.type_name != other.type_name:
+        return f"{other.type_name}, expected {own.type_name}"
+    return f"another definition of {own.type_name} ({other.type_hash}), expected {own.type_hash}"
+
+
+def _node_of(token: NodeToken | EndpointToken) -> NodeToken:
+    return token.node if isinstance(token, EndpointToken) else token
+
+
+def _full_name(node: NodeToken) -> str:
+    return f"{node.namespace.rstrip('/')}/{node.name}"
+
+
+def _is_of_mast(token: NodeToken | EndpointToken) -> bool:
+    """Whether a token is of a node of a run, or of a bridge: these answer nobody."""
+    return _node_of(token).name.startswith(MAST_PREFIX)
+
+
+def _some(names: Sequence[str], most: int = 3) -> str:
+    """The first of some names, and how many more there are."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
 
 
 def _open(connection: Connection) -> zenoh.Session:
