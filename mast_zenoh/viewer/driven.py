@@ -35,8 +35,23 @@ def course_of(run: RunRecord, car: str = "") -> Table | None:
 
 
 def brakes_of(run: RunRecord, car: str) -> list[dict[str, Any]]:
-    """The brakes of a car, as in metrics.json."""
-    return list(run.metrics.get("driven", {}).get(car, {}).get("brakes", ()))
+    """The brakes of a car, as in metrics.json; without those that are damaged."""
+    return [each for each in _entries(run, car, "brakes") if _is_brake(each)]
+
+
+def _entries(run: RunRecord, car: str, name: str) -> list[Any]:
+    """A list in the part of metrics.json about a car; empty if it is damaged."""
+    part: Any = run.metrics
+    for key in ("driven", car, name):
+        part = part.get(key) if isinstance(part, Mapping) else None
+    return part if isinstance(part, list) else []
+
+
+def _is_brake(brake: Any) -> bool:
+    if not isinstance(brake, Mapping) or not isinstance(brake.get("cause"), Mapping):
+        return False
+    numbers = [brake.get(name) for name in ("from_s", "until_s", "hardest_mps2")]
+    return all(isinstance(number, float) for number in numbers) and {"kind", "object", "adversary"} <= {*brake["cause"]}
 
 
 def braking_of(run: RunRecord, car: str, times_s: np.ndarray) -> np.ndarray:
@@ -44,7 +59,7 @@ def braking_of(run: RunRecord, car: str, times_s: np.ndarray) -> np.ndarray:
     result = np.full(len(times_s), ROLLS)
     for brake in brakes_of(run, car):
         during = (times_s >= brake["from_s"] - 1e-6) & (times_s < brake["until_s"] - 1e-6)
-        result[during] = NEEDLESSLY if brake["needless"] else BRAKES
+        result[during] = NEEDLESSLY if brake.get("needless") else BRAKES
     return result
 
 
@@ -73,7 +88,7 @@ def reason_of(brake: Mapping[str, Any]) -> str:
         return "before a line"
     if adversary:
         return f"because {adversary} changed its commands"
-    return "for nothing that it believed" if brake["needless"] else "for the road ahead"
+    return "for nothing that it believed" if brake.get("needless") else "for the road ahead"
 
 
 def braking_events(run: RunRecord, times: np.ndarray, *, reasons: bool = True) -> list[Event]:
@@ -84,14 +99,15 @@ def braking_events(run: RunRecord, times: np.ndarray, *, reasons: bool = True) -
         assert course is not None
         for brake in brakes_of(run, car):
             frame = int(np.searchsorted(times, brake["from_s"] - 1e-6))
-            how = "brakes needlessly" if brake["needless"] else "brakes"
+            how = "brakes needlessly" if brake.get("needless") else "brakes"
             text = f"{car} {how} with {brake['hardest_mps2']:.1f} m/s²"
             text += f" {reason_of(brake)}" if reasons else ""
             events.append(Event(frame, "brake", text, *_place(course, frame)))
-        for hit in run.metrics.get("driven", {}).get(car, {}).get("collisions", ()):
-            events.append(
-                Event(hit["frame"], "collision", f"{car} hits object {hit['object']}", *_place(course, hit["frame"]))
-            )
+        for hit in _entries(run, car, "collisions"):
+            first = hit.get("frame") if isinstance(hit, Mapping) else None
+            if type(first) is int and 0 <= first < len(times):
+                text = f"{car} hits object {hit.get('object')}"
+                events.append(Event(first, "collision", text, *_place(course, first)))
     return events
 
 

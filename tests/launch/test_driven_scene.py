@@ -52,10 +52,14 @@ def test_the_scene_of_the_folder_is_what_happened(tmp_path: Path) -> None:
 def test_the_scene_of_a_twin_is_what_happened_without_the_attack(tmp_path: Path) -> None:
     attacked = run.run(driven(*ATTACK, frames=30, record=True), tmp_path / "run", runtime="inproc")
     alone = run.run(driven(frames=30, record=True), tmp_path / "alone", runtime="inproc")
+    scenario = json.loads((attacked.folder / "scenario.json").read_text())
+    scenario["nodes"]["recorder"]["config"]["log"] = str(tmp_path / "escaped.mcap")
+    (attacked.folder / "scenario.json").write_text(json.dumps(scenario))
     scenes = [Recording.load(folder / "scene.npz") for folder in (twin.of(attacked.folder), alone.folder)]
     assert np.array_equal(scenes[0].agent_position, scenes[1].agent_position)
     assert np.array_equal(scenes[0].truth.position, scenes[1].truth.position)
     assert not np.array_equal(scenes[0].agent_position, Recording.load(attacked.folder / "scene.npz").agent_position)
+    assert not (tmp_path / "escaped.mcap").exists(), "a twin writes into its own folder alone"
     assert comparison.reference(RunRecord.load(attacked.folder), attacked.folder / "twin").name == "unattacked"
 
 

@@ -195,6 +195,24 @@ def test_the_page_has_the_course_of_the_car_and_of_its_twin(with_twin: RunRecord
     assert event["text"].endswith("for an object that is not there (track 28, shown by adversary_1)")
 
 
+@pytest.mark.parametrize(
+    "damaged",
+    [
+        *(7, [None], {"ego": 7}, {"ego": {"brakes": {}}}),
+        {"ego": {"brakes": [7, {}, {"cause": {}}, {"from_s": "now"}]}},
+        {"ego": {"collisions": [None, {"frame": "x"}, {"frame": 1 << 70, "object": 1}]}},
+    ],
+)
+def test_a_page_of_damaged_consequences_shows_the_rest(damaged: Any, with_twin: RunRecord) -> None:
+    with_twin.metrics["driven"] = damaged
+    data = run_block(with_twin)
+    assert data is not None
+    header, columns = unpack(data)
+    assert not [each for each in header["events"] if each["kind"] in ("brake", "collision")]
+    assert not columns["drive.brake"].any()
+    assert columns["drive.speed"].max() == pytest.approx(8.0)
+
+
 @pytest.mark.parametrize("damage", ["no twin", "another run", "no table", "no parquet", "a list", "a link"])
 def test_a_twin_that_cannot_be_read_is_left_out(damage: str, with_twin: RunRecord, tmp_path: Path) -> None:
     folder = with_twin.path / "twin"

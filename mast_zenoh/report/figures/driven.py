@@ -115,7 +115,7 @@ def _draw_map(axes: Axes, run: RunRecord, course: Table, other: Table | None, br
     axes.plot(course["x"][-1], course["y"][-1], "o", color=RUN_COLOURS[0], ms=7, zorder=5)
     for brake in brakes:
         during = (course["time_s"] >= brake["from_s"]) & (course["time_s"] < brake["until_s"])
-        colour = _NEEDLESS if brake["needless"] else _BRAKE
+        colour = _NEEDLESS if brake.get("needless", False) else _BRAKE
         axes.plot(course["x"][during], course["y"][during], "s", color=colour, ms=4, zorder=6, linestyle="")
     axes.plot(course["x"][0], course["y"][0], "|", color=INK, ms=9, mew=2, zorder=5)
 
@@ -128,5 +128,5 @@ def _draw_bands(axis: Axes, run: RunRecord, brakes: Any) -> None:
         axis.axvline(first, color=ADVERSARY_ON_LIGHT, linewidth=0.9, alpha=0.6)
     for needless, colour, label in ((False, _BRAKE, "brakes"), (True, _NEEDLESS, "brakes needlessly")):
         for brake in brakes:
-            if brake["needless"] is needless:
+            if brake.get("needless", False) is needless:
                 axis.axvspan(brake["from_s"], brake["until_s"], color=colour, alpha=0.35, linewidth=0, label=label)
