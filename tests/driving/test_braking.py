@@ -8,7 +8,7 @@ import pytest
 from mast_zenoh.driving.braking import Belief, brakes_of, missed_brakes, spans
 from mast_zenoh.driving.consequences import consequences
 from mast_zenoh.metrics.driving import Objects
-from tests.driving.test_consequences import car, driven, objects, straight
+from tests.driving.test_what_happened_to_cars import car, driven, objects, straight
 
 FRAMES = 30
 

@@ -5,7 +5,7 @@ import pytest
 
 from mast_zenoh.driving.followers import behind, behind_car
 from mast_zenoh.metrics.driving import Objects, Vehicle
-from tests.driving.test_consequences import SIZE, car, objects
+from tests.driving.test_what_happened_to_cars import SIZE, car, objects
 
 
 def test_who_is_behind_in_the_lane_and_points_the_same_way() -> None:

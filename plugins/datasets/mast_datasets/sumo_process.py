@@ -46,11 +46,12 @@ class Simulation:
         """Simulate up to a time, without moving anything."""
         self.sumo.simulationStep(until_s)
 
-    def step(self, steps: int, moves: list[Any]) -> dict[str, Any]:
-        """Simulate some steps, and return what is there then, with the shapes of what is new.
+    def step(self, steps: int, moves: list[Any], watched: dict[str, list[str]]) -> dict[str, Any]:
+        """Simulate some steps, and return what is there then, the shapes of what is new, and `around` of some vehicles.
 
         moves: (vehicle, edge, row of its lane, places), the latter x, y m of its front and its angle, degrees clockwise
                from north, after each step
+        watched: by vehicle, lanes
         """
         vehicle, person = self.sumo.vehicle, self.sumo.person
         present = set(vehicle.getIDList())
@@ -78,7 +79,8 @@ class Simulation:
         }
         self._known.update(shapes)
         values = np.array(state, np.float64).tobytes()
-        return {"vehicles": vehicles, "persons": persons, "state": values, "shapes": shapes}
+        around = {name: self.around(name, lanes) for name, lanes in watched.items()}
+        return {"vehicles": vehicles, "persons": persons, "state": values, "shapes": shapes, "around": around}
 
     def around(self, name: str, lanes: list[str]) -> tuple[Any, Any]:
         """The foes of a vehicle at the next junctions, and the states of the links at the ends of some lanes."""

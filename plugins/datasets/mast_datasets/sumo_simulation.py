@@ -9,7 +9,7 @@ import subprocess
 import sys
 import tempfile
 import weakref
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
@@ -69,6 +69,13 @@ class Foe(NamedTuple):
     foe_yields: bool
 
 
+class Around(NamedTuple):
+    """What a car has to wait for: foes at the next junctions, and the states of the links at the ends of some lanes."""
+
+    foes: list[Foe]
+    signals: list[list[str]]
+
+
 @dataclass(frozen=True, eq=False)
 class Present:
     """What is there.
@@ -76,6 +83,7 @@ class Present:
     names:  of n vehicles and persons
     front:  (n, 2) m, middle of the front bumper, in the axes of the network; of persons their middle
     angle:  (n,) degrees clockwise from north;  speed: (n,) m/s;  person: (n,)
+    around: of the cars that were watched
     """
 
     names: Sequence[str]
@@ -83,6 +91,7 @@ class Present:
     angle: Floats
     speed: Floats
     person: Bools
+    around: dict[str, Around]
 
 
 class VehicleShape(NamedTuple):
@@ -139,22 +148,29 @@ class SumoSimulation:
         """Simulate up to a time."""
         self._ask("advance", _WARM_UP_S, until_s)
 
-    def step(self, steps: int, moves: Sequence[Move]) -> Present:
-        """Simulate some steps, and return what is there then. moves: of cars that do not drive themselves"""
-        answer = self._ask("step", _STEP_S, steps, [tuple(move) for move in moves])
+    def step(
+        self, steps: int, moves: Sequence[Move] = (), watched: Mapping[str, Sequence[str]] | None = None
+    ) -> Present:
+        """Simulate some steps, and return what is there then.
+
+        moves: of cars that do not drive themselves;  watched: by car, the lanes of which `around` tells
+        """
+        answer = self._ask("step", _STEP_S, steps, [tuple(move) for move in moves], dict(watched or {}))
         for name, (*size, vehicle_class) in answer["shapes"].items():
             self.shapes[name] = VehicleShape(tuple(size), vehicle_class)
         names = [*answer["vehicles"], *answer["persons"]]
         state = np.frombuffer(answer["state"]).reshape(-1, 4)
         person = np.arange(len(names)) >= len(answer["vehicles"])
-        present = Present(names, state[:, :2], state[:, 2], state[:, 3], person)
+        present = Present(names, state[:, :2], state[:, 2], state[:, 3], person, {})
+        for car, (foes, signals) in answer["around"].items():
+            present.around[car] = Around([Foe(*foe) for foe in foes], signals)
         self._check(present)
         return present
 
-    def around(self, car: str, lanes: Sequence[str]) -> tuple[list[Foe], list[list[str]]]:
-        """The foes of a car at the next junctions, and the states of the links at the ends of some lanes."""
+    def around(self, car: str, lanes: Sequence[str]) -> Around:
+        """What a car has to wait for. lanes: at whose ends"""
         foes, signals = self._ask("around", _STEP_S, car, list(lanes))
-        return [Foe(*foe) for foe in foes], signals
+        return Around([Foe(*foe) for foe in foes], signals)
 
     def cars(self, names: Sequence[str]) -> list[Any]:
         """Of each vehicle: lane, m along it, edges of its route, row of the present one, factor, greatest speed m/s."""

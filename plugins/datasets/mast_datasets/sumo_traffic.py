@@ -56,7 +56,7 @@ class SumoTraffic(DataSetScene):
     files = (("*.sumocfg", "!*fcd*.xml*", "!*fcd*.csv*"), ("*.sumo.cfg", "!*fcd*.xml*", "!*fcd*.csv*"))
 
     start_s: float | None = None
-    ego: str | None = None
+    ego: str | int | None = None
     radius_m: float = 150.0
     building_height_m: float = 12.0
     rate_hz: float = 10.0
@@ -141,7 +141,7 @@ class SumoTraffic(DataSetScene):
                 )
             if start_s > inputs.begin_s:
                 simulation.advance(start_s)
-            present = simulation.step(0, [])
+            present = simulation.step(0)
             duration_s = max(_WINDOW_S, frames / self.rate_hz)
             cars = self._choose(simulation, present, duration_s, f"{inputs.path}: at {start_s:g} s")
             surroundings = self._surroundings(inputs, simulation, present, cars["ego"])
@@ -160,7 +160,7 @@ class SumoTraffic(DataSetScene):
         moving = [row for row in fit if present.speed[row] > _MOVING_MPS] or fit
         expected = f"expected a car that drives on for {duration_s:g} s"
         if self.ego is not None:
-            chosen = [row for row in fit if present.names[row] == self.ego]
+            chosen = [row for row in fit if present.names[row] == str(self.ego)]
             if not chosen:
                 some = ", ".join(present.names[row] for row in moving[:10]) or "there is none"
                 raise ConfigurationError(f"{place}: ego is {self.ego!r}, {expected}, such as {some}")

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_datasets.sumo_files import type_of_class
-from mast_datasets.sumo_lanes import HORIZON_M, Lane, Priority, Way, way_from
+from mast_datasets.sumo_lanes import HORIZON_M, Lane, Priority, StopLine, Way, way_from
 from mast_datasets.sumo_simulation import Move, Present, SumoSimulation
 from mast_zenoh.arrays.geometry import rotation_from_yaw, wrap_angle
 from mast_zenoh.arrays.states import Floats, Ints
@@ -39,6 +39,11 @@ class Ride(NamedTuple):
     front: float
     factor: float
     fastest: float
+
+    @property
+    def lines(self) -> list[StopLine]:
+        """Where the vehicle may have to stop soon."""
+        return self.way.lines_ahead(self.front)
 
 
 class Ways:
@@ -180,7 +185,7 @@ class SumoWorld(SteppedWorld):
     def step(self, commands: Mapping[str, Command]) -> None:
         for car in [car for car in self._driven if car not in commands]:
             del self._driven[car]
-        moves = []
+        moves, watched = [], {}
         for car, command in commands.items():
             if car not in self._driven:
                 self._driven[car] = self._take_over(car)
@@ -194,7 +199,9 @@ class SumoWorld(SteppedWorld):
             driven.ride = self._planned(car, driven.ride._replace(front=front))
             edge, lane = driven.ride.way.lane_at(driven.ride.front)
             moves.append(Move(self._vehicles[car], edge, lane, places))
-        self._present = self._simulation.step(self._steps, moves)
+            if car in self._priority:
+                watched[self._vehicles[car]] = [line.lane for line in driven.ride.lines]
+        self._present = self._simulation.step(self._steps, moves, watched)
 
     def _take_over(self, car: str) -> _Driven:
         """A car as it drives itself now."""
@@ -220,8 +227,9 @@ class SumoWorld(SteppedWorld):
             ride, speed = self._ways.ride(vehicle), float(self._present.speed[self._row(car)])
         else:
             ride, speed = driven.ride, driven.speed
-        lines = ride.way.lines_ahead(ride.front)
-        foes, signals = self._simulation.around(vehicle, [line.lane for line in lines])
+        lines = ride.lines
+        around = self._present.around.get(vehicle)
+        foes, signals = around or self._simulation.around(vehicle, [line.lane for line in lines])
         speeds = dict(zip(self._present.names, self._present.speed.tolist(), strict=True))
         stop = self._priority.setdefault(car, Priority(self._steps * self._step_s)).stop(
             [(line, line.at - ride.front, state[line.link]) for line, state in zip(lines, signals, strict=True)],
