@@ -171,7 +171,7 @@ class HideAhead(FollowingEgo, ChangingAttack):
 
 
 #: m/s, least speed toward a lane with which an object crosses it.
-_LEAST_MPS = 0.3
+_LEAST_MPS = 0.8
 
 
 class LaneIntrusion(FollowingEgo, SlowDrift):

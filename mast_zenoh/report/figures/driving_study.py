@@ -34,7 +34,7 @@ def figure_of_driving(table: DrivingTable) -> RenderedFigure:
             place = _APART * (index - (len(defences) - 1) / 2.0)
             _points(axes, [row for row in rows if row.defence == defence], name, attacks, index, place)
         axes.set_xlabel(f"added {measure.heading}", fontsize=9, color=INK)
-        axes.set_ylim(len(attacks) - 0.5, -0.5)
+        axes.set_ylim(max(len(attacks), 1) - 0.5, -0.5)
     panels[0].set_yticks(range(len(attacks)), labels=attacks)
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper left", ncols=max(1, len(labels)), frameon=False, fontsize=9)
