@@ -160,7 +160,7 @@ class Intersection(Scene):
         _, start, motorised = self._drive(site, seed, frames)
         traffic = DrivenTraffic(site.junction.network, site.movers, seed, f"intersection/{self.scene_index}")
         traffic.release()
-        steps, step_s = self._steps()
+        steps, step_s = _steps(self.rate_hz)
         traffic.run(round(_WARM_UP_S * self.rate_hz) + start, steps, step_s)
 
         first: World | None = None  # its agents and their sensors are those of all frames
@@ -177,16 +177,12 @@ class Intersection(Scene):
     def _site(self, seed: int) -> _Site:
         """The junction and its road users."""
         junction = _junction(self.scene_index)
-        movers, kinds = road_users(
-            junction.network,
-            {
-                "vehicle": self._count("n_vehicles", max(junction.vehicles, _VEHICLES, 1 + (self.n_mobile or 0))),
-                "bicycle": self._count("n_bicycles", junction.bicycles),
-                "pedestrian": self._count("n_pedestrians", junction.pedestrians),
-            },
-            stream(seed, "intersection", self.scene_index, "movers"),
+        counts = (
+            self._count("n_vehicles", max(junction.vehicles, _VEHICLES, 1 + (self.n_mobile or 0))),
+            self._count("n_bicycles", junction.bicycles),
+            self._count("n_pedestrians", junction.pedestrians),
         )
-        return _Site(junction, movers, kinds)
+        return _site(self.scene_index, counts, seed)
 
     def _unequipped(
         self, site: _Site, motion: Motion, motorised: list[int], agents: tuple[SceneAgent, ...] | None = None
@@ -214,35 +210,13 @@ class Intersection(Scene):
         configured: int | None = getattr(self, name)
         return default if configured is None else configured
 
-    def _steps(self) -> tuple[int, float]:
-        """Steps of the traffic in a frame, and the length of a step, s."""
-        steps = int(np.ceil(10.0 / self.rate_hz - 1e-9))
-        return steps, 1.0 / (self.rate_hz * steps)
-
     def _drive(self, site: _Site, seed: int, frames: int | None) -> tuple[Motion, int, list[int]]:
-        """The motion in the recorded frames, the first of them after the warm-up, and the agents among the vehicles.
-
-        The ego comes first, and the others by their distance from the junction.
-        """
+        """The motion in the recorded frames, the first of them after the warm-up, and the agents among the vehicles."""
         frames = round(_WINDOW_S * self.rate_hz) if frames is None else frames
         if frames < 1:
             raise ConfigurationError(f"Intersection: {frames} frames, expected at least 1")
-        movers, traffic = (
-            site.movers,
-            Traffic(site.junction.network, site.movers, seed, f"intersection/{self.scene_index}"),
-        )
-        steps, dt = self._steps()
-        traffic.run(round(_WARM_UP_S * self.rate_hz), steps, dt)
-        window, search = round(_WINDOW_S * self.rate_hz), round(_SEARCH_S * self.rate_hz)
-        # The choice depends only on the window, so that a shorter recording is the start of a longer one.
-        motion = traffic.run(search + max(window, frames), steps, dt)
-        motorised = np.flatnonzero(movers.user == ROAD)
-        cars = motorised[movers.size_class[motorised] == 0]
-        start, ego = _choose_ego(site.junction.network, motion.frames(slice(search + window)), cars, window)
-        motion = motion.frames(slice(start, start + frames))
-        distance = np.hypot(*np.moveaxis(motion.position[:window, motorised], -1, 0)).mean(axis=0)
-        others = [int(row) for row in motorised[np.argsort(distance, kind="stable")] if row != ego]
-        return motion, start, [ego, *others[: self.n_mobile or 0]]
+        motion, start, motorised = _motion(site, f"intersection/{self.scene_index}", seed, frames, self.rate_hz)
+        return motion, start, motorised[: 1 + (self.n_mobile or 0)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,6 +250,45 @@ class _Site:
     junction: _Junction
     movers: Movers
     kinds: list[str]
+
+
+@lru_cache(maxsize=8)
+def _site(scene_index: int, counts: tuple[int, int, int], seed: int) -> _Site:
+    """A junction and its road users. counts: vehicles, bicycles, pedestrians"""
+    junction = _junction(scene_index)
+    random = stream(seed, "intersection", scene_index, "movers")
+    movers, kinds = road_users(
+        junction.network, dict(zip(("vehicle", "bicycle", "pedestrian"), counts, strict=True)), random
+    )
+    return _Site(junction, movers, kinds)
+
+
+def _steps(rate_hz: float) -> tuple[int, float]:
+    """Steps of the traffic in a frame, and the length of a step, s."""
+    steps = int(np.ceil(10.0 / rate_hz - 1e-9))
+    return steps, 1.0 / (rate_hz * steps)
+
+
+@lru_cache(maxsize=8)  # a stepped scene needs it again after it was prepared
+def _motion(site: _Site, name: str, seed: int, frames: int, rate_hz: float) -> tuple[Motion, int, list[int]]:
+    """The motion in the recorded frames, the first of them after the warm-up, and the vehicles.
+
+    The ego comes first, and the others by their distance from the junction.
+    """
+    movers, network = site.movers, site.junction.network
+    traffic = Traffic(network, movers, seed, name)
+    steps, dt = _steps(rate_hz)
+    traffic.run(round(_WARM_UP_S * rate_hz), steps, dt)
+    window, search = round(_WINDOW_S * rate_hz), round(_SEARCH_S * rate_hz)
+    # The choice depends only on the window, so that a shorter recording is the start of a longer one.
+    motion = traffic.run(search + max(window, frames), steps, dt)
+    motorised = np.flatnonzero(movers.user == ROAD)
+    cars = motorised[movers.size_class[motorised] == 0]
+    start, ego = _choose_ego(network, motion.frames(slice(search + window)), cars, window)
+    motion = motion.frames(slice(start, start + frames))
+    distance = np.hypot(*np.moveaxis(motion.position[:window, motorised], -1, 0)).mean(axis=0)
+    others = [int(row) for row in motorised[np.argsort(distance, kind="stable")] if row != ego]
+    return motion, start, [ego, *others]
 
 
 def _names(motorised: list[int]) -> dict[str, int]:
