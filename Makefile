@@ -27,7 +27,7 @@ test: .venv/ready
 	$(PYTEST) $(or $(TESTS),-m 'not heavy')
 
 # These, then the heavy ones: containers, hosts, browsers, the commands of pages, every way to end a run.
-test-all: test .venv/ros2/ready
+test-all: test .venv/ros2/ready .venv/sumo
 	$(PYTEST) -m heavy
 
 # `make fuzz SEED=7` repeats the draws of an earlier run with that seed.
@@ -78,6 +78,7 @@ lock: .venv/tools/ready
 	$(LOCK) --constraint requirements-dev.txt --group build --output-file requirements.txt pyproject.toml
 	$(LOCK) $(UPGRADE) --group tools --output-file requirements-tools.txt
 	$(LOCK) $(UPGRADE) --group pyproject.toml:ros2 --output-file requirements-ros2.txt
+	$(LOCK) --constraint requirements-dev.txt --extra sumo --output-file requirements-sumo.txt pyproject.toml
 
 # Release files: source archives and wheels of the package and its plugin, and the bill of materials (CycloneDX) of the wheel with its dependencies.
 dist: .venv/ready .venv/tools/ready
@@ -113,6 +114,11 @@ INSTALL = $(BIN)/$(PIP) --no-deps --no-build-isolation --editable . --editable p
 .venv/ros2/ready: requirements-ros2.txt | .venv/installed
 	$(PYTHON) -m venv .venv/ros2
 	-.venv/ros2/bin/$(PIP) --require-hashes --requirement requirements-ros2.txt
+	touch $@
+
+# SUMO, for the tests that simulate with it: they are skipped, with the reason, where there is no wheel of it.
+.venv/sumo: requirements-sumo.txt | .venv/ready
+	-$(BIN)/$(PIP) --require-hashes --requirement requirements-sumo.txt
 	touch $@
 
 clean:

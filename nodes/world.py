@@ -157,6 +157,7 @@ class WorldSimulator(Source):
 
     def finish(self, context: Context) -> dict[str, Any]:
         """For each car, the number of frames in which it was commanded, held on or braked, and of refused commands."""
+        self.world.close()
         return {"commands": {car: dict(actuation.counts) for car, actuation in self.cars.items()}}
 
 

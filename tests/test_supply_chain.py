@@ -24,6 +24,10 @@ LOCKS = {
     ],
     "requirements-tools.txt": PROJECT["dependency-groups"]["tools"],
     "requirements-ros2.txt": PROJECT["dependency-groups"]["ros2"],
+    "requirements-sumo.txt": [
+        *PROJECT["project"]["dependencies"],
+        *PROJECT["project"]["optional-dependencies"]["sumo"],
+    ],
 }
 
 #: Their major versions follow the calendar (setuptools: every removal of a feature): a bound would only exclude fixes.

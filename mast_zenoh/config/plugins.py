@@ -208,6 +208,7 @@ DATA_SETS = {
     "AV2Log": DataSet("av2", "Argoverse 2"),
     "KittiTracking": DataSet("kitti", "KITTI"),
     "CommonRoadScenario": DataSet("commonroad", "CommonRoad"),
+    "SumoTraffic": DataSet("sumo", "configurations of SUMO"),
     "SumoTrace": DataSet("sumo", "traces of SUMO"),
     "OPV2VScene": DataSet("opv2v", "OPV2V"),
     "V2XRealScene": DataSet("v2xreal", "V2X-Real"),

@@ -42,7 +42,7 @@ def parse_scene(text: str) -> dict[str, Any]:
         forms = {short_form(cls).replace(f"{short}:PATH", "NAME:PATH") for short, cls in known.items()}
         problem = f"scene {text!r}: unknown name {name!r}, expected one of {', '.join(sorted(forms))}"
         raise plugins.not_found(problem, name, known)
-    cls = known[name]
+    cls = known[name].named(argument)
     takes = inspect.signature(cls).parameters.get(cls.short_argument)
     if takes is None:
         where = f"{cls.__module__}.{cls.__name__}.short_argument"

@@ -6,7 +6,10 @@
     driver        base class of drivers, and the one that follows its lane and the car ahead
     proposals     the driver that simulates several ways to drive on and takes the best
     veto          own sensors overrule what others made of the mission estimate
-    consequences  what happened to a car: collisions, hard braking, progress
+    corridor      what is ahead of a car, along its lane
+    consequences  what happened to a car: collisions, near misses, comfort, progress
+    braking       when it brakes, what made that needful, and whether the truth did
+    followers     what happens to the traffic behind it
 
 Arrays in, arrays out; `nodes/world.py` and `nodes/driver.py` connect them. See docs/driving.md.
 """

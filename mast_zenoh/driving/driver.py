@@ -9,9 +9,10 @@ import numpy as np
 
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Floats, ObjectStates
+from mast_zenoh.driving.corridor import along_route
 from mast_zenoh.driving.following import IntelligentDriverModel
 from mast_zenoh.driving.motion import CarLimits, Command, RouteAhead
-from mast_zenoh.metrics.driving import BrakingRule, Driving, Objects, TimeToCollision, Vehicle
+from mast_zenoh.metrics.driving import BrakingRule, Driving, Objects, TimeToCollision
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +90,7 @@ class FollowingDriver(Driver):
         speed, limits = situation.speed, situation.limits
         objects = situation.objects
         ahead = self.corridor.ahead(
-            _along_route(situation),
+            along_route(situation.position, situation.velocity, situation.heading, situation.size, situation.route),
             Objects(np.zeros(len(objects), np.int64), objects.position, objects.velocity, objects.size, objects.yaw),
         )
         acceleration = -limits.braking
@@ -126,18 +127,3 @@ def steering(situation: Situation, preview_m: float, offset_m: float = 0.0) -> f
     offset = target - situation.position[:2]
     across = np.cos(situation.heading) * offset[1] - np.sin(situation.heading) * offset[0]
     return float(2.0 * across / max(float(offset @ offset), 1.0))
-
-
-def _along_route(situation: Situation) -> Vehicle:
-    """The car now, and then along its route: the corridor in which it looks for objects."""
-    points = situation.route.position[1:]
-    position = np.concatenate([situation.position[None, :2], points])
-    step = np.diff(position, axis=0)
-    heading = np.concatenate([[situation.heading], np.arctan2(step[:, 1], step[:, 0])])
-    return Vehicle(
-        np.column_stack([position, np.full(len(position), situation.position[2])]),
-        np.tile(situation.velocity, (len(position), 1)),
-        heading,
-        float(situation.size[0]),
-        float(situation.size[1]),
-    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -56,7 +57,7 @@ def simulator_config(
     if type(registry.build(spec, Scene, f"{path}: scene")).world is Scene.world:
         raise ConfigurationError(
             f"{path}: drivers: a scene of the type {spec['type']} cannot be stepped, so its cars cannot be driven: "
-            "expected Intersection, or a scene of yours that defines `world`"
+            "expected Intersection, SumoTraffic, or a scene of yours that defines `world`"
         )
     if recording.measurements is not None:
         timed = np.flatnonzero(recording.measurements.age_ns.any(axis=0))
@@ -70,7 +71,9 @@ def simulator_config(
     except ConfigurationError as error:
         raise ConfigurationError(f"{path}: {error}") from None
     names = {car: driver_of_car(car) for car in drivers}
-    return {"file": _WORLD, **config, "scene": dict(spec), "drivers": names, **options}
+    # The world reads the scene's files itself, in a process of another folder.
+    scene = {key: os.path.abspath(value) if key == "path" else value for key, value in spec.items()}
+    return {"file": _WORLD, **config, "scene": scene, "drivers": names, **options}
 
 
 def drivers(path: Path, scenario: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:

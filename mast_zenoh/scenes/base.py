@@ -37,6 +37,11 @@ class Scene(ABC):
 
         return path.is_dir() and any(all(map(matches, variant)) for variant in cls.files)
 
+    @classmethod
+    def named(cls, argument: str) -> type[Scene]:
+        """The type that the short name means with this argument; another one for other files of the same program."""
+        return cls
+
     @abstractmethod
     def record(self, seed: int, frames: int | None) -> Recording:
         """Record the scene's first `frames` frames (None: all, or its default number).
@@ -51,8 +56,8 @@ class Scene(ABC):
         Raises ConfigurationError for a scene that cannot be stepped: only `record` is required of a scene.
         """
         raise ConfigurationError(
-            f"scene: {type(self).__name__} cannot be stepped, so its cars cannot be driven: expected Intersection, or "
-            "a scene of yours that defines `world`; or leave out `drivers`"
+            f"scene: {type(self).__name__} cannot be stepped, so its cars cannot be driven: expected Intersection, "
+            "SumoTraffic, or a scene of yours that defines `world`; or leave out `drivers`"
         )
 
     def inputs(self) -> Sequence[Path]:

@@ -43,6 +43,9 @@ class SteppedWorld(ABC):
     def step(self, commands: Mapping[str, Command]) -> None:
         """Go on to the next frame. commands: by car; all others drive as in the prepared scene, and react"""
 
+    def close(self) -> None:  # noqa: B027
+        """End what the world has started, such as a simulator's process; it is not stepped again."""
+
 
 def check_cars(names: Iterable[str], cars: Iterable[str]) -> None:
     """Raise ConfigurationError for the first of some names that is not one of the cars of a world."""

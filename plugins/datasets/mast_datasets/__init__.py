@@ -12,6 +12,7 @@ from mast_datasets.opv2v import MultiV2XScene, OPV2VScene, V2V4RealScene, V2XRea
 from mast_datasets.rcooper import RCooperScene
 from mast_datasets.rosbag import RosBag
 from mast_datasets.sumo import SumoTrace
+from mast_datasets.sumo_traffic import SumoTraffic
 from mast_datasets.tumtraf import TUMTrafV2X
 from mast_datasets.urbaning import UrbanIngV2X
 
@@ -26,6 +27,7 @@ __all__ = [
     "RCooperScene",
     "RosBag",
     "SumoTrace",
+    "SumoTraffic",
     "TUMTrafV2X",
     "UrbanIngV2X",
     "V2V4RealScene",

@@ -20,10 +20,12 @@ from mast_datasets.sumo_files import (
     sizes,
     type_of_class,
 )
+from mast_datasets.sumo_traffic import SUFFIXES, SumoTraffic
 from mast_datasets.traffic import TrafficScene, busiest_vehicle, check_times, ego_in_traffic, near_route
 from mast_datasets.xml_files import has_root
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
+from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.making.assembly import Boxes, assemble
 from mast_zenoh.scenes.recording import Recording
 
@@ -244,7 +246,12 @@ class SumoTrace(TrafficScene):
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        return super().recognises(path) or has_root(path, "fcd-export")
+        return super().recognises(path) or has_root(path, "fcd-export") or SumoTraffic.recognises(path)
+
+    @classmethod
+    def named(cls, argument: str) -> type[Scene]:
+        """SumoTraffic for a configuration of SUMO, which is simulated while it is played."""
+        return SumoTraffic if SumoTraffic.recognises(Path(argument)) or argument.endswith(SUFFIXES) else cls
 
     def inputs(self) -> Sequence[Path]:
         """The folder of the trace."""

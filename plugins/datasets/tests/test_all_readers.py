@@ -64,7 +64,9 @@ def scene(name: str, path: Path, **options: Any) -> Scene:
 def test_every_data_set_is_recognised_by_its_files(twins: dict[str, Path]) -> None:
     for name, path in twins.items():
         assert recognised(str(path)) == f"{getattr(mast_datasets, name.partition(', ')[0]).short_name}:{path}"
-    assert {*TWINS, *OTHERS} == set(mast_datasets.__all__)
+    assert {*TWINS, *OTHERS, "SumoTraffic"} == set(
+        mast_datasets.__all__
+    )  # the latter simulates, see test_sumo_traffic.py
 
 
 def test_a_path_that_does_not_exist_is_refused_by_name(twins: dict[str, Path]) -> None:

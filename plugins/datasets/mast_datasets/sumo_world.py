@@ -1,0 +1,348 @@
+"""The world of SUMO's traffic: what is there in each frame, and how driven cars move in it."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mast_datasets.sumo_files import type_of_class
+from mast_datasets.sumo_lanes import HORIZON_M, Lane, Priority, StopLine, Way, way_from
+from mast_datasets.sumo_simulation import Move, Present, SumoSimulation
+from mast_zenoh.arrays.geometry import rotation_from_yaw, wrap_angle
+from mast_zenoh.arrays.states import Floats, Ints
+from mast_zenoh.driving.motion import Command, RouteAhead, drive
+from mast_zenoh.errors import SceneError
+from mast_zenoh.scenes.making.assembly import AgentPath
+from mast_zenoh.scenes.making.observe import World
+from mast_zenoh.scenes.making.sensor_types import SensorsByAgent, equip
+from mast_zenoh.scenes.making.virtual_agents import roof_sensors
+from mast_zenoh.scenes.recording import SceneAgent, truth_states
+from mast_zenoh.scenes.stepped import SteppedWorld
+from mast_zenoh.sensing import Detector
+
+_WAY_M = 1000.0  # of a way that is planned at once
+_NAMED = 1_000_000_000  # ids from here on are of vehicles whose names are no numbers
+
+
+class Ride(NamedTuple):
+    """Where a vehicle is going.
+
+    way: its lanes;  front: m along them, of its front;  factor: of speed limits;  fastest: m/s, it can go
+    """
+
+    way: Way
+    front: float
+    factor: float
+    fastest: float
+
+    @property
+    def lines(self) -> list[StopLine]:
+        """Where the vehicle may have to stop soon."""
+        return self.way.lines_ahead(self.front)
+
+
+class Ways:
+    """The ways of vehicles through the lanes of a network."""
+
+    def __init__(self, simulation: SumoSimulation) -> None:
+        self._simulation = simulation
+        self._lanes: dict[str, Lane] = {}
+
+    def ride(self, vehicle: str) -> Ride:
+        """Where a vehicle is going, from its lane on."""
+        lane, at, route, row, factor, fastest = self._simulation.cars([vehicle])[0]
+        return Ride(way_from(lane, route[row + 1 :], _WAY_M, self._lane), at, factor, fastest)
+
+    def on(self, lane: str) -> Way:
+        """The way from a lane on, straight on at forks."""
+        return way_from(lane, (), _WAY_M, self._lane)
+
+    def _lane(self, name: str) -> Lane:
+        if name not in self._lanes:
+            shape, limit, links = self._simulation.lanes([name])[0]
+            self._lanes[name] = Lane(np.array(shape, np.float64)[:, :2], limit, [tuple(link) for link in links])
+        return self._lanes[name]
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """What does not change while the traffic moves.
+
+    name:    of the scene;  period_ns: ns, between two frames
+    radius_m: m, around each agent, in which objects are there
+    origin:  (2,) m, of the world, in the axes of the network
+    poles:   agents that stand;  buildings, building_height: as in `Recording`; all in the world
+    sensors: of agents, by name or pattern
+    """
+
+    name: str
+    period_ns: int
+    radius_m: float
+    origin: Floats
+    poles: Sequence[AgentPath]
+    buildings: tuple[Floats, ...]
+    building_height: Floats
+    sensors: SensorsByAgent
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """n objects of one frame, in the order of their ids, and c cars that are agents.
+
+    id: (n,);  position: (n, 3) m;  velocity: (n, 3) m/s;  size: (n, 3) m;  yaw: (n,) rad;  class_id: (n,)
+    cars: (c,) rows of the agents' own objects
+    """
+
+    id: Ints
+    position: Floats
+    velocity: Floats
+    size: Floats
+    yaw: Floats
+    class_id: NDArray[np.uint8]
+    cars: Ints
+
+
+@dataclass
+class _Driven:
+    """A car that obeys commands.
+
+    position: (2,) m, of its middle, in the axes of the network;  heading: rad;  speed: m/s;  ride: where it goes
+    """
+
+    position: Floats
+    heading: float
+    speed: float
+    ride: Ride
+
+    def move(self, command: Command, duration_s: float) -> None:
+        """Go on for `duration_s` s along a circle, with a constant acceleration until it stands."""
+        end = max(self.speed + command.acceleration * duration_s, 0.0)
+        if end == 0.0 and self.speed > 0.0:
+            distance = self.speed**2 / (2.0 * -command.acceleration)
+        else:
+            distance = (self.speed + end) / 2.0 * duration_s
+        zero = np.zeros(1)
+        along, aside, turn = drive(zero, zero, np.array([distance]), np.array([command.curvature]), zero)
+        ahead = _direction(self.heading)
+        self.position = self.position + along[0] * ahead + aside[0] * np.array([-ahead[1], ahead[0]])
+        self.heading = float(wrap_angle(self.heading + turn[0]))
+        self.speed = end
+
+    def front(self, length: float) -> Floats:
+        """(2,) m, of its front. length: m, of the car"""
+        return self.position + length / 2.0 * _direction(self.heading)
+
+
+class SumoWorld(SteppedWorld):
+    """SUMO's traffic, stepped from the first frame of a scene on.
+
+    simulation: at that frame;  present: what is there then
+    cars: vehicle of each agent that is one, by name of the agent, the ego first
+    steps, step_s: of a frame;  detector: of sensors without one of their own
+    """
+
+    def __init__(
+        self,
+        simulation: SumoSimulation,
+        present: Present,
+        cars: Mapping[str, str],
+        surroundings: Surroundings,
+        *,
+        steps: int,
+        step_s: float,
+        detector: Detector,
+    ) -> None:
+        self.detector, self.cars = detector, tuple(cars)
+        self._simulation, self._ways, self._present = simulation, Ways(simulation), present
+        self._vehicles, self._surroundings = dict(cars), surroundings
+        self._steps, self._step_s = steps, step_s
+        self._driven: dict[str, _Driven] = {}
+        self._priority: dict[str, Priority] = {}  # of cars with a driver
+        self._ids: dict[str, int] = {}
+        self._names: dict[int, str] = {}
+        self._agents = (
+            *(
+                SceneAgent(car, "mobile", self._id(name), *roof_sensors(simulation.shapes[name].size[2]))
+                for car, name in cars.items()
+            ),
+            *(pole.agent for pole in surroundings.poles),
+        )
+
+    def close(self) -> None:
+        self._simulation.close()
+
+    def now(self) -> World:
+        return self.world_of([self.moment()])
+
+    def size(self, car: str) -> Floats:
+        return np.array(self._simulation.shapes[self._vehicles[car]].size[:2])
+
+    def step(self, commands: Mapping[str, Command]) -> None:
+        for car in [car for car in self._driven if car not in commands]:
+            del self._driven[car]
+        moves, watched = [], {}
+        for car, command in commands.items():
+            if car not in self._driven:
+                self._driven[car] = self._take_over(car)
+            driven, places = self._driven[car], []
+            length = float(self.size(car)[0])
+            for _ in range(self._steps):
+                driven.move(command, self._step_s)
+                places.append((*driven.front(length).tolist(), 90.0 - float(np.degrees(driven.heading))))
+            expected = driven.ride.front + driven.speed * self._steps * self._step_s
+            front = driven.ride.way.along(driven.front(length), expected)
+            driven.ride = self._planned(car, driven.ride._replace(front=front))
+            edge, lane = driven.ride.way.lane_at(driven.ride.front)
+            moves.append(Move(self._vehicles[car], edge, lane, places))
+            if car in self._priority:
+                watched[self._vehicles[car]] = [line.lane for line in driven.ride.lines]
+        self._present = self._simulation.step(self._steps, moves, watched)
+
+    def _take_over(self, car: str) -> _Driven:
+        """A car as it drives itself now."""
+        row, ride = self._row(car), self._ways.ride(self._vehicles[car])
+        heading = float(np.radians(90.0 - self._present.angle[row]))
+        middle = self._present.front[row] - self.size(car)[0] / 2.0 * _direction(heading)
+        self._simulation.reroute(self._vehicles[car], ride.way.edges)
+        return _Driven(middle, heading, float(self._present.speed[row]), ride)
+
+    def _planned(self, car: str, ride: Ride) -> Ride:
+        """The ride of a driven car, planned anew if it is near the end of what is planned."""
+        if ride.way.is_dead_end or ride.way.length - ride.front > 2.0 * HORIZON_M:
+            return ride
+        row = ride.way.row_at(ride.front)
+        way = self._ways.on(ride.way.lanes[row])
+        self._simulation.reroute(self._vehicles[car], way.edges)
+        return ride._replace(way=way, front=ride.front - float(ride.way.start[row]))
+
+    def route(self, car: str) -> RouteAhead:
+        vehicle, length = self._vehicles[car], float(self.size(car)[0])
+        driven = self._driven.get(car)
+        if driven is None:
+            ride, speed = self._ways.ride(vehicle), float(self._present.speed[self._row(car)])
+        else:
+            ride, speed = driven.ride, driven.speed
+        lines = ride.lines
+        around = self._present.around.get(vehicle)
+        foes, signals = around or self._simulation.around(vehicle, [line.lane for line in lines])
+        speeds = dict(zip(self._present.names, self._present.speed.tolist(), strict=True))
+        stop = self._priority.setdefault(car, Priority(self._steps * self._step_s)).stop(
+            [(line, line.at - ride.front, state[line.link]) for line, state in zip(lines, signals, strict=True)],
+            speed,
+            length,
+            [(foe, speeds.get(foe.name, 0.0)) for foe in foes],
+        )
+        if ride.way.is_dead_end and ride.way.length - ride.front < HORIZON_M:
+            stop = min(stop, max(ride.way.length - ride.front, 0.0))
+        position, limit = ride.way.ahead(max(ride.front - length / 2.0, 0.0))
+        return RouteAhead(
+            position - self._surroundings.origin, np.minimum(limit * ride.factor, ride.fastest), float(stop)
+        )
+
+    def _row(self, car: str) -> int:
+        """The row of a car among what is there now."""
+        try:
+            return self._present.names.index(self._vehicles[car])
+        except ValueError:
+            raise SceneError(
+                f"{self._surroundings.name}: {self._vehicles[car]}, which is the agent {car}, has left the network, "
+                "expected it to drive on; choose another ego or start_s"
+            ) from None
+
+    def moment(self) -> Moment:
+        """What is there in the present frame, around the agents."""
+        present, surroundings = self._present, self._surroundings
+        shapes = [self._simulation.shapes[name] for name in present.names]
+        size = np.array([shape.size for shape in shapes])
+        yaw, speed = np.radians(90.0 - present.angle), present.speed.copy()
+        middle = present.front - np.where(present.person, 0.0, size[:, 0] / 2.0)[:, None] * _direction(yaw)
+        rows = {car: self._row(car) for car in self.cars}
+        for car, driven in self._driven.items():
+            middle[rows[car]], yaw[rows[car]], speed[rows[car]] = driven.position, driven.heading, driven.speed
+        middle = middle - surroundings.origin
+        own = np.array(list(rows.values()))
+        places = [*middle[own], *(pole.position[0, :2] for pole in surroundings.poles)]
+        near = np.zeros(len(middle), bool)
+        for place in places:
+            near |= np.hypot(*(middle - place).T) <= surroundings.radius_m
+        people = present.person.tolist()
+        named = zip(present.names, people, strict=True)
+        ids = np.array([self._id(f"person:{name}" if person else name) for name, person in named], np.int64)
+        order = np.flatnonzero(near)
+        order = order[np.argsort(ids[order])]
+        return Moment(
+            id=ids[order],
+            position=np.column_stack([middle, size[:, 2] / 2.0])[order],
+            velocity=np.column_stack([speed[:, None] * _direction(yaw), np.zeros(len(yaw))])[order],
+            size=size[order],
+            yaw=np.asarray(wrap_angle(yaw[order])),
+            class_id=np.array([type_of_class(shape.vehicle_class).class_id for shape in shapes], np.uint8)[order],
+            cars=np.searchsorted(ids[order], ids[own]),
+        )
+
+    def _id(self, name: str) -> int:
+        """The id of an object: its name if that is a number, and otherwise a digest of it.
+
+        It does not depend on what happened before, so it is the same in the run without an attack.
+        """
+        if name not in self._ids:
+            number = (
+                int(name) if name.isascii() and name.isdigit() and len(name) < 10 and str(int(name)) == name else -1
+            )
+            if number < 0:
+                digest = hashlib.blake2b(name.encode(errors="surrogatepass"), digest_size=8).digest()
+                number = _NAMED + int.from_bytes(digest) % _NAMED
+            while number in self._names:
+                number += 1
+            self._ids[name], self._names[number] = number, name
+        return self._ids[name]
+
+    def world_of(self, moments: Sequence[Moment]) -> World:
+        """The world of some frames, one after the other."""
+        poles, frames = self._surroundings.poles, len(moments)
+        columns = ("id", "position", "velocity", "size", "yaw", "class_id")
+        truth = {name: np.concatenate([getattr(moment, name) for moment in moments]) for name in columns}
+        cars = [(moment, moment.cars) for moment in moments]
+        height = np.array([[0.0, 0.0, 0.5]])
+        middle = np.stack([moment.position[rows] - moment.size[rows] * height for moment, rows in cars])
+        yaw = np.stack([moment.yaw[rows] for moment, rows in cars])
+        times_ns = np.arange(frames, dtype=np.int64) * self._surroundings.period_ns
+        name, period_ns = self._surroundings.name, self._surroundings.period_ns
+        agents, rigs = equip(name, self._agents, self._surroundings.sensors, times_ns, period_ns)
+        return World(
+            name=name,
+            agents=agents,
+            period_ns=period_ns,
+            times_ns=times_ns,
+            truth=truth_states(truth),
+            truth_start=np.cumsum([0, *(len(moment.id) for moment in moments)]),
+            agent_position=np.concatenate([middle, *(_repeated(pole.position, frames) for pole in poles)], axis=1),
+            agent_rotation=np.concatenate(
+                [
+                    np.array([[rotation_from_yaw(float(angle)) for angle in frame] for frame in yaw]),
+                    *(_repeated(pole.rotation, frames) for pole in poles),
+                ],
+                axis=1,
+            ),
+            agent_velocity=np.concatenate(
+                [np.stack([moment.velocity[rows] for moment, rows in cars]), np.zeros((frames, len(poles), 3))], axis=1
+            ),
+            buildings=self._surroundings.buildings,
+            building_height=self._surroundings.building_height,
+            rigs=rigs,
+        )
+
+
+def _repeated(values: Floats, frames: int) -> Floats:
+    """(frames, 1, …), of the first frame of a pole that stands."""
+    return np.repeat(values[None, :1], frames, axis=0)
+
+
+def _direction(angle: Floats | float) -> Floats:
+    """(…, 2), along an angle rad, counter-clockwise from x."""
+    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)

@@ -1,0 +1,352 @@
+"""Traffic that SUMO simulates while it is played: exact, reacting to driven cars, and harmless if its files are bad."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import json
+import os
+import signal
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import psutil
+import pytest
+from damages import DAMAGE, damaged
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mast_datasets import SumoTraffic, sumo_simulation
+from mast_datasets.sumo_world import SumoWorld
+from sumo_network import vehicle, write_network
+
+from mast_zenoh import scenario
+from mast_zenoh.arrays.geometry import heading
+from mast_zenoh.driving import Command, FollowingDriver, Situation
+from mast_zenoh.errors import ConfigurationError, SceneError
+from mast_zenoh.launch import run as launcher
+from mast_zenoh.scenes.making.observe import World
+from mast_zenoh.sensing import CleanDetector
+from mast_zenoh.testing import check_scene
+
+pytestmark = [
+    pytest.mark.heavy,
+    pytest.mark.skipif(find_spec("libsumo") is None, reason="SUMO is not installed (pip install 'mast-zenoh[sumo]')"),
+]
+#: Two cars eastward, the second behind the first, and one northward that has to give way.
+TRAFFIC = "\n".join(
+    [vehicle("11", "eastward", 0, 200), vehicle("north", "northward", 0, 480), vehicle("12", "eastward", 3, 200)]
+)
+
+
+def scene(path: Path, **parameters: object) -> SumoTraffic:
+    usual = dict(n_infrastructure=0, start_s=5.0, ego="11", radius_m=1000.0, detector=CleanDetector())
+    return SumoTraffic(path=str(path), **usual | parameters)  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def crossing(tmp_path: Path) -> Path:
+    """A crossing with right of way and three cars."""
+    return write_network(tmp_path / "crossing", traffic=TRAFFIC)
+
+
+@contextlib.contextmanager
+def world(scene: SumoTraffic, frames: int = 150) -> Iterator[SumoWorld]:
+    world = scene.world(0, frames)
+    assert isinstance(world, SumoWorld)
+    try:
+        yield world
+    finally:
+        world.close()
+
+
+def children() -> set[int]:
+    return {child.pid for child in psutil.Process().children(recursive=True)}
+
+
+def speed_of(present: World, number: int) -> float:
+    return float(np.hypot(*present.truth.velocity[present.truth.id == number][0, :2]))
+
+
+def drive(world: SumoWorld, car: str = "ego") -> Command:
+    """What the shipped driver does that knows the truth."""
+    present = world.now()
+    row = [agent.name for agent in present.agents].index(car)
+    own = present.truth.id == present.agents[row].object_id
+    return FollowingDriver().drive(
+        Situation(
+            time_ns=0,
+            position=present.agent_position[0, row],
+            velocity=present.agent_velocity[0, row],
+            heading=float(heading(present.agent_rotation[0, row])),
+            size=world.size(car),
+            route=world.route(car),
+            objects=present.truth.select(np.flatnonzero(~own)),
+        )
+    )
+
+
+def test_recordings_are_repeatable_and_shorter_ones_are_their_beginning(crossing: Path) -> None:
+    check_scene(scene(crossing, n_mobile=1, n_infrastructure=2))
+    short, long = (scene(crossing).record(0, frames) for frames in (3, 6))
+    np.testing.assert_array_equal(short.truth_at(2).position, long.truth_at(2).position)
+
+
+def test_a_world_without_commands_is_the_recording_also_when_drivers_look_at_it(crossing: Path) -> None:
+    recording = scene(crossing).record(0, 40)
+    with world(scene(crossing)) as stepped:
+        for frame in range(40):
+            present = stepped.now()
+            for column in ("id", "position", "velocity", "yaw"):
+                np.testing.assert_array_equal(
+                    getattr(present.truth, column), getattr(recording.truth_at(frame), column)
+                )
+            stepped.route("ego")
+            stepped.step({})
+
+
+def test_worlds_in_one_process_do_not_disturb_each_other(crossing: Path) -> None:
+    alone = list(played(scene(crossing), 20))
+    with world(scene(crossing, ego="12")) as other:
+        beside = []
+        for state in played(scene(crossing), 20):
+            beside.append(state)
+            other.step({"ego": Command(-3.0, 0.0)})
+    np.testing.assert_array_equal(alone, beside)
+
+
+def played(scene: SumoTraffic, frames: int) -> Iterator[np.ndarray]:
+    """The positions of frames in which the ego brakes."""
+    with world(scene) as stepped:
+        for _ in range(frames):
+            stepped.step({"ego": Command(-1.0, 0.0)})
+            yield stepped.now().truth.position
+
+
+def test_a_car_that_brakes_is_followed_by_one_that_stops_behind_it(crossing: Path) -> None:
+    with world(scene(crossing), 150) as stepped:
+        assert speed_of(stepped.now(), 12) > 9.0
+        for _ in range(150):
+            stepped.step({"ego": Command(-3.0, 0.0)})
+        present = stepped.now()
+    assert speed_of(present, 11) == 0.0
+    assert speed_of(present, 12) < 0.3
+    first, second = (present.truth.position[present.truth.id == number][0] for number in (11, 12))
+    assert 4.5 < first[0] - second[0] < 12.0
+
+
+def test_a_driven_car_does_exactly_what_it_is_told(crossing: Path) -> None:
+    with world(scene(crossing)) as stepped:
+        before = stepped.now()
+        for _ in range(10):
+            stepped.step({"ego": Command(-9.0, 0.02)})
+        after = stepped.now()
+    speed = speed_of(before, 11)
+    assert speed_of(after, 11) == pytest.approx(speed - 9.0)
+    way = speed * 1.0 - 9.0 / 2.0
+    turned = float(heading(after.agent_rotation[0, 0]) - heading(before.agent_rotation[0, 0]))
+    assert turned == pytest.approx(0.02 * way)
+    moved = np.linalg.norm(after.agent_position[0, 0] - before.agent_position[0, 0])
+    assert moved == pytest.approx(2.0 / 0.02 * np.sin(0.02 * way / 2.0))
+
+
+def test_a_car_without_further_commands_drives_itself_again(crossing: Path) -> None:
+    with world(scene(crossing)) as stepped:
+        for _ in range(20):
+            stepped.step({"ego": Command(-4.0, 0.0)})
+        slow = speed_of(stepped.now(), 11)
+        for _ in range(40):
+            stepped.step({})
+        assert speed_of(stepped.now(), 11) > slow + 3.0
+
+
+def test_a_driven_car_gives_way_and_others_give_way_to_it(tmp_path: Path) -> None:
+    """Both would be at the crossing at the same time, and the next one eastward 3 s later."""
+    cars = [vehicle("11", "eastward", 0, 450), vehicle("20", "northward", 0, 480), vehicle("12", "eastward", 3, 450)]
+    path = write_network(tmp_path, traffic="\n".join(cars))
+    for ego, yields in (("20", True), ("11", False)):
+        slowest = np.inf
+        with world(scene(path, ego=ego, start_s=2.0)) as stepped:
+            for _ in range(120):
+                stepped.step({"ego": drive(stepped)})
+                present = stepped.now()
+                slowest = min(slowest, float(np.hypot(*present.agent_velocity[0, 0, :2])))
+                own = present.truth.id == present.agents[0].object_id
+                distance = np.linalg.norm(present.truth.position[~own] - present.agent_position[0, 0], axis=1)
+                assert distance.min() > 3.0
+        assert (slowest < 8.0) == yields
+
+
+def test_a_driven_car_stops_at_a_red_light_and_goes_at_green(tmp_path: Path) -> None:
+    lights = '<phase duration="30" state="Gr"/><phase duration="300" state="rG"/>'
+    path = write_network(tmp_path / "lights", lights, vehicle("11", "eastward", 0, 400))
+    with world(scene(path), 400) as stepped:
+        line = stepped.route("ego").stop_m
+        assert np.isinf(line) or line < 80.0
+        waited = []
+        for _ in range(400):
+            stepped.step({"ego": drive(stepped)})
+            waited.append(stepped.route("ego").stop_m)
+        assert min(waited) < 2.0
+        present = stepped.now()
+    assert speed_of(present, 11) > 5.0
+    assert np.isinf(waited[-1])
+
+
+def test_a_car_beside_the_road_does_not_stop_the_traffic_nor_the_run(crossing: Path) -> None:
+    with world(scene(crossing), 150) as stepped:
+        for frame in range(150):
+            stepped.step({"ego": Command(0.0, 0.1 if frame < 30 else 0.0)})
+            stepped.route("ego")
+        present = stepped.now()
+    assert speed_of(present, 12) > 10.0
+    assert abs(present.agent_position[0, 0, 1]) > 20.0
+
+
+def test_ids_do_not_depend_on_what_happens(crossing: Path) -> None:
+    recording = scene(crossing).record(0, 2)
+    numbers = recording.truth_at(0).id.tolist()
+    assert numbers[:2] == [11, 12]
+    assert numbers[2] >= 1_000_000_000
+    assert scene(crossing, ego="north").record(0, 2).truth_at(0).id.tolist() == numbers
+
+
+def test_objects_are_there_within_the_radius_of_an_agent(crossing: Path) -> None:
+    near = scene(crossing, radius_m=60.0).record(0, 60)
+    far = scene(crossing, radius_m=1000.0).record(0, 60)
+    assert len(near.truth) < len(far.truth)
+    for frame in range(60):
+        offset = near.truth_at(frame).position - near.agent_position[frame, 0]
+        assert np.hypot(*offset[:, :2].T).max() <= 60.0
+
+
+@pytest.mark.parametrize(
+    ("parameters", "problem"),
+    [
+        (dict(ego="nobody"), "at 5 s: ego is 'nobody', expected a car that drives on for 15 s, such as 11"),
+        (dict(n_mobile=9), "n_mobile is 9, expected 0 to 2"),
+        (dict(start_s=0.0), "found 0 cars, expected a car that drives on"),
+    ],
+)
+def test_cars_that_are_not_there_are_refused(crossing: Path, parameters: dict[str, object], problem: str) -> None:
+    before = children()
+    usual = dict(ego=None) if "start_s" in parameters else {}
+    with pytest.raises((ConfigurationError, SceneError), match=problem):
+        scene(crossing, **usual | parameters).record(0, 2)
+    assert children() <= before
+
+
+def test_what_sumo_refuses_is_told_in_its_words_with_the_users_file(crossing: Path) -> None:
+    before = children()
+    routes = crossing.with_name("crossing.rou.xml")
+    routes.write_text(routes.read_text().replace('edges="west east"', 'edges="west nowhere"'))
+    with pytest.raises(SceneError, match=r"crossing\.sumocfg: SUMO refuses it: .*'nowhere'"):
+        scene(crossing).record(0, 2)
+    network = crossing.with_name("crossing.net.xml")
+    network.write_text(network.read_text().replace('to="C"', 'to="D"'))
+    with pytest.raises(SceneError, match=r"'D'"):
+        scene(crossing).record(0, 2)
+    assert children() <= before
+
+
+def test_positions_that_are_no_numbers_are_refused(crossing: Path) -> None:
+    network = crossing.with_name("crossing.net.xml")
+    network.write_text(network.read_text().replace('shape="-600,0 -4,0"', 'shape="-600,0 nan,0"'))
+    with pytest.raises(SceneError, match=r"crossing\.sumocfg: "):
+        scene(crossing).record(0, 40)
+
+
+def test_a_simulation_that_dies_or_hangs_is_an_error(crossing: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = children()
+    stepped = scene(crossing).world(0, 20)
+    (process,) = children() - before
+    os.kill(process, signal.SIGKILL)
+    with pytest.raises(SceneError, match=r"crossing\.sumocfg: SUMO ended with exit code -9"):
+        stepped.step({})
+    monkeypatch.setattr(sumo_simulation, "_STEP_S", 1)
+    monkeypatch.setattr(sumo_simulation, "_GRACE_S", 0.5)
+    stepped = scene(crossing).world(0, 20)
+    (process,) = children() - before
+    os.kill(process, signal.SIGSTOP)
+    with pytest.raises(SceneError, match="SUMO took longer than 1 s"):
+        stepped.step({})
+    assert children() <= before
+
+
+def test_a_request_that_takes_too_long_ends_within_sumo_itself(crossing: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sumo_simulation, "_WARM_UP_S", 1)
+    routes = crossing.with_name("crossing.rou.xml")
+    person = '<flow id="f" type="steady" route="eastward" begin="0" end="100000" period="2" departPos="0"/></routes>'
+    routes.write_text(routes.read_text().replace("</routes>", person))
+    with pytest.raises(SceneError, match="SUMO took longer than 1 s"):
+        scene(crossing, start_s=90_000.0).record(0, 2)
+
+
+def test_no_process_stays_behind(crossing: Path) -> None:
+    before = children()
+    scene(crossing).record(0, 2)
+    assert children() <= before
+    forgotten = scene(crossing).world(0, 2)
+    assert children() - before
+    del forgotten
+    gc.collect()
+    assert children() <= before
+
+
+def test_sumo_writes_no_file_that_its_inputs_name(crossing: Path, tmp_path: Path) -> None:
+    target = tmp_path / "written.xml"
+    configuration = crossing.read_text().replace(
+        "</input>", f'</input><output><tripinfo-output value="{target}"/><fcd-output value="{target}"/></output>'
+    )
+    crossing.write_text(configuration)
+    routes = crossing.with_name("crossing.rou.xml")
+    device = f'<param key="has.ssm.device" value="true"/><param key="device.ssm.file" value="{target}"/></vType>'
+    detector = f'<e1Detector id="d" lane="west_0" pos="100" freq="1" file="{target}"/></routes>'
+    text = routes.read_text().replace('speedDev="0"/>', f'speedDev="0">{device}').replace("</routes>", detector)
+    routes.write_text(text)
+    before = sorted(tmp_path.rglob("*"))
+    scene(crossing).record(0, 20)
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_the_least_time_to_collision_is_that_of_sumos_own_device(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The device counts the car ahead on the lane; types 2: the car follows. Its times have two decimals."""
+    slow = '<vehicle id="10" type="steady" route="eastward" depart="0" departPos="200" departSpeed="3"/>'
+    slow = slow.replace("/>", '><stop lane="west_0" endPos="230" duration="200"/></vehicle>')
+    path = write_network(tmp_path / "net", traffic=f"{slow}\n{vehicle('11', 'eastward', 2, 60, 13.0)}")
+    measured = tmp_path / "ssm.xml"
+    device = ("--device.ssm.explicit", "11", "--device.ssm.measures", "TTC DRAC", "--device.ssm.thresholds", "50 0.1")
+    device += ("--device.ssm.range", "100", "--device.ssm.file", str(measured))
+    monkeypatch.setattr(sumo_simulation, "_ALWAYS", (*sumo_simulation._ALWAYS, *device))
+    settings = [f"scene=sumo:{path}", "scene.start_s=2.5", "scene.ego=11", "n_infrastructure=0", "estimate=truth"]
+    file, content = scenario.load("driving", settings)
+    resolved = scenario.resolve(file, content, frames=150, seed=0, record=False)
+    run = launcher.run(resolved, tmp_path / "run", runtime="inproc")
+    assert run.error is None
+    ours = json.loads((run.folder / "metrics.json").read_text())["driven"]["ego"]
+    gc.collect()  # SUMO writes its file when it ends
+    conflicts = [each for each in ElementTree.parse(measured).iter("conflict") if each.get("foe") == "10"]
+    theirs = [each for conflict in conflicts for each in conflict.iter("minTTC") if each.get("type") == "2"]
+    assert ours["collisions"] == []
+    assert 1.0 < ours["min_ttc_s"] < 15.0
+    assert ours["min_ttc_s"] == pytest.approx(min(float(each.get("value", "nan")) for each in theirs), abs=0.1)
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_a_damaged_network_is_simulated_or_refused(crossing: Path, data: st.DataObject) -> None:
+    files = sorted(crossing.parent.iterdir())
+    file = data.draw(st.sampled_from(files))
+    content = file.read_bytes()
+    before = children()
+    try:
+        file.write_bytes(damaged(content, data.draw(DAMAGE)))
+        with contextlib.suppress(SceneError, ConfigurationError):
+            scene(crossing, ego=None).record(0, 3).validate()
+    finally:
+        file.write_bytes(content)
+    assert children() <= before
