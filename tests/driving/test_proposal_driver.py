@@ -79,13 +79,13 @@ def test_on_a_free_lane_it_stays_in_the_middle_and_speeds_up() -> None:
 
 
 def test_it_stops_behind_a_standing_car_and_before_a_line() -> None:
-    (along, _), speed, hardest, nearest = driven(9.0, [(40.0, 0.0, 0.0)], 14.0)
+    (along, _), speed, hardest, nearest = driven(7.0, [(24.0, 0.0, 0.0)], 10.0)
     assert speed < 0.1
     assert 0.5 < nearest < 2.0
     assert hardest > -4.05
-    (along, _), speed, _, _ = driven(9.0, [], 12.0, line=35.0)
+    (along, _), speed, _, _ = driven(7.0, [], 8.0, line=20.0)
     assert speed < 0.1
-    assert 0.3 < 35.0 - LENGTH / 2.0 - along < 1.5
+    assert 0.3 < 20.0 - LENGTH / 2.0 - along < 1.5
 
 
 def test_it_drives_past_what_reaches_a_little_into_its_lane() -> None:
