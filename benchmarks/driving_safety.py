@@ -55,6 +55,11 @@ def driven(case: Case) -> dict[str, Any]:
     return consequences["ego"]
 
 
+def all_driven(cases: list[Case]) -> dict[Case, dict[str, Any]]:
+    """What happened in all runs of a seed: they share its junction and its prepared scenes."""
+    return {case: driven(case) for case in cases}
+
+
 def summary(cases: list[Case], found: dict[Case, dict[str, Any]]) -> bool:
     """Print a line for each driver and estimate; whether all is well."""
     rows = defaultdict(list)
@@ -91,23 +96,27 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
     options = parser.parse_args()
     seeds = range(options.first, options.first + options.seeds)
-    cases = [
-        Case(driver, estimate, seed, options.frames, options.veto)
-        for seed, driver, estimate in product(seeds, options.drivers, options.estimates)
-    ]
+    of_seed = {
+        seed: [
+            Case(driver, estimate, seed, options.frames, options.veto)
+            for driver, estimate in product(options.drivers, options.estimates)
+        ]
+        for seed in seeds
+    }
     found: dict[Case, dict[str, Any]] = {}
     with ProcessPoolExecutor(options.jobs) as pool:
-        running = {pool.submit(driven, case): case for case in cases}
+        running = [pool.submit(all_driven, cases) for cases in of_seed.values()]
         try:
-            for done in as_completed(running):
-                found[running[done]] = happened = done.result()
-                for hit in happened["collisions"]:
-                    print(f"{running[done]}: hits {hit}", file=sys.stderr)
-                if len(found) % 50 == 0:
-                    print(f"{len(found)} of {len(cases)} runs", file=sys.stderr)
+            for number, done in enumerate(as_completed(running), 1):
+                found |= done.result()
+                for case, happened in done.result().items():
+                    for hit in happened["collisions"]:
+                        print(f"{case}: hits {hit}", file=sys.stderr)
+                if number % 10 == 0:
+                    print(f"{number} of {len(seeds)} seeds", file=sys.stderr)
         except KeyboardInterrupt:
             pool.shutdown(wait=False, cancel_futures=True)
-    sys.exit(not summary([case for case in cases if case in found], found))
+    sys.exit(not summary([case for cases in of_seed.values() for case in cases if case in found], found))
 
 
 if __name__ == "__main__":

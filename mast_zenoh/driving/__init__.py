@@ -15,7 +15,8 @@ Arrays in, arrays out; `nodes/world.py` and `nodes/driver.py` connect them. See 
 """
 
 from mast_zenoh.driving.actuation import Actuation
-from mast_zenoh.driving.driver import Driver, FollowingDriver, Situation
+from mast_zenoh.driving.driver import Driver, FollowingDriver, Situation, steering
+from mast_zenoh.driving.following import IntelligentDriverModel
 from mast_zenoh.driving.motion import CarLimits, Command, RouteAhead
 from mast_zenoh.driving.proposals import ProposalDriver
 
@@ -25,7 +26,9 @@ __all__ = [
     "Command",
     "Driver",
     "FollowingDriver",
+    "IntelligentDriverModel",
     "ProposalDriver",
     "RouteAhead",
     "Situation",
+    "steering",
 ]

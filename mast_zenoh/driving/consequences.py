@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -72,6 +73,26 @@ class DrivenCar:
     tampered: Sequence[str]
     look: Driving
 
+    @cached_property
+    def speed(self) -> Floats:
+        """(f,) m/s, of the car."""
+        return np.hypot(self.car.velocity[:, 0], self.car.velocity[:, 1])
+
+    @cached_property
+    def acceleration(self) -> Floats:
+        """(f - 1,) m/s^2, from each frame to the next."""
+        return accelerations(self.speed, self.period_s)
+
+    @cached_property
+    def truth(self) -> InCorridor:
+        """What is there in the corridor of the car."""
+        return in_corridor(self.car, self.routes, self.objects, self.look)
+
+    @cached_property
+    def brakes(self) -> list[braking.Brake]:
+        """The brakes of the car."""
+        return braking.brakes_of(self.acceleration, self.period_s)
+
 
 def collisions(car: Vehicle, objects: Objects) -> Ints:
     """Rows (k,) of the n objects whose outlines overlap that of the car in the same frame, ascending."""
@@ -99,13 +120,11 @@ def consequences(driven: DrivenCar) -> dict[str, Any]:
     "missed_brakes", "hard_brakes"; "hardest_braking_mps2", "jerk_max_mps3"; "uncomfortable_s" by bound of COMFORT;
     "progress_m"; "stops", "standing_s", "blocked_s"; and "behind", the traffic in its lane behind it.
     """
-    car, period = driven.car, driven.period_s
-    speed = np.hypot(car.velocity[:, 0], car.velocity[:, 1])
-    acceleration = accelerations(speed, period)
-    truth = in_corridor(car, driven.routes, driven.objects, driven.look)
+    car, period, truth = driven.car, driven.period_s, driven.truth
+    speed, acceleration = driven.speed, driven.acceleration
     hit = collisions(car, driven.objects)
     emergencies = braking.emergencies(truth, len(speed))
-    brakes = _brakes(driven, speed, acceleration, truth)
+    brakes = _brakes(driven)
     standing = speed <= STANDING_MPS
     return {
         "collisions": _contacts(driven, hit),
@@ -125,6 +144,28 @@ def consequences(driven: DrivenCar) -> dict[str, Any]:
         "standing_s": float(np.count_nonzero(standing) * period),
         "blocked_s": float(np.count_nonzero(standing & ~_waits(driven, truth)) * period),
         "behind": behind_car(car, driven.objects, driven.ids, period, HARD_BRAKING_MPS2),
+    }
+
+
+def course(driven: DrivenCar) -> dict[str, Any]:
+    """The course of a driven car as columns of driven.parquet: a row per frame (docs/metrics.md)."""
+    frames, truth = len(driven.frames), driven.truth
+    gap, ttc, brake = np.full(frames, np.inf), np.full(frames, np.inf), np.zeros(frames, bool)
+    np.minimum.at(gap, truth.frame, truth.gap_m)
+    np.minimum.at(ttc, truth.frame, truth.ttc_s)
+    for first, _, end in driven.brakes:
+        brake[first:end] = True
+    return {
+        "frame": driven.frames,
+        "time_s": driven.times_s,
+        "x": driven.car.position[:, 0],
+        "y": driven.car.position[:, 1],
+        "heading": driven.car.heading,
+        "speed_mps": driven.speed,
+        "acceleration_mps2": np.append(driven.acceleration, np.nan)[:frames],
+        "brake": brake,
+        "gap_m": np.where(np.isfinite(gap), gap, np.nan),
+        "ttc_s": np.where(np.isfinite(ttc), ttc, np.nan),
     }
 
 
@@ -160,9 +201,9 @@ def _below_safe_distance(look: Driving, truth: InCorridor) -> int:
     return len(np.unique(truth.frame[rule.brakes(truth.gap_m, truth.own_mps, truth.ahead_mps)]))
 
 
-def _brakes(driven: DrivenCar, speed: Floats, acceleration: Floats, truth: InCorridor) -> list[dict[str, Any]]:
-    """The brakes of a car with their causes. speed: (f,) m/s; acceleration: (f - 1,) m/s^2"""
-    brakes = braking.brakes_of(acceleration, driven.period_s)
+def _brakes(driven: DrivenCar) -> list[dict[str, Any]]:
+    """The brakes of a car with their causes."""
+    brakes, speed, truth = driven.brakes, driven.speed, driven.truth
     lines, road = braking.demanded_by_lines(speed, driven.routes), braking.demanded_by_road(speed, driven.routes)
     real = braking.hardest_per_frame(truth, braking.demanded_by_objects(truth), len(speed))
     believed = in_corridor(driven.car, driven.routes, driven.believed, driven.look)
@@ -172,7 +213,7 @@ def _brakes(driven: DrivenCar, speed: Floats, acceleration: Floats, truth: InCor
         {
             "from_s": float(driven.times_s[brake.first]),
             "until_s": float(driven.times_s[brake.end]),
-            "hardest_mps2": float(-acceleration[brake.hardest]),
+            "hardest_mps2": float(-driven.acceleration[brake.hardest]),
             "needless": without_reason,
             "cause": cause,
         }

@@ -11,11 +11,11 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Ints, ObjectStates
 from mast_zenoh.driving.braking import Belief
-from mast_zenoh.driving.consequences import DrivenCar, consequences
+from mast_zenoh.driving.consequences import DrivenCar, consequences, course
 from mast_zenoh.driving.motion import RouteAhead
 from mast_zenoh.effects import Effects
 from mast_zenoh.gather import LatestBefore
-from mast_zenoh.metrics import Driving, Scores
+from mast_zenoh.metrics import Driving, Scores, Table
 from mast_zenoh.metrics.boxes import Places, find, nearest
 from mast_zenoh.metrics.causes import ATTACK_CAUSES, Labels
 from mast_zenoh.metrics.driving import Objects, vehicles
@@ -92,8 +92,18 @@ class DrivenCars:
     min_points: int
     look: Driving
 
-    def consequences(self) -> dict[str, Any]:
-        """What happened to each car: "driven" of metrics.json."""
+    def results(self) -> tuple[dict[str, Any], Table]:
+        """What happened to each car ("driven" of metrics.json), and the columns of driven.parquet."""
+        cars = self._cars()
+        courses = {car: course(driven) for car, driven in cars.items()}
+        table: Table = {
+            "agent": np.repeat(np.array([*courses], object), [len(each["frame"]) for each in courses.values()])
+        }
+        for name in next(iter(courses.values()), {}):
+            table[name] = np.concatenate([each[name] for each in courses.values()])
+        return {car: consequences(driven) for car, driven in cars.items()}, table
+
+    def _cars(self) -> dict[str, DrivenCar]:
         frames, truth = self.scores.frames, self.scores.truth
         row_of = {frame: row for row, frame in enumerate(frames.tolist())}
         result = {}
@@ -105,22 +115,20 @@ class DrivenCars:
             others = truth.boxes.id != truth.agent_object[truth.boxes.group, column]
             places = Places(believed.objects.frame, believed.objects.position)
             known = nearest(Places(objects.frame, objects.position), places, _SAME_M)[0] >= 0
-            result[car] = consequences(
-                DrivenCar(
-                    car=vehicle,
-                    objects=objects,
-                    ids=ids,
-                    seen=truth.points[others, column] >= self.min_points,
-                    known=known,
-                    frames=frames,
-                    times_s=np.array([self._time_ns(frame) * 1e-9 for frame in frames.tolist()]),
-                    period_s=self.period_s,
-                    routes={row_of[frame]: route for frame, route in sorted(heard.routes.items()) if frame in row_of},
-                    believed=believed.objects,
-                    belief=believed.belief,
-                    tampered=self._tampered(car),
-                    look=self.look,
-                )
+            result[car] = DrivenCar(
+                car=vehicle,
+                objects=objects,
+                ids=ids,
+                seen=truth.points[others, column] >= self.min_points,
+                known=known,
+                frames=frames,
+                times_s=np.array([self._time_ns(frame) * 1e-9 for frame in frames.tolist()]),
+                period_s=self.period_s,
+                routes={row_of[frame]: route for frame, route in sorted(heard.routes.items()) if frame in row_of},
+                believed=believed.objects,
+                belief=believed.belief,
+                tampered=self._tampered(car),
+                look=self.look,
             )
         return result
 

@@ -349,6 +349,7 @@ class _Results:
         drives = driving.drives(self.settings.driving, data.record, scores, labels)
         summary, per_frame, failed_metrics = self._scored(scored)
         integrity, trust_tables = self._trust(scored)
+        happened, courses = self._driven().results()
         own_pictures = _own_pictures(data)
         consistency = self.settings.consistency.summary(
             scores.pairs, scores.series, own_pictures or [data.ego], scored, data.period_s
@@ -362,7 +363,7 @@ class _Results:
                 "same_as": _nested(scores.same_as),
                 "achieved": achievement.summary(targets, scores, labels.switch_by, data.ego, data.period_s, scored),
                 "driving": driving.summary(drives, scored),
-                **self._driven(),
+                **({"driven": happened} if data.heard else {}),
                 "consistency": consistency,
                 "interposers": reports.summary(self.effects, agreement, data.roles, last, self.from_absence),
                 "picture_age_s": data.picture_age_s(frames[scored].tolist()),
@@ -378,17 +379,16 @@ class _Results:
                 "attacks": attacks(self.effects, agreement, data.roles, data.period_s),
                 "targets": targets.table(),
                 "driving": driving.table(drives, frames),
+                **({"driven": courses} if data.heard else {}),
                 **trust_tables,
             },
             "failed_metrics": failed_metrics,
         }
 
-    def _driven(self) -> dict[str, Any]:
-        """What happened to the cars that drivers drove, in all frames; {} without drivers."""
+    def _driven(self) -> DrivenCars:
+        """The cars that drivers drove."""
         data = self.data
-        if not data.heard:
-            return {}
-        cars = DrivenCars(
+        return DrivenCars(
             record=data.record,
             scores=self.scores,
             labels=self.labels,
@@ -400,7 +400,6 @@ class _Results:
             min_points=self.settings.scorer.min_points,
             look=self.settings.driving,
         )
-        return {"driven": cars.consequences()}
 
     def _scored(
         self, scored: slice

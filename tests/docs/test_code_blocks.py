@@ -280,6 +280,7 @@ WALK_THROUGHS = (
     "stone_soup.md",
     "tutorial.md",
     "tutorial_defence.md",
+    "tutorial_driving.md",
 )
 
 

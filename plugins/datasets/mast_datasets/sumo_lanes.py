@@ -224,7 +224,7 @@ class Priority:
             if must or any(
                 self._gives_way(foe, foe_speed, speed, length)
                 for foe, foe_speed in foes
-                if foe.yields and foe.lane == line.via
+                if (foe.yields or foe.is_inside) and foe.lane == line.via
             ):
                 return max(distance, 0.0)
         return np.inf

@@ -22,6 +22,7 @@ import numpy as np
 #: Bytes of a message in either direction.
 MAX_MESSAGE = 200_000_000
 _MAX_MEMORY = 8_000_000_000
+_END_S = 3
 _MAX_OUTPUT = 1_000_000  # bytes of each file that SUMO writes: its messages are in one
 #: Of moveToXY: the car stays on its route, or is beside the road, where nobody sees it.
 _KEEP_ROUTE_OR_LEAVE_ROAD = 3
@@ -83,8 +84,13 @@ class Simulation:
         return {"vehicles": vehicles, "persons": persons, "state": values, "shapes": shapes, "around": around}
 
     def around(self, name: str, lanes: list[str]) -> tuple[Any, Any]:
-        """The foes of a vehicle at the next junctions, and the states of the links at the ends of some lanes."""
-        foes = self.sumo.vehicle.getJunctionFoes(name, FOES_M) if name in self.sumo.vehicle.getIDList() else ()
+        """The foes of a vehicle at the next junctions, each with whether it is on one, and the states of links.
+
+        lanes: the links are those at their ends
+        """
+        vehicle = self.sumo.vehicle
+        foes = vehicle.getJunctionFoes(name, FOES_M) if name in vehicle.getIDList() else ()
+        foes = [(*foe, vehicle.getLaneID(foe[0]).startswith(":")) for foe in foes]
         return foes, [[link[5] for link in self.sumo.lane.getLinks(lane)] for lane in lanes]
 
     def cars(self, names: list[str]) -> list[Any]:
@@ -153,7 +159,7 @@ def main(descriptor: int) -> None:
         try:
             method, arguments, limit_s = msgpack.unpackb(pipe.recv_bytes(MAX_MESSAGE), raw=False)
         except (EOFError, OSError):
-            return
+            break
         signal.alarm(limit_s)  # whose default is to end the process, also within SUMO
         try:
             simulation = simulation or Simulation()
@@ -164,7 +170,11 @@ def main(descriptor: int) -> None:
         try:
             pipe.send_bytes(msgpack.packb(answer, use_bin_type=True))
         except OSError:
-            return
+            break
+    if simulation is not None:
+        signal.alarm(_END_S)
+        with contextlib.suppress(Exception):
+            simulation.sumo.close()
 
 
 if __name__ == "__main__":

@@ -55,7 +55,8 @@ class Foe(NamedTuple):
     """Another vehicle on its way to the same place of a junction.
 
     name: of the other;  distance, foe_distance: m, to the place;  exit, foe_exit: m, until both have left it
-    lane, foe_lane: of the junction;  yields, foe_yields: whether the car, or the other, has to
+    lane, foe_lane: of the junction;  yields, foe_yields: whether the car, or the other, has to;  is_inside: whether the
+    other is on a junction already
     """
 
     name: str
@@ -67,6 +68,7 @@ class Foe(NamedTuple):
     foe_lane: str
     yields: bool
     foe_yields: bool
+    is_inside: bool
 
 
 class Around(NamedTuple):

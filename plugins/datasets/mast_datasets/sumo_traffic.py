@@ -39,11 +39,12 @@ class SumoTraffic(DataSetScene):
 
     path:              of SUMO's configuration (.sumocfg), or of a folder with a single one
     start_s:           time of the first frame, of SUMO's clock; None: 200 s after the configuration's beginning
-    ego:               name of the vehicle that is the ego; None: the moving car with the most others within 50 m
+    ego:               name of the vehicle that is the ego; None: the moving car with the most others that move within
+                       50 m
     radius_m:          objects are there while they are within this distance of an agent, 20 to 2000
     building_height_m: of the outlines of buildings without a height
     n_infrastructure:  poles along the ego's way, 0 to 16; None: 4
-    n_mobile:          cars with a lidar besides the ego, the ones nearest to it; None: 0
+    n_mobile:          cars with a lidar besides the ego, the ones nearest to it, those that move first; None: 0
     rate_hz:           frames per second, 1 to 20, of whole milliseconds
     scale:             factor of the traffic's demand; None: that of the configuration
     sensors:           lists of dict(type=…) by agent or pattern, see `Sensor`; None: a lidar each
@@ -168,7 +169,8 @@ class SumoTraffic(DataSetScene):
         elif not moving:
             raise SceneError(f"{place}: found {len(cars)} cars, {expected}; choose another start_s")
         else:
-            company = [int((_distance(present, row) < _NEAR_M).sum()) for row in moving]
+            others_move = present.speed > _MOVING_MPS
+            company = [int((others_move & (_distance(present, row) < _NEAR_M)).sum()) for row in moving]
             ego = moving[int(np.argmax(company))]
         others = [row for row in fit if row != ego]
         count = self.n_mobile or 0
@@ -178,7 +180,7 @@ class SumoTraffic(DataSetScene):
                 f"{duration_s:g} s"
             )
         distance = _distance(present, ego)
-        nearest = sorted(others, key=lambda row: (float(distance[row]), present.names[row]))[:count]
+        nearest = sorted(others, key=lambda row: (row not in moving, float(distance[row]), present.names[row]))[:count]
         return {"ego": present.names[ego]} | {
             f"mobile_{k}": present.names[row] for k, row in enumerate(nearest, start=1)
         }

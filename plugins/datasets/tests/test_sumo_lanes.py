@@ -20,7 +20,7 @@ LINE = StopLine(100.0, "in_0", 1, ":J_0_0")
 
 def foe(**other: object) -> Foe:
     usual = dict(name="other", distance=22.0, foe_distance=22.0, exit=28.0, foe_exit=28.0)
-    return Foe(**usual | dict(lane=":J_0_0", foe_lane=":J_2_0", yields=True, foe_yields=False) | other)  # type: ignore[arg-type]
+    return Foe(**usual | dict(lane=":J_0_0", foe_lane=":J_2_0", yields=True, foe_yields=False, is_inside=False) | other)  # type: ignore[arg-type]
 
 
 def stop(priority: Priority, distance: float, state: str, speed: float, foes: list[tuple[Foe, float]]) -> float:
@@ -84,6 +84,7 @@ def test_a_car_stops_for_red_and_for_yellow_if_it_can() -> None:
 def test_a_car_gives_way_to_those_it_would_meet() -> None:
     assert stop(Priority(0.1), 20.0, "m", 10.0, [(foe(), 10.0)]) == 20.0
     assert stop(Priority(0.1), 20.0, "m", 10.0, [(foe(yields=False), 10.0)]) == np.inf
+    assert stop(Priority(0.1), 20.0, "M", 10.0, [(foe(yields=False, is_inside=True), 10.0)]) == 20.0
     assert stop(Priority(0.1), 20.0, "m", 10.0, [(foe(lane=":J_1_0"), 10.0)]) == np.inf
     assert stop(Priority(0.1), 20.0, "m", 10.0, [(foe(foe_distance=-1.0, foe_exit=1.0), 10.0)]) == np.inf
     assert stop(Priority(0.1), 20.0, "m", 14.0, [(foe(foe_distance=79.0, foe_exit=85.0), 5.0)]) == np.inf

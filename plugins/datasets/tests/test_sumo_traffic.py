@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import json
 import os
 import signal
 from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import psutil
@@ -20,9 +22,11 @@ from mast_datasets import SumoTraffic, sumo_simulation
 from mast_datasets.sumo_world import SumoWorld
 from sumo_network import vehicle, write_network
 
+from mast_zenoh import scenario
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.driving import Command, FollowingDriver, Situation
 from mast_zenoh.errors import ConfigurationError, SceneError
+from mast_zenoh.launch import run as launcher
 from mast_zenoh.scenes.making.observe import World
 from mast_zenoh.sensing import CleanDetector
 from mast_zenoh.testing import check_scene
@@ -305,6 +309,31 @@ def test_sumo_writes_no_file_that_its_inputs_name(crossing: Path, tmp_path: Path
     before = sorted(tmp_path.rglob("*"))
     scene(crossing).record(0, 20)
     assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_the_least_time_to_collision_is_that_of_sumos_own_device(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The device counts the car ahead on the lane; types 2: the car follows. Its times have two decimals."""
+    slow = '<vehicle id="10" type="steady" route="eastward" depart="0" departPos="200" departSpeed="3"/>'
+    slow = slow.replace("/>", '><stop lane="west_0" endPos="230" duration="200"/></vehicle>')
+    path = write_network(tmp_path / "net", traffic=f"{slow}\n{vehicle('11', 'eastward', 2, 60, 13.0)}")
+    measured = tmp_path / "ssm.xml"
+    device = ("--device.ssm.explicit", "11", "--device.ssm.measures", "TTC DRAC", "--device.ssm.thresholds", "50 0.1")
+    device += ("--device.ssm.range", "100", "--device.ssm.file", str(measured))
+    monkeypatch.setattr(sumo_simulation, "_ALWAYS", (*sumo_simulation._ALWAYS, *device))
+    settings = [f"scene=sumo:{path}", "scene.start_s=2.5", "scene.ego=11", "n_infrastructure=0", "estimate=truth"]
+    file, content = scenario.load("driving", settings)
+    resolved = scenario.resolve(file, content, frames=150, seed=0, record=False)
+    run = launcher.run(resolved, tmp_path / "run", runtime="inproc")
+    assert run.error is None
+    ours = json.loads((run.folder / "metrics.json").read_text())["driven"]["ego"]
+    gc.collect()  # SUMO writes its file when it ends
+    conflicts = [each for each in ElementTree.parse(measured).iter("conflict") if each.get("foe") == "10"]
+    theirs = [each for conflict in conflicts for each in conflict.iter("minTTC") if each.get("type") == "2"]
+    assert ours["collisions"] == []
+    assert 1.0 < ours["min_ttc_s"] < 15.0
+    assert ours["min_ttc_s"] == pytest.approx(min(float(each.get("value", "nan")) for each in theirs), abs=0.1)
 
 
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
