@@ -252,9 +252,13 @@ _READABLE = ("sqlite_master", "message_definitions", *_COLUMNS)
 def _database(file: Path) -> Iterator[sqlite3.Connection]:
     """A database, opened so that it is read only, and that no SQL in it runs. Raises SceneError for all failures."""
     size = file.stat().st_size
-    journal = file.with_name(f"{file.name}-wal")
-    if journal.is_file() and journal.stat().st_size:
-        raise SceneError(f"{journal}: found messages that are not in the bag yet, expected a bag that was closed")
+    for suffix, content in (
+        ("-wal", "messages that are not in the bag yet"),
+        ("-journal", "a change that was cut off"),
+    ):
+        journal = file.with_name(file.name + suffix)
+        if _is_hot(journal):
+            raise SceneError(f"{journal}: found {content}, expected a bag that was closed")
     try:
         # Immutable: neither locks nor journals beside the file, which might be anything.
         uri = f"file:{quote(str(file.absolute()))}?mode=ro&immutable=1"
@@ -269,6 +273,14 @@ def _database(file: Path) -> Iterator[sqlite3.Connection]:
             yield connection
     except (sqlite3.Error, sqlite3.Warning, ValueError, OverflowError) as error:
         raise SceneError(f"{file}: cannot be read as SQLite3: {error}") from error
+
+
+def _is_hot(journal: Path) -> bool:
+    """Whether a journal has something for its database; one that is kept for the next change begins with 0."""
+    if not journal.is_file():
+        return False
+    with journal.open("rb") as file:
+        return file.read(1) not in (b"", b"\0")
 
 
 def _authorize(action: int, first: str | None, *_: str | None) -> int:

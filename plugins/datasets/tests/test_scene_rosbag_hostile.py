@@ -103,6 +103,7 @@ NAMES = "relative_file_paths:\n  - bag.db3"
         (content("bag.db3", b"no database"), "begins with .* expected a bag of ROS 2"),
         (content("bag.db3", b"SQLite format 3\0" + bytes(5000)), "cannot be read as SQLite3"),
         (content("bag.db3-wal", b"x"), "expected a bag that was closed"),
+        (content("bag.db3-journal", b"\xd9\xd5\x05\xf9"), "a change that was cut off, expected a bag that was closed"),
         (sql("DROP TABLE messages"), "table messages: found no column"),
         (sql("ALTER TABLE topics DROP COLUMN type"), "table topics: found no column type"),
         (
@@ -167,6 +168,12 @@ def test_a_query_ends_that_takes_more_steps_than_a_sound_file_can(bag: Path, mon
     monkeypatch.setattr(rosbag_storage, "_STEPS_AT_ONCE", 1000)
     with pytest.raises(SceneError, match=r"bag\.db3: cannot be read as SQLite3: interrupted"):
         read(bag)
+
+
+def test_an_empty_journal_is_no_reason_to_refuse_a_bag(bag: Path) -> None:
+    (bag / "bag.db3-wal").touch()
+    (bag / "bag.db3-journal").write_bytes(bytes(512))
+    read(bag)
 
 
 def test_a_bag_that_was_cut_off_is_refused_wherever(mcap: Path) -> None:
