@@ -9,6 +9,7 @@ from __future__ import annotations
 import queue
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from inspect import signature
@@ -21,7 +22,7 @@ from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.config import loading
 from mast_zenoh.config.resolved import build_node
 from mast_zenoh.config.settings import nested
-from mast_zenoh.errors import ConfigurationError, HandlerFailed, MessageError, nearest
+from mast_zenoh.errors import ConfigurationError, MessageError, nearest
 from mast_zenoh.launch.live_interception import node_of, port_of
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body, Header, Message
@@ -64,7 +65,7 @@ class ObjectsInterposer:
     Each message is a frame of its own. Times are those of the messages' stamps, from 0 at the first one; where stamps
     jump, back or by more than 10 s, the time stands still for one message.
 
-    messages, changed: number of messages that were received, and that were published with a difference
+    messages, changed: number of messages that the node has got, and that were published with a difference
     jumps: number of jumps of the stamps
     """
 
@@ -215,59 +216,72 @@ def intercept_topic(
 
     type_name: of ALTERABLE;  odometry: a topic with the agent's pose, in the frame of reference of the objects; "": it
     is at the origin, as for objects in the vehicle's own frame
-    ready: called when it is between them;  warn: called once, when the node fails for the first time
+    ready: called when it is between them;  warn: called with what makes it ineffective, each sentence once
 
-    Returns messages, changed, published, and refused by reason. Raises NotRunning without a router, HandlerFailed at
-    the end if the node has failed.
+    Messages that cannot be read are passed on unchanged.
+
+    Returns `messages`, `changed`, `published`; by reason, `unattacked` (passed on unchanged) and `refused` (lost); and
+    `failed`, the first error of the node. Raises NotRunning without a router.
     """
-    arrived: queue.Queue[RosMessage] = queue.Queue(_MOST_WAITING)
+    arrived: queue.Queue[tuple[str, bytes]] = queue.Queue(_MOST_WAITING)
+    unattacked: Counter[str] = Counter()
+    number = 0  # of messages of objects
     with Participant(connection, "mast_interposer") as participant:
         publisher = participant.publisher(topic, type_name)
 
-        def keep(message: RosMessage, _: Attachment) -> None:
-            try:
-                arrived.put_nowait(message)
-            except queue.Full:
-                raise MessageError(f"overtaken: more than {_MOST_WAITING} messages wait for the node") from None
+        def keep(kind: str) -> Callable[[bytes, Attachment], None]:
+            def put(payload: bytes, _: Attachment) -> None:
+                try:
+                    arrived.put_nowait((kind, payload))
+                except queue.Full:
+                    raise MessageError(f"overtaken: more than {_MOST_WAITING} messages wait for the node") from None
 
-        def pass_on(message: RosMessage) -> None:
-            if message.__msgtype__ == type_store.ODOMETRY:
-                interposer.set_pose(received_pose(message).columns)
+            return put
+
+        def pass_on(kind: str, payload: bytes) -> None:
+            if kind == type_store.ODOMETRY:
+                interposer.set_pose(received_pose(type_store.decode(kind, payload)).columns)
                 return
+            nonlocal number
+            number += 1
             has_failed = interposer.failed
             try:
-                results = interposer.through(message)
-            except MessageError:
-                publisher.publish(message)  # what cannot be read cannot be attacked
-                raise
+                results = interposer.through(type_store.decode(kind, payload))
+            except MessageError as error:
+                publisher.publish_bytes(payload)
+                what = str(error).partition(":")[0]
+                reason = f"cannot be read as {kind}" if what == kind else what
+                unattacked[reason] += 1
+                if unattacked[reason] == 1:
+                    warn(f"a message was passed on unchanged, more are only counted: {error}")
+                return
             for each in results:
                 publisher.publish(each)
             if interposer.failed and not has_failed:
                 warn(f"{interposer.failed}: what the node fails on is passed on as it is")
 
         if odometry:
-            participant.subscribe(odometry, type_store.ODOMETRY, keep)
-        participant.subscribe(topic + BEFORE, type_name, keep)
+            participant.subscribe_bytes(odometry, type_store.ODOMETRY, keep(type_store.ODOMETRY))
+        participant.subscribe_bytes(topic + BEFORE, type_name, keep(type_name))
         ready()
         warned = _Once(warn)
         with suppress(KeyboardInterrupt):
             while not stop.is_set():
                 _watch(participant, topic, warned)
-                _pass_on_next(arrived, pass_on, participant, topic)
+                _pass_on_next(arrived, pass_on, participant, odometry)
         deadline = time.monotonic() + _REST_S
         for _ in range(arrived.qsize()):
             if time.monotonic() < deadline:
-                _pass_on_next(arrived, pass_on, participant, topic)
+                _pass_on_next(arrived, pass_on, participant, odometry)
         for _ in range(arrived.qsize()):
             participant.refuse(topic + BEFORE, "interrupted: the node had no time for it")
-        counts = {"messages": interposer.messages, "changed": interposer.changed, "published": publisher.sent}
+        counts = {"messages": number, "changed": interposer.changed, "published": publisher.sent}
     if interposer.jumps:
         warn(f"{topic}: the stamps have jumped {interposer.jumps} times: the attack's time stood still there")
-    if interposer.failed:
-        raise HandlerFailed(f"{interposer.failed}: it was on {topic}, and what it failed on was passed on as it was")
-    if not interposer.messages:
+    if not number:
         warn(f"nothing has arrived on {topic}{BEFORE}: nothing was attacked")
-    return counts | {"refused": dict(participant.refused)}
+    by_reason = {"unattacked": dict(unattacked), "refused": dict(participant.refused)}
+    return counts | by_reason | {"failed": interposer.failed}
 
 
 class _Once:
@@ -293,12 +307,15 @@ def _watch(participant: Participant, topic: str, warn: Callable[[str], None]) ->
 
 
 def _pass_on_next(
-    arrived: queue.Queue[RosMessage], pass_on: Callable[[RosMessage], None], participant: Participant, topic: str
+    arrived: queue.Queue[tuple[str, bytes]],
+    pass_on: Callable[[str, bytes], None],
+    participant: Participant,
+    odometry: str,
 ) -> None:
-    """Pass the next message on, if there is one soon; count one that cannot be read."""
+    """Pass the next message on, if there is one soon; count odometry that cannot be read."""
     try:
-        pass_on(arrived.get(timeout=_LOOK_S))
+        pass_on(*arrived.get(timeout=_LOOK_S))
     except queue.Empty:
         pass
     except MessageError as error:
-        participant.refuse(topic + BEFORE, str(error))
+        participant.refuse(odometry, f"odometry that cannot be read: {error}")

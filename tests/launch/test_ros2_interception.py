@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from ros2_messages import plain, random_states
 
-from mast_zenoh.errors import ConfigurationError, HandlerFailed, MessageError, NodeFileError
+from mast_zenoh.errors import ConfigurationError, MessageError, NodeFileError
 from mast_zenoh.launch import ros2_interception
 from mast_zenoh.launch.ros2_interception import ObjectsInterposer, interposer_of, launch_fragment
 from mast_zenoh.ros2 import type_store
@@ -122,6 +122,21 @@ def test_a_node_may_drop_messages_and_one_on_which_it_fails_passes_unchanged(tmp
     assert node.changed == 0
 
 
+NO_IDEA = """
+from mast_zenoh.node import Node
+
+
+class NoIdea(Node):
+    role = "adversary"
+    inputs = {"pose": "pose", "tracks": "tracks"}
+    outputs = {"tracks_out": "tracks"}
+
+    def on_pose(self, received, context):
+        pass
+
+    def on_tracks(self, received, context):
+        raise RuntimeError("no idea")
+"""
 LATE = """
 from mast_zenoh.node import Node
 
@@ -220,18 +235,14 @@ class Between:
 
     def __init__(self, router: str, node: ObjectsInterposer, odometry: str = "") -> None:
         self.counts: dict[str, Any] = {}
-        self.error: BaseException | None = None
         self._stop, self._ready = threading.Event(), threading.Event()
         self.warnings: list[str] = []
         arguments = Connection(router), TOPIC, type_store.TRACKED_OBJECTS, node, self._stop
 
         def run() -> None:
-            try:
-                self.counts = ros2_interception.intercept_topic(
-                    *arguments, odometry=odometry, ready=self._ready.set, warn=self.warnings.append
-                )
-            except HandlerFailed as error:
-                self.error = error
+            self.counts = ros2_interception.intercept_topic(
+                *arguments, odometry=odometry, ready=self._ready.set, warn=self.warnings.append
+            )
 
         self._thread = threading.Thread(target=run)
         self._thread.start()
@@ -253,25 +264,28 @@ class Between:
 def test_all_messages_between_two_nodes_arrive_in_order_attacked(router: str, tmp_path: Path) -> None:
     arrived: queue.SimpleQueue[Any] = queue.SimpleQueue()
     pose = {"position": np.array([7.0, 0, 0]), "rotation": np.array([1.0, 0, 0, 0]), "velocity": np.zeros(3)}
+    node = interposer(tmp_path, SHIFT)
     with (
-        Between(router, interposer(tmp_path, SHIFT), "/car/odometry") as between,
+        Between(router, node, "/car/odometry") as between,
         Participant(Connection(router), "tracker") as tracker,
         Participant(Connection(router), "planner") as planner,
     ):
         planner.subscribe(TOPIC, type_store.TRACKED_OBJECTS, lambda message, _: arrived.put(message))
         own = tracker.publisher(TOPIC + "/before", type_store.TRACKED_OBJECTS)
         place = tracker.publisher("/car/odometry", type_store.ODOMETRY)
-        eventually(lambda: own.is_wanted, "the interposer")
+        eventually(lambda: own.is_wanted and place.is_wanted, "the interposer")
         eventually(lambda: planner.publishers_of(TOPIC), "its publisher")
-        place.publish(odometry(pose, 1, "map", "base_link"))
         sent = messages(50)
+        place.publish(odometry(pose, WALL_NS, "map", "base_link"))
         for message in sent:
             own.publish(message)
         received = [arrived.get(timeout=20.0) for _ in sent]
         between.end()
     assert [message.header.stamp.nanosec for message in received] == [m.header.stamp.nanosec for m in sent]
     assert all(len(message.objects) == 6 for message in received)
-    assert between.counts == {"messages": 50, "changed": 50, "published": 50, "refused": {}}
+    expected = {"messages": 50, "changed": 50, "published": 50, "unattacked": {}, "refused": {}, "failed": ""}
+    assert between.counts == expected
+    assert not between.warnings
 
 
 def test_what_cannot_be_read_is_passed_on_and_a_failed_node_is_an_error(router: str, tmp_path: Path) -> None:
@@ -292,8 +306,33 @@ def test_what_cannot_be_read_is_passed_on_and_a_failed_node_is_an_error(router: 
         received = [arrived.get(timeout=20.0) for _ in range(3)]
         between.end()
     assert [message.header.frame_id for message in received] == ["", "map", "map"]
-    assert isinstance(between.error, HandlerFailed)
-    assert "RuntimeError: no idea" in str(between.error)
+    assert "RuntimeError: no idea" in between.counts["failed"]
+    assert between.counts["unattacked"] == {"frame_id": 1}
+
+
+def test_bytes_that_are_no_message_are_passed_on_as_they_are(router: str, tmp_path: Path) -> None:
+    arrived: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    (message,) = messages(1)
+    sound = type_store.encode(message)
+    foreign = [sound.replace(b"\4\0\0\0map\0", b"\4\0\0\0ma\xe9\0"), sound + bytes(64), sound[:-9], b""]
+    assert foreign[0] != sound
+    with (
+        Between(router, interposer(tmp_path, SHIFT)) as between,
+        Participant(Connection(router), "tracker") as tracker,
+        Participant(Connection(router), "planner") as planner,
+    ):
+        planner.subscribe_bytes(TOPIC, type_store.TRACKED_OBJECTS, lambda payload, _: arrived.put(payload))
+        own = tracker.publisher(TOPIC + "/before", type_store.TRACKED_OBJECTS)
+        eventually(lambda: own.is_wanted, "the interposer")
+        eventually(lambda: planner.publishers_of(TOPIC), "its publisher")
+        for payload in foreign:
+            own.publish_bytes(payload)
+        assert [arrived.get(timeout=20.0) for _ in foreign] == foreign
+        between.end()
+    assert between.counts["unattacked"] == {f"cannot be read as {type_store.TRACKED_OBJECTS}": 4}
+    assert (between.counts["messages"], between.counts["published"]) == (4, 4)
+    (told,) = between.warnings
+    assert "utf-8" in told
 
 
 def test_a_publisher_that_was_not_remapped_is_named(router: str, tmp_path: Path) -> None:
@@ -338,6 +377,82 @@ def test_the_command_writes_the_launch_file_attacks_until_it_is_interrupted_and_
     assert f"publisher: ros2 run PACKAGE NODE --ros-args -r {TOPIC}:={TOPIC}/before" in output
     assert "messages: 5, changed: 5, published: 5" in output
     assert (tmp_path / "before.launch.xml").read_text() == launch_fragment(TOPIC)
+
+
+class Output:
+    """What a command says while it is running, until the end of `with`."""
+
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        self.text = ""
+        self._process = process
+        self._reader = threading.Thread(target=self._read)
+        self._reader.start()
+
+    def __enter__(self) -> Output:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._process.kill()
+        self._reader.join()
+        self._process.communicate()
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            self.text += line
+
+    def has(self, *sentences: str) -> None:
+        """Wait until it has said sentences."""
+        eventually(lambda: all(sentence in self.text for sentence in sentences), f"{sentences}")
+
+    def end(self) -> int:
+        """Interrupt it; its exit code."""
+        self._process.send_signal(signal.SIGINT)
+        code = self._process.wait(30.0)
+        self._reader.join()  # it has read all
+        return code
+
+
+def test_the_command_says_what_makes_it_ineffective_and_the_numbers_also_of_a_node_that_failed(tmp_path: Path) -> None:
+    session, router = open_router()
+    (tmp_path / "no_idea.py").write_text(NO_IDEA)
+    process = command("--ros2", TOPIC, "--with", "no_idea.py", "--router", router, folder=tmp_path)
+    arrived: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    with (
+        Output(process) as output,
+        Participant(Connection(router), "tracker") as tracker,
+        Participant(Connection(router), "planner") as planner,
+    ):
+        planner.subscribe_bytes(TOPIC, type_store.TRACKED_OBJECTS, lambda payload, _: arrived.put(payload))
+        own = tracker.publisher(TOPIC + "/before", type_store.TRACKED_OBJECTS)
+        tracker.publisher(TOPIC, type_store.TRACKED_OBJECTS)
+        eventually(lambda: own.is_wanted, "the interposer")
+        eventually(lambda: len(planner.publishers_of(TOPIC)) == 2, "its publisher")
+        later, earlier = reversed(messages(2))
+        for message in (later, earlier):
+            own.publish(message)
+        own.publish_bytes(b"no message")
+        for _ in range(3):
+            arrived.get(timeout=20.0)
+        output.has(f"warning: /tracker publishes on {TOPIC} itself", "warning: a message was passed on unchanged")
+        session.close()
+        output.has("warning: there is no link to the router: meanwhile messages are lost")
+        assert output.end() == 30, output.text
+    assert f"warning: {TOPIC}: the stamps have jumped 1 times" in output.text
+    assert "messages: 3, changed: 0, published: 3" in output.text
+    assert (
+        f"warning: 1 messages were passed on unchanged: cannot be read as {type_store.TRACKED_OBJECTS}" in output.text
+    )
+    assert "RuntimeError: no idea: it was on" in output.text
+
+
+@pytest.mark.heavy
+def test_the_command_says_that_nothing_has_arrived(router: str, tmp_path: Path) -> None:
+    words = ("--ros2", TOPIC, "--with", "UncoordinatedAttack", "--router", router)
+    with Output(command(*words, folder=tmp_path)) as output:
+        output.has("Ctrl-C ends it.")
+        assert output.end() == 0, output.text
+    assert f"warning: nothing has arrived on {TOPIC}/before: nothing was attacked" in output.text
 
 
 @pytest.mark.parametrize(
