@@ -114,7 +114,7 @@ def between(
             interposer_of,
             launch_fragment,
         )
-    check_interception(topic, type_name)
+    check_interception(topic, type_name, odometry)
     interposer = interposer_of(file, topic, settings, seed)
     if launch is not None:
         write_new(launch, lambda path: path.write_text(launch_fragment(topic), encoding="utf-8"))
