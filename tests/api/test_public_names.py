@@ -31,8 +31,8 @@ _BASES = """
 BASES = {f"mast_zenoh.{place}" for place in _BASES.split()}
 MEMBERS = {
     "Run": (
-        "record id name seed status running headline summary metrics objects attacks targets driving trust "
-        "trust_objects messages truth picture agents agent plot report export animate snapshot"
+        "record id name seed status running headline summary metrics objects attacks targets driving "
+        "driven trust trust_objects messages truth picture agents agent plot report export animate snapshot"
     ),
     "Comparison": "table headline plot markdown",
     "FinishedStudy": "table comparison results frames",
