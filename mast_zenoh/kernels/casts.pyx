@@ -288,6 +288,11 @@ def has_returns(position, size, yaw, sensor, walls, occluders, Py_ssize_t least)
     return result
 
 
+#: Distance and box of the nearest hit of each beam, -1: none; used again, as making them takes a third of the time.
+#: None while it is used.
+_beams = None
+
+
 def nearest_hits(across, up, double range_m, rotation, origin, half, box, azimuth, channels):
     across, up, rotation, origin, half = (
         contiguous(across), contiguous(up), contiguous(rotation), contiguous(origin), contiguous(half)
@@ -305,11 +310,12 @@ def nearest_hits(across, up, double range_m, rotation, origin, half, box, azimut
     cdef Py_ssize_t k, axis, channel, beam, found = 0, n = length(box)
     cdef double enter, leave, direction, centre, span
     cdef double[3] along, lift, start, size
-    best, first = empty_vector(np.NPY_DOUBLE, beams), empty_vector(np.NPY_INT64, beams)
-    cdef double* nearest = writable_data(best, 1)
-    cdef np.int64_t* owner = int_data(first)
-    for beam in range(beams):
-        owner[beam] = -1
+    global _beams
+    scratch, _beams = _beams, None
+    if scratch is None or len(scratch[0]) < beams:
+        scratch = numpy.empty(beams), numpy.full(beams, -1)
+    cdef double* nearest = writable_data(scratch[0], 1)
+    cdef np.int64_t* owner = int_data(scratch[1])
     for k in range(n):
         for axis in range(3):
             along[axis] = R[9 * row[k] + 3 * axis] * wide[column[k]] + R[9 * row[k] + 3 * axis + 1] * wide[azimuths + column[k]]
@@ -322,7 +328,10 @@ def nearest_hits(across, up, double range_m, rotation, origin, half, box, azimut
                 if fabs(direction) < 1e-12:
                     direction = 1e-12
                 centre, span = start[axis] / direction, size[axis] / fabs(direction)
-                enter, leave = fmax(enter, centre - span), fmin(leave, centre + span)
+                enter = centre - span if centre - span > enter else enter  # no function of C, which would ask for NaN
+                leave = centre + span if centre + span < leave else leave
+                if enter > leave:
+                    break
             beam = column[k] * elevations + channel
             if enter <= leave and (owner[beam] < 0 or enter < nearest[beam]):
                 found += owner[beam] < 0
@@ -341,5 +350,7 @@ def nearest_hits(across, up, double range_m, rotation, origin, half, box, azimut
             towards[3 * found] = high[channel] * wide[k]
             towards[3 * found + 1] = high[channel] * wide[azimuths + k]
             towards[3 * found + 2] = high[elevations + channel]
+            owner[beam] = -1
             found += 1
+    _beams = scratch
     return hit_box, hit_beam, distances, directions
