@@ -2,19 +2,27 @@
 
 It publishes one command in every frame, from the pose and the route of that frame and from the newest estimate of an
 earlier one, as an agent uses the picture: the result does not depend on the order of arrival.
+
+With a veto, the agent's own sensors overrule the mission estimate, which others
+contribute to: see mast_zenoh/driving/veto.py.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
 
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion, tracks_in_world
-from mast_zenoh.arrays.states import ObjectStates, canonical_order
+from mast_zenoh.arrays.states import Bools, ObjectStates, canonical_order
 from mast_zenoh.driving import CarLimits, Command, Driver, RouteAhead, Situation
+from mast_zenoh.driving.veto import overruled
 from mast_zenoh.gather import Gather, LatestBefore, plausible_rows
+from mast_zenoh.integrity.base import ClusterBoxes
+from mast_zenoh.integrity.views import SweptView, check_view, view_of
+from mast_zenoh.integrity.visibility import clear_in_view
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.tracking.kalman import predicted
@@ -34,6 +42,8 @@ class DriverNode(Node):
     estimate_age_s: s, the greatest age of an estimate that is used; without one it brakes
     braking:  m/s^2, without an estimate
     limits:   what the car can do; None: CarLimits()
+    veto:     whether the agent's own sensors overrule its mission estimate: it drives by its own tracks, and by what
+        else is in the mission estimate unless they see through its place
     """
 
     role = "driver"
@@ -44,6 +54,7 @@ class DriverNode(Node):
         "truth": "truth",
         "safety": "tracks",
         "mission": "tracks",
+        "view": "view",
     }
     outputs = {"command": "command"}
 
@@ -55,15 +66,23 @@ class DriverNode(Node):
         estimate_age_s: float = 0.5,
         braking: float = 3.0,
         limits: CarLimits | None = None,
+        veto: bool = False,
     ) -> None:
         check("0 or more, finite", estimate_age_s=estimate_age_s)
         check("more than 0, finite", braking=braking)
+        if veto and estimate != "mission":
+            raise ValueError(
+                f"veto: found True with the estimate {estimate!r}, expected 'mission': it overrules that one"
+            )
         self.agent, self.driver, self.estimate = agent, driver, estimate
-        self.unused = tuple(name for name in ESTIMATES if name != estimate)
+        self.veto = veto
+        used = {estimate, "safety", "view"} if veto else {estimate}
+        self.unused = tuple(name for name in (*ESTIMATES, "view") if name not in used)
         self.age_ns, self.braking = round(estimate_age_s * 1e9), braking
         self.limits = limits or CarLimits()
         self.sensed: Gather[str, Received] = Gather({"clock", "pose", "route"})
-        self.estimates: LatestBefore[tuple[int, ObjectStates]] = LatestBefore()
+        self.estimates: dict[str, LatestBefore[tuple[int, ObjectStates]]] = {name: LatestBefore() for name in ESTIMATES}
+        self.views: LatestBefore[tuple[int, SweptView]] = LatestBefore()
         self.counts = {"commands": 0, "blind": 0}
 
     def on_clock(self, received: Received, context: Context) -> None:
@@ -87,20 +106,31 @@ class DriverNode(Node):
     def on_truth(self, received: Received, context: Context) -> None:
         """What is there."""
         columns = {name: received.body[name] for name in ("id", "velocity", "size", "yaw", "class_id")}
-        self.remember(received, ObjectStates.of(received.body["position"], **columns), context)
+        self.remember("truth", received, ObjectStates.of(received.body["position"], **columns), context)
 
     def on_safety(self, received: Received, context: Context) -> None:
         """The agent's own tracks, as the agent sends them."""
-        self.remember(received, tracks_in_world(received.body), context)
+        self.remember("safety", received, tracks_in_world(received.body), context)
 
     def on_mission(self, received: Received, context: Context) -> None:
         """The agent's mission estimate."""
-        self.remember(received, tracks_in_world(received.body), context)
+        self.remember("mission", received, tracks_in_world(received.body), context)
 
-    def remember(self, received: Received, objects: ObjectStates, context: Context) -> None:
+    def on_view(self, received: Received, context: Context) -> None:
+        """What the agent's own sensor sees, as the agent sends it."""
+        try:
+            check_view(received.body)
+        except ValueError as error:
+            context.reject(f"view: {error}")
+            return
+        self.views.add(context.frame, (received.time_ns, view_of(received.body)), received.frame)
+
+    def remember(self, estimate: str, received: Received, objects: ObjectStates, context: Context) -> None:
         """Store an estimate for the frames after its arrival, without implausible values."""
         objects = objects.select(plausible_rows(objects))
-        self.estimates.add(context.frame, (received.time_ns, objects.select(canonical_order(objects))), received.frame)
+        self.estimates[estimate].add(
+            context.frame, (received.time_ns, objects.select(canonical_order(objects))), received.frame
+        )
 
     def sense(self, port: str, received: Received, context: Context) -> None:
         """Command the car once the clock, the pose and the route of a frame have arrived."""
@@ -130,13 +160,30 @@ class DriverNode(Node):
         context.publish("command", body, frame=received.frame, time_ns=time_ns)
 
     def objects_at(self, frame: int, time_ns: int) -> ObjectStates | None:
-        """The objects of the newest estimate of an earlier frame, predicted to `time_ns`; None: it is too old."""
-        latest = self.estimates.get(frame)
+        """The objects to drive by at `time_ns`; None: what is known of them is too old."""
+        objects = self.estimate_at(self.estimate, frame, time_ns)
+        if objects is None or not self.veto:
+            return objects
+        own = self.estimate_at("safety", frame, time_ns)
+        return None if own is None else overruled(own, objects, self.free(objects, frame, time_ns))
+
+    def estimate_at(self, name: str, frame: int, time_ns: int) -> ObjectStates | None:
+        """The newest estimate of an earlier frame, predicted to `time_ns`; None: it is too old."""
+        latest = self.estimates[name].get(frame)
         if latest is None:
             return None
         estimate_ns, objects = latest[1]
         age_ns = time_ns - estimate_ns
         return predicted(objects, age_ns * 1e-9) if 0 <= age_ns <= self.age_ns else None
+
+    def free(self, objects: ObjectStates, frame: int, time_ns: int) -> Bools:
+        """(n,) whether the newest view of an earlier frame sees through the place where each object was at its time."""
+        latest = self.views.get(frame)
+        age_ns = self.age_ns + 1 if latest is None else time_ns - latest[1][0]
+        if latest is None or not 0 <= age_ns <= self.age_ns:
+            return np.zeros(len(objects), np.bool_)
+        boxes = ClusterBoxes(objects.position, objects.velocity, objects.size, objects.yaw)
+        return clear_in_view(boxes, replace(latest[1][1], age_s=age_ns * 1e-9))
 
     def finish(self, context: Context) -> dict[str, Any]:
         """The number of commands, and of those without an estimate: "blind"."""

@@ -12,12 +12,17 @@ from collections import defaultdict
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from mast_zenoh.arrays.geometry import states_to_world
 from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.driving import RouteAhead
 from mast_zenoh.effects import Pose
+from mast_zenoh.errors import MessageError
 from mast_zenoh.evaluation import Evaluation, RunData, ego_of
+from mast_zenoh.evaluation.driven import Arrival, Heard
 from mast_zenoh.metrics import AttributionLimits, Consistency, CutOff, Driving, Metric, Record, Scorer, Series
-from mast_zenoh.metrics.estimates import LOCAL, MISSION, PICTURE, PICTURE_RECEIVED, RECEIVED
+from mast_zenoh.metrics.estimates import LOCAL, MISSION, PICTURE, PICTURE_RECEIVED, RECEIVED, TRUTH
 from mast_zenoh.metrics.record import Snapshot
 from mast_zenoh.metrics.trust import TrustUpdate
 from mast_zenoh.node import Context, Node, Overheard
@@ -32,17 +37,23 @@ RECOGNISED = 32
 REMEMBERED = RECOGNISED + SETTLE_EVERY + 2
 
 
+#: Points of a driven car's route, and m between two of them, at most.
+MAX_POINTS, MAX_STEP_M = 1000, 10.0
+
+
 class Route(NamedTuple):
     """How the evaluator uses the messages of a key.
 
     take:   name of the method that handles them
     series: the estimates that they contain
     wire:   key of their wire, if its messages arrive on several keys
+    cars:   the agents whose drivers receive them
     """
 
     take: str
     series: tuple[Series, ...] = ()
     wire: str = ""
+    cars: tuple[str, ...] = ()
 
 
 class Evaluator(Node):
@@ -119,7 +130,8 @@ class Evaluator(Node):
         self.routes = routes(wiring, self.agents)
         self.takes = {key: getattr(self, route.take) for key, route in self.routes.items()}
         self.metered = set(self.data.meter.keys())
-        self.data.driven |= {wire.subject for wire in wiring.wires if wire.message == "command"}
+        for car in drivers_of(wiring).values():
+            self.data.heard.setdefault(car, Heard())
         self.data.relays = self.data.relays or any(wire.message == "relayed" for wire in wiring.wires)
         for route in self.routes.values():
             self.data.record.expect(route.series)
@@ -152,6 +164,8 @@ class Evaluator(Node):
         self.data.record.add_truth(
             message.header.frame, objects, body["points"], body["agent_position"], body["agent_object"]
         )
+        if route.cars:
+            self.hear(message, route, TRUTH, Snapshot.of(objects, views=message.encoded))
 
     def take_pose(self, message: Overheard, route: Route) -> None:
         """Store an agent's pose, to which its detections are relative."""
@@ -192,6 +206,24 @@ class Evaluator(Node):
             if route.wire:
                 candidates.append((message, objects))
         self.data.record.add(header.frame, route.series, objects, message.step, header.time_ns)
+        if route.cars:
+            self.hear(message, route, route.series[0].estimator if route.series else "", objects)
+
+    def hear(self, message: Overheard, route: Route, estimate: str, objects: Snapshot) -> None:
+        """Store an estimate as drivers received it."""
+        header = message.header
+        for car in route.cars:
+            step = message.step if message.step >= 0 else header.frame
+            self.data.heard[car].add(step, Arrival(estimate, header.frame, header.time_ns, objects))
+
+    def take_route(self, message: Overheard, route: Route) -> None:
+        """Store the lane ahead of a driven car, as the world sent it."""
+        position, speed, stop = (message.body[name] for name in ("position", "speed", "stop"))
+        if not 2 <= len(position) <= MAX_POINTS or np.abs(np.diff(position, axis=0)).max() > MAX_STEP_M:
+            raise MessageError(f"route: expected 2 to {MAX_POINTS} points, at most {MAX_STEP_M:g} m apart")
+        ahead = RouteAhead(position.copy(), speed.copy(), float(stop.min(initial=np.inf)))
+        for car in route.cars:
+            self.data.heard[car].routes.setdefault(message.header.frame, ahead)
 
     def take_reception(self, message: Overheard, route: Route) -> None:
         """Store how busy the channel was at a station, and how many messages it lost."""
@@ -232,6 +264,8 @@ def routes(wiring: Wiring, agents: Sequence[str]) -> dict[str, Route]:
     series: dict[str, list[Series]] = defaultdict(list)
     takes: dict[str, str] = {}
     shared: dict[str, str] = {}
+    cars: dict[str, tuple[str, ...]] = defaultdict(tuple)
+    drivers = drivers_of(wiring)
     sensed = {agent_of(wire.subject) for wire in wiring.wires if wire.interposers and wire.message == "detections"}
     brokers = {wire.legs[0].publisher.node for wire in wiring.wires if wire.message == "collated"}
     for wire in wiring.wires:
@@ -240,8 +274,13 @@ def routes(wiring: Wiring, agents: Sequence[str]) -> dict[str, Route]:
         ends = {end.node: leg.key for leg in wire.every_leg for end in leg.subscribers}
         if len(wire.every_leg) > 1:
             shared |= dict.fromkeys((leg.key for leg in wire.every_leg), wire.key)
+        if wire.message in ("truth", "tracks"):
+            for leg in wire.every_leg:
+                cars[leg.key] += tuple(drivers[end.node] for end in wire.receivers(leg) if end.node in drivers)
         if wire.message == "trust" and wire.subject not in ("", ego_of(agents)):
             continue  # that of one centre, or one peer, is evaluated
+        if wire.message == "route" and wire.subject in drivers:
+            takes[source.key], cars[source.key] = "take_route", (drivers[wire.subject],)
         if wire.message in ("clock", "truth", "trust", "attack_report", "link_report", "reception"):
             takes[source.key] = f"take_{wire.message}"
         elif wire.message == "pose" and wire.subject in sensed:
@@ -263,7 +302,15 @@ def routes(wiring: Wiring, agents: Sequence[str]) -> dict[str, Route]:
             for key, name in received:
                 series[key].append(Series(name, PICTURE_RECEIVED))
             takes |= dict.fromkeys((source.key, *(key for key, _ in received)), "take_picture")
-    return {key: Route(take, tuple(series[key]), shared.get(key, "")) for key, take in takes.items()}
+    for key in cars:
+        if cars[key]:
+            takes.setdefault(key, "keep")  # estimates that only drivers receive
+    return {key: Route(take, tuple(series[key]), shared.get(key, ""), cars[key]) for key, take in takes.items()}
+
+
+def drivers_of(wiring: Wiring) -> dict[str, str]:
+    """The agents whose cars are driven, by the name of the driver's node."""
+    return {wire.legs[0].publisher.node: wire.subject for wire in wiring.wires if wire.message == "command"}
 
 
 if __name__ == "__main__":

@@ -11,7 +11,8 @@ def study(
 ):
     """Two of four infrastructure agents are compromised.
 
-    They add five false objects on average, and hide a fifth of the real ones.
+    They add five false objects on average, and hide a fifth of the real ones. Then one more run, in which a driver
+    steers the ego and somebody puts ghosts into the picture that it receives: what an attack does to a car.
     """
     place = dict(scene=scene, scene_index=scene_index, n_infrastructure=n_infrastructure)
     attack = dict(
@@ -19,6 +20,7 @@ def study(
         false_positives=false_positives,
         fraction_false_negatives=fraction_false_negatives,
     )
+    steps = str(scene).partition(":")[0] == "intersection"  # of other scenes, cars are recorded
     return dict(
         name="case_study",
         runs=dict(
@@ -26,6 +28,7 @@ def study(
             uncoordinated=dict(scenario="uncoordinated", parameters=place | attack),
             coordinated=dict(scenario="coordinated", parameters=place | attack),
         ),
+        driven=dict(scenario="driving", parameters=place | dict(attack="GhostAhead"), frames=100) if steps else None,
         runtime="mesh",
         seed=0,
     )

@@ -176,6 +176,14 @@ class Run:
         return self._table("driving.parquet")
 
     @property
+    def driven(self) -> pyarrow.Table:
+        """A row per frame and driven car: its course (docs/metrics.md).
+
+        Raises RunFolderError for a run without drivers.
+        """
+        return self._table("driven.parquet")
+
+    @property
     def trust(self) -> pyarrow.Table:
         """A row per frame and agent: the command centre's trust (docs/metrics.md).
 

@@ -17,13 +17,23 @@
     evasion      attacks that stay below what a defence looks for
     flood        an attack on the time of the command centre
     slander      an attack on what agents say about whom they trust
+    road_ahead    attacks on the road ahead of a car that is driven
     seizure       an attack on what drivers tell their cars
     victim        what an adversary keeps of a compromised agent
 
 Everything is in the world frame; the nodes convert. See docs/attacks.md.
 """
 
-from mast_zenoh.attacks import disputes, evasion, flood, phantoms, real_objects, seizure, slander  # noqa: F401 (found by name)
+from mast_zenoh.attacks import (  # noqa: F401 (found by name)
+    disputes,
+    evasion,
+    flood,
+    phantoms,
+    real_objects,
+    road_ahead,
+    seizure,
+    slander,
+)
 from mast_zenoh.attacks.attack import Attack, PassThrough, UncoordinatedAttack, alter
 from mast_zenoh.attacks.campaign import Propagation
 from mast_zenoh.attacks.coordination import Coordination

@@ -128,6 +128,13 @@ class Follower:
         position[attached], velocity[attached] = tracks[:, PLACE], tracks[:, VELOCITY]
         return targets.with_(position=position, velocity=velocity), row
 
+    def velocities(self) -> Floats:
+        """(n, 3) m/s, the velocities of the rows of the newest message, estimated where rows have none."""
+        result = np.zeros((len(self._objects), 3))
+        tracks = self._tracks[self._tracks[:, ROW] >= 0]
+        result[tracks[:, ROW].astype(np.int64)] = tracks[:, VELOCITY]
+        return result
+
     def established(self, messages: int) -> Bools:
         """Rows (n,) of the newest message with objects seen in `messages` messages.
 

@@ -153,17 +153,22 @@ class SlowDrift(ChangingAttack):
         new = np.array([number not in self._direction for number in numbers.tolist()], bool)
         if new.any():
             self._direction |= self._directions(moment, numbers[new], real.select(new))
+        limit = self._limits(moment, real)
         for i, number in enumerate(numbers.tolist()):
             before = self._offset_m.get(number, 0.0)
-            after = min(max(before + rate * moment.elapsed_s, 0.0), self._limit_m)
+            after = min(max(before + rate * moment.elapsed_s, 0.0), limit[i])
             self._offset_m[number] = offset[i] = after
-            speed[i] = rate if after != before and 0.0 < after < self._limit_m else 0.0
+            speed[i] = rate if after != before and 0.0 < after < limit[i] else 0.0
             angle[i] = self._direction[number]
         direction = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))])
         moves = np.where(real.velocity.any(axis=1), speed, 0.0)  # detections have no velocity
         return real.with_(
             position=real.position + direction * offset[:, None], velocity=real.velocity + direction * moves[:, None]
         )
+
+    def _limits(self, moment: Moment, real: ObjectStates) -> Floats:
+        """(k,) m, the largest offset of each of the chosen objects."""
+        return np.full(len(real), self._limit_m)
 
     def _directions(self, moment: Moment, numbers: Ints, real: ObjectStates) -> dict[int, float]:
         """By number, the direction, rad, in which each of k newly chosen objects drifts."""

@@ -45,6 +45,14 @@ class Path:
         nearest: Floats = np.sqrt((offset * offset).sum(axis=2).min(axis=1))
         return nearest
 
+    def place(self, position: Floats) -> tuple[Floats, Floats]:
+        """How far along the path positions (n, >= 2) m are, and how far to the left of it, both (n,) m."""
+        offset = position[:, None, :2] - self._samples
+        along = (offset * offset).sum(axis=2).argmin(axis=1).astype(np.float64)
+        point, heading = self.at(along)
+        offset, cos, sin = position[:, :2] - point, np.cos(heading), np.sin(heading)
+        return along + cos * offset[:, 0] + sin * offset[:, 1], cos * offset[:, 1] - sin * offset[:, 0]
+
     def nearest_points(self, position: Floats) -> Floats:
         """(n, 2) m, the samples of the path, every metre, that are nearest to positions (n, >= 2) m."""
         offset = position[:, None, :2] - self._samples

@@ -36,7 +36,7 @@ from mast_zenoh.messagelog.churn import BACK, LOST
 EVALUATOR = "evaluator"
 
 #: Tables that only the evaluator may return; they are written to the top of the run folder.
-TABLES = ("metrics", "objects", "attacks", "targets", "driving", "trust", "trust_objects")
+TABLES = ("metrics", "objects", "attacks", "targets", "driving", "driven", "trust", "trust_objects")
 
 #: Limits of a node's result, bytes. The evaluator's tables have a row for each object, agent and frame.
 MAX_RESULT = 32 << 20
@@ -179,13 +179,15 @@ def left_out(results: Mapping[str, Mapping[str, Any]]) -> dict[str, int]:
 def outside(results: Mapping[str, Mapping[str, Any]], nodes: Mapping[str, NodeSpec]) -> dict[str, dict[str, Any]]:
     """What nodes that exchange messages with programs outside the run counted, by node, see `FrameExchange.results`.
 
-    A node that handed in no counts has 0 everywhere.
+    A node that handed in no counts, because it was lost, has none: {}.
     """
     found: dict[str, dict[str, Any]] = {}
     for name, spec in nodes.items():
         if has_topics_outside(spec):
-            value = results.get(name, {}).get("outside")
-            told = value if isinstance(value, Mapping) else {}
+            told = results.get(name, {}).get("outside")
+            if not isinstance(told, Mapping):
+                found[name] = {}
+                continue
             names = ("asked", "answered", "late", "unanswered", "interrupted", "unclassified")
             counts: dict[str, Any] = dict.fromkeys(names, 0)
             counts |= {key: n for key, n in counts_of(told).items() if key in (*names, "predicted")}

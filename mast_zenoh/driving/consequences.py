@@ -1,19 +1,97 @@
-"""What happened to a car that was driven: collisions, hard braking, jerk, progress."""
+"""What happened to a car that was driven: collisions, near misses, braking, comfort, progress, and those behind it."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.rectangles import intersection_area
-from mast_zenoh.arrays.states import Floats, Ints
-from mast_zenoh.metrics.driving import STANDING_MPS, Drive, Objects, Vehicle
+from mast_zenoh.arrays.states import Bools, Floats, Ints
+from mast_zenoh.driving import braking
+from mast_zenoh.driving.braking import Belief, spans
+from mast_zenoh.driving.corridor import InCorridor, in_corridor, needed_braking
+from mast_zenoh.driving.followers import behind_car
+from mast_zenoh.driving.motion import RouteAhead
+from mast_zenoh.metrics.driving import STANDING_MPS, Driving, Objects, SafeDistance, Vehicle
 
-#: m/s^2; harder braking is not comfortable. Source: the bounds of nuPlan's comfort metric (Caesar et al., 2021).
-HARD_BRAKING_MPS2 = 4.05
-#: m^2; outlines with a smaller intersection only touch.
+#: Bounds of comfort by name: the least and the greatest m/s^2, m/s^3, rad/s or rad/s^2. Source: the comfort metric of
+#: nuPlan (Caesar et al., NuPlan: A closed-loop ML-based planning benchmark for autonomous vehicles, 2021).
+COMFORT = {
+    "braking": (-4.05, np.inf),
+    "acceleration": (-np.inf, 2.40),
+    "lateral_acceleration": (-4.89, 4.89),
+    "jerk": (-8.37, 8.37),
+    "longitudinal_jerk": (-4.13, 4.13),
+    "yaw_rate": (-0.95, 0.95),
+    "yaw_acceleration": (-1.93, 1.93),
+}
+#: m/s^2; harder braking is not comfortable.
+HARD_BRAKING_MPS2 = -COMFORT["braking"][0]
+#: s and m/s^2: below this time to collision, and above this braking that avoids it, an encounter is a near miss.
+#: Source: thresholds of TTC and DRAC of SUMO's device "ssm". There, either is a conflict; an ordinary stop behind
+#: others falls below the first, so here it needs both.
+NEAR_MISS_TTC_S, NEAR_MISS_BRAKING_MPS2 = 3.0, 3.0
+#: m2; outlines with a smaller intersection only touch.
 _TOUCH_M2 = 1e-6
+#: m; who stands so near to what is ahead, or to a line, waits for it.
+_WAITING_M = 5.0
+#: s; a collision is with a hidden object if the driver did not know it for most of this time before.
+_BEFORE_CONTACT_S = 1.0
+#: s, over which derivatives of accelerations are smoothed, as by nuPlan.
+_SMOOTHED_S = 1.5
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class DrivenCar:
+    """What is known of one car in f frames, and of the n other objects, from the truth and from messages.
+
+    car, objects: world frame; ids: (n,); seen: (n,) whether the car's own sensors have the object
+    known:      (n,) whether the driver's estimate had an object there
+    frames:     (f,) numbers of the frames; times_s: (f,) s; period_s: s between two frames
+    routes:     of the car, by row of the frames
+    believed:   m objects that the driver believed in, ascending by frame; belief: what they are
+    tampered:   (f,) adversaries that changed the car's command of a frame, joined by "+"; "": none
+    look:       how far and how wide the corridor of the car is
+    """
+
+    car: Vehicle
+    objects: Objects
+    ids: Ints
+    seen: Bools
+    known: Bools
+    frames: Ints
+    times_s: Floats
+    period_s: float
+    routes: Mapping[int, RouteAhead]
+    believed: Objects
+    belief: Belief
+    tampered: Sequence[str]
+    look: Driving
+
+    @cached_property
+    def speed(self) -> Floats:
+        """(f,) m/s, of the car."""
+        return np.hypot(self.car.velocity[:, 0], self.car.velocity[:, 1])
+
+    @cached_property
+    def acceleration(self) -> Floats:
+        """(f - 1,) m/s^2, from each frame to the next."""
+        return accelerations(self.speed, self.period_s)
+
+    @cached_property
+    def truth(self) -> InCorridor:
+        """What is there in the corridor of the car."""
+        return in_corridor(self.car, self.routes, self.objects, self.look)
+
+    @cached_property
+    def brakes(self) -> list[braking.Brake]:
+        """The brakes of the car."""
+        return braking.brakes_of(self.acceleration, self.period_s)
 
 
 def collisions(car: Vehicle, objects: Objects) -> Ints:
@@ -32,42 +110,155 @@ def accelerations(speed: Floats, period_s: float) -> Floats:
     return np.diff(speed) / period_s
 
 
-def episodes(during: np.ndarray) -> int:
-    """Number of uninterrupted times during which a condition (f,) holds."""
-    return int(np.count_nonzero(during & ~np.concatenate([[False], during[:-1]])))
+def consequences(driven: DrivenCar) -> dict[str, Any]:
+    """What happened to a driven car, as numbers for metrics.json; docs/driving.md describes them.
 
-
-def consequences(
-    car: Vehicle, objects: Objects, ids: Ints, frames: Ints, by_truth: Drive, period_s: float
-) -> dict[str, Any]:
-    """What happened to a car in f frames, as numbers for metrics.json.
-
-    objects, ids: all other n objects of these frames, and their ids (n,); frames: (f,) their numbers
-    by_truth: the truth in the car's corridor, with the braking rule of the run; period_s: s between two frames
-
-    Returns "collisions" (a list of the object, the frame of the first contact and the speed of the car relative to the
-    object, m/s), "hard_brakes" (episodes), "hardest_braking_mps2", "jerk_max_mps3", "progress_m", "standing_s",
-    "min_gap_m", "min_ttc_s" (None: nothing was ever ahead, or approached), and "unsafe_s": the time during which the
-    braking rule says that the car should brake.
+    "collisions": for each object the first frame of contact, the relative speed, and whether it was hidden from the
+    driver though the car's own sensors had it; "near_misses": objects that were not hit; "min_ttc_s", "min_gap_m"
+    (None: nothing was ever approached, or ahead); "rss_unsafe_s"; "brakes", each with its cause: the object (a real
+    one's id, a false track's id), its kind ("real", "false", "line", "none") and the adversary; "needless_brakes",
+    "missed_brakes", "hard_brakes"; "hardest_braking_mps2", "jerk_max_mps3"; "uncomfortable_s" by bound of COMFORT;
+    "progress_m"; "stops", "standing_s", "blocked_s"; and "behind", the traffic in its lane behind it.
     """
-    speed = np.hypot(car.velocity[:, 0], car.velocity[:, 1])
-    acceleration = accelerations(speed, period_s)
-    hit = collisions(car, objects)
-    contacts = []
-    for number in np.unique(ids[hit]).tolist():
-        row = hit[ids[hit] == number][0]
-        relative = objects.velocity[row, :2] - car.velocity[objects.frame[row], :2]
-        first = int(frames[objects.frame[row]])
-        contacts.append({"object": number, "frame": first, "speed_mps": float(np.hypot(*relative))})
-    gap, ttc = float(by_truth.gap_m.min(initial=np.inf)), float(by_truth.ttc_s.min(initial=np.inf))
+    car, period, truth = driven.car, driven.period_s, driven.truth
+    speed, acceleration = driven.speed, driven.acceleration
+    hit = collisions(car, driven.objects)
+    emergencies = braking.emergencies(truth, len(speed))
+    brakes = _brakes(driven)
+    standing = speed <= STANDING_MPS
     return {
-        "collisions": contacts,
-        "hard_brakes": episodes(acceleration < -HARD_BRAKING_MPS2),
+        "collisions": _contacts(driven, hit),
+        "near_misses": len(set(driven.ids[truth.row[_near_miss(truth)]].tolist()) - set(driven.ids[hit].tolist())),
+        "min_gap_m": _finite(truth.gap_m.min(initial=np.inf)),
+        "min_ttc_s": _finite(truth.ttc_s.min(initial=np.inf)),
+        "rss_unsafe_s": _below_safe_distance(driven.look, truth) * period,
+        "brakes": brakes,
+        "needless_brakes": sum(brake["needless"] for brake in brakes),
+        "missed_brakes": braking.missed_brakes(emergencies, acceleration, period),
+        "hard_brakes": len(spans(acceleration < -HARD_BRAKING_MPS2)),
         "hardest_braking_mps2": float(abs(acceleration.min(initial=0.0))),
-        "jerk_max_mps3": float(np.abs(np.diff(acceleration)).max(initial=0.0) / period_s),
+        "jerk_max_mps3": float(np.abs(np.diff(acceleration)).max(initial=0.0) / period),
+        "uncomfortable_s": uncomfortable_s(car, period),
         "progress_m": float(np.hypot(*np.diff(car.position[:, :2], axis=0).T).sum()),
-        "standing_s": float(np.count_nonzero(speed <= STANDING_MPS) * period_s),
-        "min_gap_m": gap if np.isfinite(gap) else None,
-        "min_ttc_s": ttc if np.isfinite(ttc) else None,
-        "unsafe_s": float(np.count_nonzero(by_truth.brake) * period_s),
+        "stops": sum(first > 0 for first, _ in spans(standing)),
+        "standing_s": float(np.count_nonzero(standing) * period),
+        "blocked_s": float(np.count_nonzero(standing & ~_waits(driven, truth)) * period),
+        "behind": behind_car(car, driven.objects, driven.ids, period, HARD_BRAKING_MPS2),
     }
+
+
+def course(driven: DrivenCar) -> dict[str, Any]:
+    """The course of a driven car as columns of driven.parquet: a row per frame (docs/metrics.md)."""
+    frames, truth = len(driven.frames), driven.truth
+    gap, ttc, brake = np.full(frames, np.inf), np.full(frames, np.inf), np.zeros(frames, bool)
+    np.minimum.at(gap, truth.frame, truth.gap_m)
+    np.minimum.at(ttc, truth.frame, truth.ttc_s)
+    for first, _, end in driven.brakes:
+        brake[first:end] = True
+    return {
+        "frame": driven.frames,
+        "time_s": driven.times_s,
+        "x": driven.car.position[:, 0],
+        "y": driven.car.position[:, 1],
+        "heading": driven.car.heading,
+        "speed_mps": driven.speed,
+        "acceleration_mps2": np.append(driven.acceleration, np.nan)[:frames],
+        "brake": brake,
+        "gap_m": np.where(np.isfinite(gap), gap, np.nan),
+        "ttc_s": np.where(np.isfinite(ttc), ttc, np.nan),
+    }
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _contacts(driven: DrivenCar, hit: Ints) -> list[dict[str, Any]]:
+    """The first contact with each object. hit: rows of the objects that overlap the car"""
+    contacts = []
+    before = round(_BEFORE_CONTACT_S / driven.period_s)
+    for number in np.unique(driven.ids[hit]).tolist():
+        row = hit[driven.ids[hit] == number][0]
+        frame = driven.objects.frame[row]
+        relative = driven.objects.velocity[row, :2] - driven.car.velocity[frame, :2]
+        near = (driven.ids == number) & (driven.objects.frame < frame) & (driven.objects.frame >= frame - before)
+        seen = near & driven.seen
+        hidden = np.count_nonzero(seen & ~driven.known) > 0.5 * np.count_nonzero(seen)
+        contact = {"object": number, "frame": int(driven.frames[frame]), "speed_mps": float(np.hypot(*relative))}
+        contacts.append(contact | {"hidden": bool(hidden)})
+    return contacts
+
+
+def _near_miss(truth: InCorridor) -> Bools:
+    """Whether each object in the corridor (n,) is nearly hit in its frame."""
+    needed = needed_braking(truth.gap_m, truth.own_mps, truth.ahead_mps)
+    return np.asarray((truth.ttc_s < NEAR_MISS_TTC_S) & (needed > NEAR_MISS_BRAKING_MPS2))
+
+
+def _below_safe_distance(look: Driving, truth: InCorridor) -> int:
+    """Number of frames in which something is nearer than the safe distance of RSS."""
+    rule = look.rule if isinstance(look.rule, SafeDistance) else SafeDistance()
+    return len(np.unique(truth.frame[rule.brakes(truth.gap_m, truth.own_mps, truth.ahead_mps)]))
+
+
+def _brakes(driven: DrivenCar) -> list[dict[str, Any]]:
+    """The brakes of a car with their causes."""
+    brakes, speed, truth = driven.brakes, driven.speed, driven.truth
+    lines, road = braking.demanded_by_lines(speed, driven.routes), braking.demanded_by_road(speed, driven.routes)
+    real = braking.hardest_per_frame(truth, braking.demanded_by_objects(truth), len(speed))
+    believed = in_corridor(driven.car, driven.routes, driven.believed, driven.look)
+    causes = braking.causes(brakes, believed, driven.belief, lines, driven.tampered)
+    needless = braking.needless(brakes, np.max([lines, road, real], axis=0), driven.period_s)
+    return [
+        {
+            "from_s": float(driven.times_s[brake.first]),
+            "until_s": float(driven.times_s[brake.end]),
+            "hardest_mps2": float(-driven.acceleration[brake.hardest]),
+            "needless": without_reason,
+            "cause": cause,
+        }
+        for brake, cause, without_reason in zip(brakes, causes, needless, strict=True)
+    ]
+
+
+def _waits(driven: DrivenCar, truth: InCorridor) -> Bools:
+    """Whether (f,) something real, or a line, is so near ahead that a standing car waits for it."""
+    near = np.bincount(truth.frame[truth.gap_m <= _WAITING_M], minlength=len(driven.frames)) > 0
+    for frame, route in driven.routes.items():
+        near[frame] |= route.stop_m <= _WAITING_M
+    return near
+
+
+def uncomfortable_s(car: Vehicle, period_s: float) -> dict[str, float]:
+    """Time in s during which a car was outside each of the bounds of COMFORT.
+
+    Accelerations are those of the velocity from frame to frame. Their derivatives are smoothed over 1.5 s by a
+    polynomial of second order (Savitzky and Golay), as nuPlan does it; the first and last 0.7 s have none.
+    """
+    along = np.column_stack([np.cos(car.heading), np.sin(car.heading)])[:-1]
+    change = np.diff(car.velocity[:, :2], axis=0) / period_s
+    forward = (change * along).sum(axis=1)
+    sideways = along[:, 0] * change[:, 1] - along[:, 1] * change[:, 0]
+    turning = wrap_angle(np.diff(car.heading)) / period_s
+    values = {
+        "braking": forward,
+        "acceleration": forward,
+        "lateral_acceleration": sideways,
+        "jerk": _slope(np.hypot(forward, sideways), period_s),
+        "longitudinal_jerk": _slope(forward, period_s),
+        "yaw_rate": turning,
+        "yaw_acceleration": _slope(turning, period_s),
+    }
+    return {
+        name: float(np.count_nonzero((values[name] < least) | (values[name] > most)) * period_s)
+        for name, (least, most) in COMFORT.items()
+    }
+
+
+def _slope(values: Floats, period_s: float) -> Floats:
+    """Smoothed derivative of values per s, of those in the middle of a whole window; empty if there is none."""
+    half = max(round(_SMOOTHED_S / period_s) // 2, 1)
+    if len(values) <= 2 * half:
+        return np.zeros(0)
+    weight = np.arange(half, -half - 1, -1.0)  # the slope of the parabola through a window is that of the line
+    return np.convolve(values, weight / (period_s * (weight**2).sum()), "valid")

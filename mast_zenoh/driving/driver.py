@@ -9,9 +9,10 @@ import numpy as np
 
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Floats, ObjectStates
+from mast_zenoh.driving.corridor import along_route
 from mast_zenoh.driving.following import IntelligentDriverModel
 from mast_zenoh.driving.motion import CarLimits, Command, RouteAhead
-from mast_zenoh.metrics.driving import BrakingRule, Driving, Objects, TimeToCollision, Vehicle
+from mast_zenoh.metrics.driving import BrakingRule, Driving, Objects, TimeToCollision
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,14 +55,13 @@ class Driver(ABC):
 
 
 #: m, places of a stopped car's front before the line.
-_BEFORE_LINE_M = 0.8
+BEFORE_LINE_M = 0.8
 
 
 class FollowingDriver(Driver):
     """Follows its lane and the car ahead, and stops at lines: the intelligent driver model, with emergency braking.
 
-    It steers towards a point of its lane that is `preview_s` ahead (pure pursuit: Coulter, Implementation of the Pure
-    Pursuit Path Tracking Algorithm, CMU-RI-TR-92-01, 1992).
+    It steers towards a point of its lane that is `preview_s` ahead, see `steering`.
 
     following:   distances and accelerations; None: IntelligentDriverModel()
     emergency:   when it brakes as hard as it can; None: TimeToCollision()
@@ -90,51 +90,40 @@ class FollowingDriver(Driver):
         speed, limits = situation.speed, situation.limits
         objects = situation.objects
         ahead = self.corridor.ahead(
-            _along_route(situation),
+            along_route(situation.position, situation.velocity, situation.heading, situation.size, situation.route),
             Objects(np.zeros(len(objects), np.int64), objects.position, objects.velocity, objects.size, objects.yaw),
         )
         acceleration = -limits.braking
         if not ahead.brake.any():
             gap, other = ahead.gap_m, ahead.speed_mps
             if np.isfinite(situation.route.stop_m):  # a line is a standing car, before which it stops nearer
-                gap = np.append(gap, situation.route.stop_m + self.following.gap_m - _BEFORE_LINE_M)
+                gap = np.append(gap, situation.route.stop_m + self.following.gap_m - BEFORE_LINE_M)
                 other = np.append(other, 0.0)
             own = np.array([speed])
             acceleration = float(self.following.free(own, self._desired(situation.route))[0])
             acceleration += float(self.following.interaction(speed * np.ones(len(gap)), gap, other).min(initial=0.0))
-        return limits.nearest(acceleration, self._curvature(situation))
+        preview = max(self.preview_s * speed, self.preview_m)
+        return limits.nearest(acceleration, steering(situation, preview))
 
     def _desired(self, route: RouteAhead) -> Floats:
         """(1,) m/s at which the car can still slow down comfortably for all that is ahead."""
-        distance = _distances(route.position)
-        allowed = np.sqrt(route.speed**2 + 2.0 * self.following.braking * distance)
+        allowed = np.sqrt(route.speed**2 + 2.0 * self.following.braking * route.along)
         return np.array([max(float(allowed.min()), 0.1)])
 
-    def _curvature(self, situation: Situation) -> float:
-        """1/m, of the arc from the car to a point of its lane ahead."""
-        distance = _distances(situation.route.position)
-        preview = min(max(self.preview_s * situation.speed, self.preview_m), float(distance[-1]))
-        target = [np.interp(preview, distance, situation.route.position[:, axis]) for axis in (0, 1)]
-        offset = np.array(target) - situation.position[:2]
-        across = np.cos(situation.heading) * offset[1] - np.sin(situation.heading) * offset[0]
-        return float(2.0 * across / max(float(offset @ offset), 1.0))
 
+def steering(situation: Situation, preview_m: float, offset_m: float = 0.0) -> float:
+    """Curvature 1/m of the arc from the car to a point of its lane that is `preview_m` ahead (pure pursuit).
 
-def _distances(position: Floats) -> Floats:
-    """Distance (k,) m of each point (k, 2) m from the first one, along the points."""
-    return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(position, axis=0).T))])
+    offset_m: m, of this point to the left of the lane's middle
 
-
-def _along_route(situation: Situation) -> Vehicle:
-    """The car now, and then along its route: the corridor in which it looks for objects."""
-    points = situation.route.position[1:]
-    position = np.concatenate([situation.position[None, :2], points])
-    step = np.diff(position, axis=0)
-    heading = np.concatenate([[situation.heading], np.arctan2(step[:, 1], step[:, 0])])
-    return Vehicle(
-        np.column_stack([position, np.full(len(position), situation.position[2])]),
-        np.tile(situation.velocity, (len(position), 1)),
-        heading,
-        float(situation.size[0]),
-        float(situation.size[1]),
-    )
+    Source: Coulter, Implementation of the Pure Pursuit Path Tracking Algorithm, CMU-RI-TR-92-01 (1992).
+    """
+    along, points = situation.route.along, situation.route.position
+    preview = min(preview_m, float(along[-1]))
+    target = np.array([np.interp(preview, along, points[:, axis]) for axis in (0, 1)])
+    if offset_m:
+        step = np.diff(points[int(np.clip(np.searchsorted(along, preview), 1, len(along) - 1)) - 1 :][:2], axis=0)[0]
+        target += offset_m * np.array([-step[1], step[0]]) / max(float(np.hypot(*step)), 1e-9)
+    offset = target - situation.position[:2]
+    across = np.cos(situation.heading) * offset[1] - np.sin(situation.heading) * offset[0]
+    return float(2.0 * across / max(float(offset @ offset), 1.0))

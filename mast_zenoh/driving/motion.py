@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -68,6 +69,11 @@ class RouteAhead:
     position: Floats
     speed: Floats
     stop_m: float
+
+    @cached_property
+    def along(self) -> Floats:
+        """(k,) m, distance of each point from the first one, along the points."""
+        return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(self.position, axis=0).T))])
 
 
 class LaneMotion(NamedTuple):

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools
-from mast_zenoh.driving.consequences import consequences
 from mast_zenoh.effects import EFFECTS, Effects, Meter, Pose, effects_of, reports
 from mast_zenoh.effects.reports import Agreement
 from mast_zenoh.evaluation import trust
+from mast_zenoh.evaluation.driven import DrivenCars, Heard
 from mast_zenoh.evaluation.from_effects import (
     add_pose_manipulations,
     displaced_by_links,
@@ -71,7 +71,7 @@ class RunData:
     receptions: by (agent, frame), busy ratio of the channel, ns and number of its own messages, and number of
         those that it lost, all of the frame before
     relays:   whether peers relay their pictures
-    driven:   the agents whose cars are driven
+    heard:    what drivers received, by the agent whose car they drive
     """
 
     record: Record
@@ -87,7 +87,7 @@ class RunData:
     trust: dict[int, TrustUpdate] = field(default_factory=dict)
     receptions: dict[tuple[str, int], tuple[float, int, int, int]] = field(default_factory=dict)
     relays: bool = False
-    driven: set[str] = field(default_factory=set)
+    heard: dict[str, Heard] = field(default_factory=dict)
 
     @property
     def period_s(self) -> float:
@@ -349,6 +349,7 @@ class _Results:
         drives = driving.drives(self.settings.driving, data.record, scores, labels)
         summary, per_frame, failed_metrics = self._scored(scored)
         integrity, trust_tables = self._trust(scored)
+        happened, courses = self._driven().results()
         own_pictures = _own_pictures(data)
         consistency = self.settings.consistency.summary(
             scores.pairs, scores.series, own_pictures or [data.ego], scored, data.period_s
@@ -362,7 +363,7 @@ class _Results:
                 "same_as": _nested(scores.same_as),
                 "achieved": achievement.summary(targets, scores, labels.switch_by, data.ego, data.period_s, scored),
                 "driving": driving.summary(drives, scored),
-                **self._driven(drives),
+                **({"driven": happened} if data.heard else {}),
                 "consistency": consistency,
                 "interposers": reports.summary(self.effects, agreement, data.roles, last, self.from_absence),
                 "picture_age_s": data.picture_age_s(frames[scored].tolist()),
@@ -378,20 +379,27 @@ class _Results:
                 "attacks": attacks(self.effects, agreement, data.roles, data.period_s),
                 "targets": targets.table(),
                 "driving": driving.table(drives, frames),
+                **({"driven": courses} if data.heard else {}),
                 **trust_tables,
             },
             "failed_metrics": failed_metrics,
         }
 
-    def _driven(self, drives: Mapping[tuple[str, str], driving.Drive]) -> dict[str, Any]:
-        """What happened to the cars that drivers drove, in all frames; {} without drivers."""
-        data, scores = self.data, self.scores
-        driven = {
-            agent: consequences(car, objects, ids, scores.frames, drives[agent, driving.TRUTH], data.period_s)
-            for agent, car, objects, ids in driving.vehicles(data.record.agents, scores.truth, len(scores.frames))
-            if agent in data.driven
-        }
-        return {"driven": driven} if data.driven else {}
+    def _driven(self) -> DrivenCars:
+        """The cars that drivers drove."""
+        data = self.data
+        return DrivenCars(
+            record=data.record,
+            scores=self.scores,
+            labels=self.labels,
+            effects=self.effects,
+            roles=data.roles,
+            heard=data.heard,
+            times_ns=data.times_ns,
+            period_s=data.period_s,
+            min_points=self.settings.scorer.min_points,
+            look=self.settings.driving,
+        )
 
     def _scored(
         self, scored: slice

@@ -162,6 +162,8 @@ def sample_points(position: Floats, size: Floats, yaw: Floats, margin_m: Floats,
 FAR_M = TOLERANCES.far_m
 #: s; an older view shows where objects were, not where they are.
 MAX_AGE_S = TOLERANCES.max_age_s
+#: Least share of the space in and around a box that must be in view to judge it.
+LEAST_IN_VIEW = 0.25
 #: Standard deviations of a claim's position within which others need not see it.
 ERROR_SD = 2.0
 #: m, greatest standard deviation that a track may claim in its favour.
@@ -255,6 +257,26 @@ def seen_through(boxes: ClusterBoxes, views: Sequence[SweptView | None]) -> Bool
     See `ray_evidence`.
     """
     return ray_evidence(boxes.position, boxes.velocity, boxes.size, boxes.yaw, views, None, TOLERANCES)[0]
+
+
+def clear_in_view(boxes: ClusterBoxes, view: SweptView) -> Bools:
+    """(c,) whether most rays of a sensor pass through a box and around it, of those in its field of view.
+
+    As `seen_through`, but also close to the sensor, whose rays pass over the lower parts of what stands there: at least
+    `LEAST_IN_VIEW` of a box must be in the field of view. What carries the sensor counts as clear, as its rays pass it.
+    """
+    if not len(boxes.yaw) or not view.free.size:
+        return np.zeros(len(boxes.yaw), np.bool_)
+    position = boxes.position - boxes.velocity * view.age_s
+    points = sample_points(position, boxes.size, boxes.yaw, np.full(len(position), TOLERANCES.outside_m), _AROUND)
+    ranges, free, inside = view.ranges(points.reshape(-1, 3))
+    with np.errstate(invalid="ignore"):
+        through = (free > ranges + TOLERANCES.behind_m).reshape(len(position), -1).mean(axis=1)
+    in_view = inside.reshape(len(position), -1).mean(axis=1)
+    half_width = 0.5 * np.minimum(boxes.size[:, 0], boxes.size[:, 1])
+    needed = 1.0 - 0.5 * half_width / (half_width + TOLERANCES.outside_m)
+    clear = (in_view >= LEAST_IN_VIEW) & (through > needed * in_view)
+    return np.asarray(clear & (_distance(position, view) <= TOLERANCES.far_m))
 
 
 def _by_own_tracks(batch: Batch, of_tracks: Bools) -> Bools:

@@ -1,7 +1,7 @@
 # cython: language_level=3, cdivision=True
 """Kernels for lidar returns. The NumPy references document them.
 
-`nearest_hits` computes what its reference does, number by number. For `has_returns` a beam is cast twice, at boxes that are MARGIN_M larger and smaller: rounding cannot matter where both agree. Objects about
+A beam is cast twice, at boxes that are MARGIN_M larger and smaller: rounding cannot matter where both agree. Objects about
 which they do not agree are left to the reference, so the results are equal to its results.
 """
 
@@ -12,7 +12,7 @@ import numpy
 
 from mast_zenoh import kernels
 from mast_zenoh.kernels.arrays cimport (
-    byte_data, contiguous, empty_matrix, empty_vector, float_data, int_data, length, writable_data, zero_vector,
+    byte_data, contiguous, empty_vector, float_data, int_data, length, zero_vector,
 )
 from mast_zenoh.kernels.table cimport SOURCE_DIGEST
 
@@ -24,6 +24,8 @@ cdef double PI = 3.141592653589793
 cdef double MARGIN_M = 1e-6
 #: rad, the same for the window of beams that may hit a box.
 cdef double MARGIN_RAD = 1e-7
+#: More returns than any lidar has beams.
+cdef Py_ssize_t MANY = 1 << 40
 #: Sine of the least angle between a beam and a wall at which the distance to the wall is precise.
 cdef double PARALLEL = 1e-3
 
@@ -32,7 +34,12 @@ cdef enum Verdict:
     NO, YES, UNSURE
 
 
+cdef struct Returns:
+    Py_ssize_t certain, possible
+
+
 cdef struct Box:
+    Py_ssize_t row  # of the boxes; -1: none of them
     double x, y, radius, cos, sin  # x, y: m, from the sensor;  radius: m, of the circle around it
     double[3] origin, half  # the sensor in the frame of the box;  half of its size
 
@@ -45,6 +52,7 @@ cdef Box box_at(const double* at, const double* size, double yaw, const double* 
     cdef Box box
     cdef double x = sensor[0] - at[0], y = sensor[1] - at[1]
     cdef Py_ssize_t axis
+    box.row = -1
     box.x, box.y, box.cos, box.sin = -x, -y, cos(yaw), sin(yaw)
     box.origin[0], box.origin[1] = box.cos * x + box.sin * y, box.cos * y - box.sin * x
     box.origin[2] = sensor[2] - at[2]
@@ -131,17 +139,17 @@ cdef class Scene:
     cdef const double* box_position
     cdef const double* box_size
     cdef const double* box_yaw
-    cdef const np.int64_t* box_id
     cdef Box* boxes
-    cdef Py_ssize_t azimuths, channels, walls, n_boxes, turn, last_box, last_wall
+    cdef np.int64_t* near_boxes  # rows of the boxes and walls that may hide the box that is looked at
+    cdef np.int64_t* near_walls
+    cdef Py_ssize_t azimuths, channels, walls, n_boxes, n_near_boxes, n_near_walls, turn, last_box, last_wall
     cdef double step, range_m
 
-    def __cinit__(self, sensor, walls, occluders):
-        lidar = sensor.lidar
-        cdef np.int64_t own = sensor.own
-        cdef Py_ssize_t r, m = len(occluders.id)
+    def __cinit__(self, lidar, sensor_position, sensor_rotation, walls, box_position, box_size, box_yaw, own):
+        """own: (m,) which boxes are left out"""
+        cdef Py_ssize_t r, m = len(box_yaw)
         cdef Box box
-        position, rotation = contiguous(sensor.position), contiguous(sensor.rotation)
+        position, rotation = contiguous(sensor_position), contiguous(sensor_rotation)
         azimuth, elevation = lidar.azimuths, lidar.elevations
         flat, rise = numpy.cos(elevation), numpy.sin(elevation)
         self.sensor, self.R = float_data(position, 1), float_data(rotation, 2)
@@ -157,66 +165,98 @@ cdef class Scene:
             self.start, self.end, self.top = float_data(start, 2), float_data(end, 2), float_data(top, 1)
             self.walls = length(top)
             self.arrays += [start, end, top]
-        at, size, yaw, number = (
-            contiguous(occluders.position), contiguous(occluders.size), contiguous(occluders.yaw), contiguous(occluders.id)
-        )
-        self.arrays += [at, size, yaw, number]
+        at, size, yaw = contiguous(box_position), contiguous(box_size), contiguous(box_yaw)
+        self.arrays += [at, size, yaw, own]
         self.box_position, self.box_size, self.box_yaw = float_data(at, 2), float_data(size, 2), float_data(yaw, 1)
-        self.box_id = int_data(number)
+        cdef const np.uint8_t* left_out = byte_data(own)
         storage = empty_vector(np.NPY_UINT8, m * sizeof(Box))
-        self.arrays.append(storage)
+        near_boxes, near_walls = empty_vector(np.NPY_INT64, m), empty_vector(np.NPY_INT64, self.walls)
+        self.arrays += [storage, near_boxes, near_walls]
         self.boxes = <Box*>byte_data(storage)
+        self.near_boxes, self.near_walls = int_data(near_boxes), int_data(near_walls)
         for r in range(m):
-            if own < 0 or self.box_id[r] != own:
+            if not left_out[r]:
                 box = box_at(self.box_position + 3 * r, self.box_size + 3 * r, self.box_yaw[r], self.sensor)
                 if distance_to(&box) <= self.range_m + MARGIN_M:
                     self.boxes[self.n_boxes] = box
+                    self.boxes[self.n_boxes].row = r
                     self.n_boxes += 1
 
     cdef bint whole_turn(self) noexcept:
         """Whether the steps fill a turn, so that beams have the same place after it."""
         return fabs(self.turn * self.step - 2 * PI) < 1e-9
 
+    cdef void look_at(self, Box* box) noexcept:
+        """Find what may hide a box: what reaches into the strip from the sensor to it, as wide as the box."""
+        cdef double distance = sqrt(box.x * box.x + box.y * box.y), x = 1.0, y = 0.0, one, other
+        cdef double wide = box.radius + 4.0 * MARGIN_M, x_start, y_start, x_end, y_end
+        cdef Py_ssize_t row
+        self.n_near_boxes = self.n_near_walls = self.last_box = self.last_wall = 0
+        if distance <= wide:  # the strip has no direction
+            distance, wide = INFINITY, INFINITY
+        else:
+            x, y = box.x / distance, box.y / distance
+        for row in range(self.n_boxes):
+            one = self.boxes[row].radius + wide
+            if self.boxes[row].row == box.row or fabs(x * self.boxes[row].y - y * self.boxes[row].x) > one:
+                continue
+            if -one <= x * self.boxes[row].x + y * self.boxes[row].y <= distance + one:
+                self.near_boxes[self.n_near_boxes] = row
+                self.n_near_boxes += 1
+        for row in range(self.walls):
+            x_start, y_start = self.start[2 * row] - self.sensor[0], self.start[2 * row + 1] - self.sensor[1]
+            x_end, y_end = self.end[2 * row] - self.sensor[0], self.end[2 * row + 1] - self.sensor[1]
+            one, other = x * y_start - y * x_start, x * y_end - y * x_end
+            if (one > wide and other > wide) or (one < -wide and other < -wide):
+                continue
+            one, other = x * x_start + y * y_start, x * x_end + y * y_end
+            if (one > distance + wide and other > distance + wide) or (one < -wide and other < -wide):
+                continue
+            self.near_walls[self.n_near_walls] = row
+            self.n_near_walls += 1
+
     cdef inline Verdict hides(self, Beam* beam, double least, double most) noexcept:
         """Whether something hides what a beam meets between two distances m. What hid the last one is asked first."""
-        cdef Py_ssize_t k, row
+        cdef Py_ssize_t k, place, row
         cdef bint unsure = False
         cdef Verdict verdict
-        for k in range(self.n_boxes):
-            row = self.last_box + k
-            row = row if row < self.n_boxes else row - self.n_boxes
-            verdict = box_hides(&self.boxes[row], beam, self.range_m, least, most)
+        for k in range(self.n_near_boxes):
+            place = self.last_box + k
+            place = place if place < self.n_near_boxes else place - self.n_near_boxes
+            verdict = box_hides(&self.boxes[self.near_boxes[place]], beam, self.range_m, least, most)
             if verdict == YES:
-                self.last_box = row
+                self.last_box = place
                 return YES
             unsure |= verdict == UNSURE
-        for k in range(self.walls):
-            row = self.last_wall + k
-            row = row if row < self.walls else row - self.walls
+        for k in range(self.n_near_walls):
+            place = self.last_wall + k
+            place = place if place < self.n_near_walls else place - self.n_near_walls
+            row = self.near_walls[place]
             verdict = wall_hides(
                 self.start[2 * row] - self.sensor[0], self.start[2 * row + 1] - self.sensor[1],
                 self.end[2 * row] - self.sensor[0], self.end[2 * row + 1] - self.sensor[1],
                 self.top[row] - self.sensor[2], beam, least, most,
             )
             if verdict == YES:
-                self.last_wall = row
+                self.last_wall = place
                 return YES
             unsure |= verdict == UNSURE
         return UNSURE if unsure else NO
 
-    cdef Verdict has_returns(self, Box* box, Py_ssize_t least) noexcept:
-        """Whether a box has so many returns."""
+    cdef Returns returns(self, Box* box, Py_ssize_t enough) noexcept:
+        """How many returns a box has; counting ends at `enough` that are certain."""
         cdef const double* R = self.R
         cdef double nearest = distance_to(box), farthest = 0.0, bearing, low = INFINITY, high = -INFINITY, angle
         cdef double z_low = INFINITY, z_high = -INFINITY, down, up, along, across, x, y, z, u, v, w, enter, most, c, s
-        cdef Py_ssize_t corner, k, first, count, column, channel, certain = 0, possible = 0
+        cdef Py_ssize_t corner, k, first, count, column, channel
+        cdef Returns found
         cdef Beam beam
         cdef bint hit
         cdef Verdict hidden
-        if least <= 0:
-            return YES
+        found.certain = found.possible = 0
         if not nearest <= self.range_m + MARGIN_M:
-            return NO
+            return found
+        self.look_at(box)
         # The window of beams that may hit the box, as in the reference.
         x, y, z = box.x, box.y, -box.origin[2]
         bearing = atan2(R[1] * x + R[4] * y + R[7] * z, R[0] * x + R[3] * y + R[6] * z)
@@ -256,15 +296,18 @@ cdef class Scene:
                     continue
                 hit = hits(box, &beam, -MARGIN_M, self.range_m, &most)
                 hidden = self.hides(&beam, enter, most if hit else INFINITY)
-                certain += hit and hidden == NO
-                possible += hidden != YES
-                if certain >= least:
-                    return YES
-        return NO if possible < least else UNSURE
+                found.certain += hit and hidden == NO
+                found.possible += hidden != YES
+                if found.certain >= enough:
+                    return found
+        return found
 
 
 def has_returns(position, size, yaw, sensor, walls, occluders, Py_ssize_t least):
-    cdef Scene scene = Scene(sensor, walls, occluders)
+    own = numpy.zeros(len(occluders.id), numpy.bool_) if sensor.own < 0 else occluders.id == sensor.own
+    cdef Scene scene = Scene(
+        sensor.lidar, sensor.position, sensor.rotation, walls, occluders.position, occluders.size, occluders.yaw, own
+    )
     if not scene.whole_turn():
         return kernels.REFERENCES["has_returns"](position, size, yaw, sensor, walls, occluders, least)
     places, sizes, yaws = contiguous(position), contiguous(size), contiguous(yaw)
@@ -273,14 +316,17 @@ def has_returns(position, size, yaw, sensor, walls, occluders, Py_ssize_t least)
     cdef const double* heading = float_data(yaws, 1)
     cdef Py_ssize_t r, n = length(places)
     cdef Box box
-    cdef Verdict verdict
+    cdef Returns found
     result, open_rows = zero_vector(np.NPY_BOOL, n), zero_vector(np.NPY_BOOL, n)
     cdef np.uint8_t* enough = byte_data(result)
     cdef np.uint8_t* unsure = byte_data(open_rows)
     for r in range(n):
+        if least <= 0:
+            enough[r] = True
+            continue
         box = box_at(at + 3 * r, extent + 3 * r, heading[r], scene.sensor)
-        verdict = scene.has_returns(&box, least)
-        enough[r], unsure[r] = verdict == YES, verdict == UNSURE
+        found = scene.returns(&box, least)
+        enough[r], unsure[r] = found.certain >= least, found.certain < least <= found.possible
     if open_rows.any():
         result[open_rows] = kernels.REFERENCES["has_returns"](
             position[open_rows], size[open_rows], yaw[open_rows], sensor, walls, occluders, least
@@ -288,69 +334,23 @@ def has_returns(position, size, yaw, sensor, walls, occluders, Py_ssize_t least)
     return result
 
 
-#: Distance and box of the nearest hit of each beam, -1: none; used again, as making them takes a third of the time.
-#: None while it is used.
-_beams = None
-
-
-def nearest_hits(across, up, double range_m, rotation, origin, half, box, azimuth, channels):
-    across, up, rotation, origin, half = (
-        contiguous(across), contiguous(up), contiguous(rotation), contiguous(origin), contiguous(half)
+def lidar_points(lidar, sensor_position, sensor_rotation, position, size, yaw, walls=None, Py_ssize_t own=-1):
+    cdef Py_ssize_t r, n = len(yaw)
+    carrier = zero_vector(np.NPY_BOOL, n)
+    if own >= 0:
+        carrier[own] = True
+    cdef Scene scene = Scene(lidar, sensor_position, sensor_rotation, walls, position, size, yaw, carrier)
+    cdef bint sure = scene.whole_turn()
+    cdef Returns found
+    points = numpy.zeros(n, numpy.int32)
+    for r in range(scene.n_boxes if sure else 0):
+        found = scene.returns(&scene.boxes[r], MANY)
+        sure = found.certain == found.possible
+        if not sure:
+            break
+        points[scene.boxes[r].row] = found.certain
+    if sure:
+        return points
+    return kernels.REFERENCES["lidar_points"](
+        lidar, sensor_position, sensor_rotation, position, size, yaw, walls, own
     )
-    box, azimuth, channels = contiguous(box), contiguous(azimuth), contiguous(channels).reshape(-1)
-    cdef const double* wide = float_data(across, 2)
-    cdef const double* high = float_data(up, 2)
-    cdef const double* R = float_data(rotation, 3)
-    cdef const double* sensor = float_data(origin, 2)
-    cdef const double* extent = float_data(half, 2)
-    cdef const np.int64_t* row = int_data(box)
-    cdef const np.int64_t* column = int_data(azimuth)
-    cdef const np.int64_t* limits = int_data(channels)
-    cdef Py_ssize_t azimuths = length(across, 1), elevations = length(up, 1), beams = azimuths * elevations
-    cdef Py_ssize_t k, axis, channel, beam, found = 0, n = length(box)
-    cdef double enter, leave, direction, centre, span
-    cdef double[3] along, lift, start, size
-    global _beams
-    scratch, _beams = _beams, None
-    if scratch is None or len(scratch[0]) < beams:
-        scratch = numpy.empty(beams), numpy.full(beams, -1)
-    cdef double* nearest = writable_data(scratch[0], 1)
-    cdef np.int64_t* owner = int_data(scratch[1])
-    for k in range(n):
-        for axis in range(3):
-            along[axis] = R[9 * row[k] + 3 * axis] * wide[column[k]] + R[9 * row[k] + 3 * axis + 1] * wide[azimuths + column[k]]
-            lift[axis] = R[9 * row[k] + 3 * axis + 2]
-            start[axis], size[axis] = -sensor[3 * row[k] + axis], extent[3 * row[k] + axis]
-        for channel in range(limits[2 * k], limits[2 * k + 1]):
-            enter, leave = 0.0, range_m
-            for axis in range(3):
-                direction = high[channel] * along[axis] + high[elevations + channel] * lift[axis]
-                if fabs(direction) < 1e-12:
-                    direction = 1e-12
-                centre, span = start[axis] / direction, size[axis] / fabs(direction)
-                enter = centre - span if centre - span > enter else enter  # no function of C, which would ask for NaN
-                leave = centre + span if centre + span < leave else leave
-                if enter > leave:
-                    break
-            beam = column[k] * elevations + channel
-            if enter <= leave and (owner[beam] < 0 or enter < nearest[beam]):
-                found += owner[beam] < 0
-                nearest[beam], owner[beam] = enter, row[k]
-    hit_box, hit_beam = empty_vector(np.NPY_INT64, found), empty_vector(np.NPY_INT64, found)
-    distances, directions = empty_vector(np.NPY_DOUBLE, found), empty_matrix(found, 3)
-    cdef np.int64_t* to_box = int_data(hit_box)
-    cdef np.int64_t* to_beam = int_data(hit_beam)
-    cdef double* distance = writable_data(distances, 1)
-    cdef double* towards = writable_data(directions, 2)
-    found = 0
-    for beam in range(beams):
-        if owner[beam] >= 0:
-            channel, k = beam % elevations, beam // elevations
-            to_box[found], to_beam[found], distance[found] = owner[beam], beam, nearest[beam]
-            towards[3 * found] = high[channel] * wide[k]
-            towards[3 * found + 1] = high[channel] * wide[azimuths + k]
-            towards[3 * found + 2] = high[elevations + channel]
-            owner[beam] = -1
-            found += 1
-    _beams = scratch
-    return hit_box, hit_beam, distances, directions

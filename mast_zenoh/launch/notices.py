@@ -23,6 +23,7 @@ from mast_zenoh.messagelog import churn
 from mast_zenoh.metrics import Metric
 from mast_zenoh.metrics.estimates import LOCAL, subject_of
 from mast_zenoh.metrics.measures import label_of
+from mast_zenoh.ros2.outside import MOST_PUBLISHERS
 from mast_zenoh.scenario.timeline import DIRECTED, attack_starts
 from mast_zenoh.scenes.recording import SEEN_RETURNS, Recording
 from mast_zenoh.tracking.base import OVERCONFIDENT, Innovations
@@ -95,8 +96,10 @@ def of_scores(metrics: Mapping[str, Any], played: int | None = None) -> list[dic
 
 def _outside(name: str, counts: Mapping[str, Any]) -> tuple[int, str]:
     """(count, text) of what a node received from outside the run, by its own count."""
-    asked, unanswered, late = counts["asked"], counts["unanswered"], counts["late"]
     text = f"{name} uses a program outside the run, on which the results depend: "
+    if not counts:
+        return 1, f"{text}it was lost, and nobody counted its answers"
+    asked, unanswered, late = counts["asked"], counts["unanswered"], counts["late"]
     if not asked and counts["interrupted"]:
         text += f"{number(counts['interrupted'], 'message')} had no answer yet when the run was stopped"
     elif not asked:
@@ -115,7 +118,8 @@ def _outside(name: str, counts: Mapping[str, Any]) -> tuple[int, str]:
             text += f"; it {word.replace('_', ' ')} {number(reasons.total(), what)} (most: {most}, {reason})"
     for topic, publishers in counts["publishers"].items():
         if publishers > 1:
-            text += f"; {publishers} publishers sent on {topic}, expected one: any of them may have answered"
+            many = f"{publishers} or more" if publishers >= MOST_PUBLISHERS else str(publishers)
+            text += f"; {many} publishers sent on {topic}, expected one: any of them may have answered"
     return max(1, unanswered + late), text
 
 

@@ -18,6 +18,7 @@ from mast_zenoh.errors import HandlerFailed, MastError, NotComparable, Untrusted
 from mast_zenoh.launch import folder as run_folder_files
 from mast_zenoh.launch import run
 from mast_zenoh.launch.folder import json_or_empty
+from mast_zenoh.messagelog.writer import FILE, MessageLog
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.wiring import insertion
 from mast_zenoh.wiring.model import Wiring
@@ -32,14 +33,17 @@ _ATTACKERS = ("adversary", "coordinator")
 def unattacked(resolved: Resolved) -> Resolved:
     """The scenario without adversaries, coordinators and interposers other than links.
 
-    It plays in lock-step, without a recorder. Links and faults stay.
+    It plays in lock-step, and without a recorder unless cars are driven: what happens is then known from the recording.
+    Links and faults stay.
     """
     wiring = Wiring.from_json(resolved.wiring)
+    driven = any(spec.role == "driver" for spec in resolved.nodes.values())
     interposers = {name for wire in wiring.wires for name in wire.interposers}
     removed = {
         name
         for name, spec in resolved.nodes.items()
-        if spec.role in (*_ATTACKERS, "recorder") or (name in interposers and spec.role != "link")
+        if spec.role in (*_ATTACKERS, *(() if driven else ("recorder",)))
+        or (name in interposers and spec.role != "link")
     }
     nodes = {name: spec for name, spec in resolved.nodes.items() if name not in removed}
     return replace(
@@ -98,7 +102,10 @@ def _read(run_folder: Path, allowed: AllowedCode) -> Resolved:
         recording = Recording.load(run_folder / RECORDING)
 
         def with_scene(config: dict[str, Any]) -> dict[str, Any]:
-            return {key: recording if value == RECORDING else value for key, value in config.items()}
+            return {
+                key: recording if value == RECORDING else MessageLog() if value == FILE else value
+                for key, value in config.items()
+            }
 
         nodes = {name: replace(spec, config=with_scene(spec.config)) for name, spec in resolved.nodes.items()}
         twin = unattacked(replace(resolved, nodes=nodes, recording=recording))

@@ -103,9 +103,11 @@ def _flat(name: str, value: Any) -> dict[str, Any]:
 def _same_scene(one: RunRecord, other: RunRecord) -> bool:
     """Whether two runs have the same scene.
 
-    Compares object positions in all frames or, without recordings, the scene settings.
+    Compares object positions in all frames or, without recordings, the scene settings; and these where cars are driven,
+    because what is in the scene then follows from the run.
     """
-    if one.recording is None or other.recording is None:
+    driven = any("driven" in each.metrics for each in (one, other))
+    if driven or one.recording is None or other.recording is None:
         return bool(one.scenario.get("scene") == other.scenario.get("scene"))
     frames = int(one.metrics["frames"])
     for frame in range(min(frames, len(one.recording), len(other.recording))):

@@ -20,10 +20,19 @@ from mast_zenoh.metrics.study_results import StudyFacts, StudyRow, plural
 from mast_zenoh.report import comparison
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.figures.drawing import RenderedFigure
-from mast_zenoh.report.figures.of_run import frame_choice, run_figures, save_user_figures, study_figures, user_figures
+from mast_zenoh.report.figures.of_run import (
+    Driven,
+    frame_choice,
+    rendered,
+    run_figures,
+    save_user_figures,
+    study_figures,
+    user_figures,
+)
 from mast_zenoh.report.figures.view import PANELS, check_frame, choose_common_frame, choose_frame, frame_view, settled
 from mast_zenoh.report.narrative.adversaries import attack_description
 from mast_zenoh.report.narrative.changes import largest_change
+from mast_zenoh.report.narrative.driven import car_sentences
 from mast_zenoh.report.narrative.run import headline, reading, reference_status, study_headline, study_reading
 from mast_zenoh.report.narrative.study import compare, comparisons_made, other_changes, reservations, result, titled
 from mast_zenoh.report.run_figure import FigureContext
@@ -34,6 +43,7 @@ from mast_zenoh.report.tables.of_run import (
     check_rows,
     conduct_table,
     confidence_tables,
+    driven_table,
     driving_table,
     latency_tables,
     nees_table,
@@ -194,7 +204,9 @@ def _estimate(run: RunRecord, reference: Reference | None) -> str:
     return change.estimate if change is not None and drawable else "picture"
 
 
-def write_study_report(study_folder: Path, runs: Mapping[str, Path], frame: int | None = None) -> Path:
+def write_study_report(
+    study_folder: Path, runs: Mapping[str, Path], frame: int | None = None, driven: tuple[Path, Path] | None = None
+) -> Path:
     """Write the report of compared runs and each run's own report.
 
     The former goes into `study_folder`.
@@ -202,6 +214,7 @@ def write_study_report(study_folder: Path, runs: Mapping[str, Path], frame: int 
     runs:  folders of runs of one scene and seed by label, in the order to show them; the one labelled `baseline`,
            or else the first, is what the others are compared with
     frame: the frame that all pictures show; by default from `view.choose_common_frame`
+    driven: folders of a run with drivers and of its unattacked twin, which are not among the compared ones
     Returns the path of the report. Raises RunFolderError like `write_report`.
     """
     folders = {label: RunRecord.load(path) for label, path in runs.items()}
@@ -221,6 +234,8 @@ def write_study_report(study_folder: Path, runs: Mapping[str, Path], frame: int 
     if any(estimate not in view.boxes for view in views.values()):  # of an older run
         estimate = "picture"
     figures = study_figures(folders, table, views, estimate, chosen=frame is None)
+    car, car_figures = _driven(driven)
+    figures |= car_figures
     for each in figures.values():
         each.save(study_folder / "figures")
     viewer, problems = _viewer(dict(list(folders.items())[:_MOST_IN_VIEWER]), frame if frame is not None else chosen)
@@ -238,9 +253,21 @@ def write_study_report(study_folder: Path, runs: Mapping[str, Path], frame: int 
             next((run.ego for run in folders.values() if run.ego), "ego"),
         ),
         "nees_title": NEES_TITLE,
+        "car": car,
         "pages": pages,
     }
     return render("study.html.j2", content, study_folder)
+
+
+def _driven(folders: tuple[Path, Path] | None) -> tuple[list[str], dict[str, RenderedFigure]]:
+    """What happened to the car of a run with drivers, in sentences, and its figure; both empty without such a run."""
+    if folders is None:
+        return [], {}
+    run = RunRecord.load(folders[0])
+    reference = comparison.reference(run, folders[1])
+    drawn = rendered(Driven(), FigureContext(run, None, reference=reference))
+    sentences = [*(f"{text}." for text in car_sentences(run, reference))]
+    return [*attack_description(run), *sentences], {} if drawn is None else {drawn.name: drawn}
 
 
 def _view_to_show(run: RunRecord, frame: int | None, common: int | None) -> Frame | None:
@@ -302,6 +329,8 @@ def _write_run(
         "conduct": conduct_table(run),
         "trust": trust_sentences(run),
         "achieved": achieved_table(run, reference.run if reference else None),
+        "driven": driven_table(run, reference.run, reference.name) if reference else driven_table(run),
+        "cars": car_sentences(run, reference),
         "driving": driving_table(run, reference.run, reference.name) if reference else driving_table(run),
         "effects": EFFECTS,
         "bad_verdicts": BAD,

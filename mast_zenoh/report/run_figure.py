@@ -18,7 +18,7 @@ if TYPE_CHECKING:  # scenarios' files import this module, also in the processes 
 
 #: The sections of a report that a figure can follow, in their order on the page.
 SECTIONS = (
-    *("scores", "confidence", "pictures", "trust", "achieved", "driving", "camera", "time", "blame"),
+    *("scores", "confidence", "pictures", "trust", "achieved", "driven", "driving", "camera", "time", "blame"),
     *("checks", "interposers", "latency", "wiring", "nodes", "results"),
 )
 

@@ -12,6 +12,7 @@ from mast_zenoh.report import comparison
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.narrative.adversaries import explanations
 from mast_zenoh.report.narrative.changes import effects, plural
+from mast_zenoh.report.narrative.driven import car_sentences
 from mast_zenoh.report.narrative.run import defence_sentence, headline, reference_status, status
 from mast_zenoh.report.tables.of_run import causes_as_rich, check_lines, nees_as_rich, suspension_lines, undecided_lines
 from mast_zenoh.report.tables.pictures import channel_sentences, picture_sentences
@@ -50,6 +51,14 @@ def show_run(console: Console, run_folder: Path, against: Path | None = None) ->
     show_loaded(console, run, None if against is None else comparison.reference(run, against))
 
 
+def show_driven(console: Console, run_folder: Path, twin: Path) -> None:
+    """Print what happened to the driven cars of a run, in one line. twin: the folder of the same run without attack"""
+    run = RunRecord.load(run_folder)
+    sentences = car_sentences(run, comparison.reference(run, twin))
+    if sentences:
+        console.print(escape(f"{run.label}: {'; '.join(sentences)}."), highlight=False)
+
+
 def failure(run_folder: Path) -> str:
     """How a run failed, in one line; empty: it did not."""
     run = RunRecord.load(run_folder)
@@ -69,6 +78,8 @@ def show_loaded(console: Console, run: RunRecord, reference: Reference | None = 
         text = f"warning: {unsound}: the differences may be wrong"
         console.print(text, markup=False, highlight=False, style="bold yellow")
     console.print(escape(f"{headline(run, reference)}."), highlight=False, style="bold")
+    if cars := car_sentences(run, reference):
+        console.print(escape(f"{'. '.join(cars)}."), highlight=False)
     if defence := defence_sentence(run):
         console.print(escape(run.worded(defence)), highlight=False)
 

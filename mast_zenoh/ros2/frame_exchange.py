@@ -17,15 +17,17 @@ from mast_zenoh.ros2 import type_store
 from mast_zenoh.ros2.connection import Connection
 from mast_zenoh.ros2.frame_transforms import FrameTransforms, Placement
 from mast_zenoh.ros2.names import check_topic
-from mast_zenoh.ros2.outside import Outside, OutsideTopic, OutsideTopics
+from mast_zenoh.ros2.outside import MOST_PUBLISHERS, Arrival, Outside, OutsideTopic, OutsideTopics
 from mast_zenoh.ros2.received_poses import received_transforms
 from mast_zenoh.ros2.type_store import RosMessage
 
 TF, TF_STATIC = "/tf", "/tf_static"
 _TF_TOPICS = (
-    OutsideTopic(TF, type_store.TF_MESSAGE, depth=100, most_bytes=1 << 17),
-    OutsideTopic(TF_STATIC, type_store.TF_MESSAGE, transient_local=True, depth=100, most_bytes=1 << 17),
+    OutsideTopic(TF, type_store.TF_MESSAGE, depth=100, most_bytes=1 << 15),
+    OutsideTopic(TF_STATIC, type_store.TF_MESSAGE, transient_local=True, depth=100, most_bytes=1 << 15),
 )
+#: Transforms that are taken at once, of the smallest messages: a flood of large ones delays no answers.
+MOST_TRANSFORMS_AT_ONCE = 1000
 
 #: Frames to which an answer can belong, the newest.
 KEPT = 64
@@ -38,8 +40,6 @@ MOST_WAIT_S = 5.0
 _SUBSCRIBE_S = 2.0
 #: Reasons that are told apart.
 _MOST_REASONS = 50
-#: Publishers of a topic that are told apart.
-MOST_PUBLISHERS = 16
 
 
 class About(NamedTuple):
@@ -113,6 +113,18 @@ def check_names(world: str, clock_topic: str) -> None:
             raise ValueError(f"clock: {error}") from None
 
 
+class _Absence(NamedTuple):
+    """Why nothing arrived on a topic: from a frame on, until the first frame that was answered again."""
+
+    since: int
+    reason: str
+    until: int | None = None
+
+    def __str__(self) -> str:
+        end = "on" if self.until is None else f"to {self.until}"
+        return f"from frame {self.since} {end}: {self.reason}"
+
+
 class FrameExchange:
     """The questions of one node, and the answers to them.
 
@@ -147,7 +159,7 @@ class FrameExchange:
         self._early: list[Answer] = []  # late ones, which arrived before the newest question
         self._gids: dict[str, set[bytes]] = {name: set() for name in self._topics}  # of publishers, by topic
         self._silent = 0
-        self._absent: dict[str, str] = {}  # why nothing arrives, by topic
+        self._absent: dict[str, _Absence] = {}  # the newest, by topic
 
     def start(self, outside: Outside, questions: Collection[str]) -> bool:
         """Wait for a node outside that answers; False if there is none. questions: topics that it may subscribe to"""
@@ -193,7 +205,7 @@ class FrameExchange:
             return answers
         missing = self._missing(frame)
         self._silent += 1
-        if self._silent == 1 and not outside.ended:
+        if not outside.ended:
             self._note_absent(outside, missing, frame)
         for topic in missing:
             self._open[frame, topic] = True
@@ -214,7 +226,7 @@ class FrameExchange:
         publishers = {topic: len(gids) for topic, gids in self._gids.items() if gids}
         refused = dict(self.refused + Counter(outside.refused))
         reasons = {"publishers": publishers, "refused": refused, "left_out": dict(self.left_out)}
-        return {**counts, **reasons, "absent": self._absent}
+        return {**counts, **reasons, "absent": {topic: str(absence) for topic, absence in self._absent.items()}}
 
     def refuse(self, error: MessageError) -> None:
         """Count a message that cannot be used, by the reason's part before the colon."""
@@ -228,16 +240,17 @@ class FrameExchange:
     # -- inside --------------------------------------------------------------------------------------------------------
 
     def _note_absent(self, outside: Outside, topics: Collection[str], frame: int) -> None:
-        """Note why nothing can arrive on topics from a frame on; an earlier reason stands until an answer comes."""
+        """Note why nothing can arrive on topics from a frame on, until an answer comes."""
         for topic in topics:
-            if topic not in self._absent and (reason := outside.absence(topic)):
-                self._absent[topic] = f"from frame {frame} on: {reason}"
+            known = self._absent.get(topic)
+            if (known is None or known.until is not None) and (reason := outside.absence(topic)):
+                self._absent[topic] = _Absence(frame, reason)
 
     def _missing(self, frame: int) -> list[str]:
         return [topic for about, topic in self._open if about == frame and not self._open[about, topic]]
 
     def _take(self, outside: Outside) -> Iterator[Answer]:
-        for topic, message, gid in outside.take():
+        for topic, message, gid in self._without_floods(outside.take()):
             try:
                 if topic in self._topics:
                     if len(self._gids[topic]) < MOST_PUBLISHERS:
@@ -247,6 +260,19 @@ class FrameExchange:
                     self._add_transforms(message, static=topic == TF_STATIC)
             except MessageError as error:
                 self.refuse(error)
+
+    def _without_floods(self, arrivals: list[Arrival]) -> list[Arrival]:
+        """What has arrived, without the messages with most transforms if these are too many."""
+        sizes = {
+            row: len(each.message.transforms) for row, each in enumerate(arrivals) if each.topic not in self._topics
+        }
+        left = MOST_TRANSFORMS_AT_ONCE
+        for row, size in sorted(sizes.items(), key=lambda item: item[1]):
+            left -= size
+            if left < 0:
+                self.refuse(MessageError(f"too many transforms: more than {MOST_TRANSFORMS_AT_ONCE} at once"))
+                del sizes[row]
+        return [each for row, each in enumerate(arrivals) if row in sizes or each.topic in self._topics]
 
     def _answer(self, topic: AnswerTopic, message: RosMessage, outside: Outside) -> Answer:
         received = topic.read(message)
@@ -261,7 +287,8 @@ class FrameExchange:
         del self._open[about.frame, topic.name]
         self._answered.add((about.frame, topic.name))
         self._counts["late" if about.late else "answered"] += 1
-        self._absent.pop(topic.name, None)
+        if (absent := self._absent.get(topic.name)) is not None and absent.until is None:
+            self._absent[topic.name] = absent._replace(until=about.frame)
         return Answer(topic.name, about, content)
 
     def _about(self, stamp_ns: int, topic: str, outside: Outside) -> About:

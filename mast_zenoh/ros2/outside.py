@@ -14,6 +14,9 @@ from typing import Any, NamedTuple, Protocol
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.ros2.connection import Connection
 
+#: Publishers of a topic that are told apart.
+MOST_PUBLISHERS = 16
+
 
 class OutsideTopic(NamedTuple):
     """A topic of ROS 2 on which a node receives messages from outside the run.

@@ -19,11 +19,14 @@ from mast_zenoh.scenes.stepped import check_cars
 MAP = "driving.toml"
 #: File of the simulator that is stepped.
 _WORLD = "world.py"
-#: By estimate: its wire, and whether a driver receives what the publisher sends, before any interposer.
+#: The map of the wires by which an agent tells what its sensor sees; added where a driver's own sensors have a veto.
+VIEWS = "views.toml"
+#: By what a driver knows: its wire, and whether a driver receives what the publisher sends, before any interposer.
 _WIRES = {
     "truth": ("scene/truth", False),
     "safety": ("agent/{agent}/tracks", True),
     "mission": ("agent/{agent}/mission", False),
+    "view": ("agent/{agent}/view", True),
 }
 
 
@@ -82,17 +85,18 @@ def drivers(path: Path, scenario: Mapping[str, Any]) -> Iterator[tuple[str, Mapp
 
 
 def rewrites(nodes: Mapping[str, NodeSpec], inputs: Mapping[str, Collection[str]]) -> list[str | dict[str, Any]]:
-    """What connects drivers with the world, and with the estimates that they use. inputs: ports by node"""
+    """What connects drivers with the world, and with what they know. inputs: ports by node"""
+    drivers = {name: spec for name, spec in nodes.items() if spec.role == "driver"}
     listening = [
-        {"wire": wire, "role": "driver", "input": estimate, "node": name, **({"leg": "source"} if source else {})}
-        for name, spec in nodes.items()
-        if spec.role == "driver"
-        for estimate, (wire, source) in _wires_of(spec).items()
-        if estimate in inputs[name]
+        {"wire": wire, "role": "driver", "input": port, "node": name, **({"leg": "source"} if source else {})}
+        for name, spec in drivers.items()
+        for port, (wire, source) in _wires_of(spec).items()
+        if port in inputs[name]
     ]
-    return [MAP, {"listen": listening}] if any(spec.role == "driver" for spec in nodes.values()) else []
+    views = [VIEWS] if any("view" in inputs[name] for name in drivers) else []
+    return [MAP, *views, {"listen": listening}] if drivers else []
 
 
 def _wires_of(spec: NodeSpec) -> dict[str, tuple[str, bool]]:
-    """The wires of all estimates of the agent of a driver."""
+    """The wires of all that the driver of an agent can know."""
     return {name: (wire.replace("{agent}", spec.agents[0]), source) for name, (wire, source) in _WIRES.items()}

@@ -103,7 +103,7 @@ def resolve(
     wiring = _wiring(path, nodes, unused, sources)
     built = {name: (spec, node) for (name, spec), node in zip(nodes.items(), built_nodes, strict=True)}
     check_cooperation(path, built, sources, wiring, recording.period_ns)
-    if any(wire.message == "sweep" for wire in wiring.wires):
+    if any(wire.message == "sweep" for wire in wiring.wires) and not scenario.get("drivers"):  # a world casts its own
         recording = scenes.prepare_sweeps(recording, scene, options["seed"], options["frames"], cache_key)
         nodes[driver_of(nodes)].config["recording"] = recording
     if timeline.faults and any(wire.message == "trust" for wire in wiring.wires):

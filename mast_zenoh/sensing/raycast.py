@@ -44,6 +44,7 @@ class Walls:
         )
 
 
+@kernel
 def lidar_points(
     lidar: LidarSensor,
     sensor_position: Floats,
@@ -113,10 +114,8 @@ def _nearest_hits(
         box_corners(position[rows], size[rows], yaw[rows]).reshape(-1, 3), sensor_position, sensor_rotation
     )
     box, azimuth, channels = _columns(lidar, corners.reshape(-1, 8, 3), nearest[rows])
-    azimuths, elevations = lidar.azimuths, lidar.elevations
-    beams = np.stack([np.cos(azimuths), np.sin(azimuths)]), np.stack([np.cos(elevations), np.sin(elevations)])
-    boxes = to_box[rows] @ sensor_rotation, origin[rows], half[rows]
-    box, beam, distance, direction = nearest_hits(*beams, lidar.max_range_m, *boxes, box, azimuth, channels)
+    hits = _hits(lidar, to_box[rows] @ sensor_rotation, origin[rows], half[rows], box, azimuth, channels)
+    box, beam, distance, direction = _nearest(*hits)
     return rows[box], beam, distance, direction
 
 
@@ -155,31 +154,21 @@ def _columns(lidar: LidarSensor, corners: Floats, nearest: Floats) -> tuple[Ints
     return box, azimuth, np.stack([first, last], axis=1)[box]
 
 
-@kernel
-def nearest_hits(
-    across: Floats,
-    up: Floats,
-    range_m: float,
-    rotation: Floats,
-    origin: Floats,
-    half: Floats,
-    box: Ints,
-    azimuth: Ints,
-    channels: Ints,
+def _hits(
+    lidar: LidarSensor, rotation: Floats, origin: Floats, half: Floats, box: Ints, azimuth: Ints, channels: Ints
 ) -> tuple[Ints, Ints, Floats, Floats]:
-    """The first box that each beam hits: box, beam, distance m and direction (sensor frame), by beam, each once.
+    """Slab test of every beam in the columns.
 
-    across: (2, a) cosine and sine of the azimuths; up: (2, e) of the elevations; beam = azimuth * e + elevation
-    rotation: (n, 3, 3) sensor to box; origin: (n, 3) m, of the sensor in the frames of n boxes; half: (n, 3) m, sizes
-    box, azimuth: (k,) candidate columns of beams; channels: (k, 2) first elevation and the one after the last of each
+    Returns box, beam, distance and direction (sensor frame) of the beams that hit.
     """
-    horizontal = across[:, azimuth]
+    azimuths, elevations = lidar.azimuths, lidar.elevations
+    horizontal = np.stack([np.cos(azimuths), np.sin(azimuths)])[:, azimuth]
     count = channels[:, 1] - channels[:, 0]
     column = np.repeat(np.arange(len(box)), count)
     channel = np.arange(len(column)) - np.repeat(np.cumsum(count) - count - channels[:, 0], count)
-    flat, rise = up[:, channel]
+    flat, rise = np.cos(elevations)[channel], np.sin(elevations)[channel]
     enter = np.zeros(len(column))
-    leave = np.full(len(column), range_m)
+    leave = np.full(len(column), lidar.max_range_m)
     for axis in range(3):
         along = rotation[box, axis, 0] * horizontal[0] + rotation[box, axis, 1] * horizontal[1]
         direction = flat * along[column] + rise * rotation[box, axis, 2][column]
@@ -190,12 +179,19 @@ def nearest_hits(
         np.maximum(enter, centre - half_span, out=enter)
         np.minimum(leave, centre + half_span, out=leave)
     hit = np.flatnonzero(enter <= leave)
-    beam, distance = azimuth[column[hit]] * up.shape[1] + channel[hit], enter[hit]
+    column, channel = column[hit], channel[hit]
+    directions = np.stack(
+        [flat[hit] * horizontal[0][column], flat[hit] * horizontal[1][column], rise[hit]],
+        axis=1,
+    )
+    return box[column], azimuth[column] * lidar.channels + channel, enter[hit], directions
+
+
+def _nearest(box: Ints, beam: Ints, distance: Floats, direction: Floats) -> tuple[Ints, Ints, Floats, Floats]:
+    """The nearest hit of each beam: box, beam, distance, direction."""
     order = np.lexsort((distance, beam))
     first = order[np.flatnonzero(np.diff(beam[order], prepend=-1))]
-    column, flat, rise = column[hit[first]], flat[hit[first]], rise[hit[first]]
-    directions = np.stack([flat * horizontal[0][column], flat * horizontal[1][column], rise], axis=1)
-    return box[column], beam[first], distance[first], directions
+    return box[first], beam[first], distance[first], direction[first]
 
 
 def _behind_walls(origin: Floats, ends: Floats, box: Ints, walls: Walls) -> NDArray[np.bool_]:

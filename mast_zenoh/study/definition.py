@@ -30,9 +30,12 @@ KEYS = {
     "cells": "label to a cell of a study of defences: each trial is evaluated for it (mast_zenoh.study.defences)",
     "per_trial": "launch-time parameters that get each trial's seed and frames: dict(seed=…, frames=…)",
     "search": "parameters of a run that are searched for the greatest harm (docs/search.md)",
+    "driven": "dict(scenario=…, parameters=…, frames=…) with drivers: run after single runs, and its unattacked twin",
     "security": "security levels at which the attackers in each run's scenario file are tried",
 }
 PER_TRIAL = ("seed", "frames")
+#: The label of the run with drivers, and its folder.
+DRIVEN = "driven"
 RUN_KEYS = ("scenario", "parameters", "grid")
 RUNTIMES = ("mesh", "inproc")
 #: Columns of results.parquet, frames.parquet and table.csv: no parameter of a grid may have one of these names.
@@ -66,6 +69,14 @@ class Configuration:
 
 
 @dataclass(frozen=True)
+class DrivenRun:
+    """The run with drivers after the others. frames: at most, None: the study's"""
+
+    configuration: Configuration
+    frames: int | None
+
+
+@dataclass(frozen=True)
 class StudyScene:
     """A scene of the study: its label, and the settings that choose it."""
 
@@ -79,6 +90,7 @@ class Study:
 
     cells: by label of configuration, its cell in a study of defences; {}: another study
     per_trial: names of launch-time parameters that get the `seed` and the `frames` of each trial
+    driven: the run with drivers after single runs; None: none
     search: what parameters are searched; the trials are then of seeds that the search does not use. None: no search
     """
 
@@ -95,6 +107,7 @@ class Study:
     cells: Mapping[str, DefenceCell] = field(default_factory=dict)
     per_trial: Mapping[str, str] = field(default_factory=dict)
     search: SearchPlan | None = None
+    driven: DrivenRun | None = None
 
     @property
     def evaluation(self) -> str:
@@ -174,7 +187,18 @@ def _validated(path: Path, content: Any) -> Study:
         cells=_cells(content.get("cells", {}), labels),
         per_trial=dict(per_trial),
         search=parse_plan(content, baseline),
+        driven=_driven(path, content["driven"], labels) if content.get("driven") is not None else None,
     )
+
+
+def _driven(path: Path, run: Any, labels: Sequence[str]) -> DrivenRun:
+    """The run with drivers. labels: of the other runs"""
+    valid = isinstance(run, dict) and set(run) <= {"scenario", "parameters", "frames"} and "scenario" in run
+    _check(valid, f"driven: found {run!r}, expected dict(scenario=…, parameters=…, frames=…)")
+    _check(DRIVEN not in labels, f"runs: found the label {DRIVEN!r}, expected another: it is that of the key `driven`")
+    frames = _integer(run, "frames", 1)
+    (configuration,) = _expand(path, DRIVEN, {key: value for key, value in run.items() if key != "frames"})
+    return DrivenRun(configuration, frames)
 
 
 def _levels(content: Any) -> tuple[str, ...]:

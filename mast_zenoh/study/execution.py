@@ -58,7 +58,9 @@ def run(trial: Trial) -> Outcome:
         agents = {agent for spec in resolved.nodes.values() if spec.role == "adversary" for agent in spec.agents}
         compromised = tuple(sorted(agents))
         kind = _kind(trial)
-        part = None if kind is None or _is_disturbed(resolved) else kind.without_lies
+        part = None
+        if kind is not None:
+            part = {} if kind.from_metrics else None if _is_disturbed(resolved) else kind.without_lies
         if trial.runtime == "inproc" and (kind is None or part is not None) and not trial.folder:
             metrics, table, handler_failures, cpu_s = _run_in_process(resolved, trial.allow_failures)
             metrics = metrics if part is None else {**metrics, "defence": part}

@@ -16,15 +16,16 @@ from rich.console import Console
 from mast_zenoh import scenario
 from mast_zenoh.api.comparisons import Comparison, as_text
 from mast_zenoh.api.runs import Run
+from mast_zenoh.config.allowed_code import OWN_RUN
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import ConfigurationError, HandlerFailed, MastError, RunFolderError
-from mast_zenoh.launch import ending
+from mast_zenoh.launch import ending, twin
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.launch.tables import read_arrow
 from mast_zenoh.study import definition, execution
 from mast_zenoh.study import trials as repeated_runs
-from mast_zenoh.study.definition import Configuration, Study
+from mast_zenoh.study.definition import DRIVEN, Configuration, Study
 from mast_zenoh.study.store import new_folder
 from mast_zenoh.study.tables import StudyResult
 from mast_zenoh.study.trial import run_command
@@ -137,8 +138,11 @@ def carry_out(
         return FinishedStudy(finished.out, finished.report, {}, as_text(finished.as_rich()))
     from mast_zenoh.report.html import write_study_report  # drawing libraries are slow to load
 
-    page = write_study_report(finished.out, finished.folders)
+    driven = drive(finished)
+    page = write_study_report(finished.out, finished.folders, driven=driven.folders if driven else None)
     _raise(finished, finished.out)
+    if driven and driven.error:
+        raise driven.error
     return FinishedStudy(finished.out, page, {label: Run(path) for label, path in finished.folders.items()})
 
 
@@ -193,10 +197,14 @@ def _raise(finished: Any, folder: Path) -> None:
 
 @dataclass(frozen=True)
 class ComparisonResult:
-    """A finished study: its folder, and the run of each configuration by label."""
+    """A finished study: its folder, and the run of each configuration by label.
+
+    driven: the run with drivers that is still to be run, see `drive`; None: none
+    """
 
     out: Path
     runs: dict[str, launcher.Run]
+    driven: Resolved | None = None
 
     @property
     def folders(self) -> dict[str, Path]:
@@ -231,6 +239,7 @@ def run_once(
     seed = study.seed if seed is None else seed
     frames = frames or study.frames
     resolved = {each.label: _resolve(study, each, seed, frames, record) for each in study.configurations}
+    driven = _resolve_driven(study, seed, frames)
     folder = new_folder(out, study.name)
     runs: dict[str, launcher.Run] = {}
     chosen_runtime = runtime or study.runtime or "mesh"
@@ -254,7 +263,46 @@ def run_once(
             if finished.error and not isinstance(finished.error, HandlerFailed):
                 raise finished.error
             runs[label] = finished
-    return ComparisonResult(folder, runs)
+    return ComparisonResult(folder, runs, driven)
+
+
+@dataclass(frozen=True)
+class DrivenResult:
+    """A run with drivers and its unattacked twin: their folders. error: why there is no result; None: there is one"""
+
+    folder: Path
+    twin: Path
+    error: MastError | None = None
+
+    @property
+    def folders(self) -> tuple[Path, Path] | None:
+        """Both folders; None if there is no result."""
+        return None if self.error else (self.folder, self.twin)
+
+
+def drive(finished: ComparisonResult) -> DrivenResult | None:
+    """Run the study's run with drivers and its unattacked twin, in this process; None: it has none.
+
+    Its errors are returned, so that the report of the other runs can be written first.
+    """
+    if finished.driven is None:
+        return None
+    folder = finished.out / DRIVEN
+    try:
+        ended = launcher.run(finished.driven, folder, runtime="inproc")
+        if ended.error:
+            raise ended.error
+        return DrivenResult(folder, twin.of(folder, allowed=OWN_RUN))
+    except MastError as error:
+        return DrivenResult(folder, folder / twin.FOLDER, error)
+
+
+def _resolve_driven(study: Study, seed: int, frames: int | None) -> Resolved | None:
+    """The resolved run with drivers; None: the study has none."""
+    if study.driven is None:
+        return None
+    limits = [limit for limit in (frames, study.driven.frames) if limit is not None]
+    return _resolve(study, study.driven.configuration, seed, min(limits, default=None), record=True)
 
 
 def _resolve(study: Study, configuration: Configuration, seed: int, frames: int | None, record: bool) -> Resolved:

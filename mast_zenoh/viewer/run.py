@@ -45,6 +45,7 @@ _EFFECTS = (
     *("before_x", "before_y", "before_z", "after_x", "after_y", "after_z"),
 )
 _DRIVING = ("frame", "agent", "estimate", "false", "missed", "ttc_s", "brake", "needless", "omitted")
+_DRIVEN = ("agent", "frame", "time_s", "x", "y", "heading", "speed_mps", "acceleration_mps2", "brake")
 
 
 def rows(table: Table, mask: Bools) -> Table:
@@ -85,6 +86,7 @@ class RunRecord:
     checks:    checks.json, of runs with checks
     targets:   targets.parquet: a row per manipulated object and frame
     driving:   driving.parquet: a row per frame, vehicle and estimate
+    driven:    driven.parquet: a row per frame and driven car
     results:   by node, the names of its files under results/
     trust, trust_objects: trust.parquet, trust_objects.parquet: of a command centre that judges agents
     viewer:    the agent whose boxes these are, if not those of the main agent
@@ -102,6 +104,7 @@ class RunRecord:
     checks: dict[str, Any] = field(default_factory=dict)
     targets: Table | None = None
     driving: Table | None = None
+    driven: Table | None = None
     results: tuple[tuple[str, tuple[str, ...]], ...] = ()
     trust: Table | None = None
     trust_objects: Table | None = None
@@ -150,6 +153,7 @@ class RunRecord:
             checks=checks,
             targets=of("achieved", "targets.parquet", _table(_TARGETS), "what attacks achieved is not explained"),
             driving=of("driving", "driving.parquet", _table(_DRIVING), "no chart of driving"),
+            driven=of("driven", "driven.parquet", _table(_DRIVEN), "the course of driven cars is not shown"),
             results=_node_results(path / "results"),
             trust=of("integrity", "trust.parquet", _table(_TRUST), "trust in agents is not shown"),
             trust_objects=of("integrity", "trust_objects.parquet", _table(_JUDGED), "withheld objects are not shown"),

@@ -79,6 +79,20 @@ def test_the_table_of_replays_has_the_measured_numbers(replayed: Path) -> None:
         assert f"| {row} | {' | '.join(numbers)} |" in page("replay")
 
 
+# -- the tutorial on driving -------------------------------------------------------------------------------------------
+
+
+def test_the_tutorial_on_driving_works_as_written_and_its_table_has_the_measured_numbers(tmp_path: Path) -> None:
+    folder = play_page(page("tutorial_driving"), tmp_path, least=7)
+    printed = (folder / "printed").read_text()
+    assert "1 passed" in printed
+    for run in ("shipped", "honest", "attacked", "vetoed"):
+        car = json.loads((folder / run / "metrics.json").read_text())["driven"]["ego"]
+        way, braking = f"{car['progress_m']:.0f}", f"{car['hardest_braking_mps2']:.1f}"
+        assert f"| {run} | {way} | {braking} |" in page("tutorial_driving")
+        assert re.search(rf"^{run} +{way} m, hardest braking {braking} m/s², 0 collisions$", printed, flags=re.M)
+
+
 # -- the tutorial on defences ------------------------------------------------------------------------------------------
 
 

@@ -2,36 +2,15 @@
 
 import numpy as np
 import pytest
+from roads import LENGTH, cars, situation, straight
 
-from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.driving import CarLimits, FollowingDriver, RouteAhead, Situation
+from mast_zenoh.driving import CarLimits, FollowingDriver, RouteAhead
 from mast_zenoh.driving.motion import drive
 
-LENGTH, WIDTH, STEP_S = 4.5, 1.9, 0.1
+STEP_S = 0.1
 
 
-def straight(x: float, limit: float, stop_m: float = np.inf) -> RouteAhead:
-    points = np.column_stack([x + np.arange(81.0), np.zeros(81)])
-    return RouteAhead(points, np.full(81, limit), stop_m)
-
-
-def cars(*rows: tuple[float, float, float]) -> ObjectStates:
-    """Cars on the x axis or beside it, by (x, y, speed)."""
-    table = np.array(rows, np.float64).reshape(-1, 3)
-    n = len(table)
-    return ObjectStates.of(
-        np.column_stack([table[:, :2], np.zeros(n)]),
-        velocity=np.column_stack([table[:, 2], np.zeros((n, 2))]),
-        size=np.tile([LENGTH, WIDTH, 1.5], (n, 1)),
-    )
-
-
-def situation(x: float, speed: float, objects: ObjectStates, route: RouteAhead, y: float = 0.0, yaw: float = 0.0):
-    velocity = speed * np.array([np.cos(yaw), np.sin(yaw), 0.0])
-    return Situation(0, np.array([x, y, 0.0]), velocity, yaw, np.array([LENGTH, WIDTH]), route, objects)
-
-
-def driven(speed: float, ahead: ObjectStates, seconds: float, limit: float = 14.0, line: float = np.inf):
+def driven(speed: float, ahead, seconds: float, limit: float = 14.0, line: float = np.inf):
     """Position and speed of a car after a while on a straight lane."""
     driver, x, hardest = FollowingDriver(), 0.0, 0.0
     for _ in range(round(seconds / STEP_S)):

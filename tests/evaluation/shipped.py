@@ -31,7 +31,12 @@ VARIANTS: dict[str, list[tuple[str, ...]]] = {
         ("attack=TrustFlip", 'compromised=["ego"]'),
         ("attack=Collusion", "knowledge=trust", "n_adversaries=3", "coordinator.coordination.budget=9.0"),
     ],
-    "driving": [("attack=GhostAhead",), ("attack=SeizedCommands",)],
+    "driving": [
+        ("attack=GhostAhead",),
+        ("attack=SeizedCommands",),
+        ("attack=stale_picture", "wire=tracks", "defence=FaultOrLie"),
+        ("attack=hidden_leader",),
+    ],
     "defence_cell": [("defence=FaultOrLie", "attack=BlindSpot", "placement=random")],
     "sybil": [("run.mode=lockstep", "run.record=True")],
     "rogue": [("run.mode=lockstep", "run.record=True")],

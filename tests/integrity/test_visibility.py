@@ -1,11 +1,14 @@
 """Sensors see through free places, and not through objects, beyond walls or out of their range."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from integrity_batches import CAR, view
 
+from mast_zenoh.integrity.base import ClusterBoxes
 from mast_zenoh.integrity.views import SweptView, check_view, collated_columns, view_columns, views_of
-from mast_zenoh.integrity.visibility import FAR_M, MAX_AGE_S, sightings
+from mast_zenoh.integrity.visibility import FAR_M, MAX_AGE_S, clear_in_view, sightings
 
 
 def seen(place: tuple[float, float], *views: SweptView | None, error: float = 0.0):
@@ -35,6 +38,36 @@ def test_what_a_view_shows_of_a_place(place, swept: SweptView | None, error: flo
     in_view, fully_clear = expected
     assert found.fully_clear.tolist() == [[fully_clear]]
     assert in_view is None or found.in_view.tolist() == [[in_view]]
+
+
+def clear(place: tuple[float, float], swept: SweptView, speed: float = 0.0, height: float = 0.75) -> bool:
+    box = ClusterBoxes(np.array([[*place, height]]), np.array([[speed, 0.0, 0.0]]), np.array([CAR]), np.zeros(1))
+    return bool(clear_in_view(box, swept)[0])
+
+
+def on_car(*discs: tuple[float, float, float]) -> SweptView:
+    """The view of a sensor 2 m above the road, which sees nothing of the road nearer than 4 m."""
+    swept = view(HERE, *discs)
+    low = replace(swept.view, position=np.array([0.0, 0.0, 2.0]), elevation_min=-0.44, elevation_max=0.25)
+    return replace(swept, view=low)
+
+
+CLEAR = {
+    "a free place": (((20.0, 0.0), on_car()), True),
+    "a free place beside the carrier": (((4.4, 0.0), on_car()), True),
+    "an object": (((20.0, 0.0), on_car((20.0, 0.0, 2.3))), False),
+    "an object beside the carrier": (((4.4, 0.0), on_car((4.4, 0.0, 2.0))), False),
+    "behind a wall": (((20.0, 0.0), on_car((10.0, 0.0, 5.0))), False),
+    "far away": (((FAR_M + 5.0, 0.0), on_car()), False),
+    "out of the field of view": (((20.0, 0.0), on_car(), 0.0, 30.0), False),
+    "where an object was": (((20.0, 0.0), replace(on_car((15.0, 0.0, 2.3)), age_s=0.5), 10.0), False),
+    "without a sweep": (((20.0, 0.0), replace(on_car(), free=np.zeros((0, 0)))), False),
+}
+
+
+@pytest.mark.parametrize(("case", "expected"), CLEAR.values(), ids=CLEAR)
+def test_a_place_is_clear_if_the_rays_in_view_pass_through_it(case, expected: bool) -> None:
+    assert clear(*case) is expected
 
 
 def test_views_are_unchanged_by_their_messages() -> None:

@@ -209,15 +209,15 @@ def looked_for(random, n, m):
 
 
 def cast(random, n, m):
-    """Columns of beams that may hit n boxes, of a lidar of m + 1 azimuths and 5 elevations."""
-    angle, rise = np.linspace(-3, 3, m + 1), np.linspace(-0.4, 0.2, 5)
-    across, up = (np.stack([np.cos(each), np.sin(each)]) for each in (angle, rise))
-    turned = np.stack([rotation_from_yaw_pitch(*random.uniform(-1, 1, 2)) for _ in range(n)] or [np.eye(3)])[:n]
-    k = 4 * n
-    first = random.integers(0, 4, k)
-    channels = np.stack([first, first + random.integers(0, 6 - first)], axis=1)
-    boxes = turned, random.normal(0, 6, (n, 3)), random.uniform(0.3, 4, (n, 3))
-    return across, up, 20.0, *boxes, np.repeat(np.arange(n), 4), random.integers(0, m + 1, k), channels
+    """A lidar among boxes and walls, on one of the boxes or on none."""
+    boxes = places(random, n), random.uniform(0.3, 6, (n, 3)), random.uniform(-4, 4, n)
+    step = random.choice([0.5, 0.7])  # 0.7: beams after a turn are not at the same places
+    lidar = LidarSensor(
+        azimuth_step_deg=step, elevation_max_deg=30.0, channels=20, max_range_m=random.choice([9.0, 90.0])
+    )
+    pose = random.normal(0, 5, 3), rotation_from_yaw_pitch(*random.uniform(-1, 1, 2))
+    walls = Walls(random.normal(0, 30, (m, 2)), random.normal(0, 30, (m, 2)), random.uniform(-1, 9, m))
+    return lidar, *pose, *boxes, walls if random.random() < 0.8 else None, int(random.integers(-1, n)) if n else -1
 
 
 def members(random, n, m):
@@ -402,7 +402,7 @@ ARGUMENTS = {
     "free_ranges": swept,
     "box_visibility": box_visibility,
     "has_returns": looked_for,
-    "nearest_hits": cast,
+    "lidar_points": cast,
     "ray_evidence": ray_evidence,
     "median_boxes": median_boxes,
     "track_offsets": track_offsets,

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from driven import driven
 
-from mast_zenoh.launch import run
+from mast_zenoh.launch import run, twin
 from mast_zenoh.messagelog.reader import read
 from mast_zenoh.messages import codec
+from mast_zenoh.report import comparison
 from mast_zenoh.scenes import Recording
+from mast_zenoh.viewer.run import RunRecord
 
 ATTACK = ("attack=GhostAhead", "wire=detections", "attack_start_s=0.6")
 
@@ -39,6 +41,17 @@ def test_the_scene_of_the_folder_is_what_happened(tmp_path: Path) -> None:
     assert metrics["driven"]["ego"]["progress_m"] == pytest.approx(way)
     assert metrics["driven"]["ego"]["collisions"] == []
     assert not [notice for notice in ended.record["notices"] if notice["kind"] == "scene"]
+
+
+@pytest.mark.heavy
+def test_the_scene_of_a_twin_is_what_happened_without_the_attack(tmp_path: Path) -> None:
+    attacked = run.run(driven(*ATTACK, frames=30, record=True), tmp_path / "run", runtime="inproc")
+    alone = run.run(driven(frames=30, record=True), tmp_path / "alone", runtime="inproc")
+    scenes = [Recording.load(folder / "scene.npz") for folder in (twin.of(attacked.folder), alone.folder)]
+    assert np.array_equal(scenes[0].agent_position, scenes[1].agent_position)
+    assert np.array_equal(scenes[0].truth.position, scenes[1].truth.position)
+    assert not np.array_equal(scenes[0].agent_position, Recording.load(attacked.folder / "scene.npz").agent_position)
+    assert comparison.reference(RunRecord.load(attacked.folder), attacked.folder / "twin").name == "unattacked"
 
 
 @pytest.mark.heavy

@@ -68,10 +68,10 @@ def realtime(world: Resolved, p99: float | None, speed: float = 10.0, **more: An
     return texts(replace(world, mode="realtime"), measured=measured, speed=speed, **more).get("behind", "")
 
 
-def outside(world: Resolved, **told: Any) -> str:
-    """The notice on a node that returned these counts of what came from outside."""
+def outside(world: Resolved, *, handed_in: bool = True, **told: Any) -> str:
+    """The notice on a node that returned these counts of what came from outside, if it handed in any."""
     nodes = with_ros2("agent", "tcp/127.0.0.1:7447").nodes
-    counts = results.outside({"infra_1": {"outside": told}}, nodes)
+    counts = results.outside({"infra_1": {"outside": told}} if handed_in else {}, nodes)
     record = {"nodes": {}, "invalid_control": {}, "outside": counts}
     measured: dict[str, Any] = {"late": {}}
     (notice,) = notices.of_run(world, record, [], measured, [], {})
@@ -85,6 +85,11 @@ def test_the_notice_of_a_program_outside_tells_of_interrupted_waits_and_of_secon
     assert several == (
         "it answered each of 3 messages; 2 publishers sent on /a, expected one: any of them may have answered"
     )
+    assert "16 or more publishers sent on /a" in outside(world, asked=3, answered=3, publishers={"/a": 16})
+
+
+def test_a_lost_node_is_not_said_to_have_been_sent_no_message(world: Resolved) -> None:
+    assert outside(world, handed_in=False) == "it was lost, and nobody counted its answers"
 
 
 def test_an_uneventful_run_has_no_notices(world: Resolved) -> None:

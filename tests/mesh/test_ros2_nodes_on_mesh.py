@@ -163,6 +163,7 @@ def test_a_node_of_ros_that_dies_in_a_run_costs_only_its_answers(router: str, tm
     found = counts(folder)
     assert 0 < found["answered"] < 30
     assert found["answered"] + found["unanswered"] == 30
+    assert found["absent"][AGENT[2]].endswith("on: no node of ROS 2 is in domain 0")
 
 
 @pytest.mark.parametrize("runtime", ["mesh", "inproc"])

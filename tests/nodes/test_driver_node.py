@@ -10,13 +10,28 @@ from driven import driven
 from tiny_world import Bench, pose, tracks
 
 from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.errors import ConfigurationError
 
 COMMAND = "agent/ego/command"
 
 
 @cache
-def resolved(estimate: str = "mission") -> Resolved:
-    return driven(f"estimate={estimate}", frames=4)
+def resolved(estimate: str = "mission", veto: bool = False) -> Resolved:
+    return driven(
+        f"estimate={estimate}", frames=4, edit=lambda content: content["drivers"]["ego"].update({"veto": veto})
+    )
+
+
+def view(free_m: float, age_s: float = 0.0) -> dict[str, np.ndarray]:
+    """Columns of a view all around whose rays end at a distance."""
+    return {
+        "position": np.array([0.0, 0.0, 2.0]),
+        "rotation": np.array([1.0, 0.0, 0.0, 0.0]),
+        "azimuth": np.array([-np.pi, np.pi]),
+        "elevation": np.array([-0.5, 0.3]),
+        "max_range": np.array([100.0]),
+        "free": np.full((8, 120), free_m),
+    }
 
 
 def route(stop: float | None = None, points: int = 81) -> dict[str, np.ndarray]:
@@ -120,3 +135,54 @@ def test_absurd_objects_are_left_out() -> None:
     braking = drive(bench, 1, None)
     assert braking is not None
     assert braking < -1.0
+
+
+def with_veto(mission: dict, own: dict, seen: dict | None, *order: str, later: int = 1) -> float:
+    """The acceleration that a driver with a veto commands some frames after it got two estimates and a view."""
+    bench = Bench(resolved(veto=True), "driver_ego")
+    bench.play(0, pose=moving(), route=route())
+    bodies = {"mission": mission, "safety": own} | ({} if seen is None else {"view": seen})
+    for port in order or bodies:
+        bench.send(port, bodies[port], 0)
+    for frame in range(1, later + 1):
+        published = bench.play(frame, pose=moving(), route=route())
+    return float(published[0][1].body["acceleration"][0])
+
+
+def test_with_a_veto_it_brakes_for_own_tracks_that_the_mission_estimate_lacks() -> None:
+    assert with_veto(tracks(), tracks((30.0, 0.0)), view(100.0)) < -1.0
+
+
+@pytest.mark.parametrize(
+    ("seen", "brakes"), [(view(100.0), False), (view(20.0), True), (view(30.0), True), (None, True)]
+)
+def test_with_a_veto_it_ignores_what_stands_where_its_own_sensor_sees_free_space(
+    seen: dict | None, brakes: bool
+) -> None:
+    assert (with_veto(tracks((30.0, 0.0)), tracks(), seen) < -1.0) is brakes
+
+
+def test_with_a_veto_the_order_of_what_arrives_in_a_frame_does_not_matter() -> None:
+    known = tracks((30.0, 0.0), (50.0, 0.0)), tracks((31.0, 0.0)), view(100.0)
+    orders = (("mission", "safety", "view"), ("view", "safety", "mission"), ("safety", "view", "mission"))
+    assert len({with_veto(*known, *order) for order in orders}) == 1
+
+
+def test_with_a_veto_it_brakes_without_own_tracks_for_too_long_and_an_old_view_refutes_nothing() -> None:
+    bench = Bench(resolved(veto=True), "driver_ego")
+    bench.play(0, pose=moving(), route=route(), mission=tracks(), view=view(100.0))
+    assert drive(bench, 1, tracks()) == -3.0
+    assert with_veto(tracks((30.0, 0.0)), tracks(), view(100.0), later=6) == -3.0, "all of it is too old"
+
+
+def test_a_view_that_covers_nothing_is_rejected() -> None:
+    bench = Bench(resolved(veto=True), "driver_ego")
+    bench.clock(0)
+    assert bench.send("view", view(-1.0), 0) == []
+    assert [reason for _, reason in bench.host.rejected] == ["view"]
+
+
+@pytest.mark.parametrize("estimate", ["truth", "safety"])
+def test_a_veto_needs_the_mission_estimate(estimate: str) -> None:
+    with pytest.raises(ConfigurationError, match="veto: found True with the estimate"):
+        resolved(estimate, True)

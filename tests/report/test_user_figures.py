@@ -194,7 +194,16 @@ def test_the_command_adds_the_figures_of_a_file(run_folder: Folder, tmp_path: Pa
 
 
 def test_the_built_in_figures_use_the_same_base_class(run_folder: Folder) -> None:
-    assert {kind.label() for kind in OURS} == {"birdseye", "trust", "camera", "counts", "causes", "driving", "wiring"}
+    assert {kind.label() for kind in OURS} == {
+        "birdseye",
+        "trust",
+        "camera",
+        "counts",
+        "causes",
+        "driven",
+        "driving",
+        "wiring",
+    }
     context = FigureContext(RunRecord.load(run_folder("uncoordinated")), None)
     drawn: dict[str, Any] = {kind.label(): kind().draw(context) for kind in OURS}
     assert {name for name, figure in drawn.items() if figure is not None} == {"counts", "wiring"}

@@ -113,6 +113,33 @@ def test_after_three_silent_frames_waits_are_short_until_an_answer_comes() -> No
     assert link.waited_s == [0.7, 0.7, 0.7, brief, brief, 0.7]
 
 
+def test_why_nothing_came_is_told_with_the_frames_of_the_newest_silence(monkeypatch: pytest.MonkeyPatch) -> None:
+    answers, link, reason = exchange(), FakeLink(), "nobody publishes it"
+    monkeypatch.setattr(link, "absence", lambda topic: reason)
+    for frame in (1, 2):
+        ask(answers, link, frame)
+    assert answers.results(link)["absent"] == {TOPIC: "from frame 1 on: nobody publishes it"}
+    ask(answers, link, 3, [about(3 * PERIOD_NS)])
+    assert answers.results(link)["absent"] == {TOPIC: "from frame 1 to 3: nobody publishes it"}
+    reason = ""
+    ask(answers, link, 4)
+    assert answers.results(link)["absent"] == {TOPIC: "from frame 1 to 3: nobody publishes it"}
+    reason = "the link to the router has ended"
+    ask(answers, link, 5)
+    assert answers.results(link)["absent"] == {TOPIC: f"from frame 5 on: {reason}"}
+
+
+def test_a_flood_of_transforms_costs_the_largest_messages(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(frame_exchange, "MOST_TRANSFORMS_AT_ONCE", 8)
+    answers, link = exchange(), FakeLink()
+    moved = Transform("map", "car", PERIOD_NS, np.ones(3), np.array([1.0, 0.0, 0.0, 0.0]))
+    flood = [Transform("map", f"f{k}", PERIOD_NS, np.zeros(3), moved.rotation) for k in range(5)]
+    for transforms in (flood, [moved], flood):
+        link.arrive(TF, transform_message(transforms))
+    assert ask(answers, link, 1, [about(PERIOD_NS, "car")]) == [(1, False, (3, 0, [1.0, 1.0, 1.0]))]
+    assert answers.refused == {"too many transforms": 1}
+
+
 def test_a_late_answer_ends_the_silence() -> None:
     answers, link = exchange(wait_s=0.7), FakeLink()
     for frame in range(4):

@@ -59,6 +59,17 @@ def test_a_ghost_in_the_picture_does_nothing_to_a_driver_that_trusts_its_own_tra
     assert honest.messages["scene/truth"] == attacked.messages["scene/truth"]
 
 
+def test_with_a_veto_the_car_goes_on_where_it_sees_that_there_is_no_ghost_in_any_order_of_delivery() -> None:
+    def veto(content: dict[str, Any]) -> None:
+        content["drivers"]["ego"]["veto"] = True
+
+    believing, seeing = played(*GHOST), Run(driven(*GHOST, edit=veto))
+    assert not seeing.failures
+    assert not seeing.rejected
+    assert speeds(seeing)[-1] > speeds(believing)[-1] + 1.0
+    assert Run(driven(*GHOST, edit=veto), shuffle=1).messages == seeing.messages
+
+
 def test_seized_commands_act_on_the_car_and_end() -> None:
     run = played(*SEIZED)
     told, carried = (run.decoded(key, "command") for key in ("agent/ego/command/@tap/0", "agent/ego/command"))

@@ -104,6 +104,7 @@ def test_a_flood_leaves_few_more_rows_than_its_agent_had() -> None:
     assert max(rows["flood"]) <= max(rows["none"]) + 10
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("run", RUNS)
 def test_which_rows_of_a_flood_are_used_does_not_depend_on_the_order_of_delivery_or_on_encoding(run: str) -> None:
     picture = RUNS[run][2]

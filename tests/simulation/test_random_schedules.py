@@ -31,7 +31,7 @@ SEEDS = 1000  # among all worlds
     ("number", "name"),
     [
         (0, "lockstep"),
-        (1, "steps"),
+        pytest.param(1, "steps", marks=pytest.mark.heavy),
         pytest.param(2, "late", marks=pytest.mark.heavy),
         pytest.param(3, "realtime", marks=pytest.mark.heavy),
     ],

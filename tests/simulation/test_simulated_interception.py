@@ -96,6 +96,7 @@ def test_insertions_and_removals_at_any_time_break_no_promise(mode: str) -> None
         assert check(world, schedule(seed, *steps)) == []
 
 
+@pytest.mark.heavy
 def test_in_lock_step_the_stream_equals_that_of_an_undisturbed_run() -> None:
     resolved = resolve("baseline", "n_infrastructure=1", frames=50)
     expected = in_one_process(resolved).messages

@@ -112,6 +112,31 @@ def test_shipped_studies_are_valid(name: str, labels: int) -> None:
     assert study.baseline == "baseline"
 
 
+def test_the_case_study_has_a_run_with_drivers_where_its_scene_can_be_stepped() -> None:
+    driven = definition.load("case_study", ["n_infrastructure=2"]).driven
+    assert driven is not None
+    assert (driven.configuration.label, driven.configuration.scenario) == ("driven", "driving")
+    assert "n_infrastructure=2" in driven.configuration.settings
+    assert definition.load("case_study", ["scene=av2:somewhere"]).driven is None
+
+
+@pytest.mark.parametrize(
+    ("driven", "labels", "problem"),
+    [
+        ("'driving'", ("a",), r"driven: found 'driving', expected dict\(scenario=…, parameters=…, frames=…\)"),
+        ("dict(parameters=dict())", ("a",), "driven: found"),
+        ("dict(scenario='driving', grid=dict())", ("a",), "driven: found"),
+        ("dict(scenario='driving', frames=0)", ("a",), "frames: found 0, expected a whole number from 1"),
+        ("dict(scenario='driving')", ("driven",), "runs: found the label 'driven', expected another"),
+    ],
+)
+def test_a_bad_run_with_drivers_is_refused(driven: str, labels: tuple[str, ...], problem: str, tmp_path: Path) -> None:
+    runs = {label: dict(scenario="baseline") for label in labels}
+    (tmp_path / "mine.py").write_text(f"def study():\n    return dict(runs={runs!r}, driven={driven})\n")
+    with pytest.raises(ConfigurationError, match=problem):
+        definition.load(str(tmp_path / "mine.py"))
+
+
 def test_the_scenes_of_the_monte_carlo_study_can_be_chosen() -> None:
     study = definition.load("monte_carlo", ["scenes=avstack:a, intersection:5"])
     assert [place.label for place in study.scenes] == ["avstack:a", "intersection:5"]

@@ -13,6 +13,7 @@ import pytest
 from mast_zenoh import testing
 from mast_zenoh.api.runs import Run
 from mast_zenoh.attacks import PassThrough, alter
+from mast_zenoh.driving import Command, Driver
 from mast_zenoh.faults import Fault
 from mast_zenoh.fusion import CovarianceIntersectionFusion, SampledAssignmentClusterer
 from mast_zenoh.links import Rule
@@ -59,6 +60,44 @@ class HidesFirstRow(PassThrough):
 class Unrepeatable(PassThrough):
     def step(self, frame: int, time_ns: int, objects: Any, agent_position: Any, directive: Any = None) -> Any:
         return alter(objects, insert=objects.with_(position=np.random.default_rng().normal(size=(len(objects), 3))))
+
+
+class Reckless(Driver):
+    def drive(self, situation: Any) -> Any:
+        return Command(99.0, 0.0)
+
+
+class Unsure(Driver):
+    def drive(self, situation: Any) -> Any:
+        return Command(float("nan") if len(situation.objects) else 0.0, 0.0)
+
+
+class AfraidOfTheFirst(Driver):
+    def drive(self, situation: Any) -> Any:
+        objects = situation.objects
+        return Command(-1.0 if len(objects) and objects.id[0] == 0 else 0.0, 0.0)
+
+
+class Nervous(Driver):
+    frames = [0]
+
+    def drive(self, situation: Any) -> Any:
+        self.frames[0] += 1
+        return Command(-0.1 * (self.frames[0] % 3), 0.0)
+
+
+class Counting(Driver):
+    driven = [0]
+
+    def drive(self, situation: Any) -> Any:
+        Counting.driven[0] += situation.speed == 3.0
+        return Command(-0.001 * min(self.driven[0], 1000), 0.0)
+
+
+class Parking(Driver):
+    def drive(self, situation: Any) -> Any:
+        situation.velocity[:] = 0.0
+        return Command(0.0, 0.0)
 
 
 class MeanRange(FrameMetric):
@@ -122,6 +161,12 @@ class Explode(Fizzle):
         (testing.check_fusion, RoundingFusion(), "RoundingFusion.fuse .*: changed its input states.position"),
         (testing.check_attack, HidesFirstRow(), "HidesFirstRow.step .*: depends on the order of the rows: keep"),
         (testing.check_attack, Unrepeatable(), "Unrepeatable.step .*: two instances with the same seed and name"),
+        (testing.check_driver, Reckless(), "Reckless.drive with 0 objects .*a command that the car refuses: .* is 99"),
+        (testing.check_driver, Unsure(), "Unsure.drive with 1 objects .*expected finite numbers"),
+        (testing.check_driver, AfraidOfTheFirst(), "AfraidOfTheFirst.drive with 1000 .*on the order of the objects"),
+        (testing.check_driver, Nervous(), "Nervous.drive .*: depends on the order of the objects"),
+        (testing.check_driver, Counting(), "Counting.drive .*not deterministic, or they share state"),
+        (testing.check_driver, Parking(), "Parking.drive .*: changed its input situation.velocity"),
         (testing.check_metric, MeanRange(), "MeanRange with 0 boxes in 1 frames: ValueError: zero-size array"),
         (testing.check_metric, FirstBox(), "FirstBox with 1000 boxes .*: depends on the order of the boxes"),
         (testing.check_link_rule, Early(), "Early.apply: a message leaves before it arrives"),

@@ -17,6 +17,7 @@ from layouts import TWINS
 
 from mast_zenoh import (
     attacks,
+    driving,
     faults,
     fusion,
     integrity,
@@ -87,6 +88,7 @@ def made(cls: type, base: type) -> Any:
 
 CHECKS: dict[type, Callable[[Any], None]] = {
     attacks.Attack: testing.check_attack,
+    driving.Driver: testing.check_driver,
     tracking.Tracker: testing.check_tracker,
     fusion.Clusterer: testing.check_clusterer,
     fusion.Fusion: testing.check_fusion,

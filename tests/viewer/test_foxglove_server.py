@@ -130,6 +130,7 @@ def test_a_client_gets_every_frame_and_may_go_back_when_it_has_ended(
     run_apart(scenario())
 
 
+@pytest.mark.heavy
 def test_a_client_that_stops_reading_is_disconnected_and_memory_does_not_grow(
     run: RecordedRun, monkeypatch: pytest.MonkeyPatch
 ) -> None:

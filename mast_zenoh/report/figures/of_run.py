@@ -23,10 +23,12 @@ from mast_zenoh.report.figures.drawing import (
     render,
     side_by_side_figure,
 )
+from mast_zenoh.report.figures.driven import driven_figure
 from mast_zenoh.report.figures.over_time import SMOOTH, causes_over_time, counts_over_time, driving_over_time
 from mast_zenoh.report.figures.style import Figure
 from mast_zenoh.report.figures.trust import trust_over_time
 from mast_zenoh.report.narrative.changes import capital
+from mast_zenoh.report.narrative.driven import car_sentences
 from mast_zenoh.report.run_figure import SECTIONS, FigureContext, RunFigure
 from mast_zenoh.report.tables.scores import ScoreTable
 from mast_zenoh.run_files import check_plain, read_json, write_bytes
@@ -108,6 +110,24 @@ class Causes(RunFigure):
         return "Missed and false objects of the common picture over time, stacked by their causes."
 
 
+class Driven(RunFigure):
+    """Where the driven car drove, and its speed and acceleration. Squares and bands: it brakes (harder than 1.3 m/s²);
+    red: needlessly. Dots: where it is at the end.
+    """
+
+    def draw(self, context: FigureContext) -> Figure | None:
+        return driven_figure(context.run, context.reference)
+
+    def alt(self, context: FigureContext) -> str:
+        return ". ".join(
+            ("Path, speed and acceleration of the driven car", *car_sentences(context.run, context.reference))
+        )
+
+    def caption(self, context: FigureContext) -> str:
+        caption = super().caption(context)
+        return caption if context.reference is None else f"{caption} Broken lines: {context.reference.name}."
+
+
 class Driving(RunFigure):
     """Open loop: the ego keeps to the path that it drove in the scene, and at each moment looks at what is in its
     corridor. Times to collision above 10 s are not drawn. Wrong objects: false and missed ones.
@@ -168,7 +188,7 @@ class Trust(RunFigure):
 
 
 #: In the order in which they are drawn. The page has a place for each.
-OURS: tuple[type[RunFigure], ...] = (Birdseye, Trust, Camera, Counts, Causes, Driving, Wiring)
+OURS: tuple[type[RunFigure], ...] = (Birdseye, Trust, Camera, Counts, Causes, Driven, Driving, Wiring)
 
 
 def run_figures(context: FigureContext) -> dict[str, RenderedFigure]:

@@ -215,6 +215,38 @@ def driving_table(run: RunRecord, reference: RunRecord | None = None, name: str 
     return PageTable([*heads, *map(Head, _DRIVING)], lines, dense=False)
 
 
+_DRIVEN = (
+    *(Head("colli-\nsions"), Head("near\nmisses")),
+    *(Head("all", "brakes"), Head("needless", "brakes"), Head("missed", "brakes"), Head("hardest (m/s²)", "brakes")),
+    *(Head("least time to\ncollision (s)"), Head("below safe\ndistance (s)")),
+    *(Head("way\n(m)"), Head("standing\n(s)"), Head("hard brakes\nbehind")),
+)
+
+
+def driven_table(run: RunRecord, reference: RunRecord | None = None, name: str = "") -> PageTable:
+    """What happened to driven cars: a line per car, and one for the reference, labelled `name`; no lines without."""
+    others = reference.metrics.get("driven", {}) if reference is not None else {}
+    lines = []
+    for car, happened in run.metrics.get("driven", {}).items():
+        if car in others:
+            lines.append(_driven((car, name), others[car]))
+        lines.append(_driven((car, run.label) if reference is not None else (car,), happened))
+    heads = [Head("car", kind="text"), *([Head("run", kind="text")] if reference is not None else [])]
+    return PageTable([*heads, *_DRIVEN], lines)
+
+
+def _driven(labels: Sequence[str], happened: Mapping[str, Any]) -> Line:
+    ttc = happened["min_ttc_s"]
+    far = "never" if ttc is None else f"more than {_LONG_S:.0f}" if ttc > _LONG_S else f"{ttc:.1f}"
+    counts = len(happened["collisions"]), happened["near_misses"], len(happened["brakes"])
+    brakes = happened["needless_brakes"], happened["missed_brakes"]
+    measures = (happened[key] for key in ("rss_unsafe_s", "progress_m", "standing_s"))
+    unsafe, way, standing = (f"{value:.1f}" for value in measures)
+    hardest = f"{happened['hardest_braking_mps2']:.1f}"
+    behind = str(happened["behind"]["hard_brakes"])
+    return Line((*labels, *map(str, (*counts, *brakes)), hardest, far, unsafe, way, standing, behind))
+
+
 def driving_differs(run: RunRecord, reference: RunRecord) -> bool:
     """Whether the ego's driving metrics differ between two runs, for an estimate that both have."""
     own, references = _summaries(run), _summaries(reference)

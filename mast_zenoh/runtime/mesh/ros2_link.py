@@ -103,10 +103,10 @@ class Ros2Link:
     def wait(self, limit_s: float, done: Callable[[], bool], needed: Sequence[str] = ()) -> bool:
         deadline = time.monotonic() + limit_s
         while True:
+            left_s = deadline - time.monotonic()  # before `done`, which may take long: what came in time counts
             self._changed.clear()
             if done():
                 return True
-            left_s = deadline - time.monotonic()
             if left_s <= 0.0 or self.ended or not all(map(self.present, needed)):
                 return False
             self._changed.wait(min(left_s, _LOOK_S))

@@ -3,7 +3,8 @@
     kinds      what all kinds of studies have; each kind is a module:
                matrix (every defence against every adversary), drift (how soon a displaced object is noticed),
                breakdown (with how many liars a defence breaks), field_matrix (the matrix of published and own methods),
-               cooperation (how far a lie reaches, by where tracks are fused)
+               cooperation (how far a lie reaches, by where tracks are fused), driving_matrix (what attacks do to a
+               driven car, with each defence)
     published  what papers report of these methods
     matrix_trial    the evaluation of one trial of the matrix
     matrix_records  what the matrix needs of each trial, and its measures over many
@@ -33,6 +34,7 @@ from mast_zenoh.study.defences.choices import (
 )
 from mast_zenoh.study.defences.cooperation import CooperationCell
 from mast_zenoh.study.defences.drift import DriftCell
+from mast_zenoh.study.defences.driving_matrix import DrivingCell
 from mast_zenoh.study.defences.field_matrix import FieldCell, scenes_of_kinds
 from mast_zenoh.study.defences.matrix import Cell, matrix_study
 
@@ -44,6 +46,7 @@ __all__ = [
     "Cell",
     "CooperationCell",
     "DriftCell",
+    "DrivingCell",
     "FieldCell",
     "adversary_base",
     "faults_of",

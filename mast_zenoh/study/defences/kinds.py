@@ -57,6 +57,7 @@ class Collection(ABC):
 
     name: of the files;  drawn: names of all figures that it may write
     recorded: whether the evaluation needs all messages of a run
+    from_metrics: whether metrics.json has all that the table needs: trials need no run folder and no evaluation
     without_lies: the part `defence` of a trial in which nothing lies and nothing is faulty, which is then neither
                   recorded nor evaluated; None: every trial is evaluated
     """
@@ -64,6 +65,7 @@ class Collection(ABC):
     name: ClassVar[str]
     drawn: ClassVar[Sequence[str]] = ()
     recorded: ClassVar[bool] = False
+    from_metrics: ClassVar[bool] = False
     without_lies: ClassVar[Mapping[str, Any] | None] = None
 
     def __init__(self, cells: Mapping[str, Any], scenes: Sequence[str], seeds: Sequence[int]) -> None:

@@ -196,6 +196,7 @@ def test_agents_that_cannot_be_are_refused(parameters: dict, message: str, tmp_p
         read(tmp_path / "road.xml", ROAD, **parameters)
 
 
+@pytest.mark.heavy
 def test_real_scenarios_are_read_and_their_vehicles_move_as_stated() -> None:
     files = sorted(reference("commonroad_ngsim").glob("*.xml"))
     frames = {}

@@ -231,6 +231,7 @@ def test_a_window_that_no_vehicle_spans_is_refused(folder: Path) -> None:
         read(folder)
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize(
     ("name", "parameters", "buildings"),
     [

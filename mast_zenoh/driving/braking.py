@@ -1,0 +1,165 @@
+"""When a driven car brakes, what made that needful, and whether the truth did."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mast_zenoh.arrays.states import Bools, Floats, Ints
+from mast_zenoh.driving.corridor import InCorridor, needed_braking
+from mast_zenoh.driving.following import IntelligentDriverModel
+from mast_zenoh.driving.motion import RouteAhead
+from mast_zenoh.metrics.driving import SafeDistance, TimeToCollision
+
+#: m/s^2; a car brakes when it slows down more than this. Source: UN Regulation No. 13-H, 5.2.22.4: braking above it has
+#: to light the stop lamps.
+BRAKING_MPS2 = 1.3
+#: m/s^2; less is no reason to brake: a car that follows another at a constant speed comes to 0.73 in the model.
+_REASON_MPS2 = 1.0
+#: s; a shorter interruption does not end a brake, and a reason counts for as long after it has gone.
+_PAUSE_S = 0.5
+#: m/s^2; an emergency needs more braking than this. Source: see `consequences.NEAR_MISS_BRAKING_MPS2`.
+_EMERGENCY_MPS2 = 3.0
+#: m/s^2; by so little, braking is no harder.
+_EQUAL_MPS2 = 1e-6
+#: How cars brake: for objects, as one that comes to a standstill before lines, and before bends.
+_REFERENCE = IntelligentDriverModel()
+
+
+class Belief(NamedTuple):
+    """n objects that a driver believed in, each at the time of the frame in which it decided.
+
+    id: (n,) of the track; real: (n,) id of the object that it is, -1: it is false
+    adversary: (n,) str, who made it believe in a false object, "": nobody
+    """
+
+    id: Ints
+    real: Ints
+    adversary: np.ndarray
+
+
+class Brake(NamedTuple):
+    """An uninterrupted time of braking: rows of frames in which it begins, is hardest for the first time, and ends."""
+
+    first: int
+    hardest: int
+    end: int
+
+
+def spans(during: Bools, pause: int = 0) -> list[tuple[int, int]]:
+    """First frame and end of the times in which a condition (f,) holds; shorter breaks than `pause` frames included."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], during, [False]]).astype(np.int8)))
+    result: list[tuple[int, int]] = []
+    for first, end in edges.reshape(-1, 2).tolist():
+        if result and first - result[-1][1] < pause:
+            first = result.pop()[0]
+        result.append((first, end))
+    return result
+
+
+def brakes_of(acceleration: Floats, period_s: float) -> list[Brake]:
+    """The brakes of a car by its acceleration (f - 1,) m/s^2 from each frame to the next."""
+    during = spans(acceleration < -BRAKING_MPS2, round(_PAUSE_S / period_s))
+    least = [float(acceleration[first:end].min()) + _EQUAL_MPS2 for first, end in during]
+    return [
+        Brake(first, first + int((acceleration[first:end] <= hardest).argmax()), end)
+        for (first, end), hardest in zip(during, least, strict=True)
+    ]
+
+
+def demanded_by_objects(corridor: InCorridor) -> Floats:
+    """Braking (n,) m/s^2 that each object in the corridor of a car asks of a driver that follows it."""
+    return -_REFERENCE.interaction(corridor.own_mps, corridor.gap_m, corridor.ahead_mps)
+
+
+def demanded_by_lines(speed: Floats, routes: Mapping[int, RouteAhead]) -> Floats:
+    """Braking (f,) m/s^2 that the line ahead asks of a driver in each frame; 0: none. speed: (f,) m/s"""
+    gap = np.full(len(speed), np.inf)
+    for frame, route in routes.items():
+        gap[frame] = route.stop_m + _REFERENCE.gap_m  # it stops at the line, not before it
+    return -_REFERENCE.interaction(speed, gap, np.zeros_like(speed))
+
+
+def demanded_by_road(speed: Floats, routes: Mapping[int, RouteAhead]) -> Floats:
+    """Braking (f,) m/s^2 that bends and limits ahead ask of a driver in each frame; 0: none. speed: (f,) m/s"""
+    result = np.zeros(len(speed))
+    for frame, route in routes.items():
+        distance = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(route.position, axis=0).T))])
+        allowed = np.sqrt(route.speed**2 + 2.0 * _REFERENCE.braking * distance).min()
+        result[frame] = max(-float(_REFERENCE.free(speed[frame : frame + 1], np.maximum(allowed, 0.1))[0]), 0.0)
+    return result
+
+
+def hardest_per_frame(corridor: InCorridor, demanded: Floats, frames: int) -> Floats:
+    """The hardest braking (f,) m/s^2 that any object asks for in each frame."""
+    result = np.zeros(frames)
+    np.maximum.at(result, corridor.frame, demanded)
+    return result
+
+
+def causes(
+    brakes: Sequence[Brake],
+    believed: InCorridor,
+    belief: Belief,
+    lines: Floats,
+    tampered: Sequence[str],
+) -> list[dict[str, Any]]:
+    """What made each brake needful: the "cause" of metrics.json, see `consequences.consequences`.
+
+    From a brake's first frame to its hardest one, the object of the driver's estimate, or the line, that asks for the
+    hardest braking. Where an adversary changed the commands of these frames, no estimate explains them.
+
+    believed: the objects that the driver believed in its corridor; belief: what each of its objects is, by row
+    lines: (f,) m/s^2, braking for lines; tampered: (f,) adversaries that changed the command of a frame, "": nobody
+    """
+    demanded = demanded_by_objects(believed)
+    result = []
+    for brake in brakes:
+        adversaries = sorted({name for name in tampered[brake.first : brake.hardest + 1] if name})
+        cause: dict[str, Any] = {"object": None, "kind": "none", "adversary": "+".join(adversaries) or None}
+        rows = np.flatnonzero((believed.frame >= brake.first) & (believed.frame <= brake.hardest))
+        line = float(lines[brake.first : brake.hardest + 1].max())
+        hardest = float(demanded[rows].max(initial=0.0))
+        if not adversaries and max(line, hardest) >= _REASON_MPS2:
+            if line >= hardest:
+                cause["kind"] = "line"
+            else:
+                row = believed.row[rows[demanded[rows].argmax()]]
+                real = int(belief.real[row])
+                cause["object"] = int(belief.id[row]) if real < 0 else real
+                cause["kind"] = "false" if real < 0 else "real"
+                cause["adversary"] = str(belief.adversary[row]) or None if real < 0 else None
+        result.append(cause)
+    return result
+
+
+def needless(brakes: Sequence[Brake], demanded: Floats, period_s: float) -> list[bool]:
+    """Whether the truth gave no reason for each brake, from shortly before its first frame to its hardest one.
+
+    demanded: (f,) m/s^2, braking that the objects that are there, the line and the road ask for
+    """
+    pause = round(_PAUSE_S / period_s)
+    return [
+        bool(demanded[max(brake.first - pause, 0) : brake.hardest + 1].max(initial=0.0) < _REASON_MPS2)
+        for brake in brakes
+    ]
+
+
+def emergencies(truth: InCorridor, frames: int) -> Bools:
+    """Whether (f,) the truth demands emergency braking in each frame: contact in less than 1.5 s without it."""
+    braking = needed_braking(truth.gap_m, truth.own_mps, truth.ahead_mps)
+    critical = TimeToCollision().brakes(truth.gap_m, truth.own_mps, truth.ahead_mps) & (braking > _EMERGENCY_MPS2)
+    return np.bincount(truth.frame[critical], minlength=frames) > 0
+
+
+def missed_brakes(demanded: Bools, acceleration: Floats, period_s: float) -> int:
+    """Emergencies during which a car did not brake although there was time to respond (that of `SafeDistance`).
+
+    demanded: (f,) whether the truth demands emergency braking; acceleration: (f - 1,) m/s^2
+    """
+    response = round(SafeDistance().response_s / period_s)
+    return sum(
+        end - first > response and not (acceleration[first:end] < -BRAKING_MPS2).any() for first, end in spans(demanded)
+    )

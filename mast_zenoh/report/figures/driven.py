@@ -1,0 +1,142 @@
+"""The course of a driven car: its path beside the reference's, speed and acceleration over time, and its brakes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+
+from mast_zenoh.driving.consequences import HARD_BRAKING_MPS2
+from mast_zenoh.report.comparison import Reference
+from mast_zenoh.report.figures.style import Figure, light_axes, plain
+from mast_zenoh.report.figures.timeaxis import padded
+from mast_zenoh.viewer.palette import ADVERSARY_ON_LIGHT, GROUNDS, INK, KEYS, LOCAL, RUN_COLOURS
+from mast_zenoh.viewer.run import RunRecord, Table, rows
+
+#: Of needless brakes, and of others.
+_NEEDLESS, _BRAKE = KEYS["paper"]["light"].outcomes["track false"], "#9aa3ad"
+#: Inches: the figure; the map's side; margins.
+_WIDTH, _HEIGHT, _MAP, _LEFT, _FOOT, _HEAD = 11.5, 4.6, 3.62, 0.6, 0.5, 0.46
+#: m around the paths.
+_AROUND_M = 12.0
+#: m/s^2, of the axis at least.
+_LEAST_MPS2 = (-3.0, 2.0)
+
+
+def driven_figure(run: RunRecord, reference: Reference | None = None) -> Figure | None:
+    """The course of the driven car, the ego if it is driven; None: no car is driven, or its course is unknown."""
+    course = course_of(run)
+    if course is None:
+        return None
+    car = str(course["agent"][0])
+    other = course_of(reference.run, car) if reference is not None else None
+    figure = Figure(figsize=(_WIDTH, _HEIGHT), facecolor="white")
+    brakes = run.metrics.get("driven", {}).get(car, {}).get("brakes", ())
+    _draw_map(_map_axes(figure), run, course, other, brakes)
+    charts = _chart_axes(figure)
+    for axis in charts:
+        light_axes(axis)
+        _draw_bands(axis, run, brakes)
+    courses: dict[str, tuple[Table, str, Any]] = {}
+    if reference is not None and other is not None:
+        courses[reference.name] = other, LOCAL, (0, (4, 2))
+    courses[f"{car}, {run.label}" if courses else car] = course, RUN_COLOURS[0], "-"
+    for label, (table, colour, dashes) in courses.items():
+        style: dict[str, Any] = {"color": colour, "linestyle": dashes, "linewidth": 1.9}
+        charts[0].plot(table["time_s"], table["speed_mps"], label=plain(label), **style)
+        charts[1].plot(table["time_s"], table["acceleration_mps2"], drawstyle="steps-post", **style)
+    charts[0].set_ylim(0.0, 1.15 * max(float(table["speed_mps"].max()) for table, *_ in courses.values()) + 0.5)
+    charts[0].set_ylabel("speed (m/s)", fontsize=10, color=INK)
+    charts[1].set_ylabel("acceleration (m/s²)", fontsize=10, color=INK)
+    charts[1].axhline(-HARD_BRAKING_MPS2, color=INK, linewidth=0.9, linestyle=(0, (1, 2)), label="hard braking")
+    least = [float(np.nanmin(table["acceleration_mps2"], initial=_LEAST_MPS2[0])) for table, *_ in courses.values()]
+    most = [float(np.nanmax(table["acceleration_mps2"], initial=_LEAST_MPS2[1])) for table, *_ in courses.values()]
+    charts[1].set_ylim(1.1 * min(least), 1.1 * max(most))
+    charts[1].set_xlim(*padded(float(course["time_s"][0]), float(course["time_s"][-1])))
+    charts[1].set_xlabel("time (s)", fontsize=10, color=INK)
+    handles = {
+        label: handle for axis in charts for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(
+        list(handles.values()),
+        list(handles),
+        loc="upper left",
+        bbox_to_anchor=((_LEFT + _MAP + 0.62) / _WIDTH, 1.0),
+        ncols=3 if len(handles) > 4 else 4,
+        frameon=False,
+        fontsize=9.5,
+        columnspacing=1.2,
+        handlelength=1.7,
+    )
+    return figure
+
+
+def course_of(run: RunRecord, car: str = "") -> Table | None:
+    """The rows of driven.parquet of one car, by default the ego or else the first; None: there are none."""
+    table = run.driven
+    if table is None or not len(table["agent"]):
+        return None
+    names = list(dict.fromkeys(table["agent"].tolist()))
+    chosen = car or (run.ego if run.ego in names else names[0])
+    course = rows(table, table["agent"] == chosen)
+    return course if len(course["frame"]) else None
+
+
+def _map_axes(figure: Figure) -> Axes:
+    axes = figure.add_axes((_LEFT / _WIDTH, _FOOT / _HEIGHT, _MAP / _WIDTH, _MAP / _HEIGHT))
+    axes.set_aspect("equal")
+    axes.tick_params(colors=INK, labelsize=9, length=3)
+    axes.set_xlabel("x, east (m)", fontsize=9.5, color=INK, labelpad=1)
+    axes.set_ylabel("y, north (m)", fontsize=9.5, color=INK, labelpad=-3)
+    return axes
+
+
+def _chart_axes(figure: Figure) -> tuple[Axes, Axes]:
+    left, gap = _LEFT + _MAP + 0.75, 0.16
+    width, height = _WIDTH - left - 0.15, (_HEIGHT - _FOOT - _HEAD - 0.18 - gap) / 2.0
+    lower = figure.add_axes((left / _WIDTH, _FOOT / _HEIGHT, width / _WIDTH, height / _HEIGHT))
+    bottom = (_FOOT + height + gap) / _HEIGHT
+    upper = figure.add_axes((left / _WIDTH, bottom, width / _WIDTH, height / _HEIGHT), sharex=lower)
+    upper.tick_params(labelbottom=False)
+    return upper, lower
+
+
+def _draw_map(axes: Axes, run: RunRecord, course: Table, other: Table | None, brakes: Any) -> None:
+    """Buildings, the paths, where the car braked, and where it ended."""
+    both = [course] if other is None else [course, other]
+    low = np.array([min(table[axis].min() for table in both) for axis in "xy"])
+    high = np.array([max(table[axis].max() for table in both) for axis in "xy"])
+    middle, half = (low + high) / 2.0, float((high - low).max()) / 2.0 + _AROUND_M
+    axes.set_xlim(middle[0] - half, middle[0] + half)
+    axes.set_ylim(middle[1] - half, middle[1] + half)
+    if run.recording is not None:
+        light = GROUNDS["light"]
+        axes.add_collection(
+            PolyCollection(
+                list(run.recording.buildings), facecolors=light.building, edgecolors=light.building_edge, zorder=1
+            )
+        )
+    if other is not None:
+        axes.plot(other["x"], other["y"], color=LOCAL, linestyle=(0, (4, 2)), linewidth=1.6, zorder=3)
+        axes.plot(other["x"][-1], other["y"][-1], "o", mfc="white", mec=LOCAL, ms=6, zorder=3)
+    axes.plot(course["x"], course["y"], color=RUN_COLOURS[0], linewidth=2.6, zorder=4)
+    axes.plot(course["x"][-1], course["y"][-1], "o", color=RUN_COLOURS[0], ms=7, zorder=5)
+    for brake in brakes:
+        during = (course["time_s"] >= brake["from_s"]) & (course["time_s"] < brake["until_s"])
+        colour = _NEEDLESS if brake["needless"] else _BRAKE
+        axes.plot(course["x"][during], course["y"][during], "s", color=colour, ms=4, zorder=6, linestyle="")
+    axes.plot(course["x"][0], course["y"][0], "|", color=INK, ms=9, mew=2, zorder=5)
+
+
+def _draw_bands(axis: Axes, run: RunRecord, brakes: Any) -> None:
+    """The time of the attack, and the brakes."""
+    if run.attack_frames is not None:
+        first, last = (run.period_s * frame for frame in run.attack_frames)
+        axis.axvspan(first, last, color=ADVERSARY_ON_LIGHT, alpha=0.08, linewidth=0, label="attack")
+        axis.axvline(first, color=ADVERSARY_ON_LIGHT, linewidth=0.9, alpha=0.6)
+    for needless, colour, label in ((False, _BRAKE, "brakes"), (True, _NEEDLESS, "brakes needlessly")):
+        for brake in brakes:
+            if brake["needless"] is needless:
+                axis.axvspan(brake["from_s"], brake["until_s"], color=colour, alpha=0.35, linewidth=0, label=label)

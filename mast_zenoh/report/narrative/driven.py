@@ -1,0 +1,87 @@
+"""What happened to driven cars, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from mast_zenoh.report.comparison import Reference
+from mast_zenoh.report.narrative.changes import join_names, plural
+from mast_zenoh.viewer.run import RunRecord
+
+#: m, of way, and s, of standing: a smaller difference between a run and its twin is not said.
+_WAY_M, _STANDING_S = 1.0, 0.2
+#: Brakes and collisions that are named; more are counted.
+_MOST_NAMED = 3
+
+
+def car_sentences(run: RunRecord, reference: Reference | None = None) -> list[str]:
+    """For each driven car, its collisions, its notable brakes and why, and how far it came; without full stops.
+
+    reference: the run that it is compared with, such as its unattacked twin
+    """
+    others: Mapping[str, Any] = reference.run.metrics.get("driven", {}) if reference is not None else {}
+    sentences = []
+    for car, happened in run.metrics.get("driven", {}).items():
+        other = others.get(car)
+        name = reference.name if reference is not None else ""
+        subject = "The ego" if car == run.ego == "ego" else car
+        texts = (*_collisions(happened), *_brakes(happened), _progress(happened, other, name))
+        sentences += [f"{subject} {text}" for text in texts]
+        if other is not None and len(other["collisions"]) != len(happened["collisions"]):
+            sentences.append(f"{name}: {plural(len(other['collisions']), 'collision')}")
+    return sentences
+
+
+def _collisions(happened: Mapping[str, Any]) -> list[str]:
+    """What the car hit."""
+    hits = happened["collisions"]
+    named = [
+        f"object {hit['object']} in frame {hit['frame']} ({hit['speed_mps']:.1f} m/s between them"
+        + (", hidden from its driver)" if hit["hidden"] else ")")
+        for hit in hits
+    ]
+    return [f"hits {join_names(named, _MOST_NAMED)}"] if named else []
+
+
+def _brakes(happened: Mapping[str, Any]) -> list[str]:
+    """The brakes that are needless or hard, the hardest first."""
+    needless = [brake for brake in happened["brakes"] if brake["needless"]]
+    needless.sort(key=lambda brake: -brake["hardest_mps2"])
+    texts = [
+        f"brakes needlessly with {brake['hardest_mps2']:.1f} m/s² at {brake['from_s']:.1f} s {reason_of(brake)}"
+        for brake in needless[:_MOST_NAMED]
+    ]
+    if len(needless) > _MOST_NAMED:
+        texts.append(f"brakes needlessly {plural(len(needless) - _MOST_NAMED, 'more time')}")
+    if missed := happened["missed_brakes"]:
+        texts.append(f"fails to brake in {plural(missed, 'emergency').replace('ys', 'ies')}")
+    return texts
+
+
+def reason_of(brake: Mapping[str, Any]) -> str:
+    """Why a car braked: `for object 12`, `for an object that is not there …`, `before a line`."""
+    cause = brake["cause"]
+    adversary = cause["adversary"]
+    if cause["kind"] == "real":
+        return f"for object {cause['object']}"
+    if cause["kind"] == "false":
+        shown = f", shown by {adversary}" if adversary else ""
+        return f"for an object that is not there (track {cause['object']}{shown})"
+    if cause["kind"] == "line":
+        return "before a line"
+    if adversary:
+        return f"because {adversary} changed its commands"
+    return "for nothing that it believed" if brake["needless"] else "for the road ahead"
+
+
+def _progress(happened: Mapping[str, Any], other: Mapping[str, Any] | None, name: str) -> str:
+    """How far the car came, and for how long it stood."""
+    way, standing = happened["progress_m"], happened["standing_s"]
+    if other is None:
+        return f"drives {way:.0f} m and stands for {standing:.1f} s"
+    before, stood = other["progress_m"], other["standing_s"]
+    changed_way, changed_standing = abs(way - before) >= _WAY_M, abs(standing - stood) >= _STANDING_S
+    far = f"drives {way:.0f} m" + (f" instead of {before:.0f} m" if changed_way else "")
+    long = f" and stands for {standing:.1f} s instead of {stood:.1f} s" if changed_standing else ""
+    return f"{far}{long} ({name})" if changed_way or changed_standing else f"{far}, as {name}"

@@ -1,0 +1,84 @@
+"""What attacks do to a driven car, and what a defence or its own sensors spare it."""
+
+from mast_zenoh.errors import ConfigurationError, nearest
+from mast_zenoh.study.defences import DrivingCell, several, with_preset, words
+
+#: Attacks of the scenario `driving`, each with where it is (`wire`): on what the ego receives, on what two poles send,
+#: or on what the ego receives and what its own sensors detect.
+ATTACKS = (
+    "ghost_ahead@picture",
+    "phantom_queue@picture",
+    "phantom_queue@tracks",
+    "cut_in@picture",
+    "cut_in@tracks",
+    "intruder@picture",
+    "stale_picture@picture",
+    "displaced_leader@detections+picture",
+    "hidden_leader@detections+picture",
+)
+#: Parameters of each defence.
+DEFENCES = {"none": {}, "FaultOrLie": dict(defence="FaultOrLie"), "veto": dict(veto=True)}
+#: A driver with the constants of PDM-Closed (Dauner et al., 2023), not those of 2000: it keeps up with the traffic, so
+#: that it has to brake for others.
+DRIVER = dict(
+    type="FollowingDriver",
+    following=dict(type="IntelligentDriverModel", acceleration=1.5, braking=3.0, headway_s=1.5, gap_m=1.0),
+)
+#: Junctions at which the ego often drives behind others.
+JUNCTIONS = "intersection:5,intersection:6,intersection:7,intersection:11,intersection:13,intersection:14"
+# On two cores, quick takes a minute or two and full half an hour (docs/driving.md).
+PRESETS = dict(
+    quick=dict(attacks="phantom_queue@picture,phantom_queue@tracks", scenes="intersection:6,intersection:13", trials=1),
+    full=dict(attacks=ATTACKS, scenes=JUNCTIONS, trials=5),
+)
+
+
+def study(
+    preset="full",
+    attacks=None,
+    defences="none,FaultOrLie,veto",
+    scenes=None,
+    trials=None,
+    frames=150,
+    attack_start_s=2.0,
+    driver=DRIVER,
+    seed=0,
+):
+    """Attacks against defences, in pairs: the same scenes and seeds for all.
+
+    preset: quick or full; it sets all that is None;
+    attacks: NAME@WIRE, separated by commas: names, or classes, and wires of the scenario `driving`, such as
+    GhostAhead@picture, or hidden_leader@detections+picture;
+    defences: none, FaultOrLie and veto (own sensors), or classes or files of defences of the command centre;
+    scenes: short names, separated by commas: intersection:INDEX, sumo:INDEX; trials: seeds of each scene; seed: the
+    first one; frames: of each run; attack_start_s: when the attacks begin; driver: of the ego.
+    """
+    chosen = with_preset(PRESETS, preset, attacks=attacks, scenes=scenes, trials=trials)
+    common = dict(driver=driver, attack_start_s=attack_start_s)
+    runs, cells = {}, {}
+    for name in words(defences):
+        defended = DEFENCES.get(name, dict(defence=name))
+        for attack, wire in [("", ""), *map(attack_and_wire, several(words(chosen["attacks"])))]:
+            cell = DrivingCell(attack, wire, "" if name == "none" else name)
+            attacked = dict(attack=attack, wire=wire) if attack else {}
+            runs[cell.label] = dict(scenario="driving", parameters=common | defended | attacked)
+            cells[cell.label] = cell
+    return dict(
+        name="driving",
+        runs=runs,
+        cells=cells,
+        baseline=next(iter(runs)),
+        scenes=words(chosen["scenes"]),
+        trials=chosen["trials"],
+        frames=frames,
+        seed=seed,
+        runtime="inproc",
+    )
+
+
+def attack_and_wire(text):
+    """The attack and the wire of NAME@WIRE."""
+    attack, at, wire = text.rpartition("@")
+    if not at or not attack:
+        raise ConfigurationError(f"attacks: found {text!r}, expected NAME@WIRE{nearest(text, ATTACKS)}")
+    return attack, wire.replace("+", " ")

@@ -1,0 +1,125 @@
+"""The cause of a brake is found in what the driver believed, and its need in the truth."""
+
+import math
+
+import numpy as np
+import pytest
+
+from mast_zenoh.driving.braking import Belief, brakes_of, missed_brakes, spans
+from mast_zenoh.driving.consequences import consequences
+from mast_zenoh.metrics.driving import Objects
+from tests.driving.test_what_happened_to_cars import car, driven, objects, straight
+
+FRAMES = 30
+
+
+def braking(at: int, braking: float = 6.0, until: int = FRAMES) -> tuple[list[float], list[float]]:
+    """Places and speeds of a car that drives at 10 m/s and brakes from one frame to another."""
+    speed = [10.0]
+    for row in range(FRAMES - 1):
+        speed.append(max(speed[-1] - 0.1 * braking * (at <= row < until), 0.0))
+    return np.cumsum([0.0, *(0.1 * value for value in speed[1:])]).tolist(), speed
+
+
+def ahead(x: float, frames: range = range(FRAMES)) -> Objects:
+    return objects([(row, x, 0.0, 0.0) for row in frames])
+
+
+def brakes(believed: Objects, real: int, adversary: str = "", there: Objects | None = None, **known: object) -> list:
+    """The brakes of a car that brakes from frame 10 on, and whose driver believes in an object of track 5."""
+    there = objects([]) if there is None else there
+    x, speed = braking(10)
+    n = len(believed.frame)
+    belief = Belief(np.full(n, 5), np.full(n, real), np.full(n, adversary, object))
+    facts = dict(believed=believed, belief=belief, **known)
+    return consequences(driven(car(x, speed), there, [7] * len(there.frame), **facts))["brakes"]
+
+
+def test_a_brake_for_a_false_object_is_needless_and_names_its_adversary() -> None:
+    (brake,) = brakes(ahead(30.0), real=-1, adversary="adversary_1")
+    assert brake["cause"] == {"object": 5, "kind": "false", "adversary": "adversary_1"}
+    assert brake["needless"] is True
+    assert (brake["from_s"], brake["hardest_mps2"]) == (pytest.approx(2.0), pytest.approx(6.0))
+
+
+def test_a_brake_for_a_real_object_is_needful_and_names_it() -> None:
+    (brake,) = brakes(ahead(30.0), real=7, there=ahead(30.0))
+    assert brake["cause"] == {"object": 7, "kind": "real", "adversary": None}
+    assert brake["needless"] is False
+
+
+def test_of_two_objects_the_one_that_asks_for_the_hardest_braking_is_the_cause() -> None:
+    near, far = ahead(25.0), ahead(45.0)
+    both = Objects(*(np.concatenate(pair) for pair in zip(near, far, strict=True)))
+    order = np.argsort(both.frame, kind="stable")
+    both = Objects(*(column[order] for column in both))
+    is_near = both.position[:, 0] == 25.0
+    belief = Belief(np.where(is_near, 1, 2), np.where(is_near, -1, 9), np.full(len(order), "", object))
+    x, speed = braking(10)
+    (brake,) = consequences(driven(car(x, speed), objects([]), [], believed=both, belief=belief))["brakes"]
+    assert brake["cause"] == {"object": 1, "kind": "false", "adversary": None}
+
+
+def test_an_object_that_comes_after_the_hardest_braking_is_not_its_cause() -> None:
+    (brake,) = brakes(ahead(30.0, range(16, FRAMES)), real=-1)
+    assert (brake["cause"]["kind"], brake["needless"]) == ("none", True)
+
+
+def test_a_brake_before_a_line_is_needful() -> None:
+    x, _ = braking(10)
+    routes = {row: straight(place, stop_m=max(30.0 - place, 0.0)) for row, place in enumerate(x)}
+    (brake,) = brakes(objects([]), real=-1, routes=routes)
+    assert (brake["cause"], brake["needless"]) == ({"object": None, "kind": "line", "adversary": None}, False)
+
+
+def test_a_brake_before_a_bend_is_needful_and_has_no_object() -> None:
+    x, _ = braking(10)
+    routes = {row: straight(place, limit=4.0) for row, place in enumerate(x)}
+    (brake,) = brakes(objects([]), real=-1, routes=routes)
+    assert (brake["cause"]["kind"], brake["needless"]) == ("none", False)
+
+
+def test_a_brake_by_a_changed_command_is_the_adversarys_whatever_the_driver_believed() -> None:
+    (brake,) = brakes(ahead(30.0), real=7, tampered=["seizer"] * FRAMES)
+    assert brake["cause"] == {"object": None, "kind": "none", "adversary": "seizer"}
+
+
+def test_slowing_down_without_the_brake_light_is_no_brake() -> None:
+    assert brakes_of(np.array([0.0, -1.2, -1.3, 0.0]), 0.1) == []
+
+
+def test_a_short_interruption_does_not_end_a_brake() -> None:
+    acceleration = np.array([0.0, -2.0, 0.0, 0.0, -3.0, 0.0])
+    assert [tuple(brake) for brake in brakes_of(acceleration, 0.1)] == [(1, 4, 5)]
+    assert len(brakes_of(np.array([-2.0, *[0.0] * 6, -2.0]), 0.1)) == 2
+
+
+def test_spans_are_those_of_a_plain_loop() -> None:
+    random = np.random.default_rng(3)
+    for _ in range(50):
+        during = random.random(20) < 0.5
+        expected, first = [], None
+        for row, holds in enumerate([*during.tolist(), False]):
+            if holds and first is None:
+                first = row
+            if not holds and first is not None:
+                expected.append((first, row))
+                first = None
+        assert spans(during) == expected
+
+
+def test_a_brake_is_missed_if_an_emergency_lasts_and_the_car_does_not_brake() -> None:
+    """RSS gives the car 0.5 s to respond."""
+    long, short = np.arange(20) < 8, np.arange(20) < 5
+    assert missed_brakes(long, np.zeros(19), 0.1) == 1
+    assert missed_brakes(short, np.zeros(19), 0.1) == 0
+    assert missed_brakes(long, np.full(19, -9.0), 0.1) == 0
+
+
+def test_an_emergency_is_contact_within_a_second_and_a_half() -> None:
+    """At 10 m/s the gap falls from 15 m; the car hits what stands there after 1.5 s, so it had 1.4 s to brake."""
+    x = [0.0 + row for row in range(FRAMES)]
+    there = ahead(15.0 + 2.25 + 2.0)
+    found = consequences(driven(car(x, [10.0] * FRAMES), there, [7] * FRAMES))
+    assert (found["missed_brakes"], len(found["collisions"])) == (1, 1)
+    assert math.isclose(found["min_ttc_s"], 0.0, abs_tol=0.05)

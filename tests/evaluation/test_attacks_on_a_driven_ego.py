@@ -1,0 +1,88 @@
+"""Each attack on the road ahead of a driven ego reaches its aim, by what happened to the car and to its twin."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mast_zenoh import scenario
+from mast_zenoh.config import loading
+from mast_zenoh.runtime.inproc import InProcess
+
+pytestmark = pytest.mark.heavy
+
+#: The driver of the study, which keeps up with the traffic.
+DRIVER = loading.module(Path("studies/driving.py")).DRIVER
+
+
+@cache
+def metrics_of(junction: int, seed: int, *settings: str) -> dict[str, Any]:
+    """metrics.json of 15 s with attacks from 2 s on."""
+    path, content = scenario.load(
+        "driving", [f"scene_index={junction}", f"driver={DRIVER}", "attack_start_s=2.0", *settings]
+    )
+    process = InProcess(scenario.resolve(path, content, seed=seed, frames=150, record=False))
+    metrics: dict[str, Any] = process.run()["evaluator"]["metrics"]
+    assert not process.failures()
+    return metrics
+
+
+def driven(junction: int, seed: int, *settings: str) -> dict[str, Any]:
+    """What happened to the ego."""
+    ego: dict[str, Any] = metrics_of(junction, seed, *settings)["driven"]["ego"]
+    return ego
+
+
+@pytest.mark.parametrize(
+    ("attack", "junction", "seed"),
+    [("ghost_ahead", 6, 2), ("phantom_queue", 6, 2), ("cut_in", 6, 2), ("stale_picture", 6, 2), ("intruder", 5, 0)],
+)
+def test_an_ego_brakes_hard_for_what_is_not_there_and_its_twin_does_not(attack: str, junction: int, seed: int) -> None:
+    attacked, twin = driven(junction, seed, f"attack={attack}"), driven(junction, seed)
+    assert twin["needless_brakes"] == twin["hard_brakes"] == 0
+    assert attacked["needless_brakes"] >= 1
+    assert attacked["hard_brakes"] >= 1
+    assert attacked["progress_m"] < twin["progress_m"] - 15.0
+    causes = [brake["cause"] for brake in attacked["brakes"]]
+    assert {"false"} <= {cause["kind"] for cause in causes}
+    assert {"adversary_1"} <= {cause["adversary"] for cause in causes}
+
+
+def test_a_queue_stops_the_ego_for_as_long_as_it_stands() -> None:
+    attacked, twin = driven(6, 2, "attack=phantom_queue"), driven(6, 2)
+    assert attacked["blocked_s"] > 2.0 > twin["blocked_s"]
+
+
+@pytest.mark.parametrize("attack", ["hidden_leader", "displaced_leader"])
+def test_an_ego_hits_the_leader_that_it_does_not_see_and_its_twin_does_not(attack: str) -> None:
+    attacked, twin = driven(6, 2, f"attack={attack}"), driven(6, 2)
+    assert [hit["hidden"] for hit in attacked["collisions"]] == [True]
+    assert twin["collisions"] == []
+
+
+@pytest.mark.parametrize("attack", ["hidden_leader", "displaced_leader"])
+@pytest.mark.parametrize("wire", ["picture", "detections"])
+def test_one_of_both_sources_is_enough_to_keep_the_leader(attack: str, wire: str) -> None:
+    assert driven(6, 2, f"attack={attack}", f"wire={wire}")["collisions"] == []
+
+
+def test_hidden_crossers_are_missing_in_what_the_ego_gets_and_nobody_is_hit_where_the_route_knows_where_to_wait() -> (
+    None
+):
+    metrics = metrics_of(14, 0, "attack=hidden_crosser")
+    assert metrics["achieved"]["all"]["hidden"] >= 1
+    assert metrics["achieved"]["all"]["success_ego"] is True
+    assert metrics["driven"]["ego"]["collisions"] == []
+
+
+def test_own_sensors_or_a_defence_of_the_centre_protect_from_a_queue_where_they_can_see_it() -> None:
+    twin = driven(6, 2)["progress_m"]
+    assert driven(6, 2, "attack=phantom_queue", "veto=True")["progress_m"] > twin - 15.0
+    on_tracks = ("attack=phantom_queue", "wire=tracks")
+    assert driven(6, 2, *on_tracks)["progress_m"] < twin - 15.0
+    assert driven(6, 2, *on_tracks, "defence=FaultOrLie")["progress_m"] > twin - 15.0
+    on_downlink = driven(6, 2, "attack=phantom_queue", "defence=FaultOrLie")
+    assert on_downlink["progress_m"] < twin - 15.0, "the centre does not see what happens to its picture"

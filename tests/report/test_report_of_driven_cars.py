@@ -1,0 +1,160 @@
+"""A report says what a driven car did and why, beside its twin: sentences, table, figure and page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from run_samples import FRAMES
+
+from mast_zenoh.report import comparison
+from mast_zenoh.report.comparison import Reference
+from mast_zenoh.report.figures.driven import course_of, driven_figure
+from mast_zenoh.report.html import write_report
+from mast_zenoh.report.narrative.driven import car_sentences, reason_of
+from mast_zenoh.report.tables.of_run import driven_table
+from mast_zenoh.viewer.palette import RUN_COLOURS
+from mast_zenoh.viewer.run import RunRecord, Table
+
+RunOf = Callable[..., RunRecord]
+GHOST = {"object": 28, "kind": "false", "adversary": "adversary_1"}
+
+
+def happened(**changes: Any) -> dict[str, Any]:
+    """The consequences of a drive in which nothing happened, with changes."""
+    return {
+        "collisions": [],
+        "near_misses": 0,
+        "min_ttc_s": None,
+        "rss_unsafe_s": 0.0,
+        "brakes": [],
+        "needless_brakes": 0,
+        "missed_brakes": 0,
+        "hardest_braking_mps2": 0.0,
+        "progress_m": 93.0,
+        "standing_s": 0.0,
+        "behind": {"cars": 0, "hard_brakes": 0},
+        **changes,
+    }
+
+
+def brake(cause: dict[str, Any], needless: bool = True) -> dict[str, Any]:
+    return {"from_s": 1.7, "until_s": 2.1, "hardest_mps2": 9.0, "needless": needless, "cause": cause}
+
+
+BRAKED = happened(brakes=[brake(GHOST)], needless_brakes=1, hardest_braking_mps2=9.0, progress_m=29.0, standing_s=1.1)
+
+
+def course(hard: bool) -> Table:
+    """The course of a car on a straight road, of which one brakes."""
+    frame = np.arange(FRAMES)
+    during = (frame >= 17) & (frame < 21) & hard
+    speed = 8.0 - 0.9 * np.cumsum(during)
+    return {
+        "agent": np.full(FRAMES, "ego", object),
+        "frame": frame,
+        "time_s": 0.1 * frame,
+        "x": -70.0 + np.cumsum(0.1 * speed),
+        "y": np.full(FRAMES, -3.0),
+        "heading": np.zeros(FRAMES),
+        "speed_mps": speed,
+        "acceleration_mps2": np.where(during, -9.0, 0.0),
+        "brake": during,
+    }
+
+
+@pytest.fixture
+def both(run_of: RunOf) -> tuple[RunRecord, Reference]:
+    """A run in which a ghost makes the ego brake, and its twin."""
+    run, twin = run_of("uncoordinated"), run_of()
+    object.__setattr__(run, "driven", course(hard=True))
+    object.__setattr__(twin, "driven", course(hard=False))
+    run.metrics["driven"], twin.metrics["driven"] = {"ego": BRAKED}, {"ego": happened()}
+    return run, Reference(twin, "unattacked")
+
+
+def test_sentences_name_the_moment_the_object_and_the_adversary_of_a_brake(both: tuple[RunRecord, Reference]) -> None:
+    run, twin = both
+    assert car_sentences(run, twin) == [
+        "The ego brakes needlessly with 9.0 m/s² at 1.7 s for an object that is not there (track 28, shown by "
+        "adversary_1)",
+        "The ego drives 29 m instead of 93 m and stands for 1.1 s instead of 0.0 s (unattacked)",
+    ]
+    assert car_sentences(run)[-1] == "The ego drives 29 m and stands for 1.1 s"
+    assert car_sentences(twin.run, twin)[-1] == "The ego drives 93 m, as unattacked"
+    del run.metrics["driven"]
+    assert car_sentences(run, twin) == []
+
+
+def test_collisions_are_named_first_and_counted_for_the_other_run(both: tuple[RunRecord, Reference]) -> None:
+    run, twin = both
+    hit = {"object": 9, "frame": 33, "speed_mps": 2.34, "hidden": True}
+    run.metrics["driven"] = {"ego": happened(collisions=[hit], missed_brakes=2)}
+    assert car_sentences(run, twin) == [
+        "The ego hits object 9 in frame 33 (2.3 m/s between them, hidden from its driver)",
+        "The ego fails to brake in 2 emergencies",
+        "The ego drives 93 m, as unattacked",
+        "unattacked: 0 collisions",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("kind", "adversary", "needless", "words"),
+    [
+        ("real", None, False, "for object 28"),
+        ("false", None, True, "for an object that is not there (track 28)"),
+        ("line", None, False, "before a line"),
+        ("none", "seizer", True, "because seizer changed its commands"),
+        ("none", None, True, "for nothing that it believed"),
+        ("none", None, False, "for the road ahead"),
+    ],
+)
+def test_every_kind_of_cause_has_words(kind: str, adversary: str | None, needless: bool, words: str) -> None:
+    assert reason_of(brake({"object": 28, "kind": kind, "adversary": adversary}, needless)) == words
+
+
+def test_the_table_has_a_line_for_the_run_and_one_for_its_twin(both: tuple[RunRecord, Reference]) -> None:
+    run, twin = both
+    rows = [line.cells for line in driven_table(run, twin.run, twin.name).lines]
+    assert [row[:2] for row in rows] == [("ego", "unattacked"), ("ego", run.label)]
+    assert [row[4:8] for row in rows] == [("0", "0", "0", "0.0"), ("1", "1", "0", "9.0")]
+    assert [row[10:12] for row in rows] == [("93.0", "0.0"), ("29.0", "1.1")]
+    assert driven_table(twin.run).lines[0].cells[0] == "ego"
+
+
+def test_the_figure_shows_the_speeds_of_both_and_the_needless_brake_as_a_band(
+    both: tuple[RunRecord, Reference],
+) -> None:
+    run, twin = both
+    figure = driven_figure(run, twin)
+    assert figure is not None
+    _, acceleration, speed = figure.axes
+    lines = {line.get_label(): line for line in speed.get_lines()}
+    own = lines[f"ego, {run.label}"]
+    assert own.get_color() == RUN_COLOURS[0]
+    np.testing.assert_array_equal(own.get_ydata(), course(hard=True)["speed_mps"])
+    np.testing.assert_array_equal(lines["unattacked"].get_ydata(), course(hard=False)["speed_mps"])
+    bands = {patch.get_label(): patch.get_extents() for patch in acceleration.patches}
+    assert {"attack", "brakes needlessly"} <= bands.keys()
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert labels == ["attack", "brakes needlessly", "unattacked", f"ego, {run.label}", "hard braking"]
+
+
+def test_a_run_without_drivers_has_neither_a_figure_nor_a_section(run_of: RunOf) -> None:
+    run = run_of("uncoordinated")
+    assert course_of(run) is None
+    assert driven_figure(run) is None
+    assert "What the car did" not in write_report(run.path).read_text()
+
+
+def test_driven_runs_of_one_scene_are_comparable_although_their_truth_differs(run_of: RunOf) -> None:
+    run, other = run_of("uncoordinated"), run_of()
+    assert run.recording is not None
+    moved = run.recording.truth.position + 1.0
+    object.__setattr__(run.recording.truth, "position", moved)
+    run.metrics["driven"] = {"ego": happened()}
+    assert comparison._same_scene(run, other)
+    del run.metrics["driven"]
+    assert not comparison._same_scene(run, other)
