@@ -54,12 +54,14 @@ class StopLine(NamedTuple):
 class Way:
     """The lanes that a car follows, one after the other, without changing to a lane beside it.
 
-    lanes: their names;  start: (l + 1,) m, where each begins along the way, and where the last one ends
+    lanes: their names;  limit: (l,) m/s, of each
+    start: (l + 1,) m, where each begins along the way, and where the last one ends
     position: (k, 2) m, every metre;  speed: (k,) m/s, the greatest: the limit, and what bends allow
     lines: where a car may have to stop, ascending;  is_dead_end: whether no lane leads on
     """
 
     lanes: Sequence[str]
+    limit: Floats
     start: Floats
     position: Floats
     speed: Floats
@@ -81,6 +83,11 @@ class Way:
         k = min(first + row, len(self.position) - 2)
         step = self.position[k + 1] - self.position[k]
         return max(0.0, k + float((position - self.position[k]) @ step) / max(float(step @ step), 1e-9))
+
+    def duration_s(self, front: float, factor: float, fastest: float) -> float:
+        """s, at least, from a place m along the way to its end. factor: of limits;  fastest: m/s"""
+        rest = np.diff(np.maximum(self.start, front))
+        return float((rest / np.maximum(np.minimum(self.limit * factor, fastest), 0.1)).sum())
 
     def row_at(self, along: float) -> int:
         """The row of the lane at a place m along the way."""
@@ -151,7 +158,15 @@ def way_from(lane: str, edges: Sequence[str], length_m: float, lane_of: Callable
     if len(position) > 2:  # the last one is a metre after the one before, also beyond the end
         position[-1] = position[-2] + (position[-2] - position[-3])
     part = np.clip(np.searchsorted(start, places, side="right") - 1, 0, len(limits) - 1)
-    return Way(names, start, position, _speeds(position, np.array(limits)[part]), lines, not lane_of(names[-1]).links)
+    return Way(
+        names,
+        np.array(limits),
+        start,
+        position,
+        _speeds(position, np.array(limits)[part]),
+        lines,
+        not lane_of(names[-1]).links,
+    )
 
 
 def _length(shape: Floats) -> float:

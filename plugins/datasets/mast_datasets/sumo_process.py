@@ -26,7 +26,7 @@ _END_S = 3
 _MAX_OUTPUT = 1_000_000  # bytes of each file that SUMO writes: its messages are in one
 #: Of moveToXY: the car stays on its route, or is beside the road, where nobody sees it.
 _KEEP_ROUTE_OR_LEAVE_ROAD = 3
-_ALL_LANE_CHANGES, _NO_LANE_CHANGES = 1621, 0
+_NO_LANE_CHANGES = 0
 
 
 class Simulation:
@@ -37,7 +37,6 @@ class Simulation:
 
         self.sumo = libsumo
         self._known: set[str] = set()
-        self._held: set[str] = set()
 
     def start(self, arguments: list[str]) -> str:
         """Load the network. Returns SUMO's version."""
@@ -56,11 +55,6 @@ class Simulation:
         """
         vehicle, person = self.sumo.vehicle, self.sumo.person
         present = set(vehicle.getIDList())
-        moved = {move[0] for move in moves} & present
-        for names, mode in ((moved - self._held, _NO_LANE_CHANGES), (self._held - moved, _ALL_LANE_CHANGES)):
-            for name in names & present:
-                vehicle.setLaneChangeMode(name, mode)
-        self._held = moved
         for row in range(steps):
             for name, edge, lane, places in moves:
                 if name in present:
@@ -120,23 +114,16 @@ class Simulation:
             for name in names
         ]
 
-    def edges(self, names: list[str]) -> list[Any]:
-        """Of each edge: length m, and limit m/s of its fastest lane."""
-        lane, edge = self.sumo.lane, self.sumo.edge
-        return [
-            (
-                lane.getLength(f"{name}_0"),
-                max(lane.getMaxSpeed(f"{name}_{row}") for row in range(edge.getLaneNumber(name))),
-            )
-            for name in names
-        ]
+    def keep_lanes(self, name: str, edges: list[str]) -> bool:
+        """Give a vehicle a route on which it never changes lanes from now on; returns whether SUMO takes it.
 
-    def reroute(self, name: str, edges: list[str]) -> bool:
-        """Give a vehicle another route from its present edge on; returns whether SUMO takes it."""
+        edges: of the route, from the present one or the next one on
+        """
         vehicle = self.sumo.vehicle
         try:
             present = vehicle.getRoute(name)[vehicle.getRouteIndex(name)]
             vehicle.setRoute(name, edges if edges[:1] == [present] else [present, *edges])
+            vehicle.setLaneChangeMode(name, _NO_LANE_CHANGES)
         except self.sumo.TraCIException:  # it is beside the road
             return False
         return True

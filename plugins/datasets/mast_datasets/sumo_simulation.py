@@ -182,13 +182,12 @@ class SumoSimulation:
         """Of each lane: shape, limit m/s, and (next lane, lane of the junction or "", direction) of each link."""
         return list(self._ask("lanes", _STEP_S, list(names)))
 
-    def edges(self, names: Sequence[str]) -> list[tuple[float, float]]:
-        """Of each edge: length m, and limit m/s of its fastest lane."""
-        return [tuple(edge) for edge in self._ask("edges", _STEP_S, list(names))]
+    def keep_lanes(self, car: str, edges: Sequence[str]) -> bool:
+        """Give a car a route on which it never changes lanes from now on; returns whether SUMO takes it.
 
-    def reroute(self, car: str, edges: Sequence[str]) -> bool:
-        """Give a car another route from the edge on that it is on; returns whether SUMO takes it."""
-        return bool(self._ask("reroute", _STEP_S, car, list(edges)))
+        edges: of the route, from the present one or the next one on
+        """
+        return bool(self._ask("keep_lanes", _STEP_S, car, list(edges)))
 
     def _check(self, present: Present) -> None:
         """Raise SceneError for a vehicle that cannot be."""

@@ -12,7 +12,7 @@ import numpy as np
 from mast_datasets.sumo_files import read_buildings, type_of_class
 from mast_datasets.sumo_inputs import SumoInputs, read_configuration
 from mast_datasets.sumo_simulation import Present, SumoSimulation
-from mast_datasets.sumo_world import SumoWorld, Surroundings, Ways
+from mast_datasets.sumo_world import Ride, SumoWorld, Surroundings, Ways
 from mast_datasets.traffic import DataSetScene
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats
 from mast_zenoh.errors import ConfigurationError, SceneError
@@ -49,9 +49,9 @@ class SumoTraffic(DataSetScene):
     scale:             factor of the traffic's demand; None: that of the configuration
     sensors:           lists of dict(type=…) by agent or pattern, see `Sensor`; None: a lidar each
 
-    Agents are cars that have far enough to go. The seed decides about SUMO's random numbers and the detections. The
-    world is flat: heights of the network are left out. `record` makes 150 frames by default at 10 Hz. Raises
-    ConfigurationError if SUMO is not installed.
+    Agents are cars that can follow their lanes for long enough; they never change lanes. The seed decides about SUMO's
+    random numbers and the detections. The world is flat: heights of the network are left out. `record` makes 150 frames
+    by default at 10 Hz. Raises ConfigurationError if SUMO is not installed.
     """
 
     files = (("*.sumocfg", "!*fcd*.xml*", "!*fcd*.csv*"), ("*.sumo.cfg", "!*fcd*.xml*", "!*fcd*.csv*"))
@@ -144,55 +144,65 @@ class SumoTraffic(DataSetScene):
                 simulation.advance(start_s)
             present = simulation.step(0)
             duration_s = max(_WINDOW_S, frames / self.rate_hz)
-            cars = self._choose(simulation, present, duration_s, f"{inputs.path}: at {start_s:g} s")
-            surroundings = self._surroundings(inputs, simulation, present, cars["ego"])
+            cars, rides = self._choose(simulation, present, duration_s, f"{inputs.path}: at {start_s:g} s")
             return SumoWorld(
-                simulation, present, cars, surroundings, steps=steps, step_s=step_s, detector=self.detector
+                simulation,
+                present,
+                cars,
+                rides,
+                self._surroundings(inputs, simulation, present, cars["ego"], rides["ego"]),
+                steps=steps,
+                step_s=step_s,
+                detector=self.detector,
             )
         except BaseException:
             simulation.close()
             raise
 
-    def _choose(self, simulation: SumoSimulation, present: Present, duration_s: float, place: str) -> dict[str, str]:
-        """The vehicles that are agents, by name of the agent: the ego, then those nearest to it."""
+    def _choose(
+        self, simulation: SumoSimulation, present: Present, duration_s: float, place: str
+    ) -> tuple[dict[str, str], dict[str, Ride]]:
+        """The vehicles that are agents, and where they are going, by name of the agent: the ego, then those near it."""
+        ways = Ways(simulation)
         cars = [row for row, name in enumerate(present.names) if not present.person[row] and _is_car(simulation, name)]
-        names = [present.names[row] for row in cars]
-        fit = [row for row, far in zip(cars, _drives_on(simulation, names, duration_s), strict=True) if far]
-        moving = [row for row in fit if present.speed[row] > _MOVING_MPS] or fit
+        moves = present.speed > _MOVING_MPS
+        wanted = [row for row in cars if present.names[row] == str(self.ego)]
+        if self.ego is None:
+            company = {row: int((moves & (_distance(present, row) < _NEAR_M)).sum()) for row in cars}
+            wanted = sorted(cars, key=lambda row: (not moves[row], -company[row], row))
         expected = f"expected a car that drives on for {duration_s:g} s"
-        if self.ego is not None:
-            chosen = [row for row in fit if present.names[row] == str(self.ego)]
-            if not chosen:
-                some = ", ".join(present.names[row] for row in moving[:10]) or "there is none"
-                raise ConfigurationError(f"{place}: ego is {self.ego!r}, {expected}, such as {some}")
-            ego = chosen[0]
-        elif not moving:
+        found = ((row, ways.keep_lanes(present.names[row], duration_s)) for row in wanted)
+        ego, ride = next(((row, ride) for row, ride in found if ride), (-1, None))
+        if ride is None and self.ego is not None:
+            some = ", ".join(present.names[row] for row in cars[:10]) or "there is none"
+            raise ConfigurationError(f"{place}: ego is {self.ego!r}, {expected}; the cars are {some}")
+        if ride is None:
             raise SceneError(f"{place}: found {len(cars)} cars, {expected}; choose another start_s")
-        else:
-            others_move = present.speed > _MOVING_MPS
-            company = [int((others_move & (_distance(present, row) < _NEAR_M)).sum()) for row in moving]
-            ego = moving[int(np.argmax(company))]
-        others = [row for row in fit if row != ego]
-        count = self.n_mobile or 0
-        if count > len(others):
+        names, rides = {"ego": present.names[ego]}, {"ego": ride}
+        distance, count = _distance(present, ego), self.n_mobile or 0
+        for row in sorted(cars, key=lambda row: (not moves[row], float(distance[row]), row)):
+            if len(names) > count:
+                break
+            ride = ways.keep_lanes(present.names[row], duration_s) if row != ego else None
+            if ride is not None:
+                rides[f"mobile_{len(names)}"] = ride
+                names[f"mobile_{len(names)}"] = present.names[row]
+        if len(names) <= count:
             raise ConfigurationError(
-                f"{place}: n_mobile is {count}, expected 0 to {len(others)}: so many cars besides the ego drive on for "
-                f"{duration_s:g} s"
+                f"{place}: n_mobile is {count}, expected 0 to {len(names) - 1}: so many cars besides the ego drive on "
+                f"for {duration_s:g} s"
             )
-        distance = _distance(present, ego)
-        nearest = sorted(others, key=lambda row: (row not in moving, float(distance[row]), present.names[row]))[:count]
-        return {"ego": present.names[ego]} | {
-            f"mobile_{k}": present.names[row] for k, row in enumerate(nearest, start=1)
-        }
+        return names, rides
 
-    def _surroundings(self, inputs: SumoInputs, simulation: SumoSimulation, present: Present, ego: str) -> Surroundings:
+    def _surroundings(
+        self, inputs: SumoInputs, simulation: SumoSimulation, present: Present, ego: str, ride: Ride
+    ) -> Surroundings:
         """What does not change: poles and buildings along the ego's way."""
         row = present.names.index(ego)
         yaw = np.radians(90.0 - present.angle[row])
         origin = present.front[row] - simulation.shapes[ego].size[0] / 2.0 * np.array([np.cos(yaw), np.sin(yaw)])
-        way, front, *_ = Ways(simulation).ride(ego)
-        first = min(int(front), len(way.position) - 2)
-        route = way.position[first : first + _ROUTE_POINTS] - origin
+        first = min(int(ride.front), len(ride.way.position) - 2)
+        route = ride.way.position[first : first + _ROUTE_POINTS] - origin
         direction = np.diff(route, axis=0)
         heading = np.arctan2(direction[:, 1], direction[:, 0])
         count = _POLES if self.n_infrastructure is None else self.n_infrastructure
@@ -218,20 +228,6 @@ def _is_car(simulation: SumoSimulation, name: str) -> bool:
 def _distance(present: Present, row: int) -> Floats:
     """(n,) m, of all from the one in a row."""
     return np.asarray(np.hypot(*(present.front - present.front[row]).T))
-
-
-def _drives_on(simulation: SumoSimulation, names: Sequence[str], duration_s: float) -> list[bool]:
-    """Whether the rest of each vehicle's route takes longer than a duration, as fast as it can."""
-    cars = simulation.cars(names)
-    edges = sorted({edge for _, _, route, row, _, _ in cars for edge in route[row:]})
-    known = dict(zip(edges, simulation.edges(edges), strict=True))
-    far = []
-    for _, at, route, row, factor, fastest in cars:
-        parts = [known[edge] for edge in route[row:]]
-        speeds = [min(limit * factor, fastest) for _, limit in parts]
-        seconds = sum(length / speed for (length, _), speed in zip(parts, speeds, strict=True) if speed > 0.0)
-        far.append(bool(speeds) and seconds - at / max(speeds[0], 0.1) > duration_s + 1.0)
-    return far
 
 
 #: For poles: the ground is at 0.

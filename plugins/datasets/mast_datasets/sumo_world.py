@@ -25,7 +25,8 @@ from mast_zenoh.scenes.recording import SceneAgent, truth_states
 from mast_zenoh.scenes.stepped import SteppedWorld
 from mast_zenoh.sensing import Detector
 
-_WAY_M = 1000.0  # of a way that is planned at once
+_WAY_M = 1000.0  # of a way that is planned at once, at least,
+_FASTEST = 40.0  # m/s, and more for a car that drives as fast for long
 _NAMED = 1_000_000_000  # ids from here on are of vehicles whose names are no numbers
 
 
@@ -53,10 +54,14 @@ class Ways:
         self._simulation = simulation
         self._lanes: dict[str, Lane] = {}
 
-    def ride(self, vehicle: str) -> Ride:
-        """Where a vehicle is going, from its lane on."""
+    def keep_lanes(self, vehicle: str, duration_s: float) -> Ride | None:
+        """Where a vehicle is going that does not change lanes from now on; None: not for so long."""
         lane, at, route, row, factor, fastest = self._simulation.cars([vehicle])[0]
-        return Ride(way_from(lane, route[row + 1 :], _WAY_M, self._lane), at, factor, fastest)
+        if not lane:
+            return None
+        way = way_from(lane, route[row + 1 :], at + max(_WAY_M, duration_s * min(fastest, _FASTEST)), self._lane)
+        lasts = way.duration_s(at, factor, fastest) > duration_s
+        return Ride(way, at, factor, fastest) if lasts and self._simulation.keep_lanes(vehicle, way.edges) else None
 
     def on(self, lane: str) -> Way:
         """The way from a lane on, straight on at forks."""
@@ -111,13 +116,12 @@ class Moment:
 class _Driven:
     """A car that obeys commands.
 
-    position: (2,) m, of its middle, in the axes of the network;  heading: rad;  speed: m/s;  ride: where it goes
+    position: (2,) m, of its middle, in the axes of the network;  heading: rad;  speed: m/s
     """
 
     position: Floats
     heading: float
     speed: float
-    ride: Ride
 
     def move(self, command: Command, duration_s: float) -> None:
         """Go on for `duration_s` s along a circle, with a constant acceleration until it stands."""
@@ -142,7 +146,7 @@ class SumoWorld(SteppedWorld):
     """SUMO's traffic, stepped from the first frame of a scene on.
 
     simulation: at that frame;  present: what is there then
-    cars: vehicle of each agent that is one, by name of the agent, the ego first
+    cars: vehicle of each agent that is one, by name of the agent, the ego first;  rides: where these are going
     steps, step_s: of a frame;  detector: of sensors without one of their own
     """
 
@@ -151,6 +155,7 @@ class SumoWorld(SteppedWorld):
         simulation: SumoSimulation,
         present: Present,
         cars: Mapping[str, str],
+        rides: Mapping[str, Ride],
         surroundings: Surroundings,
         *,
         steps: int,
@@ -161,6 +166,7 @@ class SumoWorld(SteppedWorld):
         self._simulation, self._ways, self._present = simulation, Ways(simulation), present
         self._vehicles, self._surroundings = dict(cars), surroundings
         self._steps, self._step_s = steps, step_s
+        self._rides = dict(rides)
         self._driven: dict[str, _Driven] = {}
         self._priority: dict[str, Priority] = {}  # of cars with a driver
         self._ids: dict[str, int] = {}
@@ -194,39 +200,39 @@ class SumoWorld(SteppedWorld):
             for _ in range(self._steps):
                 driven.move(command, self._step_s)
                 places.append((*driven.front(length).tolist(), 90.0 - float(np.degrees(driven.heading))))
-            expected = driven.ride.front + driven.speed * self._steps * self._step_s
-            front = driven.ride.way.along(driven.front(length), expected)
-            driven.ride = self._planned(car, driven.ride._replace(front=front))
-            edge, lane = driven.ride.way.lane_at(driven.ride.front)
-            moves.append(Move(self._vehicles[car], edge, lane, places))
+            self._advance(car, driven.front(length), driven.speed)
+            ride = self._rides[car]
+            moves.append(Move(self._vehicles[car], *ride.way.lane_at(ride.front), places))
             if car in self._priority:
-                watched[self._vehicles[car]] = [line.lane for line in driven.ride.lines]
+                watched[self._vehicles[car]] = [line.lane for line in ride.lines]
         self._present = self._simulation.step(self._steps, moves, watched)
+        for car in self.cars:
+            if car not in self._driven:
+                row = self._row(car)
+                self._advance(car, self._present.front[row], float(self._present.speed[row]))
 
     def _take_over(self, car: str) -> _Driven:
         """A car as it drives itself now."""
-        row, ride = self._row(car), self._ways.ride(self._vehicles[car])
+        row = self._row(car)
         heading = float(np.radians(90.0 - self._present.angle[row]))
         middle = self._present.front[row] - self.size(car)[0] / 2.0 * _direction(heading)
-        self._simulation.reroute(self._vehicles[car], ride.way.edges)
-        return _Driven(middle, heading, float(self._present.speed[row]), ride)
+        return _Driven(middle, heading, float(self._present.speed[row]))
 
-    def _planned(self, car: str, ride: Ride) -> Ride:
-        """The ride of a driven car, planned anew if it is near the end of what is planned."""
-        if ride.way.is_dead_end or ride.way.length - ride.front > 2.0 * HORIZON_M:
-            return ride
-        row = ride.way.row_at(ride.front)
-        way = self._ways.on(ride.way.lanes[row])
-        self._simulation.reroute(self._vehicles[car], way.edges)
-        return ride._replace(way=way, front=ride.front - float(ride.way.start[row]))
+    def _advance(self, car: str, front: Floats, speed: float) -> None:
+        """Go on with the ride of a car to its front (2,) m; near the end of what is planned, plan farther."""
+        ride = self._rides[car]
+        ride = ride._replace(front=ride.way.along(front, ride.front + speed * self._steps * self._step_s))
+        if not ride.way.is_dead_end and ride.way.length - ride.front < 2.0 * HORIZON_M:
+            row = ride.way.row_at(ride.front)
+            way = self._ways.on(ride.way.lanes[row])
+            self._simulation.keep_lanes(self._vehicles[car], way.edges)
+            ride = ride._replace(way=way, front=ride.front - float(ride.way.start[row]))
+        self._rides[car] = ride
 
     def route(self, car: str) -> RouteAhead:
         vehicle, length = self._vehicles[car], float(self.size(car)[0])
-        driven = self._driven.get(car)
-        if driven is None:
-            ride, speed = self._ways.ride(vehicle), float(self._present.speed[self._row(car)])
-        else:
-            ride, speed = driven.ride, driven.speed
+        driven, ride = self._driven.get(car), self._rides[car]
+        speed = float(self._present.speed[self._row(car)]) if driven is None else driven.speed
         lines = ride.lines
         around = self._present.around.get(vehicle)
         foes, signals = around or self._simulation.around(vehicle, [line.lane for line in lines])

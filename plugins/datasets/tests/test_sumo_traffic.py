@@ -205,6 +205,11 @@ def test_a_car_beside_the_road_does_not_stop_the_traffic_nor_the_run(crossing: P
     assert abs(present.agent_position[0, 0, 1]) > 20.0
 
 
+def test_agents_keep_their_lanes_and_their_routes_lead_on(crossing: Path) -> None:
+    with pytest.raises(SceneError, match="expected a car that drives on for 100 s"):
+        scene(crossing, ego=None).record(0, 1000)
+
+
 def test_ids_do_not_depend_on_what_happens(crossing: Path) -> None:
     recording = scene(crossing).record(0, 2)
     numbers = recording.truth_at(0).id.tolist()
@@ -225,7 +230,7 @@ def test_objects_are_there_within_the_radius_of_an_agent(crossing: Path) -> None
 @pytest.mark.parametrize(
     ("parameters", "problem"),
     [
-        (dict(ego="nobody"), "at 5 s: ego is 'nobody', expected a car that drives on for 15 s, such as 11"),
+        (dict(ego="nobody"), "at 5 s: ego is 'nobody', expected a car that drives on for 15 s; the cars are 11"),
         (dict(n_mobile=9), "n_mobile is 9, expected 0 to 2"),
         (dict(start_s=0.0), "found 0 cars, expected a car that drives on"),
     ],
