@@ -6,6 +6,8 @@
     mesh          lock-step frames of the baseline on a mesh, on the wall clock, also of bare messages over the same
                   graph with and without the barrier between frames (see lockstep.py), and with certificates and rights
     tracker       a step with 50 objects, also of filterpy and Stone Soup with equal models, in processor time
+    closed loop   frames of a junction whose ego is driven, in processor time, also of the same junction as it was
+                  prepared: alone, and with the perception of its agents, which the prepared scene holds
     link          the latency that a link node adds to a message, also that of a bare relay (see link.py)
 
 Above 1, this version is faster. Both sides of a ratio are measured one after the other, in an order that alternates;
@@ -33,10 +35,16 @@ import turns
 import versions
 
 from mast_zenoh import scenario
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.runtime.inproc import InProcess
+from mast_zenoh.scenes import Intersection
+from mast_zenoh.scenes.making.observe import FrameDetection, lidar_visibility
+from mast_zenoh.sensing import DetectionModel
 from mast_zenoh.tracking import FilterpyBoxTracker3D, KalmanBoxTracker3D, StoneSoupTracker, Tracker
 
 #: Measures the seconds of all sides of a comparison, this version's first.
 Comparison = Callable[[], dict[str, float]]
+DRIVEN_FRAMES = 100
 MESSAGES = 100  # in a block of messages through a link
 
 
@@ -55,6 +63,34 @@ def in_turn(**sides: Callable[[], float]) -> Comparison:
 def step_s(tracker: type[Tracker]) -> float:
     """Seconds of a step with 50 objects."""
     return turns.step_ms(tracker(), 20) * 1e-3
+
+
+def closed_loop() -> dict[str, Callable[[], float]]:
+    """What takes the processor seconds of a junction's frames: driven, as prepared, and as prepared and perceived."""
+    path, content = scenario.load("driving")
+    driven = scenario.resolve(path, content, frames=DRIVEN_FRAMES)
+    recorded = scenario.resolve(path, content | {"drivers": {}}, frames=DRIVEN_FRAMES)
+
+    def played(resolved: Resolved) -> float:
+        began: list[float] = []
+        InProcess(resolved, progress=lambda frames: began.append(time.process_time())).run()
+        return (began[-1] - began[0]) * DRIVEN_FRAMES / (len(began) - 1)
+
+    def perceived() -> float:
+        world = Intersection().world(driven.seed, DRIVEN_FRAMES).now()
+        detection = FrameDetection(world, DetectionModel(), driven.seed)
+        ready = time.process_time()
+        for frame in range(DRIVEN_FRAMES):
+            points = lidar_visibility(world, walls=detection.walls)
+            for _ in detection.of(world, 0, points, number=frame):
+                pass
+        return time.process_time() - ready
+
+    return {
+        "this": partial(played, driven),
+        "open_loop": partial(played, recorded),
+        "open_loop_and_perception": lambda: played(recorded) + perceived(),
+    }
 
 
 def comparisons(this: versions.Version, other: versions.Version, bench: link.Bench) -> dict[str, Comparison]:
@@ -87,6 +123,7 @@ def comparisons(this: versions.Version, other: versions.Version, bench: link.Ben
             filterpy=partial(step_s, FilterpyBoxTracker3D),
             stone_soup=partial(step_s, StoneSoupTracker),
         ),
+        "closed loop": in_turn(**closed_loop()),
         "link": added_by_link,
     }
 

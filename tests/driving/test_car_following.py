@@ -110,11 +110,29 @@ def amplification(model: IntelligentDriverModel, speed: float, n: int = 40) -> f
     return float(extent[-1] / extent[0])
 
 
-@pytest.mark.parametrize(("model", "stable"), [(dict(acceleration=2.0), True), (dict(acceleration=0.3), False)])
-def test_oscillations_grow_along_a_platoon_where_the_criterion_says_so(model: dict[str, float], stable: bool) -> None:
+@pytest.mark.parametrize(
+    ("model", "speed", "stable"),
+    [
+        (dict(acceleration=2.0), 10.0, True),
+        (dict(acceleration=1.2), 10.0, False),  # just below the threshold
+        (dict(), 10.0, False),  # that of the paper: traffic jams form
+        (dict(), 25.0, True),  # and do not at high speeds
+        (dict(headway_s=2.6), 10.0, False),
+        (dict(acceleration=1.5, braking=3.0, headway_s=1.5, gap_m=1.0), 8.0, False),  # that of PDM-Closed
+    ],
+)
+def test_oscillations_grow_along_a_platoon_where_the_criterion_says_so(
+    model: dict[str, float], speed: float, stable: bool
+) -> None:
     chosen = IntelligentDriverModel(**model)
-    assert (criterion(chosen, 10.0) > 0.0) is stable
-    assert (amplification(chosen, 10.0) < 1.0) is stable
+    assert (criterion(chosen, speed) > 0.0) is stable
+    assert (amplification(chosen, speed) < 1.0) is stable
+
+
+@pytest.mark.parametrize(("speed", "gap"), [(5.0, 10.0), (20.0, 36.5), (30.0, 85.3)])
+def test_the_equilibrium_gap_is_that_of_the_paper(speed: float, gap: float) -> None:
+    """2 m + 1.6 s v, over the root of 1 - (v / v0)^4: computed by hand."""
+    assert equilibrium_gap(IntelligentDriverModel(), speed, DESIRED) == pytest.approx(gap, abs=0.1)
 
 
 @pytest.mark.parametrize("name", ["acceleration", "braking", "headway_s", "gap_m", "exponent"])

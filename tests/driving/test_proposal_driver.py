@@ -72,20 +72,20 @@ def test_proposals_end_beside_the_middle_of_the_lane_and_at_their_speeds_also_in
 
 
 def test_on_a_free_lane_it_stays_in_the_middle_and_speeds_up() -> None:
-    (_, across), speed, hardest, _ = driven(6.0, [], 12.0)
+    (_, across), speed, hardest, _ = driven(9.0, [], 6.0)
     assert across == 0.0
     assert speed == pytest.approx(12.0, abs=0.5)
     assert hardest >= 0.0
 
 
 def test_it_stops_behind_a_standing_car_and_before_a_line() -> None:
-    (along, _), speed, hardest, nearest = driven(10.0, [(60.0, 0.0, 0.0)], 20.0)
+    (along, _), speed, hardest, nearest = driven(7.0, [(24.0, 0.0, 0.0)], 10.0)
     assert speed < 0.1
     assert 0.5 < nearest < 2.0
     assert hardest > -4.05
-    (along, _), speed, _, _ = driven(10.0, [], 20.0, line=60.0)
+    (along, _), speed, _, _ = driven(7.0, [], 8.0, line=20.0)
     assert speed < 0.1
-    assert 0.3 < 60.0 - LENGTH / 2.0 - along < 1.5
+    assert 0.3 < 20.0 - LENGTH / 2.0 - along < 1.5
 
 
 def test_it_drives_past_what_reaches_a_little_into_its_lane() -> None:

@@ -1,11 +1,14 @@
-"""Cars with the shipped driver in the traffic of generated junctions: nobody collides, nobody leaves its lane."""
+"""Cars with the shipped drivers in the traffic of generated junctions: nobody collides, nobody leaves its lane."""
+
+from collections import defaultdict
 
 import numpy as np
 import pytest
 
 from mast_zenoh.arrays.geometry import heading
-from mast_zenoh.driving import FollowingDriver, Situation
+from mast_zenoh.driving import Driver, FollowingDriver, ProposalDriver, Situation
 from mast_zenoh.driving.consequences import collisions
+from mast_zenoh.driving.proposals import OFFSETS_M
 from mast_zenoh.metrics.driving import Objects, Vehicle
 from mast_zenoh.scenes import Intersection
 
@@ -16,19 +19,24 @@ LANE_M = 0.8
 
 
 @pytest.mark.parametrize(
-    ("scene_index", "seed"),
+    ("driver", "scene_index", "seed", "frames"),
     [
-        pytest.param(scene_index, seed, marks=() if (scene_index, seed) == (2, 0) else pytest.mark.heavy)
-        for scene_index in range(4)
-        for seed in range(6)
+        pytest.param(FollowingDriver, 2, 0, 100),
+        *[
+            pytest.param(driver, scene_index, seed, FRAMES, marks=pytest.mark.heavy)
+            for driver in (FollowingDriver, ProposalDriver)
+            for scene_index in range(4)
+            for seed in range(6)
+        ],
     ],
 )
 def test_cars_that_see_the_truth_of_a_frame_ago_hit_nothing_and_keep_to_their_lanes(
-    scene_index: int, seed: int
+    driver: type[Driver], scene_index: int, seed: int, frames: int
 ) -> None:
     world = Intersection(scene_index=scene_index, n_infrastructure=0, n_mobile=2).world(seed, None)
-    driver, known, moved = FollowingDriver(), None, 0.0
-    for frame in range(FRAMES):
+    beside = LANE_M if driver is FollowingDriver else LANE_M + max(OFFSETS_M)
+    drivers, known, moved = defaultdict(driver), None, 0.0
+    for frame in range(frames):
         present = world.now()
         truth, commands = present.truth, {}
         for row, agent in enumerate(present.agents):
@@ -40,11 +48,12 @@ def test_cars_that_see_the_truth_of_a_frame_ago_hit_nothing_and_keep_to_their_la
             hit = truth.id[others][collisions(car, objects)]
             assert len(hit) == 0, f"frame {frame}: {agent.name} hits {hit}"
             position, velocity = present.agent_position[0, row], present.agent_velocity[0, row]
-            assert np.hypot(*(route.position[0] - position[:2])) < LANE_M
+            assert np.hypot(*(route.position[0] - position[:2])) < beside
             moved += float(np.hypot(*velocity[:2])) * 0.1
             if known is not None:
                 turn = float(heading(present.agent_rotation[0, row]))
-                commands[agent.name] = driver.drive(Situation(0, position, velocity, turn, size, route, known))
+                at = Situation(0, position, velocity, turn, size, route, known)
+                commands[agent.name] = drivers[agent.name].drive(at)
         known = truth.with_(position=truth.position + 0.1 * truth.velocity)
         world.step(commands if frame >= UNDRIVEN else {})
-    assert moved > 50.0
+    assert moved > 0.15 * frames

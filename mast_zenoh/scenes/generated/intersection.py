@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -159,41 +160,49 @@ class Intersection(Scene):
         _, start, motorised = self._drive(site, seed, frames)
         traffic = DrivenTraffic(site.junction.network, site.movers, seed, f"intersection/{self.scene_index}")
         traffic.release()
-        steps, step_s = self._steps()
+        steps, step_s = _steps(self.rate_hz)
         traffic.run(round(_WARM_UP_S * self.rate_hz) + start, steps, step_s)
 
+        first: World | None = None  # its agents and their sensors are those of all frames
+
         def snapshot(motion: Motion) -> World:
-            return self._world(site, motion, motorised)
+            nonlocal first
+            if first is None:
+                first = self._world(site, motion, motorised)
+                return first
+            return replace(self._unequipped(site, motion, motorised, first.agents), rigs=first.rigs)
 
         return JunctionWorld(traffic, _names(motorised), snapshot, self.detector, steps=steps, step_s=step_s)
 
     def _site(self, seed: int) -> _Site:
         """The junction and its road users."""
         junction = _junction(self.scene_index)
-        movers, kinds = road_users(
-            junction.network,
-            {
-                "vehicle": self._count("n_vehicles", max(junction.vehicles, _VEHICLES, 1 + (self.n_mobile or 0))),
-                "bicycle": self._count("n_bicycles", junction.bicycles),
-                "pedestrian": self._count("n_pedestrians", junction.pedestrians),
-            },
-            stream(seed, "intersection", self.scene_index, "movers"),
+        counts = (
+            self._count("n_vehicles", max(junction.vehicles, _VEHICLES, 1 + (self.n_mobile or 0))),
+            self._count("n_bicycles", junction.bicycles),
+            self._count("n_pedestrians", junction.pedestrians),
         )
-        return _Site(junction, movers, kinds)
+        return _site(self.scene_index, counts, seed)
 
-    def _world(self, site: _Site, motion: Motion, motorised: list[int]) -> World:
-        """The scene without visibility and detections, with the sensors of its agents."""
-        poles = _poles(site.junction.arms, _POLES if self.n_infrastructure is None else self.n_infrastructure)
-        world = _world(
+    def _unequipped(
+        self, site: _Site, motion: Motion, motorised: list[int], agents: tuple[SceneAgent, ...] | None = None
+    ) -> World:
+        """The scene without visibility and detections. agents: None: with the usual sensors"""
+        return _world(
             f"intersection-{self.scene_index}",
             round(1e9 / self.rate_hz),
             site.movers,
             site.kinds,
             motion,
             motorised,
-            poles,
+            _poles(site.junction, _POLES if self.n_infrastructure is None else self.n_infrastructure),
             site.junction.buildings,
+            agents,
         )
+
+    def _world(self, site: _Site, motion: Motion, motorised: list[int]) -> World:
+        """The scene without visibility and detections, with the sensors of its agents."""
+        world = self._unequipped(site, motion, motorised)
         agents, rigs = equip(world.name, world.agents, self.sensors or {}, world.times_ns, world.period_ns)
         return replace(world, agents=agents, rigs=rigs)
 
@@ -201,35 +210,13 @@ class Intersection(Scene):
         configured: int | None = getattr(self, name)
         return default if configured is None else configured
 
-    def _steps(self) -> tuple[int, float]:
-        """Steps of the traffic in a frame, and the length of a step, s."""
-        steps = int(np.ceil(10.0 / self.rate_hz - 1e-9))
-        return steps, 1.0 / (self.rate_hz * steps)
-
     def _drive(self, site: _Site, seed: int, frames: int | None) -> tuple[Motion, int, list[int]]:
-        """The motion in the recorded frames, the first of them after the warm-up, and the agents among the vehicles.
-
-        The ego comes first, and the others by their distance from the junction.
-        """
+        """The motion in the recorded frames, the first of them after the warm-up, and the agents among the vehicles."""
         frames = round(_WINDOW_S * self.rate_hz) if frames is None else frames
         if frames < 1:
             raise ConfigurationError(f"Intersection: {frames} frames, expected at least 1")
-        movers, traffic = (
-            site.movers,
-            Traffic(site.junction.network, site.movers, seed, f"intersection/{self.scene_index}"),
-        )
-        steps, dt = self._steps()
-        traffic.run(round(_WARM_UP_S * self.rate_hz), steps, dt)
-        window, search = round(_WINDOW_S * self.rate_hz), round(_SEARCH_S * self.rate_hz)
-        # The choice depends only on the window, so that a shorter recording is the start of a longer one.
-        motion = traffic.run(search + max(window, frames), steps, dt)
-        motorised = np.flatnonzero(movers.user == ROAD)
-        cars = motorised[movers.size_class[motorised] == 0]
-        start, ego = _choose_ego(site.junction.network, motion.frames(slice(search + window)), cars, window)
-        motion = motion.frames(slice(start, start + frames))
-        distance = np.hypot(*np.moveaxis(motion.position[:window, motorised], -1, 0)).mean(axis=0)
-        others = [int(row) for row in motorised[np.argsort(distance, kind="stable")] if row != ego]
-        return motion, start, [ego, *others[: self.n_mobile or 0]]
+        motion, start, motorised = _motion(site, f"intersection/{self.scene_index}", seed, frames, self.rate_hz)
+        return motion, start, motorised[: 1 + (self.n_mobile or 0)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,6 +250,45 @@ class _Site:
     junction: _Junction
     movers: Movers
     kinds: list[str]
+
+
+@lru_cache(maxsize=8)
+def _site(scene_index: int, counts: tuple[int, int, int], seed: int) -> _Site:
+    """A junction and its road users. counts: vehicles, bicycles, pedestrians"""
+    junction = _junction(scene_index)
+    random = stream(seed, "intersection", scene_index, "movers")
+    movers, kinds = road_users(
+        junction.network, dict(zip(("vehicle", "bicycle", "pedestrian"), counts, strict=True)), random
+    )
+    return _Site(junction, movers, kinds)
+
+
+def _steps(rate_hz: float) -> tuple[int, float]:
+    """Steps of the traffic in a frame, and the length of a step, s."""
+    steps = int(np.ceil(10.0 / rate_hz - 1e-9))
+    return steps, 1.0 / (rate_hz * steps)
+
+
+@lru_cache(maxsize=8)  # a stepped scene needs it again after it was prepared
+def _motion(site: _Site, name: str, seed: int, frames: int, rate_hz: float) -> tuple[Motion, int, list[int]]:
+    """The motion in the recorded frames, the first of them after the warm-up, and the vehicles.
+
+    The ego comes first, and the others by their distance from the junction.
+    """
+    movers, network = site.movers, site.junction.network
+    traffic = Traffic(network, movers, seed, name)
+    steps, dt = _steps(rate_hz)
+    traffic.run(round(_WARM_UP_S * rate_hz), steps, dt)
+    window, search = round(_WINDOW_S * rate_hz), round(_SEARCH_S * rate_hz)
+    # The choice depends only on the window, so that a shorter recording is the start of a longer one.
+    motion = traffic.run(search + max(window, frames), steps, dt)
+    motorised = np.flatnonzero(movers.user == ROAD)
+    cars = motorised[movers.size_class[motorised] == 0]
+    start, ego = _choose_ego(network, motion.frames(slice(search + window)), cars, window)
+    motion = motion.frames(slice(start, start + frames))
+    distance = np.hypot(*np.moveaxis(motion.position[:window, motorised], -1, 0)).mean(axis=0)
+    others = [int(row) for row in motorised[np.argsort(distance, kind="stable")] if row != ego]
+    return motion, start, [ego, *others]
 
 
 def _names(motorised: list[int]) -> dict[str, int]:
@@ -304,16 +330,28 @@ def _choose_ego(network: Network, motion: Motion, cars: Ints, window: int) -> tu
     return best[1], best[2]
 
 
-def _poles(arms: tuple[Arm, ...], count: int) -> list[tuple[Floats, float]]:
-    """Position (2,) m and heading rad of the poles, which face the centre.
+class _Pole(NamedTuple):
+    """position: (3,) m, world frame; rotation: (3, 3) active, of the pole"""
+
+    position: Floats
+    rotation: Floats
+
+
+@lru_cache(maxsize=8)
+def _poles(junction: _Junction, count: int) -> list[_Pole]:
+    """The poles, which face the centre.
 
     They are on pavements, those nearest the stop lines first.
     """
-    positions = []
+    arms, positions = junction.arms, []
     for setback, side in _POLE_SITES:
         local = [np.array([[arm.stop + setback, side * (arm.half_width + 1.2)]]) for arm in arms]
         positions += [arm.world(point)[0] for arm, point in zip(arms, local, strict=True)]
-    return [(position, float(np.arctan2(-position[1], -position[0]))) for position in positions[:count]]
+    pitch = np.radians(POLE_PITCH_DEG)
+    return [
+        _Pole(np.array([x, y, POLE_HEIGHT_M]), rotation_from_yaw_pitch(float(np.arctan2(-y, -x)), pitch))
+        for x, y in positions[:count]
+    ]
 
 
 def _world(
@@ -323,18 +361,19 @@ def _world(
     classes: list[str],
     motion: Motion,
     motorised: list[int],
-    poles: list[tuple[Floats, float]],
+    poles: list[_Pole],
     buildings: tuple[tuple[Floats, ...], Floats],
+    agents: tuple[SceneAgent, ...] | None,
 ) -> World:
-    """The scene's truth and its agents, flat ground at z = 0."""
+    """The scene's truth and its agents, flat ground at z = 0. agents: None: with the usual sensors"""
     frames, n = motion.yaw.shape
     heights = movers.size[:, 2]
-    agents = []
-    for name_of_car, row in _names(motorised).items():
-        agents.append(SceneAgent(name_of_car, "mobile", row, *roof_sensors(float(heights[row]))))
-    for k in range(len(poles)):
-        pole = Camera(mount_position=np.zeros(3))
-        agents.append(SceneAgent(f"infra_{k + 1}", "static", -1, LidarSensor.infrastructure(), pole))
+    if agents is None:
+        cars = [
+            SceneAgent(car, "mobile", row, *roof_sensors(float(heights[row]))) for car, row in _names(motorised).items()
+        ]
+        sensors = [(LidarSensor.infrastructure(), Camera(mount_position=np.zeros(3))) for _ in poles]
+        agents = (*cars, *(SceneAgent(f"infra_{k + 1}", "static", -1, *each) for k, each in enumerate(sensors)))
 
     position = np.zeros((frames, len(agents), 3))
     rotation = np.zeros((frames, len(agents), 3, 3))
@@ -345,9 +384,8 @@ def _world(
         position[:, k, :2] = motion.position[:, row]
         rotation[:, k] = [rotation_from_yaw(float(yaw)) for yaw in motion.yaw[:, row]]
         velocity[:, k] = mover_velocity[:, row]
-    for k, (pole_position, yaw) in enumerate(poles, start=len(motorised)):
-        position[:, k] = (*pole_position, POLE_HEIGHT_M)
-        rotation[:, k] = rotation_from_yaw_pitch(yaw, np.radians(POLE_PITCH_DEG))
+    for k, pole in enumerate(poles, start=len(motorised)):
+        position[:, k], rotation[:, k] = pole
     centre = np.concatenate([motion.position, np.broadcast_to(heights[:, None] / 2, (frames, n, 1))], axis=-1)
     truth: ObjectStates = truth_states(
         {
@@ -361,7 +399,7 @@ def _world(
     )
     return World(
         name=name,
-        agents=tuple(agents),
+        agents=agents,
         period_ns=period_ns,
         times_ns=np.arange(frames, dtype=np.int64) * period_ns,
         truth=truth,
