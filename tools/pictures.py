@@ -20,6 +20,7 @@ from chromium import Unavailable
 
 import mast_zenoh as mast
 from mast_zenoh.errors import nearest
+from mast_zenoh.launch import twin
 from mast_zenoh.report import html
 from mast_zenoh.study import definition, interface
 from mast_zenoh.viewer.page.page import ViewerServer, viewer_page
@@ -52,6 +53,13 @@ def case_study(out: Path, workshop: Workshop) -> None:
     finished = interface.run_once(definition.load("case_study", ()), study, runtime="inproc")
     html.write_study_report(study, finished.folders)
     out.write_bytes((study / "figures" / "side_by_side.png").read_bytes())
+
+
+def driven(out: Path, workshop: Workshop) -> None:
+    """The figure of `mast run driving --set attack=GhostAhead --against twin`."""
+    run = mast.run("driving", attack="GhostAhead", scene_index=2, out=workshop.folder / "driven")
+    html.write_report(run.path, against=twin.of(run.path))
+    out.write_bytes((run.path / "figures" / "driven.png").read_bytes())
 
 
 def interception(out: Path, workshop: Workshop) -> None:
@@ -101,6 +109,7 @@ def cooperation(out: Path, workshop: Workshop) -> None:
 RECIPES: dict[str, Callable[[Path, Workshop], None]] = {
     "case_study.png": case_study,
     "cooperation.png": cooperation,
+    "driven.png": driven,
     "interception.gif": interception,
     "search.png": search,
     "snapshot.png": snapshot,

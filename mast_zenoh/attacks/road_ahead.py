@@ -182,7 +182,7 @@ class LaneIntrusion(FollowingEgo, SlowDrift):
     other lane; its velocity agrees. Source: a perceived position that is shifted into the victim's lane, PosePert
     (arXiv 2605.01301, abstract and quotations); see `PosePert` for shifts below a metre.
 
-    into:      "ego": vehicles beside the ego's lane, into it; "neighbour": vehicles in its lane, into the one beside it
+    into:      "ego": vehicles beside its lane, into it; "neighbour": vehicles in its lane, into the one to its right
     rate_mps:  m/s by which the offset grows
     tolerance: 0 to 1, fall of the trust that is accepted
     budget:    lies per second, so the number of vehicles
@@ -224,7 +224,7 @@ class LaneIntrusion(FollowingEgo, SlowDrift):
         if self._ego.path is None:
             return dict.fromkeys(numbers.tolist(), 0.0)
         across = self._ego.path.at(np.maximum(gap + self._ego.along, 0.0))[1] + np.pi / 2
-        # Out of its lane a vehicle goes to the side on which it has been first: the displaced one is the real one.
+        # Out of the ego's lane, all go to the right.
         right = left > 0.0 if self._into == "ego" else np.ones(len(left), bool)
         return dict(zip(numbers.tolist(), (across + np.where(right, np.pi, 0.0)).tolist(), strict=True))
 

@@ -16,7 +16,7 @@ from mast_zenoh.cli import observers
 from mast_zenoh.cli.observers import LAST_LINE, print_line
 from mast_zenoh.cli.options import Confirmed, allowed_code, refuse, run_argument
 from mast_zenoh.cli.options import err as _err
-from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.errors import ConfigurationError, HandlerFailed
 from mast_zenoh.ros2.connection import ROUTER, Connection
 from mast_zenoh.run_files import reading
 
@@ -101,6 +101,8 @@ def between(
     """Put a node or an attack between two ROS 2 nodes until Ctrl-C, see `mast_zenoh.launch.ros2_interception`.
 
     launch: a new file for the launch file that remaps the publisher
+
+    Raises HandlerFailed at the end if the node has failed.
     """
     from mast_zenoh.launch.folder import write_new
 
@@ -112,7 +114,7 @@ def between(
             interposer_of,
             launch_fragment,
         )
-    check_interception(topic, type_name)
+    check_interception(topic, type_name, odometry)
     interposer = interposer_of(file, topic, settings, seed)
     if launch is not None:
         write_new(launch, lambda path: path.write_text(launch_fragment(topic), encoding="utf-8"))
@@ -124,12 +126,16 @@ def between(
         print_line(LAST_LINE)
 
     counts = intercept_topic(
-        connection, topic, type_name, interposer, threading.Event(), odometry=odometry, ready=ready
+        connection, topic, type_name, interposer, threading.Event(), odometry=odometry, ready=ready, warn=_err.warn
     )
     print_line("")
     print_line(f"messages: {counts['messages']}, changed: {counts['changed']}, published: {counts['published']}")
+    for reason, number in counts["unattacked"].items():
+        _err.warn(f"{number} messages were passed on unchanged: {reason}")
     for reason, number in counts["refused"].items():
-        _err.warn(f"{number} messages were not understood: {reason}")
+        _err.warn(f"{number} messages were refused: {reason}")
+    if counts["failed"]:
+        raise HandlerFailed(f"{counts['failed']}: it was on {topic}, and what it failed on was passed on as it was")
 
 
 def connection_config(

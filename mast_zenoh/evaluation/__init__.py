@@ -2,6 +2,7 @@
 
     evaluation    the complete evaluation with mast_zenoh.metrics, of the data collected from the messages
     from_effects  manipulations, from the measured effects of interposers (mast_zenoh.effects)
+    driven        what happened to the cars that drivers drove
     trust         what the command centre's trust was worth
 
 See docs/metrics.md and docs/effects.md.

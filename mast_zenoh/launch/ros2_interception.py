@@ -9,6 +9,7 @@ from __future__ import annotations
 import queue
 import threading
 import time
+from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import suppress
 from inspect import signature
@@ -21,7 +22,7 @@ from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.config import loading
 from mast_zenoh.config.resolved import build_node
 from mast_zenoh.config.settings import nested
-from mast_zenoh.errors import ConfigurationError, HandlerFailed, MessageError, nearest
+from mast_zenoh.errors import ConfigurationError, MessageError, nearest
 from mast_zenoh.launch.live_interception import node_of, port_of
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body, Header, Message
@@ -32,7 +33,7 @@ from mast_zenoh.ros2.attachments import Attachment
 from mast_zenoh.ros2.connection import Connection
 from mast_zenoh.ros2.names import check_topic
 from mast_zenoh.ros2.received_objects import Received, received_tracks
-from mast_zenoh.ros2.received_poses import received_pose
+from mast_zenoh.ros2.received_poses import ReceivedPose, received_pose
 from mast_zenoh.ros2.type_store import RosMessage
 from mast_zenoh.runtime.host import Host, Outgoing
 from mast_zenoh.runtime.mesh.ros2_participant import Participant
@@ -47,6 +48,8 @@ _WIRE = "tracks"  # what all these messages are to an interposer
 _MOST_WAITING, _LOOK_S = 256, 0.1
 #: Messages that a node may keep back; of more, the oldest are not published.
 _MOST_KEPT = 200
+#: Odometry messages that are kept, the newest: 5 s of 200 Hz; s, by which one may be older or newer than the objects.
+_MOST_POSES, MOST_POSE_AGE_S = 1000, 0.5
 #: ns, the longest time between two messages that is none of a jump of the clock.
 _LONGEST_STEP_NS = 10 * 10**9
 #: s, for messages that wait when the interception ends.
@@ -64,7 +67,9 @@ class ObjectsInterposer:
     Each message is a frame of its own. Times are those of the messages' stamps, from 0 at the first one; where stamps
     jump, back or by more than 10 s, the time stands still for one message.
 
-    messages, changed: number of messages that were received, and that were published with a difference
+    messages, changed: number of messages that the node has got, and that were published with a difference
+    takes_poses: whether the node takes the agent's pose, such as an adversary does
+    placed: number of messages with which it got one from odometry
     jumps: number of jumps of the stamps
     """
 
@@ -78,33 +83,41 @@ class ObjectsInterposer:
         self._published: list[Message] = []
         self._host = Host(name, node, Ports(by_key, {(out, agent): _WIRE}), seed, encode=False, emit=self._on_message)
         self._host.start({})
-        self._pose: Body = _STILL
+        self.takes_poses = "pose" in self._host.subscriptions
+        self._poses: deque[ReceivedPose] | None = None
         self._kept: dict[int, tuple[str, bytes, Received[ObjectStates]]] = {}  # by frame: type and bytes
         self._stamp_ns: int | None = None  # of the newest message
         self._time_ns = 0
-        self.messages = self.changed = self.jumps = 0
+        self.messages = self.changed = self.placed = self.jumps = 0
 
     @property
     def failed(self) -> str:
         """The first error of the node's handlers; "": none."""
         return next((f"{failure.where}: {failure.exception}" for failure in self._host.failures.values()), "")
 
-    def set_pose(self, pose: Body) -> None:
-        """Set where the agent is in the messages' frame of reference, columns of `pose`."""
-        self._pose = pose
+    def follow_poses(self) -> None:
+        """Place the agent by `add_pose` from now on; until then it is at the origin of its objects' frame."""
+        self._poses = deque(maxlen=_MOST_POSES)
+
+    def add_pose(self, pose: ReceivedPose) -> None:
+        """Take a pose of the agent: it counts for objects in its frame of reference, MOST_POSE_AGE_S around it."""
+        if self._poses is not None:
+            self._poses.append(pose)
 
     def through(self, message: RosMessage) -> list[RosMessage]:
         """What is published when a message has arrived: it, as the node wants it; nothing; or older ones as well.
 
-        A message on which the node fails is passed on as it is. Raises MessageError for one that cannot be read.
+        A message on which the node fails is passed on as it is. Raises MessageError for one that cannot be read, or for
+        which a pose of the agent is needed and missing.
         """
         received = received_tracks(message)
         self._advance(received.time_ns)
+        pose = self._pose_for(received)
         frame = self.messages
         self.messages += 1
         failures = self._failures()
         self._deliver("clock", "simulator", frame, {})
-        self._deliver("pose", "simulator", frame, self._pose)
+        self._deliver("pose", "simulator", frame, pose)
         self._deliver(_WIRE, self._agent, frame, received.objects.columns() | _WORLD)
         published, self._published = self._published, []
         results, is_out = [], False
@@ -132,6 +145,24 @@ class ObjectsInterposer:
             self._time_ns += step_ns
         else:
             self.jumps += 1
+
+    def _pose_for(self, received: Received[ObjectStates]) -> Body:
+        """The agent's pose that is nearest in time to objects; raises MessageError if there is none that counts."""
+        if self._poses is None or not self.takes_poses:
+            return _STILL
+        if not self._poses:
+            raise MessageError("no odometry: none has arrived yet")
+        poses = [pose for pose in self._poses if pose.frame_id == received.frame_id]
+        if not poses:
+            frames = f"it is in {self._poses[-1].frame_id!r:.80}, the objects are in {received.frame_id!r:.80}"
+            raise MessageError(f"odometry in another frame of reference: {frames}")
+        nearest_pose = min(poses, key=lambda pose: abs(pose.time_ns - received.time_ns))
+        age_s = (received.time_ns - nearest_pose.time_ns) * 1e-9
+        if abs(age_s) > MOST_POSE_AGE_S:
+            found = f"{abs(age_s):.3g} s {'older' if age_s > 0 else 'newer'} than the objects"
+            raise MessageError(f"odometry of another time: {found}, expected at most {MOST_POSE_AGE_S:g} s")
+        self.placed += 1
+        return nearest_pose.columns
 
     def _failures(self) -> int:
         return sum(failure.count for failure in self._host.failures.values())
@@ -190,12 +221,14 @@ def launch_fragment(topic: str) -> str:
 """
 
 
-def check_interception(topic: str, type_name: str) -> None:
-    """Raise ConfigurationError for a topic or a type between whose nodes nothing can be put."""
-    try:
-        check_topic(topic + BEFORE)
-    except ValueError as error:
-        raise ConfigurationError(f"--ros2: {error}") from None
+def check_interception(topic: str, type_name: str, odometry: str = "") -> None:
+    """Raise ConfigurationError for topics or a type between whose nodes nothing can be put."""
+    for option, name in (("--ros2", topic + BEFORE), ("--odometry", odometry)):
+        try:
+            if name:
+                check_topic(name)
+        except ValueError as error:
+            raise ConfigurationError(f"{option}: {error}") from None
     if type_name not in ALTERABLE:
         raise ConfigurationError(f"--type: found {type_name!r:.120}{nearest(type_name, ALTERABLE)}")
 
@@ -215,59 +248,81 @@ def intercept_topic(
 
     type_name: of ALTERABLE;  odometry: a topic with the agent's pose, in the frame of reference of the objects; "": it
     is at the origin, as for objects in the vehicle's own frame
-    ready: called when it is between them;  warn: called once, when the node fails for the first time
+    ready: called when it is between them;  warn: called with what makes it ineffective, each sentence once
 
-    Returns messages, changed, published, and refused by reason. Raises NotRunning without a router, HandlerFailed at
-    the end if the node has failed.
+    Messages that cannot be read, or whose agent has no pose although `odometry` is named, are passed on unchanged.
+
+    Returns `messages`, `changed`, `published`; by reason, `unattacked` (passed on unchanged) and `refused` (lost); and
+    `failed`, the first error of the node. Raises NotRunning without a router.
     """
-    arrived: queue.Queue[RosMessage] = queue.Queue(_MOST_WAITING)
+    arrived: queue.Queue[tuple[str, bytes]] = queue.Queue(_MOST_WAITING)
+    unattacked: Counter[str] = Counter()
+    number = 0  # of messages of objects
+    if odometry:
+        interposer.follow_poses()
     with Participant(connection, "mast_interposer") as participant:
         publisher = participant.publisher(topic, type_name)
 
-        def keep(message: RosMessage, _: Attachment) -> None:
-            try:
-                arrived.put_nowait(message)
-            except queue.Full:
-                raise MessageError(f"overtaken: more than {_MOST_WAITING} messages wait for the node") from None
+        def keep(kind: str) -> Callable[[bytes, Attachment], None]:
+            def put(payload: bytes, _: Attachment) -> None:
+                try:
+                    arrived.put_nowait((kind, payload))
+                except queue.Full:
+                    raise MessageError(f"overtaken: more than {_MOST_WAITING} messages wait for the node") from None
 
-        def pass_on(message: RosMessage) -> None:
-            if message.__msgtype__ == type_store.ODOMETRY:
-                interposer.set_pose(received_pose(message).columns)
+            return put
+
+        def pass_on(kind: str, payload: bytes) -> None:
+            if kind == type_store.ODOMETRY:
+                interposer.add_pose(received_pose(type_store.decode(kind, payload)))
                 return
-            has_failed = interposer.failed
+            nonlocal number
+            number += 1
+            has_failed, before = interposer.failed, interposer.messages
             try:
+                message = type_store.decode(kind, payload)
                 results = interposer.through(message)
-            except MessageError:
-                publisher.publish(message)  # what cannot be read cannot be attacked
-                raise
+            except MessageError as error:
+                publisher.publish_bytes(payload)
+                what = str(error).partition(":")[0]
+                reason = f"cannot be read as {kind}" if what == kind else what
+                unattacked[reason] += 1
+                if unattacked[reason] == 1:
+                    warn(f"a message was passed on unchanged, more are only counted: {error}")
+                return
             for each in results:
                 publisher.publish(each)
+            if not odometry and interposer.takes_poses and not before:
+                frame = f"{message.header.frame_id!r:.80}"
+                warn(f"no --odometry: to the node, the publisher is at the origin of {frame}, the frame of its objects")
             if interposer.failed and not has_failed:
                 warn(f"{interposer.failed}: what the node fails on is passed on as it is")
 
         if odometry:
-            participant.subscribe(odometry, type_store.ODOMETRY, keep)
-        participant.subscribe(topic + BEFORE, type_name, keep)
+            participant.subscribe_bytes(odometry, type_store.ODOMETRY, keep(type_store.ODOMETRY))
+        participant.subscribe_bytes(topic + BEFORE, type_name, keep(type_name))
         ready()
         warned = _Once(warn)
         with suppress(KeyboardInterrupt):
             while not stop.is_set():
                 _watch(participant, topic, warned)
-                _pass_on_next(arrived, pass_on, participant, topic)
+                _pass_on_next(arrived, pass_on, participant, odometry)
         deadline = time.monotonic() + _REST_S
         for _ in range(arrived.qsize()):
             if time.monotonic() < deadline:
-                _pass_on_next(arrived, pass_on, participant, topic)
+                _pass_on_next(arrived, pass_on, participant, odometry)
         for _ in range(arrived.qsize()):
             participant.refuse(topic + BEFORE, "interrupted: the node had no time for it")
-        counts = {"messages": interposer.messages, "changed": interposer.changed, "published": publisher.sent}
+        counts = {"messages": number, "changed": interposer.changed, "published": publisher.sent}
     if interposer.jumps:
         warn(f"{topic}: the stamps have jumped {interposer.jumps} times: the attack's time stood still there")
-    if interposer.failed:
-        raise HandlerFailed(f"{interposer.failed}: it was on {topic}, and what it failed on was passed on as it was")
-    if not interposer.messages:
+    if not number:
         warn(f"nothing has arrived on {topic}{BEFORE}: nothing was attacked")
-    return counts | {"refused": dict(participant.refused)}
+    if odometry and not interposer.placed:
+        reason = "" if interposer.takes_poses else ": the node takes no poses"
+        warn(f"{odometry}: no odometry was used{reason}")
+    by_reason = {"unattacked": dict(unattacked), "refused": dict(participant.refused)}
+    return counts | by_reason | {"failed": interposer.failed}
 
 
 class _Once:
@@ -293,12 +348,15 @@ def _watch(participant: Participant, topic: str, warn: Callable[[str], None]) ->
 
 
 def _pass_on_next(
-    arrived: queue.Queue[RosMessage], pass_on: Callable[[RosMessage], None], participant: Participant, topic: str
+    arrived: queue.Queue[tuple[str, bytes]],
+    pass_on: Callable[[str, bytes], None],
+    participant: Participant,
+    odometry: str,
 ) -> None:
-    """Pass the next message on, if there is one soon; count one that cannot be read."""
+    """Pass the next message on, if there is one soon; count odometry that cannot be read."""
     try:
-        pass_on(arrived.get(timeout=_LOOK_S))
+        pass_on(*arrived.get(timeout=_LOOK_S))
     except queue.Empty:
         pass
     except MessageError as error:
-        participant.refuse(topic + BEFORE, str(error))
+        participant.refuse(odometry, f"odometry that cannot be read: {error}")

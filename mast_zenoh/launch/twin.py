@@ -13,12 +13,12 @@ from rich.console import Console
 
 from mast_zenoh import version
 from mast_zenoh.config.allowed_code import SHIPPED, AllowedCode
-from mast_zenoh.config.resolved import RECORDING, Resolved
+from mast_zenoh.config.resolved import RECORDING, NodeSpec, Resolved
 from mast_zenoh.errors import HandlerFailed, MastError, NotComparable, UntrustedCode
 from mast_zenoh.launch import folder as run_folder_files
 from mast_zenoh.launch import run
 from mast_zenoh.launch.folder import json_or_empty
-from mast_zenoh.messagelog.writer import FILE, MessageLog
+from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.wiring import insertion
 from mast_zenoh.wiring.model import Wiring
@@ -101,13 +101,14 @@ def _read(run_folder: Path, allowed: AllowedCode) -> Resolved:
         resolved = Resolved.read(run_folder, allowed)
         recording = Recording.load(run_folder / RECORDING)
 
-        def with_scene(config: dict[str, Any]) -> dict[str, Any]:
-            return {
-                key: recording if value == RECORDING else MessageLog() if value == FILE else value
-                for key, value in config.items()
-            }
+        def with_scene(spec: NodeSpec) -> NodeSpec:
+            config = {key: recording if value == RECORDING else value for key, value in spec.config.items()}
+            log = (
+                {"log": MessageLog()} if spec.role == "recorder" else {}
+            )  # in the twin's folder, whatever is written here
+            return replace(spec, config=config | log)
 
-        nodes = {name: replace(spec, config=with_scene(spec.config)) for name, spec in resolved.nodes.items()}
+        nodes = {name: with_scene(spec) for name, spec in resolved.nodes.items()}
         twin = unattacked(replace(resolved, nodes=nodes, recording=recording))
     except UntrustedCode:
         raise

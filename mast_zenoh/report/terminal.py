@@ -56,7 +56,7 @@ def show_driven(console: Console, run_folder: Path, twin: Path) -> None:
     run = RunRecord.load(run_folder)
     sentences = car_sentences(run, comparison.reference(run, twin))
     if sentences:
-        console.print(escape(f"{run.label}: {'; '.join(sentences)}."), highlight=False)
+        console.print(escape(f"{run.label}: {'. '.join(sentences)}."), highlight=False)
 
 
 def failure(run_folder: Path) -> str:

@@ -6,6 +6,7 @@ What is kept is limited. The frames that the run itself knows, the world and an 
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections import deque
 from collections.abc import Collection
 from typing import NamedTuple
 
@@ -17,11 +18,11 @@ from mast_zenoh.errors import MessageError
 
 #: Frames that are known, at most; a vehicle has tens.
 MOST_FRAMES = 256
-#: Transforms of a frame that are kept, the newest: 5 s of one that is sent at 20 Hz.
+#: Transforms of a frame that are kept, those that arrived last: 5 s of one that is sent at 20 Hz.
 KEPT = 100
 #: Frames between one and the world, at most: more are a loop.
 MOST_STEPS = 32
-#: s, by which a transform may be older or newer than a stamp if there is none on its other side.
+#: s, by which a transform may be older or newer than a stamp; two that are twice as far apart are interpolated.
 MOST_AGE_S = 0.5
 
 
@@ -42,6 +43,7 @@ class _History:
         self.parent = parent
         self.static = static
         self._times: list[int] = []
+        self._arrived: deque[int] = deque()  # the same times, in order of arrival: those of another clock go, too
         self._placements: list[Placement] = []
 
     def add(self, time_ns: int, placement: Placement) -> None:
@@ -53,8 +55,10 @@ class _History:
             return  # the first one counts
         self._times.insert(row, time_ns)
         self._placements.insert(row, placement)
-        if len(self._times) > KEPT:
-            del self._times[0], self._placements[0]
+        self._arrived.append(time_ns)
+        if len(self._arrived) > KEPT:
+            oldest = bisect_left(self._times, self._arrived.popleft())
+            del self._times[oldest], self._placements[oldest]
 
     def at(self, time_ns: int) -> Placement:
         if not self._times:
@@ -62,16 +66,16 @@ class _History:
         if self.static:
             return self._placements[0]
         row = bisect_left(self._times, time_ns)
-        if row < len(self._times) and (self._times[row] == time_ns or row > 0):
-            after, later = self._times[row], self._placements[row]
-            if after == time_ns:
-                return later
-            before, earlier = self._times[row - 1], self._placements[row - 1]
-            return between(earlier, later, (time_ns - before) / (after - before))
-        nearest = min(row, len(self._times) - 1)
-        if abs(self._times[nearest] - time_ns) > MOST_AGE_S * 1e9:
+        after = min(row, len(self._times) - 1)
+        before = max(row - 1, 0)
+        nearest = min(after, before, key=lambda index: abs(self._times[index] - time_ns))
+        distance, gap = abs(self._times[nearest] - time_ns), self._times[after] - self._times[before]
+        if distance > MOST_AGE_S * 1e9:
             raise MessageError(f"no transform: none within {MOST_AGE_S:g} s of the stamp")
-        return self._placements[nearest]
+        if distance == 0 or before == after or gap > 2e9 * MOST_AGE_S:
+            return self._placements[nearest]
+        fraction = (time_ns - self._times[before]) / gap
+        return between(self._placements[before], self._placements[after], fraction)
 
 
 class FrameTransforms:

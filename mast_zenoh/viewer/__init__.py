@@ -6,6 +6,7 @@ recorded     a finished run with its recording, one frame at a time
 live/        a passive observer of a running run, whose frames are the same
 routes       the estimate that is on each key of a wiring
 interposers  the nodes on the wires of a run, and what they changed
+driven       what driven cars did, why they braked, and what they did in the unattacked twin
 events       what happens in a run, over time and in words
 palette      all colours
 page/        the page that plays runs in a browser

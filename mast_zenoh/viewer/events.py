@@ -22,7 +22,7 @@ PARTITIONS = ("Partition", "HostPartition")
 class Event(NamedTuple):
     """Something that happened.
 
-    frame: when;  kind: attack, fault, interception, suspension, undecided or effect;  text: in words
+    frame: when;  kind: attack, fault, interception, suspension, undecided, effect, brake or collision;  text: in words
     x, y:  m, where, if it has a place
     """
 

@@ -370,7 +370,8 @@ class Frame:
         here = rows(objects, objects["frame"] == self.index)
         for estimate in self.estimates:
             if estimate == TRUTH.estimator and scene is not None:
-                truth = scene.truth_at(min(self.index, len(scene) - 1))
+                prepared = scene.truth_at(min(self.index, len(scene) - 1))
+                truth = _states(TRUTH, self.bodies[TRUTH]) if TRUTH in self.bodies else prepared
                 nothing = Boxes(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
                 boxes[estimate] = dict.fromkeys(OUTCOME_COLOURS, nothing)
                 boxes[estimate]["truth matched"] = Boxes(truth.position, truth.size, truth.yaw)

@@ -53,6 +53,11 @@ def rows(table: Table, mask: Bools) -> Table:
     return {name: column[mask] for name, column in table.items()}
 
 
+def driven_table(path: Path) -> Table:
+    """The columns of a driven.parquet that pictures show. Raises ValueError or OSError if it is missing or damaged."""
+    return _table(_DRIVEN)(path)
+
+
 def column(table: Table, name: str) -> NDArray[np.float64]:
     """A column as numbers."""
     return np.asarray(table[name], np.float64)

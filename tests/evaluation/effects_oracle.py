@@ -18,7 +18,7 @@ from mast_zenoh.messages.schemas import SCHEMAS, Body, Message
 from mast_zenoh.wiring.model import Passage
 
 NAN3 = (math.nan, math.nan, math.nan)
-#: Pose of an agent in a frame: position and quaternion w x y z.
+#: Pose of an agent in a frame: position and rotation matrix.
 Poses = dict[tuple[str, int], tuple[np.ndarray, np.ndarray]]
 Row = dict[str, Any]
 
@@ -26,11 +26,12 @@ Row = dict[str, Any]
 def poses_of(process: ObservedRun) -> Poses:
     """The poses of the agents."""
     recording = process.hosts["simulator"].node.recording  # type: ignore[attr-defined]
-    return {
+    prepared = {
         (agent.name, frame): (recording.agent_position[frame, k], recording.agent_rotation[frame, k])
         for k, agent in enumerate(recording.agents)
         for frame in range(len(recording.times_ns))
     }
+    return prepared | process.poses
 
 
 def expected(process: ObservedRun, frames: int) -> list[Row]:

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
+import numpy as np
+
+from mast_zenoh.arrays.geometry import rotation_from_quaternion
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body, Header, Message
@@ -47,14 +50,19 @@ class ObservedRun(InProcess):
 
     arrivals:  in order of arrival
     forgeries: messages that interposers published on their own wires, with the passage
+    poses:     by agent and frame, position and rotation matrix that the simulator published: a driven car leaves those
+               of its prepared scene
     """
 
     def __init__(self, resolved: Any, **options: Any) -> None:
         self.arrivals: list[Arrival] = []
         self.forgeries: list[tuple[Passage, SentCopy]] = []
+        self.poses: dict[tuple[str, int], tuple[np.ndarray, np.ndarray]] = {}
         self._passages_by_key: dict[str, list[Passage]] = {}
+        self._pose_of: dict[str, str] = {}
         super().__init__(resolved, **options)
         self.sources = {wire.key: wire.legs[0].publisher.node for wire in self._wiring.wires}
+        self._pose_of = {wire.legs[0].key: wire.subject for wire in self._wiring.wires if wire.message == "pose"}
         self.passages = tuple(self._wiring.passages())
         for passage in self.passages:
             self._passages_by_key.setdefault(passage.received, []).append(passage)
@@ -79,6 +87,12 @@ class ObservedRun(InProcess):
     def _enqueue(self, message: Outgoing) -> None:
         for passage in self._passages_by_key.get(message.key, ()):
             self.arrivals.append(Arrival(passage, message.payload, message.step, message.flaw))
+        if (agent := self._pose_of.get(message.key)) is not None and isinstance(message.payload, Message):
+            body = message.payload.body
+            self.poses.setdefault(
+                (agent, message.payload.header.frame),
+                (body["position"], rotation_from_quaternion(body["rotation"])),
+            )
         super()._enqueue(message)
 
     def _build_host(self, name: str) -> Host:

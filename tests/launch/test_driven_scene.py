@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from driven import driven
+from recorded_observer import RecordedObserver
 
 from mast_zenoh.launch import run, twin
 from mast_zenoh.messagelog.reader import read
 from mast_zenoh.messages import codec
 from mast_zenoh.report import comparison
 from mast_zenoh.scenes import Recording
+from mast_zenoh.viewer.page.columns import unpack
+from mast_zenoh.viewer.page.live_view import LiveBlocks
 from mast_zenoh.viewer.run import RunRecord
 
 ATTACK = ("attack=GhostAhead", "wire=detections", "attack_start_s=0.6")
@@ -47,11 +52,39 @@ def test_the_scene_of_the_folder_is_what_happened(tmp_path: Path) -> None:
 def test_the_scene_of_a_twin_is_what_happened_without_the_attack(tmp_path: Path) -> None:
     attacked = run.run(driven(*ATTACK, frames=30, record=True), tmp_path / "run", runtime="inproc")
     alone = run.run(driven(frames=30, record=True), tmp_path / "alone", runtime="inproc")
+    scenario = json.loads((attacked.folder / "scenario.json").read_text())
+    scenario["nodes"]["recorder"]["config"]["log"] = str(tmp_path / "escaped.mcap")
+    (attacked.folder / "scenario.json").write_text(json.dumps(scenario))
     scenes = [Recording.load(folder / "scene.npz") for folder in (twin.of(attacked.folder), alone.folder)]
     assert np.array_equal(scenes[0].agent_position, scenes[1].agent_position)
     assert np.array_equal(scenes[0].truth.position, scenes[1].truth.position)
     assert not np.array_equal(scenes[0].agent_position, Recording.load(attacked.folder / "scene.npz").agent_position)
+    assert not (tmp_path / "escaped.mcap").exists(), "a twin writes into its own folder alone"
     assert comparison.reference(RunRecord.load(attacked.folder), attacked.folder / "twin").name == "unattacked"
+
+
+@pytest.mark.heavy
+def test_a_live_view_shows_the_truth_as_it_happens(tmp_path: Path) -> None:
+    ended = run.run(driven(*ATTACK, frames=30, record=True), tmp_path / "run", runtime="inproc")
+    happened, prepared = Recording.load(ended.folder / "scene.npz"), driven(*ATTACK, frames=30).recording
+    assert prepared is not None
+    observer: Any = RecordedObserver(ended.folder, numbers=(10, 29))
+    observer.run.scene = prepared  # as it is while the run goes on
+    observer.record = replace(observer.record, recording=prepared)
+    blocks = LiveBlocks.of(observer)
+    frames = [frame for _ in range(5) if (frame := observer.advance()) is not None]
+    for frame in (replace(frame, run=replace(frame.run, recording=prepared)) for frame in frames):
+        lasting, block = blocks.header_and_block(frame)
+        _, columns = unpack(block)
+        truth = happened.truth_at(frame.index)
+        shown = np.flatnonzero(columns["box.truth"] > 0)
+        shown = shown[np.argsort(columns["box.id"][shown])]
+        place = np.column_stack([columns["box.x"][shown], columns["box.y"][shown]])
+        np.testing.assert_allclose(place, truth.position[np.argsort(truth.id), :2], atol=0.006)
+        assert columns["agents.x"][0] == pytest.approx(happened.agent_position[frame.index, 0, 0], abs=0.006)
+        assert all("sectors" not in agent for agent in lasting["agents"]), "what was swept in another drive"
+    assert [frame.index for frame in frames] == [10, 29]
+    assert np.abs(happened.agent_position[29, 0] - prepared.agent_position[29, 0]).max() > 0.1
 
 
 @pytest.mark.heavy

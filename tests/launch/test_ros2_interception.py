@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from ros2_messages import plain, random_states
 
-from mast_zenoh.errors import ConfigurationError, HandlerFailed, MessageError, NodeFileError
+from mast_zenoh.errors import ConfigurationError, MessageError, NodeFileError
 from mast_zenoh.launch import ros2_interception
 from mast_zenoh.launch.ros2_interception import ObjectsInterposer, interposer_of, launch_fragment
 from mast_zenoh.ros2 import type_store
@@ -24,6 +24,7 @@ from mast_zenoh.ros2.connection import Connection
 from mast_zenoh.ros2.object_messages import detection_array, tracked_objects
 from mast_zenoh.ros2.pose_messages import clock, odometry
 from mast_zenoh.ros2.received_objects import received_tracks
+from mast_zenoh.ros2.received_poses import ReceivedPose
 from mast_zenoh.runtime.mesh.ros2_participant import Participant
 from mast_zenoh.runtime.mesh.session import open_router
 from tests.support import commands_in_process
@@ -77,9 +78,8 @@ def interposer(folder: Path, text: str, *settings: str) -> ObjectsInterposer:
 
 def test_an_attack_changes_its_object_in_each_message_and_knows_its_agents_pose(tmp_path: Path) -> None:
     node = interposer(tmp_path, SHIFT)
-    node.set_pose(
-        {"position": np.array([4.0, 5.0, 6.0]), "rotation": np.array([1.0, 0, 0, 0]), "velocity": np.zeros(3)}
-    )
+    node.follow_poses()
+    node.add_pose(pose_at([4.0, 5.0, 6.0], WALL_NS))
     for k, message in enumerate(messages(3)):
         (result,) = node.through(message)
         before, after = received_tracks(message).objects, received_tracks(result).objects
@@ -93,6 +93,31 @@ def test_an_attack_changes_its_object_in_each_message_and_knows_its_agents_pose(
         frame, time_ns, position = victim.attack.at
         assert (frame, time_ns, position.tolist()) == (k, k * 10**8, [4.0, 5.0, 6.0])
     assert (node.messages, node.changed) == (3, 3)
+
+
+def pose_at(position: list[float], time_ns: int, frame: str = "map") -> ReceivedPose:
+    columns = {"position": np.array(position), "rotation": np.array([1.0, 0, 0, 0]), "velocity": np.zeros(3)}
+    return ReceivedPose(frame, "base_link", time_ns, columns)
+
+
+def test_the_pose_that_is_nearest_in_time_and_in_the_objects_frame_counts(tmp_path: Path) -> None:
+    node = interposer(tmp_path, SHIFT)
+    node.follow_poses()
+    (message,) = messages(1)
+    with pytest.raises(MessageError, match="no odometry: none has arrived yet"):
+        node.through(message)
+    node.add_pose(pose_at([1.0, 0.0, 0.0], WALL_NS, "odom"))
+    with pytest.raises(MessageError, match="another frame of reference: it is in 'odom', the objects are in 'map'"):
+        node.through(message)
+    node.add_pose(pose_at([2.0, 0.0, 0.0], WALL_NS - 510_000_000))
+    with pytest.raises(MessageError, match=r"another time: 0.51 s older than the objects, expected at most 0.5 s"):
+        node.through(message)
+    node.add_pose(pose_at([3.0, 0.0, 0.0], WALL_NS + 2 * 10**8))
+    node.add_pose(pose_at([4.0, 0.0, 0.0], WALL_NS + 4 * 10**8))
+    node.add_pose(pose_at([5.0, 0.0, 0.0], WALL_NS + 10**12))
+    node.through(message)
+    assert next(iter(node._host.node.victims.values())).attack.at[2].tolist() == [3.0, 0.0, 0.0]  # type: ignore[attr-defined]
+    assert (node.messages, node.placed) == (1, 1)
 
 
 def test_a_shipped_attack_needs_only_its_name() -> None:
@@ -122,6 +147,21 @@ def test_a_node_may_drop_messages_and_one_on_which_it_fails_passes_unchanged(tmp
     assert node.changed == 0
 
 
+NO_IDEA = """
+from mast_zenoh.node import Node
+
+
+class NoIdea(Node):
+    role = "adversary"
+    inputs = {"pose": "pose", "tracks": "tracks"}
+    outputs = {"tracks_out": "tracks"}
+
+    def on_pose(self, received, context):
+        pass
+
+    def on_tracks(self, received, context):
+        raise RuntimeError("no idea")
+"""
 LATE = """
 from mast_zenoh.node import Node
 
@@ -220,18 +260,14 @@ class Between:
 
     def __init__(self, router: str, node: ObjectsInterposer, odometry: str = "") -> None:
         self.counts: dict[str, Any] = {}
-        self.error: BaseException | None = None
         self._stop, self._ready = threading.Event(), threading.Event()
         self.warnings: list[str] = []
         arguments = Connection(router), TOPIC, type_store.TRACKED_OBJECTS, node, self._stop
 
         def run() -> None:
-            try:
-                self.counts = ros2_interception.intercept_topic(
-                    *arguments, odometry=odometry, ready=self._ready.set, warn=self.warnings.append
-                )
-            except HandlerFailed as error:
-                self.error = error
+            self.counts = ros2_interception.intercept_topic(
+                *arguments, odometry=odometry, ready=self._ready.set, warn=self.warnings.append
+            )
 
         self._thread = threading.Thread(target=run)
         self._thread.start()
@@ -253,25 +289,61 @@ class Between:
 def test_all_messages_between_two_nodes_arrive_in_order_attacked(router: str, tmp_path: Path) -> None:
     arrived: queue.SimpleQueue[Any] = queue.SimpleQueue()
     pose = {"position": np.array([7.0, 0, 0]), "rotation": np.array([1.0, 0, 0, 0]), "velocity": np.zeros(3)}
+    node = interposer(tmp_path, SHIFT)
     with (
-        Between(router, interposer(tmp_path, SHIFT), "/car/odometry") as between,
+        Between(router, node, "/car/odometry") as between,
         Participant(Connection(router), "tracker") as tracker,
         Participant(Connection(router), "planner") as planner,
     ):
         planner.subscribe(TOPIC, type_store.TRACKED_OBJECTS, lambda message, _: arrived.put(message))
         own = tracker.publisher(TOPIC + "/before", type_store.TRACKED_OBJECTS)
         place = tracker.publisher("/car/odometry", type_store.ODOMETRY)
-        eventually(lambda: own.is_wanted, "the interposer")
+        eventually(lambda: own.is_wanted and place.is_wanted, "the interposer")
         eventually(lambda: planner.publishers_of(TOPIC), "its publisher")
-        place.publish(odometry(pose, 1, "map", "base_link"))
         sent = messages(50)
+        for k in range(len(sent)):
+            place.publish(odometry(pose, WALL_NS + k * 10**8, "map", "base_link"))
+        eventually(lambda: len(node._poses or ()) == len(sent), "the odometry")
         for message in sent:
             own.publish(message)
         received = [arrived.get(timeout=20.0) for _ in sent]
         between.end()
     assert [message.header.stamp.nanosec for message in received] == [m.header.stamp.nanosec for m in sent]
     assert all(len(message.objects) == 6 for message in received)
-    assert between.counts == {"messages": 50, "changed": 50, "published": 50, "refused": {}}
+    expected = {"messages": 50, "changed": 50, "published": 50, "unattacked": {}, "refused": {}, "failed": ""}
+    assert between.counts == expected
+    assert not between.warnings
+
+
+def test_without_odometry_of_their_frame_messages_pass_unchanged_and_that_is_said(router: str, tmp_path: Path) -> None:
+    arrived: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    pose = {"position": np.array([7.0, 0, 0]), "rotation": np.array([1.0, 0, 0, 0]), "velocity": np.zeros(3)}
+    node = interposer(tmp_path, SHIFT)
+    with (
+        Between(router, node, "/car/odometry") as between,
+        Participant(Connection(router), "tracker") as tracker,
+        Participant(Connection(router), "planner") as planner,
+    ):
+        planner.subscribe_bytes(TOPIC, type_store.TRACKED_OBJECTS, lambda payload, _: arrived.put(payload))
+        own = tracker.publisher(TOPIC + "/before", type_store.TRACKED_OBJECTS)
+        place = tracker.publisher("/car/odometry", type_store.ODOMETRY)
+        eventually(lambda: own.is_wanted and place.is_wanted, "the interposer")
+        eventually(lambda: planner.publishers_of(TOPIC), "its publisher")
+        place.publish_bytes(b"no odometry")
+        place.publish(odometry(pose, WALL_NS, "odom", "base_link"))
+        eventually(lambda: node._poses, "the odometry")
+        sent = [type_store.encode(message) for message in messages(3)]
+        for payload in sent:
+            own.publish_bytes(payload)
+        assert [arrived.get(timeout=20.0) for _ in sent] == sent
+        between.end()
+    reason = "odometry in another frame of reference"
+    assert between.counts["unattacked"] == {reason: 3}
+    assert between.counts["refused"] == {"odometry that cannot be read": 1}
+    told = (
+        f"a message was passed on unchanged, more are only counted: {reason}: it is in 'odom', the objects are in 'map'"
+    )
+    assert between.warnings == [told, "/car/odometry: no odometry was used"]
 
 
 def test_what_cannot_be_read_is_passed_on_and_a_failed_node_is_an_error(router: str, tmp_path: Path) -> None:
@@ -292,8 +364,33 @@ def test_what_cannot_be_read_is_passed_on_and_a_failed_node_is_an_error(router: 
         received = [arrived.get(timeout=20.0) for _ in range(3)]
         between.end()
     assert [message.header.frame_id for message in received] == ["", "map", "map"]
-    assert isinstance(between.error, HandlerFailed)
-    assert "RuntimeError: no idea" in str(between.error)
+    assert "RuntimeError: no idea" in between.counts["failed"]
+    assert between.counts["unattacked"] == {"frame_id": 1}
+
+
+def test_bytes_that_are_no_message_are_passed_on_as_they_are(router: str, tmp_path: Path) -> None:
+    arrived: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    (message,) = messages(1)
+    sound = type_store.encode(message)
+    foreign = [sound.replace(b"\4\0\0\0map\0", b"\4\0\0\0ma\xe9\0"), sound + bytes(64), sound[:-9], b""]
+    assert foreign[0] != sound
+    with (
+        Between(router, interposer(tmp_path, SHIFT)) as between,
+        Participant(Connection(router), "tracker") as tracker,
+        Participant(Connection(router), "planner") as planner,
+    ):
+        planner.subscribe_bytes(TOPIC, type_store.TRACKED_OBJECTS, lambda payload, _: arrived.put(payload))
+        own = tracker.publisher(TOPIC + "/before", type_store.TRACKED_OBJECTS)
+        eventually(lambda: own.is_wanted, "the interposer")
+        eventually(lambda: planner.publishers_of(TOPIC), "its publisher")
+        for payload in foreign:
+            own.publish_bytes(payload)
+        assert [arrived.get(timeout=20.0) for _ in foreign] == foreign
+        between.end()
+    assert between.counts["unattacked"] == {f"cannot be read as {type_store.TRACKED_OBJECTS}": 4}
+    assert (between.counts["messages"], between.counts["published"]) == (4, 4)
+    (told,) = between.warnings
+    assert "utf-8" in told
 
 
 def test_a_publisher_that_was_not_remapped_is_named(router: str, tmp_path: Path) -> None:
@@ -340,6 +437,84 @@ def test_the_command_writes_the_launch_file_attacks_until_it_is_interrupted_and_
     assert (tmp_path / "before.launch.xml").read_text() == launch_fragment(TOPIC)
 
 
+class Output:
+    """What a command says while it is running, until the end of `with`."""
+
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        self.text = ""
+        self._process = process
+        self._reader = threading.Thread(target=self._read)
+        self._reader.start()
+
+    def __enter__(self) -> Output:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._process.kill()
+        self._reader.join()
+        self._process.communicate()
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            self.text += line
+
+    def has(self, *sentences: str) -> None:
+        """Wait until it has said sentences."""
+        eventually(lambda: all(sentence in self.text for sentence in sentences), f"{sentences}")
+
+    def end(self) -> int:
+        """Interrupt it; its exit code."""
+        self._process.send_signal(signal.SIGINT)
+        code = self._process.wait(30.0)
+        self._reader.join()  # it has read all
+        return code
+
+
+def test_the_command_says_what_makes_it_ineffective_and_the_numbers_also_of_a_node_that_failed(tmp_path: Path) -> None:
+    session, router = open_router()
+    (tmp_path / "no_idea.py").write_text(NO_IDEA)
+    process = command("--ros2", TOPIC, "--with", "no_idea.py", "--router", router, folder=tmp_path)
+    arrived: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    with (
+        Output(process) as output,
+        Participant(Connection(router), "tracker") as tracker,
+        Participant(Connection(router), "planner") as planner,
+    ):
+        planner.subscribe_bytes(TOPIC, type_store.TRACKED_OBJECTS, lambda payload, _: arrived.put(payload))
+        own = tracker.publisher(TOPIC + "/before", type_store.TRACKED_OBJECTS)
+        tracker.publisher(TOPIC, type_store.TRACKED_OBJECTS)
+        eventually(lambda: own.is_wanted, "the interposer")
+        eventually(lambda: len(planner.publishers_of(TOPIC)) == 2, "its publisher")
+        later, earlier = reversed(messages(2))
+        for message in (later, earlier):
+            own.publish(message)
+        own.publish_bytes(b"no message")
+        for _ in range(3):
+            arrived.get(timeout=20.0)
+        output.has(f"warning: /tracker publishes on {TOPIC} itself", "warning: a message was passed on unchanged")
+        session.close()
+        output.has("warning: there is no link to the router: meanwhile messages are lost")
+        assert output.end() == 30, output.text
+    assert "warning: no --odometry: to the node, the publisher is at the origin of 'map'" in output.text
+    assert f"warning: {TOPIC}: the stamps have jumped 1 times" in output.text
+    assert "messages: 3, changed: 0, published: 3" in output.text
+    assert (
+        f"warning: 1 messages were passed on unchanged: cannot be read as {type_store.TRACKED_OBJECTS}" in output.text
+    )
+    assert "RuntimeError: no idea: it was on" in output.text
+
+
+@pytest.mark.heavy
+def test_the_command_says_that_nothing_has_arrived(router: str, tmp_path: Path) -> None:
+    words = ("--ros2", TOPIC, "--with", "UncoordinatedAttack", "--router", router, "--odometry", "/car/odometry")
+    with Output(command(*words, folder=tmp_path)) as output:
+        output.has("Ctrl-C ends it.")
+        assert output.end() == 0, output.text
+    assert f"warning: nothing has arrived on {TOPIC}/before: nothing was attacked" in output.text
+    assert "warning: /car/odometry: no odometry was used" in output.text
+
+
 @pytest.mark.parametrize(
     ("words", "code", "problem"),
     [
@@ -348,6 +523,7 @@ def test_the_command_writes_the_launch_file_attacks_until_it_is_interrupted_and_
         (["run", "--with", "x.py", "--ros2", TOPIC], 2, "found RUN and --ros2"),
         (["--with", "UncoordinatedAttack", "--ros2", "objects"], 10, "--ros2: topic 'objects/before'"),
         (["--with", "UncoordinatedAttack", "--ros2", TOPIC, "--type", "Odometry"], 10, "--type: found 'Odometry'"),
+        (["--with", "UncoordinatedAttack", "--ros2", TOPIC, "--odometry", "o d"], 10, "--odometry: topic 'o d'"),
         (["--with", "missing.py", "--ros2", TOPIC], 12, "no node file or attack 'missing.py'"),
         (["--with", "UncoordinatedAttack", "--ros2", TOPIC, "--set", "attack.no=1"], 10, "no"),
         (["--with", "UncoordinatedAttack", "--ros2", TOPIC, "--router", "here"], 10, "ros2.router: found 'here'"),

@@ -2,19 +2,30 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from run_samples import FRAMES
 
+from mast_zenoh.launch.tables import write_table
 from mast_zenoh.report import comparison
 from mast_zenoh.report.comparison import Reference
-from mast_zenoh.report.figures.driven import course_of, driven_figure
+from mast_zenoh.report.figures.driven import driven_figure
+from mast_zenoh.report.film.look import THEMES
+from mast_zenoh.report.film.panels import DriveMarks
+from mast_zenoh.report.film.takes import Captions, Take, Window
 from mast_zenoh.report.html import write_report
-from mast_zenoh.report.narrative.driven import car_sentences, reason_of
+from mast_zenoh.report.narrative.driven import car_sentences
 from mast_zenoh.report.tables.of_run import driven_table
+from mast_zenoh.viewer.driven import course_of, reason_of, twin_course
+from mast_zenoh.viewer.page.block import run_block
+from mast_zenoh.viewer.page.columns import unpack
 from mast_zenoh.viewer.palette import RUN_COLOURS
 from mast_zenoh.viewer.run import RunRecord, Table
 
@@ -158,3 +169,85 @@ def test_driven_runs_of_one_scene_are_comparable_although_their_truth_differs(ru
     assert comparison._same_scene(run, other)
     del run.metrics["driven"]
     assert not comparison._same_scene(run, other)
+
+
+@pytest.fixture
+def with_twin(both: tuple[RunRecord, Reference]) -> RunRecord:
+    """A run whose folder has that of its twin."""
+    run, _ = both
+    (run.path / "twin").mkdir()
+    (run.path / "twin" / "run.json").write_text(json.dumps({"name": "unattacked"}))
+    write_table(run.path / "twin" / "driven.parquet", course(hard=False))
+    return run
+
+
+def test_the_page_has_the_course_of_the_car_and_of_its_twin(with_twin: RunRecord) -> None:
+    data = run_block(with_twin)
+    assert data is not None
+    header, columns = unpack(data)
+    own, twin = course(hard=True), course(hard=False)
+    assert header["drives"] == [{"car": "ego", "twin": "unattacked"}]
+    np.testing.assert_allclose(columns["drive.speed"], own["speed_mps"], atol=0.026)
+    np.testing.assert_allclose(columns["drive.twin_x"], twin["x"], atol=0.006)
+    np.testing.assert_array_equal(columns["drive.brake"], 2 * own["brake"])
+    (event,) = [each for each in header["events"] if each["kind"] == "brake"]
+    assert (event["frame"], event["x"]) == (17, pytest.approx(own["x"][17], abs=0.01))
+    assert event["text"].endswith("for an object that is not there (track 28, shown by adversary_1)")
+
+
+@pytest.mark.parametrize(
+    "damaged",
+    [
+        *(7, [None], {"ego": 7}, {"ego": {"brakes": {}}}),
+        {"ego": {"brakes": [7, {}, {"cause": {}}, {"from_s": "now"}]}},
+        {"ego": {"collisions": [None, {"frame": "x"}, {"frame": 1 << 70, "object": 1}]}},
+    ],
+)
+def test_a_page_of_damaged_consequences_shows_the_rest(damaged: Any, with_twin: RunRecord) -> None:
+    with_twin.metrics["driven"] = damaged
+    data = run_block(with_twin)
+    assert data is not None
+    header, columns = unpack(data)
+    assert not [each for each in header["events"] if each["kind"] in ("brake", "collision")]
+    assert not columns["drive.brake"].any()
+    assert columns["drive.speed"].max() == pytest.approx(8.0)
+
+
+@pytest.mark.parametrize("damage", ["no twin", "another run", "no table", "no parquet", "a list", "a link"])
+def test_a_twin_that_cannot_be_read_is_left_out(damage: str, with_twin: RunRecord, tmp_path: Path) -> None:
+    folder = with_twin.path / "twin"
+    assert twin_course(with_twin, "ego") is not None
+    assert twin_course(with_twin, "mobile_1") is None
+    if damage == "no twin":
+        shutil.rmtree(folder)
+    elif damage == "another run":
+        (folder / "run.json").write_text('{"name": "mine"}')
+    elif damage == "no table":
+        (folder / "driven.parquet").unlink()
+    elif damage == "no parquet":
+        (folder / "driven.parquet").write_bytes(b"PAR1" * 20)
+    elif damage == "a list":
+        (folder / "run.json").write_text("[]")
+    else:
+        (folder / "driven.parquet").rename(tmp_path / "elsewhere.parquet")
+        (folder / "driven.parquet").symlink_to(tmp_path / "elsewhere.parquet")
+    assert twin_course(with_twin, "ego") is None
+
+
+def test_a_film_shows_speed_rear_lights_and_the_twin(with_twin: RunRecord) -> None:
+    take = Take(with_twin, "picture")
+    marks = DriveMarks(Figure().add_subplot(), take, THEMES["light"], 1.0)
+    window = Window(0.0, 0.0, 50.0, 50.0)
+    marks.show(10, window)
+    assert marks.text == "ego 8.0 m/s\nunattacked 8.0 m/s (broken line)"
+    assert marks.lights == 0
+    marks.show(18, window)
+    assert marks.text == "ego 6.2 m/s, brakes needlessly 9.0 m/s²\nunattacked 8.0 m/s (broken line)"
+    assert marks.lights == 1
+    assert "frame 17: ego brakes needlessly with 9.0 m/s²" in Captions([take], {}).at(17)
+
+
+def test_a_film_of_a_run_without_drivers_has_no_such_marks(run_of: RunOf) -> None:
+    marks = DriveMarks(Figure().add_subplot(), Take(run_of(), "picture"), THEMES["light"], 1.0)
+    marks.show(3, Window(0.0, 0.0, 50.0, 50.0))
+    assert (marks.artists, marks.text, marks.lights) == ([], "", 0)

@@ -62,6 +62,25 @@ def test_a_transform_is_used_half_a_second_beyond_the_newest_and_no_longer() -> 
             frames.place("car", stamp_ns, 0)
 
 
+def test_between_transforms_that_are_far_apart_only_the_nearest_is_used() -> None:
+    frames = FrameTransforms("map")
+    for second in (10, 11, 50):
+        frames.add("map", "car", second * S, at(float(second)), static=False)
+    for stamp_s, expected in ((10.25, 10.25), (11.0, 11.0), (11.5, 11.0), (49.5, 50.0)):
+        assert frames.place("car", round(stamp_s * S), 0).position[0] == expected
+    for stamp_s in (11.6, 30.0, 49.4):
+        with pytest.raises(MessageError, match=r"no transform: none within 0.5 s"):
+            frames.place("car", round(stamp_s * S), 0)
+
+
+def test_transforms_of_another_clock_do_not_displace_those_that_come_later() -> None:
+    frames = FrameTransforms("map")
+    for number in range(2 * frame_transforms.KEPT):
+        frames.add("map", "car", 1_700_000_000 * S + number, at(99.0), static=False)
+    frames.add("map", "car", 7 * S, at(1.0), static=False)
+    assert frames.place("car", 7 * S, 0).position[0] == 1.0
+
+
 def test_the_frame_of_an_agent_is_placed_by_the_run_alone() -> None:
     frames = FrameTransforms("map", ["ego"])
     with pytest.raises(MessageError, match="no transform: none yet"):

@@ -409,7 +409,7 @@ _FIELDS: dict[str, tuple[str, ...]] = {
     "wiring.json": ("wires", "overhearers", "wires/0", "wires/0/legs", "wires/0/key", "wires/0/legs/0/to"),
     "metrics.json": (
         *("frames", "scored_frames", "agents", "agents/ego", "agents/ego/picture", "same_as", "achieved"),
-        *("latency_ms", "interposers", "driving", "consistency", "agents/ego/picture/fn", "late", "settled"),
+        *("latency_ms", "interposers", "driving", "driven", "consistency", "agents/ego/picture/fn", "late", "settled"),
     ),
 }
 

@@ -12,8 +12,9 @@ from mast_zenoh.driving.consequences import HARD_BRAKING_MPS2
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.figures.style import Figure, light_axes, plain
 from mast_zenoh.report.figures.timeaxis import padded
+from mast_zenoh.viewer.driven import brakes_of, course_of
 from mast_zenoh.viewer.palette import ADVERSARY_ON_LIGHT, GROUNDS, INK, KEYS, LOCAL, RUN_COLOURS
-from mast_zenoh.viewer.run import RunRecord, Table, rows
+from mast_zenoh.viewer.run import RunRecord, Table
 
 #: Of needless brakes, and of others.
 _NEEDLESS, _BRAKE = KEYS["paper"]["light"].outcomes["track false"], "#9aa3ad"
@@ -33,7 +34,7 @@ def driven_figure(run: RunRecord, reference: Reference | None = None) -> Figure 
     car = str(course["agent"][0])
     other = course_of(reference.run, car) if reference is not None else None
     figure = Figure(figsize=(_WIDTH, _HEIGHT), facecolor="white")
-    brakes = run.metrics.get("driven", {}).get(car, {}).get("brakes", ())
+    brakes = brakes_of(run, car)
     _draw_map(_map_axes(figure), run, course, other, brakes)
     charts = _chart_axes(figure)
     for axis in charts:
@@ -71,17 +72,6 @@ def driven_figure(run: RunRecord, reference: Reference | None = None) -> Figure 
         handlelength=1.7,
     )
     return figure
-
-
-def course_of(run: RunRecord, car: str = "") -> Table | None:
-    """The rows of driven.parquet of one car, by default the ego or else the first; None: there are none."""
-    table = run.driven
-    if table is None or not len(table["agent"]):
-        return None
-    names = list(dict.fromkeys(table["agent"].tolist()))
-    chosen = car or (run.ego if run.ego in names else names[0])
-    course = rows(table, table["agent"] == chosen)
-    return course if len(course["frame"]) else None
 
 
 def _map_axes(figure: Figure) -> Axes:
@@ -125,7 +115,7 @@ def _draw_map(axes: Axes, run: RunRecord, course: Table, other: Table | None, br
     axes.plot(course["x"][-1], course["y"][-1], "o", color=RUN_COLOURS[0], ms=7, zorder=5)
     for brake in brakes:
         during = (course["time_s"] >= brake["from_s"]) & (course["time_s"] < brake["until_s"])
-        colour = _NEEDLESS if brake["needless"] else _BRAKE
+        colour = _NEEDLESS if brake.get("needless", False) else _BRAKE
         axes.plot(course["x"][during], course["y"][during], "s", color=colour, ms=4, zorder=6, linestyle="")
     axes.plot(course["x"][0], course["y"][0], "|", color=INK, ms=9, mew=2, zorder=5)
 
@@ -138,5 +128,5 @@ def _draw_bands(axis: Axes, run: RunRecord, brakes: Any) -> None:
         axis.axvline(first, color=ADVERSARY_ON_LIGHT, linewidth=0.9, alpha=0.6)
     for needless, colour, label in ((False, _BRAKE, "brakes"), (True, _NEEDLESS, "brakes needlessly")):
         for brake in brakes:
-            if brake["needless"] is needless:
+            if brake.get("needless", False) is needless:
                 axis.axvspan(brake["from_s"], brake["until_s"], color=colour, alpha=0.35, linewidth=0, label=label)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
@@ -14,15 +16,18 @@ from matplotlib.ticker import MaxNLocator, MultipleLocator, NullLocator
 
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import Floats
+from mast_zenoh.launch.twin import NAME
 from mast_zenoh.report.figures.birdseye import BoxArtists, outlines, place_name, side_behind, withheld_style
 from mast_zenoh.report.figures.camera import draw_camera, ego_eye
 from mast_zenoh.report.figures.style import plain
 from mast_zenoh.report.film.look import Theme
 from mast_zenoh.report.film.takes import Attacks, Framing, Take, Window
 from mast_zenoh.sensing.sensors import LidarSensor
+from mast_zenoh.viewer.driven import NEEDLESSLY, ROLLS, braking_of, cars_of, course_of, twin_course
 from mast_zenoh.viewer.events import node_absences, spans, states_at, withheld_at
 from mast_zenoh.viewer.frame import Boxes
 from mast_zenoh.viewer.palette import TROUBLES
+from mast_zenoh.viewer.run import Table
 
 #: Of a sensor's outline: its points, how opaque it is, and the number of agents above which it is fainter.
 _POINTS, _OPACITY, _MANY = 49, 0.35, 6
@@ -88,6 +93,84 @@ class AgentMarks:
         self._ranges.set_color(colours)
 
 
+#: m: from the middle of a car to its rear lights, and their width. Share of the window: at least.
+_REAR_M, _WIDE_M, _LEAST_SHARE = 2.3, 1.9, 0.03
+
+
+class DriveMarks:
+    """The driven cars: rear lights when they brake, speed and acceleration, and the ways of their unattacked twins.
+
+    scale: of marks and letters
+    """
+
+    def __init__(self, axes: Axes, take: Take, theme: Theme, scale: float) -> None:
+        self._take, self._theme = take, theme
+        self._courses = [(car, course_of(take.run, car)) for car in cars_of(take.run)]
+        self._twins = [twin_course(take.run, car) for car, _ in self._courses]
+        self._lights = LineCollection([], linewidths=4.0 * scale, zorder=6.5, capstyle="butt")
+        axes.add_collection(self._lights)
+        dashed: dict[str, Any] = {
+            "color": theme.faint,
+            "linewidth": 1.3 * scale,
+            "linestyle": (0, (4, 3)),
+            "zorder": 2.4,
+        }
+        ways = [axes.plot(twin["x"], twin["y"], **dashed)[0] for twin in self._twins if twin is not None]
+        self._ghosts = _points(axes, "o", theme.faint, 8.5 * scale, 1.4 * scale, zorder=4.9)
+        self._text = axes.text(0.015, 0.985, "", transform=axes.transAxes, ha="left", va="top", zorder=8)
+        self._text.set(color=theme.ink, fontsize=max(9.5 * scale, 6.5), linespacing=1.25)
+        self._text.set_bbox({"facecolor": theme.ground, "edgecolor": "none", "alpha": 0.7, "pad": 1.5})
+        self.artists: list[Artist] = [*ways, self._lights, self._ghosts, self._text] if self._courses else []
+
+    @property
+    def text(self) -> str:
+        """What it says of this frame."""
+        return self._text.get_text()
+
+    @property
+    def lights(self) -> int:
+        """Number of cars that brake in this frame."""
+        return len(self._lights.get_segments())
+
+    def show(self, frame: int, window: Window) -> None:
+        """Move the marks to a frame."""
+        now = np.array([self._take.seconds(frame)])
+        lights, colours, lines, ghosts = [], [], [], []
+        for (car, course), twin in zip(self._courses, self._twins, strict=True):
+            if course is None:
+                continue
+            row = _row_of(course, frame)
+            place = np.array([course["x"][row], course["y"][row]])
+            line = f"{car} {course['speed_mps'][row]:.1f} m/s"
+            state = int(braking_of(self._take.run, car, now)[0])
+            if state != ROLLS:
+                lights.append(_rear(place, float(course["heading"][row]), _LEAST_SHARE * window.half))
+                colours.append(self._theme.outcomes["track false"] if state == NEEDLESSLY else self._theme.fault)
+                line += f", {'brakes needlessly' if state == NEEDLESSLY else 'brakes'}"
+                line += f" {max(-float(course['acceleration_mps2'][row]), 0.0):.1f} m/s²"
+            lines.append(line)
+            if twin is not None:
+                ghosts.append((twin["x"][_row_of(twin, frame)], twin["y"][_row_of(twin, frame)]))
+                lines.append(f"{NAME} {twin['speed_mps'][_row_of(twin, frame)]:.1f} m/s (broken line)")
+        self._lights.set_segments(lights)
+        self._lights.set_color(colours)
+        self._ghosts.set_data(*np.array(ghosts).reshape(-1, 2).T)
+        self._text.set_text(plain("\n".join(lines)))
+
+
+def _row_of(course: Table, frame: int) -> int:
+    """The row of a frame, or of the last one before it."""
+    return max(int(np.searchsorted(course["frame"], frame, side="right")) - 1, 0)
+
+
+def _rear(place: Floats, heading: float, least: float) -> Floats:
+    """(2, 2) m, a line across the rear of a car. least: m, its distance from the middle, and half its length"""
+    ahead = np.array([np.cos(heading), np.sin(heading)])
+    left = np.array([-ahead[1], ahead[0]]) * max(_WIDE_M / 2.0, least)
+    back = place - ahead * max(_REAR_M, least)
+    return np.stack([back - left, back + left])
+
+
 def _sector(position: Floats, turn: float, sensor: LidarSensor) -> Floats:
     """(k, 2) m, the outline of what a sensor covers."""
     start, end = np.radians([sensor.azimuth_min_deg, sensor.azimuth_max_deg])
@@ -132,6 +215,7 @@ class BirdseyePanel:
         self.moved = LineCollection([], colors=theme.adversary, linewidths=1.5 * scale, zorder=4)
         axes.add_collection(self.moved)
         self.agents = AgentMarks(axes, take, theme, scale)
+        self.drives = DriveMarks(axes, take, theme, scale)
         self._frame = Rectangle((0, 0), 1, 1, transform=axes.transAxes, fill=False, zorder=7)
         self._frame.set(edgecolor=theme.adversary, linewidth=4.0 * scale)
         axes.add_patch(self._frame)
@@ -140,7 +224,7 @@ class BirdseyePanel:
         self._over.set_bbox({"facecolor": theme.ground, "edgecolor": theme.faint, "alpha": 0.9})
         boxes = [artist for each in self.outcomes.values() for artist in each.artists]
         marks = [*self.outside.values(), self._withheld, self.inserted, self.removed, self.moved]
-        parts = [*boxes, *marks, *self.agents.artists, self._frame, self._over]
+        parts = [*boxes, *marks, *self.agents.artists, *self.drives.artists, self._frame, self._over]
         self.changing: list[Artist] = [axes] if framing.follow else sorted(parts, key=lambda each: each.get_zorder())
 
     def _draw_ground(self, theme: Theme) -> None:
@@ -187,6 +271,7 @@ class BirdseyePanel:
         self.removed.set_data(marks.removed[:, 0], marks.removed[:, 1])
         self.moved.set_segments(list(_arrows(marks.moved[:, :, :2], window)))
         self.agents.show(frame, window, self.attacks.attacked(frame))
+        self.drives.show(frame, window)
         self._frame.set_visible(self.attacks.on(frame))
         self._over.set_visible(over)
 

@@ -16,6 +16,7 @@ from mast_zenoh.errors import ConfigurationError, RunFolderError, nearest
 from mast_zenoh.metrics.estimates import TRUTH
 from mast_zenoh.report.film.look import SHOWN, WindowChoice
 from mast_zenoh.viewer import events
+from mast_zenoh.viewer.driven import braking_events
 from mast_zenoh.viewer.events import spans
 from mast_zenoh.viewer.frame import Frame, Score, ego_position, frame_at, has_boxes
 from mast_zenoh.viewer.interposers import interposers
@@ -189,13 +190,13 @@ class Captions:
 
 
 def happenings(take: Take) -> list[tuple[int, str]]:
-    """(frame, words) of interceptions, attacks, faults, absences and states of trust, the earliest first."""
+    """(frame, words) of interceptions, attacks, faults, absences, states of trust and brakes, the earliest first."""
     # A caption is one line: it has no room for the reasons.
     periods = [
         period | {"begins": period["label"]} if period["kind"] == "undecided" else period
         for period in spans(take.run, take.times)
     ]
-    happened = events.happenings(take.run, periods, take.times)
+    happened = events.happenings(take.run, periods, take.times) + braking_events(take.run, take.times, reasons=False)
     happened.sort(key=lambda each: (each.frame, each.kind != "interception", each.text))
     return [(max(each.frame, take.first), each.text) for each in happened if each.frame <= take.last]
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.narrative.changes import join_names, plural
+from mast_zenoh.viewer.driven import reason_of
 from mast_zenoh.viewer.run import RunRecord
 
 #: m, of way, and s, of standing: a smaller difference between a run and its twin is not said.
@@ -57,22 +58,6 @@ def _brakes(happened: Mapping[str, Any]) -> list[str]:
     if missed := happened["missed_brakes"]:
         texts.append(f"fails to brake in {plural(missed, 'emergency').replace('ys', 'ies')}")
     return texts
-
-
-def reason_of(brake: Mapping[str, Any]) -> str:
-    """Why a car braked: `for object 12`, `for an object that is not there …`, `before a line`."""
-    cause = brake["cause"]
-    adversary = cause["adversary"]
-    if cause["kind"] == "real":
-        return f"for object {cause['object']}"
-    if cause["kind"] == "false":
-        shown = f", shown by {adversary}" if adversary else ""
-        return f"for an object that is not there (track {cause['object']}{shown})"
-    if cause["kind"] == "line":
-        return "before a line"
-    if adversary:
-        return f"because {adversary} changed its commands"
-    return "for nothing that it believed" if brake["needless"] else "for the road ahead"
 
 
 def _progress(happened: Mapping[str, Any], other: Mapping[str, Any] | None, name: str) -> str:

@@ -32,8 +32,9 @@ from mast_zenoh.runtime.mesh.session import open_session
 
 log = logging.getLogger("mast.ros2")
 
-#: Called with each valid message, in a thread of Zenoh.
+#: Called with each valid message, or with the bytes of each message, in a thread of Zenoh.
 Handler = Callable[[RosMessage, Attachment], None]
+BytesHandler = Callable[[bytes, Attachment], None]
 
 #: Bytes of a message, if a subscriber says nothing else: a larger one is refused unread.
 MOST_BYTES = 1 << 24
@@ -177,6 +178,16 @@ class Participant:
 
         The handler must be quick: the messages of a session wait for each other.
         """
+
+        def decoded(payload: bytes, attachment: Attachment) -> None:
+            handler(type_store.decode(type_name, payload), attachment)
+
+        self.subscribe_bytes(topic, type_name, decoded, qos, most_bytes=most_bytes)
+
+    def subscribe_bytes(
+        self, topic: str, type_name: str, handler: BytesHandler, qos: Qos | None = None, *, most_bytes: int = MOST_BYTES
+    ) -> None:
+        """Have a handler called with the bytes of each message of a topic, valid or not; otherwise as `subscribe`."""
         token = self._endpoint("subscription", topic, type_name, qos)
         self._declared.append(self._session.liveliness().declare_token(token.write()))
         take: Any = zenoh.handlers.Callback(
@@ -300,7 +311,7 @@ class Participant:
                     found.add(_node_of(token).domain)
         return sorted(found - {self.connection.domain})
 
-    def _take(self, token: EndpointToken, handler: Handler, sample: zenoh.Sample, most_bytes: int) -> None:
+    def _take(self, token: EndpointToken, handler: BytesHandler, sample: zenoh.Sample, most_bytes: int) -> None:
         """Check a received message, and pass it on."""
         try:
             if sample.kind != zenoh.SampleKind.PUT:
@@ -310,7 +321,7 @@ class Participant:
             attachment = parse_attachment(sample.attachment.to_bytes())
             if len(sample.payload) > most_bytes:
                 raise MessageError(f"size: found {len(sample.payload)} bytes, expected at most {most_bytes}")
-            handler(type_store.decode(token.type_name, sample.payload.to_bytes()), attachment)
+            handler(sample.payload.to_bytes(), attachment)
         except MessageError as error:
             self.refuse(token.topic, str(error))
 

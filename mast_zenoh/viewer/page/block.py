@@ -21,11 +21,13 @@ from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASSES, Bools, Floats, Ints, ObjectStates
 from mast_zenoh.errors import MastError
 from mast_zenoh.launch.tables import read_arrow
+from mast_zenoh.launch.twin import NAME
 from mast_zenoh.messagelog.reader import read
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics.estimates import ESTIMATES
 from mast_zenoh.scenes.recording import Recording, SceneAgent
+from mast_zenoh.viewer.driven import braking_events, braking_of, cars_of, course_of, twin_course
 from mast_zenoh.viewer.events import EFFECTS, Event, first_changes, happenings, lie_frames, node_absences, spans
 from mast_zenoh.viewer.interposers import adversaries_by_agent, interposers
 from mast_zenoh.viewer.page.columns import Packer
@@ -140,6 +142,7 @@ def run_block(run: RunRecord, frame: int | None = None, label: str = "") -> byte
         "recorded": (run.path / "messages.mcap").is_file(),
         "spans": periods,
         "events": _events(run, boxes, periods, times),
+        "drives": _add_drives(packer, run, times),
     }
     return packer.block(header)
 
@@ -497,9 +500,51 @@ def _add_series(packer: Packer, run: RunRecord, frames: range) -> list[dict[str,
     return [{"agent": agent, "estimate": estimate} for agent, estimate in pairs]
 
 
+def _add_drives(packer: Packer, run: RunRecord, times: Floats) -> list[dict[str, str]]:
+    """Add `drive.*`, a row per frame of each driven car and of the twin's, and return the cars.
+
+    Speeds are -1 where they are not known; without a twin, its places are those of the car. times: (f,) s
+    """
+    drives: list[dict[str, str]] = []
+    columns: dict[str, list[NDArray[Any]]] = {
+        name: [] for name in ("speed", "acceleration", "brake", "twin_x", "twin_y")
+    }
+    for car in cars_of(run):
+        course = course_of(run, car)
+        assert course is not None
+        twin = twin_course(run, car)
+        drives.append({"car": car, "twin": "" if twin is None else NAME})
+        columns["speed"].append(_by_frame(course, "speed_mps", len(times), -1.0))
+        columns["acceleration"].append(_by_frame(course, "acceleration_mps2", len(times), 0.0))
+        columns["brake"].append(braking_of(run, car, times))
+        for axis in "xy":
+            columns[f"twin_{axis}"].append(_held(course if twin is None else twin, axis, len(times)))
+    for name, parts in columns.items():
+        scale = {"speed": _SPEED, "acceleration": _SPEED, "brake": 1.0}.get(name, LENGTH)
+        packer.add(f"drive.{name}", np.array(parts).reshape(len(drives), len(times)), scale=scale)
+    return drives
+
+
+def _by_frame(course: Table, name: str, frames: int, unknown: float) -> Floats:
+    """A column of a course by frame (frames,). unknown: its value elsewhere"""
+    result = np.full(frames, unknown)
+    inside = course["frame"] < frames
+    values = course[name][inside].astype(np.float64)
+    result[course["frame"][inside].astype(np.int64)] = np.where(np.isfinite(values), values, unknown)
+    return result
+
+
+def _held(course: Table, name: str, frames: int) -> Floats:
+    """A column of a course by frame (frames,); its last value goes on."""
+    row = np.searchsorted(course["frame"], np.arange(frames), side="right") - 1
+    values: Floats = course[name].astype(np.float64)[np.maximum(row, 0)]
+    return values
+
+
 def _events(run: RunRecord, boxes: BoxTable, periods: list[dict[str, Any]], times: Floats) -> list[dict[str, Any]]:
     """All events, the earliest first. periods: from `spans`;  times: (f,) s, of the frames"""
     everything = [*happenings(run, periods, times), *first_changes(run), *_first_successes(run, boxes)]
+    everything += braking_events(run, times)
     inside = [each for each in dict.fromkeys(everything) if 0 <= each.frame < len(times)]
     inside.sort(key=lambda each: (each.frame, each.kind, each.text))
     return [{name: value for name, value in each._asdict().items() if value is not None} for each in inside]

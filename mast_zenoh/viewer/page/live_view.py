@@ -111,7 +111,10 @@ class LiveBlocks:
         self.poses.update({name: pose for name, pose in frame.poses.items() if name in self.poses})
         position, rotation = (np.array([[self.poses[name][part] for name in scene.agent_names]]) for part in (0, 1))
         number = min(frame.index, len(scene) - 1)  # a shorter scene keeps its last sweeps
-        return Surroundings(position, rotation, tuple(sweep[number : number + 1] for sweep in scene.sweeps))
+        roles = {spec.role for spec in self.observer.run.resolved.nodes.values()}
+        stepped = "driver" in roles  # the prepared sweeps are of another drive
+        sweeps = () if stepped else tuple(sweep[number : number + 1] for sweep in scene.sweeps)
+        return Surroundings(position, rotation, sweeps)
 
 
 def show(run: ObservedRun, session: zenoh.Session, server: LiveServer, stop: threading.Event) -> None:

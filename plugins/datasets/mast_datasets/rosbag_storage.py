@@ -252,9 +252,13 @@ _READABLE = ("sqlite_master", "message_definitions", *_COLUMNS)
 def _database(file: Path) -> Iterator[sqlite3.Connection]:
     """A database, opened so that it is read only, and that no SQL in it runs. Raises SceneError for all failures."""
     size = file.stat().st_size
-    journal = file.with_name(f"{file.name}-wal")
-    if journal.is_file() and journal.stat().st_size:
-        raise SceneError(f"{journal}: found messages that are not in the bag yet, expected a bag that was closed")
+    for suffix, content in (
+        ("-wal", "messages that are not in the bag yet"),
+        ("-journal", "a change that was cut off"),
+    ):
+        journal = file.with_name(file.name + suffix)
+        if _is_hot(journal):
+            raise SceneError(f"{journal}: found {content}, expected a bag that was closed")
     try:
         # Immutable: neither locks nor journals beside the file, which might be anything.
         uri = f"file:{quote(str(file.absolute()))}?mode=ro&immutable=1"
@@ -269,6 +273,14 @@ def _database(file: Path) -> Iterator[sqlite3.Connection]:
             yield connection
     except (sqlite3.Error, sqlite3.Warning, ValueError, OverflowError) as error:
         raise SceneError(f"{file}: cannot be read as SQLite3: {error}") from error
+
+
+def _is_hot(journal: Path) -> bool:
+    """Whether a journal has something for its database; one that is kept for the next change begins with 0."""
+    if not journal.is_file():
+        return False
+    with journal.open("rb") as file:
+        return file.read(1) not in (b"", b"\0")
 
 
 def _authorize(action: int, first: str | None, *_: str | None) -> int:
@@ -346,6 +358,15 @@ def _sqlite_counts(file: Path) -> Counter[tuple[str, str]]:
 
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")  # channel, number, ns of recording, ns of sending
+_STATISTICS = struct.Struct("<QHIIII")  # numbers of messages, schemas, channels, attachments, metadata, chunks
+_CHECKSUM = struct.Struct("<I")
+#: Kinds of records that the format allows in each part of a file; applications may add private ones in all of them.
+_IN_CHUNK = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
+_IN_DATA = frozenset(
+    {*_IN_CHUNK, Opcode.HEADER, Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT, Opcode.METADATA, Opcode.DATA_END}
+)
+_IN_SUMMARY = frozenset(Opcode) - _IN_DATA | {Opcode.SCHEMA, Opcode.CHANNEL}
+_FIRST_PRIVATE = 0x80
 
 
 def _read_mcap(file: Path, wanted: Collection[str]) -> Iterator[_Read]:
@@ -383,32 +404,74 @@ def _topic(channel: Channel, schemas: dict[int, Schema]) -> Topic:
 
 
 def _records(file: IO[bytes], size: int) -> Iterator[tuple[int, memoryview]]:
-    """Schemas, channels and messages, also those in chunks, up to the end of the data."""
-    file.seek(len(_MCAP_MAGIC))
+    """Schemas, channels and messages of the data, also those in chunks; the file is checked to its last byte."""
     most, unpacked = _ALWAYS_BYTES + _MAX_EXPANSION * size, 0
-    while True:
+    messages = chunks = 0
+    allowed = _IN_DATA
+    for opcode, length in _record_heads(file, size):
+        start = file.tell()
+        if opcode not in allowed and opcode < _FIRST_PRIVATE:
+            raise _damaged(start - _RECORD.size, f"found a record of kind {opcode}")
+        if allowed is _IN_SUMMARY:
+            if opcode == Opcode.STATISTICS:
+                written, *_, written_chunks = _STATISTICS.unpack(file.read(_STATISTICS.size))
+                if (written, written_chunks) != (messages, chunks):
+                    expected = f"{written} and {written_chunks}, as its statistics say"
+                    raise _damaged(size, f"found {messages} messages and {chunks} chunks, expected {expected}")
+        elif opcode == Opcode.DATA_END:
+            if length != _CHECKSUM.size:
+                raise _damaged(start, f"found an end of the data of {length} bytes, expected {_CHECKSUM.size}")
+            (checksum,) = _CHECKSUM.unpack(file.read(_CHECKSUM.size))
+            if checksum and checksum != _checksum(file, start - _RECORD.size):
+                raise _damaged(start, "found data whose checksum is another")
+            allowed = _IN_SUMMARY
+        elif opcode in (*_IN_CHUNK, Opcode.CHUNK):
+            if length > MAX_CHUNK_BYTES:
+                raise ValueError(f"found a record of {length} bytes, expected at most {MAX_CHUNK_BYTES}")
+            content = file.read(length)
+            if opcode != Opcode.CHUNK:
+                messages += opcode == Opcode.MESSAGE
+                yield opcode, memoryview(content)
+                continue
+            chunks += 1
+            chunk = _unpacked_chunk(Chunk.read(ReadDataStream(BytesIO(content))))
+            unpacked += len(chunk)
+            if unpacked > most:
+                raise ValueError(f"found more than {most} bytes unpacked in a file of {size}")
+            for record in _in_chunk(memoryview(chunk)):
+                messages += record[0] == Opcode.MESSAGE
+                yield record
+
+
+def _record_heads(file: IO[bytes], size: int) -> Iterator[tuple[int, int]]:
+    """Opcode and length of each record, up to the footer, which ends the file; the file is at the record's content."""
+    opcode, at = 0, len(_MCAP_MAGIC)
+    while opcode != Opcode.FOOTER:
+        file.seek(at)
         head = file.read(_RECORD.size)
         if len(head) < _RECORD.size:
-            raise ValueError("it is cut off: found no end of its data; `mcap recover` repairs such files")
+            raise _damaged(size, "found no footer")
         opcode, length = _RECORD.unpack(head)
-        if opcode == Opcode.DATA_END:
-            return
-        if file.tell() + length > size:
-            raise ValueError(f"it is cut off at byte {size}; `mcap recover` repairs such files")
-        if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK):
-            file.seek(length, 1)
-            continue
-        if length > MAX_CHUNK_BYTES:
-            raise ValueError(f"found a record of {length} bytes, expected at most {MAX_CHUNK_BYTES}")
-        content = file.read(length)
-        if opcode != Opcode.CHUNK:
-            yield opcode, memoryview(content)
-            continue
-        chunk = _unpacked_chunk(Chunk.read(ReadDataStream(BytesIO(content))))
-        unpacked += len(chunk)
-        if unpacked > most:
-            raise ValueError(f"found more than {most} bytes unpacked in a file of {size}")
-        yield from _in_chunk(memoryview(chunk))
+        at += _RECORD.size + length
+        if at > size:
+            raise _damaged(size, f"found a record that ends at byte {at}")
+        yield opcode, length
+    file.seek(at)
+    if file.read(len(_MCAP_MAGIC) + 1) != _MCAP_MAGIC:
+        raise _damaged(at, "found a footer that does not end the file")
+
+
+def _damaged(at: int, problem: str) -> ValueError:
+    return ValueError(f"it is cut off or damaged at byte {at}: {problem}; `mcap recover` saves what can be read")
+
+
+def _checksum(file: IO[bytes], end: int) -> int:
+    """The checksum of a file's bytes before `end`."""
+    result, at = 0, 0
+    file.seek(0)
+    while piece := file.read(min(1 << 20, end - at)):
+        result, at = zlib.crc32(piece, result), at + len(piece)
+    return result
 
 
 def _in_chunk(content: memoryview) -> Iterator[tuple[int, memoryview]]:
@@ -419,8 +482,10 @@ def _in_chunk(content: memoryview) -> Iterator[tuple[int, memoryview]]:
         at = start + length
         if at > len(content):
             raise ValueError("found a record that is longer than its chunk")
-        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
+        if opcode in _IN_CHUNK:
             yield opcode, content[start:at]
+        elif opcode < _FIRST_PRIVATE:
+            raise ValueError(f"found a record of kind {opcode} in a chunk: it is damaged")
 
 
 def _unpacked_chunk(chunk: Chunk) -> bytes:

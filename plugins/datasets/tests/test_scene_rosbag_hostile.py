@@ -21,6 +21,7 @@ from mast_datasets.rosbag_map import parse_map
 from mast_datasets.rosbag_reading import DetectionReader
 from mast_datasets.rosbag_storage import Topic
 from mast_datasets.rosbag_types import OwnType, known_decoder, parse_definition
+from mcap.writer import Writer
 from rosbag_writer import Sent, odometry, pose_stamped, transforms, write_bag, write_recording
 
 from mast_zenoh.errors import ConfigurationError, MastError, MessageError, SceneError
@@ -103,6 +104,7 @@ NAMES = "relative_file_paths:\n  - bag.db3"
         (content("bag.db3", b"no database"), "begins with .* expected a bag of ROS 2"),
         (content("bag.db3", b"SQLite format 3\0" + bytes(5000)), "cannot be read as SQLite3"),
         (content("bag.db3-wal", b"x"), "expected a bag that was closed"),
+        (content("bag.db3-journal", b"\xd9\xd5\x05\xf9"), "a change that was cut off, expected a bag that was closed"),
         (sql("DROP TABLE messages"), "table messages: found no column"),
         (sql("ALTER TABLE topics DROP COLUMN type"), "table topics: found no column type"),
         (
@@ -169,13 +171,44 @@ def test_a_query_ends_that_takes_more_steps_than_a_sound_file_can(bag: Path, mon
         read(bag)
 
 
+def test_an_empty_journal_is_no_reason_to_refuse_a_bag(bag: Path) -> None:
+    (bag / "bag.db3-wal").touch()
+    (bag / "bag.db3-journal").write_bytes(bytes(512))
+    read(bag)
+
+
 def test_a_bag_that_was_cut_off_is_refused_wherever(mcap: Path) -> None:
     whole = (mcap / "mcap.mcap").read_bytes()
-    end = whole.rindex(b"\x0f" + struct.pack("<Q", 4))  # of the data; what follows is a summary, which is not read
-    for length in (8, 9, 100, end // 2, end - 1, end):
+    end = whole.rindex(b"\x0f" + struct.pack("<Q", 4))  # of the data; what follows is a summary
+    for length in (8, 9, 100, end // 2, end - 1, end, end + 13, len(whole) - 30, len(whole) - 1):
         (mcap / "mcap.mcap").write_bytes(whole[:length])
-        with pytest.raises(SceneError, match=r"mcap\.mcap: cannot be read as MCAP: it is cut off"):
+        with pytest.raises(SceneError, match=r"mcap\.mcap: cannot be read as MCAP: it is cut off or damaged"):
             read(mcap)
+
+
+@pytest.mark.parametrize("kind", [0, 2, 7, 8, 9, 0x0C, 0x0F, 0x16, 0x80])
+def test_a_chunk_whose_kind_is_damaged_makes_no_bag_shorter(kind: int, mcap: Path) -> None:
+    read(mcap)
+    damaged = bytearray((mcap / "mcap.mcap").read_bytes())
+    first = len(MAGIC) + 9 + struct.unpack_from("<Q", damaged, len(MAGIC) + 1)[0]  # after the header
+    assert damaged[first] == 6
+    damaged[first] = kind
+    (mcap / "mcap.mcap").write_bytes(damaged)
+    with pytest.raises(SceneError, match=r"mcap\.mcap: cannot be read as MCAP: it is cut off or damaged"):
+        read(mcap)
+
+
+def test_a_checksum_of_all_data_is_compared(tmp_path: Path) -> None:
+    file = tmp_path / "a.mcap"
+    writer = Writer(str(file), enable_data_crcs=True)
+    writer.start("ros2")
+    writer.add_attachment(0, 0, "calibration", "text/plain", b"sound")
+    writer.finish()
+    bag = rosbag_storage.Bag(file, (file,), False)
+    assert bag.topics() == {}
+    file.write_bytes(file.read_bytes().replace(b"sound", b"noise"))
+    with pytest.raises(SceneError, match="found data whose checksum is another"):
+        bag.topics()
 
 
 def record(opcode: int, data: bytes) -> bytes:
@@ -191,7 +224,7 @@ def chunk(data: bytes, compression: str, size: int, crc: int = 0) -> bytes:
 
 
 MAGIC = b"\x89MCAP0\r\n"
-END = record(15, bytes(4))
+END = record(15, bytes(4)) + record(2, bytes(20)) + MAGIC
 BOMB = zstandard.compress(bytes(300_000_000))
 SCHEMA = struct.pack("<H", 1) + string("a/msg/B") + string("ros2msg")
 CHANNEL = record(4, struct.pack("<HH", 1, 9) + string("/pose") + string("cdr") + struct.pack("<I", 0))
@@ -210,6 +243,10 @@ ZSTD_OF_ZEROS = zstandard.compress(bytes(1000))
         (chunk(b"", "rar", 0), "compressed by 'rar', expected zstd or lz4"),
         (chunk(struct.pack("<BQ", 5, 10**15), "", 9), "longer than its chunk"),
         (struct.pack("<BQ", 5, 2**63), "cut off"),
+        (chunk(record(6, b""), "", 9), "found a record of kind 6 in a chunk"),
+        (record(15, bytes(4)) + chunk(b"", "", 0), "cut off or damaged at byte [0-9]+: found a record of kind 6"),
+        (record(15, bytes(4)) + record(11, bytes([1]) + bytes(25)), "found 0 messages and 0 chunks, expected 1 and 0"),
+        (record(15, bytes(4)) + record(2, bytes(20)) + b"more", "found a footer that does not end the file"),
         (record(5, bytes(30)), "a message of channel 0, which is unknown"),
         (record(5, b""), "cannot be read as MCAP"),
         (record(3, b"\1"), "cannot be read as MCAP"),

@@ -187,6 +187,37 @@ export function sectorOf(mark, [from, to], distances) {
   return places;
 }
 
+/**
+ * Where the unattacked twins of the driven cars drive, and where they are now.
+ * @param {Canvas} canvas
+ * @param {import("./marks.js").AgentMark[]} agents
+ * @param {number[][]} taken by labels; those of the twins are added
+ */
+export function drawTwins(canvas, agents, taken) {
+  const { context, palette, run, viewport, width, height } = canvas;
+  run.drives.forEach(({ car, twin }, row) => {
+    const mark = agents.find((agent) => agent.name === car);
+    if (!twin || !mark?.drive) return;
+    const [xs, ys] = [run.drive(row, "twin_x"), run.drive(row, "twin_y")];
+    context.strokeStyle = palette.faint;
+    context.lineWidth = 1.5;
+    context.setLineDash([6, 4]);
+    context.beginPath();
+    line(canvas, Array.from(xs, (x, index) => [x, ys[index]]));
+    context.stroke();
+    context.setLineDash([]);
+    const [x, y] = viewport.toScreen(mark.drive.twinAt[0], mark.drive.twinAt[1], width, height);
+    const apart = viewport.scale(width, height) * Math.hypot(mark.x - mark.drive.twinAt[0], mark.y - mark.drive.twinAt[1]);
+    if (apart < 12) return;
+    context.beginPath();
+    context.arc(x, y, 6.5, 0, 7);
+    context.stroke();
+    const box = [x - 8, y - 8, x + 8, y + 8];
+    taken.push(box);
+    writeLabel(canvas, [`${car}, ${twin}`], around(box), palette.faint, taken, { font: "12px system-ui, sans-serif" });
+  });
+}
+
 /** The length of a grid cell, at the lower right, legible on top of objects. @param {Canvas} canvas */
 export function drawScale({ context, viewport, width, height, palette }) {
   const scale = viewport.scale(width, height);

@@ -89,6 +89,18 @@ export class Charts {
     /** @type {[string, "fn" | "fp" | "rmse_m", string, number][]} */
     const measures = [["missed", "fn", "", 2], ["false", "fp", "", 2], ["RMSE", "rmse_m", "m", 0.5]];
     const rows = measures.map(([label, measure, unit, least]) => ({ label, unit, least, lines: this.lines(palette, measure) }));
+    const name = (/** @type {import("./run.js").Run} */ run, /** @type {string} */ car) => (state.runs.length > 1 ? `${run.header.name}, ${car}` : car);
+    const shown = [...new Set(state.panels.map((panel) => state.runs[panel.run]))];
+    const drives = shown.flatMap((run) => run.drives.map(({ car }, row) => ({ run, row, name: name(run, car) })));
+    for (const [label, unit, values] of /** @type {[string, string, (run: any, row: number) => ArrayLike<number>][]} */ ([
+      ["speed", "m/s", (run, row) => run.drive(row, "speed")],
+      ["braking", "m/s²", (run, row) => run.drive(row, "acceleration").map((/** @type {number} */ value) => Math.max(-value, 0))],
+    ])) {
+      const lines = drives.map(({ run, row, name }, index) => ({
+        values: values(run, row), times: run.times, colour: palette.lines[index % palette.lines.length], dash: DASHES[index % DASHES.length], name, scored: [0, run.frames - 1],
+      }));
+      rows.push({ label, unit, least: 2, lines });
+    }
     const judged = state.runs[state.panels[0].run];
     if (judged.header.judged) {
       const colours = palette.agents;

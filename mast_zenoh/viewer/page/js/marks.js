@@ -9,7 +9,9 @@ import { TRUTH } from "./run.js";
  *            error: number | null}} BoxMark
  * @typedef {{effect: string, by: string, from: number[] | null, to: number[] | null}} EffectMark
  * @typedef {{index: number, name: string, kind: string, x: number, y: number, heading: number, state: string,
- *            down: boolean, lying: boolean, cutOff: boolean, adversaries: string[]}} AgentMark
+ *            down: boolean, lying: boolean, cutOff: boolean, adversaries: string[], drive: DriveMark | null}} AgentMark
+ * @typedef {{speed: number, acceleration: number, state: "rolls" | "brakes" | "brakes needlessly", twin: string,
+ *            twinAt: number[]}} DriveMark m/s, m/s², m; twin: its name, empty: there is none
  * @typedef {{id: number, x: number, y: number, z: number, l: number, w: number, h: number, yaw: number}} WithheldMark
  * @typedef {{frame: number, time_s: number, agent: string, estimate: string, boxes: BoxMark[], effects: EffectMark[],
  *            agents: AgentMark[], withheld: WithheldMark[],
@@ -113,8 +115,22 @@ export function agentMarks(run, frame) {
       lying: (flags & run.header.flags.lying) > 0,
       cutOff: cut.has(agent.name),
       adversaries: agent.adversaries,
+      drive: driveMark(run, agent.name, frame),
     };
   });
+}
+
+/**
+ * What a driven car does in a frame; null: it is not driven.
+ * @param {import("./run.js").Run} run @param {string} car @param {number} frame
+ * @returns {DriveMark | null}
+ */
+export function driveMark(run, car, frame) {
+  const row = run.drives.findIndex((each) => each.car === car);
+  if (row < 0) return null;
+  const at = (/** @type {any} */ name) => run.drive(row, name)[frame];
+  const state = /** @type {const} */ (["rolls", "brakes", "brakes needlessly"])[at("brake")];
+  return { speed: at("speed"), acceleration: at("acceleration"), state, twin: run.drives[row].twin, twinAt: [at("twin_x"), at("twin_y")] };
 }
 
 /** @returns {WithheldMark[]} */

@@ -23,6 +23,7 @@ export function paletteOf(colours, name, theme) {
 /** @param {string} kind of a span or event @param {Palette} palette */
 export function colourOfKind(kind, palette) {
   const named = { attack: palette.adversary, effect: palette.adversary, interception: palette.adversary };
+  if (kind === "brake" || kind === "collision") return palette.outcomes["track false"];
   const judged = { suspension: palette.states.suspended, undecided: palette.states.undecided };
   return named[kind] ?? { fault: palette.fault, ...judged }[kind] ?? palette.faint;
 }

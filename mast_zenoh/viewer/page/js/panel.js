@@ -1,6 +1,6 @@
 // One panel: the choice of run, agent and estimate, the canvas, and what is under the pointer.
 
-import { drawBoxes, drawCentre, drawGround, drawIds, drawLinks, drawScale, drawSensors } from "./above.js";
+import { drawBoxes, drawCentre, drawGround, drawIds, drawLinks, drawScale, drawSensors, drawTwins } from "./above.js";
 import { drawCamera, hitSolid } from "./camera.js";
 import { choice, element, resizeCanvas } from "./controls.js";
 import { describe, hit, marksOf, tally } from "./marks.js";
@@ -90,6 +90,7 @@ export class Panel {
       drawSensors(canvas, marks.agents, marks.frame, this.choice.agent);
       drawBoxes(canvas, marks, this.chosen, taken);
       reserveSigns(canvas, marks.agents, taken);
+      drawTwins(canvas, marks.agents, taken);
       if (layers.links) drawCentre(canvas, marks.links, taken);
       drawAgents(canvas, marks.agents, taken);
       if (layers.ids) drawIds(canvas, marks, taken);
@@ -111,6 +112,8 @@ export class Panel {
     const rmse = this.run.series(agent, estimate, "rmse_m")?.[marks.frame] ?? -1;
     const parts = [`${counts.missed} missed`, `${counts.false} false`, `${counts.matched} matched`];
     if (rmse >= 0) parts.push(`RMSE ${rmse.toFixed(2)} m`);
+    const drive = marks.agents.find((each) => each.name === agent)?.drive;
+    if (drive && drive.speed >= 0) parts.push(`${agent} drives ${drive.speed.toFixed(1)} m/s, ${drive.acceleration.toFixed(1).replace("-", "−")} m/s²`);
     if (this.state.time > this.run.end) parts.unshift(`ended at ${this.run.end.toFixed(1)} s`);
     const text = estimate === TRUTH ? `${marks.boxes.length} objects` : parts.join(" · ");
     if (this.counts.textContent !== text) this.counts.textContent = text;

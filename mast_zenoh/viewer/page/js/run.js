@@ -235,6 +235,20 @@ export class Run {
     return this.columns[`series.${measure}`].subarray(index * this.frames, (index + 1) * this.frames);
   }
 
+  /** The driven cars of a finished run, and their unattacked twins; twin: its name, empty: there is none. @returns {{car: string, twin: string}[]} */
+  get drives() {
+    return this.header.drives ?? [];
+  }
+
+  /**
+   * What a car did, by frame.
+   * @param {number} drive row of `drives` @param {"speed" | "acceleration" | "brake" | "twin_x" | "twin_y"} name
+   * @returns {Float64Array | Int32Array} brake: 0: no, 1: it brakes, 2: needlessly
+   */
+  drive(drive, name) {
+    return this.columns[`drive.${name}`].subarray(drive * this.frames, (drive + 1) * this.frames);
+  }
+
   /** @param {number} agent row of `agents` @returns {Float64Array | Int32Array} trust in it over time, -1: not judged */
   trust(agent) {
     return this.columns.trust.subarray(agent * this.frames, (agent + 1) * this.frames);

@@ -104,10 +104,42 @@ export function drawAgents(canvas, agents, taken) {
     const [x, y] = viewport.toScreen(mark.x, mark.y, width, height);
     if (x < -20 || y < -20 || x > width + 20 || y > height + 20) continue;
     const colour = drawAgentSign(canvas, mark, x, y);
+    if (mark.drive && mark.drive.state !== "rolls") drawBrakeLights(canvas, mark, x, y);
     const trouble = troubleOf(mark);
-    const lines = trouble ? [mark.name, trouble] : [mark.name];
+    const lines = [mark.name, ...(trouble ? [trouble] : []), ...brakingOf(mark)];
     writeLabel(canvas, lines, behindOf(x, y, mark.heading), colour, taken, { needed: true });
   }
+}
+
+/** @param {import("./marks.js").AgentMark} mark @returns {string[]} how it brakes; []: it does not */
+function brakingOf({ drive }) {
+  return drive && drive.state !== "rolls" ? [`${drive.state}, ${Math.abs(drive.acceleration).toFixed(1)} m/s²`] : [];
+}
+
+/** m: from the middle of a car to its rear, and its width. px: at least. */
+const REAR_M = 2.3;
+const WIDE_M = 1.9;
+const REAR = 9;
+const WIDE = 13;
+
+/**
+ * A bar across the rear of a car that brakes: the colour of false tracks, if it does so needlessly.
+ * @param {import("./above.js").Canvas} canvas
+ * @param {import("./marks.js").AgentMark} mark
+ * @param {number} x px @param {number} y px
+ */
+function drawBrakeLights({ context, palette, viewport, width, height }, mark, x, y) {
+  const scale = viewport.scale(width, height);
+  const [back, half] = [Math.max(REAR_M * scale, REAR), Math.max(WIDE_M * scale, WIDE) / 2];
+  const [ahead, left] = [[Math.cos(mark.heading), -Math.sin(mark.heading)], [-Math.sin(mark.heading), -Math.cos(mark.heading)]];
+  const at = (/** @type {number} */ side) => [x - back * ahead[0] + side * left[0], y - back * ahead[1] + side * left[1]];
+  context.strokeStyle = mark.drive?.state === "brakes" ? palette.fault : palette.outcomes["track false"];
+  context.lineWidth = 5;
+  context.lineCap = "butt";
+  context.beginPath();
+  context.moveTo(...(/** @type {[number, number]} */ (at(-half))));
+  context.lineTo(...(/** @type {[number, number]} */ (at(half))));
+  context.stroke();
 }
 
 /**

@@ -1,0 +1,116 @@
+"""Driven cars in what shows a run: their course, that of the unattacked twin, and why they braked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow
+
+from mast_zenoh.errors import MastError
+from mast_zenoh.launch.twin import FOLDER, NAME
+from mast_zenoh.run_files import read_json
+from mast_zenoh.viewer.events import Event
+from mast_zenoh.viewer.run import RunRecord, Table, driven_table, rows
+
+#: What a car does in a frame: it does not brake, it brakes, it does so although the truth gives no reason.
+ROLLS, BRAKES, NEEDLESSLY = range(3)
+
+
+def cars_of(run: RunRecord) -> list[str]:
+    """The driven cars whose course is known, the main agent first."""
+    names = list(dict.fromkeys(run.driven["agent"].tolist())) if run.driven is not None else []
+    return sorted(names, key=lambda name: name != run.ego)
+
+
+def course_of(run: RunRecord, car: str = "") -> Table | None:
+    """The rows of driven.parquet of one car, by default the first of `cars_of`; None: there are none."""
+    names = cars_of(run)
+    chosen = car or next(iter(names), "")
+    if run.driven is None or chosen not in names:
+        return None
+    return rows(run.driven, run.driven["agent"] == chosen)
+
+
+def brakes_of(run: RunRecord, car: str) -> list[dict[str, Any]]:
+    """The brakes of a car, as in metrics.json; without those that are damaged."""
+    return [each for each in _entries(run, car, "brakes") if _is_brake(each)]
+
+
+def _entries(run: RunRecord, car: str, name: str) -> list[Any]:
+    """A list in the part of metrics.json about a car; empty if it is damaged."""
+    part: Any = run.metrics
+    for key in ("driven", car, name):
+        part = part.get(key) if isinstance(part, Mapping) else None
+    return part if isinstance(part, list) else []
+
+
+def _is_brake(brake: Any) -> bool:
+    if not isinstance(brake, Mapping) or not isinstance(brake.get("cause"), Mapping):
+        return False
+    numbers = [brake.get(name) for name in ("from_s", "until_s", "hardest_mps2")]
+    return all(isinstance(number, float) for number in numbers) and {"kind", "object", "adversary"} <= {*brake["cause"]}
+
+
+def braking_of(run: RunRecord, car: str, times_s: np.ndarray) -> np.ndarray:
+    """What a car does at some times (n,) s: ROLLS, BRAKES or NEEDLESSLY, (n,)."""
+    result = np.full(len(times_s), ROLLS)
+    for brake in brakes_of(run, car):
+        during = (times_s >= brake["from_s"] - 1e-6) & (times_s < brake["until_s"] - 1e-6)
+        result[during] = NEEDLESSLY if brake.get("needless") else BRAKES
+    return result
+
+
+def twin_course(run: RunRecord, car: str) -> Table | None:
+    """The course of a car in the unattacked twin of a run; None: it has none, or the car is not driven there."""
+    folder: Path = run.path / FOLDER
+    try:
+        is_twin = read_json(folder / "run.json").get("name") == NAME
+        table = driven_table(folder / "driven.parquet") if is_twin else None
+    except (MastError, OSError, ValueError, KeyError, AttributeError, pyarrow.ArrowException):
+        return None
+    course = None if table is None else rows(table, table["agent"] == car)
+    return course if course is not None and len(course["frame"]) else None
+
+
+def reason_of(brake: Mapping[str, Any]) -> str:
+    """Why a car braked: `for object 12`, `for an object that is not there …`, `before a line`."""
+    cause = brake["cause"]
+    adversary = cause["adversary"]
+    if cause["kind"] == "real":
+        return f"for object {cause['object']}"
+    if cause["kind"] == "false":
+        shown = f", shown by {adversary}" if adversary else ""
+        return f"for an object that is not there (track {cause['object']}{shown})"
+    if cause["kind"] == "line":
+        return "before a line"
+    if adversary:
+        return f"because {adversary} changed its commands"
+    return "for nothing that it believed" if brake.get("needless") else "for the road ahead"
+
+
+def braking_events(run: RunRecord, times: np.ndarray, *, reasons: bool = True) -> list[Event]:
+    """Brakes and collisions of driven cars. times: (f,) s, of the frames; reasons: say why they braked"""
+    events = []
+    for car in cars_of(run):
+        course = course_of(run, car)
+        assert course is not None
+        for brake in brakes_of(run, car):
+            frame = int(np.searchsorted(times, brake["from_s"] - 1e-6))
+            how = "brakes needlessly" if brake.get("needless") else "brakes"
+            text = f"{car} {how} with {brake['hardest_mps2']:.1f} m/s²"
+            text += f" {reason_of(brake)}" if reasons else ""
+            events.append(Event(frame, "brake", text, *_place(course, frame)))
+        for hit in _entries(run, car, "collisions"):
+            first = hit.get("frame") if isinstance(hit, Mapping) else None
+            if type(first) is int and 0 <= first < len(times):
+                text = f"{car} hits object {hit.get('object')}"
+                events.append(Event(first, "collision", text, *_place(course, first)))
+    return events
+
+
+def _place(course: Table, frame: int) -> tuple[float, float]:
+    row = min(int(np.searchsorted(course["frame"], frame)), len(course["frame"]) - 1)
+    return round(float(course["x"][row]), 2), round(float(course["y"][row]), 2)
