@@ -41,7 +41,7 @@ def study(
     trials=None,
     frames=150,
     attack_start_s=2.0,
-    driver=DRIVER,
+    driver=None,
     seed=0,
 ):
     """Attacks against defences, in pairs: the same scenes and seeds for all.
@@ -50,11 +50,12 @@ def study(
     attacks: NAME@WIRE, separated by commas: names, or classes, and wires of the scenario `driving`, such as
     GhostAhead@picture, or hidden_leader@detections+picture;
     defences: none, FaultOrLie and veto (own sensors), or classes or files of defences of the command centre;
-    scenes: short names, separated by commas: intersection:INDEX, sumo:INDEX; trials: seeds of each scene; seed: the
-    first one; frames: of each run; attack_start_s: when the attacks begin; driver: of the ego.
+    scenes: short names, separated by commas, such as intersection:6; trials: seeds of each scene; seed: the first one;
+    frames: of each run; attack_start_s: when the attacks begin; driver: of the ego, None: FollowingDriver with the
+    constants of PDM-Closed.
     """
     chosen = with_preset(PRESETS, preset, attacks=attacks, scenes=scenes, trials=trials)
-    common = dict(driver=driver, attack_start_s=attack_start_s)
+    common = dict(driver=DRIVER if driver is None else driver, attack_start_s=attack_start_s)
     runs, cells = {}, {}
     for name in words(defences):
         defended = DEFENCES.get(name, dict(defence=name))
