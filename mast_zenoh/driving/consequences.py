@@ -14,24 +14,12 @@ from mast_zenoh.arrays.rectangles import intersection_area
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.driving import braking
 from mast_zenoh.driving.braking import Belief, spans
+from mast_zenoh.driving.comfort import HARD_BRAKING_MPS2, uncomfortable
 from mast_zenoh.driving.corridor import InCorridor, in_corridor, needed_braking
 from mast_zenoh.driving.followers import behind_car
 from mast_zenoh.driving.motion import RouteAhead
 from mast_zenoh.metrics.driving import STANDING_MPS, Driving, Objects, SafeDistance, Vehicle
 
-#: Bounds of comfort by name: the least and the greatest m/s^2, m/s^3, rad/s or rad/s^2. Source: the comfort metric of
-#: nuPlan (Caesar et al., NuPlan: A closed-loop ML-based planning benchmark for autonomous vehicles, 2021).
-COMFORT = {
-    "braking": (-4.05, np.inf),
-    "acceleration": (-np.inf, 2.40),
-    "lateral_acceleration": (-4.89, 4.89),
-    "jerk": (-8.37, 8.37),
-    "longitudinal_jerk": (-4.13, 4.13),
-    "yaw_rate": (-0.95, 0.95),
-    "yaw_acceleration": (-1.93, 1.93),
-}
-#: m/s^2; harder braking is not comfortable.
-HARD_BRAKING_MPS2 = -COMFORT["braking"][0]
 #: s and m/s^2: below this time to collision, and above this braking that avoids it, an encounter is a near miss.
 #: Source: thresholds of TTC and DRAC of SUMO's device "ssm". There, either is a conflict; an ordinary stop behind
 #: others falls below the first, so here it needs both.
@@ -249,10 +237,7 @@ def uncomfortable_s(car: Vehicle, period_s: float) -> dict[str, float]:
         "yaw_rate": turning,
         "yaw_acceleration": _slope(turning, period_s),
     }
-    return {
-        name: float(np.count_nonzero((values[name] < least) | (values[name] > most)) * period_s)
-        for name, (least, most) in COMFORT.items()
-    }
+    return {name: float(np.count_nonzero(uncomfortable(name, values[name])) * period_s) for name in values}
 
 
 def _slope(values: Floats, period_s: float) -> Floats:

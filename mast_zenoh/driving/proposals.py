@@ -9,6 +9,7 @@ import numpy as np
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.geometry import along_and_across, wrap_angle
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, lowest_rows
+from mast_zenoh.driving.comfort import uncomfortable
 from mast_zenoh.driving.driver import BEFORE_LINE_M, Driver, Situation, steering
 from mast_zenoh.driving.following import IntelligentDriverModel
 from mast_zenoh.driving.motion import Command
@@ -35,16 +36,6 @@ MAX_OBJECTS, NEAR_LANE_M = 200, 8.0
 SELF_M = 2.0
 #: s, over which rates of change are taken for comfort: nuPlan smooths them over 0.8 to 1.5 s.
 SMOOTH_S = 1.0
-#: nuPlan's bounds of comfort: m/s^2 along the car and across, m/s^3 in all and along, rad/s, rad/s^2.
-COMFORT = {
-    "braking": 4.05,
-    "acceleration": 2.40,
-    "across": 4.89,
-    "jerk": 8.37,
-    "along_jerk": 4.13,
-    "turn": 0.95,
-    "twist": 1.93,
-}
 
 
 class Lane(NamedTuple):
@@ -355,13 +346,13 @@ def _comfortable(proposals: Trajectories) -> Bools:
     turn = proposals.curvature * speed
     along, across = rate(proposals.speed), turn * speed
     along_jerk, across_jerk = rate(along), rate(across)
-    bounded = (
-        (-along, "braking"),
-        (along, "acceleration"),
-        (np.abs(across), "across"),
-        (np.hypot(along_jerk, across_jerk[:, : along_jerk.shape[1]]), "jerk"),
-        (np.abs(along_jerk), "along_jerk"),
-        (np.abs(turn), "turn"),
-        (np.abs(rate(turn)), "twist"),
-    )
-    return np.asarray(np.all([(values <= COMFORT[name]).all(axis=1) for values, name in bounded], axis=0))
+    values = {
+        "braking": along,
+        "acceleration": along,
+        "lateral_acceleration": across,
+        "jerk": np.hypot(along_jerk, across_jerk[:, : along_jerk.shape[1]]),
+        "longitudinal_jerk": along_jerk,
+        "yaw_rate": turn,
+        "yaw_acceleration": rate(turn),
+    }
+    return np.asarray(~np.any([uncomfortable(name, each).any(axis=1) for name, each in values.items()], axis=0))

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 
-from mast_zenoh.driving.consequences import HARD_BRAKING_MPS2
+from mast_zenoh.driving.comfort import HARD_BRAKING_MPS2
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.figures.style import Figure, light_axes, plain
 from mast_zenoh.report.figures.timeaxis import padded
