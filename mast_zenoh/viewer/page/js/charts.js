@@ -88,6 +88,7 @@ export class Charts {
     const { state } = this;
     /** @type {[string, "fn" | "fp" | "rmse_m", string, number][]} */
     const measures = [["missed", "fn", "", 2], ["false", "fp", "", 2], ["RMSE", "rmse_m", "m", 0.5]];
+    /** @type {Row[]} */
     const rows = measures.map(([label, measure, unit, least]) => ({ label, unit, least, lines: this.lines(palette, measure) }));
     const name = (/** @type {import("./run.js").Run} */ run, /** @type {string} */ car) => (state.runs.length > 1 ? `${run.header.name}, ${car}` : car);
     const shown = [...new Set(state.panels.map((panel) => state.runs[panel.run]))];
