@@ -58,7 +58,7 @@ def test_a_queue_stops_the_ego_for_as_long_as_it_stands() -> None:
 
 @pytest.mark.parametrize("attack", ["hidden_leader", "displaced_leader"])
 def test_an_ego_hits_the_leader_that_it_does_not_see_and_its_twin_does_not(attack: str) -> None:
-    attacked, twin = driven(6, 2, f"attack={attack}"), driven(6, 2)
+    attacked, twin = driven(13, 0, f"attack={attack}"), driven(13, 0)
     assert [hit["hidden"] for hit in attacked["collisions"]] == [True]
     assert twin["collisions"] == []
 
@@ -66,7 +66,7 @@ def test_an_ego_hits_the_leader_that_it_does_not_see_and_its_twin_does_not(attac
 @pytest.mark.parametrize("attack", ["hidden_leader", "displaced_leader"])
 @pytest.mark.parametrize("wire", ["picture", "detections"])
 def test_one_of_both_sources_is_enough_to_keep_the_leader(attack: str, wire: str) -> None:
-    assert driven(6, 2, f"attack={attack}", f"wire={wire}")["collisions"] == []
+    assert driven(13, 0, f"attack={attack}", f"wire={wire}")["collisions"] == []
 
 
 def test_hidden_crossers_are_missing_in_what_the_ego_gets_and_nobody_is_hit_where_the_route_knows_where_to_wait() -> (

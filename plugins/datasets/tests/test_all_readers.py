@@ -97,11 +97,25 @@ def test_agents_that_the_data_does_not_have_are_refused(twins: dict[str, Path]) 
                     scene(name, path, **{option: count}).record(0, None)
 
 
-@settings(max_examples=70, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(data=st.data())
 @pytest.mark.parametrize("name", [*TWINS, *LAYOUTS])
 def test_a_damaged_file_is_read_or_refused(name: str, twins: dict[str, Path], data: st.DataObject) -> None:
-    path = twins[name]
+    read_damaged(name, twins[name], data)
+
+
+@pytest.mark.heavy
+@settings(max_examples=100, deadline=None)
+@given(data=st.data())
+@pytest.mark.parametrize("name", [*TWINS, *LAYOUTS])
+def test_files_with_many_more_damages_are_read_or_refused(
+    name: str, twins: dict[str, Path], data: st.DataObject
+) -> None:
+    read_damaged(name, twins[name], data)
+
+
+def read_damaged(name: str, path: Path, data: st.DataObject) -> None:
+    """Damage one file of a data set, and read that: only the errors of a scene may come of it."""
     files = [path] if path.is_file() else sorted(file for file in path.rglob("*") if file.is_file())
     file = data.draw(st.sampled_from(files))
     content = file.read_bytes()

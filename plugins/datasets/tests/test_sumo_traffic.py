@@ -283,10 +283,10 @@ def test_a_simulation_that_dies_or_hangs_is_an_error(crossing: Path, monkeypatch
 def test_a_request_that_takes_too_long_ends_within_sumo_itself(crossing: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sumo_simulation, "_WARM_UP_S", 1)
     routes = crossing.with_name("crossing.rou.xml")
-    person = '<flow id="f" type="steady" route="eastward" begin="0" end="100000" period="2" departPos="0"/></routes>'
+    person = '<flow id="f" type="steady" route="eastward" begin="0" end="10000000" period="2" departPos="0"/></routes>'
     routes.write_text(routes.read_text().replace("</routes>", person))
     with pytest.raises(SceneError, match="SUMO took longer than 1 s"):
-        scene(crossing, start_s=90_000.0).record(0, 2)
+        scene(crossing, start_s=9_000_000.0).record(0, 2)
 
 
 def test_no_process_stays_behind(crossing: Path) -> None:

@@ -143,7 +143,7 @@ def test_any_number_of_workers_gives_the_same_files(synthetic, study, whole: Who
     assert contents(whole.out) == contents(out)
 
 
-@pytest.mark.parametrize("after", [1, 9, 21, 40])
+@pytest.mark.parametrize("after", [9, *(pytest.param(after, marks=pytest.mark.heavy) for after in (1, 21, 40))])
 def test_an_interrupted_search_goes_on_to_the_same_files_and_repeats_no_trial(
     synthetic, study, whole: Whole, tmp_path: Path, after: int
 ) -> None:
