@@ -206,9 +206,8 @@ def counts_of(value: object) -> dict[str, int]:
 
 def _texts(value: object) -> dict[str, str]:
     """The valid texts in a node's return value: printable, 300 characters at most."""
-    items = value.items() if isinstance(value, Mapping) else ()
-    valid = {str(name): text for name, text in items if isinstance(text, str) and text.isprintable()}
-    return {name: text[:300] for name, text in valid.items() if name.isprintable()}
+    items = [(str(name), text) for name, text in value.items()] if isinstance(value, Mapping) else []
+    return {name: text[:300] for name, text in items if isinstance(text, str) and (name + text).isprintable()}
 
 
 #: The place of a value: the place of its container, and its key or index in that; None at the top.

@@ -27,7 +27,7 @@ WEIGHTS = (5.0, 5.0, 2.0)
 #: m; no progress is worth less than this.
 LEAST_PROGRESS_M = 0.1
 #: m/s; a slower car is not to blame for a collision.
-STANDING_MPS = 0.05
+AT_REST_MPS = 0.05
 #: m, between two points of the lane, the greatest length of it that is looked at, and every which point places objects.
 GRID_M, MAX_LANE_M, COARSE = 0.25, 400.0, 4
 #: Objects that are looked at: the nearest; and m beside the lane, beyond which they do not matter if they stand.
@@ -308,7 +308,7 @@ def _hits(situation: Situation, car: tuple[Floats, Floats], forecast: Forecast, 
 def _first_collision(situation: Situation, proposals: Trajectories, forecast: Forecast) -> Floats:
     """(p,) s until each proposal hits something while it drives; inf: it does not."""
     hit = _hits(situation, (proposals.position, proposals.heading), forecast, forecast.position)
-    hit &= proposals.speed > STANDING_MPS
+    hit &= proposals.speed > AT_REST_MPS
     return np.where(hit.any(axis=1), hit.argmax(axis=1) * STEP_S, np.inf)
 
 
@@ -330,7 +330,7 @@ def _safe_time(situation: Situation, proposals: Trajectories, forecast: Forecast
     for seconds in TTC_S:
         place = proposals.position[:, ::TTC_EVERY] + seconds * ahead
         others = forecast.position[:, ::TTC_EVERY] + seconds * forecast.velocity[:, None]
-        hit = _hits(situation, (place, heading), forecast, others) & (speed > STANDING_MPS)
+        hit = _hits(situation, (place, heading), forecast, others) & (speed > AT_REST_MPS)
         unsafe |= hit.any(axis=1)
     return ~unsafe
 
