@@ -3,8 +3,8 @@
 It publishes one command in every frame, from the pose and the route of that frame and from the newest estimate of an
 earlier one, as an agent uses the picture: the result does not depend on the order of arrival.
 
-With a veto, the agent's own sensors overrule the mission estimate, which others
-contribute to: see mast_zenoh/driving/veto.py.
+With a veto, the agent's own sensors overrule the mission estimate, which others contribute to: see
+mast_zenoh/driving/veto.py.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion, tracks_in_world
 from mast_zenoh.arrays.states import Bools, ObjectStates, canonical_order
 from mast_zenoh.driving import CarLimits, Command, Driver, RouteAhead, Situation
+from mast_zenoh.driving.driver import ESTIMATE_AGE_S
 from mast_zenoh.driving.veto import overruled
 from mast_zenoh.gather import Gather, LatestBefore, plausible_rows
 from mast_zenoh.integrity.base import ClusterBoxes
@@ -63,7 +64,7 @@ class DriverNode(Node):
         agent: str,
         driver: Driver,
         estimate: Literal["truth", "safety", "mission"] = "mission",
-        estimate_age_s: float = 0.5,
+        estimate_age_s: float = ESTIMATE_AGE_S,
         braking: float = 3.0,
         limits: CarLimits | None = None,
         veto: bool = False,

@@ -14,6 +14,9 @@ from mast_zenoh.driving.following import IntelligentDriverModel
 from mast_zenoh.driving.motion import CarLimits, Command, RouteAhead
 from mast_zenoh.metrics.driving import BrakingRule, Driving, Objects, TimeToCollision
 
+#: s, the greatest age of an estimate that is used, if a scenario says nothing else.
+ESTIMATE_AGE_S = 0.5
+
 
 @dataclass(frozen=True, eq=False)
 class Situation:

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mast_zenoh.arrays.states import Ints, ObjectStates
+from mast_zenoh.driving import driver
 from mast_zenoh.driving.braking import Belief
 from mast_zenoh.driving.consequences import DrivenCar, consequences, course
 from mast_zenoh.driving.motion import RouteAhead
@@ -23,8 +24,6 @@ from mast_zenoh.metrics.estimates import TRUTH
 from mast_zenoh.metrics.record import Record, Snapshot
 from mast_zenoh.metrics.scores import FALSE, MATCHED
 
-#: s, the greatest age of an estimate that a driver uses; see nodes/driver.py.
-_ESTIMATE_AGE_S = 0.5
 #: m; an object that is nearer to a real one is that one, where the scores do not tell.
 _SAME_M = 2.0
 
@@ -79,7 +78,12 @@ class _Believed(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class DrivenCars:
-    """The driven cars of a run. heard: by car; period_s: s, of a frame; look: the settings of the corridor"""
+    """The driven cars of a run.
+
+    heard: by car;  ages_s: s, by car, the greatest age of an estimate that its driver uses, where it is not the default
+    period_s: s, of a frame
+    look:  the settings of the corridor
+    """
 
     record: Record
     scores: Scores
@@ -87,6 +91,7 @@ class DrivenCars:
     effects: Effects
     roles: Mapping[str, str]
     heard: Mapping[str, Heard]
+    ages_s: Mapping[str, float]
     times_ns: Mapping[int, int]
     period_s: float
     min_points: int
@@ -143,7 +148,7 @@ class DrivenCars:
         for row, arrival in sorted(heard.held(numbers), key=lambda item: item[0]):
             age_s = (self._time_ns(numbers[row]) - arrival.time_ns) * 1e-9
             count = len(arrival.objects.id)
-            if not 0.0 <= age_s <= _ESTIMATE_AGE_S or count == 0:
+            if not 0.0 <= age_s <= self.ages_s.get(car, driver.ESTIMATE_AGE_S) or count == 0:
                 continue
             parts.append(arrival.objects)
             frames += [row] * count

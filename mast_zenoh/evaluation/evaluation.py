@@ -179,6 +179,7 @@ class Evaluation:
     skip_first, skip_last: frames left out of the summary at the beginning and at the end, because tracks need some
              frames to begin with; kept when they would be more than half of the run
     picture_age_s: s, for how long an agent uses a picture when no newer one arrives; picture_ages_s: by agent
+    estimate_ages_s: s, by agent whose car is driven, the greatest age of an estimate that its driver uses
     attribution, cut_off: settings for the causes of errors
     consistency: settings for the comparison of errors with covariances
     faults:  of the timeline by agent, for runs with trust
@@ -192,6 +193,7 @@ class Evaluation:
     skip_last: int
     picture_age_s: float
     picture_ages_s: Mapping[str, float] = field(default_factory=dict)
+    estimate_ages_s: Mapping[str, float] = field(default_factory=dict)
     attribution: AttributionLimits = field(default_factory=AttributionLimits)
     cut_off: CutOff = field(default_factory=CutOff)
     consistency: Consistency = field(default_factory=Consistency)
@@ -395,6 +397,7 @@ class _Results:
             effects=self.effects,
             roles=data.roles,
             heard=data.heard,
+            ages_s=self.settings.estimate_ages_s,
             times_ns=data.times_ns,
             period_s=data.period_s,
             min_points=self.settings.scorer.min_points,

@@ -64,3 +64,10 @@ def test_an_unknown_attack_names_the_nearest() -> None:
 def test_the_driver_is_told_of_its_veto_only_if_it_has_one() -> None:
     assert content_of("veto=True")["drivers"]["ego"]["veto"] is True
     assert "veto" not in content_of()["drivers"]["ego"]
+
+
+def test_a_driver_is_judged_by_the_age_of_estimates_that_it_uses() -> None:
+    content = content_of()
+    content["drivers"]["ego"]["estimate_age_s"] = 1.2
+    resolved = scenario.resolve(scenario.load("driving")[0], content, seed=0, frames=20)
+    assert resolved.nodes["evaluator"].config["estimate_ages_s"] == {"ego": 1.2}

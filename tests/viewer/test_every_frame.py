@@ -20,6 +20,7 @@ from mast_zenoh.viewer.live import every_frame
 from mast_zenoh.viewer.live.every_frame import (
     MOST_PER_KEY,
     PATIENCE,
+    SETTLING_AT_MOST,
     EveryFrame,
     FrameAssembler,
     Tally,
@@ -70,10 +71,19 @@ def test_a_key_whose_node_is_down_is_not_waited_for(assembler: FrameAssembler) -
     assert [number for number, _ in assembler.whole(silent={"b"})] == [1]
 
 
-def test_a_key_that_was_never_heard_is_waited_for_from_the_first_clock_on(assembler: FrameAssembler) -> None:
-    for frame in range(100, 100 + PATIENCE + 1):
-        assert added(assembler, frame, "clock", "a") == [], "b may be late"
-    assert added(assembler, 100 + SETTLING, "b") == [100 + SETTLING]
+def test_one_who_joins_late_begins_when_every_key_has_been_heard(assembler: FrameAssembler) -> None:
+    for frame in range(100, 100 + 3 * PATIENCE):
+        assert added(assembler, frame, "clock", "a") == [], "b's publisher may not know of the subscription yet"
+    begun = 100 + 3 * PATIENCE
+    out = [added(assembler, frame, *KEYS) for frame in range(begun, begun + 6)]
+    assert [number for numbers in out for number in numbers] == [begun + SETTLING, begun + SETTLING + 1, begun + 5]
+    assert assembler.tally == Tally(frames=3)
+
+
+def test_a_key_on_which_nothing_comes_delays_the_beginning_for_some_frames_only(assembler: FrameAssembler) -> None:
+    out = [number for frame in range(100, 400) for number in added(assembler, frame, "clock", "a")]
+    assert out == [*range(100 + SETTLING_AT_MOST + SETTLING, 400)]
+    assert assembler.tally == Tally(frames=len(out))
 
 
 def test_a_frame_without_its_clock_is_lost_and_the_next_ones_come_out(assembler: FrameAssembler) -> None:

@@ -189,7 +189,6 @@ class Participant:
     ) -> None:
         """Have a handler called with the bytes of each message of a topic, valid or not; otherwise as `subscribe`."""
         token = self._endpoint("subscription", topic, type_name, qos)
-        self._declared.append(self._session.liveliness().declare_token(token.write()))
         take: Any = zenoh.handlers.Callback(
             lambda sample: self._take(token, handler, sample, most_bytes), indirect=True
         )
@@ -205,6 +204,8 @@ class Participant:
             else self._session.declare_subscriber(key, take)
         )
         self._declared.append(subscriber)
+        # Last: who sees it may expect that what it publishes arrives.
+        self._declared.append(self._session.liveliness().declare_token(token.write()))
 
     def settle(self) -> None:
         """Wait until the router knows what has been declared, and has told which of it is wanted."""

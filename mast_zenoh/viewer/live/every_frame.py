@@ -28,6 +28,9 @@ POLL_S = 0.01
 #: For how long a silent key is waited for, whose node is there: frames in lock-step, and at least; s in real time, in
 #: which busy machines and links delay messages.
 PATIENCE, _PATIENCE_S = 10, 5.0
+#: Frames at the beginning, for which a key that has not been heard yet is waited for at most: on a busy machine,
+#: publishers learn of a subscription late.
+SETTLING_AT_MOST = 100
 #: Messages of one key about one frame, at most: a publisher of a run sends one, and a link may repeat it.
 MOST_PER_KEY = 32
 #: s of a run in real time for which messages can wait, and the fewest and most of a key.
@@ -69,7 +72,7 @@ class FrameAssembler:
     """Puts messages together by the frame that they are about.
 
     A frame is whole when every key has been heard of it or of a later frame, of those that were heard in the latest
-    frames.
+    frames. Who joins a running run begins when every key has been heard.
 
     keys: of messages that a frame has;  clock: the one of them that every frame has
     patience: number of these latest frames, for which a frame waits at most
@@ -80,6 +83,7 @@ class FrameAssembler:
         self._patience = patience
         self._frames: dict[int, dict[str, list[Sample]]] = {}
         self._next = -1  # the frame that is due; -1: none has begun
+        self._joined = -1  # the first frame of which the clock was heard
         self._newest_clock = -1
         self.follow(keys, clock)
 
@@ -87,15 +91,18 @@ class FrameAssembler:
         """Go on with other keys: the wiring has changed."""
         self._clock = clock
         self._newest = dict.fromkeys(keys, -1)  # by key, the latest frame that it was heard of
+        self._unheard = set(keys)
         self._heard = dict.fromkeys(keys, self._newest_clock)  # by key, the clock then
 
     def add(self, key: str, frame: int, sample: Sample) -> None:
         """Add a message about a frame."""
+        self._unheard.discard(key)
         if key == self._clock and frame > self._newest_clock:
-            if self._next < 0:  # of frames before, and of the first ones, parts may be missing
-                self._next = frame + SETTLING if frame else 0
-                self._heard = dict.fromkeys(self._heard, frame)
+            if self._joined < 0:
+                self._joined = frame
             self._newest_clock = frame
+        if self._next < 0 <= self._joined:
+            self._begin()
         if frame < self._next or self._next < 0:
             self.tally.late += key != self._clock and self.tally.frames > 0
             return
@@ -127,6 +134,14 @@ class FrameAssembler:
             self.tally.lost += following - self._next
             self._next = following
             self._frames = {number: by_key for number, by_key in self._frames.items() if number >= following}
+
+    def _begin(self) -> None:
+        """Set the first frame, if it is known by now: of those before it, parts may be missing."""
+        if self._joined == 0:
+            self._next = 0
+        elif not self._unheard or self._newest_clock >= self._joined + SETTLING_AT_MOST:
+            self._next = self._newest_clock + SETTLING
+        self._heard = dict.fromkeys(self._heard, self._newest_clock)
 
     @property
     def _last(self) -> int:

@@ -27,10 +27,13 @@ _PROCESSOR_SHARE = {"lockstep": 0.03, "realtime": 0.3}
 POLL_S = 0.05
 #: Frames behind the clock: by then, the messages about a frame have arrived.
 _BEHIND = 2
-#: s without a clock after which the last frame is taken as whole: the run has paused or ended.
+#: s without a clock after which the last frame is taken if nothing of it is missing: the run has paused or ended.
 _SILENCE_S = 0.5
-#: Frames of which parts are missing after a subscription, because a publisher did not know of it yet.
+#: Frames of which parts may be missing after every key has been heard since a subscription.
 SETTLING = 3
+#: Longest wait after a subscription for the keys on which nothing comes, s from the first clock on. On a busy machine,
+#: publishers learn of a subscription late.
+_SETTLING_S = 1.0
 #: s between two questions whether a silent run is over.
 _ASK_S = 2.0
 #: Questions without an answer after which a run elsewhere has ended: one can get lost.
@@ -85,9 +88,11 @@ class Observer:
         # observer receives copies only for the moment that a measured frame needs.
         self._in_bursts = run.resolved.mode == "lockstep" and room is None
         self._listening = self._receiving = True
-        self._settled = False  # whether all publishers know of the subscriptions
         self._last = -1  # the newest frame that has been measured
-        self._incomplete = -1  # the newest frame of which parts may be missing, because of a new subscription
+        #: The newest frame of which parts may be missing, because of a new subscription; None: not known yet.
+        self._incomplete: int | None = None
+        self._settling_until: float | None = None  # since the first clock after a subscription
+        self._silent: set[str] = set()  # keys for which the last wait was in vain
         self._due = self._effort_s = 0.0
         self._share = _PROCESSOR_SHARE[run.resolved.mode]
         self._measured_at, self._newest_then = 0.0, -1
@@ -141,10 +146,9 @@ class Observer:
         if not self._receiving:
             self._receive(everything=True)
             return None
-        number = newest if now - self._since > _SILENCE_S else newest - _BEHIND
-        if number <= max(self._last, self._incomplete) or number < 0:
-            return None
-        return self._measured(number)
+        if now - self._since > _SILENCE_S:
+            return self.last_frame()
+        return self._measured(newest - _BEHIND) if self._is_whole(newest - _BEHIND) else None
 
     def frames(self, stop: threading.Event, ended: Callable[[], None] = lambda: None) -> Iterator[Frame]:
         """All frames that are measured, until the run ends or `stop` is set; of a run that ends also its newest one.
@@ -165,15 +169,10 @@ class Observer:
             stop.wait(POLL_S)
 
     def last_frame(self) -> Frame | None:
-        """The newest frame of a run that is over; None if it was measured before, or is known in part only."""
+        """The newest whole frame of a run that is over or silent; None if there is none that has not been measured."""
         self.keep_up()
-        number = self._newest
-        if number <= self._last or number < 0:
-            return None
-        heard = {key for key, _ in self._reception.sent_since(number)}
-        if number <= self._incomplete and not heard >= self.meter.keys_of_series(self.wiring).keys():
-            return None
-        return self._measured(number)
+        number = self._newest if self._is_heard(self._newest) else self._newest - _BEHIND
+        return self._measured(number) if self._is_heard(number) or self._is_whole(number) else None
 
     def listen(self, *, everything: bool) -> None:
         """Receive everything that frames need, or only the clock, which costs the run nothing."""
@@ -188,9 +187,8 @@ class Observer:
         newest = self._reception.newest_step(self.clock_key)
         if newest != self._newest:
             self._newest, self._since = newest, time.monotonic()
-        if self._receiving and not self._settled and newest >= 0:
-            self._settled = True
-            self._incomplete = newest + SETTLING
+        if self._receiving and self._incomplete is None and newest >= 0:
+            self._settle()
         return arrived
 
     def note(self, sentence: str) -> None:
@@ -227,6 +225,14 @@ class Observer:
         remaining = self.run.resolved.frames - 1 - self._newest
         return remaining <= max(_FEWEST_SKIPPED, _LAST_S * self._frames_per_s)
 
+    def _is_heard(self, number: int) -> bool:
+        """Whether a new frame is complete: a message of every key has been sent in it, or later."""
+        return number > self._last and all(self._reception.newest_step(key) >= number for key in self.meter.keys_of_series(self.wiring))
+
+    def _is_whole(self, number: int) -> bool:
+        """Whether a new frame, of some time ago, is as complete as it becomes."""
+        return self._incomplete is not None and number > max(self._last, self._incomplete)
+
     def _measured(self, number: int) -> Frame | None:
         """Measure a frame; None if it cannot be measured."""
         now, newest = time.monotonic(), self._newest
@@ -262,11 +268,22 @@ class Observer:
             self._subscribe()
 
     def _subscribe(self) -> None:
-        self._settled = False
+        self._incomplete = self._settling_until = None
+        self._silent = {key for key in self._silent if self._reception.newest_step(key) < 0}
         self._reception.subscribe(self.types if self._receiving else [self.clock_key])
         if self._receiving:  # wait until the router knows: it takes what a session sends in order
             for _ in self.session.liveliness().get(f"{self._base}/alive/*", timeout=_ROUTER_S):
                 pass
+
+    def _settle(self) -> None:
+        """Take the publishers as knowing of the subscription once each has been heard, or after a wait."""
+        now = time.monotonic()
+        if self._settling_until is None:
+            self._settling_until = now + _SETTLING_S
+        unheard = {key for key in self.meter.keys_of_series(self.wiring) if self._reception.newest_step(key) < 0}
+        if unheard <= self._silent or now >= self._settling_until:
+            self._silent = unheard
+            self._incomplete = self._newest + SETTLING
 
     def _on_alive(self, sample: zenoh.Sample) -> None:
         node = str(sample.key_expr).rpartition("/")[2]

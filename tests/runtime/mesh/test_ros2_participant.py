@@ -59,7 +59,7 @@ def test_messages_arrive_in_order_numbered_from_1_with_the_id_of_their_publisher
     with Participant(Connection(router), "talker") as talker, Participant(Connection(router), "listener") as listener:
         arrived = received(listener, "/clock")
         publisher = talker.publisher("/clock", type_store.CLOCK)
-        eventually(lambda: talker.subscriptions_of("/clock"), "the subscription", DEADLINE_S)
+        eventually(lambda: publisher.is_wanted, "the subscription", DEADLINE_S)
         for second in range(100):
             publisher.publish(clock(second * 10**9))
         messages = [arrived.get(timeout=DEADLINE_S) for _ in range(100)]
