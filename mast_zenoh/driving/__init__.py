@@ -7,6 +7,7 @@
     proposals     the driver that simulates several ways to drive on and takes the best
     veto          own sensors overrule what others made of the mission estimate
     corridor      what is ahead of a car, along its lane
+    contact       where outlines overlap: collisions, and post-encroachment times
     comfort       bounds of accelerations, jerks and turns
     consequences  what happened to a car: collisions, near misses, comfort, progress
     braking       when it brakes, what made that needful, and whether the truth did

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh.arrays.geometry import wrap_angle
-from mast_zenoh.arrays.rectangles import intersection_area
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.driving import braking
 from mast_zenoh.driving.braking import Belief, spans
 from mast_zenoh.driving.comfort import HARD_BRAKING_MPS2, uncomfortable
+from mast_zenoh.driving.contact import collisions, post_encroachment_s
 from mast_zenoh.driving.corridor import InCorridor, in_corridor, needed_braking
 from mast_zenoh.driving.followers import behind_car
 from mast_zenoh.driving.motion import RouteAhead
@@ -24,8 +24,6 @@ from mast_zenoh.metrics.driving import STANDING_MPS, Driving, Objects, SafeDista
 #: Source: thresholds of TTC and DRAC of SUMO's device "ssm". There, either is a conflict; an ordinary stop behind
 #: others falls below the first, so here it needs both.
 NEAR_MISS_TTC_S, NEAR_MISS_BRAKING_MPS2 = 3.0, 3.0
-#: m2; outlines with a smaller intersection only touch.
-_TOUCH_M2 = 1e-6
 #: m; who stands so near to what is ahead, or to a line, waits for it.
 _WAITING_M = 5.0
 #: s; a collision is with a hidden object if the driver did not know it for most of this time before.
@@ -82,17 +80,6 @@ class DrivenCar:
         return braking.brakes_of(self.acceleration, self.period_s)
 
 
-def collisions(car: Vehicle, objects: Objects) -> Ints:
-    """Rows (k,) of the n objects whose outlines overlap that of the car in the same frame, ascending."""
-    offset = objects.position[:, :2] - car.position[objects.frame, :2]
-    reach = 0.5 * (np.hypot(car.length, car.width) + np.hypot(objects.size[:, 0], objects.size[:, 1]))
-    near = np.flatnonzero(np.hypot(offset[:, 0], offset[:, 1]) <= reach)
-    size = np.tile([car.length, car.width], (len(near), 1))
-    heading = car.heading[objects.frame[near]]
-    area = intersection_area(offset[near], size, heading, objects.size[near, :2], objects.yaw[near])
-    return near[area > _TOUCH_M2]
-
-
 def accelerations(speed: Floats, period_s: float) -> Floats:
     """Acceleration (f - 1,) m/s^2 from each frame to the next. speed: (f,) m/s"""
     return np.diff(speed) / period_s
@@ -103,7 +90,8 @@ def consequences(driven: DrivenCar) -> dict[str, Any]:
 
     "collisions": for each object the first frame of contact, the relative speed, and whether it was hidden from the
     driver though the car's own sensors had it; "near_misses": objects that were not hit; "min_ttc_s", "min_gap_m"
-    (None: nothing was ever approached, or ahead); "rss_unsafe_s"; "brakes", each with its cause: the object (a real
+    (None: nothing was ever approached, or ahead), "min_pet_s" (None: nothing crossed its way), "max_drac_mps2";
+    "rss_unsafe_s"; "brakes", each with its cause: the object (a real
     one's id, a false track's id), its kind ("real", "false", "line", "none") and the adversary; "needless_brakes",
     "missed_brakes", "hard_brakes"; "hardest_braking_mps2", "jerk_max_mps3"; "uncomfortable_s" by bound of COMFORT;
     "progress_m"; "stops", "standing_s", "blocked_s"; and "behind", the traffic in its lane behind it.
@@ -119,6 +107,10 @@ def consequences(driven: DrivenCar) -> dict[str, Any]:
         "near_misses": len(set(driven.ids[truth.row[_near_miss(truth)]].tolist()) - set(driven.ids[hit].tolist())),
         "min_gap_m": _finite(truth.gap_m.min(initial=np.inf)),
         "min_ttc_s": _finite(truth.ttc_s.min(initial=np.inf)),
+        "min_pet_s": post_encroachment_s(car, driven.objects, period),
+        "max_drac_mps2": float(
+            needed_braking(truth.gap_m, truth.own_mps, truth.ahead_mps)[truth.gap_m > 0.0].max(initial=0.0)
+        ),
         "rss_unsafe_s": _below_safe_distance(driven.look, truth) * period,
         "brakes": brakes,
         "needless_brakes": sum(brake["needless"] for brake in brakes),

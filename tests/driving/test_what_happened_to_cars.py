@@ -12,7 +12,8 @@ from scipy.signal import savgol_filter
 
 from mast_zenoh.driving.braking import Belief
 from mast_zenoh.driving.comfort import HARD_BRAKING_MPS2
-from mast_zenoh.driving.consequences import DrivenCar, collisions, consequences, uncomfortable_s
+from mast_zenoh.driving.consequences import DrivenCar, consequences, uncomfortable_s
+from mast_zenoh.driving.contact import collisions
 from mast_zenoh.driving.corridor import in_corridor, needed_braking
 from mast_zenoh.driving.motion import RouteAhead
 from mast_zenoh.metrics.driving import Driving, Objects, SafeDistance, Vehicle, time_to_collision

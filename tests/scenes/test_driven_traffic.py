@@ -7,7 +7,7 @@ import pytest
 
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.driving import Driver, FollowingDriver, ProposalDriver, Situation
-from mast_zenoh.driving.consequences import collisions
+from mast_zenoh.driving.contact import collisions
 from mast_zenoh.driving.proposals import OFFSETS_M
 from mast_zenoh.metrics.driving import Objects, Vehicle
 from mast_zenoh.scenes import Intersection

@@ -316,29 +316,51 @@ def test_sumo_writes_no_file_that_its_inputs_name(crossing: Path, tmp_path: Path
     assert sorted(tmp_path.rglob("*")) == before
 
 
-def test_the_least_time_to_collision_is_that_of_sumos_own_device(
+def measured_twice(path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[dict, ElementTree.ElementTree]:
+    """What a run tells of the ego, SUMO's vehicle 11, and what SUMO's own device does."""
+    file = folder / "ssm.xml"
+    device = ("--device.ssm.explicit", "11", "--device.ssm.measures", "TTC DRAC PET", "--device.ssm.file", str(file))
+    device += ("--device.ssm.thresholds", "50 0.1 10", "--device.ssm.range", "100")
+    monkeypatch.setattr(sumo_simulation, "_ALWAYS", (*sumo_simulation._ALWAYS, *device))
+    settings = [f"scene=sumo:{path}", "scene.start_s=2.5", "scene.ego=11", "n_infrastructure=0", "estimate=truth"]
+    scenario_file, content = scenario.load("driving", settings)
+    resolved = scenario.resolve(scenario_file, content, frames=150, seed=0, record=False)
+    run = launcher.run(resolved, folder / "run", runtime="inproc")
+    assert run.error is None
+    gc.collect()  # SUMO writes its file when it ends
+    return json.loads((run.folder / "metrics.json").read_text())["driven"]["ego"], ElementTree.parse(file)
+
+
+def extremes(measured: ElementTree.ElementTree, foe: str, name: str, types: str = "") -> list[float]:
+    """What the device found for each conflict with a foe; types: of conflicts, all if empty"""
+    found = [
+        each for conflict in measured.iter("conflict") if conflict.get("foe") == foe for each in conflict.iter(name)
+    ]
+    values = [each.get("value", "NA") for each in found if not types or each.get("type") == types]
+    return [float(value) for value in values if value != "NA"]
+
+
+def test_the_least_time_to_collision_and_the_braking_that_it_needs_are_those_of_sumos_own_device(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The device counts the car ahead on the lane; types 2: the car follows. Its times have two decimals."""
+    """The device counts the car ahead on the lane; types 2: the car follows. Its numbers have two decimals."""
     slow = '<vehicle id="10" type="steady" route="eastward" depart="0" departPos="200" departSpeed="3"/>'
     slow = slow.replace("/>", '><stop lane="west_0" endPos="230" duration="200"/></vehicle>')
     path = write_network(tmp_path / "net", traffic=f"{slow}\n{vehicle('11', 'eastward', 2, 60, 13.0)}")
-    measured = tmp_path / "ssm.xml"
-    device = ("--device.ssm.explicit", "11", "--device.ssm.measures", "TTC DRAC", "--device.ssm.thresholds", "50 0.1")
-    device += ("--device.ssm.range", "100", "--device.ssm.file", str(measured))
-    monkeypatch.setattr(sumo_simulation, "_ALWAYS", (*sumo_simulation._ALWAYS, *device))
-    settings = [f"scene=sumo:{path}", "scene.start_s=2.5", "scene.ego=11", "n_infrastructure=0", "estimate=truth"]
-    file, content = scenario.load("driving", settings)
-    resolved = scenario.resolve(file, content, frames=150, seed=0, record=False)
-    run = launcher.run(resolved, tmp_path / "run", runtime="inproc")
-    assert run.error is None
-    ours = json.loads((run.folder / "metrics.json").read_text())["driven"]["ego"]
-    gc.collect()  # SUMO writes its file when it ends
-    conflicts = [each for each in ElementTree.parse(measured).iter("conflict") if each.get("foe") == "10"]
-    theirs = [each for conflict in conflicts for each in conflict.iter("minTTC") if each.get("type") == "2"]
+    ours, theirs = measured_twice(path, tmp_path, monkeypatch)
     assert ours["collisions"] == []
     assert 1.0 < ours["min_ttc_s"] < 15.0
-    assert ours["min_ttc_s"] == pytest.approx(min(float(each.get("value", "nan")) for each in theirs), abs=0.1)
+    assert ours["min_ttc_s"] == pytest.approx(min(extremes(theirs, "10", "minTTC", "2")), abs=0.1)
+    assert ours["max_drac_mps2"] == pytest.approx(max(extremes(theirs, "10", "maxDRAC", "2")), abs=0.1)
+
+
+def test_the_post_encroachment_time_is_that_of_sumos_own_device(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ours is between whole frames of 0.1 s, so it is longer by up to two."""
+    traffic = "\n".join([vehicle("11", "eastward", 0, 450), vehicle("north", "northward", 0, 480)])
+    ours, theirs = measured_twice(write_network(tmp_path / "net", traffic=traffic), tmp_path, monkeypatch)
+    assert -0.01 < ours["min_pet_s"] - min(extremes(theirs, "north", "PET")) < 0.21
 
 
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -1,0 +1,55 @@
+"""Where the outlines of a car and of objects overlap: at the same time, and one after the other."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mast_zenoh.arrays.geometry import wrap_angle
+from mast_zenoh.arrays.rectangles import intersection_area
+from mast_zenoh.arrays.states import Ints
+from mast_zenoh.metrics.driving import Objects, Vehicle
+
+#: m2; outlines with a smaller intersection only touch.
+_TOUCH_M2 = 1e-6
+#: s; a longer time between two that use the same place is no encounter.
+_LONGEST_S = 5.0
+#: rad; who comes at a smaller angle follows, and does not cross.
+_CROSSING = np.deg2rad(30.0)
+
+
+def collisions(car: Vehicle, objects: Objects) -> Ints:
+    """Rows (k,) of the n objects whose outlines overlap that of the car in the same frame, ascending."""
+    return _overlapping(car, objects, np.arange(len(objects.frame)), objects.frame)
+
+
+def post_encroachment_s(car: Vehicle, objects: Objects, period_s: float) -> float | None:
+    """The shortest post-encroachment time of a car and the objects that cross its way, s; None: above 5 s.
+
+    It is the time between the last moment at which one of the two is at a place, and the first at which the other is;
+    here between two frames, so that it is too long by less than two. Who follows the car, or is followed, does not
+    count.
+
+    Source: Allen, Shin and Cooper, Analysis of traffic conflicts and collisions (Transportation Research Record 667,
+    1978).
+    """
+    frames = len(car.position)
+    for apart in range(round(_LONGEST_S / period_s) + 1):
+        for shift in {apart, -apart}:
+            row = objects.frame + shift
+            rows = np.flatnonzero((row >= 0) & (row < frames))
+            rows = rows[np.abs(wrap_angle(objects.yaw[rows] - car.heading[row[rows]])) >= _CROSSING]
+            if len(_overlapping(car, objects, rows, row[rows])):
+                return apart * period_s
+    return None
+
+
+def _overlapping(car: Vehicle, objects: Objects, rows: Ints, at: Ints) -> Ints:
+    """Of (k,) rows of objects, those whose outlines overlap that of the car in its frames `at` (k,)."""
+    offset = objects.position[rows, :2] - car.position[at, :2]
+    reach = 0.5 * (np.hypot(car.length, car.width) + np.hypot(objects.size[rows, 0], objects.size[rows, 1]))
+    near = np.flatnonzero(np.hypot(offset[:, 0], offset[:, 1]) <= reach)
+    chosen = rows[near]
+    own = np.tile([car.length, car.width], (len(near), 1))
+    heading = car.heading[at[near]]
+    area = intersection_area(offset[near], own, heading, objects.size[chosen, :2], objects.yaw[chosen])
+    return chosen[area > _TOUCH_M2]
