@@ -227,7 +227,9 @@ class Observer:
 
     def _is_heard(self, number: int) -> bool:
         """Whether a new frame is complete: a message of every key has been sent in it, or later."""
-        return number > self._last and all(self._reception.newest_step(key) >= number for key in self.meter.keys_of_series(self.wiring))
+        return number > self._last and all(
+            self._reception.newest_step(key) >= number for key in self.meter.keys_of_series(self.wiring)
+        )
 
     def _is_whole(self, number: int) -> bool:
         """Whether a new frame, of some time ago, is as complete as it becomes."""
