@@ -20,7 +20,8 @@ from mast_zenoh.driving import RouteAhead
 from mast_zenoh.effects import Pose
 from mast_zenoh.errors import MessageError
 from mast_zenoh.evaluation import Evaluation, RunData, ego_of
-from mast_zenoh.evaluation.driven import Arrival, Heard
+from mast_zenoh.evaluation.driven import Arrival, Heard, View
+from mast_zenoh.integrity.views import check_view, view_of
 from mast_zenoh.metrics import AttributionLimits, Consistency, CutOff, Driving, Metric, Record, Scorer, Series
 from mast_zenoh.metrics.estimates import LOCAL, MISSION, PICTURE, PICTURE_RECEIVED, RECEIVED, TRUTH
 from mast_zenoh.metrics.record import Snapshot
@@ -47,13 +48,13 @@ class Route(NamedTuple):
     take:   name of the method that handles them
     series: the estimates that they contain
     wire:   key of their wire, if its messages arrive on several keys
-    cars:   the agents whose drivers receive them
+    ports:  (agent, port) of the drivers that receive them
     """
 
     take: str
     series: tuple[Series, ...] = ()
     wire: str = ""
-    cars: tuple[str, ...] = ()
+    ports: tuple[tuple[str, str], ...] = ()
 
 
 class Evaluator(Node):
@@ -134,6 +135,9 @@ class Evaluator(Node):
         self.metered = set(self.data.meter.keys())
         for car in drivers_of(wiring).values():
             self.data.heard.setdefault(car, Heard())
+        for route in self.routes.values():
+            for car, port in route.ports:
+                self.data.heard[car].ports.add(port)
         self.data.relays = self.data.relays or any(wire.message == "relayed" for wire in wiring.wires)
         for route in self.routes.values():
             self.data.record.expect(route.series)
@@ -166,7 +170,7 @@ class Evaluator(Node):
         self.data.record.add_truth(
             message.header.frame, objects, body["points"], body["agent_position"], body["agent_object"]
         )
-        if route.cars:
+        if route.ports:
             self.hear(message, route, TRUTH, Snapshot.of(objects, views=message.encoded))
 
     def take_pose(self, message: Overheard, route: Route) -> None:
@@ -208,15 +212,25 @@ class Evaluator(Node):
             if route.wire:
                 candidates.append((message, objects))
         self.data.record.add(header.frame, route.series, objects, message.step, header.time_ns)
-        if route.cars:
+        if route.ports:
             self.hear(message, route, route.series[0].estimator if route.series else "", objects)
 
     def hear(self, message: Overheard, route: Route, estimate: str, objects: Snapshot) -> None:
         """Store an estimate as drivers received it."""
         header = message.header
-        for car in route.cars:
-            step = message.step if message.step >= 0 else header.frame
-            self.data.heard[car].add(step, Arrival(estimate, header.frame, header.time_ns, objects))
+        for car, port in route.ports:
+            self.data.heard[car].add(port, _step(message), Arrival(header.frame, header.time_ns, estimate, objects))
+
+    def take_view(self, message: Overheard, route: Route) -> None:
+        """Store what an agent's own sensor sees, as drivers received it."""
+        try:
+            check_view(message.body)
+        except ValueError as error:
+            raise MessageError(f"view: {error}") from None
+        header = message.header
+        body = {name: column.copy() for name, column in message.body.items()} if message.encoded else message.body
+        for car, _ in route.ports:
+            self.data.heard[car].see(_step(message), View(header.frame, header.time_ns, view_of(body)))
 
     def take_route(self, message: Overheard, route: Route) -> None:
         """Store the lane ahead of a driven car, as the world sent it."""
@@ -224,7 +238,7 @@ class Evaluator(Node):
         if not 2 <= len(position) <= MAX_POINTS or np.abs(np.diff(position, axis=0)).max() > MAX_STEP_M:
             raise MessageError(f"route: expected 2 to {MAX_POINTS} points, at most {MAX_STEP_M:g} m apart")
         ahead = RouteAhead(position.copy(), speed.copy(), float(stop.min(initial=np.inf)))
-        for car in route.cars:
+        for car, _ in route.ports:
             self.data.heard[car].routes.setdefault(message.header.frame, ahead)
 
     def take_reception(self, message: Overheard, route: Route) -> None:
@@ -257,6 +271,11 @@ class Evaluator(Node):
         return results
 
 
+def _step(message: Overheard) -> int:
+    """The frame of the run in which a message was sent on its key."""
+    return message.step if message.step >= 0 else message.header.frame
+
+
 def routes(wiring: Wiring, agents: Sequence[str]) -> dict[str, Route]:
     """The route of each key of a wiring.
 
@@ -266,7 +285,7 @@ def routes(wiring: Wiring, agents: Sequence[str]) -> dict[str, Route]:
     series: dict[str, list[Series]] = defaultdict(list)
     takes: dict[str, str] = {}
     shared: dict[str, str] = {}
-    cars: dict[str, tuple[str, ...]] = defaultdict(tuple)
+    ports: dict[str, tuple[tuple[str, str], ...]] = defaultdict(tuple)
     drivers = drivers_of(wiring)
     sensed = {agent_of(wire.subject) for wire in wiring.wires if wire.interposers and wire.message == "detections"}
     brokers = {wire.legs[0].publisher.node for wire in wiring.wires if wire.message == "collated"}
@@ -276,13 +295,16 @@ def routes(wiring: Wiring, agents: Sequence[str]) -> dict[str, Route]:
         ends = {end.node: leg.key for leg in wire.every_leg for end in leg.subscribers}
         if len(wire.every_leg) > 1:
             shared |= dict.fromkeys((leg.key for leg in wire.every_leg), wire.key)
-        if wire.message in ("truth", "tracks"):
+        if wire.message in ("truth", "tracks", "view"):
             for leg in wire.every_leg:
-                cars[leg.key] += tuple(drivers[end.node] for end in wire.receivers(leg) if end.node in drivers)
+                ends_here = [end for end in wire.receivers(leg) if end.node in drivers]
+                ports[leg.key] += tuple((drivers[end.node], end.port) for end in ends_here)
+                if ends_here and wire.message == "view":
+                    takes[leg.key] = "take_view"
         if wire.message == "trust" and wire.subject not in ("", ego_of(agents)):
             continue  # that of one centre, or one peer, is evaluated
         if wire.message == "route" and wire.subject in drivers:
-            takes[source.key], cars[source.key] = "take_route", (drivers[wire.subject],)
+            takes[source.key], ports[source.key] = "take_route", ((drivers[wire.subject], "route"),)
         if wire.message in ("clock", "truth", "trust", "attack_report", "link_report", "reception"):
             takes[source.key] = f"take_{wire.message}"
         elif wire.message == "pose" and wire.subject in sensed:
@@ -304,10 +326,10 @@ def routes(wiring: Wiring, agents: Sequence[str]) -> dict[str, Route]:
             for key, name in received:
                 series[key].append(Series(name, PICTURE_RECEIVED))
             takes |= dict.fromkeys((source.key, *(key for key, _ in received)), "take_picture")
-    for key in cars:
-        if cars[key]:
+    for key in ports:
+        if ports[key]:
             takes.setdefault(key, "keep")  # estimates that only drivers receive
-    return {key: Route(take, tuple(series[key]), shared.get(key, ""), cars[key]) for key, take in takes.items()}
+    return {key: Route(take, tuple(series[key]), shared.get(key, ""), ports[key]) for key, take in takes.items()}
 
 
 def drivers_of(wiring: Wiring) -> dict[str, str]:

@@ -5,11 +5,22 @@ from __future__ import annotations
 import numpy as np
 
 from mast_zenoh.arrays.matching import greedy_matching, neighbours
-from mast_zenoh.arrays.states import Bools, ObjectStates, concatenate
+from mast_zenoh.arrays.states import Bools, Floats, ObjectStates, concatenate
 
 #: m, in the bird's-eye view, between an own track and the object of the mission estimate that it stands for at most:
 #: the radius within which agents pair the two.
 SAME_OBJECT_M = 2.0
+
+
+def upheld(own: Floats, mission: Floats, free: Bools) -> Bools:
+    """Which objects of the mission estimate count beside own tracks: (m,).
+
+    own: (n, 3) m, positions of own tracks; mission: (m, 3) m, of the objects; free: (m,), see `overruled`
+    """
+    i, j, dx, dy = neighbours(own, mission, np.full(len(own), SAME_OBJECT_M))
+    others = ~free
+    others[j[greedy_matching(i, j, np.hypot(dx, dy))]] = False
+    return others
 
 
 def overruled(own: ObjectStates, mission: ObjectStates, free: Bools) -> ObjectStates:
@@ -23,8 +34,5 @@ def overruled(own: ObjectStates, mission: ObjectStates, free: Bools) -> ObjectSt
     no own track stands for it (each track for one object at most, the nearest pairs first), unless its place is free.
     Ids are those of the mission estimate, and -1 - id for own tracks, so that they are unique.
     """
-    i, j, dx, dy = neighbours(own.position, mission.position, np.full(len(own), SAME_OBJECT_M))
-    paired = j[greedy_matching(i, j, np.hypot(dx, dy))]
-    others = ~free
-    others[paired] = False
-    return concatenate([own.with_(id=-1 - own.id), mission.select(others)])
+    others = mission.select(upheld(own.position, mission.position, free))
+    return concatenate([own.with_(id=-1 - own.id), others])

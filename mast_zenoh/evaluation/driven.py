@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import defaultdict, deque
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from mast_zenoh.arrays.states import Ints, ObjectStates
+from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.driving import driver
 from mast_zenoh.driving.braking import Belief
 from mast_zenoh.driving.consequences import DrivenCar, consequences, course
 from mast_zenoh.driving.motion import RouteAhead
+from mast_zenoh.driving.veto import upheld
 from mast_zenoh.effects import Effects
 from mast_zenoh.gather import LatestBefore
+from mast_zenoh.integrity.base import ClusterBoxes
+from mast_zenoh.integrity.views import SweptView
+from mast_zenoh.integrity.visibility import clear_in_view
 from mast_zenoh.metrics import Driving, Scores, Table
 from mast_zenoh.metrics.boxes import Places, find, nearest
 from mast_zenoh.metrics.causes import ATTACK_CAUSES, Labels
@@ -31,42 +35,77 @@ _SAME_M = 2.0
 class Arrival(NamedTuple):
     """An estimate as a driver received it.
 
-    estimate: its name; about: the frame that it describes; time_ns: ns, of that frame
+    about: the frame that it describes; time_ns: ns, of that frame; estimate: its name among those that are scored
     """
 
-    estimate: str
     about: int
     time_ns: int
+    estimate: str
     objects: Snapshot
+
+
+class View(NamedTuple):
+    """What an agent's own sensor sees, as its driver received it; about, time_ns: as of an estimate."""
+
+    about: int
+    time_ns: int
+    view: SweptView
+
+
+class _Dated(Protocol):
+    @property
+    def about(self) -> int: ...
+
+    @property
+    def time_ns(self) -> int: ...
+
+
+Dated = TypeVar("Dated", bound=_Dated)
 
 
 @dataclass
 class Heard:
     """What the driver of one car received.
 
-    estimates: by name, those that arrived in each frame of the run; routes: by frame
+    ports: on which it receives estimates and views; estimates: by port, those that arrived in each frame of the run
+    views: by frame of arrival; routes: by frame
     """
 
+    ports: set[str] = field(default_factory=set)
     estimates: dict[str, dict[int, Arrival]] = field(default_factory=lambda: defaultdict(dict))
+    views: dict[int, View] = field(default_factory=dict)
     routes: dict[int, RouteAhead] = field(default_factory=dict)
 
-    def add(self, step: int, arrival: Arrival) -> None:
+    def add(self, port: str, step: int, arrival: Arrival) -> None:
         """Store an estimate that arrived in a frame of the run; of several the newest counts, as for the driver."""
-        kept = self.estimates[arrival.estimate].get(step)
-        if kept is None or arrival.about > kept.about:
-            self.estimates[arrival.estimate][step] = arrival
+        _keep_newest(self.estimates[port], step, arrival)
 
-    def held(self, frames: Sequence[int]) -> Iterator[tuple[int, Arrival]]:
-        """Yield (row, estimate) for each of some ascending frames: the newest that had arrived before it."""
-        for arrivals in self.estimates.values():
-            latest: LatestBefore[Arrival] = LatestBefore()
-            waiting = sorted(arrivals.items())
-            for row, frame in enumerate(frames):
-                while waiting and waiting[0][0] < frame:
-                    step, arrival = waiting.pop(0)
-                    latest.add(step, arrival, arrival.about)
-                if (known := latest.get(frame)) is not None:
-                    yield row, known[1]
+    def see(self, step: int, view: View) -> None:
+        """Store a view that arrived in a frame of the run, as estimates are."""
+        _keep_newest(self.views, step, view)
+
+    @property
+    def has_veto(self) -> bool:
+        """Whether the agent's own sensors overrule its mission estimate: only then the driver receives views."""
+        return "view" in self.ports
+
+
+def _keep_newest(arrivals: dict[int, Dated], step: int, item: Dated) -> None:
+    kept = arrivals.get(step)
+    if kept is None or item.about > kept.about:
+        arrivals[step] = item
+
+
+def _held(arrivals: Mapping[int, Dated], frames: Sequence[int]) -> Iterator[tuple[int, Dated]]:
+    """Yield (row, item) for each of some ascending frames: the newest that had arrived before it."""
+    latest: LatestBefore[Dated] = LatestBefore()
+    waiting = deque(sorted(arrivals.items()))
+    for row, frame in enumerate(frames):
+        while waiting and waiting[0][0] < frame:
+            step, item = waiting.popleft()
+            latest.add(step, item, item.about)
+        if (known := latest.get(frame)) is not None:
+            yield row, known[1]
 
 
 class _Believed(NamedTuple):
@@ -141,26 +180,49 @@ class DrivenCars:
         return self.times_ns.get(frame, round(frame * self.period_s * 1e9))
 
     def _believed(self, car: str, heard: Heard) -> _Believed:
-        """The objects of the estimates that the car's driver held in each frame, moved on to the time of the frame."""
-        numbers = self.scores.frames.tolist()
-        frames, age, about, series, parts = [], [], [], [], [Snapshot.of(ObjectStates.empty())]
+        """The objects of the estimates by which the car's driver drove in each frame, at the time of the frame."""
         rows = self.scores.every_series
-        for row, arrival in sorted(heard.held(numbers), key=lambda item: item[0]):
-            age_s = (self._time_ns(numbers[row]) - arrival.time_ns) * 1e-9
-            count = len(arrival.objects.id)
-            if not 0.0 <= age_s <= self.ages_s.get(car, driver.ESTIMATE_AGE_S) or count == 0:
-                continue
-            parts.append(arrival.objects)
-            frames += [row] * count
-            age += [age_s] * count
-            about += [arrival.about] * count
-            series += [-2 if arrival.estimate == TRUTH else rows.get((car, arrival.estimate), -1)] * count
+        frame, about, series = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+        position, parts = [np.zeros((0, 3))], [Snapshot.of(ObjectStates.empty())]
+        for row, held in self._used(car, heard):
+            for arrival, places, counts in held:
+                number = -2 if arrival.estimate == TRUTH else rows.get((car, arrival.estimate), -1)
+                parts.append(Snapshot._make(column[counts] for column in arrival.objects))
+                position.append(places[counts])
+                for columns, value in ((frame, row), (about, arrival.about), (series, number)):
+                    columns.append(np.full(len(position[-1]), value))
         objects = Snapshot(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-        position = objects.position + objects.velocity * np.array(age).reshape(-1, 1)
-        frame = np.array(frames, np.int64)
-        moved = Objects(frame, position, objects.velocity, objects.size, objects.yaw)
-        belief = self._belief(objects, np.array(about, np.int64), np.array(series, np.int64))
-        return _Believed(moved, belief)
+        moved = Objects(np.concatenate(frame), np.concatenate(position), objects.velocity, objects.size, objects.yaw)
+        return _Believed(moved, self._belief(objects, np.concatenate(about), np.concatenate(series)))
+
+    def _used(self, car: str, heard: Heard) -> Iterator[tuple[int, list[tuple[Arrival, Floats, Bools]]]]:
+        """Yield (row, estimates) for each frame in which the driver of a car had estimates to drive by.
+
+        Of each estimate, where its n objects are at the time of the frame, (n, 3) m, and which of them count, (n,):
+        with a veto not all.
+        """
+        held = {port: self._usable(car, arrivals) for port, arrivals in heard.estimates.items()}
+        views = self._usable(car, heard.views)
+        for row in range(len(self.scores.frames)):
+            now = {port: of_port[row] for port, of_port in held.items() if row in of_port}
+            moved = {
+                port: arrival.objects.position + arrival.objects.velocity * age_s
+                for port, (arrival, age_s) in now.items()
+            }
+            counts = {port: np.ones(len(places), np.bool_) for port, places in moved.items()}
+            if heard.has_veto:
+                if not {"safety", "mission"} <= now.keys():
+                    continue
+                free = _free(now["mission"][0].objects, moved["mission"], views.get(row))
+                counts["mission"] = upheld(moved["safety"], moved["mission"], free)
+            if now:
+                yield row, [(now[port][0], moved[port], counts[port]) for port in now]
+
+    def _usable(self, car: str, arrivals: Mapping[int, Dated]) -> dict[int, tuple[Dated, float]]:
+        """By row of the frames, what the driver held then and its age in s, where it is not too old."""
+        numbers, limit_ns = self.scores.frames.tolist(), round(self.ages_s.get(car, driver.ESTIMATE_AGE_S) * 1e9)
+        ages = ((row, item, self._time_ns(numbers[row]) - item.time_ns) for row, item in _held(arrivals, numbers))
+        return {row: (item, age_ns * 1e-9) for row, item, age_ns in ages if 0 <= age_ns <= limit_ns}
 
     def _belief(self, objects: Snapshot, about: Ints, series: Ints) -> Belief:
         """What n objects of estimates are. series: (n,) row of `Scores.series`, -1: not scored, -2: the truth"""
@@ -191,3 +253,14 @@ class DrivenCars:
                 for frame in effects.frame[effects.passage == number].tolist():
                     names[frame].add(passage.node)
         return ["+".join(sorted(names[frame])) if frame in names else "" for frame in self.scores.frames.tolist()]
+
+
+def _free(objects: Snapshot, position: Floats, view: tuple[View, float] | None) -> Bools:
+    """Whether a view and its age show that the places of n objects are free, (n,), as the driver asks.
+
+    position: (n, 3) m, of the objects at the time of the frame; None: the driver had no view
+    """
+    if view is None:
+        return np.zeros(len(position), np.bool_)
+    boxes = ClusterBoxes(position, objects.velocity, objects.size, objects.yaw)
+    return clear_in_view(boxes, replace(view[0].view, age_s=view[1]))

@@ -1,0 +1,91 @@
+"""What a driver believed follows from the messages that reached it: its veto is applied to them as it applies it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.driving.motion import RouteAhead
+from mast_zenoh.evaluation import Evaluation, RunData
+from mast_zenoh.evaluation.driven import Arrival, Heard, View
+from mast_zenoh.integrity.views import SweptView
+from mast_zenoh.metrics import Record, Scorer, Series
+from mast_zenoh.metrics.record import Snapshot
+from mast_zenoh.tracking.view import SensorView
+
+FRAMES, PERIOD_NS, BRAKES = 30, 100_000_000, 12
+GHOST, EGO = 5, 1
+#: m, of the ghost ahead of the beginning of the road.
+PLACE = 45.0
+
+
+def ego() -> tuple[np.ndarray, np.ndarray]:
+    """Places (f,) m and speeds (f,) m/s of an ego that drives east at 10 m/s and then brakes with 6 m/s^2."""
+    speed = np.maximum(10.0 - 0.6 * np.maximum(np.arange(FRAMES) - BRAKES, 0), 0.0)
+    return np.cumsum([0.0, *(0.1 * speed[1:])]), speed
+
+
+def boxes(*places: float, ids: int, speed: float = 0.0) -> ObjectStates:
+    n = len(places)
+    return ObjectStates.of(
+        np.array([(x, 0.0, 0.75) for x in places]).reshape(n, 3),
+        id=np.arange(ids, ids + n),
+        size=np.tile([4.5, 1.9, 1.5], (n, 1)),
+        velocity=np.tile([speed, 0.0, 0.0], (n, 1)),
+    )
+
+
+def road(x: float) -> RouteAhead:
+    return RouteAhead(np.column_stack([x + np.arange(80.0), np.zeros(80)]), np.full(80, 50.0), np.inf)
+
+
+def around(x: float, free_m: float) -> SweptView:
+    """A view from the roof of the ego whose rays end at a distance."""
+    limits = (-np.pi, np.pi, -0.5, 0.3, 100.0)
+    return SweptView(SensorView(np.array([x, 0.0, 2.0]), np.eye(3), *limits), np.full((8, 120), free_m))
+
+
+def happened(*, own: tuple[float, ...] = (), free_m: float | None = None, veto: bool = True) -> dict[str, Any]:
+    """What happened to the ego, whose mission estimate has a ghost. own: m, places of its own tracks"""
+    data = RunData(Record(("ego",)))
+    received = Heard(ports={"safety", "mission", "view"} if veto else {"mission"})
+    data.heard["ego"] = received
+    for frame, (x, speed) in enumerate(zip(*ego(), strict=True)):
+        time_ns = frame * PERIOD_NS
+        data.times_ns[frame] = time_ns
+        truth = boxes(float(x), ids=EGO, speed=float(speed))
+        data.record.add_truth(frame, truth, np.array([[50]]), truth.position, np.array([EGO]))
+        received.routes[frame] = road(float(x))
+        estimates = {"safety": boxes(*own, ids=GHOST), "mission": boxes(PLACE, ids=GHOST)}
+        for port, name in (("safety", "local"), ("mission", "mission")):
+            snapshot = Snapshot.of(estimates[port])
+            data.record.add(frame, [Series("ego", name)], snapshot, frame, time_ns)
+            if port in received.ports:
+                received.add(port, frame, Arrival(frame, time_ns, name, snapshot))
+        if free_m is not None:
+            received.see(frame, View(frame, time_ns, around(float(x), free_m)))
+    return Evaluation(scorer=Scorer(), skip_first=0, skip_last=0, picture_age_s=0.5).of(data)["metrics"]["driven"][
+        "ego"
+    ]
+
+
+def cause(**facts: Any) -> dict[str, Any]:
+    (brake,) = happened(**facts)["brakes"]
+    return brake["cause"]
+
+
+def test_a_brake_is_not_blamed_on_a_ghost_that_the_veto_discarded() -> None:
+    assert cause(veto=False, free_m=90.0)["object"] == GHOST
+    assert cause(free_m=90.0)["kind"] == "none"
+
+
+@pytest.mark.parametrize("free_m", [None, 5.0])
+def test_a_ghost_that_own_sensors_do_not_refute_is_believed_in_spite_of_a_veto(free_m: float | None) -> None:
+    assert cause(free_m=free_m) == {"object": GHOST, "kind": "false", "adversary": None}
+
+
+def test_an_own_track_is_believed_in_any_case() -> None:
+    assert cause(own=(PLACE,), free_m=90.0)["kind"] == "false"
