@@ -17,7 +17,7 @@ import numpy as np
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion, tracks_in_world
 from mast_zenoh.arrays.states import Bools, ObjectStates, canonical_order
-from mast_zenoh.driving import CarLimits, Command, Driver, RouteAhead, Situation
+from mast_zenoh.driving import CarLimits, Driver, RouteAhead, Situation
 from mast_zenoh.driving.driver import ESTIMATE_AGE_S
 from mast_zenoh.driving.veto import overruled
 from mast_zenoh.gather import Gather, LatestBefore, plausible_rows
@@ -42,7 +42,7 @@ class DriverNode(Node):
     estimate: one of ESTIMATES
     estimate_age_s: s, the greatest age of an estimate that is used; without one it brakes
     braking:  m/s^2, without an estimate
-    limits:   what the car can do; None: CarLimits()
+    limits:   what the car can do, as it believes; None: CarLimits(), or in a scenario those of the world
     veto:     whether the agent's own sensors overrule its mission estimate: it drives by its own tracks, and by what
         else is in the mission estimate unless they see through its place
     """
@@ -142,7 +142,7 @@ class DriverNode(Node):
         objects = self.objects_at(received.frame, time_ns)
         if objects is None:
             self.counts["blind"] += 1
-            command = Command(-self.braking, 0.0)
+            command = self.limits.nearest(-self.braking, 0.0)
         else:
             stop = float(route["stop"].min(initial=np.inf))
             situation = Situation(

@@ -13,9 +13,10 @@ from mast_zenoh.attacks.adaptive import Lies, Moment
 from mast_zenoh.attacks.attack import Attack
 from mast_zenoh.attacks.disputes import expect_agent
 from mast_zenoh.attacks.knowledge import Trust
-from mast_zenoh.attacks.phantoms import AHEAD_S, CautiousPhantoms, GhostAhead, IntermittentAttack
+from mast_zenoh.attacks.phantoms import AHEAD_S, CautiousPhantoms, IntermittentAttack
 from mast_zenoh.attacks.real_objects import SELF_M, ChosenObjects, SlowDrift
 from mast_zenoh.attacks.regions import UnseenByEgo, path_ahead
+from mast_zenoh.attacks.road_ahead import GhostAhead
 from mast_zenoh.attacks.surroundings import UNKNOWN, Coverage, Surroundings, boxes_of
 from mast_zenoh.attacks.targets import Tampering, Targets
 from mast_zenoh.errors import nearest

@@ -15,16 +15,7 @@ from mast_zenoh.attacks.attack import Attack
 from mast_zenoh.attacks.campaign import TrajectoryPropagation
 from mast_zenoh.attacks.imitation import VictimLike
 from mast_zenoh.attacks.knowledge import Trust, TrustWatch
-from mast_zenoh.attacks.regions import (
-    LANE_M,
-    MAX_ACCELERATION_MPS2,
-    PATH_AHEAD_M,
-    REGIONS,
-    VEHICLE_M,
-    Region,
-    Shape,
-    path_ahead,
-)
+from mast_zenoh.attacks.regions import MAX_ACCELERATION_MPS2, REGIONS, VEHICLE_M, Region, Shape
 from mast_zenoh.attacks.selection import ground_height
 from mast_zenoh.attacks.surroundings import Surroundings, boxes_of, touching
 from mast_zenoh.attacks.targets import Tampering, Targets
@@ -167,56 +158,6 @@ class CautiousPhantoms(PhantomAttack):
         super()._place(count, moment)
         self._keep(~self._given_up(moment, self._phantoms))
         self._placed += len(self._phantoms) - before
-
-
-#: m; a phantom nearer to the ego than this would be hit: it is withdrawn.
-NEAREST_M = 6.0
-
-
-class GhostAhead(PhantomAttack):
-    """Puts vehicles into the ego's lane, 10 to 60 m ahead of it, so that it brakes.
-
-    A phantom that the ego would hit, or that is no longer on its path, is withdrawn, and another one is placed. The
-    attacker knows the ego's route, and when it drives there; if the ego itself is the victim, also how far it is.
-    Source: the "front-near" spoofing of Cao et al. (CCS 2019), in collaborative perception Zhang et al. (USENIX
-    Security 2024).
-
-    budget:    lies per second, so the number of false objects
-    start_s:   s of scene time at which the attack begins
-    speed_mps: σ per axis of their speed, at most half of the ego's; 0: they stand
-    """
-
-    region = REGIONS["ego_path"]
-
-    def __init__(self, *, budget: float = 2.0, start_s: float = 4.0, speed_mps: float = 0.0) -> None:
-        super().__init__(budget=budget, start_s=start_s, speed_mps=speed_mps)
-
-    def lie(self, moment: Moment) -> Lies:
-        return super().lie(_where_the_ego_is(moment))
-
-    def _given_up(self, moment: Moment, phantoms: ObjectStates) -> Bools:
-        path = path_ahead(moment.coverage)
-        if path is None:
-            return np.ones(len(phantoms), bool)
-        offset = phantoms.position[:, :2] - path.corners[0]
-        distance = np.hypot(offset[:, 0], offset[:, 1])
-        off_path = path.offset(phantoms.position) > LANE_M + 1.0  # samples of the path are 1 m apart
-        return np.asarray(off_path | (distance < NEAREST_M) | (distance > PATH_AHEAD_M[1] + NEAREST_M))
-
-
-#: m; an ego that is farther than this from where its route has it does not follow its schedule.
-_OFF_SCHEDULE_M = 3.0
-
-
-def _where_the_ego_is(moment: Moment) -> Moment:
-    """The moment with the time at which the ego's route has it where it is, if it is the victim and off schedule."""
-    known, coverage = moment.coverage.surroundings, moment.coverage
-    if tuple(known.victims) != tuple(known.sensors)[:1] or known.ego_sensor is None:
-        return moment
-    route = known.ego_sensor.route
-    if np.hypot(*(route.position_at(coverage.time_s) - moment.position)[:2]) <= _OFF_SCHEDULE_M:
-        return moment
-    return replace(moment, coverage=replace(coverage, time_s=route.time_near(moment.position)))
 
 
 #: s for which paths are remembered.

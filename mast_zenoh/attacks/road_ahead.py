@@ -16,9 +16,9 @@ from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, concatenate
 from mast_zenoh.attacks.adaptive import AdaptiveAttack, Lies, Moment
 from mast_zenoh.attacks.imitation import VictimLike
-from mast_zenoh.attacks.phantoms import BOX
+from mast_zenoh.attacks.phantoms import BOX, PhantomAttack
 from mast_zenoh.attacks.real_objects import ChangingAttack, SlowDrift
-from mast_zenoh.attacks.regions import LANE_M, VEHICLE_M, Path, path_ahead
+from mast_zenoh.attacks.regions import LANE_M, PATH_AHEAD_M, REGIONS, VEHICLE_M, Path, path_ahead
 from mast_zenoh.attacks.selection import ground_height
 from mast_zenoh.attacks.surroundings import UNKNOWN, Coverage, Surroundings
 from mast_zenoh.errors import nearest
@@ -38,8 +38,9 @@ ASIDE_M = 15.0
 class EgoOnRoute:
     """Where the ego is on its route, for an attack on any agent's messages, or on the picture.
 
-    If the ego is the victim, its pose says it. Otherwise the ego is the object that was nearest to its schedule in the
-    first message, and is followed from there. While nobody sees it, it goes on along its route at the same speed.
+    If the ego is the victim, its pose says it. Otherwise the ego is the object that is on its schedule, and is followed
+    from there. While nobody sees it, it goes on along its route: as its schedule says if it was within EGO_M of it
+    when it was last seen, otherwise at the same speed.
 
     path: of the whole route; None: no route is known;  along: m, how far along it the ego is;  speed: m/s
     """
@@ -50,26 +51,28 @@ class EgoOnRoute:
         self._known = known
         if known.ego_sensor is not None:
             self.path = path_ahead(Coverage(known, (), float(known.ego_sensor.route.time_s[0])))
-        self._first = True
+        self._scheduled: float | None = None  # m along the path, at the last message
 
     def observe(self, moment: Moment) -> None:
         """Follow the ego to the time of a message."""
         path, ego = self.path, self._known.ego_sensor
         if path is None or ego is None:
             return
-        if self._first:
-            now, scheduled = path_ahead(moment.coverage), ego.route.position_at(moment.time_s)
-            self._first, self.along = False, float(path.place(scheduled[None])[0][0])
-            self.speed = now.speed if now is not None else 0.0
-        expected = self.along + self.speed * moment.elapsed_s
+        scheduled = float(path.place(ego.route.position_at(moment.time_s)[None])[0][0])
+        if self._scheduled is None:
+            now = path_ahead(moment.coverage)
+            self.along, self.speed = scheduled, now.speed if now is not None else 0.0
+            expected = scheduled
+        elif abs(self.along - self._scheduled) <= EGO_M:
+            expected = self.along + scheduled - self._scheduled
+        else:
+            expected = self.along + self.speed * moment.elapsed_s
+        self._scheduled = scheduled
         if tuple(self._known.victims) == tuple(self._known.sensors)[:1]:
             position: Floats | None = moment.position
         else:
             position = self._seen(moment.seen, path.at(np.array([expected]))[0][0])
-        if position is None:
-            self.along = expected
-            return
-        along = float(path.place(position[None])[0][0])
+        along = expected if position is None else float(path.place(position[None])[0][0])
         if moment.elapsed_s > 0.0:
             self.speed += _NEWEST * (max(along - self.along, 0.0) / moment.elapsed_s - self.speed)
         self.along = along
@@ -81,6 +84,15 @@ class EgoOnRoute:
         distance = np.hypot(offset[:, 0], offset[:, 1])
         row = int(distance.argmin()) if len(distance) else -1
         return objects.position[row] if row >= 0 and distance[row] <= EGO_M else None
+
+    def on_route(self, coverage: Coverage) -> Coverage:
+        """The coverage, if the ego is off its schedule with the time at which its route has it where it is."""
+        if self.path is None or self._known.ego_sensor is None:
+            return coverage
+        position, route = self.path.at(np.array([self.along]))[0][0], self._known.ego_sensor.route
+        if np.hypot(*(route.position_at(coverage.time_s)[:2] - position)) <= EGO_M:
+            return coverage
+        return replace(coverage, time_s=route.time_near(position))
 
     def ahead(self, objects: ObjectStates) -> tuple[Floats, Floats]:
         """How far ahead of the ego, and how far left of its path objects are, both (n,) m; inf without a path."""
@@ -105,6 +117,7 @@ class FollowingEgo(AdaptiveAttack):
         self._ego = EgoOnRoute(surroundings)
 
     def observe(self, moment: Moment) -> None:
+        super().observe(moment)
         self._ego.observe(moment)
 
 
@@ -234,6 +247,40 @@ class LaneIntrusion(FollowingEgo, SlowDrift):
 
 
 # -- false vehicles ----------------------------------------------------------------------------------------------------
+
+#: m; a ghost nearer to the ego than this would be hit: it is withdrawn.
+NEAREST_M = 6.0
+
+
+class GhostAhead(FollowingEgo, PhantomAttack):
+    """Puts vehicles into the ego's lane, 10 to 60 m ahead of it, so that it brakes.
+
+    A ghost that the ego would hit, or that is no longer on its path, is withdrawn, and another one is placed.
+    Source: the "front-near" spoofing of Cao et al. (CCS 2019), in collaborative perception Zhang et al. (USENIX
+    Security 2024).
+
+    budget:    lies per second, so the number of false objects
+    start_s:   s of scene time at which the attack begins
+    speed_mps: σ per axis of their speed, at most half of the ego's; 0: they stand
+    """
+
+    region = REGIONS["ego_path"]
+
+    def __init__(self, *, budget: float = 2.0, start_s: float = 4.0, speed_mps: float = 0.0) -> None:
+        super().__init__(budget=budget, start_s=start_s, speed_mps=speed_mps)
+
+    def lie(self, moment: Moment) -> Lies:
+        return super().lie(replace(moment, coverage=self._ego.on_route(moment.coverage)))
+
+    def _given_up(self, moment: Moment, phantoms: ObjectStates) -> Bools:
+        path = path_ahead(moment.coverage)
+        if path is None:
+            return np.ones(len(phantoms), bool)
+        offset = phantoms.position[:, :2] - path.corners[0]
+        distance = np.hypot(offset[:, 0], offset[:, 1])
+        off_path = path.offset(phantoms.position) > LANE_M + 1.0  # samples of the path are 1 m apart
+        return np.asarray(off_path | (distance < NEAREST_M) | (distance > PATH_AHEAD_M[1] + NEAREST_M))
+
 
 #: m; a false vehicle whose centre is nearer to the ego's would be hit: it is withdrawn.
 _HIT_M = 4.5

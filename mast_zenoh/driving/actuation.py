@@ -14,12 +14,12 @@ class Actuation:
     goes on as the newest command said, for at most `hold_frames` frames; then it brakes, straight along its last
     curvature, until a newer command arrives. A late command acts when it arrives, if it is new enough to be held.
 
-    limits: of the car; braking: m/s^2, of a car without commands
+    limits: of the car; braking: m/s^2, of a car without commands, if it can
     counts: of frames, by what the car did: "commanded", "held", "braked"; and of refused commands, "refused"
     """
 
     def __init__(self, limits: CarLimits, hold_frames: int, braking: float) -> None:
-        self.limits, self.hold_frames, self.braking = limits, hold_frames, braking
+        self.limits, self.hold_frames, self.braking = limits, hold_frames, min(braking, limits.braking)
         self.counts: Counter[str] = Counter(commanded=0, held=0, braked=0, refused=0)
         self._newest: tuple[int, Command] | None = None
 

@@ -129,11 +129,11 @@ def of_commands(cars: object) -> list[dict[str, Any]]:
     for car, counts in cars.items() if isinstance(cars, Mapping) else ():
         frames = counts_of(counts)
         held, braked, refused = (frames.get(name, 0) for name in ("held", "braked", "refused"))
-        if held + braked + refused == 0:
+        if held + braked == 0:
             continue
         text = f"the car of {car} had no new command in {number(held + braked, 'frame')}"
         text += f": it went on in {held} and braked in {braked}; {number(refused, 'command')} refused"
-        notices.append({"kind": "commands", "count": held + braked + refused, "text": text})
+        notices.append({"kind": "commands", "count": held + braked, "text": text})
     return notices
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from mast_zenoh.config import registry
 from mast_zenoh.config.resolved import NodeSpec
+from mast_zenoh.driving import CarLimits
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.scenes import Recording, Scene
 from mast_zenoh.scenes.stepped import check_cars
@@ -77,11 +78,31 @@ def simulator_config(
 
 
 def drivers(path: Path, scenario: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """Yield (name, configuration) of each driver's node."""
+    """Yield (name, configuration) of each driver's node; its limits are those of the world by default.
+
+    Raises ConfigurationError for a driver that may command more than its car can do: all such commands are refused.
+    """
+    of_world = scenario.get("world", {}).get("limits")
+    can = _limits(of_world, f"{path}: world.limits")
     for car, config in scenario.get("drivers", {}).items():
         if not isinstance(config, Mapping):
             raise ConfigurationError(f"{path}: drivers.{car}: found {config!r}, expected a dict")
+        if config.get("limits") is None:
+            config = {**config, "limits": of_world} if of_world is not None else config
+        else:
+            believed = _limits(config["limits"], f"{path}: drivers.{car}.limits")
+            for name, most in vars(can).items():
+                if vars(believed)[name] > most:
+                    raise ConfigurationError(
+                        f"{path}: drivers.{car}.limits.{name}: found {vars(believed)[name]:g}, expected at most "
+                        f"{most:g}, as in world.limits: the car refuses commands beyond what it can do"
+                    )
         yield driver_of_car(car), {"agent": car, **config}
+
+
+def _limits(spec: object, path: str) -> CarLimits:
+    limits: CarLimits = CarLimits() if spec is None else registry.build(spec, CarLimits, path)
+    return limits
 
 
 def rewrites(nodes: Mapping[str, NodeSpec], inputs: Mapping[str, Collection[str]]) -> list[str | dict[str, Any]]:

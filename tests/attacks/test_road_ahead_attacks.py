@@ -9,8 +9,18 @@ from plaza import PERIOD, Played, plaza
 
 from mast_zenoh.arrays.states import CLASS_INDEX, ObjectStates, concatenate
 from mast_zenoh.attacks import Attack, Surroundings, Tampering
+from mast_zenoh.attacks.adaptive import Moment
 from mast_zenoh.attacks.regions import LANE_M, path_ahead
-from mast_zenoh.attacks.road_ahead import LANE_WIDTH_M, CutIn, HideAhead, LaneIntrusion, PhantomQueue
+from mast_zenoh.attacks.road_ahead import (
+    LANE_WIDTH_M,
+    NEAREST_M,
+    CutIn,
+    EgoOnRoute,
+    GhostAhead,
+    HideAhead,
+    LaneIntrusion,
+    PhantomQueue,
+)
 from mast_zenoh.attacks.surroundings import Coverage
 from mast_zenoh.testing import check_attack
 
@@ -59,6 +69,7 @@ def moving(x: float, y: float, vx: float, vy: float, number: int, length_m: floa
         HideAhead(start_s=0.5, what="crossing"),
         LaneIntrusion(start_s=0.5),
         LaneIntrusion(start_s=0.5, into="neighbour"),
+        GhostAhead(start_s=0.5),
         PhantomQueue(start_s=0.5),
         CutIn(start_s=0.5),
     ],
@@ -153,6 +164,30 @@ def test_a_queue_stands_in_the_lane_ahead_of_where_the_ego_is_driven(victim: str
         assert (np.hypot(*each.velocity[:, :2].T) < 1.5).all(), "as slow as a track of a standing car"
 
 
+@pytest.mark.parametrize("victim", ["ego", "infra_1"])
+def test_ghosts_stand_in_the_lane_ahead_of_where_the_ego_is_driven_and_none_is_left_to_be_hit(victim: str) -> None:
+    """In the end the ego is 60 m behind its schedule."""
+    driven, shown = DrivenEgo(GhostAhead(start_s=2.0), victim), 0
+    for frame in range(150):
+        ghosts = driven.step().added
+        gap = ghosts.position[:, 0] - driven.x
+        assert (np.abs(ghosts.position[:, 1]) <= LANE_M + 1.0).all()
+        assert ((gap > NEAREST_M - 2.0) & (gap < 70.0)).all(), "with noise, and with an ego that is off by a metre"
+        shown += len(ghosts) if frame >= 100 else 0
+    assert shown > 50
+
+
+def test_an_ego_that_nobody_sees_is_where_its_schedule_has_it() -> None:
+    """It stands for 5 s, then drives 8 m/s; the pole does not see it."""
+    rows = [(0.0, -60.0, 0.0, 90.0), (5.0, -60.0, 0.0, 90.0), (20.0, 60.0, 0.0, 90.0)]
+    known = plaza(("infra_1",), ego=rows, infra_1=[(0.0, 0.0, 10.0, 150.0)])
+    ego = EgoOnRoute(known)
+    for frame in range(100):
+        pole, coverage = known.sensors["infra_1"].route.at(0.0)[0], Coverage(known, (), frame * 0.1)
+        ego.observe(Moment(frame, frame * PERIOD, 0.1, ObjectStates.empty(), np.zeros(0, bool), coverage, pole))
+        assert ego.along == pytest.approx(max(frame * 0.1 - 5.0, 0.0) * 8.0, abs=1e-6)
+
+
 def test_a_queue_that_the_ego_has_reached_is_withdrawn_and_another_one_comes_ahead() -> None:
     driven = DrivenEgo(PhantomQueue(start_s=1.0, ahead_m=20.0, budget=2.0))
     nearest = [float(each.position[:, 0].min() - driven.x) for each in added(driven, 150) if len(each)]
@@ -187,7 +222,8 @@ def test_nobody_cuts_in_before_an_ego_that_stands() -> None:
 
 
 def test_without_a_route_there_is_no_road_to_lie_about() -> None:
-    for attack in (PhantomQueue(start_s=0.0), CutIn(start_s=0.0), HideAhead(start_s=0.0), LaneIntrusion(start_s=0.0)):
+    for attack_class in (GhostAhead, PhantomQueue, CutIn, HideAhead, LaneIntrusion):
+        attack = attack_class(start_s=0.0)
         attack.inform(Surroundings())
         attack.bind(0, "adversary_1")
         for frame in range(10):

@@ -36,6 +36,10 @@ def test_a_car_that_never_got_a_command_brakes() -> None:
     assert car().act(1) == Command(-BRAKING, 0.0)
 
 
+def test_a_car_brakes_no_harder_than_it_can() -> None:
+    assert Actuation(CarLimits(braking=2.0), HOLD, BRAKING).act(1) == Command(-2.0, 0.0)
+
+
 def test_a_late_command_acts_when_it_arrives_if_it_may_still_be_held() -> None:
     actuation = car()
     actuation.receive(0, 0, GAS)

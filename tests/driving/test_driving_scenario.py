@@ -1,9 +1,12 @@
 """The scenario `driving`: who is attacked, on which wires, and what defends."""
 
+from pathlib import Path
+
 import pytest
 
 from mast_zenoh import scenario
 from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.scenario import driving
 
 
 def content_of(*settings: str) -> dict:
@@ -71,3 +74,26 @@ def test_a_driver_is_judged_by_the_age_of_estimates_that_it_uses() -> None:
     content["drivers"]["ego"]["estimate_age_s"] = 1.2
     resolved = scenario.resolve(scenario.load("driving")[0], content, seed=0, frames=20)
     assert resolved.nodes["evaluator"].config["estimate_ages_s"] == {"ego": 1.2}
+
+
+def limits_of_driver(world: dict, driver: dict) -> object:
+    """The limits that a driver's node gets."""
+    content = dict(world=world, drivers=dict(ego=driver))
+    ((_, config),) = driving.drivers(Path("scenario.py"), content)
+    return config.get("limits")
+
+
+def test_a_driver_knows_what_its_car_can_do_unless_it_believes_less() -> None:
+    weak, weaker = dict(braking=5.0), dict(braking=4.0)
+    assert limits_of_driver(dict(limits=weak), {}) == weak
+    assert limits_of_driver(dict(limits=weak), dict(limits=weaker)) == weaker
+    assert limits_of_driver({}, {}) is None
+
+
+@pytest.mark.parametrize(("world", "driver"), [(dict(limits=dict(braking=5.0)), dict()), ({}, dict(braking=9.5))])
+def test_a_driver_that_believes_its_car_can_do_more_than_it_can_is_refused(world: dict, driver: dict) -> None:
+    limits = dict(type="CarLimits") | driver
+    with pytest.raises(
+        ConfigurationError, match=r"drivers\.ego\.limits\.braking: found 9(\.5)?, expected at most [59],"
+    ):
+        limits_of_driver(world, dict(limits=limits))

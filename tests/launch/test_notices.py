@@ -50,7 +50,7 @@ def test_a_car_without_new_commands_has_a_notice_and_an_obedient_one_has_none() 
     counts = dict(commanded=100, held=3, braked=2, refused=1)
     obedient = dict(commanded=105, held=0, braked=0, refused=0)
     (notice,) = notices.of_commands({"ego": counts, "mobile_1": obedient})
-    assert (notice["kind"], notice["count"]) == ("commands", 6)
+    assert (notice["kind"], notice["count"]) == ("commands", 5)
     assert notice["text"] == (
         "the car of ego had no new command in 5 frames: it went on in 3 and braked in 2; 1 command refused"
     )
