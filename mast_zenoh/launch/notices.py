@@ -385,7 +385,7 @@ def idle_parts(resolved: Resolved, frames: int, handed_in: Mapping[str, Mapping[
         return []
     run = _Played(resolved, frames, handed_in)
     sentences = [*resolved.idle, *_adversaries(run), *_coordinators(run), *_defences(run)]
-    sentences += [*_links(run), *_faults(run), *_sensors(run), *_agents(run), *_metrics(run)]
+    sentences += [*_vetoes(run), *_links(run), *_faults(run), *_sensors(run), *_agents(run), *_metrics(run)]
     return [{"kind": "idle", "count": 1, "text": text} for text in dict.fromkeys(sentences)]
 
 
@@ -516,6 +516,15 @@ def _trusted_strangers(run: _Played, stage: Any) -> Iterator[str]:
     if isinstance(ego, str) and ego not in agents:
         yield f"the defence {kind} checked nothing: it trusts {ego!r}, which is no agent{nearest(ego, agents)}"
     yield from _trusted_strangers(run, stage.get("stage"))
+
+
+def _vetoes(run: _Played) -> Iterator[str]:
+    """Drivers whose own sensors can refute nothing."""
+    recording = run.resolved.recording
+    if recording is not None and not len(recording.buildings):
+        for name, spec in run.of_role("driver").items():
+            if spec.config.get("veto"):
+                yield f"the veto of {name} refuted nothing: in a scene without buildings nobody knows what is free"
 
 
 def _seen_by_two(recording: Recording, frames: int) -> bool:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from tiny_world import tiny
 
+from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.launch import notices, run
 from mast_zenoh.metrics import FrameMetric
@@ -164,6 +165,16 @@ def test_a_defence_that_never_had_two_viewers_is_named() -> None:
     alone = replace(world, recording=replace(world.recording, points=points))
     assert sentences(alone) == ["the defence KOfN had nothing to compare: no two agents saw the same object"]
     assert sentences(world) == []
+
+
+def test_a_veto_is_named_where_nobody_knows_what_is_free() -> None:
+    path, content = scenario.load("driving", ["veto=True", "n_infrastructure=0"])
+    world = scenario.resolve(path, content, frames=5, seed=0)
+    assert world.recording is not None
+    assert sentences(world) == []
+    assert sentences(replace(world, recording=replace(world.recording, buildings=()))) == [
+        "the veto of driver_ego refuted nothing: in a scene without buildings nobody knows what is free"
+    ]
 
 
 @pytest.mark.parametrize(

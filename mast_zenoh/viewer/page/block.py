@@ -41,6 +41,8 @@ LENGTH, ANGLE, SCORE = 0.01, 0.002, 0.01
 _SPEED, _SPREAD, _CORRELATION, _SWEPT = 0.05, 0.02, 0.02, 0.5
 #: m, greatest standard deviation that is kept: more is not drawn.
 _MOST_M = 300.0
+#: Ids from here on do not fit into a column.
+_MOST_ID = 1 << 30
 #: Flags of an agent in a frame, above its state (0: not judged, else 1 + the row of STATES).
 DOWN, LYING = 8, 16
 #: Damage to objects.parquet, which the report names among its missing files.
@@ -332,10 +334,15 @@ def _motion_of_tracks(tracks: Iterable[tuple[int, Body]]) -> tuple[NDArray[np.ui
     return np.concatenate(keys), {name: np.concatenate(parts) for name, parts in columns.items()}
 
 
+def shown_id(ids: Ints) -> Ints:
+    """The ids (n,) that a page shows: of numbers that do not fit, which anybody may send, the last 30 bits."""
+    return np.where((ids > -_MOST_ID) & (ids < _MOST_ID), ids, ids & (_MOST_ID - 1))
+
+
 def _add_boxes(packer: Packer, run: RunRecord, boxes: BoxTable, motion: Table, first: int) -> dict[str, Any]:
     """Add the columns of boxes and of their meaning in each view, and return `views` and `meanings`."""
     packer.add("box.frame", boxes.frame - first)
-    packer.add("box.id", boxes.id)
+    packer.add("box.id", shown_id(boxes.id))
     packer.add("box.truth", boxes.truth, differences=False)
     for index, name in enumerate(_GEOMETRY):
         packer.add(f"box.{name}", boxes.geometry[:, index], scale=ANGLE if name == "yaw" else LENGTH)
@@ -347,7 +354,7 @@ def _add_boxes(packer: Packer, run: RunRecord, boxes: BoxTable, motion: Table, f
         packer.add(f"box.{name}", motion["spread"][:, index], scale=scale)
     packer.add("box.kind", motion["kind"], differences=False)
     packer.add("code", boxes.codes, differences=False)
-    packer.add("match", boxes.matches[boxes.matches >= 0])
+    packer.add("match", shown_id(boxes.matches[boxes.matches >= 0]))
     packer.add("matched", boxes.matches >= 0, differences=False)
     row_by_view = {tuple(view): row for row, view in enumerate(boxes.views)}
     views = dict(row_by_view)
@@ -392,7 +399,7 @@ def _agent(agent: SceneAgent) -> dict[str, Any]:
     return {
         "name": agent.name,
         "kind": agent.kind,
-        "object": agent.object_id,
+        "object": int(shown_id(np.array([agent.object_id]))[0]),
         "range_m": sensor.max_range_m,
         "sector": [float(np.radians(sensor.azimuth_min_deg)), float(np.radians(sensor.azimuth_max_deg))],
         "camera": {

@@ -27,7 +27,7 @@ from mast_zenoh.sensing import Detector
 
 _WAY_M = 1000.0  # of a way that is planned at once, at least,
 _FASTEST = 40.0  # m/s, and more for a car that drives as fast for long
-_NAMED = 1_000_000_000  # ids from here on are of vehicles whose names are no numbers
+_NAMED = 500_000_000  # ids from here on are of vehicles whose names are no such numbers
 
 
 class Ride(NamedTuple):

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from mast_zenoh.launch.tables import read_table
-from mast_zenoh.viewer.page.block import run_block
+from mast_zenoh.viewer.page.block import run_block, shown_id
 from mast_zenoh.viewer.page.columns import Packer, unpack
 from mast_zenoh.viewer.run import RunRecord
 
@@ -157,6 +157,14 @@ def test_columns_keep_their_numbers_within_half_their_resolution() -> None:
         assert np.all(np.abs(found[name] - values) <= scale / 2 + 1e-9 * np.abs(values))
     with pytest.raises(ValueError, match="odd: expected finite numbers"):
         packer.add("odd", np.array([np.nan]))
+
+
+def test_ids_that_do_not_fit_are_shown_by_their_last_bits() -> None:
+    ids = shown_id(np.array([7, -1, 2**30 - 1, 2**62 + 5, -(2**63)]))
+    assert ids.tolist() == [7, -1, 2**30 - 1, 5, 0]
+    packer = Packer()
+    packer.add("box.id", ids)
+    assert unpack(packer.block({}))[1]["box.id"].tolist() == ids.tolist()
 
 
 def test_a_run_without_boxes_or_scene_has_no_picture(tmp_path: Path) -> None:
