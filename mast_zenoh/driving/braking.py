@@ -22,6 +22,8 @@ _REASON_MPS2 = 1.0
 _PAUSE_S = 0.5
 #: m/s^2; an emergency needs more braking than this. Source: see `consequences.NEAR_MISS_BRAKING_MPS2`.
 _EMERGENCY_MPS2 = 3.0
+#: s, in which a car that is too fast slows down, and m, the least way in which it does.
+_ADAPT_S, _LEAST_M = 1.0, 1.0
 #: m/s^2; by so little, braking is no harder.
 _EQUAL_MPS2 = 1e-6
 #: How cars brake: for objects, as one that comes to a standstill before lines, and before bends.
@@ -69,6 +71,12 @@ def brakes_of(acceleration: Floats, period_s: float) -> list[Brake]:
     ]
 
 
+def around(brakes: Sequence[Brake], period_s: float) -> list[int]:
+    """Rows of the frames in which there may be a reason for a brake, ascending: see `needless`."""
+    pause = round(_PAUSE_S / period_s)
+    return sorted({row for brake in brakes for row in range(max(brake.first - pause, 0), brake.hardest + 1)})
+
+
 def demanded_by_objects(corridor: InCorridor) -> Floats:
     """Braking (n,) m/s^2 that each object in the corridor of a car asks of a driver that follows it."""
     return -_REFERENCE.interaction(corridor.own_mps, corridor.gap_m, corridor.ahead_mps)
@@ -83,12 +91,14 @@ def demanded_by_lines(speed: Floats, routes: Mapping[int, RouteAhead]) -> Floats
 
 
 def demanded_by_road(speed: Floats, routes: Mapping[int, RouteAhead]) -> Floats:
-    """Braking (f,) m/s^2 that bends and limits ahead ask of a driver in each frame; 0: none. speed: (f,) m/s"""
+    """Braking (f,) m/s^2 that bends and limits ahead ask of a driver in each frame; 0: none. speed: (f,) m/s
+
+    The constant braking after which the car is everywhere as slow as it has to be, where it is now in `_ADAPT_S`.
+    """
     result = np.zeros(len(speed))
     for frame, route in routes.items():
-        distance = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(route.position, axis=0).T))])
-        allowed = np.sqrt(route.speed**2 + 2.0 * _REFERENCE.braking * distance).min()
-        result[frame] = max(-float(_REFERENCE.free(speed[frame : frame + 1], np.maximum(allowed, 0.1))[0]), 0.0)
+        distance = np.maximum(route.along, max(_ADAPT_S * speed[frame], _LEAST_M))
+        result[frame] = ((speed[frame] ** 2 - route.speed**2) / (2.0 * distance)).max(initial=0.0)
     return result
 
 

@@ -15,7 +15,7 @@ from mast_zenoh.driving import braking
 from mast_zenoh.driving.braking import Belief, spans
 from mast_zenoh.driving.comfort import HARD_BRAKING_MPS2, uncomfortable
 from mast_zenoh.driving.contact import collisions, post_encroachment_s
-from mast_zenoh.driving.corridor import InCorridor, in_corridor, needed_braking
+from mast_zenoh.driving.corridor import InCorridor, crossing, in_corridor, joined, needed_braking
 from mast_zenoh.driving.followers import behind_car
 from mast_zenoh.driving.motion import RouteAhead
 from mast_zenoh.metrics.driving import STANDING_MPS, Driving, Objects, SafeDistance, Vehicle
@@ -183,10 +183,10 @@ def _below_safe_distance(look: Driving, truth: InCorridor) -> int:
 
 def _brakes(driven: DrivenCar) -> list[dict[str, Any]]:
     """The brakes of a car with their causes."""
-    brakes, speed, truth = driven.brakes, driven.speed, driven.truth
+    brakes, speed = driven.brakes, driven.speed
     lines, road = braking.demanded_by_lines(speed, driven.routes), braking.demanded_by_road(speed, driven.routes)
+    truth, believed = _met(driven, driven.objects, driven.truth), _met(driven, driven.believed)
     real = braking.hardest_per_frame(truth, braking.demanded_by_objects(truth), len(speed))
-    believed = in_corridor(driven.car, driven.routes, driven.believed, driven.look)
     causes = braking.causes(brakes, believed, driven.belief, lines, driven.tampered)
     needless = braking.needless(brakes, np.max([lines, road, real], axis=0), driven.period_s)
     return [
@@ -199,6 +199,18 @@ def _brakes(driven: DrivenCar) -> list[dict[str, Any]]:
         }
         for brake, cause, without_reason in zip(brakes, causes, needless, strict=True)
     ]
+
+
+def _met(driven: DrivenCar, objects: Objects, ahead: InCorridor | None = None) -> InCorridor:
+    """Which objects a car would meet without braking: those in its corridor, and around its brakes those that cross.
+
+    ahead: the objects in its corridor, if they are known
+    """
+    rows = braking.around(driven.brakes, driven.period_s)
+    routes = {row: driven.routes[row] for row in rows if row in driven.routes}
+    if ahead is None:
+        ahead = in_corridor(driven.car, driven.routes, objects, driven.look)
+    return joined([ahead, crossing(driven.car, routes, objects, driven.look)])
 
 
 def _waits(driven: DrivenCar, truth: InCorridor) -> Bools:

@@ -1,15 +1,22 @@
-"""The corridor of a car: its outline along its lane, and what is ahead in it."""
+"""The corridor of a car: its outline along its lane, what is ahead in it, and what comes into it from the side."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
 
-from mast_zenoh.arrays.states import Floats, Ints
+from mast_zenoh.arrays.geometry import along_and_across
+from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.driving.motion import RouteAhead
-from mast_zenoh.metrics.driving import Driving, Objects, Vehicle
+from mast_zenoh.metrics.driving import STANDING_MPS, Driving, Objects, Vehicle
+
+#: s; what comes into the corridor later crosses too late to matter, as for ProposalDriver; and s between two looks.
+CROSSING_S, _LOOK_S = 4.0, 0.2
+#: s; a car that gets to a place by so much later than what crosses there still brakes for it. Source: see
+#: `metrics.driving.TimeToCollision`.
+_AFTER_S = 1.5
 
 
 def along_route(position: Floats, velocity: Floats, heading: float, size: Floats, route: RouteAhead) -> Vehicle:
@@ -50,20 +57,82 @@ def in_corridor(car: Vehicle, routes: Mapping[int, RouteAhead], objects: Objects
     objects: ascending by frame; look: how far and how wide the corridor is
     """
     parts: list[InCorridor] = []
+    for frame, now, start, present in _frames(car, routes, objects):
+        ahead = look.ahead(now, present)
+        own = np.full(len(ahead.row), np.hypot(*car.velocity[frame, :2]))
+        at = np.full(len(ahead.row), frame)
+        parts.append(InCorridor(at, start + ahead.row, ahead.gap_m, ahead.speed_mps, own, ahead.ttc_s))
+    return joined(parts)
+
+
+def crossing(car: Vehicle, routes: Mapping[int, RouteAhead], objects: Objects, look: Driving) -> InCorridor:
+    """What comes into the corridor of a car while the car gets there, both at constant velocity, in each of f frames.
+
+    What is in the corridor already, or follows the car, is not among these. `gap_m` is to where it comes in (at the
+    first look at which the two could meet), and `ttc_s` the time until then.
+
+    routes: by row of the frames that are asked about; the others as in `in_corridor`
+    """
+    parts: list[InCorridor] = []
+    times = np.arange(0.0, CROSSING_S + _LOOK_S / 2.0, _LOOK_S)
+    for frame, now, start, present in _frames(car, routes, objects):
+        own = float(np.hypot(*car.velocity[frame, :2]))
+        moving = np.flatnonzero(_could_cross(now, present, look))
+        repeated = np.repeat(moving, len(times))
+        time = np.tile(times, len(moving))
+        there = Objects._make(column[repeated] for column in present)
+        ahead = look.ahead(now, there._replace(position=there.position + time[:, None] * there.velocity))
+        at, when = repeated[ahead.row], time[ahead.row]
+        already = np.isin(at, at[when == 0.0])
+        passed = own * when - np.where(ahead.speed_mps > 0.0, 0.0, car.length)  # what goes along, goes behind or beside
+        meets = ~already & (ahead.gap_m >= passed) & (ahead.gap_m <= own * (when + _AFTER_S))
+        found = np.flatnonzero(meets)
+        found = found[np.unique(at[found], return_index=True)[1]]  # the first look of each
+        rows = start + at[found]
+        same = np.full(len(found), own)
+        parts.append(
+            InCorridor(np.full(len(found), frame), rows, ahead.gap_m[found], ahead.speed_mps[found], same, when[found])
+        )
+    return joined(parts)
+
+
+def joined(parts: Iterable[InCorridor]) -> InCorridor:
+    """Several tables of objects as one."""
+    nothing = InCorridor(np.zeros(0, np.int64), np.zeros(0, np.int64), *(np.zeros(0) for _ in range(4)))
+    return InCorridor(*(np.concatenate(column) for column in zip(nothing, *parts, strict=True)))
+
+
+def _frames(
+    car: Vehicle, routes: Mapping[int, RouteAhead], objects: Objects
+) -> Iterator[tuple[int, Vehicle, int, Objects]]:
+    """Yield each frame with a route and objects: its row, the car along its route, and the objects and their first row.
+
+    The frames of the objects are 0: they are there now.
+    """
     size = np.array([car.length, car.width])
     first, last = (objects.frame.searchsorted(np.arange(len(car.heading)), side) for side in ("left", "right"))
     for frame, route in routes.items():
         here = slice(int(first[frame]), int(last[frame]))
-        if here.start == here.stop:
-            continue
-        now = along_route(car.position[frame], car.velocity[frame], float(car.heading[frame]), size, route)
-        count = here.stop - here.start
-        ahead = look.ahead(now, Objects(np.zeros(count, np.int64), *(column[here] for column in objects[1:])))
-        own = np.full(len(ahead.row), np.hypot(*car.velocity[frame, :2]))
-        at = np.full(len(ahead.row), frame)
-        parts.append(InCorridor(at, here.start + ahead.row, ahead.gap_m, ahead.speed_mps, own, ahead.ttc_s))
-    nothing = InCorridor(np.zeros(0, np.int64), np.zeros(0, np.int64), *(np.zeros(0) for _ in range(4)))
-    return InCorridor(*(np.concatenate(column) for column in zip(nothing, *parts, strict=True)))
+        if here.start < here.stop:
+            now = along_route(car.position[frame], car.velocity[frame], float(car.heading[frame]), size, route)
+            none = np.zeros(here.stop - here.start, np.int64)
+            yield (
+                frame,
+                now,
+                here.start,
+                objects._replace(frame=none, **{name: getattr(objects, name)[here] for name in objects._fields[1:]}),
+            )
+
+
+def _could_cross(now: Vehicle, objects: Objects, look: Driving) -> Bools:
+    """Whether each of n objects (n,) moves, is not too far away, and does not follow the car in its lane."""
+    offset = objects.position[:, :2] - now.position[0, :2]
+    speed = np.hypot(objects.velocity[:, 0], objects.velocity[:, 1])
+    along, across = along_and_across(offset, np.full(len(offset), now.heading[0])).T
+    beside = 0.5 * (now.width + np.hypot(objects.size[:, 0], objects.size[:, 1])) + look.margin_m
+    follows = (along < 0.0) & (np.abs(across) < beside)
+    reach = look.horizon_m + now.length + CROSSING_S * speed
+    return np.asarray((speed > STANDING_MPS) & ~follows & (np.hypot(along, across) <= reach))
 
 
 def needed_braking(gap_m: Floats, own_mps: Floats, ahead_mps: Floats) -> Floats:

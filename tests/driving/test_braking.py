@@ -4,10 +4,13 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from mast_zenoh.driving.braking import Belief, brakes_of, missed_brakes, spans
 from mast_zenoh.driving.consequences import consequences
-from mast_zenoh.metrics.driving import Objects
+from mast_zenoh.driving.corridor import crossing, in_corridor
+from mast_zenoh.metrics.driving import Driving, Objects
 from tests.driving.test_what_happened_to_cars import car, driven, objects, straight
 
 FRAMES = 30
@@ -123,3 +126,59 @@ def test_an_emergency_is_contact_within_a_second_and_a_half() -> None:
     found = consequences(driven(car(x, [10.0] * FRAMES), there, [7] * FRAMES))
     assert (found["missed_brakes"], len(found["collisions"])) == (1, 1)
     assert math.isclose(found["min_ttc_s"], 0.0, abs_tol=0.05)
+
+
+def crossers(x: float, y: float, velocity: tuple[float, float], frames: range = range(FRAMES)) -> Objects:
+    """An object that is at (x, y) in frame 10, and moves at constant velocity."""
+    there = objects(
+        [(row, x + (row - 10) * 0.1 * velocity[0], y + (row - 10) * 0.1 * velocity[1], 0) for row in frames]
+    )
+    there.velocity[:, :2] = velocity
+    return there
+
+
+def test_a_brake_for_what_crosses_is_needful_and_names_it() -> None:
+    """In frame 10 the car is at 10 m; both would be at 30 m two seconds later."""
+    there = crossers(30.0, 16.0, (0.0, -8.0))
+    (brake,) = brakes(there, real=7, there=there)
+    assert (brake["cause"], brake["needless"]) == ({"object": 7, "kind": "real", "adversary": None}, False)
+
+
+def test_a_brake_for_what_seems_to_cross_is_needless_and_names_its_adversary() -> None:
+    (brake,) = brakes(crossers(30.0, 16.0, (0.0, -8.0)), real=-1, adversary="adversary_1")
+    assert (brake["cause"]["kind"], brake["cause"]["adversary"], brake["needless"]) == ("false", "adversary_1", True)
+
+
+@pytest.mark.parametrize(
+    ("place", "velocity"),
+    [
+        ((30.0, 16.0), (0.0, 8.0)),  # it drives away
+        ((30.0, 60.0), (0.0, -8.0)),  # it comes when the car has passed
+        ((30.0, 16.0), (0.0, 0.0)),  # it stands beside the road
+        ((-2.0, 0.0), (10.0, 0.0)),  # it follows
+        ((5.0, 3.5), (11.0, -0.5)),  # it comes into the lane behind the car
+    ],
+)
+def test_what_the_car_does_not_meet_is_no_reason_for_a_brake(
+    place: tuple[float, float], velocity: tuple[float, float]
+) -> None:
+    there = crossers(*place, velocity)
+    (brake,) = brakes(there, real=7, there=there)
+    assert (brake["cause"]["kind"], brake["needless"]) == ("none", True)
+
+
+@settings(max_examples=40)
+@given(x=st.floats(15.0, 45.0), y=st.floats(-30.0, 30.0), vx=st.floats(-8.0, 8.0), vy=st.floats(-8.0, 8.0))
+def test_what_would_be_hit_ahead_of_the_car_at_constant_velocities_crosses_or_is_in_the_corridor(
+    x: float, y: float, vx: float, vy: float
+) -> None:
+    """By outlines that move, looked at every 50 ms: what touches the front half of the car first."""
+    there = crossers(x, y, (vx, vy), range(10, 11))._replace(frame=np.zeros(1, np.int64))
+    own = car([0.0], [8.0])
+    found = {*in_corridor(own, {0: straight(0.0)}, there, Driving()).row.tolist()}
+    found |= {*crossing(own, {0: straight(0.0)}, there, Driving()).row.tolist()}
+    for t in np.arange(0.0, 3.9, 0.05):
+        at, across = x + (vx - 8.0) * t, y + vy * t
+        if abs(at) <= 4.25 and abs(across) <= 1.95:
+            assert (0 in found) or at < 2.25 or math.hypot(vx, vy) < 0.31
+            return
