@@ -9,7 +9,7 @@ from baseline import scenario as baseline
 
 from mast_zenoh.attacks import Attack
 from mast_zenoh.driving import Driver
-from mast_zenoh.errors import ConfigurationError, nearest
+from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.integrity import Integrity
 from mast_zenoh.scenario import choose_scene, victims_of
 from mast_zenoh.study.defences import resolve_choice
@@ -36,7 +36,7 @@ def scenario(
     attack=None,
     attack_start_s=4.0,
     wire=None,
-    n_adversaries=2,
+    n_adversaries=None,
     compromised=(),
     defence=None,
     veto=False,
@@ -59,7 +59,7 @@ def scenario(
     attack_start_s: start of the attack, in scene time;
     wire: where the adversary is: picture, detections or command of the ego, "detections picture" for both; or tracks:
     n_adversaries other agents lie to the command centre, those of `compromised` first, then poles; None: picture, or
-    what the attack needs;
+    what the attack needs; n_adversaries: None: two, or as many as are named;
     defence: of the command centre, such as "FaultOrLie", FILE.py or FILE.py:CLASS, or a dict; None: none;
     veto: whether the driver's own sensors overrule the mission estimate;
     estimate: what the driver believes: mission, safety (own tracks alone) or truth;
@@ -80,8 +80,14 @@ def scenario(
         attack = dict(start_s=attack_start_s) | attack
         wire = wire or usual or WIRES.get(attack["type"], "picture")
         if wire == "tracks":
-            victims, inserts = victims_of(content["scene"], n_adversaries, compromised), ["on_tracks.toml"]
+            count = max(2, len(compromised)) if n_adversaries is None else n_adversaries
+            if count < len(compromised):
+                raise ConfigurationError(
+                    f"n_adversaries: found {count}, expected {len(compromised)}, as in `compromised`"
+                )
+            victims, inserts = victims_of(content["scene"], count, compromised), ["on_tracks.toml"]
         else:
+            refuse_unused(f"wire=tracks, not {wire}", n_adversaries=n_adversaries, compromised=compromised)
             inserts = [on_wire(name, f"adversary_{number}") for number, name in enumerate(wire.split(), 1)]
             victims = ["ego"] * len(inserts)
         rewrites = ["driving.toml", *inserts]
@@ -91,6 +97,8 @@ def scenario(
                 for number, victim in enumerate(victims, 1)
             }
         )
+    else:
+        refuse_unused("an attack", wire=wire, n_adversaries=n_adversaries, compromised=compromised)
     if defence is not None:
         center = content["command_center"]
         stage = dict(integrity=resolve_choice(defence, Integrity))
@@ -99,10 +107,17 @@ def scenario(
     return content | dict(keyexpr=dict(map="testbed.toml", rewrites=rewrites))
 
 
+def refuse_unused(needed, **parameters):
+    """Raise ConfigurationError for parameters that have no effect."""
+    for name, value in parameters.items():
+        if value is not None and value != ():
+            raise ConfigurationError(f"{name}: found {value!r}, expected nothing: it needs {needed}")
+
+
 def on_wire(name, adversary):
     """What puts one adversary of the ego on one of its wires: each wire has an adversary of its own."""
     if name not in KEYS:
-        raise ConfigurationError(f"wire: found {name!r}{nearest(name, [*KEYS, 'tracks'])}")
+        raise ConfigurationError(f"wire: found {name!r}, expected tracks alone, or one or more of {', '.join(KEYS)}")
     to = dict(to="agent") if name == "picture" else {}
     insert = dict(wire=KEYS[name], role="adversary", node=adversary, input=name, output=f"{name}_out")
     return dict(insert=[insert | to])

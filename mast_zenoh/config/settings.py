@@ -160,6 +160,6 @@ def _checked(value: Any, default: Any, place: str, written: Any) -> Any:
     ):
         kind, example = type(default).__name__, default
         if isinstance(default, tuple):
-            kind, example = "list", list(default)
+            kind, example = "list", list(default) or [value]
         raise ConfigurationError(f"{place}: found {written!r}, expected {kind} as in {example!r}")
     return value

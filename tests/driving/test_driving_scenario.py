@@ -59,6 +59,35 @@ def test_an_unknown_wire_names_the_nearest() -> None:
         content_of("attack=cut_in", "wire=pictur")
 
 
+@pytest.mark.parametrize(
+    ("settings", "wrong"),
+    [
+        (["wire=command"], "wire: found 'command', expected nothing: it needs an attack"),
+        (["n_adversaries=5"], "n_adversaries: found 5, expected nothing: it needs an attack"),
+        (["attack=cut_in", "n_adversaries=5"], "n_adversaries: found 5, .* needs wire=tracks, not picture"),
+        (["attack=cut_in", 'compromised=["infra_1"]'], r"compromised: found \['infra_1'\], .* needs wire=tracks"),
+        (["attack=cut_in", "compromised=infra_1"], r"compromised: found 'infra_1', expected list as in \['infra_1'\]"),
+        (
+            ["attack=cut_in", "wire=tracks picture"],
+            "wire: found 'tracks', expected tracks alone, or one or more of pic",
+        ),
+        (
+            ["attack=cut_in", "wire=tracks", "n_adversaries=1", 'compromised=["infra_1", "infra_2"]'],
+            "n_adversaries: found 1, expected 2",
+        ),
+    ],
+)
+def test_a_parameter_without_effect_is_refused(settings: list[str], wrong: str) -> None:
+    with pytest.raises(ConfigurationError, match=wrong):
+        content_of(*settings)
+
+
+def test_all_agents_that_are_named_are_compromised() -> None:
+    named = ["infra_3", "infra_4", "infra_1"]
+    content = content_of("attack=cut_in", "wire=tracks", f"compromised={named}")
+    assert [adversary["agent"] for adversary in content["adversaries"].values()] == named
+
+
 def test_an_unknown_attack_names_the_nearest() -> None:
     with pytest.raises(ConfigurationError, match="GhostAhead"):
         scenario.resolve(*scenario.load("driving", ["attack=GhostAhed"]), seed=0)
