@@ -128,8 +128,9 @@ class HideAhead(FollowingEgo, ChangingAttack):
     """Hides real objects that the ego has to brake for: those in its lane ahead, or those that will cross it.
 
     An object that it has begun to hide stays hidden until the ego has passed it, or it is far away. On the picture,
-    only what the ego does not see itself disappears for it. Source: removal of objects in collaborative perception,
-    Zhang et al. (USENIX Security 2024).
+    only what the ego does not see itself disappears for it. Where the route says at which lines the ego waits for
+    others, as in generated junctions, it waits also for crossers that it does not see. Source: removal of objects in
+    collaborative perception, Zhang et al. (USENIX Security 2024).
 
     what:      "lane": what is in the ego's lane, its leader first; "crossing": what will come into it from the side
                within `horizon_s`; "both"
