@@ -71,3 +71,10 @@ def test_a_driver_is_judged_by_the_age_of_estimates_that_it_uses() -> None:
     content["drivers"]["ego"]["estimate_age_s"] = 1.2
     resolved = scenario.resolve(scenario.load("driving")[0], content, seed=0, frames=20)
     assert resolved.nodes["evaluator"].config["estimate_ages_s"] == {"ego": 1.2}
+
+
+def test_commands_are_judged_by_how_long_the_world_holds_them() -> None:
+    content = content_of() | {"world": {"hold_s": 0.7}}
+    resolved = scenario.resolve(scenario.load("driving")[0], content, seed=0, frames=20)
+    assert resolved.nodes["evaluator"].config["hold_s"] == 0.7
+    assert "take_over_s" not in resolved.nodes["evaluator"].config
