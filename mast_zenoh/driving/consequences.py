@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -12,7 +12,7 @@ import numpy as np
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.driving import braking
-from mast_zenoh.driving.braking import Belief, spans
+from mast_zenoh.driving.braking import Belief, Commands, spans
 from mast_zenoh.driving.comfort import HARD_BRAKING_MPS2, uncomfortable
 from mast_zenoh.driving.contact import collisions, post_encroachment_s
 from mast_zenoh.driving.corridor import InCorridor, crossing, in_corridor, joined, needed_braking
@@ -41,7 +41,7 @@ class DrivenCar:
     frames:     (f,) numbers of the frames; times_s: (f,) s; period_s: s between two frames
     routes:     of the car, by row of the frames
     believed:   m objects that the driver believed in, ascending by frame; belief: what they are
-    tampered:   (f,) adversaries that changed the car's command of a frame, joined by "+"; "": none
+    commands:   what the car obeyed
     look:       how far and how wide the corridor of the car is
     """
 
@@ -56,7 +56,7 @@ class DrivenCar:
     routes: Mapping[int, RouteAhead]
     believed: Objects
     belief: Belief
-    tampered: Sequence[str]
+    commands: Commands
     look: Driving
 
     @cached_property
@@ -91,10 +91,10 @@ def consequences(driven: DrivenCar) -> dict[str, Any]:
     "collisions": for each object the first frame of contact, the relative speed, and whether it was hidden from the
     driver though the car's own sensors had it; "near_misses": objects that were not hit; "min_ttc_s", "min_gap_m"
     (None: nothing was ever approached, or ahead), "min_pet_s" (None: nothing crossed its way), "max_drac_mps2";
-    "rss_unsafe_s"; "brakes", each with its cause: the object (a real
-    one's id, a false track's id), its kind ("real", "false", "line", "none") and the adversary; "needless_brakes",
-    "missed_brakes", "hard_brakes"; "hardest_braking_mps2", "jerk_max_mps3"; "uncomfortable_s" by bound of COMFORT;
-    "progress_m"; "stops", "standing_s", "blocked_s"; and "behind", the traffic in its lane behind it.
+    "rss_unsafe_s"; "brakes", each with its cause: the object (a real one's id, a false track's id), its kind (see
+    `braking.causes`) and the adversary; "needless_brakes", "missed_brakes", "hard_brakes"; "hardest_braking_mps2",
+    "jerk_max_mps3"; "uncomfortable_s" by bound of COMFORT; "progress_m"; "stops", "standing_s", "blocked_s"; and
+    "behind", the traffic in its lane behind it.
     """
     car, period, truth = driven.car, driven.period_s, driven.truth
     speed, acceleration = driven.speed, driven.acceleration
@@ -187,7 +187,7 @@ def _brakes(driven: DrivenCar) -> list[dict[str, Any]]:
     lines, road = braking.demanded_by_lines(speed, driven.routes), braking.demanded_by_road(speed, driven.routes)
     truth, believed = _met(driven, driven.objects, driven.truth), _met(driven, driven.believed)
     real = braking.hardest_per_frame(truth, braking.demanded_by_objects(truth), len(speed))
-    causes = braking.causes(brakes, believed, driven.belief, lines, driven.tampered)
+    causes = braking.causes(brakes, believed, driven.belief, lines, driven.commands)
     needless = braking.needless(brakes, np.max([lines, road, real], axis=0), driven.period_s)
     return [
         {

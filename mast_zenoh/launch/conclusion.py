@@ -14,7 +14,7 @@ from mast_zenoh.config.resolved import NodeSpec, Resolved, driver_of
 from mast_zenoh.control import results
 from mast_zenoh.control.results import EVALUATOR, TABLES, counts_of
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.launch import driven_scene, notices
+from mast_zenoh.launch import driven_scene, idle, notices
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.messagelog import churn
 from mast_zenoh.messagelog.reader import first_incomplete_frame, first_missing_frame
@@ -120,9 +120,7 @@ def write(
         record["notices"] += notices.of_scores(metrics, record["timings"].get("frames"))
         record["notices"] += notices.of_confidence(metrics, innovations)
     played = record["timings"].get("frames") or 0
-    record["notices"] += (notices.idle_metrics if "replay" in record else notices.idle_parts)(
-        resolved, played, handed_in
-    )
+    record["notices"] += (idle.idle_metrics if "replay" in record else idle.idle_parts)(resolved, played, handed_in)
 
 
 def write_results(folder: Path, results: Mapping[str, Mapping[str, Any]], measured: Mapping[str, Any]) -> list[str]:

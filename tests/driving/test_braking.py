@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mast_zenoh.driving.braking import Belief, brakes_of, missed_brakes, spans
+from mast_zenoh.driving.braking import Belief, Commands, brakes_of, missed_brakes, spans
 from mast_zenoh.driving.consequences import consequences
 from mast_zenoh.driving.corridor import crossing, in_corridor
 from mast_zenoh.metrics.driving import Driving, Objects
@@ -36,6 +36,12 @@ def brakes(believed: Objects, real: int, adversary: str = "", there: Objects | N
     belief = Belief(np.full(n, 5), np.full(n, real), np.full(n, adversary, object))
     facts = dict(believed=believed, belief=belief, **known)
     return consequences(driven(car(x, speed), there, [7] * len(there.frame), **facts))["brakes"]
+
+
+def obeyed(of: int | None = None, informed: bool = True, tampered: str = "") -> Commands:
+    """The commands of all frames: of the same frame, or `of`."""
+    rows = np.arange(FRAMES) if of is None else np.full(FRAMES, of)
+    return Commands(rows, np.full(FRAMES, informed), [tampered] * FRAMES)
 
 
 def test_a_brake_for_a_false_object_is_needless_and_names_its_adversary() -> None:
@@ -83,8 +89,32 @@ def test_a_brake_before_a_bend_is_needful_and_has_no_object() -> None:
 
 
 def test_a_brake_by_a_changed_command_is_the_adversarys_whatever_the_driver_believed() -> None:
-    (brake,) = brakes(ahead(30.0), real=7, tampered=["seizer"] * FRAMES)
+    (brake,) = brakes(ahead(30.0), real=7, commands=obeyed(tampered="seizer"))
     assert brake["cause"] == {"object": None, "kind": "none", "adversary": "seizer"}
+
+
+def test_a_brake_without_a_command_is_nobodys_whatever_the_driver_believed() -> None:
+    (brake,) = brakes(ahead(30.0), real=7, commands=obeyed(of=-1))
+    assert brake["cause"] == {"object": None, "kind": "no command", "adversary": None}
+
+
+def test_commands_that_an_adversary_withholds_are_its_work() -> None:
+    (brake,) = brakes(ahead(30.0), real=7, commands=obeyed(of=-1, tampered="seizer"))
+    assert brake["cause"] == {"object": None, "kind": "no command", "adversary": "seizer"}
+
+
+def test_a_brake_of_a_driver_without_an_estimate_is_for_no_object_and_no_line() -> None:
+    (brake,) = brakes(objects([]), real=-1, commands=obeyed(informed=False))
+    assert brake["cause"] == {"object": None, "kind": "no estimate", "adversary": None}
+
+
+def test_what_counts_is_the_estimate_of_the_command_that_the_car_obeyed() -> None:
+    """The car brakes in frame 10 by the command of frame 8."""
+    informed = np.ones(FRAMES, bool)
+    for row, kind in [(8, "no estimate"), (10, "real")]:
+        late = Commands(np.arange(FRAMES) - 2, np.where(np.arange(FRAMES) == row, False, informed), [""] * FRAMES)
+        (brake,) = brakes(ahead(30.0), real=7, commands=late)
+        assert brake["cause"]["kind"] == kind
 
 
 def test_slowing_down_without_the_brake_light_is_no_brake() -> None:

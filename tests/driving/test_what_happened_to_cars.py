@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import savgol_filter
 
-from mast_zenoh.driving.braking import Belief
+from mast_zenoh.driving.braking import Belief, Commands
 from mast_zenoh.driving.comfort import HARD_BRAKING_MPS2
 from mast_zenoh.driving.consequences import DrivenCar, consequences, uncomfortable_s
 from mast_zenoh.driving.contact import collisions
@@ -137,7 +137,7 @@ def driven(own: Vehicle, others: Objects, ids: list[int], **known: object) -> Dr
             routes={row: straight(x) for row, x in enumerate(own.position[:, 0].tolist())},
             believed=others,
             belief=Belief(numbers, numbers, np.full(len(ids), "", object)),
-            tampered=[""] * n,
+            commands=Commands(np.arange(n), np.ones(n, bool), [""] * n),
             look=Driving(),
         ),
         **known,

@@ -15,7 +15,8 @@ from tiny_world import tiny
 
 from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.launch import notices, run
+from mast_zenoh.launch import run
+from mast_zenoh.launch.idle import idle_parts
 from mast_zenoh.metrics import FrameMetric
 from mast_zenoh.report.html import write_report
 
@@ -198,4 +199,4 @@ def test_an_evaluator_of_the_user_may_return_anything(results: Any) -> None:
 
 def sentences(world: Resolved, handed_in: Any = MappingProxyType({})) -> list[str]:
     """What is idle in a run of 12 frames with these results."""
-    return [notice["text"] for notice in notices.idle_parts(world, 12, handed_in)]
+    return [notice["text"] for notice in idle_parts(world, 12, handed_in)]

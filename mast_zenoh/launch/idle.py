@@ -1,0 +1,259 @@
+"""Parts of a scenario that took part in nothing, and why.
+
+They are measured: from the wiring, the effects on the wires, the scene and the recorded scores. What a node counts
+itself is given as a reason only, as its own words.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from mast_zenoh.config import registry
+from mast_zenoh.config.resolved import NodeSpec, Resolved
+from mast_zenoh.control.results import EVALUATOR
+from mast_zenoh.errors import nearest
+from mast_zenoh.integrity import Integrity
+from mast_zenoh.metrics import Metric
+from mast_zenoh.metrics.estimates import LOCAL
+from mast_zenoh.metrics.measures import label_of
+from mast_zenoh.scenario.timeline import DIRECTED, attack_starts
+from mast_zenoh.scenes.recording import SEEN_RETURNS, Recording
+from mast_zenoh.wiring.model import Wiring
+
+#: An attack that changes nothing on purpose.
+_INERT_ATTACK = "PassThrough"
+#: What adversaries publish besides the messages that they forward.
+_OWN_MESSAGES = ("attack_report", "observation")
+#: s before a fault; messages of that time may still be on their way when it begins.
+_UNDER_WAY_S = 1.0
+
+
+def idle_parts(resolved: Resolved, frames: int, handed_in: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """A notice {"kind": "idle", "count": 1, "text"} for each part of a run that took part in nothing.
+
+    frames: number of frames played;  handed_in: what each node returned from `finish`
+    """
+    if not frames:
+        return []
+    run = _Played(resolved, frames, handed_in)
+    sentences = [*resolved.idle, *_adversaries(run), *_coordinators(run), *_defences(run)]
+    sentences += [*_vetoes(run), *_links(run), *_faults(run), *_sensors(run), *_agents(run), *_metrics(run)]
+    return [{"kind": "idle", "count": 1, "text": text} for text in dict.fromkeys(sentences)]
+
+
+def idle_metrics(resolved: Resolved, frames: int, handed_in: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """The notices of a replay: of its metrics alone, as all else was played."""
+    return [{"kind": "idle", "count": 1, "text": text} for text in _metrics(_Played(resolved, frames, handed_in))]
+
+
+@dataclass(frozen=True)
+class _Played:
+    """A run that is over."""
+
+    resolved: Resolved
+    frames: int
+    handed_in: Mapping[str, Mapping[str, Any]]
+
+    @cached_property
+    def wiring(self) -> Wiring:
+        return Wiring.from_json(self.resolved.wiring)
+
+    @cached_property
+    def metrics(self) -> Mapping[str, Any]:
+        """Of metrics.json; {} with a user's evaluator that returns something else."""
+        metrics = self.handed_in.get(EVALUATOR, {}).get("metrics")
+        return metrics if isinstance(metrics, Mapping) and isinstance(metrics.get("interposers"), Mapping) else {}
+
+    @property
+    def duration_s(self) -> float:
+        """s of scene time from the first frame to the last."""
+        return (self.frames - 1) * self.resolved.period_ns * 1e-9
+
+    def of_role(self, role: str) -> dict[str, NodeSpec]:
+        """The nodes of a role, by name."""
+        return {name: spec for name, spec in self.resolved.nodes.items() if spec.role == role}
+
+    def leads(self, sources: Collection[str], ends: Collection[str], message: str = "") -> bool:
+        """Whether a wire leads from one of some nodes to one of others. message: its type; empty: any"""
+        return any(
+            wire.legs[0].publisher.node in sources and any(end.node in ends for end in wire.subscribers)
+            for wire in self.wiring.wires
+            if message in ("", wire.message)
+        )
+
+    def table(self, name: str) -> Mapping[str, np.ndarray]:
+        """A table of the evaluator, by column; {} without it."""
+        tables = self.handed_in.get(EVALUATOR, {}).get("tables")
+        table = tables.get(name) if isinstance(tables, Mapping) else None
+        return {key: np.asarray(column) for key, column in table.items()} if isinstance(table, Mapping) else {}
+
+
+def _adversaries(run: _Played) -> Iterator[str]:
+    """Adversaries on no wire, and those that changed no message."""
+    starts = {name: start for (_, start), names in attack_starts(run.resolved.nodes).items() for name in names}
+    for name, spec in run.of_role("adversary").items():
+        wires = [wire.key for wire in run.wiring.wires if name in wire.interposers]
+        attack = spec.config.get("attack")
+        kind = attack.get("type") if isinstance(attack, Mapping) else None
+        if not wires:
+            published = [wire for wire in run.wiring.wires if wire.legs[0].publisher.node == name]
+            if all(wire.message in _OWN_MESSAGES for wire in published):
+                yield f"{name} is on no wire: keyexpr.rewrites names no wire of its agent, as on_tracks.toml does"
+            continue
+        measured = run.metrics.get("interposers", {}).get(name)
+        if kind == _INERT_ATTACK or not isinstance(measured, Mapping):
+            continue
+        where = f"{name} on {', '.join(wires)}"
+        if not measured.get("messages"):
+            yield f"{where} received no message"
+        elif not set(measured.get("effects", ())) - {"unsettled"}:
+            reason = _why_unchanged(run, name, str(kind), starts.get(name))
+            yield f"{where} changed no message{f': {reason}' if reason else ''}"
+
+
+def _why_unchanged(run: _Played, name: str, kind: str, start_s: float | None) -> str:
+    """Why an adversary changed nothing, as far as that is known."""
+    begins = [] if start_s is None else [start_s]
+    if kind == DIRECTED:
+        directing = [other for other in run.of_role("coordinator") if run.leads([other], [name], "directive")]
+        if not directing:
+            return "no coordinator directs it"
+        plan = run.resolved.nodes[directing[0]].config.get("coordination")
+        if isinstance(plan, Mapping) and isinstance(plan.get("start_s"), (int, float)):
+            begins.append(float(plan["start_s"]))
+    if begins and max(begins) > run.duration_s:
+        return f"its attack begins at {max(begins):g} s, after the last frame ({run.duration_s:.1f} s)"
+    counts = run.handed_in.get(name, {})
+    chosen = [count for count in counts.values() if type(count) is int]
+    return "by its own count it found no target" if chosen and not any(chosen) else ""
+
+
+def _coordinators(run: _Played) -> Iterator[str]:
+    """Coordinators to which no adversary reports, or that direct none."""
+    adversaries = run.of_role("adversary")
+    for name in run.of_role("coordinator"):
+        if not adversaries:
+            yield f"{name} directs no adversary: the scenario has no adversaries"
+        elif not run.leads(adversaries, [name]) or not run.leads([name], adversaries):
+            yield f"{name} directs no adversary: no wire joins it to an adversary, as coordination.toml does"
+
+
+def _defences(run: _Played) -> Iterator[str]:
+    """Integrity stages that no view reaches, or that never had two agents to compare."""
+    for name, spec in run.of_role("command_center").items():
+        pipeline = spec.config.get("pipeline")
+        stage = pipeline.get("integrity") if isinstance(pipeline, Mapping) else None
+        kind = stage.get("type") if isinstance(stage, Mapping) else None
+        cls = registry.known_types(Integrity).get(str(kind))
+        yield from _trusted_strangers(run, stage)
+        if cls is None or not getattr(cls, "needs_views", True):
+            continue
+        if not any(
+            wire.message == "views" and any(end.node == name for end in wire.subscribers) for wire in run.wiring.wires
+        ):
+            yield (
+                f"the defence {kind} judges without views, and its trust is not measured: no wire leads views to "
+                f"{name}, as views.toml does in keyexpr.rewrites"
+            )
+        elif run.resolved.recording is not None and not _seen_by_two(run.resolved.recording, run.frames):
+            yield f"the defence {kind} had nothing to compare: no two agents saw the same object"
+
+
+def _trusted_strangers(run: _Played, stage: Any) -> Iterator[str]:
+    """Agents that an integrity stage, or the one in it, compares all others with, and that do not exist."""
+    if not isinstance(stage, Mapping):
+        return
+    kind, agents = str(stage.get("type")), run.of_role("agent")
+    ego = stage.get("ego", getattr(registry.known_types(Integrity).get(kind), "ego", None))
+    if isinstance(ego, str) and ego not in agents:
+        yield f"the defence {kind} checked nothing: it trusts {ego!r}, which is no agent{nearest(ego, agents)}"
+    yield from _trusted_strangers(run, stage.get("stage"))
+
+
+def _vetoes(run: _Played) -> Iterator[str]:
+    """Drivers whose own sensors can refute nothing."""
+    recording = run.resolved.recording
+    if recording is not None and not len(recording.buildings):
+        for name, spec in run.of_role("driver").items():
+            if spec.config.get("veto"):
+                yield f"the veto of {name} refuted nothing: in a scene without buildings nobody knows what is free"
+
+
+def _seen_by_two(recording: Recording, frames: int) -> bool:
+    """Whether an object was seen by two agents in one of the first frames."""
+    rows = recording.truth_start[min(frames, len(recording))]
+    return bool(((recording.points[:rows] >= SEEN_RETURNS).sum(axis=1) >= 2).any())
+
+
+def _links(run: _Played) -> Iterator[str]:
+    """Links that received no message. One that changed none is a good link."""
+    for name in run.of_role("link"):
+        measured = run.metrics.get("interposers", {}).get(name)
+        if isinstance(measured, Mapping) and not measured.get("messages"):
+            yield f"{name} received no message"
+
+
+def _faults(run: _Played) -> Iterator[str]:
+    """Faults on links that changed no message in their time.
+
+    In lock-step alone: in real time, delays of less than a frame are not measured as effects.
+    """
+    effects = run.table("attacks")
+    if run.resolved.mode != "lockstep" or not run.metrics or not {"interposer", "frame", "effect"} <= effects.keys():
+        return
+    settled = effects["effect"] != "unsettled"
+    time_s = effects["frame"] * run.resolved.period_ns * 1e-9
+    for band in run.resolved.timeline:
+        if (band["kind"], band["backend"]) != ("fault", "links") or band["at_s"] > run.duration_s:
+            continue
+        until_s = np.inf if band["until_s"] is None else band["until_s"]
+        nodes = {name for name, spec in run.of_role("link").items() if spec.config.get("agent") in band["nodes"]}
+        in_time = (time_s >= band["at_s"] - _UNDER_WAY_S) & (time_s <= until_s)
+        if nodes and not (settled & in_time & np.isin(effects["interposer"].astype(str), sorted(nodes))).any():
+            end = "" if band["until_s"] is None else f" to {band['until_s']:g}"
+            yield f"fault {band['label']} changed no message from {band['at_s']:g}{end} s"
+
+
+def _sensors(run: _Played) -> Iterator[str]:
+    """Sensors whose detections are empty in all frames."""
+    recording = run.resolved.recording
+    if recording is None:
+        return
+    names = recording.sensor_names
+    end = min(run.frames, len(recording)) * len(names)
+    counts = np.diff(recording.detection_start[: end + 1]).reshape(-1, len(names)).sum(axis=0)
+    lone = {agent.name for agent in recording.agents if len(agent.sensors) == 1}
+    for name, count in zip(names, counts, strict=True):
+        agent = name.partition("/")[0]
+        if not count and agent in run.resolved.nodes:
+            yield f"the sensor {agent if agent in lone else name} detected nothing"
+
+
+def _agents(run: _Played) -> Iterator[str]:
+    """Agents without a track of their own, in runs that last long enough for tracks to begin."""
+    table = run.table("metrics")
+    if run.metrics.get("settled") is not True or not {"agent", "estimator", "tp", "fp"} <= table.keys():
+        return
+    own = table["estimator"].astype(str) == LOCAL
+    for agent in dict.fromkeys(table["agent"][own].tolist()):
+        rows = own & (table["agent"].astype(str) == agent)
+        if not (table["tp"][rows] + table["fp"][rows]).any():
+            yield f"{agent} had no track within the range of the metrics"
+
+
+def _metrics(run: _Played) -> Iterator[str]:
+    """The user's metrics that have no value."""
+    config = run.resolved.nodes[EVALUATOR].config.get("metrics", ()) if EVALUATOR in run.resolved.nodes else ()
+    types = registry.known_types(Metric)
+    summaries = run.metrics.get("agents", {})
+    for spec in config if isinstance(config, (list, tuple)) else ():
+        cls = types.get(str(spec.get("type"))) if isinstance(spec, Mapping) else None
+        label = None if cls is None else label_of(cls)
+        values = [each[label] for agent in summaries.values() for each in agent.values() if label in each]
+        if values and all((value.get("mean") if isinstance(value, Mapping) else value) is None for value in values):
+            yield f"the metric {label} has no value for any estimate"
