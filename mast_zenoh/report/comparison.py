@@ -10,11 +10,14 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh.errors import NotComparable
+from mast_zenoh.viewer.driven import course_of
 from mast_zenoh.viewer.run import RunRecord
 
 #: Settings of the evaluator that do not change how two runs are scored: users' metrics, which only add rows, and what
 #: describes the experiment itself (its faults, how long its agents use a picture, and when its world obeys drivers).
 _NOT_OF_SCORING = ("agents", "metrics", "faults", "picture_ages_s", "estimate_ages_s", "take_over_s", "hold_s")
+#: m; a driven car that is this far from where it is in the other run goes another way.
+WAY_M = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +59,24 @@ def reference(run: RunRecord, other: Path) -> Reference:
         )
     name = second.label if second.label not in (run.label, "") else other.resolve().name
     return Reference(second, name)
+
+
+def same_ways(run: RunRecord, other: RunRecord) -> bool:
+    """Whether each driven car is within WAY_M of where it is in another run, in all frames; True: no driven cars.
+
+    Elsewhere, sensors see other objects: then errors differ for this reason, too. A course that is not known counts as
+    another way.
+    """
+    cars, others = ({*(each.metrics.get("driven") or ())} for each in (run, other))
+    return cars == others and all(_same_way(run, other, car) for car in cars)
+
+
+def _same_way(run: RunRecord, other: RunRecord, car: str) -> bool:
+    courses = [course for each in (run, other) if (course := course_of(each, car)) is not None]
+    if len(courses) < 2:
+        return False
+    here, there = (np.column_stack([course["x"], course["y"]]) for course in courses)
+    return here.shape == there.shape and bool((np.linalg.norm(here - there, axis=1) <= WAY_M).all())
 
 
 def _agents_difference(one: RunRecord, other: RunRecord) -> str:

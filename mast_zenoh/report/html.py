@@ -406,25 +406,28 @@ def write_trials_page(
     facts: StudyFacts,
     figures: Mapping[str, RenderedFigure],
     tables: Sequence[TextTable] = (),
+    own_headline: str = "",
 ) -> Path:
     """Write `report.html` into the folder of a study, and return its path.
 
     figures: of `figures_over_trials`, by name;  tables: of a study of defences
+    own_headline: what comes before the largest change of errors, such as what happened to driven cars; or empty
     """
     rows, facts = titled(rows, facts)
     comparisons = compare(rows, facts.baseline)
     own_tables = [(each.title, each.about, each.on_page()) for each in tables]
     parts = sections(rows, facts.baseline, comparisons)
+    errors = result(rows, facts, comparisons)
     scores, title = side_by_side(rows), difference_title(rows, facts.baseline)
     content = {
         "title": f"Study {facts.name}",
-        "headline": result(rows, facts, comparisons).removesuffix("."),
+        "headline": own_headline or errors.removesuffix("."),
         "facts": _study_facts(facts),
         "failures": facts.failures,
         "failed": facts.failed,
         "shown_at_once": _SHOWN_AT_ONCE,
         "reservations": reservations(rows, facts),
-        "reading": other_changes(rows, facts, comparisons),
+        "reading": [*[errors] * bool(own_headline), *other_changes(rows, facts, comparisons)],
         "figures": figures,
         "added": [each for each in parts if each.title.startswith(title)],
         "added_title": title,

@@ -119,7 +119,8 @@ def write(
     if own is not None:
         figures = {**own.figures, **figures}
         names += own.names
-    report = write_trials_page(store.folder, rows, facts, figures, () if own is None else own.tables)
+    parts = () if own is None else (own.tables, own.headline)
+    report = write_trials_page(store.folder, rows, facts, figures, *parts)
     return StudyResult(store.folder, rows, facts, [store.folder / name for name in names], report, own)
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from mast_zenoh.arrays.states import Bools
 from mast_zenoh.metrics.achievement import DISPLACED_M
 from mast_zenoh.metrics.estimates import PICTURE
+from mast_zenoh.report.comparison import same_ways
 from mast_zenoh.report.narrative.attribution import culprit_names, reaches
 from mast_zenoh.report.narrative.changes import (
     DISPLACED,
@@ -197,9 +198,12 @@ def explanations(run: RunRecord, reference: RunRecord | None = None) -> dict[str
 
     A reason begins with the kind of manipulation, unless it applies to everything that the interposer did. The cause
     of the largest change, which the headline names, has none.
-    reference: the run that this one is compared with; None: uses the run's own measurements
+    reference: the run that this one is compared with; None: uses the run's own measurements, and so it does where
+               driven cars go another way
     """
     result = {}
+    if reference is not None and not same_ways(run, reference):
+        reference = None
     change = largest_change(run, reference)
     blamed = culprit_names(run, change, reference) if change is not None else []
     for each in interposers(run):

@@ -9,9 +9,9 @@ import numpy as np
 
 from mast_zenoh.messagelog import churn
 from mast_zenoh.metrics.estimates import ESTIMATES, IN_TRANSIT, LOCAL, MAIN, MISSION, PICTURE, RECEIVED
-from mast_zenoh.report.comparison import Reference
+from mast_zenoh.report.comparison import Reference, same_ways
 from mast_zenoh.report.narrative.adversaries import altered_on_the_way, changes_gossip_alone, late_start_s, period
-from mast_zenoh.report.narrative.attribution import cause_clause, causes, due_to_causes
+from mast_zenoh.report.narrative.attribution import cause_clause, causes, due_to_causes, other_differences
 from mast_zenoh.report.narrative.changes import (
     DISPLACED,
     FALSE,
@@ -34,6 +34,7 @@ from mast_zenoh.report.narrative.changes import (
     plural,
     scored,
 )
+from mast_zenoh.report.narrative.consequences import consequence, worst
 from mast_zenoh.report.tables.of_run import braking_by_attack, check_rows, driving_differs, unattributed_braking
 from mast_zenoh.report.tables.scores import ScoreTable
 from mast_zenoh.viewer.interposers import Interposer, failures_of, frames_of, interposers
@@ -309,9 +310,13 @@ def headline(run: RunRecord, reference: Reference | None = None) -> str:
 
 
 def result(run: RunRecord, reference: Reference | None = None) -> str:
-    """The largest change and its cause, in a sentence without a full stop; after the reference if that failed."""
+    """The largest change and its cause, in a sentence without a full stop; after the reference if that failed.
+
+    With drivers, what happened to their cars comes first, in a sentence of its own.
+    """
     unsound = reference_status(reference)
-    text = run.worded(_result(run, reference))
+    happened = consequence(run, reference)
+    text = run.worded(f"{happened}. " * bool(happened) + _result(run, reference))
     return f"{capital(unsound)}: {text}" if unsound else text
 
 
@@ -323,17 +328,32 @@ def _result(run: RunRecord, reference: Reference | None) -> str:
         elif run.metrics:  # from a user-defined evaluator
             why = "metrics.json holds none of the common picture"
         return f"No scores: {why}"
+    elsewhere = _changed_way(run, reference)
+    reference = _reference_of_errors(run, reference)
     places, change = compromised(run), _largest(run, reference)
     if change is None:
-        return _unchanged(run, places, reference)
+        return _unchanged(run, places, reference, elsewhere)
     what = amount(run, change, more=reference is not None)
     if reference is not None:
         what += f" than {reference.name}{cause_clause(run, change, reference.run)}"
     else:
-        what += f" {due_to_causes(run, [change])}"
+        what += f" {due_to_causes(run, [change])}{elsewhere}"
     if change.estimate == RECEIVED or (change.agent != run.ego and "pictures" in run.metrics):
         what = f"{_picture_unchanged(run, reference)}; {what}"
     return capital(f"{places} compromised: " * bool(places) + what + _limits(run, reference, change))
+
+
+def _reference_of_errors(run: RunRecord, reference: Reference | None) -> Reference | None:
+    """The run over which errors are attributed; None where driven cars go another way: by its own measurements."""
+    return reference if reference is None or same_ways(run, reference.run) else None
+
+
+def _changed_way(run: RunRecord, reference: Reference | None) -> str:
+    """Where other differences of errors come from if driven cars go another way than in the reference; else empty."""
+    if reference is None or same_ways(run, reference.run):
+        return ""
+    others = ["the changed way", *other_differences(run, reference.run)]
+    return f"; what else differs in errors from {reference.name} comes from {join_names(others, _MOST_NAMES)}"
 
 
 def _picture_unchanged(run: RunRecord, reference: Reference | None) -> str:
@@ -373,11 +393,16 @@ def _largest(run: RunRecord, reference: Reference | None) -> Change | None:
     return largest_change(run, reference.run if reference else None)
 
 
-def _unchanged(run: RunRecord, places: str, reference: Reference | None) -> str:
-    """The result if no score differs."""
+def _unchanged(run: RunRecord, places: str, reference: Reference | None, elsewhere: str) -> str:
+    """The result if no score differs.
+
+    elsewhere: where differences come from if driven cars go another way, see `_changed_way`; or empty
+    """
     active = [each for each in interposers(run) if each.changed and not (reference and each.is_link)]
     if active:
         did = "; ".join(f"{each.name}: {effects(each)}" for each in active)
+        if elsewhere:
+            return f"Interposers changed messages ({did}); no error is attributed to them{elsewhere}"
         if reference is None:  # the effects may still matter through timing or other nodes
             return f"Interposers changed messages ({did}); no error can be attributed to them without --against twin"
         return f"Interposers changed messages ({did}), but {_same_scores(run, reference.run, reference.name)}"
@@ -387,10 +412,10 @@ def _unchanged(run: RunRecord, places: str, reference: Reference | None) -> str:
         late = all(late_start_s(run, each) is not None for each in idle)
         passed = "were to begin after the end of the run" if late else "passed every message on unchanged"
         nothing = "were not measured" if unmeasured else passed
-        return capital(f"adversaries on {places} {nothing}: {_missed_sentence(run)}")
+        return capital(f"adversaries on {places} {nothing}: {_missed_sentence(run)}{elsewhere}")
     if reference is not None:
         return capital(f"{_same_scores(run, reference.run, reference.name)}: {_missed_sentence(run)}")
-    return capital(_missed_sentence(run))
+    return capital(f"{_missed_sentence(run)}{elsewhere}")
 
 
 def _same_scores(run: RunRecord, reference: RunRecord, name: str) -> str:
@@ -417,6 +442,7 @@ def _missed_sentence(run: RunRecord) -> str:
 def reading(run: RunRecord, reference: Reference | None = None) -> list[str]:
     """Sentences on one run."""
     sentences = [f"{result(run, reference)}."] if status(run) else []
+    reference = _reference_of_errors(run, reference)
     if run.summary("picture") and not _is_missed(run, reference):
         sentences.append(f"{capital(_missed_sentence(run))}.")
     sentences += _other_changes(run, reference) + _transit(run) + _blame(run)
@@ -506,14 +532,19 @@ def study_headline(runs: Mapping[str, RunRecord], table: ScoreTable) -> str:
     if failed:
         return capital(f"{join_names(failed)} did not end well: the numbers may be wrong")
     reference = runs.get(table.reference or "")
-    changes = {label: largest_change(run, reference) for label, run in runs.items() if run is not reference}
-    known = [(label, change) for label, change in changes.items() if change is not None and reference is not None]
-    if not known:
+    if reference is None:
         return f"{capital(count(len(runs)))} runs compared"
+    others = {label: run for label, run in runs.items() if run is not reference}
+    happened = worst(others, Reference(reference, table.reference or ""))
+    start = f"{happened}. " * bool(happened)
+    changes = {label: largest_change(run, reference) for label, run in others.items() if same_ways(run, reference)}
+    known = [(label, change) for label, change in changes.items() if change is not None]
+    if not known:
+        return f"{start}{capital(count(len(runs)))} runs compared"
     label, change = max(known, key=lambda item: abs(item[1].weight))
     places = compromised(runs[label])
-    start = f"{places} compromised ({label})" if places else label
-    return capital(f"{start}: {amount(runs[label], change, more=True)} than {table.reference}")
+    where = f"{places} compromised ({label})" if places else label
+    return start + capital(f"{where}: {amount(runs[label], change, more=True)} than {table.reference}")
 
 
 def study_reading(runs: Mapping[str, RunRecord], table: ScoreTable) -> list[str]:
@@ -528,6 +559,9 @@ def study_reading(runs: Mapping[str, RunRecord], table: ScoreTable) -> list[str]
             continue
         places, change = compromised(run), largest_change(run, reference)
         where = f" ({places} compromised)" if places else ""
+        if not same_ways(run, reference):
+            sentences.append(f"Run {label}: {result(run, Reference(reference, name))}.")
+            continue
         if change is None:
             sentences.append(f"Run {label}{where}: {_same_scores(run, reference, name)}.")
             continue

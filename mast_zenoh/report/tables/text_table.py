@@ -103,7 +103,7 @@ class ResultTables(NamedTuple):
 
     title: of the page;  about: sentences about it;  size: seeds and scenes;  tables: of the page and of LaTeX
     numbers: the headings and lines of the CSV file, with all digits;  brief: for the terminal
-    note: what applies to the numbers of all tables
+    note: what applies to the numbers of all tables;  headline: of the page, without a full stop; empty: the usual one
     """
 
     title: str
@@ -113,6 +113,7 @@ class ResultTables(NamedTuple):
     numbers: tuple[Sequence[str], Sequence[Sequence[object]]]
     brief: Sequence[TextTable]
     note: str = ""
+    headline: str = ""
 
     def texts(self, name: str) -> dict[str, str]:
         """The contents of name.md, name.csv and name.tex."""

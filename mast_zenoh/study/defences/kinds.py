@@ -44,12 +44,14 @@ class StudyFiles:
     """What a study of defences, or a search, wrote.
 
     figures, tables: for the page;  names: of files;  as_rich: the tables for the terminal
+    headline: of the page; empty: the usual one
     """
 
     figures: Mapping[str, RenderedFigure]
     names: Sequence[str]
     as_rich: Callable[[], Any]
     tables: Sequence[TextTable] = ()
+    headline: str = ""
 
 
 class Collection(ABC):
@@ -125,7 +127,7 @@ class Collection(ABC):
         for figure in figures.values():
             figure.save(folder)
         names = [*texts, *(name for figure in figures.values() for name in figure.names)]
-        return StudyFiles(figures, names, tables.as_rich, tables.tables)
+        return StudyFiles(figures, names, tables.as_rich, tables.tables, tables.headline)
 
 
 def collection_of(kind: str) -> type[Collection]:

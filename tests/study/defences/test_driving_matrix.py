@@ -9,10 +9,11 @@ import pytest
 from defence_outcomes import outcome
 
 import mast_zenoh as mast
+from mast_zenoh.api.comparisons import as_text
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.metrics.driving_results import DRIVING_MEASURES, DrivingTable
 from mast_zenoh.report.figures.driving_study import figure_of_driving
-from mast_zenoh.report.tables.driving_study import conclusion, driving_tables
+from mast_zenoh.report.tables.driving_study import conclusion, driving_tables, headline
 from mast_zenoh.study import definition
 from mast_zenoh.study.defences import DrivingCell
 from mast_zenoh.study.defences.driving_matrix import Collection
@@ -73,9 +74,48 @@ def test_the_conclusion_says_what_helps_what_does_not_and_what_was_not_run() -> 
     text = conclusion(table_of(HAPPENED))
     assert "Without a defence, queue on picture adds 4.00 [" in text
     assert "veto helps against queue on picture (" in text
-    assert "hidden on picture" in text.split("veto makes worse")[1].split(".")[0] or "No change by veto" in text
+    assert "Without a defence, hidden on picture adds 1.00 (all equal) collisions, " in text
     assert "Not run" not in text
     assert "Not run: no attack, none; no attack, veto; " in conclusion(table_of(HAPPENED, left_out=SEEDS))
+
+
+def test_harm_in_too_few_trials_is_neither_shown_nor_denied() -> None:
+    text = conclusion(table_of(HAPPENED, left_out=SEEDS - 2))
+    assert (
+        "Without a defence, hidden on picture adds 1.00 collisions, 0.50 needless brakes: too few trials to tell."
+        in text
+    )
+    assert "Too few trials to tell what veto changes for queue on picture; hidden on picture." in text
+    assert "no harm" not in text
+
+
+def test_an_attack_that_changes_nothing_does_no_harm_and_its_defence_no_good() -> None:
+    cells = [(attack, defence) for defence in ("", "veto") for attack in ("", "idle")]
+    text = conclusion(table_of(dict.fromkeys(cells, (0, 0, 100.0)), left_out=SEEDS - 1))
+    assert "veto changes nothing for idle on picture." in text
+    better = conclusion(table_of({("", ""): (1, 4, 50.0), ("better", ""): (0, 0, 100.0)}))
+    assert "Without a defence, better on picture does no harm." in better
+
+
+def test_the_headline_names_collisions_then_needless_brakes_then_the_way() -> None:
+    no_attack = {("", ""): (0, 0, 100.0)}
+    assert headline(table_of(HAPPENED)) == ("The attack hidden on picture adds 1.00 (all equal) collisions a trial")
+    queue = headline(table_of({**no_attack, ("queue", ""): (0, 3, 40.0)}))
+    assert queue.startswith("The attack queue on picture adds 4.00 [")
+    assert queue.endswith("] needless brakes a trial")
+    slow = headline(table_of({**no_attack, ("", "veto"): (0, 0, 100.0), ("slow", "veto"): (0, 0, 40.0)}))
+    assert slow == "The attack slow on picture, with veto, changes the way driven by \u221260.00 (all equal) m a trial"
+    few = headline(table_of(HAPPENED, left_out=SEEDS - 2))
+    assert few == "The attack hidden on picture adds 1.00 collisions a trial: too few trials to tell"
+    good = {**no_attack, ("", "veto"): (0, 0, 100.0), ("good", "veto"): (0, 0, 120.0)}
+    assert headline(table_of(good)) == "No attack adds collisions or needless brakes, or shortens the way"
+    assert headline(table_of(no_attack)) == ""
+
+
+def test_the_terminal_shows_every_measure() -> None:
+    (brief,) = driving_tables(table_of(HAPPENED)).brief
+    assert [*brief.headings[1:]] == [measure.heading for measure in DRIVING_MEASURES.values()]
+    assert max(map(len, as_text(brief.as_rich()).splitlines())) <= 80
 
 
 def test_trials_that_are_missing_are_counted_and_their_pairs_left_out() -> None:
@@ -132,3 +172,4 @@ def test_the_study_finds_that_own_sensors_protect_from_a_phantom_queue(tmp_path:
         < values["phantom_queue", "none", "mean", "needless_brakes"]
     )
     assert (finished.path / "driving.png").stat().st_size > 10_000
+    assert "<h1>The attack phantom_queue on picture adds " in (finished.path / "report.html").read_text()

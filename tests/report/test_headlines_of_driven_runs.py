@@ -1,0 +1,139 @@
+"""The headline of a run with drivers begins with what happened to its cars, and credits nothing to their other way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from test_report_of_driven_cars import BRAKED, course, happened
+
+from mast_zenoh.report.comparison import Reference, same_ways
+from mast_zenoh.report.html import write_study_report
+from mast_zenoh.report.narrative.adversaries import explanations
+from mast_zenoh.report.narrative.consequences import consequence
+from mast_zenoh.report.narrative.run import headline, reading, study_headline, study_reading
+from mast_zenoh.report.tables.scores import score_table
+from mast_zenoh.viewer.run import RunRecord
+
+RunOf = Callable[..., RunRecord]
+Driven = Callable[..., tuple[RunRecord, Reference]]
+HIT = {"object": 9, "frame": 33, "speed_mps": 2.34, "hidden": True}
+
+
+@pytest.fixture
+def driven(run_of: RunOf) -> Driven:
+    """A run with the given consequences for its ego, and its twin; stops: whether it goes another way."""
+
+    def pair(*, stops: bool = False, twin: dict[str, Any] | None = None, **changes: Any) -> tuple[RunRecord, Reference]:
+        run, other = run_of("uncoordinated"), run_of()
+        object.__setattr__(run, "driven", course(hard=stops))
+        object.__setattr__(other, "driven", course(hard=False))
+        run.metrics["driven"] = {"ego": happened(**changes)}
+        other.metrics["driven"] = {"ego": happened(**(twin or {}))}
+        return run, Reference(other, "unattacked")
+
+    return pair
+
+
+def test_collisions_come_before_errors(driven: Driven, run_of: RunOf) -> None:
+    run, twin = driven(collisions=[HIT, HIT], needless_brakes=2)
+    without_drivers = headline(run_of("uncoordinated"), Reference(run_of(), "unattacked"))
+    assert headline(run, twin) == f"The ego hits two objects (unattacked: none). {without_drivers}"
+    assert headline(run).startswith("The ego hits two objects. Two of four roadside sensors compromised: ")
+
+
+def test_a_collision_that_only_the_twin_has_is_named(driven: Driven) -> None:
+    run, twin = driven(needless_brakes=2, twin={"collisions": [HIT]})
+    assert consequence(run, twin) == "The ego hits nothing (unattacked: one object)"
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"needless_brakes": 1}, "The ego brakes needlessly once (unattacked: never)"),
+        ({"progress_m": 52.4}, "The ego drives 52 m instead of 93 m (unattacked)"),
+        (
+            {"needless_brakes": 3, "progress_m": 8.0},
+            "The ego brakes needlessly three times (unattacked: never) and drives 8 m instead of 93 m",
+        ),
+        ({"progress_m": 92.5}, ""),
+    ],
+)
+def test_without_collisions_needless_brakes_and_the_way_come_first(
+    changes: dict[str, Any], words: str, driven: Driven
+) -> None:
+    run, twin = driven(**changes)
+    assert consequence(run, twin) == words
+    assert headline(run, twin).startswith(f"{words}. " if words else "Two of four roadside sensors compromised: ")
+
+
+def test_of_several_cars_those_that_collide_are_named(driven: Driven) -> None:
+    run, twin = driven(needless_brakes=1)
+    for name in ("mobile_1", "mobile_2", "mobile_3", "mobile_4"):
+        run.metrics["driven"][name] = twin.run.metrics["driven"][name] = happened(collisions=[HIT])
+    assert consequence(run, twin).startswith("mobile_1 hits one object (unattacked: one object), mobile_2 hits ")
+    assert consequence(run, twin).endswith(" and 1 more")
+
+
+@pytest.mark.parametrize("damaged", [7, [None], {"ego": 7}, {"ego": {"collisions": 1}}, {"ego": {"progress_m": "far"}}])
+def test_damaged_consequences_are_left_out(damaged: Any, driven: Driven) -> None:
+    run, twin = driven()
+    run.metrics["driven"] = damaged
+    assert consequence(run, twin) == ""
+
+
+def test_errors_of_a_car_elsewhere_are_attributed_by_the_run_alone(driven: Driven) -> None:
+    run, twin = driven(stops=True, **{key: BRAKED[key] for key in ("needless_brakes", "progress_m")})
+    assert not same_ways(run, twin.run)
+    own = headline(run).partition(". ")[2]
+    assert " due to adversary_" in own
+    assert headline(run, twin).partition(". ")[2] == (
+        f"{own}; what else differs in errors from unattacked comes from the changed way"
+    )
+    assert reading(run, twin) == reading(run)
+    assert explanations(run, twin.run) == explanations(run)
+
+
+def test_other_settings_that_differ_are_named_beside_the_changed_way(driven: Driven) -> None:
+    run, twin = driven(stops=True)
+    run.scenario["network"] = "another"
+    assert headline(run, twin).endswith("comes from the changed way and network")
+
+
+def test_no_attack_is_blamed_for_errors_that_come_from_the_changed_way(run_of: RunOf, driven: Driven) -> None:
+    _, twin = driven()
+    run = run_of()
+    object.__setattr__(run, "driven", course(hard=True))
+    run.metrics["driven"] = {"ego": happened(progress_m=29.0)}
+    run.metrics["agents"]["ego"]["picture"]["fp"]["mean"] += 5.0
+    words = headline(run, twin)
+    assert words.startswith("The ego drives 29 m instead of 93 m (unattacked). The common picture misses ")
+    assert "due to" not in words
+    assert words.endswith("what else differs in errors from unattacked comes from the changed way")
+
+
+def test_a_car_whose_course_is_not_known_counts_as_elsewhere(driven: Driven) -> None:
+    run, twin = driven()
+    assert same_ways(run, twin.run)
+    object.__setattr__(run, "driven", None)
+    assert not same_ways(run, twin.run)
+    del run.metrics["driven"]
+    assert not same_ways(run, twin.run)
+    del twin.run.metrics["driven"]
+    assert same_ways(run, twin.run)
+
+
+def test_the_headline_of_compared_runs_begins_with_the_worst_that_happened(driven: Driven) -> None:
+    run, twin = driven(stops=True, collisions=[HIT], progress_m=40.0)
+    slow, _ = driven(progress_m=10.0)
+    runs = {"unattacked": twin.run, "slow": slow, "hit": run}
+    table = score_table({label: each.metrics for label, each in runs.items()}, agent="ego", reference="unattacked")
+    words = study_headline(runs, table)
+    assert words.startswith("hit: the ego hits one object (unattacked: none). Two of four roadside sensors compromised")
+    assert any(text == f"Run hit: {headline(run, twin)}." for text in study_reading(runs, table))
+
+
+def test_the_page_of_compared_runs_without_drivers_begins_as_before(three_runs: dict[str, Any], tmp_path: Any) -> None:
+    page = write_study_report(tmp_path / "study", three_runs).read_text()
+    assert "<h1>Two of four roadside sensors compromised" in page
