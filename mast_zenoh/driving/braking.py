@@ -184,12 +184,20 @@ def emergencies(truth: InCorridor, frames: int) -> Bools:
     return np.bincount(truth.frame[critical], minlength=frames) > 0
 
 
-def missed_brakes(demanded: Bools, acceleration: Floats, period_s: float) -> int:
-    """Emergencies during which a car did not brake although there was time to respond (that of `SafeDistance`).
+def missed_brakes(demanded: Bools, hit_ahead: Sequence[tuple[int, int]], acceleration: Floats, period_s: float) -> int:
+    """Emergencies and contacts with what is ahead before which a car did not brake although there was time to.
 
-    demanded: (f,) whether the truth demands emergency braking; acceleration: (f - 1,) m/s^2
+    demanded: (f,) whether the truth demands emergency braking: for longer than the response time of `SafeDistance`
+    hit_ahead: of each contact with what was ahead, the rows of frames between which it would have had to brake; one
+        that ends an emergency is the same miss
+    acceleration: (f - 1,) m/s^2
     """
     response = round(SafeDistance().response_s / period_s)
-    return sum(
-        end - first > response and not (acceleration[first:end] < -BRAKING_MPS2).any() for first, end in spans(demanded)
-    )
+    long = [(first, end) for first, end in spans(demanded) if end - first > response]
+    missed = [during for during in long if not _brakes_in(during, acceleration)]
+    slow = [before for before in hit_ahead if not _brakes_in(before, acceleration)]
+    return len(missed) + sum(not any(first <= at and end >= start for first, end in missed) for start, at in slow)
+
+
+def _brakes_in(during: tuple[int, int], acceleration: Floats) -> bool:
+    return bool((acceleration[slice(*during)] < -BRAKING_MPS2).any())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -26,7 +26,8 @@ from mast_zenoh.metrics.driving import STANDING_MPS, Driving, Objects, SafeDista
 NEAR_MISS_TTC_S, NEAR_MISS_BRAKING_MPS2 = 3.0, 3.0
 #: m; who stands so near to what is ahead, or to a line, waits for it.
 _WAITING_M = 5.0
-#: s; a collision is with a hidden object if the driver did not know it for most of this time before.
+#: s; a collision is with a hidden object if for most of this time before its driver did not know what the car's
+#: sensors had, and with one ahead if it was in the corridor then.
 _BEFORE_CONTACT_S = 1.0
 #: s, over which derivatives of accelerations are smoothed, as by nuPlan.
 _SMOOTHED_S = 1.5
@@ -99,11 +100,12 @@ def consequences(driven: DrivenCar) -> dict[str, Any]:
     car, period, truth = driven.car, driven.period_s, driven.truth
     speed, acceleration = driven.speed, driven.acceleration
     hit = collisions(car, driven.objects)
+    contacts = _contacts(driven, hit)
     emergencies = braking.emergencies(truth, len(speed))
     brakes = _brakes(driven)
     standing = speed <= STANDING_MPS
     return {
-        "collisions": _contacts(driven, hit),
+        "collisions": contacts,
         "near_misses": len(set(driven.ids[truth.row[_near_miss(truth)]].tolist()) - set(driven.ids[hit].tolist())),
         "min_gap_m": _finite(truth.gap_m.min(initial=np.inf)),
         "min_ttc_s": _finite(truth.ttc_s.min(initial=np.inf)),
@@ -114,7 +116,7 @@ def consequences(driven: DrivenCar) -> dict[str, Any]:
         "rss_unsafe_s": _below_safe_distance(driven.look, truth) * period,
         "brakes": brakes,
         "needless_brakes": sum(brake["needless"] for brake in brakes),
-        "missed_brakes": braking.missed_brakes(emergencies, acceleration, period),
+        "missed_brakes": braking.missed_brakes(emergencies, _hit_ahead(driven, contacts), acceleration, period),
         "hard_brakes": len(spans(acceleration < -HARD_BRAKING_MPS2)),
         "hardest_braking_mps2": float(abs(acceleration.min(initial=0.0))),
         "jerk_max_mps3": float(np.abs(np.diff(acceleration)).max(initial=0.0) / period),
@@ -162,11 +164,23 @@ def _contacts(driven: DrivenCar, hit: Ints) -> list[dict[str, Any]]:
         frame = driven.objects.frame[row]
         relative = driven.objects.velocity[row, :2] - driven.car.velocity[frame, :2]
         near = (driven.ids == number) & (driven.objects.frame < frame) & (driven.objects.frame >= frame - before)
-        seen = near & driven.seen
-        hidden = np.count_nonzero(seen & ~driven.known) > 0.5 * np.count_nonzero(seen)
+        hidden = np.count_nonzero(near & driven.seen & ~driven.known) > 0.5 * min(before, frame)
         contact = {"object": number, "frame": int(driven.frames[frame]), "speed_mps": float(np.hypot(*relative))}
         contacts.append(contact | {"hidden": bool(hidden)})
     return contacts
+
+
+def _hit_ahead(driven: DrivenCar, contacts: Sequence[Mapping[str, Any]]) -> list[tuple[int, int]]:
+    """The time before each contact with what was ahead: row of its first frame, and that of the contact."""
+    truth, before = driven.truth, round(_BEFORE_CONTACT_S / driven.period_s)
+    result = []
+    for contact in contacts:
+        end = int(driven.frames.searchsorted(contact["frame"]))
+        first = max(end - before, 0)
+        same = driven.ids[truth.row] == contact["object"]
+        if (same & (truth.frame >= first) & (truth.frame < end)).any():
+            result.append((first, end))
+    return result
 
 
 def _near_miss(truth: InCorridor) -> Bools:

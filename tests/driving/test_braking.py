@@ -144,9 +144,26 @@ def test_spans_are_those_of_a_plain_loop() -> None:
 def test_a_brake_is_missed_if_an_emergency_lasts_and_the_car_does_not_brake() -> None:
     """RSS gives the car 0.5 s to respond."""
     long, short = np.arange(20) < 8, np.arange(20) < 5
-    assert missed_brakes(long, np.zeros(19), 0.1) == 1
-    assert missed_brakes(short, np.zeros(19), 0.1) == 0
-    assert missed_brakes(long, np.full(19, -9.0), 0.1) == 0
+    assert missed_brakes(long, [], np.zeros(19), 0.1) == 1
+    assert missed_brakes(short, [], np.zeros(19), 0.1) == 0
+    assert missed_brakes(long, [], np.full(19, -9.0), 0.1) == 0
+
+
+@pytest.mark.parametrize("speed", [1.0, 2.0, 3.0, 3.5, 4.0, 8.0])
+def test_a_car_that_drives_into_a_standing_one_without_braking_misses_one_brake_at_any_speed(speed: float) -> None:
+    x = (0.1 * speed * np.arange(60)).tolist()
+    there = ahead(x[40] + 2.25 + 2.0, range(60))
+    found = consequences(driven(car(x, [speed] * 60), there, [7] * 60))
+    assert (found["missed_brakes"], len(found["collisions"])) == (1, 1)
+
+
+def test_a_car_that_is_hit_from_behind_or_that_brakes_before_it_hits_what_is_ahead_misses_none() -> None:
+    behind = objects([(row, -8.0 + 0.2 * row, 0.0, 0.0) for row in range(FRAMES)])
+    found = consequences(driven(car([0.0] * FRAMES, [0.0] * FRAMES), behind, [7] * FRAMES))
+    assert (found["missed_brakes"], len(found["collisions"])) == (0, 1)
+    x, speed = braking(10)
+    found = consequences(driven(car(x, speed), ahead(20.0), [7] * FRAMES))
+    assert (found["missed_brakes"], len(found["collisions"])) == (0, 1)
 
 
 def test_an_emergency_is_contact_within_a_second_and_a_half() -> None:

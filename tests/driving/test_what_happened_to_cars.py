@@ -164,6 +164,17 @@ def test_an_object_was_hidden_if_the_car_saw_it_and_its_driver_did_not_know_it()
         assert contact["hidden"] is hidden
 
 
+@pytest.mark.parametrize(("frames_seen", "hidden"), [(1, False), (5, False), (6, True), (9, True)])
+def test_an_object_was_hidden_only_if_the_car_saw_it_for_most_of_the_second_before(
+    frames_seen: int, hidden: bool
+) -> None:
+    own = car([float(row) for row in range(14)], [10.0] * 14)
+    rows = objects([(row, 14.5, 0.0, 0.0) for row in range(14)])
+    seen = np.arange(14) >= 11 - frames_seen
+    (contact,) = of(own, rows, [7] * 14, seen=seen, known=np.zeros(14, bool))["collisions"]
+    assert (contact["frame"], contact["hidden"]) == (10 + 11, hidden)
+
+
 def test_hard_braking_counts_by_episode_and_its_extremes_are_those_of_plain_differences() -> None:
     hard = HARD_BRAKING_MPS2 + 0.1
     changes = [0.0, -hard, -hard, 0.0, -1.0, -hard, 2.0]
