@@ -65,6 +65,8 @@ def first_changes(run: RunRecord) -> list[Event]:
                 action = f"{EFFECTS[effect]} its first object"
             elif effect == "reframed" and own["message"][first] == "view":
                 action = f"changes what {agent_of(str(own['wire'][first]))} says it sees"
+            elif effect == "reframed" and own["message"][first] == "command":
+                action = f"changes its first command to {agent_of(str(own['wire'][first]))}"
             result.append(Event(int(own["frame"][first]), "effect", f"{name} {action}", *place))
     return result
 

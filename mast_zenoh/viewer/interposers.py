@@ -37,6 +37,7 @@ class Interposer:
     objects:  by effect of OF_OBJECTS, number of scene objects in its rows, and whether some rows are clutter; only
               where this is known for all rows
     views:    how many of its reframed messages are views: what an agent says it sees
+    commands: how many of them are commands: what a driver tells its car
     """
 
     name: str
@@ -56,6 +57,7 @@ class Interposer:
     failed_frames: int = 0
     objects: Mapping[str, tuple[int, bool]] = field(default_factory=dict)
     views: int = 0
+    commands: int = 0
 
     @property
     def is_link(self) -> bool:
@@ -63,11 +65,11 @@ class Interposer:
         return self.role == "link"
 
     @property
-    def effects_besides_views(self) -> dict[str, int]:
-        """The measured effects, without the views among the reframed messages."""
+    def effects_besides_named(self) -> dict[str, int]:
+        """The measured effects, without the views and the commands among the reframed messages."""
         effects = dict(self.effects or {})
-        if self.views:
-            effects["reframed"] -= self.views
+        if named := self.views + self.commands:
+            effects["reframed"] -= named
         return effects
 
     @property
@@ -78,8 +80,8 @@ class Interposer:
     @property
     def other(self) -> str:
         """Effects that are not in EFFECTS, in words."""
-        more = {name: n for name, n in (self.effects or {}).items() if name not in EFFECTS}
-        more |= {"reframed": more["reframed"] - self.views, "views changed": self.views} if self.views else {}
+        more = {name: n for name, n in self.effects_besides_named.items() if name not in EFFECTS}
+        more |= {"views changed": self.views, "commands changed": self.commands}
         return ", ".join(f"{count} {name}" for name, count in more.items() if count)
 
     @property
@@ -147,7 +149,8 @@ def interposers(run: RunRecord) -> tuple[Interposer, ...]:
                 failures=crash,
                 failed_frames=failed_frames,
                 objects=_objects(run, node, summary.get("effects") or {}),
-                views=_views(run, node, summary.get("effects") or {}),
+                views=_reframed(run, node, summary.get("effects") or {}, "view"),
+                commands=_reframed(run, node, summary.get("effects") or {}, "command"),
             )
         )
     return tuple(sorted(result, key=lambda each: (each.is_link, not each.changed and not each.failures)))
@@ -180,12 +183,12 @@ def _objects(run: RunRecord, node: str, effects: Mapping[str, int]) -> dict[str,
     return objects
 
 
-def _views(run: RunRecord, node: str, effects: Mapping[str, int]) -> int:
-    """How many of the messages that a node reframed are views."""
+def _reframed(run: RunRecord, node: str, effects: Mapping[str, int], message: str) -> int:
+    """How many of the messages that a node reframed are of a kind: view or command."""
     table, number = run.attacks, effects.get("reframed", 0)
     if table is None or not number:
         return 0
-    changed = (table["interposer"] == node) & (table["effect"] == "reframed") & (table["message"] == "view")
+    changed = (table["interposer"] == node) & (table["effect"] == "reframed") & (table["message"] == message)
     return min(int(changed.sum()), number)
 
 

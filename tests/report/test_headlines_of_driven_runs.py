@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import deepcopy
 from typing import Any
 
+import numpy as np
 import pytest
 from test_report_of_driven_cars import BRAKED, course, happened
 
 from mast_zenoh.report.comparison import Reference, same_ways
-from mast_zenoh.report.html import write_study_report
-from mast_zenoh.report.narrative.adversaries import explanations
+from mast_zenoh.report.html import write_page, write_study_report
+from mast_zenoh.report.narrative.adversaries import attack_description, explanations
+from mast_zenoh.report.narrative.changes import effects
 from mast_zenoh.report.narrative.consequences import consequence
 from mast_zenoh.report.narrative.run import headline, reading, study_headline, study_reading
 from mast_zenoh.report.tables.scores import score_table
+from mast_zenoh.viewer.events import first_changes
+from mast_zenoh.viewer.interposers import interposers
 from mast_zenoh.viewer.run import RunRecord
 
 RunOf = Callable[..., RunRecord]
@@ -132,6 +137,65 @@ def test_the_headline_of_compared_runs_begins_with_the_worst_that_happened(drive
     words = study_headline(runs, table)
     assert words.startswith("hit: the ego hits one object (unattacked: none). Two of four roadside sensors compromised")
     assert any(text == f"Run hit: {headline(run, twin)}." for text in study_reading(runs, table))
+
+
+def test_braking_by_the_rule_is_not_told_as_what_the_driver_did(driven: Driven) -> None:
+    run, twin = driven()
+    shares = {"needless_brake_share": 0.59, "needless_brake_share_attack": 0.59, "missed_brake_share": 0.2}
+    run.metrics["driving"] = {"ego": {"mission": shares}}
+    twin.run.metrics["driving"] = {"ego": {"mission": dict.fromkeys(shares, 0.0)}}
+    assert "brake" not in " ".join(reading(run, twin))
+    page = write_page(run, reference=twin).read_text()
+    section = page.partition('<h2 id="driving">')[2]
+    assert section.startswith("What it would mean for driving, by a rule</h2>\n<p>When the ego would brake by the rule")
+    assert "59.0% by attack" in section, "the table still has it"
+    del run.metrics["driven"], twin.run.metrics["driven"]
+    assert "Because of attacks, the ego with the picture brakes needlessly in 59.0%" in " ".join(reading(run, twin))
+    assert '<h2 id="driving">What it would mean for driving</h2>\n<div' in write_page(run, reference=twin).read_text()
+
+
+def test_only_braking_by_the_rule_differs(driven: Driven, run_of: RunOf) -> None:
+    _, twin = driven()
+    run = run_of()
+    run.metrics["driven"] = twin.run.metrics["driven"]
+    object.__setattr__(run, "driven", course(hard=False))
+    run.metrics["driving"] = {"ego": {"mission": {"needless_brake_share_attack": 0.5}}}
+    twin.run.metrics["driving"] = {"ego": {"mission": {"needless_brake_share_attack": 0.0}}}
+    words = "Of the scores, only braking by the rule of docs/metrics.md differs from unattacked: "
+    assert headline(run, twin).startswith(words)
+
+
+def test_what_the_ego_acts_on_is_not_said_to_be_the_same_if_its_errors_are_as_many(
+    driven: Driven, run_of: RunOf
+) -> None:
+    _, twin = driven()
+    run = run_of()
+    run.metrics["driven"] = twin.run.metrics["driven"]
+    object.__setattr__(run, "driven", course(hard=False))
+    ego = run.metrics["agents"]["ego"]
+    twin.run.metrics["agents"]["ego"]["picture_received"] = deepcopy(ego["picture"])
+    ego["picture_received"] = deepcopy(ego["picture"])
+    ego["picture_received"]["fp"]["mean"] += 4.0
+    assert headline(run, twin).endswith("; what the ego acts on has no more errors")
+
+
+@pytest.mark.parametrize(("number", "tell"), [(1, "1 message tells"), (25, "25 messages tell")])
+def test_changed_commands_have_words_of_their_own(number: int, tell: str, driven: Driven) -> None:
+    run, _ = driven(stops=True, progress_m=29.0)
+    wire = {"key": "agent/ego/command", "message": "command", "subject": "ego", "interposers": ["adversary_1"]}
+    run.wiring["wires"] = [wire]
+    run.metrics["interposers"]["adversary_1"] |= {"effects": {"reframed": number}, "wires": [wire["key"]]}
+    table = run.effects
+    assert table is not None
+    own = table["interposer"] == "adversary_1"
+    table["message"] = np.where(own, "command", table["message"]).astype(object)
+    table["wire"] = np.where(own, "agent/ego/command", table["wire"]).astype(object)
+    table["effect"] = np.where(own, "reframed", table["effect"]).astype(object)
+    assert f"In the commands to ego, adversary_1 changed what {tell} the car to do" in attack_description(run)[0]
+    (adversary,) = (each for each in interposers(run) if each.name == "adversary_1")
+    assert effects(adversary) == f"{number} command{'s' * (number > 1)} changed"
+    assert adversary.other == f"{number} commands changed"
+    assert "adversary_1 changes its first command to ego" in [event.text for event in first_changes(run)]
 
 
 def test_the_page_of_compared_runs_without_drivers_begins_as_before(three_runs: dict[str, Any], tmp_path: Any) -> None:

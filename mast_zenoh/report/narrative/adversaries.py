@@ -40,6 +40,7 @@ _PLACES = {
     "pose": "the position that {} reports",
     "view": "the view that {} reports",
     "status": "the status that {} reports",
+    "command": "the commands to {}",
 }
 _OBJECTS = {
     "inserted": "inserted {} that did not exist",
@@ -85,7 +86,7 @@ def attack_description(run: RunRecord) -> list[str]:
 
 def _sentence(run: RunRecord, adversary: Interposer) -> str:
     """`In the detections of infra_1, adversary_1 inserted four objects that did not exist, from t = 4.0 s to 5.9 s.`"""
-    effects = adversary.effects_besides_views
+    effects = adversary.effects_besides_named
     clauses = [_of_objects(adversary, name, effects[name]) for name in OF_OBJECTS if effects.get(name)]
     clauses += [
         words.format(plural(effects[name], "message")) for name, words in _MESSAGES.items() if effects.get(name)
@@ -95,6 +96,10 @@ def _sentence(run: RunRecord, adversary: Interposer) -> str:
     if adversary.views:
         see = "says it sees" if len(adversary.agents) == 1 else "say they see"
         clauses.append(f"changed what {join_names(adversary.agents)} {see} in {plural(adversary.views, 'view')}")
+    if adversary.commands:
+        clauses.append(
+            f"changed what {plural(adversary.commands, 'message')} tell{'s' * (adversary.commands == 1)} the car to do"
+        )
     what, places = join_names(clauses), join_names(_places(run, adversary))
     if adversary.before and adversary.agents:
         places += f" on the way to {_listeners(run, adversary)} alone"

@@ -334,10 +334,11 @@ _EFFECT_WORDS = {"reframed": "changed outside their objects"}
 
 def effects(interposer: Interposer) -> str:
     """Measured effects: `478 rows of 6 objects inserted, 8 messages dropped, 110 views changed`."""
-    counts = interposer.effects_besides_views
+    counts = interposer.effects_besides_named
     ordered = [name for name in (*EFFECTS, *counts) if counts.get(name) and name != "unsettled"]
     texts = [_effect(interposer, name, counts[name]) for name in dict.fromkeys(ordered)]
     texts += [f"{plural(interposer.views, 'view')} changed"] * bool(interposer.views)
+    texts += [f"{plural(interposer.commands, 'command')} changed"] * bool(interposer.commands)
     return ", ".join(texts) or "nothing"
 
 

@@ -34,7 +34,7 @@ from mast_zenoh.report.narrative.changes import (
     plural,
     scored,
 )
-from mast_zenoh.report.narrative.consequences import consequence, worst
+from mast_zenoh.report.narrative.consequences import consequence, drives, worst
 from mast_zenoh.report.tables.of_run import braking_by_attack, check_rows, driving_differs, unattributed_braking
 from mast_zenoh.report.tables.scores import ScoreTable
 from mast_zenoh.viewer.interposers import Interposer, failures_of, frames_of, interposers
@@ -213,8 +213,9 @@ def _when(agent: dict[str, Any]) -> str:
 
 
 def attack_sentences(run: RunRecord, change: Change | None) -> list[str]:
-    """When adversaries changed messages, the scores in that period, needless braking.
+    """When adversaries changed messages, the scores in that period, and needless braking by a rule.
 
+    Not the latter where the ego is driven: the rule is not its driver.
     change: the headline's change; its kind and estimate select the scores
     """
     if run.attacks is None or run.attack_frames is None:
@@ -228,7 +229,7 @@ def attack_sentences(run: RunRecord, change: Change | None) -> list[str]:
     attacked, total = _attacked_frames(run)
     if total and 2 * attacked < total:
         sentences.append(f"{attacked} of the {total} scored frames {'is' if attacked == 1 else 'are'} attacked.")
-    braking = braking_by_attack(run)
+    braking = "" if run.ego in drives(run) else braking_by_attack(run)
     return sentences + ([f"Because of attacks, {braking}."] if braking else [])
 
 
@@ -378,8 +379,11 @@ def _limits(run: RunRecord, reference: Reference | None, change: Change) -> str:
     present = [name for name in ("picture_on_arrival", "mission") if run.summary(name)]
     unchanged = [name for name in present if name not in changed | {change.estimate}]
     if unchanged:
-        verb = "do not" if len(unchanged) > 1 else "does not"
-        return f"; {join_names([ESTIMATES[name].noun for name in unchanged])} {verb} change"
+        nouns, several = join_names([ESTIMATES[name].noun for name in unchanged]), len(unchanged) > 1
+        if drives(run):  # what a driver brakes for may differ although errors are as many
+            no_more = f"{nouns} {'have' if several else 'has'} no more errors"
+            return f"; {no_more}" if reference is not None else f"; no such errors in {nouns}"
+        return f"; {nouns} {'do' if several else 'does'} not change"
     acted_on = [each for each in all_changes if each.estimate == "mission" and each.weight != 0.0]
     kinds = dict.fromkeys([change.kind, FALSE, MISSED, IDENTITY])
     relevant = [each for kind in kinds for each in acted_on if each.kind == kind] or acted_on
@@ -427,6 +431,8 @@ def _same_scores(run: RunRecord, reference: RunRecord, name: str) -> str:
         estimates = [set(each.metrics.get("agents", {}).get(run.ego or "", ())) for each in (run, reference)]
         which = "every score" if estimates[0] == estimates[1] else "every score that both runs have"
         return f"{which} equals that of {name}"
+    if run.ego in drives(run):
+        return f"of the scores, only braking by the rule of docs/metrics.md differs from {name}"
     braking = braking_by_attack(run)
     return f"only driving differs from {name}" + (f" (because of attacks, {braking})" if braking else "")
 
@@ -447,7 +453,8 @@ def reading(run: RunRecord, reference: Reference | None = None) -> list[str]:
         sentences.append(f"{capital(_missed_sentence(run))}.")
     sentences += _other_changes(run, reference) + _transit(run) + _blame(run)
     sentences += attack_sentences(run, _largest(run, reference))
-    if more := unattributed_braking(run, reference.run, reference.name) if reference else "":
+    more = unattributed_braking(run, reference.run, reference.name) if reference else ""
+    if more and run.ego not in drives(run):
         sentences.append(f"{capital(more)}.")
     sentences += _verdicts(interposers(run))
     failed = [row.name for row in check_rows(run.checks) if row.outcome == "failed"]
