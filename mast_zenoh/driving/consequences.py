@@ -125,7 +125,7 @@ def consequences(driven: DrivenCar) -> dict[str, Any]:
         "stops": sum(first > 0 for first, _ in spans(standing)),
         "standing_s": float(np.count_nonzero(standing) * period),
         "blocked_s": float(np.count_nonzero(standing & ~_waits(driven, truth)) * period),
-        "behind": behind_car(car, driven.objects, driven.ids, period, HARD_BRAKING_MPS2),
+        "behind": behind_car(car, driven.objects, driven.ids, period, HARD_BRAKING_MPS2, driven.brakes),
     }
 
 

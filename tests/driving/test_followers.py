@@ -5,7 +5,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from mast_zenoh.driving.followers import behind, behind_car
+from mast_zenoh.driving.followers import Onset, behind, behind_car, shock_wave
 from mast_zenoh.metrics.driving import Objects, Vehicle
 from tests.driving.test_what_happened_to_cars import SIZE, car, objects
 
@@ -22,7 +22,7 @@ def test_who_is_behind_in_the_lane_and_points_the_same_way() -> None:
         ((0, 5.0, 0.0, 0.0), False),  # where the car will have been
     ]
     found = behind(own, objects([row for row, _ in cases]))
-    assert found.tolist() == [expected for _, expected in cases]
+    assert np.isfinite(found).tolist() == [expected for _, expected in cases]
 
 
 def test_the_lane_behind_a_car_that_turned_is_the_bend_that_it_drove() -> None:
@@ -30,7 +30,7 @@ def test_the_lane_behind_a_car_that_turned_is_the_bend_that_it_drove() -> None:
     position = np.column_stack([20.0 * np.sin(angle), 20.0 * (1.0 - np.cos(angle)), np.zeros(40)])
     own = Vehicle(position, np.tile([10.0, 0.0, 0.0], (40, 1)), angle, *SIZE)
     there, straight_on = (39, 20.0 * np.sin(0.7), 20.0 * (1.0 - np.cos(0.7)), 0.7), (39, 30.0, 0.0, 0.0)
-    assert behind(own, objects([there, straight_on])).tolist() == [True, False]
+    assert np.isfinite(behind(own, objects([there, straight_on]))).tolist() == [True, False]
 
 
 def test_hard_brakes_and_standing_times_of_followers_are_sums_over_cars() -> None:
@@ -39,7 +39,7 @@ def test_hard_brakes_and_standing_times_of_followers_are_sums_over_cars() -> Non
     speed = np.array([10.0, 9.0, 9.0, 8.0, 8.0, 8.0, 1.0, 0.5, 0.2, 0.0, 0.0, 0.0, *[9.0, 1.0] * 3])
     velocity = np.column_stack([speed, np.zeros(18), np.zeros(18)])
     others = Objects(rows.frame, rows.position, velocity, rows.size, rows.yaw)
-    found = behind_car(own, others, np.repeat([1, 2, 3], 6), 0.1, hard_mps2=4.05)
+    found = behind_car(own, others, np.repeat([1, 2, 3], 6), 0.1, 4.05, [])
     assert (found["cars"], found["hard_brakes"]) == (2, 3)
     assert found["hardest_braking_mps2"] == pytest.approx(10.0)
     assert found["standing_s"] == pytest.approx(0.4)
@@ -57,3 +57,28 @@ def test_a_long_run_needs_no_memory_for_every_pair_of_an_object_and_a_place_of_t
     finally:
         tracemalloc.stop()
     assert peak < frames * frames * 8 / 4, "less than a quarter of one number for each pair"
+
+
+def test_a_shock_wave_runs_through_the_cars_that_brake_one_after_the_other() -> None:
+    own = [Onset(5, 80.0), Onset(10, 100.0)]
+    chain = [Onset(20, 82.0), Onset(32, 65.0), Onset(41, 45.0)]
+    elsewhere = [Onset(8, 60.0), Onset(15, 120.0), Onset(200, 20.0)]  # before, ahead, and much later
+    reached, speed = shock_wave(own, [*elsewhere, *chain], 0.1)
+    assert reached == 3
+    expected = np.polyfit([1.0, 2.0, 3.2, 4.1], [100.0, 82.0, 65.0, 45.0], 1)[0]
+    assert speed == pytest.approx(expected)
+    assert speed < -15.0
+
+
+def test_without_a_brake_or_without_followers_there_is_no_wave() -> None:
+    assert shock_wave([], [Onset(3, 10.0)], 0.1) == (0, None)
+    assert shock_wave([Onset(3, 10.0)], [], 0.1) == (0, None)
+
+
+def test_the_delay_of_followers_is_the_time_lost_against_their_greatest_speed_until_then() -> None:
+    own = car([50.0] * 5, [0.0] * 5)
+    rows = objects([(row, 30.0, 0.0, 0.0) for row in range(5)])
+    velocity = np.column_stack([[5.0, 10.0, 5.0, 0.0, 20.0], np.zeros(5), np.zeros(5)])
+    others = Objects(rows.frame, rows.position, velocity, rows.size, rows.yaw)
+    found = behind_car(own, others, np.ones(5, np.int64), 0.1, 4.05, [])
+    assert found["delay_s"] == pytest.approx(0.1 * (0.5 + 1.0))
