@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from browser import chromium
 from test_report_of_driven_cars import BRAKED, course, happened
 
 from mast_zenoh.report.comparison import Reference, same_ways
@@ -23,6 +24,8 @@ from mast_zenoh.viewer.run import RunRecord
 
 RunOf = Callable[..., RunRecord]
 Driven = Callable[..., tuple[RunRecord, Reference]]
+_WIDTHS = """() => [...document.querySelectorAll(".scroll")].map((box) => [box.scrollWidth, box.clientWidth])"""
+_WRAPPED = """() => getComputedStyle(document.querySelector("#driving ~ .scroll td.num")).whiteSpace"""
 HIT = {"object": 9, "frame": 33, "speed_mps": 2.34, "hidden": True}
 
 
@@ -152,6 +155,24 @@ def test_braking_by_the_rule_is_not_told_as_what_the_driver_did(driven: Driven) 
     del run.metrics["driven"], twin.run.metrics["driven"]
     assert "Because of attacks, the ego with the picture brakes needlessly in 59.0%" in " ".join(reading(run, twin))
     assert '<h2 id="driving">What it would mean for driving</h2>\n<div' in write_page(run, reference=twin).read_text()
+
+
+def test_the_tables_of_a_driven_run_fit_a_screen_of_1400_px(driven: Driven) -> None:
+    run, twin = driven()
+    shares = {f"{kind}_brake_share{by}": 0.448 for kind in ("needless", "missed") for by in ("", "_attack")}
+    names = ("corridor_objects", "corridor_false", "corridor_missed", "overlapping_objects", "min_ttc_s", "brake_share")
+    summary = dict.fromkeys(names, 1.25) | shares
+    estimates = ("truth", "local", "mission")
+    run.metrics["driving"] = {"ego": dict.fromkeys(estimates, summary)}
+    twin.run.metrics["driving"] = {"ego": dict.fromkeys(estimates, dict.fromkeys(summary, 0.0))}
+    page_file = write_page(run, reference=twin)
+    with chromium() as browser:
+        page = browser.new_page(viewport={"width": 1400, "height": 900})
+        page.goto(page_file.as_uri())
+        tables = page.evaluate(_WIDTHS)
+        assert len(tables) > 4
+        assert [table for table in tables if table[0] > table[1]] == []
+        assert page.evaluate(_WRAPPED) == "normal", "its numbers are wrapped before the bracket"
 
 
 def test_only_braking_by_the_rule_differs(driven: Driven, run_of: RunOf) -> None:

@@ -170,7 +170,8 @@ def _numbers(summary: Mapping[str, Any]) -> tuple[str, str, str]:
 def _with_range(summary: Mapping[str, Any], name: str, low: str, high: str) -> str:
     if summary[name] is None:
         return DASH
-    return f"{_number(summary[name])} ({_number(summary[low])} to {_number(summary[high])})"
+    ends = f"({_number(summary[low])} to {_number(summary[high])})".replace(" ", "\u00a0")  # never broken
+    return f"{_number(summary[name])} {ends}"
 
 
 def _number(value: float | None) -> str:
@@ -191,8 +192,8 @@ _MIN_SHARE = 0.0005
 _LONG_S = 60.0
 
 _DRIVING = (
-    *("objects in\ncorridor", "false", "missed", "overlapping\nthe ego", "least time to\ncollision (s)", "brakes"),
-    *("needlessly", "omits to"),
+    *("objects\u00a0in\ncorridor", "false", "missed", "overlapping\nthe ego"),
+    *("least time\nto\u00a0collision\u00a0(s)", "brakes", "needlessly", "omits to"),
 )
 
 
@@ -217,8 +218,8 @@ def driving_table(run: RunRecord, reference: RunRecord | None = None, name: str 
 
 _DRIVEN = (
     *(Head("colli-\nsions"), Head("near\nmisses")),
-    *(Head("all", "brakes"), Head("needless", "brakes"), Head("missed", "brakes"), Head("hardest (m/s²)", "brakes")),
-    *(Head("least time to\ncollision (s)"), Head("below safe\ndistance (s)")),
+    *(Head("all", "brakes"), Head("needless", "brakes"), Head("missed", "brakes"), Head("hardest\n(m/s²)", "brakes")),
+    *(Head("least time\nto\u00a0collision\u00a0(s)"), Head("below safe\ndistance (s)")),
     *(Head("way\n(m)"), Head("standing\n(s)"), Head("hard brakes\nbehind")),
 )
 
