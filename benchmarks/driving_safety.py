@@ -3,8 +3,9 @@
     python benchmarks/driving_safety.py [--seeds 200] [--first 0] [--drivers NAME ...]
         [--estimates truth safety mission] [--veto] [--jobs J] [--frames 150]
 
-The seeds are those from --first on. Each seed is a junction of its own (`scene_index` is the seed modulo JUNCTIONS), driven once by every driver on every
-estimate. Drivers on the truth or on their agent's own tracks alone need no other agents, so these runs have none.
+The seeds are those from --first on. Each seed is a junction of its own (`scene_index` is the seed modulo JUNCTIONS),
+driven once by every driver on every estimate. Drivers on the truth or on their agent's own tracks alone need no other
+agents, so these runs have none.
 
 For each driver and estimate: seeds with a collision, and the first frame of each; the mean and the least way that the
 car drove, relative to the same driver on the truth; and hard brakes. Ctrl-C prints what there is so far. Exits with 1

@@ -10,7 +10,7 @@ import numpy as np
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.driving.corridor import InCorridor, needed_braking
 from mast_zenoh.driving.following import IntelligentDriverModel
-from mast_zenoh.driving.motion import RouteAhead
+from mast_zenoh.driving.motion import CarLimits, RouteAhead
 from mast_zenoh.metrics.driving import SafeDistance, TimeToCollision
 
 #: m/s^2; a car brakes when it slows down more than this. Source: UN Regulation No. 13-H, 5.2.22.4: braking above it has
@@ -28,6 +28,8 @@ _ADAPT_S, _LEAST_M = 1.0, 1.0
 _EQUAL_MPS2 = 1e-6
 #: How cars brake: for objects, as one that comes to a standstill before lines, and before bends.
 _REFERENCE = IntelligentDriverModel()
+#: When they brake as hard as they can, whatever the model asks for: see `FollowingDriver`.
+_EMERGENCY = TimeToCollision()
 
 
 class Belief(NamedTuple):
@@ -78,8 +80,14 @@ def around(brakes: Sequence[Brake], period_s: float) -> list[int]:
 
 
 def demanded_by_objects(corridor: InCorridor) -> Floats:
-    """Braking (n,) m/s^2 that each object in the corridor of a car asks of a driver that follows it."""
-    return -_REFERENCE.interaction(corridor.own_mps, corridor.gap_m, corridor.ahead_mps)
+    """Braking (n,) m/s^2 that each object in the corridor of a car asks of a driver that follows it.
+
+    A slow car whose time to collision with something oncoming is short has to brake fully, though the model, made for
+    cars that drive one after the other, asks for little.
+    """
+    own, gap, ahead = corridor.own_mps, corridor.gap_m, corridor.ahead_mps
+    full = np.where(_EMERGENCY.brakes(gap, own, ahead), CarLimits().braking, 0.0)
+    return np.maximum(-_REFERENCE.interaction(own, gap, ahead), full)
 
 
 def demanded_by_lines(speed: Floats, routes: Mapping[int, RouteAhead]) -> Floats:
@@ -160,7 +168,7 @@ def needless(brakes: Sequence[Brake], demanded: Floats, period_s: float) -> list
 def emergencies(truth: InCorridor, frames: int) -> Bools:
     """Whether (f,) the truth demands emergency braking in each frame: contact in less than 1.5 s without it."""
     braking = needed_braking(truth.gap_m, truth.own_mps, truth.ahead_mps)
-    critical = TimeToCollision().brakes(truth.gap_m, truth.own_mps, truth.ahead_mps) & (braking > _EMERGENCY_MPS2)
+    critical = _EMERGENCY.brakes(truth.gap_m, truth.own_mps, truth.ahead_mps) & (braking > _EMERGENCY_MPS2)
     return np.bincount(truth.frame[critical], minlength=frames) > 0
 
 
