@@ -17,6 +17,7 @@ import numpy as np
 from mast_zenoh.arrays.geometry import states_to_world
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.driving import RouteAhead
+from mast_zenoh.driving.actuation import HOLD_S, TAKE_OVER_S
 from mast_zenoh.effects import Pose
 from mast_zenoh.errors import MessageError
 from mast_zenoh.evaluation import Evaluation, RunData, ego_of
@@ -80,6 +81,8 @@ class Evaluator(Node):
         picture_age_s: float = 0.5,
         picture_ages_s: dict[str, float] | None = None,
         estimate_ages_s: dict[str, float] | None = None,
+        take_over_s: float = TAKE_OVER_S,
+        hold_s: float = HOLD_S,
         driving: Driving | None = None,
         metrics: tuple[Metric, ...] = (),
         attribution: AttributionLimits | None = None,
@@ -95,6 +98,8 @@ class Evaluator(Node):
             picture_age_s=picture_age_s,
             picture_ages_s=picture_ages_s or {},
             estimate_ages_s=estimate_ages_s or {},
+            take_over_s=take_over_s,
+            hold_s=hold_s,
             driving=driving or Driving(),
             metrics=metrics,
             attribution=attribution or AttributionLimits(),
@@ -232,6 +237,12 @@ class Evaluator(Node):
         for car, _ in route.ports:
             self.data.heard[car].see(_step(message), View(header.frame, header.time_ns, view_of(body)))
 
+    def take_command(self, message: Overheard, route: Route) -> None:
+        """Store that a command reached a driven car."""
+        message.check()
+        for car, _ in route.ports:
+            self.data.heard[car].obey(_step(message), message.header.frame)
+
     def take_route(self, message: Overheard, route: Route) -> None:
         """Store the lane ahead of a driven car, as the world sent it."""
         position, speed, stop = (message.body[name] for name in ("position", "speed", "stop"))
@@ -303,6 +314,8 @@ def routes(wiring: Wiring, agents: Sequence[str]) -> dict[str, Route]:
                     takes[leg.key] = "take_view"
         if wire.message == "trust" and wire.subject not in ("", ego_of(agents)):
             continue  # that of one centre, or one peer, is evaluated
+        if wire.message == "command" and (car := drivers.get(source.publisher.node)):
+            takes[wire.legs[-1].key], ports[wire.legs[-1].key] = "take_command", ((car, "command"),)
         if wire.message == "route" and wire.subject in drivers:
             takes[source.key], ports[source.key] = "take_route", ((drivers[wire.subject], "route"),)
         if wire.message in ("clock", "truth", "trust", "attack_report", "link_report", "reception"):

@@ -14,6 +14,7 @@ import numpy as np
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.geometry import quaternion_from_rotation
 from mast_zenoh.driving import Actuation, CarLimits, Command
+from mast_zenoh.driving.actuation import HOLD_S, TAKE_OVER_S
 from mast_zenoh.messages.schemas import text
 from mast_zenoh.node import Context, Received, Source
 from mast_zenoh.runtime.mesh.hosting import main
@@ -55,8 +56,8 @@ class WorldSimulator(Source):
         scene: Scene,
         frames: int,
         drivers: Mapping[str, str],
-        take_over_s: float = 1.0,
-        hold_s: float = 0.3,
+        take_over_s: float = TAKE_OVER_S,
+        hold_s: float = HOLD_S,
         braking: float = 3.0,
         limits: CarLimits | None = None,
     ) -> None:

@@ -6,6 +6,10 @@ from collections import Counter
 
 from mast_zenoh.driving.motion import CarLimits, Command
 
+#: s, until which a world's cars drive as in the prepared scene, and for which a car without commands goes on as it was
+#: told, if a scenario says nothing else.
+TAKE_OVER_S, HOLD_S = 1.0, 0.3
+
 
 class Actuation:
     """What one car does with the commands that it gets.

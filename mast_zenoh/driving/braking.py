@@ -44,6 +44,19 @@ class Belief(NamedTuple):
     adversary: np.ndarray
 
 
+class Commands(NamedTuple):
+    """What a car obeyed in f frames.
+
+    of: (f,) row of the frame whose command it obeyed until the next frame; -1: it had none, or was not driven yet
+    informed: (f,) whether its driver had an estimate
+    tampered: (f,) adversaries that changed its command of a frame, joined by "+"; "": none
+    """
+
+    of: Ints
+    informed: Bools
+    tampered: Sequence[str]
+
+
 class Brake(NamedTuple):
     """An uninterrupted time of braking: rows of frames in which it begins, is hardest for the first time, and ends."""
 
@@ -122,25 +135,32 @@ def causes(
     believed: InCorridor,
     belief: Belief,
     lines: Floats,
-    tampered: Sequence[str],
+    commands: Commands,
 ) -> list[dict[str, Any]]:
     """What made each brake needful: the "cause" of metrics.json, see `consequences.consequences`.
 
     From a brake's first frame to its hardest one, the object of the driver's estimate, or the line, that asks for the
-    hardest braking. Where an adversary changed the commands of these frames, no estimate explains them.
+    hardest braking: "real", "false", "line", or "none". Without a command in the hardest one it is "no command", and
+    "no estimate" if the driver had none when it gave that command. Where an adversary changed the commands of these
+    frames, no estimate explains them.
 
     believed: the objects that the driver believed in its corridor; belief: what each of its objects is, by row
-    lines: (f,) m/s^2, braking for lines; tampered: (f,) adversaries that changed the command of a frame, "": nobody
+    lines: (f,) m/s^2, braking for lines; commands: what the car obeyed
     """
     demanded = demanded_by_objects(believed)
     result = []
     for brake in brakes:
-        adversaries = sorted({name for name in tampered[brake.first : brake.hardest + 1] if name})
+        adversaries = sorted({name for name in commands.tampered[brake.first : brake.hardest + 1] if name})
+        obeyed = int(commands.of[brake.hardest])
         cause: dict[str, Any] = {"object": None, "kind": "none", "adversary": "+".join(adversaries) or None}
         rows = np.flatnonzero((believed.frame >= brake.first) & (believed.frame <= brake.hardest))
         line = float(lines[brake.first : brake.hardest + 1].max())
         hardest = float(demanded[rows].max(initial=0.0))
-        if not adversaries and max(line, hardest) >= _REASON_MPS2:
+        if obeyed < 0:
+            cause["kind"] = "no command"
+        elif not adversaries and not commands.informed[obeyed]:
+            cause["kind"] = "no estimate"
+        elif not adversaries and max(line, hardest) >= _REASON_MPS2:
             if line >= hardest:
                 cause["kind"] = "line"
             else:
@@ -172,12 +192,20 @@ def emergencies(truth: InCorridor, frames: int) -> Bools:
     return np.bincount(truth.frame[critical], minlength=frames) > 0
 
 
-def missed_brakes(demanded: Bools, acceleration: Floats, period_s: float) -> int:
-    """Emergencies during which a car did not brake although there was time to respond (that of `SafeDistance`).
+def missed_brakes(demanded: Bools, hit_ahead: Sequence[tuple[int, int]], acceleration: Floats, period_s: float) -> int:
+    """Emergencies and contacts with what is ahead before which a car did not brake although there was time to.
 
-    demanded: (f,) whether the truth demands emergency braking; acceleration: (f - 1,) m/s^2
+    demanded: (f,) whether the truth demands emergency braking: for longer than the response time of `SafeDistance`
+    hit_ahead: of each contact with what was ahead, the rows of frames between which it would have had to brake; one
+        that ends an emergency is the same miss
+    acceleration: (f - 1,) m/s^2
     """
     response = round(SafeDistance().response_s / period_s)
-    return sum(
-        end - first > response and not (acceleration[first:end] < -BRAKING_MPS2).any() for first, end in spans(demanded)
-    )
+    long = [(first, end) for first, end in spans(demanded) if end - first > response]
+    missed = [during for during in long if not _brakes_in(during, acceleration)]
+    slow = [before for before in hit_ahead if not _brakes_in(before, acceleration)]
+    return len(missed) + sum(not any(first <= at and end >= start for first, end in missed) for start, at in slow)
+
+
+def _brakes_in(during: tuple[int, int], acceleration: Floats) -> bool:
+    return bool((acceleration[slice(*during)] < -BRAKING_MPS2).any())

@@ -12,7 +12,7 @@ import numpy as np
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.driving import braking
-from mast_zenoh.driving.braking import Belief, spans
+from mast_zenoh.driving.braking import Belief, Commands, spans
 from mast_zenoh.driving.comfort import HARD_BRAKING_MPS2, uncomfortable
 from mast_zenoh.driving.contact import collisions, post_encroachment_s
 from mast_zenoh.driving.corridor import InCorridor, crossing, in_corridor, joined, needed_braking
@@ -26,7 +26,8 @@ from mast_zenoh.metrics.driving import STANDING_MPS, Driving, Objects, SafeDista
 NEAR_MISS_TTC_S, NEAR_MISS_BRAKING_MPS2 = 3.0, 3.0
 #: m; who stands so near to what is ahead, or to a line, waits for it.
 _WAITING_M = 5.0
-#: s; a collision is with a hidden object if the driver did not know it for most of this time before.
+#: s; a collision is with a hidden object if for most of this time before its driver did not know what the car's
+#: sensors had, and with one ahead if it was in the corridor then.
 _BEFORE_CONTACT_S = 1.0
 #: s, over which derivatives of accelerations are smoothed, as by nuPlan.
 _SMOOTHED_S = 1.5
@@ -41,7 +42,7 @@ class DrivenCar:
     frames:     (f,) numbers of the frames; times_s: (f,) s; period_s: s between two frames
     routes:     of the car, by row of the frames
     believed:   m objects that the driver believed in, ascending by frame; belief: what they are
-    tampered:   (f,) adversaries that changed the car's command of a frame, joined by "+"; "": none
+    commands:   what the car obeyed
     look:       how far and how wide the corridor of the car is
     """
 
@@ -56,7 +57,7 @@ class DrivenCar:
     routes: Mapping[int, RouteAhead]
     believed: Objects
     belief: Belief
-    tampered: Sequence[str]
+    commands: Commands
     look: Driving
 
     @cached_property
@@ -91,19 +92,20 @@ def consequences(driven: DrivenCar) -> dict[str, Any]:
     "collisions": for each object the first frame of contact, the relative speed, and whether it was hidden from the
     driver though the car's own sensors had it; "near_misses": objects that were not hit; "min_ttc_s", "min_gap_m"
     (None: nothing was ever approached, or ahead), "min_pet_s" (None: nothing crossed its way), "max_drac_mps2";
-    "rss_unsafe_s"; "brakes", each with its cause: the object (a real
-    one's id, a false track's id), its kind ("real", "false", "line", "none") and the adversary; "needless_brakes",
+    "rss_unsafe_s"; "brakes", each with its cause: the object (a real one's id, a false track's id), its kind (see
+    `braking.causes`) and the adversary; "needless_brakes",
     "missed_brakes", "hard_brakes"; "hardest_braking_mps2", "jerk_max_mps3"; "uncomfortable_s" by bound of COMFORT;
     "progress_m"; "stops", "standing_s", "blocked_s"; and "behind", the traffic in its lane behind it.
     """
     car, period, truth = driven.car, driven.period_s, driven.truth
     speed, acceleration = driven.speed, driven.acceleration
     hit = collisions(car, driven.objects)
+    contacts = _contacts(driven, hit)
     emergencies = braking.emergencies(truth, len(speed))
     brakes = _brakes(driven)
     standing = speed <= STANDING_MPS
     return {
-        "collisions": _contacts(driven, hit),
+        "collisions": contacts,
         "near_misses": len(set(driven.ids[truth.row[_near_miss(truth)]].tolist()) - set(driven.ids[hit].tolist())),
         "min_gap_m": _finite(truth.gap_m.min(initial=np.inf)),
         "min_ttc_s": _finite(truth.ttc_s.min(initial=np.inf)),
@@ -114,7 +116,7 @@ def consequences(driven: DrivenCar) -> dict[str, Any]:
         "rss_unsafe_s": _below_safe_distance(driven.look, truth) * period,
         "brakes": brakes,
         "needless_brakes": sum(brake["needless"] for brake in brakes),
-        "missed_brakes": braking.missed_brakes(emergencies, acceleration, period),
+        "missed_brakes": braking.missed_brakes(emergencies, _hit_ahead(driven, contacts), acceleration, period),
         "hard_brakes": len(spans(acceleration < -HARD_BRAKING_MPS2)),
         "hardest_braking_mps2": float(abs(acceleration.min(initial=0.0))),
         "jerk_max_mps3": float(np.abs(np.diff(acceleration)).max(initial=0.0) / period),
@@ -162,11 +164,23 @@ def _contacts(driven: DrivenCar, hit: Ints) -> list[dict[str, Any]]:
         frame = driven.objects.frame[row]
         relative = driven.objects.velocity[row, :2] - driven.car.velocity[frame, :2]
         near = (driven.ids == number) & (driven.objects.frame < frame) & (driven.objects.frame >= frame - before)
-        seen = near & driven.seen
-        hidden = np.count_nonzero(seen & ~driven.known) > 0.5 * np.count_nonzero(seen)
+        hidden = np.count_nonzero(near & driven.seen & ~driven.known) > 0.5 * min(before, frame)
         contact = {"object": number, "frame": int(driven.frames[frame]), "speed_mps": float(np.hypot(*relative))}
         contacts.append(contact | {"hidden": bool(hidden)})
     return contacts
+
+
+def _hit_ahead(driven: DrivenCar, contacts: Sequence[Mapping[str, Any]]) -> list[tuple[int, int]]:
+    """The time before each contact with what was ahead: row of its first frame, and that of the contact."""
+    truth, before = driven.truth, round(_BEFORE_CONTACT_S / driven.period_s)
+    result = []
+    for contact in contacts:
+        end = int(driven.frames.searchsorted(contact["frame"]))
+        first = max(end - before, 0)
+        same = driven.ids[truth.row] == contact["object"]
+        if (same & (truth.frame >= first) & (truth.frame < end)).any():
+            result.append((first, end))
+    return result
 
 
 def _near_miss(truth: InCorridor) -> Bools:
@@ -187,7 +201,7 @@ def _brakes(driven: DrivenCar) -> list[dict[str, Any]]:
     lines, road = braking.demanded_by_lines(speed, driven.routes), braking.demanded_by_road(speed, driven.routes)
     truth, believed = _met(driven, driven.objects, driven.truth), _met(driven, driven.believed)
     real = braking.hardest_per_frame(truth, braking.demanded_by_objects(truth), len(speed))
-    causes = braking.causes(brakes, believed, driven.belief, lines, driven.tampered)
+    causes = braking.causes(brakes, believed, driven.belief, lines, driven.commands)
     needless = braking.needless(brakes, np.max([lines, road, real], axis=0), driven.period_s)
     return [
         {

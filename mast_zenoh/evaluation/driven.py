@@ -11,7 +11,7 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.driving import driver
-from mast_zenoh.driving.braking import Belief
+from mast_zenoh.driving.braking import Belief, Commands
 from mast_zenoh.driving.consequences import DrivenCar, consequences, course
 from mast_zenoh.driving.motion import RouteAhead
 from mast_zenoh.driving.veto import upheld
@@ -69,12 +69,14 @@ class Heard:
 
     ports: on which it receives estimates and views; estimates: by port, those that arrived in each frame of the run
     views: by frame of arrival; routes: by frame
+    commands: by frame of arrival at the car, the newest frame that one of them is of
     """
 
     ports: set[str] = field(default_factory=set)
     estimates: dict[str, dict[int, Arrival]] = field(default_factory=lambda: defaultdict(dict))
     views: dict[int, View] = field(default_factory=dict)
     routes: dict[int, RouteAhead] = field(default_factory=dict)
+    commands: dict[int, int] = field(default_factory=dict)
 
     def add(self, port: str, step: int, arrival: Arrival) -> None:
         """Store an estimate that arrived in a frame of the run; of several the newest counts, as for the driver."""
@@ -83,6 +85,11 @@ class Heard:
     def see(self, step: int, view: View) -> None:
         """Store a view that arrived in a frame of the run, as estimates are."""
         _keep_newest(self.views, step, view)
+
+    def obey(self, step: int, frame: int) -> None:
+        """Store that a command of a frame reached the car in a frame of the run; the car refuses one of the future."""
+        if frame <= step:
+            self.commands[step] = max(frame, self.commands.get(step, frame))
 
     @property
     def has_veto(self) -> bool:
@@ -109,10 +116,14 @@ def _held(arrivals: Mapping[int, Dated], frames: Sequence[int]) -> Iterator[tupl
 
 
 class _Believed(NamedTuple):
-    """n objects that a driver believed in: where they are in each frame, their tracks, and what they are."""
+    """n objects that a driver believed in: where they are in each frame, their tracks, and what they are.
+
+    informed: (f,) whether the driver had an estimate
+    """
 
     objects: Objects
     belief: Belief
+    informed: Bools
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +131,7 @@ class DrivenCars:
     """The driven cars of a run.
 
     heard: by car;  ages_s: s, by car, the greatest age of an estimate that its driver uses, where it is not the default
+    take_over, hold: frames, from which on, and for how many, the cars obey a command
     period_s: s, of a frame
     look:  the settings of the corridor
     """
@@ -131,6 +143,8 @@ class DrivenCars:
     roles: Mapping[str, str]
     heard: Mapping[str, Heard]
     ages_s: Mapping[str, float]
+    take_over: int
+    hold: int
     times_ns: Mapping[int, int]
     period_s: float
     min_points: int
@@ -171,7 +185,7 @@ class DrivenCars:
                 routes={row_of[frame]: route for frame, route in sorted(heard.routes.items()) if frame in row_of},
                 believed=believed.objects,
                 belief=believed.belief,
-                tampered=self._tampered(car),
+                commands=Commands(self._obeyed(heard), believed.informed, self._tampered(car)),
                 look=self.look,
             )
         return result
@@ -184,7 +198,9 @@ class DrivenCars:
         rows = self.scores.every_series
         frame, about, series = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
         position, parts = [np.zeros((0, 3))], [Snapshot.of(ObjectStates.empty())]
+        informed = np.zeros(len(self.scores.frames), np.bool_)
         for row, held in self._used(car, heard):
+            informed[row] = True
             for arrival, places, counts in held:
                 number = -2 if arrival.estimate == TRUTH else rows.get((car, arrival.estimate), -1)
                 parts.append(Snapshot._make(column[counts] for column in arrival.objects))
@@ -193,7 +209,7 @@ class DrivenCars:
                     columns.append(np.full(len(position[-1]), value))
         objects = Snapshot(*(np.concatenate(column) for column in zip(*parts, strict=True)))
         moved = Objects(np.concatenate(frame), np.concatenate(position), objects.velocity, objects.size, objects.yaw)
-        return _Believed(moved, self._belief(objects, np.concatenate(about), np.concatenate(series)))
+        return _Believed(moved, self._belief(objects, np.concatenate(about), np.concatenate(series)), informed)
 
     def _used(self, car: str, heard: Heard) -> Iterator[tuple[int, list[tuple[Arrival, Floats, Bools]]]]:
         """Yield (row, estimates) for each frame in which the driver of a car had estimates to drive by.
@@ -243,6 +259,22 @@ class DrivenCars:
         attacked[attacked] = np.isin(labels.cause[row[attacked]], range(len(ATTACK_CAUSES)))
         adversary[attacked] = labels.by[row[attacked]]
         return Belief(objects.id, real, adversary)
+
+    def _obeyed(self, heard: Heard) -> Ints:
+        """By row of the frames, the row of the frame whose command the car obeys until the next one; -1: none.
+
+        As `driving.Actuation` does: the newest that has arrived, if it is not too old.
+        """
+        numbers = self.scores.frames.tolist()
+        row_of = {frame: row for row, frame in enumerate(numbers)}
+        waiting, newest = deque(sorted(heard.commands.items())), -1
+        obeyed = np.full(len(numbers), -1)
+        for row, frame in enumerate(numbers):
+            while waiting and waiting[0][0] <= frame:
+                newest = max(newest, waiting.popleft()[1])
+            if frame >= self.take_over and 0 <= frame - newest <= self.hold:
+                obeyed[row] = row_of.get(newest, -1)
+        return obeyed
 
     def _tampered(self, car: str) -> list[str]:
         """By row of the frames, the adversaries that changed the car's command, joined by "+"."""

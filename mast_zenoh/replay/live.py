@@ -25,7 +25,10 @@ _SEVERAL: Mapping[str, str] = {"agents": "agent", "adversaries": "adversary"}
 #: Parts of a scenario file that a replay uses; the others describe what is recorded.
 _OF_FILE = ("broker", "command_center", "evaluator", "agents")
 #: Parameters of nodes that describe the recorded scene rather than the scenario.
-_OF_SCENE = ("agents", "picture_ages_s", "estimate_ages_s", "faults", "lidar", "mobile", "acts", "input_limit")
+_OF_SCENE = (
+    *("agents", "picture_ages_s", "estimate_ages_s", "take_over_s", "hold_s"),
+    *("faults", "lidar", "mobile", "acts", "input_limit"),
+)
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from mast_zenoh.errors import NotComparable
 from mast_zenoh.viewer.run import RunRecord
 
 #: Settings of the evaluator that do not change how two runs are scored: users' metrics, which only add rows, and what
-#: describes the experiment itself (its faults, and how long its agents use a picture).
-_NOT_OF_SCORING = ("agents", "metrics", "faults", "picture_ages_s", "estimate_ages_s")
+#: describes the experiment itself (its faults, how long its agents use a picture, and when its world obeys drivers).
+_NOT_OF_SCORING = ("agents", "metrics", "faults", "picture_ages_s", "estimate_ages_s", "take_over_s", "hold_s")
 
 
 @dataclass(frozen=True, eq=False)

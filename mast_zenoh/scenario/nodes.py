@@ -107,6 +107,8 @@ def nodes_of(
     drivers = [spec.config for spec in specs.values() if spec.role == "driver" and "estimate_age_s" in spec.config]
     if drivers:
         ages_option["estimate_ages_s"] = {config["agent"]: config["estimate_age_s"] for config in drivers}
+    world = scenario.get("world", {})
+    ages_option |= {name: world[name] for name in ("take_over_s", "hold_s") if name in world}
     add("evaluator", "evaluator", {"agents": agents, **ages_option, **evaluator})
     for name, config in _checked_configs(scenario.get("nodes", {}), f"{path}: nodes"):
         add(name, str(config.get("role", "")), config)

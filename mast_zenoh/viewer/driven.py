@@ -86,6 +86,10 @@ def reason_of(brake: Mapping[str, Any]) -> str:
         return f"for an object that is not there (track {cause['object']}{shown})"
     if cause["kind"] == "line":
         return "before a line"
+    if cause["kind"] == "no command":
+        return "because it had no command" + (f", withheld by {adversary}" if adversary else "")
+    if cause["kind"] == "no estimate":
+        return "because it had no estimate"
     if adversary:
         return f"because {adversary} changed its commands"
     return "for nothing that it believed" if brake.get("needless") else "for the road ahead"

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mast_zenoh.driving.braking import Belief, brakes_of, missed_brakes, spans
+from mast_zenoh.driving.braking import Belief, Commands, brakes_of, missed_brakes, spans
 from mast_zenoh.driving.consequences import consequences
 from mast_zenoh.driving.corridor import crossing, in_corridor
 from mast_zenoh.metrics.driving import Driving, Objects
@@ -36,6 +36,12 @@ def brakes(believed: Objects, real: int, adversary: str = "", there: Objects | N
     belief = Belief(np.full(n, 5), np.full(n, real), np.full(n, adversary, object))
     facts = dict(believed=believed, belief=belief, **known)
     return consequences(driven(car(x, speed), there, [7] * len(there.frame), **facts))["brakes"]
+
+
+def obeyed(of: int | None = None, informed: bool = True, tampered: str = "") -> Commands:
+    """The commands of all frames: of the same frame, or `of`."""
+    rows = np.arange(FRAMES) if of is None else np.full(FRAMES, of)
+    return Commands(rows, np.full(FRAMES, informed), [tampered] * FRAMES)
 
 
 def test_a_brake_for_a_false_object_is_needless_and_names_its_adversary() -> None:
@@ -97,8 +103,32 @@ def test_a_brake_before_a_bend_is_needful_and_has_no_object() -> None:
 
 
 def test_a_brake_by_a_changed_command_is_the_adversarys_whatever_the_driver_believed() -> None:
-    (brake,) = brakes(ahead(30.0), real=7, tampered=["seizer"] * FRAMES)
+    (brake,) = brakes(ahead(30.0), real=7, commands=obeyed(tampered="seizer"))
     assert brake["cause"] == {"object": None, "kind": "none", "adversary": "seizer"}
+
+
+def test_a_brake_without_a_command_is_nobodys_whatever_the_driver_believed() -> None:
+    (brake,) = brakes(ahead(30.0), real=7, commands=obeyed(of=-1))
+    assert brake["cause"] == {"object": None, "kind": "no command", "adversary": None}
+
+
+def test_commands_that_an_adversary_withholds_are_its_work() -> None:
+    (brake,) = brakes(ahead(30.0), real=7, commands=obeyed(of=-1, tampered="seizer"))
+    assert brake["cause"] == {"object": None, "kind": "no command", "adversary": "seizer"}
+
+
+def test_a_brake_of_a_driver_without_an_estimate_is_for_no_object_and_no_line() -> None:
+    (brake,) = brakes(objects([]), real=-1, commands=obeyed(informed=False))
+    assert brake["cause"] == {"object": None, "kind": "no estimate", "adversary": None}
+
+
+def test_what_counts_is_the_estimate_of_the_command_that_the_car_obeyed() -> None:
+    """The car brakes in frame 10 by the command of frame 8."""
+    informed = np.ones(FRAMES, bool)
+    for row, kind in [(8, "no estimate"), (10, "real")]:
+        late = Commands(np.arange(FRAMES) - 2, np.where(np.arange(FRAMES) == row, False, informed), [""] * FRAMES)
+        (brake,) = brakes(ahead(30.0), real=7, commands=late)
+        assert brake["cause"]["kind"] == kind
 
 
 def test_slowing_down_without_the_brake_light_is_no_brake() -> None:
@@ -128,9 +158,26 @@ def test_spans_are_those_of_a_plain_loop() -> None:
 def test_a_brake_is_missed_if_an_emergency_lasts_and_the_car_does_not_brake() -> None:
     """RSS gives the car 0.5 s to respond."""
     long, short = np.arange(20) < 8, np.arange(20) < 5
-    assert missed_brakes(long, np.zeros(19), 0.1) == 1
-    assert missed_brakes(short, np.zeros(19), 0.1) == 0
-    assert missed_brakes(long, np.full(19, -9.0), 0.1) == 0
+    assert missed_brakes(long, [], np.zeros(19), 0.1) == 1
+    assert missed_brakes(short, [], np.zeros(19), 0.1) == 0
+    assert missed_brakes(long, [], np.full(19, -9.0), 0.1) == 0
+
+
+@pytest.mark.parametrize("speed", [1.0, 2.0, 3.0, 3.5, 4.0, 8.0])
+def test_a_car_that_drives_into_a_standing_one_without_braking_misses_one_brake_at_any_speed(speed: float) -> None:
+    x = (0.1 * speed * np.arange(60)).tolist()
+    there = ahead(x[40] + 2.25 + 2.0, range(60))
+    found = consequences(driven(car(x, [speed] * 60), there, [7] * 60))
+    assert (found["missed_brakes"], len(found["collisions"])) == (1, 1)
+
+
+def test_a_car_that_is_hit_from_behind_or_that_brakes_before_it_hits_what_is_ahead_misses_none() -> None:
+    behind = objects([(row, -8.0 + 0.2 * row, 0.0, 0.0) for row in range(FRAMES)])
+    found = consequences(driven(car([0.0] * FRAMES, [0.0] * FRAMES), behind, [7] * FRAMES))
+    assert (found["missed_brakes"], len(found["collisions"])) == (0, 1)
+    x, speed = braking(10)
+    found = consequences(driven(car(x, speed), ahead(20.0), [7] * FRAMES))
+    assert (found["missed_brakes"], len(found["collisions"])) == (0, 1)
 
 
 def test_an_emergency_is_contact_within_a_second_and_a_half() -> None:

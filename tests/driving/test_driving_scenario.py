@@ -126,3 +126,10 @@ def test_a_driver_that_believes_its_car_can_do_more_than_it_can_is_refused(world
         ConfigurationError, match=r"drivers\.ego\.limits\.braking: found 9(\.5)?, expected at most [59],"
     ):
         limits_of_driver(world, dict(limits=limits))
+
+
+def test_commands_are_judged_by_how_long_the_world_holds_them() -> None:
+    content = content_of() | {"world": {"hold_s": 0.7}}
+    resolved = scenario.resolve(scenario.load("driving")[0], content, seed=0, frames=20)
+    assert resolved.nodes["evaluator"].config["hold_s"] == 0.7
+    assert "take_over_s" not in resolved.nodes["evaluator"].config

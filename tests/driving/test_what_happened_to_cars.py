@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import savgol_filter
 
-from mast_zenoh.driving.braking import Belief
+from mast_zenoh.driving.braking import Belief, Commands
 from mast_zenoh.driving.comfort import HARD_BRAKING_MPS2
 from mast_zenoh.driving.consequences import DrivenCar, consequences, uncomfortable_s
 from mast_zenoh.driving.contact import collisions
@@ -137,7 +137,7 @@ def driven(own: Vehicle, others: Objects, ids: list[int], **known: object) -> Dr
             routes={row: straight(x) for row, x in enumerate(own.position[:, 0].tolist())},
             believed=others,
             belief=Belief(numbers, numbers, np.full(len(ids), "", object)),
-            tampered=[""] * n,
+            commands=Commands(np.arange(n), np.ones(n, bool), [""] * n),
             look=Driving(),
         ),
         **known,
@@ -162,6 +162,17 @@ def test_an_object_was_hidden_if_the_car_saw_it_and_its_driver_did_not_know_it()
         facts = dict(seen=np.full(4, bool(seen)), known=np.full(4, bool(known)))
         (contact,) = of(own, rows, [7] * 4, **facts)["collisions"]
         assert contact["hidden"] is hidden
+
+
+@pytest.mark.parametrize(("frames_seen", "hidden"), [(1, False), (5, False), (6, True), (9, True)])
+def test_an_object_was_hidden_only_if_the_car_saw_it_for_most_of_the_second_before(
+    frames_seen: int, hidden: bool
+) -> None:
+    own = car([float(row) for row in range(14)], [10.0] * 14)
+    rows = objects([(row, 14.5, 0.0, 0.0) for row in range(14)])
+    seen = np.arange(14) >= 11 - frames_seen
+    (contact,) = of(own, rows, [7] * 14, seen=seen, known=np.zeros(14, bool))["collisions"]
+    assert (contact["frame"], contact["hidden"]) == (10 + 11, hidden)
 
 
 def test_hard_braking_counts_by_episode_and_its_extremes_are_those_of_plain_differences() -> None:

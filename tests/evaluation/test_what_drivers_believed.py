@@ -48,7 +48,15 @@ def around(x: float, free_m: float) -> SweptView:
     return SweptView(SensorView(np.array([x, 0.0, 2.0]), np.eye(3), *limits), np.full((8, 120), free_m))
 
 
-def happened(*, own: tuple[float, ...] = (), free_m: float | None = None, veto: bool = True) -> dict[str, Any]:
+def happened(
+    *,
+    own: tuple[float, ...] = (),
+    free_m: float | None = None,
+    veto: bool = True,
+    commands_until: int = FRAMES,
+    estimates_until: int = FRAMES,
+    **settings: Any,
+) -> dict[str, Any]:
     """What happened to the ego, whose mission estimate has a ghost. own: m, places of its own tracks"""
     data = RunData(Record(("ego",)))
     received = Heard(ports={"safety", "mission", "view"} if veto else {"mission"})
@@ -63,13 +71,14 @@ def happened(*, own: tuple[float, ...] = (), free_m: float | None = None, veto: 
         for port, name in (("safety", "local"), ("mission", "mission")):
             snapshot = Snapshot.of(estimates[port])
             data.record.add(frame, [Series("ego", name)], snapshot, frame, time_ns)
-            if port in received.ports:
+            if port in received.ports and frame < estimates_until:
                 received.add(port, frame, Arrival(frame, time_ns, name, snapshot))
+        if frame < commands_until:
+            received.obey(frame, frame)
         if free_m is not None:
             received.see(frame, View(frame, time_ns, around(float(x), free_m)))
-    return Evaluation(scorer=Scorer(), skip_first=0, skip_last=0, picture_age_s=0.5).of(data)["metrics"]["driven"][
-        "ego"
-    ]
+    evaluation = Evaluation(scorer=Scorer(), skip_first=0, skip_last=0, picture_age_s=0.5, **settings)
+    return evaluation.of(data)["metrics"]["driven"]["ego"]
 
 
 def cause(**facts: Any) -> dict[str, Any]:
@@ -89,3 +98,22 @@ def test_a_ghost_that_own_sensors_do_not_refute_is_believed_in_spite_of_a_veto(f
 
 def test_an_own_track_is_believed_in_any_case() -> None:
     assert cause(own=(PLACE,), free_m=90.0)["kind"] == "false"
+
+
+def test_a_car_that_gets_no_commands_brakes_for_want_of_them_once_it_no_longer_holds_the_last_one() -> None:
+    for until, hold_s, kind in [
+        (BRAKES - 3, 0.3, "no command"),
+        (BRAKES - 3, 0.4, "false"),
+        (BRAKES + 1, 0.3, "false"),
+    ]:
+        assert cause(veto=False, commands_until=until, hold_s=hold_s)["kind"] == kind
+
+
+def test_a_brake_before_drivers_take_over_is_not_theirs() -> None:
+    assert cause(veto=False, take_over_s=2.0)["kind"] == "no command"
+
+
+def test_a_driver_whose_estimate_is_too_old_brakes_for_want_of_one() -> None:
+    """The newest is of frame 5, so it is too old from frame 11 on."""
+    assert cause(veto=False, estimates_until=6)["kind"] == "no estimate"
+    assert cause(veto=False, estimates_until=6, estimate_ages_s={"ego": 0.8})["kind"] == "false"

@@ -111,12 +111,38 @@ def test_collisions_are_named_first_and_counted_for_the_other_run(both: tuple[Ru
     ]
 
 
+def test_of_many_cars_the_ego_and_those_that_hit_something_are_described_and_the_others_summed_up(
+    both: tuple[RunRecord, Reference],
+) -> None:
+    run, _ = both
+    hit = {"object": 9, "frame": 33, "speed_mps": 2.34, "hidden": False}
+    cars = {f"mobile_{number}": happened(progress_m=100.0) for number in range(1, 18)}
+    cars["mobile_4"] = happened(progress_m=100.0, needless_brakes=9)
+    cars["mobile_9"] = happened(progress_m=50.0, collisions=[hit])
+    run.metrics["driven"] = cars | {"ego": happened()}
+    assert car_sentences(run) == [
+        "The ego drives 93 m and stands for 0.0 s",
+        "mobile_9 hits object 9 in frame 33 (2.3 m/s between them)",
+        "mobile_9 drives 50 m and stands for 0.0 s",
+        "16 other cars drive 1,600 m, brake needlessly 9 times and hit nothing",
+    ]
+    for number in (1, 2, 3):
+        cars[f"mobile_{number}"] = cars["mobile_9"]
+    run.metrics["driven"] = cars
+    *_, standing, sums = car_sentences(run)
+    assert standing == "mobile_3 drives 50 m and stands for 0.0 s"
+    assert sums == "14 other cars drive 1,350 m, brake needlessly 9 times and hit 1 object"
+
+
 @pytest.mark.parametrize(
     ("kind", "adversary", "needless", "words"),
     [
         ("real", None, False, "for object 28"),
         ("false", None, True, "for an object that is not there (track 28)"),
         ("line", None, False, "before a line"),
+        ("no command", None, True, "because it had no command"),
+        ("no command", "seizer", True, "because it had no command, withheld by seizer"),
+        ("no estimate", None, True, "because it had no estimate"),
         ("none", "seizer", True, "because seizer changed its commands"),
         ("none", None, True, "for nothing that it believed"),
         ("none", None, False, "for the road ahead"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from mast_zenoh.report.comparison import Reference
@@ -14,24 +14,46 @@ from mast_zenoh.viewer.run import RunRecord
 _WAY_M, _STANDING_S = 1.0, 0.2
 #: Brakes and collisions that are named; more are counted.
 _MOST_NAMED = 3
+#: Cars that are described in full; of more, those that matter least are summed up.
+_MOST_CARS = 3
 
 
 def car_sentences(run: RunRecord, reference: Reference | None = None) -> list[str]:
     """For each driven car, its collisions, its notable brakes and why, and how far it came; without full stops.
 
+    Of more than _MOST_CARS cars, those other than the ego that hit nothing are summed up in one sentence.
+
     reference: the run that it is compared with, such as its unattacked twin
     """
     others: Mapping[str, Any] = reference.run.metrics.get("driven", {}) if reference is not None else {}
+    name = reference.name if reference is not None else ""
+    cars: Mapping[str, Any] = run.metrics.get("driven", {})
+    full = list(cars)
+    if len(full) > _MOST_CARS:
+        notable = [car for car in cars if car == run.ego or cars[car]["collisions"]]
+        full = sorted(notable, key=lambda car: car != run.ego)[:_MOST_CARS]
     sentences = []
-    for car, happened in run.metrics.get("driven", {}).items():
-        other = others.get(car)
-        name = reference.name if reference is not None else ""
+    for car in full:
+        happened, other = cars[car], others.get(car)
         subject = "The ego" if car == run.ego == "ego" else car
         texts = (*_collisions(happened), *_brakes(happened), _progress(happened, other, name))
         sentences += [f"{subject} {text}" for text in texts]
         if other is not None and len(other["collisions"]) != len(happened["collisions"]):
             sentences.append(f"{name}: {plural(len(other['collisions']), 'collision')}")
+    if len(full) < len(cars):
+        sentences.append(_sums([cars[car] for car in cars if car not in full], "other car" if full else "car"))
     return sentences
+
+
+def _sums(cars: Sequence[Mapping[str, Any]], noun: str) -> str:
+    """What happened to several cars together."""
+    way = sum(happened["progress_m"] for happened in cars)
+    needless = sum(happened["needless_brakes"] for happened in cars)
+    hits = sum(len(happened["collisions"]) for happened in cars)
+    drive, brake, hit = ("drives", "brakes", "hits") if len(cars) == 1 else ("drive", "brake", "hit")
+    braking = f", {brake} needlessly {plural(needless, 'time')}" if needless else ""
+    ending = f" and {hit} {plural(hits, 'object') if hits else 'nothing'}"
+    return f"{plural(len(cars), noun)} {drive} {way:,.0f} m{braking}{ending}"
 
 
 def _collisions(happened: Mapping[str, Any]) -> list[str]:
