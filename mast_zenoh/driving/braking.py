@@ -49,7 +49,7 @@ class Commands(NamedTuple):
 
     of: (f,) row of the frame whose command it obeyed until the next frame; -1: it had none, or was not driven yet
     informed: (f,) whether its driver had an estimate
-    tampered: (f,) adversaries that changed its command of a frame, joined by "+"; "": none
+    tampered: (f,) adversaries that changed that command, or without one that of the frame, joined by "+"; "": none
     """
 
     of: Ints
@@ -139,10 +139,10 @@ def causes(
 ) -> list[dict[str, Any]]:
     """What made each brake needful: the "cause" of metrics.json, see `consequences.consequences`.
 
-    From a brake's first frame to its hardest one, the object of the driver's estimate, or the line, that asks for the
-    hardest braking: "real", "false", "line", or "none". Without a command in the hardest one it is "no command", and
-    "no estimate" if the driver had none when it gave that command. Where an adversary changed the commands of these
-    frames, no estimate explains them.
+    In the frames whose commands the car obeys from a brake's first frame to its hardest one, the object of the driver's
+    estimate, or the line, that asks for the hardest braking: "real", "false", "line", or "none". Without a command in
+    the hardest one it is "no command", and "no estimate" if the driver had none when it gave that command. Where an
+    adversary changed the commands of these frames, no estimate explains them.
 
     believed: the objects that the driver believed in its corridor; belief: what each of its objects is, by row
     lines: (f,) m/s^2, braking for lines; commands: what the car obeyed
@@ -151,10 +151,10 @@ def causes(
     result = []
     for brake in brakes:
         adversaries = sorted({name for name in commands.tampered[brake.first : brake.hardest + 1] if name})
-        obeyed = int(commands.of[brake.hardest])
+        obeyed, decided = int(commands.of[brake.hardest]), commands.of[brake.first : brake.hardest + 1]
         cause: dict[str, Any] = {"object": None, "kind": "none", "adversary": "+".join(adversaries) or None}
-        rows = np.flatnonzero((believed.frame >= brake.first) & (believed.frame <= brake.hardest))
-        line = float(lines[brake.first : brake.hardest + 1].max())
+        rows = np.flatnonzero(np.isin(believed.frame, decided))
+        line = float(lines[decided[decided >= 0]].max(initial=0.0))
         hardest = float(demanded[rows].max(initial=0.0))
         if obeyed < 0:
             cause["kind"] = "no command"

@@ -221,6 +221,7 @@ def _met(driven: DrivenCar, objects: Objects, ahead: InCorridor | None = None) -
     ahead: the objects in its corridor, if they are known
     """
     rows = braking.around(driven.brakes, driven.period_s)
+    rows = sorted({*rows, *driven.commands.of[rows].tolist()})  # in these, too, it was decided
     routes = {row: driven.routes[row] for row in rows if row in driven.routes}
     if ahead is None:
         ahead = in_corridor(driven.car, driven.routes, objects, driven.look)

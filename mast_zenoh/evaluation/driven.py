@@ -10,12 +10,12 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
-from mast_zenoh.driving import driver
+from mast_zenoh.driving import Actuation, CarLimits, Command, driver
 from mast_zenoh.driving.braking import Belief, Commands
 from mast_zenoh.driving.consequences import DrivenCar, consequences, course
 from mast_zenoh.driving.motion import RouteAhead
 from mast_zenoh.driving.veto import upheld
-from mast_zenoh.effects import Effects
+from mast_zenoh.effects import CODE, Effects
 from mast_zenoh.gather import LatestBefore
 from mast_zenoh.integrity.base import ClusterBoxes
 from mast_zenoh.integrity.views import SweptView
@@ -30,6 +30,8 @@ from mast_zenoh.metrics.scores import FALSE, MATCHED
 
 #: m; an object that is nearer to a real one is that one, where the scores do not tell.
 _SAME_M = 2.0
+#: Effects on commands that change none of those that a car obeys.
+_UNCHANGED = ("repeated", "unsettled")
 
 
 class Arrival(NamedTuple):
@@ -69,14 +71,14 @@ class Heard:
 
     ports: on which it receives estimates and views; estimates: by port, those that arrived in each frame of the run
     views: by frame of arrival; routes: by frame
-    commands: by frame of arrival at the car, the newest frame that one of them is of
+    commands: as they reached the car: the frame of arrival, and the command and its frame
     """
 
     ports: set[str] = field(default_factory=set)
     estimates: dict[str, dict[int, Arrival]] = field(default_factory=lambda: defaultdict(dict))
     views: dict[int, View] = field(default_factory=dict)
     routes: dict[int, RouteAhead] = field(default_factory=dict)
-    commands: dict[int, int] = field(default_factory=dict)
+    commands: list[tuple[int, int, Command]] = field(default_factory=list)
 
     def add(self, port: str, step: int, arrival: Arrival) -> None:
         """Store an estimate that arrived in a frame of the run; of several the newest counts, as for the driver."""
@@ -86,10 +88,9 @@ class Heard:
         """Store a view that arrived in a frame of the run, as estimates are."""
         _keep_newest(self.views, step, view)
 
-    def obey(self, step: int, frame: int) -> None:
-        """Store that a command of a frame reached the car in a frame of the run; the car refuses one of the future."""
-        if frame <= step:
-            self.commands[step] = max(frame, self.commands.get(step, frame))
+    def obey(self, step: int, frame: int, command: Command) -> None:
+        """Store a command of a frame that reached the car in a frame of the run."""
+        self.commands.append((step, frame, command))
 
     @property
     def has_veto(self) -> bool:
@@ -131,7 +132,7 @@ class DrivenCars:
     """The driven cars of a run.
 
     heard: by car;  ages_s: s, by car, the greatest age of an estimate that its driver uses, where it is not the default
-    take_over, hold: frames, from which on, and for how many, the cars obey a command
+    take_over, hold: frames, from which on, and for how many, the cars obey a command; limits: what they can do
     period_s: s, of a frame
     look:  the settings of the corridor
     """
@@ -145,6 +146,7 @@ class DrivenCars:
     ages_s: Mapping[str, float]
     take_over: int
     hold: int
+    limits: CarLimits
     times_ns: Mapping[int, int]
     period_s: float
     min_points: int
@@ -169,7 +171,8 @@ class DrivenCars:
             if car not in self.heard:
                 continue
             heard, column = self.heard[car], self.record.agents.index(car)
-            believed = self._believed(car, heard)
+            believed, obeyed = self._believed(car, heard), self._obeyed(heard)
+            of = np.array([row_of.get(frame, -1) for frame in obeyed])
             others = truth.boxes.id != truth.agent_object[truth.boxes.group, column]
             places = Places(believed.objects.frame, believed.objects.position)
             known = nearest(Places(objects.frame, objects.position), places, _SAME_M)[0] >= 0
@@ -185,7 +188,7 @@ class DrivenCars:
                 routes={row_of[frame]: route for frame, route in sorted(heard.routes.items()) if frame in row_of},
                 believed=believed.objects,
                 belief=believed.belief,
-                commands=Commands(self._obeyed(heard), believed.informed, self._tampered(car)),
+                commands=Commands(of, believed.informed, self._tampered(car, obeyed)),
                 look=self.look,
             )
         return result
@@ -260,31 +263,38 @@ class DrivenCars:
         adversary[attacked] = labels.by[row[attacked]]
         return Belief(objects.id, real, adversary)
 
-    def _obeyed(self, heard: Heard) -> Ints:
-        """By row of the frames, the row of the frame whose command the car obeys until the next one; -1: none.
-
-        As `driving.Actuation` does: the newest that has arrived, if it is not too old.
-        """
-        numbers = self.scores.frames.tolist()
-        row_of = {frame: row for row, frame in enumerate(numbers)}
-        waiting, newest = deque(sorted(heard.commands.items())), -1
-        obeyed = np.full(len(numbers), -1)
-        for row, frame in enumerate(numbers):
+    def _obeyed(self, heard: Heard) -> list[int]:
+        """By row of the frames, the frame whose command the car obeys until the next one; -1: it has none."""
+        actuation = Actuation(self.limits, self.hold, self.limits.braking)
+        waiting = deque(sorted(heard.commands, key=lambda arrival: arrival[0]))
+        obeyed = []
+        for frame in self.scores.frames.tolist():
             while waiting and waiting[0][0] <= frame:
-                newest = max(newest, waiting.popleft()[1])
-            if frame >= self.take_over and 0 <= frame - newest <= self.hold:
-                obeyed[row] = row_of.get(newest, -1)
+                step, sent, command = waiting.popleft()
+                actuation.receive(sent, step, command)
+            obeyed.append(actuation.obeyed(frame + 1) if frame >= self.take_over else -1)
         return obeyed
 
-    def _tampered(self, car: str) -> list[str]:
-        """By row of the frames, the adversaries that changed the car's command, joined by "+"."""
+    def _tampered(self, car: str, obeyed: Sequence[int]) -> list[str]:
+        """By row of the frames, the adversaries that changed the command that the car obeys, joined by "+".
+
+        Of a car without a command, those that changed that of the frame: the car got it too late, or not at all.
+
+        obeyed: (f,) frame whose command the car obeys, -1: it has none
+        """
         names: dict[int, set[str]] = defaultdict(set)
         effects = self.effects
+        changed = ~np.isin(effects.code, [CODE[name] for name in _UNCHANGED])
         for number, passage in enumerate(effects.passages):
             if passage.message == "command" and passage.subject == car and self.roles.get(passage.node) == "adversary":
-                for frame in effects.frame[effects.passage == number].tolist():
+                for frame in effects.frame[changed & (effects.passage == number)].tolist():
                     names[frame].add(passage.node)
-        return ["+".join(sorted(names[frame])) if frame in names else "" for frame in self.scores.frames.tolist()]
+        frames = self.scores.frames.tolist()
+        acting = [of if of >= 0 else frame for frame, of in zip(frames, obeyed, strict=True)]
+        return [
+            "+".join(sorted(names.get(of, ()))) if frame >= self.take_over else ""
+            for frame, of in zip(frames, acting, strict=True)
+        ]
 
 
 def _free(objects: Snapshot, position: Floats, view: tuple[View, float] | None) -> Bools:

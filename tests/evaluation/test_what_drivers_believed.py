@@ -8,13 +8,18 @@ import numpy as np
 import pytest
 
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.driving.motion import RouteAhead
+from mast_zenoh.driving.motion import CarLimits, Command, RouteAhead
+from mast_zenoh.effects.passages import Interval, PassageMeter
 from mast_zenoh.evaluation import Evaluation, RunData
 from mast_zenoh.evaluation.driven import Arrival, Heard, View
 from mast_zenoh.integrity.views import SweptView
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import Header
 from mast_zenoh.metrics import Record, Scorer, Series
 from mast_zenoh.metrics.record import Snapshot
 from mast_zenoh.tracking.view import SensorView
+from mast_zenoh.wiring.model import Input, Passage
+from mast_zenoh.wiring.received import Overheard
 
 FRAMES, PERIOD_NS, BRAKES = 30, 100_000_000, 12
 GHOST, EGO = 5, 1
@@ -55,10 +60,21 @@ def happened(
     veto: bool = True,
     commands_until: int = FRAMES,
     estimates_until: int = FRAMES,
+    late: int = 0,
+    changed: tuple[int, ...] = (),
+    absurd_from: int = FRAMES,
     **settings: Any,
 ) -> dict[str, Any]:
-    """What happened to the ego, whose mission estimate has a ghost. own: m, places of its own tracks"""
-    data = RunData(Record(("ego",)))
+    """What happened to the ego, whose mission estimate has a ghost.
+
+    own: m, places of its own tracks; late: frames, of its commands; changed: frames of those that an adversary changed;
+    absurd_from: frame, from which they are more than the car can do
+    """
+    data = RunData(Record(("ego",)), roles={"seizer": "adversary"})
+    passage = PassageMeter(
+        Passage("seizer", "agent/ego/command", "ego", "command", "command", "in", "out"), Interval(0)
+    )
+    data.meter.meters.append(passage)
     received = Heard(ports={"safety", "mission", "view"} if veto else {"mission"})
     data.heard["ego"] = received
     for frame, (x, speed) in enumerate(zip(*ego(), strict=True)):
@@ -74,11 +90,19 @@ def happened(
             if port in received.ports and frame < estimates_until:
                 received.add(port, frame, Arrival(frame, time_ns, name, snapshot))
         if frame < commands_until:
-            received.obey(frame, frame)
+            received.obey(frame + late, frame, Command(-50.0 if frame >= absurd_from else 0.0, 0.0))
+        passage.take_received(command(frame, 0.0))
+        passage.take_sent(command(frame, -6.0 if frame in changed else 0.0))
         if free_m is not None:
             received.see(frame, View(frame, time_ns, around(float(x), free_m)))
     evaluation = Evaluation(scorer=Scorer(), skip_first=0, skip_last=0, picture_age_s=0.5, **settings)
     return evaluation.of(data)["metrics"]["driven"]["ego"]
+
+
+def command(frame: int, acceleration: float) -> Overheard:
+    body = {"acceleration": np.array([acceleration]), "curvature": np.zeros(1)}
+    header = Header("command", "driver_ego", frame, frame * PERIOD_NS, frame)
+    return Overheard("key", Input("everything", "ego", "command", "driver_ego"), codec.conform(header, body), frame)
 
 
 def cause(**facts: Any) -> dict[str, Any]:
@@ -109,8 +133,21 @@ def test_a_car_that_gets_no_commands_brakes_for_want_of_them_once_it_no_longer_h
         assert cause(veto=False, commands_until=until, hold_s=hold_s)["kind"] == kind
 
 
-def test_a_brake_before_drivers_take_over_is_not_theirs() -> None:
-    assert cause(veto=False, take_over_s=2.0)["kind"] == "no command"
+def test_a_brake_before_drivers_take_over_is_nobodys() -> None:
+    facts = {"object": None, "kind": "no command", "adversary": None}
+    assert cause(veto=False, take_over_s=2.0, changed=tuple(range(FRAMES))) == facts
+
+
+def test_a_changed_command_is_blamed_for_the_frame_in_which_it_acts() -> None:
+    """The ego brakes in frame 12, by the command of frame 6."""
+    for changed, kind, adversary in [(6, "none", "seizer"), (BRAKES, "false", None)]:
+        found = cause(veto=False, late=BRAKES - 6, hold_s=1.0, changed=(changed,))
+        assert (found["kind"], found["adversary"]) == (kind, adversary)
+
+
+def test_a_command_that_the_car_refuses_is_none() -> None:
+    for limits, kind in [(CarLimits(), "no command"), (CarLimits(braking=50.0), "false")]:
+        assert cause(veto=False, absurd_from=BRAKES - 3, car_limits=limits)["kind"] == kind
 
 
 def test_a_driver_whose_estimate_is_too_old_brakes_for_want_of_one() -> None:
