@@ -36,7 +36,7 @@ class Belief(NamedTuple):
     """n objects that a driver believed in, each at the time of the frame in which it decided.
 
     id: (n,) of the track; real: (n,) id of the object that it is, -1: it is false
-    adversary: (n,) str, who made it believe in a false object, "": nobody
+    adversary: (n,) str, who showed a false object, or moved a real one, "": nobody
     """
 
     id: Ints
@@ -168,7 +168,7 @@ def causes(
                 real = int(belief.real[row])
                 cause["object"] = int(belief.id[row]) if real < 0 else real
                 cause["kind"] = "false" if real < 0 else "real"
-                cause["adversary"] = str(belief.adversary[row]) or None if real < 0 else None
+                cause["adversary"] = str(belief.adversary[row]) or None
         result.append(cause)
     return result
 

@@ -22,14 +22,17 @@ from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.integrity.visibility import clear_in_view
 from mast_zenoh.metrics import Driving, Scores, Table
 from mast_zenoh.metrics.boxes import Places, find, nearest
-from mast_zenoh.metrics.causes import ATTACK_CAUSES, Labels
+from mast_zenoh.metrics.causes import ATTACK_CAUSES, Hidden, Labels, joined_names
 from mast_zenoh.metrics.driving import Objects, vehicles
 from mast_zenoh.metrics.estimates import TRUTH
+from mast_zenoh.metrics.manipulations import ALTERED, MOVED, Manipulations
 from mast_zenoh.metrics.record import Record, Snapshot
 from mast_zenoh.metrics.scores import FALSE, MATCHED
 
 #: m; an object that is nearer to a real one is that one, where the scores do not tell.
 _SAME_M = 2.0
+#: s; a manipulation of an object counts for so long, in which no estimate without it came.
+_RECENT_S = 0.5
 #: Effects on commands that change none of those that a car obeys.
 _UNCHANGED = ("repeated", "unsettled")
 
@@ -131,6 +134,7 @@ class _Believed(NamedTuple):
 class DrivenCars:
     """The driven cars of a run.
 
+    manipulations: of objects, by interposers
     heard: by car;  ages_s: s, by car, the greatest age of an estimate that its driver uses, where it is not the default
     take_over, hold: frames, from which on, and for how many, the cars obey a command; limits: what they can do
     period_s: s, of a frame
@@ -141,6 +145,7 @@ class DrivenCars:
     scores: Scores
     labels: Labels
     effects: Effects
+    manipulations: Manipulations
     roles: Mapping[str, str]
     heard: Mapping[str, Heard]
     ages_s: Mapping[str, float]
@@ -247,8 +252,9 @@ class DrivenCars:
         """What n objects of estimates are. series: (n,) row of `Scores.series`, -1: not scored, -2: the truth"""
         judged, labels = self.scores.judged, self.labels
         tracks = np.flatnonzero(judged.is_track)
+        attacked = (judged.outcome == FALSE) & np.isin(labels.cause, range(len(ATTACK_CAUSES)))
         at = find((series, about, objects.id), (judged.series[tracks], judged.frame[tracks], judged.id[tracks]))
-        row = np.append(tracks, -1)[at]
+        row = np.append(tracks[self._mostly(tracks, attacked[tracks])], -1)[at]
         outcome = np.where(row >= 0, judged.outcome[row], -1) if len(tracks) else np.full(len(row), -1)
         there = self.scores.truth.boxes
         near, _ = nearest(Places(about, objects.position), Places(self.scores.truth_frame, there.position), _SAME_M)
@@ -257,11 +263,48 @@ class DrivenCars:
         matched = outcome == MATCHED
         real[matched] = judged.match_id[row[matched]]
         real[outcome == FALSE] = -1
-        adversary = np.full(len(row), "", object)
-        attacked = (outcome == FALSE) & (row >= 0)
-        attacked[attacked] = np.isin(labels.cause[row[attacked]], range(len(ATTACK_CAUSES)))
-        adversary[attacked] = labels.by[row[attacked]]
+        adversary = self._movers(real, about, series)
+        shown = np.append(attacked, False)[row]
+        adversary[shown] = labels.by[row[shown]]
         return Belief(objects.id, real, adversary)
+
+    def _mostly(self, tracks: Ints, attacked: Bools) -> Ints:
+        """(n,) which of n rows of tracks tells what each of them is: itself, or one of the same track around it.
+
+        The latter where the track follows a lie in most of the frames around: what is not there can match a real object
+        that passes through its place.
+
+        tracks: (n,) rows of `Scores.judged`; attacked: (n,) which of them follow a lie
+        """
+        judged, around = self.scores.judged, round(_RECENT_S / self.period_s)
+        series, id_, frame = judged.series[tracks], judged.id[tracks], judged.frame[tracks]
+        order = np.lexsort((frame, id_, series))
+        new = (np.diff(series[order], prepend=-1) != 0) | (np.diff(id_[order], prepend=-1) != 0)
+        key = np.cumsum(new) * (int(frame.max(initial=0)) + 2 * around + 1) + frame[order]
+        first, end = key.searchsorted(key - around), key.searchsorted(key + around, "right")
+        lies = np.flatnonzero(attacked[order])
+        before = np.concatenate([[0], np.cumsum(attacked[order])])
+        result = np.arange(len(tracks))
+        passed = ~attacked[order] & (2 * (before[end] - before[first]) > end - first)
+        result[order[passed]] = order[lies[before[first[passed]]]]
+        return result
+
+    def _movers(self, real: Ints, about: Ints, series: Ints) -> np.ndarray:
+        """(n,) str, who moved or changed each real object in the estimate, joined by "+"; "": nobody, or it is false.
+
+        Shortly before the frame of the estimate, in a message that can have reached it.
+
+        real: (n,) ids, -1: false; about: (n,) frames; series: (n,), as in `_belief`
+        """
+        names = self.manipulations.culprits
+        by = np.zeros((len(real), len(names)), np.bool_)
+        rows = np.flatnonzero((real >= 0) & (series >= 0))
+        most, own = round(_RECENT_S / self.period_s), np.zeros(0, np.bool_)
+        hidden = Hidden.of(self.manipulations)
+        for kind, culprit, recently in hidden.recent(real[rows], about[rows], series[rows], own, most):
+            if kind in (MOVED, ALTERED) and culprit >= 0:
+                by[rows[recently], culprit] = True
+        return joined_names(names, by)
 
     def _obeyed(self, heard: Heard) -> list[int]:
         """By row of the frames, the frame whose command the car obeys until the next one; -1: it has none."""

@@ -402,6 +402,7 @@ class _Results:
             scores=self.scores,
             labels=self.labels,
             effects=self.effects,
+            manipulations=self.manipulations,
             roles=data.roles,
             heard=data.heard,
             ages_s=self.settings.estimate_ages_s,
