@@ -114,13 +114,14 @@ def demanded_by_lines(speed: Floats, routes: Mapping[int, RouteAhead]) -> Floats
 def demanded_by_road(speed: Floats, routes: Mapping[int, RouteAhead]) -> Floats:
     """Braking (f,) m/s^2 that bends and limits ahead ask of a driver in each frame; 0: none. speed: (f,) m/s
 
-    The constant braking after which the car is everywhere as slow as it has to be, where it is now in `_ADAPT_S`.
+    The constant braking after which the car is everywhere as slow as it has to be, where it is now in `_ADAPT_S`; none
+    if that needs no brake.
     """
     result = np.zeros(len(speed))
     for frame, route in routes.items():
         distance = np.maximum(route.along, max(_ADAPT_S * speed[frame], _LEAST_M))
         result[frame] = ((speed[frame] ** 2 - route.speed**2) / (2.0 * distance)).max(initial=0.0)
-    return result
+    return np.where(result > BRAKING_MPS2, result, 0.0)
 
 
 def hardest_per_frame(corridor: InCorridor, demanded: Floats, frames: int) -> Floats:

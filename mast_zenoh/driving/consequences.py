@@ -15,7 +15,7 @@ from mast_zenoh.driving import braking
 from mast_zenoh.driving.braking import Belief, Commands, spans
 from mast_zenoh.driving.comfort import HARD_BRAKING_MPS2, uncomfortable
 from mast_zenoh.driving.contact import collisions, post_encroachment_s
-from mast_zenoh.driving.corridor import InCorridor, crossing, in_corridor, joined, needed_braking
+from mast_zenoh.driving.corridor import InCorridor, crossing, in_corridor, needed_braking
 from mast_zenoh.driving.followers import behind_car
 from mast_zenoh.driving.motion import RouteAhead
 from mast_zenoh.metrics.driving import STANDING_MPS, Driving, Objects, SafeDistance, Vehicle
@@ -196,36 +196,43 @@ def _below_safe_distance(look: Driving, truth: InCorridor) -> int:
 
 
 def _brakes(driven: DrivenCar) -> list[dict[str, Any]]:
-    """The brakes of a car with their causes."""
-    brakes, speed = driven.brakes, driven.speed
-    lines, road = braking.demanded_by_lines(speed, driven.routes), braking.demanded_by_road(speed, driven.routes)
-    truth, believed = _met(driven, driven.objects, driven.truth), _met(driven, driven.believed)
-    real = braking.hardest_per_frame(truth, braking.demanded_by_objects(truth), len(speed))
-    causes = braking.causes(brakes, believed, driven.belief, lines, driven.commands)
-    needless = braking.needless(brakes, np.max([lines, road, real], axis=0), driven.period_s)
-    return [
-        {
-            "from_s": float(driven.times_s[brake.first]),
-            "until_s": float(driven.times_s[brake.end]),
-            "hardest_mps2": float(-driven.acceleration[brake.hardest]),
-            "needless": without_reason,
-            "cause": cause,
-        }
-        for brake, cause, without_reason in zip(brakes, causes, needless, strict=True)
-    ]
+    """The brakes of a car with their causes.
 
-
-def _met(driven: DrivenCar, objects: Objects, ahead: InCorridor | None = None) -> InCorridor:
-    """Which objects a car would meet without braking: those in its corridor, and around its brakes those that cross.
-
-    ahead: the objects in its corridor, if they are known
+    What is ahead explains a brake before what crosses: nothing real that crosses excuses one for a false object ahead.
     """
-    rows = braking.around(driven.brakes, driven.period_s)
+    brakes, speed, period = driven.brakes, driven.speed, driven.period_s
+    lines, road = braking.demanded_by_lines(speed, driven.routes), braking.demanded_by_road(speed, driven.routes)
+    rows = braking.around(brakes, period)
     rows = sorted({*rows, *driven.commands.of[rows].tolist()})  # in these, too, it was decided
-    routes = {row: driven.routes[row] for row in rows if row in driven.routes}
-    if ahead is None:
-        ahead = in_corridor(driven.car, driven.routes, objects, driven.look)
-    return joined([ahead, crossing(driven.car, routes, objects, driven.look)])
+    near = {row: driven.routes[row] for row in rows if row in driven.routes}
+    believed = in_corridor(driven.car, near, driven.believed, driven.look)
+    from_side = crossing(driven.car, near, driven.believed, driven.look)
+    ahead = np.max([lines, road, _demanded(driven, driven.truth)], axis=0)
+    crossed = np.maximum(ahead, _demanded(driven, crossing(driven.car, near, driven.objects, driven.look)))
+    result = []
+    for brake, needless, needless_for_ghost, cause, other_cause in zip(
+        brakes,
+        braking.needless(brakes, crossed, period),
+        braking.needless(brakes, ahead, period),
+        braking.causes(brakes, believed, driven.belief, lines, driven.commands),
+        braking.causes(brakes, from_side, driven.belief, np.zeros_like(lines), driven.commands),
+        strict=True,
+    ):
+        result.append(
+            {
+                "from_s": float(driven.times_s[brake.first]),
+                "until_s": float(driven.times_s[brake.end]),
+                "hardest_mps2": float(-driven.acceleration[brake.hardest]),
+                "needless": needless_for_ghost if cause["kind"] == "false" else needless,
+                "cause": other_cause if cause["kind"] == "none" else cause,
+            }
+        )
+    return result
+
+
+def _demanded(driven: DrivenCar, objects: InCorridor) -> Floats:
+    """The hardest braking (f,) m/s^2 that any of some objects asks for in each frame."""
+    return braking.hardest_per_frame(objects, braking.demanded_by_objects(objects), len(driven.speed))
 
 
 def _waits(driven: DrivenCar, truth: InCorridor) -> Bools:

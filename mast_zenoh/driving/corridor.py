@@ -62,7 +62,7 @@ def in_corridor(car: Vehicle, routes: Mapping[int, RouteAhead], objects: Objects
         own = np.full(len(ahead.row), np.hypot(*car.velocity[frame, :2]))
         at = np.full(len(ahead.row), frame)
         parts.append(InCorridor(at, start + ahead.row, ahead.gap_m, ahead.speed_mps, own, ahead.ttc_s))
-    return joined(parts)
+    return _joined(parts)
 
 
 def crossing(car: Vehicle, routes: Mapping[int, RouteAhead], objects: Objects, look: Driving) -> InCorridor:
@@ -93,10 +93,10 @@ def crossing(car: Vehicle, routes: Mapping[int, RouteAhead], objects: Objects, l
         parts.append(
             InCorridor(np.full(len(found), frame), rows, ahead.gap_m[found], ahead.speed_mps[found], same, when[found])
         )
-    return joined(parts)
+    return _joined(parts)
 
 
-def joined(parts: Iterable[InCorridor]) -> InCorridor:
+def _joined(parts: Iterable[InCorridor]) -> InCorridor:
     """Several tables of objects as one."""
     nothing = InCorridor(np.zeros(0, np.int64), np.zeros(0, np.int64), *(np.zeros(0) for _ in range(4)))
     return InCorridor(*(np.concatenate(column) for column in zip(nothing, *parts, strict=True)))
@@ -115,13 +115,8 @@ def _frames(
         here = slice(int(first[frame]), int(last[frame]))
         if here.start < here.stop:
             now = along_route(car.position[frame], car.velocity[frame], float(car.heading[frame]), size, route)
-            none = np.zeros(here.stop - here.start, np.int64)
-            yield (
-                frame,
-                now,
-                here.start,
-                objects._replace(frame=none, **{name: getattr(objects, name)[here] for name in objects._fields[1:]}),
-            )
+            present = Objects._make(column[here] for column in objects)
+            yield frame, now, here.start, present._replace(frame=np.zeros_like(present.frame))
 
 
 def _could_cross(now: Vehicle, objects: Objects, look: Driving) -> Bools:

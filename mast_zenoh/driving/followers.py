@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,20 +26,39 @@ def behind(car: Vehicle, objects: Objects) -> Bools:
     corner = np.concatenate([back[None], car.position[:, :2]])
     step = np.diff(corner, axis=0)
     length = np.hypot(step[:, 0], step[:, 1])
-    moved = length > 1e-6
-    begin, step, length = corner[:-1][moved], step[moved], length[moved]
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(corner, axis=0).T))])[1:]  # (f,) of the car
-    at = np.concatenate([[0.0], np.cumsum(length)])[:-1]
-    direction = step / length[:, None]
-    offset = objects.position[:, None, :2] - begin
-    ahead = np.clip((offset * direction).sum(axis=2), 0.0, length)
-    distance = np.hypot(*np.moveaxis(offset - ahead[..., None] * direction, 2, 0))
+    along = np.cumsum(length)  # (f,) of the car
+    moved = np.flatnonzero(length > 1e-6)
+    parts = _Parts(corner[moved], step[moved] / length[moved, None], length[moved], along[moved])
+    result = np.zeros(len(objects.yaw), np.bool_)
+    for rows in np.split(np.arange(len(result)), np.flatnonzero(np.diff(objects.frame)) + 1):
+        if len(rows):
+            frame = int(objects.frame[rows[0]])
+            first = parts.end_m.searchsorted(along[frame] - _BEHIND_M)
+            driven = _Parts(*(column[first : moved.searchsorted(frame, "right")] for column in parts))
+            result[rows] = _on_way(driven, float(along[frame]), 0.5 * car.length, objects, rows)
+    return result
+
+
+class _Parts(NamedTuple):
+    """Straight parts of a way, each (k, ...): begin (k, 2) m, direction (k, 2), length m, and end along the way, m."""
+
+    begin: Floats
+    direction: Floats
+    length_m: Floats
+    end_m: Floats
+
+
+def _on_way(parts: _Parts, along_m: float, half_m: float, objects: Objects, rows: Ints) -> Bools:
+    """Whether each of some objects of one frame is on the way up to the car, which is `along_m` along it: (n,)."""
+    offset = objects.position[rows, None, :2] - parts.begin
+    ahead = np.clip((offset * parts.direction).sum(axis=2), 0.0, parts.length_m)
+    distance = np.hypot(*np.moveaxis(offset - ahead[..., None] * parts.direction, 2, 0))
     part = distance.argmin(axis=1)
     row = np.arange(len(part))
-    to_car = along[objects.frame] - (at[part] + ahead[row, part])
-    turn = wrap_angle(objects.yaw - np.arctan2(direction[part, 1], direction[part, 0]))
+    to_car = along_m - (parts.end_m[part] - parts.length_m[part] + ahead[row, part])
+    turn = wrap_angle(objects.yaw[rows] - np.arctan2(parts.direction[part, 1], parts.direction[part, 0]))
     near = (distance[row, part] <= _HALF_LANE_M) & (np.abs(turn) <= _TURN)
-    return np.asarray(near & (to_car > 0.5 * car.length) & (to_car <= _BEHIND_M))
+    return np.asarray(near & (to_car > half_m) & (to_car <= _BEHIND_M))
 
 
 def behind_car(car: Vehicle, objects: Objects, ids: Ints, period_s: float, hard_mps2: float) -> dict[str, Any]:

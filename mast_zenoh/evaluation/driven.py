@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict, deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -57,15 +57,7 @@ class View(NamedTuple):
     view: SweptView
 
 
-class _Dated(Protocol):
-    @property
-    def about(self) -> int: ...
-
-    @property
-    def time_ns(self) -> int: ...
-
-
-Dated = TypeVar("Dated", bound=_Dated)
+Item = TypeVar("Item", Arrival, View)
 
 
 @dataclass
@@ -101,15 +93,15 @@ class Heard:
         return "view" in self.ports
 
 
-def _keep_newest(arrivals: dict[int, Dated], step: int, item: Dated) -> None:
+def _keep_newest(arrivals: dict[int, Item], step: int, item: Item) -> None:
     kept = arrivals.get(step)
     if kept is None or item.about > kept.about:
         arrivals[step] = item
 
 
-def _held(arrivals: Mapping[int, Dated], frames: Sequence[int]) -> Iterator[tuple[int, Dated]]:
+def _held(arrivals: Mapping[int, Item], frames: Sequence[int]) -> Iterator[tuple[int, Item]]:
     """Yield (row, item) for each of some ascending frames: the newest that had arrived before it."""
-    latest: LatestBefore[Dated] = LatestBefore()
+    latest: LatestBefore[Item] = LatestBefore()
     waiting = deque(sorted(arrivals.items()))
     for row, frame in enumerate(frames):
         while waiting and waiting[0][0] < frame:
@@ -242,7 +234,7 @@ class DrivenCars:
             if now:
                 yield row, [(now[port][0], moved[port], counts[port]) for port in now]
 
-    def _usable(self, car: str, arrivals: Mapping[int, Dated]) -> dict[int, tuple[Dated, float]]:
+    def _usable(self, car: str, arrivals: Mapping[int, Item]) -> dict[int, tuple[Item, float]]:
         """By row of the frames, what the driver held then and its age in s, where it is not too old."""
         numbers, limit_ns = self.scores.frames.tolist(), round(self.ages_s.get(car, driver.ESTIMATE_AGE_S) * 1e9)
         ages = ((row, item, self._time_ns(numbers[row]) - item.time_ns) for row, item in _held(arrivals, numbers))

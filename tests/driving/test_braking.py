@@ -1,6 +1,7 @@
 """The cause of a brake is found in what the driver believed, and its need in the truth."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -100,6 +101,15 @@ def test_a_brake_before_a_bend_is_needful_and_has_no_object() -> None:
     routes = {row: straight(place, limit=4.0) for row, place in enumerate(x)}
     (brake,) = brakes(objects([]), real=-1, routes=routes)
     assert (brake["cause"]["kind"], brake["needless"]) == ("none", False)
+
+
+def test_a_bend_far_ahead_for_which_rolling_is_enough_is_no_reason() -> None:
+    """From 10 to 8 m/s within 70 m needs 0.26 m/s^2."""
+    x, _ = braking(10)
+    limits = np.where(np.arange(80) < 70, 50.0, 8.0)
+    routes = {row: replace(straight(place), speed=limits) for row, place in enumerate(x)}
+    (brake,) = brakes(objects([]), real=-1, routes=routes)
+    assert (brake["cause"]["kind"], brake["needless"]) == ("none", True)
 
 
 def test_a_brake_by_a_changed_command_is_the_adversarys_whatever_the_driver_believed() -> None:
@@ -208,6 +218,11 @@ def test_a_brake_for_what_crosses_is_needful_and_names_it() -> None:
 def test_a_brake_for_what_seems_to_cross_is_needless_and_names_its_adversary() -> None:
     (brake,) = brakes(crossers(30.0, 16.0, (0.0, -8.0)), real=-1, adversary="adversary_1")
     assert (brake["cause"]["kind"], brake["cause"]["adversary"], brake["needless"]) == ("false", "adversary_1", True)
+
+
+def test_a_brake_for_a_ghost_ahead_is_needless_although_real_traffic_crosses() -> None:
+    (brake,) = brakes(ahead(30.0), real=-1, there=crossers(30.0, 16.0, (0.0, -8.0)))
+    assert (brake["cause"]["kind"], brake["needless"]) == ("false", True)
 
 
 @pytest.mark.parametrize(

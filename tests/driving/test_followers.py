@@ -1,5 +1,7 @@
 """The traffic behind a driven car: who is in its lane, and how they brake."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -41,3 +43,17 @@ def test_hard_brakes_and_standing_times_of_followers_are_sums_over_cars() -> Non
     assert (found["cars"], found["hard_brakes"]) == (2, 3)
     assert found["hardest_braking_mps2"] == pytest.approx(10.0)
     assert found["standing_s"] == pytest.approx(0.4)
+
+
+def test_a_long_run_needs_no_memory_for_every_pair_of_an_object_and_a_place_of_the_car() -> None:
+    frames = 1500
+    x = np.arange(float(frames))
+    own = car(x.tolist(), [10.0] * frames)
+    others = objects([(row, row - 20.0, 0.0, 0.0) for row in range(frames)])
+    tracemalloc.start()
+    try:
+        assert behind(own, others).all()
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < frames * frames * 8 / 4, "less than a quarter of one number for each pair"
