@@ -16,7 +16,7 @@ import numpy as np
 
 from mast_zenoh.arrays.geometry import states_to_world
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.driving import RouteAhead
+from mast_zenoh.driving import CarLimits, Command, RouteAhead
 from mast_zenoh.driving.actuation import HOLD_S, TAKE_OVER_S
 from mast_zenoh.effects import Pose
 from mast_zenoh.errors import MessageError
@@ -83,6 +83,7 @@ class Evaluator(Node):
         estimate_ages_s: dict[str, float] | None = None,
         take_over_s: float = TAKE_OVER_S,
         hold_s: float = HOLD_S,
+        car_limits: CarLimits | None = None,
         driving: Driving | None = None,
         metrics: tuple[Metric, ...] = (),
         attribution: AttributionLimits | None = None,
@@ -100,6 +101,7 @@ class Evaluator(Node):
             estimate_ages_s=estimate_ages_s or {},
             take_over_s=take_over_s,
             hold_s=hold_s,
+            car_limits=car_limits or CarLimits(),
             driving=driving or Driving(),
             metrics=metrics,
             attribution=attribution or AttributionLimits(),
@@ -239,9 +241,9 @@ class Evaluator(Node):
 
     def take_command(self, message: Overheard, route: Route) -> None:
         """Store that a command reached a driven car."""
-        message.check()
+        command = Command(*(float(message.body[name][0]) for name in Command._fields))
         for car, _ in route.ports:
-            self.data.heard[car].obey(_step(message), message.header.frame)
+            self.data.heard[car].obey(_step(message), message.header.frame, command)
 
     def take_route(self, message: Overheard, route: Route) -> None:
         """Store the lane ahead of a driven car, as the world sent it."""
@@ -315,7 +317,9 @@ def routes(wiring: Wiring, agents: Sequence[str]) -> dict[str, Route]:
         if wire.message == "trust" and wire.subject not in ("", ego_of(agents)):
             continue  # that of one centre, or one peer, is evaluated
         if wire.message == "command" and (car := drivers.get(source.publisher.node)):
-            takes[wire.legs[-1].key], ports[wire.legs[-1].key] = "take_command", ((car, "command"),)
+            for leg in wire.every_leg:
+                if set(leg.subscribers) & set(wire.subscribers):  # into the world, after all interposers
+                    takes[leg.key], ports[leg.key] = "take_command", ((car, "command"),)
         if wire.message == "route" and wire.subject in drivers:
             takes[source.key], ports[source.key] = "take_route", ((drivers[wire.subject], "route"),)
         if wire.message in ("clock", "truth", "trust", "attack_report", "link_report", "reception"):

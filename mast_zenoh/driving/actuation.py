@@ -43,15 +43,18 @@ class Actuation:
             return f"old: command of frame {frame} after that of frame {self._newest[0]}"
         return self.limits.refusal(command)
 
+    def obeyed(self, frame: int) -> int:
+        """The frame whose command the car carries out from the frame before until `frame`; -1: of none, it brakes."""
+        if self._newest is None or frame - 1 - self._newest[0] > self.hold_frames:
+            return -1
+        return self._newest[0]
+
     def act(self, frame: int) -> Command:
         """What the car does from the frame before until `frame`."""
-        if self._newest is None:
+        _, newest = self._newest or (-1, Command(0.0, 0.0))
+        sent = self.obeyed(frame)
+        if sent < 0:
             self.counts["braked"] += 1
-            return Command(-self.braking, 0.0)
-        sent, command = self._newest
-        missing = frame - 1 - sent
-        if missing <= self.hold_frames:
-            self.counts["held" if missing > 0 else "commanded"] += 1
-            return command
-        self.counts["braked"] += 1
-        return Command(-self.braking, command.curvature)
+            return Command(-self.braking, newest.curvature)
+        self.counts["held" if sent < frame - 1 else "commanded"] += 1
+        return newest

@@ -10,7 +10,7 @@ import numpy as np
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.driving.corridor import InCorridor, needed_braking
 from mast_zenoh.driving.following import IntelligentDriverModel
-from mast_zenoh.driving.motion import RouteAhead
+from mast_zenoh.driving.motion import CarLimits, RouteAhead
 from mast_zenoh.metrics.driving import SafeDistance, TimeToCollision
 
 #: m/s^2; a car brakes when it slows down more than this. Source: UN Regulation No. 13-H, 5.2.22.4: braking above it has
@@ -28,13 +28,15 @@ _ADAPT_S, _LEAST_M = 1.0, 1.0
 _EQUAL_MPS2 = 1e-6
 #: How cars brake: for objects, as one that comes to a standstill before lines, and before bends.
 _REFERENCE = IntelligentDriverModel()
+#: When they brake as hard as they can, whatever the model asks for: see `FollowingDriver`.
+_EMERGENCY = TimeToCollision()
 
 
 class Belief(NamedTuple):
     """n objects that a driver believed in, each at the time of the frame in which it decided.
 
     id: (n,) of the track; real: (n,) id of the object that it is, -1: it is false
-    adversary: (n,) str, who made it believe in a false object, "": nobody
+    adversary: (n,) str, who showed a false object, or moved a real one, "": nobody
     """
 
     id: Ints
@@ -47,7 +49,7 @@ class Commands(NamedTuple):
 
     of: (f,) row of the frame whose command it obeyed until the next frame; -1: it had none, or was not driven yet
     informed: (f,) whether its driver had an estimate
-    tampered: (f,) adversaries that changed its command of a frame, joined by "+"; "": none
+    tampered: (f,) adversaries that changed that command, or without one that of the frame, joined by "+"; "": none
     """
 
     of: Ints
@@ -91,8 +93,14 @@ def around(brakes: Sequence[Brake], period_s: float) -> list[int]:
 
 
 def demanded_by_objects(corridor: InCorridor) -> Floats:
-    """Braking (n,) m/s^2 that each object in the corridor of a car asks of a driver that follows it."""
-    return -_REFERENCE.interaction(corridor.own_mps, corridor.gap_m, corridor.ahead_mps)
+    """Braking (n,) m/s^2 that each object in the corridor of a car asks of a driver that follows it.
+
+    A slow car whose time to collision with something oncoming is short has to brake fully, though the model, made for
+    cars that drive one after the other, asks for little.
+    """
+    own, gap, ahead = corridor.own_mps, corridor.gap_m, corridor.ahead_mps
+    full = np.where(_EMERGENCY.brakes(gap, own, ahead), CarLimits().braking, 0.0)
+    return np.maximum(-_REFERENCE.interaction(own, gap, ahead), full)
 
 
 def demanded_by_lines(speed: Floats, routes: Mapping[int, RouteAhead]) -> Floats:
@@ -132,10 +140,10 @@ def causes(
 ) -> list[dict[str, Any]]:
     """What made each brake needful: the "cause" of metrics.json, see `consequences.consequences`.
 
-    From a brake's first frame to its hardest one, the object of the driver's estimate, or the line, that asks for the
-    hardest braking: "real", "false", "line", or "none". Without a command in the hardest one it is "no command", and
-    "no estimate" if the driver had none when it gave that command. Where an adversary changed the commands of these
-    frames, no estimate explains them.
+    In the frames whose commands the car obeys from a brake's first frame to its hardest one, the object of the driver's
+    estimate, or the line, that asks for the hardest braking: "real", "false", "line", or "none". Without a command in
+    the hardest one it is "no command", and "no estimate" if the driver had none when it gave that command. Where an
+    adversary changed the commands of these frames, no estimate explains them.
 
     believed: the objects that the driver believed in its corridor; belief: what each of its objects is, by row
     lines: (f,) m/s^2, braking for lines; commands: what the car obeyed
@@ -144,10 +152,10 @@ def causes(
     result = []
     for brake in brakes:
         adversaries = sorted({name for name in commands.tampered[brake.first : brake.hardest + 1] if name})
-        obeyed = int(commands.of[brake.hardest])
+        obeyed, decided = int(commands.of[brake.hardest]), commands.of[brake.first : brake.hardest + 1]
         cause: dict[str, Any] = {"object": None, "kind": "none", "adversary": "+".join(adversaries) or None}
-        rows = np.flatnonzero((believed.frame >= brake.first) & (believed.frame <= brake.hardest))
-        line = float(lines[brake.first : brake.hardest + 1].max())
+        rows = np.flatnonzero(np.isin(believed.frame, decided))
+        line = float(lines[decided[decided >= 0]].max(initial=0.0))
         hardest = float(demanded[rows].max(initial=0.0))
         if obeyed < 0:
             cause["kind"] = "no command"
@@ -161,7 +169,7 @@ def causes(
                 real = int(belief.real[row])
                 cause["object"] = int(belief.id[row]) if real < 0 else real
                 cause["kind"] = "false" if real < 0 else "real"
-                cause["adversary"] = str(belief.adversary[row]) or None if real < 0 else None
+                cause["adversary"] = str(belief.adversary[row]) or None
         result.append(cause)
     return result
 
@@ -181,7 +189,7 @@ def needless(brakes: Sequence[Brake], demanded: Floats, period_s: float) -> list
 def emergencies(truth: InCorridor, frames: int) -> Bools:
     """Whether (f,) the truth demands emergency braking in each frame: contact in less than 1.5 s without it."""
     braking = needed_braking(truth.gap_m, truth.own_mps, truth.ahead_mps)
-    critical = TimeToCollision().brakes(truth.gap_m, truth.own_mps, truth.ahead_mps) & (braking > _EMERGENCY_MPS2)
+    critical = _EMERGENCY.brakes(truth.gap_m, truth.own_mps, truth.ahead_mps) & (braking > _EMERGENCY_MPS2)
     return np.bincount(truth.frame[critical], minlength=frames) > 0
 
 

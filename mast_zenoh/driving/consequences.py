@@ -203,6 +203,7 @@ def _brakes(driven: DrivenCar) -> list[dict[str, Any]]:
     brakes, speed, period = driven.brakes, driven.speed, driven.period_s
     lines, road = braking.demanded_by_lines(speed, driven.routes), braking.demanded_by_road(speed, driven.routes)
     rows = braking.around(brakes, period)
+    rows = sorted({*rows, *driven.commands.of[rows].tolist()})  # in these, too, it was decided
     near = {row: driven.routes[row] for row in rows if row in driven.routes}
     believed = in_corridor(driven.car, near, driven.believed, driven.look)
     from_side = crossing(driven.car, near, driven.believed, driven.look)

@@ -10,26 +10,31 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
-from mast_zenoh.driving import driver
+from mast_zenoh.driving import Actuation, CarLimits, Command, driver
 from mast_zenoh.driving.braking import Belief, Commands
 from mast_zenoh.driving.consequences import DrivenCar, consequences, course
 from mast_zenoh.driving.motion import RouteAhead
 from mast_zenoh.driving.veto import upheld
-from mast_zenoh.effects import Effects
+from mast_zenoh.effects import CODE, Effects
 from mast_zenoh.gather import LatestBefore
 from mast_zenoh.integrity.base import ClusterBoxes
 from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.integrity.visibility import clear_in_view
 from mast_zenoh.metrics import Driving, Scores, Table
 from mast_zenoh.metrics.boxes import Places, find, nearest
-from mast_zenoh.metrics.causes import ATTACK_CAUSES, Labels
+from mast_zenoh.metrics.causes import ATTACK_CAUSES, Hidden, Labels, joined_names
 from mast_zenoh.metrics.driving import Objects, vehicles
 from mast_zenoh.metrics.estimates import TRUTH
+from mast_zenoh.metrics.manipulations import ALTERED, MOVED, Manipulations
 from mast_zenoh.metrics.record import Record, Snapshot
 from mast_zenoh.metrics.scores import FALSE, MATCHED
 
 #: m; an object that is nearer to a real one is that one, where the scores do not tell.
 _SAME_M = 2.0
+#: s; a manipulation of an object counts for so long, in which no estimate without it came.
+_RECENT_S = 0.5
+#: Effects on commands that change none of those that a car obeys.
+_UNCHANGED = ("repeated", "unsettled")
 
 
 class Arrival(NamedTuple):
@@ -61,14 +66,14 @@ class Heard:
 
     ports: on which it receives estimates and views; estimates: by port, those that arrived in each frame of the run
     views: by frame of arrival; routes: by frame
-    commands: by frame of arrival at the car, the newest frame that one of them is of
+    commands: as they reached the car: the frame of arrival, and the command and its frame
     """
 
     ports: set[str] = field(default_factory=set)
     estimates: dict[str, dict[int, Arrival]] = field(default_factory=lambda: defaultdict(dict))
     views: dict[int, View] = field(default_factory=dict)
     routes: dict[int, RouteAhead] = field(default_factory=dict)
-    commands: dict[int, int] = field(default_factory=dict)
+    commands: list[tuple[int, int, Command]] = field(default_factory=list)
 
     def add(self, port: str, step: int, arrival: Arrival) -> None:
         """Store an estimate that arrived in a frame of the run; of several the newest counts, as for the driver."""
@@ -78,10 +83,9 @@ class Heard:
         """Store a view that arrived in a frame of the run, as estimates are."""
         _keep_newest(self.views, step, view)
 
-    def obey(self, step: int, frame: int) -> None:
-        """Store that a command of a frame reached the car in a frame of the run; the car refuses one of the future."""
-        if frame <= step:
-            self.commands[step] = max(frame, self.commands.get(step, frame))
+    def obey(self, step: int, frame: int, command: Command) -> None:
+        """Store a command of a frame that reached the car in a frame of the run."""
+        self.commands.append((step, frame, command))
 
     @property
     def has_veto(self) -> bool:
@@ -122,8 +126,9 @@ class _Believed(NamedTuple):
 class DrivenCars:
     """The driven cars of a run.
 
+    manipulations: of objects, by interposers
     heard: by car;  ages_s: s, by car, the greatest age of an estimate that its driver uses, where it is not the default
-    take_over, hold: frames, from which on, and for how many, the cars obey a command
+    take_over, hold: frames, from which on, and for how many, the cars obey a command; limits: what they can do
     period_s: s, of a frame
     look:  the settings of the corridor
     """
@@ -132,11 +137,13 @@ class DrivenCars:
     scores: Scores
     labels: Labels
     effects: Effects
+    manipulations: Manipulations
     roles: Mapping[str, str]
     heard: Mapping[str, Heard]
     ages_s: Mapping[str, float]
     take_over: int
     hold: int
+    limits: CarLimits
     times_ns: Mapping[int, int]
     period_s: float
     min_points: int
@@ -161,7 +168,8 @@ class DrivenCars:
             if car not in self.heard:
                 continue
             heard, column = self.heard[car], self.record.agents.index(car)
-            believed = self._believed(car, heard)
+            believed, obeyed = self._believed(car, heard), self._obeyed(heard)
+            of = np.array([row_of.get(frame, -1) for frame in obeyed])
             others = truth.boxes.id != truth.agent_object[truth.boxes.group, column]
             places = Places(believed.objects.frame, believed.objects.position)
             known = nearest(Places(objects.frame, objects.position), places, _SAME_M)[0] >= 0
@@ -177,7 +185,7 @@ class DrivenCars:
                 routes={row_of[frame]: route for frame, route in sorted(heard.routes.items()) if frame in row_of},
                 believed=believed.objects,
                 belief=believed.belief,
-                commands=Commands(self._obeyed(heard), believed.informed, self._tampered(car)),
+                commands=Commands(of, believed.informed, self._tampered(car, obeyed)),
                 look=self.look,
             )
         return result
@@ -236,8 +244,9 @@ class DrivenCars:
         """What n objects of estimates are. series: (n,) row of `Scores.series`, -1: not scored, -2: the truth"""
         judged, labels = self.scores.judged, self.labels
         tracks = np.flatnonzero(judged.is_track)
+        attacked = (judged.outcome == FALSE) & np.isin(labels.cause, range(len(ATTACK_CAUSES)))
         at = find((series, about, objects.id), (judged.series[tracks], judged.frame[tracks], judged.id[tracks]))
-        row = np.append(tracks, -1)[at]
+        row = np.append(tracks[self._mostly(tracks, attacked[tracks])], -1)[at]
         outcome = np.where(row >= 0, judged.outcome[row], -1) if len(tracks) else np.full(len(row), -1)
         there = self.scores.truth.boxes
         near, _ = nearest(Places(about, objects.position), Places(self.scores.truth_frame, there.position), _SAME_M)
@@ -246,37 +255,81 @@ class DrivenCars:
         matched = outcome == MATCHED
         real[matched] = judged.match_id[row[matched]]
         real[outcome == FALSE] = -1
-        adversary = np.full(len(row), "", object)
-        attacked = (outcome == FALSE) & (row >= 0)
-        attacked[attacked] = np.isin(labels.cause[row[attacked]], range(len(ATTACK_CAUSES)))
-        adversary[attacked] = labels.by[row[attacked]]
+        adversary = self._movers(real, about, series)
+        shown = np.append(attacked, False)[row]
+        adversary[shown] = labels.by[row[shown]]
         return Belief(objects.id, real, adversary)
 
-    def _obeyed(self, heard: Heard) -> Ints:
-        """By row of the frames, the row of the frame whose command the car obeys until the next one; -1: none.
+    def _mostly(self, tracks: Ints, attacked: Bools) -> Ints:
+        """(n,) which of n rows of tracks tells what each of them is: itself, or one of the same track around it.
 
-        As `driving.Actuation` does: the newest that has arrived, if it is not too old.
+        The latter where the track follows a lie in most of the frames around: what is not there can match a real object
+        that passes through its place.
+
+        tracks: (n,) rows of `Scores.judged`; attacked: (n,) which of them follow a lie
         """
-        numbers = self.scores.frames.tolist()
-        row_of = {frame: row for row, frame in enumerate(numbers)}
-        waiting, newest = deque(sorted(heard.commands.items())), -1
-        obeyed = np.full(len(numbers), -1)
-        for row, frame in enumerate(numbers):
+        judged, around = self.scores.judged, round(_RECENT_S / self.period_s)
+        series, id_, frame = judged.series[tracks], judged.id[tracks], judged.frame[tracks]
+        order = np.lexsort((frame, id_, series))
+        new = (np.diff(series[order], prepend=-1) != 0) | (np.diff(id_[order], prepend=-1) != 0)
+        key = np.cumsum(new) * (int(frame.max(initial=0)) + 2 * around + 1) + frame[order]
+        first, end = key.searchsorted(key - around), key.searchsorted(key + around, "right")
+        lies = np.flatnonzero(attacked[order])
+        before = np.concatenate([[0], np.cumsum(attacked[order])])
+        result = np.arange(len(tracks))
+        passed = ~attacked[order] & (2 * (before[end] - before[first]) > end - first)
+        result[order[passed]] = order[lies[before[first[passed]]]]
+        return result
+
+    def _movers(self, real: Ints, about: Ints, series: Ints) -> np.ndarray:
+        """(n,) str, who moved or changed each real object in the estimate, joined by "+"; "": nobody, or it is false.
+
+        Shortly before the frame of the estimate, in a message that can have reached it.
+
+        real: (n,) ids, -1: false; about: (n,) frames; series: (n,), as in `_belief`
+        """
+        names = self.manipulations.culprits
+        by = np.zeros((len(real), len(names)), np.bool_)
+        rows = np.flatnonzero((real >= 0) & (series >= 0))
+        most, own = round(_RECENT_S / self.period_s), np.zeros(0, np.bool_)
+        hidden = Hidden.of(self.manipulations)
+        for kind, culprit, recently in hidden.recent(real[rows], about[rows], series[rows], own, most):
+            if kind in (MOVED, ALTERED) and culprit >= 0:
+                by[rows[recently], culprit] = True
+        return joined_names(names, by)
+
+    def _obeyed(self, heard: Heard) -> list[int]:
+        """By row of the frames, the frame whose command the car obeys until the next one; -1: it has none."""
+        actuation = Actuation(self.limits, self.hold, self.limits.braking)
+        waiting = deque(sorted(heard.commands, key=lambda arrival: arrival[0]))
+        obeyed = []
+        for frame in self.scores.frames.tolist():
             while waiting and waiting[0][0] <= frame:
-                newest = max(newest, waiting.popleft()[1])
-            if frame >= self.take_over and 0 <= frame - newest <= self.hold:
-                obeyed[row] = row_of.get(newest, -1)
+                step, sent, command = waiting.popleft()
+                actuation.receive(sent, step, command)
+            obeyed.append(actuation.obeyed(frame + 1) if frame >= self.take_over else -1)
         return obeyed
 
-    def _tampered(self, car: str) -> list[str]:
-        """By row of the frames, the adversaries that changed the car's command, joined by "+"."""
+    def _tampered(self, car: str, obeyed: Sequence[int]) -> list[str]:
+        """By row of the frames, the adversaries that changed the command that the car obeys, joined by "+".
+
+        Of a car without a command, those that changed that of the frame: the car got it too late, or not at all.
+
+        obeyed: (f,) frame whose command the car obeys, -1: it has none
+        """
         names: dict[int, set[str]] = defaultdict(set)
         effects = self.effects
+        changed = ~np.isin(effects.code, [CODE[name] for name in _UNCHANGED])
         for number, passage in enumerate(effects.passages):
             if passage.message == "command" and passage.subject == car and self.roles.get(passage.node) == "adversary":
-                for frame in effects.frame[effects.passage == number].tolist():
+                for frame in effects.frame[changed & (effects.passage == number)].tolist():
                     names[frame].add(passage.node)
-        return ["+".join(sorted(names[frame])) if frame in names else "" for frame in self.scores.frames.tolist()]
+        frames = self.scores.frames.tolist()
+        acting = [of if of >= 0 else frame for frame, of in zip(frames, obeyed, strict=True)]
+        return [
+            "+".join(sorted(names.get(of, ()))) if frame >= self.take_over else ""
+            for frame, of in zip(frames, acting, strict=True)
+        ]
 
 
 def _free(objects: Snapshot, position: Floats, view: tuple[View, float] | None) -> Bools:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools
+from mast_zenoh.driving import CarLimits
 from mast_zenoh.driving.actuation import HOLD_S, TAKE_OVER_S
 from mast_zenoh.effects import EFFECTS, Effects, Meter, Pose, effects_of, reports
 from mast_zenoh.effects.reports import Agreement
@@ -182,6 +183,7 @@ class Evaluation:
     picture_age_s: s, for how long an agent uses a picture when no newer one arrives; picture_ages_s: by agent
     estimate_ages_s: s, by agent whose car is driven, the greatest age of an estimate that its driver uses
     take_over_s, hold_s: s, of the world of driven cars: from when on, and for how long, they obey commands
+    car_limits: what they can do
     attribution, cut_off: settings for the causes of errors
     consistency: settings for the comparison of errors with covariances
     faults:  of the timeline by agent, for runs with trust
@@ -198,6 +200,7 @@ class Evaluation:
     estimate_ages_s: Mapping[str, float] = field(default_factory=dict)
     take_over_s: float = TAKE_OVER_S
     hold_s: float = HOLD_S
+    car_limits: CarLimits = field(default_factory=CarLimits)
     attribution: AttributionLimits = field(default_factory=AttributionLimits)
     cut_off: CutOff = field(default_factory=CutOff)
     consistency: Consistency = field(default_factory=Consistency)
@@ -399,11 +402,13 @@ class _Results:
             scores=self.scores,
             labels=self.labels,
             effects=self.effects,
+            manipulations=self.manipulations,
             roles=data.roles,
             heard=data.heard,
             ages_s=self.settings.estimate_ages_s,
             take_over=round(self.settings.take_over_s / data.period_s),
             hold=round(self.settings.hold_s / data.period_s),
+            limits=self.settings.car_limits,
             times_ns=data.times_ns,
             period_s=data.period_s,
             min_points=self.settings.scorer.min_points,

@@ -109,6 +109,7 @@ def nodes_of(
         ages_option["estimate_ages_s"] = {config["agent"]: config["estimate_age_s"] for config in drivers}
     world = scenario.get("world", {})
     ages_option |= {name: world[name] for name in ("take_over_s", "hold_s") if name in world}
+    ages_option |= {"car_limits": world["limits"]} if "limits" in world else {}
     add("evaluator", "evaluator", {"agents": agents, **ages_option, **evaluator})
     for name, config in _checked_configs(scenario.get("nodes", {}), f"{path}: nodes"):
         add(name, str(config.get("role", "")), config)

@@ -80,7 +80,7 @@ def reason_of(brake: Mapping[str, Any]) -> str:
     cause = brake["cause"]
     adversary = cause["adversary"]
     if cause["kind"] == "real":
-        return f"for object {cause['object']}"
+        return f"for object {cause['object']}" + (f", moved by {adversary}" if adversary else "")
     if cause["kind"] == "false":
         shown = f", shown by {adversary}" if adversary else ""
         return f"for an object that is not there (track {cause['object']}{shown})"

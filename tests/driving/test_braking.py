@@ -75,6 +75,20 @@ def test_an_object_that_comes_after_the_hardest_braking_is_not_its_cause() -> No
     assert (brake["cause"]["kind"], brake["needless"]) == ("none", True)
 
 
+@pytest.mark.parametrize("real", [7, -1])
+def test_a_slow_car_brakes_for_what_it_would_hit_within_a_second_and_a_half(real: int) -> None:
+    """At 2 m/s, 14 m before something oncoming at 8 m/s, the intelligent driver model asks for 0.76 m/s^2."""
+    speed = [2.0] * 11 + [1.4, 0.8, 0.2] + [0.0] * 16
+    x = np.cumsum([0.0, *(0.1 * value for value in speed[1:])]).tolist()
+    oncoming = crossers(2.0 + 2.25 + 14.0 + 2.0, 0.0, (-8.0, 0.0))
+    n, there = len(oncoming.frame), oncoming if real == 7 else objects([])
+    belief = Belief(np.full(n, 5), np.full(n, real), np.full(n, "", object))
+    facts = dict(believed=oncoming, belief=belief)
+    (brake,) = consequences(driven(car(x, speed), there, [7] * len(there.frame), **facts))["brakes"]
+    kind, needless = ("real", False) if real == 7 else ("false", True)
+    assert (brake["cause"]["kind"], brake["needless"]) == (kind, needless)
+
+
 def test_a_brake_before_a_line_is_needful() -> None:
     x, _ = braking(10)
     routes = {row: straight(place, stop_m=max(30.0 - place, 0.0)) for row, place in enumerate(x)}

@@ -129,7 +129,8 @@ def test_a_driver_that_believes_its_car_can_do_more_than_it_can_is_refused(world
 
 
 def test_commands_are_judged_by_how_long_the_world_holds_them() -> None:
-    content = content_of() | {"world": {"hold_s": 0.7}}
+    content = content_of() | {"world": {"hold_s": 0.7, "limits": {"braking": 6.0}}}
     resolved = scenario.resolve(scenario.load("driving")[0], content, seed=0, frames=20)
-    assert resolved.nodes["evaluator"].config["hold_s"] == 0.7
-    assert "take_over_s" not in resolved.nodes["evaluator"].config
+    config = resolved.nodes["evaluator"].config
+    assert (config["hold_s"], config["car_limits"]) == (0.7, {"braking": 6.0})
+    assert "take_over_s" not in config

@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.driving.motion import RouteAhead
+from mast_zenoh.driving.motion import CarLimits, Command, RouteAhead
+from mast_zenoh.effects.passages import Interval, PassageMeter
 from mast_zenoh.evaluation import Evaluation, RunData
 from mast_zenoh.evaluation.driven import Arrival, Heard, View
 from mast_zenoh.integrity.views import SweptView
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import Header
 from mast_zenoh.metrics import Record, Scorer, Series
 from mast_zenoh.metrics.record import Snapshot
 from mast_zenoh.tracking.view import SensorView
+from mast_zenoh.wiring.model import Input, Passage
+from mast_zenoh.wiring.received import Overheard
 
 FRAMES, PERIOD_NS, BRAKES = 30, 100_000_000, 12
-GHOST, EGO = 5, 1
+GHOST, EGO, REAL = 5, 1, 7
 #: m, of the ghost ahead of the beginning of the road.
 PLACE = 45.0
 
@@ -28,10 +34,10 @@ def ego() -> tuple[np.ndarray, np.ndarray]:
     return np.cumsum([0.0, *(0.1 * speed[1:])]), speed
 
 
-def boxes(*places: float, ids: int, speed: float = 0.0) -> ObjectStates:
+def boxes(*places: float, ids: int, speed: float = 0.0, y: float = 0.0) -> ObjectStates:
     n = len(places)
     return ObjectStates.of(
-        np.array([(x, 0.0, 0.75) for x in places]).reshape(n, 3),
+        np.array([(x, y, 0.75) for x in places]).reshape(n, 3),
         id=np.arange(ids, ids + n),
         size=np.tile([4.5, 1.9, 1.5], (n, 1)),
         velocity=np.tile([speed, 0.0, 0.0], (n, 1)),
@@ -55,17 +61,44 @@ def happened(
     veto: bool = True,
     commands_until: int = FRAMES,
     estimates_until: int = FRAMES,
+    late: int = 0,
+    changed: tuple[int, ...] = (),
+    absurd_from: int = FRAMES,
+    beside: Callable[[int], float] | None = None,
+    honest: bool = True,
     **settings: Any,
 ) -> dict[str, Any]:
-    """What happened to the ego, whose mission estimate has a ghost. own: m, places of its own tracks"""
-    data = RunData(Record(("ego",)))
+    """What happened to the ego, whose mission estimate has a ghost.
+
+    own: m, places of its own tracks; late: frames, of its commands; changed: frames of those that an adversary changed;
+    absurd_from: frame, from which they are more than the car can do
+    beside: m, by frame, how far from the ghost there is a real object; honest: the picture has it there until a liar
+    moves it, otherwise it has nothing until the liar inserts the ghost
+    """
+    data = RunData(Record(("ego",)), roles={"seizer": "adversary", "liar": "adversary"})
+    passage = PassageMeter(
+        Passage("seizer", "agent/ego/command", "ego", "command", "command", "in", "out"), Interval(0)
+    )
+    picture = PassageMeter(Passage("liar", "cc/picture", "", "picture", "picture", "a", "b", "ego"), Interval(0))
+    data.meter.meters.extend([passage, picture])
     received = Heard(ports={"safety", "mission", "view"} if veto else {"mission"})
     data.heard["ego"] = received
     for frame, (x, speed) in enumerate(zip(*ego(), strict=True)):
         time_ns = frame * PERIOD_NS
         data.times_ns[frame] = time_ns
         truth = boxes(float(x), ids=EGO, speed=float(speed))
-        data.record.add_truth(frame, truth, np.array([[50]]), truth.position, np.array([EGO]))
+        if beside is not None:
+            real = boxes(PLACE, ids=REAL, y=beside(frame))
+            truth = ObjectStates.of(
+                np.concatenate([truth.position, real.position]),
+                id=np.array([EGO, REAL]),
+                size=np.concatenate([truth.size, real.size]),
+                velocity=np.concatenate([truth.velocity, real.velocity]),
+            )
+            received_picture = boxes(PLACE, ids=GHOST, y=beside(frame)) if honest else boxes(ids=GHOST)
+            picture.take_received(of_picture(frame, received_picture))
+            picture.take_sent(of_picture(frame, boxes(PLACE, ids=GHOST)))
+        data.record.add_truth(frame, truth, np.full((len(truth), 1), 50), truth.position[:1], np.array([EGO]))
         received.routes[frame] = road(float(x))
         estimates = {"safety": boxes(*own, ids=GHOST), "mission": boxes(PLACE, ids=GHOST)}
         for port, name in (("safety", "local"), ("mission", "mission")):
@@ -74,11 +107,25 @@ def happened(
             if port in received.ports and frame < estimates_until:
                 received.add(port, frame, Arrival(frame, time_ns, name, snapshot))
         if frame < commands_until:
-            received.obey(frame, frame)
+            received.obey(frame + late, frame, Command(-50.0 if frame >= absurd_from else 0.0, 0.0))
+        passage.take_received(command(frame, 0.0))
+        passage.take_sent(command(frame, -6.0 if frame in changed else 0.0))
         if free_m is not None:
             received.see(frame, View(frame, time_ns, around(float(x), free_m)))
     evaluation = Evaluation(scorer=Scorer(), skip_first=0, skip_last=0, picture_age_s=0.5, **settings)
     return evaluation.of(data)["metrics"]["driven"]["ego"]
+
+
+def command(frame: int, acceleration: float) -> Overheard:
+    body = {"acceleration": np.array([acceleration]), "curvature": np.zeros(1)}
+    header = Header("command", "driver_ego", frame, frame * PERIOD_NS, frame)
+    return Overheard("key", Input("everything", "ego", "command", "driver_ego"), codec.conform(header, body), frame)
+
+
+def of_picture(frame: int, objects: ObjectStates) -> Overheard:
+    body = objects.columns() | {"support": np.ones(len(objects), np.int64)}
+    header = Header("picture", "command_center", frame, frame * PERIOD_NS, frame)
+    return Overheard("key", Input("everything", "", "picture", "command_center"), codec.conform(header, body), frame)
 
 
 def cause(**facts: Any) -> dict[str, Any]:
@@ -109,8 +156,32 @@ def test_a_car_that_gets_no_commands_brakes_for_want_of_them_once_it_no_longer_h
         assert cause(veto=False, commands_until=until, hold_s=hold_s)["kind"] == kind
 
 
-def test_a_brake_before_drivers_take_over_is_not_theirs() -> None:
-    assert cause(veto=False, take_over_s=2.0)["kind"] == "no command"
+def test_a_brake_before_drivers_take_over_is_nobodys() -> None:
+    facts = {"object": None, "kind": "no command", "adversary": None}
+    assert cause(veto=False, take_over_s=2.0, changed=tuple(range(FRAMES))) == facts
+
+
+def test_a_changed_command_is_blamed_for_the_frame_in_which_it_acts() -> None:
+    """The ego brakes in frame 12, by the command of frame 6."""
+    for changed, kind, adversary in [(6, "none", "seizer"), (BRAKES, "false", None)]:
+        found = cause(veto=False, late=BRAKES - 6, hold_s=1.0, changed=(changed,))
+        assert (found["kind"], found["adversary"]) == (kind, adversary)
+
+
+def test_a_command_that_the_car_refuses_is_none() -> None:
+    for limits, kind in [(CarLimits(), "no command"), (CarLimits(braking=50.0), "false")]:
+        assert cause(veto=False, absurd_from=BRAKES - 3, car_limits=limits)["kind"] == kind
+
+
+@pytest.mark.parametrize(("moved_m", "liar"), [(1.0, "liar"), (0.0, None)])
+def test_a_brake_for_a_real_object_names_who_moved_it(moved_m: float, liar: str | None) -> None:
+    assert cause(veto=False, beside=lambda _: moved_m) == {"object": REAL, "kind": "real", "adversary": liar}
+
+
+def test_a_lie_through_whose_place_a_real_object_passes_is_still_a_lie() -> None:
+    """The ego brakes in frame 12, by the estimate of frame 11."""
+    passing = cause(veto=False, honest=False, beside=lambda frame: 9.0 * (frame - 11))
+    assert passing == {"object": GHOST, "kind": "false", "adversary": "liar"}
 
 
 def test_a_driver_whose_estimate_is_too_old_brakes_for_want_of_one() -> None:

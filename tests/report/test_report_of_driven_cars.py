@@ -138,6 +138,7 @@ def test_of_many_cars_the_ego_and_those_that_hit_something_are_described_and_the
     ("kind", "adversary", "needless", "words"),
     [
         ("real", None, False, "for object 28"),
+        ("real", "liar", True, "for object 28, moved by liar"),
         ("false", None, True, "for an object that is not there (track 28)"),
         ("line", None, False, "before a line"),
         ("no command", None, True, "because it had no command"),
