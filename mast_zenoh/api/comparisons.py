@@ -63,7 +63,7 @@ class Comparison:
 
     @property
     def headline(self) -> str:
-        """For each run the largest difference from the first, in a sentence."""
+        """For each run the largest difference from the first, after what happened to driven cars, in a line."""
         reference = Reference(self._folders[self._reference], self._reference)
         others = [(label, run) for label, run in self._folders.items() if label != self._reference]
         return "\n".join(f"{label}: {result(run, reference)}." for label, run in others)

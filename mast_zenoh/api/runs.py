@@ -136,7 +136,10 @@ class Run:
 
     @property
     def headline(self) -> str:
-        """The report's first sentence: the largest change that adversaries or faults made."""
+        """The report's title: the largest change that adversaries or faults made.
+
+        With drivers, what happened to their cars comes first.
+        """
         from mast_zenoh.report.narrative.run import headline
 
         with reading(self.path):

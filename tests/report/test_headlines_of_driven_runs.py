@@ -96,9 +96,7 @@ def test_errors_of_a_car_elsewhere_are_attributed_by_the_run_alone(driven: Drive
     assert not same_ways(run, twin.run)
     own = headline(run).partition(". ")[2]
     assert " due to adversary_" in own
-    assert headline(run, twin).partition(". ")[2] == (
-        f"{own}; what else differs in errors from unattacked comes from the changed way"
-    )
+    assert headline(run, twin).partition(". ")[2] == (f"{own}; what else differs in errors comes from the changed way")
     assert reading(run, twin) == reading(run)
     assert explanations(run, twin.run) == explanations(run)
 
@@ -118,7 +116,7 @@ def test_no_attack_is_blamed_for_errors_that_come_from_the_changed_way(run_of: R
     words = headline(run, twin)
     assert words.startswith("The ego drives 29 m instead of 93 m (unattacked). The common picture misses ")
     assert "due to" not in words
-    assert words.endswith("what else differs in errors from unattacked comes from the changed way")
+    assert words.endswith("what else differs in errors comes from the changed way")
 
 
 def test_a_car_whose_course_is_not_known_counts_as_elsewhere(driven: Driven) -> None:
@@ -202,7 +200,8 @@ def test_what_the_ego_acts_on_is_not_said_to_be_the_same_if_its_errors_are_as_ma
 
 @pytest.mark.parametrize(("number", "tell"), [(1, "1 message tells"), (25, "25 messages tell")])
 def test_changed_commands_have_words_of_their_own(number: int, tell: str, driven: Driven) -> None:
-    run, _ = driven(stops=True, progress_m=29.0)
+    run, twin = driven(stops=True, progress_m=29.0)
+    run.metrics["agents"] = twin.run.metrics["agents"]
     wire = {"key": "agent/ego/command", "message": "command", "subject": "ego", "interposers": ["adversary_1"]}
     run.wiring["wires"] = [wire]
     run.metrics["interposers"]["adversary_1"] |= {"effects": {"reframed": number}, "wires": [wire["key"]]}
@@ -216,6 +215,9 @@ def test_changed_commands_have_words_of_their_own(number: int, tell: str, driven
     (adversary,) = (each for each in interposers(run) if each.name == "adversary_1")
     assert effects(adversary) == f"{number} command{'s' * (number > 1)} changed"
     assert adversary.other == f"{number} commands changed"
+    columns = ("adversary", "kind", "object", "frame", "error_m_centre", "error_m_ego")
+    object.__setattr__(run, "targets", dict.fromkeys(columns, np.zeros(0)))
+    assert "adversary_1" not in explanations(run), "what commands do is not in errors"
     assert "adversary_1 changes its first command to ego" in [event.text for event in first_changes(run)]
 
 

@@ -239,9 +239,9 @@ def _reasons(run: RunRecord, interposer: Interposer, blamed_for: str) -> list[st
         return []
     targets = rows(run.targets, run.targets["adversary"] == interposer.name)
     if not len(targets["frame"]):
-        return (
-            [] if blamed_for else [f"it changed no single object that could be false or missed: {effects(interposer)}"]
-        )
+        if blamed_for or interposer.commands:  # what commands do is not in errors
+            return []
+        return [f"it changed no single object that could be false or missed: {effects(interposer)}"]
     achieved = run.metrics.get("achieved", {}).get(interposer.name, {})
     if (targets["frame"] >= run.metrics.get("frames", 0)).all():
         return ["what it sent is about frames that the run does not have"]

@@ -354,7 +354,7 @@ def _changed_way(run: RunRecord, reference: Reference | None) -> str:
     if reference is None or same_ways(run, reference.run):
         return ""
     others = ["the changed way", *other_differences(run, reference.run)]
-    return f"; what else differs in errors from {reference.name} comes from {join_names(others, _MOST_NAMES)}"
+    return f"; what else differs in errors comes from {join_names(others, _MOST_NAMES)}"
 
 
 def _picture_unchanged(run: RunRecord, reference: Reference | None) -> str:
