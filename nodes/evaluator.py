@@ -317,9 +317,8 @@ def routes(wiring: Wiring, agents: Sequence[str]) -> dict[str, Route]:
         if wire.message == "trust" and wire.subject not in ("", ego_of(agents)):
             continue  # that of one centre, or one peer, is evaluated
         if wire.message == "command" and (car := drivers.get(source.publisher.node)):
-            for leg in wire.every_leg:
-                if set(leg.subscribers) & set(wire.subscribers):  # into the world, after all interposers
-                    takes[leg.key], ports[leg.key] = "take_command", ((car, "command"),)
+            for leg in wire.last_legs:  # into the world
+                takes[leg.key], ports[leg.key] = "take_command", ((car, "command"),)
         if wire.message == "route" and wire.subject in drivers:
             takes[source.key], ports[source.key] = "take_route", ((drivers[wire.subject], "route"),)
         if wire.message in ("clock", "truth", "trust", "attack_report", "link_report", "reception"):

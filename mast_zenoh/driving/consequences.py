@@ -94,8 +94,8 @@ def consequences(driven: DrivenCar) -> dict[str, Any]:
     (None: nothing was ever approached, or ahead), "min_pet_s" (None: nothing crossed its way), "max_drac_mps2";
     "rss_unsafe_s"; "brakes", each with its cause: the object (a real one's id, a false track's id), its kind (see
     `braking.causes`) and the adversary; "needless_brakes", "missed_brakes", "hard_brakes"; "hardest_braking_mps2",
-    "jerk_max_mps3"; "uncomfortable_s" by bound of COMFORT; "progress_m"; "stops", "standing_s", "blocked_s"; and
-    "behind", the traffic in its lane behind it.
+    "jerk_max_mps3"; "uncomfortable_s" by bound of COMFORT; "progress_m"; "stops", "standing_s", "blocked_s";
+    "blind_frames"; and "behind", the traffic in its lane behind it.
     """
     car, period, truth = driven.car, driven.period_s, driven.truth
     speed, acceleration = driven.speed, driven.acceleration
@@ -125,6 +125,7 @@ def consequences(driven: DrivenCar) -> dict[str, Any]:
         "stops": sum(first > 0 for first, _ in spans(standing)),
         "standing_s": float(np.count_nonzero(standing) * period),
         "blocked_s": float(np.count_nonzero(standing & ~_waits(driven, truth)) * period),
+        "blind_frames": _blind_frames(driven.commands),
         "behind": behind_car(car, driven.objects, driven.ids, period, HARD_BRAKING_MPS2, driven.brakes),
     }
 
@@ -181,6 +182,11 @@ def _hit_ahead(driven: DrivenCar, contacts: Sequence[Mapping[str, Any]]) -> list
         if (same & (truth.frame >= first) & (truth.frame < end)).any():
             result.append((first, end))
     return result
+
+
+def _blind_frames(commands: Commands) -> int:
+    """Number of frames in which a car obeyed a command that its driver gave without an estimate."""
+    return int(np.count_nonzero(~commands.informed[commands.of[commands.of >= 0]]))
 
 
 def _near_miss(truth: InCorridor) -> Bools:

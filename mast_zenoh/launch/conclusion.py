@@ -114,10 +114,16 @@ def write(
     record["notices"] = notices.of_run(resolved, record, collations, measured, refused, results.left_out(handed_in))
     if problem := driven_scene.write(folder, resolved):
         record["notices"].append({"kind": "scene", "count": 1, "text": problem})
-    record["notices"] += notices.of_commands(handed_in.get(driver_of(resolved.nodes), {}).get("commands"))
+    world = driver_of(resolved.nodes)
+    record["notices"] += notices.of_commands(
+        handed_in.get(world, {}).get("commands"),
+        Wiring.from_json(resolved.wiring),
+        counts_of(record["nodes"].get(world, {}).get("rejected")),
+    )
     metrics = handed_in.get(results.EVALUATOR, {}).get("metrics")
     if isinstance(metrics, Mapping):
         record["notices"] += notices.of_scores(metrics, record["timings"].get("frames"))
+        record["notices"] += notices.of_estimates(metrics.get("driven"), metrics.get("frames"))
         record["notices"] += notices.of_confidence(metrics, innovations)
     played = record["timings"].get("frames") or 0
     record["notices"] += (idle.idle_metrics if "replay" in record else idle.idle_parts)(resolved, played, handed_in)

@@ -11,6 +11,7 @@ from mast_zenoh.control.results import counts_of
 from mast_zenoh.messagelog import churn
 from mast_zenoh.metrics.estimates import subject_of
 from mast_zenoh.ros2.outside import MOST_PUBLISHERS
+from mast_zenoh.scenario.driving import driver_of_car
 from mast_zenoh.tracking.base import OVERCONFIDENT, Innovations
 
 #: Other counters of a broker, and what they count.
@@ -107,17 +108,41 @@ def _outside(name: str, counts: Mapping[str, Any]) -> tuple[int, str]:
     return max(1, unanswered + late), text
 
 
-def of_commands(cars: object) -> list[dict[str, Any]]:
-    """Notices of cars that had no new command in some frames. cars: what the simulator counted, by car"""
+def of_commands(cars: object, wiring: Wiring, rejected: Mapping[str, int]) -> list[dict[str, Any]]:
+    """Notices of cars that had no new command in some frames.
+
+    cars: what the simulator counted, by car; rejected: messages that it rejected, by key and reason. Among these are
+    commands that cannot be read, which never reach a car.
+    """
     notices = []
+    by_key: Counter[str] = Counter()
+    for key_and_reason, count in rejected.items():
+        by_key[key_and_reason.rpartition(": ")[0]] += count
+    by_car: Counter[str] = Counter()
+    for wire in wiring.wires:
+        if wire.message == "command":
+            by_car[wire.subject] += sum(by_key[leg.key] for leg in wire.last_legs)
     for car, counts in cars.items() if isinstance(cars, Mapping) else ():
         frames = counts_of(counts)
-        held, braked, refused = (frames.get(name, 0) for name in ("held", "braked", "refused"))
+        held, braked = (frames.get(name, 0) for name in ("held", "braked"))
         if held + braked == 0:
             continue
         text = f"the car of {car} had no new command in {number(held + braked, 'frame')}"
-        text += f": it went on in {held} and braked in {braked}; {number(refused, 'command')} refused"
+        text += f": it went on in {held} and braked in {braked}; {number(by_car[car], 'command')} refused"
         notices.append({"kind": "commands", "count": held + braked, "text": text})
+    return notices
+
+
+def of_estimates(driven: object, frames: object) -> list[dict[str, Any]]:
+    """Notices of drivers that had no estimate in some frames.
+
+    driven: of metrics.json, by car; frames: number of frames that were measured
+    """
+    notices = []
+    for car, happened in driven.items() if isinstance(driven, Mapping) else ():
+        if blind := counts_of(happened).get("blind_frames", 0):
+            text = f"{driver_of_car(str(car))} drove {blind} of {frames} frames without an estimate that is new enough "
+            notices.append({"kind": "estimates", "count": blind, "text": f"{text}(estimate_age_s): it only braked"})
     return notices
 
 

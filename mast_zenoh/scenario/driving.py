@@ -12,12 +12,15 @@ import numpy as np
 from mast_zenoh.config import registry
 from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.driving import CarLimits
+from mast_zenoh.driving.driver import ESTIMATE_AGE_S
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.scenes import Recording, Scene
 from mast_zenoh.scenes.stepped import check_cars
 
 #: The map of the wires of drivers; added where a scenario has drivers.
 MAP = "driving.toml"
+#: ns, the longest period of a scene with drivers; 5 Hz: a car of 50 km/h drives 2.8 m in it.
+_SLOWEST_NS = 200_000_000
 #: File of the simulator that is stepped.
 _WORLD = "world.py"
 #: The map of the wires by which an agent tells what its sensor sees; added where a driver's own sensors have a veto.
@@ -42,7 +45,8 @@ def simulator_config(
     """The configuration of the simulator: with drivers it is a world.
 
     spec: of the scene
-    Raises ConfigurationError for a scene that cannot be stepped, an agent without a car, and a `world` without drivers.
+    Raises ConfigurationError for a scene that cannot be stepped, or too slowly, an agent without a car, a driver that
+    never has an estimate, and a `world` without drivers.
     """
     config = {"recording": recording, "frames": frames}
     drivers, options = scenario.get("drivers", {}), scenario.get("world", {})
@@ -60,6 +64,12 @@ def simulator_config(
             f"{path}: drivers: a scene of the type {spec['type']} cannot be stepped, so its cars cannot be driven: "
             "expected Intersection, SumoTraffic, or a scene of yours that defines `world`"
         )
+    if recording.period_ns > _SLOWEST_NS:
+        raise ConfigurationError(
+            f"{path}: drivers: found a scene of {1e9 / recording.period_ns:g} Hz, expected {1e9 / _SLOWEST_NS:g} Hz or "
+            "more (rate_hz of the scene): from one frame to a much later one cars drive through each other unnoticed"
+        )
+    _check_ages(path, drivers, recording.period_ns)
     if recording.measurements is not None:
         timed = np.flatnonzero(recording.measurements.age_ns.any(axis=0))
         found = ", ".join(recording.sensor_names[column] for column in timed[:5])
@@ -75,6 +85,17 @@ def simulator_config(
     # The world reads the scene's files itself, in a process of another folder.
     scene = {key: os.path.abspath(value) if key == "path" else value for key, value in spec.items()}
     return {"file": _WORLD, **config, "scene": scene, "drivers": names, **options}
+
+
+def _check_ages(path: Path, drivers: Mapping[str, Any], period_ns: int) -> None:
+    """Raise ConfigurationError for a driver that finds every estimate too old: it uses those of earlier frames."""
+    for car, config in drivers.items():
+        age_s = config.get("estimate_age_s", ESTIMATE_AGE_S) if isinstance(config, Mapping) else ESTIMATE_AGE_S
+        if isinstance(age_s, (int, float)) and age_s <= (period_ns - 1) * 1e-9:
+            raise ConfigurationError(
+                f"{path}: drivers.{car}.estimate_age_s: found {age_s:g}, expected {period_ns * 1e-9:g} or more, a "
+                "frame of this scene: a driver uses estimates of earlier frames, and without one it only brakes"
+            )
 
 
 def drivers(path: Path, scenario: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:

@@ -96,6 +96,12 @@ class Wire:
         branch_ends = {branch.entrance: branch.subscriber for branch in self.branches}
         return tuple(branch_ends.get(end, end) for end in self.legs[-1].subscribers)
 
+    @property
+    def last_legs(self) -> tuple[Leg, ...]:
+        """The legs into its subscribers, after all interposers."""
+        ends = set(self.subscribers)
+        return tuple(leg for leg in self.every_leg if ends & set(leg.subscribers))
+
     def key_of(self, listener: Listener) -> str:
         """The key on which a listener receives the wire's messages."""
         return self.legs[0 if listener.source else -1].key

@@ -105,6 +105,23 @@ def test_a_driver_is_judged_by_the_age_of_estimates_that_it_uses() -> None:
     assert resolved.nodes["evaluator"].config["estimate_ages_s"] == {"ego": 1.2}
 
 
+@pytest.mark.parametrize(
+    ("setting", "wrong"),
+    [
+        ("scene.rate_hz=4.9", r"drivers: found a scene of 4\.9 Hz, expected 5 Hz or more"),
+        ("drivers.ego.estimate_age_s=0.05", r"drivers\.ego\.estimate_age_s: found 0\.05, expected 0\.1 or more"),
+    ],
+)
+def test_a_scene_too_slow_for_drivers_and_a_driver_that_is_always_blind_are_refused(setting: str, wrong: str) -> None:
+    with pytest.raises(ConfigurationError, match=wrong):
+        scenario.resolve(*scenario.load("driving", [setting]), seed=0, frames=20)
+
+
+@pytest.mark.parametrize("settings", [["scene.rate_hz=5"], ["drivers.ego.estimate_age_s=0.1"]])
+def test_a_frame_of_5_hz_is_short_enough_and_an_estimate_of_the_last_frame_new_enough(settings: list[str]) -> None:
+    assert "driver_ego" in scenario.resolve(*scenario.load("driving", settings), seed=0, frames=20).nodes
+
+
 def limits_of_driver(world: dict, driver: dict) -> object:
     """The limits that a driver's node gets."""
     content = dict(world=world, drivers=dict(ego=driver))

@@ -188,3 +188,15 @@ def test_a_driver_whose_estimate_is_too_old_brakes_for_want_of_one() -> None:
     """The newest is of frame 5, so it is too old from frame 11 on."""
     assert cause(veto=False, estimates_until=6)["kind"] == "no estimate"
     assert cause(veto=False, estimates_until=6, estimate_ages_s={"ego": 0.8})["kind"] == "false"
+
+
+def test_frames_are_blind_if_the_command_that_acts_was_given_without_an_estimate() -> None:
+    """It has none in frame 0, and in those from frame 11 on; drivers take over in frame 10, or in the first one."""
+    for facts, blind in [
+        ({}, 0),
+        (dict(take_over_s=0.0), 1),
+        (dict(estimates_until=6), FRAMES - 11),
+        (dict(estimates_until=6, late=2), FRAMES - 13),
+        (dict(estimates_until=6, commands_until=15, hold_s=0.0), 15 - 11),
+    ]:
+        assert happened(veto=False, **facts)["blind_frames"] == blind

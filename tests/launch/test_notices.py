@@ -19,11 +19,23 @@ from mast_zenoh.errors import StallError
 from mast_zenoh.launch import ending, notices, run
 from mast_zenoh.report.html import write_report
 from mast_zenoh.tracking import Innovations
+from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
 
 
 @pytest.fixture(scope="module")
 def world() -> Resolved:
     return tiny()
+
+
+def commanded() -> tuple[Wiring, dict[str, int]]:
+    """The wire of the ego's commands with an adversary and a link on it, and what the world rejected on its keys."""
+    driver, liar, link, world = (Endpoint(name, "command") for name in ("driver_ego", "liar", "link_ego", "simulator"))
+    legs = Leg("tap/0", driver, (liar,)), Leg("tap/1", liar, (link,)), Leg("agent/ego/command", link, (world,))
+    rejected = {"agent/ego/command: body": 4, "agent/ego/command: old": 1, "agent/ego/pose: body": 7, "tap/0: body": 9}
+    return Wiring((Wire("agent/ego/command", "ego", "command", legs),)), rejected
+
+
+COMMANDED = commanded()
 
 
 def texts(resolved: Resolved, nodes: dict[str, Any] | None = None, **more: Any) -> dict[str, str]:
@@ -49,13 +61,22 @@ def test_the_notice_of_tracks_left_out_names_their_agents(world: Resolved) -> No
 def test_a_car_without_new_commands_has_a_notice_and_an_obedient_one_has_none() -> None:
     counts = dict(commanded=100, held=3, braked=2, refused=1)
     obedient = dict(commanded=105, held=0, braked=0, refused=0)
-    (notice,) = notices.of_commands({"ego": counts, "mobile_1": obedient})
+    (notice,) = notices.of_commands({"ego": counts, "mobile_1": obedient}, *COMMANDED)
     assert (notice["kind"], notice["count"]) == ("commands", 5)
     assert notice["text"] == (
-        "the car of ego had no new command in 5 frames: it went on in 3 and braked in 2; 1 command refused"
+        "the car of ego had no new command in 5 frames: it went on in 3 and braked in 2; 5 commands refused"
     )
     for invalid in (None, [], "ego", {"ego": None}, {"ego": {"held": -1, "braked": "many"}}):
-        assert notices.of_commands(invalid) == []
+        assert notices.of_commands(invalid, *COMMANDED) == []
+
+
+def test_drivers_without_an_estimate_have_a_notice() -> None:
+    happened = {"ego": {"blind_frames": 12, "brakes": []}, "mobile_1": {"blind_frames": 0}}
+    (notice,) = notices.of_estimates(happened, 150)
+    assert (notice["kind"], notice["count"]) == ("estimates", 12)
+    assert notice["text"].startswith("driver_ego drove 12 of 150 frames without an estimate")
+    for invalid in (None, [], {"ego": None}, {"ego": {"blind_frames": "many"}}):
+        assert notices.of_estimates(invalid, None) == []
 
 
 def node(**counted: Any) -> dict[str, Any]:
