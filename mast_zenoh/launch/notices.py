@@ -13,6 +13,7 @@ from mast_zenoh.metrics.estimates import subject_of
 from mast_zenoh.ros2.outside import MOST_PUBLISHERS
 from mast_zenoh.scenario.driving import driver_of_car
 from mast_zenoh.tracking.base import OVERCONFIDENT, Innovations
+from mast_zenoh.wiring.model import Wiring
 
 #: Other counters of a broker, and what they count.
 _DROPPED = {
