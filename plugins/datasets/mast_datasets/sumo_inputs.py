@@ -6,6 +6,7 @@ reads copies that hold known elements alone, with the line numbers of their orig
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +25,7 @@ MAX_BYTES = 200_000_000
 _MAX_FILES = 100
 _MAX_VALUE = 200  # characters of an option
 _MAX_DEPTH = 20
+_MAX_SCALE = 1000.0  # of the demand: SUMO prepares each vehicle that waits
 _SECTIONS_LEFT_OUT = ("output", "report", "gui_only")
 _FILES = {"net-file": "net", "route-files": "routes", "additional-files": "additional"}
 #: Options that decide about the traffic.
@@ -48,6 +50,11 @@ _OPTIONS, _ELEMENTS, _SILENT = (frozenset(words.split()) for words in (_PASSED, 
 #: Attributes that name files, and those of pictures.
 _NAME_FILES = ("file", "href", "output", "dest")
 _OF_PICTURES = ("imgFile", "osgFile", "color", "guiShape")
+#: Attributes that are numbers; SUMO takes "nan" and "inf" for numbers, too.
+_NUMERIC = """length width height minGap minGapLat maxSpeed maxSpeedLat accel decel emergencyDecel apparentDecel sigma
+tau speedFactor speedDev impatience depart departPos departSpeed arrivalPos arrivalSpeed begin end period probability
+vehsPerHour speed startPos endPos pos duration minDur maxDur offset"""
+_NUMBERS = frozenset(_NUMERIC.split())
 
 
 @dataclass(frozen=True)
@@ -91,6 +98,8 @@ def read_configuration(path: Path) -> SumoInputs:
                 value.fail(f"1 to {_MAX_VALUE} characters")
             if name == "begin":
                 begin_s = value.number(0.0, 1e7)
+            if name == "scale":
+                value.number(0.0, _MAX_SCALE)
             options[name] = value.text()
         elif not name.startswith(_OWN):
             option.fail(f"option {name} is not supported{nearest(name, _OPTIONS)}")
@@ -141,6 +150,14 @@ def copy_input(path: Path, target: BinaryIO) -> None:
     target.flush()
 
 
+def _is_finite(text: str) -> bool:
+    """Whether a text is a finite number, or none, such as "random": then SUMO judges it."""
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return True
+
+
 class _Copy:
     """Writes the elements that it is given by a parser, if they are known."""
 
@@ -168,6 +185,9 @@ class _Copy:
         for name in _NAME_FILES:
             if name in attributes:
                 self._fail(tag, f"{name} names a file, expected none: SUMO may not read or write others")
+        for name in attributes.keys() & _NUMBERS:
+            if not _is_finite(attributes[name]):
+                self._fail(tag, f"{name}: found {attributes[name]!r}, expected a finite number")
         self._open.append(tag)
         lines = self.parser.CurrentLineNumber - self._line
         self._line += lines

@@ -28,6 +28,7 @@ _MAX_VEHICLES = 20_000  # at one time; the others wait
 _MAX_SHOWN = 600  # characters of SUMO's messages
 _MAX_COORDINATE_M = 1e8
 _MAX_SPEED = 200.0
+_MAX_SIZE_M = 1000.0  # of a vehicle: a train, at most
 #: s that a request may take: the first one reads the network, and then the time until the scene begins is simulated.
 _LOAD_S, _WARM_UP_S, _STEP_S = 120, 600, 60
 _GRACE_S = 5.0
@@ -159,6 +160,11 @@ class SumoSimulation:
         """
         answer = self._ask("step", _STEP_S, steps, [tuple(move) for move in moves], dict(watched or {}))
         for name, (*size, vehicle_class) in answer["shapes"].items():
+            if not all(0.0 < length <= _MAX_SIZE_M for length in size):
+                raise SceneError(
+                    f"{self._path}: {name}: found length, width and height {size}, expected more than 0 and at most "
+                    f"{_MAX_SIZE_M:g} m: see its vType"
+                )
             self.shapes[name] = VehicleShape(tuple(size), vehicle_class)
         names = [*answer["vehicles"], *answer["persons"]]
         state = np.frombuffer(answer["state"]).reshape(-1, 4)

@@ -263,6 +263,14 @@ def test_positions_that_are_no_numbers_are_refused(crossing: Path) -> None:
         scene(crossing).record(0, 40)
 
 
+@pytest.mark.parametrize("length", ["nan", "1e7"])
+def test_a_vehicle_of_no_size_that_can_be_is_refused(crossing: Path, length: str) -> None:
+    routes = crossing.with_name("crossing.rou.xml")
+    routes.write_text(routes.read_text().replace('length="4.5"', f'length="{length}"'))
+    with pytest.raises(SceneError, match=r"crossing\.(rou\.xml: line 3: <vType>: length|sumocfg: .*): found "):
+        scene(crossing).record(0, 2)
+
+
 def test_a_simulation_that_dies_or_hangs_is_an_error(crossing: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = children()
     stepped = scene(crossing).world(0, 20)
