@@ -24,12 +24,12 @@ DRIVER = dict(
     type="FollowingDriver",
     following=dict(type="IntelligentDriverModel", acceleration=1.5, braking=3.0, headway_s=1.5, gap_m=1.0),
 )
-#: The first 30 generated junctions at which the ego, driven by DRIVER on the truth and without attack (seed 0, 15 s),
-#: has something within 30 m ahead of it in its lane for a fifth of the time. One seed of each, so that pairs are
-#: independent of each other.
-JUNCTIONS = (0, 1, 2, 5, 8, 13, 14, 15, 16, 17, 19, 20, 21, 22, 27, 29, 30, 33, 34, 36)
-JUNCTIONS += (37, 38, 39, 40, 43, 44, 45, 46, 49, 50)
-# On two cores, quick takes a minute or two and full half an hour (docs/driving.md).
+#: The first 30 generated junctions from 4 on (thresholds were calibrated on 0 to 3) at which the ego, driven by DRIVER
+#: on the truth and without attack (seed 0, 15 s), has something within 30 m ahead of it in its lane for a fifth of the
+#: time. One seed of each, so that pairs are independent of each other.
+JUNCTIONS = (5, 8, 13, 14, 15, 16, 17, 19, 20, 21, 22, 27, 29, 30, 33, 34, 36, 37, 38, 39)
+JUNCTIONS += (40, 43, 44, 45, 46, 49, 50, 53, 54, 57)
+# On two cores, quick takes a minute or two and full 25 minutes (docs/driving.md).
 PRESETS = dict(
     quick=dict(attacks="phantom_queue@picture,phantom_queue@tracks", scenes="intersection:6,intersection:13", trials=1),
     full=dict(attacks=ATTACKS, scenes=",".join(f"intersection:{index}" for index in JUNCTIONS), trials=1),

@@ -10,7 +10,9 @@ from defence_outcomes import outcome
 
 import mast_zenoh as mast
 from mast_zenoh.api.comparisons import as_text
+from mast_zenoh.config.scene_names import parse_scene
 from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.integrity.calibration import refuse_calibration_data
 from mast_zenoh.metrics.driving_results import DRIVING_MEASURES, DrivingTable
 from mast_zenoh.report.figures.driving_study import figure_of_driving
 from mast_zenoh.report.tables.driving_study import conclusion, driving_tables, headline
@@ -142,6 +144,8 @@ def test_the_shipped_study_pairs_every_attack_with_every_defence() -> None:
     ]
     full = definition.load("driving")
     assert len(full.scenes) * (full.trials or 0) == 30, "pairs of each attack and defence"
+    for scene in full.scenes:
+        refuse_calibration_data([full.seed], parse_scene(scene.label), "the study of driving")
 
 
 def test_an_attack_without_its_wire_is_named_with_the_nearest() -> None:
