@@ -15,8 +15,8 @@ class Actuation:
     """What one car does with the commands that it gets.
 
     A command of a frame acts in the next one. If that one has no command, because it is late, lost or refused, the car
-    goes on as the newest command said, for at most `hold_frames` frames; then it brakes, straight along its last
-    curvature, until a newer command arrives. A late command acts when it arrives, if it is new enough to be held.
+    goes on as the newest command said, for at most `hold_frames` frames; then it brakes along its last curvature,
+    until a newer command arrives. A late command acts when it arrives, if it is new enough to be held.
 
     limits: of the car; braking: m/s^2, of a car without commands, if it can
     counts: of frames, by what the car did: "commanded", "held", "braked"; and of refused commands, "refused"

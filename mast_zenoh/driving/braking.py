@@ -124,10 +124,10 @@ def demanded_by_road(speed: Floats, routes: Mapping[int, RouteAhead]) -> Floats:
     return np.where(result > BRAKING_MPS2, result, 0.0)
 
 
-def hardest_per_frame(corridor: InCorridor, demanded: Floats, frames: int) -> Floats:
+def hardest_per_frame(corridor: InCorridor, frames: int) -> Floats:
     """The hardest braking (f,) m/s^2 that any object asks for in each frame."""
     result = np.zeros(frames)
-    np.maximum.at(result, corridor.frame, demanded)
+    np.maximum.at(result, corridor.frame, demanded_by_objects(corridor))
     return result
 
 

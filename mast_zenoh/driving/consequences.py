@@ -213,8 +213,9 @@ def _brakes(driven: DrivenCar) -> list[dict[str, Any]]:
     near = {row: driven.routes[row] for row in rows if row in driven.routes}
     believed = in_corridor(driven.car, near, driven.believed, driven.look)
     from_side = crossing(driven.car, near, driven.believed, driven.look)
-    ahead = np.max([lines, road, _demanded(driven, driven.truth)], axis=0)
-    crossed = np.maximum(ahead, _demanded(driven, crossing(driven.car, near, driven.objects, driven.look)))
+    ahead = np.max([lines, road, braking.hardest_per_frame(driven.truth, len(speed))], axis=0)
+    crossers = crossing(driven.car, near, driven.objects, driven.look)
+    crossed = np.maximum(ahead, braking.hardest_per_frame(crossers, len(speed)))
     result = []
     for brake, needless, needless_for_ghost, cause, other_cause in zip(
         brakes,
@@ -234,11 +235,6 @@ def _brakes(driven: DrivenCar) -> list[dict[str, Any]]:
             }
         )
     return result
-
-
-def _demanded(driven: DrivenCar, objects: InCorridor) -> Floats:
-    """The hardest braking (f,) m/s^2 that any of some objects asks for in each frame."""
-    return braking.hardest_per_frame(objects, braking.demanded_by_objects(objects), len(driven.speed))
 
 
 def _waits(driven: DrivenCar, truth: InCorridor) -> Bools:

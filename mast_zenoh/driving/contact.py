@@ -37,8 +37,8 @@ def post_encroachment_s(car: Vehicle, objects: Objects, period_s: float) -> floa
         for shift in {apart, -apart}:
             row = objects.frame + shift
             rows = np.flatnonzero((row >= 0) & (row < frames))
-            rows = rows[np.abs(wrap_angle(objects.yaw[rows] - car.heading[row[rows]])) >= _CROSSING]
-            if len(_overlapping(car, objects, rows, row[rows])):
+            met = _overlapping(car, objects, rows, row[rows])
+            if (np.abs(wrap_angle(objects.yaw[met] - car.heading[row[met]])) >= _CROSSING).any():
                 return apart * period_s
     return None
 

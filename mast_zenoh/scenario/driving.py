@@ -121,6 +121,15 @@ def drivers(path: Path, scenario: Mapping[str, Any]) -> Iterator[tuple[str, Mapp
         yield driver_of_car(car), {"agent": car, **config}
 
 
+def evaluator_config(scenario: Mapping[str, Any]) -> dict[str, Any]:
+    """What the evaluator knows of the drivers and their world, where the scenario says it."""
+    drivers, world = scenario.get("drivers", {}), scenario.get("world", {})
+    ages = {car: config["estimate_age_s"] for car, config in drivers.items() if "estimate_age_s" in config}
+    keys = {"take_over_s": "take_over_s", "hold_s": "hold_s", "car_limits": "limits"}
+    known = {name: world[key] for name, key in keys.items() if key in world}
+    return known | ({"estimate_ages_s": ages} if ages else {})
+
+
 def _limits(spec: object, path: str) -> CarLimits:
     limits: CarLimits = CarLimits() if spec is None else registry.build(spec, CarLimits, path)
     return limits

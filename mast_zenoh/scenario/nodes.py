@@ -104,13 +104,7 @@ def nodes_of(
     ages = {name: specs[name].config["picture_age_s"] for name in agents if "picture_age_s" in specs[name].config}
     evaluator = scenario.get("evaluator", {})
     ages_option = {"picture_ages_s": ages} if ages and "picture_age_s" not in evaluator else {}
-    drivers = [spec.config for spec in specs.values() if spec.role == "driver" and "estimate_age_s" in spec.config]
-    if drivers:
-        ages_option["estimate_ages_s"] = {config["agent"]: config["estimate_age_s"] for config in drivers}
-    world = scenario.get("world", {})
-    ages_option |= {name: world[name] for name in ("take_over_s", "hold_s") if name in world}
-    ages_option |= {"car_limits": world["limits"]} if "limits" in world else {}
-    add("evaluator", "evaluator", {"agents": agents, **ages_option, **evaluator})
+    add("evaluator", "evaluator", {"agents": agents, **ages_option, **driving.evaluator_config(scenario), **evaluator})
     for name, config in _checked_configs(scenario.get("nodes", {}), f"{path}: nodes"):
         add(name, str(config.get("role", "")), config)
     if record:
