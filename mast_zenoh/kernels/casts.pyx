@@ -1,7 +1,7 @@
 # cython: language_level=3, cdivision=True
 """Kernels for lidar returns. The NumPy references document them.
 
-A beam is cast twice, at boxes that are MARGIN_M larger and smaller: rounding cannot matter where both agree. Objects about
+A beam is cast twice, at boxes that are MARGIN_M larger and smaller: rounding cannot matter where both agree. Beams about
 which they do not agree are left to the reference, so the results are equal to its results.
 """
 
@@ -26,6 +26,8 @@ cdef double MARGIN_M = 1e-6
 cdef double MARGIN_RAD = 1e-7
 #: More returns than any lidar has beams.
 cdef Py_ssize_t MANY = 1 << 40
+#: The most beams of a box that are left to the reference one by one; of more, it casts all.
+cdef Py_ssize_t OPEN_BEAMS = 1024
 #: Sine of the least angle between a beam and a wall at which the distance to the wall is precise.
 cdef double PARALLEL = 1e-3
 
@@ -35,17 +37,28 @@ cdef enum Verdict:
 
 
 cdef struct Returns:
-    Py_ssize_t certain, possible
+    Py_ssize_t certain, open  # open: left to the reference
 
 
 cdef struct Box:
     Py_ssize_t row  # of the boxes; -1: none of them
     double x, y, radius, cos, sin  # x, y: m, from the sensor;  radius: m, of the circle around it
     double[3] origin, half  # the sensor in the frame of the box;  half of its size
+    bint thick  # in all directions, so that there is a box that is smaller by MARGIN_M on each side
 
 
 cdef struct Beam:
     double x, y, z, flat  # world frame; flat: length on the ground
+
+
+cdef struct Column:
+    double x, y, z  # the direction on the sensor's level of all beams at an azimuth, world frame
+
+
+cdef struct Cast:
+    double enter, leave  # m, along the beam, in the box that is larger by MARGIN_M
+    double inner_enter, inner_leave  # in the one that is smaller
+    bint inner  # whether the beam hits that
 
 
 cdef Box box_at(const double* at, const double* size, double yaw, const double* sensor) noexcept:
@@ -56,8 +69,10 @@ cdef Box box_at(const double* at, const double* size, double yaw, const double* 
     box.x, box.y, box.cos, box.sin = -x, -y, cos(yaw), sin(yaw)
     box.origin[0], box.origin[1] = box.cos * x + box.sin * y, box.cos * y - box.sin * x
     box.origin[2] = sensor[2] - at[2]
+    box.thick = True
     for axis in range(3):
         box.half[axis] = 0.5 * size[axis]
+        box.thick = box.thick and box.half[axis] >= MARGIN_M
     box.radius = sqrt(box.half[0] * box.half[0] + box.half[1] * box.half[1])
     return box
 
@@ -73,35 +88,52 @@ cdef double distance_to(Box* box) noexcept:
     return sqrt(total)
 
 
-cdef inline bint clip(double along, double origin, double half, double* enter, double* leave) noexcept:
-    """Clip a beam to the slab between two faces; whether anything is left."""
-    cdef double centre, span
+cdef inline double least_of(double one, double other) noexcept:
+    """The smaller number; `one` if the other is NaN. A call of `fmin` costs more than all else about a beam."""
+    return other if other < one else one
+
+
+cdef inline double most_of(double one, double other) noexcept:
+    """The larger number; `one` if the other is NaN."""
+    return other if other > one else one
+
+
+cdef inline bint clip(double along, double origin, double half, Cast* cast) noexcept:
+    """Clip a beam to the slabs between two faces of both boxes; whether anything of the larger one is left."""
+    cdef double per_m, margin, centre, span
     if fabs(along) < 1e-12:
         along = 1e-12
-    centre, span = -origin / along, half / fabs(along)
-    enter[0], leave[0] = fmax(enter[0], centre - span), fmin(leave[0], centre + span)
-    return half >= 0.0 and enter[0] <= leave[0]
+    per_m = 1.0 / along
+    centre, span, margin = -origin * per_m, half * fabs(per_m), MARGIN_M * fabs(per_m)
+    cast.enter, cast.leave = most_of(cast.enter, centre - span - margin), least_of(cast.leave, centre + span + margin)
+    cast.inner_enter = most_of(cast.inner_enter, centre - span + margin)
+    cast.inner_leave = least_of(cast.inner_leave, centre + span - margin)
+    return cast.enter <= cast.leave
 
 
-cdef inline bint hits(Box* box, Beam* beam, double margin, double range_m, double* enter) noexcept:
-    """Whether a beam hits a box that is larger by a margin, and the distance m at which it enters it."""
-    cdef double leave = range_m + margin
-    enter[0] = 0.0
-    return (
-        clip(box.cos * beam.x + box.sin * beam.y, box.origin[0], box.half[0] + margin, enter, &leave)
-        and clip(box.cos * beam.y - box.sin * beam.x, box.origin[1], box.half[1] + margin, enter, &leave)
-        and clip(beam.z, box.origin[2], box.half[2] + margin, enter, &leave)
-    )
+cdef inline bint hits(Box* box, Beam* beam, double range_m, Cast* cast) noexcept:
+    """Whether a beam hits a box that is larger by MARGIN_M, and where; `cast.inner`: also one that is smaller by it."""
+    cast.enter = cast.inner_enter = 0.0
+    cast.leave, cast.inner_leave = range_m + MARGIN_M, range_m - MARGIN_M
+    if not (
+        clip(box.cos * beam.x + box.sin * beam.y, box.origin[0], box.half[0], cast)
+        and clip(box.cos * beam.y - box.sin * beam.x, box.origin[1], box.half[1], cast)
+        and clip(beam.z, box.origin[2], box.half[2], cast)
+    ):
+        return False
+    cast.inner = box.thick and cast.inner_enter <= cast.inner_leave
+    return True
 
 
 cdef inline Verdict box_hides(Box* box, Beam* beam, double range_m, double least, double most) noexcept:
     """Whether a box hides what a beam meets between two distances m."""
-    cdef double enter, reach = box.radius * beam.flat + MARGIN_M
+    cdef double reach = box.radius * beam.flat + MARGIN_M
+    cdef Cast cast
     if fabs(beam.x * box.y - beam.y * box.x) > reach or beam.x * box.x + beam.y * box.y < -reach:
         return NO
-    if not hits(box, beam, MARGIN_M, range_m, &enter) or enter > most:
+    if not hits(box, beam, range_m, &cast) or cast.enter > most:
         return NO
-    return YES if hits(box, beam, -MARGIN_M, range_m, &enter) and enter < least else UNSURE
+    return YES if cast.inner and cast.inner_enter < least else UNSURE
 
 
 cdef inline Verdict wall_hides(
@@ -142,6 +174,9 @@ cdef class Scene:
     cdef Box* boxes
     cdef np.int64_t* near_boxes  # rows of the boxes and walls that may hide the box that is looked at
     cdef np.int64_t* near_walls
+    cdef np.int64_t* open_azimuths  # (OPEN_BEAMS,) each: of the beams that may have a return from it
+    cdef np.int64_t* open_channels
+    cdef object open_beams
     cdef Py_ssize_t azimuths, channels, walls, n_boxes, n_near_boxes, n_near_walls, turn, last_box, last_wall
     cdef double step, range_m
 
@@ -171,6 +206,8 @@ cdef class Scene:
         cdef const np.uint8_t* left_out = byte_data(own)
         storage = empty_vector(np.NPY_UINT8, m * sizeof(Box))
         near_boxes, near_walls = empty_vector(np.NPY_INT64, m), empty_vector(np.NPY_INT64, self.walls)
+        azimuths, channels = empty_vector(np.NPY_INT64, OPEN_BEAMS), empty_vector(np.NPY_INT64, OPEN_BEAMS)
+        self.open_azimuths, self.open_channels, self.open_beams = int_data(azimuths), int_data(channels), (azimuths, channels)
         self.arrays += [storage, near_boxes, near_walls]
         self.boxes = <Box*>byte_data(storage)
         self.near_boxes, self.near_walls = int_data(near_boxes), int_data(near_walls)
@@ -243,17 +280,44 @@ cdef class Scene:
             unsure |= verdict == UNSURE
         return UNSURE if unsure else NO
 
+    cdef inline Verdict meets(self, Box* box, Column* column, Py_ssize_t channel) noexcept:
+        """Whether a beam has a return from a box."""
+        cdef double flat = self.flat[channel], rise = self.rise[channel]
+        cdef Beam beam
+        cdef Cast cast
+        cdef Verdict hidden
+        beam.x = flat * column.x + rise * self.R[2]
+        beam.y = flat * column.y + rise * self.R[5]
+        beam.z = flat * column.z + rise * self.R[8]
+        if not hits(box, &beam, self.range_m, &cast):
+            return NO
+        if self.n_near_boxes == 0 and self.n_near_walls == 0:
+            return YES if cast.inner else UNSURE
+        beam.flat = sqrt(beam.x * beam.x + beam.y * beam.y)
+        hidden = self.hides(&beam, cast.enter, cast.inner_enter if cast.inner else INFINITY)
+        if hidden == YES:
+            return NO
+        return YES if cast.inner and hidden == NO else UNSURE
+
+    cdef inline bint count(self, Box* box, Column* column, Py_ssize_t azimuth, Py_ssize_t channel, Returns* found) noexcept:
+        """Count a beam; whether it certainly has a return from a box."""
+        cdef Verdict verdict = self.meets(box, column, channel)
+        if verdict == UNSURE:
+            if found.open < OPEN_BEAMS:
+                self.open_azimuths[found.open], self.open_channels[found.open] = azimuth, channel
+            found.open += 1
+        found.certain += verdict == YES
+        return verdict == YES
+
     cdef Returns returns(self, Box* box, Py_ssize_t enough) noexcept:
         """How many returns a box has; counting ends at `enough` that are certain."""
         cdef const double* R = self.R
         cdef double nearest = distance_to(box), farthest = 0.0, bearing, low = INFINITY, high = -INFINITY, angle
-        cdef double z_low = INFINITY, z_high = -INFINITY, down, up, along, across, x, y, z, u, v, w, enter, most, c, s
-        cdef Py_ssize_t corner, k, first, count, column, channel
+        cdef double z_low = INFINITY, z_high = -INFINITY, down, up, along, across, x, y, z, u, v, w, c, s
+        cdef Py_ssize_t corner, k, first, count, azimuth, channel, lowest = 0, highest, last
+        cdef Column column
         cdef Returns found
-        cdef Beam beam
-        cdef bint hit
-        cdef Verdict hidden
-        found.certain = found.possible = 0
+        found.certain = found.open = 0
         if not nearest <= self.range_m + MARGIN_M:
             return found
         self.look_at(box)
@@ -277,29 +341,31 @@ cdef class Scene:
         up = asin(fmax(fmin(z_high / (nearest if z_high > 0 else farthest), 1.0), -1.0)) + MARGIN_RAD
         first = <Py_ssize_t>ceil((bearing + low - MARGIN_RAD - self.azimuth[0]) / self.step)
         count = <Py_ssize_t>floor((bearing + high + MARGIN_RAD - self.azimuth[0]) / self.step) - first + 1
+        while lowest < self.channels and self.elevation[lowest] < down:
+            lowest += 1
+        highest = lowest
+        while highest < self.channels and not self.elevation[highest] > up:
+            highest += 1
         for k in range(min(count, self.turn)):
-            column = (first + k) % self.turn
-            column = column + self.turn if column < 0 else column
-            if column >= self.azimuths:
+            azimuth = (first + k) % self.turn
+            azimuth = azimuth + self.turn if azimuth < 0 else azimuth
+            if azimuth >= self.azimuths:
                 continue
-            c, s = cos(self.azimuth[column]), sin(self.azimuth[column])
-            for channel in range(self.channels):
-                if self.elevation[channel] < down:
-                    continue
-                if self.elevation[channel] > up:
-                    break
-                u, v, w = self.flat[channel] * c, self.flat[channel] * s, self.rise[channel]
-                beam.x, beam.y = R[0] * u + R[1] * v + R[2] * w, R[3] * u + R[4] * v + R[5] * w
-                beam.z = R[6] * u + R[7] * v + R[8] * w
-                beam.flat = sqrt(beam.x * beam.x + beam.y * beam.y)
-                if not hits(box, &beam, MARGIN_M, self.range_m, &enter):
-                    continue
-                hit = hits(box, &beam, -MARGIN_M, self.range_m, &most)
-                hidden = self.hides(&beam, enter, most if hit else INFINITY)
-                found.certain += hit and hidden == NO
-                found.possible += hidden != YES
-                if found.certain >= enough:
-                    return found
+            c, s = cos(self.azimuth[azimuth]), sin(self.azimuth[azimuth])
+            column.x, column.y, column.z = R[0] * c + R[1] * s, R[3] * c + R[4] * s, R[6] * c + R[7] * s
+            channel, last = lowest, highest - 1
+            while channel <= last and not self.count(box, &column, azimuth, channel, &found):
+                channel += 1
+            if self.n_near_boxes == 0 and self.n_near_walls == 0:
+                # Nothing hides the box, so that a column meets it in one piece: its ends are enough.
+                while last > channel and not self.count(box, &column, azimuth, last, &found):
+                    last -= 1
+                found.certain += max(last - channel - 1, 0)
+            else:
+                for channel in range(channel + 1, highest):
+                    self.count(box, &column, azimuth, channel, &found)
+            if found.certain >= enough:
+                return found
         return found
 
 
@@ -326,7 +392,7 @@ def has_returns(position, size, yaw, sensor, walls, occluders, Py_ssize_t least)
             continue
         box = box_at(at + 3 * r, extent + 3 * r, heading[r], scene.sensor)
         found = scene.returns(&box, least)
-        enough[r], unsure[r] = found.certain >= least, found.certain < least <= found.possible
+        enough[r], unsure[r] = found.certain >= least, found.certain < least <= found.certain + found.open
     if open_rows.any():
         result[open_rows] = kernels.REFERENCES["has_returns"](
             position[open_rows], size[open_rows], yaw[open_rows], sensor, walls, occluders, least
@@ -334,23 +400,31 @@ def has_returns(position, size, yaw, sensor, walls, occluders, Py_ssize_t least)
     return result
 
 
-def lidar_points(lidar, sensor_position, sensor_rotation, position, size, yaw, walls=None, Py_ssize_t own=-1):
-    cdef Py_ssize_t r, n = len(yaw)
+def lidar_points(
+    lidar, sensor_position, sensor_rotation, position, size, yaw, walls=None, Py_ssize_t own=-1, beams=None
+):
+    cdef Py_ssize_t r, k, row, n = len(yaw)
     carrier = zero_vector(np.NPY_BOOL, n)
     if own >= 0:
         carrier[own] = True
     cdef Scene scene = Scene(lidar, sensor_position, sensor_rotation, walls, position, size, yaw, carrier)
-    cdef bint sure = scene.whole_turn()
     cdef Returns found
+    reference = kernels.REFERENCES["lidar_points"]
+    if beams is not None or not scene.whole_turn():
+        return reference(lidar, sensor_position, sensor_rotation, position, size, yaw, walls, own, beams)
     points = numpy.zeros(n, numpy.int32)
-    for r in range(scene.n_boxes if sure else 0):
+    for r in range(scene.n_boxes):
+        row = scene.boxes[r].row
         found = scene.returns(&scene.boxes[r], MANY)
-        sure = found.certain == found.possible
-        if not sure:
-            break
-        points[scene.boxes[r].row] = found.certain
-    if sure:
-        return points
-    return kernels.REFERENCES["lidar_points"](
-        lidar, sensor_position, sensor_rotation, position, size, yaw, walls, own
-    )
+        points[row] = found.certain
+        if not found.open:
+            continue
+        if distance_to(&scene.boxes[r]) <= MARGIN_M:  # on its faces, rounding decides about half of all beams
+            return reference(lidar, sensor_position, sensor_rotation, position, size, yaw, walls, own)
+        # Of two boxes at the same distance, the one in the lower row has the beam. All others are out of the way.
+        rows = sorted([row, *[scene.boxes[scene.near_boxes[k]].row for k in range(scene.n_near_boxes)]])
+        left = None if found.open > OPEN_BEAMS else tuple(beams[:found.open] for beams in scene.open_beams)
+        boxes = position[rows], size[rows], yaw[rows]
+        there = reference(lidar, sensor_position, sensor_rotation, *boxes, walls, -1, left)[rows.index(row)]
+        points[row] = there if left is None else found.certain + there
+    return points

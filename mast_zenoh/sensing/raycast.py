@@ -54,15 +54,18 @@ def lidar_points(
     yaw: Floats,
     walls: Walls | None = None,
     own: int = -1,
+    beams: tuple[Ints, Ints] | None = None,
 ) -> NDArray[np.int32]:
     """(n,) lidar returns of each of n upright boxes.
 
     sensor_position (3,) m and sensor_rotation (3, 3) active: the lidar's pose in the world (`sensing.sensor_pose`).
     position (n, 3) m centre, size (n, 3) m l w h, yaw (n,) rad: the boxes in the world.
     own: row of the box that carries the lidar; it occludes nothing and has no returns. -1: none.
+    beams: azimuths (k,) and channels (k,), rows of `lidar.azimuths` and `lidar.elevations`: cast only these; None: all
     """
     points = np.zeros(len(position), np.int32)
-    box, _, distance, direction = _nearest_hits(lidar, sensor_position, sensor_rotation, position, size, yaw, own)
+    boxes = position, size, yaw
+    box, _, distance, direction = _nearest_hits(lidar, sensor_position, sensor_rotation, *boxes, own, beams)
     visible = np.ones(len(box), bool)
     if walls is not None and len(walls.top) and len(box):
         ends = sensor_position + (direction * distance[:, None]) @ sensor_rotation.T
@@ -96,6 +99,7 @@ def _nearest_hits(
     size: Floats,
     yaw: Floats,
     own: int,
+    beams: tuple[Ints, Ints] | None = None,
 ) -> tuple[Ints, Ints, Floats, Floats]:
     """The first box on each beam: box, beam, distance m, direction (sensor frame)."""
     # Directions and the sensor's origin in each box's frame: box <- world <- sensor.
@@ -114,6 +118,12 @@ def _nearest_hits(
         box_corners(position[rows], size[rows], yaw[rows]).reshape(-1, 3), sensor_position, sensor_rotation
     )
     box, azimuth, channels = _columns(lidar, corners.reshape(-1, 8, 3), nearest[rows])
+    if beams is not None:
+        column, beam = np.nonzero(azimuth[:, None] == beams[0])
+        channel = beams[1][beam]
+        inside = (channels[column, 0] <= channel) & (channel < channels[column, 1])
+        column, channel = column[inside], channel[inside]
+        box, azimuth, channels = box[column], azimuth[column], np.stack([channel, channel + 1], axis=1)
     hits = _hits(lidar, to_box[rows] @ sensor_rotation, origin[rows], half[rows], box, azimuth, channels)
     box, beam, distance, direction = _nearest(*hits)
     return rows[box], beam, distance, direction

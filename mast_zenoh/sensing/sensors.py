@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -116,17 +117,20 @@ class LidarSensor:
         """
         return cls(np.zeros(3), np.eye(3), -45.0, 45.0, 0.2, -25.0, 30.0, 64, 100.0)
 
-    @property
+    @cached_property
     def azimuths(self) -> Floats:
-        """(m,) rad, ascending, of the beams in one channel."""
+        """(m,) rad, ascending, of the beams in one channel; not to be written to."""
         count = round((self.azimuth_max_deg - self.azimuth_min_deg) / self.azimuth_step_deg)
         azimuths: Floats = np.radians(self.azimuth_min_deg + self.azimuth_step_deg * (np.arange(count) + 0.5))
+        azimuths.flags.writeable = False
         return azimuths
 
-    @property
+    @cached_property
     def elevations(self) -> Floats:
-        """(channels,) rad, ascending."""
-        return np.radians(np.linspace(self.elevation_min_deg, self.elevation_max_deg, self.channels))
+        """(channels,) rad, ascending; not to be written to."""
+        elevations: Floats = np.radians(np.linspace(self.elevation_min_deg, self.elevation_max_deg, self.channels))
+        elevations.flags.writeable = False
+        return elevations
 
 
 def in_view(points_world: Floats, sensor_position: Floats, sensor_rotation: Floats, lidar: LidarSensor) -> Bools:
