@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from mast_zenoh.arrays.geometry import wrap_angle
-from mast_zenoh.arrays.rectangles import intersection_area
+from mast_zenoh.arrays.rectangles import overlapping
 from mast_zenoh.arrays.states import Ints
 from mast_zenoh.metrics.driving import Objects, Vehicle
 
-#: m2; outlines with a smaller intersection only touch.
-_TOUCH_M2 = 1e-6
 #: s; a longer time between two that use the same place is no encounter.
 _LONGEST_S = 5.0
 #: rad; who comes at a smaller angle follows, and does not cross.
@@ -46,10 +44,5 @@ def post_encroachment_s(car: Vehicle, objects: Objects, period_s: float) -> floa
 def _overlapping(car: Vehicle, objects: Objects, rows: Ints, at: Ints) -> Ints:
     """Of (k,) rows of objects, those whose outlines overlap that of the car in its frames `at` (k,)."""
     offset = objects.position[rows, :2] - car.position[at, :2]
-    reach = 0.5 * (np.hypot(car.length, car.width) + np.hypot(objects.size[rows, 0], objects.size[rows, 1]))
-    near = np.flatnonzero(np.hypot(offset[:, 0], offset[:, 1]) <= reach)
-    chosen = rows[near]
-    own = np.tile([car.length, car.width], (len(near), 1))
-    heading = car.heading[at[near]]
-    area = intersection_area(offset[near], own, heading, objects.size[chosen, :2], objects.yaw[chosen])
-    return chosen[area > _TOUCH_M2]
+    own = np.broadcast_to([car.length, car.width], offset.shape)
+    return rows[overlapping(offset, own, car.heading[at], objects.size[rows], objects.yaw[rows])]

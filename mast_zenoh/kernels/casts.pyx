@@ -28,6 +28,7 @@ cdef double MARGIN_RAD = 1e-7
 cdef Py_ssize_t MANY = 1 << 40
 #: The most beams of a box that are left to the reference one by one; of more, it casts all.
 cdef Py_ssize_t OPEN_BEAMS = 1024
+cdef Py_ssize_t NOTHING = -1
 #: Sine of the least angle between a beam and a wall at which the distance to the wall is precise.
 cdef double PARALLEL = 1e-3
 
@@ -44,6 +45,8 @@ cdef struct Box:
     Py_ssize_t row  # of the boxes; -1: none of them
     double x, y, radius, cos, sin  # x, y: m, from the sensor;  radius: m, of the circle around it
     double[3] origin, half  # the sensor in the frame of the box;  half of its size
+    double nearest  # m, from the sensor
+    bint apart  # from the box that is looked at
     bint thick  # in all directions, so that there is a box that is smaller by MARGIN_M on each side
 
 
@@ -61,6 +64,17 @@ cdef struct Cast:
     bint inner  # whether the beam hits that
 
 
+cdef double distance_to(Box* box) noexcept:
+    """m from the sensor to the box."""
+    cdef double total = 0.0, beyond
+    cdef Py_ssize_t axis
+    for axis in range(3):
+        beyond = fabs(box.origin[axis]) - box.half[axis]
+        if not beyond < 0.0:  # NaN stays
+            total += beyond * beyond
+    return sqrt(total)
+
+
 cdef Box box_at(const double* at, const double* size, double yaw, const double* sensor) noexcept:
     cdef Box box
     cdef double x = sensor[0] - at[0], y = sensor[1] - at[1]
@@ -74,18 +88,40 @@ cdef Box box_at(const double* at, const double* size, double yaw, const double* 
         box.half[axis] = 0.5 * size[axis]
         box.thick = box.thick and box.half[axis] >= MARGIN_M
     box.radius = sqrt(box.half[0] * box.half[0] + box.half[1] * box.half[1])
+    box.nearest = distance_to(&box)
     return box
 
 
-cdef double distance_to(Box* box) noexcept:
-    """m from the sensor to the box."""
-    cdef double total = 0.0, beyond
+cdef enum Place:
+    BEHIND, APART, ANYWHERE
+
+
+cdef Place place_of(Box* other, Box* box) noexcept:
+    """Where another box certainly is: apart from a box, and behind a plane that it cannot hide it from the sensor.
+
+    The planes are parallel to a face of one of the two.
+    """
+    cdef double[5] at, reach, other_at, other_reach
+    cdef double c = fabs(box.cos * other.cos + box.sin * other.sin), s = fabs(box.cos * other.sin - box.sin * other.cos)
+    cdef double far
     cdef Py_ssize_t axis
-    for axis in range(3):
-        beyond = fabs(box.origin[axis]) - box.half[axis]
-        if not beyond < 0.0:  # NaN stays
-            total += beyond * beyond
-    return sqrt(total)
+    cdef Place place = ANYWHERE
+    at[0], at[1] = box.cos * box.x + box.sin * box.y, box.cos * box.y - box.sin * box.x
+    other_at[0], other_at[1] = box.cos * other.x + box.sin * other.y, box.cos * other.y - box.sin * other.x
+    at[2], at[3] = other.cos * box.x + other.sin * box.y, other.cos * box.y - other.sin * box.x
+    other_at[2], other_at[3] = other.cos * other.x + other.sin * other.y, other.cos * other.y - other.sin * other.x
+    at[4], other_at[4] = -box.origin[2], -other.origin[2]
+    reach[0], reach[1], other_reach[2], other_reach[3] = box.half[0], box.half[1], other.half[0], other.half[1]
+    other_reach[0], other_reach[1] = c * other.half[0] + s * other.half[1], s * other.half[0] + c * other.half[1]
+    reach[2], reach[3] = c * box.half[0] + s * box.half[1], s * box.half[0] + c * box.half[1]
+    reach[4], other_reach[4] = box.half[2], other.half[2]
+    for axis in range(5):
+        far = 1.0 if other_at[axis] > at[axis] else -1.0
+        if far * (other_at[axis] - at[axis]) > reach[axis] + other_reach[axis] + 9.0 * MARGIN_M:
+            place = APART
+            if far * other_at[axis] > other_reach[axis] + 9.0 * MARGIN_M:
+                return BEHIND
+    return place
 
 
 cdef inline double least_of(double one, double other) noexcept:
@@ -178,6 +214,7 @@ cdef class Scene:
     cdef np.int64_t* open_channels
     cdef object open_beams
     cdef Py_ssize_t azimuths, channels, walls, n_boxes, n_near_boxes, n_near_walls, turn, last_box, last_wall
+    cdef Py_ssize_t hider  # which of the near boxes hides the last beam from the box that is looked at; NOTHING: none
     cdef double step, range_m
 
     def __cinit__(self, lidar, sensor_position, sensor_rotation, walls, box_position, box_size, box_yaw, own):
@@ -214,7 +251,7 @@ cdef class Scene:
         for r in range(m):
             if not left_out[r]:
                 box = box_at(self.box_position + 3 * r, self.box_size + 3 * r, self.box_yaw[r], self.sensor)
-                if distance_to(&box) <= self.range_m + MARGIN_M:
+                if box.nearest <= self.range_m + MARGIN_M:
                     self.boxes[self.n_boxes] = box
                     self.boxes[self.n_boxes].row = r
                     self.n_boxes += 1
@@ -228,6 +265,7 @@ cdef class Scene:
         cdef double distance = sqrt(box.x * box.x + box.y * box.y), x = 1.0, y = 0.0, one, other
         cdef double wide = box.radius + 4.0 * MARGIN_M, x_start, y_start, x_end, y_end
         cdef Py_ssize_t row
+        cdef Place place
         self.n_near_boxes = self.n_near_walls = self.last_box = self.last_wall = 0
         if distance <= wide:  # the strip has no direction
             distance, wide = INFINITY, INFINITY
@@ -238,6 +276,10 @@ cdef class Scene:
             if self.boxes[row].row == box.row or fabs(x * self.boxes[row].y - y * self.boxes[row].x) > one:
                 continue
             if -one <= x * self.boxes[row].x + y * self.boxes[row].y <= distance + one:
+                place = place_of(&self.boxes[row], box)
+                if place == BEHIND:
+                    continue
+                self.boxes[row].apart = place == APART
                 self.near_boxes[self.n_near_boxes] = row
                 self.n_near_boxes += 1
         for row in range(self.walls):
@@ -262,7 +304,7 @@ cdef class Scene:
             place = place if place < self.n_near_boxes else place - self.n_near_boxes
             verdict = box_hides(&self.boxes[self.near_boxes[place]], beam, self.range_m, least, most)
             if verdict == YES:
-                self.last_box = place
+                self.last_box = self.hider = place
                 return YES
             unsure |= verdict == UNSURE
         for k in range(self.n_near_walls):
@@ -289,6 +331,7 @@ cdef class Scene:
         beam.x = flat * column.x + rise * self.R[2]
         beam.y = flat * column.y + rise * self.R[5]
         beam.z = flat * column.z + rise * self.R[8]
+        self.hider = NOTHING
         if not hits(box, &beam, self.range_m, &cast):
             return NO
         if self.n_near_boxes == 0 and self.n_near_walls == 0:
@@ -299,22 +342,54 @@ cdef class Scene:
             return NO
         return YES if cast.inner and hidden == NO else UNSURE
 
+    cdef bint is_clear(self, Column* column) noexcept:
+        """Whether nothing can hide a box from the beams at an azimuth. Only seen at once if they are in a vertical plane."""
+        cdef Py_ssize_t k, row
+        cdef double reach, one, other
+        cdef Box* box
+        if self.R[2] != 0.0 or self.R[5] != 0.0:
+            return self.n_near_boxes == self.n_near_walls == 0
+        for k in range(self.n_near_boxes):
+            box = &self.boxes[self.near_boxes[k]]
+            reach = box.radius + 2.0 * MARGIN_M
+            if fabs(column.x * box.y - column.y * box.x) <= reach and column.x * box.x + column.y * box.y >= -reach:
+                return False
+        for k in range(self.n_near_walls):
+            row = self.near_walls[k]
+            one = column.x * (self.start[2 * row + 1] - self.sensor[1]) - column.y * (self.start[2 * row] - self.sensor[0])
+            other = column.x * (self.end[2 * row + 1] - self.sensor[1]) - column.y * (self.end[2 * row] - self.sensor[0])
+            if least_of(one, other) <= 2.0 * MARGIN_M and most_of(one, other) >= -2.0 * MARGIN_M:
+                return False
+        return True
+
+    cdef Py_ssize_t last_hidden(self, Box* box, Column* column, Py_ssize_t bottom, Py_ssize_t top) noexcept:
+        """The last channel up to `top` in which the box that hid the last beam, in channel `bottom`, does so, too."""
+        cdef Py_ssize_t middle, hider = self.hider
+        while bottom < top:
+            middle = (bottom + top + 1) // 2
+            self.meets(box, column, middle)
+            if self.hider == hider:
+                bottom = middle
+            else:
+                top = middle - 1
+        return bottom
+
     cdef inline bint count(self, Box* box, Column* column, Py_ssize_t azimuth, Py_ssize_t channel, Returns* found) noexcept:
-        """Count a beam; whether it certainly has a return from a box."""
+        """Count a beam; whether it certainly has a return from a box, or would have if no other box hid that."""
         cdef Verdict verdict = self.meets(box, column, channel)
         if verdict == UNSURE:
             if found.open < OPEN_BEAMS:
                 self.open_azimuths[found.open], self.open_channels[found.open] = azimuth, channel
             found.open += 1
         found.certain += verdict == YES
-        return verdict == YES
+        return verdict == YES or self.hider != NOTHING
 
     cdef Returns returns(self, Box* box, Py_ssize_t enough) noexcept:
         """How many returns a box has; counting ends at `enough` that are certain."""
         cdef const double* R = self.R
-        cdef double nearest = distance_to(box), farthest = 0.0, bearing, low = INFINITY, high = -INFINITY, angle
+        cdef double nearest = box.nearest, farthest = 0.0, bearing, low = INFINITY, high = -INFINITY, angle
         cdef double z_low = INFINITY, z_high = -INFINITY, down, up, along, across, x, y, z, u, v, w, c, s
-        cdef Py_ssize_t corner, k, first, count, azimuth, channel, lowest = 0, highest, last
+        cdef Py_ssize_t corner, k, first, count, azimuth, bottom, top, lowest = 0, highest
         cdef Column column
         cdef Returns found
         found.certain = found.open = 0
@@ -353,17 +428,19 @@ cdef class Scene:
                 continue
             c, s = cos(self.azimuth[azimuth]), sin(self.azimuth[azimuth])
             column.x, column.y, column.z = R[0] * c + R[1] * s, R[3] * c + R[4] * s, R[6] * c + R[7] * s
-            channel, last = lowest, highest - 1
-            while channel <= last and not self.count(box, &column, azimuth, channel, &found):
-                channel += 1
-            if self.n_near_boxes == 0 and self.n_near_walls == 0:
-                # Nothing hides the box, so that a column meets it in one piece: its ends are enough.
-                while last > channel and not self.count(box, &column, azimuth, last, &found):
-                    last -= 1
-                found.certain += max(last - channel - 1, 0)
-            else:
-                for channel in range(channel + 1, highest):
-                    self.count(box, &column, azimuth, channel, &found)
+            bottom, top, self.hider = lowest, highest - 1, NOTHING
+            while bottom <= top and not self.count(box, &column, azimuth, bottom, &found):
+                bottom += 1
+            # A column meets each box in one piece, and of two that are apart the same one first.
+            if self.is_clear(&column):
+                while top > bottom and not self.count(box, &column, azimuth, top, &found):
+                    top -= 1
+                found.certain += max(top - bottom - 1, 0)
+                bottom = top
+            elif self.hider != NOTHING and self.boxes[self.near_boxes[self.hider]].apart:
+                bottom = self.last_hidden(box, &column, bottom, top)
+            for bottom in range(bottom + 1, top + 1):
+                self.count(box, &column, azimuth, bottom, &found)
             if found.certain >= enough:
                 return found
         return found
@@ -419,7 +496,7 @@ def lidar_points(
         points[row] = found.certain
         if not found.open:
             continue
-        if distance_to(&scene.boxes[r]) <= MARGIN_M:  # on its faces, rounding decides about half of all beams
+        if scene.boxes[r].nearest <= MARGIN_M:  # on its faces, rounding decides about half of all beams
             return reference(lidar, sensor_position, sensor_rotation, position, size, yaw, walls, own)
         # Of two boxes at the same distance, the one in the lower row has the beam. All others are out of the way.
         rows = sorted([row, *[scene.boxes[scene.near_boxes[k]].row for k in range(scene.n_near_boxes)]])

@@ -12,9 +12,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mast_zenoh.arrays.rectangles import overlapping
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.kernels import kernel
-from mast_zenoh.metrics.boxes import Boxes, birdseye_intersection, find
+from mast_zenoh.metrics.boxes import find
 from mast_zenoh.metrics.causes import ATTACK_CAUSES, Labels
 from mast_zenoh.metrics.estimates import LOCAL, MISSION
 from mast_zenoh.metrics.record import Record, Series, TruthTable
@@ -108,8 +109,6 @@ class TimeToCollision(BrakingRule):
 _STEP_M, _REACH_M = 1.0, 8.0
 #: m, in the bird's-eye view; an object centred within this distance of the vehicle is the vehicle itself.
 _SELF_M = 2.0
-#: m2; outlines with a smaller intersection only touch.
-_TOUCH_M2 = 1e-6
 
 
 class Vehicle(NamedTuple):
@@ -207,22 +206,12 @@ class Driving:
 
 
 def _overlaps(vehicle: Vehicle, objects: Objects, row: Ints) -> Bools:
-    """Whether each of k objects (k,) overlaps the vehicle or is centred on it.
-
-    Objects and vehicle are compared in the frame of each object.
-    """
-    offset = objects.position[row] - vehicle.position[objects.frame[row]]
-    distance = np.hypot(offset[:, 0], offset[:, 1])
-    overlaps = distance <= _SELF_M
-    reach = 0.5 * (np.hypot(vehicle.length, vehicle.width) + np.hypot(*objects.size[row, :2].T))
-    near = (~overlaps & (distance <= reach + _SELF_M)).nonzero()[0]  # the outlines of others cannot meet
-    row, zeros = row[near], np.zeros(len(near), np.int64)
-    size = np.tile([vehicle.length, vehicle.width, 0.0], (len(near), 1))
+    """Whether each of k objects (k,) overlaps the vehicle or is centred on it."""
     frame = objects.frame[row]
-    own = Boxes(zeros, zeros, vehicle.position[frame], size, vehicle.heading[frame])
-    other = Boxes(zeros, zeros, objects.position[row], objects.size[row], objects.yaw[row])
-    overlaps[near] = birdseye_intersection(own, other) > _TOUCH_M2
-    return np.asarray(overlaps)
+    offset = objects.position[row, :2] - vehicle.position[frame, :2]
+    own = np.broadcast_to([vehicle.length, vehicle.width], offset.shape)
+    overlaps = overlapping(offset, own, vehicle.heading[frame], objects.size[row], objects.yaw[row])
+    return np.asarray(overlaps | (np.hypot(offset[:, 0], offset[:, 1]) <= _SELF_M))
 
 
 def _near_path(objects: Objects, path: Floats, along: Floats, driven: Floats) -> tuple[Ints, Ints]:

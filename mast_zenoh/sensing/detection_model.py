@@ -77,12 +77,10 @@ class CleanDetector(Detector):
         return to_sensor(detections, sensor_position, sensor_rotation), seen.id
 
 
-#: Classes of clutter, with their probabilities and typical sizes (l, w, h) m.
-_CLUTTER_KINDS = (
-    ("car", 0.7, (4.5, 1.8, 1.5)),
-    ("truck", 0.1, (8.0, 2.4, 3.0)),
-    ("pedestrian", 0.2, (0.6, 0.6, 1.7)),
-)
+#: Of clutter: the classes, their probabilities and typical sizes (l, w, h) m.
+_CLUTTER_CLASSES = np.array([CLASS_INDEX[name] for name in ("car", "truck", "pedestrian")], np.uint8)
+_CLUTTER_SHARES = (0.7, 0.1, 0.2)
+_CLUTTER_SIZES = np.array([(4.5, 1.8, 1.5), (8.0, 2.4, 3.0), (0.6, 0.6, 1.7)])
 
 #: Candidate positions per clutter detection; the field of view covers well over a tenth of the disc around a sensor.
 _CLUTTER_CANDIDATES = 64
@@ -249,8 +247,8 @@ class DetectionModel(Detector):
         """Up to n false detections in view, world frame."""
         if n == 0:
             return Detections.empty()
-        kind = random.choice(len(_CLUTTER_KINDS), size=n, p=[share for _, share, _ in _CLUTTER_KINDS])
-        size = np.array([size for _, _, size in _CLUTTER_KINDS])[kind] * random.uniform(0.9, 1.1, (n, 3))
+        kind = random.choice(len(_CLUTTER_SHARES), size=n, p=_CLUTTER_SHARES)
+        size = _CLUTTER_SIZES[kind] * random.uniform(0.9, 1.1, (n, 3))
         yaw = random.uniform(-np.pi, np.pi, n)
         score = random.uniform(*self.clutter_score, n)
         # Uniform over the disc: the first of several candidates that is in view.
@@ -263,16 +261,16 @@ class DetectionModel(Detector):
         visible = in_view(position.reshape(-1, 3), sensor_position, sensor_rotation, lidar).reshape(
             n, _CLUTTER_CANDIDATES
         )
-        first = visible.argmax(axis=1)
+        rows, first = np.arange(n), visible.argmax(axis=1)
+        chosen = position[rows, first]
         covariance = np.zeros((n, 3, 3))
         if self.report_covariance:
-            distance = np.linalg.norm(position[np.arange(n), first] - sensor_position, axis=1)
+            distance = np.linalg.norm(chosen - sensor_position, axis=1)
             growth = 1.0 + (distance / self.range_scale_m) ** 2 + self.few_points / self.points_scale
             variance = np.array([self.position_noise_m, self.position_noise_m, self.vertical_noise_m]) ** 2
             covariance[:, [0, 1, 2], [0, 1, 2]] = growth[:, None] * variance
-        classes = np.array([CLASS_INDEX[name] for name, _, _ in _CLUTTER_KINDS], np.uint8)
-        clutter = Detections(position[np.arange(n), first], size, yaw, score, classes[kind], covariance)
-        return clutter.select(visible[np.arange(n), first])
+        clutter = Detections(chosen, size, yaw, score, _CLUTTER_CLASSES[kind], covariance)
+        return clutter.select(visible[rows, first])
 
 
 _MAX_STRENGTH = 1.5  # of an object's returns in the logit of its score, up and down
