@@ -108,17 +108,17 @@ class EgoOnRoute:
 
 
 class FollowingEgo(AdaptiveAttack):
-    """Base of attacks that know where the ego is on its route."""
+    """Base of attacks that know where the ego is on its route: `ego`, which has seen each message before `lie` has."""
 
-    _ego = EgoOnRoute(UNKNOWN)
+    ego = EgoOnRoute(UNKNOWN)
 
     def inform(self, surroundings: Surroundings) -> None:
         super().inform(surroundings)
-        self._ego = EgoOnRoute(surroundings)
+        self.ego = EgoOnRoute(surroundings)
 
     def observe(self, moment: Moment) -> None:
         super().observe(moment)
-        self._ego.observe(moment)
+        self.ego.observe(moment)
 
 
 # -- real objects ------------------------------------------------------------------------------------------------------
@@ -155,7 +155,7 @@ class HideAhead(FollowingEgo, ChangingAttack):
         self._what, self._horizon_s = what, horizon_s
 
     def lie(self, moment: Moment) -> Lies:
-        gap, left = self._ego.ahead(moment.seen)
+        gap, left = self.ego.ahead(moment.seen)
         wanted = np.zeros(len(gap), bool)
         if self._what != "crossing":
             wanted |= np.abs(left) <= LANE_M
@@ -165,11 +165,11 @@ class HideAhead(FollowingEgo, ChangingAttack):
 
     def _will_cross(self, gap: Floats, left: Floats) -> Bools:
         """(n,) whether objects beside the lane will be in it ahead of the ego, if they go on as now."""
-        path = self._ego.path
+        path = self.ego.path
         if path is None:
             return np.zeros(len(gap), bool)
         velocity = self._follower.velocities()
-        heading = path.at(np.maximum(gap + self._ego.along, 0.0))[1]
+        heading = path.at(np.maximum(gap + self.ego.along, 0.0))[1]
         forward = np.cos(heading) * velocity[:, 0] + np.sin(heading) * velocity[:, 1]
         leftward = np.cos(heading) * velocity[:, 1] - np.sin(heading) * velocity[:, 0]
         inward = -np.sign(left) * leftward
@@ -178,7 +178,7 @@ class HideAhead(FollowingEgo, ChangingAttack):
         return np.asarray(aside & (time_s <= self._horizon_s) & (gap + forward * time_s > 0.0))
 
     def _cost(self, moment: Moment) -> Floats:
-        return self._ego.distance(moment.seen)
+        return self.ego.distance(moment.seen)
 
     def _claims(self, moment: Moment, numbers: Ints, real: ObjectStates) -> None:
         return None
@@ -220,30 +220,30 @@ class LaneIntrusion(FollowingEgo, SlowDrift):
         self._into = into
 
     def lie(self, moment: Moment) -> Lies:
-        gap, left = self._ego.ahead(moment.seen)
+        gap, left = self.ego.ahead(moment.seen)
         beside = np.abs(left) > LANE_M
         wanted = beside & (np.abs(left) <= self._limit_m) if self._into == "ego" else ~beside
         wanted &= (moment.seen.size[:, 0] >= VEHICLE_M) & (gap <= REACH_M)
         return super().lie(replace(moment, established=moment.established & wanted))
 
     def _cost(self, moment: Moment) -> Floats:
-        return self._ego.distance(moment.seen)
+        return self.ego.distance(moment.seen)
 
     def _claims(self, moment: Moment, numbers: Ints, real: ObjectStates) -> ObjectStates:
         self._direction |= self._directions(moment, numbers, real)  # lanes bend
         return super()._claims(moment, numbers, real)
 
     def _directions(self, moment: Moment, numbers: Ints, real: ObjectStates) -> dict[int, float]:
-        gap, left = self._ego.ahead(real)
-        if self._ego.path is None:
+        gap, left = self.ego.ahead(real)
+        if self.ego.path is None:
             return dict.fromkeys(numbers.tolist(), 0.0)
-        across = self._ego.path.at(np.maximum(gap + self._ego.along, 0.0))[1] + np.pi / 2
+        across = self.ego.path.at(np.maximum(gap + self.ego.along, 0.0))[1] + np.pi / 2
         # Out of the ego's lane, all go to the right.
         right = left > 0.0 if self._into == "ego" else np.ones(len(left), bool)
         return dict(zip(numbers.tolist(), (across + np.where(right, np.pi, 0.0)).tolist(), strict=True))
 
     def _limits(self, moment: Moment, real: ObjectStates) -> Floats:
-        _, left = self._ego.ahead(real)
+        _, left = self.ego.ahead(real)
         return np.minimum(np.abs(left) if self._into == "ego" else LANE_WIDTH_M + left, self._limit_m)
 
 
@@ -271,7 +271,7 @@ class GhostAhead(FollowingEgo, PhantomAttack):
         super().__init__(budget=budget, start_s=start_s, speed_mps=speed_mps)
 
     def lie(self, moment: Moment) -> Lies:
-        return super().lie(replace(moment, coverage=self._ego.on_route(moment.coverage)))
+        return super().lie(replace(moment, coverage=self.ego.on_route(moment.coverage)))
 
     def _given_up(self, moment: Moment, phantoms: ObjectStates) -> Bools:
         path = path_ahead(moment.coverage)
@@ -320,31 +320,31 @@ class FalseTraffic(FollowingEgo):
         self._numbers, self._along = self._numbers[:0], self._along[:0]
 
     def lie(self, moment: Moment) -> Lies:
-        path = self._ego.path
+        path = self.ego.path
         if path is None:
             return Lies()
         if len(self._numbers) == 0:
             paused = self._withdrawn_ns is not None and moment.time_ns - self._withdrawn_ns < self.pause_s * 1e9
-            gaps = np.zeros(0) if paused else self._places(moment)
+            gaps = np.zeros(0) if paused else self.places(moment)
             gaps = gaps[: self.budget.admit(0, len(gaps))]
-            self._along, self._numbers = self._ego.along + gaps, self.numbers(len(gaps))
+            self._along, self._numbers = self.ego.along + gaps, self.numbers(len(gaps))
             self._placed += len(gaps)
-            speed, left, leftward = self._motion(moment, begins=True)
+            speed, left, leftward = self.motion(moment, begins=True)
         else:
-            speed, left, leftward = self._motion(moment, begins=False)
+            speed, left, leftward = self.motion(moment, begins=False)
             self._along = self._along + speed * moment.elapsed_s
-            if (self._along - self._ego.along < _HIT_M).any():
+            if (self._along - self.ego.along < _HIT_M).any():
                 self._withdrawn_ns = moment.time_ns
                 self.rest()
                 return Lies()
         return Lies(inserted=self._shown(moment, path, speed, left, leftward))
 
     @abstractmethod
-    def _places(self, moment: Moment) -> Floats:
+    def places(self, moment: Moment) -> Floats:
         """(k,) m, how far ahead of the ego new false vehicles are, ascending; none: they wait."""
 
     @abstractmethod
-    def _motion(self, moment: Moment, *, begins: bool) -> tuple[float, float, float]:
+    def motion(self, moment: Moment, *, begins: bool) -> tuple[float, float, float]:
         """The speed of all, m/s, how far left of the path they are, m, and the speed with which they go left, m/s.
 
         begins: whether they have just been placed
@@ -391,10 +391,10 @@ class PhantomQueue(FalseTraffic):
         check("more than 0, finite", ahead_m=ahead_m, spacing_m=spacing_m)
         self._ahead_m, self._spacing_m, self._count = ahead_m, spacing_m, max(1, int(budget))
 
-    def _places(self, moment: Moment) -> Floats:
+    def places(self, moment: Moment) -> Floats:
         return np.asarray(self._ahead_m + self._spacing_m * np.arange(self._count))
 
-    def _motion(self, moment: Moment, *, begins: bool) -> tuple[float, float, float]:
+    def motion(self, moment: Moment, *, begins: bool) -> tuple[float, float, float]:
         return 0.0, 0.0, 0.0
 
 
@@ -432,12 +432,12 @@ class CutIn(FalseTraffic):
         self._from_m = LANE_WIDTH_M if side == "left" else -LANE_WIDTH_M
         self._began_ns, self._speed = 0, 0.0
 
-    def _places(self, moment: Moment) -> Floats:
-        return np.array([self._ahead_m] if self._ego.speed >= self._least_mps else [])
+    def places(self, moment: Moment) -> Floats:
+        return np.array([self._ahead_m] if self.ego.speed >= self._least_mps else [])
 
-    def _motion(self, moment: Moment, *, begins: bool) -> tuple[float, float, float]:
+    def motion(self, moment: Moment, *, begins: bool) -> tuple[float, float, float]:
         if begins:
-            self._began_ns, self._speed = moment.time_ns, self._ego.speed
+            self._began_ns, self._speed = moment.time_ns, self.ego.speed
         share = (moment.time_ns - self._began_ns) * 1e-9 / self._change_s
         if share >= 1.0:
             self._speed = max(self._speed - self._braking * moment.elapsed_s, 0.0)

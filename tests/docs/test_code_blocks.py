@@ -248,7 +248,7 @@ def message_of_ros(block: Block, folder: Path) -> None:
 
 #: By page the function that runs its Python blocks in order; None: another test runs them.
 RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
-    "driving.md": [whole_scenario, played_scenario],
+    "driving.md": [whole_scenario, whole_scenario, played_scenario],
     "exports.md": [None],  # test_export_labels.py
     "faults.md": [part_of_a_scenario, part_of_a_scenario, random_faults, fault_of_ones_own],
     "fusion.md": [whole_scenario],
