@@ -210,12 +210,15 @@ def looked_for(random, n, m):
 
 def cast(random, n, m):
     """A lidar among boxes and walls, on one of the boxes or on none."""
-    boxes = places(random, n), random.uniform(0.3, 6, (n, 3)), random.uniform(-4, 4, n)
+    position, yaw, pitch = places(random, n), random.uniform(-4, 4, n), random.uniform(-1, 1)
+    if random.random() < 0.5:  # traffic: side by side, seen by a lidar that stands upright
+        position[:, 1], yaw, pitch = random.integers(-2, 3, n) * 3.5, random.normal(0, 0.05, n), 0.0
+    boxes = position, random.uniform(0.3, 6, (n, 3)), yaw
     step = random.choice([0.5, 0.7])  # 0.7: beams after a turn are not at the same places
     lidar = LidarSensor(
         azimuth_step_deg=step, elevation_max_deg=30.0, channels=20, max_range_m=random.choice([9.0, 90.0])
     )
-    pose = random.normal(0, 5, 3), rotation_from_yaw_pitch(*random.uniform(-1, 1, 2))
+    pose = random.normal(0, 5, 3), rotation_from_yaw_pitch(random.uniform(-1, 1), pitch)
     walls = Walls(random.normal(0, 30, (m, 2)), random.normal(0, 30, (m, 2)), random.uniform(-1, 9, m))
     return lidar, *pose, *boxes, walls if random.random() < 0.8 else None, int(random.integers(-1, n)) if n else -1
 

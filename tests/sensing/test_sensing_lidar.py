@@ -64,6 +64,33 @@ def test_ray_casting_equals_a_brute_force_test_of_every_beam(seed: int) -> None:
     assert points.sum() > 0
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_in_dense_traffic_every_beam_has_its_nearest_box(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    lane, along = np.repeat([-3.5, 0.0, 3.5, 7.0], 8), np.tile(np.arange(-28.0, 28.0, 7.0), 4)
+    size = random.uniform([3.8, 1.7, 1.3], [6.0, 2.4, 2.9], (len(lane), 3))
+    position = np.stack([along + random.uniform(-0.4, 0.4, len(lane)), lane, size[:, 2] / 2.0], axis=1)
+    boxes = position, size, random.normal(0.0, 0.02, len(lane))
+    own = int(np.abs(position[:, :2]).sum(axis=1).argmin())
+    lidar, roof = LidarSensor(azimuth_step_deg=1.0), position[own] + [0.0, 0.0, size[own, 2] / 2.0 + 0.2]
+    rotation = rotation_from_yaw_pitch(random.uniform(-3, 3), 0.0)
+    rest = tuple(np.delete(part, own, axis=0) for part in boxes)
+    expected = every_beam(lidar, roof, rotation, rest, Walls.of_buildings((), np.zeros(0)))
+    np.testing.assert_array_equal(np.delete(lidar_points(lidar, roof, rotation, *boxes, own=own), own), expected)
+    assert (expected > 0).sum() > 10
+
+
+def test_returns_of_some_beams_add_up_to_those_of_all() -> None:
+    boxes = cars((10.0, 0.0), (16.0, 1.0), (-20.0, 4.0))
+    lidar = LidarSensor(azimuth_step_deg=0.5, channels=24)
+    azimuth, channel = (each.ravel() for each in np.indices((len(lidar.azimuths), 24)))
+    parts = [
+        lidar_points(lidar, ROOF, EYE, *boxes, beams=(azimuth[part], channel[part]))
+        for part in np.array_split(np.random.default_rng(0).permutation(len(azimuth)), 5)
+    ]
+    np.testing.assert_array_equal(np.sum(parts, axis=0), lidar_points(lidar, ROOF, EYE, *boxes))
+
+
 def test_a_car_in_front_hides_the_one_behind() -> None:
     assert (lidar_points(LidarSensor(), ROOF, EYE, *cars((40.0, 0.0))) > 50).all()
     # From a lower lidar, which cannot see over the roof of the first car.
