@@ -345,20 +345,20 @@ cdef class Scene:
     cdef bint is_clear(self, Column* column) noexcept:
         """Whether nothing can hide a box from the beams at an azimuth. Only seen at once if they are in a vertical plane."""
         cdef Py_ssize_t k, row
-        cdef double reach, one, other
+        cdef double reach, one, other, flat = sqrt(column.x * column.x + column.y * column.y)
         cdef Box* box
         if self.R[2] != 0.0 or self.R[5] != 0.0:
             return self.n_near_boxes == self.n_near_walls == 0
         for k in range(self.n_near_boxes):
             box = &self.boxes[self.near_boxes[k]]
-            reach = box.radius + 2.0 * MARGIN_M
+            reach = flat * (box.radius + 2.0 * MARGIN_M)
             if fabs(column.x * box.y - column.y * box.x) <= reach and column.x * box.x + column.y * box.y >= -reach:
                 return False
         for k in range(self.n_near_walls):
             row = self.near_walls[k]
             one = column.x * (self.start[2 * row + 1] - self.sensor[1]) - column.y * (self.start[2 * row] - self.sensor[0])
             other = column.x * (self.end[2 * row + 1] - self.sensor[1]) - column.y * (self.end[2 * row] - self.sensor[0])
-            if least_of(one, other) <= 2.0 * MARGIN_M and most_of(one, other) >= -2.0 * MARGIN_M:
+            if least_of(one, other) <= 2.0 * flat * MARGIN_M and most_of(one, other) >= -2.0 * flat * MARGIN_M:
                 return False
         return True
 
