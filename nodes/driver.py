@@ -17,7 +17,7 @@ import numpy as np
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion, tracks_in_world
 from mast_zenoh.arrays.states import Bools, ObjectStates, canonical_order
-from mast_zenoh.driving import CarLimits, Driver, RouteAhead, Situation
+from mast_zenoh.driving import CarLimits, Command, Driver, RouteAhead, Situation
 from mast_zenoh.driving.driver import ESTIMATE_AGE_S
 from mast_zenoh.driving.veto import overruled
 from mast_zenoh.gather import Gather, LatestBefore, plausible_rows
@@ -156,6 +156,9 @@ class DriverNode(Node):
                 limits=self.limits,
             )
             command = self.driver.drive(situation)
+            if not isinstance(command, Command):
+                found = type(command).__name__
+                raise TypeError(f"{type(self.driver).__name__}.drive returned {found}, expected a Command")
         self.counts["commands"] += 1
         body = {name: np.array([value]) for name, value in command._asdict().items()}
         context.publish("command", body, frame=received.frame, time_ns=time_ns)

@@ -67,6 +67,8 @@ def scenario(
     n_vehicles, n_bicycles, n_pedestrians: of the junction; None: as many as it usually has;
     cars: number of cars with drivers: the ego, mobile_1, mobile_2, …
     """
+    if cars < 1:
+        raise ConfigurationError(f"cars: found {cars}, expected 1 or more")
     if cars > 1:
         n_mobile = max(n_mobile or 0, cars - 1)
     scene = choose_scene(scene, n_vehicles=n_vehicles, n_bicycles=n_bicycles, n_pedestrians=n_pedestrians)

@@ -169,7 +169,7 @@ def _look(values: Mapping[str, Any]) -> Look:
 
     estimates, captions = (tuple(values[name] or ()) for name in ("estimates", "captions"))
     chosen = {name: values[name] for name in _LOOK}
-    return Look(estimates=estimates or ("picture",), captions=captions, **chosen)
+    return Look(estimates=estimates or None, captions=captions, **chosen)
 
 
 def logs(

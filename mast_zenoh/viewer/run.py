@@ -20,8 +20,10 @@ from mast_zenoh.errors import ConfigurationError, MastError, RunFolderError, nea
 from mast_zenoh.launch import liveness
 from mast_zenoh.launch.measurement import recorded_wirings
 from mast_zenoh.launch.tables import from_arrow, read_arrow
+from mast_zenoh.metrics.estimates import LOCAL, MISSION
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.run_files import check_plain, read_object
+from mast_zenoh.scenario.driving import driver_of_car
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.viewer import routes
 from mast_zenoh.wiring.model import Wiring
@@ -238,6 +240,16 @@ class RunRecord:
         spec = dict(self.scenario.get("nodes", {}).get(node, {}))
         recorded = (spec.get("config") or {}).get("recorded")
         return spec | recorded if self.run.get("replay") and isinstance(recorded, dict) else spec
+
+    @property
+    def believed(self) -> str | None:
+        """The estimate of the agent that its driver believes; None: nobody drives its car, or by the truth."""
+        config = self.node_spec(driver_of_car(self.ego)).get("config") if self.ego else None
+        return (
+            {"safety": LOCAL, "mission": MISSION}.get(str(config.get("estimate", "mission")))
+            if isinstance(config, dict)
+            else None
+        )
 
     def role(self, node: str) -> str:
         """The role of a node, from run.json or guessed from its wires and name."""

@@ -62,6 +62,7 @@ def test_an_unknown_wire_names_the_nearest() -> None:
 @pytest.mark.parametrize(
     ("settings", "wrong"),
     [
+        (["cars=0"], "cars: found 0, expected 1 or more"),
         (["wire=command"], "wire: found 'command', expected nothing: it needs an attack"),
         (["n_adversaries=5"], "n_adversaries: found 5, expected nothing: it needs an attack"),
         (["attack=cut_in", "n_adversaries=5"], "n_adversaries: found 5, .* needs wire=tracks, not picture"),

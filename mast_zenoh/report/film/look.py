@@ -87,7 +87,7 @@ class Look:
     """Options of `mast animate` and `mast snapshot` (docs/animations.md).
 
     agent:     whose estimates are shown; None: the main agent
-    estimates: one to three of SHOWN, side by side
+    estimates: one to three of SHOWN, side by side; None: what the agent's driver believes, without one the picture
     camera:    with the agent's camera view below each bird's-eye view
     window:    `fit`, `follow`, `follow:HALF` or `X,Y,HALF`, m
     theme:     dark or light
@@ -100,7 +100,7 @@ class Look:
     """
 
     agent: str | None = None
-    estimates: Sequence[str] = ("picture",)
+    estimates: Sequence[str] | None = None
     camera: bool = False
     window: str = "fit"
     theme: str = "dark"
@@ -112,7 +112,7 @@ class Look:
 
     def check(self, panels: int) -> None:
         """Raise ConfigurationError for an invalid option; panels: their number."""
-        for estimate in self.estimates:
+        for estimate in self.estimates or ():
             if estimate not in SHOWN:
                 raise ConfigurationError(f"unknown estimate {estimate!r}: expected one of {', '.join(SHOWN)}"
                                          f"{_similar(estimate, SHOWN)}")  # fmt: skip

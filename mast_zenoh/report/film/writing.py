@@ -16,6 +16,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from mast_zenoh.errors import ConfigurationError, ExportError, RunFolderError
 from mast_zenoh.launch.ending import RUNNING
 from mast_zenoh.launch.folder import check_free, write_new
+from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.report.figures.view import choose_frame
 from mast_zenoh.report.film.encoding import ffmpeg, images, write_gif, write_video
 from mast_zenoh.report.film.look import Look
@@ -155,15 +156,17 @@ def open_takes(run: Path, look: Look, against: Path | None = None) -> list[Take]
 
     Raises RunFolderError for a run that is in progress or has nothing to show, ConfigurationError for an option.
     """
-    if against is not None and len(look.estimates) != 1:
-        raise ConfigurationError(f"found {len(look.estimates)} estimates of two runs, expected one")
-    look.check(2 if against is not None else len(look.estimates))
+    count = 1 if look.estimates is None else len(look.estimates)
+    if against is not None and count != 1:
+        raise ConfigurationError(f"found {count} estimates of two runs, expected one")
+    look.check(2 if against is not None else count)
     folders = [_opened(path, look.agent) for path in (run, *([against] if against is not None else []))]
+    estimates = look.estimates or [folders[0].believed or PICTURE]
     if against is None:
-        return [Take(folders[0], estimate) for estimate in look.estimates]
+        return [Take(folders[0], estimate) for estimate in estimates]
     alike = folders[0].label == folders[1].label
     names = [folder.path.name if alike else folder.label for folder in folders]
-    estimate = look.estimates[0]
+    estimate = estimates[0]
     titles = [folder.worded(TITLES[estimate]) for folder in folders]
     return [
         Take(folder, estimate, f"{name}: {title}") for folder, name, title in zip(folders, names, titles, strict=True)

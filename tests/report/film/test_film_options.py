@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -117,3 +118,22 @@ def test_sizes_have_units_and_are_even() -> None:
     assert Look(size="1281x721").pixels(1) == (1280, 720)
     assert Look(size="10x5cm", dpi=254).pixels(1) == (1000, 500)
     assert Look(size="7.5x4in", dpi=200).pixels(2) == (1500, 800)
+
+
+@pytest.mark.parametrize(
+    ("nodes", "shown"),
+    [
+        ({}, "picture"),
+        ({"driver_ego": {"config": {"agent": "ego"}}}, "mission"),
+        ({"driver_ego": {"config": {"agent": "ego", "estimate": "safety"}}}, "local"),
+        ({"driver_ego": {"config": {"agent": "ego", "estimate": "truth"}}}, "picture"),
+    ],
+)
+def test_a_film_shows_what_the_driver_of_the_agent_believes(
+    attacked: mast.Run, tmp_path: Path, nodes: dict[str, Any], shown: str
+) -> None:
+    run = tmp_path / "run"
+    shutil.copytree(attacked.path, run)
+    scenario = json.loads((run / "scenario.json").read_text())
+    (run / "scenario.json").write_text(json.dumps(scenario | {"nodes": scenario["nodes"] | nodes}))
+    assert [take.estimate for take in open_takes(run, Look())] == [shown]
