@@ -6,7 +6,7 @@ which they do not agree are left to the reference, so the results are equal to i
 """
 
 cimport numpy as np
-from libc.math cimport INFINITY, asin, atan2, ceil, cos, fabs, floor, fmax, fmin, sin, sqrt
+from libc.math cimport INFINITY, asin, atan2, ceil, cos, fabs, floor, fmax, fmin, isfinite, sin, sqrt
 
 import numpy
 
@@ -52,6 +52,14 @@ cdef struct Box:
 
 cdef struct Beam:
     double x, y, z, flat  # world frame; flat: length on the ground
+
+
+cdef bint are_finite(const double* values, Py_ssize_t n) noexcept:
+    cdef Py_ssize_t k
+    for k in range(n):
+        if not isfinite(values[k]):
+            return False
+    return True
 
 
 cdef struct Column:
@@ -216,11 +224,13 @@ cdef class Scene:
     cdef Py_ssize_t azimuths, channels, walls, n_boxes, n_near_boxes, n_near_walls, turn, last_box, last_wall
     cdef Py_ssize_t hider  # which of the near boxes hides the last beam from the box that is looked at; NOTHING: none
     cdef double step, range_m
+    cdef bint sound  # arrays of one length, without NaN and infinity, and no box that touches the sensor
 
     def __cinit__(self, lidar, sensor_position, sensor_rotation, walls, box_position, box_size, box_yaw, own):
         """own: (m,) which boxes are left out"""
         cdef Py_ssize_t r, m = len(box_yaw)
         cdef Box box
+        self.sound = True
         position, rotation = contiguous(sensor_position), contiguous(sensor_rotation)
         azimuth, elevation = lidar.azimuths, lidar.elevations
         flat, rise = numpy.cos(elevation), numpy.sin(elevation)
@@ -237,6 +247,7 @@ cdef class Scene:
             self.start, self.end, self.top = float_data(start, 2), float_data(end, 2), float_data(top, 1)
             self.walls = length(top)
             self.arrays += [start, end, top]
+            self.sound &= length(start) == length(end) == self.walls and length(start, 1) == length(end, 1) == 2
         at, size, yaw = contiguous(box_position), contiguous(box_size), contiguous(box_yaw)
         self.arrays += [at, size, yaw, own]
         self.box_position, self.box_size, self.box_yaw = float_data(at, 2), float_data(size, 2), float_data(yaw, 1)
@@ -246,19 +257,23 @@ cdef class Scene:
         azimuths, channels = empty_vector(np.NPY_INT64, OPEN_BEAMS), empty_vector(np.NPY_INT64, OPEN_BEAMS)
         self.open_azimuths, self.open_channels, self.open_beams = int_data(azimuths), int_data(channels), (azimuths, channels)
         self.arrays += [storage, near_boxes, near_walls]
+        self.sound &= length(at) == length(size) == length(own) == m and length(at, 1) == length(size, 1) == 3
+        self.sound &= length(position) == length(rotation) == length(rotation, 1) == 3 and self.azimuths > 0
+        self.sound = self.sound and are_finite(self.sensor, 3) and are_finite(self.R, 9) and are_finite(
+            self.box_position, 3 * m) and are_finite(self.box_size, 3 * m) and are_finite(self.box_yaw, m) and (
+            are_finite(self.start, 2 * self.walls) and are_finite(self.end, 2 * self.walls))
+        # The beams fill a turn, so that they have the same places after it.
+        self.sound = self.sound and fabs(self.turn * self.step - 2 * PI) < 1e-9
         self.boxes = <Box*>byte_data(storage)
         self.near_boxes, self.near_walls = int_data(near_boxes), int_data(near_walls)
-        for r in range(m):
+        for r in range(m if self.sound else 0):
             if not left_out[r]:
                 box = box_at(self.box_position + 3 * r, self.box_size + 3 * r, self.box_yaw[r], self.sensor)
+                self.sound &= box.nearest > MARGIN_M  # on its faces, rounding decides about half of all beams
                 if box.nearest <= self.range_m + MARGIN_M:
                     self.boxes[self.n_boxes] = box
                     self.boxes[self.n_boxes].row = r
                     self.n_boxes += 1
-
-    cdef bint whole_turn(self) noexcept:
-        """Whether the steps fill a turn, so that beams have the same place after it."""
-        return fabs(self.turn * self.step - 2 * PI) < 1e-9
 
     cdef void look_at(self, Box* box) noexcept:
         """Find what may hide a box: what reaches into the strip from the sensor to it, as wide as the box."""
@@ -451,13 +466,17 @@ def has_returns(position, size, yaw, sensor, walls, occluders, Py_ssize_t least)
     cdef Scene scene = Scene(
         sensor.lidar, sensor.position, sensor.rotation, walls, occluders.position, occluders.size, occluders.yaw, own
     )
-    if not scene.whole_turn():
-        return kernels.REFERENCES["has_returns"](position, size, yaw, sensor, walls, occluders, least)
     places, sizes, yaws = contiguous(position), contiguous(size), contiguous(yaw)
+    cdef Py_ssize_t r, n = length(places)
+    if not scene.sound or not (
+        length(sizes) == length(yaws) == n and length(places, 1) == length(sizes, 1) == 3
+        and are_finite(float_data(places, 2), 3 * n) and are_finite(float_data(sizes, 2), 3 * n)
+        and are_finite(float_data(yaws, 1), n)
+    ):
+        return kernels.REFERENCES["has_returns"](position, size, yaw, sensor, walls, occluders, least)
     cdef const double* at = float_data(places, 2)
     cdef const double* extent = float_data(sizes, 2)
     cdef const double* heading = float_data(yaws, 1)
-    cdef Py_ssize_t r, n = length(places)
     cdef Box box
     cdef Returns found
     result, open_rows = zero_vector(np.NPY_BOOL, n), zero_vector(np.NPY_BOOL, n)
@@ -468,6 +487,9 @@ def has_returns(position, size, yaw, sensor, walls, occluders, Py_ssize_t least)
             enough[r] = True
             continue
         box = box_at(at + 3 * r, extent + 3 * r, heading[r], scene.sensor)
+        if box.nearest <= MARGIN_M:
+            unsure[r] = True
+            continue
         found = scene.returns(&box, least)
         enough[r], unsure[r] = found.certain >= least, found.certain < least <= found.certain + found.open
     if open_rows.any():
@@ -487,7 +509,7 @@ def lidar_points(
     cdef Scene scene = Scene(lidar, sensor_position, sensor_rotation, walls, position, size, yaw, carrier)
     cdef Returns found
     reference = kernels.REFERENCES["lidar_points"]
-    if beams is not None or not scene.whole_turn():
+    if beams is not None or not scene.sound:
         return reference(lidar, sensor_position, sensor_rotation, position, size, yaw, walls, own, beams)
     points = numpy.zeros(n, numpy.int32)
     for r in range(scene.n_boxes):
@@ -496,8 +518,6 @@ def lidar_points(
         points[row] = found.certain
         if not found.open:
             continue
-        if scene.boxes[r].nearest <= MARGIN_M:  # on its faces, rounding decides about half of all beams
-            return reference(lidar, sensor_position, sensor_rotation, position, size, yaw, walls, own)
         # Of two boxes at the same distance, the one in the lower row has the beam. All others are out of the way.
         rows = sorted([row, *[scene.boxes[scene.near_boxes[k]].row for k in range(scene.n_near_boxes)]])
         left = None if found.open > OPEN_BEAMS else tuple(beams[:found.open] for beams in scene.open_beams)

@@ -35,7 +35,7 @@ from mast_zenoh.messages import codec
 from mast_zenoh.messages.layout import LAYOUTS, limit_of
 from mast_zenoh.messages.schemas import SCHEMAS, Header
 from mast_zenoh.pipelines import mission
-from mast_zenoh.sensing import LidarSensor, Walls
+from mast_zenoh.sensing import LidarSensor, Walls, lidar_points
 from mast_zenoh.sensing.raycast import PlacedSensor
 from mast_zenoh.tracking import SensorView, association, classes, tracks
 from mast_zenoh.tracking.existence import STAGES_S
@@ -599,3 +599,27 @@ def test_the_reason_why_no_kernels_are_compiled_is_known(monkeypatch, tmp_path, 
     assert "MAST_KERNELS" in kernels.why_not(tmp_path)
     monkeypatch.setattr(kernels, "USED", "compiled")
     assert kernels.why_not(tmp_path) == ""
+
+
+@pytest.mark.parametrize(
+    ("place", "size", "turn"),
+    [
+        ((np.nan, 0.0, 0.0), (2.0, 2.0, 2.0), 1.0),
+        ((10.0, 0.0, 0.0), (np.inf, 2.0, 2.0), 1.0),
+        ((10.0, 0.0, 0.0), (2.0, 2.0, 2.0), np.nan),
+        ((1.0, 0.0, 0.0), (2.0, 2.0, 2.0), 1.0),  # the lidar is on its face
+    ],
+)
+def test_returns_of_boxes_that_are_not_finite_or_touch_the_lidar_are_those_of_the_reference(place, size, turn) -> None:
+    boxes = np.array([place, (20.0, 1.0, 0.0)]), np.array([size, (4.0, 2.0, 2.0)]), np.zeros(2)
+    arguments = LidarSensor(azimuth_step_deg=1.0), np.zeros(3), np.eye(3) * turn, *boxes
+    with np.errstate(invalid="ignore"):
+        expected = kernels.REFERENCES["lidar_points"](*arguments)
+        np.testing.assert_array_equal(lidar_points(*arguments), expected)
+
+
+def test_boxes_without_sizes_are_refused_by_kernel_and_reference() -> None:
+    arguments = LidarSensor(), np.zeros(3), np.eye(3), np.zeros((2, 3)), np.ones((1, 3)), np.zeros(2)
+    for cast_all in (lidar_points, kernels.REFERENCES["lidar_points"]):
+        with pytest.raises((IndexError, ValueError)):
+            cast_all(*arguments)
