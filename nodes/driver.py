@@ -84,7 +84,7 @@ class DriverNode(Node):
         self.sensed: Gather[str, Received] = Gather({"clock", "pose", "route"})
         self.estimates: dict[str, LatestBefore[tuple[int, ObjectStates]]] = {name: LatestBefore() for name in ESTIMATES}
         self.views: LatestBefore[tuple[int, SweptView]] = LatestBefore()
-        self.counts = {"commands": 0, "blind": 0}
+        self.counts = {"commands": 0, "blind": 0, "absurd": 0}
 
     def on_clock(self, received: Received, context: Context) -> None:
         """A frame begins; one without a pose or a route gets no command."""
@@ -127,8 +127,10 @@ class DriverNode(Node):
         self.views.add(context.frame, (received.time_ns, view_of(received.body)), received.frame)
 
     def remember(self, estimate: str, received: Received, objects: ObjectStates, context: Context) -> None:
-        """Store an estimate for the frames after its arrival, without implausible values."""
-        objects = objects.select(plausible_rows(objects))
+        """Store an estimate for the frames after its arrival, without objects of absurd values, which are counted."""
+        plausible = plausible_rows(objects)
+        self.counts["absurd"] += len(objects) - len(plausible)
+        objects = objects.select(plausible)
         self.estimates[estimate].add(
             context.frame, (received.time_ns, objects.select(canonical_order(objects))), received.frame
         )
@@ -190,7 +192,7 @@ class DriverNode(Node):
         return clear_in_view(boxes, replace(latest[1][1], age_s=age_ns * 1e-9))
 
     def finish(self, context: Context) -> dict[str, Any]:
-        """The number of commands, and of those without an estimate: "blind"."""
+        """The number of commands, of those without an estimate: "blind", and of dropped objects: "absurd"."""
         return dict(self.counts)
 
 

@@ -22,7 +22,9 @@ from mast_zenoh.effects import Pose
 from mast_zenoh.errors import MessageError
 from mast_zenoh.evaluation import Evaluation, RunData, ego_of
 from mast_zenoh.evaluation.driven import Arrival, Heard, View
+from mast_zenoh.gather import plausible_rows
 from mast_zenoh.integrity.views import check_view, view_of
+from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics import AttributionLimits, Consistency, CutOff, Driving, Metric, Record, Scorer, Series
 from mast_zenoh.metrics.estimates import LOCAL, MISSION, PICTURE, PICTURE_RECEIVED, RECEIVED, TRUTH
 from mast_zenoh.metrics.record import Snapshot
@@ -211,15 +213,14 @@ class Evaluator(Node):
                     objects = kept
                     break
         if objects is None:
-            body = message.body
-            states = ObjectStates.from_columns(body)
-            if "origin" in body:
-                states = states_to_world(states, body["origin"], body["rotation"])
-            objects = Snapshot.of(states, views=message.encoded)
+            objects = Snapshot.of(_states(message.body), views=message.encoded)
             if route.wire:
                 candidates.append((message, objects))
         self.data.record.add(header.frame, route.series, objects, message.step, header.time_ns)
         if route.ports:
+            plausible = plausible_rows(_states(message.body))  # a driver drops all others
+            if len(plausible) < len(objects.id):
+                objects = Snapshot._make(column[plausible] for column in objects)
             self.hear(message, route, route.series[0].estimator if route.series else "", objects)
 
     def hear(self, message: Overheard, route: Route, estimate: str, objects: Snapshot) -> None:
@@ -282,6 +283,12 @@ class Evaluator(Node):
         for name, error in results.pop("failed_metrics").items():
             context.failed(f"metric {name}", error)
         return results
+
+
+def _states(body: Body) -> ObjectStates:
+    """The objects in the columns of an estimate, in the world frame."""
+    states = ObjectStates.from_columns(body)
+    return states_to_world(states, body["origin"], body["rotation"]) if "origin" in body else states
 
 
 def _step(message: Overheard) -> int:

@@ -85,7 +85,7 @@ def test_without_an_estimate_for_too_long_it_brakes_and_counts_that() -> None:
     bench = Bench(resolved(), "driver_ego", estimate_age_s=0.2)
     commands = [drive(bench, frame, tracks() if frame == 0 else None) for frame in range(6)]
     assert [command == -3.0 for command in commands] == [True, False, False, True, True, True]
-    assert bench.node.finish(bench.host) == {"commands": 6, "blind": 4}
+    assert bench.node.finish(bench.host) == {"commands": 6, "blind": 4, "absurd": 0}
 
 
 def test_the_order_in_which_the_messages_of_a_frame_arrive_does_not_matter() -> None:

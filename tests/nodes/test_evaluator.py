@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from driven import driven
 from tiny_world import Bench, Run, picture, pose, states, tiny, tracks
 
 from mast_zenoh.arrays.geometry import quaternion_from_rotation, rotation_from_yaw
@@ -370,3 +371,13 @@ def test_the_evaluator_subscribes_only_to_what_it_needs() -> None:
 def test_invalid_parameters_are_refused(resolved, config: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigurationError, match=message):
         Bench(resolved, "evaluator", **config)
+
+
+@pytest.mark.parametrize("column", ["covariance", "velocity"])
+def test_a_driver_is_not_said_to_believe_what_it_drops(column: str) -> None:
+    evaluator = Bench(driven(frames=4), "evaluator")
+    body = tracks(*PLACES)
+    body[column][1] = 2e8
+    evaluator.hear("agent/ego/mission", body, 0)
+    (arrival,) = evaluator.node.data.heard["ego"].estimates["mission"].values()
+    np.testing.assert_array_equal(arrival.objects.id, body["id"][:1])
