@@ -49,7 +49,7 @@ class Commands(NamedTuple):
 
     of: (f,) row of the frame whose command it obeyed until the next frame; -1: it had none, or was not driven yet
     informed: (f,) whether its driver had an estimate
-    tampered: (f,) adversaries that changed that command, or without one that of the frame, joined by "+"; "": none
+    tampered: (f,) adversaries that made it brake harder, or withheld that of the frame, joined by "+"; "": none
     """
 
     of: Ints
@@ -143,7 +143,7 @@ def causes(
     In the frames whose commands the car obeys from a brake's first frame to its hardest one, the object of the driver's
     estimate, or the line, that asks for the hardest braking: "real", "false", "line", or "none". Without a command in
     the hardest one it is "no command", and "no estimate" if the driver had none when it gave that command. Where an
-    adversary changed the commands of these frames, no estimate explains them.
+    adversary made the command of the hardest frame brake harder, no estimate explains it.
 
     believed: the objects that the driver believed in its corridor; belief: what each of its objects is, by row
     lines: (f,) m/s^2, braking for lines; commands: what the car obeyed
@@ -151,9 +151,9 @@ def causes(
     demanded = demanded_by_objects(believed)
     result = []
     for brake in brakes:
-        adversaries = sorted({name for name in commands.tampered[brake.first : brake.hardest + 1] if name})
+        adversaries = commands.tampered[brake.hardest]
         obeyed, decided = int(commands.of[brake.hardest]), commands.of[brake.first : brake.hardest + 1]
-        cause: dict[str, Any] = {"object": None, "kind": "none", "adversary": "+".join(adversaries) or None}
+        cause: dict[str, Any] = {"object": None, "kind": "none", "adversary": adversaries or None}
         rows = np.flatnonzero(np.isin(believed.frame, decided))
         line = float(lines[decided[decided >= 0]].max(initial=0.0))
         hardest = float(demanded[rows].max(initial=0.0))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict, deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, TypeVar
 
@@ -33,8 +33,10 @@ from mast_zenoh.metrics.scores import FALSE, MATCHED
 _SAME_M = 2.0
 #: s; a manipulation of an object counts for so long, in which no estimate without it came.
 _RECENT_S = 0.5
-#: Effects on commands that change none of those that a car obeys.
-_UNCHANGED = ("repeated", "unsettled")
+#: Effects on commands that change none of those that a car obeys; and those because of which one comes late or never.
+_UNCHANGED, _WITHHELD = ("repeated", "unsettled"), ("delayed", "dropped", "restamped", "reframed")
+#: m/s^2; a command that brakes harder than its driver wanted by less is the driver's.
+_SAME_MPS2 = 0.3
 
 
 class Arrival(NamedTuple):
@@ -67,6 +69,7 @@ class Heard:
     ports: on which it receives estimates and views; estimates: by port, those that arrived in each frame of the run
     views: by frame of arrival; routes: by frame
     commands: as they reached the car: the frame of arrival, and the command and its frame
+    wanted: m/s^2, by frame, the acceleration of the commands as they left the driver
     """
 
     ports: set[str] = field(default_factory=set)
@@ -74,6 +77,7 @@ class Heard:
     views: dict[int, View] = field(default_factory=dict)
     routes: dict[int, RouteAhead] = field(default_factory=dict)
     commands: list[tuple[int, int, Command]] = field(default_factory=list)
+    wanted: dict[int, float] = field(default_factory=dict)
 
     def add(self, port: str, step: int, arrival: Arrival) -> None:
         """Store an estimate that arrived in a frame of the run; of several the newest counts, as for the driver."""
@@ -168,7 +172,7 @@ class DrivenCars:
             if car not in self.heard:
                 continue
             heard, column = self.heard[car], self.record.agents.index(car)
-            believed, obeyed = self._believed(car, heard), self._obeyed(heard)
+            believed, (obeyed, refused) = self._believed(car, heard), self._obeyed(heard)
             of = np.array([row_of.get(frame, -1) for frame in obeyed])
             others = truth.boxes.id != truth.agent_object[truth.boxes.group, column]
             places = Places(believed.objects.frame, believed.objects.position)
@@ -185,7 +189,7 @@ class DrivenCars:
                 routes={row_of[frame]: route for frame, route in sorted(heard.routes.items()) if frame in row_of},
                 believed=believed.objects,
                 belief=believed.belief,
-                commands=Commands(of, believed.informed, self._tampered(car, obeyed)),
+                commands=Commands(of, believed.informed, self._tampered(car, heard, obeyed, refused)),
                 look=self.look,
             )
         return result
@@ -298,38 +302,52 @@ class DrivenCars:
                 by[rows[recently], culprit] = True
         return joined_names(names, by)
 
-    def _obeyed(self, heard: Heard) -> list[int]:
-        """By row of the frames, the frame whose command the car obeys until the next one; -1: it has none."""
+    def _obeyed(self, heard: Heard) -> tuple[list[int], set[int]]:
+        """By row of the frames, the frame whose command the car obeys until the next one; -1: it has none.
+
+        And the frames whose commands it refuses.
+        """
         actuation = Actuation(self.limits, self.hold, self.limits.braking)
         waiting = deque(sorted(heard.commands, key=lambda arrival: arrival[0]))
-        obeyed = []
+        obeyed, refused = [], set()
         for frame in self.scores.frames.tolist():
             while waiting and waiting[0][0] <= frame:
                 step, sent, command = waiting.popleft()
-                actuation.receive(sent, step, command)
+                if actuation.receive(sent, step, command):
+                    refused.add(sent)
             obeyed.append(actuation.obeyed(frame + 1) if frame >= self.take_over else -1)
-        return obeyed
+        return obeyed, refused
 
-    def _tampered(self, car: str, obeyed: Sequence[int]) -> list[str]:
-        """By row of the frames, the adversaries that changed the command that the car obeys, joined by "+".
+    def _tampered(self, car: str, heard: Heard, obeyed: Sequence[int], refused: Container[int]) -> list[str]:
+        """By row of the frames, the adversaries because of which the car brakes as it does, joined by "+".
 
-        Of a car without a command, those that changed that of the frame: the car got it too late, or not at all.
+        Those that made the command that it obeys brake harder than its driver wanted. Of a car without a command, those
+        that withheld that of the frame, or made one of it that the car refuses.
 
-        obeyed: (f,) frame whose command the car obeys, -1: it has none
+        obeyed: (f,) frame whose command the car obeys, -1: it has none; refused: frames whose commands it refuses
         """
-        names: dict[int, set[str]] = defaultdict(set)
+        changed: dict[int, set[str]] = defaultdict(set)
+        withheld: dict[int, set[str]] = defaultdict(set)
         effects = self.effects
-        changed = ~np.isin(effects.code, [CODE[name] for name in _UNCHANGED])
+        counts = ~np.isin(effects.code, [CODE[name] for name in _UNCHANGED])
+        withholds = np.isin(effects.code, [CODE[name] for name in _WITHHELD])
         for number, passage in enumerate(effects.passages):
             if passage.message == "command" and passage.subject == car and self.roles.get(passage.node) == "adversary":
-                for frame in effects.frame[changed & (effects.passage == number)].tolist():
-                    names[frame].add(passage.node)
-        frames = self.scores.frames.tolist()
-        acting = [of if of >= 0 else frame for frame, of in zip(frames, obeyed, strict=True)]
-        return [
-            "+".join(sorted(names.get(of, ()))) if frame >= self.take_over else ""
-            for frame, of in zip(frames, acting, strict=True)
-        ]
+                own = counts & (effects.passage == number)
+                for names, which in ((changed, own), (withheld, own & withholds)):
+                    for frame in effects.frame[which].tolist():
+                        names[frame].add(passage.node)
+        accelerations = {frame: command.acceleration for _, frame, command in heard.commands}
+        result = []
+        for frame, of in zip(self.scores.frames.tolist(), obeyed, strict=True):
+            if of < 0:
+                names = changed if frame in refused else withheld
+                by = names.get(frame, set()) if frame >= self.take_over else set()
+            else:
+                harder = heard.wanted.get(of, np.inf) - accelerations[of] > _SAME_MPS2
+                by = changed.get(of, set()) if harder else set()
+            result.append("+".join(sorted(by)))
+        return result
 
 
 def _free(objects: Snapshot, position: Floats, view: tuple[View, float] | None) -> Bools:

@@ -63,6 +63,8 @@ def happened(
     estimates_until: int = FRAMES,
     late: int = 0,
     changed: tuple[int, ...] = (),
+    to_mps2: float = -6.0,
+    dropped_from: int = FRAMES,
     absurd_from: int = FRAMES,
     beside: Callable[[int], float] | None = None,
     honest: bool = True,
@@ -70,7 +72,8 @@ def happened(
 ) -> dict[str, Any]:
     """What happened to the ego, whose mission estimate has a ghost.
 
-    own: m, places of its own tracks; late: frames, of its commands; changed: frames of those that an adversary changed;
+    own: m, places of its own tracks; late: frames, of its commands; changed: frames of those that an adversary changed,
+    to_mps2: to this; dropped_from: frame, from which it drops them;
     absurd_from: frame, from which they are more than the car can do
     beside: m, by frame, how far from the ghost there is a real object; honest: the picture has it there until a liar
     moves it, otherwise it has nothing until the liar inserts the ghost
@@ -106,10 +109,13 @@ def happened(
             data.record.add(frame, [Series("ego", name)], snapshot, frame, time_ns)
             if port in received.ports and frame < estimates_until:
                 received.add(port, frame, Arrival(frame, time_ns, name, snapshot))
-        if frame < commands_until:
-            received.obey(frame + late, frame, Command(-50.0 if frame >= absurd_from else 0.0, 0.0))
+        sent = -50.0 if frame >= absurd_from else to_mps2 if frame in changed else 0.0
+        received.wanted[frame] = 0.0
         passage.take_received(command(frame, 0.0))
-        passage.take_sent(command(frame, -6.0 if frame in changed else 0.0))
+        if frame < dropped_from:
+            passage.take_sent(command(frame, sent))
+        if frame < min(commands_until, dropped_from):
+            received.obey(frame + late, frame, Command(sent, 0.0))
         if free_m is not None:
             received.see(frame, View(frame, time_ns, around(float(x), free_m)))
     evaluation = Evaluation(scorer=Scorer(), skip_first=0, skip_last=0, picture_age_s=0.5, **settings)
@@ -168,9 +174,24 @@ def test_a_changed_command_is_blamed_for_the_frame_in_which_it_acts() -> None:
         assert (found["kind"], found["adversary"]) == (kind, adversary)
 
 
+@pytest.mark.parametrize("to_mps2", [2.0, 0.0001, -0.2])
+def test_an_adversary_that_did_not_make_a_command_brake_harder_is_not_blamed_for_it(to_mps2: float) -> None:
+    found = cause(veto=False, changed=tuple(range(FRAMES)), to_mps2=to_mps2)
+    assert (found["kind"], found["adversary"]) == ("false", None)
+
+
+def test_who_dropped_the_commands_withheld_them_and_not_who_changed_those_that_did_not_come() -> None:
+    for facts, adversary in [
+        (dict(dropped_from=BRAKES - 3), "seizer"),
+        (dict(commands_until=BRAKES - 3, changed=tuple(range(FRAMES))), None),
+    ]:
+        assert cause(veto=False, **facts) == {"object": None, "kind": "no command", "adversary": adversary}
+
+
 def test_a_command_that_the_car_refuses_is_none() -> None:
-    for limits, kind in [(CarLimits(), "no command"), (CarLimits(braking=50.0), "false")]:
-        assert cause(veto=False, absurd_from=BRAKES - 3, car_limits=limits)["kind"] == kind
+    for limits, found in [(CarLimits(), ("no command", "seizer")), (CarLimits(braking=50.0), ("none", "seizer"))]:
+        told = cause(veto=False, absurd_from=BRAKES - 3, car_limits=limits)
+        assert (told["kind"], told["adversary"]) == found
 
 
 @pytest.mark.parametrize(("moved_m", "liar"), [(1.0, "liar"), (0.0, None)])
