@@ -67,6 +67,7 @@ class Heard:
     ports: on which it receives estimates and views; estimates: by port, those that arrived in each frame of the run
     views: by frame of arrival; routes: by frame
     commands: as they reached the car: the frame of arrival, and the command and its frame
+    left_out: ports whose messages a replay leaves out
     """
 
     ports: set[str] = field(default_factory=set)
@@ -74,6 +75,7 @@ class Heard:
     views: dict[int, View] = field(default_factory=dict)
     routes: dict[int, RouteAhead] = field(default_factory=dict)
     commands: list[tuple[int, int, Command]] = field(default_factory=list)
+    left_out: set[str] = field(default_factory=set)
 
     def add(self, port: str, step: int, arrival: Arrival) -> None:
         """Store an estimate that arrived in a frame of the run; of several the newest counts, as for the driver."""
@@ -185,7 +187,7 @@ class DrivenCars:
                 routes={row_of[frame]: route for frame, route in sorted(heard.routes.items()) if frame in row_of},
                 believed=believed.objects,
                 belief=believed.belief,
-                commands=Commands(of, believed.informed, self._tampered(car, obeyed)),
+                commands=Commands(of, believed.informed, self._tampered(car, obeyed), frozenset(heard.left_out)),
                 look=self.look,
             )
         return result
