@@ -22,6 +22,7 @@ from mast_zenoh.effects import Pose
 from mast_zenoh.errors import MessageError
 from mast_zenoh.evaluation import Evaluation, RunData, ego_of
 from mast_zenoh.evaluation.driven import Arrival, Heard, View
+from mast_zenoh.evaluation.driver_wires import PlayedDrivers, driver_ports, drivers_of
 from mast_zenoh.gather import plausible_rows
 from mast_zenoh.integrity.views import check_view, view_of
 from mast_zenoh.messages.schemas import Body
@@ -68,6 +69,7 @@ class Evaluator(Node):
     attribution, cut_off: rules for the causes of errors, None: AttributionLimits(), CutOff()
     consistency: how errors are compared with covariances, None: Consistency()
     faults:  of the timeline by agent: type, beginning and end in s; None: none
+    played_drivers: of a replay, see `driver_wires.driver_ports`; None: none is played
     The other parameters are described in `evaluation.Evaluation`.
     """
 
@@ -92,8 +94,10 @@ class Evaluator(Node):
         cut_off: CutOff | None = None,
         consistency: Consistency | None = None,
         faults: dict[str, list[tuple[str, float, float | None]]] | None = None,
+        played_drivers: dict[str, list[tuple[str, str]]] | None = None,
     ) -> None:
         self.agents = agents
+        self.played_drivers = played_drivers or {}
         self.evaluation = Evaluation(
             scorer=scorer or Scorer(),
             skip_first=skip_first,
@@ -125,6 +129,9 @@ class Evaluator(Node):
     def rewired(self, context: Context) -> None:
         """Follow a changed wiring from the next frame onwards."""
         self.follow(context, context.frame + 1)
+        for car in self.played_drivers:  # what live nodes send is no longer what its driver received
+            heard = self.data.heard[car]
+            heard.left_out |= heard.ports - {"command", "route", "wanted"}
 
     def joined(self, node: str, role: str, context: Context) -> None:
         """Note that a node is present from the next frame onwards."""
@@ -139,11 +146,13 @@ class Evaluator(Node):
         """Use the current wiring from a frame onwards."""
         wiring = context.wiring
         self.data.meter.follow(wiring, first_frame)
-        self.routes = routes(wiring, self.agents)
+        self.routes = routes(wiring, self.agents, self.played_drivers)
         self.takes = {key: getattr(self, route.take) for key, route in self.routes.items()}
         self.metered = set(self.data.meter.keys())
-        for car in drivers_of(wiring).values():
+        for car in (*drivers_of(wiring).values(), *self.played_drivers):
             self.data.heard.setdefault(car, Heard())
+        for car, port in driver_ports(wiring, self.played_drivers).get("", ()):
+            self.data.heard[car].left_out.add(port)
         for route in self.routes.values():
             for car, port in route.ports:
                 self.data.heard[car].ports.add(port)
@@ -241,10 +250,13 @@ class Evaluator(Node):
             self.data.heard[car].see(_step(message), View(header.frame, header.time_ns, view_of(body)))
 
     def take_command(self, message: Overheard, route: Route) -> None:
-        """Store that a command reached a driven car."""
+        """Store a command as a driver sent it, or as it reached the car."""
         command = Command(*(float(message.body[name][0]) for name in Command._fields))
-        for car, _ in route.ports:
-            self.data.heard[car].obey(_step(message), message.header.frame, command)
+        for car, port in route.ports:
+            if port == "wanted":
+                self.data.heard[car].wanted[message.header.frame] = command.acceleration
+            else:
+                self.data.heard[car].obey(_step(message), message.header.frame, command)
 
     def take_route(self, message: Overheard, route: Route) -> None:
         """Store the lane ahead of a driven car, as the world sent it."""
@@ -296,17 +308,18 @@ def _step(message: Overheard) -> int:
     return message.step if message.step >= 0 else message.header.frame
 
 
-def routes(wiring: Wiring, agents: Sequence[str]) -> dict[str, Route]:
+def routes(wiring: Wiring, agents: Sequence[str], played: PlayedDrivers | None = None) -> dict[str, Route]:
     """The route of each key of a wiring.
 
     Keys that the evaluator does not need are left out. Wires are identified by the port of their publisher, not by the
     keys that a map gives them.
+
+    played: the drivers that are played, see `driver_wires.driver_ports`
     """
     series: dict[str, list[Series]] = defaultdict(list)
     takes: dict[str, str] = {}
     shared: dict[str, str] = {}
-    ports: dict[str, tuple[tuple[str, str], ...]] = defaultdict(tuple)
-    drivers = drivers_of(wiring)
+    ports = driver_ports(wiring, played)
     sensed = {agent_of(wire.subject) for wire in wiring.wires if wire.interposers and wire.message == "detections"}
     brokers = {wire.legs[0].publisher.node for wire in wiring.wires if wire.message == "collated"}
     for wire in wiring.wires:
@@ -315,19 +328,10 @@ def routes(wiring: Wiring, agents: Sequence[str]) -> dict[str, Route]:
         ends = {end.node: leg.key for leg in wire.every_leg for end in leg.subscribers}
         if len(wire.every_leg) > 1:
             shared |= dict.fromkeys((leg.key for leg in wire.every_leg), wire.key)
-        if wire.message in ("truth", "tracks", "view"):
-            for leg in wire.every_leg:
-                ends_here = [end for end in wire.receivers(leg) if end.node in drivers]
-                ports[leg.key] += tuple((drivers[end.node], end.port) for end in ends_here)
-                if ends_here and wire.message == "view":
-                    takes[leg.key] = "take_view"
+        if wire.message in ("view", "command", "route"):
+            takes |= {leg.key: f"take_{wire.message}" for leg in wire.every_leg if leg.key in ports}
         if wire.message == "trust" and wire.subject not in ("", ego_of(agents)):
             continue  # that of one centre, or one peer, is evaluated
-        if wire.message == "command" and (car := drivers.get(source.publisher.node)):
-            for leg in wire.last_legs:  # into the world
-                takes[leg.key], ports[leg.key] = "take_command", ((car, "command"),)
-        if wire.message == "route" and wire.subject in drivers:
-            takes[source.key], ports[source.key] = "take_route", ((drivers[wire.subject], "route"),)
         if wire.message in ("clock", "truth", "trust", "attack_report", "link_report", "reception"):
             takes[source.key] = f"take_{wire.message}"
         elif wire.message == "pose" and wire.subject in sensed:
@@ -349,15 +353,11 @@ def routes(wiring: Wiring, agents: Sequence[str]) -> dict[str, Route]:
             for key, name in received:
                 series[key].append(Series(name, PICTURE_RECEIVED))
             takes |= dict.fromkeys((source.key, *(key for key, _ in received)), "take_picture")
-    for key in ports:
-        if ports[key]:
-            takes.setdefault(key, "keep")  # estimates that only drivers receive
-    return {key: Route(take, tuple(series[key]), shared.get(key, ""), ports[key]) for key, take in takes.items()}
-
-
-def drivers_of(wiring: Wiring) -> dict[str, str]:
-    """The agents whose cars are driven, by the name of the driver's node."""
-    return {wire.legs[0].publisher.node: wire.subject for wire in wiring.wires if wire.message == "command"}
+    for key in ports.keys() & set(wiring.keys()):
+        takes.setdefault(key, "keep")  # estimates that only drivers receive
+    return {
+        key: Route(take, tuple(series[key]), shared.get(key, ""), ports.get(key, ())) for key, take in takes.items()
+    }
 
 
 if __name__ == "__main__":

@@ -50,11 +50,13 @@ class Commands(NamedTuple):
     of: (f,) row of the frame whose command it obeyed until the next frame; -1: it had none, or was not driven yet
     informed: (f,) whether its driver had an estimate
     tampered: (f,) adversaries that made it brake harder, or withheld that of the frame, joined by "+"; "": none
+    left_out: ports of the driver whose messages are not known, as a replay leaves them out; "command": the commands
     """
 
     of: Ints
     informed: Bools
     tampered: Sequence[str]
+    left_out: frozenset[str] = frozenset()
 
 
 class Brake(NamedTuple):
@@ -143,7 +145,8 @@ def causes(
     In the frames whose commands the car obeys from a brake's first frame to its hardest one, the object of the driver's
     estimate, or the line, that asks for the hardest braking: "real", "false", "line", or "none". Without a command in
     the hardest one it is "no command", and "no estimate" if the driver had none when it gave that command. Where an
-    adversary made the command of the hardest frame brake harder, no estimate explains it.
+    adversary made the command of the hardest frame brake harder, no estimate explains it. It is "unknown" where what
+    would tell is left out.
 
     believed: the objects that the driver believed in its corridor; belief: what each of its objects is, by row
     lines: (f,) m/s^2, braking for lines; commands: what the car obeyed
@@ -157,8 +160,12 @@ def causes(
         rows = np.flatnonzero(np.isin(believed.frame, decided))
         line = float(lines[decided[decided >= 0]].max(initial=0.0))
         hardest = float(demanded[rows].max(initial=0.0))
-        if obeyed < 0:
+        if "command" in commands.left_out:
+            cause |= {"kind": "unknown", "adversary": None}
+        elif obeyed < 0:
             cause["kind"] = "no command"
+        elif not adversaries and commands.left_out:
+            cause["kind"] = "unknown"
         elif not adversaries and not commands.informed[obeyed]:
             cause["kind"] = "no estimate"
         elif not adversaries and max(line, hardest) >= _REASON_MPS2:

@@ -95,7 +95,8 @@ def consequences(driven: DrivenCar) -> dict[str, Any]:
     "rss_unsafe_s"; "brakes", each with its cause: the object (a real one's id, a false track's id), its kind (see
     `braking.causes`) and the adversary; "needless_brakes", "missed_brakes", "hard_brakes"; "hardest_braking_mps2",
     "jerk_max_mps3"; "uncomfortable_s" by bound of COMFORT; "progress_m"; "stops", "standing_s", "blocked_s";
-    "blind_frames"; and "behind", the traffic in its lane behind it.
+    "blind_frames"; and "behind", the traffic in its lane behind it. In a replay that leaves out what the driver
+    received, "hidden" and "blind_frames" are None.
     """
     car, period, truth = driven.car, driven.period_s, driven.truth
     speed, acceleration = driven.speed, driven.acceleration
@@ -167,7 +168,7 @@ def _contacts(driven: DrivenCar, hit: Ints) -> list[dict[str, Any]]:
         near = (driven.ids == number) & (driven.objects.frame < frame) & (driven.objects.frame >= frame - before)
         hidden = np.count_nonzero(near & driven.seen & ~driven.known) > 0.5 * min(before, frame)
         contact = {"object": number, "frame": int(driven.frames[frame]), "speed_mps": float(np.hypot(*relative))}
-        contacts.append(contact | {"hidden": bool(hidden)})
+        contacts.append(contact | {"hidden": None if driven.commands.left_out else bool(hidden)})
     return contacts
 
 
@@ -184,8 +185,10 @@ def _hit_ahead(driven: DrivenCar, contacts: Sequence[Mapping[str, Any]]) -> list
     return result
 
 
-def _blind_frames(commands: Commands) -> int:
-    """Number of frames in which a car obeyed a command that its driver gave without an estimate."""
+def _blind_frames(commands: Commands) -> int | None:
+    """Number of frames in which a car obeyed a command that its driver gave without an estimate; None: not known."""
+    if commands.left_out:
+        return None
     return int(np.count_nonzero(~commands.informed[commands.of[commands.of >= 0]]))
 
 

@@ -34,7 +34,7 @@ _SAME_M = 2.0
 #: s; a manipulation of an object counts for so long, in which no estimate without it came.
 _RECENT_S = 0.5
 #: Effects on commands that change none of those that a car obeys; and those because of which one comes late or never.
-_UNCHANGED, _WITHHELD = ("repeated", "unsettled"), ("delayed", "dropped", "restamped", "reframed")
+_UNCHANGED, _WITHHELD = ("repeated", "unsettled"), ("delayed", "dropped")
 #: m/s^2; a command that brakes harder than its driver wanted by less is the driver's.
 _SAME_MPS2 = 0.3
 
@@ -70,6 +70,7 @@ class Heard:
     views: by frame of arrival; routes: by frame
     commands: as they reached the car: the frame of arrival, and the command and its frame
     wanted: m/s^2, by frame, the acceleration of the commands as they left the driver
+    left_out: ports whose messages a replay leaves out
     """
 
     ports: set[str] = field(default_factory=set)
@@ -78,6 +79,7 @@ class Heard:
     routes: dict[int, RouteAhead] = field(default_factory=dict)
     commands: list[tuple[int, int, Command]] = field(default_factory=list)
     wanted: dict[int, float] = field(default_factory=dict)
+    left_out: set[str] = field(default_factory=set)
 
     def add(self, port: str, step: int, arrival: Arrival) -> None:
         """Store an estimate that arrived in a frame of the run; of several the newest counts, as for the driver."""
@@ -189,7 +191,9 @@ class DrivenCars:
                 routes={row_of[frame]: route for frame, route in sorted(heard.routes.items()) if frame in row_of},
                 believed=believed.objects,
                 belief=believed.belief,
-                commands=Commands(of, believed.informed, self._tampered(car, heard, obeyed, refused)),
+                commands=Commands(
+                    of, believed.informed, self._tampered(car, heard, obeyed, refused), frozenset(heard.left_out)
+                ),
                 look=self.look,
             )
         return result

@@ -13,6 +13,7 @@ from mast_zenoh.config.allowed_code import SHIPPED, AllowedCode
 from mast_zenoh.config.process_steps import REALTIME, ProcessStep
 from mast_zenoh.config.resolved import DRIVER_ROLE, RECORDING, NodeSpec, Resolved, build_node, has_topics_outside
 from mast_zenoh.errors import ConfigurationError, MastError
+from mast_zenoh.evaluation.driver_wires import driver_ports
 from mast_zenoh.launch import liveness
 from mast_zenoh.launch.folder import json_or_empty
 from mast_zenoh.launch.measurement import recorded_wirings, scenario_of
@@ -30,6 +31,8 @@ from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.wiring.insertion import never_inserted
 from mast_zenoh.wiring.model import ANY, Wiring
 
+#: Nodes whose settings change no message of the others.
+_OBSERVERS = {"evaluator", "recorder"}
 #: Suffix of the name of a replay.
 SUFFIX = "-replay"
 
@@ -115,6 +118,18 @@ def resolve(
     players = {name: _player(recorded.nodes[name], script) for name, script in scripts.by_node.items()}
     nodes = {name: players.get(name) or live_specs[name] for name in roles if name in {*players, *live.nodes}}
     steps = _steps(recorded.steps, division, mode) if repeats == 1 else ()
+    notices = of_run(run, recorded)
+    if rewired:
+        names = ", ".join(sorted(rewired))
+        notices.append(
+            f"{names} was inserted or removed during the recorded run: what its wires then carried is played, without "
+            "measuring its effect"
+        )
+    notices += scripts.notices
+    same = mode == "lockstep" and repeats == 1 and not notices and live.changed.keys() <= _OBSERVERS
+    for name in (name for name in live.nodes if roles[name] == "evaluator"):
+        if inputs := _driver_inputs(recorded.nodes[name], wiring, division, same):
+            nodes[name] = replace(nodes[name], config={**nodes[name].config, "played_drivers": inputs})
     scene = _scene(folder)
     resolved = replace(
         recorded,
@@ -135,14 +150,6 @@ def resolve(
         build_node(spec, name)
     unconnected = _unconnected(fitted, recorded, live, classes)
     left_out = [f"{step.action} {step.node}" for step in recorded.steps if step not in steps and step.node in roles]
-    notices = of_run(run, recorded)
-    if rewired:
-        names = ", ".join(sorted(rewired))
-        notices.append(
-            f"{names} was inserted or removed during the recorded run: what its wires then carried is played, without "
-            "measuring its effect"
-        )
-    notices += scripts.notices
     if unconnected:
         notices.append(f"no recorded wire leads to {', '.join(unconnected)}: these inputs get no messages")
     if left_out:
@@ -161,6 +168,24 @@ def resolve(
         "changed": dict(live.changed),
     }
     return Replay(resolved, origin, notices)
+
+
+def _driver_inputs(evaluator: NodeSpec, wiring: Wiring, division: Cut, same: bool) -> dict[str, list[tuple[str, str]]]:
+    """The messages of the played drivers, for the evaluator: see `driver_wires.driver_ports`.
+
+    What played nodes send is what a driver received; so is what live nodes send, if they are the `same` as recorded.
+
+    evaluator: as recorded; wiring: of the recorded run
+    """
+    before = {leg.key: leg.publisher for _, leg in wiring.legs()}
+    now = {leg.key: leg.publisher for _, leg in division.wiring.legs()}
+    inputs: dict[str, list[tuple[str, str]]] = {}
+    for key, ends in driver_ports(wiring, evaluator.config.get("played_drivers")).items():
+        publisher = now.get(key)
+        played = publisher is not None and (same or publisher.node in division.played)
+        for car, port in ends:
+            inputs.setdefault(car, []).append((port, key if played and publisher == before[key] else ""))
+    return inputs
 
 
 def _initial_wiring(folder: Path) -> tuple[Wiring, set[str]]:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pyarrow
 
+from mast_zenoh.driving.braking import BRAKING_MPS2
 from mast_zenoh.errors import MastError
 from mast_zenoh.launch.twin import FOLDER, NAME
 from mast_zenoh.run_files import read_json
@@ -55,11 +56,16 @@ def _is_brake(brake: Any) -> bool:
 
 
 def braking_of(run: RunRecord, car: str, times_s: np.ndarray) -> np.ndarray:
-    """What a car does at some times (n,) s: ROLLS, BRAKES or NEEDLESSLY, (n,)."""
+    """What a car does at some times (n,) s: ROLLS (also in interruptions of a brake), BRAKES or NEEDLESSLY, (n,)."""
     result = np.full(len(times_s), ROLLS)
+    course = course_of(run, car)
+    if course is None:
+        return result
+    row = course["time_s"].searchsorted(times_s + 1e-6, "right") - 1
+    slows = (row >= 0) & (course["acceleration_mps2"][row] < -BRAKING_MPS2)
     for brake in brakes_of(run, car):
         during = (times_s >= brake["from_s"] - 1e-6) & (times_s < brake["until_s"] - 1e-6)
-        result[during] = NEEDLESSLY if brake.get("needless") else BRAKES
+        result[during & slows] = NEEDLESSLY if brake.get("needless") else BRAKES
     return result
 
 
@@ -84,6 +90,8 @@ def reason_of(brake: Mapping[str, Any]) -> str:
     if cause["kind"] == "false":
         shown = f", shown by {adversary}" if adversary else ""
         return f"for an object that is not there (track {cause['object']}{shown})"
+    if cause["kind"] == "unknown":
+        return "for an unknown reason: the replay leaves out what its driver received"
     if cause["kind"] == "line":
         return "before a line"
     if cause["kind"] == "no command":
@@ -92,7 +100,7 @@ def reason_of(brake: Mapping[str, Any]) -> str:
         return "because it had no estimate"
     if adversary:
         return f"because {adversary} changed its commands"
-    return "for nothing that it believed" if brake.get("needless") else "for the road ahead"
+    return "for no reason that an intelligent driver model sees" if brake.get("needless") else "for the road ahead"
 
 
 def braking_events(run: RunRecord, times: np.ndarray, *, reasons: bool = True) -> list[Event]:

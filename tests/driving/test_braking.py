@@ -225,6 +225,18 @@ def test_a_brake_for_a_ghost_ahead_is_needless_although_real_traffic_crosses() -
     assert (brake["cause"]["kind"], brake["needless"]) == ("false", True)
 
 
+def test_what_a_replay_leaves_out_makes_the_cause_unknown_where_it_would_tell() -> None:
+    def cause(left_out: str, **known: object) -> dict:
+        commands = obeyed(**known)._replace(left_out=frozenset([left_out]))
+        (brake,) = brakes(ahead(30.0), real=7, commands=commands)
+        return brake["cause"]
+
+    unknown = {"object": None, "kind": "unknown", "adversary": None}
+    assert cause("mission") == cause("mission", informed=False) == cause("command", of=-1, tampered="seizer") == unknown
+    assert cause("mission", of=-1)["kind"] == "no command"
+    assert cause("mission", tampered="seizer") == {"object": None, "kind": "none", "adversary": "seizer"}
+
+
 @pytest.mark.parametrize(
     ("place", "velocity"),
     [

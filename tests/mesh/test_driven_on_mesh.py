@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -47,3 +48,5 @@ def test_commands_that_are_attacked_lost_and_late_act_alike_everywhere_and_repla
     difference = compare(run.out, again.folder, taps=True)
     assert difference.first is None
     assert difference.equal > 0
+    happened = [json.loads((folder / "metrics.json").read_text())["driven"] for folder in (run.out, again.folder)]
+    assert happened[0] == happened[1]

@@ -51,3 +51,4 @@ def test_a_driven_run_on_sumo_is_the_same_on_the_mesh_in_one_process_and_replaye
     difference = compare(run.out, again.folder, taps=True)
     assert difference.first is None
     assert difference.equal > 0
+    assert json.loads((again.folder / "metrics.json").read_text())["driven"] == driven

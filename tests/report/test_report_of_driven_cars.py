@@ -145,12 +145,45 @@ def test_of_many_cars_the_ego_and_those_that_hit_something_are_described_and_the
         ("no command", "seizer", True, "because it had no command, withheld by seizer"),
         ("no estimate", None, True, "because it had no estimate"),
         ("none", "seizer", True, "because seizer changed its commands"),
-        ("none", None, True, "for nothing that it believed"),
+        ("unknown", None, True, "for an unknown reason: the replay leaves out what its driver received"),
+        ("none", None, True, "for no reason that an intelligent driver model sees"),
         ("none", None, False, "for the road ahead"),
     ],
 )
 def test_every_kind_of_cause_has_words(kind: str, adversary: str | None, needless: bool, words: str) -> None:
     assert reason_of(brake({"object": 28, "kind": kind, "adversary": adversary}, needless)) == words
+
+
+def test_every_brake_of_an_adversary_is_named_though_the_truth_gave_a_reason_too(
+    both: tuple[RunRecord, Reference],
+) -> None:
+    run, _ = both
+    moved = {"object": 7, "kind": "real", "adversary": "liar"}
+    real = {"object": 7, "kind": "real", "adversary": None}
+    none = {"object": None, "kind": "none", "adversary": None}
+    causes = [
+        (GHOST, False),
+        (real, False),
+        (moved, False),
+        (GHOST, True),
+        (GHOST, True),
+        (GHOST, True),
+        (GHOST, False),
+    ]
+    brakes = [
+        brake(cause, needless) | {"hardest_mps2": 9.0 - number, "from_s": 2.0 + number}
+        for number, (cause, needless) in enumerate([*causes, (none, True)])
+    ]
+    run.metrics["driven"] = {"ego": happened(brakes=brakes, needless_brakes=4)}
+    assert car_sentences(run)[:-1] == [
+        "The ego brakes with 9.0 m/s² at 2.0 s for an object that is not there (track 28, shown by adversary_1)",
+        "The ego brakes with 7.0 m/s² at 4.0 s for object 7, moved by liar",
+        "The ego brakes needlessly with 6.0 m/s² at 5.0 s for an object that is not there (track 28, shown by "
+        "adversary_1)",
+        "The ego brakes needlessly 2 more times because of adversary_1: 5.0 m/s² at 6.0 s and 4.0 m/s² at 7.0 s",
+        "The ego brakes 1 more time because of adversary_1: 3.0 m/s² at 8.0 s",
+        "The ego brakes needlessly 1 more time: 2.0 m/s² at 9.0 s",
+    ]
 
 
 def test_the_table_has_a_line_for_the_run_and_one_for_its_twin(both: tuple[RunRecord, Reference]) -> None:
@@ -272,6 +305,18 @@ def test_a_film_shows_speed_rear_lights_and_the_twin(with_twin: RunRecord) -> No
     assert marks.text == "ego 6.2 m/s, brakes needlessly 9.0 m/s²\nunattacked 8.0 m/s (broken line)"
     assert marks.lights == 1
     assert "frame 17: ego brakes needlessly with 9.0 m/s²" in Captions([take], {}).at(17)
+
+
+def test_films_and_the_page_say_nothing_of_a_brake_while_it_is_interrupted(with_twin: RunRecord) -> None:
+    assert with_twin.driven is not None
+    with_twin.driven["acceleration_mps2"][18:20] = 0.5, -1.2
+    marks = DriveMarks(Figure().add_subplot(), Take(with_twin, "picture"), THEMES["light"], 1.0)
+    for frame, lights in [(17, 1), (18, 0), (19, 0), (20, 1)]:
+        marks.show(frame, Window(0.0, 0.0, 50.0, 50.0))
+        assert (marks.lights, "brakes" in marks.text) == (lights, bool(lights))
+    data = run_block(with_twin)
+    assert data is not None
+    assert unpack(data)[1]["drive.brake"][17:21].tolist() == [2, 0, 0, 2]
 
 
 def test_a_film_of_a_run_without_drivers_has_no_such_marks(run_of: RunOf) -> None:

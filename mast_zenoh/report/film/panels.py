@@ -147,7 +147,7 @@ class DriveMarks:
                 lights.append(_rear(place, float(course["heading"][row]), _LEAST_SHARE * window.half))
                 colours.append(self._theme.outcomes["track false"] if state == NEEDLESSLY else self._theme.fault)
                 line += f", {'brakes needlessly' if state == NEEDLESSLY else 'brakes'}"
-                line += f" {max(-float(course['acceleration_mps2'][row]), 0.0):.1f} m/s²"
+                line += f" {-float(course['acceleration_mps2'][row]):.1f} m/s²"
             lines.append(line)
             if twin is not None:
                 ghosts.append((twin["x"][_row_of(twin, frame)], twin["y"][_row_of(twin, frame)]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -14,6 +15,8 @@ from mast_zenoh.viewer.run import RunRecord
 _WAY_M, _STANDING_S = 1.0, 0.2
 #: Brakes and collisions that are named; more are counted.
 _MOST_NAMED = 3
+#: Of further brakes, those of which strength and time are told.
+_MOST_LISTED = 10
 #: Cars that are described in full; of more, those that matter least are summed up.
 _MOST_CARS = 3
 
@@ -68,15 +71,22 @@ def _collisions(happened: Mapping[str, Any]) -> list[str]:
 
 
 def _brakes(happened: Mapping[str, Any]) -> list[str]:
-    """The brakes that are needless or hard, the hardest first."""
-    needless = [brake for brake in happened["brakes"] if brake["needless"]]
-    needless.sort(key=lambda brake: -brake["hardest_mps2"])
-    texts = [
-        f"brakes needlessly with {brake['hardest_mps2']:.1f} m/s² at {brake['from_s']:.1f} s {reason_of(brake)}"
-        for brake in needless[:_MOST_NAMED]
-    ]
-    if len(needless) > _MOST_NAMED:
-        texts.append(f"brakes needlessly {plural(len(needless) - _MOST_NAMED, 'more time')}")
+    """The brakes that are needless or due to an adversary, the hardest first."""
+    notable = [brake for brake in happened["brakes"] if brake["needless"] or brake["cause"]["adversary"]]
+    notable.sort(key=lambda brake: -brake["hardest_mps2"])
+    texts: list[str] = []
+    others: dict[tuple[str, str | None], list[str]] = defaultdict(list)
+    for number, brake in enumerate(notable):
+        how = "brakes needlessly" if brake["needless"] else "brakes"
+        strength = f"{brake['hardest_mps2']:.1f} m/s² at {brake['from_s']:.1f} s"
+        if number < _MOST_NAMED:
+            texts.append(f"{how} with {strength} {reason_of(brake)}")
+        else:
+            others[how, brake["cause"]["adversary"]].append(strength)
+    for (how, adversary), strengths in others.items():
+        because = f" because of {adversary}" if adversary else ""
+        times = join_names(strengths, _MOST_LISTED)
+        texts.append(f"{how} {plural(len(strengths), 'more time')}{because}: {times}")
     if missed := happened["missed_brakes"]:
         texts.append(f"fails to brake in {plural(missed, 'emergency').replace('ys', 'ies')}")
     return texts
