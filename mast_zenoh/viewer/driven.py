@@ -86,7 +86,7 @@ def reason_of(brake: Mapping[str, Any]) -> str:
     cause = brake["cause"]
     adversary = cause["adversary"]
     if cause["kind"] == "real":
-        return f"for object {cause['object']}" + (f", moved by {adversary}" if adversary else "")
+        return f"for object {cause['object']}" + (f", changed by {adversary}" if adversary else "")
     if cause["kind"] == "false":
         shown = f", shown by {adversary}" if adversary else ""
         return f"for an object that is not there (track {cause['object']}{shown})"
@@ -100,7 +100,9 @@ def reason_of(brake: Mapping[str, Any]) -> str:
         return "because it had no estimate"
     if adversary:
         return f"because {adversary} changed its commands"
-    return "for no reason that an intelligent driver model sees" if brake.get("needless") else "for the road ahead"
+    if brake.get("needless"):
+        return "for no reason that an intelligent driver model sees"
+    return "for the road ahead or another reason"
 
 
 def braking_events(run: RunRecord, times: np.ndarray, *, reasons: bool = True) -> list[Event]:

@@ -138,7 +138,7 @@ def test_of_many_cars_the_ego_and_those_that_hit_something_are_described_and_the
     ("kind", "adversary", "needless", "words"),
     [
         ("real", None, False, "for object 28"),
-        ("real", "liar", True, "for object 28, moved by liar"),
+        ("real", "liar", True, "for object 28, changed by liar"),
         ("false", None, True, "for an object that is not there (track 28)"),
         ("line", None, False, "before a line"),
         ("no command", None, True, "because it had no command"),
@@ -147,7 +147,7 @@ def test_of_many_cars_the_ego_and_those_that_hit_something_are_described_and_the
         ("none", "seizer", True, "because seizer changed its commands"),
         ("unknown", None, True, "for an unknown reason: the replay leaves out what its driver received"),
         ("none", None, True, "for no reason that an intelligent driver model sees"),
-        ("none", None, False, "for the road ahead"),
+        ("none", None, False, "for the road ahead or another reason"),
     ],
 )
 def test_every_kind_of_cause_has_words(kind: str, adversary: str | None, needless: bool, words: str) -> None:
@@ -177,7 +177,7 @@ def test_every_brake_of_an_adversary_is_named_though_the_truth_gave_a_reason_too
     run.metrics["driven"] = {"ego": happened(brakes=brakes, needless_brakes=4)}
     assert car_sentences(run)[:-1] == [
         "The ego brakes with 9.0 m/s² at 2.0 s for an object that is not there (track 28, shown by adversary_1)",
-        "The ego brakes with 7.0 m/s² at 4.0 s for object 7, moved by liar",
+        "The ego brakes with 7.0 m/s² at 4.0 s for object 7, changed by liar",
         "The ego brakes needlessly with 6.0 m/s² at 5.0 s for an object that is not there (track 28, shown by "
         "adversary_1)",
         "The ego brakes needlessly 2 more times because of adversary_1: 5.0 m/s² at 6.0 s and 4.0 m/s² at 7.0 s",
