@@ -22,7 +22,7 @@ from mast_zenoh.effects import Pose
 from mast_zenoh.errors import MessageError
 from mast_zenoh.evaluation import Evaluation, RunData, ego_of
 from mast_zenoh.evaluation.driven import Arrival, Heard, View
-from mast_zenoh.evaluation.driver_wires import PlayedDrivers, driver_ports, drivers_of
+from mast_zenoh.evaluation.driver_wires import PlayedDrivers, check_played, driver_ports, drivers_of
 from mast_zenoh.gather import plausible_rows
 from mast_zenoh.integrity.views import check_view, view_of
 from mast_zenoh.messages.schemas import Body
@@ -98,6 +98,7 @@ class Evaluator(Node):
     ) -> None:
         self.agents = agents
         self.played_drivers = played_drivers or {}
+        check_played(self.played_drivers)
         self.evaluation = Evaluation(
             scorer=scorer or Scorer(),
             skip_first=skip_first,
@@ -353,8 +354,9 @@ def routes(wiring: Wiring, agents: Sequence[str], played: PlayedDrivers | None =
             for key, name in received:
                 series[key].append(Series(name, PICTURE_RECEIVED))
             takes |= dict.fromkeys((source.key, *(key for key, _ in received)), "take_picture")
-    for key in ports.keys() & set(wiring.keys()):
-        takes.setdefault(key, "keep")  # estimates that only drivers receive
+    for _, leg in wiring.legs():
+        if leg.key in ports:
+            takes.setdefault(leg.key, "keep")  # estimates that only drivers receive
     return {
         key: Route(take, tuple(series[key]), shared.get(key, ""), ports.get(key, ())) for key, take in takes.items()
     }

@@ -18,6 +18,8 @@ from mast_zenoh.metrics.driving import SafeDistance, TimeToCollision
 BRAKING_MPS2 = 1.3
 #: m/s^2; less is no reason to brake: a car that follows another at a constant speed comes to 0.73 in the model.
 _REASON_MPS2 = 1.0
+#: Of the braking that a false object asks for, the share that the truth has to ask for to give a reason, too.
+_REASON_SHARE = 0.5
 #: s; a shorter interruption does not end a brake, and a reason counts for as long after it has gone.
 _PAUSE_S = 0.5
 #: m/s^2; an emergency needs more braking than this. Source: see `consequences.NEAR_MISS_BRAKING_MPS2`.
@@ -139,8 +141,11 @@ def causes(
     belief: Belief,
     lines: Floats,
     commands: Commands,
-) -> list[dict[str, Any]]:
-    """What made each brake needful: the "cause" of metrics.json, see `consequences.consequences`.
+) -> list[tuple[dict[str, Any], float]]:
+    """What made each brake needful, and the braking in m/s^2 that it asked for.
+
+    The former is the "cause" of metrics.json, see `consequences.consequences`; the latter is at most what a car can do,
+    and 0 if neither an object nor a line is the cause.
 
     In the frames whose commands the car obeys from a brake's first frame to its hardest one, the object of the driver's
     estimate, or the line, that asks for the hardest braking: "real", "false", "line", or "none". Without a command in
@@ -158,7 +163,7 @@ def causes(
         obeyed, decided = int(commands.of[brake.hardest]), commands.of[brake.first : brake.hardest + 1]
         cause: dict[str, Any] = {"object": None, "kind": "none", "adversary": adversaries or None}
         rows = np.flatnonzero(np.isin(believed.frame, decided))
-        line = float(lines[decided[decided >= 0]].max(initial=0.0))
+        asked, line = 0.0, float(lines[decided[decided >= 0]].max(initial=0.0))
         hardest = float(demanded[rows].max(initial=0.0))
         if "command" in commands.left_out:
             cause |= {"kind": "unknown", "adversary": None}
@@ -169,6 +174,7 @@ def causes(
         elif not adversaries and not commands.informed[obeyed]:
             cause["kind"] = "no estimate"
         elif not adversaries and max(line, hardest) >= _REASON_MPS2:
+            asked = min(max(line, hardest), CarLimits().braking)
             if line >= hardest:
                 cause["kind"] = "line"
             else:
@@ -177,20 +183,21 @@ def causes(
                 cause["object"] = int(belief.id[row]) if real < 0 else real
                 cause["kind"] = "false" if real < 0 else "real"
                 cause["adversary"] = str(belief.adversary[row]) or None
-        result.append(cause)
+        result.append((cause, asked))
     return result
 
 
-def needless(brakes: Sequence[Brake], demanded: Floats, period_s: float) -> list[bool]:
-    """Whether the truth gave no reason for each brake, from shortly before its first frame to its hardest one.
+def needless(brake: Brake, demanded: Floats, period_s: float, ghost_mps2: float = 0.0) -> bool:
+    """Whether the truth gave no reason for a brake, from shortly before its first frame to its hardest one.
+
+    A slight reason is none for a hard brake for what is not there: then the truth has to ask for half as much.
 
     demanded: (f,) m/s^2, braking that the objects that are there, the line and the road ask for
+    ghost_mps2: braking that the brake's cause asks for, if it is false, else 0
     """
-    pause = round(_PAUSE_S / period_s)
-    return [
-        bool(demanded[max(brake.first - pause, 0) : brake.hardest + 1].max(initial=0.0) < _REASON_MPS2)
-        for brake in brakes
-    ]
+    first = max(brake.first - round(_PAUSE_S / period_s), 0)
+    reason = max(_REASON_MPS2, _REASON_SHARE * ghost_mps2)
+    return bool(demanded[first : brake.hardest + 1].max(initial=0.0) < reason)
 
 
 def emergencies(truth: InCorridor, frames: int) -> Bools:

@@ -220,21 +220,23 @@ def _brakes(driven: DrivenCar) -> list[dict[str, Any]]:
     crossers = crossing(driven.car, near, driven.objects, driven.look)
     crossed = np.maximum(ahead, braking.hardest_per_frame(crossers, len(speed)))
     result = []
-    for brake, needless, needless_for_ghost, cause, other_cause in zip(
+    for brake, of_ahead, of_crosser in zip(
         brakes,
-        braking.needless(brakes, crossed, period),
-        braking.needless(brakes, ahead, period),
         braking.causes(brakes, believed, driven.belief, lines, driven.commands),
         braking.causes(brakes, from_side, driven.belief, np.zeros_like(lines), driven.commands),
         strict=True,
     ):
+        is_ahead = of_ahead[0]["kind"] != "none"
+        cause, asked = of_ahead if is_ahead else of_crosser
+        false = cause["kind"] == "false"
+        demanded = ahead if false and is_ahead else crossed
         result.append(
             {
                 "from_s": float(driven.times_s[brake.first]),
                 "until_s": float(driven.times_s[brake.end]),
                 "hardest_mps2": float(-driven.acceleration[brake.hardest]),
-                "needless": needless_for_ghost if cause["kind"] == "false" else needless,
-                "cause": other_cause if cause["kind"] == "none" else cause,
+                "needless": braking.needless(brake, demanded, period, asked if false else 0.0),
+                "cause": cause,
             }
         )
     return result

@@ -11,6 +11,14 @@ from mast_zenoh.wiring.model import Wiring
 PlayedDrivers = Mapping[str, Sequence[Sequence[str]]]
 
 
+def check_played(played: PlayedDrivers) -> None:
+    """Raise ValueError unless these are the messages of played drivers."""
+    for car, inputs in played.items():
+        pairs = inputs if isinstance(inputs, (list, tuple)) else [None]
+        if not all(isinstance(pair, (list, tuple)) and [*map(type, pair)] == [str, str] for pair in pairs):
+            raise ValueError(f"played_drivers: {car}: found {inputs!r}, expected pairs of a port and a key")
+
+
 def drivers_of(wiring: Wiring) -> dict[str, str]:
     """The agents whose cars are driven, by the name of the driver's node."""
     return {wire.legs[0].publisher.node: wire.subject for wire in wiring.wires if wire.message == "command"}

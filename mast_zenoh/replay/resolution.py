@@ -118,6 +118,8 @@ def resolve(
     players = {name: _player(recorded.nodes[name], script) for name, script in scripts.by_node.items()}
     nodes = {name: players.get(name) or live_specs[name] for name in roles if name in {*players, *live.nodes}}
     steps = _steps(recorded.steps, division, mode) if repeats == 1 else ()
+    for name, spec in live.nodes.items():
+        build_node(spec, name)
     notices = of_run(run, recorded)
     if rewired:
         names = ", ".join(sorted(rewired))
@@ -128,7 +130,7 @@ def resolve(
     notices += scripts.notices
     same = mode == "lockstep" and repeats == 1 and not notices and live.changed.keys() <= _OBSERVERS
     for name in (name for name in live.nodes if roles[name] == "evaluator"):
-        if inputs := _driver_inputs(recorded.nodes[name], wiring, division, same):
+        if inputs := _driver_inputs(live.nodes[name], wiring, division, same):
             nodes[name] = replace(nodes[name], config={**nodes[name].config, "played_drivers": inputs})
     scene = _scene(folder)
     resolved = replace(
@@ -146,8 +148,6 @@ def resolve(
         messages=messages,
         recording=scene,
     )
-    for name, spec in live.nodes.items():
-        build_node(spec, name)
     unconnected = _unconnected(fitted, recorded, live, classes)
     left_out = [f"{step.action} {step.node}" for step in recorded.steps if step not in steps and step.node in roles]
     if unconnected:
@@ -175,7 +175,7 @@ def _driver_inputs(evaluator: NodeSpec, wiring: Wiring, division: Cut, same: boo
 
     What played nodes send is what a driver received; so is what live nodes send, if they are the `same` as recorded.
 
-    evaluator: as recorded; wiring: of the recorded run
+    evaluator: before it knows them; wiring: of the recorded run
     """
     before = {leg.key: leg.publisher for _, leg in wiring.legs()}
     now = {leg.key: leg.publisher for _, leg in division.wiring.legs()}
@@ -184,7 +184,7 @@ def _driver_inputs(evaluator: NodeSpec, wiring: Wiring, division: Cut, same: boo
         publisher = now.get(key)
         played = publisher is not None and (same or publisher.node in division.played)
         for car, port in ends:
-            inputs.setdefault(car, []).append((port, key if played and publisher == before[key] else ""))
+            inputs.setdefault(car, []).append((port, key if played and publisher == before.get(key) else ""))
     return inputs
 
 

@@ -61,7 +61,7 @@ def lidar_points(
     sensor_position (3,) m and sensor_rotation (3, 3) active: the lidar's pose in the world (`sensing.sensor_pose`).
     position (n, 3) m centre, size (n, 3) m l w h, yaw (n,) rad: the boxes in the world.
     own: row of the box that carries the lidar; it occludes nothing and has no returns. -1: none.
-    beams: azimuths (k,) and channels (k,), rows of `lidar.azimuths` and `lidar.elevations`: cast only these; None: all
+    beams: rows (k,) of `LidarSensor.azimuths` and (k,) of `LidarSensor.elevations`: cast only these; None: all
     """
     points = np.zeros(len(position), np.int32)
     boxes = position, size, yaw

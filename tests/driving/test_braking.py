@@ -225,6 +225,17 @@ def test_a_brake_for_a_ghost_ahead_is_needless_although_real_traffic_crosses() -
     assert (brake["cause"]["kind"], brake["needless"]) == ("false", True)
 
 
+@pytest.mark.parametrize("ghost", [ahead(24.0), crossers(21.0, 6.0, (0.0, -8.0))], ids=["ahead", "crossing"])
+@pytest.mark.parametrize(("gap", "needless"), [(45.0, True), (22.0, False)], ids=["slight reason", "good reason"])
+def test_a_slight_reason_does_not_excuse_a_hard_brake_for_a_ghost(ghost: Objects, gap: float, needless: bool) -> None:
+    """Behind something that stands 45 m ahead, a car that follows the model brakes with more than 1 m/s^2 already."""
+    there = ahead(gap + 10.0)
+    (brake,) = brakes(ghost, real=-1, there=there)
+    assert (brake["cause"]["kind"], brake["needless"]) == ("false", needless)
+    (brake,) = brakes(there, real=7, there=there)
+    assert (brake["cause"]["kind"], brake["needless"]) == ("real", False)
+
+
 def test_what_a_replay_leaves_out_makes_the_cause_unknown_where_it_would_tell() -> None:
     def cause(left_out: str, **known: object) -> dict:
         commands = obeyed(**known)._replace(left_out=frozenset([left_out]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 from driven import driven
 
 from mast_zenoh import replay
+from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.launch import measurement
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.replay.cut import Place
@@ -65,6 +67,17 @@ def test_without_the_estimate_that_the_driver_received_a_cause_is_unknown(run: P
     expected["blind_frames"] = None
     assert consequences(folder) == expected
     assert consequences(replayed(folder, tmp_path / "again", "agents")) == expected
+
+
+@pytest.mark.parametrize("damaged", [7, {"ego": 7}, {"ego": [["mission"]]}, {"ego": [[1, 2]]}])
+def test_damaged_settings_of_played_drivers_are_refused(damaged: Any, run: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "damaged"
+    shutil.copytree(run, folder)
+    scenario = json.loads((folder / "scenario.json").read_text())
+    scenario["nodes"]["evaluator"]["config"]["played_drivers"] = damaged
+    (folder / "scenario.json").write_text(json.dumps(scenario))
+    with pytest.raises(ConfigurationError, match=r"played_drivers: .*found .*, expected "):
+        replay.resolve(folder, "simulator")
 
 
 def test_a_changed_command_centre_does_not_change_what_the_recorded_driver_received(run: Path, tmp_path: Path) -> None:
