@@ -50,11 +50,24 @@ class Commands(NamedTuple):
     of: (f,) row of the frame whose command it obeyed until the next frame; -1: it had none, or was not driven yet
     informed: (f,) whether its driver had an estimate
     tampered: (f,) adversaries that changed that command, or without one that of the frame, joined by "+"; "": none
+    first:    row from which on it is driven
     """
 
     of: Ints
     informed: Bools
     tampered: Sequence[str]
+    first: int = 0
+
+    @property
+    def obeyed(self) -> int:
+        """The number of commands that the car obeyed, until the last frame."""
+        return len(np.unique(self.of[:-1][self.of[:-1] >= 0]))
+
+    @property
+    def uncommanded(self) -> int:
+        """The number of frames, but the last, in which the driven car had no new command: it went on, or braked."""
+        driven = self.of[self.first : -1]
+        return int(np.count_nonzero(driven < np.arange(self.first, self.first + len(driven))))
 
 
 class Brake(NamedTuple):

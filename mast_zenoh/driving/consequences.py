@@ -95,7 +95,7 @@ def consequences(driven: DrivenCar) -> dict[str, Any]:
     "rss_unsafe_s"; "brakes", each with its cause: the object (a real one's id, a false track's id), its kind (see
     `braking.causes`) and the adversary; "needless_brakes", "missed_brakes", "hard_brakes"; "hardest_braking_mps2",
     "jerk_max_mps3"; "uncomfortable_s" by bound of COMFORT; "progress_m"; "stops", "standing_s", "blocked_s";
-    "blind_frames"; and "behind", the traffic in its lane behind it.
+    "blind_frames", "obeyed_commands", "uncommanded_frames"; and "behind", the traffic in its lane behind it.
     """
     car, period, truth = driven.car, driven.period_s, driven.truth
     speed, acceleration = driven.speed, driven.acceleration
@@ -126,6 +126,8 @@ def consequences(driven: DrivenCar) -> dict[str, Any]:
         "standing_s": float(np.count_nonzero(standing) * period),
         "blocked_s": float(np.count_nonzero(standing & ~_waits(driven, truth)) * period),
         "blind_frames": _blind_frames(driven.commands),
+        "obeyed_commands": driven.commands.obeyed,
+        "uncommanded_frames": driven.commands.uncommanded,
         "behind": behind_car(car, driven.objects, driven.ids, period, HARD_BRAKING_MPS2, driven.brakes),
     }
 

@@ -185,7 +185,9 @@ class DrivenCars:
                 routes={row_of[frame]: route for frame, route in sorted(heard.routes.items()) if frame in row_of},
                 believed=believed.objects,
                 belief=believed.belief,
-                commands=Commands(of, believed.informed, self._tampered(car, obeyed)),
+                commands=Commands(
+                    of, believed.informed, self._tampered(car, obeyed), int(frames.searchsorted(self.take_over))
+                ),
                 look=self.look,
             )
         return result
