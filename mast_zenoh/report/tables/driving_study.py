@@ -114,7 +114,7 @@ def conclusion(table: DrivingTable) -> list[str]:
                 sentences.append(f"{defence} {verb} {'; '.join(against)}.")
         unclear = [row for row in rows if not (_shown(row.spared, 1) or _shown(row.spared, -1))]
         if flawed := [row.title for row in unclear if row.flawed]:
-            sentences.append(f"What {defence} changes for {'; '.join(flawed)} was not tried: see above.")
+            sentences.append(f"What {defence} changes for {'; '.join(flawed)} was not tried in every run: see above.")
         tried = [row for row in unclear if not row.flawed]
         if same := [f"{row.title} ({_none_of(row.changed)})" for row in tried if not row.changed.happened]:
             sentences.append(f"No change by {defence} was seen for {'; '.join(same)}.")
@@ -169,7 +169,7 @@ def _attack_sentence(row: DrivingRow) -> str:
     if not row.harmed.pairs:
         return f"{row.title[:1].upper()}{row.title[1:]} has no pair with a run without it."
     if row.flawed:
-        return f"{defended}, what {row.title} does was not tried: see above."
+        return f"{defended}, what {row.title} does was not tried in every run: see above."
     if not row.harmed.happened:
         return f"{defended}, no harm by {row.title} was seen {_none_of(row.harmed)}."
     pairs = f"{row.harmed.happened} of {plural(row.harmed.pairs, 'pair')}"

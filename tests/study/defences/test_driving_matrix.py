@@ -154,8 +154,8 @@ def test_an_adversary_that_changed_no_message_is_named_first_and_never_called_ha
     assert (
         first == "In 5 of 5 runs each with idle on picture; idle on picture and veto, adversary_1 changed no message."
     )
-    assert "Without a defence, what idle on picture does was not tried: see above." in others
-    assert "What veto changes for idle on picture was not tried: see above." in others
+    assert "Without a defence, what idle on picture does was not tried in every run: see above." in others
+    assert "What veto changes for idle on picture was not tried in every run: see above." in others
     assert headline(table) == first.removesuffix(".")
     assert not any("harm" in text or "No change" in text for text in others)
     tables = driving_tables(table)
@@ -183,7 +183,9 @@ def test_a_car_whose_driver_did_not_drive_is_named_first_and_no_attack_on_it_is_
     assert conclusion(both)[0] == f"In all 12 runs, {sentence}."
     twin = table_of(calm, facts={("", ""): facts})
     for table in (attacked, both, twin):
-        assert "Without a defence, what calm on picture does was not tried: see above." in conclusion(table)
+        assert "Without a defence, what calm on picture does was not tried in every run: see above." in conclusion(
+            table
+        )
 
 
 def test_harm_is_named_first_although_another_attack_was_idle() -> None:
