@@ -109,12 +109,8 @@ class Collection(kinds.Collection):
         records = self._of(cell.attack, cell.wire, cell.defence)
         twins, undefended = self._of("", "", cell.defence), self._of(cell.attack, cell.wire, "")
         happened = self._of_measures(records)
-        added = {name: happened[name] - twin for name, twin in self._of_measures(twins).items()} if cell.attack else {}
-        spared = (
-            {name: happened[name] - other for name, other in self._of_measures(undefended).items()}
-            if cell.defence
-            else {}
-        )
+        added = _minus(happened, self._of_measures(twins)) if cell.attack else {}
+        spared = _minus(happened, self._of_measures(undefended)) if cell.defence else {}
         harm = [-DRIVING_MEASURES[name].better * values > NEGLIGIBLE for name, values in added.items()]
         changes = [np.abs(values) > NEGLIGIBLE for values in spared.values()]
         compared = [*[twins] * bool(cell.attack), *[undefended] * bool(cell.defence)]
@@ -163,6 +159,10 @@ class Collection(kinds.Collection):
 
         figure = figure_of_driving(table)
         return {figure.name: figure}
+
+
+def _minus(happened: Mapping[str, Floats], other: Mapping[str, Floats]) -> dict[str, Floats]:
+    return {name: values - other[name] for name, values in happened.items()}
 
 
 def _estimate(values: Floats, least: float = -math.inf, *, paired: bool = False) -> Estimate:
