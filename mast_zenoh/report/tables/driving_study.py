@@ -22,8 +22,9 @@ _ABOUT = (
     "Per trial. Each trial under attack is paired with its twin: the same scene, seed and defence without the attack. "
     "Each trial with a defence is paired with the same scene, seed and attack without one. Brackets: 95 % intervals, "
     "Student's t over seeds, or over scenes if there are fewer than five seeds but not scenes (n: their number); none "
-    "where all are equal. Of a difference that is 0 in most pairs, they are of the share of these pairs."
+    "where all are equal."
 )
+_ZEROS = "(0 in N % [a, b]): the share of pairs without a difference, and its exact 95 % interval."
 _NONE = "none"
 _HEADINGS = tuple(measure.heading for measure in DRIVING_MEASURES.values())
 #: What a headline names, the worst first.
@@ -47,12 +48,12 @@ def driving_tables(table: DrivingTable) -> ResultTables:
             ("What the car did", "", [_line(row, row.measures) for row in table.rows]),
             (
                 "What the attack adds to what the car did",
-                "Differences from the twin.",
+                f"Differences from the twin. {_ZEROS}",
                 [_line(row, _of(row.added)) for row in table.rows if row.added],
             ),
             (
                 "What the defence changes of what the car did",
-                "Differences from no defence.",
+                f"Differences from no defence. {_ZEROS}",
                 [_line(row, _of(row.spared)) for row in table.rows if row.spared],
             ),
         )
