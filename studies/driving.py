@@ -1,6 +1,8 @@
 """What attacks do to a driven car, and what a defence or its own sensors spare it."""
 
+from mast_zenoh.config import plugins, registry
 from mast_zenoh.errors import ConfigurationError, nearest
+from mast_zenoh.integrity import Integrity
 from mast_zenoh.study.defences import DrivingCell, several, with_preset, words
 
 #: Attacks of the scenario `driving`, each with where it is (`wire`): on what the ego receives, on what two poles send,
@@ -61,7 +63,7 @@ def study(
     common = dict(driver=DRIVER if driver is None else driver, attack_start_s=attack_start_s)
     runs, cells = {}, {}
     for name in words(defences):
-        defended = DEFENCES.get(name, dict(defence=name))
+        defended = parameters_of(name)
         for attack, wire in [("", ""), *map(attack_and_wire, several(words(chosen["attacks"])))]:
             cell = DrivingCell(attack, wire, "" if name == "none" else name)
             attacked = dict(attack=attack, wire=wire) if attack else {}
@@ -78,6 +80,14 @@ def study(
         seed=seed,
         runtime="inproc",
     )
+
+
+def parameters_of(defence):
+    """The parameters of the scenario `driving` for a defence."""
+    known = {**DEFENCES, **registry.known_types(Integrity, defence)}
+    if defence not in known and not defence.partition(":")[0].endswith(".py"):
+        raise plugins.not_found(f"defences: no defence {defence!r}", defence, known)
+    return DEFENCES.get(defence, dict(defence=defence))
 
 
 def attack_and_wire(text):

@@ -53,12 +53,30 @@ class Commands(NamedTuple):
     informed: (f,) whether its driver had an estimate
     tampered: (f,) adversaries that made it brake harder, or withheld that of the frame, joined by "+"; "": none
     left_out: ports of the driver whose messages are not known, as a replay leaves them out; "command": the commands
+    first:    row from which on it is driven
     """
 
     of: Ints
     informed: Bools
     tampered: Sequence[str]
     left_out: frozenset[str] = frozenset()
+    first: int = 0
+
+    @property
+    def obeyed(self) -> int | None:
+        """The number of commands that the car obeyed, until the last frame; None: not known."""
+        return None if "command" in self.left_out else len(np.unique(self.of[:-1][self.of[:-1] >= 0]))
+
+    @property
+    def uncommanded(self) -> int | None:
+        """The number of frames, but the last, in which the driven car had no new command; None: not known.
+
+        It went on as it was told, or braked.
+        """
+        if "command" in self.left_out:
+            return None
+        driven = self.of[self.first : -1]
+        return int(np.count_nonzero(driven < np.arange(self.first, self.first + len(driven))))
 
 
 class Brake(NamedTuple):

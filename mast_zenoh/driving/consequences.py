@@ -95,8 +95,8 @@ def consequences(driven: DrivenCar) -> dict[str, Any]:
     "rss_unsafe_s"; "brakes", each with its cause: the object (a real one's id, a false track's id), its kind (see
     `braking.causes`) and the adversary; "needless_brakes", "missed_brakes", "hard_brakes"; "hardest_braking_mps2",
     "jerk_max_mps3"; "uncomfortable_s" by bound of COMFORT; "progress_m"; "stops", "standing_s", "blocked_s";
-    "blind_frames"; and "behind", the traffic in its lane behind it. In a replay that leaves out what the driver
-    received, "hidden" and "blind_frames" are None.
+    "blind_frames", "obeyed_commands", "uncommanded_frames"; and "behind", the traffic in its lane behind it. "hidden"
+    and these three are None in a replay that leaves out what they need.
     """
     car, period, truth = driven.car, driven.period_s, driven.truth
     speed, acceleration = driven.speed, driven.acceleration
@@ -127,6 +127,8 @@ def consequences(driven: DrivenCar) -> dict[str, Any]:
         "standing_s": float(np.count_nonzero(standing) * period),
         "blocked_s": float(np.count_nonzero(standing & ~_waits(driven, truth)) * period),
         "blind_frames": _blind_frames(driven.commands),
+        "obeyed_commands": driven.commands.obeyed,
+        "uncommanded_frames": driven.commands.uncommanded,
         "behind": behind_car(car, driven.objects, driven.ids, period, HARD_BRAKING_MPS2, driven.brakes),
     }
 

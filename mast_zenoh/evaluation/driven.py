@@ -192,7 +192,11 @@ class DrivenCars:
                 believed=believed.objects,
                 belief=believed.belief,
                 commands=Commands(
-                    of, believed.informed, self._tampered(car, heard, obeyed, refused), frozenset(heard.left_out)
+                    of=of,
+                    informed=believed.informed,
+                    tampered=self._tampered(car, heard, obeyed, refused),
+                    left_out=frozenset(heard.left_out),
+                    first=int(frames.searchsorted(self.take_over)),
                 ),
                 look=self.look,
             )

@@ -407,17 +407,20 @@ def write_trials_page(
     figures: Mapping[str, RenderedFigure],
     tables: Sequence[TextTable] = (),
     own_headline: str = "",
+    own_reading: Sequence[str] = (),
 ) -> Path:
     """Write `report.html` into the folder of a study, and return its path.
 
     figures: of `figures_over_trials`, by name;  tables: of a study of defences
-    own_headline: what comes before the largest change of errors, such as what happened to driven cars; or empty
+    own_headline, own_reading: what comes before errors of estimates, such as what happened to driven cars; or empty.
+                  Errors are then described above their tables
     """
     rows, facts = titled(rows, facts)
     comparisons = compare(rows, facts.baseline)
     own_tables = [(each.title, each.about, each.on_page()) for each in tables]
     parts = sections(rows, facts.baseline, comparisons)
     errors = result(rows, facts, comparisons)
+    changes = [*[errors] * bool(own_headline), *other_changes(rows, facts, comparisons)]
     scores, title = side_by_side(rows), difference_title(rows, facts.baseline)
     content = {
         "title": f"Study {facts.name}",
@@ -427,10 +430,11 @@ def write_trials_page(
         "failed": facts.failed,
         "shown_at_once": _SHOWN_AT_ONCE,
         "reservations": reservations(rows, facts),
-        "reading": [*[errors] * bool(own_headline), *other_changes(rows, facts, comparisons)],
+        "reading": own_reading or changes,
+        "errors": changes if own_reading else [],
         "figures": figures,
         "added": [each for each in parts if each.title.startswith(title)],
-        "added_title": title,
+        "added_title": f"{title}: errors of estimates" if own_reading else title,
         "own_tables": own_tables,
         "comparisons": comparisons_made(comparisons),
         "scores": scores if scores.lines else None,

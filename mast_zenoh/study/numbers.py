@@ -25,8 +25,12 @@ DRIVING = "driving"
 #: s; a trial with a smaller minimum time to collision is critical: van der Horst (1990), see `metrics.driving`.
 CRITICAL_S = 1.5
 _MIN_TTC, _CRITICAL = "min_ttc_s", "critical"
-#: Metrics without a mean: a trial without a collision course has none, so a mean would skip it.
-SELECTIVE = frozenset(f"{DRIVING}.{_MIN_TTC}{suffix}" for suffix in ("", "_iob"))
+#: The estimator of what happened to a driven car.
+DRIVEN = "driven"
+#: Metrics without a mean, of estimates and of driven cars: a trial without a collision course, or without anything
+#: ahead or crossing, or without a shock wave, has none, so a mean would skip it.
+_SELECTIVE = frozenset({f"{DRIVING}.{_MIN_TTC}"})
+_SELECTIVE_DRIVEN = frozenset({_MIN_TTC, "min_gap_m", "min_pet_s", "behind.shock_wave_mps"})
 
 #: The agent name of numbers of all compromised agents together.
 COMPROMISED = "compromised"
@@ -49,7 +53,8 @@ class Number(NamedTuple):
 
     owner:     the agent; of an achievement, the adversary, or "all" for all of them; of a defence, "all"; the column
                `who`
-    estimator: "local", "picture", "mission", …; ACHIEVED for achievements, DEFENCE for the defence
+    estimator: "local", "picture", "mission", …; ACHIEVED for achievements, DEFENCE for the defence, DRIVEN for what
+               happened to a driven car
     metric:    its name; names of nested blocks are joined by dots: "fn_split.attack", "driving.braking_s"
     std:       over frames, NaN for a metric of the whole run; frames: how many, 0 for such a metric
     binary:    whether it is a boolean, as 1 or 0
@@ -62,6 +67,11 @@ class Number(NamedTuple):
     std: float = NAN
     frames: int = 0
     binary: bool = False
+
+
+def has_mean(estimator: str, metric: str) -> bool:
+    """Whether every trial has a number, so that its mean over trials is one of all of them."""
+    return metric.removesuffix("_iob") not in (_SELECTIVE_DRIVEN if estimator == DRIVEN else _SELECTIVE)
 
 
 def ego(metrics: Mapping[str, Any]) -> str:
@@ -77,13 +87,13 @@ def scored_frames(metrics: Mapping[str, Any]) -> tuple[int, int]:
 
 
 def numbers(metrics: Mapping[str, Any]) -> Iterator[Number]:
-    """The numbers below `agents`, `driving`, `achieved`, `pictures`, `channel` and `integrity` of metrics.json.
+    """The numbers of metrics.json, in file order.
 
-    In file order.
-    `null` becomes NaN, true and false become 1 and 0; other values are skipped. Every cause in `causes` gets a number
-    of objects per frame, "fp inserted", even if it does not occur. "driving.critical" shows whether the minimum time
-    to collision is below CRITICAL_S; every trial has it. These blocks hold no wall-clock times, so all numbers depend
-    on scenario and seed alone.
+    Those below `agents`, `driving`, `driven`, `achieved`, `pictures`, `channel` and `integrity`. `null` becomes NaN,
+    true and false become 1 and 0. Of lists of a driven car, such as its collisions, their length counts. Other values
+    are skipped. Every cause in `causes` gets a number of objects per frame, "fp inserted", even if it does not occur.
+    "driving.critical" shows whether the minimum time to collision is below CRITICAL_S; every trial has it. These blocks
+    hold no wall-clock times, so all numbers depend on scenario and seed alone.
     """
     first, last = scored_frames(metrics)
     frames = last - first + 1
@@ -97,6 +107,9 @@ def numbers(metrics: Mapping[str, Any]) -> Iterator[Number]:
                 min_ttc = content[_MIN_TTC]
                 critical = min_ttc is not None and min_ttc < CRITICAL_S
                 yield Number(agent, estimator, f"{DRIVING}.{_CRITICAL}", float(critical), binary=True)
+    for car, content in metrics.get(DRIVEN, {}).items():
+        counted = {name: len(value) if isinstance(value, list) else value for name, value in content.items()}
+        yield from _flatten(car, DRIVEN, (), counted, frames)
     for adversary, content in metrics.get(ACHIEVED, {}).items():
         yield from _flatten(adversary, ACHIEVED, (), content, frames)
     for block in COOPERATION:

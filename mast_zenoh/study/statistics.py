@@ -22,7 +22,7 @@ from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.metrics import CAUSES
 from mast_zenoh.metrics.measures import MEASURES
 from mast_zenoh.metrics.study_results import MIN_SEEDS, NEGLIGIBLE, Estimate, Series
-from mast_zenoh.study.numbers import ACHIEVED, COOPERATION, DEFENCE, DRIVING, NAN
+from mast_zenoh.study.numbers import ACHIEVED, COOPERATION, DEFENCE, DRIVEN, DRIVING, NAN
 
 CONFIDENCE = 0.95
 #: Minimum number of seeds for an interval, and of scenes for an interval over other scenes.
@@ -229,7 +229,7 @@ def value_range(series: Series) -> tuple[float, float]:
         return -math.inf, math.inf
     if series.estimator in COOPERATION:
         return 0.0, math.inf if metric.endswith("_m") else 1.0
-    if series.estimator == DEFENCE:
+    if series.estimator in (DEFENCE, DRIVEN):
         return 0.0, math.inf
     if series.estimator == ACHIEVED or metric.startswith(f"{DRIVING}."):
         share = "share" in metric or metric.endswith("_seen_by_others")

@@ -20,7 +20,7 @@ from mast_zenoh.run_files import write_bytes
 from mast_zenoh.study import numbers, statistics
 from mast_zenoh.study.defences import kinds
 from mast_zenoh.study.definition import Study
-from mast_zenoh.study.numbers import ACHIEVED, COMPROMISED, COOPERATION, DEFENCE, NAN, SELECTIVE, Number, ego
+from mast_zenoh.study.numbers import ACHIEVED, COMPROMISED, COOPERATION, DEFENCE, DRIVEN, NAN, Number, ego
 from mast_zenoh.study.store import Store, TableFile
 from mast_zenoh.study.trial import Outcome, Trial
 
@@ -119,7 +119,7 @@ def write(
     if own is not None:
         figures = {**own.figures, **figures}
         names += own.names
-    parts = () if own is None else (own.tables, own.headline)
+    parts = () if own is None else (own.tables, own.headline, own.reading)
     report = write_trials_page(store.folder, rows, facts, figures, *parts)
     return StudyResult(store.folder, rows, facts, [store.folder / name for name in names], report, own)
 
@@ -159,7 +159,10 @@ def _write_parquet(
 
 
 class Samples:
-    """The reported numbers: of the ego, compromised agents, achievements, the defence, pictures and the channel."""
+    """The reported numbers, by configuration.
+
+    Of the ego, driven cars, compromised agents, achievements, the defence, pictures and the channel.
+    """
 
     def __init__(self, study: Study, seeds: Sequence[int]) -> None:
         """seeds: the planned seeds of every configuration and scene."""
@@ -177,10 +180,10 @@ class Samples:
         cell = self._scene[trial.scene], self._seed[trial.seed]
         cells = self._cells[trial.configuration]
         for number in trial_numbers:
-            if number.metric in SELECTIVE:
+            if not numbers.has_mean(number.estimator, number.metric):
                 continue
             of_all = number.metric in COOPERATION.get(number.estimator, ())
-            if number.owner in (agent, COMPROMISED) or number.estimator in (ACHIEVED, DEFENCE) or of_all:
+            if number.owner in (agent, COMPROMISED) or number.estimator in (ACHIEVED, DEFENCE, DRIVEN) or of_all:
                 series = Series(*number[:3])
                 if series not in cells:
                     cells[series] = np.full((3, len(self._scene), len(self._seed)), NAN)

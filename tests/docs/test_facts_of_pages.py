@@ -197,7 +197,11 @@ def test_achievements_and_consequences_for_driving_are_documented(run: Path) -> 
 
 
 def test_every_block_of_the_metrics_that_a_study_reads_is_on_the_page() -> None:
-    page = (ROOT / "docs" / "studies.md").read_text("utf-8").split("Every number in `metrics.json` becomes a row")[1]
+    page = (
+        (ROOT / "docs" / "studies.md")
+        .read_text("utf-8")
+        .split("Every number in these blocks of `metrics.json` becomes a row")[1]
+    )
     table = page.split("\n\n")[1]
     blocks = dict(pictures=dict(deceived=dict(share=0.5)), channel=dict(busy_ratio=dict(mean=0.1, std=0.0)))
     for number in numbers(dict(agents={}, **blocks)):

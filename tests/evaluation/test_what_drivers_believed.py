@@ -221,3 +221,17 @@ def test_frames_are_blind_if_the_command_that_acts_was_given_without_an_estimate
         (dict(estimates_until=6, commands_until=15, hold_s=0.0), 15 - 11),
     ]:
         assert happened(veto=False, **facts)["blind_frames"] == blind
+
+
+def test_commands_that_a_car_obeyed_and_frames_without_a_new_one_are_counted() -> None:
+    """Drivers take over in frame 10; the command of the last frame acts after it."""
+    driven = FRAMES - 11
+    for facts, obeyed, without in [
+        ({}, driven, 0),
+        (dict(late=2), driven, driven),
+        (dict(commands_until=15), 5, driven - 5),
+        (dict(commands_until=0), 0, driven),
+        (dict(take_over_s=0.0, commands_until=15), 15, FRAMES - 1 - 15),
+    ]:
+        counts = happened(veto=False, **facts)
+        assert (counts["obeyed_commands"], counts["uncommanded_frames"]) == (obeyed, without), facts

@@ -81,6 +81,11 @@ def test_the_tables_of_a_study_of_defences_are_on_the_page(tmp_path: Path) -> No
 def test_the_headline_of_a_study_of_driven_cars_comes_before_the_errors(tmp_path: Path) -> None:
     usual = Page(write_trials_page(tmp_path, ROWS, facts(ROWS), {})).source
     errors = usual.partition("<h1>")[2].partition("</h1>")[0]
-    page = Page(write_trials_page(tmp_path, ROWS, facts(ROWS), {}, (), "the ego hits more")).source
-    assert "<h1>The ego hits more</h1>" in page
-    assert f'<p class="lead">{errors}.' in page
+    page = Page(
+        write_trials_page(tmp_path, ROWS, facts(ROWS), {}, (), "the ego hits more", ["It hits.", "A veto helps."])
+    )
+    assert "<h1>The ego hits more</h1>" in page.source
+    assert '<p class="lead">It hits. A veto helps.</p>' in page.source
+    before, _, after = page.source.partition('<h2 id="added">')
+    assert errors not in before
+    assert f"<p>{errors}." in after

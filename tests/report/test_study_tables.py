@@ -161,6 +161,14 @@ def test_result_is_the_largest_significant_change_of_what_the_ego_acts_on() -> N
     assert "2.00 fewer false objects a frame [1.50, 2.50]" in result(fewer, facts(fewer), compare(fewer, "baseline"))
 
 
+def test_of_driven_cars_it_is_not_said_what_they_act_on_as_a_veto_may_change_it() -> None:
+    driven = [
+        replace(each, estimates={**each.estimates, Series("ego", "driven", "stops"): Estimate()}) for each in ROWS
+    ]
+    text = result(driven, facts(driven), compare(driven, "baseline"))
+    assert text.startswith("The largest change of false or missed objects in the mission estimate: in uncoordinated-3 ")
+
+
 @pytest.mark.parametrize(
     ("estimates", "text"),
     [

@@ -38,6 +38,7 @@ def outcome(
     agents: dict[str, Any] | None = None,
     achieved: dict[str, Any] | None = None,
     driving: dict[str, Any] | None = None,
+    driven: dict[str, Any] | None = None,
 ) -> Outcome:
     """A trial of one agent with `fp` false objects in every frame.
 
@@ -63,6 +64,7 @@ def outcome(
         "agents": {"ego": summary},
         "achieved": achieved or {},
         "driving": driving or {},
+        "driven": driven or {},
         "latency_ms": {"sim_to_picture": {"p50": 3.0}},
     }
     return Outcome(trial(configuration, scene, seed), metrics, per_frame)

@@ -43,6 +43,10 @@ def test_all_numbers_of_all_estimators_are_listed() -> None:
         },
         "driving": {"ego": {"truth": {"braking_s": 1.5}, "mission": {"braking_s": 2.0}}},
         "achieved": {"all": {"hidden": False, "share": 0.25}, "adversary_1": {"time_to_first_false_s": None}},
+        "driven": {
+            "ego": {"collisions": [{"object": 3}], "progress_m": 40.0, "min_gap_m": None, "behind": {"cars": 2}},
+            "mobile_1": {"collisions": [], "progress_m": 90.0},
+        },
         "latency_ms": {"sim_to_picture": {"p50": 3.0}},
         "frames_per_second": 200.0,
     }
@@ -56,6 +60,11 @@ def test_all_numbers_of_all_estimators_are_listed() -> None:
     assert listed["ego", "mission", "braked"][3::3] == (1.0, True)
     assert listed["ego", "truth", "driving.braking_s"].value == 1.5
     assert listed["ego", "mission", "driving.braking_s"].value == 2.0
+    assert listed["ego", "driven", "collisions"].value == 1.0, "of a list its length"
+    assert listed["mobile_1", "driven", "collisions"].value == 0.0
+    assert listed["mobile_1", "driven", "progress_m"].value == 90.0
+    assert listed["ego", "driven", "behind.cars"].value == 2.0
+    assert np.isnan(listed["ego", "driven", "min_gap_m"].value)
     assert listed["all", "achieved", "hidden"][3::3] == (0.0, True)
     assert np.isnan(listed["adversary_1", "achieved", "time_to_first_false_s"].value)
     assert not {"note", "list", "latency_ms", "frames_per_second"} & {metric for _, _, metric in listed}
@@ -177,6 +186,23 @@ def test_critical_share_counts_trials_without_a_collision_course() -> None:
     assert rows["attacked"].get("driving.critical_iob", "mission").trial_mean == pytest.approx(4 / 6)
     assert not any("min_ttc_s" in series.metric for row in rows.values() for series in row.estimates)
     assert any(each.metric == "driving.min_ttc_s" for each in numbers(done[0].metrics)), "results.parquet contains it"
+
+
+def test_driven_cars_have_means_increments_and_rows_but_no_mean_of_what_some_trials_lack() -> None:
+    done = []
+    for seed in range(6):
+        for label, way_m in (("baseline", 100.0 + seed), ("attacked", 60.0 + 2 * seed)):
+            ego = {"progress_m": way_m, "collisions": [{}] * (seed % 2), "min_gap_m": None if seed else 4.0}
+            done.append(outcome(label, 0, seed, driven={"ego": ego, "mobile_1": {"progress_m": 5.0}}))
+    row = summary(done, seeds=6, scenes=1)["attacked"]
+    assert row.get("progress_m", "driven").trial_mean == 65.0
+    assert row.get("collisions", "driven").trial_mean == 0.5
+    assert row.get("collisions", "driven").low >= 0.0
+    added = row.get("progress_m_iob", "driven")
+    assert added.low < added.trial_mean == -37.5 < added.high < 0.0
+    assert row.get("progress_m", "driven", "mobile_1").trial_mean == 5.0
+    assert not any("min_gap_m" in series.metric for series in row.estimates)
+    assert any(each.metric == "min_gap_m" for each in numbers(done[0].metrics)), "results.parquet contains it"
 
 
 def test_seeds_that_lack_a_trial_are_left_out_and_counted() -> None:

@@ -40,14 +40,16 @@ def figure_of_driving(table: DrivingTable) -> RenderedFigure:
     figure.legend(handles, labels, loc="outside upper left", ncols=max(1, len(labels)), frameon=False, fontsize=9)
     caption = (
         f"What an attack adds to a trial of its twin, the same seed and defence without it ({table.size}). Bars: 95 % "
-        "intervals of the paired difference; a point without a bar: all differences are equal, or too few trials."
+        "intervals of the paired difference; a point without a bar: all differences are equal, most are 0, or too few "
+        "trials."
     )
-    return render("driving", figure, conclusion(table), caption, printed=True)
+    return render("driving", figure, " ".join(conclusion(table)), caption, printed=True)
 
 
 def _points(axes: Axes, rows: list[DrivingRow], name: str, attacks: list[str], index: int, place: float) -> None:
     """One measure with one defence."""
-    values = np.array([row.added[name][:3] for row in rows], np.float64).reshape(-1, 3)
+    estimates = [row.added[name].estimate for row in rows]
+    values = np.array([(each.trial_mean, each.low, each.high) for each in estimates], np.float64).reshape(-1, 3)
     axes.errorbar(
         values[:, 0],
         np.array([attacks.index(row.title) for row in rows]) + place,

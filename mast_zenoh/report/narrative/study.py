@@ -11,6 +11,7 @@ from mast_zenoh.metrics.study_results import Estimate, IdleAttack, Series, Study
 from mast_zenoh.report.tables.study_rows import (
     ADDED,
     ALL_SCORES,
+    DRIVEN,
     ESTIMATORS,
     PAPER,
     Column,
@@ -187,7 +188,10 @@ def _compared(change: _Change) -> str:
     """The group of changes of which this one is the largest."""
     metrics = next(metrics for metrics, _ in _HEADLINES if change[1].metric in metrics)
     names = " or ".join(_CHANGES[metric][0] for metric in metrics).replace(" objects or ", " or ")
-    return f"{names} in {ESTIMATES[change[1].estimator].noun}"
+    row, column = change
+    if column.estimator == MISSION and any(each.estimator == DRIVEN for each in row.estimates):
+        return f"{names} in the mission estimate"  # with a veto, its driver acts on something else
+    return f"{names} in {ESTIMATES[column.estimator].noun}"
 
 
 def _estimates_of(rows: Sequence[StudyRow], metric: str) -> list[Estimate]:

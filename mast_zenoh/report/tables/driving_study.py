@@ -5,153 +5,227 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from mast_zenoh.metrics.driving_results import DRIVING_MEASURES, DrivingRow, DrivingTable
-from mast_zenoh.metrics.study_results import MIN_SEEDS, Measured
+from mast_zenoh.metrics.driving_results import DRIVING_MEASURES, Affected, Difference, DrivingRow, DrivingTable
+from mast_zenoh.metrics.study_results import Estimate, plural
+from mast_zenoh.report.tables.study_rows import over_trials, value
 from mast_zenoh.report.tables.text_table import (
     BOUNDS,
     DASH,
-    FEW_TRIALS,
     ResultTables,
     TextTable,
-    bounds,
-    measured,
+    digits,
     number,
+    whole_percent,
 )
 
 _ABOUT = (
     "Per trial. Each trial under attack is paired with its twin: the same scene, seed and defence without the attack. "
-    "Each trial with a defence is paired with the same scene, seed and attack without one. Brackets: bootstrap 95 % "
-    "intervals over trials; none where all differences are equal."
+    "Each trial with a defence is paired with the same scene, seed and attack without one. Brackets: 95 % intervals, "
+    "Student's t over seeds, or over scenes if there are fewer than five seeds but not scenes (n: their number); none "
+    "where all are equal."
 )
+_ZEROS = "(0 in N % [a, b]): the share of pairs without a difference, and its exact 95 % interval."
 _NONE = "none"
 _HEADINGS = tuple(measure.heading for measure in DRIVING_MEASURES.values())
 #: What a headline names, the worst first.
 _HEADLINE = ("collisions", "needless_brakes", "progress_m")
+_NO_HARM = "No attack adds collisions or needless brakes, or shortens the way"
 
 
 def driving_tables(table: DrivingTable) -> ResultTables:
     """The tables of the study; the CSV has a row for each attack, defence, measure and kind of number."""
     row_heads = ("attack", "on", "defence", "trials")
-    happened = [[*_names(row), str(row.trials), *map(_cell, _every(row.measures))] for row in table.rows]
-    added = [[*_names(row), str(row.trials), *map(_cell, _every(row.added))] for row in table.rows if row.attack]
-    spared = [[*_names(row), str(row.trials), *map(_cell, _every(row.spared))] for row in table.rows if row.defence]
     numbers = [
-        [*_names(row), kind, name, *bounds(numbers[name])]
+        [*_names(row), kind, name, *_digits(estimates[name], row.trials)]
         for row in table.rows
-        for kind, numbers in (("mean", row.measures), ("added", row.added), ("spared", row.spared))
-        for name in numbers
+        for kind, estimates in (("mean", row.measures), ("added", _of(row.added)), ("spared", _of(row.spared)))
+        for name in estimates
     ]
-    summary = conclusion(table)
+    sentences = conclusion(table)
     tables = [
-        TextTable("What happened", "", (*row_heads, *_HEADINGS), happened, 3),
-        TextTable("What the attack adds", "Differences from the twin.", (*row_heads, *_HEADINGS), added, 3),
-        TextTable("What the defence changes", "Differences from no defence.", (*row_heads, *_HEADINGS), spared, 3),
+        TextTable(title, about, (*row_heads, *_HEADINGS), lines, 3)
+        for title, about, lines in (
+            ("What the car did", "", [_line(row, row.measures) for row in table.rows]),
+            (
+                "What the attack adds to what the car did",
+                f"Differences from the twin. {_ZEROS}",
+                [_line(row, _of(row.added)) for row in table.rows if row.added],
+            ),
+            (
+                "What the defence changes of what the car did",
+                f"Differences from no defence. {_ZEROS}",
+                [_line(row, _of(row.spared)) for row in table.rows if row.spared],
+            ),
+        )
+        if lines
     ]
     brief_heads = ("attack, defence", *_HEADINGS)
     brief_lines = [
-        [f"{row.title}, {row.defence or _NONE}", *(number(each.value) for each in _every(row.measures))]
+        [f"{row.title}, {row.defence or _NONE}", *(number(row.measures[name].mean) for name in DRIVING_MEASURES)]
         for row in table.rows
     ]
-    brief = TextTable("Driving under attack, means of a trial", summary, brief_heads, brief_lines, 1)
-    note = FEW_TRIALS if any(row.trials < MIN_SEEDS for row in table.rows) else ""
-    about = f"{table.size}. {summary} {_ABOUT}"
-    headings = ("attack", "on", "defence", "number", "measure", *BOUNDS)
+    brief = TextTable("Driving under attack, means of a trial", " ".join(sentences), brief_heads, brief_lines, 1)
+    about = " ".join([f"{table.size}.", *sentences, _ABOUT])
+    headings = ("attack", "on", "defence", "number", "measure", *BOUNDS, "zero_share", "zero_low", "zero_high")
     return ResultTables(
-        "Driving under attack", about, table.size, tables, (headings, numbers), [brief], note, headline(table)
+        "Driving under attack",
+        about,
+        table.size,
+        tables,
+        (headings, numbers),
+        [brief],
+        headline=headline(table),
+        reading=sentences,
     )
 
 
 def headline(table: DrivingTable) -> str:
     """The attack that adds most collisions, else needless brakes, else shortens the way most; without a full stop.
 
-    Of attacks without a defence, if any was run.
+    Of attacks without a defence, if any was run. Without such a harm, what did not take part comes first.
     """
-    attacked = [row for row in table.rows if row.attack and row.trials]
-    rows = [row for row in attacked if not row.defence] or attacked
+    rows = [row for row in _first_rows(table) if row.harmed.pairs]
     for name in _HEADLINE:
-        harms = [(_harm(name, row.added[name]), row) for row in rows if row.added[name].known]
+        harms = [(_harm(name, row.added[name]), row) for row in rows if not math.isnan(_mean(row.added[name]))]
         harm, row = max(harms, key=lambda pair: pair[0], default=(0.0, None))
         if row is not None and harm > 0.0:
-            added = measured(row.added[name])
-            what = f"changes the way driven by {added} m" if name == "progress_m" else f"adds {added} {_heading(name)}"
+            added, what = row.added[name].estimate, f"adds {_worded(name, row.added[name])}"
+            what = f"changes the way driven by {over_trials(added)} m" if name == "progress_m" else what
             defended = f", with {row.defence}," if row.defence else ""
-            doubt = "" if _is_shown(row.added[name]) else ": too few trials to tell"
+            doubt = "" if row.added[name].is_shown else ": too few trials to tell"
             return f"The attack {row.title}{defended} {what} a trial{doubt}"
-    return "No attack adds collisions or needless brakes, or shortens the way" if rows else ""
+    if any(row.flawed for row in rows):
+        return next(iter(flaws(table)), "").removesuffix(".")
+    if not rows:
+        return ""
+    harmed, pairs = sum(row.harmed.happened for row in rows), sum(row.harmed.pairs for row in rows)
+    return f"{_NO_HARM} in the mean" if harmed else f"No attack did harm in any of {plural(pairs, 'pair')}"
 
 
-def conclusion(table: DrivingTable) -> str:
-    """What attacks do without a defence, what defences change about it, and which rows were not run."""
-    sentences = []
-    defences = list(dict.fromkeys(row.defence for row in table.rows if row.defence))
+def conclusion(table: DrivingTable) -> list[str]:
+    """Sentences: what did not take part, what attacks do, what defences change about it, and what was not run."""
+    sentences = flaws(table)
     attacked = [row for row in table.rows if row.attack and row.trials]
-    for row in (each for each in attacked if not each.defence):
-        worse, perhaps = _shown(row.added, -1), _not_shown(row.added)
-        does = [f"adds {_list(worse)}"] * bool(worse)
-        does += [f"{'perhaps ' * bool(worse)}adds {_list(perhaps)}: too few trials to tell"] * bool(perhaps)
-        sentences.append(f"Without a defence, {row.title} {' and '.join(does) or 'does no harm'}.")
-    for defence in defences:
-        rows = [row for row in attacked if row.defence == defence]
+    sentences += map(_attack_sentence, _first_rows(table))
+    for defence in dict.fromkeys(row.defence for row in table.rows if row.defence):
+        rows = [row for row in attacked if row.defence == defence and row.changed.pairs]
         for sign, verb in ((1, "helps against"), (-1, "makes worse")):
-            against = [f"{row.title} ({_list(shown)})" for row in rows if (shown := _shown(row.spared, sign))]
+            against = [f"{row.title} ({', '.join(shown)})" for row in rows if (shown := _shown(row.spared, sign))]
             if against:
                 sentences.append(f"{defence} {verb} {'; '.join(against)}.")
         unclear = [row for row in rows if not (_shown(row.spared, 1) or _shown(row.spared, -1))]
-        same = [row.title for row in unclear if all(each.value == 0.0 for each in row.spared.values())]
-        if same:
-            sentences.append(f"{defence} changes nothing for {'; '.join(same)}.")
-        if others := [row.title for row in unclear if row.title not in same]:
+        if flawed := [row.title for row in unclear if row.flawed]:
+            sentences.append(f"What {defence} changes for {'; '.join(flawed)} was not tried in every run: see above.")
+        tried = [row for row in unclear if not row.flawed]
+        if same := [f"{row.title} ({_none_of(row.changed)})" for row in tried if not row.changed.happened]:
+            sentences.append(f"No change by {defence} was seen for {'; '.join(same)}.")
+        if others := [row.title for row in tried if row.changed.happened]:
             sentences.append(f"Too few trials to tell what {defence} changes for {'; '.join(others)}.")
     if table.not_run:
         rows_not_run = "; ".join(f"{row.title}, {row.defence or _NONE}" for row in table.not_run)
         sentences.append(f"Not run: {rows_not_run}.")
-    return " ".join(sentences)
+    return sentences
 
 
-def _shown(numbers: Mapping[str, Measured], sign: int) -> list[str]:
+def flaws(table: DrivingTable) -> list[str]:
+    """A sentence for each thing that did not take part as the scenario says, with its number of runs."""
+    where: dict[tuple[str, int, int], list[str]] = {}
+    for row in table.rows:
+        flawed = row.flaws
+        counted = [
+            ("no command of the driver was accepted", flawed.no_command),
+            ("the car had no new command in some frames", flawed.uncommanded),
+            ("the driver had no estimate in some frames", flawed.no_estimate),
+            *((f"{name} changed no message", count) for name, count in flawed.idle.items()),
+        ]
+        for what, count in counted:
+            if count:
+                defended = f" and {row.defence}" if row.defence else ""
+                where.setdefault((what, count, row.trials), []).append(f"{row.title}{defended}")
+    played = [row.trials for row in table.rows if row.trials]
+    sentences = []
+    for (what, count, trials), titles in where.items():
+        if count == trials and len(titles) == len(played):
+            sentences.append(f"In all {sum(played)} runs, {what}.")
+        else:
+            each = "each " * (len(titles) > 1)
+            sentences.append(f"In {count} of {trials} runs {each}with {'; '.join(titles)}, {what}.")
+    return sentences
+
+
+def _first_rows(table: DrivingTable) -> list[DrivingRow]:
+    """The rows under attack without a defence, or all if there is none."""
+    attacked = [row for row in table.rows if row.attack and row.trials]
+    return [row for row in attacked if not row.defence] or attacked
+
+
+def _attack_sentence(row: DrivingRow) -> str:
+    """What an attack adds."""
+    defended = f"With {row.defence}" if row.defence else "Without a defence"
+    worse, perhaps = _shown(row.added, -1), _not_shown(row.added)
+    does = [f"adds {', '.join(worse)}"] * bool(worse)
+    does += [f"{'perhaps ' * bool(worse)}adds {', '.join(perhaps)}: too few trials to tell"] * bool(perhaps)
+    if does:
+        return f"{defended}, {row.title} {' and '.join(does)}."
+    if not row.harmed.pairs:
+        return f"{row.title[:1].upper()}{row.title[1:]} has no pair with a run without it."
+    if row.flawed:
+        return f"{defended}, what {row.title} does was not tried in every run: see above."
+    if not row.harmed.happened:
+        return f"{defended}, no harm by {row.title} was seen {_none_of(row.harmed)}."
+    pairs = f"{row.harmed.happened} of {plural(row.harmed.pairs, 'pair')}"
+    return f"{defended}, {row.title} does harm in {pairs}, and none in the mean."
+
+
+def _none_of(affected: Affected) -> str:
+    """`in 5 of 5 pairs; its chance is below 52 % (exact, 95 %)`, for what did not happen."""
+    bound = whole_percent(affected.chance.high)
+    return f"in {affected.pairs} of {plural(affected.pairs, 'pair')}; its chance is below {bound} % (exact, 95 %)"
+
+
+def _shown(numbers: Mapping[str, Difference], sign: int) -> list[str]:
     """The measures that are shown to differ, for the better (1) or for the worse (-1), with their intervals."""
-    return [
-        f"{measured(each)} {_heading(name)}"
-        for name, each in numbers.items()
-        if _is_shown(each) and sign * _harm(name, each) < 0.0
-    ]
+    return [_worded(name, each) for name, each in numbers.items() if each.is_shown and sign * _harm(name, each) < 0.0]
 
 
-def _not_shown(numbers: Mapping[str, Measured]) -> list[str]:
+def _not_shown(numbers: Mapping[str, Difference]) -> list[str]:
     """The measures that are worse in the mean, although too few trials show it."""
-    return [
-        f"{measured(each)} {_heading(name)}"
-        for name, each in numbers.items()
-        if _harm(name, each) > 0.0 and not _is_shown(each)
-    ]
+    return [_worded(name, each) for name, each in numbers.items() if _harm(name, each) > 0.0 and not each.is_shown]
 
 
-def _is_shown(each: Measured) -> bool:
-    """Whether a mean is shown to differ from 0: by its interval, or because it is the same in enough trials."""
-    same = each.trials >= MIN_SEEDS and math.isnan(each.low) and each.value != 0.0
-    return each.differs_from_zero or same
+def _mean(each: Difference) -> float:
+    return each.estimate.trial_mean
 
 
-def _harm(name: str, each: Measured) -> float:
+def _harm(name: str, each: Difference) -> float:
     """The mean, positive where it is worse for the car."""
-    return -each.value * DRIVING_MEASURES[name].better
+    return -_mean(each) * DRIVING_MEASURES[name].better
 
 
-def _heading(name: str) -> str:
-    return DRIVING_MEASURES[name].heading
+def _worded(name: str, each: Difference) -> str:
+    """`3.03 [2.51, 3.56] needless brakes`, or `0.27 collisions (0 in 73 % [54, 88] of the pairs)`."""
+    heading, estimate = DRIVING_MEASURES[name].heading, each.estimate
+    if not estimate.mostly_zero:
+        return f"{over_trials(estimate)} {heading}"
+    share, low, high = map(whole_percent, (estimate.zero_share, estimate.zero_low, estimate.zero_high))
+    return f"{value(estimate)} {heading} (0 in {share} % [{low}, {high}] of the pairs)"
 
 
-def _list(items: list[str]) -> str:
-    return ", ".join(items)
+def _of(differences: Mapping[str, Difference]) -> dict[str, Estimate]:
+    return {name: each.estimate for name, each in differences.items()}
 
 
 def _names(row: DrivingRow) -> tuple[str, str, str]:
     return row.attack or _NONE, row.wire or DASH, row.defence or _NONE
 
 
-def _every(numbers: Mapping[str, Measured]) -> list[Measured]:
-    return [numbers.get(name, Measured()) for name in DRIVING_MEASURES]
+def _line(row: DrivingRow, estimates: Mapping[str, Estimate]) -> list[str]:
+    return [*_names(row), str(row.trials), *(over_trials(estimates[name]) for name in DRIVING_MEASURES)]
 
 
-def _cell(each: Measured) -> str:
-    return measured(each) if each.known else DASH
+def _digits(each: Estimate, done: int) -> list[str]:
+    """BOUNDS of an estimate, and its share of zeros. done: number of trials"""
+    trials = each.scenes * each.seeds
+    interval = "" if math.isnan(each.low) else "Student's t"
+    zeros = digits(each.zero_share, each.zero_low, each.zero_high)
+    return [*digits(each.trial_mean, each.low, each.high), interval, str(trials), str(done - trials), *zeros]

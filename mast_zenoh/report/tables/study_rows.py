@@ -120,6 +120,8 @@ COOPERATION: Groups = (
 
 #: The estimator of what adversaries achieved.
 ACHIEVED = "achieved"
+#: The estimator of what happened to a driven car.
+DRIVEN = "driven"
 
 
 def attacks_differ(rows: Iterable[StudyRow], baseline: str) -> bool:

@@ -104,6 +104,7 @@ class ResultTables(NamedTuple):
     title: of the page;  about: sentences about it;  size: seeds and scenes;  tables: of the page and of LaTeX
     numbers: the headings and lines of the CSV file, with all digits;  brief: for the terminal
     note: what applies to the numbers of all tables;  headline: of the page, without a full stop; empty: the usual one
+    reading: sentences at the beginning of the page, before those about errors of estimates
     """
 
     title: str
@@ -114,6 +115,7 @@ class ResultTables(NamedTuple):
     brief: Sequence[TextTable]
     note: str = ""
     headline: str = ""
+    reading: Sequence[str] = ()
 
     def texts(self, name: str) -> dict[str, str]:
         """The contents of name.md, name.csv and name.tex."""

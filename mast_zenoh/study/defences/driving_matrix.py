@@ -7,23 +7,50 @@ due to the attack, or to the defence, and to what follows from it.
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from mast_zenoh.metrics.driving_results import DRIVING_MEASURES, DrivingRow, DrivingTable
-from mast_zenoh.metrics.study_results import Measured
+import numpy as np
+
+from mast_zenoh.arrays.states import Bools, Floats
+from mast_zenoh.metrics.driving_results import (
+    DRIVING_MEASURES,
+    Affected,
+    Difference,
+    DrivingRow,
+    DrivingTable,
+    Flaws,
+)
+from mast_zenoh.metrics.study_results import NEGLIGIBLE, Estimate
+from mast_zenoh.study import statistics
 from mast_zenoh.study.defences import kinds
-from mast_zenoh.study.defences.intervals import mean
+from mast_zenoh.study.defences.intervals import share_of_trials
 from mast_zenoh.study.trial import Outcome, TrialKey
 
 if TYPE_CHECKING:
     from mast_zenoh.report.figures.drawing import RenderedFigure
     from mast_zenoh.report.tables.text_table import ResultTables
 
-#: What happened to a car in one trial, by DRIVING_MEASURES.
-Happened = Mapping[str, float]
+#: Effects that change no message.
+_UNCHANGED = frozenset({"unsettled"})
+
+
+class Happened(NamedTuple):
+    """What happened to a car in one trial.
+
+    values: by DRIVING_MEASURES;  obeyed: commands that the car obeyed;  uncommanded: frames without a new command
+    blind:  frames that were driven without an estimate;  idle: adversaries that changed no message
+    """
+
+    values: Mapping[str, float]
+    obeyed: int
+    uncommanded: int
+    blind: int
+    idle: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +89,17 @@ class Collection(kinds.Collection):
     def record(self, cell: DrivingCell, outcome: Outcome) -> Happened:
         driven = outcome.metrics["driven"][cell.car]
         values = {name: driven[name] for name in DRIVING_MEASURES}
-        return {name: float(len(value) if isinstance(value, list) else value) for name, value in values.items()}
+        return Happened(
+            {name: float(len(value) if isinstance(value, list) else value) for name, value in values.items()},
+            driven["obeyed_commands"],
+            driven["uncommanded_frames"],
+            driven["blind_frames"],
+            tuple(
+                name
+                for name, interposer in outcome.metrics["interposers"].items()
+                if interposer["role"] == "adversary" and not set(interposer["effects"]) - _UNCHANGED
+            ),
+        )
 
     def table(self) -> DrivingTable:
         """A row for each attack and defence."""
@@ -71,16 +108,39 @@ class Collection(kinds.Collection):
     def _row(self, cell: DrivingCell) -> DrivingRow:
         records = self._of(cell.attack, cell.wire, cell.defence)
         twins, undefended = self._of("", "", cell.defence), self._of(cell.attack, cell.wire, "")
+        happened = self._of_measures(records)
+        added = _minus(happened, self._of_measures(twins)) if cell.attack else {}
+        spared = _minus(happened, self._of_measures(undefended)) if cell.defence else {}
+        harm = [-DRIVING_MEASURES[name].better * values > NEGLIGIBLE for name, values in added.items()]
+        changes = [np.abs(values) > NEGLIGIBLE for values in spared.values()]
+        compared = [*[twins] * bool(cell.attack), *[undefended] * bool(cell.defence)]
         return DrivingRow(
             attack=cell.attack,
             wire=cell.wire,
             defence=cell.defence,
             trials=len(records),
             missing=len(self.order) - len(records),
-            measures={name: mean([each[name] for each in records.values()]) for name in DRIVING_MEASURES},
-            added=_differences(records, twins) if cell.attack else {},
-            spared=_differences(records, undefended) if cell.defence else {},
+            measures={name: _estimate(values, 0.0) for name, values in happened.items()},
+            added={name: _difference(values) for name, values in added.items()},
+            spared={name: _difference(values) for name, values in spared.items()},
+            harmed=_affected(harm, added),
+            changed=_affected(changes, spared),
+            flaws=_flaws(records),
+            flawed=any(map(_flaws, (records, *compared))),
         )
+
+    def _of_measures(self, records: Mapping[TrialKey, Happened]) -> dict[str, Floats]:
+        """By measure, (scenes, seeds) its value in each trial, NaN where there is none.
+
+        Of fewer than five seeds but not scenes, scenes are the units of intervals: then it is (seeds, scenes).
+        """
+        scenes, seeds = ([*dict.fromkeys(each)] for each in zip(*self.order, strict=True))
+        arrays = {name: np.full((len(scenes), len(seeds)), np.nan) for name in DRIVING_MEASURES}
+        for key, happened in records.items():
+            for name, value in happened.values.items():
+                arrays[name][scenes.index(key.scene), seeds.index(key.seed)] = value
+        by_scene = len(seeds) < statistics.MIN_CLUSTERS <= len(scenes)
+        return {name: values.T if by_scene else values for name, values in arrays.items()}
 
     def _of(self, attack: str, wire: str, defence: str) -> Mapping[TrialKey, Happened]:
         """The trials of a cell that are done, in the order of the study."""
@@ -101,7 +161,35 @@ class Collection(kinds.Collection):
         return {figure.name: figure}
 
 
-def _differences(records: Mapping[TrialKey, Happened], reference: Mapping[TrialKey, Happened]) -> dict[str, Measured]:
-    """Each measure minus that of the trial with the same scene and seed, mean over the pairs that are done."""
-    pairs = [(records[key], reference[key]) for key in records if key in reference]
-    return {name: mean([each[name] - other[name] for each, other in pairs]) for name in DRIVING_MEASURES}
+def _minus(happened: Mapping[str, Floats], other: Mapping[str, Floats]) -> dict[str, Floats]:
+    return {name: values - other[name] for name, values in happened.items()}
+
+
+def _estimate(values: Floats, least: float = -math.inf, *, paired: bool = False) -> Estimate:
+    return statistics.trial_estimate(values, (least, math.inf), paired=paired)
+
+
+def _difference(values: Floats) -> Difference:
+    """The difference in pairs, (a, units), NaN where there is no pair."""
+    units = np.nansum(values, axis=0)
+    return Difference(_estimate(values, paired=True), int((units > NEGLIGIBLE).sum()), int((units < -NEGLIGIBLE).sum()))
+
+
+def _affected(happened: Sequence[Bools], differences: Mapping[str, Floats]) -> Affected:
+    """In how many pairs anything happened. happened: (a, units) of each measure; differences: NaN without a pair"""
+    if not happened:
+        return Affected()
+    any_measure = np.any(happened, axis=0)
+    known = ~np.isnan(next(iter(differences.values())))
+    chance = share_of_trials(int(any_measure.any(axis=0).sum()), int(known.any(axis=0).sum()))
+    return Affected(int(any_measure.sum()), int(known.sum()), chance)
+
+
+def _flaws(records: Mapping[TrialKey, Happened]) -> Flaws:
+    trials = records.values()
+    return Flaws(
+        no_command=sum(not trial.obeyed for trial in trials),
+        uncommanded=sum(bool(trial.obeyed and trial.uncommanded) for trial in trials),
+        no_estimate=sum(trial.blind > 0 for trial in trials),
+        idle=Counter(name for trial in trials for name in trial.idle),
+    )

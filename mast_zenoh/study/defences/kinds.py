@@ -44,7 +44,7 @@ class StudyFiles:
     """What a study of defences, or a search, wrote.
 
     figures, tables: for the page;  names: of files;  as_rich: the tables for the terminal
-    headline: of the page; empty: the usual one
+    headline, reading: of the page, see `ResultTables`; empty: the usual ones
     """
 
     figures: Mapping[str, RenderedFigure]
@@ -52,6 +52,7 @@ class StudyFiles:
     as_rich: Callable[[], Any]
     tables: Sequence[TextTable] = ()
     headline: str = ""
+    reading: Sequence[str] = ()
 
 
 class Collection(ABC):
@@ -127,7 +128,7 @@ class Collection(ABC):
         for figure in figures.values():
             figure.save(folder)
         names = [*texts, *(name for figure in figures.values() for name in figure.names)]
-        return StudyFiles(figures, names, tables.as_rich, tables.tables, tables.headline)
+        return StudyFiles(figures, names, tables.as_rich, tables.tables, tables.headline, tables.reading)
 
 
 def collection_of(kind: str) -> type[Collection]:

@@ -11,7 +11,7 @@ from mast_zenoh.metrics.estimates import ESTIMATES
 from mast_zenoh.metrics.measures import MEASURES
 from mast_zenoh.metrics.study_results import Series
 from mast_zenoh.study import numbers, statistics
-from mast_zenoh.study.numbers import ACHIEVED, DEFENCE, NAN, SELECTIVE, Number
+from mast_zenoh.study.numbers import ACHIEVED, DEFENCE, DRIVEN, NAN, Number
 
 PICTURE = "picture"
 #: Estimators whose numbers are of all adversaries or agents together.
@@ -129,8 +129,9 @@ def _term(text: str, place: str) -> Term:
     if len(words) > 3 or not all(words):
         raise ConfigurationError(f"{place}: found {text!r}, expected METRIC, ESTIMATOR/METRIC or WHO/ESTIMATOR/METRIC")
     metric, estimator = words[-1], words[-2] if len(words) > 1 else PICTURE
-    if metric in SELECTIVE:
-        raise ConfigurationError(f"{place}: {metric!r} has no mean: expected '{numbers.DRIVING}.critical'")
+    if not numbers.has_mean(estimator, metric):
+        expected = f"{DRIVEN}/near_misses" if estimator == DRIVEN else f"{numbers.DRIVING}.critical"
+        raise ConfigurationError(f"{place}: {metric!r} has no mean: expected {expected!r}")
     owner = words[0] if len(words) == 3 else "all" if estimator in _OF_ALL else None
     return Term(owner, estimator, metric)
 

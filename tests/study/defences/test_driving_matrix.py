@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from itertools import product
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
+import numpy as np
 import pytest
 from defence_outcomes import outcome
 
@@ -14,6 +18,7 @@ from mast_zenoh.config.scene_names import parse_scene
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.integrity.calibration import refuse_calibration_data
 from mast_zenoh.metrics.driving_results import DRIVING_MEASURES, DrivingTable
+from mast_zenoh.metrics.study_results import Estimate
 from mast_zenoh.report.figures.driving_study import figure_of_driving
 from mast_zenoh.report.tables.driving_study import conclusion, driving_tables, headline
 from mast_zenoh.study import definition
@@ -23,7 +28,17 @@ from mast_zenoh.study.defences.driving_matrix import Collection
 SEEDS = 6
 
 
-def trial(cell: DrivingCell, seed: int, collisions: int, needless: int, way_m: float) -> Any:
+def trial(
+    cell: DrivingCell,
+    seed: int,
+    collisions: int,
+    needless: int,
+    way_m: float,
+    *,
+    effects: Mapping[str, int] = MappingProxyType({"inserted": 80}),
+    scene: str = "junction",
+    **facts: int,
+) -> Any:
     """A trial; on odd seeds the car drives 10 m further, and brakes needlessly once more, with or without an attack."""
     odd = seed % 2
     driven = {
@@ -32,19 +47,39 @@ def trial(cell: DrivingCell, seed: int, collisions: int, needless: int, way_m: f
         "missed_brakes": 0,
         "hard_brakes": 0,
         "progress_m": way_m + 10.0 * odd,
+        "obeyed_commands": 70,
+        "uncommanded_frames": 0,
+        "blind_frames": 0,
+        **facts,
     }
-    return outcome(cell.label, "junction", seed, {"driven": {"ego": driven}, "defence": {}})
+    interposers = {"adversary_1": {"role": "adversary", "effects": effects}} if cell.attack else {}
+    interposers["link_1"] = {"role": "link", "effects": {}}
+    metrics = {"driven": {"ego": driven}, "interposers": interposers, "defence": {}}
+    return outcome(cell.label, scene, seed, metrics)
 
 
-def table_of(happened: dict[tuple[str, str], tuple[int, int, float]], left_out: int = 0) -> DrivingTable:
-    """The table of (attack, defence) with (collisions, needless brakes, way); the last seeds are left out."""
+Facts = dict[str, int]
+
+
+def table_of(
+    happened: dict[tuple[str, str], tuple[int, int, float]],
+    left_out: int = 0,
+    facts: dict[tuple[str, str], Facts] | None = None,
+    idle: tuple[str, ...] = (),
+) -> DrivingTable:
+    """The table of (attack, defence) with (collisions, needless brakes, way); the last seeds are left out.
+
+    facts: other numbers of the driven car, by attack and defence;  idle: attacks that change no message
+    """
     cells = {key: DrivingCell(key[0], "picture" if key[0] else "", key[1]) for key in happened}
     collection = Collection({cell.label: cell for cell in cells.values()}, ["junction"], range(SEEDS))
     for key, cell in cells.items():
         for seed in range(SEEDS - left_out):
             collisions, needless, way_m = happened[key]
             spread = seed % 3 if key[0] and not key[1] else 0  # so that differences vary from seed to seed
-            collection.add(trial(cell, seed, collisions, needless + spread, way_m - spread))
+            effects = {"unsettled": 1} if key[0] in idle else {"inserted": 80}
+            given = (facts or {}).get(key, {})
+            collection.add(trial(cell, seed, collisions, needless + spread, way_m - spread, effects=effects, **given))
     return collection.table()
 
 
@@ -60,43 +95,144 @@ HAPPENED = {
 
 def test_an_attack_is_compared_with_its_twin_and_a_defence_with_none() -> None:
     rows = {(row.attack, row.defence): row for row in table_of(HAPPENED).rows}
-    assert rows["", ""].measures["progress_m"].value == 105.0
-    assert rows["queue", ""].added["progress_m"].value == -61.0
-    assert rows["queue", "veto"].added["progress_m"].value == -2.0, "the twin has the same defence"
-    assert rows["queue", "veto"].spared["progress_m"].value == 49.0, "the same seeds and attack without a defence"
-    assert rows["", "veto"].spared["progress_m"].value == -10.0
-    added = rows["queue", ""].added["needless_brakes"]
-    assert 3.0 < added.low < added.value == 4.0 < added.high < 5.0
-    assert rows["hidden", ""].added["collisions"].value == 1.0
+    assert rows["", ""].measures["progress_m"].trial_mean == 105.0
+    assert rows["queue", ""].added["progress_m"].estimate.trial_mean == -61.0
+    assert rows["queue", "veto"].added["progress_m"].estimate.trial_mean == -2.0, "the twin has the same defence"
+    assert rows["queue", "veto"].spared["progress_m"].estimate.trial_mean == 49.0, (
+        "the same seeds and attack without a defence"
+    )
+    assert rows["", "veto"].spared["progress_m"].estimate.trial_mean == -10.0
+    added = rows["queue", ""].added["needless_brakes"].estimate
+    assert 3.0 < added.low < added.trial_mean == 4.0 < added.high < 5.0
+    assert rows["hidden", ""].added["collisions"].estimate.trial_mean == 1.0
     assert rows["", ""].added == {}
     assert rows["queue", ""].spared == {}
 
 
 def test_the_conclusion_says_what_helps_what_does_not_and_what_was_not_run() -> None:
-    text = conclusion(table_of(HAPPENED))
+    text = " ".join(conclusion(table_of(HAPPENED)))
     assert "Without a defence, queue on picture adds 4.00 [" in text
     assert "veto helps against queue on picture (" in text
     assert "Without a defence, hidden on picture adds 1.00 (all equal) collisions, " in text
     assert "Not run" not in text
-    assert "Not run: no attack, none; no attack, veto; " in conclusion(table_of(HAPPENED, left_out=SEEDS))
+    assert "Not run: no attack, none; no attack, veto; " in " ".join(conclusion(table_of(HAPPENED, left_out=SEEDS)))
 
 
 def test_harm_in_too_few_trials_is_neither_shown_nor_denied() -> None:
-    text = conclusion(table_of(HAPPENED, left_out=SEEDS - 2))
+    text = " ".join(conclusion(table_of(HAPPENED, left_out=SEEDS - 2)))
     assert (
-        "Without a defence, hidden on picture adds 1.00 collisions, 0.50 needless brakes: too few trials to tell."
-        in text
+        "Without a defence, hidden on picture adds 1.00 (n < 5) collisions, 0.50 (n < 5) needless brakes: too few "
+        "trials to tell." in text
     )
     assert "Too few trials to tell what veto changes for queue on picture; hidden on picture." in text
     assert "no harm" not in text
 
 
-def test_an_attack_that_changes_nothing_does_no_harm_and_its_defence_no_good() -> None:
+def test_harm_that_was_not_seen_has_a_bound_on_its_chance() -> None:
+    cells = [(attack, defence) for defence in ("", "veto") for attack in ("", "calm")]
+    table = table_of({("", ""): (1, 4, 50.0), ("", "veto"): (1, 4, 50.0), **dict.fromkeys(cells[1::2], (0, 0, 100.0))})
+    bound = "in 6 of 6 pairs; its chance is below 46 % (exact, 95 %)"
+    assert f"Without a defence, no harm by calm on picture was seen {bound}." in conclusion(table)
+    assert headline(table) == "No attack did harm in any of 6 pairs"
+    same = table_of({**dict.fromkeys(cells, (0, 0, 100.0)), ("calm", ""): (0, 0, 100.0)}, left_out=SEEDS - 1)
+    one = "in 1 of 1 pair; its chance is below 98 % (exact, 95 %)"
+    assert f"No change by veto was seen for calm on picture ({one})." in conclusion(same)
+
+
+def test_harm_in_some_pairs_is_not_denied_where_the_mean_has_none() -> None:
+    better_in_most = {("", ""): (0, 1, 100.0), ("mixed", ""): (0, 0, 101.0)}  # two brakes and 1 m less on two seeds
+    table = table_of(better_in_most)
+    assert "Without a defence, mixed on picture does harm in 2 of 6 pairs, and none in the mean." in conclusion(table)
+    assert headline(table).endswith("or shortens the way in the mean")
+
+
+def test_an_adversary_that_changed_no_message_is_named_first_and_never_called_harmless() -> None:
     cells = [(attack, defence) for defence in ("", "veto") for attack in ("", "idle")]
-    text = conclusion(table_of(dict.fromkeys(cells, (0, 0, 100.0)), left_out=SEEDS - 1))
-    assert "veto changes nothing for idle on picture." in text
-    better = conclusion(table_of({("", ""): (1, 4, 50.0), ("better", ""): (0, 0, 100.0)}))
-    assert "Without a defence, better on picture does no harm." in better
+    happened = {**dict.fromkeys(cells, (0, 0, 100.0)), ("", ""): (0, 4, 50.0)}
+    table = table_of(happened, idle=("idle",), left_out=1)
+    first, *others = conclusion(table)
+    assert (
+        first == "In 5 of 5 runs each with idle on picture; idle on picture and veto, adversary_1 changed no message."
+    )
+    assert "Without a defence, what idle on picture does was not tried in every run: see above." in others
+    assert "What veto changes for idle on picture was not tried in every run: see above." in others
+    assert headline(table) == first.removesuffix(".")
+    assert not any("harm" in text or "No change" in text for text in others)
+    tables = driving_tables(table)
+    assert tables.reading[0] == first, "on the page"
+    assert tables.about.startswith(f"{table.size}. {first}"), "in driving.md"
+    assert tables.brief[0].about.startswith(first), "on the terminal"
+
+
+@pytest.mark.parametrize(
+    ("facts", "sentence"),
+    [
+        (dict(obeyed_commands=0, uncommanded_frames=69), "no command of the driver was accepted"),
+        (dict(obeyed_commands=40, uncommanded_frames=9), "the car had no new command in some frames"),
+        (dict(blind_frames=3), "the driver had no estimate in some frames"),
+    ],
+)
+def test_a_car_whose_driver_did_not_drive_is_named_first_and_no_attack_on_it_is_harmless(
+    facts: Facts, sentence: str
+) -> None:
+    calm = {("", ""): (1, 4, 50.0), ("calm", ""): (0, 0, 100.0)}
+    attacked = table_of(calm, facts={("calm", ""): facts})
+    assert conclusion(attacked)[0] == f"In 6 of 6 runs with calm on picture, {sentence}."
+    assert headline(attacked) == f"In 6 of 6 runs with calm on picture, {sentence}"
+    both = table_of(calm, facts=dict.fromkeys(calm, facts))
+    assert conclusion(both)[0] == f"In all 12 runs, {sentence}."
+    twin = table_of(calm, facts={("", ""): facts})
+    for table in (attacked, both, twin):
+        assert "Without a defence, what calm on picture does was not tried in every run: see above." in conclusion(
+            table
+        )
+
+
+def test_harm_is_named_first_although_another_attack_was_idle() -> None:
+    happened = {("", ""): (0, 0, 100.0), ("idle", ""): (0, 0, 100.0), ("hidden", ""): (1, 0, 110.0)}
+    assert headline(table_of(happened, idle=("idle",))).startswith("The attack hidden on picture adds 1.00 ")
+
+
+def test_the_seeds_or_where_they_are_few_the_scenes_are_the_units_of_intervals() -> None:
+    """Five scenes with one seed each have the interval of five seeds of one scene; two by two have none."""
+    cells = [DrivingCell("", "", ""), DrivingCell("queue", "picture", "")]
+
+    def added(scenes: list[str], seeds: int) -> Estimate:
+        collection = Collection({cell.label: cell for cell in cells}, scenes, range(seeds))
+        for number, (scene, seed) in enumerate(product(scenes, range(seeds))):
+            collection.add(trial(cells[0], seed, 0, 0, 100.0, scene=scene))
+            collection.add(trial(cells[1], seed, 0, 1 + number, 100.0, scene=scene))
+        return collection.table().rows[1].added["needless_brakes"].estimate
+
+    by_seed, by_scene = added(["a"], 5), added(["a", "b", "c", "d", "e"], 1)
+    assert (by_seed.low, by_seed.high) == (by_scene.low, by_scene.high)
+    half = 2.776 * np.sqrt(2.5 / 5.0)  # Student's t of four degrees of freedom, values 1 to 5
+    assert (by_seed.low, by_seed.high) == pytest.approx((3.0 - half, 3.0 + half), abs=1e-3)
+    assert np.isnan(added(["a", "b"], 2).low)
+
+
+def test_differences_that_are_mostly_zero_have_a_share_and_count_only_by_their_signs() -> None:
+    """A collision in five of 20 pairs is no proof of more, in six it is (exact sign test: 0.0625, 0.031)."""
+    for hit, shown in ((5, False), (6, True)):
+        cells = [DrivingCell("", "", ""), DrivingCell("hidden", "picture", "")]
+        collection = Collection({cell.label: cell for cell in cells}, ["junction"], range(20))
+        for seed in range(20):
+            collection.add(trial(cells[0], seed, 0, 0, 100.0))
+            collection.add(trial(cells[1], seed, int(seed < hit), 0, 100.0))
+        table = collection.table()
+        assert table.rows[1].added["collisions"].is_shown is shown
+        assert np.isnan(table.rows[1].added["collisions"].estimate.low)
+        (text,) = conclusion(table)
+        share = {5: "0.25 collisions (0 in 75 % [51, 91] of the pairs)", 6: "0.30 collisions (0 in 70 % [46, 88] of "}
+        assert f"hidden on picture adds {share[hit]}" in text
+        assert text.endswith("too few trials to tell.") is not shown
+
+
+def test_without_a_defence_there_is_no_table_of_what_it_changes() -> None:
+    titles = [
+        each.title for each in driving_tables(table_of({key: HAPPENED[key] for key in HAPPENED if not key[1]})).tables
+    ]
+    assert titles == ["What the car did", "What the attack adds to what the car did"]
 
 
 def test_the_headline_names_collisions_then_needless_brakes_then_the_way() -> None:
@@ -108,9 +244,9 @@ def test_the_headline_names_collisions_then_needless_brakes_then_the_way() -> No
     slow = headline(table_of({**no_attack, ("", "veto"): (0, 0, 100.0), ("slow", "veto"): (0, 0, 40.0)}))
     assert slow == "The attack slow on picture, with veto, changes the way driven by \u221260.00 (all equal) m a trial"
     few = headline(table_of(HAPPENED, left_out=SEEDS - 2))
-    assert few == "The attack hidden on picture adds 1.00 collisions a trial: too few trials to tell"
+    assert few == "The attack hidden on picture adds 1.00 (n < 5) collisions a trial: too few trials to tell"
     good = {**no_attack, ("", "veto"): (0, 0, 100.0), ("good", "veto"): (0, 0, 120.0)}
-    assert headline(table_of(good)) == "No attack adds collisions or needless brakes, or shortens the way"
+    assert headline(table_of(good)) == "No attack did harm in any of 6 pairs"
     assert headline(table_of(no_attack)) == ""
 
 
@@ -151,6 +287,12 @@ def test_the_shipped_study_pairs_every_attack_with_every_defence() -> None:
 def test_an_attack_without_its_wire_is_named_with_the_nearest() -> None:
     with pytest.raises(ConfigurationError, match=r"attacks: found 'cut_in'.*cut_in@"):
         definition.load("driving", ["attacks=cut_in"])
+
+
+@pytest.mark.parametrize(("name", "hint"), [("vetto", "did you mean 'veto'"), ("xyz", "known: .*none, veto")])
+def test_an_unknown_defence_is_named_with_those_of_the_study(name: str, hint: str) -> None:
+    with pytest.raises(ConfigurationError, match=rf"defences: no defence '{name}'; {hint}"):
+        definition.load("driving", [f"defences=none,{name}"])
 
 
 @pytest.mark.heavy

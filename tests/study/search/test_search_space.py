@@ -123,6 +123,7 @@ def test_an_objective_has_words_and_a_unit(text: str, label: str) -> None:
         ("picture/", "expected METRIC, ESTIMATOR/METRIC"),
         ("fn + fn", "expected each number once"),
         ("mission/driving.min_ttc_s", "has no mean: expected 'driving.critical'"),
+        ("driven/min_ttc_s", "has no mean: expected 'driven/near_misses'"),
     ],
 )
 def test_invalid_objectives_are_refused(text: Any, message: str) -> None:
