@@ -262,7 +262,7 @@ def test_a_running_run_can_be_bridged_later_with_every_frame(launch: Launch, cli
     rows = [stamps.index(message["clock"]) for message in received["/clock"]]
     assert rows == sorted(set(rows))
     assert len(rows) > 20
-    assert received["/cc/picture"] == [expected["/cc/picture"][row] for row in rows]
+    assert received["/cc/picture"] == [expected["/cc/picture"][row] for row in rows], output
 
 
 @pytest.mark.heavy

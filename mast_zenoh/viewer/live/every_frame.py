@@ -25,9 +25,9 @@ from mast_zenoh.viewer.live.reception import Arrival, Sample
 
 #: s between two looks at what has arrived.
 POLL_S = 0.01
-#: For how long a silent key is waited for, whose node is there: frames in lock-step, and at least; s in real time, in
-#: which busy machines and links delay messages.
-PATIENCE, _PATIENCE_S = 10, 5.0
+#: For how long a silent key is waited for, whose node is there. Frames, at least, and in lock-step, in which every message
+#: comes, though on a busy machine after the clocks of later frames. s, in real time, in which machines and links delay.
+PATIENCE, _LOCKSTEP_PATIENCE, _PATIENCE_S = 10, 100, 5.0
 #: Frames at the beginning, for which a key that has not been heard yet is waited for at most: on a busy machine,
 #: publishers learn of a subscription late.
 SETTLING_AT_MOST = 100
@@ -257,7 +257,7 @@ class EveryFrame:
 
 def patience_for(resolved: Resolved) -> int:
     """For how many frames a silent key is waited for."""
-    return max(PATIENCE, _frames_in(_PATIENCE_S, resolved)) if resolved.mode == "realtime" else PATIENCE
+    return max(PATIENCE, _frames_in(_PATIENCE_S, resolved)) if resolved.mode == "realtime" else _LOCKSTEP_PATIENCE
 
 
 def room_for(resolved: Resolved) -> int:
