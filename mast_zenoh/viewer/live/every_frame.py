@@ -26,8 +26,8 @@ from mast_zenoh.viewer.live.reception import Arrival, Sample
 #: s between two looks at what has arrived.
 POLL_S = 0.01
 #: For how long a silent key is waited for, whose node is there. Frames, at least, and in lock-step, in which every
-#: message comes, though on a busy machine after the clocks of later frames. s, in real time, in which machines and links
-#: delay messages.
+#: message comes, though on a busy machine after the clocks of later frames. s, in real time, in which machines and
+#: links delay messages.
 PATIENCE, _LOCKSTEP_PATIENCE, _PATIENCE_S = 10, 100, 5.0
 #: Frames at the beginning, for which a key that has not been heard yet is waited for at most: on a busy machine,
 #: publishers learn of a subscription late.
