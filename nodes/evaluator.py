@@ -222,13 +222,15 @@ class Evaluator(Node):
                 if abs(message.step - other.step) <= RECOGNISED and other.same_bytes(message):
                     objects = kept
                     break
+        if objects is None or route.ports:
+            states = _states(message.body)
         if objects is None:
-            objects = Snapshot.of(_states(message.body), views=message.encoded)
+            objects = Snapshot.of(states, views=message.encoded)
             if route.wire:
                 candidates.append((message, objects))
         self.data.record.add(header.frame, route.series, objects, message.step, header.time_ns)
         if route.ports:
-            plausible = plausible_rows(_states(message.body))  # a driver drops all others
+            plausible = plausible_rows(states)  # a driver drops all others
             if len(plausible) < len(objects.id):
                 objects = Snapshot._make(column[plausible] for column in objects)
             self.hear(message, route, route.series[0].estimator if route.series else "", objects)

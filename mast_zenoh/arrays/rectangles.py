@@ -16,12 +16,12 @@ _TOUCH_M2 = 1e-6
 def overlapping(offset: Floats, size: Floats, yaw: Floats, other_size: Floats, other_yaw: Floats) -> Bools:
     """(n,) whether rectangles and others overlap, and not only touch. Parameters as for `intersection_area`."""
     reach = 0.5 * (np.hypot(size[:, 0], size[:, 1]) + np.hypot(other_size[:, 0], other_size[:, 1]))
-    found = np.hypot(offset[:, 0], offset[:, 1]) <= reach
-    rows = np.flatnonzero(found)
+    overlaps = np.hypot(offset[:, 0], offset[:, 1]) <= reach
+    rows = np.flatnonzero(overlaps)
     if len(rows):  # usually, none is near
         parts = (part[rows] for part in (offset, size, yaw, other_size, other_yaw))
-        found[rows] = intersection_area(*parts) > _TOUCH_M2
-    return found
+        overlaps[rows] = intersection_area(*parts) > _TOUCH_M2
+    return overlaps
 
 
 def intersection_area(offset: Floats, size: Floats, yaw: Floats, other_size: Floats, other_yaw: Floats) -> Floats:

@@ -245,11 +245,9 @@ class RunRecord:
     def believed(self) -> str | None:
         """The estimate of the agent that its driver believes; None: nobody drives its car, or by the truth."""
         config = self.node_spec(driver_of_car(self.ego)).get("config") if self.ego else None
-        return (
-            {"safety": LOCAL, "mission": MISSION}.get(str(config.get("estimate", "mission")))
-            if isinstance(config, dict)
-            else None
-        )
+        if not isinstance(config, dict):
+            return None
+        return {"safety": LOCAL, "mission": MISSION}.get(str(config.get("estimate", "mission")))
 
     def role(self, node: str) -> str:
         """The role of a node, from run.json or guessed from its wires and name."""
