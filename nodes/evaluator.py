@@ -20,7 +20,7 @@ from mast_zenoh.driving import CarLimits, Command, RouteAhead
 from mast_zenoh.driving.actuation import HOLD_S, TAKE_OVER_S
 from mast_zenoh.effects import Pose
 from mast_zenoh.errors import MessageError
-from mast_zenoh.evaluation import Evaluation, RunData, ego_of
+from mast_zenoh.evaluation import Evaluation, RunData, RunScoring, ego_of
 from mast_zenoh.evaluation.driven import Arrival, Heard, View
 from mast_zenoh.evaluation.driver_wires import PlayedDrivers, check_played, driver_ports, drivers_of
 from mast_zenoh.gather import plausible_rows
@@ -117,6 +117,7 @@ class Evaluator(Node):
             faults=faults or {},
         )
         self.data = RunData(Record(agents))
+        self.scoring = RunScoring(self.evaluation, self.data)
         self.routes: dict[str, Route] = {}
         self.takes: dict[str, Callable[[Overheard, Route], None]] = {}
         self.metered: set[str] = set()
@@ -174,6 +175,9 @@ class Evaluator(Node):
             route = self.routes[key]
             message.check_time()
             self.takes[key](message, route)
+            if route.take == "take_clock":
+                for name, columns in self.scoring.advance(message.header.frame).items():
+                    context.append(name, columns)
 
     def take_clock(self, message: Overheard, route: Route) -> None:
         """Store the time of a frame."""
@@ -294,7 +298,7 @@ class Evaluator(Node):
 
     def finish(self, context: Context) -> dict[str, Any]:
         """Metrics and tables of the run, without values of user metrics that failed."""
-        results = self.evaluation.of(self.data)
+        results = self.scoring.results()
         for name, error in results.pop("failed_metrics").items():
             context.failed(f"metric {name}", error)
         return results

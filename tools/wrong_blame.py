@@ -105,7 +105,7 @@ def objects(side: tuple[str, dict[str, Any], dict[str, Any] | None], where: Wher
         content = content | {"faults": [{"at": AT_S, "nodes": nodes} | fault]}
     resolved = scenario.resolve(path, content, seed=where.seed, frames=where.frames)
     node = _played(resolved, where.keep)
-    table: Mapping[str, Any] = node.evaluation.of(node.data)["tables"]["objects"]
+    table: Mapping[str, Any] = node.scoring.results()["tables"]["objects"]
     return table
 
 

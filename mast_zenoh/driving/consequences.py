@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -59,6 +59,65 @@ class DrivenCar:
     belief: Belief
     commands: Commands
     look: Driving
+
+    def part(self, rows: slice, later: int) -> DrivenCar:
+        """What is known of some rows of the frames; later: by how much their numbers in a longer run are greater."""
+        there, held = (
+            (frame >= rows.start) & (frame < rows.stop) for frame in (self.objects.frame, self.believed.frame)
+        )
+        car, commands = self.car, self.commands
+        of = commands.of[rows]
+        return replace(
+            self,
+            car=car._replace(position=car.position[rows], velocity=car.velocity[rows], heading=car.heading[rows]),
+            objects=self.objects.select(there, later),
+            ids=self.ids[there],
+            seen=self.seen[there],
+            known=self.known[there],
+            frames=self.frames[rows],
+            times_s=self.times_s[rows],
+            routes={row + later: route for row, route in self.routes.items() if rows.start <= row < rows.stop},
+            believed=self.believed.select(held, later),
+            belief=Belief._make(column[held] for column in self.belief),
+            commands=commands._replace(
+                of=np.where(of >= 0, of + later, -1),
+                informed=commands.informed[rows],
+                tampered=commands.tampered[rows],
+            ),
+        )
+
+    @classmethod
+    def joined(cls, parts: Sequence[DrivenCar], take_over: int) -> DrivenCar:
+        """A car in consecutive parts of a run; take_over: the frame from which on it is driven."""
+        cars, commands = [part.car for part in parts], [part.commands for part in parts]
+        frames, ids, seen, known, times_s = (
+            np.concatenate([getattr(part, name) for part in parts])
+            for name in ("frames", "ids", "seen", "known", "times_s")
+        )
+        return replace(
+            parts[-1],
+            car=cars[-1]._replace(
+                position=np.concatenate([car.position for car in cars]),
+                velocity=np.concatenate([car.velocity for car in cars]),
+                heading=np.concatenate([car.heading for car in cars]),
+            ),
+            objects=Objects(*map(np.concatenate, zip(*(part.objects for part in parts), strict=True))),
+            ids=ids,
+            seen=seen,
+            known=known,
+            frames=frames,
+            times_s=times_s,
+            routes={row: route for part in parts for row, route in part.routes.items()},
+            believed=Objects(*map(np.concatenate, zip(*(part.believed for part in parts), strict=True))),
+            belief=Belief(*map(np.concatenate, zip(*(part.belief for part in parts), strict=True))),
+            commands=Commands(
+                of=np.concatenate([each.of for each in commands]),
+                informed=np.concatenate([each.informed for each in commands]),
+                tampered=[by for each in commands for by in each.tampered],
+                left_out=commands[-1].left_out,
+                first=int(frames.searchsorted(take_over)),
+            ),
+        )
 
     @cached_property
     def speed(self) -> Floats:

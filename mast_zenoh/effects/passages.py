@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -224,6 +225,13 @@ class PassageEffects:
         if len(self._pending) >= BATCH:
             self.settle()
 
+    def forget(self, before: int) -> None:
+        """Forget the effects on messages that the interposer received before this frame of the run."""
+        self.settle()
+        self.messages = [message for message in self.messages if message.step >= before]
+        self.objects = [kept for changes in self.objects if len((kept := changes.since(before)).step)]
+        self.spoofs = [spoof for spoof in self.spoofs if spoof.frame >= before]
+
     def settle(self) -> None:
         """Compare the bodies of the pending changed messages."""
         if not self._pending:
@@ -270,6 +278,8 @@ MAX_WAITING = 4096
 #: REMEMBERED: number of messages kept after they were sent on, to recognise repetitions; of older ones only the numbers
 #: are kept. KNOWN_FRAMES: number of frames after which a sent message is no longer matched with a received one.
 REMEMBERED, KNOWN_FRAMES = 128, 64
+#: Number of frames after which a message that has not been sent on counts as dropped, at 10 frames a second.
+LATEST = 100
 #: Fraction of the messages of a passage that must have at least this delay for it to be usual.
 USUAL_SHARE = 0.05
 #: Maximum number of remembered message numbers.
@@ -279,12 +289,14 @@ MAX_NUMBERS = 65_536
 class PassageMeter:
     """Compares the sent and received messages of one interposer on a wire.
 
-    The order of arrival does not matter.
+    The order of arrival does not matter. A message that is sent on more than `latest` frames after it was received
+    counts as dropped, and then as repeated.
     effects: the measured effects; received: number of received messages
     """
 
-    def __init__(self, passage: Passage, interval: Interval) -> None:
+    def __init__(self, passage: Passage, interval: Interval, latest: int) -> None:
         self.passage = passage
+        self.latest = latest
         self.interval = interval
         self.effects = PassageEffects(passage.message)
         self.received = 0
@@ -329,8 +341,11 @@ class PassageMeter:
         self._expire(message.step)
         if id_ in self._waiting:
             self._first_sent.setdefault(header.frame, id_)
-            self._pair(id_, _pop_first(self._waiting, id_), message)
-            return
+            received = _pop_first(self._waiting, id_)
+            if message.step - received.step <= self.latest:
+                self._pair(id_, received, message)
+                return
+            self._note_dropped(id_, received)
         first = self._first_sent.setdefault(header.frame, id_)
         if first == id_:
             rival = next((messages[0] for number, messages in self._waiting.items() if number[0] == header.frame), None)
@@ -350,18 +365,39 @@ class PassageMeter:
         for id_, messages in self._unmatched_sent.items():
             self._classify_unmatched(id_, messages)
         usual_delay = self._usual_delay()
-        for messages in self._waiting.values():
+        for id_, messages in self._waiting.items():
             for message in messages:
-                if self.interval.near_change(message.step):
-                    self.effects.note(UNSETTLED, message)
-                elif self._rivals.get(message.header.frame) is message:
-                    self.effects.note(DROPPED, message)  # subscribers used the forged one instead
-                elif message.step + usual_delay > last_step:
-                    self.effects.note_withheld(UNSETTLED, message)  # it might still have been sent on
-                else:
-                    self.effects.note_withheld(DROPPED, message)
+                unsettled = message.step + usual_delay > last_step  # it might still have been sent on
+                self._note_dropped(id_, message, UNSETTLED if unsettled else DROPPED)
         self._waiting.clear()
         self._unmatched_sent.clear()
+
+    def settle(self, before: int) -> None:
+        """Classify the messages that were received before this frame of the run and not sent on until now.
+
+        All messages of the `latest` frames from this one on must have been added.
+        """
+        self.effects.settle()
+        self._pair_unreadable(before - 1)
+        self._expire(before + KNOWN_FRAMES)
+        for id_, messages in [*self._waiting.items()]:
+            for message in [message for message in messages if message.step < before]:
+                _pop_first(self._waiting, id_)  # they are in the order of their steps
+                self._note_dropped(id_, message)
+        for frame in [frame for frame in self._first_sent if frame < before - KNOWN_FRAMES]:
+            del self._first_sent[frame]
+        for id_ in [id_ for id_ in self._repeated if id_[0] < before - KNOWN_FRAMES]:
+            del self._repeated[id_]
+
+    def _note_dropped(self, id_: Id, message: Overheard, effect: str = DROPPED) -> None:
+        """Record that a message was received and not sent on in time."""
+        if self.interval.near_change(message.step):
+            self.effects.note(UNSETTLED, message)
+        elif self._rivals.get(message.header.frame) is message:
+            self.effects.note(DROPPED, message)  # subscribers used the forged one instead
+        else:
+            self.effects.note_withheld(effect, message)
+        self._old_numbers[id_] = message.step
 
     def _expire(self, step: int) -> None:
         """Classify unmatched messages that were sent too long ago to be matched."""
@@ -435,12 +471,15 @@ class PassageMeter:
         """Whether a message may have bypassed the interposer as it was added or removed."""
         return self.interval.near_change(message.step) and abs(message.header.frame - message.step) <= CHANGE_FRAMES
 
-    def _pair_unreadable(self) -> None:
-        """Match unreadable sent messages.
+    def _pair_unreadable(self, last_step: float = math.inf) -> None:
+        """Match unreadable messages that were sent up to a frame of the run.
 
         They are relayed unreadable messages, damaged copies, or forgeries.
         """
-        received, sent = self._unreadable
+        every = self._unreadable
+        received, sent = ([message for message in messages if message.step <= last_step] for messages in every)
+        for messages in every:
+            messages[:] = [message for message in messages if message.step > last_step]
         unmatched = [(message.payload, message.step) for message in received]
         known = {payload for payload, _ in unmatched}
         for message in sent:
@@ -484,6 +523,7 @@ class Meter:
     """
 
     def __init__(self) -> None:
+        self._latest = LATEST
         self._meters: list[PassageMeter] = []
         self._active: dict[Passage, PassageMeter] = {}
         self._into: dict[str, list[PassageMeter]] = {}
@@ -506,7 +546,7 @@ class Meter:
             meter.interval = replace(meter.interval, end=first_step)
         for passage in now:
             if passage not in self._active:
-                meter = PassageMeter(passage, Interval(first_step))
+                meter = PassageMeter(passage, Interval(first_step), self._latest)
                 self._active[passage] = meter
                 self._meters.append(meter)
                 self._into.setdefault(passage.received, []).append(meter)
@@ -525,6 +565,22 @@ class Meter:
             for meter in self._out_of[key]:
                 if meter.interval.contains(step):
                     meter.take_sent(message)
+
+    def allow(self, latest: int) -> None:
+        """Take messages that are sent on up to so many frames later as delayed, see `PassageMeter`."""
+        self._latest = latest
+        for meter in self._meters:
+            meter.latest = latest
+
+    def settle(self, before: int) -> None:
+        """Classify what was received before a frame of the run, see `PassageMeter.settle`."""
+        for meter in self._meters:
+            meter.settle(before)
+
+    def forget(self, before: int) -> None:
+        """Forget the effects on messages that interposers received before this frame of the run."""
+        for meter in self._meters:
+            meter.effects.forget(before)
 
     def close(self, last_step: int) -> None:
         """End the measurement after the last frame `last_step`."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -17,6 +17,7 @@ from mast_zenoh.effects.table import CODE, EFFECTS, Effects
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics.boxes import Places, find, occurs, pairs_within
 from mast_zenoh.metrics.manipulations import KINDS
+from mast_zenoh.wiring.model import Passage
 
 #: m, maximum distance between the position in a report and the effect's position on the wire.
 SAME_PLACE_M = 0.05
@@ -45,11 +46,18 @@ class Agreement:
     reports: Mapping[str, int]
 
 
-def compare(effects: Effects, attack_reports: Reports, link_reports: Reports, wires: Sequence[str]) -> Agreement:
+def compare(
+    effects: Effects,
+    attack_reports: Reports,
+    link_reports: Reports,
+    wires: Sequence[str],
+    counted: tuple[float, float] = (-np.inf, np.inf),
+) -> Agreement:
     """Compare the reports of interposers with the measured effects.
 
     attack_reports: columns of messages `attack_report`; link_reports: of messages `link_report`
     wires: message types by the numbers that link reports use for them
+    counted: first frame of the reports that are counted, and the one after the last
     """
     nodes = sorted(
         {passage.node for passage in effects.passages} | {node for node, *_ in (*attack_reports, *link_reports)}
@@ -63,8 +71,9 @@ def compare(effects: Effects, attack_reports: Reports, link_reports: Reports, wi
     ):
         reported_rows = _concatenate(reports, columns, nodes)
         confirmed = match(reported_rows, reported, label)
-        count += np.bincount(reported_rows["node"], minlength=len(nodes))
-        unfounded += np.bincount(reported_rows["node"][~confirmed], minlength=len(nodes))
+        counts_here = (counted[0] <= reported_rows["report_frame"]) & (reported_rows["report_frame"] < counted[1])
+        count += np.bincount(reported_rows["node"][counts_here], minlength=len(nodes))
+        unfounded += np.bincount(reported_rows["node"][counts_here & ~confirmed], minlength=len(nodes))
     counts = [(node, int(n), int(m)) for node, n, m in zip(nodes, count, unfounded, strict=True)]
     return Agreement(reported, label, {node: m for node, _, m in counts if m}, {node: n for node, n, _ in counts if n})
 
@@ -193,44 +202,77 @@ def _match_links(
     return confirmed
 
 
-def summary(
-    effects: Effects, agreement: Agreement, roles: Mapping[str, str], last_step: int, absent: Bools
-) -> dict[str, Any]:
-    """Summarise each interposer and the agreement of its reports.
+@dataclass(slots=True)
+class ReportCounts:
+    """Numbers of the effects of one interposer, and of its reports.
 
-    The agreement is "agrees", "silent" (effects without any report), "disagrees" or "nothing to report".
+    effects: (len(EFFECTS),) by effect;  absent: due to its absence;  changes: effects that it can have reported
+    reports: reported changes;  unreported: changes without a report;  unfounded: reports without a change
+    """
+
+    effects: Ints = field(default_factory=lambda: np.zeros(len(EFFECTS), np.int64))
+    absent: int = 0
+    changes: int = 0
+    reports: int = 0
+    unreported: int = 0
+    unfounded: int = 0
+
+    @property
+    def agreement(self) -> str:
+        """Whether the reports agree: "agrees", "silent" (changes, no report), "disagrees" or "nothing to report"."""
+        if not self.reports:
+            return "silent" if self.changes else "nothing to report"
+        return "disagrees" if self.unreported or self.unfounded else "agrees"
+
+
+def add_counts(
+    counts: dict[str, ReportCounts],
+    effects: Effects,
+    agreement: Agreement,
+    last_step: int,
+    absent: Bools,
+    counted: Bools,
+) -> None:
+    """Add the effects and reports of a part of a run to those of each interposer.
+
     last_step: the last frame of the run; links do not report effects in it
     absent:    (n,) effects due to the absence of the interposer; counted separately
+    counted:   (n,) effects of this part
     """
-    result: dict[str, Any] = {}
     node_of = np.array([passage.node for passage in effects.passages], object)
     node_row = node_of[effects.passage] if len(effects) else np.zeros(0, object)
     settled = (effects.code != CODE[UNSETTLED]) & (effects.step < last_step)
     for node in dict.fromkeys(node_of.tolist()):
-        of_node = node_row == node
         # Objects of a withheld or forged message are covered by the effect on the message.
-        counted = of_node & ~effects.whole & ~absent
-        reports = agreement.reports.get(node, 0)
-        unreported = int(np.count_nonzero(counted & settled & ~agreement.reported))
-        unfounded = agreement.unfounded.get(node, 0)
-        changed = bool(np.any(counted & settled))
-        if not changed and not reports:
-            verdict = "nothing to report"
-        elif changed and not reports:
-            verdict = "silent"
-        else:
-            verdict = "disagrees" if unreported or unfounded else "agrees"
-        rows = [k for k, passage in enumerate(effects.passages) if passage.node == node]
-        counts = np.bincount(effects.code[counted], minlength=len(EFFECTS))
-        result[str(node)] = {
-            "role": roles.get(str(node), ""),
-            "wires": list(dict.fromkeys(effects.passages[k].wire for k in rows)),
-            "messages": sum(effects.received[k] for k in rows),
-            "effects": {name: int(n) for name, n in zip(EFFECTS, counts, strict=True) if n},
-            "absent": int(np.count_nonzero(of_node & ~effects.whole & absent)),
-            "reports": reports,
-            "agreement": verdict,
-            "unreported": unreported,
-            "unfounded": unfounded,
+        of_node = (node_row == node) & ~effects.whole & counted
+        present = of_node & ~absent
+        sums = counts.setdefault(str(node), ReportCounts())
+        sums.effects += np.bincount(effects.code[present], minlength=len(EFFECTS))
+        sums.absent += int(np.count_nonzero(of_node & absent))
+        sums.changes += int(np.count_nonzero(present & settled))
+        sums.reports += agreement.reports.get(node, 0)
+        sums.unreported += int(np.count_nonzero(present & settled & ~agreement.reported))
+        sums.unfounded += agreement.unfounded.get(node, 0)
+
+
+def summary(
+    counts: Mapping[str, ReportCounts], passages: Sequence[tuple[Passage, int]], roles: Mapping[str, str]
+) -> dict[str, Any]:
+    """Summarise each interposer and the agreement of its reports.
+
+    counts: by interposer;  passages: each with the number of messages that it received
+    """
+    return {
+        node: {
+            "role": roles.get(node, ""),
+            "wires": list(dict.fromkeys(passage.wire for passage, _ in passages if passage.node == node)),
+            "messages": sum(received for passage, received in passages if passage.node == node),
+            "effects": {name: int(n) for name, n in zip(EFFECTS, sums.effects, strict=True) if n},
+            "absent": sums.absent,
+            "reports": sums.reports,
+            "agreement": sums.agreement,
+            "unreported": sums.unreported,
+            "unfounded": sums.unfounded,
         }
-    return result
+        for node, sums in counts.items()
+    }

@@ -277,6 +277,12 @@ class ObjectChanges(NamedTuple):
     whole: Bools
     frames_late: Ints
 
+    def since(self, step: int) -> ObjectChanges:
+        """The effects on messages that the interposer received in this frame of the run or later."""
+        kept = self.step >= step
+        by_row = {name: getattr(self, name)[kept] for name in self._fields if name not in ("references", "of_agent")}
+        return self._replace(references=self.references[:, kept], **by_row)
+
 
 def changed_objects(
     message: str, messages: Sequence[ChangedMessage]

@@ -6,7 +6,7 @@ World frame.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import hypot
 from typing import NamedTuple
@@ -82,6 +82,11 @@ class Effects:
 
     def __len__(self) -> int:
         return len(self.code)
+
+    def until(self, step: float) -> Effects:
+        """The effects on messages that interposers received before this frame of the run."""
+        kept = self.step < step
+        return replace(self, **{name: getattr(self, name)[kept] for name in _EMPTY})
 
     def rows(self, *effects: str, whole: bool | None = None) -> Ints:
         """The rows with these effects.

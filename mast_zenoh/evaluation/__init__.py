@@ -1,6 +1,8 @@
 """Evaluates a run: computes metrics and tables from its messages. Pure.
 
-    evaluation    the complete evaluation with mast_zenoh.metrics, of the data collected from the messages
+    run_data      the data collected from the messages
+    evaluation    the evaluation of some frames with mast_zenoh.metrics
+    run_scoring   the evaluation of a run, block by block of its frames
     from_effects  manipulations, from the measured effects of interposers (mast_zenoh.effects)
     driven        what happened to the cars that drivers drove
     driver_wires  on which keys the messages of drivers are, also of those that a replay plays
@@ -9,6 +11,8 @@
 See docs/metrics.md and docs/effects.md.
 """
 
-from mast_zenoh.evaluation.evaluation import Evaluation, RunData, ego_of
+from mast_zenoh.evaluation.evaluation import Evaluation
+from mast_zenoh.evaluation.run_data import RunData, ego_of
+from mast_zenoh.evaluation.run_scoring import RunScoring
 
-__all__ = ["Evaluation", "RunData", "ego_of"]
+__all__ = ["Evaluation", "RunData", "RunScoring", "ego_of"]

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections import defaultdict, deque
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.driving import Actuation, CarLimits, Command, driver
 from mast_zenoh.driving.braking import Belief, Commands
-from mast_zenoh.driving.consequences import DrivenCar, consequences, course
+from mast_zenoh.driving.consequences import DrivenCar
 from mast_zenoh.driving.motion import RouteAhead
 from mast_zenoh.driving.veto import upheld
 from mast_zenoh.effects import CODE, Effects
@@ -20,7 +20,7 @@ from mast_zenoh.gather import LatestBefore
 from mast_zenoh.integrity.base import ClusterBoxes
 from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.integrity.visibility import clear_in_view
-from mast_zenoh.metrics import Driving, Scores, Table
+from mast_zenoh.metrics import Driving, Scores
 from mast_zenoh.metrics.boxes import Places, find, nearest
 from mast_zenoh.metrics.causes import ATTACK_CAUSES, Hidden, Labels, joined_names
 from mast_zenoh.metrics.driving import Objects, vehicles
@@ -93,10 +93,26 @@ class Heard:
         """Store a command of a frame that reached the car in a frame of the run."""
         self.commands.append((step, frame, command))
 
+    def forget(self, before: int) -> None:
+        """Forget what was received before a frame of the run, except what may still be the newest in it."""
+        for port, arrivals in self.estimates.items():
+            self.estimates[port] = _since(arrivals, before)
+        self.views = _since(self.views, before)
+        self.routes = {frame: route for frame, route in self.routes.items() if frame >= before}
+        self.wanted = {frame: wanted for frame, wanted in self.wanted.items() if frame >= before}
+        self.commands = [command for command in self.commands if command[0] >= before]
+
     @property
     def has_veto(self) -> bool:
         """Whether the agent's own sensors overrule its mission estimate: only then the driver receives views."""
         return "view" in self.ports
+
+
+def _since(arrivals: Mapping[int, Item], first: int) -> dict[int, Item]:
+    """The arrivals from a frame on, and the one before it that may still be the newest in it."""
+    past = [step for step in arrivals if step < first]
+    newest = max(past, key=lambda step: (arrivals[step].about, -step), default=first)
+    return {step: item for step, item in arrivals.items() if step >= first or step == newest}
 
 
 def _keep_newest(arrivals: dict[int, Item], step: int, item: Item) -> None:
@@ -155,18 +171,8 @@ class DrivenCars:
     min_points: int
     look: Driving
 
-    def results(self) -> tuple[dict[str, Any], Table]:
-        """What happened to each car ("driven" of metrics.json), and the columns of driven.parquet."""
-        cars = self._cars()
-        courses = {car: course(driven) for car, driven in cars.items()}
-        table: Table = {
-            "agent": np.repeat(np.array([*courses], object), [len(each["frame"]) for each in courses.values()])
-        }
-        for name in next(iter(courses.values()), {}):
-            table[name] = np.concatenate([each[name] for each in courses.values()])
-        return {car: consequences(driven) for car, driven in cars.items()}, table
-
-    def _cars(self) -> dict[str, DrivenCar]:
+    def cars(self) -> dict[str, DrivenCar]:
+        """What is known of each of them."""
         frames, truth = self.scores.frames, self.scores.truth
         row_of = {frame: row for row, frame in enumerate(frames.tolist())}
         result = {}

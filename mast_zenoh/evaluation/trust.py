@@ -105,8 +105,8 @@ def _relays(of_run: Mapping[str, Any], deceived: Mapping[str, Bools], times_s: F
     }
 
 
-def withheld(objects: Table, truth: TruthTable, frames: Ints, scored: slice, min_points: int) -> dict[str, Any]:
-    """Mean numbers per scored frame of withheld objects that were true and false.
+def withheld(objects: Table, truth: TruthTable, frames: Ints, scored: slice, min_points: int) -> tuple[int, int]:
+    """Numbers of withheld objects that were true and false, in the scored frames.
 
     objects: as from `object_table`;  truth: of (f,) frames;  min_points: lidar points from which an object is seen
 
@@ -120,8 +120,7 @@ def withheld(objects: Table, truth: TruthTable, frames: Ints, scored: slice, min
     real = Places(truth.boxes.group[seen], truth.boxes.position[seen])
     match, _ = nearest(Places(of_frame[rows], position), real, GATE_M)
     true = int((match >= 0).sum())
-    n = max(len(counted), 1)
-    return {"true": true / n, "false": (len(rows) - true) / n}
+    return true, len(rows) - true
 
 
 def tables(updates: Sequence[TrustUpdate], times_ns: Mapping[int, int]) -> dict[str, Table]:

@@ -5,6 +5,7 @@ Pure; see docs/metrics.md.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -77,6 +78,28 @@ class Targets:
     judged: dict[str, Bools]
     error_m: dict[str, Floats]
     by_others: Bools
+
+    def select(self, rows: Bools) -> Targets:
+        """The rows selected by a mask."""
+        return Targets(
+            self.attacks.select(rows),
+            {name: values[rows] for name, values in self.believed.items()},
+            {name: values[rows] for name, values in self.judged.items()},
+            {name: values[rows] for name, values in self.error_m.items()},
+            self.by_others[rows],
+        )
+
+    @classmethod
+    def joined(cls, parts: Sequence[Targets]) -> Targets:
+        """The targets of several parts of a run, in that order."""
+        names = parts[0].believed
+        return cls(
+            Manipulations.joined([part.attacks for part in parts]),
+            {name: np.concatenate([part.believed[name] for part in parts]) for name in names},
+            {name: np.concatenate([part.judged[name] for part in parts]) for name in names},
+            {name: np.concatenate([part.error_m[name] for part in parts]) for name in names},
+            np.concatenate([part.by_others for part in parts]),
+        )
 
     def table(self) -> Table:
         """The columns of targets.parquet."""
@@ -219,40 +242,43 @@ ALL = "all"
 LASTING_S = 1.0
 
 
-def summary(
-    targets_: Targets,
-    scores: Scores,
-    switch_by: Texts,
-    ego: str,
-    period_s: float,
-    scored: slice = slice(None),
-) -> dict[str, dict[str, Any]]:
+def switches(scores: Scores, switch_by: Texts, ego: str, scored: slice = slice(None)) -> dict[str, list[str]]:
+    """The adversaries responsible for each identity switch of the picture ("centre") and of the ego's estimate ("ego").
+
+    switch_by: those responsible for each of `scores.switches`
+    scored:    the frames in which identity switches count, as in the summary of scores
+    """
+    counted = np.zeros(len(scores.frames), bool)
+    counted[scored] = True
+    rows, of = scores.every_series, scores.switches
+    return {
+        name: switch_by[(of.series == rows.get((ego, estimator), -1)) & counted[of.frame]].tolist()
+        for name, estimator in (("centre", PICTURE), ("ego", MISSION))
+    }
+
+
+def summary(targets_: Targets, switched: Mapping[str, Sequence[str]], period_s: float) -> dict[str, dict[str, Any]]:
     """Results by adversary, and of ALL together; {} without adversaries.
 
     See docs/metrics.md.
 
-    switch_by: the adversaries responsible for each of `scores.switches`
-    scored:    the frames in which identity switches count, as in the summary of scores
+    switched: see `switches`
     """
     attacks, culprits = targets_.attacks, targets_.attacks.culprits
     if not culprits:
         return {}
     real = (attacks.kind == INSERTED) | (attacks.object >= 0)
     groups = {name: (real & (attacks.culprit == index)).nonzero()[0] for index, name in enumerate(culprits)}
-    counts = np.zeros(len(scores.frames), bool)
-    counts[scored] = True
     result = {}
     merged = _merge(targets_, real.nonzero()[0])
     by_name = {name: (targets_, rows) for name, rows in groups.items()} | {
         ALL: (merged, np.arange(len(merged.attacks)))
     }
     for name, (targets_of, rows) in by_name.items():
-        attributed = np.array([by != "" if name == ALL else name in by.split("+") for by in switch_by.tolist()], bool)
         result[name] = _results(targets_of, rows, period_s)
-        for estimate_name, estimate in (("centre", (ego, PICTURE)), ("ego", (ego, MISSION))):
-            in_estimate = np.array([each == estimate for each in scores.series], bool)
-            counted = attributed & in_estimate[scores.switches.series] & counts[scores.switches.frame]
-            result[name][f"id_switches_{estimate_name}"] = int(np.count_nonzero(counted))
+        for estimate_name, switch_by in switched.items():
+            attributed = sum(by != "" if name == ALL else name in by.split("+") for by in switch_by)
+            result[name][f"id_switches_{estimate_name}"] = attributed
     return result
 
 

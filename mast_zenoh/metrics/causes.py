@@ -165,36 +165,49 @@ def joined_names(names: Sequence[str], by: Bools) -> NDArray[np.object_]:
     return result
 
 
-def causes_of(scores: Scores, cause: Ints, switch_cause: Ints, frames: Ints) -> list[dict[str, Any]]:
-    """Counts of errors by cause for each row of `scores.series` in these frames.
+#: By error, "fp", "fn" and "id_switches": numbers (s, len(CAUSES)) of each of s series by cause.
+CauseCounts = Mapping[str, Ints]
+
+
+def cause_counts(scores: Scores, cause: Ints, switch_cause: Ints, frames: Ints) -> CauseCounts:
+    """Numbers of errors by cause of `scores.series` in these frames.
 
     cause, switch_cause: of `scores.judged` and `scores.switches`, as returned by `Attributor.labels`
-
-    Returns {"causes": {"fp" | "fn" | "id_switches": {cause: number of rows}}, "fn_split" | "fp_split": {"fault",
-    "attack", "withheld", "natural"}, objects per frame, "id_switches_split": the same, switches of the whole run}.
     """
     n = len(scores.series)
     rows = np.flatnonzero(cause != UNKNOWN)
     rows = rows[np.isin(scores.judged.frame[rows], frames)]
     track, series = scores.judged.is_track[rows], scores.judged.series[rows]
     switched = np.isin(scores.frames[scores.switches.frame], frames)
-    counts = {
+    return {
         "fp": _count_causes(series[track], cause[rows[track]], n),
         "fn": _count_causes(series[~track], cause[rows[~track]], n),
         "id_switches": _count_causes(scores.switches.series[switched], switch_cause[switched], n),
     }
-    totals = {"fn": len(frames), "fp": len(frames), "id_switches": 1}
+
+
+def causes_of(counts: CauseCounts, frames: int) -> list[dict[str, Any]]:
+    """Errors of each series by cause.
+
+    frames: the number of frames that `counts` are of
+
+    Returns {"causes": {"fp" | "fn" | "id_switches": {cause: number of rows}}, "fn_split" | "fp_split": {"fault",
+    "attack", "withheld", "natural"}, objects per frame, "id_switches_split": the same, switches of the whole run}.
+    """
+    totals = {"fn": frames, "fp": frames, "id_switches": 1}
+    by_error = {
+        error: [dict(zip(CAUSES, row, strict=True)) for row in table.tolist()] for error, table in counts.items()
+    }
     return [
-        {"causes": {error: {name: m for name, m in table[k].items() if m} for error, table in counts.items()}}
-        | {f"{error}_split": split(counts[error][k], total) for error, total in totals.items()}
-        for k in range(n)
+        {"causes": {error: {name: m for name, m in of_series[k].items() if m} for error, of_series in by_error.items()}}
+        | {f"{error}_split": split(by_error[error][k], total) for error, total in totals.items()}
+        for k in range(len(counts["fp"]))
     ]
 
 
-def _count_causes(series: Ints, cause: Ints, n: int) -> list[dict[str, int]]:
-    """Number of rows with each cause, for each of n series."""
-    table = np.bincount(series * len(CAUSES) + cause, minlength=n * len(CAUSES)).reshape(n, len(CAUSES))
-    return [dict(zip(CAUSES, row, strict=True)) for row in table.tolist()]
+def _count_causes(series: Ints, cause: Ints, n: int) -> Ints:
+    """Number of rows with each cause, for each of n series: (n, len(CAUSES))."""
+    return np.bincount(series * len(CAUSES) + cause, minlength=n * len(CAUSES)).reshape(n, len(CAUSES))
 
 
 def split(counts: Mapping[str, int], frames: int) -> dict[str, float | None]:

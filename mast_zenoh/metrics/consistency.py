@@ -7,9 +7,9 @@ and a truth object. Pure; docs/metrics.md.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -62,15 +62,25 @@ class Consistency:
         pictures: agents whose picture counts: one of those that share it, all of those that have their own
         scored: the frames that count
         """
+        of_series = {each: deviations(pairs, row, scored) for row, each in enumerate(series)}
+        return self.of(of_series, np.unique(pairs.truth.boxes.id), pictures, period_s)
+
+    def of(
+        self,
+        series: Mapping[tuple[str, str], Deviations],
+        objects: Ints,
+        pictures: Collection[str],
+        period_s: float,
+    ) -> dict[str, dict[str, dict[str, Any]]]:
+        """As `summary`, of deviations by (agent, estimator); objects: (k,) ascending ids of all objects."""
         result: dict[str, dict[str, dict[str, Any]]] = {agent: {} for agent, _ in series}
-        object_of = np.unique(pairs.truth.boxes.id, return_inverse=True)[1].reshape(-1)
-        for row, (agent, estimator) in sorted(enumerate(series), key=lambda item: rank_of(item[1][1])):
-            if estimator in (LOCAL, RECEIVED, MISSION) or (estimator == PICTURE and agent in pictures):
-                errors = pairs.errors(row, scored)
-                objects = object_of.take(errors.truth_row)
+        for agent, estimator in sorted(series, key=lambda each: rank_of(each[1])):
+            if counts(agent, estimator, pictures):
+                _, ids, position, velocity = series[agent, estimator]
+                of = np.searchsorted(objects, ids)
                 result[agent][estimator] = {
-                    "position": self.nees_summary(nees(*errors.position), objects, period_s),
-                    "velocity": self.nees_summary(nees(*errors.velocity), objects, period_s),
+                    "position": self.nees_summary(position, of, period_s),
+                    "velocity": self.nees_summary(velocity, of, period_s),
                 }
         return result
 
@@ -88,11 +98,11 @@ class Consistency:
         """
         ascending = np.sort(values)  # NaN come last
         usable = int(ascending.searchsorted(np.nan))
-        counts = {"pairs": usable, "without_covariance": len(values) - usable}
+        numbers = {"pairs": usable, "without_covariance": len(values) - usable}
         if not usable:
             names = ("nees", "low", "high", "factor", "factor_low", "factor_high")
             undefined = (*names, "typical_factor", "typical_low", "typical_high", "verdict")
-            return {"expected": DOF, **dict.fromkeys(undefined), "objects": 0, "samples": 0.0, **counts}
+            return {"expected": DOF, **dict.fromkeys(undefined), "objects": 0, "samples": 0.0, **numbers}
         if usable < len(values):
             finite = np.isfinite(values)
             values, objects, ascending = values[finite], objects[finite], ascending[:usable]
@@ -109,7 +119,7 @@ class Consistency:
             **dict(zip(("typical_factor", "typical_low", "typical_high"), typical, strict=True)),
             "objects": n_objects,
             "samples": samples,
-            **counts,
+            **numbers,
             "verdict": self._verdict(factors, typical),
         }
 
@@ -137,6 +147,45 @@ class Consistency:
         if all(high is not None and high < 1.0 / self.limit for _, _, high in intervals):
             return OVERCAUTIOUS
         return None
+
+
+class Deviations(NamedTuple):
+    """m pairs of one estimate of a run.
+
+    frame: (m,) rows of the frames;  object: (m,) ids
+    position, velocity: (m,) NEES, NaN without a usable covariance
+    """
+
+    frame: Ints
+    object: Ints
+    position: Floats
+    velocity: Floats
+
+    @classmethod
+    def joined(cls, parts: Sequence[Deviations]) -> Deviations:
+        """The pairs of several parts of a run."""
+        return cls(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+    def every(self, step: int) -> Deviations:
+        """The pairs of every `step`-th frame."""
+        kept = self.frame % step == 0
+        return Deviations._make(column[kept] for column in self)
+
+
+def counts(agent: str, estimator: str, pictures: Collection[str]) -> bool:
+    """Whether an estimate is compared with its covariances; pictures: as in `Consistency.summary`."""
+    return estimator in (LOCAL, RECEIVED, MISSION) or (estimator == PICTURE and agent in pictures)
+
+
+def deviations(pairs: MatchedPairs, series: int, frames: slice) -> Deviations:
+    """The deviations of one row of series in a slice of the frames, with a start and a stop."""
+    errors, truth = pairs.errors(series, frames), pairs.truth.boxes
+    return Deviations(
+        truth.group.take(errors.truth_row),
+        truth.id.take(errors.truth_row),
+        nees(*errors.position),
+        nees(*errors.velocity),
+    )
 
 
 def nees(error: Floats, covariance: Floats) -> Floats:

@@ -136,6 +136,10 @@ class Objects(NamedTuple):
     size: Floats
     yaw: Floats
 
+    def select(self, rows: Bools, later: int = 0) -> Objects:
+        """The rows selected by a mask, with the numbers of their frames increased."""
+        return Objects(self.frame[rows] + later, *(column[rows] for column in self[1:]))
+
 
 class Ahead(NamedTuple):
     """k objects in the corridor of a vehicle.

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -56,6 +57,15 @@ class Manipulations:
         """The rows selected by a mask or an index array."""
         columns = (getattr(self, name)[rows] for name in COLUMNS)
         return Manipulations(self.culprits, self.reach, self.shown, self.delay, *columns)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Manipulations]) -> Manipulations:
+        """The manipulations of several parts of a run, in that order; passages are those of the last part."""
+        culprits = tuple(sorted({name for part in parts for name in part.culprits}))
+        columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in COLUMNS}
+        rows = [np.array([*(culprits.index(name) for name in part.culprits), -1], np.int64) for part in parts]
+        columns["culprit"] = np.concatenate([row[part.culprit] for row, part in zip(rows, parts, strict=True)])
+        return replace(parts[-1], culprits=culprits, **columns)
 
     def first_shown(self, series: Ints, by: Bools, span: int) -> Ints:
         """First frame (n,) in which a series can have an object that any of the culprits (n, c) showed.

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.metrics.causes import Labels, cause_names
 from mast_zenoh.metrics.ranking import rankings
-from mast_zenoh.metrics.scores import OUTCOMES, Scores, Table, Texts, mean_and_std, means_and_stds
+from mast_zenoh.metrics.scores import OUTCOMES, FrameScores, Scores, Table, Texts, mean_and_std, means_and_stds
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +76,7 @@ class ScoredRun:
     estimates: of each of `scores.series`, for users' metrics; empty without any
     """
 
-    scores: Scores
+    scores: FrameScores
     scored: slice = field(default_factory=lambda: slice(None))
     estimates: Sequence[Estimate] = ()
 
@@ -95,10 +95,22 @@ class ScoredRun:
         return list(zip(*(each.tolist() for each in sums), strict=True))
 
     @cached_property
-    def ranked(self) -> list[dict[str, Any]]:
+    def ranked(self) -> Sequence[dict[str, Any]]:
         """`rankings` over the scored frames."""
+        assert isinstance(self.scores, Scores)
         n = len(self.scores.frames)
         return rankings(self.scores, slice(*self.scored.indices(n)[:2]))
+
+    @cached_property
+    def completeness(self) -> Sequence[float | None]:
+        """Of each series the mean over its objects of the fraction of matched frames, 0 to 1; None without objects."""
+        assert isinstance(self.scores, Scores)
+        return [each.completeness for each in self.scores.objects_matched(self.scored)]
+
+    def values(self, metric: FrameMetric) -> Floats:
+        """Values (s, f) of a user's metric. Raises what the metric raises."""
+        shape = len(self.scores.series), len(self.scores.frames)
+        return np.array([metric.value(estimate) for estimate in self.estimates]).reshape(shape)
 
 
 class Measured(NamedTuple):
@@ -253,7 +265,7 @@ class Completeness(Measure):
     heading, short, brief, range = "completeness", "complete", False, (0.0, 1.0)
 
     def measured(self, run: ScoredRun) -> Measured:
-        return Measured(run.scores.completeness(run.scored))
+        return Measured(list(run.completeness))
 
 
 class Ospa(_OfFrames):
@@ -367,8 +379,7 @@ class FrameMetric(Metric):
         """Values (f,), NaN where the metric is undefined."""
 
     def measured(self, run: ScoredRun) -> Measured:
-        frames = len(run.scores.frames)
-        values = np.array([self.value(estimate) for estimate in run.estimates]).reshape(len(run.estimates), frames)
+        values = run.values(self)
         counts = run.counts & np.isfinite(values)
         return Measured([mean_and_std(row[mask]) for row, mask in zip(values, counts, strict=True)], values)
 
@@ -492,7 +503,7 @@ def measured(
     return summary, table, errors
 
 
-def _undefined(metric: Metric, scores: Scores) -> Measured:
+def _undefined(metric: Metric, scores: FrameScores) -> Measured:
     shape = len(scores.series), len(scores.frames)
     if isinstance(metric, FrameMetric):
         return Measured([mean_and_std(np.zeros(0))] * shape[0], np.full(shape, np.nan))
@@ -516,7 +527,7 @@ def per_frame(scores: Scores) -> Table:
     return frame_keys(scores) | measured([each for each in MEASURES.values() if each.axis], ScoredRun(scores))[1]
 
 
-def frame_keys(scores: Scores) -> Table:
+def frame_keys(scores: FrameScores) -> Table:
     """The columns frame, agent and estimator of the table per frame."""
     every, f = list(scores.every_series), len(scores.frames)
     return {
@@ -526,36 +537,74 @@ def frame_keys(scores: Scores) -> Table:
     }
 
 
+class EstimateColumns(NamedTuple):
+    """One estimate of one agent over f frames as it is kept: `Estimate` with numbers of outcomes and causes.
+
+    frames, scored: (f,);  all others: (n, ...) of boxes, see `Estimate`
+    """
+
+    frames: Ints
+    scored: Bools
+    frame: Ints
+    is_track: Bools
+    outcome: NDArray[np.int8]
+    id: Ints
+    match_id: Ints
+    position: Floats
+    size: Floats
+    yaw: Floats
+    score: Floats
+    range_m: Floats
+    cause: NDArray[np.int8]
+
+    @classmethod
+    def of(cls, row: int, scores: Scores, labels: Labels, scored: Bools, frames: slice) -> EstimateColumns:
+        """The estimate of a row of `scores.series` in a slice of `scores.frames`, with a start and a stop."""
+        judged, (agent, _) = scores.judged, scores.series[row]
+        rows = np.flatnonzero(judged.series == row)
+        frame = np.searchsorted(scores.frames, judged.frame[rows])
+        inside = (frame >= frames.start) & (frame < frames.stop)
+        rows, frame = rows[inside], frame[inside]
+        boxes = judged.boxes.select(rows)
+        at = scores.truth.agent_position[frame, scores.agents.index(agent)]
+        return cls(
+            frames=scores.frames[frames],
+            scored=scored[frames],
+            frame=frame - frames.start,
+            is_track=judged.is_track[rows],
+            outcome=judged.outcome[rows].astype(np.int8),
+            id=boxes.id,
+            match_id=judged.match_id[rows],
+            position=boxes.position,
+            size=boxes.size,
+            yaw=boxes.yaw,
+            score=judged.score[rows],
+            range_m=np.hypot(*(boxes.position - at)[:, :2].T),
+            cause=labels.cause[rows].astype(np.int8),
+        )
+
+    @classmethod
+    def joined(cls, parts: Sequence[EstimateColumns]) -> EstimateColumns:
+        """An estimate in consecutive parts of a run."""
+        offset, moved = 0, []
+        for part in parts:
+            moved.append(part._replace(frame=part.frame + offset))
+            offset += len(part.frames)
+        return cls(*(np.concatenate(column) for column in zip(*moved, strict=True)))
+
+    def estimate(self, agent: str, estimator: str, period_s: float) -> Estimate:
+        """The estimate of an agent, for users' metrics; period_s: s, frame period"""
+        columns = self._asdict() | {
+            "outcome": np.array(OUTCOMES)[self.outcome],
+            "cause": cause_names(self.cause.astype(np.int64)).astype(str),
+        }
+        return Estimate(agent=agent, estimator=estimator, period_s=period_s, **columns)
+
+
 def estimates_of(scores: Scores, labels: Labels, scored: Bools, period_s: float) -> list[Estimate]:
     """The estimates of `scores.series`, for users' metrics."""
-    return [_estimate(row, scores, labels, scored, period_s) for row in range(len(scores.series))]
-
-
-def _estimate(row: int, scores: Scores, labels: Labels, scored: Bools, period_s: float) -> Estimate:
-    agent, estimator = scores.series[row]
-    judged = scores.judged
-    rows = np.flatnonzero(judged.series == row)
-    boxes = judged.boxes.select(rows)
-    frame = np.searchsorted(scores.frames, judged.frame[rows])
-    at = scores.truth.agent_position[frame, scores.agents.index(agent)]
-    frames, counted = scores.frames.copy(), scored.copy()
-    for shared in (frames, counted):  # between metrics
-        shared.flags.writeable = False
-    return Estimate(
-        agent=agent,
-        estimator=estimator,
-        frames=frames,
-        period_s=period_s,
-        scored=counted,
-        frame=frame,
-        is_track=judged.is_track[rows],
-        outcome=np.array(OUTCOMES)[judged.outcome[rows]],
-        id=boxes.id,
-        match_id=judged.match_id[rows],
-        position=boxes.position,
-        size=boxes.size,
-        yaw=boxes.yaw,
-        score=judged.score[rows],
-        range_m=np.hypot(*(boxes.position - at)[:, :2].T),
-        cause=cause_names(labels.cause[rows]).astype(str),
-    )
+    every = slice(0, len(scores.frames))
+    return [
+        EstimateColumns.of(row, scores, labels, scored, every).estimate(*name, period_s)
+        for row, name in enumerate(scores.series)
+    ]

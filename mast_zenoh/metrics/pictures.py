@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mast_zenoh.arrays.states import Bools
+from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.metrics.assignment import SetDistance
 from mast_zenoh.metrics.boxes import Boxes, centre_distance
 from mast_zenoh.metrics.estimates import PICTURE
@@ -18,28 +18,30 @@ from mast_zenoh.metrics.scores import FALSE, MISSED, Scores, mean_and_std
 COMPARED = 4
 
 
+def with_pictures(scores: Scores) -> list[str]:
+    """The agents with a picture of their own."""
+    own = {agent for agent, estimator in scores.series if estimator == PICTURE}
+    return [agent for agent in scores.agents if agent in own]
+
+
 def of_pictures(
-    scores: Scores,
-    blamed: Bools,
-    range_m: float,
-    distance: SetDistance,
+    names: Sequence[str],
+    frames: Ints,
+    deceived: Bools,
+    differences: Floats,
     period_s: float,
-    scored: slice,
     lies_from: int | None,
 ) -> dict[str, Any]:
     """The part `pictures` of metrics.json; {} with fewer than two pictures. Agents must not share one.
 
-    blamed: (n,) rows of `scores.judged` that are wrong because of an adversary
-    range_m: m, from an agent, in which its picture is scored; distance: of sets; scored: the frames that count
+    names: of a agents with pictures;  frames: (f,) the frames that count
+    deceived: (f, a), see `deceived_agents`;  differences: (p, f) m, see `differences`
     lies_from: frame of the first message that an adversary changed, from which on shares count; None: no lie
     """
-    rows = {agent: row for row, (agent, estimator) in enumerate(scores.series) if estimator == PICTURE}
-    names = [agent for agent in scores.agents if agent in rows]
     if len(names) < 2:
         return {}
-    deceived = deceived_agents(scores, blamed, names).T[:, scored]
-    since = int(np.searchsorted(scores.frames[scored], lies_from or 0))
-    frames, deceived = scores.frames[scored][since:], deceived[:, since:]
+    since = int(np.searchsorted(frames, lies_from or 0))
+    frames, deceived = frames[since:], deceived.T[:, since:]
     share = deceived.mean(axis=0)
     wrong = np.flatnonzero(share > 0.0)
     half = np.flatnonzero(share >= 0.5)
@@ -47,7 +49,7 @@ def of_pictures(
     half_after_s = (float(frames[half[0]]) * period_s - first_s) if len(half) and first_s is not None else None
     return {
         "count": len(names),
-        "difference_gospa_m": mean_and_std(_differences(scores, names, rows, range_m, distance)[:, scored].ravel()),
+        "difference_gospa_m": mean_and_std(differences.ravel()),
         "deceived": {
             "lies_from_s": None if lies_from is None else lies_from * period_s,
             "share": mean_and_std(share),
@@ -105,11 +107,13 @@ def deceived_agents(scores: Scores, blamed: Bools, agents: Sequence[str]) -> Boo
     return wrong[:, [rows.get(agent, -1) for agent in agents]]
 
 
-def _differences(
-    scores: Scores, names: list[str], rows: dict[str, int], range_m: float, distance: SetDistance
-) -> np.ndarray:
-    """(p, f) m, GOSPA between the pictures of p pairs of agents, of what is in range of both."""
+def differences(scores: Scores, names: Sequence[str], range_m: float, distance: SetDistance) -> Floats:
+    """(p, f) m, GOSPA between the pictures of p pairs of agents, of what is in range of both.
+
+    range_m: m, from an agent, in which its picture is scored; distance: of sets
+    """
     judged, n_frames = scores.judged, len(scores.frames)
+    rows = {agent: row for row, (agent, estimator) in enumerate(scores.series) if estimator == PICTURE}
     steps = range(1, min(COMPARED, len(names) - 1) + 1)
     pairs = sorted({tuple(sorted((a, (a + step) % len(names)))) for a, step in product(range(len(names)), steps)})
     frame = np.searchsorted(scores.frames, judged.frame)

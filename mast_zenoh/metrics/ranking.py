@@ -5,6 +5,7 @@ Weng, Wang, Held and Kitani, "3D Multi-Object Tracking: A Baseline and New Evalu
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -70,6 +71,18 @@ def _switches(object_id: Ints, track: Ints, rank: Ints, limits: Ints) -> Ints:
         objects, tracks = object_id[kept], track[kept]
         counts[limit] = np.count_nonzero((objects[1:] == objects[:-1]) & (tracks[1:] != tracks[:-1]))
     return np.array([counts[limit] for limit in limits.tolist()], np.int64)
+
+
+def mean_ranking(parts: Sequence[tuple[dict[str, Any], int]]) -> dict[str, Any]:
+    """The mean of the values of several parts of a run, each with its number of objects."""
+    if len(parts) == 1:
+        return parts[0][0]
+    result = {}
+    for name in parts[0][0]:
+        known = [(values[name], objects) for values, objects in parts if values[name] is not None]
+        total = sum(objects for _, objects in known)
+        result[name] = sum(value * objects for value, objects in known) / total if total else None
+    return result
 
 
 def rankings(scores: Scores, scored: slice) -> list[dict[str, Any]]:

@@ -95,11 +95,13 @@ _EMPTY = Snapshot.of(ObjectStates.empty())
 
 
 class Record:
-    """Collects a run frame by frame.
+    """Collects a run frame by frame, and forgets frames that are not needed any more.
 
     The first of several messages about a frame in a series counts.
     agents: names, in the order of the columns of `points` and `agent_position`
     picture_ages_ns: by agent and frame, ns, age of the picture for its mission estimate: one of an earlier frame
+    begin: the first frame that is kept
+    latest: number of frames after its own, at most, in which an estimate was sent that counts
     """
 
     def __init__(self, agents: Sequence[str]) -> None:
@@ -108,6 +110,18 @@ class Record:
         self._tracks: dict[Series, dict[int, Snapshot]] = {}
         self._arrivals: dict[str, list[tuple[int, int, int, Snapshot]]] = {}  # by agent: step, frame, ns, picture
         self.picture_ages_ns: dict[str, dict[int, int]] = {}
+        self.begin, self.latest = 0, np.iinfo(np.int64).max
+
+    def forget(self, before: int) -> None:
+        """Forget the frames before this one; what arrives about them later is left out."""
+        self.begin = before
+        self._truth = {frame: truth for frame, truth in self._truth.items() if frame >= before}
+        for series, messages in self._tracks.items():
+            self._tracks[series] = {frame: objects for frame, objects in messages.items() if frame >= before}
+        for arrivals in self._arrivals.values():
+            past = sorted((arrival for arrival in arrivals if arrival[0] < before), key=lambda arrival: arrival[:2])
+            newest = [max(past, key=lambda arrival: arrival[1])] if past else []
+            arrivals[:] = newest + [arrival for arrival in arrivals if arrival[0] >= before]
 
     def add_truth(
         self, frame: int, objects: ObjectStates, points: Ints, agent_position: Floats, agent_object: Ints
@@ -125,6 +139,8 @@ class Record:
         ):
             if array.shape != expected:
                 raise ValueError(f"truth of frame {frame}, {name}: found shape {array.shape}, expected {expected}")
+        if frame < self.begin:
+            return
         boxes = Snapshot.of(objects, views=True)
         self._truth[frame] = (boxes, points.copy(), agent_position.copy(), agent_object.copy())
 
@@ -147,7 +163,8 @@ class Record:
         for each in series:
             if each.agent and each.agent not in self.agents:
                 raise ValueError(f"frame {frame}: found agent {each.agent!r}, expected one of {self.agents}")
-            self._tracks.setdefault(each, {}).setdefault(frame, objects)
+            if frame >= self.begin and (step is None or step - frame <= self.latest):
+                self._tracks.setdefault(each, {}).setdefault(frame, objects)
             if each.estimator == PICTURE_RECEIVED:
                 arrival = frame if step is None else step, frame, time_ns, objects
                 self._arrivals.setdefault(each.agent, []).append(arrival)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -46,6 +46,11 @@ class MatchedPairs(NamedTuple):
     tracks: TrackTable
     dimensions: int
 
+    def last(self, series: int, frames: slice) -> tuple[Ints, Ints]:
+        """Ascending ids (k,) of the objects of a series, and the ids (k,) of the tracks that matched them last."""
+        truth_row, track_row = self._rows(series, frames)
+        return _last_of_each(self.truth.boxes.id.take(truth_row), self.tracks.boxes.id.take(track_row))
+
     def errors(self, series: int, frames: slice) -> PairErrors:
         """The errors of one series in a slice of the frames, with a start and a stop."""
         truth_row, track_row = self._rows(series, frames)
@@ -70,6 +75,16 @@ class MatchedPairs(NamedTuple):
         begin = series * self.n_frames
         first, last = self.group.searchsorted((begin + frames.start, begin + frames.stop)).tolist()
         return self.truth_rows.take(self.truth_box[first:last]), self.track_rows.take(self.track_box[first:last])
+
+
+#: By agent and estimator: ascending ids (k,) of truth objects, and the ids (k,) of the tracks that last matched them.
+LastMatches = Mapping[tuple[str, str], tuple[Ints, Ints]]
+
+
+def _last_of_each(ids: Ints, values: Ints) -> tuple[Ints, Ints]:
+    """The distinct ids, ascending, and the last value of each."""
+    distinct, row = np.unique(ids[::-1], return_index=True)
+    return distinct, values[::-1][row]
 
 
 #: A table: one array per column, all of one length.
@@ -107,6 +122,29 @@ class Judged(NamedTuple):
         return self.boxes.id
 
 
+class ObjectsMatched(NamedTuple):
+    """k truth objects of a series: ascending ids (k,), and the numbers of frames (k,) evaluated and matched."""
+
+    ids: Ints
+    frames: Ints
+    matched: Ints
+
+    @classmethod
+    def joined(cls, parts: Sequence[ObjectsMatched]) -> ObjectsMatched:
+        """The sums over several parts of a run."""
+        ids, code = np.unique(np.concatenate([part.ids for part in parts]), return_inverse=True)
+        sums = (
+            np.bincount(code, np.concatenate([part[column] for part in parts]), len(ids)).astype(np.int64)
+            for column in (1, 2)
+        )
+        return cls(ids, *sums)
+
+    @property
+    def completeness(self) -> float | None:
+        """Mean over the objects of the fraction of matched frames, 0 to 1; None without objects."""
+        return float(np.mean(self.matched / self.frames)) if len(self.ids) else None
+
+
 class Switches(NamedTuple):
     """k identity switches: a truth object is matched by a different track than before.
 
@@ -122,7 +160,7 @@ class Switches(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Scores:
+class FrameScores:
     """Counts of s series (an agent and one of its estimators) in f frames.
 
     series:        s pairs (agent, estimator)
@@ -131,10 +169,6 @@ class Scores:
     squared_error: (s, f) m^2, summed over the pairs of the frame
     id_switches:   (s, f) int64
     ospa_m, gospa_m: (s, f) m, distances between the sets of truth objects and tracks
-    switches:      a row per identity switch
-    judged:        every box of every series
-    pairs:         the matched pairs, with the tables that they come from
-    agents:        names, in the order of the columns of the truth
     same_as:       other series, each with the one of `series` that has the same messages and therefore scores; they
                    are in the table per frame and in the summary, but have no separate boxes
     """
@@ -148,11 +182,31 @@ class Scores:
     id_switches: Ints
     ospa_m: Floats
     gospa_m: Floats
+    same_as: Mapping[tuple[str, str], tuple[str, str]]
+
+    @property
+    def every_series(self) -> dict[tuple[str, str], int]:
+        """Rows of `series` by agent and estimator, including the series in `same_as`."""
+        row = {each: k for k, each in enumerate(self.series)}
+        every = row | {each: row[other] for each, other in self.same_as.items()}
+        agents = {agent: k for k, agent in enumerate(dict.fromkeys(agent for agent, _ in self.series))}
+        return dict(sorted(every.items(), key=lambda item: (agents[item[0][0]], rank_of(item[0][1]), item[0][1])))
+
+
+@dataclass(frozen=True, slots=True)
+class Scores(FrameScores):
+    """Scores of s series in f frames, with every box.
+
+    switches:      a row per identity switch
+    judged:        every box of every series
+    pairs:         the matched pairs, with the tables that they come from
+    agents:        names, in the order of the columns of the truth
+    """
+
     switches: Switches
     judged: Judged
     pairs: MatchedPairs
     agents: tuple[str, ...]
-    same_as: Mapping[tuple[str, str], tuple[str, str]]
 
     @property
     def truth(self) -> TruthTable:
@@ -164,8 +218,14 @@ class Scores:
         """Frame numbers (n,) of the rows of `truth`."""
         return self.frames[self.truth.boxes.group]
 
-    def completeness(self, scored: slice) -> list[float | None]:
-        """Of each series the mean over its objects of the fraction of matched frames, 0 to 1; None without objects."""
+    def part(self, rows: slice) -> FrameScores:
+        """What is known per frame of some rows of `frames`."""
+        columns: dict[str, Any] = {each.name: getattr(self, each.name) for each in fields(FrameScores)}
+        arrays = {name: column[..., rows] for name, column in columns.items() if isinstance(column, np.ndarray)}
+        return FrameScores(**columns | arrays)
+
+    def objects_matched(self, scored: slice) -> list[ObjectsMatched]:
+        """For how many frames the objects of each series are evaluated, and matched."""
         judged, n = self.judged, len(self.series)
         evaluated = ~judged.is_track & np.isin(judged.outcome, (MATCHED, MISSED))
         rows = np.flatnonzero(evaluated & np.isin(judged.frame, self.frames[scored]))
@@ -174,17 +234,18 @@ class Scores:
         total = np.bincount(cell, minlength=n * len(ids)).reshape(shape)
         matched = np.bincount(cell, judged.outcome[rows] == MATCHED, minlength=n * len(ids)).reshape(shape)
         return [
-            float(np.mean(matched_frames[frames > 0] / frames[frames > 0])) if frames.any() else None
+            ObjectsMatched(ids[frames > 0], frames[frames > 0], matched_frames[frames > 0])
             for matched_frames, frames in zip(matched, total, strict=True)
         ]
 
-    @property
-    def every_series(self) -> dict[tuple[str, str], int]:
-        """Rows of `series` by agent and estimator, including the series in `same_as`."""
-        row = {each: k for k, each in enumerate(self.series)}
-        every = row | {each: row[other] for each, other in self.same_as.items()}
-        agents = {agent: k for k, agent in enumerate(dict.fromkeys(agent for agent, _ in self.series))}
-        return dict(sorted(every.items(), key=lambda item: (agents[item[0][0]], rank_of(item[0][1]), item[0][1])))
+    def last_matches(self, before: int, earlier: LastMatches) -> LastMatches:
+        """The tracks that last matched the objects of every series before a frame; earlier: before the first frame."""
+        known = slice(0, int(np.searchsorted(self.frames, before)))
+        result = {}
+        for name, row in self.every_series.items():
+            parts = [*([earlier[name]] if name in earlier else []), self.pairs.last(row, known)]
+            result[name] = _last_of_each(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+        return result
 
     def objects(self) -> Table:
         """A row per box and series.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from types import MappingProxyType
 
 import numpy as np
 
@@ -17,10 +18,13 @@ from mast_zenoh.metrics.scores import (
     OUTCOMES,
     UNEVALUATED,
     Judged,
+    LastMatches,
     MatchedPairs,
     Scores,
     Switches,
 )
+
+_NONE_EARLIER: LastMatches = MappingProxyType({})
 
 
 class Scorer:
@@ -60,13 +64,15 @@ class Scorer:
         self.include_self = include_self
         self.ignore_unseen = ignore_unseen
 
-    def score(self, record: Record) -> Scores:
-        """Score all frames with truth.
+    def score(self, record: Record, frames: Ints | None = None, earlier: LastMatches = _NONE_EARLIER) -> Scores:
+        """Score all frames with truth, or some of them.
 
         A frame without a message of an estimator counts as an empty estimate. The order of rows and of messages does
         not matter. Estimates with the same messages are scored once.
+
+        frames: (f,) ascending;  earlier: which tracks last matched which objects before these
         """
-        frames = record.frames()
+        frames = record.frames() if frames is None else frames
         table = record.truth(frames)
         series, same_as = _distinct_series(record, frames)
         tracks = record.tracks(series, frames)
@@ -94,7 +100,8 @@ class Scorer:
         of_truth, of_tracks = (_concatenate_rows(each) for each in (truth_rows, track_rows))
         tables = of_truth, order.take(of_tracks - len(table.boxes)), table, tracks
         compared = picked, _arrange(all_boxes, excused, shape)
-        return self._compare(*compared, tables, tuple(names), frames, record.agents, same_as)
+        matches = [(row, *earlier[name]) for row, name in enumerate(names) if name in earlier]
+        return self._compare(*compared, tables, tuple(names), frames, record.agents, same_as, matches)
 
     def _compare(
         self,
@@ -105,11 +112,13 @@ class Scorer:
         frames: Ints,
         agents: tuple[str, ...],
         same_as: dict[tuple[str, str], tuple[str, str]],
+        earlier: Sequence[tuple[int, Ints, Ints]],
     ) -> Scores:
         """The scores of all series.
 
         boxes: arranged evaluated objects, other objects and tracks;  excused: objects whose tracks are not false
         tables: the rows of the evaluated objects and of the tracks in the tables that follow
+        earlier: rows of series, objects and the tracks that matched them before
         """
         assigner = self.assigner
         truth = boxes.select(slice(0, len(tables[0])))
@@ -143,7 +152,7 @@ class Scorer:
         distance_m = centre_distance(*centres, assigner.dimensions)
         squared_error: Floats = np.bincount(group, distance_m**2, minlength=shape[0] * shape[1]).astype(np.float64)
         ospa, gospa = self.distance.of(truth, evaluated, shape[0] * shape[1])
-        switched, before = _switches(group, truth.id[pairs[:, 0]], tracks.id[pairs[:, 1]], shape[1])
+        switched, before = _switches(group, truth.id[pairs[:, 0]], tracks.id[pairs[:, 1]], shape[1], earlier)
         return Scores(
             series=series,
             frames=frames,
@@ -217,17 +226,25 @@ def _concatenate_rows(rows: Sequence[Ints]) -> Ints:
     return np.concatenate([np.zeros(0, np.int64), *rows])
 
 
-def _switches(group: Ints, truth_id: Ints, track_id: Ints, n_frames: int) -> tuple[Ints, Ints]:
+def _switches(
+    group: Ints, truth_id: Ints, track_id: Ints, n_frames: int, earlier: Sequence[tuple[int, Ints, Ints]]
+) -> tuple[Ints, Ints]:
     """Pairs whose object was previously matched by another track; and its id.
 
-    In the same series.
+    In the same series. earlier: rows of series, objects and the tracks that matched them before
     """
     series = group // max(n_frames, 1)
+    n = sum(len(objects) for _, objects, _ in earlier)
+    if n:
+        rows, objects, tracks = zip(*earlier, strict=True)
+        series = np.concatenate([np.repeat(rows, [len(each) for each in objects]), series])
+        group = np.concatenate([np.full(n, -1), group])
+        truth_id, track_id = np.concatenate([*objects, truth_id]), np.concatenate([*tracks, track_id])
     order = np.lexsort((group, truth_id, series))
     same = (np.diff(series[order]) == 0) & (np.diff(truth_id[order]) == 0)
     at = (same & (np.diff(track_id[order]) != 0)).nonzero()[0]
     by_pair = np.argsort(order[at + 1])
-    return order[at + 1][by_pair], track_id[order[at]][by_pair]
+    return order[at + 1][by_pair] - n, track_id[order[at]][by_pair]
 
 
 def _judged(boxes: Boxes, frames: Ints, truth: tuple[Ints, Ints], track: tuple[Ints, Ints], score: Floats) -> Judged:

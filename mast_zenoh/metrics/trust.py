@@ -70,6 +70,10 @@ _AGENT = ("mean", "log_odds", "fault_turn", "fault_delay", "fault_loss")
 _OBJECT = ("trust", "expected", "confirming", "contradicting", "withheld")
 
 
+#: Columns of a `trust` message that tell the history of trust in agents.
+AGENT_COLUMNS = ("agents", "state", "log_odds", "reason")
+
+
 class TrustUpdate(NamedTuple):
     """A `trust` message.
 
@@ -107,9 +111,7 @@ class TrustHistory:
         for update in updates:
             if (at := row.get(update.frame)) is None:
                 continue
-            names, *values = (
-                np.asarray(update.columns[name]).tolist() for name in ("agents", "state", "log_odds", "reason")
-            )
+            names, *values = (np.asarray(update.columns[name]).tolist() for name in AGENT_COLUMNS)
             for name, *of_name in zip(names, *values, strict=True):
                 if (of_agent := column.get(str(name))) is not None:
                     state[at, of_agent], log_odds[at, of_agent], reason[at, of_agent] = of_name

@@ -11,7 +11,7 @@ import pytest
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.driving.motion import CarLimits, Command, RouteAhead
 from mast_zenoh.effects.passages import Interval, PassageMeter
-from mast_zenoh.evaluation import Evaluation, RunData
+from mast_zenoh.evaluation import Evaluation, RunData, RunScoring
 from mast_zenoh.evaluation.driven import Arrival, Heard, View
 from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.messages import codec
@@ -119,7 +119,7 @@ def happened(
         if free_m is not None:
             received.see(frame, View(frame, time_ns, around(float(x), free_m)))
     evaluation = Evaluation(scorer=Scorer(), skip_first=0, skip_last=0, picture_age_s=0.5, **settings)
-    return evaluation.of(data)["metrics"]["driven"]["ego"]
+    return RunScoring(evaluation, data).results()["metrics"]["driven"]["ego"]
 
 
 def command(frame: int, acceleration: float) -> Overheard:

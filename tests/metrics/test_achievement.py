@@ -56,7 +56,7 @@ def achieved(
     scores, _, labels, done = labelled(record, effects(*lies, **wires))
     victims = {name: {1} for name in done.culprits}
     targets = achievement.targets(scores, labels, done, "ego", victims, 100.0, 5)
-    return achievement.summary(targets, scores, labels.switch_by, "ego", PERIOD_S, scored)
+    return achievement.summary(targets, achievement.switches(scores, labels.switch_by, "ego", scored), PERIOD_S)
 
 
 def lies(effect: str, frames: Any, at: tuple[float, float], more: tuple[float, float] = (0.0, 0.0), by="eve", id=7):

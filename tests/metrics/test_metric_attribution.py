@@ -15,6 +15,7 @@ from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.evaluation.from_effects import delays, influence, without_unseen
 from mast_zenoh.metrics import ESTIMATORS, Record, Series, causes_of
 from mast_zenoh.metrics.attributor import Withheld
+from mast_zenoh.metrics.causes import cause_counts
 from mast_zenoh.metrics.trust import TrustUpdate
 
 Place = tuple[float, float]
@@ -271,7 +272,7 @@ def test_causes_are_counted_by_estimate_in_the_scored_frames() -> None:
     picture = [FALSE if frame >= 5 else CAR for frame in range(9)]
     record = run_of([CAR] * 9, picture, local=[CAR] * 9)
     scores, _, labels, _ = labelled(record, effects(*lies("inserted", range(2, 9), FAR)))
-    counted = causes_of(scores, labels.cause, labels.switch_cause, np.arange(8))
+    counted = causes_of(cause_counts(scores, labels.cause, labels.switch_cause, np.arange(8)), 8)
     by_series = dict(zip(scores.series, counted, strict=True))
     assert by_series["ego", "picture"]["causes"] == {"fp": {"inserted": 3}, "fn": {}, "id_switches": {"tracking": 1}}
     assert by_series["ego", "picture"]["fp_split"] == {"fault": 0.0, "attack": 3 / 8, "withheld": 0.0, "natural": 0.0}
@@ -406,7 +407,8 @@ def test_an_identity_switch_after_hiding_is_attributed_to_the_adversary(hidden: 
     scores, _, labels, _ = labelled(record, effects(*lies("removed", range(4, 8), hidden)))
     assert scores.series[int(scores.switches.series[0])] == ("ego", "picture")
     assert [(int(f), int(i)) for f, i in zip(scores.switches.frame, scores.switches.truth_id, strict=True)] == [(6, 1)]
-    assert causes_of(scores, labels.cause, labels.switch_cause, np.arange(12))[0]["causes"]["id_switches"] == {cause: 1}
+    counted = causes_of(cause_counts(scores, labels.cause, labels.switch_cause, np.arange(12)), 12)
+    assert counted[0]["causes"]["id_switches"] == {cause: 1}
     assert labels.switch_by.tolist() == ["eve" if cause == "removed" else ""]
 
 

@@ -1,0 +1,110 @@
+"""The data that an evaluator collects from the messages of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mast_zenoh.effects import Meter, Pose
+from mast_zenoh.evaluation.driven import Heard
+from mast_zenoh.messages.schemas import Body
+from mast_zenoh.metrics import Presence, Record
+from mast_zenoh.metrics.trust import AGENT_COLUMNS, TrustUpdate
+
+_PERIOD_S = 0.1  #: assumed frame period of a run with a single frame
+
+
+@dataclass
+class RunData:
+    """Data collected from the messages of a run; of a long one, of its latest frames.
+
+    record:   the truth and all estimates;  meter: effects of the interposers
+    roles:    of the nodes;  presence: joining and leaving of nodes
+    times_ns: by frame, its clock time
+    poses:    by (agent, frame)
+    picture_sent: by frame, the frame in which its picture was sent
+    tracks_sent: by (agent, frame), the frame in which the agent's tracks were sent
+    attack_reports, link_reports: (interposer, frame, sequence number, columns)
+    trust:    by frame, the first message about it
+    receptions: by (agent, frame), busy ratio of the channel, ns and number of its own messages, and number of
+        those that it lost, all of the frame before
+    relays:   whether peers relay their pictures
+    heard:    what drivers received, by the agent whose car they drive
+    """
+
+    record: Record
+    meter: Meter = field(default_factory=Meter)
+    roles: dict[str, str] = field(default_factory=dict)
+    presence: Presence = field(default_factory=Presence)
+    times_ns: dict[int, int] = field(default_factory=dict)
+    poses: dict[tuple[str, int], Pose] = field(default_factory=dict)
+    picture_sent: dict[int, int] = field(default_factory=dict)
+    tracks_sent: dict[tuple[str, int], int] = field(default_factory=dict)
+    attack_reports: list[tuple[str, int, int, Body]] = field(default_factory=list)
+    link_reports: list[tuple[str, int, int, Body]] = field(default_factory=list)
+    trust: dict[int, TrustUpdate] = field(default_factory=dict)
+    receptions: dict[tuple[str, int], tuple[float, int, int, int]] = field(default_factory=dict)
+    relays: bool = False
+    heard: dict[str, Heard] = field(default_factory=dict)
+
+    def forget(self, before: int) -> None:
+        """Forget what is not needed for frames from this one on: all but times, counts and the trust in agents."""
+        self.record.forget(before)
+        self.meter.forget(before)
+        for heard in self.heard.values():
+            heard.forget(before)
+        for by_agent in (self.poses, self.tracks_sent):
+            for key in [key for key in by_agent if key[1] < before]:
+                del by_agent[key]
+        for reports in (self.attack_reports, self.link_reports):
+            reports[:] = [report for report in reports if report[1] >= before]
+        for frame in [frame for frame, update in self.trust.items() if frame < before and "position" in update.columns]:
+            columns = self.trust[frame].columns
+            self.trust[frame] = TrustUpdate(frame, {name: columns[name] for name in AGENT_COLUMNS})
+
+    @property
+    def period_s(self) -> float:
+        """Frame period, s."""
+        first, second = self.times_ns.get(0), self.times_ns.get(1)
+        return _PERIOD_S if first is None or second is None else (second - first) * 1e-9
+
+    @property
+    def ego(self) -> str:
+        """The main agent of the evaluation."""
+        return ego_of(self.record.agents)
+
+    def picture_age_s(self, frames: Sequence[int]) -> dict[str, dict[str, float | int | None]]:
+        """By agent: mean and maximum age in s of the picture in its mission estimates, and the `frames` without any.
+
+        Known after `record.hold_pictures`; None without pictures.
+        """
+        summary: dict[str, dict[str, float | int | None]] = {}
+        for agent, ages_ns in self.record.picture_ages_ns.items():
+            ages_s = [ages_ns[frame] * 1e-9 for frame in frames if frame in ages_ns]
+            mean, most = (sum(ages_s) / len(ages_s), max(ages_s)) if ages_s else (None, None)
+            summary[agent] = {"mean": mean, "max": most, "frames_without": len(frames) - len(ages_s)}
+        return summary
+
+    def latencies_ns(self) -> list[int]:
+        """ns of scene time between each frame and the one in which its picture was sent."""
+        times = self.times_ns
+        return [
+            times[sent] - times[frame]
+            for frame, sent in sorted(self.picture_sent.items())
+            if {frame, sent} <= times.keys()
+        ]
+
+    def latency_percentiles_ms(self) -> dict[str, float | None]:
+        """p50, p95 and p99 in ms of `latencies_ns`; None without latencies."""
+        latencies = self.latencies_ns()
+        names = (50, 95, 99)
+        if not latencies:
+            return {f"p{p}": None for p in names}
+        return {f"p{p}": float(np.percentile(np.array(latencies) * 1e-6, p)) for p in names}
+
+
+def ego_of(agents: Sequence[str]) -> str:
+    """The main agent of an evaluation: "ego" if there is one, else the first."""
+    return "ego" if "ego" in agents else next(iter(agents), "")
