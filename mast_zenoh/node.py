@@ -121,6 +121,21 @@ class Context(Protocol):
         """
         ...
 
+    def append(self, table: str, columns: Mapping[str, Any]) -> None:
+        """Append rows to one of the node's tables, as often as you like, also in `finish`.
+
+        table:   its name, at most 64 letters, digits, dots, hyphens and underscores; at most 100 tables
+        columns: by name, equally long: arrays or lists of numbers, or of text
+
+        The first rows decide names, order and types of the columns. The rows leave the node in parts of 65,536 rows
+        (16 MiB), and become row groups of the table's file, `results/<node>/<table>.parquet`, at any end of the run;
+        those of the evaluator's own tables are at the top of the run folder. So a node of a long run need not keep
+        them. A table of this name that `finish` returns holds the last rows.
+
+        Raises ConfigurationError for an invalid table, or for columns that differ from those before.
+        """
+        ...
+
     def connected(self, port: str, subject: str | None = None) -> bool:
         """Whether a wire is connected to an output port."""
         ...
@@ -206,7 +221,11 @@ class Node:
         """Called when `context.wiring` has changed: a node was inserted or removed."""
 
     def finish(self, context: Context) -> dict[str, Any]:
-        """Called once, after the last frame, when publishing is over; returns results."""
+        """Called once, after the last frame, when publishing is over; returns results.
+
+        `tables` of the results are the node's tables, columns by name; `Context.append` has already taken others. It
+        may take as long as it makes progress (docs/endings.md).
+        """
         return {}
 
 

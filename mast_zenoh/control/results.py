@@ -29,6 +29,7 @@ from mast_zenoh.control.codec import (
     Whole,
 )
 from mast_zenoh.control.failures import MAX_HANDLERS, FailureEntry
+from mast_zenoh.control.tables import TablePart, checked_columns
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messagelog.churn import BACK, LOST
 
@@ -38,9 +39,8 @@ EVALUATOR = "evaluator"
 #: Tables that only the evaluator may return; they are written to the top of the run folder.
 TABLES = ("metrics", "objects", "attacks", "targets", "driving", "driven", "trust", "trust_objects")
 
-#: Limits of a node's result, bytes. The evaluator's tables have a row for each object, agent and frame.
+#: Limit of a node's result, and of a part of a table, bytes.
 MAX_RESULT = 32 << 20
-MAX_EVALUATION = 512 << 20
 
 MAX_VALUES = 1 << 20  #: lists, maps and their items in a result; arrays count as one
 MAX_TEXTS = 1 << 23  #: items of columns of text in a result of up to 32 MiB; proportionally more in a longer one
@@ -128,7 +128,7 @@ def decode_result(payload: bytes, node: str, *, drives: bool) -> dict[str, Any]:
 
     drives: whether the node drives the scene: only that one has stop_reason, frames, wall_s, sent_ns, churn
     """
-    codec.fits(payload, "result", MAX_EVALUATION if node == EVALUATOR else MAX_RESULT)
+    codec.fits(payload, "result", MAX_RESULT)
     result: dict[str, Any] = unpack(payload)
     report: _Report = codec.converted(result, _DriverReport if drives else _Report, "result")
     try:
@@ -139,6 +139,28 @@ def decode_result(payload: bytes, node: str, *, drives: bool) -> dict[str, Any]:
     if not drives and (unexpected := report.invalid.keys() - receives):
         raise MessageError(f"result: invalid: found {min(unexpected)!r:.60}, which {node} does not receive")
     return result
+
+
+#: A part of a table is a list of four, a result a map: the first byte tells.
+_PART = b"\x94"
+
+
+def is_part(payload: bytes) -> bool:
+    """Whether a node hands in a part of a table, and not its result."""
+    return payload.startswith(_PART)
+
+
+def encode_part(process: str, part: TablePart) -> bytes:
+    """Encode a part of a table of a node's process."""
+    return pack([process, *part])
+
+
+def decode_part(payload: bytes) -> tuple[str, TablePart]:
+    """A node's process, and a part of one of its tables; raises MessageError."""
+    codec.fits(payload, "result", MAX_RESULT)
+    kind = tuple[Id, Annotated[str, Meta(max_length=64)], Whole, dict[Any, Any]]
+    process, table, number, columns = codec.converted(unpack(payload), kind, "result")
+    return process, TablePart(table, number, checked_columns(table, columns))
 
 
 def checked(value: Any) -> dict[str, Any]:

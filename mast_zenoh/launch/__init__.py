@@ -8,12 +8,14 @@ launcher_protocol  what the launcher decides, without I/O: its loop
 live_interception  inserts nodes into wires while a run plays: the request and its server
 supervisor    starts, watches and ends nodes;  processes: as processes of this machine
               fork_server: the process that forks them, which has imported what nodes need
+              processor_time: what a process has used of the processor
 engine        base class of deployment engines;  file_server: files for their nodes
 netns         the hosts of a run as network namespaces
 reports       what nodes report: failures of handlers, results
 conclusion    writes the results at the end;  notices: what deserves attention
 ending        maps endings to a status and an exit code;  liveness: whether the launcher of a run.json is alive
-folder        the run folder;  tables: columns as Parquet;  log_reading: the logs of a run's nodes
+folder        the run folder;  log_reading: the logs of a run's nodes
+tables        columns as Parquet;  table_files: those that nodes hand in part by part
 display       progress on the console;  observation: what it shows, measured on the wires
 measurement   measures a run again from its recording
 stop_signals  Ctrl-C, SIGTERM and SIGHUP

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from itertools import islice
 from pathlib import Path
@@ -12,20 +11,18 @@ import numpy as np
 
 from mast_zenoh.config.resolved import NodeSpec, Resolved, driver_of
 from mast_zenoh.control import results
-from mast_zenoh.control.results import EVALUATOR, TABLES, counts_of
+from mast_zenoh.control.results import EVALUATOR, counts_of
+from mast_zenoh.control.tables import EXPECTED_NAME, MAX_COLUMNS, MAX_TABLES, is_table_name
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch import driven_scene, idle, notices
 from mast_zenoh.launch import folder as run_folder
+from mast_zenoh.launch.table_files import TableFiles, place_of
 from mast_zenoh.messagelog import churn
 from mast_zenoh.messagelog.reader import first_incomplete_frame, first_missing_frame
 from mast_zenoh.run_files import subfolder
 from mast_zenoh.wiring.model import Wiring
 
-_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
 _MAX_PROBLEM_CHARS = 300  # of a problem as a node describes it
-MAX_TABLES = 100  #: that one node may write
-MAX_COLUMNS = 1000  #: of one table
-_EXPECTED_NAME = "expected a name of at most 64 letters, digits, dots, hyphens and underscores that begins with no dot"
 
 #: Arrival of the first message of each frame, by key and frame, ns; and time at which each frame was sent, ns.
 Arrivals = Mapping[str, Mapping[int, int]]
@@ -94,12 +91,14 @@ def write(
     record: dict[str, Any],
     handed_in: Mapping[str, Mapping[str, Any]],
     measured: Mapping[str, Any],
+    tables: TableFiles,
 ) -> None:
     """Write the results of all nodes into the run folder, and add notices to `record`.
 
     record:    run.json, with its nodes and timings
     handed_in: what each node returned from `finish`
     measured:  see `write_results`
+    tables:    those that nodes have handed in part by part
     """
     note_recording(folder, record, handed_in, resolved.nodes)
     collations = results.collations(handed_in, resolved.nodes)
@@ -108,7 +107,7 @@ def write(
     measured = {"late": results.late(collations), **measured}
     if "replay" in record:
         measured["replay"] = {key: value for key, value in record["replay"].items() if key != "notices"}
-    refused = write_results(folder, handed_in, measured)
+    refused = write_results(folder, handed_in, measured, tables)
     if outside := results.outside(handed_in, resolved.nodes):
         record["outside"] = outside
     record["notices"] = notices.of_run(resolved, record, collations, measured, refused, results.left_out(handed_in))
@@ -126,10 +125,14 @@ def write(
         record["notices"] += notices.of_estimates(metrics.get("driven"), metrics.get("frames"))
         record["notices"] += notices.of_confidence(metrics, innovations)
     played = record["timings"].get("frames") or 0
-    record["notices"] += (idle.idle_metrics if "replay" in record else idle.idle_parts)(resolved, played, handed_in)
+    record["notices"] += (idle.idle_metrics if "replay" in record else idle.idle_parts)(
+        resolved, played, handed_in, folder
+    )
 
 
-def write_results(folder: Path, results: Mapping[str, Mapping[str, Any]], measured: Mapping[str, Any]) -> list[str]:
+def write_results(
+    folder: Path, results: Mapping[str, Mapping[str, Any]], measured: Mapping[str, Any], handed_in: TableFiles
+) -> list[str]:
     """Write what nodes returned from `finish`; return a sentence per refused part.
 
     The evaluator's `metrics`, and those of its `tables` that are in `results.TABLES`, become metrics.json and Parquet
@@ -137,13 +140,14 @@ def write_results(folder: Path, results: Mapping[str, Mapping[str, Any]], measur
     as results.json.
 
     measured: entries of metrics.json in addition to the evaluator's metrics; wall-clock values replace the evaluator's
+    handed_in: tables that nodes have handed in part by part, which are written already
     """
-    refused: list[str] = []
+    refused = [f"{node}: table {table}: {problem}" for (node, table), problem in handed_in.refused.items()]
     for node, result in results.items():
         other_parts = dict(result)
         tables = other_parts.pop("tables", {})
-        if not _NAME.fullmatch(node):
-            refused.append(f"{node!r:.80}: {_EXPECTED_NAME}")
+        if not is_table_name(node):
+            refused.append(f"{node!r:.80}: {EXPECTED_NAME}")
             continue
         if node == EVALUATOR and isinstance(other_parts.get("metrics"), Mapping):
             run_folder.write_json(
@@ -158,28 +162,28 @@ def write_results(folder: Path, results: Mapping[str, Mapping[str, Any]], measur
                 f"only the first {MAX_TABLES} are written"
             )
         for name, table in islice(tables.items(), MAX_TABLES):
-            place = () if node == EVALUATOR and name in TABLES else ("results", node)
-            if problem := _write_named(folder, place, name, table):
+            written = (node, name) in handed_in.written
+            if problem := "handed in before" if written else _write_named(folder, node, name, table):
                 refused.append(f"{node}: table {name!r:.80}: {problem}")
         if other_parts:
             run_folder.write_json(subfolder(folder, "results", node) / "results.json", run_folder.finite(other_parts))
+    if handed_in.problem is not None:
+        raise handed_in.problem
     return refused
 
 
-def _write_named(folder: Path, place: tuple[str, ...], name: object, table: object) -> str:
-    """Write a node's table into a subfolder; return why it is refused, or an empty string."""
-    if not isinstance(name, str) or not _NAME.fullmatch(name):
-        return _EXPECTED_NAME
+def _write_named(folder: Path, node: str, name: Any, table: object) -> str:
+    """Write a node's table into its folder; return why it is refused, or an empty string."""
+    if not is_table_name(name):
+        return EXPECTED_NAME
     if not isinstance(table, Mapping):
         return f"found a {type(table).__name__}, expected a dict of columns"
     if len(table) > MAX_COLUMNS:
         return f"found {len(table)} columns, expected at most {MAX_COLUMNS}"
-    from mast_zenoh.launch.tables import (
-        write_table,  # only the launcher writes tables; nodes must not pay for the import
-    )
+    from mast_zenoh.launch.tables import write_table  # loads Arrow, as in TableFiles
 
     try:
-        write_table(subfolder(folder, *place) / f"{name}.parquet", table)
+        write_table(subfolder(folder, *place_of(node, name)) / f"{name}.parquet", table)
     except (OSError, MemoryError, ImportError, RunFolderError):  # not the table's fault: the run lacks a file
         raise
     except Exception as error:  # Arrow has many error classes, and users write tables

@@ -49,6 +49,7 @@ class Display:
         self._next_s = 0.0
         self._printed_frame = 0
         self._printed_s = 0.0
+        self._waited_s = float("-inf")  # when a line said for which nodes the end waits
         self._first_s: float | None = None  # when a frame was seen first
         self._first_frame = 0  # which
         self._switch_s = sys.getswitchinterval()
@@ -71,8 +72,11 @@ class Display:
         """Print a permanent line, unbroken however long it is."""
         self.console.print(line, highlight=False, soft_wrap=True)
 
-    def update(self, frame: int, status: Callable[[], Status]) -> None:
-        """Show the run at a frame; `status` is only called when it is time to draw."""
+    def update(self, frame: int, status: Callable[[], Status], waiting: str = "") -> None:
+        """Show the run at a frame; `status` is only called when it is time to draw.
+
+        waiting: for which nodes the end of the run waits
+        """
         now = time.monotonic()
         if frame > 0 and self._first_s is None:
             self._first_s, self._first_frame = now, frame
@@ -84,6 +88,10 @@ class Display:
                 self._live.update(Text("\n").join(lines), refresh=True)
                 done = time.monotonic()
                 self._next_s = max(now + _PERIOD_S, done + (done - now) / _SHARE)
+        elif waiting and not self._quiet:
+            if now - self._waited_s >= _LINE_S:
+                self._waited_s = now
+                self.say(f"{self._title}: {waiting}")
         elif not self._quiet and self._is_line_due(frame, now):
             self._printed_frame, self._printed_s = frame, now
             of = f" of {self._frames}" if self._frames < _ENDLESS else ""

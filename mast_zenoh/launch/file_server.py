@@ -42,13 +42,13 @@ class FileServer:
 
     context: its refused requests are counted, and a node of another version is noted as the run's error
     started: whether a node is to run now; one that asks before gets no files, and asks again
-    last_received_s: when the last piece of a file was received, on the monotonic clock
+    last_received_s: by node, when the last piece of a file was received, on the monotonic clock
     """
 
     def __init__(
         self, session: zenoh.Session, context: RunContext, started: Callable[[str], bool] = lambda node: True
     ) -> None:
-        self.last_received_s = float("-inf")
+        self.last_received_s: dict[str, float] = {}
         self._folder = context.folder
         self._resolved = context.resolved_for
         self._started = started
@@ -171,7 +171,7 @@ class FileServer:
                 raise MessageError(f"{path}: has {file.tell()} bytes, found a piece that begins at {offset}")
             file.seek(offset)
             file.write(piece)
-        self.last_received_s = time.monotonic()
+        self.last_received_s[node] = time.monotonic()
         return {}
 
 

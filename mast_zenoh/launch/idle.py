@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -33,22 +34,28 @@ _OWN_MESSAGES = ("attack_report", "observation")
 _UNDER_WAY_S = 1.0
 
 
-def idle_parts(resolved: Resolved, frames: int, handed_in: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
+def idle_parts(
+    resolved: Resolved, frames: int, handed_in: Mapping[str, Mapping[str, Any]], folder: Path
+) -> list[dict[str, Any]]:
     """A notice {"kind": "idle", "count": 1, "text"} for each part of a run that took part in nothing.
 
     frames: number of frames played;  handed_in: what each node returned from `finish`
+    folder: of the run, with its tables
     """
     if not frames:
         return []
-    run = _Played(resolved, frames, handed_in)
+    run = _Played(resolved, frames, handed_in, folder)
     sentences = [*resolved.idle, *_adversaries(run), *_coordinators(run), *_defences(run)]
     sentences += [*_vetoes(run), *_links(run), *_faults(run), *_sensors(run), *_agents(run), *_metrics(run)]
     return [{"kind": "idle", "count": 1, "text": text} for text in dict.fromkeys(sentences)]
 
 
-def idle_metrics(resolved: Resolved, frames: int, handed_in: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
+def idle_metrics(
+    resolved: Resolved, frames: int, handed_in: Mapping[str, Mapping[str, Any]], folder: Path
+) -> list[dict[str, Any]]:
     """The notices of a replay: of its metrics alone, as all else was played."""
-    return [{"kind": "idle", "count": 1, "text": text} for text in _metrics(_Played(resolved, frames, handed_in))]
+    sentences = _metrics(_Played(resolved, frames, handed_in, folder))
+    return [{"kind": "idle", "count": 1, "text": text} for text in sentences]
 
 
 @dataclass(frozen=True)
@@ -58,6 +65,7 @@ class _Played:
     resolved: Resolved
     frames: int
     handed_in: Mapping[str, Mapping[str, Any]]
+    folder: Path
 
     @cached_property
     def wiring(self) -> Wiring:
@@ -86,11 +94,13 @@ class _Played:
             if message in ("", wire.message)
         )
 
-    def table(self, name: str) -> Mapping[str, np.ndarray]:
-        """A table of the evaluator, by column; {} without it."""
-        tables = self.handed_in.get(EVALUATOR, {}).get("tables")
-        table = tables.get(name) if isinstance(tables, Mapping) else None
-        return {key: np.asarray(column) for key, column in table.items()} if isinstance(table, Mapping) else {}
+    def table(self, name: str, *columns: str) -> Iterator[Mapping[str, np.ndarray]]:
+        """Some columns of a table of the evaluator, one row group after the other; none if it does not have them."""
+        from mast_zenoh.launch.tables import read_groups  # loads Arrow
+
+        for rows in read_groups(self.folder / f"{name}.parquet", *columns):
+            if len(rows) == len(columns):
+                yield rows
 
 
 def _adversaries(run: _Played) -> Iterator[str]:
@@ -203,18 +213,21 @@ def _faults(run: _Played) -> Iterator[str]:
 
     In lock-step alone: in real time, delays of less than a frame are not measured as effects.
     """
-    effects = run.table("attacks")
-    if run.resolved.mode != "lockstep" or not run.metrics or not {"interposer", "frame", "effect"} <= effects.keys():
+    if run.resolved.mode != "lockstep" or not run.metrics:
         return
-    settled = effects["effect"] != "unsettled"
-    time_s = effects["frame"] * run.resolved.period_ns * 1e-9
+    frames: dict[str, set[int]] = {}  # by interposer, those in which it had an effect
+    for rows in run.table("attacks", "interposer", "frame", "effect"):
+        settled = rows["effect"] != "unsettled"
+        for interposer in np.unique(rows["interposer"][settled]).tolist():
+            affected = np.unique(rows["frame"][settled & (rows["interposer"] == interposer)])
+            frames.setdefault(str(interposer), set()).update(affected.tolist())
     for band in run.resolved.timeline:
         if (band["kind"], band["backend"]) != ("fault", "links") or band["at_s"] > run.duration_s:
             continue
         until_s = np.inf if band["until_s"] is None else band["until_s"]
         nodes = {name for name, spec in run.of_role("link").items() if spec.config.get("agent") in band["nodes"]}
-        in_time = (time_s >= band["at_s"] - _UNDER_WAY_S) & (time_s <= until_s)
-        if nodes and not (settled & in_time & np.isin(effects["interposer"].astype(str), sorted(nodes))).any():
+        times_s = [frame * run.resolved.period_ns * 1e-9 for node in nodes for frame in frames.get(node, ())]
+        if nodes and not any(band["at_s"] - _UNDER_WAY_S <= time_s <= until_s for time_s in times_s):
             end = "" if band["until_s"] is None else f" to {band['until_s']:g}"
             yield f"fault {band['label']} changed no message from {band['at_s']:g}{end} s"
 
@@ -236,14 +249,15 @@ def _sensors(run: _Played) -> Iterator[str]:
 
 def _agents(run: _Played) -> Iterator[str]:
     """Agents without a track of their own, in runs that last long enough for tracks to begin."""
-    table = run.table("metrics")
-    if run.metrics.get("settled") is not True or not {"agent", "estimator", "tp", "fp"} <= table.keys():
+    if run.metrics.get("settled") is not True:
         return
-    own = table["estimator"].astype(str) == LOCAL
-    for agent in dict.fromkeys(table["agent"][own].tolist()):
-        rows = own & (table["agent"].astype(str) == agent)
-        if not (table["tp"][rows] + table["fp"][rows]).any():
-            yield f"{agent} had no track within the range of the metrics"
+    tracked: dict[str, bool] = {}
+    for rows in run.table("metrics", "agent", "estimator", "tp", "fp"):
+        own = rows["estimator"].astype(str) == LOCAL
+        for agent in dict.fromkeys(rows["agent"][own].tolist()):
+            of_agent = own & (rows["agent"].astype(str) == agent)
+            tracked[agent] = tracked.get(agent, False) or bool((rows["tp"][of_agent] + rows["fp"][of_agent]).any())
+    yield from (f"{agent} had no track within the range of the metrics" for agent, any_ in tracked.items() if not any_)
 
 
 def _metrics(run: _Played) -> Iterator[str]:

@@ -60,8 +60,8 @@ class LauncherActions(ABC):
     def reports(self) -> Iterable[Report]:
         """The reports of nodes since the last call, in order of arrival."""
 
-    def last_file_s(self) -> float:
-        """When the last piece of a file of a node arrived, s on the monotonic clock."""
+    def last_data_s(self, node: str) -> float:
+        """When the last piece of a file of a node, or part of a table, arrived, s on the monotonic clock."""
         return float("-inf")
 
     @abstractmethod
@@ -238,8 +238,49 @@ class Steps:
         return True
 
 
-LEAVE_GRACE_S = 20.0  #: from the end of the scene to the last node's results
-INTERRUPT_GRACE_S = 5.0  #: the same after a stop signal
+LEAVE_GRACE_S = 20.0  #: without progress of any node, from the end of the scene to the last node's results
+INTERRUPT_GRACE_S = 5.0  #: the same after a stop signal, when only data counts as progress
+COMPUTE_LIMIT_S = 600.0  #: for which a node may compute without data, as its supervisor measures it
+UNMEASURED_LIMIT_S = 120.0  #: the same where nothing measures it
+END_LIMIT_S = 3600.0  #: for everything
+#: Share of a processor that counts as computing: one with an open session needs a tenth of that while it waits, and one
+#: that computes gets four times as much beside twenty others.
+_COMPUTING = 0.0125
+_SHOWN_S = 2.0  # of waiting, before it is shown
+
+
+class _Progress:
+    """Whether nodes make progress that have been asked to finish: by data, and by processor time as measured."""
+
+    def __init__(self, state: RunState, actions: LauncherActions) -> None:
+        self._now_s = state.now_s
+        self._actions = actions
+        self._computed: dict[str, tuple[float, float]] = {}  # by node: processor time, and when it had grown to that, s
+
+    def problem(self, child: Child, since: float, grace: float, *, interrupted: bool) -> str:
+        """Why a node is not waited for any longer; empty: it has made progress lately.
+
+        since: when it was asked to finish, s;  grace: for which it may make none, s
+        """
+        now, cpu_s = self._now_s(), child.cpu_s
+        data_s = max(since, self._actions.last_data_s(child.name))
+        computed_s = data_s
+        if cpu_s is not None:
+            before_s, computed_s = self._computed.get(child.name, (cpu_s, since))
+            if cpu_s < before_s or cpu_s - before_s >= _COMPUTING * grace:  # less: it is another process
+                before_s, computed_s = cpu_s, now
+            self._computed[child.name] = before_s, computed_s
+        if interrupted:
+            return f"has not finished within {grace:.0f} s" if now - data_s > grace else ""
+        if now - since > END_LIMIT_S:
+            return f"has not finished within {END_LIMIT_S:.0f} s"
+        if cpu_s is None:
+            limit = max(grace, UNMEASURED_LIMIT_S)
+            return f"has not finished within {limit:.0f} s" if now - data_s > limit else ""
+        if now - max(data_s, computed_s) > grace:
+            return f"has not finished within {grace:.0f} s" + (" without progress" if computed_s > since else "")
+        limit = max(grace, COMPUTE_LIMIT_S)
+        return f"has computed for {limit:.0f} s and handed in nothing" if now - data_s > limit else ""
 
 
 def churn_of(outcomes: Mapping[str, Mapping[str, Any]], state: RunState) -> list[dict[str, Any]]:
@@ -266,6 +307,18 @@ class Endings:
         self._steps = steps
         self._actions = actions
         self._interrupts = 0  # stop signals that have been handled
+        self._progress = _Progress(state, actions)
+
+    @property
+    def waiting(self) -> str:
+        """For which nodes the end of the run waits, and for how long; empty: for none, or not for long."""
+        since = self._stop.since
+        waited_s = 0.0 if since is None else self._state.now_s() - since
+        names = [child.name for child in self._supervisor.running() if not child.handed_in]
+        if waited_s < _SHOWN_S or not names:
+            return ""
+        more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+        return f"{', '.join(names[:3])}{more}: finishing, {waited_s:.0f} s"
 
     def advance(self) -> bool:
         """Handle what has happened since the last call; returns whether the run is over."""
@@ -345,7 +398,7 @@ class Endings:
         return f": {line}" if line else ""
 
     def _ask_to_stop(self, since: float) -> bool:
-        """Ask all nodes to stop; return whether the grace period is over."""
+        """Ask all nodes to stop; return whether no node makes progress any longer."""
         self._actions.stop(self._stop.reason)  # every time: one that is still starting or cut off has not received it
         if self._interrupts > 1:
             return True
@@ -353,11 +406,13 @@ class Endings:
         self._supervisor.connect(self._supervisor.running())
         # A disconnected node needs the longer grace period to reconnect.
         grace = INTERRUPT_GRACE_S if self._interrupts and not self._steps.cut else LEAVE_GRACE_S
-        if self._state.now_s() - max(since, self._actions.last_file_s()) <= grace:
+        interrupted, running = self._interrupts > 0, self._supervisor.running()
+        problems = [self._progress.problem(child, since, grace, interrupted=interrupted) for child in running]
+        if not problems or not all(problems):
             return False
-        for child in self._supervisor.running():
+        for child, problem in zip(running, problems, strict=True):
             if child.spec.on_exit == "fail" and not child.exit_expected:
-                self._stop.note(NodeDied(f"{child.name} has not finished within {grace:.0f} s; it is killed"))
+                self._stop.note(NodeDied(f"{child.name} {problem}; it is killed"))
         return True
 
 

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import heapq
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,9 +18,11 @@ from mast_zenoh.config.allowed_code import SHIPPED, AllowedCode
 from mast_zenoh.config.resolved import Resolved, build_node
 from mast_zenoh.control import failures
 from mast_zenoh.control.results import EVALUATOR
+from mast_zenoh.control.tables import TablePart
 from mast_zenoh.errors import HandlerFailed, RunFolderError
 from mast_zenoh.launch import conclusion, notices
 from mast_zenoh.launch import folder as run_folder
+from mast_zenoh.launch.table_files import TableFiles
 from mast_zenoh.messagelog import reader
 from mast_zenoh.messagelog.format import JOINED, LEFT, MALFORMED, REWIRED, Event
 from mast_zenoh.messagelog.reader import Recorded, events, file_of, read
@@ -49,12 +52,15 @@ def recorded_wirings(path: Path) -> list[tuple[int, Wiring]]:
 _HELD_FRAMES = 8
 
 
-def results_of(resolved: Resolved, name: str, path: Path) -> dict[str, Any]:
+def results_of(
+    resolved: Resolved, name: str, path: Path, hand_in: Callable[[TablePart], None] | None = None
+) -> dict[str, Any]:
     """The results of a node's `finish` after it has received a recording.
 
     resolved: the scenario of the recorded run, with the user's modules loaded
     name:     a node of that scenario that receives every key
     path:     the recording, or the folder of the run
+    hand_in:  takes the parts of the node's tables; None: they are in the results
 
     Raises RunFolderError for a recording that is missing or damaged, and HandlerFailed if the node fails.
     """
@@ -79,6 +85,7 @@ def results_of(resolved: Resolved, name: str, path: Path) -> dict[str, Any]:
         timespan=resolved.timespan,
     )
     host.limits = RowLimits(resolved.max_rows)
+    host.tables.hand_in = hand_in
     present = {}
     while changes and changes[0].what == JOINED and changes[0].frame < 0:
         event = changes.popleft()
@@ -189,7 +196,13 @@ def measure(folder: Path, allowed: AllowedCode = SHIPPED) -> list[str]:
     incomplete = incomplete_recording(folder)
     if incomplete and previous:
         _refuse_worse(folder, previous, incomplete)
-    results = results_of(resolved, EVALUATOR, folder)
+    tables = TableFiles(folder)
+    try:
+        results = results_of(resolved, EVALUATOR, folder, partial(tables.add, EVALUATOR, "measured"))
+    except BaseException:
+        tables.discard(EVALUATOR)  # those of the run are kept
+        raise
+    tables.close()
     kept: dict[str, Any] = {name: previous[name] for name in _NOT_RECORDED if name in previous}
     if incomplete:
         kept["recording"] = incomplete._asdict()
@@ -200,7 +213,11 @@ def measure(folder: Path, allowed: AllowedCode = SHIPPED) -> list[str]:
         for name, here in plugins.versions_of(resolved.plugins.values()).items()
         if recorded_by.get(name) != here
     ]
-    return [*conclusion.write_results(folder, {EVALUATOR: results}, kept), *notices.of_recording(record), *others]
+    return [
+        *conclusion.write_results(folder, {EVALUATOR: results}, kept, tables),
+        *notices.of_recording(record),
+        *others,
+    ]
 
 
 def scenario_of(folder: Path, allowed: AllowedCode = SHIPPED) -> Resolved:

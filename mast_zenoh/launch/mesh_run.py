@@ -29,6 +29,7 @@ from mast_zenoh.launch.local_mesh import BlockingClients
 from mast_zenoh.launch.netns.hosts import Hosts
 from mast_zenoh.launch.observation import Observation
 from mast_zenoh.launch.reports import Reports
+from mast_zenoh.launch.table_files import TableFiles
 from mast_zenoh.runtime.protocol.traffic import stamp_of
 from mast_zenoh.wiring.model import Wiring
 
@@ -92,7 +93,8 @@ class MeshLauncher(LauncherActions):
         self._changes: list[dict[str, Any]] = context.record.setdefault("interceptions", [])
         # Not a SimpleQueue: its `get` never returns if a signal is still being handled when the timeout expires.
         self._acts: queue.Queue[flow.Act] = queue.Queue(MAX_ACTS)
-        self._reports = Reports(session, self._control, mesh.supervisor.children, context.invalid)
+        self._tables = TableFiles(context.folder)
+        self._reports = Reports(session, self._control, mesh.supervisor.children, context.invalid, self._tables)
         self._protocol = LauncherProtocol(context, mesh.supervisor, self)
         base = prefix(context.run_id)
         interceptions = InterceptionServer(context.folder, base, session, self._protocol.interceptions, self)
@@ -128,6 +130,7 @@ class MeshLauncher(LauncherActions):
             self._observation.close()
             self._supervisor.end(_END_GRACE_S)
             self._protocol.finish()
+            self._tables.close()
             for close in self._close:
                 close()
 
@@ -144,7 +147,12 @@ class MeshLauncher(LauncherActions):
         self._check_network()
         over = self._protocol.advance(act)
         self._observation.advance()
-        self._display.update(self._context.frame + 1, lambda: self._observation.status(self._supervisor.children))
+        waiting = self._protocol.endings.waiting
+        self._display.update(
+            self._context.frame + 1,
+            lambda: self._observation.status(self._supervisor.children, waiting),
+            waiting,
+        )
         return over
 
     def _check_file_server(self) -> None:
@@ -189,7 +197,7 @@ class MeshLauncher(LauncherActions):
         if context.resolved.mode == "realtime":
             measured["latency_ms"] = conclusion.latency_ms(Wiring.from_json(context.resolved.wiring), outcomes)
             measured["frames_per_second"] = record["timings"].get("frames_per_second")
-        conclusion.write(context.resolved, context.folder, record, handed_in, measured)
+        conclusion.write(context.resolved, context.folder, record, handed_in, measured, self._tables)
         if isinstance(stop.problem, StallError):
             stop.problem = ending.of_stall(stop.problem, record["notices"])
         if stop.problem is None and EVALUATOR not in handed_in:
@@ -243,8 +251,9 @@ class MeshLauncher(LauncherActions):
     def reports(self) -> Iterator[Report]:
         return self._reports.take()
 
-    def last_file_s(self) -> float:
-        return self._file_server.last_received_s if self._file_server else float("-inf")
+    def last_data_s(self, node: str) -> float:
+        times_s = [self._reports.last_part_s, self._file_server.last_received_s if self._file_server else {}]
+        return max(of_node.get(node, float("-inf")) for of_node in times_s)
 
     def stop(self, reason: str) -> None:
         self._put("stop", reason)

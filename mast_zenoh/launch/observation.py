@@ -364,12 +364,13 @@ class Observation:
                 part.close()
         self._activities = self._scores = None
 
-    def status(self, children: Mapping[str, Child]) -> Status:
-        """What is to be shown now."""
+    def status(self, children: Mapping[str, Child], waiting: str = "") -> Status:
+        """What is to be shown now; waiting: for which nodes the end of the run waits."""
         context = self._context
         states = {name: state_of(child, context.frame) for name, child in children.items()}
         activities = {} if self._activities is None else {name: self._activities.of(name) for name in children}
         inserted = interceptions(context.record.get("interceptions", ()))
+        inserted += [waiting] if waiting else []
         return _status(context.resolved, context.frame, states, activities, inserted, self._score.newest())
 
     def _follow(self, session: zenoh.Session, resolved: Resolved) -> None:

@@ -21,6 +21,7 @@ from typing import IO, Any
 
 from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.errors import StartError
+from mast_zenoh.launch.processor_time import processor_time_s
 from mast_zenoh.launch.supervisor import Child, Supervisor
 
 #: s, for the server to import everything and to answer, and for it to leave.
@@ -149,6 +150,10 @@ class Process(Child):
         super().__init__(name, spec)
         self.log = log
         self.process = process
+
+    @property
+    def cpu_s(self) -> float | None:
+        return processor_time_s(self.process.pid)
 
     @property
     def exit(self) -> int | None:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import hashlib
 import queue
 import threading
+import time
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from typing import Any
 
 import zenoh
@@ -15,13 +17,16 @@ from mast_zenoh.config.resolved import DRIVER_ROLE
 from mast_zenoh.control import files
 from mast_zenoh.control.codec import InvalidMessages
 from mast_zenoh.control.failures import MAX_HANDLERS, Entry, decode_failure, merged
-from mast_zenoh.control.results import decode_result
+from mast_zenoh.control.results import decode_part, decode_result, is_part
+from mast_zenoh.control.tables import TablePart
 from mast_zenoh.errors import MessageError
 from mast_zenoh.launch.launcher_protocol import Report
 from mast_zenoh.launch.supervisor import Child
+from mast_zenoh.launch.table_files import TableFiles
 
-#: Reports of one node in the queue; an honest node sends results one at a time.
-MAX_WAITING = {"result": 2, "failed": 1000}
+#: Reports of one node in the queue. An honest node sends results, and parts of tables, one at a time; a part that is
+#: not answered in time again.
+MAX_WAITING = {"result": 2, "part": 8, "failed": 1000}
 
 #: Processes of one node, one after the other, that may report failures.
 MAX_PROCESSES = 64
@@ -33,12 +38,21 @@ class Reports:
     control:  prefix of the run's control keys
     children: the nodes of the run by name; reports under other names are refused
     invalid:  counts refused reports: malformed, too long, too many, of unknown nodes, results handed in twice
+    tables:   where parts of tables go
     outcomes: what each node handed in last
+    last_part_s: by node, when its last part of a table arrived, s on the monotonic clock
     """
 
     def __init__(
-        self, session: zenoh.Session, control: str, children: Mapping[str, Child], invalid: InvalidMessages
+        self,
+        session: zenoh.Session,
+        control: str,
+        children: Mapping[str, Child],
+        invalid: InvalidMessages,
+        tables: TableFiles,
     ) -> None:
+        self.last_part_s: dict[str, float] = {}
+        self._tables = tables
         self.outcomes: dict[str, dict[str, Any]] = {}
         self._children = children
         self._invalid = invalid
@@ -66,8 +80,9 @@ class Reports:
             kind, node, report = self._queue.get()
             with self._lock:
                 self._waiting[kind, node] -= 1
+            take: Any = {"failed": self._take_failure, "result": self._take_result, "part": self._take_part}[kind]
             try:
-                yield from (self._take_failure if kind == "failed" else self._take_result)(node, *report)
+                yield from take(node, *report)
             except MessageError as error:
                 self._invalid.note(f"{kind}/{node}", error)
 
@@ -82,9 +97,12 @@ class Reports:
     # Reports are decoded on arrival, in Zenoh's threads: malformed ones never enter the queue.
 
     def _on_result(self, query: zenoh.Query) -> None:
+        node = str(query.key_expr).rpartition("/")[2]
+        payload = query.payload.to_bytes() if query.payload else b""
+        if is_part(payload):
+            self._on_part(query, node, payload)
+            return
         with query:
-            node = str(query.key_expr).rpartition("/")[2]
-            payload = query.payload.to_bytes() if query.payload else b""
             try:
                 drives = self._child("result", node).spec.role == DRIVER_ROLE
                 outcome = decode_result(payload, node, drives=drives)
@@ -94,6 +112,15 @@ class Reports:
                 query.reply_err(files.encode_refusal(error))
             else:
                 query.reply(query.key_expr, b"taken")
+
+    def _on_part(self, query: zenoh.Query, node: str, payload: bytes) -> None:
+        """Queue a part with its query, which is answered when it is written: so few parts are in memory."""
+        try:
+            self._child("result", node)
+            self._put("part", node, (query, *decode_part(payload)))
+        except MessageError as error:
+            self._refuse("result", node, error)
+            _answer(query, error)
 
     def _on_failed(self, sample: zenoh.Sample) -> None:
         node = str(sample.key_expr).rpartition("/")[2]
@@ -118,6 +145,18 @@ class Reports:
 
     def _refuse(self, kind: str, node: str, error: MessageError) -> None:
         self._invalid.note(f"{kind}/{node if node in self._children else '*'}", error)
+
+    def _take_part(self, node: str, query: zenoh.Query, process: str, part: TablePart) -> Iterator[Report]:
+        problem: MessageError | None = None
+        try:
+            self._tables.add(node, process, part)
+            self.last_part_s[node] = time.monotonic()
+        except MessageError as error:
+            problem = error
+        _answer(query, problem)
+        if problem is not None:
+            raise problem
+        yield from ()
 
     def _take_failure(self, node: str, process: str, entry: Entry) -> Iterator[Report]:
         by_handler = self._entries_of(node, process)
@@ -152,3 +191,13 @@ class Reports:
         if process not in processes and len(processes) >= MAX_PROCESSES:
             raise MessageError(f"failed: more than {MAX_PROCESSES} processes of one node")
         return processes.setdefault(process, {})
+
+
+def _answer(query: zenoh.Query, problem: MessageError | None) -> None:
+    """Answer a query, unless its node has gone."""
+    with suppress(zenoh.ZError):
+        if problem is None:
+            query.reply(query.key_expr, b"taken")
+        else:
+            query.reply_err(files.encode_refusal(problem))
+    query.drop()

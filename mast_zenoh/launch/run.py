@@ -28,6 +28,7 @@ from mast_zenoh.launch.context import RunContext
 from mast_zenoh.launch.display import Display
 from mast_zenoh.launch.engine import Engine
 from mast_zenoh.launch.observation import InProcessObservation
+from mast_zenoh.launch.table_files import TableFiles
 from mast_zenoh.messagelog import churn
 from mast_zenoh.messages import user_types
 from mast_zenoh.runtime.inproc import InProcess
@@ -252,8 +253,13 @@ def _run_inproc(
             display.update(frame, lambda: observation.status(frame, process.hosts))
             return not received
 
+        tables = TableFiles(folder)
         process = InProcess(
-            resolved.in_folder(folder), progress=progress, tap=observation.tap, stopping=lambda: bool(received)
+            resolved.in_folder(folder),
+            progress=progress,
+            tap=observation.tap,
+            stopping=lambda: bool(received),
+            hand_in=tables.add,
         )
         outcomes: dict[str, dict[str, Any]] = {}
         try:
@@ -263,11 +269,12 @@ def _run_inproc(
             conclusion.note_recording(folder, record, {}, resolved.nodes)
             raise
         finally:
+            tables.close()
             record["nodes"] = _nodes_inproc(resolved, folder, process, outcomes)
     timing = outcomes.pop("")
     record["timings"] |= conclusion.rates(timing["frames"], timing["wall_s"])
     record["steps"] = [step._asdict() for step in process.steps]
-    conclusion.write(resolved, folder, record, outcomes, {})
+    conclusion.write(resolved, folder, record, outcomes, {}, tables)
     if received and timing["frames"] < resolved.frames:
         raise ending.from_signals(received)
     if logs.failure is not None:

@@ -28,6 +28,11 @@ class Child(ABC):
         self.notes: list[str] = []
 
     @property
+    def cpu_s(self) -> float | None:
+        """Processor time of its process so far, s, as its supervisor measures it; None if it cannot."""
+        return None
+
+    @property
     @abstractmethod
     def exit(self) -> int | None:
         """Exit code, negative for a signal; None while it runs."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from importlib.abc import MetaPathFinder
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from pyarrow import parquet
 
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.run_files import check_plain, replacing
-from mast_zenoh.unpacking import check_expanded, read_parquet
+from mast_zenoh.unpacking import check_expanded, read_parquet, read_row_groups
 
 #: Columns of text get this type at once, because `dictionary_encode` would load all of Arrow's compute functions.
 _TEXT = pyarrow.dictionary(pyarrow.int32(), pyarrow.string())
@@ -51,6 +52,21 @@ def write_table(path: Path, columns: Mapping[str, Any]) -> None:
     table = to_arrow(columns)
     with replacing(path) as new:
         parquet.write_table(table, new)
+
+
+def read_groups(path: Path, *names: str) -> Iterator[dict[str, NDArray[Any]]]:
+    """Some columns of a table, one row group after the other; those that it does not have are left out.
+
+    Raises RunFolderError if it is broken; no rows if it is missing.
+    """
+    with suppress(FileNotFoundError):
+        try:
+            for group in read_row_groups(check_plain(path), names):
+                yield from_arrow(group)
+        except FileNotFoundError:
+            raise
+        except (OSError, pyarrow.ArrowException) as error:
+            raise RunFolderError(f"{path}: {error}") from None
 
 
 def read_table(path: Path) -> dict[str, NDArray[Any]]:

@@ -17,6 +17,7 @@ import numpy as np
 
 from mast_zenoh.control import results
 from mast_zenoh.control.failures import Failure
+from mast_zenoh.control.tables import PartedTables
 from mast_zenoh.errors import ConfigurationError, MessageError, nearest
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.limits import NO_LIMITS, Shortened, Timespan, excess
@@ -79,6 +80,7 @@ class Host:
     limits: of the run on the rows of messages; the runtime sets them
     observe: called with the key and header of every valid message
     on_failure: called with every failure of a handler, after it has been counted
+    tables: rows that the node has appended; the runtime sets `hand_in`
     frame, time_ns: of the newest clock
     sent, handled: number of messages by key; failures: by handler
     rejected: number of rejected messages by (key, kind)
@@ -105,6 +107,7 @@ class Host:
         self.wiring = wiring
         self.limits = NO_LIMITS
         self.observe: Callable[[str, Header], None] | None = None
+        self.tables = PartedTables()
         self.on_failure: Callable[[Failure], None] = lambda failure: None
         self.frame = -1
         self.time_ns = 0
@@ -219,6 +222,12 @@ class Host:
     def reject(self, reason: str) -> None:
         self._count_rejected(self._handling, reason)
 
+    def append(self, table: str, columns: Mapping[str, Any]) -> None:
+        try:
+            self.tables.append(table, columns)
+        except MessageError as error:  # not of a received message
+            raise ConfigurationError(f"{self.name}: {error}") from None
+
     def connected(self, port: str, subject: str | None = None) -> bool:
         self._output(port)
         return bool(self._keys_of_port.get(port)) if subject is None else self._key(port, subject) is not None
@@ -265,7 +274,7 @@ class Host:
         self._emit = lambda out: None
 
         def finish() -> dict[str, Any]:
-            return results.checked(self.node.finish(self))
+            return self.tables.close(results.checked(self.node.finish(self)))
 
         return self._guard("finish", finish) or {}
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections import defaultdict, deque
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ import numpy as np
 from mast_zenoh.config.process_steps import LEAVING, ProcessStep
 from mast_zenoh.config.resolved import Resolved, build_node
 from mast_zenoh.control.failures import Entry, described, lines, location, merged
+from mast_zenoh.control.tables import TablePart
 from mast_zenoh.errors import NodeDied, RunError, StartError
 from mast_zenoh.messages import user_types
 from mast_zenoh.messages.limits import RowLimits
@@ -36,6 +38,8 @@ class InProcess:
     tap:     called with every message sent, tap legs included
     progress: called with the number of frames played; the run ends early when it returns False
     stopping: whether the run is to end after the current frame: then no node waits for programs outside it
+    hand_in: called with a node, its process and a part of its tables, as the launcher gets them on a mesh; None: tables
+             stay in memory, in the results
     """
 
     def __init__(
@@ -47,6 +51,7 @@ class InProcess:
         tap: Callable[[Outgoing], None] | None = None,
         progress: Callable[[int], bool | None] | None = None,
         stopping: Callable[[], bool] = lambda: False,
+        hand_in: Callable[[str, str, TablePart], None] | None = None,
     ) -> None:
         self._resolved = resolved
         user_types.use(resolved.messages)
@@ -60,6 +65,7 @@ class InProcess:
         self._tap = tap
         self._progress = progress
         self._stopping = stopping
+        self._hand_in = hand_in
         self._pending: _Fifo | _Shuffled = _Fifo() if shuffle is None else _Shuffled(shuffle)
         self._results: dict[str, dict[str, Any]] = {}
         self._all_hosts: list[Host] = []  # including those of nodes that ended or were restarted
@@ -157,6 +163,8 @@ class InProcess:
             timespan=self._resolved.timespan,
         )
         host.limits = self._limits
+        if self._hand_in is not None:
+            host.tables.hand_in = partial(self._hand_in, name, str(len(self._all_hosts)))
         self._all_hosts.append(host)
         return host
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import mmap
 import struct
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -189,22 +189,42 @@ def read_parquet(path: Path, columns: Collection[str] | None = None, max_bytes: 
         raise pyarrow.ArrowInvalid(f"found a name that is not UTF-8: {error}") from None
 
 
-def _read_bounded(path: Path, columns: Collection[str] | None, max_bytes: int) -> pyarrow.Table:
+def read_row_groups(
+    path: Path, columns: Collection[str] | None = None, max_bytes: int = MAX_TABLE_BYTES
+) -> Iterator[pyarrow.Table]:
+    """Read a Parquet file, or only some columns of it, one row group after the other, for long tables.
+
+    Raises as `read_parquet` does for a row group.
+    """
+    with parquet.ParquetFile(path, thrift_container_size_limit=_MAX_LIST) as file:
+        n_groups = file.metadata.num_row_groups
+    for group in range(n_groups):
+        try:
+            yield _read_bounded(path, columns, max_bytes, [group])
+        except UnicodeDecodeError as error:
+            raise pyarrow.ArrowInvalid(f"found a name that is not UTF-8: {error}") from None
+
+
+def _read_bounded(
+    path: Path, columns: Collection[str] | None, max_bytes: int, groups: Sequence[int] | None = None
+) -> pyarrow.Table:
+    """Read some columns of some row groups; None: all."""
     with parquet.ParquetFile(path, thrift_container_size_limit=_MAX_LIST) as file:
         wanted = [
             index
             for index in range(len(file.schema))
             if columns is None or file.schema.column(index).path.partition(".")[0] in columns
         ]
-        size = _unpacked_size(path, file, wanted, max_bytes)
+        groups = range(file.metadata.num_row_groups) if groups is None else groups
+        size = _unpacked_size(path, file, wanted, groups, max_bytes)
         schema = file.schema_arrow
         repeating = {file.schema.column(index).path for index in wanted} if file.metadata.num_rows else set()
         texts = sorted(name for name in repeating if name in schema.names and _is_text(schema, name))
         if not texts:
-            return file.read(columns=None if columns is None else list(columns))
+            return file.read_row_groups(groups, columns=None if columns is None else list(columns))
     # As a dictionary, a text that repeats is in memory once. It is expanded only when the size is known.
     with parquet.ParquetFile(path, thrift_container_size_limit=_MAX_LIST, read_dictionary=texts) as file:
-        table = file.read(columns=None if columns is None else list(columns))
+        table = file.read_row_groups(groups, columns=None if columns is None else list(columns))
     for name in texts:
         column, kind = table[name], schema.field(name).type
         size += len(column) * longest(column)
@@ -224,8 +244,11 @@ def _check(size: int, max_bytes: int) -> None:
         raise pyarrow.ArrowInvalid(f"found {size} bytes unpacked or more, expected at most {max_bytes}")
 
 
-def _unpacked_size(path: Path, file: Any, wanted: list[int], max_bytes: int) -> int:
-    """Bytes of some columns when they are read, text as dictionaries. Raises ArrowInvalid above `max_bytes`."""
+def _unpacked_size(path: Path, file: Any, wanted: list[int], groups: Sequence[int], max_bytes: int) -> int:
+    """Bytes of some columns and row groups when they are read, text as dictionaries.
+
+    Raises ArrowInvalid above `max_bytes`.
+    """
     size = pages = 0
     with path.open("rb") as raw, mmap.mmap(raw.fileno(), 0, access=mmap.ACCESS_READ) as content:
         for index in wanted:
@@ -234,7 +257,7 @@ def _unpacked_size(path: Path, file: Any, wanted: list[int], max_bytes: int) -> 
                 raise pyarrow.ArrowInvalid(f"column {column.path}: found lists, expected one value in each row")
             is_text = column.physical_type == "BYTE_ARRAY"
             width = max(8, column.length)
-            for group in range(file.metadata.num_row_groups):
+            for group in groups:
                 chunk = file.metadata.row_group(group).column(index)
                 values = 0
                 for header in _pages(content, chunk):

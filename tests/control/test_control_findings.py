@@ -530,7 +530,7 @@ def test_queries_that_do_not_fit_the_queue_are_counted_by_kind(file_server: File
 
 
 def test_an_oversized_failure_is_not_queued_at_the_launcher(context: RunContext) -> None:
-    reports = Reports(MagicMock(), "mast/x/@control", {"ego": MagicMock()}, context.invalid)
+    reports = Reports(MagicMock(), "mast/x/@control", {"ego": MagicMock()}, context.invalid, MagicMock())
     reports._on_failed(sample("failed/ego", bytes(CONTROLS["failed"].max_bytes + 1)))
     assert context.invalid.counts == {"failed/ego": 1}
     assert reports._queue.empty()

@@ -17,6 +17,7 @@ from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.launch import run
 from mast_zenoh.launch.idle import idle_parts
+from mast_zenoh.launch.tables import write_table
 from mast_zenoh.metrics import FrameMetric
 from mast_zenoh.report.html import write_report
 
@@ -181,7 +182,9 @@ def test_a_veto_is_named_where_nobody_knows_what_is_free() -> None:
 @pytest.mark.parametrize(
     ("settled", "expected"), [(True, ["infra_1 had no track within the range of the metrics"]), (False, [])]
 )
-def test_an_agent_without_tracks_is_named_if_the_run_was_long_enough(settled: bool, expected: list[str]) -> None:
+def test_an_agent_without_tracks_is_named_if_the_run_was_long_enough(
+    settled: bool, expected: list[str], tmp_path: Path
+) -> None:
     table = {
         "agent": np.array(["ego", "infra_1", "infra_1"], object),
         "estimator": np.array(["local", "local", "picture"], object),
@@ -189,7 +192,8 @@ def test_an_agent_without_tracks_is_named_if_the_run_was_long_enough(settled: bo
         "fp": np.zeros(3, int),
     }
     metrics = {"interposers": {}, "settled": settled, "agents": {}}
-    assert sentences(tiny(), {"evaluator": {"metrics": metrics, "tables": {"metrics": table}}}) == expected
+    write_table(tmp_path / "metrics.parquet", table)
+    assert sentences(tiny(), {"evaluator": {"metrics": metrics}}, tmp_path) == expected
 
 
 @pytest.mark.parametrize("results", [{}, {"metrics": 3}, {"metrics": {}, "tables": []}, {"tables": {"attacks": None}}])
@@ -197,6 +201,6 @@ def test_an_evaluator_of_the_user_may_return_anything(results: Any) -> None:
     assert sentences(tiny(edit=attack("on_tracks.toml")), {"evaluator": results}) == []
 
 
-def sentences(world: Resolved, handed_in: Any = MappingProxyType({})) -> list[str]:
-    """What is idle in a run of 12 frames with these results."""
-    return [notice["text"] for notice in idle_parts(world, 12, handed_in)]
+def sentences(world: Resolved, handed_in: Any = MappingProxyType({}), folder: Path = Path("nowhere")) -> list[str]:
+    """What is idle in a run of 12 frames with these results, and the tables in this folder."""
+    return [notice["text"] for notice in idle_parts(world, 12, handed_in, folder)]

@@ -19,6 +19,7 @@ from mast_zenoh.control.results import collations, late
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch import conclusion, run
 from mast_zenoh.launch import folder as run_folder
+from mast_zenoh.launch.table_files import TableFiles
 from mast_zenoh.launch.tables import read_arrow, read_table
 from mast_zenoh.run_files import read_json
 from mast_zenoh.wiring.model import Branch, Endpoint, Leg, Wire, Wiring
@@ -30,7 +31,7 @@ TABLE = {"frame": np.arange(3), "rmse_m": np.array([0.5, np.nan, 1.0])}
 def written(results: dict[str, Any], folder: Path, **measured: Any) -> tuple[list[str], set[str]]:
     """Write results to a new run folder; returns (refusals, names of the files)."""
     folder.mkdir()
-    refused = conclusion.write_results(folder, results, measured)
+    refused = conclusion.write_results(folder, results, measured, TableFiles(folder))
     return refused, {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
 
 

@@ -40,7 +40,7 @@ class Mesh:
         specs = {name: NodeSpec(role, "", "", {}, "continue") for name, role in roles.items()}
         self.children: dict[str, Child] = {name: Quiet(name, spec) for name, spec in specs.items()}
         self.invalid = InvalidMessages(lambda line: None)
-        self.reports = Reports(MagicMock(), "mast/x/@control", self.children, self.invalid)
+        self.reports = Reports(MagicMock(), "mast/x/@control", self.children, self.invalid, MagicMock())
 
     def ask(self, node: str, payload: bytes) -> str:
         """Why results are refused; empty: they are accepted."""

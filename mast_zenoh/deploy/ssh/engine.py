@@ -186,6 +186,12 @@ class RemoteNode(Child):
         """Exit code; a node whose host has lost its supervisor counts as killed."""
         return self.attachment.exit(self.name, self.start)
 
+    @property
+    def cpu_s(self) -> float | None:
+        """As the supervisor on its host has measured it last."""
+        state = self.attachment.state(self.name, self.start)
+        return state.get("cpu_s") if state else None
+
     def where(self) -> dict[str, Any]:
         state = self.attachment.state(self.name, self.start)
         return {"host": self.attachment.host.name, "pid": state["pid"] if state else None}

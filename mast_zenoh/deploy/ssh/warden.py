@@ -12,7 +12,8 @@ It has one folder: `control` (its socket), logs/, tmp/NODE, and the launcher's f
     {"id", "do": "state"}                         answer with the states of all nodes, after the logs written so far
     {"do": "alive"}                               the launcher is still there; no answer
 
-    {"warden": pid}   {"answer": id, …}   {"node": name, "start": id, "pid", "exit"}   {"log": name, "offset", "text"}
+    {"warden": pid}   {"answer": id, …}   {"node": name, "start": id, "pid", "exit", "cpu_s"}
+    {"log": name, "offset", "text"}
 
 A command with a known id is answered but not repeated: a launcher that lost the connection sends it again. The warden
 exits on its own after PATIENCE seconds without a sign of the launcher: no line, and no node that sees its liveliness
@@ -39,12 +40,15 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
+from mast_zenoh.launch.processor_time import processor_time_s
+
 NOT_THERE = 7  #: exit code of a client if no warden answers
 
 _CONTROL = "control"
 _UP = "mast-up"  # mast_zenoh.runtime.mesh.hosting.UP; that module is not imported: the warden stays small
 _TICK_S = 0.2
 _TOUCH_EVERY_S = 15.0
+_STATES_EVERY_S = 2.0
 _LAST_GRACE_S = 3.0
 _OWN_DECISION = "by itself"  # in place of the id of a leave command
 _CHUNK_BYTES = 1 << 16
@@ -79,7 +83,9 @@ class NodeProcess:
 
     def state(self) -> dict[str, Any]:
         """Its state, in the form for the launcher."""
-        return {"node": self.name, "start": self.start, "pid": self.process.pid, "exit": self.process.poll()}
+        pid = self.process.pid
+        cpu_s = processor_time_s(pid)
+        return {"node": self.name, "start": self.start, "pid": pid, "exit": self.process.poll(), "cpu_s": cpu_s}
 
 
 class Connection:
@@ -106,7 +112,7 @@ class Warden:
         self.nodes: dict[str, NodeProcess] = {}
         self.answers: dict[str, dict[str, Any]] = {}
         self.connections: list[Connection] = []
-        self.last_sign = self.last_touch = time.monotonic()
+        self.last_sign = self.last_touch = self.last_states = time.monotonic()
         self.leaves: dict[str, float] = {}  # by id of a leave command, when its nodes are killed
         self.has_left = False
         self.leave_requested = False
@@ -283,10 +289,14 @@ class Warden:
 
     def _send_updates(self) -> None:
         ended = [node for node in self.nodes.values() if not node.reported and not node.runs]
+        states = [node.state() for node in ended]
+        if time.monotonic() - self.last_states >= _STATES_EVERY_S:  # with what each has computed since
+            self.last_states = time.monotonic()
+            states += [node.state() for node in self.nodes.values() if node.runs]
         for connection in list(self.connections):
             self._queue_logs(connection, _MAX_QUEUED)
-            for node in ended:
-                connection.send(node.state())
+            for state in states if len(connection.queued) < _MAX_QUEUED else ():
+                connection.send(state)
             try:
                 while connection.queued:
                     connection.queued = connection.queued[connection.client.send(connection.queued) :]

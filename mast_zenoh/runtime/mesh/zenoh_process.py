@@ -9,6 +9,7 @@ than relaying a message.
 from __future__ import annotations
 
 import ctypes
+import logging
 import os
 import queue
 import threading
@@ -27,9 +28,15 @@ from mast_zenoh.node import Node
 from mast_zenoh.runtime.host import Link
 from mast_zenoh.runtime.protocol.actions import DOZE_S, DRAIN_TIMEOUT_S, OFFER_TIMEOUT_S, Actions, Clocks
 from mast_zenoh.runtime.protocol.driver import DriverProtocol, protocol_of
+from mast_zenoh.runtime.protocol.node import HAND_IN_TIMEOUT_S
 from mast_zenoh.runtime.protocol.traffic import Inbox, Item, stamp_of
 
 T = TypeVar("T")
+
+#: Parts of tables that wait to be sent; beyond, the node waits.
+_WAITING_PARTS = 2
+
+log = logging.getLogger("mast")
 
 _thread = threading.local()
 
@@ -81,6 +88,7 @@ class ZenohProcess(Actions):
         self.protocol = protocol_of(
             resolved, name, node, self, self.inbox, clocks, process=process, signatures=signatures
         )
+        self._parts = _PartSender(session, f"{self.prefix}/@control/result/{name}")
         self._receive_control()
 
     def run(self) -> None:
@@ -278,9 +286,13 @@ class ZenohProcess(Actions):
     def appear(self) -> None:
         self._token = self.session.liveliness().declare_token(f"{self.prefix}/alive/{self.protocol.name}")
 
+    def hand_in_part(self, part: bytes) -> None:
+        self._parts.put(part)
+
     def hand_in(self, results: bytes) -> None:
-        """Files first: the launcher need not wait for a node with results."""
+        """Files and parts of tables first: the launcher need not wait for a node with results."""
         self.hand_in_files()
+        self._parts.finish()
         self._query(f"result/{self.protocol.name}", results, _handed_in, timeout=OFFER_TIMEOUT_S)
 
     def _query(self, key: str, payload: bytes, event: Callable[[list[zenoh.Reply]], Any], **options: Any) -> None:
@@ -288,6 +300,47 @@ class ZenohProcess(Actions):
         replies = list[zenoh.Reply]()
         handler: Any = zenoh.handlers.Callback(replies.append, lambda: self.inbox.put(event(replies)), indirect=False)
         self.session.get(f"{self.prefix}/@control/{key}", handler, payload=payload, **options)
+
+
+class _PartSender:
+    """Hands in parts of tables in a thread of its own, one at a time: each again until the launcher has it."""
+
+    def __init__(self, session: zenoh.Session, key: str) -> None:
+        self._session = session
+        self._key = key
+        self._queue: queue.Queue[bytes | None] = queue.Queue(_WAITING_PARTS)
+        self._thread = threading.Thread(target=self._run, name="tables", daemon=True)
+        self._finishing = False
+        self._last_sign_s = 0.0  # of the launcher, since it is finishing
+
+    def put(self, part: bytes) -> None:
+        """Have a part sent; waits as long as others are waiting."""
+        if self._thread.ident is None:
+            self._thread.start()
+        self._queue.put(part)
+
+    def finish(self) -> None:
+        """Wait until all parts are sent, or the launcher has not answered for a while."""
+        if self._thread.is_alive():
+            self._finishing, self._last_sign_s = True, time.monotonic()
+            self._queue.put(None)
+            self._thread.join()
+
+    def _run(self) -> None:
+        problem = ""
+        while (part := self._queue.get()) is not None:
+            if not problem and (problem := self._send(part)):  # then the launcher takes no later one
+                log.error("a part of a table was not taken, nor are later ones: %s", problem)
+
+    def _send(self, part: bytes) -> str:
+        """Send a part; returns why the launcher has not taken it, or an empty string."""
+        while not self._finishing or time.monotonic() - self._last_sign_s < HAND_IN_TIMEOUT_S:
+            replies = list(self._session.get(self._key, payload=part, timeout=OFFER_TIMEOUT_S))
+            refusal = _handed_in(replies)[1]
+            if refusal is not None:
+                self._last_sign_s = time.monotonic()
+                return refusal
+        return f"the launcher has not answered within {HAND_IN_TIMEOUT_S:.0f} s"
 
 
 def _handed_in(replies: list[zenoh.Reply]) -> tuple[str, str | None]:

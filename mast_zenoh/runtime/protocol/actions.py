@@ -69,6 +69,10 @@ class Actions(ABC):
         """Declare the liveliness token of the node."""
 
     @abstractmethod
+    def hand_in_part(self, part: bytes) -> None:
+        """Hand in a part of a table, after earlier ones and before the results; waits while several are waiting."""
+
+    @abstractmethod
     def hand_in(self, results: bytes) -> None:
         """Offer the results to the launcher; the event ("handed_in", refusal) follows.
 

@@ -112,6 +112,7 @@ class NodeProtocol:
             timespan=timespan,
         )
         self.host.on_failure = self._report_failure
+        self.host.tables.hand_in = lambda part: actions.hand_in_part(results.encode_part(process, part))
         self.invalid = InvalidMessages(self.host.log.warning)  # control messages, by key
         self.receiving = Receiving(self.host)
         self.follower = WiringFollower(

@@ -9,8 +9,9 @@ from typing import Any
 from mast_zenoh.config.resolved import DRIVER_ROLE, Resolved
 from mast_zenoh.control import failures, flow
 from mast_zenoh.control.interception import Intercept, Release
-from mast_zenoh.control.results import decode_result
+from mast_zenoh.control.results import decode_part, decode_result
 from mast_zenoh.control.signatures import Signatures
+from mast_zenoh.control.tables import PartedTables
 from mast_zenoh.errors import MessageError
 from mast_zenoh.launch.launcher_protocol import DRIVER_TIMEOUT_S, LauncherActions, LauncherProtocol, Report, RunState
 from mast_zenoh.runtime.protocol.driver import DriverProtocol
@@ -42,6 +43,7 @@ class SimulatedLauncher(LauncherActions):
         self.protocol = LauncherProtocol(self.state, self.supervisor, self)
         self.interceptions = self.protocol.interceptions
         self._waiting: deque[tuple[SimulatedProcess, bytes | None, bytes]] = deque()  # failures, results
+        self._tables: dict[str, PartedTables] = {}  # by process
         self._acts: deque[flow.Act] = deque()
         self._arrived: deque[tuple[Callable[..., object], tuple[Any, ...]]] = deque()  # while it is suspended
         self._suspended = False
@@ -74,6 +76,7 @@ class SimulatedLauncher(LauncherActions):
                 continue
             drives = child.spec.role == DRIVER_ROLE
             self.outcomes[process.name] = outcome = decode_result(results, process.name, drives=drives)
+            outcome["results"] = self._tables.pop(outcome["process"], PartedTables()).close(outcome["results"])
             child.handed_in = True
             yield Report(process.name, stop_reason=outcome.get("stop_reason"))
 
@@ -92,6 +95,11 @@ class SimulatedLauncher(LauncherActions):
                 self._take_in(self._acts.append, flow.decode_act(payload))
             else:
                 self._take_in(self._waiting.append, (source, payload, b""))
+
+    def arrive_part(self, part: bytes) -> None:
+        """Let a part of a node's table arrive, before its results."""
+        process, (table, _, columns) = decode_part(part)
+        self._tables.setdefault(process, PartedTables()).append(table, columns)
 
     def arrive_result(self, source: SimulatedProcess, results: bytes, answer: Callable[[str | None], None]) -> None:
         """Let results of a node arrive, and answer."""

@@ -48,6 +48,9 @@ class LauncherEnd(Protocol):
     def arrive_control(self, source: SimulatedProcess, key: str, payload: bytes) -> None:
         """Let a control message of a node arrive."""
 
+    def arrive_part(self, part: bytes) -> None:
+        """Let a part of a node's table arrive, before its results."""
+
     def arrive_result(self, source: SimulatedProcess, results: bytes, answer: Callable[[str | None], None]) -> None:
         """Let results of a node arrive, and answer."""
 
@@ -331,6 +334,10 @@ class SimulatedProcess(Actions):
         """The token follows the declarations."""
         self._mesh.token(self, True)
 
+    def hand_in_part(self, part: bytes) -> None:
+        if self._mesh.launcher.alive:
+            self._mesh.launcher.arrive_part(part)
+
     def hand_in(self, results: bytes) -> None:
         answered: list[str | None] = []
 
@@ -352,6 +359,11 @@ class SimulatedChild(Child):
         self.process: SimulatedProcess | None = None
         self.starts = 0
         self.code: int | None = None  # of a process that has ended before it had joined
+
+    @property
+    def cpu_s(self) -> float:
+        """Computing takes no virtual time."""
+        return 0.0
 
     @property
     def exit(self) -> int | None:
