@@ -294,7 +294,7 @@ class PassageMeter:
     effects: the measured effects; received: number of received messages
     """
 
-    def __init__(self, passage: Passage, interval: Interval, latest: int) -> None:
+    def __init__(self, passage: Passage, interval: Interval, latest: int = LATEST) -> None:
         self.passage = passage
         self.latest = latest
         self.interval = interval

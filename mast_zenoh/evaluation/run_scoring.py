@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any, overload
+from typing import Any, ClassVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,8 +50,6 @@ from mast_zenoh.metrics.ranking import mean_ranking, rankings
 from mast_zenoh.metrics.scores import FrameScores, ObjectsMatched, mean_and_std
 from mast_zenoh.wiring.model import agent_of
 
-#: Frames of a block.
-BLOCK = 1000
 #: s; how much later than its frame a message may be sent and still be scored.
 LATEST_S = 10.0
 #: Frames for which the messages of some keys may arrive later than those of others: see `pacer.SETTLE_EVERY`.
@@ -108,11 +106,13 @@ class RunScoring:
     """Evaluates a run from data that messages add to.
 
     `advance` evaluates what is complete and returns rows of tables; `results` returns the rest and the summary.
-    block: frames of a block
     """
 
-    def __init__(self, settings: Evaluation, data: RunData, block: int = BLOCK) -> None:
-        self.settings, self.data, self._block_frames = settings, data, block
+    #: Frames of a block.
+    block_frames: ClassVar[int] = 1000
+
+    def __init__(self, settings: Evaluation, data: RunData) -> None:
+        self.settings, self.data = settings, data
         self._earlier = Earlier()
         self._blocks: list[Block] = []
         self._counts: dict[str, ReportCounts] = {}
@@ -132,11 +132,11 @@ class RunScoring:
             if not len(frames := data.record.frames()):
                 return {}
             self._next = int(frames[0])
-        end = self._next + self._block_frames
+        end = self._next + self.block_frames
         limits = self.settings.attribution
         # Messages about the frames of the block and of those that its causes depend on arrive before this frame.
         after = self._frames(LATEST_S) + max(self._frames(2 * limits.coast_s), self.settings.skip_last)
-        if frame < end + after + BETWEEN_KEYS or not self.settings.settled(self._block_frames):
+        if frame < end + after + BETWEEN_KEYS or not self.settings.settled(self.block_frames):
             return {}
         before = end - self._frames(3 * limits.coast_s + 2 * limits.begin_s + self.settings.cut_off.recovery_s)
         data.meter.settle(end)

@@ -1,0 +1,150 @@
+"""A long run is scored block by block; the results are those of an evaluation of the whole run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from played import play
+
+from mast_zenoh import scenario
+from mast_zenoh.evaluation import Evaluation, RunData, RunScoring
+from mast_zenoh.runtime.inproc import InProcess
+
+FRAMES = 420
+#: Means over blocks instead of the run; and what several blocks have of every series instead of the distinct ones.
+OF_BLOCKS = {"amota", "samota", "amotp_m", "same_as", "consistency"}
+
+Tables = Mapping[str, Mapping[str, np.ndarray]]
+Results = tuple[Tables, dict[str, Any]]
+
+
+def scored(name: str, *settings: str, frames: int) -> tuple[Results, Results]:
+    """Tables and metrics of a run, scored in blocks of 60 frames and as a whole."""
+    path, content = scenario.load(name, list(settings))
+    process = InProcess(scenario.resolve(path, content, frames=frames))
+    node: Any = next(host.node for host in process.hosts.values() if host.node.role == "evaluator")
+    node.finish = lambda context: {}
+    process.run()
+    return in_blocks(node.evaluation, deepcopy(node.data), frames), in_blocks(node.evaluation, node.data, 0)
+
+
+def in_blocks(evaluation: Evaluation, data: RunData, frames: int) -> Results:
+    """The results of blocks that end while so many frames are played; 0: of one block."""
+    scoring = RunScoring(evaluation, data)
+    scoring.block_frames = 60  # type: ignore[misc]
+    parts = [part for frame in range(frames) if (part := scoring.advance(frame))]
+    assert len(parts) >= (2 if frames else 0), "expected more blocks"
+    results = scoring.results()
+    last = results["tables"]
+    tables = {
+        name: {
+            column: np.concatenate([*(np.asarray(part[name][column]) for part in parts if name in part), values])
+            for column, values in last[name].items()
+        }
+        for name in last
+    }
+    return tables, results["metrics"]
+
+
+@pytest.fixture(scope="module")
+def run() -> tuple[Results, Results]:
+    """A run in which an attack begins in a later block than the first."""
+    return scored("defended", "defence=FaultOrLie", "attack_start_s=9.0", frames=FRAMES)
+
+
+@pytest.mark.parametrize("table", ["metrics", "attacks", "trust", "trust_objects"])
+def test_tables_of_a_run_that_was_scored_in_blocks_are_those_of_the_whole(
+    run: tuple[Results, Results], table: str
+) -> None:
+    (blocks, _), (whole, _) = run
+    assert rows(blocks[table]) == rows(whole[table])
+
+
+def test_objects_of_every_estimate_are_judged_as_in_the_whole(run: tuple[Results, Results]) -> None:
+    (blocks, metrics), (whole, expected) = run
+    assert expected["same_as"], "no two estimates are equal over the whole run"
+    assert not metrics["same_as"]
+    parts = [whole["objects"]]
+    for agent, pairs in expected["same_as"].items():
+        for estimate, twin in pairs.items():
+            of_twin = (parts[0]["agent"] == agent) & (parts[0]["estimator"] == twin)
+            part = {name: column[of_twin] for name, column in parts[0].items()}
+            parts.append(part | {"estimator": np.full(int(of_twin.sum()), estimate, object)})
+    every = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    assert rows(blocks["objects"]) == rows(every)
+
+
+def test_manipulated_objects_are_believed_as_in_the_whole_and_keep_their_number(run: tuple[Results, Results]) -> None:
+    targets = [tables["targets"] for tables, _ in run]
+    blocks, whole = (np.unique(table["object"], return_inverse=True) for table in targets)
+    assert len(blocks[0]) == len(whole[0])
+    unnumbered = ({name: column for name, column in table.items() if name != "object"} for table in targets)
+    one, other = (rows(table) for table in unnumbered)
+    assert one == other
+
+
+def test_the_summary_is_that_of_the_whole(run: tuple[Results, Results]) -> None:
+    (_, blocks), (_, whole) = run
+    differences = [path for path in different(blocks, whole) if OF_BLOCKS.isdisjoint(path)]
+    # The path of a vehicle is sampled from the first frame that is evaluated on.
+    assert [path for path in differences if path[0] != "driving"] == []
+
+
+def test_the_confidence_of_an_estimate_is_compared_over_the_whole_run(run: tuple[Results, Results]) -> None:
+    (_, blocks), (_, whole) = run
+    for agent, estimates in whole["consistency"].items():
+        for estimate, expected in estimates.items():
+            found = blocks["consistency"][agent][estimate]
+            assert found["velocity"]["pairs"] == expected["velocity"]["pairs"]
+            assert found["position"]["nees"] == pytest.approx(expected["position"]["nees"], rel=1e-12)
+            assert found["position"]["samples"] == pytest.approx(expected["position"]["samples"], rel=1e-12)
+
+
+def test_what_happened_to_a_driven_car_is_told_as_in_the_whole() -> None:
+    (blocks, metrics), (whole, expected) = scored("driving", frames=400)
+    assert rows(blocks["driven"]) == rows(whole["driven"])
+    assert list(different(metrics["driven"], expected["driven"])) == []
+
+
+def test_a_run_that_is_longer_than_a_block_keeps_no_more_messages(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept: list[int] = []
+    results = RunScoring.results
+
+    def noting(self: RunScoring) -> dict[str, Any]:
+        kept.extend(self.data.record.frames().tolist())
+        return results(self)
+
+    monkeypatch.setattr(RunScoring, "block_frames", 60)
+    monkeypatch.setattr(RunScoring, "results", noting)
+    run = play(tmp_path, "baseline", "n_infrastructure=1", frames=430)
+    assert kept[0] > 0
+    assert kept[-1] == 429
+    assert sorted(set(run.table("objects")["frame"].tolist())) == list(range(430))
+
+
+def rows(table: Mapping[str, np.ndarray]) -> list[str]:
+    """The rows of a table in a fixed order, numbers to 9 digits."""
+    columns = [np.round(column, 9) if column.dtype.kind == "f" else column for column in map(np.asarray, table.values())]
+    return sorted(map(repr, zip(*(column.tolist() for column in columns), strict=True)))
+
+
+def different(one: Any, other: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    """Paths in two documents at which they differ by more than rounding."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        for name in sorted(one.keys() | other.keys()):
+            yield from different(one.get(name), other.get(name), (*path, str(name)))
+    elif isinstance(one, list) and isinstance(other, list) and len(one) == len(other):
+        for index, pair in enumerate(zip(one, other, strict=True)):
+            yield from different(*pair, (*path, str(index)))
+    elif isinstance(one, float) and isinstance(other, float):
+        if one != pytest.approx(other, rel=1e-9, abs=1e-12):
+            yield path
+    elif one != other:
+        yield path
