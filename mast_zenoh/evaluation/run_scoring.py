@@ -108,11 +108,13 @@ class RunScoring:
     `advance` evaluates what is complete and returns rows of tables; `results` returns the rest and the summary.
     """
 
-    #: Frames of a block.
-    block_frames: ClassVar[int] = 1000
+    #: Frames of a block, at least and at most, and agents times frames: so much is scored at once.
+    BLOCK: ClassVar[tuple[int, int, int]] = (200, 1000, 10_000)
 
     def __init__(self, settings: Evaluation, data: RunData) -> None:
         self.settings, self.data = settings, data
+        least, most, agent_frames = self.BLOCK
+        self.block_frames = min(max(agent_frames // max(len(data.record.agents), 1), least), most)
         self._earlier = Earlier()
         self._blocks: list[Block] = []
         self._counts: dict[str, ReportCounts] = {}

@@ -36,7 +36,7 @@ def scored(name: str, *settings: str, frames: int) -> tuple[Results, Results]:
 def in_blocks(evaluation: Evaluation, data: RunData, frames: int) -> Results:
     """The results of blocks that end while so many frames are played; 0: of one block."""
     scoring = RunScoring(evaluation, data)
-    scoring.block_frames = 60  # type: ignore[misc]
+    scoring.block_frames = 60
     parts = [part for frame in range(frames) if (part := scoring.advance(frame))]
     assert len(parts) >= (2 if frames else 0), "expected more blocks"
     results = scoring.results()
@@ -121,7 +121,7 @@ def test_a_run_that_is_longer_than_a_block_keeps_no_more_messages(
         kept.extend(self.data.record.frames().tolist())
         return results(self)
 
-    monkeypatch.setattr(RunScoring, "block_frames", 60)
+    monkeypatch.setattr(RunScoring, "BLOCK", (60, 60, 0))
     monkeypatch.setattr(RunScoring, "results", noting)
     run = play(tmp_path, "baseline", "n_infrastructure=1", frames=430)
     assert kept[0] > 0
@@ -131,7 +131,9 @@ def test_a_run_that_is_longer_than_a_block_keeps_no_more_messages(
 
 def rows(table: Mapping[str, np.ndarray]) -> list[str]:
     """The rows of a table in a fixed order, numbers to 9 digits."""
-    columns = [np.round(column, 9) if column.dtype.kind == "f" else column for column in map(np.asarray, table.values())]
+    columns = [
+        np.round(column, 9) if column.dtype.kind == "f" else column for column in map(np.asarray, table.values())
+    ]
     return sorted(map(repr, zip(*(column.tolist() for column in columns), strict=True)))
 
 

@@ -35,6 +35,9 @@ REALTIME_GRACE_S = 0.5
 #: Time without a report in lock-step, s, after which the driver checks whether the reports are plausible.
 SUSPECT_S = 3.0
 
+#: Nodes that publish nothing are waited for by this factor longer: an evaluator scores many frames at once.
+LISTENER_PATIENCE = 6.0
+
 #: A phase of the run. It yields the time until which it waits for an event, s, and gets whether there was one.
 Phase = Generator[float, bool, StopReason | None]
 #: The same, for a wait that tells whether there was an event.
@@ -320,8 +323,10 @@ class DriverProtocol(NodeProtocol):
 
     def _await_quiet(self, *, include_listeners: bool = False) -> Phase:
         """In lock-step, wait until no message is in transit."""
-        deadline = self._now_s + self.stall_timeout_s
+        begin = self._now_s
         while not self.pacer.quiet(include_listeners=include_listeners):
+            only_listeners = include_listeners and self.pacer.quiet()
+            deadline = begin + self.stall_timeout_s * (LISTENER_PATIENCE if only_listeners else 1.0)
             if not (yield from self._wait(DriverState.SETTLING, min(deadline, self._now_s + SUSPECT_S))):
                 if self.pacer.silent:  # a node whose token was claimed before it was there has missed the epoch
                     self.actions.control("epoch", self._announcement)
