@@ -77,6 +77,7 @@ def results_of(resolved: Resolved, name: str, path: Path) -> dict[str, Any]:
         period_ns=period_ns,
         wiring=wiring,
         timespan=resolved.timespan,
+        plane=resolved.plane,
     )
     host.limits = RowLimits(resolved.max_rows)
     present = {}

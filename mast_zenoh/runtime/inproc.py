@@ -155,6 +155,7 @@ class InProcess:
             emit=self._enqueue,
             wiring=self._wiring,
             timespan=self._resolved.timespan,
+            plane=self._resolved.plane,
         )
         host.limits = self._limits
         self._all_hosts.append(host)
