@@ -70,11 +70,19 @@ class Context(Protocol):
         ...
 
     def publish(
-        self, port: str, body: Body, *, subject: str | None = None, frame: int | None = None, time_ns: int | None = None
+        self,
+        port: str,
+        body: Body,
+        *,
+        subject: str | None = None,
+        frame: int | None = None,
+        time_ns: int | None = None,
+        known: int | None = None,
     ) -> None:
         """Publish columns on an output port; about the current frame by default.
 
         subject: the wire, for a port with several (the simulator's `pose` has one per agent)
+        known: number of objects that the node knows, of which it sends some; for standard messages. None: it sends all
 
         Messages to a port without a wire are discarded.
         """

@@ -269,7 +269,8 @@ class Peer(Node):
             sent = ObjectStates.from_columns(own.body).select(generation.rows)
             if not self.correlations:
                 sent = sent.with_(covariance=sent.covariance * np.eye(9))
-            context.publish("broadcast", sent.columns() | reference, frame=own.frame, time_ns=own.time_ns)
+            body = sent.columns() | reference
+            context.publish("broadcast", body, frame=own.frame, time_ns=own.time_ns, known=len(states))
             self.counts["broadcasts"] += 1
 
     def fuse(self, frame: int, time_ns: int, items: Mapping[str, Received], context: Context) -> None:

@@ -19,6 +19,7 @@ from mast_zenoh.messages.limits import Timespan
 from mast_zenoh.messages.schemas import Schema
 from mast_zenoh.node import Node
 from mast_zenoh.run_files import read_object
+from mast_zenoh.v2x.reference_position import LocalPlane
 from mast_zenoh.wiring.model import Wiring
 
 if TYPE_CHECKING:  # most nodes never load a scene
@@ -73,6 +74,7 @@ class Resolved:
     leeway_ns: tolerance for the times of messages, see `Timespan`; None, as in earlier versions: unlimited
     plugins: by name, the classes of plugins that it uses, each with its distribution and version
     max_rows: limits on the rows of a message by type, see `row_limits`; none in earlier versions
+    origin: x and y, m, of the origin of local planes, see `Recording.origin`; that of the world in earlier versions
     """
 
     name: str
@@ -93,12 +95,18 @@ class Resolved:
     idle: tuple[str, ...] = ()
     max_rows: dict[str, int] = field(default_factory=dict)
     plugins: dict[str, str] = field(default_factory=dict)
+    origin: tuple[float, float] = (0.0, 0.0)
     recording: Recording | None = field(default=None, compare=False)
 
     @property
     def timespan(self) -> Timespan | None:
         """The frames and times that messages can have; None if unknown."""
         return None if self.leeway_ns is None else Timespan(self.frames, self.period_ns, self.leeway_ns)
+
+    @property
+    def plane(self) -> LocalPlane:
+        """The plane that all stations of the run share."""
+        return LocalPlane(origin=self.origin)
 
     @property
     def patient(self) -> bool:
@@ -118,7 +126,7 @@ class Resolved:
             for name, spec in self.nodes.items()
         }
         names = ["name", "seed", "mode", "rate", "frames", "period_ns", "leeway_ns"]
-        names += ["scene", "modules", "timeline", "network", "max_rows"]
+        names += ["scene", "modules", "timeline", "network", "max_rows", "origin"]
         steps = [step._asdict() for step in self.steps]
         declared = {"messages": [user_types.to_json(schema) for schema in self.messages]} if self.messages else {}
         idle = {"idle": list(self.idle)} if self.idle else {}
@@ -153,6 +161,8 @@ class Resolved:
         lists["idle"] = tuple(data.get("idle", ()))
         used = {str(name): str(text) for name, text in dict(data.get("plugins", {})).items()}
         messages = tuple(user_types.from_json(schema) for schema in data.get("messages", ()))
+        x, y = map(float, data.get("origin", (0.0, 0.0)))
+        lists["origin"] = LocalPlane(origin=(x, y)).origin
         return cls(
             **{**data, **lists, "nodes": nodes, "wiring": wiring, "steps": steps, "messages": messages, "plugins": used}
         )

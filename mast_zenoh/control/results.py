@@ -111,6 +111,7 @@ class _Report(Message, frozen=True, kw_only=True):
     last_frame: FrameOrNone
     cpu_s: Finite
     arrived_ns: Annotated[dict[str, _Times], _PER_KEY]
+    unaccepted: Annotated[list[Line], _PER_KEY] | UnsetType = UNSET
     versions: Versions | UnsetType = UNSET
     clock: _ClockOffset | UnsetType = UNSET
 

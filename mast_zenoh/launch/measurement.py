@@ -83,6 +83,7 @@ def results_of(
         period_ns=period_ns,
         wiring=wiring,
         timespan=resolved.timespan,
+        plane=resolved.plane,
     )
     host.limits = RowLimits(resolved.max_rows)
     host.tables.hand_in = hand_in

@@ -49,6 +49,7 @@ def of_run(
         *((name, *_dropped(name, collations)) for name in _DROPPED),
         ("left_out", *_left_out(left_out)),
         ("rejected", *_rejected(nodes)),
+        ("undelivered", *_undelivered(Wiring.from_json(resolved.wiring), nodes)),
         ("foreign", *_foreign(list(nodes.values()))),
         ("control", *_control(record)),
         ("behind", *_behind(resolved, record, measured)),
@@ -190,6 +191,22 @@ def _rejected(nodes: Mapping[str, Mapping[str, Any]]) -> tuple[int, str]:
         _, key, name, reason = min(first)
         text = f"{text} (first, by {name}: {key}: {reason})"
     return by_key.total(), text
+
+
+def _undelivered(wiring: Wiring, nodes: Mapping[str, Mapping[str, Any]]) -> tuple[int, str]:
+    """(count, text) of wires on which a publisher sent nothing but messages that all subscribers rejected."""
+    parts = []
+    for wire, leg in wiring.legs():
+        ends = [end.node for end in leg.subscribers]
+        if not ends or not all(leg.key in (nodes.get(name, {}).get("unaccepted") or ()) for name in ends):
+            continue
+        # The publisher knows why its message cannot be sent, the subscribers what came instead.
+        firsts = [nodes.get(name, {}).get("first_rejected") or {} for name in (leg.publisher.node, *ends)]
+        _, reason = next((first[leg.key] for first in firsts if leg.key in first), (0, "no reason is known"))
+        parts.append(f"{wire.key} ({leg.publisher.node} to {', '.join(ends)}: {reason})")
+    more = f"; and {len(parts) - _MAX_KEYS} more" if len(parts) > _MAX_KEYS else ""
+    text = f"all messages were rejected on {number(len(parts), 'wire')}: {'; '.join(parts[:_MAX_KEYS])}{more}"
+    return len(parts), text
 
 
 def _foreign(nodes: Sequence[Mapping[str, Any]]) -> tuple[int, str]:

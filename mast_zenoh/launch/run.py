@@ -301,6 +301,7 @@ def _nodes_inproc(
             "last_frame": host.frame,
             "rejected": {f"{key}: {reason}": n for (key, reason), n in host.rejected.items()},
             "first_rejected": host.first_rejected,
+            "unaccepted": host.unaccepted,
             "foreign": {},
             "invalid_control": {},
             "unsigned_control": 0,

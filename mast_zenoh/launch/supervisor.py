@@ -163,7 +163,7 @@ class Supervisor(ABC, Generic[C]):
 
     def to_json(self, reports: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
         """The `nodes` part of run.json; `reports`: what the nodes have handed in."""
-        reported_keys = ("last_frame", "cpu_s", "rejected", "first_rejected", "foreign", "failures")
+        reported_keys = ("last_frame", "cpu_s", "rejected", "first_rejected", "unaccepted", "foreign", "failures")
         return {
             name: {
                 "role": child.spec.role,

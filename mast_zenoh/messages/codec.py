@@ -36,7 +36,7 @@ from mast_zenoh.messages.layout import (
     split_header,
 )
 from mast_zenoh.messages.limits import NO_LIMITS, RowChoice, RowLimits
-from mast_zenoh.messages.packed import CODECS, Packed, unpack
+from mast_zenoh.messages.packed import CODECS, Packed, sent_body, unpack_body
 from mast_zenoh.messages.schemas import SCHEMAS, Body, Column, Header, Message, Schema
 
 _HEADER_KEYS = ("schema", "version", "source", "frame", "time_ns", "seq", "body")
@@ -148,7 +148,7 @@ def encode(message: Message) -> bytes:
     numbers = _pack({"frame": header.frame, "time_ns": header.time_ns, "seq": header.seq})[1:]
     if type(columns) is Packed:
         start = [layout.header_prefix, _pack(header.source), numbers, _BODY_KEY]
-        return b"".join([*start, _pack({columns.codec: columns.segments})])
+        return b"".join([*start, _pack(sent_body(columns))])
     plan = layout.plan_of(columns)
     parts = [layout.header_prefix, _pack(header.source), numbers, layout.body_prefix]
     for name, prefix, dtype in zip(plan.names, plan.prefixes, plan.dtypes, strict=True):
@@ -219,6 +219,15 @@ class LazyBody(Mapping[str, NDArray[Any]]):
         return len(self._decoded())
 
 
+def known_objects(before: Body, after: Body) -> int | None:
+    """How many objects the sender of a message knows, with those that a change adds and removes; None: no such count.
+
+    before: as received; raises MessageError if it is lazy, and invalid
+    """
+    decoded = before._decoded() if isinstance(before, LazyBody) else before
+    return max(decoded.known - len(decoded["id"]) + len(after["id"]), 0) if type(decoded) is Packed else None
+
+
 def decode_lazily(payload: bytes, expected: str | Schema) -> Message:
     """Decode the header now, and the body on first access."""
     return Message(decode_header_only(payload, expected), LazyBody(payload, expected))
@@ -282,12 +291,12 @@ def _unpack(payload: bytes, expected: Schema) -> tuple[Header, Any]:
 
 def _packed(schema: Schema, body: Any) -> Body | None:
     """The columns of a body that travels in another format; None if it does not."""
-    if not isinstance(body, dict) or len(body) != 1:
+    if not isinstance(body, dict) or not 1 <= len(body) <= 2:
         return None
-    ((codec, data),) = body.items()
+    codec = next(iter(body))
     if codec not in CODECS or schema.name not in CODECS[codec].messages:
         return None
-    return unpack(codec, data)
+    return unpack_body(body)
 
 
 def _columns(schema: Schema, body: Mapping[str, Any]) -> Body:

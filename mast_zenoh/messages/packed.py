@@ -4,12 +4,16 @@ A wire may have a codec (`[[codec]]` in a key-expression map). What its publishe
 express, in one process as on the mesh, and on the mesh only its bytes are sent: `"body": {"cpm": [b"...", ...]}`, a
 string for each segment. To read them and to write them again gives the same bytes. A Cooperative Awareness Message is
 about one object, its sender; without one, nothing is sent: `{"cam": []}`.
+
+Where the scene is far from the origin of the world, as in UTM coordinates, the stations' plane has its origin there.
+Bodies then name it, as all readers of a recording need it: `{"cpm": [...], "origin": [690000.0, 5340000.0]}`.
 """
 
 from __future__ import annotations
 
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,7 +24,7 @@ from mast_zenoh.arrays.states import Floats, Ints, ObjectStates, concatenate, lo
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messages.schemas import Body, Message
 from mast_zenoh.v2x import cam, cpm
-from mast_zenoh.v2x.reference_position import LocalPlane
+from mast_zenoh.v2x.reference_position import WORLD_PLANE, LocalPlane
 from mast_zenoh.v2x.tracks import (
     MOST_SEGMENTS,
     from_cam,
@@ -57,22 +61,30 @@ MAX_SEGMENT_BYTES = 1400
 #: Objects of a message, at most, by codec: the segments of a CPM hold so many of the largest.
 MOST_OBJECTS = {"cpm": 200, "cam": 1}
 
-#: The plane that all stations of a run share.
-_PLANE = LocalPlane()
 _STILL = np.array([1.0, 0.0, 0.0, 0.0])
 _STILL.setflags(write=False)
 _IDS = 1 << 16
 
 
 class Packed(dict[str, NDArray[Any]]):
-    """Columns of a message that travels in another format. codec: its name; segments: its bytes"""
+    """Columns of a message that travels in another format.
+
+    codec: its name;  segments: its bytes;  plane: of the stations of the run
+    known: objects that the sender knows, sent or not
+    left_out: objects of unknown position or time, which have no row
+    """
 
     codec: str
     segments: tuple[bytes, ...]
+    plane = WORLD_PLANE
+    known = 0
+    left_out = 0
 
 
-def pack(message: Message, codec: str) -> Message:
+def pack(message: Message, codec: str, plane: LocalPlane = WORLD_PLANE, known: int | None = None) -> Message:
     """The message as its receivers get it: quantised, and with its bytes.
+
+    plane: that all stations of the run share;  known: objects that the sender knows, None: those of the message
 
     The sender is a roadside unit if its frame of reference has the axes of the world, otherwise a vehicle with the
     heading of its frame.
@@ -81,23 +93,24 @@ def pack(message: Message, codec: str) -> Message:
     """
     header, body = message
     states, most = tracks_in_world(body), MOST_OBJECTS[codec]
+    known = len(states) if known is None else known
     if not all(np.isfinite(column).all() for column in (*states.columns().values(), body["origin"])):
         raise MessageError(f"{header.schema}: a value is not finite")
     if len(states) > most:
         states = states.select(lowest_rows([-states.score], most))
     station, time_ms = zlib.crc32(header.source.encode()), header.time_ns // 1_000_000
     if codec == "cam":
-        cams = [to_cam(states, station, time_ms, _PLANE)] if len(states) else []
-        return Message(header, unpack(codec, [cam.encode(each) for each in cams]))
-    position, yaw = _PLANE.to_position(body["origin"]), None
+        cams = [to_cam(states, station, time_ms, plane)] if len(states) else []
+        return Message(header, unpack(codec, [cam.encode(each) for each in cams], plane))
+    position, yaw = plane.to_position(body["origin"]), None
     if body["rotation"][1:].any():
         yaw = float(heading(rotation_from_quaternion(body["rotation"])))
-    objects = to_objects(states, _wire_ids(states.id), _PLANE.to_point(position))
-    whole = to_cpm(objects, station, time_ms, position, yaw)
-    return Message(header, unpack(codec, [cpm.encode(part) for part in segments(whole, MAX_SEGMENT_BYTES)]))
+    objects = to_objects(states, _wire_ids(states.id), plane.to_point(position))
+    whole = to_cpm(objects, station, time_ms, position, yaw, known)
+    return Message(header, unpack(codec, [cpm.encode(part) for part in segments(whole, MAX_SEGMENT_BYTES)], plane))
 
 
-def unpack(codec: str, data: Sequence[object]) -> Packed:
+def unpack(codec: str, data: Sequence[object], plane: LocalPlane = WORLD_PLANE) -> Packed:
     """The columns in the bytes of a message. Raises MessageError for bytes that are none, and for mixed segments."""
     if codec not in CODECS:
         raise MessageError(f"body: unknown codec {codec[:20]!r}, expected one of {', '.join(CODECS)}")
@@ -109,8 +122,8 @@ def unpack(codec: str, data: Sequence[object]) -> Packed:
         if not isinstance(part, bytes) or len(part) > MAX_SEGMENT_BYTES:
             raise MessageError(f"{codec}: segment {number}: expected at most {MAX_SEGMENT_BYTES} bytes")
         parts.append(part)
-    # What a CAM says is where its sender is: in the sender's own frame, a lie would be no change of an object.
-    states, origin, rotation = (_read_cam(parts), np.zeros(3), _STILL) if codec == "cam" else _read_cpm(parts)
+    read = _read_cam if codec == "cam" else _read_cpm
+    states, origin, rotation, known, n_objects = read(parts, plane)
     body = Packed(states_to_local(states, origin, rotation).columns())
     body["origin"], body["rotation"] = origin, rotation
     if len(set(body["id"].tolist())) != len(body["id"]):
@@ -118,26 +131,59 @@ def unpack(codec: str, data: Sequence[object]) -> Packed:
     for name, column in body.items():
         body[name] = column.view()  # empty columns are those of all empty states
         body[name].setflags(write=False)
-    body.codec, body.segments = codec, tuple(parts)
+    body.codec, body.segments, body.plane = codec, tuple(parts), plane
+    body.known, body.left_out = known, n_objects - len(states)
     return body
 
 
-def _read_cam(data: Sequence[bytes]) -> ObjectStates:
-    """The sender in its message, world frame; none without a message."""
-    return from_cam(cam.decode(data[0]), _PLANE) if data else ObjectStates.empty()
+def unpack_body(body: Mapping[str, object]) -> Packed:
+    """The columns of a body as it was sent, see above. Raises MessageError."""
+    (codec, data), *others = body.items()
+    plane = WORLD_PLANE
+    if others:
+        ((name, origin),) = others
+        if name != "origin" or not isinstance(origin, list) or [type(value) for value in origin] != [float, float]:
+            raise MessageError(f"{codec}: expected segments, or segments and x and y of an origin, m")
+        try:
+            plane = replace(WORLD_PLANE, origin=tuple(origin))
+        except ValueError as error:
+            raise MessageError(f"{codec}: {error}") from None
+    return unpack(codec, data, plane)  # type: ignore[arg-type]  # it checks the type
 
 
-def _read_cpm(data: Sequence[bytes]) -> tuple[ObjectStates, Floats, Floats]:
-    """The objects in the segments of a message, world frame, and the sender's frame of reference."""
+def sent_body(body: Packed) -> dict[str, object]:
+    """The body as it is sent."""
+    sent: dict[str, object] = {body.codec: body.segments}
+    return sent | ({} if body.plane == WORLD_PLANE else {"origin": body.plane.origin})
+
+
+#: What the bytes of a message say: objects in the world frame, the sender's frame of reference, how many objects the
+#: sender knows, and how many are in the message.
+_Reading = tuple[ObjectStates, Floats, Floats, int, int]
+
+
+def _read_cam(data: Sequence[bytes], plane: LocalPlane) -> _Reading:
+    """The sender in its message; none without a message.
+
+    Its frame is the world: in the sender's own frame, a lie about where it is would be no change of an object.
+    """
+    states = from_cam(cam.decode(data[0]), plane) if data else ObjectStates.empty()
+    return states, np.zeros(3), _STILL, len(states), len(states)
+
+
+def _read_cpm(data: Sequence[bytes], plane: LocalPlane) -> _Reading:
+    """The objects in the segments of a message."""
     parts = [cpm.decode(part) for part in data]
     first = parts[0]
     for number, message in enumerate(parts, 1):
         segment = (number, len(parts)) if len(parts) > 1 else None
         if message.segment != segment or _station(message) != _station(first):
             raise MessageError(f"cpm: segment {number}: found {message.segment}, expected {segment} of one message")
-    states = concatenate([from_cpm(message, _PLANE)[0] for message in parts])
+    states = concatenate([from_cpm(message, plane)[0] for message in parts])
     rotation = _STILL if first.vehicle is None else rotation_of(first.vehicle[0])
-    return states, _PLANE.to_point(first.position), rotation
+    n_objects = sum(0 if message.objects is None else len(message.objects) for message in parts)
+    known = n_objects if first.known_objects is None else first.known_objects
+    return states, plane.to_point(first.position), rotation, known, n_objects
 
 
 def _station(message: cpm.Cpm) -> tuple[object, ...]:
@@ -148,6 +194,15 @@ def _station(message: cpm.Cpm) -> tuple[object, ...]:
 def codec_of(body: Body) -> str:
     """The codec of a body; empty: its columns travel as they are."""
     return body.codec if type(body) is Packed else ""
+
+
+def check_codec(schema: str, body: Body, codec: str, plane: LocalPlane) -> None:
+    """Raise MessageError for a body that does not travel in the codec of its wire (empty: columns), or in the plane."""
+    if codec_of(body) != codec:
+        raise MessageError(f"codec: {schema}: expected a body in {codec or 'columns'}")
+    if type(body) is Packed and body.plane != plane:
+        place = f"found a plane with its origin at {body.plane.origin}, expected {plane.origin}"
+        raise MessageError(f"codec: {schema}: {place}")
 
 
 def _wire_ids(ids: Ints) -> Ints:

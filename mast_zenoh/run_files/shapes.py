@@ -35,6 +35,7 @@ _NODE: dict[str, Any] = {
     **dict.fromkeys(("last_frame", "restarts", "pid", "exit"), int),
     **{name: {} for name in ("rejected", "first_rejected", "foreign", "invalid_control")},
     "failures": [{}],
+    "unaccepted": [str],
 }
 _LEG = {"key": str, "from": _Name, "from_port": str, "to": [_Name], "to_ports": [str], "before": str}
 _WIRE: dict[str, Any] = {
@@ -78,6 +79,7 @@ SHAPES: dict[str, Any] = {
         "modules": [str],
         "timeline": [{"label": str, "kind": str, "at_s": _NUMBER, "until_s": _NUMBER, "nodes": [str]}],
         "network": {},
+        "origin": [_NUMBER],
         "messages": [{}],
         "steps": [{"frame": int, "action": str, "node": str}],
         "nodes": {NAMED: {"role": str, "file": str, "type": str, "on_exit": str, "config": {}}},

@@ -21,11 +21,12 @@ from mast_zenoh.control.tables import PartedTables
 from mast_zenoh.errors import ConfigurationError, MessageError, nearest
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.limits import NO_LIMITS, Shortened, Timespan, excess
-from mast_zenoh.messages.packed import Packed, codec_of, pack
+from mast_zenoh.messages.packed import Packed, check_codec, pack
 from mast_zenoh.messages.schemas import Body, Header, Message
 from mast_zenoh.node import Node, Outside, Overheard, Received, Source, Unopened, handler_names
 from mast_zenoh.runtime.waiting import DELAYED, HELD, Delayed, Held, HeldMessages, Room
 from mast_zenoh.streams import stream
+from mast_zenoh.v2x.reference_position import WORLD_PLANE, LocalPlane
 from mast_zenoh.wiring.model import ANY, NO_WIRING, Input, Ports, Wiring
 
 MAX_DELAY_S = 3600.0  #: longest delay of a message
@@ -76,6 +77,7 @@ class Host:
     now:  a monotonic clock, ns, for real time; None: time advances with frames, as in lock-step
     wiring: of the whole run, for nodes that observe wires
     timespan: valid frames and times of messages; None: any
+    plane: of the stations of the run, for standard messages
 
     limits: of the run on the rows of messages; the runtime sets them
     observe: called with the key and header of every valid message
@@ -100,6 +102,7 @@ class Host:
         now: Callable[[], int] | None = None,
         wiring: Wiring = NO_WIRING,
         timespan: Timespan | None = None,
+        plane: LocalPlane = WORLD_PLANE,
     ) -> None:
         self.name = name
         self.node = node
@@ -117,6 +120,8 @@ class Host:
         self.failures: dict[str, Failure] = {}
         self.rejected: Counter[tuple[str, str]] = Counter()
         self.first_rejected: dict[str, tuple[int, str]] = {}
+        self._n_rejected = 0
+        self._accepted: set[str] = set()  # keys with a message that was not rejected
         self._publishers: dict[str, str] | None = None  # by key; built on first use
         self._inputs = dict(ports.inputs)
         self.subscriptions: Mapping[str, Input] = self._inputs
@@ -141,6 +146,7 @@ class Host:
         self._held = HeldMessages()
         self._handling = ""  # key of the message being handled
         self._timespan = timespan
+        self._plane = plane
         self._end = _FOREVER if timespan is None else timespan.frames - 1
         self._last_step = self._end  # the latest step in which a message can have been sent
         self._awaited = timespan is not None and now is None and bool(ports.outputs) and _direct_clock(wiring)
@@ -154,7 +160,14 @@ class Host:
     # -- documented in node.Context ------------------------------------------------------------------------------
 
     def publish(
-        self, port: str, body: Body, *, subject: str | None = None, frame: int | None = None, time_ns: int | None = None
+        self,
+        port: str,
+        body: Body,
+        *,
+        subject: str | None = None,
+        frame: int | None = None,
+        time_ns: int | None = None,
+        known: int | None = None,
     ) -> None:
         schema = self._output(port)
         key = self._key(port, subject)
@@ -170,7 +183,7 @@ class Host:
         header = Header(schema, self.name, header_frame, header_time, self._seq[key])
         message = codec.conform(header, body)
         self._seq[key] += 1
-        self._send_message(key, message)
+        self._send_message(key, message, known=known)
 
     @property
     def outside(self) -> Outside:
@@ -210,7 +223,8 @@ class Host:
             header = received.message.header
             header = header if time_ns is None else header._replace(time_ns=time_ns)
             message = Message(header, received.body) if body is None else codec.conform(header, body)
-            self._send_message(key, message, after_s)
+            known = codec.known_objects(received.body, message.body) if self._codecs else None
+            self._send_message(key, message, after_s, known)
         else:
             self._send_payload(
                 key, received.encoded if self._encode else received.payload or received.message, after_s=after_s
@@ -314,15 +328,10 @@ class Host:
             else:
                 message = codec.received(payload, self.limits, flaw, choice)
             _, source, frame, time_ns, _ = message.header
-            kind = type(message.body)
-            if (
-                (self._codecs or kind is Packed)
-                and kind is not Shortened
-                and self._codec_of(key) != codec_of(message.body)
-            ):
-                raise MessageError(
-                    f"codec: {port_input.message}: expected a body in {self._codec_of(key) or 'columns'}"
-                )
+            body = message.body
+            kind = type(body)
+            if (self._codecs or kind is Packed) and kind is not Shortened:
+                check_codec(port_input.message, body, self._codec_of(key), self._plane)
             if source != port_input.source:
                 raise MessageError(f"{port_input.message}: source {source[:40]!r}, expected {port_input.source!r}")
             if (time_ns != self.time_ns or frame != self.frame) and self._timespan is not None:
@@ -333,8 +342,10 @@ class Host:
         except MessageError as error:
             self._reject(key, str(error), counted)
             return
-        if type(message.body) is Shortened:
-            self._count_rejected(key, excess(message.body))
+        if type(body) is Shortened:
+            self._count_rejected(key, excess(body))
+        elif type(body) is Packed and body.left_out:
+            self._count_rejected(key, f"objects: {body.left_out} of unknown position or time are not used")
         if self.observe:
             self.observe(key, message.header)
         received = Received(message, port_input.subject, payload if isinstance(payload, bytes) else None, step)
@@ -357,6 +368,13 @@ class Host:
     def waiting(self) -> int:
         """Number of held and delayed messages."""
         return len(self._held) + len(self._delayed)
+
+    @property
+    def unaccepted(self) -> list[str]:
+        """The keys of its subscriptions on which nothing came but messages that were rejected."""
+        if self._overhears:
+            return []
+        return sorted(self.first_rejected.keys() & self._inputs.keys() - self._accepted)
 
     @property
     def clocked(self) -> bool:
@@ -406,10 +424,12 @@ class Host:
             raise ConfigurationError(f"{self.name}: port {port!r} has {len(keys)} wires: choose one with subject=…")
         return keys[0] if keys else None
 
-    def _send_message(self, key: str, message: Message, after_s: float = 0.0) -> None:
+    def _send_message(self, key: str, message: Message, after_s: float = 0.0, known: int | None = None) -> None:
         if self._codecs and (wire_codec := self._codec_of(key)):
-            with suppress(MessageError):  # otherwise it is sent as it is, and refused by all that receive it
-                message = pack(message, wire_codec)
+            try:
+                message = pack(message, wire_codec, self._plane, known)
+            except MessageError as error:  # it is sent as it is, and refused by all that receive it
+                self._count_rejected(key, f"codec: cannot be sent as {wire_codec}: {error}")
         if self._encode:
             self._send_payload(key, codec.encode(message), after_s=after_s)
             return
@@ -468,6 +488,7 @@ class Host:
             self.first_rejected[key] = self.frame, " ".join(reason.split())[:_MAX_REASON]
             self.log.warning("rejected a message on %s: %s (more on this key will only be counted)", key, reason)
         self.rejected[key, " ".join(reason.split(":", 1)[0].split())] += count
+        self._n_rejected += 1
 
     def _clock(self, key: str, port_input: Input, received: Received, counted: bool) -> None:
         if received.frame <= self.frame:
@@ -534,8 +555,11 @@ class Host:
 
     def _handle(self, key: str, port_input: Input, received: Received, counted: bool) -> None:
         self._handling = key
+        n_rejected = self._n_rejected
         self._guard(port_input.port, self._handlers[port_input.port], received, self)
         self._handling = ""
+        if self._n_rejected == n_rejected:
+            self._accepted.add(key)
         if counted:
             self.handled[key] += 1
 

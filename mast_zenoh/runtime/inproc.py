@@ -161,6 +161,7 @@ class InProcess:
             emit=self._enqueue,
             wiring=self._wiring,
             timespan=self._resolved.timespan,
+            plane=self._resolved.plane,
         )
         host.limits = self._limits
         if self._hand_in is not None:

@@ -127,6 +127,7 @@ def resolve(
         idle=(*timeline.idle, *uncovered(built, recording, n_frames)),
         max_rows=_max_rows(recording, options["max_rows"]),
         plugins=plugins.used_by([*registry.type_names(scenario), *registry.type_names(scene_spec)]),
+        origin=recording.origin,
         recording=recording,
     )
 

@@ -170,6 +170,7 @@ TRUTH_COLUMNS = ("id", "position", "velocity", "size", "yaw", "class_id")
 SEEN_RETURNS = 5
 
 _FORMAT = 1
+_ORIGIN_STEP_M = 10_000.0
 #: What reading a damaged file may raise.
 _DAMAGE = (
     *(OSError, ValueError, KeyError, TypeError, AttributeError, IndexError, OverflowError, EOFError),
@@ -229,6 +230,15 @@ class Recording:
     def agent_names(self) -> tuple[str, ...]:
         """Names of the agents, in column order."""
         return tuple(agent.name for agent in self.agents)
+
+    @property
+    def origin(self) -> tuple[float, float]:
+        """x and y, m, of the origin of local planes: the multiples of 10 km nearest to where the first agent begins.
+
+        A scene near the origin of the world has that one, and one in UTM coordinates has its own.
+        """
+        x, y = np.rint(self.agent_position[0, 0, :2] / _ORIGIN_STEP_M) * _ORIGIN_STEP_M + 0.0
+        return float(x), float(y)
 
     def _rows(self, frame: int) -> slice:
         return slice(int(self.truth_start[frame]), int(self.truth_start[frame + 1]))

@@ -34,7 +34,7 @@ from mast_zenoh.v2x.perceived_objects import (
     PerceivedObjects,
 )
 from mast_zenoh.v2x.quality import MAX_QUALITY, quality_of_score
-from mast_zenoh.v2x.reference_position import LocalPlane, Position
+from mast_zenoh.v2x.reference_position import LocalPlane, Position, has_altitude
 
 #: Standard deviations in half a two-sided 95 % interval of a normal distribution.
 SIGMAS_95 = 1.96
@@ -56,6 +56,14 @@ _OUT_OF_RANGE = 2
 
 #: Box of an object whose dimensions are absent, m.
 UNKNOWN_SIZE = np.array([1.0, 1.0, 1.0])
+#: Times between these are values (DeltaTimeMilliSecondSigned), ms.
+_LEAST_DELTA, _MOST_DELTA = -2048, 2047
+#: From these on, values are "out of range" or "unavailable": Wgs84AngleValue and CartesianAngleValue, SpeedValue,
+#: VehicleLengthValue, SemiAxisLength. VehicleWidth is "more than 6 m", then "unavailable".
+_NO_ANGLE, _NO_SPEED, _NO_LENGTH, _NO_SEMI_AXIS = 3600, 16_382, 1022, 4094
+_WIDE, _NO_WIDTH = 61, 62
+#: HeadingConfidence "out of range": the heading is not to be trusted.
+_UNTRUSTED_HEADING = 126
 #: Age that says "more than 1.5 s" (PerceivedObject).
 _LONGEST_AGE = 1500
 #: Largest number of segments (MessageSegmentationInfo).
@@ -129,8 +137,10 @@ def orientation_of(yaw: float) -> int:
 def rotation_of(orientation: int) -> Floats:
     """Active quaternion (4,) of the axes of a vehicle with a Wgs84AngleValue, which is read half a unit lower.
 
-    It is never that of the world's axes, which are a roadside unit's.
+    It is that of the world's axes, which are a roadside unit's, only if the orientation is unavailable.
     """
+    if orientation >= _NO_ANGLE:
+        return np.array([1.0, 0.0, 0.0, 0.0])
     half = np.radians(90.0 - _ANGLE * (orientation - 0.5)) / 2.0
     return np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
 
@@ -165,28 +175,34 @@ def to_objects(
 
 
 def to_cpm(
-    objects: PerceivedObjects, station_id: int, reference_time: int, position: Position, yaw: float | None = None
+    objects: PerceivedObjects,
+    station_id: int,
+    reference_time: int,
+    position: Position,
+    yaw: float | None = None,
+    known: int | None = None,
 ) -> Cpm:
     """The message of a vehicle with this yaw (rad), or of a roadside unit (None).
 
-    reference_time: ms, TimestampIts;  position: what `objects` are relative to
+    reference_time: ms, TimestampIts;  position: what `objects` are relative to;  known: as `Cpm.known_objects`
     """
     vehicle = None if yaw is None else (orientation_of(yaw), 127)
-    return Cpm(station_id, reference_time, position, objects, vehicle=vehicle, rsu=yaw is None)
+    return Cpm(station_id, reference_time, position, objects, known, vehicle=vehicle, rsu=yaw is None)
 
 
 def from_cpm(message: Cpm, plane: LocalPlane) -> tuple[ObjectStates, Ints]:
     """States (m) in the plane, and their times after the reference time, ms (m,).
 
-    Objects whose x or y is out of range are left out, as their position is unknown. Ids are object ids. The covariance
-    is diagonal. A z that is absent or out of range is that of the reference position; an absent yaw is the direction of
-    the velocity. A dimension that is out of range is its least, with UNKNOWN_DIMENSION.
+    Objects whose x, y or time is out of range are left out, as their position is unknown. Ids are object ids. The
+    covariance is diagonal. A z that is absent or out of range is that of the reference position; an absent yaw is the
+    direction of the velocity. A dimension that is out of range is its least, with UNKNOWN_DIMENSION.
     """
     objects = message.objects
     if objects is None:
         return ObjectStates.empty(), np.zeros(0, np.int64)
     horizontal = objects.position[:, :2]
-    kept = np.flatnonzero(((horizontal > -131_072) & (horizontal < 131_071)).all(axis=1))
+    known_place = ((horizontal > -131_072) & (horizontal < 131_071)).all(axis=1)
+    kept = np.flatnonzero(known_place & (objects.delta_time > _LEAST_DELTA) & (objects.delta_time < _MOST_DELTA))
     if len(kept) < len(objects):
         objects = objects.take(kept)
     n = len(objects)
@@ -194,7 +210,7 @@ def from_cpm(message: Cpm, plane: LocalPlane) -> tuple[ObjectStates, Ints]:
     position = np.where(known, _POSITION * (objects.position - 0.5), 0.0) + plane.to_point(message.position)
     velocity, velocity_variance = _velocity(objects)
     yaw = np.where(
-        (objects.angles[:, 0] >= 0) & (objects.angles[:, 0] < 3600),
+        (objects.angles[:, 0] >= 0) & (objects.angles[:, 0] < _NO_ANGLE),
         np.radians(_ANGLE * (objects.angles[:, 0] - 0.5)),
         np.arctan2(velocity[:, 1], velocity[:, 0]),
     )
@@ -204,6 +220,7 @@ def from_cpm(message: Cpm, plane: LocalPlane) -> tuple[ObjectStates, Ints]:
     covariance = np.zeros((n, 9, 9))
     diagonal = np.einsum("nii->ni", covariance)
     confidence = np.where(known, objects.position_confidence, 0)
+    confidence[:, 2] *= has_altitude(message.position)
     diagonal[:, :3] = _variance(confidence, _POSITION, _LARGEST_POSITION, UNKNOWN_POSITION)
     diagonal[:, 3:6] = _variance(measured, _DIMENSION, _LARGEST_DIMENSION, UNKNOWN_DIMENSION)
     diagonal[:, 6:] = velocity_variance
@@ -229,7 +246,7 @@ def _velocity(objects: PerceivedObjects) -> tuple[Floats, Floats]:
     polar = np.flatnonzero(objects.velocity_form == POLAR)
     if len(polar):
         speed, direction = velocity[polar, 0], np.radians(_ANGLE * (units[polar, 1] - 0.5))
-        sound = known[polar, 0] & (units[polar, 1] < 3600)
+        sound = known[polar, 0] & (units[polar, 1] < _NO_ANGLE)
         along = np.stack([np.cos(direction), np.sin(direction)], axis=1)
         velocity[polar, :2] = np.where(sound[:, None], speed[:, None] * along, 0.0)
         of_speed = variance[polar, 0]
@@ -289,26 +306,30 @@ def from_cam(message: Cam, plane: LocalPlane) -> ObjectStates:
     """The vehicle that sends it (one row, id 0) in the plane; no row if the sender is none.
 
     A CAM has no confidences of length and width: they are taken for right to a unit. Its height is assumed, and its
-    direction is taken for as good as its speed.
+    direction is taken for as good as its speed. A vehicle of unknown drive direction drives forward. If its heading or
+    its length is unknown, its centre is where its front is, uncertain by half a length.
     """
     motion, place = message.vehicle, message.position
     if motion is None:
         return ObjectStates.empty()
-    yaw = np.radians(90.0 - _ANGLE * (motion.heading - 0.5)) + np.pi * (motion.drive_direction == 1)
+    headed = motion.heading < _NO_ANGLE and motion.heading_confidence != _UNTRUSTED_HEADING
+    yaw = np.radians(90.0 - _ANGLE * (motion.heading - 0.5)) + np.pi * (motion.drive_direction == 1) if headed else 0.0
     along = np.array([np.cos(yaw), np.sin(yaw)])
     units = np.array([motion.length, motion.width])
-    sides = np.where(units < (1023, 62), _DIMENSION * (units - 0.5), UNKNOWN_SIZE[:2])
-    size = np.array([*sides, _ASSUMED_HEIGHT])
-    centre = plane.to_point(place) + 0.5 * np.array([*(-size[0] * (motion.length < 1023) * along), size[2]])
-    moving = motion.speed < 16_383 and motion.heading < 3601
+    sized = units < (_NO_LENGTH, _NO_WIDTH)
+    size = np.array([*np.where(sized, _DIMENSION * (units - 0.5), UNKNOWN_SIZE[:2]), _ASSUMED_HEIGHT])
+    anchored = headed and bool(sized[0])
+    centre = plane.to_point(place) + 0.5 * np.array([*(-size[0] * anchored * along), size[2]])
+    moving = motion.speed < _NO_SPEED and headed
     speed = _VELOCITY * max(motion.speed - 0.5, 0.0) * moving * (-1.0 if motion.drive_direction == 1 else 1.0)
     covariance = np.zeros((9, 9))
     covariance[:2, :2] = _ellipse(place)
-    altitude = place.altitude_confidence
-    covariance[2, 2] = ((_ALTITUDES[altitude] if altitude < 14 else UNKNOWN_POSITION) / SIGMAS_95) ** 2
-    half_widths = [*np.where(units < (1022, 61), _DIMENSION, UNKNOWN_DIMENSION), UNKNOWN_DIMENSION]
+    if not anchored:  # its centre is anywhere on a circle around its front
+        covariance[:2, :2] += 0.5 * np.eye(2) * (0.5 * (size[0] if sized[0] else UNKNOWN_DIMENSION)) ** 2
+    covariance[2, 2] = (_height_confidence(place) / SIGMAS_95) ** 2
+    half_widths = [*np.where(units < (_NO_LENGTH, _WIDE), _DIMENSION, UNKNOWN_DIMENSION), UNKNOWN_DIMENSION]
     covariance[3:6, 3:6] = np.diag(np.square(half_widths)) / SIGMAS_95**2
-    confidence = np.array(motion.speed_confidence if moving and motion.speed < 16_382 else 0)
+    confidence = np.array(motion.speed_confidence if moving else 0)
     covariance[6:, 6:] = np.eye(3) * _variance(confidence, _VELOCITY, _LARGEST_VELOCITY, UNKNOWN_VELOCITY)
     return ObjectStates.of(
         centre[None],
@@ -322,11 +343,20 @@ def from_cam(message: Cam, plane: LocalPlane) -> ObjectStates:
 
 def _ellipse(position: Position) -> Floats:
     """(2, 2) covariance of a reference position."""
-    axes = [position.semi_major, position.semi_minor if position.orientation < 3601 else position.semi_major]
-    major, minor = ((_POSITION * n if n < 4094 else UNKNOWN_POSITION) / _SIGMAS_95_ELLIPSE for n in axes)
+    axes = [position.semi_major, position.semi_minor if position.orientation < _NO_ANGLE else position.semi_major]
+    half_widths = (_POSITION * n if 0 < n < _NO_SEMI_AXIS else UNKNOWN_POSITION for n in axes)
+    major, minor = (half_width / _SIGMAS_95_ELLIPSE for half_width in half_widths)
     turn = np.radians(90.0 - _ANGLE * (position.orientation - 0.5))
     along = np.array([np.cos(turn), np.sin(turn)])
     return minor**2 * np.eye(2) + (major**2 - minor**2) * np.outer(along, along)
+
+
+def _height_confidence(position: Position) -> float:
+    """Half the 95 % interval of the height of a reference position, m."""
+    place = position.altitude_confidence
+    if not has_altitude(position) or place > len(_ALTITUDES):
+        return UNKNOWN_POSITION
+    return float(_ALTITUDES[place] if place < len(_ALTITUDES) else _OUT_OF_RANGE * _ALTITUDES[-1])
 
 
 def segments(message: Cpm, max_bytes: int) -> list[Cpm]:

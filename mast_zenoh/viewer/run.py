@@ -174,6 +174,15 @@ class RunRecord:
         """
         return read_arrow(self.path / "objects.parquet")
 
+    @property
+    def origin(self) -> Floats:
+        """(3,) m, of the local planes of the run: x and y, and 0.
+
+        What has 32 bits, or is a map projection, is relative to it. Raises ValueError or TypeError if it is damaged.
+        """
+        x, y = self.scenario.get("origin") or (0.0, 0.0)
+        return np.array([x, y, 0.0])
+
     @cached_property
     def wirings(self) -> Sequence[tuple[int, Wiring]]:
         """The wirings that the run had, each with the frame after which it holds; the first one with -1.

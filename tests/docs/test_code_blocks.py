@@ -14,6 +14,8 @@ import ast
 import json
 import re
 import shlex
+import socket
+import threading
 import tomllib
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
@@ -33,6 +35,7 @@ from mast_zenoh.faults import Fault
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.ros2.data_keys import parse_data_key
 from mast_zenoh.ros2.type_store import decode
+from mast_zenoh.runtime.mesh.session import open_client
 from mast_zenoh.security.authority import Authority
 from mast_zenoh.study import definition
 from mast_zenoh.study.search import searching
@@ -239,6 +242,26 @@ def simulated_run(block: Block, folder: Path) -> None:
         assert events == ast.literal_eval(comment)
 
 
+def router_of_ros(block: Block, folder: Path) -> None:
+    """Two clients hear each other through the router while it waits for Enter."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    heard = threading.Event()
+
+    def wait(prompt: str) -> str:
+        with open_client(endpoint) as hearing, open_client(endpoint) as speaking:
+            hearing.declare_subscriber("0/mast/picture", lambda sample: heard.set())
+            for _ in range(100):  # until the subscription has reached the router
+                speaking.put("0/mast/picture", b"objects")
+                if heard.wait(0.3):
+                    break
+        return ""
+
+    executed(block._replace(content=block.content.replace("tcp/[::]:7447", endpoint)), input=wait)
+    assert heard.is_set()
+
+
 def message_of_ros(block: Block, folder: Path) -> None:
     names = executed(block)
     key = parse_data_key(names["key"])
@@ -257,7 +280,7 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "network.md": [whole_scenario],
     "python.md": [None] * 13,  # test_page_examples.py
     "recording.md": [messages_of_a_run],
-    "ros2.md": [part_of_a_scenario, message_of_ros],
+    "ros2.md": [router_of_ros, part_of_a_scenario, message_of_ros],
     "scene_arrays.md": [None] * 3,  # test_page_examples.py
     "scenarios.md": [whole_scenario, results_of_a_node],
     "search.md": [study_with_a_search],

@@ -102,3 +102,17 @@ def test_a_station_that_sends_nothing_loses_nothing() -> None:
 def test_congestion_control_without_a_channel_is_refused() -> None:
     with pytest.raises(ConfigurationError, match="the scenario has no `channel`"):
         tiny("peers", "n_mobile=0", 'peers.*.congestion={"type": "AdaptiveDcc"}', infrastructure=4, frames=5)
+
+
+def test_a_message_says_how_many_objects_its_sender_knows_sent_or_not() -> None:
+    """TS 103 324 v2.1.1: numberOfPerceivedObjects is the total at the time of generating the message."""
+    run, fewer = played(), 0
+    for agent in ("ego", "infra_1"):
+        known = {
+            message.header.frame: len(message.body["id"]) for message in run.decoded(f"agent/{agent}/tracks", "tracks")
+        }
+        for message in run.decoded(f"agent/{agent}/broadcast", "tracks"):
+            parts = list(map(cpm.decode, message.body.segments))
+            assert {part.known_objects for part in parts} == {known[message.header.frame]}
+            fewer += len(message.body["id"]) < known[message.header.frame]
+    assert fewer > 5, "the rules leave objects out"

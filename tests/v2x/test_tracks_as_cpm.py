@@ -155,7 +155,7 @@ def test_the_most_probable_hypothesis_decides_the_class():
         [1, GROUP, ABSENT, 3, 101],
     ]
     objects = dataclasses.replace(objects, classes=np.array(classes))
-    states, _ = from_cpm(to_cpm(objects, 1, 0, Position(0, 0)), PLANE)
+    states, _ = from_cpm(to_cpm(objects, 1, 0, Position(487_600_000, 114_300_000)), PLANE)
     assert [CLASSES[class_id] for class_id in states.class_id] == ["bus", "truck", "unknown"]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import struct
 import zlib
@@ -119,7 +120,7 @@ def in_order(messages: dict[str, list[dict]]) -> list[dict]:
 
 
 def test_the_file_holds_what_each_station_sent_in_order(broadcast: mast.Run, out: Path) -> None:
-    assert export(broadcast.path, "pcap", out).paths == (out,)
+    assert export(broadcast.path, "pcap", out).paths == (out, out.with_name(f"{out.stem}.jsonl"))
     messages = by_key(broadcast)
     messages[INTERCEPTED] = messages.pop(f"{INTERCEPTED}/@tap/0")
     tracks = {f"agent/{name}/broadcast" for name in ("ego", "mobile_1", "infra_1", "infra_2", "infra_3")}
@@ -282,6 +283,7 @@ def test_an_invalid_message_is_left_out_and_counted(
     export(broadcast.path, "pcap", out)
     whole = packets(out)
     out.unlink()
+    out.with_suffix(".jsonl").unlink()
     monkeypatch.setattr(pcap, "read", spoilt(change))
     exported = export(broadcast.path, "pcap", out)
     assert exported.missing[1:] == ("messages.mcap: invalid messages, which receivers refuse, are left out: 1",)
@@ -371,3 +373,24 @@ def test_a_damaged_recording_and_a_write_error_leave_nothing_behind(
     with pytest.raises(mast.MastError, match="No space left on device"):
         export(broadcast.path, "pcap", tmp_path / "exported")
     assert [path.name for path in tmp_path.iterdir()] == ["copy"]
+
+
+def test_a_line_of_json_has_the_fields_of_each_packet(broadcast: mast.Run, tmp_path: Path) -> None:
+    """For readers without a dissector of CPMs, such as tshark before 4.6."""
+    out = tmp_path / "radio.pcap"
+    export(broadcast.path, "pcap", out)
+    lines = [json.loads(line) for line in (tmp_path / "radio.jsonl").read_text().splitlines()]
+    captured = packets(out)
+    assert [line["number"] for line in lines] == list(range(1, len(captured) + 1))
+    assert {line["adversary"] for line in lines} == {None, "adversary_1"}
+    for line, found in zip(lines, captured, strict=True):
+        assert line["type"] == {2009: "cpm", 2001: "cam"}[found.port]
+        decoded = {"cpm": cpm, "cam": cam}[line["type"]].decode(found.payload)
+        assert line["station_id"] == line["message"]["header"]["stationId"] == decoded.station_id
+        assert line["time_ns"] == found.time_ns - SCENE_BEGINS_S * 1_000_000_000
+        if line["type"] == "cam":
+            continue
+        contents = [each["containerData"] for each in line["message"]["payload"]["cpmContainers"]]
+        (of_objects,) = [each for each in contents if "perceivedObjects" in each]
+        assert len(of_objects["perceivedObjects"]) == len(decoded.objects)
+        assert of_objects["numberOfPerceivedObjects"] == decoded.known_objects

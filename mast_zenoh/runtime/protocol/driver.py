@@ -64,6 +64,7 @@ def protocol_of(
         "period_ns": resolved.period_ns,
         "lockstep": lockstep,
         "timespan": resolved.timespan,
+        "plane": resolved.plane,
     }
     protocol: NodeProtocol
     if isinstance(node, Source):

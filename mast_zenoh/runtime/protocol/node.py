@@ -25,6 +25,7 @@ from mast_zenoh.runtime.protocol.actions import Actions, Clocks, Query
 from mast_zenoh.runtime.protocol.pacer import waits_for_listeners
 from mast_zenoh.runtime.protocol.rewiring import WiringFollower
 from mast_zenoh.runtime.protocol.traffic import Event, Inbox, Outlets, Receiving
+from mast_zenoh.v2x.reference_position import WORLD_PLANE, LocalPlane
 from mast_zenoh.wiring.model import Wiring
 
 #: Source of clocks in the inbox, where other messages of their publisher take none of their room: without its clock, a
@@ -57,6 +58,7 @@ class NodeProtocol:
     signatures: of control messages; period_ns: interval of the scene's frames, ns
     lockstep: whether time advances with frames
     timespan: valid frames and times of messages; None: any
+    plane: of the stations of the run, for standard messages
     """
 
     def __init__(
@@ -74,6 +76,7 @@ class NodeProtocol:
         period_ns: int,
         lockstep: bool,
         timespan: Timespan | None = None,
+        plane: LocalPlane = WORLD_PLANE,
     ) -> None:
         self.name = name
         self.actions = actions
@@ -110,6 +113,7 @@ class NodeProtocol:
             emit=self._emit,
             wiring=wiring,
             timespan=timespan,
+            plane=plane,
         )
         self.host.on_failure = self._report_failure
         self.host.tables.hand_in = lambda part: actions.hand_in_part(results.encode_part(process, part))
@@ -340,6 +344,7 @@ class NodeProtocol:
             "results": host.finish() if self.receiving.started else {},
             "rejected": {f"{key}: {reason}": n for (key, reason), n in host.rejected.items()},
             "first_rejected": host.first_rejected,
+            "unaccepted": host.unaccepted,
             "foreign": dict(self.receiving.foreign),
             "invalid": self.invalid.entry(),
             "unsigned": self.signatures.obeyed,

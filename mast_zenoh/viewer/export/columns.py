@@ -76,8 +76,13 @@ def wall_lines(scene: Recording) -> Floats:
 AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 
 
-#: Name of the world frame.
-WORLD = "world"
+#: Name of the world frame, and of the one of viewers with 32 bits for a coordinate, where that would be too coarse.
+WORLD, SCENE = "world", "scene"
+
+
+def scene_frame(run: FramedRun) -> str:
+    """The frame that has its origin at `run.origin`: the world's, unless the scene is far from its origin."""
+    return SCENE if run.origin.any() else WORLD
 
 
 def transforms_of(agent: str, pose: Pose, camera: Camera) -> Iterator[tuple[str, str, Floats, Floats]]:

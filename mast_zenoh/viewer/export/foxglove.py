@@ -46,6 +46,7 @@ from mast_zenoh.viewer.export.columns import (
     class_names,
     colours,
     missed,
+    scene_frame,
     transforms_of,
     wall_lines,
 )
@@ -72,23 +73,24 @@ def replacement(time_ns: int, entities: list[SceneEntity]) -> SceneUpdate:
     return SceneUpdate(deletions=[everything], entities=entities)
 
 
-def building_entity(scene: Recording, time_ns: int) -> SceneEntity:
+def building_entity(run: FramedRun, scene: Recording, time_ns: int) -> SceneEntity:
     """The edges of the buildings of a scene."""
+    corners = wall_lines(scene).reshape(-1, 3) - run.origin
     lines = LinePrimitive(
         type=LinePrimitiveLineType.LineList,
         thickness=0.15,
-        points=[Point3(x=x, y=y, z=z) for x, y, z in wall_lines(scene).reshape(-1, 3).tolist()],
+        points=[Point3(x=x, y=y, z=z) for x, y, z in corners.tolist()],
         color=_colour(rgb(BUILDING_EDGE)),
     )
-    return SceneEntity(timestamp=timestamp_of(time_ns), frame_id=WORLD, id="0", lines=[lines])
+    return SceneEntity(timestamp=timestamp_of(time_ns), frame_id=scene_frame(run), id="0", lines=[lines])
 
 
-def change_entities(frame: Frame) -> list[SceneEntity]:
+def change_entities(run: FramedRun, frame: Frame) -> list[SceneEntity]:
     """A mark for everything that an adversary inserted, removed or moved; none for the effects of links."""
     made, entities = frame.changes, []
     colour = _colour(rgb(ADVERSARY), 0.6)
     for k in range(len(made.effect)):
-        places = [place[k] for place in (made.before, made.after) if np.isfinite(place[k]).all()]
+        places = [place[k] - run.origin for place in (made.before, made.after) if np.isfinite(place[k]).all()]
         if not places or made.role[k] == "link":
             continue
         spheres = [SpherePrimitive(pose=_pose(places[-1]), size=Vector3(x=1.0, y=1.0, z=1.0), color=colour)]
@@ -98,7 +100,7 @@ def change_entities(frame: Frame) -> list[SceneEntity]:
         entities.append(
             SceneEntity(
                 timestamp=timestamp_of(frame.time_ns),
-                frame_id=WORLD,
+                frame_id=scene_frame(run),
                 id=str(k),
                 metadata=words,
                 spheres=spheres,
@@ -108,11 +110,14 @@ def change_entities(frame: Frame) -> list[SceneEntity]:
     return entities
 
 
-def box_entities(frame: Frame, states: ObjectStates, colour: Ints, outcomes: Sequence[str]) -> list[SceneEntity]:
+def box_entities(
+    run: FramedRun, frame: Frame, states: ObjectStates, colour: Ints, outcomes: Sequence[str]
+) -> list[SceneEntity]:
     """An entity for each object, named by its id: its box, a line ahead, and its other values as text."""
+    positions = states.position - run.origin
     turns, kinds = scalar_last_quaternions(states.yaw), class_names(states)
     ahead = np.stack([np.cos(states.yaw), np.sin(states.yaw), 0 * states.yaw], axis=1) * (states.size[:, :1] / 2 + 1.2)
-    lines = np.stack([states.position, states.position + ahead], axis=1).tolist()
+    lines = np.stack([positions, positions + ahead], axis=1).tolist()
     entities = []
     for k, number in enumerate(states.id.tolist()):
         words = {
@@ -124,12 +129,12 @@ def box_entities(frame: Frame, states: ObjectStates, colour: Ints, outcomes: Seq
         entities.append(
             SceneEntity(
                 timestamp=timestamp_of(frame.time_ns),
-                frame_id=WORLD,
+                frame_id=scene_frame(run),
                 id=str(number),
                 metadata=[KeyValuePair(key=key, value=value) for key, value in words.items()],
                 cubes=[
                     CubePrimitive(
-                        pose=_pose(states.position[k], turns[k]),
+                        pose=_pose(positions[k], turns[k]),
                         size=vector(states.size[k]),
                         color=_colour(colour[k], 0.5),
                     )
@@ -244,19 +249,19 @@ class RunChannels:
     def write_buildings(self, time_ns: int) -> None:
         """Write what does not change with the frame."""
         if self.run.recording is not None:
-            self._replace(BUILDINGS, time_ns, [building_entity(self.run.recording, time_ns)])
+            self._replace(BUILDINGS, time_ns, [building_entity(self.run, self.run.recording, time_ns)])
 
     def _objects(self, frame: Frame, series: Series) -> None:
         """The objects of a series, and those that it misses; nothing where no message was recorded."""
         entities: list[SceneEntity] = []
         if series in frame.objects:
             outcomes = frame.outcomes[series].names
-            entities = box_entities(frame, frame.objects[series], colours(frame, series), outcomes)
+            entities = box_entities(self.run, frame, frame.objects[series], colours(frame, series), outcomes)
         self._replace(self.objects[series], frame.time_ns, entities)
         if series != TRUTH:
             lost = missed(frame, series)
             colour = np.tile(_MISSED, (len(lost), 1))
-            entities = box_entities(frame, lost, colour, ["missed"] * len(lost))
+            entities = box_entities(self.run, frame, lost, colour, ["missed"] * len(lost))
             self._replace(self.missed[series], frame.time_ns, entities)
 
     def _replace(self, topic: str, time_ns: int, entities: list[SceneEntity]) -> None:
@@ -265,6 +270,16 @@ class RunChannels:
     def _poses(self, frame: Frame) -> None:
         """The poses of the agents and of their cameras, in one message; the calibrations, and the blank image."""
         time, transforms = timestamp_of(frame.time_ns), []
+        if scene_frame(self.run) != WORLD:
+            transforms.append(
+                FrameTransform(
+                    timestamp=time,
+                    parent_frame_id=WORLD,
+                    child_frame_id=scene_frame(self.run),
+                    translation=vector(self.run.origin),
+                    rotation=Quaternion(w=1.0),
+                )
+            )
         for agent, pose in frame.poses.items():
             camera = self.cameras[agent]
             for parent, child, position, turn in transforms_of(agent, pose, camera):
@@ -295,7 +310,7 @@ class RunChannels:
 
     def _changes(self, frame: Frame) -> None:
         """What adversaries inserted, removed and moved, as marks and as lines of a log."""
-        self._replace(CHANGES, frame.time_ns, change_entities(frame))
+        self._replace(CHANGES, frame.time_ns, change_entities(self.run, frame))
         for name, sentence in zip(frame.changes.interposer.tolist(), frame.changes.sentences, strict=True):
             message = Log(
                 timestamp=timestamp_of(frame.time_ns), level=LogLevel.Warning, name=str(name), message=sentence

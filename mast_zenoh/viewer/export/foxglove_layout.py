@@ -9,7 +9,7 @@ import numpy as np
 
 from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.metrics.record import Series
-from mast_zenoh.viewer.export.columns import WORLD
+from mast_zenoh.viewer.export.columns import scene_frame
 from mast_zenoh.viewer.frame import FramedRun
 from mast_zenoh.viewer.palette import GROUND
 from mast_zenoh.viewer.routes import TRUTH
@@ -59,7 +59,7 @@ def layout(run: FramedRun) -> dict[str, Any]:
     main = run.main_agent
     scene = scene_of(shown)
     panels: dict[str, Any] = {
-        _FROM_ABOVE: scene | from_above(run, WORLD),
+        _FROM_ABOVE: scene | from_above(run, scene_frame(run)),
         _CAMERA: scene | {"imageMode": {"calibrationTopic": camera_topic(main), "imageTopic": image_topic(main)}},
         _FALSE: _plot(run, "false objects", "fp"),
         _MISSED_PLOT: _plot(run, "missed objects", "fn"),
@@ -132,9 +132,9 @@ def _plot(run: FramedRun, title: str, field: str) -> dict[str, Any]:
 
 
 def view_of(run: FramedRun) -> tuple[list[float], float]:
-    """The centre of the view, m, and a distance from which it holds all agents, m."""
+    """The centre of the view, m, from the run's origin, and a distance from which it holds all agents, m."""
     if run.recording is None:
         return [0.0, 0.0], 150.0
-    places = run.recording.agent_position[..., :2].reshape(-1, 2)
+    places = run.recording.agent_position[..., :2].reshape(-1, 2) - run.origin[:2]
     low, high = places.min(axis=0), places.max(axis=0)
     return ((low + high) / 2).tolist(), max(float(np.ptp(places, axis=0).max()), 60.0) * 1.5

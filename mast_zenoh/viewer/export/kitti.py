@@ -5,7 +5,7 @@ Geiger, Lenz, Urtasun: Are we ready for autonomous driving? The KITTI vision ben
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TextIO
@@ -13,7 +13,7 @@ from typing import TextIO
 import numpy as np
 
 from mast_zenoh.arrays.geometry import box_corners, to_local, to_world, wrap_angle
-from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
+from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.scenes.recording import SEEN_RETURNS
 from mast_zenoh.sensing import Camera, LidarSensor
@@ -26,15 +26,18 @@ SEQUENCE = "0000"
 _TYPES = {"car": "Car", "truck": "Truck", "bicycle": "Cyclist", "pedestrian": "Pedestrian"}
 _EARTH_RADIUS_M = 6378137.0
 _NEAR_M = 0.1
-_NOT_IN_IMAGE = (-1.0, -1.0, -1.0, -1.0)
-#: Occlusion of a label: visible, largely occluded.
+#: Occlusion of a label: visible, largely occluded. Truncation: whole, partly outside of the image.
 _VISIBLE, _OCCLUDED = 0, 2
+_WHOLE, _TRUNCATED = 0, 1
+#: The corners at the ends of the edges of a box, in the order of `box_corners`.
+_EDGES = np.array([[k, k // 4 * 4 + (k + 1) % 4] for k in range(8)] + [[k, k + 4] for k in range(4)])
 
 
 def write(run: RecordedRun, path: Path) -> None:
-    """Write label_02, calib and oxts of one sequence, and trackers/ESTIMATE/data with a line for each track.
+    """Write label_02, calib and oxts of one sequence, and trackers/ESTIMATE/data, with what the camera sees.
 
-    A frame without a pose of the main agent has no labels.
+    It is the main agent's camera; it sees a box if a part of it is in the image. A frame without a pose of that agent
+    has no labels.
     """
     for name in ("label_02", "calib", "oxts"):
         (path / name).mkdir(parents=True)
@@ -58,7 +61,7 @@ def write(run: RecordedRun, path: Path) -> None:
                 _write_objects(opened[series], run, frame, series, states, camera)
     if without_pose:
         run.note(f"messages.mcap: frames without a pose of {main}, and therefore without labels: {without_pose}")
-    (path / "oxts" / f"{SEQUENCE}.txt").write_text("".join(_positions(poses)), encoding="ascii")
+    (path / "oxts" / f"{SEQUENCE}.txt").write_text("".join(_positions(poses, run.origin)), encoding="ascii")
     last = max(poses, default=-1)
     (path / "evaluate_tracking.seqmap.training").write_text(f"{SEQUENCE} empty 000000 {last + 1:06d}\n", "ascii")
 
@@ -82,17 +85,17 @@ def _calibration(camera: Camera, lidar: LidarSensor) -> str:
     return "".join(f"{name} {' '.join(f'{value:.12e}' for value in values)}\n" for name, values in rows.items())
 
 
-def _positions(poses: dict[int, Pose]) -> Iterator[str]:
+def _positions(poses: dict[int, Pose], origin: Floats) -> Iterator[str]:
     """A line for each frame up to the last: latitude, longitude, altitude, roll, pitch, yaw, and zeros.
 
-    The world's origin is at latitude and longitude 0, in the Mercator projection of KITTI's development kit. A frame
-    without a pose repeats the one before.
+    The origin (3,) m is at latitude and longitude 0, in the Mercator projection of KITTI's development kit, which
+    stretches with the latitude. A frame without a pose repeats the one before.
     """
     pose = next(iter(poses.values())) if poses else None
     for index in range(max(poses, default=-1) + 1):
         pose = poses.get(index, pose)
         assert pose is not None
-        x, y, z = pose.position / np.array([_EARTH_RADIUS_M, _EARTH_RADIUS_M, 1.0])
+        x, y, z = (pose.position - origin) / np.array([_EARTH_RADIUS_M, _EARTH_RADIUS_M, 1.0])
         latitude, longitude = np.degrees(2.0 * np.arctan(np.exp(y)) - np.pi / 2), np.degrees(x)
         r = pose.rotation
         angles = np.arctan2(r[2, 1], r[2, 2]), np.arcsin(-r[2, 0].clip(-1.0, 1.0)), np.arctan2(r[1, 0], r[0, 0])
@@ -114,37 +117,59 @@ def _write_objects(
 
 
 def _labels(frame: Frame, states: ObjectStates, pose: Pose, camera: Camera, occluded: Ints) -> Iterator[list[str]]:
-    """The words of the line of each object, the last one its score."""
+    """The words of the line of each object in the image, the last one its score."""
+    rectangles, inside, truncated = _rectangles(states, pose, camera)
     position, turn = _in_camera(states, pose, camera)
     bottom = position + np.stack([0 * turn, states.size[:, 2] / 2, 0 * turn], axis=1)
     alpha = wrap_angle(turn - np.arctan2(bottom[:, 0], bottom[:, 2]))
-    rectangles = _rectangles(states, pose, camera)
-    for k, kind in enumerate(class_names(states)):
+    kinds = class_names(states)
+    for k in np.flatnonzero(inside).tolist():
         length, width, height = states.size[k]
         numbers = (alpha[k], *rectangles[k], height, width, length, *bottom[k], turn[k], states.score[k])
-        truncated = min(int(occluded[k]), 0)  # -1: not known, as the occlusion
-        words = [str(frame.index), str(states.id[k]), _TYPES.get(kind, "Misc"), str(truncated), str(occluded[k])]
+        cut = _TRUNCATED if truncated[k] else _WHOLE
+        words = [str(frame.index), str(states.id[k]), _TYPES.get(kinds[k], "Misc"), str(cut), str(occluded[k])]
         yield [*words, *(f"{number:.6f}" for number in numbers)]
 
 
 def _in_camera(states: ObjectStates, pose: Pose, camera: Camera) -> tuple[Floats, Floats]:
     """Centres (n, 3) m in the axes of the camera, and the turn (n,) rad about its downward axis, 0 to the right."""
-    mount = to_world(camera.mount_position[None], pose.position, pose.rotation)[0]
     rotation = pose.rotation @ camera.mount_rotation
     ahead = np.stack([np.cos(states.yaw), np.sin(states.yaw), 0 * states.yaw], axis=1) @ rotation @ AXES.T
-    return to_local(states.position, mount, rotation) @ AXES.T, -np.arctan2(ahead[:, 2], ahead[:, 0])
+    return _in_camera_axes(states.position, pose, camera), -np.arctan2(ahead[:, 2], ahead[:, 0])
 
 
-def _rectangles(states: ObjectStates, pose: Pose, camera: Camera) -> Sequence[Sequence[float]]:
-    """left, top, right, bottom, px, of each box in the image; _NOT_IN_IMAGE where a part of it is behind the camera."""
-    corners = box_corners(states.position, states.size, states.yaw)
-    pixels, depth = camera.project(corners.reshape(-1, 3), pose.position, pose.rotation)
-    pixels = pixels.reshape(-1, 8, 2)
-    ahead = depth.reshape(-1, 8).min(axis=1) > _NEAR_M
-    limits = np.array([camera.width - 1.0, camera.height - 1.0])
-    result: list[Sequence[float]] = []
-    for k in range(len(states)):
-        low, high = pixels[k].min(axis=0).clip(0.0, limits), pixels[k].max(axis=0).clip(0.0, limits)
-        visible = bool(ahead[k]) and bool((high > low).all())
-        result.append((*low.tolist(), *high.tolist()) if visible else _NOT_IN_IMAGE)
-    return result
+def _in_camera_axes(points: Floats, pose: Pose, camera: Camera) -> Floats:
+    """(n, 3) m, x right, y down, z ahead of the camera, of points (n, 3) m of the world."""
+    mount = to_world(camera.mount_position[None], pose.position, pose.rotation)[0]
+    return np.asarray(to_local(points, mount, pose.rotation @ camera.mount_rotation) @ AXES.T)
+
+
+def _rectangles(states: ObjectStates, pose: Pose, camera: Camera) -> tuple[Floats, Bools, Bools]:
+    """left, top, right, bottom (n, 4), px, of the part of each box in the image; and (n,) which have one, and are cut.
+
+    Of a box that is partly behind the camera it is the part ahead. One around the camera, its own, is not seen.
+    """
+    corners = _in_camera_axes(box_corners(states.position, states.size, states.yaw).reshape(-1, 3), pose, camera)
+    first, last = (corners.reshape(-1, 8, 3)[:, ends] for ends in _EDGES.T)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        crossing = first + ((_NEAR_M - first[..., 2]) / (last[..., 2] - first[..., 2]))[..., None] * (last - first)
+    # The ends of each edge, moved to the near plane where they are behind it; of edges entirely behind it, none counts.
+    points = np.concatenate([np.where(end[..., 2:] < _NEAR_M, crossing, end) for end in (first, last)], axis=1)
+    ahead = np.tile(np.maximum(first[..., 2], last[..., 2]) >= _NEAR_M, 2)
+    centre, limits = np.array([camera.width, camera.height]) / 2, np.array([camera.width - 1.0, camera.height - 1.0])
+    pixels = centre + camera.focal * points[..., :2] / np.where(ahead, points[..., 2], np.inf)[..., None]
+    low = np.where(ahead[..., None], pixels, np.inf).min(axis=1)
+    high = np.where(ahead[..., None], pixels, -np.inf).max(axis=1)
+    rectangles = np.concatenate([low.clip(0.0, limits), high.clip(0.0, limits)], axis=1)
+    inside = np.asarray((rectangles[:, 2:] > rectangles[:, :2]).all(axis=1)) & ~_is_around(states, pose, camera)
+    cut = np.asarray((low < 0.0).any(axis=1) | (high > limits).any(axis=1) | ~ahead.all(axis=1))
+    return rectangles, inside, cut
+
+
+def _is_around(states: ObjectStates, pose: Pose, camera: Camera) -> Bools:
+    """Which boxes (n,) a camera is in, or above."""
+    mount = to_world(camera.mount_position[None], pose.position, pose.rotation)[0]
+    x, y = (mount - states.position)[:, :2].T
+    c, s = np.cos(states.yaw), np.sin(states.yaw)
+    offset = np.abs(np.stack([c * x + s * y, c * y - s * x], axis=1))
+    return np.asarray((offset <= states.size[:, :2] / 2).all(axis=1))

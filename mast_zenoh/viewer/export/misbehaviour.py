@@ -136,7 +136,7 @@ class _Reading:
 
     def __init__(self, run: RecordedRun, observers: Sequence[tuple[int, Observers]]) -> None:
         self.run, self.observers = run, observers
-        self.plane = LocalPlane()
+        self.plane = LocalPlane(origin=(run.origin[0], run.origin[1]))
         self.claims: dict[str, deque[_Claim]] = {}  # by key
         self.places: dict[str, list[float]] = {}  # (3) m, by agent
         self.lost: dict[int, dict[str, Mapping[str, set[str]]]] = {}  # by frame and agent, who was not heard, by port

@@ -1,4 +1,4 @@
-"""pcap: a capture file of the V2X messages that stations and adversaries sent, as Wireshark opens it.
+"""pcap: a capture file of the V2X messages that stations and adversaries sent, as Wireshark opens it; and as JSON.
 
 Collective Perception Messages, and Cooperative Awareness Messages.
 
@@ -8,19 +8,22 @@ segment.
 
 from __future__ import annotations
 
+import json
 import struct
 import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
-from typing import NamedTuple
+from typing import IO, Any, NamedTuple
 
 from mast_zenoh.errors import ExportError, MessageError
 from mast_zenoh.messagelog.reader import Recorded, read
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.packed import Packed
 from mast_zenoh.v2x import cam, cpm
+from mast_zenoh.v2x.asn1 import cam_fields, cpm_fields, uper
+from mast_zenoh.v2x.asn1.plain import to_plain
 from mast_zenoh.v2x.reference_position import Position
 from mast_zenoh.viewer.recorded import RecordedRun
 from mast_zenoh.wiring.model import Passage, Wiring
@@ -48,8 +51,9 @@ _BTP_B, _SINGLE_HOP, _TRAFFIC_CLASS, _MOBILE = 0x20, 0x50, 2, 0x80
 #: Kind of address, link-layer address, ms modulo 2^32, latitude, longitude, speed, heading; data of the medium.
 _POSITION = struct.Struct("!H6sIiiHHI")
 _CONFIGURED, _ROADSIDE_UNIT, _UNKNOWN_STATION = 0x8000, 15, 0
-#: Destination ports, by codec, and their info.
+#: Destination ports, by codec, and their info; fields of the messages.
 _PORTS = {"cpm": 2009, "cam": 2001}
+_LAYOUTS = {"cpm": cpm_fields.LAYOUT, "cam": cam_fields.LAYOUT}
 _BTP = struct.Struct("!HH")
 
 
@@ -91,6 +95,8 @@ class _Legs(NamedTuple):
 def write(run: RecordedRun, path: Path) -> None:
     """Write a packet for each segment that a publisher sent, and for each that an adversary sent instead.
 
+    Next to it, STEM.jsonl has a line with the fields of each packet.
+
     Messages that an adversary passes on as it received them are not repeated. A note names each adversary with packets.
 
     Raises ExportError if no wire of the run has such messages.
@@ -104,8 +110,9 @@ def write(run: RecordedRun, path: Path) -> None:
         )
     refused = 0
     forged: Counter[tuple[str, str, str]] = Counter()
-    with path.open("wb") as file:
+    with path.open("wb") as file, path.with_name(f"{path.stem}.jsonl").open("w", encoding="utf-8") as lines:
         file.write(_FILE_HEADER)
+        written = 0
         for _, group in groupby(read(run.path, wires.__contains__), key=lambda message: message.order[:5]):
             of_one = [(message, _in_force(every, message.step)) for message in group]
             payloads = {message.key: message.payload for message, _ in of_one}
@@ -116,13 +123,15 @@ def write(run: RecordedRun, path: Path) -> None:
                 if attack and message.payload == payloads.get(attack.received):
                     continue  # passed on
                 try:
-                    records = list(_records(message, attack.node if attack else None))
+                    packets = list(_packets(message, attack.node if attack else None))
                 except MessageError:
                     refused += 1
                     continue
-                file.writelines(records)
+                for number, each in enumerate(packets, written + 1):
+                    each.write(file, lines, number)
+                written += len(packets)
                 if attack:
-                    forged[attack.node, attack.wire, attack.before or "all"] += len(records) // 2
+                    forged[attack.node, attack.wire, attack.before or "all"] += len(packets)
     for (node, wire, listener), count in sorted(forged.items()):
         run.note(
             f"{node} sends {count} packets to {listener} in place of those on {wire}: "
@@ -147,8 +156,36 @@ def _address(station_id: int) -> bytes:
     return _LOCAL + station_id.to_bytes(4, "big")
 
 
-def _records(message: Recorded, node: str | None) -> Iterator[bytes]:
-    """Headers and packets of a message in the file. Raises MessageError, before the first one, if it is no such one.
+class _Packet(NamedTuple):
+    """A packet of a message. data: from Ethernet on;  codec, segment: what it carries;  node: the adversary, if any"""
+
+    message: Recorded
+    data: bytes
+    codec: str
+    segment: bytes
+    station_id: int
+    node: str | None
+
+    def write(self, file: IO[bytes], lines: IO[str], number: int) -> None:
+        """Write it into the capture file, and its fields as a line. number: as Wireshark counts, from 1"""
+        seconds, nanoseconds = divmod(self.message.time_ns, 1_000_000_000)
+        file.write(_PACKET_HEADER.pack(EPOCH_S + seconds, nanoseconds, len(self.data), len(self.data)) + self.data)
+        layout = _LAYOUTS[self.codec]
+        fields: dict[str, Any] = {
+            "number": number,
+            "frame": self.message.frame,
+            "time_ns": self.message.time_ns,
+            "wire": self.message.wire,
+            "adversary": self.node,
+            "station_id": self.station_id,
+            "type": self.codec,
+            "message": to_plain(layout, uper.decode(layout, self.segment)),
+        }
+        lines.write(json.dumps(fields) + "\n")
+
+
+def _packets(message: Recorded, node: str | None) -> Iterator[_Packet]:
+    """The packets of a message. Raises MessageError, before the first one, if it is no such one.
 
     node: the adversary that sends it from an address of its own; None: the station that the message names
     """
@@ -159,13 +196,12 @@ def _records(message: Recorded, node: str | None) -> Iterator[bytes]:
         raise MessageError(f"{message.key}: found columns, expected a CPM or a CAM")
     if message.time_ns >= _MAX_TIME_NS:
         raise MessageError(f"{message.key}: time_ns is {message.time_ns}, expected less than {_MAX_TIME_NS}")
-    seconds, nanoseconds = divmod(message.time_ns, 1_000_000_000)
     for segment in body.segments:
         sender = sender_of(body.codec, segment)
+        said = sender.station_id
         sender = sender if node is None else sender._replace(station_id=_station_of(node))
         data = packet(segment, _PORTS[body.codec], sender, message.time_ns // 1_000_000)
-        yield _PACKET_HEADER.pack(EPOCH_S + seconds, nanoseconds, len(data), len(data))
-        yield data
+        yield _Packet(message, data, body.codec, segment, said, node)
 
 
 def sender_of(name: str, segment: bytes) -> Sender:
@@ -173,7 +209,7 @@ def sender_of(name: str, segment: bytes) -> Sender:
     if name == "cam":
         said = cam.decode(segment)
         motion = said.vehicle or cam.VehicleMotion()
-        speed = 0 if motion.speed == cam.VehicleMotion.speed else motion.speed
+        speed = 0 if motion.speed >= cam.VehicleMotion.speed - 1 else motion.speed  # unavailable, or out of range
         speed *= -1 if motion.drive_direction == 1 else 1
         heading = _heading(motion.heading)
         return Sender(said.station_id, said.station_type % 32, said.vehicle is not None, said.position, speed, heading)

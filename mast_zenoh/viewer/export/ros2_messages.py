@@ -22,7 +22,7 @@ from mast_zenoh.viewer.export.columns import AXES, WORLD, cameras, colours
 from mast_zenoh.viewer.frame import Frame, FramedRun
 from mast_zenoh.viewer.routes import POSE, TRUST
 
-#: The root of all frames of reference, which RViz expects: at the origin of the world.
+#: The root of all frames of reference, which RViz expects: at the run's origin, as RViz has 32 bits for a coordinate.
 MAP = "map"
 CLOCK, TRANSFORMS, MOUNTS, DIAGNOSTICS = "/clock", "/tf", "/tf_static", "/diagnostics"
 
@@ -124,7 +124,7 @@ class RunMessages:
 
     def _mounts(self) -> Iterator[Transform]:
         """Where the world is on the map, and sensors and optical frames of cameras on their agents."""
-        yield Transform(MAP, WORLD, 0, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+        yield Transform(MAP, WORLD, 0, 0.0 - self.run.origin, np.array([1.0, 0.0, 0.0, 0.0]))
         for agent, camera in cameras(self.run).items():
             optical = camera.mount_rotation @ AXES.T
             yield _mount(agent, "camera_optical", camera.mount_position, optical)

@@ -1,6 +1,8 @@
 """A recording for the Rerun viewer, with a blueprint.
 
-It is written to files and to memory only. Rerun's `log` may block: no process that a run depends on may call it.
+Rerun has 32 bits for a coordinate: positions are relative to the origin of the run's local planes, which the entity
+`scene` names. The recording is written to files and to memory only: Rerun's `log` may block, so no process that a run
+depends on may call it.
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ import rerun
 import rerun.blueprint as views
 
 from mast_zenoh.arrays.geometry import scalar_last_quaternions
-from mast_zenoh.arrays.states import Ints, ObjectStates
+from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.viewer.export.columns import cameras, class_names, colours, missed, wall_lines
@@ -24,6 +26,7 @@ APPLICATION = "mast-zenoh"
 #: Timelines: number of the frame, and time of the scene.
 FRAME, TIME = "frame", "scene_time"
 BUILDINGS, CHANGES, LOG, SCORES, MISSED = "scene/buildings", "changes", "log", "scores", "missed"
+SCENE = "scene"
 
 
 def write(run: FramedRun, path: Path) -> None:
@@ -55,8 +58,11 @@ def write_static(run: FramedRun, stream: rerun.RecordingStream) -> None:
         # x ahead, y left, z up, as the agent
         pinhole = rerun.Pinhole(focal_length=camera.focal, resolution=size, camera_xyz=rerun.ViewCoordinates.FLU)
         stream.log(entity, pinhole, static=True)
+    if run.origin.any():
+        x, y, _ = run.origin.tolist()
+        stream.log(SCENE, rerun.TextDocument(f"Positions are relative to x {x:.0f} m, y {y:.0f} m."), static=True)
     if run.recording is not None:
-        walls = rerun.LineStrips3D(list(wall_lines(run.recording)), colors=[rgb(BUILDING_EDGE)])
+        walls = rerun.LineStrips3D(list(wall_lines(run.recording) - run.origin), colors=[rgb(BUILDING_EDGE)])
         stream.log(BUILDINGS, walls, static=True)
     for series in run.scored:
         for name in ("fn", "fp", "rmse_m"):
@@ -69,7 +75,8 @@ def write_frame(run: FramedRun, frame: Frame, stream: rerun.RecordingStream) -> 
     stream.set_time(FRAME, sequence=frame.index)
     stream.set_time(TIME, duration=np.timedelta64(frame.time_ns, "ns"))
     for agent, pose in frame.poses.items():
-        stream.log(pose_entity(agent), rerun.Transform3D(translation=pose.position, mat3x3=pose.rotation))
+        place = rerun.Transform3D(translation=pose.position - run.origin, mat3x3=pose.rotation)
+        stream.log(pose_entity(agent), place)
     for series in run.topics:
         if series not in frame.objects:
             stream.log(run.topics[series], rerun.Clear(recursive=False))
@@ -77,19 +84,21 @@ def write_frame(run: FramedRun, frame: Frame, stream: rerun.RecordingStream) -> 
         states = frame.objects[series]
         outcomes = frame.outcomes[series].names
         labels = [f"{kind} {number}, {outcome}" for kind, number, outcome in _named(states, outcomes)]
-        stream.log(run.topics[series], _boxes(states, colours(frame, series), labels))
+        stream.log(run.topics[series], _boxes(states, run.origin, colours(frame, series), labels))
         if series != TRUTH:
             lost = missed(frame, series)
             labels = [f"{kind} {number}, {outcome}" for kind, number, outcome in _named(lost, [MISSED] * len(lost))]
             colour = np.tile(rgb(OUTCOME_COLOURS["truth missed"]), (len(lost), 1))
-            stream.log(f"{run.topics[series]}/{MISSED}", _boxes(lost, colour, labels))
+            stream.log(f"{run.topics[series]}/{MISSED}", _boxes(lost, run.origin, colour, labels))
     changes = frame.changes
     places = np.where(np.isfinite(changes.after), changes.after, changes.before)
     shown = np.isfinite(places).all(axis=1) & (changes.role != "link")
     labels = [
         f"{effect} by {node}" for effect, node in zip(changes.effect[shown], changes.interposer[shown], strict=True)
     ]
-    marks = rerun.Points3D(places[shown], colors=[rgb(ADVERSARY)], radii=[0.5], labels=labels, show_labels=False)
+    marks = rerun.Points3D(
+        places[shown] - run.origin, colors=[rgb(ADVERSARY)], radii=[0.5], labels=labels, show_labels=False
+    )
     stream.log(CHANGES, marks)
     for sentence in changes.sentences:
         stream.log(LOG, rerun.TextLog(sentence, level=rerun.TextLogLevel.WARN))
@@ -104,9 +113,9 @@ def _named(states: ObjectStates, outcomes: list[str]) -> list[tuple[str, int, st
     return list(zip(class_names(states), states.id.tolist(), outcomes, strict=True))
 
 
-def _boxes(states: ObjectStates, colour: Ints, labels: list[str]) -> rerun.Boxes3D:
+def _boxes(states: ObjectStates, origin: Floats, colour: Ints, labels: list[str]) -> rerun.Boxes3D:
     return rerun.Boxes3D(
-        centers=states.position,
+        centers=states.position - origin,
         half_sizes=states.size / 2,
         quaternions=scalar_last_quaternions(states.yaw),
         colors=colour.astype(np.uint8),

@@ -230,6 +230,7 @@ class FrameMeter:
             period_ns=resolved.period_ns,
             wiring=observed,
             timespan=resolved.timespan,
+            plane=resolved.plane,
         )
         host.limits = RowLimits(resolved.max_rows)
         host.log = _SILENT

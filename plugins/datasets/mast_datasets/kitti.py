@@ -144,8 +144,10 @@ def read_poses(path: Path) -> tuple[Floats, Floats]:
 
     Positions are in the Mercator projection, scaled to metres at the first latitude, as in KITTI's development kit.
     """
-    rows = []
+    rows: list[list[float]] = []
     for number, fields in _rows(path):
+        if number != len(rows) + 1:  # the number of a line is that of its frame
+            raise SceneError(f"{path}: line {len(rows) + 1}: found an empty line, expected the pose of a frame")
         if len(fields) != _OXTS_COLUMNS:
             raise SceneError(f"{path}: line {number}: found {len(fields)} values, expected {_OXTS_COLUMNS}")
         rows.append(

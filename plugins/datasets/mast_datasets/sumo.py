@@ -143,9 +143,14 @@ class _Rows:
         self._has_heights = False
 
     def add(self, frame: int, rows: Iterator[tuple[bool, Row]]) -> None:
-        """Add the rows of a frame."""
+        """Add the rows of a frame, without those of persons in a vehicle."""
         seen: set[str] = set()
-        for person, row in rows:
+        listed = list(rows)
+        vehicles = {_motion(row) for person, row in listed if not person}
+        for person, row in listed:
+            ride = row.get("vehicle")
+            if person and ((ride is not None and ride.value) or _motion(row) in vehicles):
+                continue
             name = row["id"]
             if not 0 < len(name.text()) <= _MAX_ID:
                 name.fail(f"an id of 1 to {_MAX_ID} characters")
@@ -204,6 +209,11 @@ class _Rows:
             types=list(types),
             person=np.array(person, bool),
         )
+
+
+def _motion(row: Row) -> tuple[str, ...]:
+    """Position, angle and speed as they are written: SUMO gives those of their vehicle to persons in it."""
+    return tuple(row[name].value if name in row else "" for name in ("x", "y", "angle", "speed"))
 
 
 _SUFFIXES = (".xml", ".xml.gz", ".csv", ".csv.gz")

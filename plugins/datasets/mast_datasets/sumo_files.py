@@ -30,6 +30,7 @@ _ALIASES = {
     "length": ("length",),
     "width": ("width",),
     "height": ("height",),
+    "vehicle": ("vehicle",),
 }
 _TIME = "timestep_time"
 _PREFIXES = ("vehicle_", "person_")

@@ -6,6 +6,7 @@ reads copies that hold known elements alone, with the line numbers of their orig
 
 from __future__ import annotations
 
+import difflib
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -33,7 +34,14 @@ _PASSED = """begin scale max-depart-delay route-steps extrapolate-departpos eage
 random-depart-offset ignore-route-errors ignore-accidents ignore-junction-blocker default.carfollowmodel
 default.speeddev default.emergencydecel time-to-impatience pedestrian.model junction-taz routing-algorithm
 weights.random-factor tls.actuated.jam-threshold tls.actuated.detector-length device.rerouting.probability
-device.rerouting.period device.rerouting.adaptation-interval device.rerouting.adaptation-steps"""
+device.rerouting.period device.rerouting.adaptation-interval device.rerouting.adaptation-steps
+step-method.ballistic"""
+#: Options that are switched off by 0 or less, and what they switch on, which is not supported.
+_NOT_SUPPORTED = {
+    "lateral-resolution": "sublanes",
+    "lanechange.duration": "gradual changes of lanes",
+    "default.action-step-length": "steps without an action",
+}
 #: Beginnings of options that the scene sets itself, or that decide about messages and pictures.
 _OWN = ("end", "step-length", "seed", "random", "time-to-teleport", "collision.", "xml-validation", "no-", "verbose")
 #: Elements that are copied, of all kinds of files: SUMO does not tell them apart either.
@@ -101,8 +109,12 @@ def read_configuration(path: Path) -> SumoInputs:
             if name == "scale":
                 value.number(0.0, _MAX_SCALE)
             options[name] = value.text()
+        elif name in _NOT_SUPPORTED:
+            if option.attribute("value").number(-1e7, 1e7) > 0.0:
+                option.fail(f"not supported: {_NOT_SUPPORTED[name]} ({name}), expected a configuration without them")
         elif not name.startswith(_OWN):
-            option.fail(f"option {name} is not supported{nearest(name, _OPTIONS)}")
+            misspelt = difflib.get_close_matches(name, _OPTIONS, 1, cutoff=0.8)  # a name far from all is another option
+            option.fail(f"option {name} is not supported{nearest(name, _OPTIONS) if misspelt else ''}")
     if len(files["net"]) != 1:
         raise SceneError(f"{path}: found {len(files['net'])} files in net-file, expected one")
     if sum(map(len, files.values())) > _MAX_FILES:

@@ -61,7 +61,8 @@ class Simulation:
                     vehicle.moveToXY(name, edge, lane, *places[row], _KEEP_ROUTE_OR_LEAVE_ROAD)
             self.sumo.simulationStep()
             present = set(vehicle.getIDList())
-        vehicles, persons = vehicle.getIDList(), person.getIDList()
+        vehicles = vehicle.getIDList()
+        persons = [name for name in person.getIDList() if not person.getVehicle(name)]  # riders are no objects
         state = [
             *((*vehicle.getPosition(name), vehicle.getAngle(name), vehicle.getSpeed(name)) for name in vehicles),
             *((*person.getPosition(name), person.getAngle(name), person.getSpeed(name)) for name in persons),

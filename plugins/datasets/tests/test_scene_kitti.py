@@ -187,3 +187,15 @@ def test_parts_and_agents_that_are_not_there_are_refused(parameters: dict, messa
 
 def test_the_twin_has_the_lidar_above_the_ground_as_the_reader_expects() -> None:
     assert LIDAR_IN_IMU[2] + IMU_HEIGHT_M == pytest.approx(1.73)
+
+
+def test_an_empty_line_before_a_pose_is_refused_as_later_poses_would_be_early(tmp_path: Path) -> None:
+    lines = POSITIONS.splitlines(keepends=True)
+    folder = write(tmp_path, oxts="".join([*lines[:2], " \n", *lines[2:]]))
+    with pytest.raises(SceneError, match=r"oxts/0000.txt: line 3: found an empty line, expected the pose of a frame"):
+        KittiTracking(path=str(folder), n_infrastructure=0).record(0, None)
+
+
+def test_empty_lines_after_the_last_pose_are_no_frames(tmp_path: Path) -> None:
+    folder = write(tmp_path, oxts=POSITIONS + "\n \n")
+    assert len(KittiTracking(path=str(folder), n_infrastructure=0).record(0, None)) == 4

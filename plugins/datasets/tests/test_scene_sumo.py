@@ -249,3 +249,20 @@ def test_real_networks_are_read(name: str, parameters: dict, buildings: bool) ->
     moved = np.gradient(recording.agent_position[:, 0], 0.1, axis=0)
     # Positions are rounded to 1 cm, and speeds are those at the end of a step.
     assert np.median(np.linalg.norm(moved - recording.agent_velocity[:, 0], axis=1)) < 0.3
+
+
+@pytest.mark.parametrize("ride", ["", ' vehicle="b"'])
+def test_persons_in_a_vehicle_are_no_objects(folder: Path, ride: str) -> None:
+    """SUMO gives them the place, angle and speed of their vehicle, and in some traces its id."""
+    lines = []
+    for line in TRACE.splitlines():
+        lines.append(line)
+        if 'id="b"' in line:
+            seated = line.replace('id="b"', 'id="rider"').replace('type="bus@b"', f'type="DEFAULT_PEDTYPE"{ride}')
+            lines.append(seated.replace("<vehicle", "<person"))
+            lines.append('<person id="walker" x="118.00" y="4.00" angle="90.00" speed="1.20" type="DEFAULT_PEDTYPE"/>')
+    (folder / "fcd.xml").write_text("\n".join(lines))
+    (folder / "types.rou.xml").write_text(TYPES.replace("</routes>", '<vType id="bus" vClass="bus"/></routes>'))
+    scene = read(folder, ego="a")
+    kinds = [CLASSES[index] for index in scene.truth_at(0).class_id]
+    assert sorted(kinds) == ["bus", "car", "pedestrian"]

@@ -56,7 +56,7 @@ def test_outputs_messages_and_steps_of_a_configuration_are_left_out(tmp_path: Pa
         ('<configuration><net-file value="a,b"/></configuration>', "found 2 files in net-file, expected one"),
         (
             '<configuration><processing>\n<lateral-resolution value="0.8"/></processing></configuration>',
-            "line 2: <lateral-resolution>: option lateral-resolution is not supported",
+            r"line 2: <lateral-resolution>: not supported: sublanes \(lateral-resolution\)",
         ),
         ('<configuration><begn value="1"/></configuration>', "option begn is not supported; did you mean 'begin'?"),
         ('<configuration><begin value="-1"/></configuration>', "begin>: value: found '-1', expected a finite number"),
