@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.effects.passages import KNOWN_FRAMES, REMEMBERED, Interval, PassageMeter
+from mast_zenoh.effects.passages import KNOWN_FRAMES, LATEST, REMEMBERED, Interval, PassageMeter
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header, text
 from mast_zenoh.wiring.model import Input, Passage
@@ -176,3 +176,35 @@ def test_a_hidden_object_of_a_relayed_picture_is_removed_whatever_its_origins() 
     metered.close(100)
     assert effects(metered) == {}
     assert [changes.id.tolist() for changes in metered.effects.objects if len(changes.id)] == [[2]]
+
+
+def test_a_message_that_is_not_sent_on_in_time_is_dropped_while_the_run_goes_on() -> None:
+    metered = meter()
+    for frame in (1, 2):
+        metered.take_received(tracks(frame))
+    metered.settle(2)
+    assert [(each.effect, each.frame) for each in metered.effects.messages] == [("dropped", 1)]
+    metered.take_sent(tracks(2, step=2 + LATEST))
+    metered.close(500)
+    assert effects(metered) == {"dropped": 1, "delayed": 1}
+
+
+@pytest.mark.parametrize("settled", [True, False])
+def test_a_message_that_is_sent_on_much_later_is_dropped_and_repeated_whenever_that_is_measured(settled: bool) -> None:
+    metered = meter()
+    metered.take_received(tracks(1))
+    if settled:
+        metered.settle(2)
+    metered.take_sent(tracks(1, step=2 + LATEST))
+    metered.close(500)
+    assert effects(metered) == {"dropped": 1, "repeated": 1}
+
+
+def test_forgotten_effects_are_those_on_earlier_messages() -> None:
+    metered = meter()
+    for frame in range(1, 5):
+        metered.take_received(tracks(frame))
+        metered.take_sent(tracks(frame, x=3.0, time_ns=frame * PERIOD_NS + 1))
+    metered.effects.forget(3)
+    assert {each.frame for each in metered.effects.messages} == {3, 4}
+    assert sorted(int(frame) for part in metered.effects.objects for frame in part.frame) == [3, 4]
