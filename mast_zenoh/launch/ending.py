@@ -8,6 +8,7 @@ from __future__ import annotations
 import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from mast_zenoh.errors import (
@@ -23,7 +24,7 @@ from mast_zenoh.errors import (
     is_disk_full,
     is_out_of_resources,
 )
-from mast_zenoh.launch import stop_signals
+from mast_zenoh.launch import folder, stop_signals
 
 RUNNING, KILLED, OK = "running", "killed", "ok"
 _SIGNAL_NAMES = {"": "Ctrl-C", "SIGINT": "Ctrl-C", "SIGHUP": "SIGHUP: its terminal is gone"}
@@ -93,19 +94,22 @@ def with_hint(caught: KeyboardInterrupt | OSError, hint: str) -> MastError:
 
 
 @contextmanager
-def status_written(write: Callable[[str], None]) -> Iterator[None]:
+def status_written(file: Path, write: Callable[[str], None]) -> Iterator[None]:
     """Write the status `running`, run the block, and write how it ended.
 
+    file: that `write` writes; room for it is reserved, so that a full disk does not leave it at `running`
     Stop signals that come while the final status is written are ignored.
     """
     write(RUNNING)
     caught: BaseException | None = None
     try:
+        folder.reserve(file.parent, 2 * file.stat().st_size)  # errors of trials are added
         yield
     except BaseException as raised:
         caught = raised
     with stop_signals.collected():
         error = None if caught is None else from_exception(caught) or RunError(str(caught))
+        folder.release(file.parent)
         try:
             write(status(error))
         except OSError:

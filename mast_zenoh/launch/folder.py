@@ -57,7 +57,7 @@ def write_new(out: Path, write: Callable[[Path], object]) -> tuple[Path, ...]:
     return targets
 
 
-#: Reserves room for the final run.json, so a run that filled the disk can still write it.
+#: Reserves room for the final run.json or study.json, so that it can be written on a disk that has become full.
 _RESERVE, _RESERVE_BYTES = ".reserve", 1 << 16
 
 
@@ -91,7 +91,7 @@ def reserved(folder: Path) -> Iterator[None]:
     Raises DiskFull, with the folder and the free space, if the block fills the disk.
     """
     try:
-        (folder / _RESERVE).write_bytes(os.urandom(_RESERVE_BYTES))  # random bytes cannot be compressed
+        reserve(folder)
         yield
     except BaseException as error:
         for path in folder.iterdir():
@@ -102,9 +102,19 @@ def reserved(folder: Path) -> Iterator[None]:
         raise
 
 
+def reserve(folder: Path, least: int = _RESERVE_BYTES) -> None:
+    """Reserve room for a file of `least` bytes, which `release` gives back."""
+    (folder / _RESERVE).write_bytes(os.urandom(max(least, _RESERVE_BYTES)))  # random bytes cannot be compressed
+
+
+def release(folder: Path) -> None:
+    """Give back the room that is reserved in a folder."""
+    (folder / _RESERVE).unlink(missing_ok=True)
+
+
 def finish(folder: Path, record: Mapping[str, Any]) -> None:
     """Write the final run.json, on a full disk in the reserved room."""
-    (folder / _RESERVE).unlink(missing_ok=True)
+    release(folder)
     write_json(folder / "run.json", record)
 
 

@@ -241,13 +241,13 @@ def run_once(
     resolved = {each.label: _resolve(study, each, seed, frames, record) for each in study.configurations}
     driven = _resolve_driven(study, seed, frames)
     folder = new_folder(out, study.name)
-    runs: dict[str, launcher.Run] = {}
+    status_file, runs = folder / "study.json", dict[str, launcher.Run]()
     chosen_runtime = runtime or study.runtime or "mesh"
 
     def write_status(status: str) -> None:
-        run_folder.write_json(folder / "study.json", {"name": study.name, "status": status, "runs": list(runs)})
+        run_folder.write_json(status_file, {"name": study.name, "status": status, "runs": list(runs)})
 
-    with ending.status_written(write_status):
+    with ending.status_written(status_file, write_status):
         for configuration in study.configurations:
             label = configuration.label
             settings = (*study.scenes[0].settings, *configuration.settings)
