@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh import kernels
-from mast_zenoh.errors import DiskFull, ExportError, RunFolderError, is_disk_full
+from mast_zenoh.errors import DiskFull, ExportError, RunError, RunFolderError, is_disk_full
+from mast_zenoh.launch import ending, stop_signals
 from mast_zenoh.messagelog import script
 from mast_zenoh.run_files import read_object, replacing
 
@@ -116,6 +117,32 @@ def finish(folder: Path, record: Mapping[str, Any]) -> None:
     """Write the final run.json, on a full disk in the reserved room."""
     release(folder)
     write_json(folder / "run.json", record)
+
+
+@contextmanager
+def status_written(file: Path, write: Callable[[str], None]) -> Iterator[None]:
+    """Write the status `running`, run the block, and write how it ended.
+
+    file: that `write` writes; room for it is reserved, so that a full disk does not leave it at `running`
+    Stop signals that come while the final status is written are ignored.
+    """
+    write(ending.RUNNING)
+    caught: BaseException | None = None
+    try:
+        reserve(file.parent, 2 * file.stat().st_size)  # errors of trials are added
+        yield
+    except BaseException as raised:
+        caught = raised
+    with stop_signals.collected():
+        error = None if caught is None else ending.from_exception(caught) or RunError(str(caught))
+        release(file.parent)
+        try:
+            write(ending.status(error))
+        except OSError:
+            if caught is None:
+                raise
+    if caught is not None:
+        raise caught
 
 
 def discard_scripts(folder: Path) -> None:

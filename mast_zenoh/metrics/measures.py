@@ -300,15 +300,14 @@ class HeadingError(_OfPairs):
 class SpeedError(_OfPairs):
     """Absolute error of the speeds of matched tracks over ground, in m/s, mean over the pairs of a frame"""
 
-    name, unit, heading, short = "speed_error_mps", "m/s", "speed error m/s", "speed m/s"
-    axis = "speed error (m/s)"
+    name, unit, heading, short, axis = "speed_error_mps", "m/s", "speed error m/s", "speed m/s", "speed error (m/s)"
 
 
 class VelocityError(_OfPairs):
     """Length of the difference of velocities over ground, in m/s, mean over the pairs of a frame"""
 
-    name, unit, heading, short = "velocity_error_mps", "m/s", "velocity error m/s", "velocity m/s"
-    axis = "velocity error (m/s)"
+    name, unit, heading, axis = "velocity_error_mps", "m/s", "velocity error m/s", "velocity error (m/s)"
+    short = "velocity m/s"
 
 
 class Overlap(_OfPairs):
@@ -459,39 +458,6 @@ class RunMetric(Metric):
             text = f"{name}.per_run: found {type(value).__name__}, expected a number or None"
             raise InvalidMetricValue(text, type(self).per_run)
         return None if value is None or not math.isfinite(value) else float(value)
-
-
-class ErrorsNearby(FrameMetric):
-    """Missed objects and false tracks within a distance of the agent.
-
-    distance_m: from the agent, in the bird's-eye view
-    """
-
-    unit = "objects"
-
-    def __init__(self, *, distance_m: float = 30.0) -> None:
-        if not distance_m > 0.0:
-            raise ValueError(f"distance_m: found {distance_m}, expected more than 0")
-        self.distance_m = distance_m
-
-    def per_frame(self, estimate: Estimate) -> Floats:
-        wrong = np.isin(estimate.outcome, ("missed", "false"))
-        return estimate.count(wrong & (estimate.range_m <= self.distance_m))
-
-
-class LongestMiss(RunMetric):
-    """The longest uninterrupted time for which one object was missed, s."""
-
-    unit = "s"
-
-    def per_run(self, estimate: Estimate) -> float | None:
-        rows = np.flatnonzero((estimate.outcome == "missed") & estimate.scored[estimate.frame])
-        if not len(rows):
-            return 0.0
-        order = rows[np.lexsort((estimate.frame[rows], estimate.id[rows]))]
-        breaks = (np.diff(estimate.id[order]) != 0) | (np.diff(estimate.frame[order]) != 1)
-        lengths = np.diff(np.flatnonzero(np.concatenate([[True], breaks, [True]])))
-        return float(lengths.max() * estimate.period_s)
 
 
 def check(metrics: Sequence[Metric], known: Sequence[str] = COLUMNS) -> None:

@@ -430,11 +430,8 @@ def _box_errors(run: RunRecord) -> list[str]:
     if not any((each.effects or {}).get("altered") for each in interposers(run) if not each.is_link):
         return []
     means = {kind: (run.summary(PICTURE).get(error.key) or {}).get("mean") for kind, error in BOX_ERRORS.items()}
-    texts = [
-        f"{mean:.{BOX_ERRORS[kind].digits}f}{BOX_ERRORS[kind].unit} in {kind}"
-        for kind, mean in means.items()
-        if mean is not None
-    ]
+    known = {kind: mean for kind, mean in means.items() if mean is not None}
+    texts = [f"{known[kind]:.{BOX_ERRORS[kind].digits}f}{BOX_ERRORS[kind].unit} in {kind}" for kind in known]
     return [f"matched objects of {ESTIMATES[PICTURE].noun} are off by {join_names(texts)}"] * bool(texts)
 
 
