@@ -11,6 +11,7 @@ from mast_zenoh.study.defences import (
     adversary_base,
     faults_of,
     has_budget,
+    measured_by,
     place,
     resolve_choice,
 )
@@ -28,6 +29,7 @@ def scenario(
     placement_frames=None,
     fault=None,
     n_faulty=1,
+    metrics=(),
     attack_start_s=4.0,
     scene="intersection",
     scene_index=None,
@@ -44,7 +46,8 @@ def scenario(
     budget: lies per second of each adversary, for attacks that have one; None: the attack's own;
     placement_seed, placement_frames: the seed and the frames of the run, for the placement;
     fault: pose, delay, skew, loss, blind or ghosts, from attack_start_s on;
-    n_faulty: number of agents with that fault, none of them with an adversary.
+    n_faulty: number of agents with that fault, none of them with an adversary;
+    metrics: of your own, each as an attack.
     """
     adversary = None
     attack = attack if n_adversaries else UNCOORDINATED  # a coordinator would have nobody to direct
@@ -82,4 +85,5 @@ def scenario(
             name: config | dict(agent=victim) for (name, config), victim in zip(configs, victims, strict=True)
         },
         faults=faults_of(fault, faulty, attack_start_s),
+        **measured_by(metrics, content),
     )

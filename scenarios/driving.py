@@ -12,7 +12,7 @@ from mast_zenoh.driving import Driver
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.integrity import Integrity
 from mast_zenoh.scenario import choose_scene, victims_of
-from mast_zenoh.study.defences import resolve_choice
+from mast_zenoh.study.defences import measured_by, resolve_choice
 
 #: Attacks by name, each with the wires on which it is by default, see `wire`.
 ATTACKS = {
@@ -50,6 +50,7 @@ def scenario(
     n_bicycles=None,
     n_pedestrians=None,
     cars=1,
+    metrics=(),
 ):
     """The ego of a generated junction is driven.
 
@@ -65,7 +66,8 @@ def scenario(
     estimate: what the driver believes: mission, safety (own tracks alone) or truth;
     driver: the same of a driver, such as "FollowingDriver";
     n_vehicles, n_bicycles, n_pedestrians: of the junction; None: as many as it usually has;
-    cars: number of cars with drivers: the ego, mobile_1, mobile_2, …
+    cars: number of cars with drivers: the ego, mobile_1, mobile_2, …;
+    metrics: of your own, each a class, FILE.py or FILE.py:CLASS, or a dict.
     """
     if cars < 1:
         raise ConfigurationError(f"cars: found {cars}, expected 1 or more")
@@ -106,6 +108,7 @@ def scenario(
         stage = dict(integrity=resolve_choice(defence, Integrity))
         content |= dict(command_center=center | dict(pipeline=center["pipeline"] | stage))
         rewrites = [*(rewrites or ["driving.toml"]), "views.toml"]
+    content |= measured_by(metrics, content)
     return content | dict(keyexpr=dict(map="testbed.toml", rewrites=rewrites))
 
 

@@ -97,6 +97,7 @@ def study(
     n_mobile=None,
     attack_start_s=4.0,
     seed=0,
+    metrics=None,
 ):
     """Paired runs: the same scenes and seeds for every cell.
 
@@ -108,7 +109,8 @@ def study(
     trials: seeds of each scene; frames: of each run; seed: the first one;
     knowledge: of the adversaries (own, picture, trust);
     fault: of one agent without an adversary, in all runs (pose, delay, skew, loss, blind, ghosts). In the list of
-    adversaries, fault:pose stands for as many faulty agents and no liars.
+    adversaries, fault:pose stands for as many faulty agents and no liars;
+    metrics: of your own, named as defences are.
     """
     chosen = with_preset(
         PRESETS,
@@ -136,6 +138,7 @@ def study(
                 n_infrastructure=n_infrastructure,
                 n_mobile=n_mobile,
                 attack_start_s=attack_start_s,
+                metrics=parse_choices(metrics or "", "metrics"),
             ),
         ),
         per_trial=dict(seed="placement_seed", frames="placement_frames"),

@@ -3,7 +3,7 @@
 from mast_zenoh.config import plugins, registry
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.integrity import Integrity
-from mast_zenoh.study.defences import DrivingCell, several, with_preset, words
+from mast_zenoh.study.defences import DrivingCell, parse_choices, several, with_preset, words
 
 #: Attacks of the scenario `driving`, each with where it is (`wire`): on what the ego receives, on what two poles send,
 #: or on what the ego receives and what its own sensors detect.
@@ -48,6 +48,7 @@ def study(
     attack_start_s=2.0,
     driver=None,
     seed=0,
+    metrics=None,
 ):
     """Attacks against defences, in pairs: the same scenes and seeds for all.
 
@@ -57,10 +58,14 @@ def study(
     defences: none, FaultOrLie and veto (own sensors), or classes or files of defences of the command centre;
     scenes: short names, separated by commas, such as intersection:6; trials: seeds of each scene; seed: the first one;
     frames: of each run; attack_start_s: when the attacks begin; driver: of the ego, None: FollowingDriver with the
-    constants of PDM-Closed.
+    constants of PDM-Closed; metrics: of your own, separated by commas: classes or files.
     """
     chosen = with_preset(PRESETS, preset, attacks=attacks, scenes=scenes, trials=trials)
-    common = dict(driver=DRIVER if driver is None else driver, attack_start_s=attack_start_s)
+    common = dict(
+        driver=DRIVER if driver is None else driver,
+        attack_start_s=attack_start_s,
+        metrics=parse_choices(metrics or "", "metrics"),
+    )
     runs, cells = {}, {}
     for name in words(defences):
         defended = parameters_of(name)

@@ -41,6 +41,7 @@ def study(
     frames=100,
     attack_start_s=3.0,
     seed=1000,
+    metrics=None,
 ):
     """Paired runs: the same scenes and seeds for every cell.
 
@@ -49,7 +50,8 @@ def study(
     kinds: of the scene, separated by commas: poles, cars, many;
     junction: generated junction of all scenes; counts: numbers of adversaries, 2 or [1,2,3]; placements: random,
     worst, poles;
-    trials: seeds of each scene; frames: of each run; seed: the first one.
+    trials: seeds of each scene; frames: of each run; seed: the first one;
+    metrics: of your own, named as defences are.
     """
     chosen = with_preset(
         PRESETS, preset, defences=defences, adversaries=adversaries, kinds=kinds, counts=counts, trials=trials
@@ -62,7 +64,9 @@ def study(
             counts=several(chosen["counts"]),
             placements=words(placements),
             budgets=[None],
-            parameters=dict(knowledge="trust", attack_start_s=attack_start_s),
+            parameters=dict(
+                knowledge="trust", attack_start_s=attack_start_s, metrics=parse_choices(metrics or "", "metrics")
+            ),
             cell_type=partial(FieldCell, attack_start_s=attack_start_s),
         ),
         per_trial=dict(seed="placement_seed", frames="placement_frames"),

@@ -154,7 +154,8 @@ class Run:
     def metrics(self) -> pyarrow.Table:
         """A row per frame, agent and estimator.
 
-        Columns: fn, fp, tp (objects), rmse_m (m), id_switches, ospa_m, gospa_m (m), scored (counts in `summary`).
+        Columns: fn, fp, tp (objects), rmse_m (m), id_switches, ospa_m, gospa_m (m), length_error_m, width_error_m,
+        heading_error_deg, speed_error_mps, velocity_error_mps, iou_3d, scored (counts in `summary`).
         """
         return self._table("metrics.parquet")
 

@@ -6,8 +6,7 @@ docs/endings.md has the tables of all endings, and its tests read them.
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from mast_zenoh.errors import (
@@ -23,7 +22,6 @@ from mast_zenoh.errors import (
     is_disk_full,
     is_out_of_resources,
 )
-from mast_zenoh.launch import stop_signals
 
 RUNNING, KILLED, OK = "running", "killed", "ok"
 _SIGNAL_NAMES = {"": "Ctrl-C", "SIGINT": "Ctrl-C", "SIGHUP": "SIGHUP: its terminal is gone"}
@@ -90,29 +88,6 @@ def with_hint(caught: KeyboardInterrupt | OSError, hint: str) -> MastError:
     error = from_exception(caught)
     assert error is not None
     return type(error)(f"{error}; {hint}")
-
-
-@contextmanager
-def status_written(write: Callable[[str], None]) -> Iterator[None]:
-    """Write the status `running`, run the block, and write how it ended.
-
-    Stop signals that come while the final status is written are ignored.
-    """
-    write(RUNNING)
-    caught: BaseException | None = None
-    try:
-        yield
-    except BaseException as raised:
-        caught = raised
-    with stop_signals.collected():
-        error = None if caught is None else from_exception(caught) or RunError(str(caught))
-        try:
-            write(status(error))
-        except OSError:
-            if caught is None:
-                raise
-    if caught is not None:
-        raise caught
 
 
 def from_failed_start(line: str, exception: str) -> RunError:

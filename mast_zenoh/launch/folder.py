@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh import kernels
-from mast_zenoh.errors import DiskFull, ExportError, RunFolderError, is_disk_full
+from mast_zenoh.errors import DiskFull, ExportError, RunError, RunFolderError, is_disk_full
+from mast_zenoh.launch import ending, stop_signals
 from mast_zenoh.messagelog import script
 from mast_zenoh.run_files import read_object, replacing
 
@@ -57,7 +58,7 @@ def write_new(out: Path, write: Callable[[Path], object]) -> tuple[Path, ...]:
     return targets
 
 
-#: Reserves room for the final run.json, so a run that filled the disk can still write it.
+#: Reserves room for the final run.json or study.json, so that it can be written on a disk that has become full.
 _RESERVE, _RESERVE_BYTES = ".reserve", 1 << 16
 
 
@@ -91,7 +92,7 @@ def reserved(folder: Path) -> Iterator[None]:
     Raises DiskFull, with the folder and the free space, if the block fills the disk.
     """
     try:
-        (folder / _RESERVE).write_bytes(os.urandom(_RESERVE_BYTES))  # random bytes cannot be compressed
+        reserve(folder)
         yield
     except BaseException as error:
         for path in folder.iterdir():
@@ -102,10 +103,46 @@ def reserved(folder: Path) -> Iterator[None]:
         raise
 
 
+def reserve(folder: Path, least: int = _RESERVE_BYTES) -> None:
+    """Reserve room for a file of `least` bytes, which `release` gives back."""
+    (folder / _RESERVE).write_bytes(os.urandom(max(least, _RESERVE_BYTES)))  # random bytes cannot be compressed
+
+
+def release(folder: Path) -> None:
+    """Give back the room that is reserved in a folder."""
+    (folder / _RESERVE).unlink(missing_ok=True)
+
+
 def finish(folder: Path, record: Mapping[str, Any]) -> None:
     """Write the final run.json, on a full disk in the reserved room."""
-    (folder / _RESERVE).unlink(missing_ok=True)
+    release(folder)
     write_json(folder / "run.json", record)
+
+
+@contextmanager
+def status_written(file: Path, write: Callable[[str], None]) -> Iterator[None]:
+    """Write the status `running`, run the block, and write how it ended.
+
+    file: that `write` writes; room for it is reserved, so that a full disk does not leave it at `running`
+    Stop signals that come while the final status is written are ignored.
+    """
+    write(ending.RUNNING)
+    caught: BaseException | None = None
+    try:
+        reserve(file.parent, 2 * file.stat().st_size)  # errors of trials are added
+        yield
+    except BaseException as raised:
+        caught = raised
+    with stop_signals.collected():
+        error = None if caught is None else ending.from_exception(caught) or RunError(str(caught))
+        release(file.parent)
+        try:
+            write(ending.status(error))
+        except OSError:
+            if caught is None:
+                raise
+    if caught is not None:
+        raise caught
 
 
 def discard_scripts(folder: Path) -> None:

@@ -261,7 +261,7 @@ def _agents(run: _Played) -> Iterator[str]:
 
 
 def _metrics(run: _Played) -> Iterator[str]:
-    """The user's metrics that have no value."""
+    """The user's metrics that have no value in some estimates."""
     config = run.resolved.nodes[EVALUATOR].config.get("metrics", ()) if EVALUATOR in run.resolved.nodes else ()
     types = registry.known_types(Metric)
     summaries = run.metrics.get("agents", {})
@@ -269,5 +269,7 @@ def _metrics(run: _Played) -> Iterator[str]:
         cls = types.get(str(spec.get("type"))) if isinstance(spec, Mapping) else None
         label = None if cls is None else label_of(cls)
         values = [each[label] for agent in summaries.values() for each in agent.values() if label in each]
-        if values and all((value.get("mean") if isinstance(value, Mapping) else value) is None for value in values):
-            yield f"the metric {label} has no value for any estimate"
+        known = [(value.get("mean") if isinstance(value, Mapping) else value) is not None for value in values]
+        if not all(known):
+            missing = f"{known.count(False)} of {len(known)} estimates" if any(known) else "any estimate"
+            yield f"the metric {label} has no value for {missing}"

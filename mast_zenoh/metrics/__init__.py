@@ -33,6 +33,7 @@ from mast_zenoh.metrics.estimates import ESTIMATORS
 from mast_zenoh.metrics.increments import increments
 from mast_zenoh.metrics.manipulations import Manipulations
 from mast_zenoh.metrics.measures import Estimate, FrameMetric, Metric, RunMetric
+from mast_zenoh.metrics.named_metrics import ErrorsNearby, LongestMiss
 from mast_zenoh.metrics.record import Record, Series
 from mast_zenoh.metrics.scores import OUTCOMES, Scores, Table
 from mast_zenoh.metrics.scoring import Scorer
@@ -53,9 +54,11 @@ __all__ = [
     "CutOff",
     "CutOffObjects",
     "Driving",
+    "ErrorsNearby",
     "Estimate",
     "FrameMetric",
     "IoU3DGreedyAssigner",
+    "LongestMiss",
     "Manipulations",
     "Metric",
     "Presence",

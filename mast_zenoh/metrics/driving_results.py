@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from mast_zenoh.metrics.study_results import Estimate, Measured
-
-#: Level of the sign test of differences that are mostly zero.
-_LEVEL = 0.05
 
 
 class DrivingMeasure(NamedTuple):
@@ -28,30 +24,6 @@ DRIVING_MEASURES = {
     "hard_brakes": DrivingMeasure("hard brakes", -1),
     "progress_m": DrivingMeasure("way driven (m)", 1),
 }
-
-
-class Difference(NamedTuple):
-    """The difference of a measure over pairs of trials.
-
-    estimate: its mean and interval;  more, less: seeds or scenes in which it is above 0, and below
-    """
-
-    estimate: Estimate
-    more: int
-    less: int
-
-    @property
-    def is_shown(self) -> bool:
-        """Whether it is shown to differ from 0.
-
-        By its interval, or because it is the same in all seeds; if it is mostly 0, by an exact sign test of the others.
-        """
-        each = self.estimate
-        if each.mostly_zero:
-            others = self.more + self.less
-            tail = sum(math.comb(others, number) for number in range(min(self.more, self.less) + 1))
-            return math.ldexp(tail, 1 - others) < _LEVEL
-        return each.low > 0.0 or each.high < 0.0 or each.certain
 
 
 class Affected(NamedTuple):
@@ -94,6 +66,7 @@ class DrivingRow:
     spared:  difference from the same seed, scene and attack without a defence
     harmed:  pairs with the twin in which any measure is worse
     changed: pairs with no defence in which any measure differs
+    own:     the user's metrics of what the car's agent acts on, and their differences from the twin
     flaws:   of its trials;  flawed: whether it, or what it is compared with, has any
     """
 
@@ -103,12 +76,13 @@ class DrivingRow:
     trials: int
     missing: int
     measures: Mapping[str, Estimate]
-    added: Mapping[str, Difference]
-    spared: Mapping[str, Difference]
+    added: Mapping[str, Estimate]
+    spared: Mapping[str, Estimate]
     harmed: Affected
     changed: Affected
     flaws: Flaws
     flawed: bool
+    own: Mapping[str, tuple[Estimate, Estimate]] = field(default_factory=dict)
 
     @property
     def title(self) -> str:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.metrics.causes import Labels, cause_names
 from mast_zenoh.metrics.ranking import rankings
-from mast_zenoh.metrics.scores import OUTCOMES, FrameScores, Scores, Table, Texts, mean_and_std, means_and_stds
+from mast_zenoh.metrics.scores import OUTCOMES, FrameScores, Scores, Table, Texts, mean_and_std
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,8 +161,12 @@ class _OfFrames(Measure):
     range = (0.0, math.inf)
 
     def measured(self, run: ScoredRun) -> Measured:
-        values = getattr(run.scores, self.name)
-        return Measured(means_and_stds(values[:, run.scored]), values)
+        return _means(getattr(run.scores, self.name), run.counts)
+
+
+def _means(values: NDArray[Any], counts: Bools) -> Measured:
+    """Values (s, f), and their means over the frames that count (f,) and have one."""
+    return Measured([mean_and_std(row[counts & np.isfinite(row)]) for row in values], values)
 
 
 class Missed(_OfFrames):
@@ -280,6 +284,50 @@ class Gospa(_OfFrames):
     name, unit, heading, short, axis, brief = "gospa_m", "m", "GOSPA m", "GOSPA m", "GOSPA (m)", False
 
 
+class _OfPairs(_OfFrames):
+    """Mean of an error over the matched pairs of a frame; frames without a pair have none."""
+
+    brief = False
+
+
+class LengthError(_OfPairs):
+    """Absolute error of the lengths of matched tracks, in m, mean over the pairs of a frame"""
+
+    name, unit, heading, short, axis = "length_error_m", "m", "length error m", "length m", "length error (m)"
+
+
+class WidthError(_OfPairs):
+    """Absolute error of the widths of matched tracks, in m, mean over the pairs of a frame"""
+
+    name, unit, heading, short, axis = "width_error_m", "m", "width error m", "width m", "width error (m)"
+
+
+class HeadingError(_OfPairs):
+    """Angle between the headings of a matched track and its object, 0 to 180 degrees, mean over the pairs of a frame"""
+
+    name, unit, heading, short = "heading_error_deg", "deg", "heading error \u00b0", "heading \u00b0"
+    axis, digits, range = "heading error (\u00b0)", 1, (0.0, 180.0)
+
+
+class SpeedError(_OfPairs):
+    """Absolute error of the speeds of matched tracks over ground, in m/s, mean over the pairs of a frame"""
+
+    name, unit, heading, short, axis = "speed_error_mps", "m/s", "speed error m/s", "speed m/s", "speed error (m/s)"
+
+
+class VelocityError(_OfPairs):
+    """Length of the difference of velocities over ground, in m/s, mean over the pairs of a frame"""
+
+    name, unit, heading, axis = "velocity_error_mps", "m/s", "velocity error m/s", "velocity error (m/s)"
+    short = "velocity m/s"
+
+
+class Overlap(_OfPairs):
+    """Intersection over union of the volumes of matched pairs, 0 to 1, mean over the pairs of a frame"""
+
+    name, heading, short, axis, range = "iou_3d", "3D IoU", "3D IoU", "3D IoU", (0.0, 1.0)
+
+
 class _Ranked(Measure):
     """One of the values of `ranking.ranked_accuracy`."""
 
@@ -313,6 +361,7 @@ MEASURES: dict[str, Measure] = {
     for measure in (
         *(Missed(), FalseTracks(), Matched(), Rmse(), IdSwitches(), Precision(), Recall(), Mota(), Completeness()),
         *(Ospa(), Gospa(), Amota(), Samota(), Amotp()),
+        *(LengthError(), WidthError(), HeadingError(), SpeedError(), VelocityError(), Overlap()),
     )
 }
 #: Names that users' metrics cannot have: columns of the table per frame, and entries of a summary.
@@ -379,9 +428,7 @@ class FrameMetric(Metric):
         """Values (f,), NaN where the metric is undefined."""
 
     def measured(self, run: ScoredRun) -> Measured:
-        values = run.values(self)
-        counts = run.counts & np.isfinite(values)
-        return Measured([mean_and_std(row[mask]) for row, mask in zip(values, counts, strict=True)], values)
+        return _means(run.values(self), run.counts)
 
     def value(self, estimate: Estimate) -> Floats:
         returned = self.per_frame(estimate)
@@ -409,7 +456,7 @@ class RunMetric(Metric):
 
     @abstractmethod
     def per_run(self, estimate: Estimate) -> float | None:
-        """The value over the scored frames; None: undefined."""
+        """The value over the scored frames; None or a number that is not finite: undefined."""
 
     def measured(self, run: ScoredRun) -> Measured:
         return Measured([self.value(estimate) for estimate in run.estimates])
@@ -420,40 +467,7 @@ class RunMetric(Metric):
             name = type(self).__name__
             text = f"{name}.per_run: found {type(value).__name__}, expected a number or None"
             raise InvalidMetricValue(text, type(self).per_run)
-        return None if value is None else float(value)
-
-
-class ErrorsNearby(FrameMetric):
-    """Missed objects and false tracks within a distance of the agent.
-
-    distance_m: from the agent, in the bird's-eye view
-    """
-
-    unit = "objects"
-
-    def __init__(self, *, distance_m: float = 30.0) -> None:
-        if not distance_m > 0.0:
-            raise ValueError(f"distance_m: found {distance_m}, expected more than 0")
-        self.distance_m = distance_m
-
-    def per_frame(self, estimate: Estimate) -> Floats:
-        wrong = np.isin(estimate.outcome, ("missed", "false"))
-        return estimate.count(wrong & (estimate.range_m <= self.distance_m))
-
-
-class LongestMiss(RunMetric):
-    """The longest uninterrupted time for which one object was missed, s."""
-
-    unit = "s"
-
-    def per_run(self, estimate: Estimate) -> float | None:
-        rows = np.flatnonzero((estimate.outcome == "missed") & estimate.scored[estimate.frame])
-        if not len(rows):
-            return 0.0
-        order = rows[np.lexsort((estimate.frame[rows], estimate.id[rows]))]
-        breaks = (np.diff(estimate.id[order]) != 0) | (np.diff(estimate.frame[order]) != 1)
-        lengths = np.diff(np.flatnonzero(np.concatenate([[True], breaks, [True]])))
-        return float(lengths.max() * estimate.period_s)
+        return None if value is None or not math.isfinite(value) else float(value)
 
 
 def check(metrics: Sequence[Metric], known: Sequence[str] = COLUMNS) -> None:
@@ -522,7 +536,8 @@ def summary_of(scores: Scores, scored: slice = slice(None)) -> dict[str, dict[st
 def per_frame(scores: Scores) -> Table:
     """A row per series and frame.
 
-    Columns: frame, agent, estimator, fn, fp, tp, rmse_m (NaN without a pair), id_switches, ospa_m, gospa_m.
+    Columns: frame, agent, estimator, fn, fp, tp, rmse_m, id_switches, ospa_m, gospa_m, length_error_m, width_error_m,
+    heading_error_deg, speed_error_mps, velocity_error_mps, iou_3d. Errors of pairs are NaN without a pair.
     """
     return frame_keys(scores) | measured([each for each in MEASURES.values() if each.axis], ScoredRun(scores))[1]
 

@@ -9,8 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import Bools, Floats, Ints
-from mast_zenoh.metrics.boxes import Boxes, centre_distance
+from mast_zenoh.metrics.boxes import Boxes, centre_distance, iou_3d
 from mast_zenoh.metrics.estimates import rank_of
 from mast_zenoh.metrics.record import TrackTable, TruthTable
 
@@ -69,6 +70,24 @@ class MatchedPairs(NamedTuple):
         centres = truth.position.take(truth_row, 0), tracks.position.take(track_row, 0)
         error_m = centre_distance(*centres, self.dimensions)
         return truth.id.take(truth_row), tracks.id.take(track_row), self.tracks.score.take(track_row), error_m
+
+    def box_errors(self) -> dict[str, Floats]:
+        """The errors (n,) of the boxes and velocities of all pairs, by their names in `Scores`.
+
+        A heading's is the smallest angle, 0 to 180 degrees; a speed's and a velocity's are in the bird's-eye view.
+        """
+        truth_row, track_row = self.truth_rows.take(self.truth_box), self.track_rows.take(self.track_box)
+        truth, tracks = self.truth.boxes.select(truth_row), self.tracks.boxes.select(track_row)
+        size = np.abs(tracks.size - truth.size)
+        velocity, true_velocity = self.tracks.velocity.take(track_row, 0), self.truth.velocity.take(truth_row, 0)
+        return {
+            "length_error_m": size[:, 0],
+            "width_error_m": size[:, 1],
+            "heading_error_deg": np.degrees(np.abs(wrap_angle(tracks.yaw - truth.yaw))),
+            "speed_error_mps": np.abs(np.hypot(*velocity[:, :2].T) - np.hypot(*true_velocity[:, :2].T)),
+            "velocity_error_mps": centre_distance(velocity, true_velocity),
+            "iou_3d": iou_3d(truth, tracks),
+        }
 
     def _rows(self, series: int, frames: slice) -> tuple[Ints, Ints]:
         """The rows (n,) of the truth and of the tracks of one series' pairs in a slice of the frames."""
@@ -169,6 +188,8 @@ class FrameScores:
     squared_error: (s, f) m^2, summed over the pairs of the frame
     id_switches:   (s, f) int64
     ospa_m, gospa_m: (s, f) m, distances between the sets of truth objects and tracks
+    length_error_m, width_error_m, heading_error_deg, speed_error_mps, velocity_error_mps, iou_3d: (s, f) means over
+                   the pairs of the frame, see `MatchedPairs.box_errors`; NaN without a pair
     same_as:       other series, each with the one of `series` that has the same messages and therefore scores; they
                    are in the table per frame and in the summary, but have no separate boxes
     """
@@ -182,6 +203,12 @@ class FrameScores:
     id_switches: Ints
     ospa_m: Floats
     gospa_m: Floats
+    length_error_m: Floats
+    width_error_m: Floats
+    heading_error_deg: Floats
+    speed_error_mps: Floats
+    velocity_error_mps: Floats
+    iou_3d: Floats
     same_as: Mapping[tuple[str, str], tuple[str, str]]
 
     @property
@@ -270,14 +297,8 @@ class Scores(FrameScores):
         }
 
 
-def means_and_stds(values: NDArray[Any]) -> list[dict[str, float | None]]:
-    """Mean and standard deviation of each row of (s, f) values; None without columns."""
-    if values.shape[1] == 0:
-        return [{"mean": None, "std": None} for _ in values]
-    means, stds = values.mean(axis=1).tolist(), values.std(axis=1).tolist()
-    return [{"mean": mean, "std": std} for mean, std in zip(means, stds, strict=True)]
-
-
 def mean_and_std(values: NDArray[Any]) -> dict[str, float | None]:
     """Mean and standard deviation of (n,) values; None without values."""
-    return means_and_stds(values[None])[0]
+    if not len(values):
+        return {"mean": None, "std": None}
+    return {"mean": float(values.mean()), "std": float(values.std())}

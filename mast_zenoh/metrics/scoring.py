@@ -151,6 +151,14 @@ class Scorer:
         centres = truth.position.take(pairs[:, 0], 0), tracks.position.take(pairs[:, 1], 0)
         distance_m = centre_distance(*centres, assigner.dimensions)
         squared_error: Floats = np.bincount(group, distance_m**2, minlength=shape[0] * shape[1]).astype(np.float64)
+        matched = MatchedPairs(group, shape[1], pairs[:, 0], pairs[:, 1], *tables, assigner.dimensions)
+        number = count(group)
+
+        def mean(errors: Floats) -> Floats:
+            total = np.bincount(group, errors, minlength=number.size).reshape(shape)
+            means: Floats = np.divide(total, number, out=np.full(shape, np.nan), where=number > 0)
+            return means
+
         ospa, gospa = self.distance.of(truth, evaluated, shape[0] * shape[1])
         switched, before = _switches(group, truth.id[pairs[:, 0]], tracks.id[pairs[:, 1]], shape[1], earlier)
         return Scores(
@@ -158,11 +166,12 @@ class Scorer:
             frames=frames,
             fn=count(truth.group[truth_outcome == MISSED]),
             fp=count(tracks.group[track_outcome == FALSE]),
-            tp=count(group),
+            tp=number,
             squared_error=squared_error.reshape(shape),
             id_switches=count(group[switched]),
             ospa_m=ospa.reshape(shape),
             gospa_m=gospa.reshape(shape),
+            **{name: mean(errors) for name, errors in matched.box_errors().items()},
             switches=Switches(
                 *np.divmod(group[switched], max(shape[1], 1)),
                 truth.id[pairs[switched, 0]],
@@ -172,7 +181,7 @@ class Scorer:
             judged=_judged(
                 boxes, frames, (truth_outcome, of_truth), (track_outcome, of_track), tables[3].score[tables[1]]
             ),
-            pairs=MatchedPairs(group, shape[1], pairs[:, 0], pairs[:, 1], *tables, assigner.dimensions),
+            pairs=matched,
             agents=agents,
             same_as=same_as,
         )

@@ -18,6 +18,8 @@ MIN_SEEDS = 5
 MOSTLY = 0.5
 #: Differences up to this are rounding errors.
 NEGLIGIBLE = 1e-9
+#: Level at which a difference is distinguishable from 0.
+LEVEL = 0.05
 
 
 class Series(NamedTuple):
@@ -36,7 +38,8 @@ class Estimate:
     trial_mean, low, high: mean over the trials of `seeds` seeds in `scenes` scenes, each paired with its baseline, and
                its 95 % interval over seeds of these scenes; without bounds for fewer than five seeds, or equal ones
     scenes_low, scenes_high: 95 % interval to other scenes as well; for five scenes and more
-    p:         p-value of no difference from the baseline, over seeds; of increments only
+    p:         p-value of no difference from the baseline, over seeds; of increments only: of Student's t, or where
+               most are 0 of an exact sign test; NaN where all are equal
     zero_share, zero_low, zero_high: share of trials in which an increment is 0, and its exact 95 % interval
     left_out:  number of seeds left out of the trial statistics, because a trial failed or has no value
     rate:      whether it is a success rate, from trials that are 0 or 1
@@ -79,9 +82,10 @@ class Estimate:
         known = self.seeds >= MIN_SEEDS and abs(self.trial_mean) > NEGLIGIBLE
         return known and math.isnan(self.low) and not self.mostly_zero
 
-    def without_interval(self) -> Estimate:
-        """A copy whose mean has neither interval nor p-value."""
-        return replace(self, low=NAN, high=NAN, scenes_low=NAN, scenes_high=NAN, p=NAN)
+    @property
+    def differs(self) -> bool:
+        """Whether an increment, taken alone, differs from 0: by its test, or because it is the same in all seeds."""
+        return self.p < LEVEL or self.certain
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,8 +259,9 @@ class AgentTrustSeries:
     faults: Sequence[tuple[str, float, float]]
 
 
-#: How intervals were computed, see `study.defences.intervals`.
-BOOTSTRAP, POISSON, BINOMIAL = "bootstrap over trials", "exact Poisson", "exact binomial"
+#: How intervals were computed, see `study.defences.intervals`; or that there is none, as most differences are 0.
+STUDENT, BOOTSTRAP, POISSON, BINOMIAL = "Student's t", "bootstrap over trials", "exact Poisson", "exact binomial"
+MOSTLY_ZERO = "none: mostly 0"
 
 #: Measures of a cell, and their headings. Objects are counted per frame in the ego's picture.
 DEFENCE_MEASURES = {
@@ -287,7 +292,8 @@ class Measured(NamedTuple):
     """A number over trials with its 95 % interval. NaN: unknown; infinite: beyond what was watched.
 
     trials:   number of trials behind it;  left_out: of those without it, because they failed or have no value
-    interval: how the bounds were computed: BOOTSTRAP, POISSON, BINOMIAL; "" without bounds
+    interval: how the bounds were computed: STUDENT, BOOTSTRAP, POISSON, BINOMIAL; MOSTLY_ZERO or "" without bounds
+    p:        of a difference, as in `Estimate`
     """
 
     value: float = NAN
@@ -296,6 +302,7 @@ class Measured(NamedTuple):
     trials: int = 0
     left_out: int = 0
     interval: str = ""
+    p: float = NAN
 
     @property
     def known(self) -> bool:
@@ -339,6 +346,7 @@ class DefenceRow:
     state_seconds: s by conduct (honest, faulty, lying) and state of trust, over all agents and trials; {}: no trust
     delay:     until liars are suspended, over all trials; None: there was no observable lie, or no trust
     suspended_before: number of liars that were suspended before their first observable lie, which have no delay
+    own:       the user's metrics of the ego's picture, and how much they differ from no defence and no attack
     """
 
     defence: str
@@ -351,6 +359,7 @@ class DefenceRow:
     state_seconds: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     delay: Survival | None = None
     suspended_before: int = 0
+    own: Mapping[str, tuple[Measured, Measured]] = field(default_factory=dict)
 
     @property
     def idle(self) -> bool:

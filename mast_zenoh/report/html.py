@@ -34,7 +34,15 @@ from mast_zenoh.report.narrative.adversaries import attack_description
 from mast_zenoh.report.narrative.changes import largest_change
 from mast_zenoh.report.narrative.driven import car_sentences
 from mast_zenoh.report.narrative.run import headline, reading, reference_status, study_headline, study_reading
-from mast_zenoh.report.narrative.study import compare, comparisons_made, other_changes, reservations, result, titled
+from mast_zenoh.report.narrative.study import (
+    NO_CHANGE,
+    compare,
+    comparisons_made,
+    other_changes,
+    reservations,
+    result,
+    titled,
+)
 from mast_zenoh.report.run_figure import FigureContext
 from mast_zenoh.report.tables.of_run import (
     NEES_TITLE,
@@ -420,7 +428,9 @@ def write_trials_page(
     own_tables = [(each.title, each.about, each.on_page()) for each in tables]
     parts = sections(rows, facts.baseline, comparisons)
     errors = result(rows, facts, comparisons)
-    changes = [*[errors] * bool(own_headline), *other_changes(rows, facts, comparisons)]
+    # Errors of single kinds may be unclear where the study's own measure is clear.
+    named = not own_headline or (errors.startswith(NO_CHANGE) and not own_reading)
+    changes = [*[errors] * (not named), *other_changes(rows, facts, comparisons)]
     scores, title = side_by_side(rows), difference_title(rows, facts.baseline)
     content = {
         "title": f"Study {facts.name}",

@@ -19,9 +19,9 @@ from mast_zenoh.api.runs import Run
 from mast_zenoh.config.allowed_code import OWN_RUN
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import ConfigurationError, HandlerFailed, MastError, RunFolderError
-from mast_zenoh.launch import ending, twin
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch import run as launcher
+from mast_zenoh.launch import twin
 from mast_zenoh.launch.tables import read_arrow
 from mast_zenoh.study import definition, execution
 from mast_zenoh.study import trials as repeated_runs
@@ -241,13 +241,13 @@ def run_once(
     resolved = {each.label: _resolve(study, each, seed, frames, record) for each in study.configurations}
     driven = _resolve_driven(study, seed, frames)
     folder = new_folder(out, study.name)
-    runs: dict[str, launcher.Run] = {}
+    status_file, runs = folder / "study.json", dict[str, launcher.Run]()
     chosen_runtime = runtime or study.runtime or "mesh"
 
     def write_status(status: str) -> None:
-        run_folder.write_json(folder / "study.json", {"name": study.name, "status": status, "runs": list(runs)})
+        run_folder.write_json(status_file, {"name": study.name, "status": status, "runs": list(runs)})
 
-    with ending.status_written(write_status):
+    with run_folder.status_written(status_file, write_status):
         for configuration in study.configurations:
             label = configuration.label
             settings = (*study.scenes[0].settings, *configuration.settings)

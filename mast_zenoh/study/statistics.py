@@ -78,6 +78,16 @@ def p_value_of_zero_mean(values: Floats) -> Floats:
     return np.where(np.isnan(error), np.nan, p)
 
 
+def p_value_of_signs(values: Floats) -> float:
+    """Two-sided p-value of the exact sign test of the seeds' averages (scenes, seeds); NaN: all are 0."""
+    averages = values.mean(axis=-2)
+    more, less = int((averages > NEGLIGIBLE).sum()), int((averages < -NEGLIGIBLE).sum())
+    if not more + less:
+        return NAN
+    tail = sum(math.comb(more + less, number) for number in range(min(more, less) + 1))
+    return min(1.0, math.ldexp(tail, 1 - more - less))
+
+
 def over_scenes(values: Floats) -> Interval:
     """Interval of the mean over other random scenes and seeds.
 
@@ -180,7 +190,7 @@ def trial_estimate(
 
     bounds: smallest and largest possible value;  rate: whether values are 0 or 1
     paired: whether values are differences, which have a p-value, and an exact interval of the share of trials with 0.
-            If that is more than half, the mean has no interval and no p-value: the interval would be too narrow
+            If that is more than half, the mean has no interval, which would be too narrow, and p is of a sign test
     """
     known = ~np.isnan(values)
     nonempty_scenes = known.any(axis=1)
@@ -216,7 +226,9 @@ def trial_estimate(
         zero_low=zero_low,
         zero_high=zero_high,
     )
-    return estimate.without_interval() if estimate.mostly_zero else estimate
+    if not estimate.mostly_zero:
+        return estimate
+    return replace(estimate, low=NAN, high=NAN, scenes_low=NAN, scenes_high=NAN, p=p_value_of_signs(complete))
 
 
 def value_range(series: Series) -> tuple[float, float]:

@@ -12,6 +12,7 @@ import pyarrow
 from pyarrow import parquet
 
 from mast_zenoh.errors import RunFolderError
+from mast_zenoh.launch import ending
 from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.tables import from_arrow, read_arrow, to_arrow
 from mast_zenoh.messagelog.writer import FILE as RECORDING
@@ -35,6 +36,9 @@ class Store:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        self.status_file = folder / "study.json"
+        #: names of files that hold another trial than they say
+        self.misplaced: set[str] = set()
         self._trials = folder / "trials"
 
     @classmethod
@@ -88,10 +92,10 @@ class Store:
         )
 
     def write_status(self, study: Study, trials: Sequence[Trial], failures: Mapping[str, str], status: str) -> None:
-        """Write study.json: the study's configurations and trials, and its status."""
+        """Write study.json: the study's configurations and trials, and its status; with failures, `ok` is `failed`."""
         content = {
             "name": study.name,
-            "status": status,
+            "status": "failed" if failures and status == ending.OK else status,
             "baseline": study.baseline,
             "configurations": {
                 each.label: {"scenario": each.scenario, "settings": list(each.settings)}
@@ -110,11 +114,12 @@ class Store:
                 for trial in trials
             ],
         }
-        run_folder.write_json(self.folder / "study.json", content)
+        run_folder.write_json(self.status_file, content)
 
     def save(self, outcome: Outcome) -> None:
         """Store the outcome of a trial."""
         metadata = {
+            "digest": outcome.trial.digest,
             **outcome.trial.summary(),
             "compromised": list(outcome.compromised),
             "cpu_s": outcome.cpu_s,
@@ -126,10 +131,14 @@ class Store:
         write_parquet(self._path(outcome.trial), table)
 
     def load(self, trial: Trial) -> Outcome | None:
-        """The stored outcome of a trial; None if absent, broken or with failures."""
+        """The stored outcome of a trial; None if absent, broken, of another trial or with failures."""
+        path = self._path(trial)
         try:
-            table = read_arrow(self._path(trial))
+            table = read_arrow(path)
             metadata = parse_json(table.schema.metadata[_METADATA])
+            if metadata["digest"] != trial.digest:  # renamed or copied
+                self.misplaced.add(f"{path.parent.name}/{path.name}")
+                return None
             columns = from_arrow(table)
             if metadata["warning"] and not trial.allow_failures:
                 return None

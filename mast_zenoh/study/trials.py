@@ -24,6 +24,7 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.integrity.calibration import refuse_calibration_data
 from mast_zenoh.launch import ending
+from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.scenario.timeline import attack_starts
 from mast_zenoh.study import execution, tables
 from mast_zenoh.study import trial as identity
@@ -69,9 +70,14 @@ def run(
         trials = [replace(trial, folder=str(store.run_folder(trial))) for trial in trials]
     failures: dict[str, str] = {}
     pending = [trial for trial in trials if not resume or store.load(trial) is None or not store.is_kept(trial)]
+    report_misplaced(store, console)
     if len(pending) < len(trials):
         console.print(f"{len(trials) - len(pending)} of {len(trials)} trials are already done", highlight=False)
-    with ending.status_written(lambda status: store.write_status(study, trials, failures, status)):
+
+    def write_status(status: str) -> None:
+        store.write_status(study, trials, failures, status)
+
+    with run_folder.status_written(store.status_file, write_status):
         try:
             if pending:
                 with (
@@ -82,8 +88,6 @@ def run(
             finished = tables.write(study, store, trials, failures)
         except (KeyboardInterrupt, OSError) as caught:
             raise ending.with_hint(caught, how_to_continue(store)) from None
-    if failures:
-        store.write_status(study, trials, failures, "failed")
     return finished
 
 
@@ -94,6 +98,14 @@ def check_environment(console: Console, jobs: int, cluster: str | None, *, recor
         raise ConfigurationError("--record: runs are kept on the machine that runs them: expected no --cluster")
     if slower := kernels.notice():
         console.print(slower, style="yellow", markup=False, highlight=False, soft_wrap=True)
+
+
+def report_misplaced(store: Store, console: Console) -> None:
+    """Say which files hold another trial than their name says."""
+    if store.misplaced:
+        text = f"{', '.join(sorted(store.misplaced))}: of another trial than the name says: it is run again"
+        console.print(f"warning: {text}", style="yellow", markup=False, highlight=False, soft_wrap=True)
+    store.misplaced.clear()
 
 
 def how_to_continue(store: Store) -> str:

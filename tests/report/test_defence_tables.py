@@ -11,7 +11,7 @@ import pytest
 from defence_samples import SHARE, matrix, row, summary
 
 from mast_zenoh.api.comparisons import as_text
-from mast_zenoh.metrics.study_results import BINOMIAL, BOOTSTRAP, DEFENCE_MEASURES, DefenceMatrix, Measured
+from mast_zenoh.metrics.study_results import BINOMIAL, BOOTSTRAP, DEFENCE_MEASURES, STUDENT, DefenceMatrix, Measured
 from mast_zenoh.report.tables.defences import defence_tables
 from mast_zenoh.report.tables.text_table import measured, median_delay
 
@@ -31,6 +31,25 @@ from mast_zenoh.report.tables.text_table import measured, median_delay
 )
 def test_a_number_has_its_interval_or_why_there_is_none(number: Measured, text: str) -> None:
     assert measured(number) == text
+
+
+def test_the_headline_is_the_clearest_damage_that_remains_if_all_are_read_together() -> None:
+    clear = Measured(0.47, 0.24, 0.72, 10, 0, STUDENT, 0.001)
+    unclear = Measured(5.0, -1.0, 11.0, 10, 0, STUDENT, 0.09)
+    rows = [row("Open", "Ghost", damage=unclear), row("Wall", "Ghost", damage=clear)]
+    text = defence_tables(replace(matrix(), rows=rows)).headline
+    assert text.startswith("The clearest damage: Ghost (1 agent, worst) against Wall adds 0.47 [0.24, 0.72] missed and")
+    nothing = defence_tables(replace(matrix(), rows=[rows[0]])).headline
+    assert nothing == "No adversary does distinguishable damage, in 1 comparison"
+    assert defence_tables(matrix()).headline == "", "no cell has a test"
+
+
+def test_users_metrics_have_a_table_and_lines_in_the_csv() -> None:
+    mine = replace(row("Wall", "Ghost"), own={"half": (Measured(3.0, 2.0, 4.0, 10), Measured(1.0, 0.5, 1.5, 10))})
+    tables = defence_tables(replace(matrix(), rows=[mine]))
+    (own,) = [each for each in tables.tables if each.title == "Your metrics"]
+    assert own.lines == [["Wall", "Ghost", "1", "worst", "3.00 [2.00, 4.00]", "1.00 [0.50, 1.50]"]]
+    assert "half difference,1.0,0.5,1.5" in tables.as_csv()
 
 
 def test_text_and_terminal_end_with_the_summary() -> None:

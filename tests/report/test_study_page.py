@@ -42,7 +42,7 @@ def test_page_needs_no_other_file(page) -> None:
 def test_page_shows_result_configurations_and_number_of_comparisons(page) -> None:
     text = "".join(page().text.split())
     for part in (
-        "The largest change of false or missed objects in what the ego acts on: in uncoordinated n=2 "
+        "The clearest change: in uncoordinated n=2 "
         "false_positives=1.0 the ego with the picture has 6.00 more false objects a frame",
         "7 configurations 20 seeds \u00d7 3 scenes seeds 0 to 19 420 trials 150 frames each runtime inproc",
         "30 comparisons with the baseline",

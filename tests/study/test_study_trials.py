@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import json
 import shlex
@@ -12,9 +13,10 @@ from pathlib import Path
 
 import pytest
 from pyarrow import parquet
+from rich.console import Console
 from small_study import TABLES, tables, write_small
 
-from mast_zenoh.errors import ConfigurationError, Interrupted, RunFolderError, TrialsFailed
+from mast_zenoh.errors import ConfigurationError, DiskFull, Interrupted, RunFolderError, TrialsFailed
 from mast_zenoh.metrics.estimates import ESTIMATORS, LOCAL, PICTURE, RECEIVED
 from mast_zenoh.study import definition, execution, trial, trials
 from mast_zenoh.study.store import Store
@@ -127,6 +129,35 @@ def test_more_seeds_can_be_added_later_and_a_trial_with_a_broken_file_is_run_aga
     assert sorted(each.seed for each in trials_run) == [0, 0, 1, 1, 1]
     assert tables(tmp_path / "out") == tables(whole.out)
     assert {path.name for path in (tmp_path / "out" / "trials").iterdir()} > {path.name for path in files}
+
+
+def test_a_file_of_another_trial_is_not_taken_for_its_own_and_said(small, whole, tmp_path: Path, trials_run) -> None:
+    trials.run(small, tmp_path / "out", count=2)
+    first, second, *_ = sorted((tmp_path / "out" / "trials").iterdir())
+    first.write_bytes(second.read_bytes())
+    trials_run.clear()
+    console = Console(record=True, width=200)
+    trials.run(small, tmp_path / "out", count=2, resume=True, console=console)
+    assert [each.digest for each in trials_run] == [first.stem]
+    assert f"trials/{first.name}: of another trial than the name says: it is run again" in console.export_text()
+    assert tables(tmp_path / "out") == tables(whole.out)
+
+
+def test_a_study_that_fills_the_disk_ends_with_a_final_status(small, monkeypatch, tiny_disk: Path) -> None:
+    """The first trial's results still fit; then the disk is full to the last byte."""
+    save = Store.save
+
+    def filling(store: Store, outcome: Outcome) -> None:
+        save(store, outcome)
+        with (tiny_disk / "filler").open("wb", buffering=0) as file, contextlib.suppress(OSError):
+            while True:
+                file.write(bytes(512))
+
+    monkeypatch.setattr(Store, "save", filling)
+    with pytest.raises(DiskFull, match="No space left on device"):
+        trials.run(small, tiny_disk / "out", count=2)
+    assert json.loads((tiny_disk / "out" / "study.json").read_text())["status"] == "failed"
+    assert not (tiny_disk / "out" / ".reserve").exists()
 
 
 def test_failed_trial_is_reported_with_its_command_and_others_are_kept(small, monkeypatch, tmp_path: Path) -> None:

@@ -48,7 +48,7 @@ def figure_of_driving(table: DrivingTable) -> RenderedFigure:
 
 def _points(axes: Axes, rows: list[DrivingRow], name: str, attacks: list[str], index: int, place: float) -> None:
     """One measure with one defence."""
-    estimates = [row.added[name].estimate for row in rows]
+    estimates = [row.added[name] for row in rows]
     values = np.array([(each.trial_mean, each.low, each.high) for each in estimates], np.float64).reshape(-1, 3)
     axes.errorbar(
         values[:, 0],

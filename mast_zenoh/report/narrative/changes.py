@@ -6,7 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,8 +15,33 @@ from mast_zenoh.viewer.interposers import EFFECTS, OF_OBJECTS, Interposer
 from mast_zenoh.viewer.run import RunRecord
 
 FALSE, MISSED, DISPLACED, IDENTITY = "false", "missed", "displaced", "identity"
+
+
+class BoxError(NamedTuple):
+    """An error of matched boxes.
+
+    key: in metrics.json;  unit, digits: of its amount;  metres: m per unit, how far it puts a car's ends off in 1 s
+    """
+
+    key: str
+    unit: str
+    digits: int
+    metres: float
+
+
+#: m, half the length of a car: the arm of an error of its heading.
+_ARM_M = 2.25
+#: Kinds of errors of matched boxes, by what is wrong.
+BOX_ERRORS = {
+    "length": BoxError("length_error_m", " m", 2, 1.0),
+    "width": BoxError("width_error_m", " m", 2, 1.0),
+    "heading": BoxError("heading_error_deg", "\u00b0", 1, math.radians(_ARM_M)),
+    "velocity": BoxError("velocity_error_mps", " m/s", 2, 1.0),
+}
 #: By kind, its key in metrics.json.
-KEYS = {FALSE: "fp", MISSED: "fn", DISPLACED: "rmse_m", IDENTITY: "id_switches"}
+KEYS = {FALSE: "fp", MISSED: "fn", DISPLACED: "rmse_m", IDENTITY: "id_switches"} | {
+    kind: error.key for kind, error in BOX_ERRORS.items()
+}
 
 #: m2, the cost of a missed or a false object in GOSPA (c = 5 m, p = 2, alpha = 2). Changes of all kinds are weighted
 #: by their contribution to it, in objects per frame. An identity switch counts as a missed and a false object.
@@ -43,7 +68,8 @@ Summary = dict[str, Any]
 class Change:
     """A change of one kind in one estimate of one agent.
 
-    amount: false, missed: objects per frame; displaced: m, of the RMSE; identity: switches in the run
+    amount: false, missed: objects per frame; displaced: m, of the RMSE; identity: switches in the run; of BOX_ERRORS:
+            of the mean error, in its unit
     weight: objects per frame, see OBJECT_M2; below zero: fewer errors
     parts:  the parts of `amount` due to each group of causes, where they were measured
     by:     rows by responsible adversary; may be empty
@@ -238,8 +264,9 @@ def _displacement(run: RunRecord, estimate: str) -> tuple[float | None, float]:
 
 
 def _weight(run: RunRecord, kind: str, summary: Summary, amount: float) -> float:
-    if kind == DISPLACED:
-        return (_mean(summary.get("tp")) or 0.0) * amount**2 / OBJECT_M2
+    if kind == DISPLACED or kind in BOX_ERRORS:
+        off_m = amount * (BOX_ERRORS[kind].metres if kind in BOX_ERRORS else 1.0)
+        return (_mean(summary.get("tp")) or 0.0) * off_m**2 / OBJECT_M2
     return amount * SWITCH / (_frames(run) or 1) if kind == IDENTITY else amount
 
 
@@ -313,9 +340,13 @@ def amount(run: RunRecord, change: Change, *, where: bool = True, more: bool = F
     more: as a difference: `5.50 more false objects a frame in the common picture`
     """
     size, unit = abs(change.amount), ""
-    word = "more" if change.amount > 0 else "less" if change.kind == DISPLACED else "fewer"
+    word = "more" if change.amount > 0 else "fewer" if change.kind in (FALSE, MISSED, IDENTITY) else "less"
     if change.kind == DISPLACED:
         text = f"{small(size)} m {word} RMSE" if more else f"an RMSE that is at least {size:.2f} m larger"
+    elif change.kind in BOX_ERRORS:
+        error = BOX_ERRORS[change.kind]
+        of = f"in the {'velocities' if change.kind == 'velocity' else f'{change.kind}s'} of matched objects"
+        text = f"{size:.{error.digits}f}{error.unit} {word} error {of}"
     elif change.kind == IDENTITY:
         text = f"{size:.0f} {f'{word} ' if more else ''}identity switch{'' if round(size) == 1 else 'es'}"
     else:

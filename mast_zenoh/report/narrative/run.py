@@ -13,6 +13,7 @@ from mast_zenoh.report.comparison import Reference, same_ways
 from mast_zenoh.report.narrative.adversaries import altered_on_the_way, changes_gossip_alone, late_start_s, period
 from mast_zenoh.report.narrative.attribution import cause_clause, causes, due_to_causes, other_differences
 from mast_zenoh.report.narrative.changes import (
+    BOX_ERRORS,
     DISPLACED,
     FALSE,
     IDENTITY,
@@ -226,6 +227,7 @@ def attack_sentences(run: RunRecord, change: Change | None) -> list[str]:
     scores = _scores(run, change)
     during = f"; while {'it' if len(active) == 1 else 'they'} did, {scores}" if scores else ""
     sentences = [f"{join_names(active)} changed messages {period(run, *run.attack_frames)}{during}."]
+    sentences += [f"{capital(each)}." for each in _box_errors(run)]
     attacked, total = _attacked_frames(run)
     if total and 2 * attacked < total:
         sentences.append(f"{attacked} of the {total} scored frames {'is' if attacked == 1 else 'are'} attacked.")
@@ -408,7 +410,8 @@ def _unchanged(run: RunRecord, places: str, reference: Reference | None, elsewhe
         if elsewhere:
             return f"Interposers changed messages ({did}); no error is attributed to them{elsewhere}"
         if reference is None:  # the effects may still matter through timing or other nodes
-            return f"Interposers changed messages ({did}); no error can be attributed to them without --against twin"
+            unknown = "no error can be attributed to them without --against twin"
+            return "; ".join([f"Interposers changed messages ({did}); {unknown}", *_box_errors(run)])
         return f"Interposers changed messages ({did}), but {_same_scores(run, reference.run, reference.name)}"
     if places:
         unmeasured = any(each.effects is None for each in interposers(run))
@@ -420,6 +423,16 @@ def _unchanged(run: RunRecord, places: str, reference: Reference | None, elsewhe
     if reference is not None:
         return capital(f"{_same_scores(run, reference.run, reference.name)}: {_missed_sentence(run)}")
     return capital(f"{_missed_sentence(run)}{elsewhere}")
+
+
+def _box_errors(run: RunRecord) -> list[str]:
+    """The errors of matched boxes if adversaries altered any, which no cause of errors accounts for."""
+    if not any((each.effects or {}).get("altered") for each in interposers(run) if not each.is_link):
+        return []
+    means = {kind: (run.summary(PICTURE).get(error.key) or {}).get("mean") for kind, error in BOX_ERRORS.items()}
+    known = {kind: mean for kind, mean in means.items() if mean is not None}
+    texts = [f"{known[kind]:.{BOX_ERRORS[kind].digits}f}{BOX_ERRORS[kind].unit} in {kind}" for kind in known]
+    return [f"matched objects of {ESTIMATES[PICTURE].noun} are off by {join_names(texts)}"] * bool(texts)
 
 
 def _same_scores(run: RunRecord, reference: RunRecord, name: str) -> str:
@@ -572,10 +585,11 @@ def study_reading(runs: Mapping[str, RunRecord], table: ScoreTable) -> list[str]
         if change is None:
             sentences.append(f"Run {label}{where}: {_same_scores(run, reference, name)}.")
             continue
-        during = while_attacked(run, KEYS[change.kind], reference, estimate=change.estimate)
         lasts = ""
-        if during is not None and change.kind in (FALSE, MISSED):
-            lasts = f" ({during:+.2f} while the attack lasts)".replace("-", "\u2212")
+        if change.kind in (FALSE, MISSED):
+            during = while_attacked(run, KEYS[change.kind], reference, estimate=change.estimate)
+            if during is not None:
+                lasts = f" ({during:+.2f} while the attack lasts)".replace("-", "\u2212")
         what = amount(run, change, more=True)
         sentences.append(f"In run {label}{where}, {what}{lasts}{cause_clause(run, change, reference)}.")
     if len(runs) > 1 and reference.summary("local"):

@@ -3,11 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 from mast_zenoh.metrics.estimates import ESTIMATES, LOCAL, MISSION, PICTURE
-from mast_zenoh.metrics.study_results import Estimate, IdleAttack, Series, StudyFacts, StudyRow, plural
+from mast_zenoh.metrics.measures import COLUMNS
+from mast_zenoh.metrics.study_results import (
+    LEVEL,
+    Estimate,
+    IdleAttack,
+    Measured,
+    Series,
+    StudyFacts,
+    StudyRow,
+    plural,
+)
 from mast_zenoh.report.tables.study_rows import (
     ADDED,
     ALL_SCORES,
@@ -17,21 +28,39 @@ from mast_zenoh.report.tables.study_rows import (
     Column,
     bounds,
     columns_of,
+    unchanged,
     value,
 )
 
-LEVEL = 0.05
+Effect = TypeVar("Effect", bound=Hashable)
+
+
+def clearest(effects: Mapping[Effect, Estimate | Measured]) -> list[Effect]:
+    """The effects that differ from 0 if all are read together (Holm), the clearest first: that with the smallest p.
+
+    Of tests with as many seeds, this is the largest |t|. Effects without spread have no p-value and are left out.
+    """
+    tested = {name: each for name, each in effects.items() if not math.isnan(each.p)}
+    adjusted = zip(tested, holm([each.p for each in tested.values()]), strict=True)
+    shown = [name for name, p in adjusted if p <= LEVEL]
+    return sorted(shown, key=lambda name: (tested[name].p, -abs(_mean(tested[name]))))
+
+
+def _mean(each: Estimate | Measured) -> float:
+    return each.trial_mean if isinstance(each, Estimate) else each.value
 
 
 @dataclass(frozen=True, slots=True)
 class Comparisons:
-    """The contrasts with the baseline for which the tables show an interval.
+    """The contrasts with the baseline that are tested in the tables.
 
     adjusted: by configuration and series, the p-value adjusted by Holm's procedure
-    others:   number of other contrasts with an interval in table.csv, which are not counted
+    clearest: those that remain distinguishable from 0, the clearest first
+    others:   number of other tested contrasts in table.csv, which are not counted
     """
 
     adjusted: Mapping[tuple[str, Series], float]
+    clearest: Sequence[tuple[str, Series]]
     others: int
 
     @property
@@ -55,9 +84,9 @@ class Comparisons:
 
 
 def compare(rows: Sequence[StudyRow], baseline: str) -> Comparisons:
-    """The contrasts with an interval in the tables of increments, each counted once."""
+    """The contrasts with a p-value in the tables of increments, each counted once."""
     tested = {
-        (row.label, series): estimate.p
+        (row.label, series): estimate
         for row in rows
         if row.label != baseline
         for series, estimate in row.estimates.items()
@@ -66,11 +95,14 @@ def compare(rows: Sequence[StudyRow], baseline: str) -> Comparisons:
     table_series = {(column.owner, column.estimator, column.metric) for column in columns_of(ADDED + PAPER)}
     ego = {row.label: row.ego for row in rows}
     counted = {
-        (label, series): p
-        for (label, series), p in tested.items()
+        (label, series): estimate
+        for (label, series), estimate in tested.items()
         if table_series & {(None if series.owner == ego[label] else series.owner, series.estimator, series.metric)}
     }
-    return Comparisons(dict(zip(counted, holm(list(counted.values())), strict=True)), len(tested) - len(counted))
+    priority = {estimator: rank for rank, estimator in enumerate(_PRIORITY)}  # of equally clear ones
+    counted = dict(sorted(counted.items(), key=lambda item: priority.get(item[0][1].estimator, len(priority))))
+    adjusted = dict(zip(counted, holm([each.p for each in counted.values()]), strict=True))
+    return Comparisons(adjusted, clearest(counted), len(tested) - len(counted))
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
@@ -93,9 +125,14 @@ _CHANGES = {
     "fn_iob": ("missed objects", "{size} {more} missed objects a frame"),
     "id_switches_iob": ("identity switches", "{size} {more} identity switches a run"),
     "rmse_m_iob": ("RMSE", "{size} m {more} RMSE"),
+    "length_error_m_iob": ("lengths", "{size} m {more} error in the lengths of matched objects"),
+    "width_error_m_iob": ("widths", "{size} m {more} error in the widths of matched objects"),
+    "heading_error_deg_iob": ("headings", "{size}\u00b0 {more} error in the headings of matched objects"),
+    "velocity_error_mps_iob": ("velocities", "{size} m/s {more} error in the velocities of matched objects"),
 }
-#: Metrics of the headline in order of priority, each with the smallest change to report.
-_HEADLINES = ((("fp_iob", "fn_iob"), 0.0), (("id_switches_iob",), 0.0), (("rmse_m_iob",), 0.01))
+_COUNTED = ("fp_iob", "fn_iob", "id_switches_iob")
+#: The smallest change of other metrics that the headline reports, in their units.
+_LEAST = 0.01
 #: Estimates in order of priority: what the ego acts on comes first.
 _PRIORITY = (MISSION, PICTURE, LOCAL)
 
@@ -108,10 +145,7 @@ def titled(rows: Sequence[StudyRow], facts: StudyFacts) -> tuple[list[StudyRow],
 
 
 def result(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comparisons) -> str:
-    """The largest change in a sentence, after one for each attack that never began.
-
-    Of false or missed objects if any, else of other metrics.
-    """
+    """The clearest change in a sentence, after one for each attack that never began."""
     idle = [_never_began(each) for each in facts.idle]
     attacked = _attacked(rows, facts)
     if attacked or not idle:
@@ -131,7 +165,7 @@ def _attacked(rows: Sequence[StudyRow], facts: StudyFacts) -> list[StudyRow]:
     return [row for row in rows if row.label != facts.baseline and row.label not in facts.never_attacked]
 
 
-_NO_CHANGE = "No configuration changes false or missed objects in any estimate of the ego"
+NO_CHANGE = "No configuration changes false or missed objects in any estimate of the ego"
 
 
 def _result(rows: Sequence[StudyRow], attacked: Sequence[StudyRow], comparisons: Comparisons) -> str:
@@ -139,14 +173,14 @@ def _result(rows: Sequence[StudyRow], attacked: Sequence[StudyRow], comparisons:
         return f"{plural(len(rows), 'configuration')}, nothing to compare."
     headline = _headline(attacked, comparisons)
     if headline:
-        return f"The largest change of {_compared(headline)}: {_sentence(headline)}."
+        return f"The clearest change: {_sentence(headline)}."
     any_change = _largest(attacked, ("fp_iob", "fn_iob"), None)
     if not any_change:
         if _estimates_of(attacked, "fp_iob") or _estimates_of(attacked, "fn_iob"):
-            return f"{_NO_CHANGE}, in any trial."
+            return f"{NO_CHANGE}, in any trial."
         return "No trial has results for its baseline, so there is nothing to compare."
     if comparisons.count:
-        return f"{_NO_CHANGE} distinguishably, in {plural(comparisons.count, 'comparison')} with the baseline."
+        return f"{NO_CHANGE} distinguishably, in {plural(comparisons.count, 'comparison')} with the baseline."
     greatest = any_change[1].of(any_change[0])
     reason = "0 in most trials" if greatest.mostly_zero else "too few seeds for an interval"
     return f"The largest change of {_compared(any_change)}, {reason}: {_sentence(any_change)}."
@@ -173,7 +207,7 @@ def other_changes(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comp
             elif comparisons.count and any(not math.isnan(each.low) for each in known):
                 indistinct.append(name)
     for name, columns in ADDED:
-        if attacked and all(column.of(row).unchanged for row in attacked for column in columns):
+        if unchanged(attacked, columns):
             sentences.append(f"Not changed in any trial: {name}.")
     if unchanged_names:
         sentences.append(f"Unchanged in all trials: {', '.join(unchanged_names)}.")
@@ -186,8 +220,7 @@ def other_changes(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comp
 
 def _compared(change: _Change) -> str:
     """The group of changes of which this one is the largest."""
-    metrics = next(metrics for metrics, _ in _HEADLINES if change[1].metric in metrics)
-    names = " or ".join(_CHANGES[metric][0] for metric in metrics).replace(" objects or ", " or ")
+    names = "false or missed objects"
     row, column = change
     if column.estimator == MISSION and any(each.estimator == DRIVEN for each in row.estimates):
         return f"{names} in the mission estimate"  # with a veto, its driver acts on something else
@@ -201,11 +234,19 @@ def _estimates_of(rows: Sequence[StudyRow], metric: str) -> list[Estimate]:
 
 
 def _headline(rows: Sequence[StudyRow], comparisons: Comparisons) -> _Change | None:
-    """The largest change of the most relevant metrics that show any."""
-    for metrics, minimum in _HEADLINES:
-        change = _largest(rows, metrics, comparisons)
-        if change and abs(change[1].of(change[0]).trial_mean) >= minimum:
-            return change
+    """The clearest change of the ego's estimates; without any, the largest that is the same in all seeds."""
+    by_label = {row.label: row for row in rows}
+    for label, (owner, estimator, metric) in comparisons.clearest:
+        row = by_label.get(label)
+        if row is not None and owner == row.ego and estimator in _PRIORITY and metric in _CHANGES:
+            change = row, Column("", metric, estimator)
+            if metric in _COUNTED or abs(change[1].of(row).trial_mean) >= _LEAST:
+                return change
+    for estimator in _PRIORITY:
+        columns = [Column("", metric, estimator) for metric in _COUNTED]
+        same = [(row, column) for row in rows for column in columns if column.of(row).certain]
+        if same:
+            return max(same, key=lambda change: abs(change[1].of(change[0]).trial_mean))
     return None
 
 
@@ -233,7 +274,7 @@ def _sentence(change: _Change) -> str:
     sign = 1.0 if estimate.trial_mean >= 0.0 else -1.0
     ends = sorted((sign * estimate.low, sign * estimate.high))
     positive = replace(estimate, trial_mean=sign * estimate.trial_mean, low=ends[0], high=ends[1])
-    more = "more" if sign > 0 else "less" if column.metric == "rmse_m_iob" else "fewer"
+    more = "more" if sign > 0 else "fewer" if column.metric in _COUNTED else "less"
     text = _CHANGES[column.metric][1].format(size=value(positive), more=more)
     clause = f"in {row.label} {ESTIMATES[column.estimator].subject} has {text}"
     if estimate.certain:
@@ -244,15 +285,21 @@ def _sentence(change: _Change) -> str:
 def comparisons_made(comparisons: Comparisons) -> str:
     """Number of comparisons, its effect on each interval, and the meaning of the mark."""
     if not comparisons.count:
-        return "No comparison with the baseline has an interval."
+        return "No comparison with the baseline can be tested."
     count = comparisons.count
     others = f" table.csv has {comparisons.others} more, which are not counted." if comparisons.others else ""
     return (
-        f"{plural(count, 'comparison')} with the baseline, each with its own 95 % interval: "
+        f"{plural(count, 'comparison')} with the baseline, each with its own 95 % interval or sign test: "
         f"{LEVEL * count:.1f} of them would exclude 0 by chance if nothing differed. "
         f"They hold together at 95 % if each is held to a level of {comparisons.bonferroni:.2g} (Bonferroni). "
         f"* marks the {comparisons.remaining()} that remain distinguishable from 0 after Holm's procedure.{others}"
     )
+
+
+def is_of_user(row: StudyRow, series: Series) -> bool:
+    """Whether a series is a user's metric of one of the ego's main estimates."""
+    metric, ego = series.metric, series.owner == row.ego and series.estimator in ESTIMATORS
+    return ego and metric.isidentifier() and metric not in COLUMNS and not metric.endswith(("_iob", "_ioe"))
 
 
 def reservations(rows: Sequence[StudyRow], facts: StudyFacts) -> list[str]:
@@ -267,8 +314,9 @@ def reservations(rows: Sequence[StudyRow], facts: StudyFacts) -> list[str]:
     for row in rows:
         by_count: dict[int, list[str]] = {}
         for series, estimate in row.estimates.items():
-            if (series.estimator, series.metric) in names:
-                name = names[series.estimator, series.metric]
+            own = is_of_user(row, series)
+            if own or (series.estimator, series.metric) in names:
+                name = series.metric if own else names[series.estimator, series.metric]
                 where = ESTIMATORS.get(series.estimator, series.estimator)
                 change = "change of " if series.metric.endswith("_iob") and "IoB" not in name else ""
                 by_count.setdefault(estimate.left_out, []).append(f"{change}{name} ({where})")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from mast_zenoh.metrics.study_results import MIN_SEEDS, CooperationRow, CooperationTable, Measured
+from mast_zenoh.report.narrative.study import clearest
 from mast_zenoh.report.tables.text_table import (
     BOUNDS,
     DASH,
@@ -18,7 +19,7 @@ from mast_zenoh.report.tables.text_table import (
 
 _ABOUT = (
     "Missed and false objects per frame in the ego's picture from the start of the attack on. Each trial with a lie is "
-    "paired with the one without of the same scene and seed; bootstrap 95 % intervals over trials."
+    "paired with the one without of the same scene and seed; 95 % intervals of Student's t over seeds."
 )
 _HARM = (
     *("architecture", "agents", "trials", "vehicles with sensors (%)", "errors without lies", "added by lies"),
@@ -57,7 +58,17 @@ def cooperation_tables(table: CooperationTable) -> ResultTables:
     note = FEW_TRIALS if any(row.trials < MIN_SEEDS for row in table.rows) else ""
     about = f"{table.size}. {summary} {_ABOUT}"
     headings = ("architecture", "agents", "measure", *BOUNDS)
-    return ResultTables("Fusion architectures", about, table.size, [harm, traffic], (headings, numbers), [brief], note)
+    tables, title = [harm, traffic], "Fusion architectures"
+    return ResultTables(title, about, table.size, tables, (headings, numbers), [brief], note, headline(table))
+
+
+def headline(table: CooperationTable) -> str:
+    """The clearest effect of lies; without a full stop. Empty: none, or too few trials for a test."""
+    clear = clearest({index: row.harm for index, row in enumerate(table.rows)})
+    for row in (table.rows[index] for index in clear):
+        harm = measured(row.harm)
+        return f"The clearest effect: with {row.architecture} and {row.agents} agents, lies add {harm} errors a frame"
+    return ""
 
 
 def conclusion(table: CooperationTable) -> str:
@@ -68,12 +79,9 @@ def conclusion(table: CooperationTable) -> str:
     first, *others = rows = [row for row in table.rows if row.agents == agents]
     harms = ", ".join(f"{row.architecture} {measured(row.harm)}" for row in rows)
     deceived = ", ".join(f"{row.architecture} {percent(row.deceived, ' %')}" for row in rows)
-    differ = [
-        f"{row.architecture} (by {measured(row.harm_difference)})"
-        for row in others
-        if row.harm_difference.differs_from_zero
-    ]
-    alike = [row.architecture for row in others if not row.harm_difference.differs_from_zero]
+    clear = clearest({row.architecture: row.harm_difference for row in others})
+    differ = [f"{row.architecture} (by {measured(row.harm_difference)})" for row in others if row.architecture in clear]
+    alike = [row.architecture for row in others if row.architecture not in clear]
     sentences = [
         f"With {agents} agents, the lies add so many errors per frame to the ego's picture: {harms}.",
         f"Agents deceived at a time: {deceived}.",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 from mast_zenoh.metrics.study_results import (
@@ -11,7 +12,9 @@ from mast_zenoh.metrics.study_results import (
     DefenceRow,
     DefenceSummary,
     Measured,
+    plural,
 )
+from mast_zenoh.report.narrative.study import clearest
 from mast_zenoh.report.tables.text_table import (
     BOUNDS,
     DASH,
@@ -43,7 +46,7 @@ _FAULTS = ("wrongly_suspended", "faulty_suspended_per_hour", "honest_suspended_p
 def tables(matrix: DefenceMatrix) -> list[TextTable]:
     """All tables that have a line, the summary last."""
     every = [_costs(matrix), *damage(matrix), *_distance(matrix)]
-    every += [_detection(matrix), _framing(matrix), _faults(matrix)]
+    every += [_own(matrix), _detection(matrix), _framing(matrix), _faults(matrix)]
     every += [_states_by_conduct(matrix), _characteristics(matrix), summary(matrix)]
     return [table for table in every if table.lines]
 
@@ -127,6 +130,19 @@ def _costs(matrix: DefenceMatrix) -> TextTable:
     lines = [[row.defence, *(_measure(row, name) for name in _COSTS)] for row in matrix.rows if not row.attack]
     headings = ["defence", *(DEFENCE_MEASURES[name] for name in _COSTS)]
     return TextTable("Cost without an attack", "Compared with no defence, per frame.", headings, lines, 1)
+
+
+def _own(matrix: DefenceMatrix) -> TextTable:
+    """The user's metrics, each with its difference from no defence and no attack."""
+    names = list(dict.fromkeys(name for row in matrix.rows for name in row.own))
+    missing = Measured(), Measured()
+    lines = [
+        [*_cell_of(row), *(measured(each) for name in names for each in row.own.get(name, missing))]
+        for row in matrix.rows
+    ]
+    headings = [heading for name in names for heading in (name, f"{name}, difference")]
+    about = "Of the ego's picture; differences are from no defence and no attack."
+    return TextTable("Your metrics", about, [*_CELL, *headings], lines if names else [], 4)
 
 
 def _detection(matrix: DefenceMatrix) -> TextTable:
@@ -249,8 +265,8 @@ def defence_tables(matrix: DefenceMatrix) -> ResultTables:
     The CSV has a row per cell and measure, then per defence.
     """
     about = (
-        f"{matrix.size}. In brackets: 95 % intervals over trials, pairs of scene and seed. Differences are between "
-        "runs of the same scene and seed."
+        f"{matrix.size}. In brackets: 95 % intervals, of means over seeds. Differences are between runs of the same "
+        "scene and seed; where most are 0, the mean has no interval, which would be too narrow."
     )
     headings = [*_CSV_CELL, "measure", *BOUNDS]
     source = summary(matrix)
@@ -263,7 +279,27 @@ def defence_tables(matrix: DefenceMatrix) -> ResultTables:
     every = [each for row in matrix.rows for each in row.measures.values()]
     few = any(each.known and not each.interval and each.trials < MIN_SEEDS for each in every)
     note = FEW_TRIALS if few else ""
-    return ResultTables("Defences against adversaries", about, matrix.size, tables(matrix), numbers, brief, note)
+    title = "Defences against adversaries"
+    return ResultTables(title, about, matrix.size, tables(matrix), numbers, brief, note, headline(matrix))
+
+
+#: What a headline names, and how.
+_HEADLINE = {"damage": "{} missed and false objects a frame", "ospa_added_m": "{} m of OSPA"}
+
+
+def headline(matrix: DefenceMatrix) -> str:
+    """The clearest damage by an adversary; without a full stop. Empty: too few trials for a test."""
+    rows = [row for row in matrix.rows if row.attack]
+    effects = {
+        (index, name): row.measures.get(name, Measured()) for index, row in enumerate(rows) for name in _HEADLINE
+    }
+    for index, name in clearest(effects):
+        row = rows[index]
+        added = _HEADLINE[name].format(measured(row.measures[name], 3 if name == "ospa_added_m" else 2))
+        number_of = plural(row.n_adversaries, "agent")
+        return f"The clearest damage: {row.attack} ({number_of}, {row.placement}) against {row.defence} adds {added}"
+    tests = sum(not math.isnan(each.p) for each in effects.values())
+    return f"No adversary does distinguishable damage, in {plural(tests, 'comparison')}" if tests else ""
 
 
 def _csv_lines(matrix: DefenceMatrix) -> Iterator[list[object]]:
@@ -271,6 +307,9 @@ def _csv_lines(matrix: DefenceMatrix) -> Iterator[list[object]]:
         cell = [getattr(row, name) for name in _CSV_CELL]
         for name in DEFENCE_MEASURES:
             yield [*cell, name, *bounds(row.measures.get(name, Measured()))]
+        for name, (mean, added) in row.own.items():
+            yield [*cell, name, *bounds(mean)]
+            yield [*cell, f"{name} difference", *bounds(added)]
         for conduct, states in row.state_seconds.items():
             for state, seconds in states.items():
                 yield [*cell, f"seconds {conduct} {state}", *digits(seconds), *[""] * 5]

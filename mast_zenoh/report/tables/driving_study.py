@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from mast_zenoh.metrics.driving_results import DRIVING_MEASURES, Affected, Difference, DrivingRow, DrivingTable
+from mast_zenoh.metrics.driving_results import DRIVING_MEASURES, Affected, DrivingRow, DrivingTable
 from mast_zenoh.metrics.study_results import Estimate, plural
+from mast_zenoh.report.narrative.study import clearest
 from mast_zenoh.report.tables.study_rows import over_trials, value
 from mast_zenoh.report.tables.text_table import (
     BOUNDS,
@@ -27,7 +28,7 @@ _ABOUT = (
 _ZEROS = "(0 in N % [a, b]): the share of pairs without a difference, and its exact 95 % interval."
 _NONE = "none"
 _HEADINGS = tuple(measure.heading for measure in DRIVING_MEASURES.values())
-#: What a headline names, the worst first.
+#: What a headline names if no effect is clear, the worst first.
 _HEADLINE = ("collisions", "needless_brakes", "progress_m")
 _NO_HARM = "No attack adds collisions or needless brakes, or shortens the way"
 
@@ -38,9 +39,15 @@ def driving_tables(table: DrivingTable) -> ResultTables:
     numbers = [
         [*_names(row), kind, name, *_digits(estimates[name], row.trials)]
         for row in table.rows
-        for kind, estimates in (("mean", row.measures), ("added", _of(row.added)), ("spared", _of(row.spared)))
+        for kind, estimates in (("mean", row.measures), ("added", row.added), ("spared", row.spared))
         for name in estimates
+    ] + [
+        [*_names(row), kind, name, *_digits(each, row.trials)]
+        for row in table.rows
+        for name, both in row.own.items()
+        for kind, each in zip(("mean", "added"), both, strict=True)
     ]
+    own = list(dict.fromkeys(name for row in table.rows for name in row.own))
     sentences = conclusion(table)
     tables = [
         TextTable(title, about, (*row_heads, *_HEADINGS), lines, 3)
@@ -49,16 +56,24 @@ def driving_tables(table: DrivingTable) -> ResultTables:
             (
                 "What the attack adds to what the car did",
                 f"Differences from the twin. {_ZEROS}",
-                [_line(row, _of(row.added)) for row in table.rows if row.added],
+                [_line(row, row.added) for row in table.rows if row.added],
             ),
             (
                 "What the defence changes of what the car did",
                 f"Differences from no defence. {_ZEROS}",
-                [_line(row, _of(row.spared)) for row in table.rows if row.spared],
+                [_line(row, row.spared) for row in table.rows if row.spared],
             ),
         )
         if lines
     ]
+    if own:
+        heads = [heading for name in own for heading in (name, f"{name}, added by the attack")]
+        missing = Estimate(), Estimate()
+        lines = [
+            [*_names(row), str(row.trials), *(over_trials(each) for name in own for each in row.own.get(name, missing))]
+            for row in table.rows
+        ]
+        tables.append(TextTable("Your metrics", "Of what the car's agent acts on.", (*row_heads, *heads), lines, 3))
     brief_heads = ("attack, defence", *_HEADINGS)
     brief_lines = [
         [f"{row.title}, {row.defence or _NONE}", *(number(row.measures[name].mean) for name in DRIVING_MEASURES)]
@@ -80,26 +95,39 @@ def driving_tables(table: DrivingTable) -> ResultTables:
 
 
 def headline(table: DrivingTable) -> str:
-    """The attack that adds most collisions, else needless brakes, else shortens the way most; without a full stop.
+    """The clearest harm by an attack; else the worst that one adds; without a full stop.
 
-    Of attacks without a defence, if any was run. Without such a harm, what did not take part comes first.
+    Of attacks without a defence, if any was run. Without a harm, what did not take part comes first.
     """
     rows = [row for row in _first_rows(table) if row.harmed.pairs]
+    effects = {(index, name): each for index, row in enumerate(rows) for name, each in row.added.items()}
+    clear = [(rows[index], name) for index, name in clearest(effects)]
+    same = [(row, name) for name in _HEADLINE for row in rows if row.added[name].certain]
+    for row, name in (*clear, *same):
+        if _harm(name, row.added[name]) > 0.0:
+            return _effect(row, name)
     for name in _HEADLINE:
-        harms = [(_harm(name, row.added[name]), row) for row in rows if not math.isnan(_mean(row.added[name]))]
-        harm, row = max(harms, key=lambda pair: pair[0], default=(0.0, None))
-        if row is not None and harm > 0.0:
-            added, what = row.added[name].estimate, f"adds {_worded(name, row.added[name])}"
-            what = f"changes the way driven by {over_trials(added)} m" if name == "progress_m" else what
-            defended = f", with {row.defence}," if row.defence else ""
-            doubt = "" if row.added[name].is_shown else ": too few trials to tell"
-            return f"The attack {row.title}{defended} {what} a trial{doubt}"
+        harms = [(_harm(name, row.added[name]), row) for row in rows if not math.isnan(row.added[name].trial_mean)]
+        harm, worst = max(harms, key=lambda pair: pair[0], default=(0.0, None))
+        if worst is not None and harm > 0.0:
+            return f"{_effect(worst, name)}: too few trials to tell"
     if any(row.flawed for row in rows):
         return next(iter(flaws(table)), "").removesuffix(".")
     if not rows:
         return ""
     harmed, pairs = sum(row.harmed.happened for row in rows), sum(row.harmed.pairs for row in rows)
     return f"{_NO_HARM} in the mean" if harmed else f"No attack did harm in any of {plural(pairs, 'pair')}"
+
+
+def _effect(row: DrivingRow, name: str) -> str:
+    """`The attack phantom_queue on picture changes the way driven by -54 [-62, -46] m a trial`."""
+    added, heading = row.added[name], DRIVING_MEASURES[name].heading
+    what = f"changes {heading} by {over_trials(added)}"
+    if name == "progress_m":
+        what = f"changes the way driven by {over_trials(added)} m"
+    elif _harm(name, added) > 0.0:
+        what = f"adds {_worded(name, added)}"
+    return f"The attack {row.title}{f', with {row.defence},' if row.defence else ''} {what} a trial"
 
 
 def conclusion(table: DrivingTable) -> list[str]:
@@ -183,36 +211,28 @@ def _none_of(affected: Affected) -> str:
     return f"in {affected.pairs} of {plural(affected.pairs, 'pair')}; its chance is below {bound} % (exact, 95 %)"
 
 
-def _shown(numbers: Mapping[str, Difference], sign: int) -> list[str]:
+def _shown(numbers: Mapping[str, Estimate], sign: int) -> list[str]:
     """The measures that are shown to differ, for the better (1) or for the worse (-1), with their intervals."""
-    return [_worded(name, each) for name, each in numbers.items() if each.is_shown and sign * _harm(name, each) < 0.0]
+    return [_worded(name, each) for name, each in numbers.items() if each.differs and sign * _harm(name, each) < 0.0]
 
 
-def _not_shown(numbers: Mapping[str, Difference]) -> list[str]:
+def _not_shown(numbers: Mapping[str, Estimate]) -> list[str]:
     """The measures that are worse in the mean, although too few trials show it."""
-    return [_worded(name, each) for name, each in numbers.items() if _harm(name, each) > 0.0 and not each.is_shown]
+    return [_worded(name, each) for name, each in numbers.items() if _harm(name, each) > 0.0 and not each.differs]
 
 
-def _mean(each: Difference) -> float:
-    return each.estimate.trial_mean
-
-
-def _harm(name: str, each: Difference) -> float:
+def _harm(name: str, each: Estimate) -> float:
     """The mean, positive where it is worse for the car."""
-    return -_mean(each) * DRIVING_MEASURES[name].better
+    return -each.trial_mean * DRIVING_MEASURES[name].better
 
 
-def _worded(name: str, each: Difference) -> str:
+def _worded(name: str, each: Estimate) -> str:
     """`3.03 [2.51, 3.56] needless brakes`, or `0.27 collisions (0 in 73 % [54, 88] of the pairs)`."""
-    heading, estimate = DRIVING_MEASURES[name].heading, each.estimate
-    if not estimate.mostly_zero:
-        return f"{over_trials(estimate)} {heading}"
-    share, low, high = map(whole_percent, (estimate.zero_share, estimate.zero_low, estimate.zero_high))
-    return f"{value(estimate)} {heading} (0 in {share} % [{low}, {high}] of the pairs)"
-
-
-def _of(differences: Mapping[str, Difference]) -> dict[str, Estimate]:
-    return {name: each.estimate for name, each in differences.items()}
+    heading = DRIVING_MEASURES[name].heading
+    if not each.mostly_zero:
+        return f"{over_trials(each)} {heading}"
+    share, low, high = map(whole_percent, (each.zero_share, each.zero_low, each.zero_high))
+    return f"{value(each)} {heading} (0 in {share} % [{low}, {high}] of the pairs)"
 
 
 def _names(row: DrivingRow) -> tuple[str, str, str]:

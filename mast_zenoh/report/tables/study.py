@@ -43,6 +43,7 @@ from mast_zenoh.report.tables.study_rows import (
     over_frames,
     over_trials,
     present,
+    unchanged,
     value,
 )
 from mast_zenoh.report.tables.text_table import DASH, csv_text, digits, number
@@ -152,7 +153,7 @@ def _added(title: str, rows: Sequence[StudyRow], comparisons: Comparisons) -> li
             rows,
             lambda row, column: replace(_over_trials(column.of(row)), marked=comparisons.remains(row, column)),
         )
-        if not all(column.of(row).unchanged for row in rows for column in group[1]):
+        if not unchanged(rows, group[1]):
             tables.append(replace(section, terminal=estimator != "picture"))
     return tables
 
@@ -502,6 +503,7 @@ def _tex(text: str) -> str:
         ("all equal", r"\mbox{all equal}"),
         ("(0 in ", r"(0 \mbox{ in } "),
         ("_", r"\_"),
+        ("\u00b0", r"$^\circ$"),
         ("%", r"\%"),
         ("&", r"\&"),
     ):

@@ -39,6 +39,7 @@ ESTIMATORS = {name: ESTIMATES[name].subject.removeprefix("the ") for name in MAI
 
 _SCORES = ("fn", "fp", "tp", "rmse_m", "id_switches")
 _DISTANCES = ("ospa_m", "gospa_m", "completeness")
+_BOXES = ("length_error_m", "width_error_m", "heading_error_deg", "velocity_error_mps")
 
 
 def _of(estimator: str, metrics: Iterable[str], suffix: str = "") -> tuple[Column, ...]:
@@ -47,8 +48,10 @@ def _of(estimator: str, metrics: Iterable[str], suffix: str = "") -> tuple[Colum
 
 #: The scores of each estimate, and their increments over the baseline.
 SCORES: Groups = tuple((name, _of(estimator, _SCORES)) for estimator, name in ESTIMATORS.items())
-ALL_SCORES: Groups = tuple((name, _of(estimator, _SCORES + _DISTANCES)) for estimator, name in ESTIMATORS.items())
-ADDED: Groups = tuple((name, _of(estimator, _SCORES, "_iob")) for estimator, name in ESTIMATORS.items())
+ALL_SCORES: Groups = tuple(
+    (name, _of(estimator, (*_SCORES, *_DISTANCES, *_BOXES, "iou_3d"))) for estimator, name in ESTIMATORS.items()
+)
+ADDED: Groups = tuple((name, _of(estimator, _SCORES + _BOXES, "_iob")) for estimator, name in ESTIMATORS.items())
 
 #: The increments by their names in the paper.
 PAPER: Groups = (
@@ -133,6 +136,12 @@ def attacks_differ(rows: Iterable[StudyRow], baseline: str) -> bool:
 def columns_of(groups: Groups) -> list[Column]:
     """All columns of the groups, one after the other."""
     return [column for _, columns in groups for column in columns]
+
+
+def unchanged(rows: Iterable[StudyRow], columns: Sequence[Column]) -> bool:
+    """Whether all increments that are known are 0 in every trial."""
+    known = [each for row in rows for column in columns if not math.isnan((each := column.of(row)).trial_mean)]
+    return bool(known) and all(each.unchanged for each in known)
 
 
 def present(rows: Sequence[StudyRow], groups: Groups) -> Groups:

@@ -15,7 +15,7 @@ from rich.console import Group
 from rich.markup import escape
 from rich.table import Table
 
-from mast_zenoh.metrics.study_results import MIN_SEEDS, Measured
+from mast_zenoh.metrics.study_results import MIN_SEEDS, MOSTLY_ZERO, Measured
 
 #: Placeholder for an unknown number.
 DASH = "\u2013"
@@ -199,7 +199,7 @@ def digits(*values: float) -> list[str]:
 
 
 def measured(each: Measured, decimals: int = 2) -> str:
-    """A number with its interval, `3.42 [3.10, 3.80]`; `3.42 (all equal)`, or without brackets for fewer than 5 trials.
+    """A number with its interval, `3.42 [3.10, 3.80]`; else `3.42 (all equal)`, `(mostly 0)`; `3.42` of few trials.
 
     Infinite: `not reached [1.20, \u221e)`, or `not reached` if the interval is beyond what was watched, too.
     """
@@ -208,7 +208,8 @@ def measured(each: Measured, decimals: int = 2) -> str:
     if math.isinf(each.value):
         return _not_reached(each)
     if math.isnan(each.low):
-        return number(each.value, decimals) + (" (all equal)" if each.trials >= MIN_SEEDS else "")
+        why = "mostly 0" if each.interval == MOSTLY_ZERO else "all equal"
+        return number(each.value, decimals) + (f" ({why})" if each.trials >= MIN_SEEDS else "")
     half = (each.high - each.low) / 2.0
     if 0.0 < half < 0.01:  # so many decimals that the interval has a width
         decimals = min(5, max(decimals, math.ceil(-math.log10(half))))

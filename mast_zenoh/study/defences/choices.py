@@ -16,6 +16,7 @@ from mast_zenoh import scenes
 from mast_zenoh.attacks import Attack, Coordination
 from mast_zenoh.config import loading, registry
 from mast_zenoh.errors import ConfigurationError, nearest
+from mast_zenoh.metrics import Metric
 from mast_zenoh.scenario import choose_scene, victims_of
 from mast_zenoh.scenario.reading import name_of_file
 from mast_zenoh.streams import stream
@@ -70,7 +71,7 @@ def with_preset(presets: Mapping[str, Mapping[str, Any]], preset: str, **argumen
     return {**presets[preset], **{key: value for key, value in arguments.items() if value is not None}}
 
 
-def parse_choices(text: str | list[Choice] | tuple[Choice, ...], setting: str) -> list[Choice]:
+def parse_choices(text: str | Sequence[Choice], setting: str) -> list[Choice]:
     """Choices from names separated by commas, or from a Python list of names and dicts; files with absolute paths.
 
     Empty text has none. setting: its name, for errors. Raises ConfigurationError.
@@ -103,6 +104,15 @@ def resolve_choice(choice: Choice, base: type) -> dict[str, Any]:
     choice = _literal(choice)
     spec = {"type": choice} if isinstance(choice, str) else dict(choice)
     return spec | {"type": loading.class_name(spec["type"], base)}
+
+
+def measured_by(metrics: Sequence[Choice], content: Mapping[str, Any]) -> dict[str, Any]:
+    """The `evaluator` of a scenario with a user's metrics, too; {}: without any. content: of the scenario"""
+    if not metrics:
+        return {}
+    evaluator = content.get("evaluator", {})
+    own = [resolve_choice(each, Metric) for each in parse_choices(metrics, "metrics")]
+    return {"evaluator": evaluator | {"metrics": [*evaluator.get("metrics", ()), *own]}}
 
 
 def adversary_base(choice: Choice) -> type:

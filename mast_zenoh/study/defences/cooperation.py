@@ -21,7 +21,6 @@ from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.metrics.study_results import NAN, CooperationRow, CooperationTable
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.study.defences import kinds
-from mast_zenoh.study.defences.intervals import mean
 from mast_zenoh.study.numbers import ego, scored_frames
 from mast_zenoh.study.trial import Outcome, TrialKey
 
@@ -178,20 +177,22 @@ class Collection(kinds.Collection):
     def _row(
         self, architecture: str, agents: int, harm: Mapping[TrialKey, float], of_first: Mapping[TrialKey, float]
     ) -> CooperationRow:
-        honest, attacked = (list(self._of(architecture, agents, lie).values()) for lie in (False, True))
+        honest, attacked = (self._of(architecture, agents, lie) for lie in (False, True))
+
+        def values(records: Mapping[TrialKey, Any], name: str) -> list[float]:
+            return [getattr(records[key], name) if key in records else NAN for key in self.order]
+
         means = {
-            name: mean([getattr(each, name) for each in honest])
+            name: self.mean(values(honest, name))
             for name in ("errors", "nees", "gospa_m", "kb_per_s", "busy_ratio", "penetration")
         }
-        shares = {
-            name: mean([getattr(each, name) for each in attacked], (0.0, 1.0)) for name in ("deceived", "deceived_max")
-        }
+        shares = {name: self.mean(values(attacked, name), (0.0, 1.0)) for name in ("deceived", "deceived_max")}
         return CooperationRow(
             architecture=architecture,
             agents=agents,
             trials=len(harm),
-            harm=mean(list(harm.values())),
-            harm_difference=mean([value - of_first[key] for key, value in harm.items() if key in of_first]),
+            harm=self.mean([harm.get(key, NAN) for key in self.order], paired=True),
+            harm_difference=self.mean([harm.get(key, NAN) - of_first.get(key, NAN) for key in self.order], paired=True),
             **means,
             **shares,
         )

@@ -20,15 +20,16 @@ from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.metrics.driving_results import (
     DRIVING_MEASURES,
     Affected,
-    Difference,
     DrivingRow,
     DrivingTable,
     Flaws,
 )
+from mast_zenoh.metrics.estimates import MISSION
 from mast_zenoh.metrics.study_results import NEGLIGIBLE, Estimate
 from mast_zenoh.study import statistics
 from mast_zenoh.study.defences import kinds
 from mast_zenoh.study.defences.intervals import share_of_trials
+from mast_zenoh.study.defences.matrix_records import own_metrics
 from mast_zenoh.study.trial import Outcome, TrialKey
 
 if TYPE_CHECKING:
@@ -42,7 +43,8 @@ _UNCHANGED = frozenset({"unsettled"})
 class Happened(NamedTuple):
     """What happened to a car in one trial.
 
-    values: by DRIVING_MEASURES;  obeyed: commands that the car obeyed;  uncommanded: frames without a new command
+    values: by DRIVING_MEASURES, and the user's metrics of what the car's agent acts on
+    obeyed: commands that the car obeyed;  uncommanded: frames without a new command
     blind:  frames that were driven without an estimate;  idle: adversaries that changed no message
     """
 
@@ -89,8 +91,9 @@ class Collection(kinds.Collection):
     def record(self, cell: DrivingCell, outcome: Outcome) -> Happened:
         driven = outcome.metrics["driven"][cell.car]
         values = {name: driven[name] for name in DRIVING_MEASURES}
+        counted = {name: float(len(value) if isinstance(value, list) else value) for name, value in values.items()}
         return Happened(
-            {name: float(len(value) if isinstance(value, list) else value) for name, value in values.items()},
+            counted | own_metrics(outcome.metrics.get("agents", {}).get(cell.car, {}).get(MISSION, {})),
             driven["obeyed_commands"],
             driven["uncommanded_frames"],
             driven["blind_frames"],
@@ -111,6 +114,7 @@ class Collection(kinds.Collection):
         happened = self._of_measures(records)
         added = _minus(happened, self._of_measures(twins)) if cell.attack else {}
         spared = _minus(happened, self._of_measures(undefended)) if cell.defence else {}
+        own = [name for record in records.values() for name in record.values if name not in DRIVING_MEASURES]
         harm = [-DRIVING_MEASURES[name].better * values > NEGLIGIBLE for name, values in added.items()]
         changes = [np.abs(values) > NEGLIGIBLE for values in spared.values()]
         compared = [*[twins] * bool(cell.attack), *[undefended] * bool(cell.defence)]
@@ -120,11 +124,20 @@ class Collection(kinds.Collection):
             defence=cell.defence,
             trials=len(records),
             missing=len(self.order) - len(records),
-            measures={name: _estimate(values, 0.0) for name, values in happened.items()},
-            added={name: _difference(values) for name, values in added.items()},
-            spared={name: _difference(values) for name, values in spared.items()},
+            measures={name: _estimate(happened[name], 0.0) for name in DRIVING_MEASURES},
+            added={name: _estimate(values, paired=True) for name, values in added.items()},
+            spared={name: _estimate(values, paired=True) for name, values in spared.items()},
             harmed=_affected(harm, added),
             changed=_affected(changes, spared),
+            own={
+                name: (
+                    _estimate(self._values(records, name)),
+                    _estimate(self._values(records, name) - self._values(twins, name), paired=True)
+                    if cell.attack
+                    else Estimate(),
+                )
+                for name in dict.fromkeys(own)
+            },
             flaws=_flaws(records),
             flawed=any(map(_flaws, (records, *compared))),
         )
@@ -134,13 +147,13 @@ class Collection(kinds.Collection):
 
         Of fewer than five seeds but not scenes, scenes are the units of intervals: then it is (seeds, scenes).
         """
-        scenes, seeds = ([*dict.fromkeys(each)] for each in zip(*self.order, strict=True))
-        arrays = {name: np.full((len(scenes), len(seeds)), np.nan) for name in DRIVING_MEASURES}
-        for key, happened in records.items():
-            for name, value in happened.values.items():
-                arrays[name][scenes.index(key.scene), seeds.index(key.seed)] = value
-        by_scene = len(seeds) < statistics.MIN_CLUSTERS <= len(scenes)
-        return {name: values.T if by_scene else values for name, values in arrays.items()}
+        return {name: self._values(records, name) for name in DRIVING_MEASURES}
+
+    def _values(self, records: Mapping[TrialKey, Happened], name: str) -> Floats:
+        """(scenes, seeds) a value of each trial, see `_of_measures`."""
+        every = [records[key].values.get(name, np.nan) if key in records else np.nan for key in self.order]
+        values = np.array(every).reshape(self.scenes, -1)
+        return values.T if values.shape[1] < statistics.MIN_CLUSTERS <= self.scenes else values
 
     def _of(self, attack: str, wire: str, defence: str) -> Mapping[TrialKey, Happened]:
         """The trials of a cell that are done, in the order of the study."""
@@ -167,12 +180,6 @@ def _minus(happened: Mapping[str, Floats], other: Mapping[str, Floats]) -> dict[
 
 def _estimate(values: Floats, least: float = -math.inf, *, paired: bool = False) -> Estimate:
     return statistics.trial_estimate(values, (least, math.inf), paired=paired)
-
-
-def _difference(values: Floats) -> Difference:
-    """The difference in pairs, (a, units), NaN where there is no pair."""
-    units = np.nansum(values, axis=0)
-    return Difference(_estimate(values, paired=True), int((units > NEGLIGIBLE).sum()), int((units < -NEGLIGIBLE).sum()))
 
 
 def _affected(happened: Sequence[Bools], differences: Mapping[str, Floats]) -> Affected:

@@ -153,18 +153,19 @@ class Collection(matrix.Collection):
         groups = [
             [self.records[cell][key]] for key in self.order if key in self.records[cell] and scene in ("", key.scene)
         ]
-        cpu_ms = self._in_scene(self._processor(cell), scene)
+        cpu_ms, scenes = self._in_scene(self._processor(cell), scene), 1 if scene else self.scenes
+        harm = self._in_scene(self._damage(cell) - self._damage(cell.undefended), scene)
         return FieldRow(
             scene=scene_title(scene),
             defence=cell.defence,
             attack=cell.attack,
             n_adversaries=cell.n_adversaries,
             placement=cell.placement,
-            harm=intervals.mean(self._in_scene(self._damage(cell) - self._damage(cell.undefended), scene)),
+            harm=intervals.mean(harm, scenes=scenes, paired=True),
             attacked=matrix_records.attacked_share(groups) if cell.lies else Measured(),
             honest_suspended=matrix_records.shares_of_runs(groups)["honest_suspended"],
-            cpu_ms=intervals.mean(cpu_ms),
-            cpu_ratio=ratio(cpu_ms, self._in_scene(self._processor(cell.undefended), scene)),
+            cpu_ms=intervals.mean(cpu_ms, scenes=scenes),
+            cpu_ratio=ratio(cpu_ms, self._in_scene(self._processor(cell.undefended), scene), scenes=scenes),
         )
 
     def _damage(self, cell: Cell) -> Floats:
@@ -202,12 +203,15 @@ class Collection(matrix.Collection):
         point = intervals.pooled(lambda rows: _crossing(counts, every[rows]), len(keys))
         if _is_single(counts):
             point = Measured(point.value, trials=point.trials)
+        scenes = 1 if scene else self.scenes
         sizes = {self._agents[key.scene] for key in keys if key.scene in self._agents}
         return FieldBreakdown(
             scene=scene_title(scene),
             defence=defence,
             agents=sizes.pop() if len(sizes) == 1 else 0,
-            broken={count: intervals.mean(every[:, index], (0.0, 1.0)) for index, count in enumerate(counts)},
+            broken={
+                count: intervals.mean(every[:, index], (0.0, 1.0), scenes=scenes) for index, count in enumerate(counts)
+            },
             point=point,
             weakest=weakest,
             weakest_at=reached.get(weakest, math.inf),
@@ -236,8 +240,8 @@ class Collection(matrix.Collection):
             defence=defence,
             harm_removed=self._harm_removed(attacked),
             breaks_at=breaks_at,
-            cpu_ratio_alone=ratio(self._processor(alone), self._processor(alone.undefended)),
-            cpu_ratio_attacked=ratio(*(np.stack(part) for part in zip(*pairs, strict=True))),
+            cpu_ratio_alone=ratio(self._processor(alone), self._processor(alone.undefended), scenes=self.scenes),
+            cpu_ratio_attacked=ratio(*(np.stack(part) for part in zip(*pairs, strict=True)), scenes=self.scenes),
         )
 
     def _harm_removed(self, cells: Sequence[Cell]) -> Measured:
@@ -297,7 +301,7 @@ class Collection(matrix.Collection):
             ),
             "median_delay_s": lambda: matrix_records.median_delay(groups) if suspending else Measured(),
             "targets_suspended": lambda: _liars_suspended(groups),
-            "fn_added_alone": lambda: intervals.mean(self._added(cells[0].alone, "fn")),
+            "fn_added_alone": lambda: self.mean(self._added(cells[0].alone, "fn"), paired=True),
             "fp_added": lambda: self._mean_of(cells, lambda cell: self._added(cell, "fp")),
             "damage": lambda: self._mean_of(cells, self._damage),
             "ospa_vs_undefended_m": lambda: self._mean_of(
@@ -309,7 +313,7 @@ class Collection(matrix.Collection):
 
     def _mean_of(self, cells: Sequence[Cell], values: Callable[[Cell], Floats]) -> Measured:
         """The mean over trials of the mean over cells."""
-        return intervals.mean(_mean_known(np.stack([values(cell) for cell in cells])))
+        return self.mean(_mean_known(np.stack([values(cell) for cell in cells])), paired=True)
 
     def _growth(self, cells: Sequence[Cell]) -> Measured:
         """Processor time relative to the other attacks on the same defence, by as many adversaries of one placement."""
@@ -324,17 +328,18 @@ class Collection(matrix.Collection):
             ]
             if others:
                 parts.append((self._processor(cell), _mean_known(np.stack(others))))
-        return ratio(*(np.stack(part) for part in zip(*parts, strict=True))) if parts else Measured()
+        stacks = [np.stack(part) for part in zip(*parts, strict=True)]
+        return ratio(*stacks, scenes=self.scenes) if parts else Measured()
 
 
-def ratio(values: Floats, references: Floats) -> Measured:
+def ratio(values: Floats, references: Floats, *, scenes: int = 1) -> Measured:
     """The geometric mean of paired ratios over trials.
 
     values, references: (trials,) or (cells, trials), positive; NaN where one has none
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         logarithms = np.log(np.atleast_2d(values)) - np.log(np.atleast_2d(references))
-    measured = intervals.mean(_mean_known(logarithms))
+    measured = intervals.mean(_mean_known(logarithms), scenes=scenes)
     value, low, high = (math.exp(each) for each in measured[:3])
     return measured._replace(value=value, low=low, high=high)
 

@@ -1,9 +1,10 @@
 """Numbers over the trials of a cell or of a defence, with 95 % intervals. Pure.
 
-A trial, one pair of scene and seed, is the unit: its frames, lies and agents are not independent. Means, shares,
-medians and areas have percentile intervals of a bootstrap over trials (Efron 1979, Annals of Statistics 7:1), rates of
-rare events the exact interval of a Poisson count (Garwood 1936, Biometrika 28:437), shares of runs the exact interval
-of a binomial count (Clopper and Pearson 1934, Biometrika 26:404).
+Means have the intervals of all studies (`study.statistics`), over seeds. Elsewhere a trial, one pair of scene and seed,
+is the unit: its frames, lies and agents are not independent. Shares, medians and areas have percentile intervals of a
+bootstrap over trials (Efron 1979, Annals of Statistics 7:1), rates of rare events the exact interval of a Poisson count
+(Garwood 1936, Biometrika 28:437), shares of runs the exact interval of a binomial count (Clopper and Pearson 1934,
+Biometrika 26:404).
 """
 
 from __future__ import annotations
@@ -15,7 +16,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mast_zenoh.arrays.states import Floats, Ints
-from mast_zenoh.metrics.study_results import BINOMIAL, BOOTSTRAP, MIN_SEEDS, NAN, POISSON, Measured, Survival
+from mast_zenoh.metrics.study_results import (
+    BINOMIAL,
+    BOOTSTRAP,
+    MIN_SEEDS,
+    MOSTLY_ZERO,
+    NAN,
+    POISSON,
+    STUDENT,
+    Measured,
+    Survival,
+)
+from mast_zenoh.study import statistics
 from mast_zenoh.study.statistics import CONFIDENCE, clopper_pearson
 
 #: Minimum number of trials for a bootstrap, and for the interval of a share that is 0 or 1 in all of them.
@@ -29,21 +41,23 @@ _EQUAL = 1e-9
 _TAILS = (0.5 - CONFIDENCE / 2.0, 0.5 + CONFIDENCE / 2.0)
 
 
-def mean(values: ArrayLike, bounds: tuple[float, float] = (-np.inf, np.inf)) -> Measured:
-    """The mean of a value of each trial.
+def mean(
+    values: ArrayLike, bounds: tuple[float, float] = (-np.inf, np.inf), *, scenes: int = 1, paired: bool = False
+) -> Measured:
+    """The mean of a value of each trial, with the interval of all studies (`statistics.trial_estimate`).
 
-    values: (n,) NaN where a trial has none: it is left out;  bounds: smallest and largest possible value
+    values: (n,) scene by scene, NaN where a trial has none: its seed is left out
+    bounds: smallest and largest possible value;  scenes: their number;  paired: whether values are differences
+    Of fewer than five seeds but not scenes, scenes are the units.
     """
-    every = np.asarray(values, np.float64).ravel()
-    known = every[~np.isnan(every)]
-    left_out = len(every) - len(known)
-    if not len(known):
-        return Measured(left_out=left_out)
-    middle = float(known.mean())
-    if np.ptp(known) <= _EQUAL * max(1.0, abs(middle)):
-        return _at_limit(Measured(middle, trials=len(known), left_out=left_out), len(known), bounds)
-    interval = bootstrap(lambda rows: known[rows].mean(axis=-1), len(known))
-    return _with_bootstrap(Measured(middle, *interval, len(known), left_out))
+    every = np.asarray(values, np.float64).reshape(scenes, -1)
+    every = every.T if every.shape[1] < MIN_TRIALS <= scenes else every
+    each = statistics.trial_estimate(every, bounds, paired=paired)
+    trials = each.scenes * each.seeds
+    measured = Measured(each.trial_mean, each.low, each.high, trials, every.size - trials, p=each.p)
+    if each.mostly_zero and not each.is_zero:
+        return measured._replace(interval=MOSTLY_ZERO)
+    return _at_limit(measured, trials, bounds) if np.isnan(each.low) else measured._replace(interval=STUDENT)
 
 
 def share(part: ArrayLike, whole: ArrayLike) -> Measured:

@@ -7,6 +7,7 @@ needed: scenarios import its cells.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,11 +16,14 @@ from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from mast_zenoh.metrics.study_results import size_of
+from mast_zenoh.metrics.study_results import Measured, size_of
 from mast_zenoh.run_files import write_bytes
+from mast_zenoh.study.defences import intervals
 from mast_zenoh.study.trial import Outcome, TrialKey
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from mast_zenoh.report.figures.drawing import RenderedFigure
     from mast_zenoh.report.tables.text_table import ResultTables, TextTable
 
@@ -74,6 +78,7 @@ class Collection(ABC):
     def __init__(self, cells: Mapping[str, Any], scenes: Sequence[str], seeds: Sequence[int]) -> None:
         """cells: by label of configuration;  scenes, seeds: planned for every cell."""
         self.size = size_of(len(seeds), len(scenes))
+        self.scenes = len(scenes)
         #: records of the trials that are done, by cell, in the order in which they were added
         self.records: dict[Any, dict[TrialKey, Any]] = {cell: {} for cell in cells.values()}
         #: the trials planned for every cell, with their place in the order of the study
@@ -92,6 +97,12 @@ class Collection(ABC):
         """Add a finished trial."""
         cell = self._cells[outcome.trial.configuration]
         self.records[cell][outcome.trial.key] = self.record(cell, outcome)
+
+    def mean(
+        self, values: ArrayLike, bounds: tuple[float, float] = (-math.inf, math.inf), *, paired: bool = False
+    ) -> Measured:
+        """The mean over the trials planned for a cell (n,), in the order of the study; see `intervals.mean`."""
+        return intervals.mean(values, bounds, scenes=self.scenes, paired=paired)
 
     @abstractmethod
     def record(self, cell: Any, outcome: Outcome) -> Any:

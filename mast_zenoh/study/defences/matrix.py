@@ -251,7 +251,7 @@ class Collection(kinds.Collection):
         """(trials,) a score of each planned trial in the order of the study, NaN where it failed."""
         values = np.full(len(self.order), np.nan)
         for key, record in self.records.get(cell, {}).items():
-            values[self.order[key]] = record.scores[name]
+            values[self.order[key]] = record.scores[name] if name in record.scores else record.own.get(name, np.nan)
         return values
 
     def _mean_damage(self, cell: Cell) -> float:
@@ -269,12 +269,12 @@ class Collection(kinds.Collection):
         for name in SCORES:
             difference = self._values(cell, name) - self._values(cell.undefended, name)
             values[f"{_stem(name)}_vs_undefended{_unit(name)}"] = difference
+        measures = {name: self.mean(each, paired=True) for name, each in values.items()}
         for name in ("fp_identifiable", "fp_unidentifiable"):
-            values[name] = self._values(cell, name)
-        measures = {name: intervals.mean(each) for name, each in values.items()}
+            measures[name] = self.mean(self._values(cell, name), (0.0, math.inf))
         majority = self._values(cell, "honest_majority")
         # Where nobody lies because agents are faulty, there is no bound.
-        measures["honest_majority"] = Measured() if cell.is_fault else intervals.mean(majority, (0.0, 1.0))
+        measures["honest_majority"] = Measured() if cell.is_fault else self.mean(majority, (0.0, 1.0))
         measures["identifiable_removed"] = self._removed([cell])
         groups = self._by_trial([cell])
         measures["lies_detected"] = lies_detected(groups)
@@ -293,6 +293,10 @@ class Collection(kinds.Collection):
             measures=measures,
             state_seconds=_sum_seconds(record.state_seconds for record in self.records[cell].values()),
             delay=delay_curve(groups),
+            own={
+                name: (self.mean(self._values(cell, name)), self.mean(self._added(cell, name), paired=True))
+                for name in dict.fromkeys(name for record in self.records[cell].values() for name in record.own)
+            },
             suspended_before=sum(record.suspended_before for group in groups for record in group),
         )
 
@@ -308,8 +312,8 @@ class Collection(kinds.Collection):
             median_delay_s=median_delay(lying) if defence in self._suspending else Measured(),
             alarms_per_hour=alarms_per_hour(quiet),
             frames=sum(record.frames for group in quiet for record in group if record.hours),
-            fn_added=intervals.mean(self._added(alone, "fn")),
-            fp_added=intervals.mean(self._added(alone, "fp")),
+            fn_added=self.mean(self._added(alone, "fn"), paired=True),
+            fp_added=self.mean(self._added(alone, "fp"), paired=True),
             faults_suspended=shares_of_runs(faulty)["wrongly_suspended"],
             framed_by_minority=shares_of_runs(lying)["framed_by_minority"],
         )

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats, Ints
+from mast_zenoh.metrics.measures import COLUMNS
 from mast_zenoh.metrics.study_results import DefenceRoc, Measured, Survival
 from mast_zenoh.metrics.trust import auc, partial_auc, roc
 from mast_zenoh.study.defences import intervals
@@ -45,6 +46,7 @@ class TrialRecord:
     """What the matrix needs of one trial's metrics.
 
     scores:    fn, fp per frame and ospa_m of the ego's picture, false objects inserted and identifiable or not
+    own:       the user's metrics of the ego's picture
     attacked:  whether an adversary changed a message
     lies:      numbers of observable and detected lies
     delays:    (s, whether it was suspended) of each agent with an observable lie, from that lie on
@@ -58,6 +60,7 @@ class TrialRecord:
     """
 
     scores: Mapping[str, float]
+    own: Mapping[str, float]
     attacked: bool
     lies: tuple[int, int]
     delays: Sequence[tuple[float, bool]]
@@ -87,6 +90,7 @@ class TrialRecord:
         begins_s = math.inf if part["first_attack_s"] is None else part["first_attack_s"]
         return cls(
             scores=scores,
+            own=own_metrics(picture),
             attacked=part["first_attack_s"] is not None,
             lies=(part["lies"]["observable"], part["lies"]["detected"]),
             delays=[(each["observed_s"], each["suspended_after_s"] is not None) for each in watched],
@@ -109,6 +113,12 @@ class TrialRecord:
             ),
             outnumbered=_number(part["outnumbered"]),
         )
+
+
+def own_metrics(summary: Mapping[str, Any]) -> dict[str, float]:
+    """The user's metrics of an estimate in metrics.json."""
+    own = {name: value for name, value in summary.items() if name not in COLUMNS}
+    return {name: _number(value["mean"] if isinstance(value, Mapping) else value) for name, value in own.items()}
 
 
 def _number(value: float | None) -> float:

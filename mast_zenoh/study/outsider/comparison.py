@@ -107,7 +107,7 @@ def run(
         content = {"name": study.name, "status": status, "security": list(study.security), "rows": effects.rows()}
         run_folder.write_json(status_file, content)
 
-    with ending.status_written(write_status):
+    with run_folder.status_written(status_file, write_status):
         try:
             for label, (resolved, attempts) in prepared.items():
                 for level in study.security:

@@ -25,6 +25,7 @@ from mast_zenoh.config import loading
 from mast_zenoh.config.registry import known_types
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.launch import ending
+from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.metrics.search_results import CandidateRow, SearchResults, SearchRow
 from mast_zenoh.study import execution, numbers, statistics, tables, trials
 from mast_zenoh.study.definition import Configuration, Study, settings_of
@@ -72,7 +73,11 @@ def run(
     check_ranges(study, how)
     store = Store.create(out, study, resume=resume)
     state = _State(study)
-    with ending.status_written(lambda status: store.write_status(state.study, state.planned, state.failures, status)):
+
+    def write_status(status: str) -> None:
+        store.write_status(state.study, state.planned, state.failures, status)
+
+    with run_folder.status_written(store.status_file, write_status):
         try:
             with trials.progress_bars(console) as progress, ExitStack() as stack:
                 runs = Runs(state, store, how, Workers(jobs, cluster, stack), progress)
@@ -88,8 +93,6 @@ def run(
             finished = tables.write(held_out, store, todo, state.failures, files.write(store.folder, results))
         except (KeyboardInterrupt, OSError) as caught:
             raise ending.with_hint(caught, trials.how_to_continue(store)) from None
-    if state.failures:
-        store.write_status(held_out, state.planned, state.failures, "failed")
     return finished
 
 
@@ -164,6 +167,7 @@ class Runs:
         missing = {
             trial.digest: trial for trial in todo if self._store.load(trial) is None or not self._store.is_kept(trial)
         }
+        trials.report_misplaced(self._store, self.progress.console)
         self.progress.advance(bar, len(todo) - len(missing))
         if missing:
             with closing(self._workers.run_trials(list(missing.values()))) as outcomes:

@@ -86,7 +86,9 @@ def test_the_conclusion_names_what_differs_and_what_does_not() -> None:
     def row(architecture: str, more: tuple[float, float, float]) -> Any:
         known = table_of({"centre": (2.0, 0.5)}).rows[0]
         measures = {name: getattr(known, name) for name in known.__slots__}
-        measured = known.harm_difference._replace(value=more[0], low=more[1], high=more[2])
+        measured = known.harm_difference._replace(
+            value=more[0], low=more[1], high=more[2], p=0.001 if more[1] > 0.0 else 0.4
+        )
         return type(known)(**measures | dict(architecture=architecture, harm_difference=measured))
 
     rows = [row("centre", (0.0, 0.0, 0.0)), row("peers", (0.1, -0.2, 0.4)), row("radio", (0.7, 0.3, 1.1))]

@@ -195,7 +195,8 @@ def test_processor_time_is_paired_with_the_undefended_run_of_the_same_scene_and_
     table = collected(NOTHING | {ghosts("NoIntegrity"): undefended, ghosts("Cad"): defended})
     measured = by_cell(table, "Cad").cpu_ratio
     assert measured.value == pytest.approx(4.0), "the geometric mean of 2 and 8"
-    assert 2.0 <= measured.low < 4.0 < measured.high <= 8.0
+    half = 2.5706 * np.std(np.log([2.0, 8.0] * 3), ddof=1) / np.sqrt(6.0)  # Student's t of five degrees of freedom
+    assert (measured.low, measured.high) == pytest.approx((4.0 * np.exp(-half), 4.0 * np.exp(half)), rel=1e-3)
     assert by_cell(table, "NoIntegrity").cpu_ms.value == pytest.approx(1e3 * 0.1 * 63 / 6 / 10)
     assert table.summaries[0].cpu_ratio_attacked == measured
     assert table.summaries[0].cpu_ratio_alone.value == pytest.approx(1.0)

@@ -7,27 +7,33 @@ import math
 import numpy as np
 import pytest
 
-from mast_zenoh.metrics.study_results import BINOMIAL, BOOTSTRAP, Measured
+from mast_zenoh.metrics.study_results import BINOMIAL, BOOTSTRAP, MOSTLY_ZERO, STUDENT, Measured
 from mast_zenoh.study.defences import intervals
 from mast_zenoh.study.defences.intervals import kaplan_meier
+from mast_zenoh.study.statistics import trial_estimate
 
 NAN = math.nan
 
 
-def test_the_bootstrap_of_a_mean_is_as_wide_as_its_standard_error_and_always_the_same() -> None:
-    values = np.random.default_rng(2).normal(3.0, 2.0, 400)
-    measured = intervals.mean(values)
-    assert measured == intervals.mean(values)
-    error = values.std() / 20.0
-    assert measured.interval == BOOTSTRAP
-    assert measured.value - measured.low == pytest.approx(1.96 * error, rel=0.1)
-    assert measured.high - measured.value == pytest.approx(1.96 * error, rel=0.1)
+def test_the_interval_of_a_mean_is_students_t_over_seeds_as_in_all_studies() -> None:
+    values = np.random.default_rng(2).normal(3.0, 2.0, (3, 8))
+    measured = intervals.mean(values.ravel(), scenes=3, paired=True)
+    expected = trial_estimate(values, (-math.inf, math.inf), paired=True)
+    assert measured.interval == STUDENT
+    assert (*measured[:3], measured.p) == (expected.trial_mean, expected.low, expected.high, expected.p)
+    transposed = intervals.mean(values.T.ravel(), scenes=8)  # of too few seeds, scenes are the units
+    assert transposed[1:3] == pytest.approx((expected.low, expected.high))
 
 
-def test_the_bootstrap_contains_the_true_mean_about_as_often_as_it_says() -> None:
+@pytest.mark.parametrize("rate", [0.3, 0.7, 1.0, 2.0])
+def test_the_interval_of_rare_misses_contains_the_true_mean_as_often_as_it_says(rate: float) -> None:
+    """Ten pairs; a bootstrap covers 66 to 85 % here. Where most pairs agree, there is no interval."""
     rng = np.random.default_rng(3)
-    drawn = [intervals.mean(rng.normal(5.0, 1.0, 24)) for _ in range(300)]
-    assert 0.90 <= np.mean([each.low <= 5.0 <= each.high for each in drawn]) <= 0.98
+    pairs = rng.poisson(rate, (600, 10)) - rng.poisson(0.1, (600, 10))
+    drawn = [intervals.mean(each, paired=True) for each in pairs]
+    known = [each for each in drawn if each.interval == STUDENT]
+    assert np.mean([each.low <= rate - 0.1 <= each.high for each in known]) >= 0.9
+    assert {each.interval for each in drawn} - {STUDENT} <= {MOSTLY_ZERO, ""}
 
 
 @pytest.mark.parametrize(
@@ -53,7 +59,8 @@ def test_an_interval_is_unknown_where_the_spread_of_trials_is(measured: Measured
 
 def test_a_number_says_how_its_bounds_were_computed_and_nothing_without_bounds() -> None:
     methods = [
-        (intervals.mean([1.0, 2.0, 3.0, 4.0, 5.0]), BOOTSTRAP),
+        (intervals.mean([1.0, 2.0, 3.0, 4.0, 5.0]), STUDENT),
+        (intervals.mean([0.0] * 6 + [1.0], paired=True), MOSTLY_ZERO),
         (intervals.mean([1.0, 2.0]), ""),
         (intervals.mean([0.3] * 10), ""),
         (intervals.mean([0.0] * 6, (0.0, 1.0)), BINOMIAL),
