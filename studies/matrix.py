@@ -49,7 +49,8 @@ def study(
     kinds: of the scene, separated by commas: poles, cars, many;
     junction: generated junction of all scenes; counts: numbers of adversaries, 2 or [1,2,3]; placements: random,
     worst, poles;
-    trials: seeds of each scene; frames: of each run; seed: the first one.
+    trials: seeds of each scene; frames: of each run; seed: the first one;
+    attack_start_s: when all attacks begin, also those with a start_s of their own.
     """
     chosen = with_preset(
         PRESETS, preset, defences=defences, adversaries=adversaries, kinds=kinds, counts=counts, trials=trials
