@@ -112,6 +112,16 @@ def test_links_are_of_exactly_the_agents_that_are_named(names: list[str]) -> Non
 
 
 def test_a_study_of_no_defence_or_no_fusion_is_refused_instead_of_one_of_all() -> None:
-    for study, empty in (("driving", "defences="), ("fusion", "fusions=")):
+    for study, empty in (("driving", "defences="), ("fusion", "fusions="), ("stone_soup", "trackers=")):
         with pytest.raises(ConfigurationError, match="must return a dict with `runs`"):
             definition.load(study, [empty])
+
+
+@pytest.mark.parametrize("study", ["delay", "monte_carlo", "driving"])
+def test_a_list_of_scenes_is_what_its_text_with_commas_is(study: str) -> None:
+    scenes = ["intersection:5", "intersection:8"]
+    listed, text = (
+        definition.load_values(study, dict(scenes=scenes)),
+        definition.load(study, [f"scenes={','.join(scenes)}"]),
+    )
+    assert [scene.label for scene in listed.scenes] == [scene.label for scene in text.scenes] == scenes
