@@ -30,7 +30,7 @@ def scenario(
     fault=None,
     n_faulty=1,
     metrics=(),
-    attack_start_s=4.0,
+    attack_start_s=None,
     scene="intersection",
     scene_index=None,
     n_infrastructure=None,
@@ -50,11 +50,12 @@ def scenario(
     metrics: of your own, each as an attack.
     """
     adversary = None
+    start_s = 4.0 if attack_start_s is None else attack_start_s
     attack = attack if n_adversaries else UNCOORDINATED  # a coordinator would have nobody to direct
     if attack in (COORDINATED, UNCOORDINATED):
         knowledge, wires = "own", "tracks"
         if attack == UNCOORDINATED:
-            adversary = uncoordinated(1, attack_start_s=attack_start_s)["adversaries"]["adversary_1"]["attack"]
+            adversary = uncoordinated(1, attack_start_s=start_s)["adversaries"]["adversary_1"]["attack"]
     else:
         base = adversary_base(attack)
         adversary = resolve_choice(attack, base)
@@ -84,6 +85,6 @@ def scenario(
         adversaries={
             name: config | dict(agent=victim) for (name, config), victim in zip(configs, victims, strict=True)
         },
-        faults=faults_of(fault, faulty, attack_start_s),
+        faults=faults_of(fault, faulty, start_s),
         **measured_by(metrics, content),
     )

@@ -1,14 +1,11 @@
 """Adversaries against a command centre that judges agents and objects."""
 
-from inspect import signature
-
 from coordinated import scenario as coordinated
 
 from mast_zenoh.attacks import Coordination
-from mast_zenoh.config.registry import known_types
+from mast_zenoh.config.registry import known_types, parameters_of
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.integrity import Integrity
-from mast_zenoh.scenario import victims_of
 from mast_zenoh.study.defences import adversary_base, resolve_choice
 
 #: What the adversaries know besides their own wires, and the rewrites that let them hear it.
@@ -26,7 +23,7 @@ def scenario(
     attack=None,
     knowledge="own",
     wires=None,
-    attack_start_s=4.0,
+    attack_start_s=None,
     n_adversaries=2,
     compromised=(),
     scene="intersection",
@@ -43,21 +40,20 @@ def scenario(
     knowledge: what its adversaries know: own (and each other's views with a coordination), picture (as well), or trust
     (white box: picture and trust); wires: those that they are on: detections, pose, tracks, view; None: tracks and
     view, or what the attack needs;
-    attack_start_s: start of the attack, in scene time;
+    attack_start_s: start of the attack, in scene time; None: 4 s, or as the class of `attack` says;
+    n_adversaries: agents compromised, the ego included if it is;
     compromised: agents to compromise first, such as ["ego"] or ["infra_4", "infra_1"]; the others follow, poles first.
     """
+    start_s = 4.0 if attack_start_s is None else attack_start_s
     attacked = coordinated(
         n_adversaries=n_adversaries,
-        attack_start_s=attack_start_s,
+        attack_start_s=start_s,
+        compromised=compromised,
         scene=scene,
         scene_index=scene_index,
         n_infrastructure=n_infrastructure,
         n_mobile=n_mobile,
     )
-    if compromised:
-        victims = victims_of(attacked["scene"], n_adversaries, compromised, ego=True)
-        adversaries = zip(attacked["adversaries"].items(), victims, strict=True)
-        attacked |= dict(adversaries={name: config | dict(agent=agent) for (name, config), agent in adversaries})
     center = attacked["command_center"]
     stage = resolve_choice(defence, Integrity)
     heard = KNOWLEDGE.get(knowledge)
@@ -72,12 +68,13 @@ def scenario(
         base = adversary_base(attack)
         attack = resolve_choice(attack, base)
         wires = wires or WIRES.get(attack["type"], "tracks view")
-        start = dict(start_s=attack_start_s)
         directed = base is Coordination
         known = known_types(base).get(attack["type"])
-        if known is not None and "start_s" in signature(known).parameters:
-            attack = start | attack
-        own = dict(type="CoordinatedAttack", **start) if directed else attack
+        own_start = parameters_of(known).get("start_s") if known is not None else None
+        if own_start is not None:
+            has_default = attack_start_s is None and own_start.default is not own_start.empty
+            attack = dict(start_s=own_start.default if has_default else start_s) | attack
+        own = dict(type="CoordinatedAttack", start_s=attack.get("start_s", start_s)) if directed else attack
         attacked |= dict(
             adversaries={name: config | dict(attack=own) for name, config in attacked["adversaries"].items()},
             coordinator=dict(coordination=attack) if directed else None,

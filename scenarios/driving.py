@@ -34,7 +34,7 @@ KEYS = {"picture": "cc/picture", "detections": "agent/ego/detections", "command"
 
 def scenario(
     attack=None,
-    attack_start_s=4.0,
+    attack_start_s=None,
     wire=None,
     n_adversaries=None,
     compromised=(),
@@ -57,10 +57,10 @@ def scenario(
     attack: ghost_ahead, phantom_queue, cut_in, intruder, displaced_leader, hidden_leader, hidden_crosser or
     stale_picture; a class, such as "SeizedCommands", FILE.py or FILE.py:CLASS; or a dict with one of these as `type`,
     and parameters; None: no adversary;
-    attack_start_s: start of the attack, in scene time;
+    attack_start_s: start of the attack, in scene time; None: as its class says, 4 s for those that come with mast;
     wire: where the adversary is: picture, detections or command of the ego, "detections picture" for both; or tracks:
     n_adversaries other agents lie to the command centre, those of `compromised` first, then poles; None: picture, or
-    what the attack needs; n_adversaries: None: two, or as many as are named;
+    what the attack needs; n_adversaries: None: as many as are named, or two;
     defence: of the command centre, such as "FaultOrLie", FILE.py or FILE.py:CLASS, or a dict; None: none;
     veto: whether the driver's own sensors overrule the mission estimate;
     estimate: what the driver believes: mission, safety (own tracks alone) or truth;
@@ -81,10 +81,10 @@ def scenario(
     if attack is not None:
         attack, usual = ATTACKS.get(attack, (attack, None)) if isinstance(attack, str) else (attack, None)
         attack = resolve_choice(attack, Attack)
-        attack = dict(start_s=attack_start_s) | attack
+        attack = ({} if attack_start_s is None else dict(start_s=attack_start_s)) | attack
         wire = wire or usual or WIRES.get(attack["type"], "picture")
         if wire == "tracks":
-            count = max(2, len(compromised)) if n_adversaries is None else n_adversaries
+            count = (len(compromised) or 2) if n_adversaries is None else n_adversaries
             if count < len(compromised):
                 raise ConfigurationError(
                     f"n_adversaries: found {count}, expected {len(compromised)}, as in `compromised`"

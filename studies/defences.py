@@ -108,6 +108,7 @@ def study(
     scenes: short names, separated by commas: intersection:INDEX, av2:PATH, …;
     trials: seeds of each scene; frames: of each run; seed: the first one;
     knowledge: of the adversaries (own, picture, trust);
+    attack_start_s: when all attacks begin, also those with a start_s of their own;
     fault: of one agent without an adversary, in all runs (pose, delay, skew, loss, blind, ghosts). In the list of
     adversaries, fault:pose stands for as many faulty agents and no liars;
     metrics: of your own, named as defences are.

@@ -1,5 +1,7 @@
 """How the picture degrades when four poles' tracks are late."""
 
+from mast_zenoh.study.defences import words
+
 
 def study(scenes="intersection:0,intersection:1,intersection:2,intersection:3", late_agents="infra_*"):
     """Runs for delays from 0 to 1 s.
@@ -15,7 +17,7 @@ def study(scenes="intersection:0,intersection:1,intersection:2,intersection:3", 
                 grid=dict(delay_s=(0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)),
             ),
         ),
-        scenes=[scene.strip() for scene in scenes.split(",")],
+        scenes=words(scenes),
         frames=150,
         trials=2,
         seed=0,

@@ -54,10 +54,11 @@ def study(
 
     preset: quick or full; it sets all that is None;
     attacks: NAME@WIRE, separated by commas: names, or classes, and wires of the scenario `driving`, such as
-    GhostAhead@picture, or hidden_leader@detections+picture;
+    GhostAhead@picture, or hidden_leader@detections+picture; a name alone, such as phantom_queue: on its first wire in
+    the preset full;
     defences: none, FaultOrLie and veto (own sensors), or classes or files of defences of the command centre;
     scenes: short names, separated by commas, such as intersection:6; trials: seeds of each scene; seed: the first one;
-    frames: of each run; attack_start_s: when the attacks begin; driver: of the ego, None: FollowingDriver with the
+    frames: of each run; attack_start_s: when all attacks begin; driver: of the ego, None: FollowingDriver with the
     constants of PDM-Closed; metrics: of your own, separated by commas: classes or files.
     """
     chosen = with_preset(PRESETS, preset, attacks=attacks, scenes=scenes, trials=trials)
@@ -78,7 +79,6 @@ def study(
         name="driving",
         runs=runs,
         cells=cells,
-        baseline=next(iter(runs)),
         scenes=words(chosen["scenes"]),
         trials=chosen["trials"],
         frames=frames,
@@ -96,7 +96,8 @@ def parameters_of(defence):
 
 
 def attack_and_wire(text):
-    """The attack and the wire of NAME@WIRE."""
+    """The attack and the wire of NAME@WIRE, or of NAME, with the first wire in ATTACKS."""
+    text = next((entry for entry in ATTACKS if entry.startswith(f"{text}@")), text)
     attack, at, wire = text.rpartition("@")
     if not at or not attack:
         raise ConfigurationError(f"attacks: found {text!r}, expected NAME@WIRE{nearest(text, ATTACKS)}")

@@ -1,5 +1,7 @@
 """Ways to fuse the tracks of one object, in the same scene: the errors and the consistency of the picture."""
 
+from mast_zenoh.study.defences import words
+
 #: Group tracking of a command centre or of a peer.
 _CHOICES = dict(
     ci=dict(fusion=dict(type="CovarianceIntersectionFusion")),
@@ -22,17 +24,17 @@ _PLACES = dict(
 )
 
 
-def study(scene="intersection:8", fusions="", place="centre", frames=100, seed=3000):
+def study(scene="intersection:8", fusions=None, place="centre", frames=100, seed=3000):
     """Every fusion once, without attack; the report of each run says how consistent the picture is.
 
-    scene: a short name such as "intersection" or "avstack:PATH"; fusions: names in this file, separated by commas; "":
-    all of them;
+    scene: a short name such as "intersection" or "avstack:PATH"; fusions: names in this file, separated by commas;
+    None: all of them;
     place: centre, a command centre; peers, each agent fuses what it hears; cpm, peers that hear Collective Perception
     Messages, at the times that the standard's rules say; rumours, peers that also relay their pictures, so that
     information comes back to its sender;
     frames: of each run; seed: of all random draws.
     """
-    chosen = [name.strip() for name in fusions.split(",")] if fusions else list(_CHOICES)
+    chosen = list(_CHOICES) if fusions is None else words(fusions)
     scenario, path, parameters = _PLACES[place]
     return dict(
         name="fusion",
@@ -42,7 +44,6 @@ def study(scene="intersection:8", fusions="", place="centre", frames=100, seed=3
             )
             for name in chosen
         },
-        baseline=chosen[0],
         frames=frames,
         runtime="inproc",
         seed=seed,

@@ -51,6 +51,7 @@ def study(
     junction: generated junction of all scenes; counts: numbers of adversaries, 2 or [1,2,3]; placements: random,
     worst, poles;
     trials: seeds of each scene; frames: of each run; seed: the first one;
+    attack_start_s: when all attacks begin, also those with a start_s of their own;
     metrics: of your own, named as defences are.
     """
     chosen = with_preset(

@@ -1,5 +1,7 @@
 """The paper's Monte Carlo study: 1 to 3 adversaries, both attacks, many seeds."""
 
+from mast_zenoh.study.defences import words
+
 #: Launch-time parameters of both attacks, and of the coordinated one alone, in each reading of the paper.
 READINGS = {
     "testbed": ({}, {}),
@@ -46,7 +48,7 @@ def study(
             coordinated=dict(scenario="coordinated", parameters=attack | coordinated, grid=grid),
         ),
         baseline="baseline",
-        scenes=[scene.strip() for scene in scenes.split(",")],
+        scenes=words(scenes),
         trials=20,
         seed=0,
     )

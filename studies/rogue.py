@@ -1,5 +1,7 @@
 """Attacks on a run, and their effects at every security level."""
 
+from mast_zenoh.study.defences import words
+
 
 def study(levels="open,tls,mtls,acl", n_infrastructure=2):
     """The attacks of scenarios/rogue.py.
@@ -9,6 +11,6 @@ def study(levels="open,tls,mtls,acl", n_infrastructure=2):
     return dict(
         name="rogue",
         runs=dict(rogue=dict(scenario="rogue", parameters=dict(n_infrastructure=n_infrastructure))),
-        security=[level.strip() for level in levels.split(",")],
+        security=words(levels),
         seed=0,
     )

@@ -1,5 +1,7 @@
 """The trackers of mast and of Stone Soup on the same scene, with and without a coordinated attack."""
 
+from mast_zenoh.study.defences import words
+
 
 def study(scene="intersection", trackers="mast,agents,everywhere", frames=150, attack_start_s=2.0, builder=""):
     """Every combination of tracker and attack, once.
@@ -16,7 +18,7 @@ def study(scene="intersection", trackers="mast,agents,everywhere", frames=150, a
         everywhere=("agents.*.pipeline.tracker", "command_center.pipeline.group_tracking.tracker"),
     )
     tracker = dict(type="StoneSoupTracker", builder=builder)
-    chosen = [name.strip() for name in trackers.split(",")]
+    chosen = words(trackers)
     return dict(
         name="stone_soup",
         runs={
@@ -29,7 +31,6 @@ def study(scene="intersection", trackers="mast,agents,everywhere", frames=150, a
             )
             for tracking in chosen
         },
-        baseline=f"{chosen[0]}_baseline",
         frames=frames,
         runtime="inproc",
         seed=0,

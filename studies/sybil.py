@@ -1,5 +1,7 @@
 """An outsider that invents agents, at every security level."""
 
+from mast_zenoh.study.defences import words
+
 
 def study(levels="open,tls,mtls,acl"):
     """The attacks of scenarios/sybil.py.
@@ -9,6 +11,6 @@ def study(levels="open,tls,mtls,acl"):
     return dict(
         name="sybil",
         runs=dict(sybil=dict(scenario="sybil")),
-        security=[level.strip() for level in levels.split(",")],
+        security=words(levels),
         seed=0,
     )

@@ -38,7 +38,7 @@ class WireMessage:
     type:      message type, a section of docs/messages.md, or one that a node of the scenario declares
     publisher: name of the node that published it
     frame:     frame number;  time_s: s since the scene began;  seq: its number on the wire
-    columns:   read-only arrays by name, with the shapes and units of docs/messages.md
+    body:      read-only columns by name, as in `Received.body`, with the shapes and units of docs/messages.md
     """
 
     wire: str
@@ -48,13 +48,18 @@ class WireMessage:
     frame: int
     time_s: float
     seq: int
-    columns: Mapping[str, NDArray[Any]]
+    body: Mapping[str, NDArray[Any]]
+
+    @property
+    def columns(self) -> Mapping[str, NDArray[Any]]:
+        """The body, by its former name."""
+        return self.body
 
     def __getitem__(self, column: str) -> NDArray[Any]:
-        return self.columns[column]
+        return self.body[column]
 
     def __repr__(self) -> str:
-        shapes = ", ".join(f"{name} {array.shape}" for name, array in self.columns.items())
+        shapes = ", ".join(f"{name} {array.shape}" for name, array in self.body.items())
         leg = " (tap)" if self.tap else ""
         return f"<{self.type} on {self.wire}{leg}, frame {self.frame}, from {self.publisher}: {shapes or 'no columns'}>"
 
@@ -98,7 +103,7 @@ def tables_of(path: Path, wires: Iterable[str], rows: Callable[[Body], Columns])
         message, sender = _decoded(recorded), (recorded.wire, recorded.publisher)
         if message.seq > last.get(sender, -1):
             last[sender] = message.seq
-            parts[message.wire].append((message.frame, message.time_s, rows(message.columns)))
+            parts[message.wire].append((message.frame, message.time_s, rows(message.body)))
     return {wire: table(of_wire) for wire, of_wire in parts.items()}
 
 

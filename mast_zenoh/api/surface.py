@@ -9,7 +9,13 @@ from typing import Any
 BASE_CLASSES: dict[str, tuple[str, ...]] = {
     "node": ("mast_zenoh.node.Node", "mast_zenoh.node.Source"),
     "message type": ("mast_zenoh.messages.Schema", "mast_zenoh.messages.Column"),
-    "attack": ("mast_zenoh.attacks.Attack", "mast_zenoh.attacks.Coordination"),
+    "attack": (
+        "mast_zenoh.attacks.Attack",
+        "mast_zenoh.attacks.Coordination",
+        "mast_zenoh.attacks.AdaptiveAttack",
+        "mast_zenoh.attacks.FollowingEgo",
+        "mast_zenoh.attacks.FalseTraffic",
+    ),
     "part of an attack": (
         "mast_zenoh.attacks.Selection",
         "mast_zenoh.attacks.Propagation",
@@ -23,6 +29,7 @@ BASE_CLASSES: dict[str, tuple[str, ...]] = {
         "mast_zenoh.fusion.GroupTracker",
     ),
     "integrity stage": ("mast_zenoh.integrity.Integrity",),
+    "driver": ("mast_zenoh.driving.Driver",),
     "scene": ("mast_zenoh.scenes.Scene", "mast_zenoh.sensing.Detector", "mast_zenoh.scenes.Sensor"),
     "metric": ("mast_zenoh.metrics.FrameMetric", "mast_zenoh.metrics.RunMetric", "mast_zenoh.metrics.Assigner"),
     "link rule": ("mast_zenoh.links.Rule",),

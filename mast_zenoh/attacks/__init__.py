@@ -34,19 +34,26 @@ from mast_zenoh.attacks import (  # noqa: F401 (found by name)
     seizure,
     slander,
 )
+from mast_zenoh.attacks.adaptive import AdaptiveAttack, Lies, Moment
 from mast_zenoh.attacks.attack import Attack, PassThrough, UncoordinatedAttack, alter
 from mast_zenoh.attacks.campaign import Propagation
 from mast_zenoh.attacks.coordination import Coordination
 from mast_zenoh.attacks.imitation import Imitation
+from mast_zenoh.attacks.road_ahead import FalseTraffic, FollowingEgo
 from mast_zenoh.attacks.selection import Selection, UncoordinatedSelection
 from mast_zenoh.attacks.surroundings import Surroundings
 from mast_zenoh.attacks.targets import ACTIONS, Tampering, Targets
 
 __all__ = [
     "ACTIONS",
+    "AdaptiveAttack",
     "Attack",
     "Coordination",
+    "FalseTraffic",
+    "FollowingEgo",
     "Imitation",
+    "Lies",
+    "Moment",
     "PassThrough",
     "Propagation",
     "Selection",

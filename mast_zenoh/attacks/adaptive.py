@@ -11,7 +11,7 @@ from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, canonica
 from mast_zenoh.attacks.attack import ObservingAttack
 from mast_zenoh.attacks.campaign import NANOSECONDS
 from mast_zenoh.attacks.surroundings import Coverage
-from mast_zenoh.attacks.targets import ALTERED, MOVED, Tampering, Targets
+from mast_zenoh.attacks.targets import Tampering, Targets
 from mast_zenoh.streams import stream
 from mast_zenoh.tracking.view import SensorView
 
@@ -69,8 +69,6 @@ ESTABLISHED = 3
 GATE_M = 6.0
 #: Difference between the victim's highest track id and the first id of a false object.
 ID_GAP = 1000
-#: m; a smaller displacement leaves an object in its place.
-SAME_PLACE_M = 1e-6
 #: Absolute and relative difference of numbers that are equal on the wires.
 TOLERANCE = 1e-9
 
@@ -214,12 +212,8 @@ class AdaptiveAttack(ObservingAttack):
         claims = lies.claims.select(told).with_(id=before.id) if len(before) else before
         numbers = [lies.inserted.id, lies.hidden_number, lies.changed_number[told]]
         tampering = Tampering.of(seen, order, lies.inserted, lies.hidden, changed, before, claims, numbers)
-        action = tampering.report.action.copy()
-        if len(before):
-            same_place = np.abs(claims.position - before.position).max(axis=1) <= SAME_PLACE_M
-            action[len(action) - len(before) :] = np.where(same_place, ALTERED, MOVED)
         added = lies.inserted.with_(id=self._ids.of(lies.inserted.id)) if len(lies.inserted) else lies.inserted
-        return replace(tampering, added=added, report=replace(tampering.report, action=action))
+        return replace(tampering, added=added)
 
 
 def _differs(before: ObjectStates, claims: ObjectStates) -> Bools:

@@ -11,7 +11,7 @@ import numpy as np
 
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.geometry import within_range
-from mast_zenoh.arrays.states import Floats, Ints, ObjectStates, canonical_order
+from mast_zenoh.arrays.states import Floats, Ints, ObjectStates, canonical_order, concatenate
 from mast_zenoh.attacks.campaign import NANOSECONDS, Campaign, Propagation, TrajectoryPropagation
 from mast_zenoh.attacks.following import Follower
 from mast_zenoh.attacks.imitation import ForgedIds, Imitation, VictimLike
@@ -102,19 +102,37 @@ def alter(
     hide: Sequence[int] = (),
     move: Sequence[int] = (),
     offset: Floats | None = None,
+    change: Sequence[int] = (),
+    claims: ObjectStates | None = None,
 ) -> Tampering:
-    """Tamper with explicit rows: insert, hide, or move by `offset` (k, 3) m.
+    """Tamper with explicit rows: insert, hide, move by `offset` (k, 3) m, or change into `claims`.
 
-    The changes are reported with the target numbers 0, 1, …: inserted, then hidden, then moved.
+    claims: the state, of any size, heading, velocity or class, that replaces each row of `change`
+    The changes are reported with the target numbers 0, 1, …: inserted, then hidden, then moved, then changed.
+    Raises ValueError for a row that is named twice, and for another number of claims than of rows to change.
     """
-    hidden, moved = np.asarray(hide, np.int64), np.asarray(move, np.int64)
+    hidden, moved, changed = (np.asarray(rows, np.int64) for rows in (hide, move, change))
+    claims = objects.select(changed) if claims is None else claims
+    if len(claims) != len(changed):
+        raise ValueError(f"claims: found {len(claims)} states, expected {len(changed)}, one for each row of `change`")
+    named = np.concatenate([hidden, moved, changed])
+    if len(np.unique(named)) < len(named):
+        raise ValueError(f"hide, move, change: found the rows {named.tolist()}, expected each row once")
+    shifted = objects.select(moved)
+    if offset is not None:
+        shifted = shifted.with_(position=shifted.position + offset)
+    rows = np.concatenate([moved, changed])
+    before = objects.select(rows)
+    claims = concatenate([shifted, claims]).with_(id=before.id)
     targets = Targets(
         ObjectStates.empty() if insert is None else insert,
         objects.select(hidden),
-        objects.select(moved),
-        np.zeros((len(moved), 3)) if offset is None else offset,
+        before,
+        claims.position - before.position,
     ).numbered(0)
-    return carry_out(targets, targets.add, objects, np.arange(len(objects)), hidden, moved)
+    numbers = [targets.add.id, targets.remove.id, targets.move.id]
+    order = np.arange(len(objects))
+    return Tampering.of(objects, order, targets.add, hidden, rows, before, claims, numbers, targets)
 
 
 def carry_out(

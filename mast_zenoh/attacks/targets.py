@@ -21,6 +21,8 @@ from mast_zenoh.integrity.views import SweptView
 ACTIONS = ("inserted", "removed", "moved", "altered", "reframed")
 INSERTED, REMOVED, MOVED, ALTERED, REFRAMED = range(len(ACTIONS))
 _KINDS = np.array([INSERTED, REMOVED, MOVED], np.uint8)
+#: m; a smaller displacement leaves an object in its place: it is altered, not moved.
+UNMOVED_M = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,13 +93,17 @@ class Changes:
         after: ObjectStates,
         numbers: Sequence[Ints],
     ) -> Changes:
-        """The report of inserted, removed and moved (`before`, `after`) objects.
+        """The report of inserted, removed and moved or altered (`before`, `after`) objects.
 
         numbers: of the three kinds in turn
         """
         counts = (len(added), len(removed), len(after))
+        action = _KINDS.repeat(counts)
+        if len(after):
+            stay = np.abs(after.position - before.position).max(axis=1) <= UNMOVED_M
+            action[len(action) - len(after) :][stay] = ALTERED
         return cls(
-            action=_KINDS.repeat(counts),
+            action=action,
             target=np.concatenate(numbers).astype(np.int64, copy=False),
             before_position=np.concatenate([np.zeros((counts[0], 3)), removed.position, before.position]),
             after_position=np.concatenate([added.position, np.zeros((counts[1], 3)), after.position]),

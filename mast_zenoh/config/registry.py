@@ -132,6 +132,11 @@ def construct(cls: type, arguments: Mapping[str, Any], path: str) -> Any:
 _SIGNATURES: WeakKeyDictionary[type, _Signature] = WeakKeyDictionary()
 
 
+def parameters_of(cls: type) -> Mapping[str, inspect.Parameter]:
+    """The parameters of a class by name, with those of base classes to which it passes `**others` on."""
+    return _signature(cls)[0]
+
+
 def _signature(cls: type) -> _Signature:
     """The parameters of a class, and their annotations.
 

@@ -148,18 +148,20 @@ def _typed(value: str, default: Any, place: str) -> Any:
 def _checked(value: Any, default: Any, place: str, written: Any) -> Any:
     """Check that a value has the type of a parameter's default, and return it.
 
-    Any value is valid if the default is text or a class.
+    Any value is valid if the default is text or a class. If it is a list, one value is a list of one.
     written: the value as the user wrote it
     """
     if default is None or default is inspect.Parameter.empty or isinstance(default, (str, type)):
         return value
     if isinstance(default, float) and type(value) is int:
         return float(value)
+    if isinstance(default, (list, tuple)) and not isinstance(value, (list, tuple, dict)) and value is not None:
+        return [value]
     if type(value) is not type(default) and not (
         isinstance(default, (list, tuple)) and isinstance(value, (list, tuple))
     ):
         kind, example = type(default).__name__, default
         if isinstance(default, tuple):
-            kind, example = "list", list(default) or [value]
+            kind, example = "list", list(default)
         raise ConfigurationError(f"{place}: found {written!r}, expected {kind} as in {example!r}")
     return value

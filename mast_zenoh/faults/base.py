@@ -30,7 +30,7 @@ class Fault(ABC):
 
     at:    s of scene time; the fault begins before the first frame at or after this time
     node, nodes: its targets; give one of the two: names, roles, or "one", "minority", "majority" of the agents
-                 (targets.py)
+                 (targets.py); an empty list: none
 
     A subclass overrides `rules` to act on messages or `events` to act on processes.
     Raises ValueError for invalid times and values.
@@ -43,7 +43,7 @@ class Fault(ABC):
     def __post_init__(self) -> None:
         if not 0.0 <= self.at <= LATEST_S:
             raise ValueError(f"at: found {self.at}, expected a time of 0 or more")
-        if (self.node is None) == (self.nodes is None) or self.nodes == ():
+        if (self.node is None) == (self.nodes is None):
             raise ValueError("expected `node` or `nodes`: the targets of the fault")
 
     @property

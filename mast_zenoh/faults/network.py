@@ -62,7 +62,7 @@ class HostPartition(_InRange):
 
     at:    s of scene time at which it begins
     until: s of scene time at which it is healed; None: it lasts to the end
-    hosts: names of hosts, or '*' for all
+    hosts: names of hosts, an empty list: none; or '*' for all
     """
 
     at: float
@@ -73,7 +73,7 @@ class HostPartition(_InRange):
         super().__post_init__()
         if self.until is not None and self.until <= self.at:
             raise ValueError(f"until: found {self.until!r}, expected a time after `at` ({self.at!r})")
-        if not self.hosts or (isinstance(self.hosts, str) and self.hosts != "*"):
+        if isinstance(self.hosts, str) and self.hosts != "*":
             raise ValueError(f"hosts: found {self.hosts!r}, expected a list of hosts, or '*'")
 
 
@@ -213,6 +213,7 @@ def bands(network: Mapping[str, Any]) -> list[dict[str, Any]]:
             "backend": "network",
         }
         for fault in network.get("faults", ())
+        if fault["hosts"]
     ]
 
 

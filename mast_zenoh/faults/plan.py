@@ -77,6 +77,8 @@ def plan(
     result = Plan()
     actions: dict[str, list[_Action]] = defaultdict(list)
     for index, (place, fault) in enumerate(faults):
+        if not fault.selectors:  # an empty list: of nothing
+            continue
         rng = stream(seed, "faults", index, "targets")
         where = f"{place}.{'node' if fault.node is not None else 'nodes'}"
         rules = fault.rules(lockstep)

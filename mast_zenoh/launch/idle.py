@@ -149,6 +149,8 @@ def _coordinators(run: _Played) -> Iterator[str]:
     for name in run.of_role("coordinator"):
         if not adversaries:
             yield f"{name} directs no adversary: the scenario has no adversaries"
+        elif run.resolved.nodes[name].config.get("adversaries") in ([], ()):
+            yield f"{name} directs no adversary: its list `adversaries` is empty"
         elif not run.leads(adversaries, [name]) or not run.leads([name], adversaries):
             yield f"{name} directs no adversary: no wire joins it to an adversary, as coordination.toml does"
 

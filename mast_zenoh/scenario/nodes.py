@@ -84,22 +84,28 @@ def nodes_of(
         add(name, "driver", config)
     if scenario.get("channel") is not None:
         add("channel", "channel", scenario["channel"])
-    adversaries = scenario.get("adversaries", {})
-    for name, config in _checked_configs(adversaries, f"{path}: adversaries"):
+    for name, config in _checked_configs(scenario.get("adversaries", {}), f"{path}: adversaries"):
+        if names_none(config.get("agent")):
+            continue
         add(name, "adversary", config)
         if len(specs[name].agents) > 1 and scenario.get("coordinator") is not None:
             raise ConfigurationError(
                 f"{path}: adversaries.{name}.agent: found {', '.join(specs[name].agents)}, expected one agent: "
                 "a coordinator directs it"
             )
-        for agent_name in specs[name].agents or ("None",):
+        if not specs[name].agents:
+            raise ConfigurationError(
+                f"{path}: adversaries.{name}.agent: found none, expected an agent, or a list of them"
+            )
+        for agent_name in specs[name].agents:
             if agent_name not in agents:
                 raise ConfigurationError(
                     f"{path}: adversaries.{name}.agent: no agent {agent_name!r} in this scene"
                     f"{nearest(agent_name, agents)}"
                 )
     if scenario.get("coordinator") is not None:
-        add("coordinator", "coordinator", {"adversaries": list(adversaries), **scenario["coordinator"]})
+        adversaries = [name for name, spec in specs.items() if spec.role == "adversary"]
+        add("coordinator", "coordinator", {"adversaries": adversaries, **scenario["coordinator"]})
     add_surroundings(specs, recording)
     ages = {name: specs[name].config["picture_age_s"] for name in agents if "picture_age_s" in specs[name].config}
     evaluator = scenario.get("evaluator", {})
@@ -110,6 +116,11 @@ def nodes_of(
     if record:
         add("recorder", "recorder", {"log": MessageLog()})
     return specs
+
+
+def names_none(names: object) -> bool:
+    """Whether this is a list of names without any: whatever it belongs to then acts on nothing."""
+    return isinstance(names, (list, tuple)) and not names
 
 
 def _peers(patterns: Mapping[str, Any], agents: Iterable[str], place: str) -> Iterator[tuple[str, Mapping[str, Any]]]:

@@ -139,37 +139,34 @@ def agents_of(scene: str | Mapping[str, Any]) -> tuple[str, ...]:
     return scenes.prepare(prepared, 0, 1, json.dumps(spec, sort_keys=True)).agent_names
 
 
-def victims_of(
-    scene: str | Mapping[str, Any], count: int, first: Sequence[str] = (), *, ego: bool = False
-) -> tuple[str, ...]:
+def victims_of(scene: str | Mapping[str, Any], count: int, first: Sequence[str] = ()) -> tuple[str, ...]:
     """The names of `count` agents to compromise: static ones first, the ego only if it is named.
 
-    first: agents that come before all others, in this order;  ego: whether the ego may be one of these
+    first: agents that come before all others, in this order
     Raises ConfigurationError if the scene has fewer, or not these.
     """
     every = agents_of(scene)
-    others = every[1:]
-    named = every if ego else others
     for name in first:
-        if name not in named:
-            raise ConfigurationError(f"compromised: no agent {name!r}{nearest(name, named)}")
-    static = [name for name in others if name.startswith("infra")]
-    victims = tuple(dict.fromkeys((*first, *static, *others)))
+        if name not in every:
+            raise ConfigurationError(f"compromised: no agent {name!r}{nearest(str(name), every)}")
+    static = [name for name in every[1:] if name.startswith("infra")]
+    victims = tuple(dict.fromkeys((*first, *static, *every[1:])))
     if not 0 <= count <= len(victims):
         raise ConfigurationError(f"n_adversaries: found {count}, expected 0 to {len(victims)}: {', '.join(victims)}")
     return victims[:count]
 
 
-def load(name: str, settings: Sequence[str] = ()) -> tuple[Path, dict[str, Any]]:
-    """(file, scenario dict) of a scenario file, with settings as given to `--set`.
+def load(name: str, settings: Sequence[str] = (), /, **values: Any) -> tuple[Path, dict[str, Any]]:
+    """(file, scenario dict) of a scenario file, with settings: to base another scenario on it.
 
-    settings: `key=value`.
+    settings: `key=value`, as for `--set`;  values: the same as Python values, which take precedence
     A key without a dot is a parameter of the file's `scenario` function, typed like its default; a dotted key
     names a value in the dict that it returns, and `faults` its list of faults.
     """
     path, function = loading.function("scenarios", name, "scenario")
     parameters, dotted = split(settings, function, str(path), LISTS)
-    return path, _call(path, function, parameters, dotted)
+    more, more_dotted = from_values(values, function, str(path), (), LISTS)
+    return path, _call(path, function, registry.own_copy(parameters | more), dotted | more_dotted)
 
 
 def load_values(

@@ -233,10 +233,7 @@ def _wiring(
     node_options = {}
     for name, spec in nodes.items():
         cls = loading.node_class(Path(spec.file), spec.type)
-        bindings: dict[str, str | tuple[str, ...]]
-        bindings = {key: value for key, value in spec.config.items() if isinstance(value, str)}
-        if len(spec.agents) > 1:
-            bindings["agent"] = spec.agents
+        bindings = {key: names for key, value in spec.config.items() if (names := _names(value)) is not None}
         if further := _further_sensors(spec):
             bindings[maps.PART] = further
         inputs, outputs = (
@@ -261,6 +258,13 @@ def _wiring(
                 f"name them in a map, or subscribe to every key on one port of the type {ANY!r}"
             )
     return wiring
+
+
+def _names(value: object) -> str | tuple[str, ...] | None:
+    """What an option that binds a node to wires names: one, or exactly the members of a list. None: no such option."""
+    if isinstance(value, (list, tuple)) and all(isinstance(name, str) for name in value):
+        return tuple(value)
+    return value if isinstance(value, str) else None
 
 
 def _further_sensors(spec: NodeSpec) -> tuple[str, ...]:

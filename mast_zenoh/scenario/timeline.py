@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -40,7 +39,7 @@ class Timeline:
     links: the specs of the link nodes, by name;  plan: the plan of the faults;  bands: entries of Resolved.timeline
     network: hosts and their faults, see faults/network.py
     faults: by agent, its faults: type, beginning and end in s (None: the end of the run)
-    idle: a sentence for each link and fault that matches no agent, or begins after the last frame
+    idle: a sentence for each adversary, link and fault that names or matches nothing, or begins after the last frame
     """
 
     links: dict[str, NodeSpec]
@@ -115,6 +114,11 @@ def timeline_of(
                 faults.setdefault(name, []).append((band["type"], band["at_s"], band["until_s"]))
     visible = sorted((band for band in bands if band["at_s"] <= end_s), key=lambda band: float(band["at_s"]))
     idle += [_begins_late(f"fault {band['label']}", band["at_s"], end_s) for band in of_hosts if band["at_s"] > end_s]
+    idle += [
+        f"{_short(place)} ({type(fault).__name__}) names no node" for place, fault in node_faults if not fault.selectors
+    ]
+    idle += [f"{_short(place)} ({fault['type']}) names no host" for place, fault in host_faults if not fault["hosts"]]
+    idle += [f"{name} names no agent" for name in scenario.get("adversaries", {}) if name not in nodes]
     idle += [
         f"links[{pattern!r}] match no agent"
         for pattern in scenario.get("links", {})
@@ -254,7 +258,7 @@ def attack_starts(nodes: Mapping[str, NodeSpec]) -> dict[tuple[str, float], list
     for name, spec in nodes.items():
         attack = spec.config.get("attack")
         if spec.role == "adversary" and isinstance(attack, Mapping) and attack.get("type") in types:
-            start = inspect.signature(types[attack["type"]]).parameters.get("start_s")
+            start = registry.parameters_of(types[attack["type"]]).get("start_s")
             if start is not None:
                 adversaries.setdefault((attack["type"], float(attack.get("start_s", start.default))), []).append(name)
     return adversaries

@@ -422,9 +422,8 @@ def _subscriber(wire: Wire, node: str, role: str, nodes: Mapping[str, NodeOption
     It is the one that the node's option with the role's name names, else the only one.
     """
     ends = [end for end in wire.subscribers if nodes[end.node].role == role]
-    preferred = nodes[node].names(role)
-    if preferred:
-        ends = [end for end in ends if end.node in preferred]
+    if role in nodes[node].options:
+        ends = [end for end in ends if end.node in nodes[node].names(role)]
     if len(ends) > 1:
         names = ", ".join(end.node for end in ends)
         raise WiringError(

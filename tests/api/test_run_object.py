@@ -73,7 +73,7 @@ def test_tables_of_several_wires_equal_those_of_all_messages(attacked: mast.Run)
     for wire in wires:
         messages = list(attacked.messages(wire))
         assert tables[wire].equals(
-            recorded.table((each.frame, each.time_s, recorded.states(each.columns)) for each in messages)
+            recorded.table((each.frame, each.time_s, recorded.states(each.body)) for each in messages)
         )
         assert len(set(tables[wire]["frame"].to_pylist())) > 10
     assert tables["agent/nobody/tracks"].num_rows == 0
@@ -152,6 +152,12 @@ def test_an_unfinished_run_is_read_as_far_as_it_has_been_recorded(attacked: mast
     assert not run.running
     assert run.metrics.num_rows
     assert run.plot.over_time("fp").axes
+
+
+def test_the_columns_of_a_message_are_its_body_also_by_their_former_name(attacked: mast.Run) -> None:
+    message = next(attacked.messages("cc/picture"))
+    assert message.columns is message.body
+    assert message["position"] is message.body["position"]
 
 
 def test_the_repr_of_a_run_is_one_line(attacked: mast.Run) -> None:

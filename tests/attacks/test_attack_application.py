@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
+import pytest
 from attack_worlds import at, equal, world
+from equal_runs import run_alone
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -14,6 +18,24 @@ from mast_zenoh.messages.schemas import SCHEMAS
 
 NONE = ObjectStates.empty()
 NO_ROWS = np.zeros(0, np.int64)
+SHRUNK = """
+import numpy as np
+
+from mast_zenoh.attacks import Attack, alter
+from mast_zenoh.scenario import load
+
+
+class Shrink(Attack):
+    def step(self, frame, time_ns, objects, agent_position, directive=None):
+        claims = objects.with_(size=0.6 * objects.size, yaw=objects.yaw + 0.3)
+        return alter(objects, change=range(len(objects)), claims=claims)
+
+
+def scenario():
+    _, content = load("uncoordinated", n_adversaries=1)
+    content["adversaries"]["adversary_1"]["attack"] = dict(type="Shrink")
+    return content | dict(keyexpr=dict(rewrites=["on_tracks.toml"]))
+"""
 
 
 def targets(add=NONE, remove=NONE, move=NONE, offset=None) -> Targets:
@@ -75,6 +97,42 @@ def test_an_attack_can_name_the_rows_that_it_hides_and_moves():
     assert np.allclose(seen.position[1] - objects.position[1], [5.0, 0.0, 0.0])
     assert seen.position[4, :2].tolist() == [1.0, 2.0]
     assert tampering.report.target.tolist() == [0, 1, 2]
+
+
+def test_an_attack_can_change_sizes_headings_and_velocities_of_rows():
+    objects = world(5)
+    claims = objects.select(np.array([2, 0]))
+    claims = claims.with_(size=0.6 * claims.size, yaw=claims.yaw + 1.0, velocity=claims.velocity + 2.0)
+    tampering = alter(objects, hide=[3], move=[1], offset=np.array([[5.0, 0.0, 0.0]]), change=[2, 0], claims=claims)
+    seen = tampering.applied_to(objects)
+    assert seen.id.tolist() == objects.id[[0, 1, 2, 4]].tolist()
+    for row, claim in ((2, 0), (0, 1)):
+        for name in ("size", "yaw", "velocity", "position"):
+            assert np.array_equal(getattr(seen, name)[row], getattr(claims, name)[claim])
+    assert np.array_equal(seen.size[[1, 3]], objects.size[[1, 4]])
+    assert [ACTIONS[action] for action in tampering.report.action] == ["removed", "moved", "altered", "altered"]
+    assert tampering.report.target.tolist() == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize(
+    ("rows", "wrong"),
+    [
+        (dict(change=[0, 1], claims=world(3)), "claims: found 3 states, expected 2"),
+        (dict(hide=[1], move=[1]), r"found the rows \[1, 1\], expected each row once"),
+    ],
+)
+def test_rows_that_do_not_fit_each_other_are_refused(rows, wrong):
+    with pytest.raises(ValueError, match=wrong):
+        alter(world(5), **rows)
+
+
+def test_changed_sizes_are_measured_and_agree_with_the_report(tmp_path):
+    file = tmp_path / "shrunk.py"
+    file.write_text(SHRUNK)
+    metrics = json.loads((run_alone(tmp_path / "out", str(file), frames=12) / "metrics.json").read_text())
+    of_adversary = metrics["interposers"]["adversary_1"]
+    assert of_adversary["effects"].keys() == {"altered"}
+    assert of_adversary["agreement"] == "agrees"
 
 
 def test_the_report_has_the_columns_of_its_message():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -31,6 +32,28 @@ def picture(metrics: dict[str, Any]) -> tuple[float, float]:
     return estimate["fn"]["mean"], estimate["fp"]["mean"]
 
 
+LATE = """
+from mast_zenoh.attacks import AdaptiveAttack, Lies
+from mast_zenoh.attacks.coordination import Collusion
+
+
+class Late(AdaptiveAttack):
+    def __init__(self, *, start_s: float = 6.5):
+        super().__init__(start_s=start_s)
+
+    def lie(self, moment):
+        return Lies()
+
+
+class PassedOn(Late):
+    def __init__(self, *, share: float = 0.5, **others):
+        super().__init__(**others)
+
+
+class LatePlan(Collusion):
+    def __init__(self, *, start_s: float = 6.5):
+        super().__init__(start_s=start_s)
+"""
 FLIP = dict(attack="TrustFlip", compromised=["infra_3"])
 
 
@@ -69,16 +92,43 @@ def test_the_ego_itself_can_be_the_attacked_agent(attack: dict[str, Any]) -> Non
     assert sum(effects["effects"].values()) > 20
 
 
-def test_the_ego_is_compromised_only_if_it_is_named_where_that_is_allowed() -> None:
+def test_the_ego_is_compromised_only_if_it_is_named() -> None:
     _, content = scenario.load_values("defended", dict(compromised=["ego", "infra_3"], attack="PosePert"))
     assert [each["agent"] for each in content["adversaries"].values()] == ["ego", "infra_3"]
     _, content = scenario.load_values("defended", dict(attack="PosePert"))
     assert [each["agent"] for each in content["adversaries"].values()] == ["infra_1", "infra_2"]
     assert victims_of("intersection", 4) == ("infra_1", "infra_2", "infra_3", "infra_4")
-    with pytest.raises(ConfigurationError, match="compromised: no agent 'ego'"):
-        victims_of("intersection", 1, ["ego"])
     with pytest.raises(ConfigurationError, match=r"compromised: no agent 'egos'.*ego"):
-        victims_of("intersection", 1, ["egos"], ego=True)
+        victims_of("intersection", 1, ["egos"])
+
+
+@pytest.mark.parametrize("name", ["uncoordinated", "coordinated", "defended"])
+def test_the_number_of_adversaries_counts_the_ego_if_it_is_compromised(name: str) -> None:
+    _, content = scenario.load(name, n_adversaries=5, compromised="ego")
+    agents = [adversary["agent"] for adversary in content["adversaries"].values()]
+    assert agents == ["ego", "infra_1", "infra_2", "infra_3", "infra_4"]
+    with pytest.raises(ConfigurationError, match="n_adversaries: found 6, expected 0 to 5: ego, infra_1"):
+        scenario.load(name, n_adversaries=6, compromised="ego")
+
+
+@pytest.mark.parametrize("attack", ["Late", "PassedOn"])
+@pytest.mark.parametrize("name", ["defended", "defence_cell", "driving"])
+def test_an_attack_begins_at_its_own_time_unless_the_user_sets_another(tmp_path: Path, name: str, attack: str) -> None:
+    file = tmp_path / "late.py"
+    file.write_text(LATE)
+    for setting, expected in (({}, 6.5), ({"attack_start_s": 3.0}, 3.0)):
+        path, content = scenario.load(name, attack=f"{file}:{attack}", **setting)
+        bands = scenario.resolve(path, content, frames=80).timeline
+        assert {band["at_s"] for band in bands if band["kind"] == "attack"} == {expected}
+
+
+def test_directed_adversaries_begin_with_their_coordination(tmp_path: Path) -> None:
+    file = tmp_path / "late.py"
+    file.write_text(LATE)
+    for attack, expected in ((f"{file}:LatePlan", 6.5), (dict(type="Collusion", start_s=2.0), 2.0)):
+        _, content = scenario.load("defended", attack=attack)
+        starts = [adversary["attack"]["start_s"] for adversary in content["adversaries"].values()]
+        assert {*starts, content["coordinator"]["coordination"]["start_s"]} == {expected}
 
 
 def test_trust_flip_is_between_sensors_and_agents_unless_other_wires_are_named() -> None:

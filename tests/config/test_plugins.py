@@ -261,12 +261,21 @@ def test_a_plugin_does_not_change_the_default_of_a_part_with_one_class() -> None
     assert plugins.plugin_of(Scene) is None
 
 
-def test_the_plugin_for_data_sets_and_our_examples_use_names_of_the_page_only() -> None:
+def test_the_plugin_for_data_sets_the_tutorials_and_all_pages_use_public_names_only() -> None:
     rows = re.findall(r"^\| `(mast_zenoh[\w.]*)` \| (.*) \|$", PAGE, flags=re.M)
     public = {f"{module}.{name}" for module, names in rows for name in re.findall(r"`(\w+)`", names)}
     public |= set(re.findall(r"`(mast_zenoh\.[\w.]+)`", (DOCS / "api.md").read_text().partition("## Base classes")[2]))
     sources = {path.name: path.read_text() for path in Path(mast_datasets.__file__ or "").parent.glob("*.py")}
-    sources |= dict(EXAMPLE.findall((DOCS / "extending.md").read_text()))
+    for page in DOCS.glob("*.md"):
+        blocks = re.findall(r"^```python\b.*?\n(.*?)^```$", page.read_text(), flags=re.S | re.M)
+        sources |= {f"{page.name}, block {number}": code for number, code in enumerate(blocks, 1)}
+    named = {*("AdaptiveAttack", "Lies", "Moment", "FollowingEgo", "FalseTraffic"), "alter"}
+    assert public >= {f"mast_zenoh.attacks.{name}" for name in named}
+    assert public >= {"mast_zenoh.integrity.sightings", "mast_zenoh.integrity.ClusterBoxes", "mast_zenoh.scenario.load"}
+    for place in sorted(public):
+        module, _, name = place.rpartition(".")
+        assert hasattr(importlib.import_module(module), name), place
+    public |= {module for module, _ in rows}  # `from mast_zenoh import scenario`
     others = []
     for file, source in sources.items():
         for node in ast.walk(ast.parse(source)):

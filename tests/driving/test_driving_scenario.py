@@ -33,7 +33,7 @@ def test_the_ego_is_the_victim_unless_others_lie_to_the_command_centre(wire: str
 
 
 def test_agents_to_compromise_are_named_in_order() -> None:
-    content = content_of("attack=GhostAhead", "wire=tracks", 'compromised=["infra_4"]')
+    content = content_of("attack=GhostAhead", "wire=tracks", "n_adversaries=2", 'compromised=["infra_4"]')
     assert [adversary["agent"] for adversary in content["adversaries"].values()] == ["infra_4", "infra_1"]
 
 
@@ -67,7 +67,7 @@ def test_an_unknown_wire_names_the_nearest() -> None:
         (["n_adversaries=5"], "n_adversaries: found 5, expected nothing: it needs an attack"),
         (["attack=cut_in", "n_adversaries=5"], "n_adversaries: found 5, .* needs wire=tracks, not picture"),
         (["attack=cut_in", 'compromised=["infra_1"]'], r"compromised: found \['infra_1'\], .* needs wire=tracks"),
-        (["attack=cut_in", "compromised=infra_1"], r"compromised: found 'infra_1', expected list as in \['infra_1'\]"),
+        (["attack=cut_in", "compromised=infra_1"], r"compromised: found \['infra_1'\], .* needs wire=tracks"),
         (
             ["attack=cut_in", "wire=tracks picture"],
             "wire: found 'tracks', expected tracks alone, or one or more of pic",
@@ -83,8 +83,8 @@ def test_a_parameter_without_effect_is_refused(settings: list[str], wrong: str) 
         content_of(*settings)
 
 
-def test_all_agents_that_are_named_are_compromised() -> None:
-    named = ["infra_3", "infra_4", "infra_1"]
+@pytest.mark.parametrize("named", [["infra_3"], ["infra_3", "infra_4", "infra_1"]], ids=len)
+def test_exactly_the_agents_that_are_named_are_compromised(named: list[str]) -> None:
     content = content_of("attack=cut_in", "wire=tracks", f"compromised={named}")
     assert [adversary["agent"] for adversary in content["adversaries"].values()] == named
 

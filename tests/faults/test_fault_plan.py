@@ -265,7 +265,6 @@ def test_faults_of_what_an_agent_sends_are_listed_by_agent() -> None:
         (dict(type="Pause", at=3.0, node="ego"), "Pause needs until"),
         (dict(type="Partition", at=1.0), "expected `node` or `nodes`"),
         (dict(type="Partition", at=1.0, node="ego", nodes=["ego"]), "expected `node` or `nodes`"),
-        (dict(type="Partition", at=1.0, nodes=[]), "expected `node` or `nodes`"),
         (dict(type="Kill", at=1.0, node="ego", restart_after=0.0), "restart_after: found 0.0, expected more than 0"),
         (dict(type="Kill", at=1.0, node="ego", until=2.0), r"until: Kill has no such parameter"),
         (dict(type="Kill", at=0.0, node="ego"), "at: found 0.0, expected a time after the first frame"),

@@ -75,6 +75,9 @@ def resolved(name: str, *settings: str, frames: int = 2) -> Resolved:
         ("free=[1, 2]", {"free": [1, 2]}),
         ("free=a word", {"free": "a word"}),
         ("places=[3.0]", {"places": [3.0]}),
+        ("places=3.0", {"places": [3.0]}),
+        ("places=infra_1", {"places": ["infra_1"]}),
+        ("places=[]", {"places": []}),
     ],
 )
 def test_a_launch_time_parameter_has_the_type_of_its_default(
@@ -96,7 +99,7 @@ def test_a_launch_time_parameter_has_the_type_of_its_default(
         ("rate=fast", "found 'fast', expected float as in 1.0"),
         ("rate=True", "found 'True', expected float"),
         ("on=1", "found '1', expected bool"),
-        ("places=3", r"found '3', expected list as in \["),
+        ("places={}", r"found '\{\}', expected list as in \["),
         ("nn=3", "mine.py: --set nn: no such launch-time parameter; did you mean 'n'"),
         ("nam=x", "did you mean 'name'"),
         ("n", "--set n: expected KEY=VALUE"),
@@ -420,7 +423,7 @@ INVALID: list[tuple[Any, Any, str]] = [
         "infra_9",
         r"adversaries\..* no agent 'infra_9' .* mean 'infra_[12]'",
     ),
-    ("adversaries.adversary_1.agent", None, r"adversaries\.adversary_1\.agent: no agent 'None'"),
+    ("adversaries.adversary_1.agent", None, r"adversaries\.adversary_1\.agent: found none, expected an agent"),
     ("adversaries.eve", "PassThrough", r"adversaries\.eve: found 'PassThrough', expected a dict"),
     ("adversaries", {1: EVE}, "adversaries: found the name 1, expected a string"),
     ("adversaries.ego", EVE, "ego: another node already has this name"),

@@ -64,14 +64,14 @@ class Host(Reach):
     """A host, and which nodes run there.
 
     address: name or address
-    nodes: names of nodes, with * and ?; roles: it runs a share of the nodes with these roles; spread: whether it also
-           runs a share of the remaining nodes
+    nodes: names of nodes, with * and ?; roles: it runs a share of the nodes with these roles; an empty list: none
+    spread: whether it also runs a share of the remaining nodes
     """
 
     name: str
     address: str
-    nodes: tuple[str, ...] = ()
-    roles: tuple[str, ...] = ()
+    nodes: tuple[str, ...] | None = None
+    roles: tuple[str, ...] | None = None
     spread: bool = False
 
     def __post_init__(self) -> None:
@@ -119,14 +119,14 @@ class Hosts:
 
         A node runs on the host that names it, otherwise on one of the hosts that list its role, otherwise on one of the
         spread hosts; hosts take turns. Spread hosts are those with `spread`; if there are none, those without nodes and
-        roles; if there are none of these either, all.
+        roles; if there are none of these either, all that name some.
 
         Raises ConfigurationError for a name that is not in the scenario or is on two hosts, and for an unknown role.
         Patterns and roles that match no node are allowed: a hosts file serves many scenarios.
         """
         host_of: dict[str, str] = {}
         for host in self.hosts.values():
-            for index, pattern in enumerate(host.nodes):
+            for index, pattern in enumerate(host.nodes or ()):
                 where = f"{self.place}: hosts.{host.name}.nodes[{index}]"
                 matching = [name for name in nodes if fnmatchcase(name, pattern)]
                 if not matching and not _WILD.search(pattern):
@@ -135,10 +135,12 @@ class Hosts:
                     if host_of.setdefault(name, host.name) != host.name:
                         raise ConfigurationError(f"{where}: {name} is already on {host_of[name]}, expected one host")
         by_role = {role: cycle(hosts) for role, hosts in self._claims(nodes).items()}
-        all_hosts = list(self.hosts)
+        named = [h.name for h in self.hosts.values() if h.nodes or h.roles]
         spread = [h.name for h in self.hosts.values() if h.spread]
-        unassigned = [h.name for h in self.hosts.values() if not (h.nodes or h.roles)]
-        remaining_hosts = cycle(spread or unassigned or all_hosts)
+        unassigned = [h.name for h in self.hosts.values() if h.nodes is None and h.roles is None]
+        if not (taking := spread or unassigned or named):
+            raise ConfigurationError(f"{self.place}: hosts: all lists are empty, expected a host that runs nodes")
+        remaining_hosts = cycle(taking)
         for name, spec in nodes.items():
             if name not in host_of:
                 host_of[name] = next(by_role.get(spec.role, remaining_hosts))
@@ -153,7 +155,7 @@ class Hosts:
         roles = {*ROLES, *(spec.role for spec in nodes.values())}
         claims: dict[str, list[str]] = {}
         for host in self.hosts.values():
-            for index, role in enumerate(host.roles):
+            for index, role in enumerate(host.roles or ()):
                 if role not in roles:
                     where = f"{self.place}: hosts.{host.name}.roles[{index}]"
                     raise ConfigurationError(f"{where}: there is no role {role!r}{nearest(role, roles)}")

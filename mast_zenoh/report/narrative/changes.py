@@ -92,7 +92,7 @@ def against(run: RunRecord, reference: RunRecord, agents: Iterable[str] | None =
     """Changes of scores over a reference run of the same scene; by default the ego's."""
     return [
         change
-        for agent in agents or [run.ego or ""]
+        for agent in ([run.ego or ""] if agents is None else agents)
         for estimate in ESTIMATES
         for change in between(run, run.summary(estimate, agent), reference.summary(estimate, agent), agent, estimate)
     ]
@@ -123,7 +123,7 @@ def attributed(run: RunRecord, agents: Iterable[str] | None = None) -> list[Chan
     Groups of causes with less than MIN_NAMED_SHARE of the errors are left out: no sentence names them.
     """
     changes = []
-    for agent in agents or [run.ego or ""]:
+    for agent in [run.ego or ""] if agents is None else agents:
         for estimate in ESTIMATES:
             here = run.summary(estimate, agent)
             for kind in (FALSE, MISSED, IDENTITY):
@@ -185,7 +185,7 @@ def largest_change(run: RunRecord, reference: RunRecord | None) -> Change | None
 
     of_ego = changes([run.ego or ""])
     scored_for_ego = largest([change for change in of_ego if change.estimate != RECEIVED])
-    return scored_for_ego or largest([*of_ego, *(changes(others) if others else [])])
+    return scored_for_ego or largest([*of_ego, *changes(others)])
 
 
 def _change(

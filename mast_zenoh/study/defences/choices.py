@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import inspect
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -135,7 +134,7 @@ def has_budget(choice: Choice) -> bool:
     base = adversary_base(choice)
     spec = resolve_choice(choice, base)
     known = registry.known_types(base, spec["type"]).get(spec["type"])
-    return known is not None and "budget" not in spec and "budget" in inspect.signature(known).parameters
+    return known is not None and "budget" not in spec and "budget" in registry.parameters_of(known)
 
 
 def short_name(choice: Choice) -> str:

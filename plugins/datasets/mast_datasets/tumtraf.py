@@ -311,7 +311,7 @@ class TUMTrafV2X(DataSetScene):
 
     def _agents(self, folder: Path) -> tuple[list[str], list[str], list[str]]:
         """Coordinate systems of lidars: of all cars, of those that are agents, the ego first, and of poles."""
-        lidars = self.lidars or _lidars_of(folder)
+        lidars = _lidars_of(folder) if self.lidars is None else self.lidars
         if len(set(lidars)) != len(lidars):
             raise ConfigurationError(f"{self.path}: lidars are {list(lidars)}, expected each of them once")
         cars = [name for name in lidars if name.startswith("vehicle")]

@@ -314,8 +314,16 @@ def test_the_shipped_study_pairs_every_attack_with_every_defence() -> None:
 
 
 def test_an_attack_without_its_wire_is_named_with_the_nearest() -> None:
-    with pytest.raises(ConfigurationError, match=r"attacks: found 'cut_in'.*cut_in@"):
-        definition.load("driving", ["attacks=cut_in"])
+    with pytest.raises(ConfigurationError, match=r"attacks: found 'cutt_in'.*cut_in@"):
+        definition.load("driving", ["attacks=cutt_in"])
+
+
+def test_the_name_of_an_attack_alone_stands_for_its_first_wire() -> None:
+    study = definition.load("driving", ["attacks=phantom_queue", "defences=none"])
+    assert [configuration.label for configuration in study.configurations] == [
+        "no attack, no defence",
+        "phantom_queue on picture, no defence",
+    ]
 
 
 @pytest.mark.parametrize(("name", "hint"), [("vetto", "did you mean 'veto'"), ("xyz", "known: .*none, veto")])
