@@ -1,6 +1,6 @@
 """A recording for the Rerun viewer, with a blueprint.
 
-It is written to files and to memory only. Rerun's `log` may block: no process that a run depends on may call it.
+Rerun's `log` may block: no process that a run depends on may call it.
 """
 
 from __future__ import annotations
