@@ -44,6 +44,7 @@ class DrivenCar:
     believed:   m objects that the driver believed in, ascending by frame; belief: what they are
     commands:   what the car obeyed
     look:       how far and how wide the corridor of the car is
+    on_truth:   (f,) m/s^2, braking that its driver would command on the truth, NaN: not known; None: never
     """
 
     car: Vehicle
@@ -59,6 +60,7 @@ class DrivenCar:
     belief: Belief
     commands: Commands
     look: Driving
+    on_truth: Floats | None = None
 
     @cached_property
     def speed(self) -> Floats:
@@ -93,9 +95,10 @@ def consequences(driven: DrivenCar) -> dict[str, Any]:
     driver though the car's own sensors had it; "near_misses": objects that were not hit; "min_ttc_s", "min_gap_m"
     (None: nothing was ever approached, or ahead), "min_pet_s" (None: nothing crossed its way), "max_drac_mps2";
     "rss_unsafe_s"; "brakes", each with its cause: the object (a real one's id, a false track's id), its kind (see
-    `braking.causes`) and the adversary; "needless_brakes", "missed_brakes", "hard_brakes"; "hardest_braking_mps2",
-    "jerk_max_mps3"; "uncomfortable_s" by bound of COMFORT; "progress_m"; "stops", "standing_s", "blocked_s";
-    "blind_frames", "obeyed_commands", "uncommanded_frames"; and "behind", the traffic in its lane behind it. "hidden"
+    `braking.causes`) and the adversary, and the braking of its driver on the truth (None: not known);
+    "needless_brakes", "missed_brakes", "hard_brakes"; "hardest_braking_mps2", "jerk_max_mps3";
+    "uncomfortable_s" by bound of COMFORT; "progress_m"; "stops", "standing_s", "blocked_s"; "blind_frames",
+    "obeyed_commands", "uncommanded_frames"; and "behind", the traffic in its lane behind it. "hidden"
     and these three are None in a replay that leaves out what they need.
     """
     car, period, truth = driven.car, driven.period_s, driven.truth
@@ -232,12 +235,19 @@ def _brakes(driven: DrivenCar) -> list[dict[str, Any]]:
         cause, asked = of_ahead if is_ahead else of_crosser
         false = cause["kind"] == "false"
         demanded = ahead if false and is_ahead else crossed
+        hardest = float(-driven.acceleration[brake.hardest])
+        on_truth = None if driven.on_truth is None else braking.on_truth(brake, driven.on_truth, period)
+        if on_truth is None:
+            needless = braking.needless(brake, demanded, period, asked if false else 0.0)
+        else:
+            needless = braking.needless_on_truth(hardest, on_truth)
         result.append(
             {
                 "from_s": float(driven.times_s[brake.first]),
                 "until_s": float(driven.times_s[brake.end]),
-                "hardest_mps2": float(-driven.acceleration[brake.hardest]),
-                "needless": braking.needless(brake, demanded, period, asked if false else 0.0),
+                "hardest_mps2": hardest,
+                "on_truth_mps2": on_truth,
+                "needless": needless,
                 "cause": cause,
             }
         )

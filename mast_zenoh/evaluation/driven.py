@@ -16,6 +16,7 @@ from mast_zenoh.driving.consequences import DrivenCar, consequences, course
 from mast_zenoh.driving.motion import RouteAhead
 from mast_zenoh.driving.veto import upheld
 from mast_zenoh.effects import CODE, Effects
+from mast_zenoh.evaluation.driver_on_truth import DriverOnTruth
 from mast_zenoh.gather import LatestBefore
 from mast_zenoh.integrity.base import ClusterBoxes
 from mast_zenoh.integrity.views import SweptView
@@ -71,6 +72,7 @@ class Heard:
     commands: as they reached the car: the frame of arrival, and the command and its frame
     wanted: m/s^2, by frame, the acceleration of the commands as they left the driver
     left_out: ports whose messages a replay leaves out
+    on_truth: its driver as it would drive on the truth; None: not known
     """
 
     ports: set[str] = field(default_factory=set)
@@ -80,6 +82,7 @@ class Heard:
     commands: list[tuple[int, int, Command]] = field(default_factory=list)
     wanted: dict[int, float] = field(default_factory=dict)
     left_out: set[str] = field(default_factory=set)
+    on_truth: DriverOnTruth | None = None
 
     def add(self, port: str, step: int, arrival: Arrival) -> None:
         """Store an estimate that arrived in a frame of the run; of several the newest counts, as for the driver."""
@@ -164,7 +167,12 @@ class DrivenCars:
         }
         for name in next(iter(courses.values()), {}):
             table[name] = np.concatenate([each[name] for each in courses.values()])
-        return {car: consequences(driven) for car, driven in cars.items()}, table
+        return {car: consequences(driven) | self._on_truth(car) for car, driven in cars.items()}, table
+
+    def _on_truth(self, car: str) -> dict[str, str | None]:
+        """Why it is not known, in some frames, what the car's driver does on the truth; None: it is known."""
+        twin = self.heard[car].on_truth
+        return {"on_truth_problem": "its node is of another file" if twin is None else twin.problem or None}
 
     def _cars(self) -> dict[str, DrivenCar]:
         frames, truth = self.scores.frames, self.scores.truth
@@ -199,6 +207,7 @@ class DrivenCars:
                     first=int(frames.searchsorted(self.take_over)),
                 ),
                 look=self.look,
+                on_truth=None if heard.on_truth is None else heard.on_truth.in_frames(frames),
             )
         return result
 

@@ -147,6 +147,23 @@ def of_estimates(driven: object, frames: object) -> list[dict[str, Any]]:
     return notices
 
 
+def of_brakes(driven: object) -> list[dict[str, Any]]:
+    """Notices of brakes of which it is not known what the driver does on the truth. driven: of metrics.json, by car"""
+    notices = []
+    for car, happened in driven.items() if isinstance(driven, Mapping) else ():
+        brakes = happened.get("brakes") if isinstance(happened, Mapping) else None
+        of_model = [
+            brake
+            for brake in (brakes if isinstance(brakes, list) else ())
+            if isinstance(brake, Mapping) and brake.get("on_truth_mps2", 0.0) is None
+        ]
+        if of_model:
+            text = f"{number(len(of_model), 'brake')} of {car} judged by the intelligent driver model, not by what its "
+            text += f"driver does on the truth: {happened.get('on_truth_problem') or 'the truth or its route was lost'}"
+            notices.append({"kind": "brakes", "count": len(of_model), "text": text})
+    return notices
+
+
 def _late(late: Mapping[str, int]) -> tuple[int, str]:
     count, agents = sum(late.values()), [agent for agent in late if late[agent]]
     if not count:
