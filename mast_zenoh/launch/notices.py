@@ -44,6 +44,7 @@ def of_run(
     """
     nodes = record["nodes"]
     parts: list[tuple[str, int, str]] = [
+        ("scene", *_first([record["suspicious"]] if "suspicious" in record else [])),
         *(("replay", 1, text) for text in record.get("replay", {}).get("notices", ())),
         ("late", *_late(measured["late"])),
         *((name, *_dropped(name, collations)) for name in _DROPPED),
