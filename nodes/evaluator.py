@@ -22,6 +22,7 @@ from mast_zenoh.effects import Pose
 from mast_zenoh.errors import MessageError
 from mast_zenoh.evaluation import Evaluation, RunData, RunScoring, ego_of
 from mast_zenoh.evaluation.driven import Arrival, Heard, View
+from mast_zenoh.evaluation.driver_on_truth import DriverOnTruth, TrueFrame
 from mast_zenoh.evaluation.driver_wires import PlayedDrivers, check_played, driver_ports, drivers_of
 from mast_zenoh.gather import plausible_rows
 from mast_zenoh.integrity.views import check_view, view_of
@@ -70,6 +71,7 @@ class Evaluator(Node):
     consistency: how errors are compared with covariances, None: Consistency()
     faults:  of the timeline by agent: type, beginning and end in s; None: none
     played_drivers: of a replay, see `driver_wires.driver_ports`; None: none is played
+    drivers: by agent, the `driver` and the `limits` of the node that drives its car, where they are known
     The other parameters are described in `evaluation.Evaluation`.
     """
 
@@ -95,8 +97,10 @@ class Evaluator(Node):
         consistency: Consistency | None = None,
         faults: dict[str, list[tuple[str, float, float | None]]] | None = None,
         played_drivers: dict[str, list[tuple[str, str]]] | None = None,
+        drivers: dict[str, dict[str, Any]] | None = None,
     ) -> None:
         self.agents = agents
+        self.drivers = drivers or {}
         self.played_drivers = played_drivers or {}
         check_played(self.played_drivers)
         self.evaluation = Evaluation(
@@ -152,7 +156,9 @@ class Evaluator(Node):
         self.takes = {key: getattr(self, route.take) for key, route in self.routes.items()}
         self.metered = set(self.data.meter.keys())
         for car in (*drivers_of(wiring).values(), *self.played_drivers):
-            self.data.heard.setdefault(car, Heard())
+            if car not in self.data.heard:
+                driver = DriverOnTruth(**self.drivers[car]) if car in self.drivers and car in self.agents else None
+                self.data.heard[car] = Heard(on_truth=driver)
         for car, port in driver_ports(wiring, self.played_drivers).get("", ()):
             self.data.heard[car].left_out.add(port)
         for route in self.routes.values():
@@ -187,12 +193,13 @@ class Evaluator(Node):
     def take_truth(self, message: Overheard, route: Route) -> None:
         """Store the truth of a frame."""
         body = message.body
-        objects = ObjectStates.of(
-            body["position"], id=body["id"], size=body["size"], yaw=body["yaw"], velocity=body["velocity"]
-        )
-        self.data.record.add_truth(
-            message.header.frame, objects, body["points"], body["agent_position"], body["agent_object"]
-        )
+        columns = {name: body[name] for name in ("id", "size", "yaw", "velocity", "class_id")}
+        objects, header = ObjectStates.of(body["position"], **columns), message.header
+        self.data.record.add_truth(header.frame, objects, body["points"], body["agent_position"], body["agent_object"])
+        for car, heard in self.data.heard.items():
+            if heard.on_truth is not None:
+                own = int(body["agent_object"][self.agents.index(car)])
+                heard.on_truth.add(header.frame, "truth", TrueFrame(header.time_ns, objects, own))
         if route.ports:
             self.hear(message, route, TRUTH, Snapshot.of(objects, views=message.encoded))
 
@@ -272,7 +279,10 @@ class Evaluator(Node):
             raise MessageError(f"route: expected 2 to {MAX_POINTS} points, at most {MAX_STEP_M:g} m apart")
         ahead = RouteAhead(position.copy(), speed.copy(), float(stop.min(initial=np.inf)))
         for car, _ in route.ports:
-            self.data.heard[car].routes.setdefault(message.header.frame, ahead)
+            heard = self.data.heard[car]
+            heard.routes.setdefault(message.header.frame, ahead)
+            if heard.on_truth is not None:
+                heard.on_truth.add(message.header.frame, "route", ahead)
 
     def take_reception(self, message: Overheard, route: Route) -> None:
         """Store how busy the channel was at a station, and how many messages it lost."""

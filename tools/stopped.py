@@ -7,8 +7,8 @@ Nodes and times are drawn from a seed.
 Each run is a process of `mast run` on a mesh, of which up to three processes are suspended (SIGSTOP, SIGCONT) for 0.5
 to 10 s. It must equal the same run in one process, in all messages and in metrics.json, or report that it does not.
 With `--watchers`, no node is suspended but, from a frame drawn from the rest of the run to its end, a client that
-watches it: a viewer with an open page, one for Foxglove, one for Rerun, or a foreign client of Zenoh that subscribes to
-everything. Such runs must be ok.
+watches it: a viewer with an open page, or a foreign client of Zenoh that subscribes to everything. Such runs must be
+ok.
 Prints a line for each, with the command that repeats a run that did neither. Exits with 1 if any did.
 """
 
@@ -68,7 +68,7 @@ REPORTED_CODES = {
 }
 LATEST_S = 6.0  # latest start of a suspension, after the start of the nodes
 LONGEST_S = 240.0
-WATCHERS = ("viewer", "foxglove", "rerun", "stranger")
+WATCHERS = ("viewer", "stranger")
 #: A client of somebody else, with Zenoh's own settings.
 STRANGER = """
 import sys, threading, zenoh
@@ -201,7 +201,7 @@ def _watcher(kind: str, out: Path, stack: ExitStack) -> subprocess.Popen[str]:
     """Start a watcher; returns when it is there."""
     endpoint = json.loads((out / "run.json").read_text())["endpoint"]
     view = ["-m", "mast_zenoh", "view", str(out), "--attached"]
-    words = {"viewer": view, "stranger": ["-c", STRANGER, endpoint]}.get(kind, [*view, f"--{kind}"])
+    words = {"viewer": view, "stranger": ["-c", STRANGER, endpoint]}[kind]
     watcher = stack.enter_context(
         subprocess.Popen([sys.executable, *words], text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     )

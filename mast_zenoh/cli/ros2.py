@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from mast_zenoh.launch.context import RunContext
     from mast_zenoh.runtime.mesh.ros2_participant import Participant
     from mast_zenoh.viewer.frame import Frame
-    from mast_zenoh.viewer.servers.ros2 import Ros2Bridge
+    from mast_zenoh.viewer.ros2_bridge import Ros2Bridge
 
 _READY_S = 60.0  # for a bridge to be ready, for which a run waits
 _LAST_FRAMES_S = 20.0  # for a bridge to send the rest of a run that has ended
@@ -158,7 +158,7 @@ def _play(folder: Path, connection: Connection, namespace: str, *, rate: float, 
     """Publish a finished run until its end, or Ctrl-C."""
     with bridge_modules():
         from mast_zenoh.viewer.recorded import RecordedRun
-        from mast_zenoh.viewer.servers.ros2 import Ros2Bridge, played
+        from mast_zenoh.viewer.ros2_bridge import Ros2Bridge, played
 
     with reading(folder):
         run = RecordedRun.load(folder)
@@ -175,7 +175,7 @@ def _observe(
         from mast_zenoh.viewer.live import priority
         from mast_zenoh.viewer.live.every_frame import EveryFrame
         from mast_zenoh.viewer.live.observer import Observer
-        from mast_zenoh.viewer.servers.ros2 import Ros2Bridge, frames_to_the_end
+        from mast_zenoh.viewer.ros2_bridge import Ros2Bridge, frames_to_the_end
 
     with ExitStack() as stack:
         participant = stack.enter_context(_participant(connection, namespace))
@@ -338,7 +338,7 @@ def _participant(connection: Connection, namespace: str) -> Iterator[Participant
     """The bridge's node, which is named; what it lacks is loaded first."""
     with bridge_modules():
         from mast_zenoh.runtime.mesh.ros2_participant import Participant
-        from mast_zenoh.viewer.servers.ros2 import NODE
+        from mast_zenoh.viewer.ros2_bridge import NODE
     try:
         participant = Participant(connection, NODE, namespace)
     except ValueError as error:

@@ -1,12 +1,10 @@
-"""`mast view`: runs in a browser or in other viewers, running or finished, and the process that shows a running run."""
+"""`mast view`: runs in a browser, running or finished, and the process that shows a running run."""
 
 from __future__ import annotations
 
 import subprocess
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -23,6 +21,9 @@ if TYPE_CHECKING:
     from mast_zenoh.config.allowed_code import AllowedCode
     from mast_zenoh.launch.context import RunContext
 
+#: Of a viewer that is served to no more.
+_HERE = "`mast view RUN` shows a run in a browser"
+
 
 def view(
     target: Annotated[str, run_argument("The folder of a run, finished or running; or a router, tcp/HOST:PORT.")],
@@ -31,12 +32,8 @@ def view(
     run: Annotated[str, typer.Option(metavar="ID", help="Which run of the router, if there are several.")] = "",
     port: Annotated[int, typer.Option(min=0, max=65535, help="The port on this computer; 0: any free one.")] = 0,
     browser: Annotated[bool, typer.Option("--open", help="Open the page in a browser.")] = False,
-    foxglove: Annotated[bool, typer.Option("--foxglove", help="Play it for Foxglove and Lichtblick instead.")] = False,
-    rerun: Annotated[bool, typer.Option("--rerun", help="Serve it to the Rerun viewer instead.")] = False,
-    rate: Annotated[
-        float, typer.Option(min=0.01, max=100.0, help="--foxglove, finished run: s of the scene per s.")
-    ] = 1.0,
-    loop: Annotated[bool, typer.Option("--loop", help="--foxglove, finished run: begin again at the end.")] = False,
+    foxglove: Annotated[bool, typer.Option("--foxglove", hidden=True)] = False,
+    rerun: Annotated[bool, typer.Option("--rerun", hidden=True)] = False,
     confirmed: Confirmed = False,
     attached: Annotated[bool, typer.Option("--attached", hidden=True)] = False,
 ) -> None:
@@ -44,14 +41,10 @@ def view(
 
     Ctrl-C ends the viewer; it never ends the run.
     """
-    elsewhere = foxglove or rerun
-    refuse(foxglove and rerun, "found --foxglove and --rerun, expected one of them")
-    refuse(not foxglove and (rate != 1.0 or loop), "--rate and --loop are for --foxglove")
-    refuse(elsewhere and other is not None, "found two runs, expected one: other viewers show one run")
-    refuse(elsewhere and (frame is not None or browser), "--frame and --open are for this testbed's own page")
+    for option, asked, name in (("--foxglove", foxglove, "foxglove"), ("--rerun", rerun, "rrd")):
+        refuse(asked, f"{option}: no such server: `mast export RUN --to {name}` writes a file; {_HERE}")
     if attached:
-        allowed = allowed_code(confirmed=confirmed)
-        observe(target, run, port, allowed, browser=browser, foxglove=foxglove, rerun=rerun)
+        observe(target, run, port, allowed_code(confirmed=confirmed), browser=browser)
         return
     shown = observers.target_of(target, run)
     folder = shown.folder
@@ -61,17 +54,13 @@ def view(
         if shown.running or observers.record_of(other).get("status") == "running":
             busy = folder if shown.running else other
             raise RunFolderError(f"{busy}: the run is still in progress: expected two finished runs")
-    of_finished = frame is not None or rate != 1.0 or loop
-    refuse(shown.running and of_finished, "found a running run, expected a finished one for --frame, --rate and --loop")
+    refuse(shown.running and frame is not None, "found a running run, expected a finished one for --frame")
     if shown.running:
-        chosen = {"--open": browser, "--foxglove": foxglove, "--rerun": rerun, "--trust": confirmed}
+        chosen = {"--open": browser, "--trust": confirmed}
         allowed = allowed_code(confirmed=confirmed)
         words = [*([f"--run={run}"] if run else []), *(name for name, is_set in chosen.items() if is_set)]
         raise typer.Exit(observers.observe_apart("view", shown, allowed, [f"--port={port}", *words]))
-    if elsewhere:
-        _serve_to_other_viewers(folder, port, foxglove=foxglove, rate=rate, loop=loop)
-    else:
-        _show_finished([folder] if other is None else [folder, other], frame, port, browser)
+    _show_finished([folder] if other is None else [folder, other], frame, port, browser)
 
 
 def _show_finished(folders: list[Path], frame: int | None, port: int, browser: bool) -> None:
@@ -85,20 +74,6 @@ def _show_finished(folders: list[Path], frame: int | None, port: int, browser: b
         with suppress(KeyboardInterrupt):
             server.serve_forever()
     _out.print()
-
-
-def _serve_to_other_viewers(folder: Path, port: int, *, foxglove: bool, rate: float, loop: bool) -> None:
-    """Serve a finished run to one of the other viewers until Ctrl-C."""
-    from mast_zenoh.viewer.recorded import RecordedRun
-    from mast_zenoh.viewer.servers.other_viewers import serve_to_foxglove, serve_to_rerun
-
-    with reading(folder):
-        run = RecordedRun.load(folder)
-    never = threading.Event()
-    if foxglove:
-        serve_to_foxglove(run, port, never, print_line, rate=rate, loop=loop)
-    else:
-        serve_to_rerun(run, port, never, print_line)
 
 
 @contextmanager
@@ -133,41 +108,26 @@ def viewer(wanted: bool) -> Iterator[Callable[[RunContext], None]]:
             observers.end(child)
 
 
-def observe(
-    target: str, run: str, port: int, allowed: AllowedCode, *, browser: bool, foxglove: bool, rerun: bool
-) -> None:
+def observe(target: str, run: str, port: int, allowed: AllowedCode, *, browser: bool) -> None:
     """Show a running run until standard input ends.
 
     target: the folder of a run, or a router with a run of this id, "": its only one
     allowed: which of the code that the run folder names may run
-    foxglove, rerun: to these viewers instead of a browser
     """
-    from mast_zenoh.viewer.live.observer import Observer
     from mast_zenoh.viewer.live.priority import yield_processors
     from mast_zenoh.viewer.page import live_view
     from mast_zenoh.viewer.page.live_server import Feed, LiveServer
-    from mast_zenoh.viewer.servers.other_viewers import serve_to_foxglove, serve_to_rerun
 
     servers = []
     with ExitStack() as stack:
 
         def open_page(title: str) -> None:
-            if not (foxglove or rerun):
-                servers.append(stack.enter_context(LiveServer(title, Feed(), port)))
-                announce(servers[0].url, browser)
+            servers.append(stack.enter_context(LiveServer(title, Feed(), port)))
+            announce(servers[0].url, browser)
             yield_processors()
 
         running, session, stop = observers.join(stack, target, run, allowed, open_page)
-        if servers:
-            live_view.show(running, session, servers[0], stop)
-            return
-        observer = Observer(running, session)
-        stack.callback(observer.close)
-        frames = replace(observer.record, frames=observer.frames(stop))
-        if foxglove:
-            serve_to_foxglove(frames, port, stop, print_line)
-        else:
-            serve_to_rerun(frames, port, stop, print_line)
+        live_view.show(running, session, servers[0], stop)
 
 
 def announce(url: str, browser: bool) -> None:

@@ -80,6 +80,11 @@ def mesh() -> Finding:
     return Finding("zenoh", True, f"{version('eclipse-zenoh')}, a router came up at {endpoint}")
 
 
+def control() -> Finding:
+    """Whether runs obey control messages without a signature: all that are not started with `--secure`."""
+    return Finding("security", None, "runs obey control messages without a signature", "mast run … --secure")
+
+
 def optional(name: str, look: Callable[[], str], fix: str) -> Finding:
     """Whether an optional part is usable, as `look` describes it."""
     try:
@@ -130,6 +135,7 @@ CHECKS: list[Callable[[], Finding]] = [
     compiled_kernels,
     installed_plugins,
     mesh,
+    control,
     lambda: optional("docker", lambda: f"engine {engine.check()}", "apt install docker.io; usermod -aG docker $USER"),
     lambda: optional("compose", _compose, "apt install docker-compose"),
     lambda: optional("swarm", _swarm, "docker swarm init --advertise-addr 127.0.0.1"),

@@ -18,7 +18,7 @@ from mast_zenoh.metrics.driving import SafeDistance, TimeToCollision
 BRAKING_MPS2 = 1.3
 #: m/s^2; less is no reason to brake: a car that follows another at a constant speed comes to 0.73 in the model.
 _REASON_MPS2 = 1.0
-#: Of the braking that a false object asks for, the share that the truth has to ask for to give a reason, too.
+#: Of a brake, and of the braking that a false object asks for, the share that the truth has to ask for, too.
 _REASON_SHARE = 0.5
 #: s; a shorter interruption does not end a brake, and a reason counts for as long after it has gone.
 _PAUSE_S = 0.5
@@ -208,6 +208,7 @@ def causes(
 def needless(brake: Brake, demanded: Floats, period_s: float, ghost_mps2: float = 0.0) -> bool:
     """Whether the truth gave no reason for a brake, from shortly before its first frame to its hardest one.
 
+    By how cars brake in general, where it is not known what this car's driver would have done, see `on_truth`.
     A slight reason is none for a hard brake for what is not there: then the truth has to ask for half as much.
 
     demanded: (f,) m/s^2, braking that the objects that are there, the line and the road ask for
@@ -216,6 +217,20 @@ def needless(brake: Brake, demanded: Floats, period_s: float, ghost_mps2: float 
     first = max(brake.first - round(_PAUSE_S / period_s), 0)
     reason = max(_REASON_MPS2, _REASON_SHARE * ghost_mps2)
     return bool(demanded[first : brake.hardest + 1].max(initial=0.0) < reason)
+
+
+def on_truth(brake: Brake, commanded: Floats, period_s: float) -> float | None:
+    """The hardest braking in m/s^2 that a car's driver, given the truth, commands around a brake, see `needless`.
+
+    commanded: (f,) m/s^2, NaN: not known; None: it is not known in all of these frames
+    """
+    hardest = float(commanded[max(brake.first - round(_PAUSE_S / period_s), 0) : brake.hardest + 1].max())
+    return None if np.isnan(hardest) else max(hardest, 0.0)
+
+
+def needless_on_truth(hardest_mps2: float, on_truth_mps2: float) -> bool:
+    """Whether a driver that brakes by `on_truth_mps2` on the truth would not have braked, or not half as hard."""
+    return on_truth_mps2 < max(_REASON_MPS2, _REASON_SHARE * hardest_mps2)
 
 
 def emergencies(truth: InCorridor, frames: int) -> Bools:

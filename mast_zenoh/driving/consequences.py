@@ -44,6 +44,7 @@ class DrivenCar:
     believed:   m objects that the driver believed in, ascending by frame; belief: what they are
     commands:   what the car obeyed
     look:       how far and how wide the corridor of the car is
+    on_truth:   (f,) m/s^2, braking that its driver would command on the truth, NaN: not known; None: never
     """
 
     car: Vehicle
@@ -59,6 +60,7 @@ class DrivenCar:
     belief: Belief
     commands: Commands
     look: Driving
+    on_truth: Floats | None = None
 
     def part(self, rows: slice, later: int) -> DrivenCar:
         """What is known of some rows of the frames; later: by how much their numbers in a longer run are greater."""
@@ -84,12 +86,14 @@ class DrivenCar:
                 informed=commands.informed[rows],
                 tampered=commands.tampered[rows],
             ),
+            on_truth=None if self.on_truth is None else self.on_truth[rows],
         )
 
     @classmethod
     def joined(cls, parts: Sequence[DrivenCar], take_over: int) -> DrivenCar:
         """A car in consecutive parts of a run; take_over: the frame from which on it is driven."""
         cars, commands = [part.car for part in parts], [part.commands for part in parts]
+        on_truth = [part.on_truth for part in parts if part.on_truth is not None]
         frames, ids, seen, known, times_s = (
             np.concatenate([getattr(part, name) for part in parts])
             for name in ("frames", "ids", "seen", "known", "times_s")
@@ -117,6 +121,7 @@ class DrivenCar:
                 left_out=commands[-1].left_out,
                 first=int(frames.searchsorted(take_over)),
             ),
+            on_truth=np.concatenate(on_truth) if len(on_truth) == len(parts) else None,
         )
 
     @cached_property
@@ -152,9 +157,10 @@ def consequences(driven: DrivenCar) -> dict[str, Any]:
     driver though the car's own sensors had it; "near_misses": objects that were not hit; "min_ttc_s", "min_gap_m"
     (None: nothing was ever approached, or ahead), "min_pet_s" (None: nothing crossed its way), "max_drac_mps2";
     "rss_unsafe_s"; "brakes", each with its cause: the object (a real one's id, a false track's id), its kind (see
-    `braking.causes`) and the adversary; "needless_brakes", "missed_brakes", "hard_brakes"; "hardest_braking_mps2",
-    "jerk_max_mps3"; "uncomfortable_s" by bound of COMFORT; "progress_m"; "stops", "standing_s", "blocked_s";
-    "blind_frames", "obeyed_commands", "uncommanded_frames"; and "behind", the traffic in its lane behind it. "hidden"
+    `braking.causes`) and the adversary, and the braking of its driver on the truth (None: not known);
+    "needless_brakes", "missed_brakes", "hard_brakes"; "hardest_braking_mps2", "jerk_max_mps3";
+    "uncomfortable_s" by bound of COMFORT; "progress_m"; "stops", "standing_s", "blocked_s"; "blind_frames",
+    "obeyed_commands", "uncommanded_frames"; and "behind", the traffic in its lane behind it. "hidden"
     and these three are None in a replay that leaves out what they need.
     """
     car, period, truth = driven.car, driven.period_s, driven.truth
@@ -291,12 +297,19 @@ def _brakes(driven: DrivenCar) -> list[dict[str, Any]]:
         cause, asked = of_ahead if is_ahead else of_crosser
         false = cause["kind"] == "false"
         demanded = ahead if false and is_ahead else crossed
+        hardest = float(-driven.acceleration[brake.hardest])
+        on_truth = None if driven.on_truth is None else braking.on_truth(brake, driven.on_truth, period)
+        if on_truth is None:
+            needless = braking.needless(brake, demanded, period, asked if false else 0.0)
+        else:
+            needless = braking.needless_on_truth(hardest, on_truth)
         result.append(
             {
                 "from_s": float(driven.times_s[brake.first]),
                 "until_s": float(driven.times_s[brake.end]),
-                "hardest_mps2": float(-driven.acceleration[brake.hardest]),
-                "needless": braking.needless(brake, demanded, period, asked if false else 0.0),
+                "hardest_mps2": hardest,
+                "on_truth_mps2": on_truth,
+                "needless": needless,
                 "cause": cause,
             }
         )

@@ -16,6 +16,7 @@ from mast_zenoh.driving.consequences import DrivenCar
 from mast_zenoh.driving.motion import RouteAhead
 from mast_zenoh.driving.veto import upheld
 from mast_zenoh.effects import CODE, Effects
+from mast_zenoh.evaluation.driver_on_truth import DriverOnTruth
 from mast_zenoh.gather import LatestBefore
 from mast_zenoh.integrity.base import ClusterBoxes
 from mast_zenoh.integrity.views import SweptView
@@ -71,6 +72,7 @@ class Heard:
     commands: as they reached the car: the frame of arrival, and the command and its frame
     wanted: m/s^2, by frame, the acceleration of the commands as they left the driver
     left_out: ports whose messages a replay leaves out
+    on_truth: its driver as it would drive on the truth; None: not known
     """
 
     ports: set[str] = field(default_factory=set)
@@ -80,6 +82,7 @@ class Heard:
     commands: list[tuple[int, int, Command]] = field(default_factory=list)
     wanted: dict[int, float] = field(default_factory=dict)
     left_out: set[str] = field(default_factory=set)
+    on_truth: DriverOnTruth | None = None
 
     def add(self, port: str, step: int, arrival: Arrival) -> None:
         """Store an estimate that arrived in a frame of the run; of several the newest counts, as for the driver."""
@@ -205,6 +208,7 @@ class DrivenCars:
                     first=int(frames.searchsorted(self.take_over)),
                 ),
                 look=self.look,
+                on_truth=None if heard.on_truth is None else heard.on_truth.in_frames(frames),
             )
         return result
 

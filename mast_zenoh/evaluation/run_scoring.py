@@ -365,7 +365,13 @@ class RunScoring:
         }
         for name in next(iter(courses.values()), {}):
             table[name] = np.concatenate([each[name] for each in courses.values()])
-        return {car: consequences(driven) for car, driven in cars.items()}, table
+        happened = {car: consequences(driven) | self._on_truth(car) for car, driven in cars.items()}
+        return happened, table
+
+    def _on_truth(self, car: str) -> dict[str, str | None]:
+        """Why it is not known, in some frames, what the car's driver does on the truth; None: it is known."""
+        twin = self.data.heard[car].on_truth
+        return {"on_truth_problem": "its node is of another file" if twin is None else twin.problem or None}
 
     def _pictures(self, consistency: Mapping[str, Any]) -> dict[str, Any]:
         """How the pictures of agents that do not share one differ. consistency: as in metrics.json"""

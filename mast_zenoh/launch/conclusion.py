@@ -123,6 +123,7 @@ def write(
     if isinstance(metrics, Mapping):
         record["notices"] += notices.of_scores(metrics, record["timings"].get("frames"))
         record["notices"] += notices.of_estimates(metrics.get("driven"), metrics.get("frames"))
+        record["notices"] += notices.of_brakes(metrics.get("driven"))
         record["notices"] += notices.of_confidence(metrics, innovations)
     played = record["timings"].get("frames") or 0
     record["notices"] += (idle.idle_metrics if "replay" in record else idle.idle_parts)(

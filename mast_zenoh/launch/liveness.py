@@ -54,6 +54,17 @@ def check_from_here(folder: Path, record: Mapping[str, Any], allowed: AllowedCod
     )
 
 
+def is_own(file: Path, record: Mapping[str, Any]) -> bool:
+    """Whether a run is going on here that this user has started. file: run.json, which holds the record"""
+    launcher = record.get("launcher")
+    if not isinstance(launcher, Mapping) or not lives(launcher):
+        return False
+    try:
+        return {file.stat().st_uid, Path(f"/proc/{launcher['pid']}").stat().st_uid} == {os.getuid()}
+    except OSError:
+        return False
+
+
 def current_record(record: Mapping[str, Any]) -> dict[str, Any]:
     """run.json as of now: a `running` run whose launcher is dead is `killed`."""
     launcher = record.get("launcher")

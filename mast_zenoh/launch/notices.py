@@ -44,6 +44,7 @@ def of_run(
     """
     nodes = record["nodes"]
     parts: list[tuple[str, int, str]] = [
+        ("scene", *_first([record["suspicious"]] if "suspicious" in record else [])),
         *(("replay", 1, text) for text in record.get("replay", {}).get("notices", ())),
         ("late", *_late(measured["late"])),
         *((name, *_dropped(name, collations)) for name in _DROPPED),
@@ -145,6 +146,23 @@ def of_estimates(driven: object, frames: object) -> list[dict[str, Any]]:
         if blind := counts_of(happened).get("blind_frames", 0):
             text = f"{driver_of_car(str(car))} drove {blind} of {frames} frames without an estimate that is new enough "
             notices.append({"kind": "estimates", "count": blind, "text": f"{text}(estimate_age_s): it only braked"})
+    return notices
+
+
+def of_brakes(driven: object) -> list[dict[str, Any]]:
+    """Notices of brakes of which it is not known what the driver does on the truth. driven: of metrics.json, by car"""
+    notices = []
+    for car, happened in driven.items() if isinstance(driven, Mapping) else ():
+        brakes = happened.get("brakes") if isinstance(happened, Mapping) else None
+        of_model = [
+            brake
+            for brake in (brakes if isinstance(brakes, list) else ())
+            if isinstance(brake, Mapping) and brake.get("on_truth_mps2", 0.0) is None
+        ]
+        if of_model:
+            text = f"{number(len(of_model), 'brake')} of {car} judged by the intelligent driver model, not by what its "
+            text += f"driver does on the truth: {happened.get('on_truth_problem') or 'the truth or its route was lost'}"
+            notices.append({"kind": "brakes", "count": len(of_model), "text": text})
     return notices
 
 

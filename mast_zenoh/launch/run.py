@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from mast_zenoh import checks, kernels
-from mast_zenoh.config import plugins
+from mast_zenoh.config import plugins, registry
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import failures
 from mast_zenoh.errors import BackendError, MastError, ResourcesExhausted
@@ -32,7 +32,10 @@ from mast_zenoh.launch.table_files import TableFiles
 from mast_zenoh.messagelog import churn
 from mast_zenoh.messages import user_types
 from mast_zenoh.runtime.inproc import InProcess
+from mast_zenoh.scenes import Scene, inspection
 
+#: Where scenes are generated.
+_GENERATED = "mast_zenoh.scenes.generated."
 #: Descriptors that any run needs, and for each process of a mesh: a pipe, a log, its connection to the router.
 BASE, PER_NODE = 64, 16
 
@@ -195,6 +198,8 @@ def run(
             record["kernels_not_used"] = reason
         if replay is not None:
             record["replay"] = dict(replay)
+        elif suspicious := _suspicious(resolved):
+            record["suspicious"] = suspicious
         with run_folder.reserved(folder):
             run_folder.write_json(folder / "run.json", record)
             resolved.write(folder)
@@ -205,6 +210,8 @@ def run(
             with Display(console, resolved.name, resolved.frames, quiet=quiet) as display:
                 if slower := kernels.notice():
                     display.say(f"[yellow]{escape(slower)}")
+                if "suspicious" in record:
+                    display.say(f"[yellow]scene: {escape(record['suspicious'])}")
                 if runtime == "inproc":
                     _run_inproc(resolved, folder, record, display, received)
                 else:
@@ -238,6 +245,14 @@ def run(
     if received and not ended.error:
         stop_signals.raise_again(received)  # it came when nothing of the run was left to stop
     return ended
+
+
+def _suspicious(resolved: Resolved) -> str:
+    """What is suspicious about the scene of a run; "": nothing, or the scene is generated, which is no recording."""
+    scene = registry.known_types(Scene, resolved.scene.get("type")).get(resolved.scene.get("type", ""))
+    if resolved.recording is None or (scene is not None and scene.__module__.startswith(_GENERATED)):
+        return ""
+    return inspection.at_start(resolved.recording)
 
 
 def _run_inproc(

@@ -27,7 +27,7 @@ _OF_FILE = ("broker", "command_center", "evaluator", "agents")
 #: Parameters of nodes that describe the recorded scene rather than the scenario.
 _OF_SCENE = (
     *("agents", "picture_ages_s", "estimate_ages_s", "take_over_s", "hold_s", "car_limits"),
-    *("faults", "lidar", "mobile", "acts", "input_limit", "played_drivers"),
+    *("faults", "lidar", "mobile", "acts", "input_limit", "played_drivers", "drivers"),
 )
 
 

@@ -17,7 +17,7 @@ from mast_zenoh.viewer.run import RunRecord
 #: describes the experiment itself (its faults, how long its agents use a picture, and when its world obeys drivers).
 _NOT_OF_SCORING = (
     *("agents", "metrics", "faults", "picture_ages_s", "estimate_ages_s"),
-    *("take_over_s", "hold_s", "car_limits", "played_drivers"),
+    *("take_over_s", "hold_s", "car_limits", "played_drivers", "drivers"),
 )
 #: m; a driven car that is this far from where it is in the other run goes another way.
 WAY_M = 1.0

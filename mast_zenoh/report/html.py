@@ -122,8 +122,6 @@ def facts(run: RunRecord) -> list[str]:
     facts += [f"seed {run.run['seed']}"] if "seed" in run.run else []
     facts += [_origin(run.run["replay"])] if run.run.get("replay") else []
     facts += [f"{run.run['mode']} on {run.run.get('runtime', 'mesh')}"] if "mode" in run.run else []
-    unsigned = run.run.get("unsigned_control")
-    facts += [f"{unsigned} control messages obeyed without a signature"] if unsigned else []
     speed = run.run.get("timings", {}).get("frames_per_second")
     facts += [f"{speed:.0f} frames/s"] if speed else []
     latency = run.metrics.get("latency_ms", {}).get("sim_to_picture", {})
@@ -133,6 +131,15 @@ def facts(run: RunRecord) -> list[str]:
     age = ages.get("ego", next(iter(ages.values()), {}))
     facts += [f"pictures used at an age of {age['mean']:.2f} s (at most {age['max']:.2f} s)"] if age.get("max") else []
     return facts
+
+
+def _security(run: RunRecord) -> str:
+    """The security level of a run on a mesh, and how many control messages were obeyed without a signature."""
+    level, unsigned = run.run.get("security"), run.run.get("unsigned_control")
+    if not level or run.run.get("runtime") != "mesh":
+        return ""
+    obeyed = f"; {unsigned} control messages were obeyed without a signature" if unsigned else ""
+    return f"Security level {level}{obeyed}."
 
 
 def _origin(replay: Mapping[str, Any]) -> str:
@@ -348,6 +355,7 @@ def _write_run(
         "healed": healing(run),
         "latency": latency_tables(run.metrics),
         "wires": wire_rows(run),
+        "security": _security(run),
         "nodes": [(name, node_row(run, name)) for name in run.run.get("nodes", {})],
         "command": _command(run),
         "versions": run.run.get("versions", {}),

@@ -121,6 +121,12 @@ def drivers(path: Path, scenario: Mapping[str, Any]) -> Iterator[tuple[str, Mapp
         yield driver_of_car(car), {"agent": car, **config}
 
 
+def described_drivers(path: Path, scenario: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """By agent, the driver of its car and the limits that it believes; nodes of another file are left out."""
+    configs = [config for _, config in drivers(path, scenario) if "driver" in config and "file" not in config]
+    return {config["agent"]: {key: config[key] for key in ("driver", "limits") if key in config} for config in configs}
+
+
 def evaluator_config(scenario: Mapping[str, Any]) -> dict[str, Any]:
     """What the evaluator knows of the drivers and their world, where the scenario says it."""
     drivers, world = scenario.get("drivers", {}), scenario.get("world", {})

@@ -111,6 +111,9 @@ def nodes_of(
     evaluator = scenario.get("evaluator", {})
     ages_option = {"picture_ages_s": ages} if ages and "picture_age_s" not in evaluator else {}
     add("evaluator", "evaluator", {"agents": agents, **ages_option, **driving.evaluator_config(scenario), **evaluator})
+    drivers = driving.described_drivers(path, scenario)
+    if drivers and takes(specs["evaluator"], "drivers"):
+        specs["evaluator"].config.setdefault("drivers", drivers)
     for name, config in _checked_configs(scenario.get("nodes", {}), f"{path}: nodes"):
         add(name, str(config.get("role", "")), config)
     if record:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import KDTree
 
-from mast_zenoh.arrays.geometry import along_and_across
+from mast_zenoh.arrays.geometry import along_and_across, wrap_angle
 from mast_zenoh.arrays.states import CLASSES, Bools, Floats
 from mast_zenoh.scenes.recording import NO_MEASUREMENT, SEEN_RETURNS, Recording
 
@@ -14,6 +14,12 @@ _FARTHEST_M = 1e100  # whose square is a number
 _MAX_JUMP_M = 2.0  # of a position against the mean of its velocities before and after
 _UNEVEN = 1.5  # periods between two frames
 _SHOWN = 3  # objects with one kind of problem
+_FLIP = np.pi / 2.0  # rad, from one frame to the next
+#: Of detections that seem late or early by more than a share of a period: m/s of the objects, m to the detection, and
+#: the least number of pairs.
+_SHIFT, _SHIFTED_MPS, _SHIFTED_M, _PAIRS = 0.75, 3.0, 5.0, 30
+#: Frames, and rows of the truth in them, that are looked at when a run starts.
+_FRAMES_AT_START, _ROWS_AT_START = 150, 8_000
 
 
 def contents(recording: Recording) -> list[tuple[str, str]]:
@@ -73,17 +79,33 @@ def _sensors(recording: Recording) -> list[tuple[str, str]]:
     return [("sensors", "; ".join(parts))]
 
 
-def problems(recording: Recording) -> list[str]:
-    """What is probably wrong with a scene that can be read, in sentences."""
+def at_start(recording: Recording) -> str:
+    """What is suspicious about the beginning of a scene, in a sentence for the start of a run; "": nothing."""
+    frames = int(np.searchsorted(recording.truth_start, _ROWS_AT_START))
+    first, *others = problems(recording, min(max(frames, 1), _FRAMES_AT_START)) or [""]
+    more = f"; and {len(others)} more: `mast scene check` lists them" if others else ""
+    return f"suspicious: {first}{more}" if first else ""
+
+
+def problems(recording: Recording, frames: int | None = None) -> list[str]:
+    """What is probably wrong with a scene that can be read, in sentences.
+
+    frames: how many of its first frames are looked at, where that takes long; None: all
+    """
     found = []
+    frames = min(frames or len(recording), len(recording))
     steps = np.diff(recording.times_ns) / recording.period_ns
     if (uneven := np.flatnonzero(steps > _UNEVEN)).size:
         gap = f"{steps[uneven[0]]:.1f} periods before frame {uneven[0] + 1}"
         found.append(f"{uneven.size} gaps in time, the first of {gap}")
     speed = np.linalg.norm(recording.truth.velocity, axis=1)
+    jumps, holes, flips = _breaks(recording, frames)
     found += _at(recording, speed > _MAX_SPEED_MPS, f"faster than {_MAX_SPEED_MPS:.0f} m/s")
-    found += _at(recording, _jumps(recording), f"more than {_MAX_JUMP_M:.0f} m from where their velocity leads")
-    found += _at(recording, _inside_others(recording), "with their centre inside another object")
+    found += _at(recording, jumps, f"more than {_MAX_JUMP_M:.0f} m from where their velocity leads")
+    found += _at(recording, holes, "back after frames without them")
+    found += _at(recording, flips, "whose heading turns by more than 90° in a frame")
+    found += _at(recording, _inside_others(recording, frames), "with their centre inside another object")
+    found += _shifts(recording, frames)
     rows = np.diff(recording.detection_start).reshape(len(recording), -1)
     for column, agent in enumerate(recording.agents):
         seen = recording.points[:, column] >= SEEN_RETURNS
@@ -110,24 +132,58 @@ def _at(recording: Recording, rows: Bools, words: str) -> list[str]:
     return [f"objects {words}: {', '.join(places[:_SHOWN])}{more}"]
 
 
-def _jumps(recording: Recording) -> Bools:
-    """(N,) whether a row is far from where its object's row in the frame before leads."""
-    frame = np.repeat(np.arange(len(recording)), np.diff(recording.truth_start))
-    order = np.lexsort((frame, recording.truth.id))
-    ids, times = recording.truth.id[order], recording.times_ns[frame[order]] * 1e-9
+def _breaks(recording: Recording, frames: int) -> tuple[Bools, Bools, Bools]:
+    """Where objects do not go on as in their row before: (N,) each.
+
+    A row is far from where the one before leads; frames are missing between the two; the heading flips.
+    """
+    frame = np.repeat(np.arange(frames), np.diff(recording.truth_start[: frames + 1]))
+    order = np.lexsort((frame, recording.truth.id[: len(frame)]))
+    ids, frame = recording.truth.id[order], frame[order]
     position, velocity = recording.truth.position[order], recording.truth.velocity[order]
-    seconds = np.diff(times)[:, None]
+    seconds = np.diff(recording.times_ns[frame] * 1e-9)[:, None]
     expected: Floats = position[:-1] + 0.5 * (velocity[:-1] + velocity[1:]) * seconds
     far = np.linalg.norm(position[1:] - expected, axis=1) > _MAX_JUMP_M
-    jumps = np.zeros(len(order), np.bool_)
-    jumps[order[1:]] = far & (ids[1:] == ids[:-1])
-    return jumps
+    missing, turn = np.diff(frame) > 1, np.abs(wrap_angle(np.diff(recording.truth.yaw[order])))
+    result = np.zeros((3, len(recording.truth)), np.bool_)
+    result[:, order[1:]] = np.array([far, missing, ~missing & (turn > _FLIP)]) & (ids[1:] == ids[:-1])
+    jumps, holes, flips = result
+    return jumps, holes, flips
 
 
-def _inside_others(recording: Recording) -> Bools:
+def _shifts(recording: Recording, frames: int) -> list[str]:
+    """Sentences on agents whose detections lie ahead of or behind moving objects, as if their time were shifted."""
+    if recording.measurements is not None:
+        return []
+    period_s, found = recording.period_ns * 1e-9, []
+    for column, agent in enumerate(recording.agents):
+        late: list[Floats] = []
+        for frame in range(frames):
+            truth, seen = recording.truth_at(frame), recording.detections_at(frame, column).position
+            speed = np.hypot(truth.velocity[:, 0], truth.velocity[:, 1])
+            moving = np.flatnonzero(speed > _SHIFTED_MPS)
+            if not len(moving) or not len(seen):
+                continue
+            mount, turn = recording.mount_at(frame, column)
+            of_agent = seen @ turn.T + mount
+            place = of_agent @ recording.agent_rotation[frame, column].T + recording.agent_position[frame, column]
+            tree = KDTree(np.clip(place[:, :2], -_FARTHEST_M, _FARTHEST_M))
+            here = np.clip(truth.position[moving, :2], -_FARTHEST_M, _FARTHEST_M)
+            distance, nearest = (np.asarray(each) for each in tree.query(here, distance_upper_bound=_SHIFTED_M))
+            near = np.isfinite(distance)
+            offset, velocity = (here[near] - place[nearest[near], :2]), truth.velocity[moving[near], :2]
+            late.append(np.asarray((offset * velocity).sum(axis=1) / speed[moving[near]] ** 2))
+        pairs = np.concatenate([np.zeros(0), *late])
+        if len(pairs) >= _PAIRS and abs(shift_s := float(np.median(pairs))) > _SHIFT * period_s:
+            when = "late" if shift_s > 0.0 else "early"
+            found.append(f"the detections of {agent.name} seem {abs(shift_s):.2f} s {when}: shifted time stamps?")
+    return found
+
+
+def _inside_others(recording: Recording, frames: int) -> Bools:
     """(N,) whether the centre of an object is in the box of another one, seen from above and by height."""
     inside = np.zeros(len(recording.truth), np.bool_)
-    for frame in range(len(recording)):
+    for frame in range(frames):
         truth = recording.truth_at(frame)
         if len(truth) < 2:
             continue

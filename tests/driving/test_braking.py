@@ -236,6 +236,27 @@ def test_a_slight_reason_does_not_excuse_a_hard_brake_for_a_ghost(ghost: Objects
     assert (brake["cause"]["kind"], brake["needless"]) == ("real", False)
 
 
+@pytest.mark.parametrize(
+    ("on_truth", "needless"),
+    [(0.0, True), (2.9, True), (3.1, False), (6.0, False)],
+    ids=["none", "slight", "half", "all"],
+)
+def test_a_brake_is_needless_if_its_driver_on_the_truth_brakes_not_half_as_hard(
+    on_truth: float, needless: bool
+) -> None:
+    """Also for what is there, and whatever a model of driving says."""
+    for there in (ahead(30.0), objects([])):
+        commanded = np.where(np.arange(FRAMES) < 12, on_truth, 9.0)
+        (brake,) = brakes(ahead(30.0), real=7, there=there, on_truth=commanded)
+        assert (brake["needless"], brake["on_truth_mps2"]) == (needless, on_truth)
+
+
+def test_where_it_is_not_known_what_its_driver_does_on_the_truth_a_model_tells() -> None:
+    commanded = np.where(np.arange(FRAMES) == 8, np.nan, 0.0)
+    (brake,) = brakes(ahead(30.0), real=7, there=ahead(30.0), on_truth=commanded)
+    assert (brake["needless"], brake["on_truth_mps2"]) == (False, None)
+
+
 def test_what_a_replay_leaves_out_makes_the_cause_unknown_where_it_would_tell() -> None:
     def cause(left_out: str, **known: object) -> dict:
         commands = obeyed(**known)._replace(left_out=frozenset([left_out]))

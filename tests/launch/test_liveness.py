@@ -41,6 +41,23 @@ def test_a_zombie_process_counts_as_dead(other) -> None:
     assert liveness.lives(identity) is False
 
 
+def test_a_live_run_is_its_users_own_and_one_of_another_user_or_of_a_dead_launcher_is_not(
+    other, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    process, identity = other
+    (file := tmp_path / "run.json").write_text("{}")
+    assert liveness.is_own(file, {"launcher": identity})
+    for launcher in (None, {}, identity | {"began": "1"}, identity | {"machine": "another"}):
+        assert not liveness.is_own(file, {"launcher": launcher})
+    assert not liveness.is_own(tmp_path / "none.json", {"launcher": identity})
+    monkeypatch.setattr(os, "getuid", lambda: 12345)
+    assert not liveness.is_own(file, {"launcher": identity})
+    monkeypatch.undo()
+    process.kill()
+    process.wait()
+    assert not liveness.is_own(file, {"launcher": identity})
+
+
 def test_a_later_process_with_the_same_id_is_distinguished(other) -> None:
     _, identity = other
     assert liveness.lives(identity | {"began": "1"}) is False

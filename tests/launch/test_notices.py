@@ -79,6 +79,17 @@ def test_drivers_without_an_estimate_have_a_notice() -> None:
         assert notices.of_estimates(invalid, None) == []
 
 
+def test_brakes_that_are_not_judged_by_their_driver_have_a_notice_that_says_why() -> None:
+    brakes = [{"on_truth_mps2": None}, {"on_truth_mps2": 0.0}, {}]
+    happened = {"ego": {"brakes": brakes, "on_truth_problem": "ValueError: no road"}, "mobile_1": {"brakes": []}}
+    (notice,) = notices.of_brakes(happened)
+    assert (notice["kind"], notice["count"]) == ("brakes", 1)
+    assert notice["text"].startswith("1 brake of ego judged by the intelligent driver model, not by what its driver")
+    assert notice["text"].endswith("ValueError: no road")
+    for invalid in (None, [], {"ego": None}, {"ego": {"brakes": "many"}}, {"ego": {"brakes": [None]}}):
+        assert notices.of_brakes(invalid) == []
+
+
 def node(**counted: Any) -> dict[str, Any]:
     return {"rejected": {}, "first_rejected": {}, "foreign": {}} | counted
 

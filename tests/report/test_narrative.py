@@ -493,6 +493,23 @@ def test_each_adversary_is_described_with_its_place_its_effects_and_its_time(run
     assert page.index(sentences[0]) < page.index("<h2")
 
 
+LOST = {"churn": [{"frame": 40, "node": "infra_2", "what": "lost"}]}
+
+
+@pytest.mark.parametrize("mode", ["realtime", "lockstep"])
+def test_a_run_whose_node_died_says_so_first_and_names_it_as_the_cause(run_of: RunOf, mode: str) -> None:
+    missed = of_ego(picture={"fn_split": {"fault": 0.5, "attack": 0.0, "natural": 0.7}})
+    text = text_of(run_of(metrics=missed, run=LOST | {"mode": mode, "status": "ok"}))
+    assert text.startswith("^infra_2 was lost before frame 40")
+    assert text.count("infra_2 was lost") == 1
+    assert "due to the loss of infra_2" in text
+
+
+def test_a_run_that_failed_says_why(run_of: RunOf) -> None:
+    run = run_of(run={"status": "failed", "message": "infra_1 ended with exit code 1\nsee its log"})
+    assert headline(run) == "The run did not end well (failed): infra_1 ended with exit code 1"
+
+
 def test_a_run_without_adversaries_says_so_and_names_its_faults(run_of: RunOf) -> None:
     faults = [{"label": f"loss {n}", "kind": "fault", "at_s": float(n), "until_s": None} for n in range(5)]
     # wiring.json names adversaries, in every run of these tests

@@ -87,6 +87,15 @@ def test_a_run_report_states_the_result_and_how_every_node_ended(run_folder: Run
     assert "adversary_1" in hostile[2]
 
 
+def test_what_was_obeyed_without_a_signature_is_said_under_security_and_not_under_the_title(
+    run_folder: RunFolderFixture,
+) -> None:
+    folder = edit(run_folder("uncoordinated"), run={"runtime": "mesh", "security": "open", "unsigned_control": 25})
+    source = Page(write_report(folder)).source
+    assert source.count("obeyed without a signature") == 1
+    assert source.index('<h2 id="security">') < source.index("25 control messages were obeyed without a signature")
+
+
 def test_the_speed_shown_is_the_runs_not_the_scenes_frame_rate(run_folder: RunFolderFixture) -> None:
     folder = run_folder()
     assert "frames/s" not in Page(write_report(folder)).text

@@ -12,7 +12,7 @@ import mast_zenoh as mast
 from mast_zenoh.cli.app import app
 from mast_zenoh.config.scene_names import recognised
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes import from_arrays
+from mast_zenoh.scenes import from_arrays, inspection
 from mast_zenoh.scenes.inspection import contents, problems
 from mast_zenoh.scenes.recording import Recording
 
@@ -45,6 +45,32 @@ def changed(field: str, rows: slice, value: object) -> Recording:
     return replace(recording, truth=replace(recording.truth, **{field: values}))
 
 
+def with_a_hole() -> Recording:
+    """The second car is not there in two frames."""
+    position = np.zeros((6, 2, 2))
+    position[:, :, 1] = 10.0 * TIMES[:, None] + [0.0, 20.0]
+    position[2:4, 1] = np.nan
+    return road(position=position)
+
+
+def shifted(late_s: float) -> Recording:
+    """A pole's detections of forty cars that drive both ways, as they were some time before."""
+    times, lane = np.arange(20) / 10, np.arange(40)
+    speed = np.where(lane % 2, 8.0, -8.0)
+    position = np.stack([np.tile(12.0 * lane, (20, 1)), 5.0 * (lane % 2) + speed * times[:, None]], axis=-1)
+    scene = from_arrays(times_s=times, position=position, poles=[(240.0, -40.0, np.pi / 2)], name="street")
+    assert not any("seem" in each for each in problems(scene))
+    pole, column = scene.agents.index(next(a for a in scene.agents if a.kind == "static")), 1
+    detections = scene.detections.position.copy()
+    for frame in range(20):
+        rows = scene._detection_rows(frame, column)
+        turn = scene.mount_at(frame, pole)[1]
+        back = np.zeros((rows.stop - rows.start, 3))
+        back[:, 1] = -late_s * np.where(scene.detection_truth_id[rows] % 2, 8.0, -8.0)
+        detections[rows] += back @ scene.agent_rotation[frame, pole] @ turn
+    return replace(scene, detections=replace(scene.detections, position=detections))
+
+
 @pytest.mark.parametrize(
     ("recording", "message"),
     [
@@ -58,6 +84,13 @@ def changed(field: str, rows: slice, value: object) -> Recording:
             lambda: changed("position", slice(0, 1), [0.5, 20.0, 0.75]),
             "with their centre inside another object: 0",
         ),
+        (
+            lambda: changed("yaw", slice(6, 7), -np.pi / 2),
+            "whose heading turns by more than 90° in a frame: 0 (frame 3)",
+        ),
+        (lambda: with_a_hole(), "back after frames without them: 1 (frame 4)"),
+        (lambda: shifted(0.2), "s late: shifted time stamps?"),
+        (lambda: shifted(-0.2), "s early: shifted time stamps?"),
         (lambda: road(points=np.zeros((6, 2, 1))), "ego never sees an object"),
     ],
 )
@@ -144,3 +177,36 @@ def test_settings_of_a_scene_may_be_written_as_those_of_a_run(tmp_path: Path) ->
     refused = CliRunner().invoke(app, [*command, str(tmp_path / "none"), "--set", "scene=intersection"]).exception
     assert isinstance(refused, ConfigurationError)
     assert "scene: found 'intersection' in the settings" in str(refused)
+
+
+def test_a_run_says_at_its_start_and_in_its_notices_what_is_suspicious_about_its_scene(tmp_path: Path) -> None:
+    broken = changed("position", slice(4, 5), [50.0, 0, 0])
+    broken.save(tmp_path / "broken.npz")
+    command = [
+        "run",
+        "baseline",
+        "--set",
+        f"scene=recording:{tmp_path / 'broken.npz'}",
+        "--runtime",
+        "inproc",
+        "--no-report",
+    ]
+    result = CliRunner().invoke(app, [*command, "--out", str(tmp_path / "run")])
+    line = "scene: suspicious: objects more than 2 m from where their velocity leads: 0 (frame 2)"
+    assert result.output.count(line) == 2, result.output
+    assert [notice for notice in mast.open(tmp_path / "run").record["notices"] if notice["kind"] == "scene"]
+
+
+def test_a_generated_scene_is_not_looked_at(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(inspection, "problems", lambda *_: pytest.fail("looked at"))
+    mast.run("baseline", frames=2, out=tmp_path / "run")
+
+
+def test_of_a_long_scene_a_bounded_part_is_looked_at_when_a_run_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    times = np.arange(5000) / 10
+    position = np.zeros((5000, 2, 2))
+    position[:, :, 1] = times[:, None] + [0.0, 20.0]
+    long, looked = from_arrays(times_s=times, position=position, name="long"), []
+    monkeypatch.setattr(inspection, "problems", lambda scene, frames: looked.append(frames) or [])
+    assert inspection.at_start(long) == ""
+    assert looked == [150]

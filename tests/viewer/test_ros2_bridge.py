@@ -7,7 +7,9 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable
+from itertools import islice
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -24,7 +26,7 @@ from mast_zenoh.viewer.export.ros2_layouts import write_layouts
 from mast_zenoh.viewer.export.ros2_messages import RunMessages
 from mast_zenoh.viewer.frame import Frame
 from mast_zenoh.viewer.recorded import RecordedRun
-from mast_zenoh.viewer.servers.ros2 import Ros2Bridge, frames_to_the_end
+from mast_zenoh.viewer.ros2_bridge import Ros2Bridge, frames_to_the_end, played
 
 FAST = ("--rate", "10")
 
@@ -51,6 +53,20 @@ def test_what_nodes_of_ros_2_in_the_run_send_themselves_is_left_to_them(run: Rec
     ]
     assert placed[0] - placed[1] == {"infra_1", "infra_2"}
     assert "/clock" not in dict(beside.of(frame))
+
+
+def test_a_finished_run_is_played_in_order_at_the_pace_of_its_scene_once_or_again_and_again(
+    run: RecordedRun, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now, order = [100.0], [frame.index for frame in run]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(time, "sleep", lambda duration_s: now.__setitem__(0, now[0] + duration_s))
+    scene_s = [frame.time_ns / 1e9 for frame in run]
+    paced = [(frame.index, now[0] - 100.0) for frame in played(run, rate=2.0)]
+    assert [index for index, _ in paced] == order
+    assert [at for _, at in paced] == pytest.approx([(time_s - scene_s[0]) / 2.0 for time_s in scene_s])
+    again = islice(played(run, rate=1e6, loop=True), 2 * len(order))
+    assert [frame.index for frame in again] == 2 * order
 
 
 class Bridge:

@@ -29,7 +29,7 @@ from mast_zenoh.ros2.type_store import STORE, decode
 from mast_zenoh.runtime.mesh.ros2_participant import Participant
 from mast_zenoh.runtime.mesh.session import open_client
 from mast_zenoh.viewer.recorded import RecordedRun
-from mast_zenoh.viewer.servers.ros2 import NODE, Ros2Bridge
+from mast_zenoh.viewer.ros2_bridge import NODE, Ros2Bridge
 
 GOLDEN = Path(__file__).parent / "ros2_golden_session.json"
 _SESSION = "5e5510f0"

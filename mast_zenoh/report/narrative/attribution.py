@@ -277,6 +277,7 @@ def _faults(run: RunRecord, *, any_effect: bool = False) -> list[str]:
     """Links and faults in words; any_effect: only if links had a measured effect."""
     acting = [each for each in interposers(run) if each.is_link and each.changed]
     planned = [str(each["label"]) for each in run.timeline if each["kind"] != "attack"]
+    planned += [f"the loss of {node}" for node in dict.fromkeys(event["node"] for event in run.run.get("churn") or ())]
     if any_effect and not acting:
         return []
     if planned:

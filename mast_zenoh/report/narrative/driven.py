@@ -80,7 +80,7 @@ def _brakes(happened: Mapping[str, Any]) -> list[str]:
         how = "brakes needlessly" if brake["needless"] else "brakes"
         strength = f"{brake['hardest_mps2']:.1f} m/s² at {brake['from_s']:.1f} s"
         if number < _MOST_NAMED:
-            texts.append(f"{how} with {strength} {reason_of(brake)}")
+            texts.append(f"{how} with {strength} {reason_of(brake)}{_on_truth(brake)}")
         else:
             others[how, brake["cause"]["adversary"]].append(strength)
     for (how, adversary), strengths in others.items():
@@ -90,6 +90,13 @@ def _brakes(happened: Mapping[str, Any]) -> list[str]:
     if missed := happened["missed_brakes"]:
         texts.append(f"fails to brake in {plural(missed, 'emergency').replace('ys', 'ies')}")
     return texts
+
+
+def _on_truth(brake: Mapping[str, Any]) -> str:
+    """What its driver does on the truth, if a needless brake is for what is there."""
+    braking = brake.get("on_truth_mps2")
+    tells = brake["needless"] and brake["cause"]["kind"] == "real" and isinstance(braking, float)
+    return f", with {braking:.1f} m/s² had it known the truth" if tells else ""
 
 
 def _progress(happened: Mapping[str, Any], other: Mapping[str, Any] | None, name: str) -> str:

@@ -126,7 +126,8 @@ def status(run: RunRecord) -> str:
     state, partial = run.run.get("status", "ok"), _partly_recorded(run)
     if state == "ok":
         return capital(partial)
-    text = _FAILED.get(state, f"The run did not end well ({state}): read the numbers with that in mind")
+    why = str(run.run.get("message") or "read the numbers with that in mind").partition("\n")[0]
+    text = _FAILED.get(state, f"The run did not end well ({state}): {why}")
     return f"{text}; {partial}" if partial else text
 
 
@@ -315,11 +316,12 @@ def headline(run: RunRecord, reference: Reference | None = None) -> str:
 def result(run: RunRecord, reference: Reference | None = None) -> str:
     """The largest change and its cause, in a sentence without a full stop; after the reference if that failed.
 
-    With drivers, what happened to their cars comes first, in a sentence of its own.
+    Nodes lost in real time come first, as `status` does not tell them. With drivers, what happened to their cars
+    follows. Each is a sentence of its own.
     """
     unsound = reference_status(reference)
-    happened = consequence(run, reference)
-    text = run.worded(f"{happened}. " * bool(happened) + _result(run, reference))
+    lost = [] if run.lost else [churn.sentence(run.run.get("churn") or ())]
+    text = run.worded(". ".join(filter(None, [*lost, consequence(run, reference), _result(run, reference)])))
     return f"{capital(unsound)}: {text}" if unsound else text
 
 

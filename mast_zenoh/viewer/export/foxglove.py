@@ -212,7 +212,7 @@ def write_layout(run: FramedRun, path: Path) -> None:
 
 
 class RunChannels:
-    """The channels of a run, to which frames are written: of a file, or of a server.
+    """The channels of a run, to which frames are written.
 
     context: holds the channels
     """

@@ -1,8 +1,7 @@
 """A recording for the Rerun viewer, with a blueprint.
 
 Rerun has 32 bits for a coordinate: positions are relative to the origin of the run's local planes, which the entity
-`scene` names. The recording is written to files and to memory only: Rerun's `log` may block, so no process that a run
-depends on may call it.
+`scene` names. Rerun's `log` may block: no process that a run depends on may call it.
 """
 
 from __future__ import annotations

@@ -112,7 +112,7 @@ def test_a_run_that_ends_is_not_taken_for_a_lost_connection_and_notes_need_no_fr
     live = open_live()
     status = "document.querySelector('.v-live').textContent"
     live.server.feed.note(["frame 3 cannot be shown"])
-    live.becomes(status, "Waiting for the first frame of the run. · frame 3 cannot be shown")
+    live.becomes(status, "Waiting for the next frame of the run. · frame 3 cannot be shown")
     live.publish(0)
     live.run(
         """() => {

@@ -52,7 +52,8 @@ function rowOf({ key, legs, to }) {
   return element("tr", { class: legs.length > 1 ? "v-intercepted" : "" }, ...cells);
 }
 
-const WAITING = "Waiting for the first frame of the run.";
+// The first frame, or a later one where the page is opened again.
+const WAITING = "Waiting for the next frame of the run.";
 /** ms before a lost connection is tried again. */
 const RETRY_MS = 1000;
 /** The code with which the server refuses a page. */

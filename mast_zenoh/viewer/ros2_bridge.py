@@ -8,6 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Set
 from contextlib import suppress
+from itertools import chain, count
 from typing import Any
 
 from mast_zenoh.errors import ConfigurationError, RunFolderError
@@ -17,7 +18,6 @@ from mast_zenoh.viewer.export.ros2_messages import MARKERS, RunMessages
 from mast_zenoh.viewer.frame import Frame, FramedRun
 from mast_zenoh.viewer.live.observer import Observer
 from mast_zenoh.viewer.recorded import RecordedRun
-from mast_zenoh.viewer.servers.playback import Playback, Status
 
 log = logging.getLogger("mast.ros2")
 
@@ -126,17 +126,16 @@ def frames_to_the_end(
 
 
 def played(run: FramedRun, *, rate: float = 1.0, loop: bool = False) -> Iterator[Frame]:
-    """The frames of a finished run at the pace of its scene, once or again and again.
+    """The frames of a finished run at the pace of its scene, once or again and again; rate: s of the scene per s.
 
-    It reads the run once before. rate: s of the scene per s
-
-    Raises RunFolderError if the run has no frame.
+    It reads the run once before. Raises RunFolderError if the run has no frame.
     """
-    playback = Playback(run, rate=rate, loop=loop)
+    first_ns = min(frame.time_ns for frame in run)
 
-    def end() -> None:
-        if playback.status is Status.ENDED:
-            playback.stop()
+    def once() -> Iterator[Frame]:
+        begin_s = time.monotonic()
+        for frame in run:
+            time.sleep(max(0.0, begin_s + (frame.time_ns - first_ns) / 1e9 / rate - time.monotonic()))
+            yield frame
 
-    playback.on_change = end
-    return playback.frames()
+    return chain.from_iterable(once() for _ in (count() if loop else range(1)))
