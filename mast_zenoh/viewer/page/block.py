@@ -514,7 +514,8 @@ def _add_series(packer: Packer, run: RunRecord, frames: range) -> list[dict[str,
     """
     if run.counts is None:
         return []
-    table = rows(run.counts, (run.counts["frame"] >= frames.start) & (run.counts["frame"] < frames.stop))
+    end = frames.start + len(frames) * frames.step  # with the frames after the last one shown
+    table = rows(run.counts, (run.counts["frame"] >= frames.start) & (run.counts["frame"] < end))
     of_rows = list(zip(table["agent"].tolist(), table["estimator"].tolist(), strict=True))
     pairs = sorted(set(of_rows))
     number = {pair: index for index, pair in enumerate(pairs)}
