@@ -225,12 +225,16 @@ class RunRecord:
         path, sample = self.path / "objects.parquet", self.sample
         return read_arrow(path) if sample == ALL else read_arrow(path, sample.has, sample.span)
 
-    def window(self, first: int, end: int) -> Self:
-        """The same run with the tables of all frames from `first` to before `end`, and of no others."""
+    def window(self, first: int, end: int, *, boxes: bool = False) -> Self:
+        """The same run with the tables of all frames from `first` to before `end`; boxes: also `objects`."""
         sample = Sample(1, first, end)
+        objects, judged = self.objects, self.trust_objects
+        if boxes:
+            objects = _table(_OBJECTS, self.ego or "", sample=sample)(self.path / "objects.parquet")
+            judged = judged and _table(_JUDGED, sample=sample)(self.path / "trust_objects.parquet")
         effects = self.effects and _effects(sample)(self.path / "attacks.parquet")
         counts = self.counts and rows(self.counts, sample.has(self.counts["frame"]))
-        return replace(self, sample=sample, effects=effects, counts=counts)
+        return replace(self, sample=sample, effects=effects, counts=counts, objects=objects, trust_objects=judged)
 
     @cached_property
     def wirings(self) -> Sequence[tuple[int, Wiring]]:

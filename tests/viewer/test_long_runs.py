@@ -14,6 +14,8 @@ from equal_runs import run_alone
 from long_run import repeated
 
 import mast_zenoh as mast
+from mast_zenoh.report.film.takes import Take
+from mast_zenoh.report.film.writing import schedule
 from mast_zenoh.report.html import write_report
 from mast_zenoh.viewer import run as run_module
 from mast_zenoh.viewer.page.block import run_block
@@ -103,3 +105,25 @@ def test_the_page_of_an_hour_is_small_and_made_in_bounded_memory(tmp_path: Path)
     subprocess.run([sys.executable, "-c", program, str(folder)], check=True)
     assert (folder / "report.html").stat().st_size < 20e6
     assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss < 3 << 20  # KiB
+
+
+def test_a_film_of_a_long_run_shows_every_frame_whole(
+    long: Path, recorded: mast.Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mast_zenoh.report.film.takes._WINDOW", 9)
+    take = Take(RunRecord.load(long), "picture")
+    monkeypatch.setattr(run_module, "MOST_FRAMES", 10**6)
+    whole = Take(RunRecord.load(recorded.path), "picture")
+    assert (take.first, take.last) == (whole.first, whole.last)
+    for frame in range(take.first, take.last + 1):
+        for outcome, boxes in whole.view(frame).boxes["picture"].items():
+            np.testing.assert_array_equal(take.view(frame).boxes["picture"][outcome].position, boxes.position)
+        marks, others = take.view(frame).marks("picture"), whole.view(frame).marks("picture")
+        assert all(np.array_equal(one, other) for one, other in zip(marks, others, strict=True))
+
+
+def test_a_film_of_a_long_run_ends_by_itself(recorded: mast.Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mast_zenoh.report.film.writing.MOST_FRAMES", 12)
+    take = Take(RunRecord.load(recorded.path), "picture")
+    assert list(schedule(take, 5, None, 1.0, None).frames) == [*range(5, 17)]
+    assert list(schedule(take, 5, 25, 1.0, None).frames) == [*range(5, 26)]
