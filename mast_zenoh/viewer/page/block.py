@@ -585,7 +585,7 @@ def _events(
     """
     if frames.step > 1:  # events know the numbers of all frames
         seconds = run.seconds(np.arange(frames.stop))
-        times = np.arange(frames.stop) * run.period_s if seconds is None else seconds
+        times = np.asarray(np.arange(frames.stop) * run.period_s if seconds is None else seconds, np.float64)
     everything = [*happenings(run, periods, times), *first_changes(run), *_first_successes(run, boxes)]
     everything += braking_events(run, times)
     inside = [each for each in dict.fromkeys(everything) if 0 <= each.frame < len(times)]
