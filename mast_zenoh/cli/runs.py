@@ -122,7 +122,9 @@ def animate(
     title: Title = None,
     captions: Captions = None,
     start: Annotated[int | None, typer.Option("--from", metavar="FRAME", help="The first frame.")] = None,
-    end: Annotated[int | None, typer.Option("--to", metavar="FRAME", help="The last frame.")] = None,
+    end: Annotated[
+        int | None, typer.Option("--to", metavar="FRAME", help="The last frame. Default: at most 3000 frames.")
+    ] = None,
     speed: Annotated[float, typer.Option(help="Speed over that of the scene.")] = 1.0,
     fps: Annotated[float | None, typer.Option(help="Images per second. Default: every frame, at most 30.")] = None,
 ) -> None:

@@ -255,7 +255,8 @@ class _Progress:
     def __init__(self, state: RunState, actions: LauncherActions) -> None:
         self._now_s = state.now_s
         self._actions = actions
-        self._computed: dict[str, tuple[float, float]] = {}  # by node: processor time, and when it had grown to that, s
+        # By node: processor time at a time, s, and when it was last seen to compute.
+        self._computed: dict[str, tuple[float, float, float]] = {}
 
     def problem(self, child: Child, since: float, grace: float, *, interrupted: bool) -> str:
         """Why a node is not waited for any longer; empty: it has made progress lately.
@@ -266,10 +267,12 @@ class _Progress:
         data_s = max(since, self._actions.last_data_s(child.name))
         computed_s = data_s
         if cpu_s is not None:
-            before_s, computed_s = self._computed.get(child.name, (cpu_s, since))
+            before_s, at_s, computed_s = self._computed.get(child.name, (cpu_s, since, since))
             if cpu_s < before_s or cpu_s - before_s >= _COMPUTING * grace:  # less: it is another process
-                before_s, computed_s = cpu_s, now
-            self._computed[child.name] = before_s, computed_s
+                before_s, at_s, computed_s = cpu_s, now, now
+            elif now - at_s > grace:
+                before_s, at_s = cpu_s, now
+            self._computed[child.name] = before_s, at_s, computed_s
         if interrupted:
             return f"has not finished within {grace:.0f} s" if now - data_s > grace else ""
         if now - since > END_LIMIT_S:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from importlib.abc import MetaPathFinder
 from pathlib import Path
@@ -14,9 +14,10 @@ import pyarrow
 from numpy.typing import NDArray
 from pyarrow import parquet
 
+from mast_zenoh.arrays.states import Bools
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.run_files import check_plain, replacing
-from mast_zenoh.unpacking import check_expanded, read_parquet, read_row_groups
+from mast_zenoh.unpacking import MAX_TABLE_BYTES, check_expanded, read_parquet, read_row_groups
 
 #: Columns of text get this type at once, because `dictionary_encode` would load all of Arrow's compute functions.
 _TEXT = pyarrow.dictionary(pyarrow.int32(), pyarrow.string())
@@ -54,15 +55,27 @@ def write_table(path: Path, columns: Mapping[str, Any]) -> None:
         parquet.write_table(table, new)
 
 
-def read_groups(path: Path, *names: str) -> Iterator[dict[str, NDArray[Any]]]:
+def _kept(group: Any, keep: Callable[[NDArray[Any]], Bools]) -> Any:
+    """The wanted rows of an Arrow table with a column `frame`."""
+    return group.filter(pyarrow.array(keep(group["frame"].to_numpy())))
+
+
+def read_groups(
+    path: Path,
+    *names: str,
+    keep: Callable[[NDArray[Any]], Bools] | None = None,
+    span: tuple[float, float] = (-np.inf, np.inf),
+) -> Iterator[dict[str, NDArray[Any]]]:
     """Some columns of a table, one row group after the other; those that it does not have are left out.
+
+    keep, span: as of `read_arrow`
 
     Raises RunFolderError if it is broken; no rows if it is missing.
     """
     with suppress(FileNotFoundError):
         try:
-            for group in read_row_groups(check_plain(path), names):
-                yield from_arrow(group)
+            for group in read_row_groups(check_plain(path), names, ("frame", *span)):
+                yield from_arrow(group if keep is None else _kept(group, keep))
         except FileNotFoundError:
             raise
         except (OSError, pyarrow.ArrowException) as error:
@@ -77,12 +90,25 @@ def read_table(path: Path) -> dict[str, NDArray[Any]]:
         raise RunFolderError(f"{path}: {error}") from None
 
 
-def read_arrow(path: Path) -> Any:
+def read_arrow(
+    path: Path, keep: Callable[[NDArray[Any]], Bools] | None = None, span: tuple[float, float] = (-np.inf, np.inf)
+) -> Any:
     """Read a Parquet file as an Arrow table.
+
+    keep: which rows (n,) are wanted, by their frames; the others are never in memory all together
+    span: their first and last frame
 
     Raises OSError, RunFolderError or ArrowException if it is missing, broken or too large when unpacked.
     """
-    return read_parquet(check_plain(path))
+    if keep is None:
+        return read_parquet(check_plain(path))
+    groups, size = [], 0
+    for group in read_row_groups(check_plain(path), within=("frame", *span)):
+        groups.append(_kept(group, keep))
+        size += groups[-1].nbytes
+        if size > MAX_TABLE_BYTES:
+            raise pyarrow.ArrowInvalid(f"found {size} bytes in the wanted rows, expected at most {MAX_TABLE_BYTES}")
+    return pyarrow.concat_tables(groups) if groups else parquet.read_schema(path).empty_table()
 
 
 def to_arrow(columns: Mapping[str, Any]) -> Any:

@@ -120,6 +120,8 @@ def facts(run: RunRecord) -> list[str]:
     facts += [f"scene {run.recording.name}"] if run.recording else []
     facts += [_frames_in_words(run)] if "frames" in run.metrics else []
     facts += [f"seed {run.run['seed']}"] if "seed" in run.run else []
+    every = run.sample.every
+    facts += [f"boxes and causes of every {every}th frame, scores of all"] if every > 1 else []
     facts += [_origin(run.run["replay"])] if run.run.get("replay") else []
     facts += [f"{run.run['mode']} on {run.run.get('runtime', 'mesh')}"] if "mode" in run.run else []
     speed = run.run.get("timings", {}).get("frames_per_second")
@@ -192,7 +194,7 @@ def write_report(
     Returns the path of the report. Raises RunFolderError if the folder is not a run folder, or has no such frame;
     NotComparable if the runs cannot be compared.
     """
-    run = RunRecord.load(run_folder)
+    run = RunRecord.load(run_folder, frame)
     return write_page(run, frame, None if against is None else comparison.reference(run, against), figures)
 
 

@@ -377,8 +377,10 @@ class Recording:
             np.savez(file, allow_pickle=False, **arrays)
 
     @classmethod
-    def load(cls, path: Path) -> Recording:
+    def load(cls, path: Path, *, sweeps: bool = True) -> Recording:
         """Read a file written by `save`.
+
+        sweeps: whether they are read, which are most of a long scene
 
         Raises SceneError when the file is missing, broken or of another format.
         """
@@ -387,7 +389,7 @@ class Recording:
                 unpacked, size = sum(member.file_size for member in file.zip.infolist()), path.stat().st_size
                 if unpacked > size:  # `save` compresses nothing
                     raise ValueError(f"unpacks to {unpacked} bytes, more than its own {size}")
-                arrays = {name: file[name] for name in file.files}
+                arrays = {name: file[name] for name in file.files if sweeps or not name.startswith("sweeps.")}
             header = json.loads(str(arrays["head"]))
             if header["format"] != _FORMAT:
                 raise SceneError(f"{path}: format {header['format']}, expected {_FORMAT}")

@@ -190,26 +190,49 @@ def read_parquet(path: Path, columns: Collection[str] | None = None, max_bytes: 
 
 
 def read_row_groups(
-    path: Path, columns: Collection[str] | None = None, max_bytes: int = MAX_TABLE_BYTES
+    path: Path,
+    columns: Collection[str] | None = None,
+    within: tuple[str, float, float] | None = None,
+    max_bytes: int = MAX_TABLE_BYTES,
 ) -> Iterator[pyarrow.Table]:
     """Read a Parquet file, or only some columns of it, one row group after the other, for long tables.
+
+    within: a column of numbers, the least and the largest of interest: groups that by the file have none are left out
 
     Raises as `read_parquet` does for a row group.
     """
     with parquet.ParquetFile(path, thrift_container_size_limit=_MAX_LIST) as file:
-        n_groups = file.metadata.num_row_groups
-    for group in range(n_groups):
+        metadata = file.metadata
+        groups = [
+            group for group in range(metadata.num_row_groups) if within is None or _overlaps(metadata, group, *within)
+        ]
+    for group in groups:
         try:
-            yield _read_bounded(path, columns, max_bytes, [group])
+            yield _read_bounded(path, columns, max_bytes, [group], metadata)
         except UnicodeDecodeError as error:
             raise pyarrow.ArrowInvalid(f"found a name that is not UTF-8: {error}") from None
 
 
+def _overlaps(metadata: Any, group: int, column: str, least: float, most: float) -> bool:
+    """Whether a row group may have numbers of a column from `least` to `most`; also if the file does not say."""
+    row_group = metadata.row_group(group)
+    for index in range(row_group.num_columns):
+        chunk = row_group.column(index)
+        if chunk.path_in_schema == column and chunk.is_stats_set and chunk.statistics.has_min_max:
+            known = chunk.statistics
+            return bool(known.min <= most and known.max >= least)
+    return True
+
+
 def _read_bounded(
-    path: Path, columns: Collection[str] | None, max_bytes: int, groups: Sequence[int] | None = None
+    path: Path,
+    columns: Collection[str] | None,
+    max_bytes: int,
+    groups: Sequence[int] | None = None,
+    metadata: Any = None,
 ) -> pyarrow.Table:
-    """Read some columns of some row groups; None: all."""
-    with parquet.ParquetFile(path, thrift_container_size_limit=_MAX_LIST) as file:
+    """Read some columns of some row groups; None: all. metadata: of the file, if it has been read"""
+    with parquet.ParquetFile(path, metadata=metadata, thrift_container_size_limit=_MAX_LIST) as file:
         wanted = [
             index
             for index in range(len(file.schema))
@@ -223,7 +246,8 @@ def _read_bounded(
         if not texts:
             return file.read_row_groups(groups, columns=None if columns is None else list(columns))
     # As a dictionary, a text that repeats is in memory once. It is expanded only when the size is known.
-    with parquet.ParquetFile(path, thrift_container_size_limit=_MAX_LIST, read_dictionary=texts) as file:
+    limit = {"thrift_container_size_limit": _MAX_LIST}
+    with parquet.ParquetFile(path, metadata=metadata, read_dictionary=texts, **limit) as file:
         table = file.read_row_groups(groups, columns=None if columns is None else list(columns))
     for name in texts:
         column, kind = table[name], schema.field(name).type

@@ -21,14 +21,16 @@ from mast_zenoh.run_files import read_object
 from mast_zenoh.viewer.frame import Evaluated, Frame, FramedRun
 from mast_zenoh.viewer.routes import CLOCK, TRUTH, routes
 
+_WINDOW = 250  # frames of a long run whose tables are in memory
+
 
 @dataclass(frozen=True, eq=False)
 class RecordedRun(FramedRun):
     """A finished run whose messages were recorded; `missing` is complete when all frames have been read."""
 
     @classmethod
-    def load(cls, path: Path) -> RecordedRun:
-        """Open the folder of a finished run.
+    def load(cls, path: Path, frame: int | None = None) -> RecordedRun:
+        """Open the folder of a finished run. frame: as of RunRecord
 
         Raises RunFolderError if the folder is not that of a recorded run, if the run is still in progress, or if its
         recording is damaged before its end.
@@ -42,7 +44,7 @@ class RecordedRun(FramedRun):
             notes = ["run.json says that the run is in progress; whether it is cannot be known from here"]
         if (incomplete := measurement.incomplete_recording(path)) is not None:
             notes.append(f"messages.mcap: {incomplete}: later frames are missing")
-        run = super().load(path)
+        run = super().load(path, frame)
         run.missing[:0] = notes
         if not run.agents:
             raise RunFolderError(f"{path}: found no agent in the wiring of the run, expected one at least")
@@ -64,6 +66,7 @@ class RecordedRun(FramedRun):
         Raises RunFolderError if there is none.
         """
         count = dropped = without_truth = 0
+        run, window = self, range(0)
         series_by_key = [(frame, routes(wiring, self.agents)) for frame, wiring in self.wirings]
         for (time_ns, index), group in groupby(read(self.path), key=lambda message: (message.time_ns, message.frame)):
             bodies, refused = _first_valid(list(group), series_by_key)
@@ -73,7 +76,10 @@ class RecordedRun(FramedRun):
                 continue
             count += 1
             without_truth += TRUTH not in bodies
-            yield Frame(self, index, time_ns, bodies)
+            if self.sample.every > 1 and index not in window:  # of a long run, its tables a part after the other
+                window = range(index - index % _WINDOW, index - index % _WINDOW + _WINDOW)
+                run = self.window(window.start, window.stop)
+            yield Frame(run, index, time_ns, bodies)
         if not count:
             raise RunFolderError(f"{file_of(self.path)}: found no whole frame, expected one at least")
         if dropped:

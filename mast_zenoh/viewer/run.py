@@ -5,21 +5,22 @@ Figures, films, pages and the Python interface read it. `frame` has the frames o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import pyarrow
 from numpy.typing import NDArray
+from pyarrow import parquet
 
 from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.errors import ConfigurationError, MastError, RunFolderError, nearest
 from mast_zenoh.launch import liveness
 from mast_zenoh.launch.measurement import recorded_wirings
-from mast_zenoh.launch.tables import from_arrow, read_arrow
+from mast_zenoh.launch.tables import from_arrow, read_arrow, read_groups
 from mast_zenoh.metrics.estimates import LOCAL, MISSION
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.run_files import check_plain, read_object
@@ -46,8 +47,45 @@ _EFFECTS = (
     *("interposer", "role", "wire", "message", "before_subscriber", "frame", "effect"),
     *("before_x", "before_y", "before_z", "after_x", "after_y", "after_z"),
 )
+#: What distinguishes effects.
+_KINDS = ("interposer", "wire", "message", "before_subscriber", "effect")
 _DRIVING = ("frame", "agent", "estimate", "false", "missed", "ttc_s", "brake", "needless", "omitted")
 _DRIVEN = ("agent", "frame", "time_s", "x", "y", "heading", "speed_mps", "acceleration_mps2", "brake")
+
+
+#: Frames whose boxes and manipulations are in memory, at most: of a longer run, those of every n-th frame.
+MOST_FRAMES = 3000
+
+
+class Sample(NamedTuple):
+    """Which frames of a run are in memory with their boxes and manipulations: every n-th from `first` to before `end`.
+
+    The first n frames of a sample without `end` are before `first`: of a run, every n-th frame is in it.
+    """
+
+    every: int = 1
+    first: int = 0
+    end: int | None = None
+
+    @classmethod
+    def of(cls, frames: int, wanted: int | None = None) -> Sample:
+        """The sample of a run of so many frames; wanted: a frame that is in it."""
+        every = max(1, -(-frames // MOST_FRAMES))
+        return cls(every, (wanted or 0) % every)
+
+    def has(self, frames: NDArray[Any]) -> Bools:
+        """(n,) bool: which of n frames are in the sample."""
+        inside = (frames - self.first) % self.every == 0
+        return np.asarray(inside if self.end is None else inside & (frames >= self.first) & (frames < self.end))
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """The first and the last frame."""
+        return (self.first, self.end - 1) if self.end is not None else (-np.inf, np.inf)
+
+
+#: All frames.
+ALL = Sample()
 
 
 def rows(table: Table, mask: Bools) -> Table:
@@ -86,8 +124,10 @@ class RunRecord:
     wiring:    wiring.json
     metrics:   metrics.json
     counts:    metrics.parquet: a row per frame, agent and estimator
+    sample:    the frames of which `objects` and `trust_objects` have rows
     objects:   objects.parquet: a row per box; only those of the ego
-    effects:   attacks.parquet: a row per measured effect of an interposer
+    effects:   attacks.parquet: a row per measured effect of an interposer; of a frame that is not in the sample, a row
+               for all effects of a kind of an interposer on a wire
     recording: scene.npz
     missing:   one sentence for each file that is absent or unreadable, saying what the report lacks without it
     checks:    checks.json, of runs with checks
@@ -116,11 +156,15 @@ class RunRecord:
     trust: Table | None = None
     trust_objects: Table | None = None
     viewer: str = ""
+    sample: Sample = ALL
     missing: list[str] = field(default_factory=list)
 
     @classmethod
-    def load(cls, path: Path) -> Self:
-        """Read a run folder; raises RunFolderError if it is not a run folder."""
+    def load(cls, path: Path, frame: int | None = None) -> Self:
+        """Read a run folder; raises RunFolderError if it is not a run folder.
+
+        frame: of a run that is so long that only every n-th frame is read whole: one of them
+        """
         if not path.is_dir():
             raise RunFolderError(f"{path}: no such folder, expected the folder of a run")
         if not (path / "run.json").is_file() and not (path / "scenario.json").is_file():
@@ -132,12 +176,15 @@ class RunRecord:
         wiring = read("wiring.json", _json_object, "the nodes on each wire are not known", {})
         metrics = read("metrics.json", _json_object, "no table of means", {})
         counts = read("metrics.parquet", _counts, "no counts over time", None)
-        recording = read("scene.npz", _scene, "no buildings, agents and camera view in the pictures", None)
-        objects = _table(_OBJECTS, _ego(metrics, counts, recording) or "")
+        played = metrics.get("frames") or run.get("frames")
+        sample = Sample.of(played if isinstance(played, int) else 0, frame)
+        lost = "no buildings, agents and camera view in the pictures"
+        recording = read("scene.npz", partial(_scene, sweeps=sample.every == 1), lost, None)
+        objects = _table(_OBJECTS, _ego(metrics, counts, recording) or "", sample=sample)
         boxes = read("objects.parquet", objects, "no outcomes of objects, no bird's-eye and camera views", None)
         intercepted = any(wire.get("interposers") for wire in wiring.get("wires", ()))
         changes = "what interposers changed is not marked"
-        effects = (read if intercepted else optional)("attacks.parquet", _table(_EFFECTS), changes, None)
+        effects = (read if intercepted else optional)("attacks.parquet", _effects(sample), changes, None)
         if metrics and "achieved" not in metrics and effects is not None:
             reader.missing.append("metrics.json has no achievements: what attacks achieved is not known.")
         checks = optional("checks.json", _json_object, "what was checked is not known", {})
@@ -163,16 +210,31 @@ class RunRecord:
             driven=of("driven", "driven.parquet", _table(_DRIVEN), "the course of driven cars is not shown"),
             results=_node_results(path / "results"),
             trust=of("integrity", "trust.parquet", _table(_TRUST), "trust in agents is not shown"),
-            trust_objects=of("integrity", "trust_objects.parquet", _table(_JUDGED), "withheld objects are not shown"),
+            trust_objects=of(
+                "integrity", "trust_objects.parquet", _table(_JUDGED, sample=sample), "withheld objects are not shown"
+            ),
+            sample=sample,
             missing=reader.missing,
         )
 
     def read_objects(self) -> Any:
-        """All of objects.parquet, of every agent, as an Arrow table.
+        """Objects.parquet, of every agent and the frames in the sample, as an Arrow table.
 
         Raises OSError, RunFolderError or ArrowException if it is missing, broken or too large when unpacked.
         """
-        return read_arrow(self.path / "objects.parquet")
+        path, sample = self.path / "objects.parquet", self.sample
+        return read_arrow(path) if sample == ALL else read_arrow(path, sample.has, sample.span)
+
+    def window(self, first: int, end: int, *, boxes: bool = False) -> Self:
+        """The same run with the tables of all frames from `first` to before `end`; boxes: also `objects`."""
+        sample = Sample(1, first, end)
+        objects, judged = self.objects, self.trust_objects
+        if boxes:
+            objects = _table(_OBJECTS, self.ego or "", sample=sample)(self.path / "objects.parquet")
+            judged = judged and _table(_JUDGED, sample=sample)(self.path / "trust_objects.parquet")
+        effects = self.effects and _effects(sample)(self.path / "attacks.parquet")
+        counts = self.counts and rows(self.counts, sample.has(self.counts["frame"]))
+        return replace(self, sample=sample, effects=effects, counts=counts, objects=objects, trust_objects=judged)
 
     @property
     def origin(self) -> Floats:
@@ -236,7 +298,8 @@ class RunRecord:
         if agent == self.ego:
             return self
         reader = _Reader(self.path)
-        objects = reader.read("objects.parquet", _table(_OBJECTS, agent), "no bird's-eye and camera views", None)
+        table = _table(_OBJECTS, agent, sample=self.sample)
+        objects = reader.read("objects.parquet", table, "no bird's-eye and camera views", None)
         return replace(self, objects=objects, viewer=agent)
 
     @property
@@ -449,9 +512,9 @@ def _json_object(path: Path) -> dict[str, Any]:
     return read_object(path)
 
 
-def _scene(path: Path) -> Recording:
-    """The recorded scene."""
-    return Recording.load(check_plain(path))
+def _scene(path: Path, *, sweeps: bool) -> Recording:
+    """The recorded scene; sweeps: with those of the sensors."""
+    return Recording.load(check_plain(path), sweeps=sweeps)
 
 
 def _counts(path: Path) -> Table:
@@ -462,10 +525,13 @@ def _counts(path: Path) -> Table:
     return table
 
 
-def _table(columns: tuple[str, ...], agent: str = "") -> Callable[[Path], Table]:
-    """A reader of columns of a Parquet table, for one agent if given."""
+def _table(columns: tuple[str, ...], agent: str = "", *, sample: Sample = ALL) -> Callable[[Path], Table]:
+    """A reader of columns of a Parquet table, for one agent if given, and for the frames in a sample."""
 
     def read(path: Path) -> Table:
+        if sample != ALL:
+            parts = read_groups(path, *columns, keep=sample.has, span=sample.span)
+            return _joined(path, columns, (rows(part, part["agent"] == agent) if agent else part for part in parts))
         content = read_arrow(path)
         if missing := sorted(set(columns) - set(content.column_names)):
             raise ValueError(f"found no column {', '.join(missing)}")
@@ -473,6 +539,30 @@ def _table(columns: tuple[str, ...], agent: str = "") -> Callable[[Path], Table]
         return from_arrow(content.select(columns), own)
 
     return read
+
+
+def _effects(sample: Sample) -> Callable[[Path], Table]:
+    """A reader of attacks.parquet, see `RunRecord.effects`."""
+    if sample.every == 1:
+        return _table(_EFFECTS, sample=sample)
+
+    def wanted(part: Table) -> Table:
+        kinds = [np.unique(part[name], return_inverse=True)[1] for name in _KINDS]
+        first = np.unique(np.column_stack([part["frame"], *kinds]), axis=0, return_index=True)[1]
+        mask = sample.has(part["frame"])
+        mask[first] = True
+        return rows(part, mask)
+
+    return lambda path: _joined(path, _EFFECTS, map(wanted, read_groups(path, *_EFFECTS)))
+
+
+def _joined(path: Path, columns: tuple[str, ...], parts: Iterable[Table]) -> Table:
+    """Parts of a long table, which is never in memory as a whole."""
+    content = parquet.read_schema(check_plain(path)).empty_table()
+    if missing := sorted(set(columns) - set(content.column_names)):
+        raise ValueError(f"found no column {', '.join(missing)}")
+    tables = [from_arrow(content.select(columns)), *parts]
+    return {name: np.concatenate([table[name] for table in tables]) for name in columns}
 
 
 def _node_results(folder: Path) -> tuple[tuple[str, tuple[str, ...]], ...]:

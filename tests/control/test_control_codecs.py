@@ -18,6 +18,7 @@ from insider.position import FAILURE
 from sound_controls import CODECS, DRIVEN, MEMBERS, OUTCOME, TAP, WIRING, packed
 
 from mast_zenoh.control import CONTROLS, failures, files, flow, results
+from mast_zenoh.control.tables import PartedTables, TablePart
 from mast_zenoh.errors import MessageError, RunError
 from mast_zenoh.wiring.model import Wiring
 
@@ -204,12 +205,36 @@ def test_results_that_are_too_large_or_not_plain_are_refused(value: Any) -> None
         results.decode_result(payload, "ego", drives=False)
 
 
-def test_results_are_limited_by_role() -> None:
+def test_a_long_table_of_any_node_comes_in_parts() -> None:
     table = {"x": np.zeros(results.MAX_RESULT // 8)}
     payload = results.pack(OUTCOME | {"results": {"tables": {"t": table}}})
-    with pytest.raises(MessageError, match="at most"):
-        results.decode_result(payload, "ego", drives=False)
-    results.decode_result(payload, results.EVALUATOR, drives=False)
+    for node in ("ego", results.EVALUATOR):
+        with pytest.raises(MessageError, match="expected at most"):
+            results.decode_result(payload, node, drives=False)
+    parts, tables = list[TablePart](), PartedTables()
+    tables.hand_in = parts.append
+    tables.append("t", table)
+    tables.close({})
+    received = [results.decode_part(results.encode_part("p", part))[1] for part in parts]
+    assert sum(len(part.columns["x"]) for part in received) == len(table["x"])
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [
+        results.pack(["p", "t", 0]),
+        results.pack(["p", "t", -1, {"x": np.zeros(1)}]),
+        results.pack(["p", "../t", 0, {"x": np.zeros(1)}]),
+        results.pack(["p", "t", 0, {"x": np.zeros(1), "y": np.zeros(2)}]),
+        results.pack(["p", "t", 0, {"x": [[1], [1, 2]]}]),
+        results.pack(["p", "t", 0, {1: np.zeros(1)}]),
+        results.pack(["p", "t", 0, 7]),
+        b"\x94",
+    ],
+)
+def test_a_malformed_part_of_a_table_is_refused(payload: bytes) -> None:
+    with pytest.raises(MessageError):
+        results.decode_part(payload)
 
 
 @pytest.mark.parametrize(

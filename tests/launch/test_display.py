@@ -87,6 +87,21 @@ def test_without_a_terminal_a_slow_run_has_a_line_every_minute(monkeypatch: pyte
     assert file.getvalue().splitlines() == ["a_run: frame 601 10/s", "a_run: frame 1201 10/s"]
 
 
+def test_without_a_terminal_a_line_says_for_which_nodes_an_end_waits_and_once_a_minute_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now = 0.0
+    monkeypatch.setattr(display.time, "monotonic", lambda: now)
+    out = StringIO()
+    with Display(Console(file=out, width=80), "a_run", 8) as drawn:
+        drawn.update(8, lambda: status(3))
+        before = out.getvalue()
+        for seconds in range(2, 90):
+            now = float(seconds)
+            drawn.update(8, lambda: status(3), f"evaluator: finishing, {seconds} s")
+    assert out.getvalue() == f"{before}a_run: evaluator: finishing, 2 s\na_run: evaluator: finishing, 62 s\n"
+
+
 def test_the_table_is_drawn_at_most_four_times_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
     times = itertools.count(100.0, 0.001)
     monkeypatch.setattr(display.time, "monotonic", lambda: next(times))

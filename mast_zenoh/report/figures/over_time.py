@@ -181,6 +181,7 @@ def causes_over_time(run: RunRecord, frame: int | None) -> Figure | None:
     if not (run.faulted or run.withholds) or counts is None or objects is None:
         return None
     frames = counts["frame"].astype(np.int64)
+    frames = frames[run.sample.has(frames)]
     figure, axes, times = _rows_of(run, frames, len(_CAUSE_ROWS), 1.9, frame)
     in_picture = objects["estimator"] == "picture"
     first, last = run.metrics.get("scored_frames") or (frames[0], frames[-1])

@@ -57,8 +57,8 @@ def window(views: Sequence[Frame]) -> tuple[float, float, float]:
 
 
 def settled(run: RunRecord, frames: Ints) -> Bools:
-    """(n,) bool: scored frames in which the effects of interposers are settled."""
-    return scored(run, frames) & ~np.isin(frames, list(run.unsettled_frames))
+    """(n,) bool: scored frames in which the effects of interposers are settled, and of which the run has boxes."""
+    return scored(run, frames) & ~np.isin(frames, list(run.unsettled_frames)) & run.sample.has(frames)
 
 
 def _weighted_errors(run: RunRecord, estimate: str) -> tuple[Ints, Floats] | None:

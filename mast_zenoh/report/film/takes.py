@@ -34,6 +34,10 @@ TITLES = {
 }
 
 
+#: Frames of a long run whose boxes are in memory.
+_WINDOW = 250
+
+
 class Take:
     """An estimate of one agent of a run.
 
@@ -51,14 +55,24 @@ class Take:
         if estimate not in known:
             raise ConfigurationError(f"{run.path}: no estimate {estimate!r} of {run.ego}{nearest(estimate, known)}")
         frames = run.objects["frame"]
+        if run.sample.every > 1 and run.counts is not None:  # there are boxes of all frames, which are read later
+            frames = run.counts["frame"]
         self.first, self.last = int(frames.min()), int(frames.max())
-        own = rows(run.objects, run.objects["estimator"] == run.original(estimate))
-        self.run, self.estimate, self.title = replace(run, objects=own), estimate, title or run.worded(TITLES[estimate])
+        self.run, self.estimate = self._own(run, estimate), estimate
+        self.title = title or run.worded(TITLES[estimate])
         seconds = run.seconds(np.arange(self.last + 1))
         regular = np.arange(self.last + 1) * run.period_s
         self.times: Floats = np.asarray(regular if seconds is None else seconds, np.float64)
         # A film asks for the frames again and again: to choose its window and colours, and to draw.
         self.view = lru_cache(maxsize=4096)(self._view)
+        self._window = lru_cache(maxsize=2)(
+            lambda place: self._own(run.window(place * _WINDOW, (place + 1) * _WINDOW, boxes=True), estimate)
+        )
+
+    def _own(self, run: RunRecord, estimate: str) -> RunRecord:
+        """A run with the boxes of one estimate alone."""
+        objects = run.objects and rows(run.objects, run.objects["estimator"] == run.original(estimate))
+        return replace(run, objects=objects)
 
     def seconds(self, frame: int) -> float:
         """Time of a frame, s since the first."""
@@ -75,7 +89,8 @@ class Take:
 
     def _view(self, frame: int) -> Frame:
         """The boxes and manipulations of a frame."""
-        return frame_at(self.run, frame, [self.estimate])
+        run = self.run if self.run.sample.every == 1 else self._window(frame // _WINDOW)
+        return frame_at(run, frame, [self.estimate])
 
     def agent_positions(self, frame: int) -> Floats:
         """(a, 2) m, where the agents are; none without a scene."""

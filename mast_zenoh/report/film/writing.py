@@ -22,7 +22,7 @@ from mast_zenoh.report.film.encoding import ffmpeg, images, write_gif, write_vid
 from mast_zenoh.report.film.look import Look
 from mast_zenoh.report.film.sheet import Sheet
 from mast_zenoh.report.film.takes import TITLES, Take
-from mast_zenoh.viewer.run import RunRecord
+from mast_zenoh.viewer.run import MOST_FRAMES, RunRecord
 
 #: Images per second at most, unless the user asks for more.
 _SMOOTH_FPS = 30.0
@@ -39,13 +39,14 @@ class Schedule(NamedTuple):
 def schedule(take: Take, start: int | None, end: int | None, speed: float, fps: float | None) -> Schedule:
     """The frames of a film.
 
-    start, end: first and last frame, None: of the run;  speed: of the film over that of the scene
+    start, end: first and last frame, None: of the run, but at most MOST_FRAMES
+    speed:      of the film over that of the scene
     fps:        images per second; None: every frame once, but at most 30
 
     Raises RunFolderError for frames that the run does not have, ConfigurationError for an invalid speed or rate.
     """
-    first, last = (default if given is None else check_frame(take, given)
-                   for given, default in ((start, take.first), (end, take.last)))  # fmt: skip
+    first = take.first if start is None else check_frame(take, start)
+    last = min(take.last, first + MOST_FRAMES - 1) if end is None else check_frame(take, end)
     if last < first:
         raise ConfigurationError(f"frames: found {first} to {last}, expected the first not to be after the last")
     if not (math.isfinite(speed) and 0.01 <= speed <= 100):

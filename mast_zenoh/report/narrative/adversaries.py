@@ -237,7 +237,7 @@ def _reasons(run: RunRecord, interposer: Interposer, blamed_for: str) -> list[st
         return [f"it sat on the {path} to {listeners}, not to the ego"]
     if run.targets is None:
         return []
-    targets = rows(run.targets, run.targets["adversary"] == interposer.name)
+    targets = rows(run.targets, (run.targets["adversary"] == interposer.name) & run.sample.has(run.targets["frame"]))
     if not len(targets["frame"]):
         if blamed_for or interposer.commands:  # what commands do is not in errors
             return []
@@ -407,7 +407,7 @@ def _seen_by_others(run: RunRecord, targets: Table) -> Bools:
     """
     seen = targets["seen_by_others"].astype(bool)
     assert run.targets is not None
-    real = rows(run.targets, run.targets["kind"] != "inserted")
+    real = rows(run.targets, (run.targets["kind"] != "inserted") & run.sample.has(run.targets["frame"]))
     agents = {each.name: each.agents for each in interposers(run)}
     hidden: dict[tuple[int, int], set[str]] = {}
     changed_by: dict[tuple[int, int], set[str]] = {}
@@ -448,8 +448,10 @@ def _on_real_objects(run: RunRecord, targets: Table) -> Bools | None:
         return None
     truth = rows(run.objects, (run.objects["kind"] == "truth") & (run.objects["estimator"] == "picture"))
     result = np.zeros(len(targets["frame"]), bool)
+    of_frame = np.argsort(truth["frame"], kind="stable")
     for frame in np.unique(targets["frame"]):
-        there, here = truth["frame"] == frame, np.flatnonzero(targets["frame"] == frame)
+        first, last = np.searchsorted(truth["frame"], [frame, frame + 1], sorter=of_frame)
+        there, here = of_frame[first:last], np.flatnonzero(targets["frame"] == frame)
         distance = np.hypot(
             _column(targets, "x")[here, None] - _column(truth, "x")[there],
             _column(targets, "y")[here, None] - _column(truth, "y")[there],

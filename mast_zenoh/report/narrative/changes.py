@@ -204,7 +204,7 @@ def culprits(run: RunRecord, estimate: str, kind: str) -> Counter[str]:
             (table["estimator"] == run.original(estimate)) & (table["outcome"] == outcome) & (table["kind"] == box_kind)
         )
         selected &= (table["by"] != "") & (table["cause"] != "withheld") & scored(run, table["frame"])
-        return _names(table["by"][selected])
+        return _names(run, table["by"][selected])
     if kind == DISPLACED and run.targets is not None:
         moved = np.isin(run.targets["kind"], ("moved", "altered")) & scored(run, run.targets["frame"])
         return Counter(run.targets["adversary"][moved].tolist())
@@ -220,12 +220,13 @@ def withheld_from(run: RunRecord, estimate: str) -> Counter[str]:
         return Counter()
     table = run.objects
     selected = (table["estimator"] == run.original(estimate)) & (table["cause"] == "withheld")
-    return _names(table["by"][selected & scored(run, table["frame"])])
+    return _names(run, table["by"][selected & scored(run, table["frame"])])
 
 
-def _names(by: np.ndarray) -> Counter[str]:
-    """How often each name is in a column `by`."""
-    return Counter(name for names in by.tolist() for name in str(names).split("+") if name)
+def _names(run: RunRecord, by: np.ndarray) -> Counter[str]:
+    """How often each name is in a column `by` of the objects; as estimated, of a run of which only a sample is read."""
+    counts = Counter(name for names in by.tolist() for name in str(names).split("+") if name)
+    return Counter({name: count * run.sample.every for name, count in counts.items()})
 
 
 def scored(run: RunRecord, frames: np.ndarray) -> np.ndarray:

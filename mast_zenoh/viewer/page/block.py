@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,19 +19,18 @@ from numpy.typing import NDArray
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASSES, Bools, Floats, Ints, ObjectStates
 from mast_zenoh.errors import MastError
-from mast_zenoh.launch.tables import read_arrow
 from mast_zenoh.launch.twin import NAME
 from mast_zenoh.messagelog.reader import read
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics.estimates import ESTIMATES
-from mast_zenoh.scenes.recording import Recording, SceneAgent
+from mast_zenoh.scenes.recording import TRUTH_COLUMNS, Recording, SceneAgent, truth_states
 from mast_zenoh.viewer.driven import braking_events, braking_of, cars_of, course_of, twin_course
 from mast_zenoh.viewer.events import EFFECTS, Event, first_changes, happenings, lie_frames, node_absences, spans
 from mast_zenoh.viewer.interposers import adversaries_by_agent, interposers
 from mast_zenoh.viewer.page.columns import Packer
 from mast_zenoh.viewer.palette import STATES, page_colours
-from mast_zenoh.viewer.run import RunRecord, Table, column, rows
+from mast_zenoh.viewer.run import ALL, RunRecord, Sample, Table, column, rows
 
 FORMAT = 1
 #: m, rad and 1: resolution of positions and sizes, of headings, and of scores.
@@ -112,39 +110,43 @@ def run_block(run: RunRecord, frame: int | None = None, label: str = "") -> byte
     Raises ValueError if a number is too large for the block.
     """
     scene = run.recording
-    truth = truth_of(scene)
+    truth = truth_of(scene, run.sample)
     try:
-        boxes = boxes_of(read_arrow(run.path / "objects.parquet"), truth)
+        boxes = boxes_of(run.read_objects(), truth)
     except _DAMAGE:
         boxes = boxes_of(None, truth)
     if not len(boxes.frame):
         return None
-    frames = int(boxes.frame.max()) + 1
-    if frame is not None and frame >= frames:
-        raise ValueError(f"found frame {frame}, expected one of 0 to {frames - 1}")
-    seconds = run.seconds(np.arange(frames))
-    times = np.asarray(np.arange(frames) * run.period_s if seconds is None else seconds, np.float64)
+    first, every = run.sample.first, run.sample.every
+    frames = range(first, int(boxes.frame.max()) + 1, every)
+    if frame is not None and frame not in frames:
+        named = f"0 to {frames[-1]}" if every == 1 else f"{first}, {first + every}, ... {frames[-1]}"
+        raise ValueError(f"found frame {frame}, expected one of {named}")
+    numbers = np.arange(frames.start, frames.stop, every)
+    seconds = run.seconds(numbers)
+    times = np.asarray(numbers * run.period_s if seconds is None else seconds, np.float64)
     surroundings = None
     if scene is not None:
-        shown = np.minimum(np.arange(frames), len(scene) - 1)  # a scene that is shorter keeps its last poses
+        shown = np.minimum(numbers, len(scene) - 1)  # a scene that is shorter keeps its last poses
         sweeps = tuple(sweep[shown] for sweep in scene.sweeps)
         surroundings = Surroundings(scene.agent_position[shown], scene.agent_rotation[shown], sweeps)
     packer = Packer()
     packer.add("time", times, scale=1e-3)
     try:
-        motion = motion_of(boxes, truth, _recorded_tracks(run.path))
+        motion = motion_of(boxes, truth, _recorded_tracks(run))
     except (MastError, OSError):
         motion = motion_of(boxes, truth, ())
     periods = spans(run, times)
     header = {
-        **pack_frames(packer, run, boxes, motion, surroundings, range(frames)),
+        **pack_frames(packer, run, boxes, motion, surroundings, frames),
         "label": label or run.label,
         "folder": run.path.name,
-        "frame": frame if frame is not None else 0,
+        "frame": frames.index(frame) if frame is not None else 0,
+        "numbers": [first, every],
         "recorded": (run.path / "messages.mcap").is_file(),
         "spans": periods,
-        "events": _events(run, boxes, periods, times),
-        "drives": _add_drives(packer, run, times),
+        "events": _events(run, boxes, periods, frames, times),
+        "drives": _add_drives(packer, run, frames, times),
     }
     return packer.block(header)
 
@@ -162,26 +164,30 @@ def pack_frames(
         "frames": len(frames),
         "ego": run.ego or "",
         "centre": run.has_centre,
-        "scored": run.scored_frames,
+        "scored": run.scored_frames and [max(0, (each - frames.start) // frames.step) for each in run.scored_frames],
         "gate_m": run.gate_m,
         "range_m": run.range_m,
         "classes": CLASSES,
         "colours": page_colours(),
     }
-    header |= _add_boxes(packer, run, boxes, motion, frames.start)
+    header |= _add_boxes(packer, run, boxes, motion, frames)
     header |= _add_surroundings(packer, run, surroundings)
     header |= _add_agent_states(packer, run, [agent["name"] for agent in header["agents"]], frames)
-    header |= _add_manipulations(packer, run, frames.start)
-    _add_withheld(packer, run, frames.start)
+    header |= _add_manipulations(packer, run, frames)
+    _add_withheld(packer, run, frames)
     header["series"] = _add_series(packer, run, frames)
     return header
 
 
-def truth_of(scene: Recording | None) -> Truth:
-    """All objects of a scene."""
+def truth_of(scene: Recording | None, sample: Sample = ALL) -> Truth:
+    """The objects of a scene, in the frames of a sample."""
     if scene is None:
         return Truth(np.zeros(0, np.int64), ObjectStates.empty())
-    return Truth(np.repeat(np.arange(len(scene)), np.diff(scene.truth_start)), scene.truth)
+    frame = np.repeat(np.arange(len(scene)), np.diff(scene.truth_start))
+    if sample == ALL:
+        return Truth(frame, scene.truth)
+    wanted = np.flatnonzero(sample.has(frame))
+    return Truth(frame[wanted], truth_states({name: getattr(scene.truth, name)[wanted] for name in TRUTH_COLUMNS}))
 
 
 def boxes_of(content: Any | None, truth: Truth) -> BoxTable:
@@ -308,10 +314,11 @@ def motion_of(boxes: BoxTable, truth: Truth, tracks: Iterable[tuple[int, Body]])
     return motion
 
 
-def _recorded_tracks(folder: Path) -> Iterator[tuple[int, Body]]:
-    """Frame and columns of all recorded tracks."""
-    for message in read(folder):
-        if not message.malformed and message.message in ("tracks", "picture"):
+def _recorded_tracks(run: RunRecord) -> Iterator[tuple[int, Body]]:
+    """Frame and columns of all recorded tracks in the frames of the sample."""
+    for message in read(run.path):
+        of_tracks = not message.malformed and message.message in ("tracks", "picture")
+        if of_tracks and (message.frame - run.sample.first) % run.sample.every == 0:
             yield message.frame, codec.decode_lazily(message.payload, message.type).body
 
 
@@ -339,9 +346,19 @@ def shown_id(ids: Ints) -> Ints:
     return np.where((ids > -_MOST_ID) & (ids < _MOST_ID), ids, ids & (_MOST_ID - 1))
 
 
-def _add_boxes(packer: Packer, run: RunRecord, boxes: BoxTable, motion: Table, first: int) -> dict[str, Any]:
+def _places(frames: range, numbers: NDArray[Any]) -> NDArray[Any]:
+    """(n,) The places of n frames among those shown."""
+    return np.asarray((numbers - frames.start) // frames.step)
+
+
+def _shown(frames: range, table: Table) -> Table:
+    """The rows of a table in the frames shown."""
+    return table if frames.step == 1 else rows(table, (table["frame"] - frames.start) % frames.step == 0)
+
+
+def _add_boxes(packer: Packer, run: RunRecord, boxes: BoxTable, motion: Table, frames: range) -> dict[str, Any]:
     """Add the columns of boxes and of their meaning in each view, and return `views` and `meanings`."""
-    packer.add("box.frame", boxes.frame - first)
+    packer.add("box.frame", _places(frames, boxes.frame))
     packer.add("box.id", shown_id(boxes.id))
     packer.add("box.truth", boxes.truth, differences=False)
     for index, name in enumerate(_GEOMETRY):
@@ -434,7 +451,7 @@ def _swept(sweep: NDArray[Any], agent: SceneAgent) -> Floats:
 
 def _add_agent_states(packer: Packer, run: RunRecord, names: list[str], frames: range) -> dict[str, Any]:
     """Add the states of agents and `trust`, a row per agent and frame."""
-    numbers = np.arange(frames.start, frames.stop)
+    numbers = np.arange(frames.start, frames.stop, frames.step)
     state, trust = np.zeros((len(names), len(frames)), np.int64), np.full((len(names), len(frames)), -1.0)
     for row, name in enumerate(names):
         if run.trust is not None:
@@ -453,11 +470,11 @@ def _add_agent_states(packer: Packer, run: RunRecord, names: list[str], frames: 
     return {"states": list(STATES), "flags": {"down": DOWN, "lying": LYING}, "judged": run.trust is not None}
 
 
-def _add_manipulations(packer: Packer, run: RunRecord, first: int) -> dict[str, Any]:
+def _add_manipulations(packer: Packer, run: RunRecord, frames: range) -> dict[str, Any]:
     """Add the columns `effects.*`: a row per object that an adversary inserted, removed or moved in a message."""
     effects = list(EFFECTS)
     places = ("before_x", "before_y", "before_z", "after_x", "after_y", "after_z")
-    table = run.attacks if run.attacks is not None else {}
+    table = _shown(frames, run.attacks) if run.attacks is not None else {}
     placed = rows(table, np.isin(table["effect"], effects)) if table else {}
     if placed:
         order = np.lexsort((placed["frame"], placed["interposer"]))
@@ -465,7 +482,7 @@ def _add_manipulations(packer: Packer, run: RunRecord, first: int) -> dict[str, 
     none = np.zeros(0, str)
     by, subscriber = placed.get("interposer", none), placed.get("before_subscriber", none)
     adversaries, subscribers = (sorted(set(map(str, each))) for each in (by, subscriber))
-    packer.add("effects.frame", placed.get("frame", np.zeros(0)) - first)
+    packer.add("effects.frame", _places(frames, placed.get("frame", np.zeros(0))))
     packer.add("effects.effect", np.array([effects.index(each) for each in placed.get("effect", ())]))
     packer.add("effects.by", np.array([adversaries.index(each) for each in by]))
     packer.add("effects.downlink", placed.get("message", none) == "picture")
@@ -475,7 +492,7 @@ def _add_manipulations(packer: Packer, run: RunRecord, first: int) -> dict[str, 
     return {"effects": effects, "adversaries": adversaries, "subscribers": subscribers}
 
 
-def _add_withheld(packer: Packer, run: RunRecord, first: int) -> None:
+def _add_withheld(packer: Packer, run: RunRecord, frames: range) -> None:
     """Add the columns `withheld.*`: the objects that the command centre withholds."""
     names = ("frame", "id", *_GEOMETRY)
     withheld: Table = {name: np.zeros(0) for name in names}
@@ -485,32 +502,41 @@ def _add_withheld(packer: Packer, run: RunRecord, first: int) -> None:
         withheld = {name: values[order] for name, values in withheld.items()}
     for name in names:
         scale = {"frame": 1.0, "id": 1.0, "yaw": ANGLE}.get(name, LENGTH)
-        packer.add(f"withheld.{name}", column(withheld, name) - (first if name == "frame" else 0), scale=scale)
+        values = column(withheld, name)
+        packer.add(f"withheld.{name}", _places(frames, values) if name == "frame" else values, scale=scale)
 
 
 def _add_series(packer: Packer, run: RunRecord, frames: range) -> list[dict[str, str]]:
     """Add `series.*`, a row per frame of each estimate in metrics.parquet, and return which they are.
 
-    RMSE is -1 where there is no matched pair.
+    RMSE is -1 where there is no matched pair. Where not all frames are shown, `peaks.*` has the largest value of those
+    from each frame to the next one shown.
     """
     if run.counts is None:
         return []
-    table = rows(run.counts, (run.counts["frame"] >= frames.start) & (run.counts["frame"] < frames.stop))
+    end = frames.start + len(frames) * frames.step  # with the frames after the last one shown
+    table = rows(run.counts, (run.counts["frame"] >= frames.start) & (run.counts["frame"] < end))
     of_rows = list(zip(table["agent"].tolist(), table["estimator"].tolist(), strict=True))
     pairs = sorted(set(of_rows))
     number = {pair: index for index, pair in enumerate(pairs)}
     series = np.array([number[pair] for pair in of_rows], np.int64)
     for name in ("fn", "fp", "tp", "rmse_m"):
-        values = np.full((len(pairs), len(frames)), -1.0)
-        values[series, table["frame"].astype(np.int64) - frames.start] = np.nan_to_num(column(table, name), nan=-1.0)
-        packer.add(f"series.{name}", values, scale=0.001 if name == "rmse_m" else 1.0)
+        scale = 0.001 if name == "rmse_m" else 1.0
+        every_frame = np.full((len(pairs), len(frames) * frames.step), -1.0)
+        every_frame[series, table["frame"].astype(np.int64) - frames.start] = np.nan_to_num(
+            column(table, name), nan=-1.0
+        )
+        by_shown = every_frame.reshape(len(pairs), len(frames), frames.step)
+        packer.add(f"series.{name}", by_shown[:, :, 0], scale=scale)
+        if frames.step > 1:
+            packer.add(f"peaks.{name}", by_shown.max(axis=2), scale=scale)
     return [{"agent": agent, "estimate": estimate} for agent, estimate in pairs]
 
 
-def _add_drives(packer: Packer, run: RunRecord, times: Floats) -> list[dict[str, str]]:
+def _add_drives(packer: Packer, run: RunRecord, frames: range, times: Floats) -> list[dict[str, str]]:
     """Add `drive.*`, a row per frame of each driven car and of the twin's, and return the cars.
 
-    Speeds are -1 where they are not known; without a twin, its places are those of the car. times: (f,) s
+    Speeds are -1 where they are not known; without a twin, its places are those of the car. times: (f,) s, of `frames`
     """
     drives: list[dict[str, str]] = []
     columns: dict[str, list[NDArray[Any]]] = {
@@ -521,40 +547,55 @@ def _add_drives(packer: Packer, run: RunRecord, times: Floats) -> list[dict[str,
         assert course is not None
         twin = twin_course(run, car)
         drives.append({"car": car, "twin": "" if twin is None else NAME})
-        columns["speed"].append(_by_frame(course, "speed_mps", len(times), -1.0))
-        columns["acceleration"].append(_by_frame(course, "acceleration_mps2", len(times), 0.0))
+        columns["speed"].append(_by_frame(course, "speed_mps", frames, -1.0))
+        columns["acceleration"].append(_by_frame(course, "acceleration_mps2", frames, 0.0))
         columns["brake"].append(braking_of(run, car, times))
         for axis in "xy":
-            columns[f"twin_{axis}"].append(_held(course if twin is None else twin, axis, len(times)))
+            columns[f"twin_{axis}"].append(_held(course if twin is None else twin, axis, frames))
     for name, parts in columns.items():
         scale = {"speed": _SPEED, "acceleration": _SPEED, "brake": 1.0}.get(name, LENGTH)
         packer.add(f"drive.{name}", np.array(parts).reshape(len(drives), len(times)), scale=scale)
     return drives
 
 
-def _by_frame(course: Table, name: str, frames: int, unknown: float) -> Floats:
+def _by_frame(course: Table, name: str, frames: range, unknown: float) -> Floats:
     """A column of a course by frame (frames,). unknown: its value elsewhere"""
-    result = np.full(frames, unknown)
-    inside = course["frame"] < frames
+    result = np.full(len(frames), unknown)
+    course = _shown(frames, course)
+    inside = (course["frame"] >= frames.start) & (course["frame"] < frames.stop)
     values = course[name][inside].astype(np.float64)
-    result[course["frame"][inside].astype(np.int64)] = np.where(np.isfinite(values), values, unknown)
+    result[_places(frames, course["frame"][inside].astype(np.int64))] = np.where(np.isfinite(values), values, unknown)
     return result
 
 
-def _held(course: Table, name: str, frames: int) -> Floats:
+def _held(course: Table, name: str, frames: range) -> Floats:
     """A column of a course by frame (frames,); its last value goes on."""
-    row = np.searchsorted(course["frame"], np.arange(frames), side="right") - 1
+    numbers = np.arange(frames.start, frames.stop, frames.step)
+    row = np.searchsorted(course["frame"], numbers, side="right") - 1
     values: Floats = course[name].astype(np.float64)[np.maximum(row, 0)]
     return values
 
 
-def _events(run: RunRecord, boxes: BoxTable, periods: list[dict[str, Any]], times: Floats) -> list[dict[str, Any]]:
-    """All events, the earliest first. periods: from `spans`;  times: (f,) s, of the frames"""
+def _events(
+    run: RunRecord, boxes: BoxTable, periods: list[dict[str, Any]], frames: range, times: Floats
+) -> list[dict[str, Any]]:
+    """All events, the earliest first. periods: from `spans`;  times: (f,) s, of the frames shown
+
+    Where not all frames are shown, an event has its time, and the frame that is shown until then.
+    """
+    if frames.step > 1:  # events know the numbers of all frames
+        seconds = run.seconds(np.arange(frames.stop))
+        times = np.asarray(np.arange(frames.stop) * run.period_s if seconds is None else seconds, np.float64)
     everything = [*happenings(run, periods, times), *first_changes(run), *_first_successes(run, boxes)]
     everything += braking_events(run, times)
     inside = [each for each in dict.fromkeys(everything) if 0 <= each.frame < len(times)]
     inside.sort(key=lambda each: (each.frame, each.kind, each.text))
-    return [{name: value for name, value in each._asdict().items() if value is not None} for each in inside]
+    entries = [{name: value for name, value in each._asdict().items() if value is not None} for each in inside]
+    if frames.step > 1:
+        for each, entry in zip(inside, entries, strict=True):
+            place = max(0, (each.frame - frames.start) // frames.step)
+            entry |= {"frame": place, "time": round(float(times[each.frame]), 3)}
+    return entries
 
 
 def _first_successes(run: RunRecord, boxes: BoxTable) -> list[Event]:

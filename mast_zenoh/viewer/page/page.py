@@ -131,7 +131,7 @@ def viewer_page(folders: Sequence[Path], frame: int | None = None) -> bytes:
     Raises RunFolderError for a folder that holds no run, or nothing to show; NotComparable for two runs without a
     common agent.
     """
-    runs = [RunRecord.load(folder) for folder in folders]
+    runs = [RunRecord.load(folder, frame) for folder in folders]
     blocks = []
     for run in runs:
         try:

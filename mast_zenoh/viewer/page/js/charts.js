@@ -117,7 +117,7 @@ export class Charts {
   lines(palette, measure) {
     const { state } = this;
     return state.panels.flatMap(({ run, agent, estimate }, index) => {
-      const values = estimate === TRUTH ? null : state.runs[run].series(agent, estimate, measure);
+      const values = estimate === TRUTH ? null : state.runs[run].series(agent, estimate, measure, state.runs[run].every > 1 ? "peaks" : "series");
       if (!values) return [];
       const label = state.runs[run].header.estimates[estimate] ?? estimate;
       const short = label.replace("ego alone", "own tracks").replace("alone, as", "own tracks as").replace("ego with", "with");

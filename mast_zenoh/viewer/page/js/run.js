@@ -179,7 +179,7 @@ export class Run {
 
   /** @param {number} frame @returns {number} its number in the scene */
   numberOf(frame) {
-    return frame;
+    return (this.header.numbers?.[0] ?? 0) + this.every * frame;
   }
 
   /** @param {number} seconds @returns {number} the frame at a time: the last one that is not later */
@@ -225,14 +225,20 @@ export class Run {
   /**
    * A measure of an estimate over time; null: not measured.
    * @param {string} agent @param {string} estimate @param {"fn" | "fp" | "tp" | "rmse_m"} measure
+   * @param {"series" | "peaks"} column "peaks": the largest value from each frame to the next one shown
    * @returns {Float64Array | Int32Array | null} -1 where it is not defined
    */
-  series(agent, estimate, measure) {
+  series(agent, estimate, measure, column = "series") {
     const index = this.header.series.findIndex(
       (/** @type {any} */ each) => each.agent === agent && each.estimate === estimate,
     );
     if (index < 0) return null;
-    return this.columns[`series.${measure}`].subarray(index * this.frames, (index + 1) * this.frames);
+    return this.columns[`${column}.${measure}`].subarray(index * this.frames, (index + 1) * this.frames);
+  }
+
+  /** @returns {number} 1, or n if only every n-th frame of a long run is shown */
+  get every() {
+    return this.header.numbers?.[1] ?? 1;
   }
 
   /** The driven cars of a finished run, and their unattacked twins; twin: its name, empty: there is none. @returns {{car: string, twin: string}[]} */

@@ -1,0 +1,129 @@
+"""A long run: its tables are read a part after the other, and a page holds every n-th frame."""
+
+from __future__ import annotations
+
+import resource
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from equal_runs import run_alone
+from long_run import repeated
+
+import mast_zenoh as mast
+from mast_zenoh.report.film.takes import Take
+from mast_zenoh.report.film.writing import schedule
+from mast_zenoh.report.html import write_report
+from mast_zenoh.viewer import run as run_module
+from mast_zenoh.viewer.page.block import run_block
+from mast_zenoh.viewer.page.columns import unpack
+from mast_zenoh.viewer.recorded import RecordedRun
+from mast_zenoh.viewer.run import RunRecord
+
+EVERY = 4
+
+
+@pytest.fixture
+def long(recorded: mast.Run, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A run that is long for a page."""
+    frames = int(recorded.metrics["frames"])
+    monkeypatch.setattr(run_module, "MOST_FRAMES", -(-frames // EVERY))
+    return recorded.path
+
+
+def test_of_a_long_run_every_nth_frame_is_shown_and_peaks_stay(long: Path) -> None:
+    run = RunRecord.load(long)
+    whole = replace(run, sample=run_module.ALL)
+    assert run.sample.every == EVERY
+    blocks = [run_block(each) for each in (run, whole)]
+    assert blocks[0] is not None
+    assert blocks[1] is not None
+    (header, columns), (_, every) = (unpack(block) for block in blocks if block)
+    frames = header["frames"]
+    assert header["numbers"] == [0, EVERY]
+    np.testing.assert_allclose(columns["time"], every["time"][::EVERY])
+    inside = every["box.frame"] % EVERY == 0
+    assert len(columns["box.frame"]) == inside.sum()
+    np.testing.assert_array_equal(np.unique(columns["box.frame"]), np.unique(every["box.frame"][inside] // EVERY))
+    for name in ("fn", "fp", "rmse_m"):
+        shown, peaks = (columns[f"{kind}.{name}"].reshape(-1, frames) for kind in ("series", "peaks"))
+        values = every[f"series.{name}"].reshape(len(shown), -1)
+        np.testing.assert_allclose(shown, values[:, ::EVERY])
+        ends = [min((place + 1) * EVERY, values.shape[1]) for place in range(frames)]
+        expected = [values[:, place * EVERY : end].max(axis=1) for place, end in enumerate(ends)]
+        np.testing.assert_allclose(peaks, np.transpose(expected))
+
+
+def test_events_of_a_long_run_have_their_own_time(long: Path) -> None:
+    run = RunRecord.load(long)
+    block, whole = run_block(run), run_block(RunRecord.load(long, 1))
+    assert block is not None
+    assert whole is not None
+    header = unpack(block)[0]
+    assert run.attack_frames is not None
+    first = next(event for event in header["events"] if event["kind"] == "effect")
+    assert first["time"] == pytest.approx(run.attack_frames[0] * run.period_s)
+    assert first["frame"] == run.attack_frames[0] // EVERY
+
+
+def test_a_frame_that_is_asked_for_is_among_those_of_a_long_run(long: Path) -> None:
+    block = run_block(RunRecord.load(long, 7), 7)
+    assert block is not None
+    header = unpack(block)[0]
+    first, every = header["numbers"]
+    assert first + every * header["frame"] == 7
+    with pytest.raises(ValueError, match=r"found frame 6, expected one of 3, 7, \.\.\."):
+        run_block(RunRecord.load(long, 7), 6)
+
+
+def test_frames_of_a_long_run_are_judged_as_those_of_a_short_one(
+    long: Path, recorded: mast.Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mast_zenoh.viewer.recorded._WINDOW", 9)
+    frames = list(RecordedRun.load(long))
+    monkeypatch.setattr(run_module, "MOST_FRAMES", 10**6)
+    for frame, other in zip(frames, RecordedRun.load(recorded.path), strict=True):
+        assert str(frame.scores) == str(other.scores), "there may be NaN in them"
+        assert frame.changes.sentences == other.changes.sentences
+        for series, outcomes in other.outcomes.items():
+            np.testing.assert_array_equal(frame.outcomes[series].code, outcomes.code)
+
+
+def test_the_page_of_a_long_run_says_what_it_holds(long: Path) -> None:
+    page = write_report(long).read_text("utf-8")
+    assert f"boxes and causes of every {EVERY}th frame, scores of all" in page
+
+
+@pytest.mark.heavy
+def test_the_page_of_an_hour_is_small_and_made_in_bounded_memory(tmp_path: Path) -> None:
+    short = run_alone(tmp_path / "short", "defended", frames=200)
+    folder = repeated(short, tmp_path / "long", 180)
+    program = "import pathlib, sys; from mast_zenoh.report import html; html.write_report(pathlib.Path(sys.argv[1]))"
+    subprocess.run([sys.executable, "-c", program, str(folder)], check=True)
+    assert (folder / "report.html").stat().st_size < 20e6
+    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss < 3 << 20  # KiB
+
+
+def test_a_film_of_a_long_run_shows_every_frame_whole(
+    long: Path, recorded: mast.Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mast_zenoh.report.film.takes._WINDOW", 9)
+    take = Take(RunRecord.load(long), "picture")
+    monkeypatch.setattr(run_module, "MOST_FRAMES", 10**6)
+    whole = Take(RunRecord.load(recorded.path), "picture")
+    assert (take.first, take.last) == (whole.first, whole.last)
+    for frame in range(take.first, take.last + 1):
+        for outcome, boxes in whole.view(frame).boxes["picture"].items():
+            np.testing.assert_array_equal(take.view(frame).boxes["picture"][outcome].position, boxes.position)
+        marks, others = take.view(frame).marks("picture"), whole.view(frame).marks("picture")
+        assert all(np.array_equal(one, other) for one, other in zip(marks, others, strict=True))
+
+
+def test_a_film_of_a_long_run_ends_by_itself(recorded: mast.Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mast_zenoh.report.film.writing.MOST_FRAMES", 12)
+    take = Take(RunRecord.load(recorded.path), "picture")
+    assert list(schedule(take, 5, None, 1.0, None).frames) == [*range(5, 17)]
+    assert list(schedule(take, 5, 25, 1.0, None).frames) == [*range(5, 26)]
