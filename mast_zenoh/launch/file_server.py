@@ -87,7 +87,7 @@ class FileServer:
 
     def _on_query(self, query: zenoh.Query) -> None:
         """Queue a request, in Zenoh's thread; refuse a malformed one."""
-        (kind, node), received_ns = _kind_and_node(query), time.time_ns()
+        (kind, node), received_ns = _kind_and_node(query), time.monotonic_ns()
         try:
             if node not in self._resolved(node).nodes:
                 raise MessageError(f"there is no node {node!r:.80} in this run")

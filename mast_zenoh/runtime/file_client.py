@@ -41,7 +41,7 @@ Answer = TypeVar("Answer")
 class FileClient:
     """Fetches a node's files from the launcher, and hands in the files that it writes.
 
-    clock: offset_ms, this host's clock minus the launcher's, and round_trip_ms, the round trip of that measurement
+    clock: of monotonic clocks: offset_ms, this host's minus the launcher's; round_trip_ms, of that measurement
     """
 
     def __init__(self, session: zenoh.Session, run: str, name: str) -> None:
@@ -96,9 +96,9 @@ class FileClient:
         """Measure the offset from the launcher's clock as NTP does: the fastest counts."""
         measurements = []
         for _ in range(_PROBES):
-            sent_ns = time.time_ns()
+            sent_ns = time.monotonic_ns()
             launcher_ns = self.ask("fetch", files.Clock(), seconds, files.LauncherTime).now_ns
-            received_ns = time.time_ns()
+            received_ns = time.monotonic_ns()
             measurements.append((received_ns - sent_ns, (sent_ns + received_ns) // 2 - launcher_ns))
         round_trip, offset = min(measurements)
         self.clock = {"offset_ms": round(offset * 1e-6, 3), "round_trip_ms": round(round_trip * 1e-6, 3)}

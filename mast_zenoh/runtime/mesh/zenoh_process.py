@@ -76,7 +76,7 @@ class ZenohProcess(Actions):
         self._n_handled = 0  # of them, those that the main thread has handled; counted after it released the lock
         self._queue: queue.SimpleQueue[Item] = queue.SimpleQueue()
         self.inbox = Inbox(self._queue.put, threading.Lock())
-        clocks = Clocks(time.monotonic_ns, time.time_ns, time.process_time)
+        clocks = Clocks(time.monotonic_ns, time.process_time)
         process = os.urandom(8).hex()
         self.protocol = protocol_of(
             resolved, name, node, self, self.inbox, clocks, process=process, signatures=signatures
