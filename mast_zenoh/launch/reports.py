@@ -15,6 +15,7 @@ from mast_zenoh.config.resolved import DRIVER_ROLE
 from mast_zenoh.control import files
 from mast_zenoh.control.codec import InvalidMessages
 from mast_zenoh.control.failures import MAX_HANDLERS, Entry, decode_failure, merged
+from mast_zenoh.control.key_marks import check_control_mark
 from mast_zenoh.control.results import decode_result
 from mast_zenoh.errors import MessageError
 from mast_zenoh.launch.launcher_protocol import Report
@@ -86,6 +87,7 @@ class Reports:
             node = str(query.key_expr).rpartition("/")[2]
             payload = query.payload.to_bytes() if query.payload else b""
             try:
+                check_control_mark(query.key_expr, query.attachment)
                 drives = self._child("result", node).spec.role == DRIVER_ROLE
                 outcome = decode_result(payload, node, drives=drives)
                 self._put("result", node, (outcome, hashlib.sha256(payload).digest(), self._children[node].restarts))
@@ -98,6 +100,7 @@ class Reports:
     def _on_failed(self, sample: zenoh.Sample) -> None:
         node = str(sample.key_expr).rpartition("/")[2]
         try:
+            check_control_mark(sample.key_expr, sample.attachment)
             self._child("failed", node)
             self._put("failed", node, decode_failure(sample.payload.to_bytes()))
         except MessageError as error:

@@ -25,6 +25,7 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import codec, control_prefix, files
 from mast_zenoh.control.codec import Message
 from mast_zenoh.control.files import PIECE_BYTES
+from mast_zenoh.control.key_marks import control_mark
 from mast_zenoh.errors import MessageError, RunError
 from mast_zenoh.messagelog.writer import MessageLog
 
@@ -78,9 +79,10 @@ class FileClient:
         Raises the error with which the launcher refuses, and RunError after `seconds` without an answer.
         """
         deadline = time.monotonic() + seconds
-        payload = codec.encode(request)
+        payload, key = codec.encode(request), f"{what}/{self._name}"
+        options: Any = {"payload": payload, "attachment": control_mark(key), "timeout": 5.0}
         while True:
-            for reply in self._session.get(f"{self._base}/{what}/{self._name}", payload=payload, timeout=5.0):
+            for reply in self._session.get(f"{self._base}/{key}", **options):
                 if reply.ok is not None:
                     try:
                         return files.decode_answer(kind, reply.ok.payload.to_bytes())
