@@ -43,7 +43,7 @@ from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header
 from mast_zenoh.runtime.mesh.session import open_client, open_router
 from mast_zenoh.runtime.mesh.zenoh_process import ZenohProcess
-from mast_zenoh.runtime.protocol.traffic import ATTACHMENT, MARK
+from mast_zenoh.runtime.protocol.traffic import stamp
 from mast_zenoh.streams import stream
 from mast_zenoh.wiring import endpoints, maps
 from mast_zenoh.wiring.model import Wiring
@@ -53,7 +53,6 @@ BARE = ("callback", "relay")
 KEY = "agent/ego/tracks"
 PERIOD_NS = 100_000_000
 ROLES = {"simulator": "simulator", "ego": "agent", "broker": "broker", "link_ego": "link"}
-ATTACHED = ATTACHMENT.pack(MARK, 1, 0)
 
 
 MAP = {
@@ -154,6 +153,7 @@ class Bench:
         self.session = session  # messages between ports of one session would not pass through the router
         self.payload = payload
         self.arrivals_ns: queue.SimpleQueue[int] = queue.SimpleQueue()
+        self.stamp = stamp(KEY, 1, 0)
         (branch,) = next(wire for wire in wiring().wires if wire.key == KEY).branches
         ends = {path: (f"{prefix(path)}/{KEY}", f"{prefix(path)}/{branch.legs[-1].key}") for path in PATHS}
         ends |= {path: (f"{prefix(path)}/in", f"{prefix(path)}/out") for path in BARE}
@@ -176,12 +176,12 @@ class Bench:
         epoch = flow.encode_epoch(1, ROLES, None)
         clock = codec.encode(codec.conform(Header("clock", "simulator", 0, 0, 0), {}))
         self.session.put(f"{prefix(path)}/@control/epoch", epoch)
-        self.session.put(f"{prefix(path)}/clock", clock, attachment=ATTACHED)
+        self.session.put(f"{prefix(path)}/clock", clock, attachment=stamp("clock", 1, 0))
 
     def send_one(self, path: str, seconds: float = 1.0) -> float | None:
         """One-way time of one message, µs; None if it was lost."""
         start_ns = time.perf_counter_ns()
-        self.out[path].put(self.payload, attachment=ATTACHED)
+        self.out[path].put(self.payload, attachment=self.stamp)
         try:
             return (self.arrivals_ns.get(timeout=seconds) - start_ns) * 1e-3
         except queue.Empty:

@@ -194,7 +194,7 @@ class Clock:
     def _note(self, sample: zenoh.Sample) -> None:
         now = time.monotonic()
         self.longest_pause_s = max(self.longest_pause_s, now - self._began_s)
-        self.frame, self._began_s = stamp_of(sample.attachment)[1], now
+        self.frame, self._began_s = stamp_of(sample.attachment, "clock")[1], now
 
 
 def _watcher(kind: str, out: Path, stack: ExitStack) -> subprocess.Popen[str]:

@@ -14,6 +14,7 @@ import importlib.util
 import inspect
 import logging
 import sys
+import threading
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from functools import cache
 from importlib.metadata import distributions
@@ -27,6 +28,13 @@ GROUP = "mast_zenoh.plugins"
 _OURS = "mast_zenoh"
 _DATA_SETS_DISTRIBUTION = "mast-zenoh-datasets"
 _log = logging.getLogger("mast.plugins")
+
+#: How long the import of a plugin may take before it is named, s.
+_SLOW_S = 5
+_SLOW = (
+    "the plugin %s of %s has been importing for %d s, and is waited for; to leave it out, interrupt and uninstall it: "
+    "pip uninstall %s"
+)
 
 
 class Plugin(NamedTuple):
@@ -81,6 +89,11 @@ def load() -> Loaded:
         if plugin.package == _OURS:
             problems[plugin] = f"is left out: its module is {plugin.module}, expected one outside {_OURS}"
             continue
+        slow = threading.Timer(
+            _SLOW_S, _log.warning, (_SLOW, plugin.name, plugin.distribution, _SLOW_S, plugin.project)
+        )
+        slow.daemon = True
+        slow.start()
         try:
             importlib.import_module(plugin.module)
         except KeyboardInterrupt:
@@ -88,6 +101,9 @@ def load() -> Loaded:
         except BaseException as error:  # a plugin may also exit
             text = "".join(filter(str.isprintable, " ".join(str(error).split())))
             problems[plugin] = f"cannot be imported: {type(error).__name__}: {text}"
+        finally:
+            slow.cancel()
+            slow.join()  # a process that forks nodes has no other threads
     packages = {_OURS}
     for plugin in installed():
         if plugin in problems:

@@ -11,6 +11,7 @@ interception   intercept, release: requests of a user
 failures       failed: failures of handlers, counted, merged, formatted
 results        result: what a node returns and reports at its end, and parts of its tables before
 tables         tables in parts: checked columns, cut into equal numbers of rows
+key_marks      marks of keys in attachments: on which key a message was sent
 signatures     signs messages of the driver and the launcher, above the level "open", and verifies them
 
 CONTROLS is the table of all keys below mast/{run}/@control/. security/access.py grants no more rights than it lists.

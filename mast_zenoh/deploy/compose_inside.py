@@ -23,6 +23,7 @@ import zenoh
 from mast_zenoh import scenario
 from mast_zenoh.config.resolved import NodeSpec, Resolved, driver_of
 from mast_zenoh.control import control_prefix, flow, prefix
+from mast_zenoh.control.key_marks import control_mark
 from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.deploy import documents
 from mast_zenoh.deploy.compose import Compose
@@ -168,7 +169,8 @@ class Inside(Compose):
 
         def tell(node: str, word: bytes) -> None:
             what = f"leave/{node}"
-            self._session.put(f"{control_prefix(run)}/{what}", signatures.sign(what, word))
+            key, payload = f"{control_prefix(run)}/{what}", signatures.sign(what, word)
+            self._session.put(key, payload, attachment=control_mark(what))
 
         nodes = StartedNodes(self._session, run, tell, context.folder / "logs")
         return Mesh(self._session, stack.enter_context(nodes), control=keys)

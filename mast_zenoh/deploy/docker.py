@@ -33,6 +33,9 @@ AT_A_TIME = 4
 #: Options of a process whose standard output is a log: so are its errors, and Ctrl-C does not interrupt it.
 TO_LOG: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stderr": subprocess.STDOUT, "start_new_session": True}
 
+#: Beginnings of the lines that Docker writes after the one with the reason of a failure.
+_NO_REASON = ("exit status", "See 'docker", "Run 'docker")
+
 _TIMEOUT_S = 120.0
 _BUILD_S = 1200.0
 _LOG_S = 60.0
@@ -60,8 +63,7 @@ def run(command: Sequence[str], *, timeout: float = _TIMEOUT_S, check: bool = Tr
     except subprocess.TimeoutExpired:
         raise EngineError(f"`{' '.join(command[:3])}` has not ended within {timeout:.0f} s") from None
     if done.returncode and check:
-        # Docker names each failure on a line, followed by "exit status 1".
-        lines = [line for line in done.stderr.splitlines() if line.strip() and not line.startswith("exit status")]
+        lines = [line for line in done.stderr.splitlines() if line.strip() and not line.startswith(_NO_REASON)]
         raise EngineError(f"`{' '.join(command[:3])}` failed: {lines[-1] if lines else f'exit code {done.returncode}'}")
     return done.stdout
 

@@ -32,6 +32,7 @@ from mast_zenoh.runtime.file_client import FileClient, HandIn, files_written_by
 from mast_zenoh.runtime.mesh import hosting
 from mast_zenoh.runtime.mesh.hosting import LauncherWatch
 from mast_zenoh.runtime.mesh.session import open_router
+from mast_zenoh.runtime.strays import end_own_strays
 from mast_zenoh.security.credentials import Credentials
 
 #: Default time that a node continues without a launcher, s.
@@ -68,6 +69,8 @@ def main() -> None:
     except MastError as error:
         log.error("%s", error)
         sys.exit(error.exit_code)
+    finally:
+        end_own_strays()
 
 
 def _route(arguments: argparse.Namespace) -> None:
@@ -108,6 +111,7 @@ def _host(arguments: argparse.Namespace) -> None:
             def orphaned() -> None:
                 process.stop("orphaned")
                 threading.Event().wait(_GRACE_S)
+                end_own_strays()
                 os._exit(3)
 
             leave[0] = orphaned

@@ -123,7 +123,9 @@ def third_party(folder: Path, python: str = "", machine: str = "", required: Seq
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:
             lines = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
-            raise EngineError(f"wheels cannot be downloaded: {lines[-1]}; put them into {folder}")
+            broken = [line for line in lines if "connection broken by" in line]  # before "No matching distribution"
+            reason = "; ".join([*broken[-1:], lines[-1]])
+            raise EngineError(f"wheels cannot be downloaded: {reason}; put them into {folder}")
     return [wheel for wanted in required for wheel in _wheels_of(folder, wanted)[:1]]
 
 

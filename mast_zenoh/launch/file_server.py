@@ -26,6 +26,7 @@ from mast_zenoh.config.resolved import RECORDING, Resolved
 from mast_zenoh.control import codec, control_prefix, files
 from mast_zenoh.control.failures import described
 from mast_zenoh.control.files import PIECE_BYTES
+from mast_zenoh.control.key_marks import check_control_mark
 from mast_zenoh.errors import MastError, MessageError, VersionMismatch
 from mast_zenoh.launch.context import RunContext
 from mast_zenoh.runtime.file_client import files_written_by
@@ -87,10 +88,11 @@ class FileServer:
 
     def _on_query(self, query: zenoh.Query) -> None:
         """Queue a request, in Zenoh's thread; refuse a malformed one."""
-        (kind, node), received_ns = _kind_and_node(query), time.time_ns()
+        (kind, node), received_ns = _kind_and_node(query), time.monotonic_ns()
         try:
             if node not in self._resolved(node).nodes:
                 raise MessageError(f"there is no node {node!r:.80} in this run")
+            check_control_mark(query.key_expr, query.attachment)
             payload = query.payload.to_bytes() if query.payload else b""
             request = files.decode_file(payload) if kind == "file" else files.decode_fetch(payload)
             with self._lock:

@@ -30,6 +30,7 @@ from mast_zenoh.control import codec, control_prefix
 from mast_zenoh.control import interception as control
 from mast_zenoh.control.files import decode_refusal
 from mast_zenoh.control.interception import answer_of, place_json
+from mast_zenoh.control.key_marks import check_control_mark, control_mark
 from mast_zenoh.errors import (
     ConfigurationError,
     MessageError,
@@ -96,6 +97,7 @@ class InterceptionServer:
     def _on_query(self, query: zenoh.Query) -> None:
         """Receive a request, in Zenoh's thread."""
         try:
+            check_control_mark(query.key_expr, query.attachment)
             request = unseal(query.payload.to_bytes() if query.payload else b"", self._secret)
             change = control.request_of(request)  # and checks the number
             self._interceptions.add(query, request["number"], change)
@@ -358,8 +360,8 @@ def _ask(run: Path, record: Mapping[str, Any], request: dict[str, Any]) -> dict[
     if not _reachable(endpoint):
         raise NotRunning(f"{run}: nothing answers at {endpoint}: the run was killed")
     with open_client(endpoint) as session:
-        replies = session.get(f"{control_prefix(record['id'])}/intercept", payload=sealed, timeout=_TIMEOUT_S)
-        for reply in replies:
+        options: Any = {"payload": sealed, "attachment": control_mark("intercept"), "timeout": _TIMEOUT_S}
+        for reply in session.get(f"{control_prefix(record['id'])}/intercept", **options):
             if reply.ok is not None:
                 return answer_of(reply.ok.payload.to_bytes())
             if reply.err is not None:

@@ -15,6 +15,7 @@ from mast_zenoh.config.resolved import RECORDING, Resolved, joining_files
 from mast_zenoh.control import control_prefix, files, flow, prefix
 from mast_zenoh.control.failures import described
 from mast_zenoh.control.files import DESCRIBE, WITHOUT_SCENE, encode_description
+from mast_zenoh.control.key_marks import check_control_mark, control_mark
 from mast_zenoh.control.results import EVALUATOR
 from mast_zenoh.errors import BackendError, MastError, MessageError, RunError, ServiceDied, StallError
 from mast_zenoh.launch import conclusion, ending, local_mesh
@@ -209,7 +210,7 @@ class MeshLauncher(LauncherActions):
 
     def _on_clock(self, sample: zenoh.Sample) -> None:
         context = self._context
-        _, frame = stamp_of(sample.attachment)
+        _, frame = stamp_of(sample.attachment, "clock")
         timespan = context.resolved.timespan  # None: a user's simulator, which may play longer
         if frame < 0 or (timespan is not None and frame >= max(1, timespan.frames)):
             return
@@ -222,6 +223,7 @@ class MeshLauncher(LauncherActions):
     def _on_act(self, sample: zenoh.Sample) -> None:
         """Queue a request of the driver for process steps; refuse a malformed or unsigned one."""
         try:
+            check_control_mark(sample.key_expr, sample.attachment)
             act = self._context.signatures.open("act", sample.payload.to_bytes(), flow.decode_act)
             self._acts.put_nowait(act)
         except MessageError as error:
@@ -262,7 +264,8 @@ class MeshLauncher(LauncherActions):
         self._put(f"leave/{node}", reason)
 
     def _put(self, key: str, text: str) -> None:
-        self._session.put(f"{self._control}/{key}", self._context.signatures.sign(key, text.encode()))
+        payload = self._context.signatures.sign(key, text.encode())
+        self._session.put(f"{self._control}/{key}", payload, attachment=control_mark(key))
 
     def rewire(self, request: bytes, answered: Callable[[bytes | None], None]) -> None:
         payload = self._context.signatures.sign("rewire", request)
@@ -272,7 +275,8 @@ class MeshLauncher(LauncherActions):
             answered(next((reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None), None))
 
         handler: Any = zenoh.handlers.Callback(replies.append, finish, indirect=False)
-        self._session.get(f"{self._control}/rewire", handler, payload=payload, timeout=DRIVER_TIMEOUT_S)
+        options: Any = {"attachment": control_mark("rewire"), "timeout": DRIVER_TIMEOUT_S}
+        self._session.get(f"{self._control}/rewire", handler, payload=payload, **options)
 
     def answer(self, query: zenoh.Query, payload: bytes) -> None:
         query.reply(query.key_expr, payload)

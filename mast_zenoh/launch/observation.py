@@ -29,7 +29,7 @@ from mast_zenoh.metrics import Record, Scorer, Series
 from mast_zenoh.metrics.estimates import PICTURE_RECEIVED
 from mast_zenoh.metrics.record import Snapshot
 from mast_zenoh.runtime.host import Outgoing
-from mast_zenoh.runtime.protocol.traffic import stamp_of
+from mast_zenoh.runtime.protocol.traffic import MISDIRECTED, stamp_of
 from mast_zenoh.wiring.model import TAP, Wiring
 
 
@@ -81,8 +81,7 @@ class Activities:
     def __init__(self, session: zenoh.Session, prefix: str, wiring: Wiring, frame: Callable[[], int]) -> None:
         self._frame = frame
         self._keys = {
-            node: _Key(session, f"{prefix}/{key}", counted=counted)
-            for node, (key, counted) in watched_keys(wiring).items()
+            node: _Key(session, prefix, key, counted=counted) for node, (key, counted) in watched_keys(wiring).items()
         }
 
     def read(self) -> None:
@@ -118,8 +117,9 @@ def watched_keys(wiring: Wiring) -> dict[str, tuple[str, bool]]:
 class _Key:
     """The messages of one key: the newest step, and the number of frames with and without a message."""
 
-    def __init__(self, session: zenoh.Session, key: str, *, counted: bool) -> None:
-        self.subscriber: Any = session.declare_subscriber(key, zenoh.handlers.RingChannel(_CAPACITY))
+    def __init__(self, session: zenoh.Session, prefix: str, key: str, *, counted: bool) -> None:
+        self.subscriber: Any = session.declare_subscriber(f"{prefix}/{key}", zenoh.handlers.RingChannel(_CAPACITY))
+        self._key = key
         self._counted = counted
         self._newest = -1
         self._frames = 0
@@ -130,7 +130,7 @@ class _Key:
         """Take what has arrived."""
         steps: list[int] = []
         while (sample := self.subscriber.try_recv()) is not None:
-            steps.append(stamp_of(sample.attachment)[1])
+            steps.append(_step(sample, self._key))
         # A step beyond the scene is forged. Its clock may arrive here a moment after the message.
         newest = max((step for step in steps if step <= frame() + 1), default=-1)
         if newest > self._newest:
@@ -268,10 +268,11 @@ class MeshScores:
         """The score of the newest picture; None if there is none, or its truth is not known any more."""
         for sample in _taken(self._truth):
             if len(sample.payload) <= _MAX_BYTES:
-                self._truths.append((_step(sample), sample))
+                self._truths.append((_step(sample, self._keys.truth), sample))
         if self._clock is None:
             self._arrivals.extend((0, sample) for sample in _taken(self._picture))
-        arrivals = list(self._arrivals)
+        picture_key = self._keys.picture
+        arrivals = [item for item in list(self._arrivals) if _step(item[1], picture_key) != MISDIRECTED[1]]
         if not arrivals:
             return None
         try:
@@ -296,7 +297,7 @@ class MeshScores:
     def _latency_ms(self, arrivals: Iterable[tuple[int, zenoh.Sample]]) -> float | None:
         if self._clock is None:
             return None
-        began = {_step(sample): at_ns for at_ns, sample in reversed(list(self._clocks))}
+        began = {_step(sample, self._keys.clock): at_ns for at_ns, sample in reversed(list(self._clocks))}
         latencies = []
         for at_ns, sample in arrivals:
             if len(sample.payload) > _MAX_BYTES:
@@ -323,8 +324,8 @@ def _taken(subscriber: Any) -> list[zenoh.Sample]:
     return samples
 
 
-def _step(sample: zenoh.Sample) -> int:
-    return stamp_of(sample.attachment)[1]
+def _step(sample: zenoh.Sample, key: str) -> int:
+    return stamp_of(sample.attachment, key)[1]
 
 
 _SCORE_PERIOD_S = 0.5

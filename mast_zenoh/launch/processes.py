@@ -23,6 +23,7 @@ from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.errors import StartError
 from mast_zenoh.launch.processor_time import processor_time_s
 from mast_zenoh.launch.supervisor import Child, Supervisor
+from mast_zenoh.runtime.strays import RUN, end_strays
 
 #: s, for the server to import everything and to answer, and for it to leave.
 _START_S, _END_S = 30.0, 5.0
@@ -133,6 +134,8 @@ class Forked:
         if self.returncode is None and select.select([self._descriptor], [], [], timeout)[0]:
             with self._lock:
                 if self.returncode is None:
+                    with contextlib.suppress(OSError):  # its group has no other processes: it is their session's leader
+                        os.killpg(self.pid, signal.SIGKILL)
                     self.returncode = os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
         return self.returncode
 
@@ -188,6 +191,7 @@ class Processes(Supervisor[Process]):
         self.inside = inside
         self.extra_arguments = extra_arguments
         self._server: ForkServer | None = None
+        self._groups: set[int] = set()  # of all processes so far; each leads one
         self.zids: set[str] = set()
 
     def start(self, name: str, spec: NodeSpec) -> None:
@@ -244,11 +248,17 @@ class Processes(Supervisor[Process]):
             self.dispose(child)
         if self._server is not None:
             self._server.close()
+        end_strays(self.run, self._groups)
 
     def _spawn(self, name: str, spec: NodeSpec, log: IO[bytes]) -> subprocess.Popen[bytes] | Forked:
+        process = self._spawned(name, spec, log)
+        self._groups.add(process.pid)
+        return process
+
+    def _spawned(self, name: str, spec: NodeSpec, log: IO[bytes]) -> subprocess.Popen[bytes] | Forked:
         command = self.command(name, spec)
         if command[: len(_NODE)] == _NODE and can_fork_nodes():
-            self._server = self._server or ForkServer(_environment())
+            self._server = self._server or ForkServer(self._environment())
             return self._server.start(command, self.folder, log)
         return subprocess.Popen(
             command,
@@ -256,13 +266,12 @@ class Processes(Supervisor[Process]):
             stdout=log,
             stderr=subprocess.STDOUT,
             cwd=self.folder,
-            env=_environment(),
+            env=self._environment(),
             start_new_session=True,
         )
 
-
-def _environment() -> dict[str, str]:
-    return {**os.environ, **ENVIRONMENT}
+    def _environment(self) -> dict[str, str]:
+        return {**os.environ, **ENVIRONMENT, RUN: self.run}
 
 
 def _close(process: subprocess.Popen[bytes] | Forked) -> None:

@@ -17,6 +17,7 @@ from mast_zenoh.config.resolved import DRIVER_ROLE
 from mast_zenoh.control import files
 from mast_zenoh.control.codec import InvalidMessages
 from mast_zenoh.control.failures import MAX_HANDLERS, Entry, decode_failure, merged
+from mast_zenoh.control.key_marks import check_control_mark
 from mast_zenoh.control.results import decode_part, decode_result, is_part
 from mast_zenoh.control.tables import TablePart
 from mast_zenoh.errors import MessageError
@@ -104,6 +105,7 @@ class Reports:
             return
         with query:
             try:
+                check_control_mark(query.key_expr, query.attachment)
                 drives = self._child("result", node).spec.role == DRIVER_ROLE
                 outcome = decode_result(payload, node, drives=drives)
                 self._put("result", node, (outcome, hashlib.sha256(payload).digest(), self._children[node].restarts))
@@ -116,6 +118,7 @@ class Reports:
     def _on_part(self, query: zenoh.Query, node: str, payload: bytes) -> None:
         """Queue a part with its query, which is answered when it is written: so few parts are in memory."""
         try:
+            check_control_mark(query.key_expr, query.attachment)
             self._child("result", node)
             self._put("part", node, (query, *decode_part(payload)))
         except MessageError as error:
@@ -125,6 +128,7 @@ class Reports:
     def _on_failed(self, sample: zenoh.Sample) -> None:
         node = str(sample.key_expr).rpartition("/")[2]
         try:
+            check_control_mark(sample.key_expr, sample.attachment)
             self._child("failed", node)
             self._put("failed", node, decode_failure(sample.payload.to_bytes()))
         except MessageError as error:

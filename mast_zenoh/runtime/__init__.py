@@ -6,5 +6,6 @@ inproc       all nodes in one process
 player       nodes that send what was recorded
 protocol/    what the processes of a run do, as state machines without I/O
 mesh/        one node as a process on a Zenoh mesh
+strays       ends what the code of a node has started, and would outlive it
 file_client  transfers the files of a node on a host without the run folder
 """

@@ -25,6 +25,7 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import codec, control_prefix, files
 from mast_zenoh.control.codec import Message
 from mast_zenoh.control.files import PIECE_BYTES
+from mast_zenoh.control.key_marks import control_mark
 from mast_zenoh.errors import MessageError, RunError
 from mast_zenoh.messagelog.writer import MessageLog
 
@@ -41,7 +42,7 @@ Answer = TypeVar("Answer")
 class FileClient:
     """Fetches a node's files from the launcher, and hands in the files that it writes.
 
-    clock: offset_ms, this host's clock minus the launcher's, and round_trip_ms, the round trip of that measurement
+    clock: of monotonic clocks: offset_ms, this host's minus the launcher's; round_trip_ms, of that measurement
     """
 
     def __init__(self, session: zenoh.Session, run: str, name: str) -> None:
@@ -78,9 +79,10 @@ class FileClient:
         Raises the error with which the launcher refuses, and RunError after `seconds` without an answer.
         """
         deadline = time.monotonic() + seconds
-        payload = codec.encode(request)
+        payload, key = codec.encode(request), f"{what}/{self._name}"
+        options: Any = {"payload": payload, "attachment": control_mark(key), "timeout": 5.0}
         while True:
-            for reply in self._session.get(f"{self._base}/{what}/{self._name}", payload=payload, timeout=5.0):
+            for reply in self._session.get(f"{self._base}/{key}", **options):
                 if reply.ok is not None:
                     try:
                         return files.decode_answer(kind, reply.ok.payload.to_bytes())
@@ -96,9 +98,9 @@ class FileClient:
         """Measure the offset from the launcher's clock as NTP does: the fastest counts."""
         measurements = []
         for _ in range(_PROBES):
-            sent_ns = time.time_ns()
+            sent_ns = time.monotonic_ns()
             launcher_ns = self.ask("fetch", files.Clock(), seconds, files.LauncherTime).now_ns
-            received_ns = time.time_ns()
+            received_ns = time.monotonic_ns()
             measurements.append((received_ns - sent_ns, (sent_ns + received_ns) // 2 - launcher_ns))
         round_trip, offset = min(measurements)
         self.clock = {"offset_ms": round(offset * 1e-6, 3), "round_trip_ms": round(round_trip * 1e-6, 3)}

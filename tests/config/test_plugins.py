@@ -9,6 +9,7 @@ import os
 import re
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import mast_datasets
@@ -160,6 +161,21 @@ def test_a_broken_plugin_is_warned_about_once_and_stops_only_what_may_need_it(tm
     run = ("run", "baseline", "--frames", "3", "--runtime", "inproc", "--no-report")
     assert "cannot be imported" not in mast(site, *run)
     assert cause in mast(site, *run, "--set", "scene.type=Elsewhere", code=35)
+
+
+def test_a_plugin_whose_import_does_not_end_is_named_with_how_to_leave_it_out(tmp_path: Path) -> None:
+    site = installed(tmp_path, "hanging", "import threading\nthreading.Event().wait()\n")
+    command = [sys.executable, "-m", "mast_zenoh", "list"]
+    environment = os.environ | {"PYTHONPATH": f"{site}{os.pathsep}{ROOT}"}
+    with subprocess.Popen(command, env=environment, cwd=apart(site), stderr=subprocess.PIPE, text=True) as process:
+        guard = threading.Timer(120.0, process.kill)
+        guard.start()
+        assert process.stderr is not None
+        line = process.stderr.readline()
+        guard.cancel()
+        process.kill()
+    assert "the plugin hanging of hanging 1.0 has been importing for 5 s" in line
+    assert "pip uninstall hanging" in line
 
 
 def test_a_plugin_that_takes_a_name_is_left_out(tmp_path: Path) -> None:

@@ -94,6 +94,7 @@ class Query:
     def __init__(self, key: str, payload: bytes) -> None:
         self.key_expr = f"mast/x/@control/{key}"
         self.payload = MagicMock(to_bytes=lambda: payload, to_string=payload.decode)
+        self.attachment = None
         self.answers: list[tuple[str, bytes]] = []
         self.dropped = False
 

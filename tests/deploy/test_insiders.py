@@ -22,7 +22,7 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import flow, results
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.messagelog.difference import compare
-from mast_zenoh.runtime.protocol.traffic import ATTACHMENT, MARK
+from mast_zenoh.runtime.protocol.traffic import stamp
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 
@@ -219,7 +219,7 @@ def publish_uncounted_message(key: str) -> Callable[..., None]:
     """A message that lock-step counts as handled but not as sent."""
 
     def insider(session: Any, prefix: str) -> None:
-        session.put(f"{prefix}/{key}", b"\xc1", attachment=ATTACHMENT.pack(MARK, 1, 3))
+        session.put(f"{prefix}/{key}", b"\xc1", attachment=stamp(key, 1, 3))
 
     return insider
 

@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from mast_zenoh import kernels, scenario
 from mast_zenoh.cli.app import app
 from mast_zenoh.config import plugins
-from mast_zenoh.deploy import doctor, engines, swarm
+from mast_zenoh.deploy import doctor, engines, swarm, wheel
 from mast_zenoh.deploy.engine import check_space, needed_space, numeric_environment
 from mast_zenoh.deploy.swarm import Machine
 from mast_zenoh.errors import BackendError, ConfigurationError, DiskFull, EngineError, PluginError
@@ -203,6 +203,46 @@ def test_a_placement_without_a_suitable_machine_is_refused(
 ) -> None:
     with accepted_or(problem):
         swarm.check_placement(machines, place, pinned)
+
+
+#: What Docker writes when it cannot pull the base image: its reason is not on the last line.
+_NOT_PULLED = """Unable to find image 'python:3.12-slim' locally
+docker: Error response from daemon: Get "https://images.example/v2/": dial tcp: lookup images.example: no such host
+{advice}
+"""
+
+
+def fake_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, errors: str, code: int) -> None:
+    """Put a command first on the path that writes errors and fails."""
+    (tmp_path / "errors").write_text(errors)
+    (tmp_path / name).write_text(f"#!/bin/sh\ncat '{tmp_path}/errors' >&2\nexit {code}\n")
+    (tmp_path / name).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+
+
+@pytest.mark.parametrize(
+    "advice", ["See 'docker run --help'.", "\nRun 'docker run --help' for more information", "exit status 1"]
+)
+def test_an_image_that_cannot_be_built_says_why_in_the_engines_words(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, advice: str
+) -> None:
+    fake_command(tmp_path, monkeypatch, "docker", _NOT_PULLED.format(advice=advice), 125)
+    answer = CliRunner().invoke(app, ["deploy", "image"])
+    assert isinstance(answer.exception, EngineError)
+    assert "lookup images.example: no such host" in str(answer.exception)
+
+
+def test_wheels_that_cannot_be_downloaded_name_the_broken_connection(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    errors = (
+        "WARNING: Retrying (Retry) after connection broken by 'Error(Name or service not known)'\n"
+        "ERROR: No matching distribution found for numpy==1.0\n"
+    )
+    fake_command(tmp_path, monkeypatch, "python", errors, 1)
+    monkeypatch.setattr(wheel.sys, "executable", str(tmp_path / "python"))
+    with pytest.raises(EngineError, match=r"Name or service not known.*No matching distribution"):
+        wheel.third_party(tmp_path / "wheels", required=["numpy==1.0"])
 
 
 @pytest.mark.parametrize(

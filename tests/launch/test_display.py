@@ -14,7 +14,7 @@ from mast_zenoh import scenario
 from mast_zenoh.launch import display, observation, run
 from mast_zenoh.launch.display import Display
 from mast_zenoh.launch.observation import Activities, Activity, NewestScore, Status, watched_keys
-from mast_zenoh.runtime.protocol.traffic import ATTACHMENT, MARK
+from mast_zenoh.runtime.protocol.traffic import stamp
 from mast_zenoh.wiring.model import Wiring
 
 DASH = "\u2013"
@@ -148,7 +148,7 @@ def test_frames_without_a_message_are_counted_and_forged_stamps_are_not_believed
 
     def arrive(now: int, *steps: int) -> Activity:
         frame[0] = now
-        tracks.extend(ATTACHMENT.pack(MARK, 1, step) for step in steps)
+        tracks.extend(stamp("agent/ego/tracks", 1, step) for step in steps)
         activities.read()
         return activities.of("ego")
 

@@ -17,7 +17,7 @@ from mast_zenoh.launch.context import Mesh
 from mast_zenoh.launch.launcher_protocol import Endings, RunState, churn_of
 from mast_zenoh.launch.mesh_run import MeshLauncher
 from mast_zenoh.launch.supervisor import Child
-from mast_zenoh.runtime.protocol.traffic import ATTACHMENT, MARK
+from mast_zenoh.runtime.protocol.traffic import stamp
 
 WAIT_S = 0.05
 
@@ -36,7 +36,7 @@ def test_a_frame_beyond_the_scene_is_believed_only_of_a_simulator_of_the_user(
     launcher: MeshLauncher, planned: int | None, frame: int, newest: int
 ) -> None:
     launcher._context.resolved.timespan = planned and MagicMock(frames=planned)
-    launcher._on_clock(MagicMock(attachment=zenoh.ZBytes(ATTACHMENT.pack(MARK, 1, frame))))
+    launcher._on_clock(MagicMock(attachment=zenoh.ZBytes(stamp("clock", 1, frame))))
     assert launcher._context.frame == newest
 
 

@@ -12,7 +12,7 @@ from launched import Launched, Observer, eventually
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header
-from mast_zenoh.runtime.protocol.traffic import ATTACHMENT, MARK
+from mast_zenoh.runtime.protocol.traffic import stamp
 
 pytestmark = pytest.mark.mesh
 MESSAGES, LAST = 30, 149
@@ -44,7 +44,7 @@ def test_messages_waiting_for_a_clock_or_an_epoch_use_bounded_memory(launch) -> 
         flood = observer.publisher("agent/infra_1/tracks")
         payload = tracks_of("infra_1")
         for number in range(MESSAGES):
-            flood.put(payload, attachment=ATTACHMENT.pack(MARK, 1 + number % 2, LAST))
+            flood.put(payload, attachment=stamp("agent/infra_1/tracks", 1 + number % 2, LAST))
         after = observer.frame()
         eventually(lambda: observer.frame() > after + 5, "all messages have arrived")
         peaks = {name: peak_mb(node["pid"]) for name, node in run.record()["nodes"].items()}

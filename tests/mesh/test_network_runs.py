@@ -49,7 +49,7 @@ class Stopwatch(Observer):
     def _take(self, sample: zenoh.Sample) -> None:
         key = str(sample.key_expr).removeprefix(self.prefix)
         if (attachment := sample.attachment) and (key == "clock" or key.endswith("/tracks")):
-            frame = int.from_bytes(attachment.to_bytes()[8:16], "little", signed=True)
+            frame = int.from_bytes(attachment.to_bytes()[16:24], "little", signed=True)
             self.came_ns.setdefault(key, {}).setdefault(frame, time.monotonic_ns())
 
     def longest_silence_s(self, key: str) -> float:

@@ -15,12 +15,23 @@ from hypothesis import strategies as st
 from tiny_world import tracks
 
 from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.control.key_marks import control_mark
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import SCHEMAS, Header, Message, text
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime.host import Host, Outgoing
 from mast_zenoh.runtime.protocol.pacer import SETTLE_EVERY
-from mast_zenoh.runtime.protocol.traffic import ATTACHMENT, MARK, Inbox, Item, Outlets, stamp_of
+from mast_zenoh.runtime.protocol.traffic import (
+    ATTACHMENT,
+    FOREIGN,
+    MARK,
+    MISDIRECTED,
+    Inbox,
+    Item,
+    Outlets,
+    stamp,
+    stamp_of,
+)
 from mast_zenoh.runtime.waiting import DELAYED, EARLY, HELD, INBOX, Limit, Room
 from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
 
@@ -224,17 +235,25 @@ def test_held_back_messages_are_published_on_the_new_key_and_the_old_one_is_unde
     assert not actions.mock_calls
     assert outlets.move(outlet, "other") == 1
     assert actions.mock_calls == [
-        call.publish("other", b"x", ATTACHMENT.pack(MARK, 1, 3)),
+        call.publish("other", b"x", stamp("other", 1, 3)),
         call.undeclare("agent/a/tracks"),
     ]
 
 
 @pytest.mark.parametrize(
-    ("attachment", "stamp"),
-    [(ATTACHMENT.pack(MARK, 3, 7), (3, 7)), (ATTACHMENT.pack(b"XXXX", 3, 7), (-1, -1)), (b"short", (-1, -1))],
+    ("attachment", "expected"),
+    [
+        (stamp(KEY_A, 3, 7), (3, 7)),
+        (stamp(KEY_B, 3, 7), MISDIRECTED),
+        (control_mark("stop"), MISDIRECTED),
+        (ATTACHMENT.pack(MARK, 3, 7), MISDIRECTED),
+        (b"NONE" + stamp(KEY_A, 3, 7)[4:], FOREIGN),
+        (b"short", FOREIGN),
+        (stamp(KEY_A, 3, 7) + b"more", FOREIGN),
+    ],
 )
-def test_only_a_stamp_of_this_testbed_is_believed(attachment: bytes, stamp: tuple[int, int]) -> None:
-    assert stamp_of(zenoh.ZBytes(attachment)) == stamp
+def test_only_a_stamp_of_this_testbed_and_of_the_key_is_believed(attachment: bytes, expected: tuple[int, int]) -> None:
+    assert stamp_of(zenoh.ZBytes(attachment), KEY_A) == expected
 
 
 def test_forty_agents_in_a_large_scene_stay_far_below_every_limit() -> None:

@@ -15,7 +15,7 @@ from mast_zenoh.control.flow import END
 from mast_zenoh.launch import launcher_protocol
 from mast_zenoh.runtime import host
 from mast_zenoh.runtime.protocol import driver, node, pacer, rewiring, traffic
-from mast_zenoh.runtime.protocol.traffic import ATTACHMENT, MARK
+from mast_zenoh.runtime.protocol.traffic import ATTACHMENT
 from mast_zenoh.testing.simulation import simulation
 
 Plant = Callable[[pytest.MonkeyPatch], None]
@@ -65,7 +65,7 @@ def the_stamp_is_of_an_older_step(patch: pytest.MonkeyPatch) -> None:
 
         @staticmethod
         def pack(mark: bytes, epoch: int, step: int) -> bytes:
-            return original(MARK, epoch, max(-1, step - 1))
+            return original(mark, epoch, max(-1, step - 1))
 
     patch.setattr(traffic, "ATTACHMENT", Late)
 

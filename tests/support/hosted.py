@@ -30,7 +30,7 @@ class Hosted:
         self.actions = MagicMock(spec=Actions)
         self.actions.unmatched.return_value = set()
         self.inbox = Inbox(self.items.append, nullcontext())
-        clocks = Clocks(lambda: self.now_ns, lambda: self.now_ns, lambda: 0.0)
+        clocks = Clocks(lambda: self.now_ns, lambda: 0.0)
         common: Any = (name, node, wiring, 1, self.actions, self.inbox, clocks)
         options = {"process": "p", "signatures": Signatures("x"), "period_ns": 1, "lockstep": True, **options}
         protocol = DriverProtocol if isinstance(node, Source) else NodeProtocol

@@ -19,7 +19,7 @@ from mast_zenoh.control import prefix
 from mast_zenoh.launch.tables import from_arrow, read_table
 from mast_zenoh.messagelog.reader import read
 from mast_zenoh.runtime.mesh.session import open_client, open_router
-from mast_zenoh.runtime.protocol.traffic import ATTACHMENT, MARK
+from mast_zenoh.runtime.protocol.traffic import stamp
 from mast_zenoh.viewer.frame import Frame, FramedRun
 from mast_zenoh.viewer.live.measurement import FrameMeter, LiveRun
 from mast_zenoh.viewer.live.observer import Observer
@@ -150,8 +150,8 @@ def test_the_newest_frame_of_a_run_that_ends_comes_out_even_if_it_ends_at_once(r
         observer = Observer(run, session)
         arrived = session.declare_subscriber(f"{prefix('short')}/end")
         for message in read(recorded.path):
-            stamp = ATTACHMENT.pack(MARK, 0, message.step)
-            publisher.put(f"{prefix('short')}/{message.key}", message.payload, attachment=stamp)
+            attachment = stamp(message.key, 0, message.step)
+            publisher.put(f"{prefix('short')}/{message.key}", message.payload, attachment=attachment)
         publisher.put(f"{prefix('short')}/end", b"")
         arrived.recv()
         ended: list[bool] = []

@@ -49,6 +49,7 @@ from mast_zenoh.launch.context import RunContext
 from mast_zenoh.launch.processes import ENVIRONMENT
 from mast_zenoh.launch.supervisor import Child, how_ended
 from mast_zenoh.runtime.mesh.session import open_router
+from mast_zenoh.runtime.strays import RUN
 from mast_zenoh.security import levels
 from mast_zenoh.security.credentials import ROUTER
 from mast_zenoh.security.deployment import Deployment
@@ -415,7 +416,8 @@ class RemoteNodes(DeployedNodes[RemoteNode]):
         return [self.installed[name].python, *words, *patience]
 
     def _environment(self, name: str) -> dict[str, str]:
-        return {"PYTHONPATH": self.installed[name].release, **ENVIRONMENT, **numeric_environment()}
+        own = {"PYTHONPATH": self.installed[name].release, RUN: self.context.run_id}
+        return {**own, **ENVIRONMENT, **numeric_environment()}
 
     def start_all(self, specs: Mapping[str, NodeSpec]) -> None:
         """Start nodes, and wait until the hosts have started them."""

@@ -42,6 +42,7 @@ from mast_zenoh.node import Node
 from mast_zenoh.runtime.mesh.session import open_client, open_observer
 from mast_zenoh.runtime.mesh.zenoh_process import ZenohProcess
 from mast_zenoh.runtime.protocol.actions import ORPHAN_GRACE_S
+from mast_zenoh.runtime.strays import end_own_strays
 from mast_zenoh.security import explain
 from mast_zenoh.security.control_keys import ControlKeys
 from mast_zenoh.security.credentials import CONTROL, Credentials
@@ -216,6 +217,8 @@ def main(node: type[Node] | None = None) -> None:
     except MastError as error:
         logging.getLogger("mast").error("%s", error)
         sys.exit(error.exit_code)
+    finally:
+        end_own_strays()
 
 
 def run(node: type[Node] | None, arguments: argparse.Namespace) -> None:
@@ -263,4 +266,5 @@ def _leave_with_launcher(processes: list[ZenohProcess], credentials: Path | None
     for process in processes:
         process.stop("orphaned")
         threading.Event().wait(ORPHAN_GRACE_S)
+    end_own_strays()
     os._exit(3)

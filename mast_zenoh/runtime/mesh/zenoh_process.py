@@ -22,7 +22,9 @@ import zenoh
 
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import files, prefix
+from mast_zenoh.control.key_marks import check_control_mark, control_mark
 from mast_zenoh.control.signatures import Signatures
+from mast_zenoh.errors import MessageError
 from mast_zenoh.messages.schemas import SCHEMAS
 from mast_zenoh.node import Node
 from mast_zenoh.runtime.host import Link
@@ -83,7 +85,7 @@ class ZenohProcess(Actions):
         self._n_handled = 0  # of them, those that the main thread has handled; counted after it released the lock
         self._queue: queue.SimpleQueue[Item] = queue.SimpleQueue()
         self.inbox = Inbox(self._queue.put, threading.Lock())
-        clocks = Clocks(time.monotonic_ns, time.time_ns, time.process_time)
+        clocks = Clocks(time.monotonic_ns, time.process_time)
         process = os.urandom(8).hex()
         self.protocol = protocol_of(
             resolved, name, node, self, self.inbox, clocks, process=process, signatures=signatures
@@ -153,15 +155,13 @@ class ZenohProcess(Actions):
     def _receive_control(self) -> None:
         """Subscribe to the control messages of the protocol."""
         protocol, name = self.protocol, self.protocol.name
-        self._subscribe("@control/epoch", lambda sample: protocol.receive_epoch(sample.payload.to_bytes()))
+        self._obey("epoch", lambda sample: protocol.receive_epoch(sample.payload.to_bytes()))
         for key in ("stop", f"leave/{name}"):
-            self._subscribe(f"@control/{key}", partial(self._on_stop, key))
+            self._obey(key, partial(self._on_stop, key))
         self._answer(f"drain/{name}", protocol.receive_drain)
         if isinstance(protocol, DriverProtocol):
             driver = protocol
-            self._subscribe(
-                "@control/counts/*", lambda sample: driver.receive_counts(_node(sample), sample.payload.to_bytes())
-            )
+            self._obey("counts/*", lambda sample: driver.receive_counts(_node(sample), sample.payload.to_bytes()))
             self._answer("rewire", driver.receive_rewire)
 
             def on_token(token: zenoh.Sample) -> None:
@@ -176,11 +176,32 @@ class ZenohProcess(Actions):
         direct: Any = zenoh.handlers.Callback(keeping_state(callback), indirect=False)
         self._declared.append(self.session.declare_subscriber(f"{self.prefix}/{key}", direct))
 
+    def _obey(self, key: str, receive: Callable[[zenoh.Sample], None]) -> None:
+        """Receive the messages on a control key."""
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            if self._was_sent_here(key, sample):
+                receive(sample)
+
+        self._subscribe(f"@control/{key}", on_sample)
+
+    def _was_sent_here(self, key: str, message: zenoh.Sample | zenoh.Query) -> bool:
+        """Whether a control message was sent on the key on which it has arrived; else it is counted as invalid."""
+        try:
+            check_control_mark(message.key_expr, message.attachment)
+        except MessageError as error:
+            self.protocol.invalid.note(key, error)
+            return False
+        return True
+
     def _answer(self, key: str, receive: Callable[[zenoh.Query, bytes], None]) -> None:
         """Receive the queries on a control key."""
 
         def on_query(query: zenoh.Query) -> None:
-            receive(query, query.payload.to_bytes() if query.payload else b"")
+            if self._was_sent_here(key, query):
+                receive(query, query.payload.to_bytes() if query.payload else b"")
+            else:
+                self.answer(query, None)
 
         direct: Any = zenoh.handlers.Callback(on_query, indirect=False)
         self._declared.append(self.session.declare_queryable(f"{self.prefix}/@control/{key}", direct))
@@ -193,7 +214,7 @@ class ZenohProcess(Actions):
         receive = self.protocol.receive_message
 
         def on_sample(sample: zenoh.Sample) -> None:
-            epoch, step = stamp_of(sample.attachment)
+            epoch, step = stamp_of(sample.attachment, key)
             payload = sample.payload.to_bytes()
             if self._prompt and self._handle_promptly(key, payload, epoch, step):
                 return
@@ -265,7 +286,7 @@ class ZenohProcess(Actions):
                 priority=zenoh.Priority.INTERACTIVE_HIGH,
                 express=True,
             )
-        self._control_publishers[key].put(payload)
+        self._control_publishers[key].put(payload, attachment=control_mark(key))
 
     def ask_drained(self, node: str, key: str) -> None:
         self._query(
@@ -299,7 +320,8 @@ class ZenohProcess(Actions):
         """Send a query on a control key; once it has ended, put the event of its replies into the inbox."""
         replies = list[zenoh.Reply]()
         handler: Any = zenoh.handlers.Callback(replies.append, lambda: self.inbox.put(event(replies)), indirect=False)
-        self.session.get(f"{self.prefix}/@control/{key}", handler, payload=payload, **options)
+        stamp = control_mark(key)
+        self.session.get(f"{self.prefix}/@control/{key}", handler, payload=payload, attachment=stamp, **options)
 
 
 class _PartSender:

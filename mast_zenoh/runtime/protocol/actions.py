@@ -16,10 +16,9 @@ Query = Any
 
 
 class Clocks(NamedTuple):
-    """The clocks of a process: monotonic and wall clock, ns, and its processor time, s."""
+    """The clocks of a process: monotonic, ns, which all processes of a machine share, and its processor time, s."""
 
     monotonic_ns: Callable[[], int]
-    wall_ns: Callable[[], int]
     cpu_s: Callable[[], float]
 
 

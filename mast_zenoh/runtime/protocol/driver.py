@@ -110,7 +110,7 @@ class DriverProtocol(NodeProtocol):
         **options: Any,
     ) -> None:
         super().__init__(name, node, wiring, *arguments, **options)
-        self.scene = SceneFrames(node, self.host, super()._emit, self.clocks.wall_ns)
+        self.scene = SceneFrames(node, self.host, super()._emit, self.clocks.monotonic_ns)
         self.pacer = Pacer(wiring)
         self.membership = Membership(name, expected)
         self.timetable = timetable
@@ -393,15 +393,15 @@ class SceneFrames:
 
     Until it is sent, a frame is only bytes in this process: no node can act on it too early.
 
-    send_message: sends it;  wall_ns: the wall clock
+    send_message: sends it;  now_ns: the monotonic clock
     sent:    messages of the current epoch, by key
-    sent_ns: times when the newest frames were sent, ns on the wall clock
+    sent_ns: times when the newest frames were sent, ns
     """
 
     source: Source
     context: Context
     send_message: Callable[[Outgoing], None]
-    wall_ns: Callable[[], int]
+    now_ns: Callable[[], int]
     sent: Counter[str] = field(default_factory=Counter)
     sent_ns: dict[int, int] = field(default_factory=dict)
     _ready: list[Outgoing] | None = None
@@ -422,7 +422,7 @@ class SceneFrames:
             self.prepare()
         if not self._ready:
             return False
-        self.sent_ns[number] = self.wall_ns()
+        self.sent_ns[number] = self.now_ns()
         self.sent_ns.pop(number - MAX_FRAMES, None)
         for message in self._ready:
             self.send_message(message)

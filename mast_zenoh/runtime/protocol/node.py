@@ -88,7 +88,7 @@ class NodeProtocol:
         self.stop_reason: str | None = None
         self.on_kill: Callable[[], None] | None = None  # ends the process at once
         self.on_stop: Callable[[], None] = lambda: None  # ends what a handler waits for
-        self.arrived_ns: dict[str, dict[int, int]] = {}  # by key, when the newest frames arrived, on the wall clock
+        self.arrived_ns: dict[str, dict[int, int]] = {}  # by key, when the newest frames arrived
         self.host_facts: dict[str, Any] = {}  # facts of its host, for run.json
         self._process = process
         self._ended = False
@@ -370,6 +370,6 @@ class NodeProtocol:
     def _note_arrival(self, key: str, header: Header) -> None:
         """Note the arrival of a valid message: of the first of each frame, and of the newest frames."""
         arrived_ns = self.arrived_ns.setdefault(key, {})
-        arrived_ns.setdefault(header.frame, self.clocks.wall_ns())
+        arrived_ns.setdefault(header.frame, self.clocks.monotonic_ns())
         if len(arrived_ns) > MAX_FRAMES:
             del arrived_ns[next(iter(arrived_ns))]

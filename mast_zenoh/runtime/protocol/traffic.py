@@ -1,7 +1,8 @@
 """What a node's process receives and sends: stamps, the inbox, messages by epoch, and the outlets of its wires.
 
-The stamp attached to a data message is a mark of this testbed, epoch and step. The step is that in which the message
-was sent. An interposer's messages have the same stamp as the publisher's would, so it does not reveal them.
+The stamp attached to a data message is the mark of the key on which it is sent, epoch and step. The step is that in
+which the message was sent. An interposer's messages have the same stamp as the publisher's
+would, so it does not reveal them.
 """
 
 from __future__ import annotations
@@ -10,33 +11,35 @@ import struct
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping
 from contextlib import AbstractContextManager
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
+from mast_zenoh.control.key_marks import MARK, MARK_BYTES, Attachment, key_mark
 from mast_zenoh.runtime.host import Host, Outgoing
 from mast_zenoh.runtime.protocol.actions import Actions
 from mast_zenoh.runtime.waiting import EARLY, INBOX, Limit, Room
 from mast_zenoh.wiring.model import Wiring
 
-ATTACHMENT = struct.Struct("<4sIq")
-MARK = b"MAST"
+ATTACHMENT = struct.Struct(f"<{MARK_BYTES}sIq")
+
+FOREIGN = -1, -1  #: stamp of a message that is not from this testbed
+MISDIRECTED = -2, -2  #: stamp of one that was sent on another key than that on which it has arrived
 
 
-class Attachment(Protocol):
-    """An attachment as Zenoh passes it."""
-
-    def __len__(self) -> int: ...
-
-    def to_bytes(self) -> bytes:
-        """Its content."""
-        ...
+def stamp(key: str, epoch: int, step: int) -> bytes:
+    """The attachment of a message that is sent on a key."""
+    return ATTACHMENT.pack(key_mark(key), epoch, step)
 
 
-def stamp_of(attachment: Attachment | None) -> tuple[int, int]:
-    """Epoch and step of an attachment; (-1, -1) for one that is not from this testbed."""
-    if attachment is None or len(attachment) != ATTACHMENT.size:
-        return -1, -1
-    mark, epoch, step = ATTACHMENT.unpack(attachment.to_bytes())
-    return (epoch, step) if mark == MARK else (-1, -1)
+def stamp_of(attachment: Attachment | None, key: str) -> tuple[int, int]:
+    """Epoch and step of the attachment of a message that has arrived on a key; else FOREIGN or MISDIRECTED."""
+    if attachment is None or len(attachment) not in (ATTACHMENT.size, MARK_BYTES):
+        return FOREIGN
+    content = attachment.to_bytes()
+    if len(content) == ATTACHMENT.size:
+        mark, epoch, step = ATTACHMENT.unpack(content)
+        if mark == key_mark(key):
+            return epoch, step
+    return MISDIRECTED if content.startswith(MARK) else FOREIGN
 
 
 Event = tuple[Any, ...]
@@ -169,7 +172,9 @@ class Receiving:
 
     def deliver(self, key: str, payload: bytes, epoch: int, step: int) -> None:
         """Deliver a message to the host, or keep it until its epoch."""
-        if epoch < 0:
+        if epoch == MISDIRECTED[0]:
+            self._host.drop(key, "wrong key: sent on another key, and delivered on this one by Zenoh")
+        elif epoch < 0:
             self.foreign[key] += 1
             if self.started:
                 self._host.deliver(key, payload, -1, counted=False)
@@ -221,13 +226,13 @@ class Outlet:
 
     key:    on which it is published now
     newest: the last message
-    held:   messages held back, with their attachments; None while they are not
+    held:   messages held back, with epoch and step; None while they are not
     """
 
     def __init__(self, key: str) -> None:
         self.key = key
         self.newest: bytes | None = None
-        self.held: list[tuple[bytes, bytes]] | None = None
+        self.held: list[tuple[bytes, int, int]] | None = None
 
 
 class Outlets(dict[str, Outlet]):
@@ -252,18 +257,17 @@ class Outlets(dict[str, Outlet]):
         assert isinstance(message.payload, bytes)
         outlet = self[message.key]
         outlet.newest = message.payload
-        attachment = ATTACHMENT.pack(MARK, epoch, message.step)
         if outlet.held is None:
-            self._actions.publish(outlet.key, message.payload, attachment)
+            self._actions.publish(outlet.key, message.payload, stamp(outlet.key, epoch, message.step))
         else:
-            outlet.held.append((message.payload, attachment))
+            outlet.held.append((message.payload, epoch, message.step))
 
     def move(self, outlet: Outlet, key: str) -> int:
         """Publish on another key, beginning with held messages; returns their number."""
         previous, outlet.key = outlet.key, key
         held, outlet.held = outlet.held or [], None
-        for payload, attachment in held:
-            self._actions.publish(key, payload, attachment)
+        for payload, epoch, step in held:
+            self._actions.publish(key, payload, stamp(key, epoch, step))
         self._actions.undeclare(previous)
         return len(held)
 

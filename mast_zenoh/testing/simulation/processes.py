@@ -123,7 +123,7 @@ class SimulatedProcess(Actions):
             world.build(name, resolved.nodes[name]),
             self,
             self.inbox,
-            Clocks(clock, clock, lambda: 0.0),
+            Clocks(clock, lambda: 0.0),
             process=f"{name} {number}",
             signatures=Signatures(mesh.run),
         )

@@ -76,7 +76,7 @@ class Reception:
         for key, subscriber in self._subscribers.items():
             kept = self._kept[key]
             while (sample := subscriber.handler.try_recv()) is not None:
-                _, step = stamp_of(sample.attachment)
+                _, step = stamp_of(sample.attachment, key)
                 if 0 <= step < self._end:
                     kept.append((step, sample.payload))
                     arrived.append(Arrival(key, step, sample.payload))
