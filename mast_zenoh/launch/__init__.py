@@ -4,7 +4,7 @@ run           one run and its folder: on a mesh, or in this process
 twin          the same run without its adversaries
 mesh_run      the run on a mesh: its loop, what it carries out, and its end
 context       the state that its parts share;  local_mesh: joins the mesh of nodes on this machine
-launcher_protocol  what the launcher decides, without I/O: its loop
+launcher_protocol  what the launcher decides, without I/O: its loop;  progress: of nodes that are to finish
 live_interception  inserts nodes into wires while a run plays: the request and its server
 supervisor    starts, watches and ends nodes;  processes: as processes of this machine
               fork_server: the process that forks them, which has imported what nodes need

@@ -29,6 +29,7 @@ from mast_zenoh.errors import (
     StartError,
 )
 from mast_zenoh.launch import ending
+from mast_zenoh.launch.progress import Progress
 from mast_zenoh.launch.supervisor import Child, Supervisor
 from mast_zenoh.messagelog import churn
 from mast_zenoh.runtime.protocol.timetable import Timetable
@@ -240,50 +241,7 @@ class Steps:
 
 LEAVE_GRACE_S = 20.0  #: without progress of any node, from the end of the scene to the last node's results
 INTERRUPT_GRACE_S = 5.0  #: the same after a stop signal, when only data counts as progress
-COMPUTE_LIMIT_S = 600.0  #: for which a node may compute without data, as its supervisor measures it
-UNMEASURED_LIMIT_S = 120.0  #: the same where nothing measures it
-END_LIMIT_S = 3600.0  #: for everything
-#: Share of a processor that counts as computing: one with an open session needs a tenth of that while it waits, and one
-#: that computes gets four times as much beside twenty others.
-_COMPUTING = 0.0125
-_SHOWN_S = 2.0  # of waiting, before it is shown
-
-
-class _Progress:
-    """Whether nodes make progress that have been asked to finish: by data, and by processor time as measured."""
-
-    def __init__(self, state: RunState, actions: LauncherActions) -> None:
-        self._now_s = state.now_s
-        self._actions = actions
-        # By node: processor time at a time, s, and when it was last seen to compute.
-        self._computed: dict[str, tuple[float, float, float]] = {}
-
-    def problem(self, child: Child, since: float, grace: float, *, interrupted: bool) -> str:
-        """Why a node is not waited for any longer; empty: it has made progress lately.
-
-        since: when it was asked to finish, s;  grace: for which it may make none, s
-        """
-        now, cpu_s = self._now_s(), child.cpu_s
-        data_s = max(since, self._actions.last_data_s(child.name))
-        computed_s = data_s
-        if cpu_s is not None:
-            before_s, at_s, computed_s = self._computed.get(child.name, (cpu_s, since, since))
-            if cpu_s < before_s or cpu_s - before_s >= _COMPUTING * grace:  # less: it is another process
-                before_s, at_s, computed_s = cpu_s, now, now
-            elif now - at_s > grace:
-                before_s, at_s = cpu_s, now
-            self._computed[child.name] = before_s, at_s, computed_s
-        if interrupted:
-            return f"has not finished within {grace:.0f} s" if now - data_s > grace else ""
-        if now - since > END_LIMIT_S:
-            return f"has not finished within {END_LIMIT_S:.0f} s"
-        if cpu_s is None:
-            limit = max(grace, UNMEASURED_LIMIT_S)
-            return f"has not finished within {limit:.0f} s" if now - data_s > limit else ""
-        if now - max(data_s, computed_s) > grace:
-            return f"has not finished within {grace:.0f} s" + (" without progress" if computed_s > since else "")
-        limit = max(grace, COMPUTE_LIMIT_S)
-        return f"has computed for {limit:.0f} s and handed in nothing" if now - data_s > limit else ""
+_SHOWN_S = 2.0  # of waiting at the end, before it is shown
 
 
 def churn_of(outcomes: Mapping[str, Mapping[str, Any]], state: RunState) -> list[dict[str, Any]]:
@@ -310,7 +268,7 @@ class Endings:
         self._steps = steps
         self._actions = actions
         self._interrupts = 0  # stop signals that have been handled
-        self._progress = _Progress(state, actions)
+        self._progress = Progress(state.now_s, actions.last_data_s)
 
     @property
     def waiting(self) -> str:

@@ -11,6 +11,7 @@ import pytest
 from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.errors import NodeDied
 from mast_zenoh.launch import launcher_protocol as protocol
+from mast_zenoh.launch import progress
 from mast_zenoh.launch.launcher_protocol import LauncherProtocol, RunState
 from mast_zenoh.launch.supervisor import Child
 
@@ -75,7 +76,7 @@ def test_a_node_that_computes_is_waited_for_also_beside_many_others() -> None:
 def test_computing_alone_has_a_limit() -> None:
     spinning = Finishing("spinning", lambda now: now, nothing)
     assert ended_after_s(spinning) == (
-        pytest.approx(protocol.COMPUTE_LIMIT_S, abs=1.0),
+        pytest.approx(progress.COMPUTE_LIMIT_S, abs=1.0),
         "spinning has computed for 600 s and handed in nothing; it is killed",
     )
 
@@ -89,12 +90,12 @@ def test_a_node_that_stops_computing_is_waited_for_until_the_limit_from_then_on(
 def test_data_count_wherever_a_node_lives_and_have_a_limit_too() -> None:
     sending = Finishing("sending", lambda now: None, lambda now: now - now % 15.0)
     assert ended_after_s(sending, most_s=3000.0)[0] == 3000.0
-    assert ended_after_s(sending)[0] == pytest.approx(protocol.END_LIMIT_S, abs=1.0)
+    assert ended_after_s(sending)[0] == pytest.approx(progress.END_LIMIT_S, abs=1.0)
 
 
 def test_where_nothing_measures_a_node_gets_a_longer_limit() -> None:
     unmeasured = Finishing("far", lambda now: None, nothing)
-    assert ended_after_s(unmeasured)[0] == pytest.approx(protocol.UNMEASURED_LIMIT_S, abs=1.0)
+    assert ended_after_s(unmeasured)[0] == pytest.approx(progress.UNMEASURED_LIMIT_S, abs=1.0)
 
 
 def test_another_process_of_a_node_begins_with_little_processor_time() -> None:

@@ -17,6 +17,7 @@ import mast_zenoh as mast
 from mast_zenoh.report.film.takes import Take
 from mast_zenoh.report.film.writing import schedule
 from mast_zenoh.report.html import write_report
+from mast_zenoh.run_files import read_json
 from mast_zenoh.viewer import run as run_module
 from mast_zenoh.viewer.page.block import run_block
 from mast_zenoh.viewer.page.columns import unpack
@@ -29,7 +30,7 @@ EVERY = 4
 @pytest.fixture
 def long(recorded: mast.Run, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A run that is long for a page."""
-    frames = int(recorded.metrics["frames"])
+    frames = read_json(recorded.path / "metrics.json")["frames"]
     monkeypatch.setattr(run_module, "MOST_FRAMES", -(-frames // EVERY))
     return recorded.path
 

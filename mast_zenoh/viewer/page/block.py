@@ -8,7 +8,6 @@ neighbours differ little. Velocities, covariances and classes come from the mess
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -20,15 +19,13 @@ from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASSES, Bools, Floats, Ints, ObjectStates
 from mast_zenoh.errors import MastError
 from mast_zenoh.launch.twin import NAME
-from mast_zenoh.messagelog.reader import read
-from mast_zenoh.messages import codec
-from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics.estimates import ESTIMATES
 from mast_zenoh.scenes.recording import TRUTH_COLUMNS, Recording, SceneAgent, truth_states
 from mast_zenoh.viewer.driven import braking_events, braking_of, cars_of, course_of, twin_course
 from mast_zenoh.viewer.events import EFFECTS, Event, first_changes, happenings, lie_frames, node_absences, spans
 from mast_zenoh.viewer.interposers import adversaries_by_agent, interposers
 from mast_zenoh.viewer.page.columns import Packer
+from mast_zenoh.viewer.page.motion import motion_of, recorded_tracks, row_keys
 from mast_zenoh.viewer.palette import STATES, page_colours
 from mast_zenoh.viewer.run import ALL, RunRecord, Sample, Table, column, rows
 
@@ -37,8 +34,6 @@ FORMAT = 1
 LENGTH, ANGLE, SCORE = 0.01, 0.002, 0.01
 #: m/s, m and 1: resolution of velocities, of standard deviations and of correlations; m, of the swept free space.
 _SPEED, _SPREAD, _CORRELATION, _SWEPT = 0.05, 0.02, 0.02, 0.5
-#: m, greatest standard deviation that is kept: more is not drawn.
-_MOST_M = 300.0
 #: Ids from here on do not fit into a column.
 _MOST_ID = 1 << 30
 #: Flags of an agent in a frame, above its state (0: not judged, else 1 + the row of STATES).
@@ -133,7 +128,7 @@ def run_block(run: RunRecord, frame: int | None = None, label: str = "") -> byte
     packer = Packer()
     packer.add("time", times, scale=1e-3)
     try:
-        motion = motion_of(boxes, truth, _recorded_tracks(run))
+        motion = motion_of(boxes, truth, recorded_tracks(run))
     except (MastError, OSError):
         motion = motion_of(boxes, truth, ())
     periods = spans(run, times)
@@ -264,81 +259,6 @@ def _unseen(truth: Truth, is_truth: Bools, frame: Ints, ids: Ints) -> list[NDArr
     new = ~np.isin(row_keys(truth.frame, states.id), known) & (truth.frame <= last)
     geometry = np.column_stack([states.position, states.size, states.yaw])[new]
     return [np.ones(new.sum(), bool), truth.frame[new], states.id[new], geometry, np.zeros(new.sum())]
-
-
-def row_keys(*columns: NDArray[np.generic]) -> NDArray[np.uint64]:
-    """(n,) A 64-bit hash of the bits of each row."""
-    result = np.zeros(len(columns[0]), np.uint64)
-    for values in columns:
-        numbers = np.asarray(values, np.float64)
-        for part in numbers.T if numbers.ndim > 1 else [numbers]:
-            bits = np.ascontiguousarray(part + 0.0).view(np.uint64)
-            result = (result ^ bits) * np.uint64(0x9E3779B97F4A7C15)
-            result ^= result >> np.uint64(29)
-    return result
-
-
-def motion_of(boxes: BoxTable, truth: Truth, tracks: Iterable[tuple[int, Body]]) -> Table:
-    """What is known of m boxes besides their geometry.
-
-    known:    (m,) bool;  the other columns are 0 where it is False
-    velocity: (m, 2) m/s, world frame
-    spread:   (m, 3) standard deviations in m of x and of y, and their correlation; 0: exact, or not known
-    kind:     (m,) index into CLASSES
-
-    tracks: frame and columns of the messages that hold the tracks, on every leg of their wires
-    """
-    count = len(boxes.frame)
-    motion = {
-        "known": np.zeros(count, bool),
-        "velocity": np.zeros((count, 2)),
-        "spread": np.zeros((count, 3)),
-        "kind": np.zeros(count, np.int64),
-    }
-    keys, of_tracks = _motion_of_tracks(tracks)
-    scene: Table = {"velocity": truth.states.velocity[:, :2], "kind": truth.states.class_id}
-    own = row_keys(boxes.frame, boxes.id)
-    placed = row_keys(boxes.frame, boxes.id, boxes.geometry[:, :2])
-    for own_keys, wanted, known_keys, values in (
-        (own, boxes.truth, row_keys(truth.frame, truth.states.id), scene),
-        (placed, ~boxes.truth, keys, of_tracks),
-    ):
-        if not len(known_keys):
-            continue
-        order = np.argsort(known_keys, kind="stable")
-        place = order[np.minimum(np.searchsorted(known_keys, own_keys, sorter=order), len(known_keys) - 1)]
-        found = (known_keys[place] == own_keys) & wanted
-        motion["known"][found] = True
-        for name in values:
-            motion[name][found] = values[name][place[found]]
-    return motion
-
-
-def _recorded_tracks(run: RunRecord) -> Iterator[tuple[int, Body]]:
-    """Frame and columns of all recorded tracks in the frames of the sample."""
-    for message in read(run.path):
-        of_tracks = not message.malformed and message.message in ("tracks", "picture")
-        if of_tracks and (message.frame - run.sample.first) % run.sample.every == 0:
-            yield message.frame, codec.decode_lazily(message.payload, message.type).body
-
-
-def _motion_of_tracks(tracks: Iterable[tuple[int, Body]]) -> tuple[NDArray[np.uint64], Table]:
-    """Keys of tracks with the columns of `motion_of`."""
-    keys, velocity, spread, kind = [], [], [], []
-    for frame, body in tracks:
-        position, covariance = body["position"], body["covariance"]
-        keys.append(row_keys(np.full(len(position), frame), body["id"], position[:, :2]))
-        velocity.append(body["velocity"][:, :2])
-        x, y, both = covariance[:, 0, 0], covariance[:, 1, 1], covariance[:, 0, 1]
-        deviations = np.sqrt(np.maximum(np.stack([x, y], axis=1), 0.0))
-        product = np.maximum(deviations.prod(axis=1), 1e-12)
-        correlation = np.clip(both / product, -1.0, 1.0)
-        spread.append(np.column_stack([np.minimum(deviations, _MOST_M), correlation]))
-        kind.append(body["class_id"])
-    if not keys:
-        return np.zeros(0, np.uint64), {}
-    columns = {"velocity": velocity, "spread": spread, "kind": kind}
-    return np.concatenate(keys), {name: np.concatenate(parts) for name, parts in columns.items()}
 
 
 def shown_id(ids: Ints) -> Ints:

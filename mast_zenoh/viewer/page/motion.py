@@ -1,0 +1,95 @@
+"""What is known of boxes besides their geometry: velocities, spreads and classes, from the messages and the scene."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mast_zenoh.messagelog.reader import read
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import Body
+from mast_zenoh.viewer.run import RunRecord, Table
+
+if TYPE_CHECKING:
+    from mast_zenoh.viewer.page.block import BoxTable, Truth
+
+#: m, greatest standard deviation that is kept: more is not drawn.
+_MOST_M = 300.0
+
+
+def row_keys(*columns: NDArray[np.generic]) -> NDArray[np.uint64]:
+    """(n,) A 64-bit hash of the bits of each row."""
+    result = np.zeros(len(columns[0]), np.uint64)
+    for values in columns:
+        numbers = np.asarray(values, np.float64)
+        for part in numbers.T if numbers.ndim > 1 else [numbers]:
+            bits = np.ascontiguousarray(part + 0.0).view(np.uint64)
+            result = (result ^ bits) * np.uint64(0x9E3779B97F4A7C15)
+            result ^= result >> np.uint64(29)
+    return result
+
+
+def motion_of(boxes: BoxTable, truth: Truth, tracks: Iterable[tuple[int, Body]]) -> Table:
+    """What is known of m boxes besides their geometry.
+
+    known:    (m,) bool;  the other columns are 0 where it is False
+    velocity: (m, 2) m/s, world frame
+    spread:   (m, 3) standard deviations in m of x and of y, and their correlation; 0: exact, or not known
+    kind:     (m,) index into CLASSES
+
+    tracks: frame and columns of the messages that hold the tracks, on every leg of their wires
+    """
+    count = len(boxes.frame)
+    motion = {
+        "known": np.zeros(count, bool),
+        "velocity": np.zeros((count, 2)),
+        "spread": np.zeros((count, 3)),
+        "kind": np.zeros(count, np.int64),
+    }
+    keys, of_tracks = _motion_of_tracks(tracks)
+    scene: Table = {"velocity": truth.states.velocity[:, :2], "kind": truth.states.class_id}
+    own = row_keys(boxes.frame, boxes.id)
+    placed = row_keys(boxes.frame, boxes.id, boxes.geometry[:, :2])
+    for own_keys, wanted, known_keys, values in (
+        (own, boxes.truth, row_keys(truth.frame, truth.states.id), scene),
+        (placed, ~boxes.truth, keys, of_tracks),
+    ):
+        if not len(known_keys):
+            continue
+        order = np.argsort(known_keys, kind="stable")
+        place = order[np.minimum(np.searchsorted(known_keys, own_keys, sorter=order), len(known_keys) - 1)]
+        found = (known_keys[place] == own_keys) & wanted
+        motion["known"][found] = True
+        for name in values:
+            motion[name][found] = values[name][place[found]]
+    return motion
+
+
+def recorded_tracks(run: RunRecord) -> Iterator[tuple[int, Body]]:
+    """Frame and columns of all recorded tracks in the frames of the sample."""
+    for message in read(run.path):
+        of_tracks = not message.malformed and message.message in ("tracks", "picture")
+        if of_tracks and (message.frame - run.sample.first) % run.sample.every == 0:
+            yield message.frame, codec.decode_lazily(message.payload, message.type).body
+
+
+def _motion_of_tracks(tracks: Iterable[tuple[int, Body]]) -> tuple[NDArray[np.uint64], Table]:
+    """Keys of tracks with the columns of `motion_of`."""
+    keys, velocity, spread, kind = [], [], [], []
+    for frame, body in tracks:
+        position, covariance = body["position"], body["covariance"]
+        keys.append(row_keys(np.full(len(position), frame), body["id"], position[:, :2]))
+        velocity.append(body["velocity"][:, :2])
+        x, y, both = covariance[:, 0, 0], covariance[:, 1, 1], covariance[:, 0, 1]
+        deviations = np.sqrt(np.maximum(np.stack([x, y], axis=1), 0.0))
+        product = np.maximum(deviations.prod(axis=1), 1e-12)
+        correlation = np.clip(both / product, -1.0, 1.0)
+        spread.append(np.column_stack([np.minimum(deviations, _MOST_M), correlation]))
+        kind.append(body["class_id"])
+    if not keys:
+        return np.zeros(0, np.uint64), {}
+    columns = {"velocity": velocity, "spread": spread, "kind": kind}
+    return np.concatenate(keys), {name: np.concatenate(parts) for name, parts in columns.items()}
