@@ -90,7 +90,7 @@ class ZenohProcess(Actions):
         self.protocol = protocol_of(
             resolved, name, node, self, self.inbox, clocks, process=process, signatures=signatures
         )
-        self._parts = _PartSender(session, f"{self.prefix}/@control/result/{name}")
+        self._parts = _PartSender(session, f"{self.prefix}/@control", f"result/{name}")
         self._receive_control()
 
     def run(self) -> None:
@@ -327,9 +327,9 @@ class ZenohProcess(Actions):
 class _PartSender:
     """Hands in parts of tables in a thread of its own, one at a time: each again until the launcher has it."""
 
-    def __init__(self, session: zenoh.Session, key: str) -> None:
+    def __init__(self, session: zenoh.Session, base: str, key: str) -> None:
         self._session = session
-        self._key = key
+        self._key, self._mark = f"{base}/{key}", control_mark(key)
         self._queue: queue.Queue[bytes | None] = queue.Queue(_WAITING_PARTS)
         self._thread = threading.Thread(target=self._run, name="tables", daemon=True)
         self._finishing = False
@@ -357,7 +357,7 @@ class _PartSender:
     def _send(self, part: bytes) -> str:
         """Send a part; returns why the launcher has not taken it, or an empty string."""
         while not self._finishing or time.monotonic() - self._last_sign_s < HAND_IN_TIMEOUT_S:
-            replies = list(self._session.get(self._key, payload=part, timeout=OFFER_TIMEOUT_S))
+            replies = list(self._session.get(self._key, payload=part, attachment=self._mark, timeout=OFFER_TIMEOUT_S))
             refusal = _handed_in(replies)[1]
             if refusal is not None:
                 self._last_sign_s = time.monotonic()
