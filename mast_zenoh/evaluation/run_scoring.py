@@ -30,12 +30,10 @@ from mast_zenoh.metrics.achievement import Targets
 from mast_zenoh.metrics.causes import CauseCounts, cause_counts
 from mast_zenoh.metrics.consistency import Deviations, counts, deviations
 from mast_zenoh.metrics.driving import Drive
+from mast_zenoh.metrics.judged_estimate import Estimate, EstimateColumns, estimates_of
 from mast_zenoh.metrics.measures import (
     MEASURES,
-    Estimate,
-    EstimateColumns,
     ScoredRun,
-    estimates_of,
     frame_keys,
     measured,
 )

@@ -15,6 +15,7 @@
     achievement results of each adversary
     driving     effects of errors on driving
     trust       the command centre's trust compared with the agents' conduct; ROC curves
+    judged_estimate  one estimate of one agent, as metrics of users get it
     measures    every metric as a class: key, words, unit, range, and what it computes
     increments  errors added by an attack
     study_results    the results of studies, as reports show them
@@ -31,8 +32,9 @@ from mast_zenoh.metrics.cut_off import CutOff, CutOffObjects, Presence
 from mast_zenoh.metrics.driving import Driving
 from mast_zenoh.metrics.estimates import ESTIMATORS
 from mast_zenoh.metrics.increments import increments
+from mast_zenoh.metrics.judged_estimate import Estimate
 from mast_zenoh.metrics.manipulations import Manipulations
-from mast_zenoh.metrics.measures import Estimate, FrameMetric, Metric, RunMetric
+from mast_zenoh.metrics.measures import FrameMetric, Metric, RunMetric
 from mast_zenoh.metrics.named_metrics import ErrorsNearby, LongestMiss
 from mast_zenoh.metrics.record import Record, Series
 from mast_zenoh.metrics.scores import OUTCOMES, Scores, Table

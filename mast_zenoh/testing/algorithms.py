@@ -21,7 +21,8 @@ from mast_zenoh.fusion.base import Clusterer, Fusion
 from mast_zenoh.integrity import Assessment, Batch, Integrity, SweptView
 from mast_zenoh.integrity.base import problem_of
 from mast_zenoh.integrity.views import UNKNOWN_SPACE
-from mast_zenoh.metrics.measures import Estimate, FrameMetric, Metric
+from mast_zenoh.metrics.judged_estimate import Estimate
+from mast_zenoh.metrics.measures import FrameMetric, Metric
 from mast_zenoh.pipelines import AgentPipeline, MissionEstimator, Pipeline, Pose
 from mast_zenoh.sensing import LidarSensor, to_sensor
 from mast_zenoh.testing import samples

@@ -20,8 +20,9 @@ from mast_zenoh.metrics import (
     RunMetric,
     Scorer,
 )
+from mast_zenoh.metrics.judged_estimate import estimates_of
 from mast_zenoh.metrics.manipulations import no_manipulations
-from mast_zenoh.metrics.measures import ScoredRun, check, estimates_of, measured
+from mast_zenoh.metrics.measures import ScoredRun, check, measured
 from mast_zenoh.metrics.named_metrics import ErrorsNearby, LongestMiss
 
 

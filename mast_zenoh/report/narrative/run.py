@@ -432,8 +432,8 @@ def _box_errors(run: RunRecord) -> list[str]:
     if not any((each.effects or {}).get("altered") for each in interposers(run) if not each.is_link):
         return []
     means = {kind: (run.summary(PICTURE).get(error.key) or {}).get("mean") for kind, error in BOX_ERRORS.items()}
-    known = {kind: mean for kind, mean in means.items() if mean is not None}
-    texts = [f"{known[kind]:.{BOX_ERRORS[kind].digits}f}{BOX_ERRORS[kind].unit} in {kind}" for kind in known]
+    of = [(kind, BOX_ERRORS[kind], mean) for kind, mean in means.items() if mean is not None]
+    texts = [f"{mean:.{error.digits}f}{error.unit} in {kind}" for kind, error, mean in of]
     return [f"matched objects of {ESTIMATES[PICTURE].noun} are off by {join_names(texts)}"] * bool(texts)
 
 
