@@ -120,8 +120,7 @@ class Host:
         self.failures: dict[str, Failure] = {}
         self.rejected: Counter[tuple[str, str]] = Counter()
         self.first_rejected: dict[str, tuple[int, str]] = {}
-        self._n_rejected = 0
-        self._accepted: set[str] = set()  # keys with a message that was not rejected
+        self._n_rejected, self._accepted = 0, set[str]()  # and the keys with a message that was not rejected
         self._publishers: dict[str, str] | None = None  # by key; built on first use
         self._inputs = dict(ports.inputs)
         self.subscriptions: Mapping[str, Input] = self._inputs
@@ -328,8 +327,7 @@ class Host:
             else:
                 message = codec.received(payload, self.limits, flaw, choice)
             _, source, frame, time_ns, _ = message.header
-            body = message.body
-            kind = type(body)
+            body, kind = message.body, type(message.body)
             if (self._codecs or kind is Packed) and kind is not Shortened:
                 check_codec(port_input.message, body, self._codec_of(key), self._plane)
             if source != port_input.source:
@@ -372,9 +370,7 @@ class Host:
     @property
     def unaccepted(self) -> list[str]:
         """The keys of its subscriptions on which nothing came but messages that were rejected."""
-        if self._overhears:
-            return []
-        return sorted(self.first_rejected.keys() & self._inputs.keys() - self._accepted)
+        return [] if self._overhears else sorted(self.first_rejected.keys() & self._inputs.keys() - self._accepted)
 
     @property
     def clocked(self) -> bool:
@@ -554,8 +550,7 @@ class Host:
             self._reject(key, f"held: more than {HELD} of {source} wait for their clock", counted)
 
     def _handle(self, key: str, port_input: Input, received: Received, counted: bool) -> None:
-        self._handling = key
-        n_rejected = self._n_rejected
+        self._handling, n_rejected = key, self._n_rejected
         self._guard(port_input.port, self._handlers[port_input.port], received, self)
         self._handling = ""
         if self._n_rejected == n_rejected:

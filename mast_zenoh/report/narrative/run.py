@@ -429,12 +429,11 @@ def _unchanged(run: RunRecord, places: str, reference: Reference | None, elsewhe
 
 def _box_errors(run: RunRecord) -> list[str]:
     """The errors of matched boxes if adversaries altered any, which no cause of errors accounts for."""
-    if not any((each.effects or {}).get("altered") for each in interposers(run) if not each.is_link):
-        return []
+    altered = any((each.effects or {}).get("altered") for each in interposers(run) if not each.is_link)
     means = {kind: (run.summary(PICTURE).get(error.key) or {}).get("mean") for kind, error in BOX_ERRORS.items()}
     of = [(kind, BOX_ERRORS[kind], mean) for kind, mean in means.items() if mean is not None]
     texts = [f"{mean:.{error.digits}f}{error.unit} in {kind}" for kind, error, mean in of]
-    return [f"matched objects of {ESTIMATES[PICTURE].noun} are off by {join_names(texts)}"] * bool(texts)
+    return [f"matched objects of {ESTIMATES[PICTURE].noun} are off by {join_names(texts)}"] * bool(altered and texts)
 
 
 def _same_scores(run: RunRecord, reference: RunRecord, name: str) -> str:
