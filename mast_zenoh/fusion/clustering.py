@@ -11,9 +11,21 @@ from typing import NamedTuple
 import numpy as np
 
 from mast_zenoh.arrays.checks import check
-from mast_zenoh.arrays.matching import greedy_matching, isolated_groups, merge_pairs_apart, neighbours, pairs_near
+from mast_zenoh.arrays.matching import (
+    MAX_GROUP_PAIRS,
+    MAX_NEIGHBOURS,
+    NearPairs,
+    connected_groups,
+    greedy_matching,
+    isolated_groups,
+    merge_pairs,
+    merge_pairs_apart,
+    neighbours,
+    pairs_near,
+)
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, by_agent, within_runs
 from mast_zenoh.fusion.base import Clusterer, trusted_rows
+from mast_zenoh.kernels import kernel
 from mast_zenoh.tracking.covariances import make_positive_definite
 from mast_zenoh.tracking.tracks import ONE_OBJECT, overlap
 
@@ -27,6 +39,8 @@ BIAS_M, BIAS_MPS = 0.3, 0.5
 _JOINT = np.array([0, 1, 2, 6, 7, 8])
 #: Pairs that are compared at once, which limits the memory.
 _CHUNK = 1 << 16
+#: Mean number of neighbours up to which tracks are merged without limiting those of a track to the nearest.
+_CROWD = 4 * MAX_NEIGHBOURS
 
 
 class JointGate:
@@ -44,9 +58,10 @@ class JointGate:
     def __init__(self, gate: float, bias_m: float, bias_mps: float) -> None:
         check("more than 0", gate=gate, bias_m=bias_m, bias_mps=bias_mps)
         self.gate = gate
-        self._bias = 2.0 * np.array([bias_m**2] * 3 + [bias_mps**2] * 3)
+        #: (6,) m² and (m/s)², what both tracks together add to the variances of a difference.
+        self.bias = 2.0 * np.array([bias_m**2] * 3 + [bias_mps**2] * 3)
         #: (6,) 1/m² and s²/m²: with these weights, the sum of squared differences is at least the squared distance.
-        self.inverse_bias = 1.0 / self._bias
+        self.inverse_bias = 1.0 / self.bias
 
     def apart(self, states: ObjectStates, i: Ints, j: Ints) -> Bools:
         """(p,) whether the tracks in rows i and j (p,) cannot be of one object."""
@@ -77,7 +92,7 @@ class JointGate:
 
     def _covariance(self, states: ObjectStates, i: Ints, j: Ints) -> Floats:
         """(p, 6, 6) covariances of the differences."""
-        total = np.diag(self._bias) + _joint_covariance(states, i)
+        total = np.diag(self.bias) + _joint_covariance(states, i)
         total += _joint_covariance(states, j)
         return total
 
@@ -127,6 +142,14 @@ class SampledAssignmentClusterer(Clusterer):
         # All other tracks are far from those of isolated groups, so they are clustered as if they were alone.
         contested = (~isolated).nonzero()[0]
         if len(contested):
+            covariance = _joint_covariance(states, order.take(contested))
+            first, divided = merge_nearest(
+                motion.take(contested, 0), agent.take(contested), covariance, self._gate.bias, self.assign_radius,
+                self._gate.gate, MAX_GROUP_PAIRS, _CROWD,
+            )  # fmt: skip
+            root[contested] = contested.take(first)
+            contested = contested[divided]
+        if len(contested):
             label = self._merged(states, order.take(contested), motion.take(contested, 0)[:, :2], agent.take(contested))
             root[contested] = contested[np.unique(label, return_index=True)[1]].take(label)
         labels = np.empty(len(order), np.int64)
@@ -143,6 +166,50 @@ class SampledAssignmentClusterer(Clusterer):
             return self._gate.cost(states, i.take(chosen), j.take(chosen))
 
         return merge_pairs_apart(position, agent, pairs, self.assign_radius, self._gate.apart(states, i, j), cost)
+
+
+@kernel
+def merge_nearest(
+    motion: Floats,
+    agent: Ints,
+    covariance: Floats,
+    bias: Floats,
+    radius: float,
+    gate: float,
+    most: int,
+    crowd: int,
+) -> tuple[Ints, Bools]:
+    """Clusters as of `SampledAssignmentClusterer`, except where they depend on likelihoods.
+
+    motion: (n, 6) m, m/s, positions and velocities; agent: (n,) of each row, ascending
+    covariance: (n, 6, 6) theirs, positive definite; bias, gate: see `JointGate`; radius: m, in the bird's-eye view
+    most: number of a component's pairs up to which none that is beyond the gate shares a cluster
+    crowd: mean number of neighbours up to which rows are merged
+
+    Returns the first row (n,) of each row's cluster. And whether the row is left alone (n,), because it is connected
+    with such a pair, or all rows are crowded. The kernel keeps no list of all pairs: of those up to some distance, it
+    sorts the ones between different clusters, and then continues with those that are farther apart.
+    """
+    from scipy.spatial import cKDTree  # slow to load, and not needed by the kernel
+
+    n, position = len(agent), motion[:, :2]
+    tree, reach = cKDTree(position), radius * (1.0 + 1e-9)
+    if tree.count_neighbors(tree, reach) > (crowd + 1) * n:
+        return np.arange(n), np.ones(n, np.bool_)
+    i, j = np.sort(tree.query_pairs(reach, output_type="ndarray"), axis=1).astype(np.int64).T
+    dx, dy = (position[i] - position[j]).T
+    squared = dx * dx + dy * dy
+    kept = ((squared <= radius * radius) & (agent[i] != agent[j])).nonzero()[0]
+    pairs = NearPairs(i, j, squared).select(kept[np.lexsort((j[kept], i[kept]))])
+    difference, total = motion[pairs.j] - motion[pairs.i], np.diag(bias) + covariance[pairs.i] + covariance[pairs.j]
+    apart = squared_distance(difference, total) > gate
+    group = connected_groups(n, pairs.i, pairs.j)
+    divided = np.zeros(n, np.bool_)
+    divided[group[pairs.i[apart]]] = True
+    divided &= np.bincount(group[pairs.i], minlength=n) <= most
+    divided = divided[group]
+    label = merge_pairs(position, agent, *pairs.select((~apart & ~divided[pairs.i]).nonzero()[0]), radius)
+    return np.unique(label, return_index=True)[1].take(label), divided
 
 
 @dataclass(kw_only=True, eq=False)

@@ -30,6 +30,7 @@ MODULES = (
     "clusters",
     "columns",
     "frames",
+    "grouping",
     "matching",
     "medians",
     "pairs",

@@ -145,12 +145,18 @@ def test_isolated_groups_change_no_cluster(rows, noise_m, noise_mps, seed):
             lambda motion, agent, *bounds: (np.arange(len(agent)), np.zeros(len(agent), np.bool_)),
         )
         np.testing.assert_array_equal(clusterer.cluster(objects, agent), labels)
+        patch.setattr(
+            "mast_zenoh.fusion.clustering.merge_nearest",
+            lambda motion, agent, *bounds: (np.arange(len(agent)), np.ones(len(agent), np.bool_)),
+        )
+        np.testing.assert_array_equal(clusterer.cluster(objects, agent), labels)
 
 
-def test_pairs_of_isolated_groups_are_not_listed(monkeypatch: pytest.MonkeyPatch):
+@pytest.mark.parametrize("scatter_m", [0.1, 0.3, 0.4])
+def test_pairs_of_groups_apart_from_each_other_are_not_listed(monkeypatch: pytest.MonkeyPatch, scatter_m: float):
     random = np.random.default_rng(0)
     position = np.array([(20.0 * k, 0.0, 0.0) for k in range(50)])
-    position = (position + random.normal(0.0, 0.1, (100, 50, 3))).reshape(-1, 3)
+    position = (position + random.normal(0.0, scatter_m, (100, 50, 3)) * [1.0, 1.0, 0.1]).reshape(-1, 3)
     objects = ObjectStates.of(position, id=np.tile(np.arange(50), 100))
     monkeypatch.setattr("mast_zenoh.fusion.clustering.pairs_near", None)
     labels = SampledAssignmentClusterer().cluster(objects, np.repeat(np.arange(100), 50))

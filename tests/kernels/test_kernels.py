@@ -153,6 +153,14 @@ def tracks_of_agents(random, n, m):
     return motion, agent, np.repeat([5.6, 2.0], 3), random.choice([0.5, 1.0, 2.0]), random.choice([5.0, 27.86, np.inf])
 
 
+def scattered_tracks(random, n, m):
+    """Tracks of agents, their covariances, and bounds of a cluster."""
+    motion, agent, inverse_bias, radius, gate = tracks_of_agents(random, n, m)
+    covariance = covariances(random, len(agent), 6)
+    most, crowd = int(random.choice([10, 2000])), int(random.choice([3, 256]))
+    return motion, agent, covariance, 1.0 / inverse_bias, radius, gate, most, crowd
+
+
 def cluster_tracks(random, n):
     """Motions, covariances, agents and labels of tracks in clusters, sorted."""
     agent, label = (random.random((n, 4)) < 0.7).nonzero()
@@ -434,6 +442,7 @@ ARGUMENTS = {
     ),
     "merge_pairs": lambda r, n, m: near_pairs(r, n),
     "isolated_groups": tracks_of_agents,
+    "merge_nearest": scattered_tracks,
     "achievable": lambda r, n, m: (
         covariances(r, n) - r.choice([0.0, 0.02]) * np.eye(9), np.ones((9, 9)), r.choice([1e-4, 0.2]),
         r.choice([9.0, 1e8]),
