@@ -7,6 +7,8 @@ import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
+from functools import cached_property
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -258,10 +260,15 @@ class Recording:
 
     def column(self, agent: int, sensor: int = 0) -> int:
         """Which of the S sensors one is. agent: row of `agents`; sensor: row of its sensors"""
-        return sum(len(each.sensors) for each in self.agents[:agent]) + sensor
+        return self._first_columns[agent] + sensor
+
+    @cached_property
+    def _first_columns(self) -> list[int]:
+        """The column of each agent's first sensor, and S; kept, since every detection of a frame needs it."""
+        return list(accumulate((len(agent.sensors) for agent in self.agents), initial=0))
 
     def _detection_rows(self, frame: int, column: int) -> slice:
-        index = frame * sum(len(agent.sensors) for agent in self.agents) + column
+        index = frame * self._first_columns[-1] + column
         return slice(int(self.detection_start[index]), int(self.detection_start[index + 1]))
 
     def detections_at(self, frame: int, agent: int, sensor: int = 0) -> Detections:
