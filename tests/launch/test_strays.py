@@ -60,4 +60,7 @@ def test_no_process_that_a_node_has_started_outlives_the_run(tmp_path: Path, end
     else:
         eventually(lambda: child.exit is not None, "the node has ended")
     processes.end(1.0)
-    assert [kind for kind, stray in strays.items() if stray.is_running()] == []
+    left = {kind: stray for kind, stray in strays.items() if stray.is_running()}
+    for stray in left.values():
+        stray.kill()
+    assert not left

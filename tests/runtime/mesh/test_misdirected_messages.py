@@ -80,6 +80,8 @@ class Message(NamedTuple):
     attachment: Any
     reply_err: Callable[[bytes], None] = lambda payload: None
 
+    def reply(self, key: str, payload: bytes) -> None: ...
+
     def drop(self) -> None: ...
 
     def __enter__(self) -> Message:
