@@ -132,7 +132,7 @@ def test_nodes_and_algorithms_use_no_socket_clock_or_global_generator() -> None:
     assert not used
 
 
-DECISIONS_OF_THE_LAUNCHER = ("launcher_protocol.py", "supervisor.py", "ending.py")
+DECISIONS_OF_THE_LAUNCHER = ("launcher_protocol.py", "supervisor.py", "ending.py", "progress.py")
 #: What the processes of a run decide; the host runs a node, and the simulation plays them all.
 PROTOCOL = [
     *PACKAGE.glob("*/protocol/*.py"),

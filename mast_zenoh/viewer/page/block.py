@@ -9,7 +9,7 @@ neighbours differ little. Velocities, covariances and classes come from the mess
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pyarrow
@@ -25,7 +25,7 @@ from mast_zenoh.viewer.driven import braking_events, braking_of, cars_of, course
 from mast_zenoh.viewer.events import EFFECTS, Event, first_changes, happenings, lie_frames, node_absences, spans
 from mast_zenoh.viewer.interposers import adversaries_by_agent, interposers
 from mast_zenoh.viewer.page.columns import Packer
-from mast_zenoh.viewer.page.motion import motion_of, recorded_tracks, row_keys
+from mast_zenoh.viewer.page.motion import BoxTable, Meaning, Truth, View, motion_of, recorded_tracks, row_keys
 from mast_zenoh.viewer.palette import STATES, page_colours
 from mast_zenoh.viewer.run import ALL, RunRecord, Sample, Table, column, rows
 
@@ -42,50 +42,6 @@ DOWN, LYING = 8, 16
 _DAMAGE = (OSError, ValueError, KeyError, pyarrow.ArrowException)
 _GEOMETRY = ("x", "y", "z", "l", "w", "h", "yaw")
 _COLUMNS = ("frame", "agent", "estimator", "kind", "outcome", "id", "match_id", *_GEOMETRY)
-
-
-class View(NamedTuple):
-    """An estimate of an agent that has its own boxes."""
-
-    agent: str
-    estimate: str
-
-
-class Meaning(NamedTuple):
-    """What a box is in a view: outcome, cause and adversary (empty: none)."""
-
-    outcome: str
-    cause: str
-    by: str
-
-
-class Truth(NamedTuple):
-    """The n objects of the scene in some frames. frame: (n,)"""
-
-    frame: Ints
-    states: ObjectStates
-
-
-@dataclass(frozen=True, eq=False)
-class BoxTable:
-    """m boxes, those of one object in consecutive rows, and their meaning in v views.
-
-    truth:    (m,) whether a box is the truth, not a track
-    frame, id: (m,)
-    geometry: (m, 7) x y z l w h in m, yaw in rad;  score: (m,) 0 to 1, 0 for truth
-    codes:    (v, m) 0: not in this view; otherwise 1 + the row of `meanings`
-    matches:  (v, m) id of the object that a matched track follows; -1: none
-    """
-
-    truth: Bools
-    frame: Ints
-    id: Ints
-    geometry: Floats
-    score: Floats
-    views: tuple[View, ...]
-    meanings: tuple[Meaning, ...]
-    codes: NDArray[np.uint16]
-    matches: Ints
 
 
 @dataclass(frozen=True, eq=False)

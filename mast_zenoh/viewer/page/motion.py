@@ -1,23 +1,66 @@
-"""What is known of boxes besides their geometry: velocities, spreads and classes, from the messages and the scene."""
+"""The boxes of a page, and what is known of them besides: velocities, spreads and classes."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.messagelog.reader import read
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.viewer.run import RunRecord, Table
 
-if TYPE_CHECKING:
-    from mast_zenoh.viewer.page.block import BoxTable, Truth
-
 #: m, greatest standard deviation that is kept: more is not drawn.
 _MOST_M = 300.0
+
+
+class View(NamedTuple):
+    """An estimate of an agent that has its own boxes."""
+
+    agent: str
+    estimate: str
+
+
+class Meaning(NamedTuple):
+    """What a box is in a view: outcome, cause and adversary (empty: none)."""
+
+    outcome: str
+    cause: str
+    by: str
+
+
+class Truth(NamedTuple):
+    """The n objects of the scene in some frames. frame: (n,)"""
+
+    frame: Ints
+    states: ObjectStates
+
+
+@dataclass(frozen=True, eq=False)
+class BoxTable:
+    """m boxes, those of one object in consecutive rows, and their meaning in v views.
+
+    truth:    (m,) whether a box is the truth, not a track
+    frame, id: (m,)
+    geometry: (m, 7) x y z l w h in m, yaw in rad;  score: (m,) 0 to 1, 0 for truth
+    codes:    (v, m) 0: not in this view; otherwise 1 + the row of `meanings`
+    matches:  (v, m) id of the object that a matched track follows; -1: none
+    """
+
+    truth: Bools
+    frame: Ints
+    id: Ints
+    geometry: Floats
+    score: Floats
+    views: tuple[View, ...]
+    meanings: tuple[Meaning, ...]
+    codes: NDArray[np.uint16]
+    matches: Ints
 
 
 def row_keys(*columns: NDArray[np.generic]) -> NDArray[np.uint64]:
