@@ -20,10 +20,10 @@ from mast_zenoh.viewer.events import spans
 from mast_zenoh.viewer.frame import Frame
 from mast_zenoh.viewer.live.observed import ObservedRun
 from mast_zenoh.viewer.live.observer import POLL_S, Observer
-from mast_zenoh.viewer.page.block import Surroundings, Truth, boxes_of, pack_frames
+from mast_zenoh.viewer.page.block import Surroundings, boxes_of, pack_frames
 from mast_zenoh.viewer.page.columns import Packer
 from mast_zenoh.viewer.page.live_server import Feed, LiveServer
-from mast_zenoh.viewer.page.motion import motion_of
+from mast_zenoh.viewer.page.motion import Truth, motion_of
 from mast_zenoh.viewer.page.page import policy, viewer_page
 from mast_zenoh.viewer.routes import TRUTH
 from mast_zenoh.viewer.run import RunRecord
