@@ -241,7 +241,6 @@ def test_one_adversary_attacks_several_agents_as_adversaries_of_their_own_would(
             *("infra_1", ("on_picture.toml",), False, WiringError),
             r"before infra_1, but 'cc/picture' leads to ego \(agents\.infra_1\.acts=true",
         ),
-        ([], REWRITES, False, ConfigurationError, "agent"),
         (["infra_1", "infra_1"], REWRITES, False, ConfigurationError, "agent"),
         (
             *(["infra_1", "infra_9"], REWRITES, False, ConfigurationError),

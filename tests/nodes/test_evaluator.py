@@ -68,8 +68,9 @@ def test_the_first_six_and_last_ten_frames_are_unscored_unless_more_than_half(
     for frame in range(frames):
         evaluator.hear("clock", {}, frame)
         evaluator.hear("scene/truth", truth(), frame)
-    assert metrics(evaluator)["scored_frames"] == expected
-    assert metrics(evaluator)["frames"] == frames
+    scores = metrics(evaluator)
+    assert scores["scored_frames"] == expected
+    assert scores["frames"] == frames
 
 
 def test_a_run_without_frames_has_empty_metrics(resolved) -> None:

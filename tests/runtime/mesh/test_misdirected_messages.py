@@ -217,7 +217,7 @@ def test_results_and_failures_of_one_node_are_not_taken_for_those_of_another() -
     handle_all(process)
     invalid = InvalidMessages(lambda line: None)
     children: Any = {name: MagicMock(spec=None, restarts=0) for name in ("gps", "probe")}
-    Reports(launcher, CONTROL, children, invalid)
+    Reports(launcher, CONTROL, children, invalid, MagicMock())
     result, failed = (session.sent[f"{CONTROL}/{key}/gps"][0] for key in ("result", "failed"))
     launcher.deliver(result, f"{CONTROL}/result/probe", at=f"{CONTROL}/result/*")
     launcher.deliver(failed, f"{CONTROL}/failed/probe", at=f"{CONTROL}/failed/*")
