@@ -71,9 +71,9 @@ def _column(table: object, name: object, values: Any) -> NDArray[Any]:
     if array.ndim != 1 or array.dtype.kind not in "biufOU":
         found = f"{array.ndim} dimensions of {array.dtype}"
         raise MessageError(f"table {table}: column {name:.80}: found {found}, expected one of numbers or text")
-    if array.dtype.kind in "OU":
-        return np.fromiter((item if type(item) is str else str(item) for item in array), object, len(array))
-    return array
+    if array.dtype.kind == "O" and not set(map(type, array)) <= {str}:
+        return np.fromiter(map(str, array), object, len(array))
+    return array.astype(object) if array.dtype.kind == "U" else array.copy()  # the node may use its arrays again
 
 
 class _Rows:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.metrics.judged_estimate import Estimate
 from mast_zenoh.metrics.ranking import rankings
-from mast_zenoh.metrics.scores import FrameScores, Scores, Table, mean_and_std
+from mast_zenoh.metrics.scores import FrameScores, Scores, Table, mean_and_std, means_and_stds
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +121,7 @@ class _OfFrames(Measure):
 
 def _means(values: NDArray[Any], counts: Bools) -> Measured:
     """Values (s, f), and their means over the frames that count (f,) and have one."""
-    return Measured([mean_and_std(row[counts & np.isfinite(row)]) for row in values], values)
+    return Measured(means_and_stds(values[:, counts]), values)
 
 
 class Missed(_OfFrames):

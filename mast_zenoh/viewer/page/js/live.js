@@ -174,7 +174,7 @@ class LiveView {
     if (this.counted) this.shown.push({ number, at: now });
     this.counted = true; // the first frame waited for this page
     if (!this.shown.length) return;
-    while (now - this.shown[0].at > RATE_MS) this.shown.shift();
+    while (this.shown.length > 2 && now - this.shown[0].at > RATE_MS) this.shown.shift();
     const first = this.shown[0];
     const parts = [`running · frame ${newest}`];
     if (now - first.at > RATE_MS / 6) {
