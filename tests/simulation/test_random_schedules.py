@@ -41,6 +41,7 @@ def test_runs_with_random_schedules_keep_every_promise(worlds: dict[str, World],
 
 
 @pytest.mark.heavy
+@pytest.mark.timeout(600)  # two minutes of computing
 @pytest.mark.parametrize("name", ["lockstep", "steps", "late", "realtime"])
 def test_runs_with_more_random_schedules_keep_every_promise(worlds: dict[str, World], name: str) -> None:
     explore(worlds[name], range(SEEDS, 4 * SEEDS))

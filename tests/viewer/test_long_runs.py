@@ -99,6 +99,7 @@ def test_the_page_of_a_long_run_says_what_it_holds(long: Path) -> None:
 
 
 @pytest.mark.heavy
+@pytest.mark.timeout(600)  # a minute and a half of computing
 def test_the_page_of_an_hour_is_small_and_made_in_bounded_memory(tmp_path: Path) -> None:
     short = run_alone(tmp_path / "short", "defended", frames=200)
     folder = repeated(short, tmp_path / "long", 180)
