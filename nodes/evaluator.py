@@ -1,4 +1,4 @@
-"""The evaluator: receives every message of the run and scores it at the end.
+"""The evaluator: receives every message of the run and scores it while it goes on.
 
 It also receives the truth.
 It publishes nothing, so it cannot influence the run. It measures instead of trusting reports: estimates are scored as

@@ -148,26 +148,26 @@ class PartedTables:
             self._hand_in(table, everything=False)
 
     def close(self, results: dict[str, Any]) -> dict[str, Any]:
-        """Hand in the rest, and the tables in a node's results; returns the results without what was handed in.
+        """Hand in the rest, and the tables in a node's results; returns the results with the others.
 
-        Without `hand_in`, the rows that were appended become tables of the results. Invalid tables stay there.
+        An invalid table is replaced by a sentence that says why. Without `hand_in`, all tables are in the results.
         """
         tables = results.get("tables", {})
         if not isinstance(tables, Mapping):
             return results
-        invalid: dict[Any, Any] = {}
-        for table in [*tables] if self.hand_in else [*tables.keys() & self._tables.keys()]:
+        kept: dict[Any, Any] = {}
+        for table, columns in tables.items():
             try:
-                self.append(table, tables[table])
-            except MessageError:
-                invalid[table] = tables[table]  # the launcher says why
-        if self.hand_in is None:
-            held = {table: rows.joined() for table, rows in self._tables.items() if table not in invalid}
-            return {**results, "tables": {**tables, **held}} if held else results
-        for table in self._tables:
-            self._hand_in(table, everything=True)
+                self.append(table, columns)
+            except MessageError as error:
+                kept[table] = str(error)
+        for table, rows in self._tables.items():
+            if self.hand_in is None:
+                kept.setdefault(table, rows.joined())
+            else:
+                self._hand_in(table, everything=True)
         rest = {key: value for key, value in results.items() if key != "tables"}
-        return {**rest, "tables": invalid} if invalid else rest
+        return {**rest, "tables": kept} if kept else rest
 
     def _hand_in(self, table: str, *, everything: bool) -> None:
         if self.hand_in is not None:

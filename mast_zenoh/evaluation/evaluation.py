@@ -197,18 +197,6 @@ class Evaluation:
         return self.skip_first + self.skip_last <= frames // 2
 
 
-@dataclass
-class Earlier:
-    """What the evaluation of some frames needs to know of earlier ones.
-
-    matches:  which tracks last matched which objects before the frames
-    episodes: of inserted objects
-    """
-
-    matches: LastMatches = field(default_factory=dict)
-    episodes: Episodes = field(default_factory=lambda: Episodes())
-
-
 class Episodes:
     """Numbers of inserted objects, the same over the whole run, though some frames of it are evaluated at a time.
 
@@ -234,6 +222,18 @@ class Episodes:
         self._known = dict(zip(places, objects[rows].tolist(), strict=True))
         self._count = max(self._count, int(objects[rows].max(initial=-1)) + 1)
         return replace(manipulations, object=objects)
+
+
+@dataclass
+class Earlier:
+    """What the evaluation of some frames needs to know of earlier ones.
+
+    matches:  which tracks last matched which objects before the frames
+    episodes: of inserted objects
+    """
+
+    matches: LastMatches = field(default_factory=dict)
+    episodes: Episodes = field(default_factory=Episodes)
 
 
 def own_pictures(data: RunData) -> list[str]:

@@ -31,12 +31,7 @@ from mast_zenoh.metrics.causes import CauseCounts, cause_counts
 from mast_zenoh.metrics.consistency import Deviations, counts, deviations
 from mast_zenoh.metrics.driving import Drive
 from mast_zenoh.metrics.judged_estimate import Estimate, EstimateColumns, estimates_of
-from mast_zenoh.metrics.measures import (
-    MEASURES,
-    ScoredRun,
-    frame_keys,
-    measured,
-)
+from mast_zenoh.metrics.measures import MEASURES, ScoredRun, frame_keys, measured
 from mast_zenoh.metrics.pictures import (
     consistency_of_pictures,
     deceived_agents,
@@ -126,6 +121,8 @@ class RunScoring:
         """
         data = self.data
         if self._next is None:
+            if frame < 1:  # two clocks tell the period
+                return {}
             latest = self._frames(LATEST_S)
             data.record.latest = latest
             data.meter.allow(latest)
@@ -368,8 +365,8 @@ class RunScoring:
 
     def _on_truth(self, car: str) -> dict[str, str | None]:
         """Why it is not known, in some frames, what the car's driver does on the truth; None: it is known."""
-        twin = self.data.heard[car].on_truth
-        return {"on_truth_problem": "its node is of another file" if twin is None else twin.problem or None}
+        driver = self.data.heard[car].on_truth
+        return {"on_truth_problem": "its node is a file of your own" if driver is None else driver.problem or None}
 
     def _pictures(self, consistency: Mapping[str, Any]) -> dict[str, Any]:
         """How the pictures of agents that do not share one differ. consistency: as in metrics.json"""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +11,10 @@ import numpy as np
 from mast_zenoh.config.resolved import NodeSpec, Resolved, driver_of
 from mast_zenoh.control import results
 from mast_zenoh.control.results import EVALUATOR, counts_of
-from mast_zenoh.control.tables import EXPECTED_NAME, MAX_COLUMNS, MAX_TABLES, is_table_name
-from mast_zenoh.errors import RunFolderError
+from mast_zenoh.control.tables import EXPECTED_NAME, MAX_TABLES, is_table_name
 from mast_zenoh.launch import driven_scene, idle, notices
 from mast_zenoh.launch import folder as run_folder
-from mast_zenoh.launch.table_files import TableFiles, place_of
+from mast_zenoh.launch.table_files import TableFiles
 from mast_zenoh.messagelog import churn
 from mast_zenoh.messagelog.reader import first_incomplete_frame, first_missing_frame
 from mast_zenoh.run_files import subfolder
@@ -137,11 +135,12 @@ def write_results(
     """Write what nodes returned from `finish`; return a sentence per refused part.
 
     The evaluator's `metrics`, and those of its `tables` that are in `results.TABLES`, become metrics.json and Parquet
-    files at the top of the run folder. Everything else goes to results/<node>/: `tables` as <table>.parquet, the rest
-    as results.json.
+    files at the top of the run folder. Everything else goes to results/<node>/: tables as <table>.parquet, the rest as
+    results.json.
 
+    results:  of each node; `tables` are sentences about those that it could not hand in, see `PartedTables.close`
     measured: entries of metrics.json in addition to the evaluator's metrics; wall-clock values replace the evaluator's
-    handed_in: tables that nodes have handed in part by part, which are written already
+    handed_in: the tables that nodes have handed in part by part, which are written already
     """
     refused = [f"{node}: table {table}: {problem}" for (node, table), problem in handed_in.refused.items()]
     for node, result in results.items():
@@ -157,39 +156,15 @@ def write_results(
         if not isinstance(tables, Mapping):
             refused.append(f"{node}: tables: found a {type(tables).__name__}, expected a dict of tables")
             tables = {}
-        if len(tables) > MAX_TABLES:
-            refused.append(
-                f"{node}: tables: found {len(tables)}, expected at most {MAX_TABLES}; "
-                f"only the first {MAX_TABLES} are written"
-            )
-        for name, table in islice(tables.items(), MAX_TABLES):
-            written = (node, name) in handed_in.written
-            if problem := "handed in before" if written else _write_named(folder, node, name, table):
-                refused.append(f"{node}: table {name!r:.80}: {problem}")
+        shown = [text for text in tables.values() if isinstance(text, str) and text.isprintable()][:MAX_TABLES]
+        refused += [f"{node}: {text:.300}" for text in shown]
+        if len(tables) > len(shown):
+            refused.append(f"{node}: tables: {len(tables) - len(shown)} more are refused")
         if other_parts:
             run_folder.write_json(subfolder(folder, "results", node) / "results.json", run_folder.finite(other_parts))
     if handed_in.problem is not None:
         raise handed_in.problem
     return refused
-
-
-def _write_named(folder: Path, node: str, name: Any, table: object) -> str:
-    """Write a node's table into its folder; return why it is refused, or an empty string."""
-    if not is_table_name(name):
-        return EXPECTED_NAME
-    if not isinstance(table, Mapping):
-        return f"found a {type(table).__name__}, expected a dict of columns"
-    if len(table) > MAX_COLUMNS:
-        return f"found {len(table)} columns, expected at most {MAX_COLUMNS}"
-    from mast_zenoh.launch.tables import write_table  # loads Arrow, as in TableFiles
-
-    try:
-        write_table(subfolder(folder, *place_of(node, name)) / f"{name}.parquet", table)
-    except (OSError, MemoryError, ImportError, RunFolderError):  # not the table's fault: the run lacks a file
-        raise
-    except Exception as error:  # Arrow has many error classes, and users write tables
-        return " ".join(str(error).split())[:200]
-    return ""
 
 
 def note_recording(

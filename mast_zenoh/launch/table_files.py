@@ -7,15 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from mast_zenoh.control.results import EVALUATOR, TABLES
-from mast_zenoh.control.tables import TablePart
+from mast_zenoh.control.tables import MAX_TABLES, TablePart
 from mast_zenoh.errors import MessageError, RunFolderError
 from mast_zenoh.run_files import replacing, subfolder
-
-
-def place_of(node: str, table: str) -> tuple[str, ...]:
-    """The folder of a node's table in the run folder: its chunks."""
-    return () if node == EVALUATOR and table in TABLES else ("results", node)
-
 
 #: Limit on the columns in memory that one node may hand in while a run goes on, bytes.
 MAX_HANDED_IN = 64 << 30
@@ -88,6 +82,8 @@ class TableFiles:
         self._bytes[node] = self._bytes.get(node, 0) + sum(column.nbytes for column in part.columns.values())
         if self._bytes[node] > MAX_HANDED_IN:
             raise ValueError(f"found more than {MAX_HANDED_IN >> 30} GiB of tables, expected at most as much")
+        if key not in self._files and sum(of == node for of, _ in self._files) >= MAX_TABLES:
+            raise ValueError(f"found more than {MAX_TABLES} tables, expected at most as many")
         from pyarrow import parquet  # for which no process that writes no table should wait
 
         from mast_zenoh.launch.tables import to_arrow
@@ -95,7 +91,7 @@ class TableFiles:
         rows = to_arrow(part.columns)
         if key not in self._files:
             with ExitStack() as opening:
-                path = subfolder(self._folder, *place_of(node, table)) / f"{table}.parquet"
+                path = subfolder(self._folder, *_place_of(node, table)) / f"{table}.parquet"
                 new = opening.enter_context(replacing(path))
                 writer = opening.enter_context(parquet.ParquetWriter(new, rows.schema))
                 self._files[key] = opening.pop_all(), writer
@@ -105,3 +101,8 @@ class TableFiles:
 
 class _Discarded(Exception):
     """Ends the writing of a table that is not wanted."""
+
+
+def _place_of(node: str, table: str) -> tuple[str, ...]:
+    """The folder of a node's table in the run folder: its chunks."""
+    return () if node == EVALUATOR and table in TABLES else ("results", node)

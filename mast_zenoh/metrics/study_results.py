@@ -310,9 +310,9 @@ class Measured(NamedTuple):
         return not math.isnan(self.value)
 
     @property
-    def differs_from_zero(self) -> bool:
-        """Whether the interval does not contain 0."""
-        return self.low > 0.0 or self.high < 0.0
+    def differs(self) -> bool:
+        """Whether a test says so, as in `Estimate`; without one, whether the interval does not contain 0."""
+        return self.p <= LEVEL if not math.isnan(self.p) else self.low > 0.0 or self.high < 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

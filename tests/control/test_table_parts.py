@@ -107,10 +107,16 @@ def test_rows_that_do_not_fit_are_refused(name: str, rows: dict[str, Any], messa
     assert tables.close({})["tables"]["t"]["a"].tolist() == [1]
 
 
-def test_an_invalid_table_of_the_results_stays_there_for_the_launcher_to_refuse() -> None:
+@pytest.mark.parametrize("is_launched", [True, False])
+def test_of_an_invalid_table_of_the_results_stays_the_reason(is_launched: bool) -> None:
     tables = PartedTables()
-    tables.hand_in = list[TablePart]().append
-    assert tables.close({"tables": {"t": {"a": [1]}, "../t": {"a": [1]}}}) == {"tables": {"../t": {"a": [1]}}}
+    tables.append("kept", {"a": [1]})
+    if is_launched:
+        tables.hand_in = list[TablePart]().append
+    left = tables.close({"tables": {"t": {"a": [1]}, "../t": {"a": [1]}, "kept": {"a": [0.5]}}})["tables"]
+    assert left["../t"].startswith("table '../t': expected a name of")
+    assert left["kept"] == "table kept: found columns {'a': '<f8'}, expected those of the rows before: {'a': '<i8'}"
+    assert ("t" in left) != is_launched
 
 
 def test_parts_that_come_twice_or_out_of_order_or_of_a_replaced_process_change_nothing(tmp_path: Path) -> None:

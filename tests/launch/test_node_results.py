@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tracemalloc
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from mast_zenoh import scenario
 from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.control import results
 from mast_zenoh.control.results import collations, late
+from mast_zenoh.control.tables import PartedTables, TablePart
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch import conclusion, run
 from mast_zenoh.launch import folder as run_folder
@@ -29,9 +31,15 @@ TABLE = {"frame": np.arange(3), "rmse_m": np.array([0.5, np.nan, 1.0])}
 
 
 def written(results: dict[str, Any], folder: Path, **measured: Any) -> tuple[list[str], set[str]]:
-    """Write results to a new run folder; returns (refusals, names of the files)."""
+    """Write results to a new run folder, as nodes hand them in; returns (refusals, names of the files)."""
     folder.mkdir()
-    refused = conclusion.write_results(folder, results, measured, TableFiles(folder))
+    files, rest = TableFiles(folder), {}
+    for node, result in results.items():
+        tables = PartedTables()
+        tables.hand_in = partial(files.add, node, "process")
+        rest[node] = tables.close(result)
+    files.close()
+    refused = conclusion.write_results(folder, rest, measured, files)
     return refused, {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
 
 
@@ -86,16 +94,14 @@ INVALID = ({"a": [1, 2], "b": [1]}, {"a": np.zeros((2, 2))}, [1, 2], {"a": 3}, {
 def test_an_invalid_table_is_refused_and_the_others_are_written(tmp_path: Path) -> None:
     tables = {f"bad{number}": table for number, table in enumerate(INVALID)}
     refused, files = written({"node": {"tables": tables | {"good": TABLE}, "n": 1}}, tmp_path / "run")
-    assert [sentence.partition(": ")[2].partition(": ")[0] for sentence in refused] == [
-        f"table {name!r}" for name in tables
-    ]
+    assert [sentence.split(": ")[1] for sentence in refused] == [f"table {name}" for name in tables]
     assert files == {"results/node/good.parquet", "results/node/results.json"}
 
 
 @pytest.mark.parametrize(
     ("results", "refusals", "expected"),
     [
-        ({"..": {"metrics": METRICS, "tables": {"metrics": TABLE}}}, ["'..': expected a name"], set()),
+        ({"..": {"metrics": METRICS}}, ["'..': expected a name"], set()),
         (
             {"evaluator": {"tables": [1], "metrics": METRICS}},
             ["evaluator: tables: found a list, expected a dict of tables"],
@@ -154,8 +160,22 @@ def test_an_attack_without_targets_or_positions_is_reported(
 
 def test_a_node_writes_at_most_a_hundred_tables(tmp_path: Path) -> None:
     refused, files = written({"node": {"tables": {f"t{i}": {"a": [i]} for i in range(103)}}}, tmp_path / "run")
-    assert refused == ["node: tables: found 103, expected at most 100; only the first 100 are written"]
+    assert refused == [
+        f"node: table t{i}: found more than 100 tables, expected at most as many" for i in range(100, 103)
+    ]
     assert len(files) == 100
+
+
+def test_a_node_that_hands_in_more_tables_than_a_node_has_keeps_no_more_files_open(tmp_path: Path) -> None:
+    files = TableFiles(tmp_path)
+    for number in range(1000):
+        files.add("node", "process", TablePart(f"t{number}", number, {"a": np.arange(2)}))
+    files.add("other", "process", TablePart("t", 0, {"a": np.arange(2)}))
+    files.close()
+    assert len(list((tmp_path / "results/node").iterdir())) == 100
+    assert files.written >= {("other", "t")}
+    assert len(files.refused) == 900
+    assert files.problem is None
 
 
 SPECS = {
@@ -189,7 +209,7 @@ def test_lost_messages_are_reported(tmp_path: Path) -> None:
 def test_a_table_has_at_most_a_thousand_columns(tmp_path: Path) -> None:
     tables = {name: {f"c{i}": [i] for i in range(n)} for name, n in (("most", 1000), ("more", 1001))}
     refused, files = written({"node": {"tables": tables}}, tmp_path / "run")
-    assert refused == ["node: table 'more': found 1001 columns, expected at most 1000"]
+    assert refused == ["node: table more: found 1001 columns, expected 1 to 1000"]
     assert files == {"results/node/most.parquet"}
 
 

@@ -13,8 +13,9 @@ import pytest
 from rich.console import Console
 from study_samples import BASELINE, estimate, facts, grid, row
 
+from mast_zenoh.metrics.significance import holm
 from mast_zenoh.metrics.study_results import Estimate, FailedTrial, IdleAttack, Series, StudyRow, shares
-from mast_zenoh.report.narrative.study import compare, holm, other_changes, reservations, result
+from mast_zenoh.report.narrative.study import compare, other_changes, reservations, result
 from mast_zenoh.report.tables import study
 from mast_zenoh.report.tables.study import Cell, Section
 from mast_zenoh.report.tables.study_rows import PAPER, over_frames, over_trials

@@ -88,7 +88,7 @@ def _heat_map(axes: Axes, cells: list[list[DefenceRow | None]], scale: float) ->
         if row is None or math.isnan(_mean(row, "damage")):
             return ""
         damage = row.measures["damage"]
-        return number(damage.value) if damage.differs_from_zero else f"({number(damage.value)})"
+        return number(damage.value) if damage.differs else f"({number(damage.value)})"
 
     idle = np.array([[row is not None and row.idle for row in line] for line in cells])
     means = np.where(idle, math.nan, [[_mean(row, "damage") for row in line] for line in cells])

@@ -180,7 +180,7 @@ def _panel(axes: Axes, cells: Sequence[Sequence[FieldRow | None]], norm: Normali
 def _cell(axes: Axes, x: int, y: int, row: FieldRow, colour: str) -> None:
     """The number of a cell, and its mark in the upper left corner."""
     value = row.harm.value
-    style = "normal" if row.harm.differs_from_zero else "italic"
+    style = "normal" if row.harm.differs else "italic"
     axes.text(
         *(x, y + 0.04, number(value, 1 if abs(value) < 9.95 else 0)),
         ha="center",

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from mast_zenoh.metrics.significance import clearest
 from mast_zenoh.metrics.study_results import MIN_SEEDS, CooperationRow, CooperationTable, Measured
-from mast_zenoh.report.narrative.study import clearest
 from mast_zenoh.report.tables.text_table import (
     BOUNDS,
     DASH,

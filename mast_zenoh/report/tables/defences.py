@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+from mast_zenoh.metrics.significance import clearest
 from mast_zenoh.metrics.study_results import (
     DEFENCE_MEASURES,
     MIN_SEEDS,
@@ -14,7 +15,6 @@ from mast_zenoh.metrics.study_results import (
     Measured,
     plural,
 )
-from mast_zenoh.report.narrative.study import clearest
 from mast_zenoh.report.tables.text_table import (
     BOUNDS,
     DASH,

@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping
 
 from mast_zenoh.metrics.driving_results import DRIVING_MEASURES, Affected, DrivingRow, DrivingTable
+from mast_zenoh.metrics.significance import clearest
 from mast_zenoh.metrics.study_results import Estimate, plural
-from mast_zenoh.report.narrative.study import clearest
 from mast_zenoh.report.tables.study_rows import over_trials, value
 from mast_zenoh.report.tables.text_table import (
     BOUNDS,
@@ -110,7 +110,8 @@ def headline(table: DrivingTable) -> str:
         harms = [(_harm(name, row.added[name]), row) for row in rows if not math.isnan(row.added[name].trial_mean)]
         harm, worst = max(harms, key=lambda pair: pair[0], default=(0.0, None))
         if worst is not None and harm > 0.0:
-            return f"{_effect(worst, name)}: too few trials to tell"
+            alone = "distinguishable alone, but not when all are read together"
+            return f"{_effect(worst, name)}: {alone if worst.added[name].differs else 'too few trials to tell'}"
     if any(row.flawed for row in rows):
         return next(iter(flaws(table)), "").removesuffix(".")
     if not rows:
