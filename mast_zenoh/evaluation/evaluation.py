@@ -44,7 +44,7 @@ from mast_zenoh.metrics.causes import ATTACK_CAUSES, Labels
 from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.metrics.manipulations import INSERTED
 from mast_zenoh.metrics.measures import check, per_frame
-from mast_zenoh.metrics.scores import FrameScores, LastMatches
+from mast_zenoh.metrics.scores import LastMatches
 from mast_zenoh.metrics.trust import Fault
 
 
@@ -182,7 +182,7 @@ class Evaluation:
         data.meter.close(int(frames.max(initial=-1)))
         assessment = self.assessed(data, frames, Earlier())
         return {
-            "same_as": same_as_by_agent(assessment.scores),
+            "same_as": by_agent(assessment.scores.same_as),
             "metrics": per_frame(assessment.scores),
             **assessment.tables(-np.inf, np.inf, assessment.agreement(-np.inf, np.inf)),
         }
@@ -267,10 +267,10 @@ def cut_off_objects(
     return cut_off.objects(scores, data.period_s, silent, undelivered, min_points, displaced)
 
 
-def same_as_by_agent(scores: FrameScores) -> dict[str, dict[str, str]]:
-    """By agent and estimator, the estimator with the same messages."""
+def by_agent(same_as: Mapping[tuple[str, str], tuple[str, str]]) -> dict[str, dict[str, str]]:
+    """By agent and estimator, the estimator with the same messages; same_as: see `FrameScores`"""
     result: dict[str, dict[str, str]] = {}
-    for (agent, estimator), (_, twin) in scores.same_as.items():
+    for (agent, estimator), (_, twin) in same_as.items():
         result.setdefault(agent, {})[estimator] = twin
     return result
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -14,13 +15,8 @@ from mast_zenoh.effects.passages import Spoof
 from mast_zenoh.effects.table import insertions
 from mast_zenoh.metrics import AttributionLimits, Boxes, Manipulations, Scores
 from mast_zenoh.metrics.boxes import Places, nearest, occurs
-from mast_zenoh.metrics.estimates import (
-    BEHIND_DOWNLINK,
-    FROM_CENTRE,
-    LOCAL,
-    RECEIVED,
-)
-from mast_zenoh.metrics.manipulations import COLUMNS, INSERTED, KINDS, MOVED, REMOVED
+from mast_zenoh.metrics.estimates import BEHIND_DOWNLINK, FROM_CENTRE, IN_TRANSIT, LOCAL, RECEIVED
+from mast_zenoh.metrics.manipulations import ALTERED, COLUMNS, INSERTED, KINDS, MOVED, REMOVED
 from mast_zenoh.metrics.record import TruthTable
 from mast_zenoh.wiring.model import Passage, agent_of, peer_of
 
@@ -86,6 +82,9 @@ def delays(
     return result
 
 
+#: Columns that say nothing of where an object is, or will be.
+_OF_BOX = {"size", "yaw", "class_id"}
+
 #: Share of the frames of a second in which an agent that tracks an object sees it.
 SEEN_SHARE = 0.8
 #: Detections in two seconds without which no track begins.
@@ -120,6 +119,10 @@ def manipulations(
 
     inserted, episode, velocity = insertions(effects, period_s)
     hidden, kind = _hidden(effects, limits)
+    of_tracks = np.array([interposed.message != "detections" for interposed in effects.passages], bool)
+    of_box = np.array([set() < set(names.split()) <= _OF_BOX for names in effects.columns[hidden].tolist()], bool)
+    of_box &= (kind == ALTERED) & of_tracks[effects.passage[hidden]]
+    reach = influence(effects.passages, series, is_link, relays)
     hidden_places = Places(effects.frame[hidden], effects.before[hidden])
     truth_row, _ = nearest(hidden_places, Places(truth.group, truth.position), limits.hidden_m)
     rows = np.concatenate([inserted, hidden])
@@ -129,7 +132,8 @@ def manipulations(
     )
     result = Manipulations(
         culprits=culprits,
-        reach=influence(effects.passages, series, is_link, relays),
+        reach=reach,
+        altered=reach & ~_judged_as_sent(effects.passages, series),
         shown=influence(effects.passages, series, np.zeros(len(is_link), bool), relays),
         delay=delays(effects.passages, series, own_pictures, relays),
         passage=passage,
@@ -143,8 +147,16 @@ def manipulations(
         original=effects.before[rows],
         velocity=np.nan_to_num(np.concatenate([velocity, effects.velocity[hidden]])),
         lasts=lasts[passage] if len(rows) else passage,
+        of_box=np.concatenate([np.zeros(len(inserted), bool), of_box]),
     )
     return result.select(~away[rows])
+
+
+def _judged_as_sent(passages: Sequence[Passage], series: Sequence[tuple[str, str]]) -> Bools:
+    """Whether a series is what each of p passages carries, so that its objects are judged where it says: (p, s)."""
+    carried = {"tracks": (RECEIVED,), "picture": IN_TRANSIT}
+    judged = [[estimator in carried.get(passage.port, ()) for _, estimator in series] for passage in passages]
+    return np.array(judged, bool).reshape(len(passages), len(series))
 
 
 def _lasts(passage: Passage, is_link: bool, limits: AttributionLimits, period_s: float) -> int:
@@ -288,11 +300,8 @@ def add_pose_manipulations(
         for rows, kind, position in groups:
             n = len(rows)
             parts.append(
-                Manipulations(
-                    manipulations.culprits,
-                    manipulations.reach,
-                    manipulations.shown,
-                    manipulations.delay,
+                replace(
+                    manipulations,
                     passage=np.full(n, index),
                     culprit=np.full(n, culprit),
                     kind=np.full(n, kind),
@@ -302,12 +311,11 @@ def add_pose_manipulations(
                     original=truth.boxes.position[rows],
                     velocity=truth.velocity[rows],
                     lasts=np.full(n, lasts),
+                    of_box=np.zeros(n, bool),
                 )
             )
-    columns = (np.concatenate([getattr(part, name) for part in parts]) for name in COLUMNS)
-    return Manipulations(
-        manipulations.culprits, manipulations.reach, manipulations.shown, manipulations.delay, *columns
-    )
+    columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in COLUMNS}
+    return replace(manipulations, **columns)
 
 
 def _apparent_positions(spoof: Spoof, truth: TruthTable) -> Floats:

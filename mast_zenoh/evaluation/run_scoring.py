@@ -22,7 +22,7 @@ from mast_zenoh.effects import reports
 from mast_zenoh.effects.reports import ReportCounts
 from mast_zenoh.evaluation import trust
 from mast_zenoh.evaluation.driven import DrivenCars
-from mast_zenoh.evaluation.evaluation import Assessment, Earlier, Evaluation, own_pictures, same_as_by_agent
+from mast_zenoh.evaluation.evaluation import Assessment, Earlier, Evaluation, by_agent, own_pictures
 from mast_zenoh.evaluation.from_effects import first_change
 from mast_zenoh.evaluation.run_data import RunData
 from mast_zenoh.metrics import FrameMetric, RunMetric, Table, achievement, causes_of, driving
@@ -313,7 +313,7 @@ class RunScoring:
                 "scored_frames": [int(frame) for frame in frames[scored][[0, -1]]] if len(frames) else [],
                 "settled": settings.settled(len(frames)),
                 "agents": summary,
-                "same_as": same_as_by_agent(scores),
+                "same_as": by_agent(joined.same_as),
                 "achieved": achievement.summary(targets, switched, data.period_s),
                 "driving": driving.summary(drives, scored),
                 **({"driven": happened} if data.heard else {}),
@@ -421,13 +421,18 @@ class RunScoring:
 class Joined:
     """The blocks of a run one after the other.
 
-    scores: per frame. Those of several blocks have a row for every series, because series that have the same messages
-    in one block may differ in another; and a series that begins later has no messages in earlier blocks.
+    scores:  per frame. Those of several blocks have a row for every series, because series that have the same messages
+             in one block may differ in another; and a series that begins later has no messages in earlier blocks.
+    same_as: series that have the same messages in every block, as in `FrameScores`
     """
 
     def __init__(self, blocks: Sequence[Block], settings: Evaluation) -> None:
         self._blocks = blocks
         self.truth_ids = np.unique(np.concatenate([block.truth_ids for block in blocks]))
+        pairs = [set(block.scores.same_as.items()) for block in blocks]
+        self.same_as = {
+            name: twin for name, twin in blocks[-1].scores.same_as.items() if (name, twin) in set.intersection(*pairs)
+        }
         if len(blocks) == 1:
             self.scores = blocks[0].scores
         else:

@@ -270,7 +270,7 @@ class Attributor:
         n, names = len(self.scores.judged.frame), self.manipulations.culprits
         cause, by = np.full(n, UNKNOWN), np.zeros((n, len(names)), bool)
         false, missed = self.tracks.outcome == FALSE, self.truths.outcome == MISSED
-        self.hidden = Hidden.of(self.manipulations)
+        self.hidden = Hidden.of(self.manipulations, found=True)
         natural = self._natural_tracks(false)
         track_cause, track_by = self._attack_tracks(false, natural)
         track_cause = np.where(track_cause == UNKNOWN, natural, track_cause)

@@ -95,9 +95,14 @@ class Hidden:
     parts: tuple[tuple[int, int, Bools, Ints, Ints, Ints, int], ...]
 
     @classmethod
-    def of(cls, manipulations: Manipulations) -> Hidden:
-        """The manipulations of known truth objects; manipulations by links are faults."""
+    def of(cls, manipulations: Manipulations, *, found: bool = False) -> Hidden:
+        """The manipulations of known truth objects; manipulations by links are faults.
+
+        found: only those that can change where an object is found, and in which series they can
+        """
         parts = []
+        if found:
+            manipulations = manipulations.select(~manipulations.of_box)
         hidden = manipulations.select(((manipulations.kind != INSERTED) & (manipulations.object >= 0)).nonzero()[0])
         for passage in np.unique(hidden.passage).tolist():
             for kind in (REMOVED, MOVED, ALTERED):
@@ -107,7 +112,8 @@ class Hidden:
                 rows = rows[np.lexsort((hidden.frame[rows], hidden.object[rows]))]
                 culprit = int(hidden.culprit[rows[0]])
                 lasts = int(hidden.lasts[rows[0]])
-                where = hidden.reach[passage], hidden.delay[passage]
+                reach = hidden.altered if found and kind == ALTERED else hidden.reach
+                where = reach[passage], hidden.delay[passage]
                 parts.append((kind, culprit, *where, hidden.object[rows], hidden.frame[rows], lasts))
         return cls(tuple(parts))
 

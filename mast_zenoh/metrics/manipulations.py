@@ -14,7 +14,7 @@ KINDS = ("inserted", "removed", "moved", "altered")
 INSERTED, REMOVED, MOVED, ALTERED = range(len(KINDS))
 
 #: The columns of `Manipulations` with a row for each of them.
-COLUMNS = ("passage", "culprit", "kind", "frame", "object", "position", "original", "velocity", "lasts")
+COLUMNS = ("passage", "culprit", "kind", "frame", "object", "position", "original", "velocity", "lasts", "of_box")
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,13 +31,16 @@ class Manipulations:
     original: (n, 3) m, world frame: the original position; NaN for an inserted object
     velocity: (n, 3) m/s, world frame; zero if unknown
     lasts:    (n,) number of frames after its own in which it still counts
+    of_box:   (n,) bool, altered in size, heading and class alone: the object is found where it was
     reach:    (p, s) bool: which of s series can lack or displace an object because of each of p passages
+    altered:  (p, s) bool: which can because of an object that was altered and not moved: not what is judged as sent
     shown:    (p, s) bool: which can have a false track because of it
     delay:    (p, s) number of frames after its own from which on a manipulation can have been used for each series
     """
 
     culprits: tuple[str, ...]
     reach: Bools
+    altered: Bools
     shown: Bools
     delay: Ints
     passage: Ints
@@ -49,14 +52,14 @@ class Manipulations:
     original: Floats
     velocity: Floats
     lasts: Ints
+    of_box: Bools
 
     def __len__(self) -> int:
         return len(self.kind)
 
     def select(self, rows: Bools | Ints) -> Manipulations:
         """The rows selected by a mask or an index array."""
-        columns = (getattr(self, name)[rows] for name in COLUMNS)
-        return Manipulations(self.culprits, self.reach, self.shown, self.delay, *columns)
+        return replace(self, **{name: getattr(self, name)[rows] for name in COLUMNS})
 
     @classmethod
     def joined(cls, parts: Sequence[Manipulations]) -> Manipulations:
@@ -88,5 +91,5 @@ def no_manipulations(n_series: int) -> Manipulations:
     """Manipulations without rows."""
     zero, nowhere = np.zeros(0, np.int64), np.zeros((0, 3))
     no_reach = np.zeros((0, n_series), bool)
-    columns = (zero, zero, zero, zero, zero, nowhere, nowhere, nowhere, zero)
-    return Manipulations((), no_reach, no_reach, no_reach.astype(np.int64), *columns)
+    columns = (zero, zero, zero, zero, zero, nowhere, nowhere, nowhere, zero, np.zeros(0, bool))
+    return Manipulations((), no_reach, no_reach, no_reach, no_reach.astype(np.int64), *columns)
