@@ -13,9 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mast_zenoh.arrays.states import Ints
 from mast_zenoh.errors import MessageError
 
-#: Rows of a part; fewer if they have more bytes than that. Each row of text counts as if all characters had four bytes.
+#: Rows and bytes of a part, at most; characters of text count as four bytes. A row has at most as many bytes.
 PART_ROWS, PART_BYTES = 1 << 16, 16 << 20
 
 MAX_TABLES = 100  #: that one node may hand in
@@ -87,21 +88,28 @@ class _Rows:
         self.begun = False
         self.count = self._bytes = 0
         self._pieces: list[Columns] = []
+        self._sizes: list[Ints] = []  # of the rows of each piece, bytes
 
     def add(self, columns: Columns) -> None:
         """Add rows; raises MessageError if their columns differ from those before."""
         kinds = {name: array.dtype.str if array.dtype.kind != "O" else "text" for name, array in columns.items()}
-        count = len(next(iter(columns.values())))
+        sizes = _row_bytes(columns)
+        count = len(sizes)
+        if sizes.max(initial=0) > PART_BYTES:
+            most = int(sizes.argmax())
+            raise MessageError(f"found {sizes[most]} bytes in row {most}, expected at most {PART_BYTES}")
         if self.kinds and count and list(kinds.items()) != list(self.kinds.items()):
             raise MessageError(f"found columns {kinds}, expected those of the rows before: {self.kinds}")
         if not self.kinds:
             self._pieces.clear()  # without rows, whose types say nothing
+            self._sizes.clear()
         if count or not self.kinds:
             self._pieces.append(columns)
+            self._sizes.append(sizes)
         if count:
             self.kinds = kinds
         self.count += count
-        self._bytes += _size(columns)
+        self._bytes += int(sizes.sum())
 
     @property
     def is_full(self) -> bool:
@@ -113,14 +121,19 @@ class _Rows:
         return {name: np.concatenate([piece[name] for piece in self._pieces]) for name in self._pieces[0]}
 
     def cut(self, *, everything: bool) -> Iterator[Columns]:
-        """Cut off parts of equal numbers of rows; the rest waits, unless `everything` is wanted."""
-        columns, start, count = self.joined(), 0, self.count
-        step = min(PART_ROWS, max(1, PART_BYTES * count // max(PART_BYTES, self._bytes)))
-        while count - start >= step or (everything and (start < count or not self.begun)):
-            yield {name: array[start : start + step] for name, array in columns.items()}
-            self.begun, start = True, min(count, start + step)
+        """Cut off parts, each as long as it may be; the rest waits, unless `everything` is wanted."""
+        columns, sizes, start, count = self.joined(), np.concatenate(self._sizes), 0, self.count
+        until = np.cumsum(sizes)
+        while start < count or (everything and not self.begun):
+            most = PART_BYTES + int(until[start - 1] if start else 0)
+            end = min(start + PART_ROWS, int(np.searchsorted(until, most, side="right")))
+            if end == count < start + PART_ROWS and not everything:
+                break
+            yield {name: array[start:end] for name, array in columns.items()}
+            self.begun, start = True, end
         rest = {name: array[start:].copy() for name, array in columns.items()}
-        self._pieces, self.count, self._bytes = [rest], count - start, _size(rest)
+        self._pieces, self._sizes, self.count = [rest], [sizes[start:]], count - start
+        self._bytes = int(sizes[start:].sum())
 
 
 class PartedTables:
@@ -176,7 +189,9 @@ class PartedTables:
                 self._number += 1
 
 
-def _size(columns: Columns) -> int:
-    """Bytes of columns, at most: each character of text has up to four, and its length another five."""
-    text = sum(sum(map(len, array)) * 4 + 5 * len(array) for array in columns.values() if array.dtype.kind == "O")
-    return text + sum(array.nbytes for array in columns.values() if array.dtype.kind != "O")
+def _row_bytes(columns: Columns) -> Ints:
+    """Bytes of each row (n,), at most: each character of text has up to four, and its length another five."""
+    sizes = np.zeros(len(next(iter(columns.values()))), np.int64)
+    for array in columns.values():
+        sizes += 5 + 4 * np.fromiter(map(len, array), np.int64, len(array)) if array.dtype == object else array.itemsize
+    return sizes

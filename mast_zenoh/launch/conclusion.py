@@ -143,6 +143,8 @@ def write_results(
     handed_in: the tables that nodes have handed in part by part, which are written already
     """
     refused = [f"{node}: table {table}: {problem}" for (node, table), problem in handed_in.refused.items()]
+    lost = dict.fromkeys(sorted({node for node, _ in handed_in.written} - results.keys()), "it was lost before the end")
+    refused += [f"{node}: its tables are incomplete: {why:.200}" for node, why in (lost | handed_in.incomplete).items()]
     for node, result in results.items():
         other_parts = dict(result)
         tables = other_parts.pop("tables", {})

@@ -120,7 +120,11 @@ class Reports:
         try:
             check_control_mark(query.key_expr, query.attachment)
             self._child("result", node)
-            self._put("part", node, (query, *decode_part(payload)))
+            try:
+                self._put("part", node, (query, *decode_part(payload)))
+            except MessageError as error:
+                self._tables.incomplete.setdefault(node, str(error))
+                raise
         except MessageError as error:
             self._refuse("result", node, error)
             _answer(query, error)

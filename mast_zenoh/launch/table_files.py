@@ -22,12 +22,14 @@ class TableFiles:
     whole, and has all rows up to then.
 
     written: (node, table) of all tables;  refused: of those that are not written, a sentence
+    incomplete: by node, why a part of its tables was not taken: later parts are missing, too
     problem: the first error of the operating system, after which nothing is written
     """
 
     def __init__(self, folder: Path) -> None:
         self.written: set[tuple[str, str]] = set()
         self.refused: dict[tuple[str, str], str] = {}
+        self.incomplete: dict[str, str] = {}
         self.problem: Exception | None = None
         self._folder = folder
         self._files: dict[tuple[str, str], tuple[ExitStack, Any]] = {}  # with their writers
@@ -46,7 +48,10 @@ class TableFiles:
         replaced = expected > 0 and self._process[node] != process
         if part.number > expected or replaced:
             found = "a part of a process that was replaced" if replaced else f"part {part.number}"
-            raise MessageError(f"table {part.table}: found {found}, expected part {expected}")
+            problem = f"table {part.table}: found {found}, expected part {expected}"
+            if not replaced:
+                self.incomplete.setdefault(node, problem)
+            raise MessageError(problem)
         if self._process.get(node) != process:
             self.discard(node)
             self._process[node] = process

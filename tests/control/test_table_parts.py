@@ -10,8 +10,10 @@ import pytest
 from pyarrow import parquet
 
 from mast_zenoh.control import results
-from mast_zenoh.control.tables import PART_ROWS, PartedTables, TablePart
+from mast_zenoh.control.results import encode_part
+from mast_zenoh.control.tables import PART_BYTES, PART_ROWS, PartedTables, TablePart
 from mast_zenoh.errors import MessageError
+from mast_zenoh.launch import conclusion
 from mast_zenoh.launch.table_files import TableFiles
 from mast_zenoh.launch.tables import read_groups, read_table
 
@@ -144,3 +146,37 @@ def test_a_table_whose_columns_change_is_refused_from_then_on(tmp_path: Path) ->
     assert list(files.refused) == [("node", "t")]
     assert read_table(tmp_path / "results/node/t.parquet")["a"].tolist() == [0, 1, 2]
     assert read_table(tmp_path / "results/node/u.parquet")["a"].tolist() == [0, 1, 2]
+
+
+@pytest.mark.parametrize("appended", [1, 7, 1000])
+def test_a_part_is_never_larger_than_it_may_be_however_unevenly_long_texts_are(appended: int) -> None:
+    tables, parts = PartedTables(), list[TablePart]()
+    tables.hand_in = parts.append
+    texts = [*[""] * 2000, *["x" * 1_500_000] * 30, *["ü" * 3] * 500]
+    for start in range(0, len(texts), appended):
+        tables.append("t", {"text": texts[start : start + appended]})
+    tables.close({})
+    assert [text for part in parts for text in part.columns["text"]] == texts
+    assert [len(part.columns["text"]) for part in parts] == [2002, *[2] * 13, 502]
+    assert max(len(encode_part("a" * 32, part)) for part in parts) <= PART_BYTES
+
+
+def test_a_row_that_fits_into_no_part_is_refused_and_the_others_are_kept() -> None:
+    tables = PartedTables()
+    tables.append("t", {"text": ["a"]})
+    with pytest.raises(MessageError, match="table t: found 20000005 bytes in row 1, expected at most 16777216"):
+        tables.append("t", {"text": ["b", "x" * 5_000_000]})
+    assert tables.close({})["tables"]["t"]["text"].tolist() == ["a"]
+
+
+def test_a_node_whose_parts_were_not_all_taken_is_named_with_the_reason(tmp_path: Path) -> None:
+    files = TableFiles(tmp_path)
+    files.add("node", "first", TablePart("t", 0, {"a": np.arange(3)}))
+    files.add("lost", "first", TablePart("t", 0, {"a": np.arange(3)}))
+    with pytest.raises(MessageError):
+        files.add("node", "first", TablePart("t", 2, {"a": np.arange(3)}))
+    files.close()
+    assert conclusion.write_results(tmp_path, {"node": {}}, {}, files) == [
+        "lost: its tables are incomplete: it was lost before the end",
+        "node: its tables are incomplete: table t: found part 2, expected part 1",
+    ]
