@@ -17,7 +17,7 @@ from rich.segment import Segment
 from typer.core import TyperCommand
 
 from mast_zenoh.cli import completion
-from mast_zenoh.errors import HandlerFailed, Interrupted, NotComparable, RunFolderError
+from mast_zenoh.errors import DiskFull, HandlerFailed, Interrupted, NotComparable, RunFolderError
 from mast_zenoh.launch import ending
 from mast_zenoh.security import levels
 
@@ -161,9 +161,9 @@ def conclude(finished: Run, *, report: bool, against: str | None = None, allow_f
     of a twin count as a failure of the run unless that is allowed.
     """
     try:
-        with reporting(finished.folder):
+        with reporting(finished.folder, complete=finished.error is None):
             refusal, reference = _show(finished, report=report, against=against)
-    except RunFolderError as error:
+    except (RunFolderError, DiskFull) as error:
         if finished.error:
             err.warn(str(error))
             raise finished.error from None
@@ -189,12 +189,14 @@ def silenced(quiet: bool) -> Iterator[None]:
 
 
 @contextmanager
-def reporting(folder: Path, command: str = "report") -> Iterator[None]:
+def reporting(folder: Path, command: str = "report", *, complete: bool = True) -> Iterator[None]:
     """Turn errors of report writing into errors with the command that repeats it.
 
+    complete: whether the run did not fail
     Raises RunFolderError for results that cannot be reported: a user's evaluator may return anything.
     """
-    hint = f"the results in {folder} are complete except for the report: `mast {command} {folder}` writes it"
+    kept = "are complete except for the report" if complete else "are those of a failed run, without a report"
+    hint = f"the results in {folder} {kept}: `mast {command} {folder}` writes it"
     try:
         yield
     except (KeyboardInterrupt, OSError) as exception:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -106,6 +106,8 @@ def nodes_of(
     if scenario.get("coordinator") is not None:
         adversaries = [name for name, spec in specs.items() if spec.role == "adversary"]
         add("coordinator", "coordinator", {"adversaries": adversaries, **scenario["coordinator"]})
+        directed = specs["coordinator"].config["adversaries"]
+        _check_names(directed, adversaries, f"{path}: coordinator.adversaries", "adversary in this scenario")
     add_surroundings(specs, recording)
     ages = {name: specs[name].config["picture_age_s"] for name in agents if "picture_age_s" in specs[name].config}
     evaluator = scenario.get("evaluator", {})
@@ -118,7 +120,23 @@ def nodes_of(
         add(name, str(config.get("role", "")), config)
     if record:
         add("recorder", "recorder", {"log": MessageLog()})
+    for name, spec in specs.items():
+        integrity = _part(_part(spec.config, "pipeline"), "integrity")
+        place = f"{path}: {name}: pipeline.integrity.anchors"
+        _check_names(integrity.get("anchors", ()), agents, place, "agent in this scene")
     return specs
+
+
+def _part(config: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    part = config.get(name)
+    return part if isinstance(part, Mapping) else {}
+
+
+def _check_names(names: object, known: Sequence[str], place: str, kind: str) -> None:
+    """Raise ConfigurationError for a name that none of the known ones is; lists of other types are refused later."""
+    for name in names if isinstance(names, (list, tuple)) else ():
+        if name not in known:
+            raise ConfigurationError(f"{place}: no {kind} is called {name!r}{nearest(str(name), known)}")
 
 
 def names_none(names: object) -> bool:

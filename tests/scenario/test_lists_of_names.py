@@ -76,6 +76,28 @@ def test_a_coordinator_directs_exactly_the_adversaries_of_its_list(names: list[s
     assert list(run.nodes["coordinator"].config["adversaries"]) == directed
 
 
+@pytest.mark.parametrize(
+    ("name", "setting", "message"),
+    [
+        (
+            "coordinated",
+            'coordinator.adversaries=["adversary_9"]',
+            r"coordinator.adversaries: no adversary .* called 'adversary_9'",
+        ),
+        (
+            "defended",
+            'command_center.pipeline.integrity.anchors=["infra_9"]',
+            r"integrity.anchors: no agent .* called 'infra_9'",
+        ),
+        ("defended", 'command_center.pipeline.integrity.anchors=["*"]', r"integrity.anchors: no agent .* called '\*'"),
+    ],
+)
+def test_a_name_of_nobody_in_a_list_is_refused(name: str, setting: str, message: str) -> None:
+    settings = ["defence=SequentialConsistency"] if name == "defended" else []
+    with pytest.raises(ConfigurationError, match=message):
+        resolved(name, *settings, setting)
+
+
 def test_a_coordinator_does_not_direct_an_adversary_of_no_agent() -> None:
     run = resolved("coordinated", "n_adversaries=2", "adversaries.adversary_1.agent=[]")
     assert run.nodes["coordinator"].config["adversaries"] == ["adversary_2"]
