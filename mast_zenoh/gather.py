@@ -177,9 +177,10 @@ class CollationBuffer(Generic[Item]):
 
 
 def plausible_rows(states: ObjectStates) -> Ints:
-    """(k,) rows of the objects without a value beyond MAX_TRACK_VALUE."""
+    """(k,) rows of the objects without a value beyond MAX_TRACK_VALUE or a size below 0."""
     columns = (states.position, states.velocity, states.size, states.covariance)
-    if sum([np.vdot(column, column) for column in columns]) <= MAX_TRACK_VALUE**2:
+    bounded = sum([np.vdot(column, column) for column in columns]) <= MAX_TRACK_VALUE**2
+    if bounded and states.size.min(initial=0.0) >= 0.0:
         return np.arange(len(states))  # the usual case: no value exceeds the norm of all
     flat = np.concatenate([column.reshape(len(states), -1) for column in columns], axis=1)
-    return np.flatnonzero(np.abs(flat).max(axis=1) <= MAX_TRACK_VALUE)
+    return np.flatnonzero((np.abs(flat).max(axis=1) <= MAX_TRACK_VALUE) & (states.size >= 0.0).all(axis=1))

@@ -2,10 +2,12 @@
 
 import itertools
 
+import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mast_zenoh.gather import CollationBuffer, Gather, LatestBefore
+from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.gather import CollationBuffer, Gather, LatestBefore, plausible_rows
 
 messages = st.lists(st.tuples(st.integers(0, 4), st.sampled_from("abc")), max_size=12, unique=True)  # (frame, member)
 
@@ -150,3 +152,11 @@ def test_a_frame_is_complete_with_items_of_all_agents() -> None:
     buffer.push("b", 3, "of b")
     assert buffer.complete(3, {"a", "b"})
     assert buffer.complete(3, set())
+
+
+def test_tracks_beyond_all_bounds_or_of_negative_size_are_implausible() -> None:
+    states = ObjectStates.of(np.zeros((5, 3)), size=np.full((5, 3), 2.0))
+    states.size[1, 0], states.size[2] = -2.0, 0.0
+    assert plausible_rows(states).tolist() == [0, 2, 3, 4], "an unknown size may be 0"
+    states.position[3, 0] = 1e300
+    assert plausible_rows(states).tolist() == [0, 2, 4]

@@ -54,7 +54,11 @@ def prepare_sweeps(
 def _recorded(scene: Scene, seed: int, frames: int | None) -> Recording:
     """The recording of a scene; raises SceneError, with file and line, where code of a user raises anything else."""
     try:
-        return scene.record(seed, frames)
+        recording = scene.record(seed, frames)
+        if not isinstance(recording, Recording):
+            found = f"{type(scene).__name__}.record: found a {type(recording).__name__}"
+            raise SceneError(f"{found}, expected a Recording, such as another scene's `record` returns")
+        return recording
     except Exception as error:
         users = {type(part).__module__ for part in _parts(scene) if _is_of_user(type(part))}
         trace = traceback.walk_tb(error.__traceback__)

@@ -56,6 +56,18 @@ def test_error_in_a_users_scene_names_its_file_and_line_alone() -> None:
     assert cause.__context__ is None, "not of a cache without the scene"
 
 
+def test_a_scene_that_returns_something_else_is_refused_and_not_cached(folder: Path) -> None:
+    class Wrong(Scene):
+        def record(self, seed: int, frames: int | None) -> Recording:
+            return self  # type: ignore[return-value]
+
+    Wrong.__module__ = "mast_zenoh.nowhere"  # such a class would be cached
+    for _ in range(2):
+        with pytest.raises(SceneError, match=r"Wrong.record: found a Wrong, expected a Recording"):
+            prepare(Wrong(), 0, None, "wrong")
+    assert not list(folder.glob("*.npz"))
+
+
 def test_seed_configuration_and_length_are_part_of_the_cache_key(recording: Recording) -> None:
     scene = Counted(recording)
     for seed, frames, key in ((1, None, "a"), (2, None, "a"), (1, 5, "a"), (1, None, "b")):
