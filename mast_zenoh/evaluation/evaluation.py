@@ -313,7 +313,7 @@ class Assessment:
         updates = [data.trust[frame] for frame in sorted(data.trust) if first <= frame < end]
         return {
             "objects": self._objects(first, end, every_series),
-            "attacks": attacks(effects, agreement, data.roles, data.period_s, counted),
+            "attacks": attacks(effects, agreement, data.roles, data.period_s, counted & ~self.from_absence),
             **(trust.tables(updates, data.times_ns) if data.trust else {}),
         }
 
