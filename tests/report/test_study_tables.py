@@ -218,6 +218,13 @@ def test_headline_is_the_clearest_of_all_changes_and_ignores_rmse_below_one_cent
     assert any(sentence.startswith("RMSE: in a the picture has 0.0006 m more") for sentence in others)
 
 
+def test_a_change_that_is_distinguishable_alone_is_not_said_to_be_indistinct() -> None:
+    _, others = words(fp_iob=estimate(0.0, p=0.9), length_error_m_iob=estimate(0.4, 0.2, p=0.03))
+    text = "Distinguishable from the baseline if read alone, not if all 2 comparisons are read together: lengths."
+    assert text in others
+    assert "Not distinguishable from the baseline: false objects." in others
+
+
 def test_the_headline_never_denies_a_change_that_remains_after_holm() -> None:
     """Of 40 studies: it names a marked change if there is any, and the one with the smallest p."""
     rng = np.random.default_rng(5)

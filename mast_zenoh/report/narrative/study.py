@@ -161,7 +161,7 @@ def other_changes(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comp
         return []
     headline_change = _headline(attacked, comparisons)
     sentences: list[str] = []
-    unchanged_names, rare, indistinct = [], [], []
+    unchanged_names, rare, alone, indistinct = [], [], [], []
     for metric, (name, _) in _CHANGES.items():
         change = _largest(attacked, (metric,), comparisons)
         if change and change != headline_change:
@@ -172,6 +172,8 @@ def other_changes(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comp
                 unchanged_names.append(name)
             elif any(each.mostly_zero and not each.unchanged for each in known):
                 rare.append(name)
+            elif comparisons.count and any(each.differs for each in known):
+                alone.append(name)
             elif comparisons.count and any(not math.isnan(each.low) for each in known):
                 indistinct.append(name)
     for name, columns in ADDED:
@@ -181,6 +183,9 @@ def other_changes(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comp
         sentences.append(f"Unchanged in all trials: {', '.join(unchanged_names)}.")
     if rare:
         sentences.append(f"Changed in few trials, and therefore without interval: {', '.join(rare)}.")
+    if alone:
+        among = f"not if all {plural(comparisons.count, 'comparison')} are read together"
+        sentences.append(f"Distinguishable from the baseline if read alone, {among}: {', '.join(alone)}.")
     if indistinct:
         sentences.append(f"Not distinguishable from the baseline: {', '.join(indistinct)}.")
     return sentences
