@@ -83,7 +83,7 @@ def at_start(recording: Recording) -> str:
     """What is suspicious about the beginning of a scene, in a sentence for the start of a run; "": nothing."""
     frames = int(np.searchsorted(recording.truth_start, _ROWS_AT_START))
     first, *others = problems(recording, min(max(frames, 1), _FRAMES_AT_START)) or [""]
-    more = f"; and {len(others)} more: `mast scene check` lists them" if others else ""
+    more = f"; and {len(others)} more: `mast scene check RUN/scene.npz` lists them" if others else ""
     return f"suspicious: {first}{more}" if first else ""
 
 

@@ -112,6 +112,8 @@ def load(path: Path) -> dict[str, Any]:
         raise WiringError(f"{path}: no such key-expression map{nearest(path.name, beside)}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise WiringError(f"{path}: not TOML: {error}") from None
+    except OSError as error:
+        raise WiringError(f"{path}: {error.strerror}, expected a key-expression map") from None
 
 
 def resolve(

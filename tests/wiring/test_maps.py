@@ -181,6 +181,8 @@ def test_a_missing_or_broken_file_is_named(tmp_path: Path) -> None:
     (tmp_path / "map.toml").write_text("[[wire")
     with pytest.raises(WiringError, match="not TOML"):
         maps.load(tmp_path / "map.toml")
+    with pytest.raises(WiringError, match="Is a directory, expected a key-expression map"):
+        maps.load(tmp_path)
 
 
 def test_the_wiring_is_printed_as_text_and_drawn_with_its_rewrites() -> None:
