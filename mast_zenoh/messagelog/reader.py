@@ -11,7 +11,7 @@ import shlex
 import struct
 import zlib
 from collections import defaultdict
-from collections.abc import Callable, Container, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from io import BytesIO
@@ -19,14 +19,16 @@ from itertools import accumulate, count
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
+import numpy as np
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, McapRecord, Message, Metadata
+from mcap.records import Channel, Chunk, Message, Metadata
 from mcap.records import Schema as SchemaRecord
 from mcap.writer import MCAP0_MAGIC
 
+from mast_zenoh.arrays.states import Ints
 from mast_zenoh.errors import MessageError, RunFolderError
 from mast_zenoh.messagelog.format import EVENT, ORDER, STEPS, Event, user_schema
 from mast_zenoh.messagelog.writer import FILE
@@ -36,6 +38,8 @@ from mast_zenoh.run_files import read_object
 
 _RECORD = struct.Struct("<BQ")
 _TIMES = struct.Struct("<QQ")
+_CHANNEL = struct.Struct("<H")  # begins a message
+_LEAST_MESSAGE = 22  # bytes: channel, sequence, two times
 
 #: Limit on a metadata record.
 MAX_METADATA_BYTES = 16 << 20
@@ -102,12 +106,13 @@ def file_of(path: Path) -> Path:
 class _ChunkIndex(NamedTuple):
     """A chunk of the file.
 
-    byte:     its offset;  length: in bytes, packed;  start_ns: the earliest log time in it
+    byte:     its offset;  length: in bytes, packed;  start_ns, end_ns: the earliest and the latest log time in it
     steps:    by place in the chunk, the steps of messages that were not sent in their own frame
     ranks:    by place in the chunk, the ranks of messages that share key and frame with another one
     """
 
     start_ns: int
+    end_ns: int
     byte: int
     length: int
     steps: Mapping[int, int]
@@ -118,10 +123,12 @@ class _End(NamedTuple):
     """The end of the data, after the last message."""
 
 
-def read(path: Path, wanted: Callable[[str], bool] | None = None) -> Iterator[Recorded]:
+def read(path: Path, wanted: Callable[[str], bool] | None = None, times_ns: Ints | None = None) -> Iterator[Recorded]:
     """All messages of a file or run folder, ordered.
 
-    wanted: which wires to read; the headers of other messages are not looked at. None: all
+    wanted:   which wires to read; the headers of other messages are not looked at. None: all
+    times_ns: ascending times of messages that are wanted, as in their headers: chunks without any are left out, and
+              messages of other times that are in the same chunk are not. None: all
 
     A truncated file is read up to its last whole chunk.
 
@@ -129,7 +136,10 @@ def read(path: Path, wanted: Callable[[str], bool] | None = None) -> Iterator[Re
     """
     path = file_of(path)
     with _open(path) as file:
-        indexes = [record for record in _records(file, path) if isinstance(record, _ChunkIndex)]
+        every = [record for record in _records(file, path) if isinstance(record, _ChunkIndex)]
+        indexes = every if times_ns is None else _within(every, times_ns)
+        read_too = {chunk.byte for chunk in indexes}
+        left_out = [chunk for chunk in every if chunk.byte not in read_too]
         #: by chunk, the earliest time in it and in all later ones
         floors = list(accumulate((chunk.start_ns for chunk in reversed(indexes)), min))[::-1]
         channels: dict[int, Channel] = {}
@@ -138,7 +148,7 @@ def read(path: Path, wanted: Callable[[str], bool] | None = None) -> Iterator[Re
         loaded = count = waiting = 0
         while queue or loaded < len(indexes):
             while loaded < len(indexes) and (not queue or floors[loaded] <= queue[0][0][0] + _RANKS_NS):
-                for message in _messages(file, path, indexes[loaded], channels, schemas, wanted):
+                for message in _messages(file, path, indexes[loaded], channels, schemas, wanted, left_out):
                     heapq.heappush(queue, (message.order, count, message))
                     count += 1
                     waiting += len(message.payload) + _OVERHEAD
@@ -209,8 +219,10 @@ def _records(file: IO[bytes], path: Path) -> Iterator[_ChunkIndex | Event | _End
             yield _End()
             break
         if opcode == Opcode.CHUNK and length >= _TIMES.size:
-            start_ns, _ = _TIMES.unpack(file.read(_TIMES.size))
-            yield _ChunkIndex(start_ns, byte, length, chunk_metadata.pop(STEPS, {}), chunk_metadata.pop(ORDER, {}))
+            start_ns, end_ns = _TIMES.unpack(file.read(_TIMES.size))
+            yield _ChunkIndex(
+                start_ns, end_ns, byte, length, chunk_metadata.pop(STEPS, {}), chunk_metadata.pop(ORDER, {})
+            )
         elif opcode == Opcode.CHUNK:
             raise RunFolderError(f"{path}: byte {byte}: a damaged chunk: found {length} bytes")
         elif opcode == Opcode.METADATA:
@@ -228,6 +240,13 @@ def _records(file: IO[bytes], path: Path) -> Iterator[_ChunkIndex | Event | _End
         file.seek(byte + length)
 
 
+def _within(chunks: Sequence[_ChunkIndex], times_ns: Ints) -> list[_ChunkIndex]:
+    """The chunks that can have messages of these times."""
+    after = np.searchsorted(times_ns, [max(0, chunk.start_ns - _RANKS_NS) for chunk in chunks])
+    until = np.searchsorted(times_ns, [chunk.end_ns for chunk in chunks], side="right")
+    return [chunk for chunk, first, last in zip(chunks, after, until, strict=True) if first < last]
+
+
 def _messages(
     file: IO[bytes],
     path: Path,
@@ -235,34 +254,50 @@ def _messages(
     channels: dict[int, Channel],
     schemas: dict[int, Schema],
     wanted: Callable[[str], bool] | None,
+    left_out: list[_ChunkIndex],
 ) -> Iterator[Recorded]:
-    """The messages of a chunk on wires that are wanted; its new channels and user types go into the dicts."""
-    file.seek(index.byte)
-    try:
-        records = _chunk_records(file, index.length)
-    except (McapError, ValueError, OverflowError, struct.error, zstandard.ZstdError) as error:
-        raise RunFolderError(f"{path}: byte {index.byte}: a damaged chunk: {error}") from None
+    """The messages of a chunk on wires that are wanted; its new channels and user types go into the dicts.
+
+    left_out: chunks that are not read, unless a channel is needed that one of them defines; then all before this one
+    """
     count = 0
-    for record in records:
-        if isinstance(record, Channel):
-            channels[record.id] = record
-        elif isinstance(record, SchemaRecord):
+    for record in _chunk_records(file, path, index):
+        if record.opcode != Opcode.MESSAGE:
+            _define(record, path, index, channels, schemas)
+            continue
+        (channel_id,) = _CHANNEL.unpack_from(record.content, record.start)
+        while channel_id not in channels and left_out and left_out[0].byte < index.byte:
+            earlier = left_out.pop(0)
+            for other in _chunk_records(file, path, earlier):
+                _define(other, path, earlier, channels, schemas)
+        if channel_id not in channels:
+            raise RunFolderError(f"{path}: byte {index.byte}: a message of channel {channel_id}, which is unknown")
+        channel = channels[channel_id]
+        if wanted is None or wanted(channel.metadata.get("wire", "")):
+            step, rank = index.steps.get(count), index.ranks.get(count, -1)
+            message = Message.read(record.stream(), record.length)
+            yield _recorded(channel, message, path, step, rank, schemas.get(channel.schema_id))
+        count += 1
+
+
+def _define(
+    record: _Record, path: Path, index: _ChunkIndex, channels: dict[int, Channel], schemas: dict[int, Schema]
+) -> None:
+    """Note the channel or the user type of a record; others are left out."""
+    try:
+        if record.opcode == Opcode.CHANNEL:
+            channel = Channel.read(record.stream())
+            channels[channel.id] = channel
+        elif record.opcode == Opcode.SCHEMA:
+            found = SchemaRecord.read(record.stream())
             try:
-                schema = user_schema(record.data)
+                schema = user_schema(found.data)
             except ValueError as error:
-                raise RunFolderError(f"{path}: byte {index.byte}: schema {record.name!r:.80}: {error}") from None
+                raise RunFolderError(f"{path}: byte {index.byte}: schema {found.name!r:.80}: {error}") from None
             if schema is not None:
-                schemas[record.id] = schema
-        elif isinstance(record, Message):
-            if record.channel_id not in channels:
-                raise RunFolderError(
-                    f"{path}: byte {index.byte}: a message of channel {record.channel_id}, which is unknown"
-                )
-            channel = channels[record.channel_id]
-            if wanted is None or wanted(channel.metadata.get("wire", "")):
-                step, rank = index.steps.get(count), index.ranks.get(count, -1)
-                yield _recorded(channel, record, path, step, rank, schemas.get(channel.schema_id))
-            count += 1
+                schemas[found.id] = schema
+    except (McapError, ValueError, OverflowError, struct.error) as error:
+        raise RunFolderError(f"{path}: byte {index.byte}: a damaged chunk: {error}") from None
 
 
 def _recorded(
@@ -305,33 +340,50 @@ MAX_CHUNK_BYTES = 64 << 20
 MAX_CHUNK_MESSAGES = 200_000
 
 
-def _chunk_records(file: IO[bytes], length: int) -> list[McapRecord]:
-    """The channels, schemas and messages in the chunk that begins here.
+class _Record(NamedTuple):
+    """A record in the content of a chunk: its type, and where what follows its head is."""
 
-    length: of the chunk in the file, bytes
-    Raises ValueError if they exceed a limit; ZstdError, McapError, struct.error or OverflowError if it is damaged.
-    """
+    opcode: int
+    content: bytes
+    start: int
+    length: int
+
+    def stream(self) -> ReadDataStream:
+        """What the MCAP library reads it from."""
+        return ReadDataStream(BytesIO(self.content[self.start : self.start + self.length]))
+
+
+def _chunk_records(file: IO[bytes], path: Path, index: _ChunkIndex) -> list[_Record]:
+    """The channels, schemas and messages in a chunk; raises RunFolderError if they exceed a limit, or are damaged."""
+    file.seek(index.byte)
+    try:
+        return list(_unpacked_records(file, index.length))
+    except (McapError, ValueError, OverflowError, struct.error, zstandard.ZstdError) as error:
+        raise RunFolderError(f"{path}: byte {index.byte}: a damaged chunk: {error}") from None
+
+
+def _unpacked_records(file: IO[bytes], length: int) -> Iterator[_Record]:
+    """The records in the chunk that begins here; length: of the chunk in the file, bytes"""
     if length > MAX_CHUNK_BYTES:
         raise ValueError(f"found {length} bytes, expected at most {MAX_CHUNK_BYTES}")
     chunk = Chunk.read(ReadDataStream(BytesIO(file.read(length))))
     content = _unpacked(chunk)
     if chunk.uncompressed_crc and zlib.crc32(content) != chunk.uncompressed_crc:
         raise ValueError("its checksum is not that of its content")
-    stream, records, messages = ReadDataStream(BytesIO(content)), list[McapRecord](), 0
-    while stream.count < len(content):
-        opcode, length = stream.read1(), stream.read8()
+    place = messages = 0
+    while place < len(content):
+        opcode, length = _RECORD.unpack_from(content, place)
+        start = place + _RECORD.size
+        place = start + length
+        if place > len(content):
+            raise ValueError(f"a record of {length} bytes is longer than the chunk")
         if opcode == Opcode.MESSAGE:
             messages += 1
             if messages > MAX_CHUNK_MESSAGES:
                 raise ValueError(f"found more than {MAX_CHUNK_MESSAGES} messages, expected at most as many")
-            records.append(Message.read(stream, length))
-        elif opcode == Opcode.CHANNEL:
-            records.append(Channel.read(stream))
-        elif opcode == Opcode.SCHEMA:
-            records.append(SchemaRecord.read(stream))
-        else:
-            stream.read(length)
-    return records
+            if length < _LEAST_MESSAGE:
+                raise ValueError(f"found a message of {length} bytes")
+        yield _Record(opcode, content, start, length)
 
 
 def _unpacked(chunk: Chunk) -> bytes:

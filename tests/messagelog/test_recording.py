@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 from unittest.mock import MagicMock
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -42,6 +43,19 @@ def test_messages_are_read_in_the_order_of_frame_wire_publisher_and_sequence(
             (frame, key.split("/@")[0], "@" in key) for frame in range(6) for key in sorted(HEARS)
         ]
         assert [(message.key, message.payload) for message in messages] == sent
+
+
+@pytest.mark.parametrize("chunk_bytes", [1 << 20, 2000, 1], ids=["one chunk", "some chunks", "a chunk a message"])
+def test_messages_of_some_frames_and_wires_are_those_among_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, chunk_bytes: int
+) -> None:
+    monkeypatch.setattr(writer, "CHUNK_BYTES", chunk_bytes)
+    path = write(tmp_path / "run.mcap", random.Random(1).sample(small_run(), len(small_run())))
+    every = [message for message in read(path) if message.wire != "clock"]
+    for frames in ([], [0], [5], [1, 4], [*range(6)]):
+        times_ns = np.array(frames, np.int64) * PERIOD_NS
+        some = [each for each in read(path, lambda wire: wire != "clock", times_ns) if each.frame in frames]
+        assert some == [each for each in every if each.frame in frames], "channels of skipped chunks are known"
 
 
 def test_messages_of_one_frame_on_one_wire_keep_their_sequence_order(tmp_path: Path) -> None:

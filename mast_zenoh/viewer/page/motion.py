@@ -113,9 +113,12 @@ def motion_of(boxes: BoxTable, truth: Truth, tracks: Iterable[tuple[int, Body]])
 
 def recorded_tracks(run: RunRecord) -> Iterator[tuple[int, Body]]:
     """Frame and columns of all recorded tracks in the frames of the sample."""
-    for message in read(run.path):
-        of_tracks = not message.malformed and message.message in ("tracks", "picture")
-        if of_tracks and (message.frame - run.sample.first) % run.sample.every == 0:
+    of_tracks, every = ("tracks", "picture"), run.sample.every
+    wires = {wire.get("key") for wire in run.wiring.get("wires", ()) if wire.get("message") in of_tracks}
+    times_ns = None if run.recording is None or every == 1 else run.recording.times_ns[run.sample.first :: every]
+    for message in read(run.path, wires.__contains__, times_ns):
+        shown = not message.malformed and message.message in of_tracks
+        if shown and (message.frame - run.sample.first) % every == 0:
             yield message.frame, codec.decode_lazily(message.payload, message.type).body
 
 
