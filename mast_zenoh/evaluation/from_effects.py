@@ -120,8 +120,11 @@ def manipulations(
     inserted, episode, velocity = insertions(effects, period_s)
     hidden, kind = _hidden(effects, limits)
     of_tracks = np.array([interposed.message != "detections" for interposed in effects.passages], bool)
-    of_box = np.array([set() < set(names.split()) <= _OF_BOX for names in effects.columns[hidden].tolist()], bool)
+    columns = [set(names.split()) for names in effects.columns[hidden].tolist()]
+    of_box = np.array([set() < names <= _OF_BOX for names in columns], bool)
     of_box &= (kind == ALTERED) & of_tracks[effects.passage[hidden]]
+    renamed = effects.passage[hidden[np.array(["id" in names for names in columns], bool)]]
+    as_sent = _judged_as_sent(effects.passages, series) & ~np.isin(np.arange(len(effects.passages)), renamed)[:, None]
     reach = influence(effects.passages, series, is_link, relays)
     hidden_places = Places(effects.frame[hidden], effects.before[hidden])
     truth_row, _ = nearest(hidden_places, Places(truth.group, truth.position), limits.hidden_m)
@@ -133,7 +136,7 @@ def manipulations(
     result = Manipulations(
         culprits=culprits,
         reach=reach,
-        altered=reach & ~_judged_as_sent(effects.passages, series),
+        altered=reach & ~as_sent,
         shown=influence(effects.passages, series, np.zeros(len(is_link), bool), relays),
         delay=delays(effects.passages, series, own_pictures, relays),
         passage=passage,
