@@ -97,7 +97,7 @@ def tables_of(path: Path, wires: Iterable[str], rows: Callable[[Body], Columns])
     """
     parts: dict[str, list[tuple[int, float, Columns]]] = {wire: [] for wire in wires}
     last: dict[tuple[str, str], int] = {}
-    for recorded in read(path, parts.__contains__):
+    for recorded in read(path, lambda channel: channel.get("wire") in parts):
         if recorded.malformed or recorded.tap:
             continue
         message, sender = _decoded(recorded), (recorded.wire, recorded.publisher)

@@ -55,7 +55,7 @@ def _messages(folder: Path, resolved: Resolved) -> _Sent:
     keys = {leg.key: (leg.publisher.port, wire.subject) for wire, leg in legs}
     wires = {wire.key for wire, _ in legs}
     sent: dict[tuple[str, str], dict[int, Body]] = defaultdict(dict)
-    for message in read(folder, wires.__contains__):
+    for message in read(folder, lambda channel: channel.get("wire") in wires):
         if message.key in keys:  # not what interposers forward
             body = codec.decode(message.payload, message.message).body
             sent[keys[message.key]].setdefault(message.frame, body)

@@ -123,10 +123,14 @@ class _End(NamedTuple):
     """The end of the data, after the last message."""
 
 
-def read(path: Path, wanted: Callable[[str], bool] | None = None, times_ns: Ints | None = None) -> Iterator[Recorded]:
+#: Whether the messages of a channel are wanted, by its `wire`, `message` and `publisher`, as in `Recorded`.
+Wanted = Callable[[Mapping[str, str]], bool]
+
+
+def read(path: Path, wanted: Wanted | None = None, times_ns: Ints | None = None) -> Iterator[Recorded]:
     """All messages of a file or run folder, ordered.
 
-    wanted:   which wires to read; the headers of other messages are not looked at. None: all
+    wanted:   the headers of other messages are not looked at; None: all
     times_ns: ascending times of messages that are wanted, as in their headers: chunks without any are left out, and
               messages of other times that are in the same chunk are not. None: all
 
@@ -184,10 +188,14 @@ class Extent(NamedTuple):
 
 
 def extent(path: Path) -> Extent:
-    """The extent of a recording; reads all its messages, raises RunFolderError."""
+    """The extent of a recording; reads all its truth, raises RunFolderError."""
     path = file_of(path)
-    last = max((message.frame for message in read(path) if message.message == "truth"), default=-1)
+    last = max((message.frame for message in read(path, _is_truth)), default=-1)
     return Extent(last, is_whole(path))
+
+
+def _is_truth(channel: Mapping[str, str]) -> bool:
+    return channel.get("message") == "truth"
 
 
 def is_whole(path: Path) -> bool:
@@ -253,10 +261,10 @@ def _messages(
     index: _ChunkIndex,
     channels: dict[int, Channel],
     schemas: dict[int, Schema],
-    wanted: Callable[[str], bool] | None,
+    wanted: Wanted | None,
     left_out: list[_ChunkIndex],
 ) -> Iterator[Recorded]:
-    """The messages of a chunk on wires that are wanted; its new channels and user types go into the dicts.
+    """The messages of a chunk that are wanted; its new channels and user types go into the dicts.
 
     left_out: chunks that are not read, unless a channel is needed that one of them defines; then all before this one
     """
@@ -273,7 +281,7 @@ def _messages(
         if channel_id not in channels:
             raise RunFolderError(f"{path}: byte {index.byte}: a message of channel {channel_id}, which is unknown")
         channel = channels[channel_id]
-        if wanted is None or wanted(channel.metadata.get("wire", "")):
+        if wanted is None or wanted(channel.metadata):
             step, rank = index.steps.get(count), index.ranks.get(count, -1)
             message = Message.read(record.stream(), record.length)
             yield _recorded(channel, message, path, step, rank, schemas.get(channel.schema_id))
@@ -445,7 +453,7 @@ def first_incomplete_frame(path: Path) -> int:
     0 for a recording that cannot be read.
     """
     try:
-        frames = {message.frame for message in read(file_of(path)) if message.message == "truth"}
+        frames = {message.frame for message in read(file_of(path), _is_truth)}
     except RunFolderError:
         return 0
     return max(0, _first_absent(frames) - 1)
@@ -460,8 +468,8 @@ def first_missing_frame(path: Path, publisher: str) -> int | None:
     """
     recorded: defaultdict[str, dict[int, int]] = defaultdict(dict)  # by wire: sequence number to frame
     try:
-        for message in read(file_of(path)):
-            if message.publisher == publisher and not message.malformed:
+        for message in read(file_of(path), lambda channel: channel.get("publisher") == publisher):
+            if not message.malformed:
                 recorded[message.wire][message.seq] = message.frame
     except RunFolderError:
         return 0

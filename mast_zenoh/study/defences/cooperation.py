@@ -115,7 +115,7 @@ class Collection(kinds.Collection):
         deceived = np.zeros((len(names), len(times_s)), bool)
         deceived[np.searchsorted(names, agent[wrong].astype(str)), frame[wrong]] = True
         sent = dict.fromkeys(SENT, 0)
-        for message in read(folder, lambda wire: any(fnmatchcase(wire, each) for each in SENT)):
+        for message in read(folder, lambda channel: any(fnmatchcase(channel.get("wire", ""), each) for each in SENT)):
             if not message.tap:
                 sent[next(each for each in SENT if fnmatchcase(message.wire, each))] += len(message.payload)
         bytes_sent = sent[SENT[1]] or sent[SENT[0]]  # peers get the tracks of their own agents only

@@ -113,7 +113,9 @@ def write(run: RecordedRun, path: Path) -> None:
     with path.open("wb") as file, path.with_name(f"{path.stem}.jsonl").open("w", encoding="utf-8") as lines:
         file.write(_FILE_HEADER)
         written = 0
-        for _, group in groupby(read(run.path, wires.__contains__), key=lambda message: message.order[:5]):
+        for _, group in groupby(
+            read(run.path, lambda channel: channel.get("wire") in wires), key=lambda message: message.order[:5]
+        ):
             of_one = [(message, _in_force(every, message.step)) for message in group]
             payloads = {message.key: message.payload for message, _ in of_one}
             lies = [(message, legs.attackers.get(message.key)) for message, legs in of_one]

@@ -113,12 +113,10 @@ def motion_of(boxes: BoxTable, truth: Truth, tracks: Iterable[tuple[int, Body]])
 
 def recorded_tracks(run: RunRecord) -> Iterator[tuple[int, Body]]:
     """Frame and columns of all recorded tracks in the frames of the sample."""
-    of_tracks, every = ("tracks", "picture"), run.sample.every
-    wires = {wire.get("key") for wire in run.wiring.get("wires", ()) if wire.get("message") in of_tracks}
+    every = run.sample.every
     times_ns = None if run.recording is None or every == 1 else run.recording.times_ns[run.sample.first :: every]
-    for message in read(run.path, wires.__contains__, times_ns):
-        shown = not message.malformed and message.message in of_tracks
-        if shown and (message.frame - run.sample.first) % every == 0:
+    for message in read(run.path, lambda channel: channel.get("message") in ("tracks", "picture"), times_ns):
+        if not message.malformed and (message.frame - run.sample.first) % every == 0:
             yield message.frame, codec.decode_lazily(message.payload, message.type).body
 
 
