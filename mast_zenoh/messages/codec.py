@@ -383,8 +383,10 @@ def _check_column(schema: str, column: Column, array: NDArray[Any]) -> None:
         squares = np.vdot(flat, flat)
         if not squares <= MAX_SQUARES * max(len(flat), 1):
             raise MessageError(f"{schema}.{column.name}: a value is not finite or beyond {MAX_MAGNITUDE:g}")
-        if squares < limit_of(column):
-            raise MessageError(f"{schema}.{column.name}: a quaternion of length 0 is not a rotation")
+        if column.least_length and array.size:
+            rows = array.reshape(len(array), -1) if isinstance(column.shape[0], str) else flat[None]
+            if np.einsum("ij,ij->i", rows, rows).min() < limit_of(column):
+                raise MessageError(f"{schema}.{column.name}: a quaternion of length 0 is not a rotation")
     elif column.dtype == "uint8" and array.size and int(array.max()) >= column.below:
         raise MessageError(f"{schema}.{column.name}: index {int(array.max())}, expected below {column.below}")
 

@@ -77,7 +77,11 @@ class Layout:
         self._sources = tuple(self._letters.values())
         self.schema = schema
         self._names = tuple(column.name for column in schema.columns)
-        self._limits = tuple(map(limit_of, schema.columns))
+        # The sum over several quaternions says nothing of each: the columns of such a message are checked one by one.
+        several = [bool(each.least_length) and isinstance(each.shape[0], str) for each in schema.columns]
+        self._limits = tuple(
+            np.inf if of_rows else limit_of(each) for each, of_rows in zip(schema.columns, several, strict=True)
+        )
         #: what precedes the source, and the columns, in a message
         self.header_prefix = (
             b"\x87" + msgpack.packb({"schema": schema.name, "version": schema.version, "source": 0})[1:-1]

@@ -1,5 +1,7 @@
 """Encoding and decoding keep messages unchanged; anything else is refused."""
 
+from contextlib import nullcontext
+
 import msgpack
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from hypothesis import strategies as st
 
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.errors import MessageError
+from mast_zenoh.integrity.views import collated_columns
 from mast_zenoh.messages import codec, layout
 from mast_zenoh.messages.layout import Layout
 from mast_zenoh.messages.schemas import SCHEMAS, Column, Header, Message, text
@@ -211,3 +214,24 @@ def test_a_list_in_place_of_an_array_is_refused_by_its_column(column: str, value
     message = message_of("collated", {"n": 2, "a": 2})
     with pytest.raises(MessageError, match=reason):
         codec.conform(message.header, {**message.body, column: value})
+
+
+def test_a_message_of_no_views_is_valid_and_each_quaternion_of_several_is_checked() -> None:
+    header = Header("views", "broker", 3, 0, 3)
+    for turns, valid in (([], True), ([[1.0, 0, 0, 0]], True), ([[1.0, 0, 0, 0], [0.0, 0, 0, 0]], False)):
+        bodies = [
+            {
+                "position": np.zeros(3),
+                "rotation": np.array(turn),
+                "azimuth": np.array([0.0, 1.0]),
+                "elevation": np.array([0.0, 1.0]),
+                "max_range": np.array([50.0]),
+                "free": np.zeros((0, 0)),
+            }
+            for turn in turns
+        ]
+        names = text([f"agent_{row}" for row in range(len(turns))])
+        columns = {"agents": names, "age_ns": np.zeros(len(turns), np.int64), **collated_columns(bodies)}
+        with nullcontext() if valid else pytest.raises(MessageError, match=r"views.rotation: a quaternion of length 0"):
+            payload = codec.encode(codec.conform(header, columns))
+            assert len(codec.decode(payload, "views").body["rotation"]) == len(turns)
