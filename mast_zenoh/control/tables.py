@@ -73,7 +73,7 @@ def _column(table: object, name: object, values: Any) -> NDArray[Any]:
         found = f"{array.ndim} dimensions of {array.dtype}"
         raise MessageError(f"table {table}: column {name:.80}: found {found}, expected one of numbers or text")
     if array.dtype.kind not in "OU":
-        return array.copy()  # the node may use its array again
+        return array
     items = array.tolist()  # a list is read faster than an array of objects
     return np.fromiter(items if set(map(type, items)) <= {str} else map(str, items), object, len(items))
 
@@ -104,8 +104,10 @@ class _Rows:
         if not self.kinds:
             self._pieces.clear()  # without rows, whose types say nothing
             self._sizes.clear()
-        if count or not self.kinds:
-            self._pieces.append(columns)
+        if count or not self.kinds:  # numbers are copied: the node may use its arrays again
+            self._pieces.append(
+                {name: array.copy() if kinds[name] != "text" else array for name, array in columns.items()}
+            )
             self._sizes.append(sizes)
         if count:
             self.kinds = kinds

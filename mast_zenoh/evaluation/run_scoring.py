@@ -429,9 +429,10 @@ class Joined:
     def __init__(self, blocks: Sequence[Block], settings: Evaluation) -> None:
         self._blocks = blocks
         self.truth_ids = np.unique(np.concatenate([block.truth_ids for block in blocks]))
-        pairs = [set(block.scores.same_as.items()) for block in blocks]
         self.same_as = {
-            name: twin for name, twin in blocks[-1].scores.same_as.items() if (name, twin) in set.intersection(*pairs)
+            name: twin
+            for name, twin in blocks[-1].scores.same_as.items()
+            if all(block.scores.same_as.get(name) == twin for block in blocks)
         }
         if len(blocks) == 1:
             self.scores = blocks[0].scores

@@ -32,7 +32,6 @@ from mast_zenoh.messages.layout import (
     exact_columns,
     has_dtype,
     layout_of,
-    limit_of,
     split_header,
 )
 from mast_zenoh.messages.limits import NO_LIMITS, RowChoice, RowLimits
@@ -385,7 +384,7 @@ def _check_column(schema: str, column: Column, array: NDArray[Any]) -> None:
             raise MessageError(f"{schema}.{column.name}: a value is not finite or beyond {MAX_MAGNITUDE:g}")
         if column.least_length and array.size:
             rows = array.reshape(len(array), -1) if isinstance(column.shape[0], str) else flat[None]
-            if np.einsum("ij,ij->i", rows, rows).min() < limit_of(column):
+            if np.einsum("ij,ij->i", rows, rows).min() < column.least_length**2:
                 raise MessageError(f"{schema}.{column.name}: a quaternion of length 0 is not a rotation")
     elif column.dtype == "uint8" and array.size and int(array.max()) >= column.below:
         raise MessageError(f"{schema}.{column.name}: index {int(array.max())}, expected below {column.below}")

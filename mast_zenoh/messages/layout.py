@@ -57,10 +57,13 @@ class Plan(NamedTuple):
 def limit_of(column: Column) -> float:
     """The limit of a column's values, besides being finite.
 
-    Of text: characters; of indices: the exclusive maximum; of floats: the least sum of squares.
+    Of text: characters; of indices: the exclusive maximum; of floats: the least sum of squares. It says nothing of each
+    of several quaternions, so none is enough: they are checked one by one.
     """
     if column.dtype == "str":
         return MAX_TEXT
+    if column.least_length and isinstance(column.shape[0], str):
+        return np.inf
     return column.below if column.dtype == "uint8" else column.least_length**2
 
 
@@ -77,11 +80,7 @@ class Layout:
         self._sources = tuple(self._letters.values())
         self.schema = schema
         self._names = tuple(column.name for column in schema.columns)
-        # The sum over several quaternions says nothing of each: the columns of such a message are checked one by one.
-        several = [bool(each.least_length) and isinstance(each.shape[0], str) for each in schema.columns]
-        self._limits = tuple(
-            np.inf if of_rows else limit_of(each) for each, of_rows in zip(schema.columns, several, strict=True)
-        )
+        self._limits = tuple(map(limit_of, schema.columns))
         #: what precedes the source, and the columns, in a message
         self.header_prefix = (
             b"\x87" + msgpack.packb({"schema": schema.name, "version": schema.version, "source": 0})[1:-1]

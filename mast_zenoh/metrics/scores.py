@@ -299,13 +299,13 @@ class Scores(FrameScores):
 
 def means_and_stds(values: NDArray[Any]) -> list[dict[str, float | None]]:
     """Mean and standard deviation of each row of (s, n) values over those that are finite; None without one."""
-    counts = np.isfinite(values)
-    number = np.maximum(counts.sum(axis=1), 1)
-    mean = np.where(counts, values, 0.0).sum(axis=1) / number
-    squares = np.where(counts, values - mean[:, None], 0.0) ** 2
+    finite = np.isfinite(values)
+    number = np.maximum(finite.sum(axis=1), 1)
+    mean = np.where(finite, values, 0.0).sum(axis=1) / number
+    squares = np.where(finite, values - mean[:, None], 0.0) ** 2
     std = np.sqrt(squares.sum(axis=1) / number)
-    found = zip(counts.any(axis=1).tolist(), mean.tolist(), std.tolist(), strict=True)
-    return [{"mean": m, "std": s} if any_ else {"mean": None, "std": None} for any_, m, s in found]
+    rows = zip(finite.any(axis=1).tolist(), mean.tolist(), std.tolist(), strict=True)
+    return [{"mean": m, "std": s} if any_ else {"mean": None, "std": None} for any_, m, s in rows]
 
 
 def mean_and_std(values: NDArray[Any]) -> dict[str, float | None]:
