@@ -19,7 +19,7 @@ import mast_zenoh as mast
 from mast_zenoh.errors import ExportError
 from mast_zenoh.integrity.agent_fault import described
 from mast_zenoh.integrity.disputes import ACCUSATIONS
-from mast_zenoh.messagelog.reader import Recorded, read
+from mast_zenoh.messagelog.reader import Recorded, Wanted, read
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Message, text
 from mast_zenoh.v2x.reference_position import LocalPlane
@@ -180,7 +180,7 @@ def test_every_reason_of_the_shipped_stages_has_a_detector() -> None:
 def spoilt(change: Callable[[Recorded], Recorded]) -> Callable[..., Iterator[Recorded]]:
     """A function that reads a recording, with the trust messages of the ego's peer changed."""
 
-    def reading(path: Path, *wanted: Callable[[str], bool]) -> Iterator[Recorded]:
+    def reading(path: Path, *wanted: Wanted) -> Iterator[Recorded]:
         for message in read(path, *wanted):
             yield change(message) if message.wire == "agent/ego/trust" else message
 

@@ -22,7 +22,7 @@ from mcap.reader import make_reader
 import mast_zenoh as mast
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.errors import ExportError, RunFolderError
-from mast_zenoh.messagelog.reader import Recorded, read
+from mast_zenoh.messagelog.reader import Recorded, Wanted, read
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.packed import pack
 from mast_zenoh.messages.schemas import Message
@@ -251,7 +251,7 @@ def test_headers_hold_speed_and_heading_of_a_vehicle_that_says_them(
 def spoilt(change: Callable[[Recorded], Recorded]) -> Callable[..., Iterator[Recorded]]:
     """A function that reads a recording, with the ego's message about its tracks in frame 9 changed."""
 
-    def reading(path: Path, wanted: Callable[[str], bool]) -> Iterator[Recorded]:
+    def reading(path: Path, wanted: Wanted) -> Iterator[Recorded]:
         for message in read(path, wanted):
             chosen = (message.wire, message.frame) == ("agent/ego/broadcast", 9)
             yield change(message) if chosen else message

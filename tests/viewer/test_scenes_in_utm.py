@@ -126,7 +126,7 @@ def test_the_map_of_ros_is_at_the_scene(run_at: Callable[[str], mast.Run], tmp_p
 
 def test_a_recording_of_standard_messages_says_where_they_are(run_at: Callable[[str], mast.Run]) -> None:
     run = run_at("munich")
-    (heard, *_) = read(run.path, {"agent/ego/broadcast"}.__contains__)
+    (heard, *_) = read(run.path, lambda channel: channel["wire"] == "agent/ego/broadcast")
     body = codec.decode(heard.payload, heard.type).body
     np.testing.assert_allclose(body["origin"][:2], scene_of(run).agent_position[heard.frame, 0, :2], atol=0.02)
 

@@ -155,14 +155,14 @@ def _rectangles(states: ObjectStates, pose: Pose, camera: Camera) -> tuple[Float
         crossing = first + ((_NEAR_M - first[..., 2]) / (last[..., 2] - first[..., 2]))[..., None] * (last - first)
     # The ends of each edge, moved to the near plane where they are behind it; of edges entirely behind it, none counts.
     points = np.concatenate([np.where(end[..., 2:] < _NEAR_M, crossing, end) for end in (first, last)], axis=1)
-    ahead = np.tile(np.maximum(first[..., 2], last[..., 2]) >= _NEAR_M, 2)
+    ahead = np.tile(np.maximum(first[..., 2], last[..., 2]) >= _NEAR_M, 2)[..., None]
     centre, limits = np.array([camera.width, camera.height]) / 2, np.array([camera.width - 1.0, camera.height - 1.0])
-    pixels = centre + camera.focal * points[..., :2] / np.where(ahead, points[..., 2], np.inf)[..., None]
-    low = np.where(ahead[..., None], pixels, np.inf).min(axis=1)
-    high = np.where(ahead[..., None], pixels, -np.inf).max(axis=1)
+    pixels = centre + camera.focal * np.where(ahead, points[..., :2] / np.where(ahead, points[..., 2:], 1.0), 0.0)
+    low = np.where(ahead, pixels, np.inf).min(axis=1)
+    high = np.where(ahead, pixels, -np.inf).max(axis=1)
     rectangles = np.concatenate([low.clip(0.0, limits), high.clip(0.0, limits)], axis=1)
     inside = np.asarray((rectangles[:, 2:] > rectangles[:, :2]).all(axis=1)) & ~_is_around(states, pose, camera)
-    cut = np.asarray((low < 0.0).any(axis=1) | (high > limits).any(axis=1) | ~ahead.all(axis=1))
+    cut = np.asarray((low < 0.0).any(axis=1) | (high > limits).any(axis=1) | ~ahead.all(axis=(1, 2)))
     return rectangles, inside, cut
 
 
