@@ -42,8 +42,11 @@ def from_exception(caught: BaseException, activity: str = "") -> MastError | Non
 
     activity: what was being done, for the text of an error of the operating system
     """
-    if (disk_full := _disk_full_error(caught)) is not None and not isinstance(caught, DiskFull):
+    disk_full = _disk_full_error(caught)
+    if isinstance(disk_full, OSError):
         return DiskFull(_sentence(disk_full, activity))
+    if disk_full is not None and disk_full is not caught:  # a node's, in process
+        return DiskFull(str(caught))
     if isinstance(caught, MastError):
         return caught
     if isinstance(caught.__cause__, KeyboardInterrupt):  # Python 3.11: raised in the body of a class
@@ -109,13 +112,12 @@ def of_stall(error: StallError, notices: Sequence[Mapping[str, Any]]) -> StallEr
 
 def _disk_full_error(error: BaseException | None) -> BaseException | None:
     """The first error in a chain of causes that reports a full disk; else None."""
-    while error is not None and not is_disk_full(error):
+    while error is not None and not (is_disk_full(error) or isinstance(error, DiskFull)):
         error = error.__cause__
     return error
 
 
-def _sentence(error: BaseException, activity: str) -> str:
-    assert isinstance(error, OSError)
+def _sentence(error: OSError, activity: str) -> str:
     reason = error.strerror or str(error)
     reason = f"{error.filename}: {reason}" if error.filename else reason
     return f"{activity}: {reason}" if activity else reason

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from mast_zenoh import scenario
-from mast_zenoh.errors import NodeFileError, ResourcesExhausted
+from mast_zenoh.errors import DiskFull, NodeFileError, ResourcesExhausted, StartError
 from mast_zenoh.launch import ending, run
 from mast_zenoh.run_files import read_json
 
@@ -44,6 +44,13 @@ def test_a_table_that_cannot_be_written_for_want_of_memory_fails_the_run(
 )
 def test_exhausted_resources_have_their_own_error(error: Exception) -> None:
     assert isinstance(ending.from_exception(error), ResourcesExhausted)
+
+
+@pytest.mark.parametrize("cause", [DiskFull("messages.mcap: No space left"), OSError(errno.ENOSPC, "No space left")])
+def test_a_node_that_finds_the_disk_full_when_it_starts_ends_the_run_like_any_full_disk(cause: Exception) -> None:
+    error = StartError("recorder.start failed")
+    error.__cause__ = cause
+    assert type(ending.from_exception(error)) is DiskFull
 
 
 def test_a_missing_module_is_a_defect_and_no_lack_of_memory() -> None:

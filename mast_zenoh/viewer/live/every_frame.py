@@ -61,7 +61,8 @@ class Tally:
     def sentences(self) -> list[str]:
         """What is missing from the frames, in words; [] if nothing is."""
         words = {
-            "frames were lost: there was no room for them, or the router dropped them": self.lost,
+            "frames were lost: there was no room for them, or the router dropped them; "
+            "others may lack messages": self.lost,
             "messages came after their frame, and are missing from it": self.late,
             "invalid messages were left out": self.refused,
             "frames were not evaluated in time: their markers have the colour of unevaluated ones": self.unmeasured,
