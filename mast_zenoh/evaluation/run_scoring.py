@@ -102,7 +102,7 @@ class RunScoring:
     """
 
     #: Frames of a block, at least and at most, and agents times frames: so much is scored at once.
-    BLOCK: ClassVar[tuple[int, int, int]] = (200, 1000, 10_000)
+    BLOCK: ClassVar[tuple[int, int, int]] = (200, 500, 10_000)
 
     def __init__(self, settings: Evaluation, data: RunData) -> None:
         self.settings, self.data = settings, data

@@ -33,9 +33,17 @@ def latency_ms(wiring: Wiring, outcomes: Mapping[str, Mapping[str, Any]]) -> dic
     """The `latency_ms` of metrics.json: from simulator to picture, and of every wire.
 
     outcomes: what each node has handed in
+
+    A picture has come when the first node has it that receives it as it was sent, because others, such as the
+    evaluator, may be busy.
     """
     sent, arrived = on_launcher_clock(outcomes)
-    picture = percentiles(sent, arrived.get("evaluator", {}).get("cc/picture", {}))
+    earliest: dict[int, int] = {}
+    for key in (wire.legs[0].key for wire in wiring.wires if wire.key == "cc/picture"):
+        for arrivals in arrived.values():
+            for frame, at in arrivals.get(key, {}).items():
+                earliest[frame] = min(at, earliest.get(frame, at))
+    picture = percentiles(sent, earliest)
     to_picture = picture or dict.fromkeys(f"p{p}" for p in PERCENTILES)
     return {"sim_to_picture": to_picture, "by_wire": by_wire(wiring, sent, arrived)}
 

@@ -308,6 +308,27 @@ def test_latency_is_measured_after_interposers_on_trunk_and_branch() -> None:
     assert conclusion.by_wire(wiring, SENT, arrived)["a/tracks"]["p50"] == 30.0
 
 
+def test_the_picture_has_come_when_the_first_node_has_it_and_before_interposers() -> None:
+    legs = (
+        Leg("cc/picture/@tap/0", Endpoint("cc", "out"), ends("link", "evaluator")),
+        Leg("cc/picture", Endpoint("link", "out"), ends("ego", "evaluator")),
+    )
+    arrived = {
+        "evaluator": came("cc/picture/@tap/0", 9000.0, 5.0) | came("cc/picture", 9000.0, 600.0),  # it was scoring
+        "link": came("cc/picture/@tap/0", 40.0, 6.0),
+        "ego": came("cc/picture", 540.0, 506.0),
+    }
+    measured = conclusion.latency_ms(
+        Wiring((Wire("cc/picture", "", "picture", legs),)),
+        {
+            "simulator": {"sent_ns": SENT},
+            **{node: {"arrived_ns": arrivals} for node, arrivals in arrived.items()},
+        },
+    )
+    assert measured["sim_to_picture"] == {"p50": 22.5, "p95": pytest.approx(38.25), "p99": pytest.approx(39.65), "n": 2}
+    assert measured["by_wire"]["cc/picture"]["p50"] == 523.0
+
+
 def test_late_messages_are_counted_by_agent() -> None:
     assert late([{"late": {"infra_2": 3, "ego": 1}}, {"late": {"ego": 2}}]) == {"ego": 3, "infra_2": 3}
     assert late([]) == {}
