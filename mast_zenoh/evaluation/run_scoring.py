@@ -101,13 +101,15 @@ class RunScoring:
     `advance` evaluates what is complete and returns rows of tables; `results` returns the rest and the summary.
     """
 
-    #: Frames of a block, at least and at most, and agents times frames: so much is scored at once.
-    BLOCK: ClassVar[tuple[int, int, int]] = (200, 500, 10_000)
+    #: The longest run that is scored as a whole: its frames, at least and at most, and agents times frames. The blocks of
+    #: a longer one are half as long, because what they need is in memory all the time, but at least as long as the least.
+    WHOLE: ClassVar[tuple[int, int, int]] = (200, 1000, 10_000)
 
     def __init__(self, settings: Evaluation, data: RunData) -> None:
         self.settings, self.data = settings, data
-        least, most, agent_frames = self.BLOCK
-        self.block_frames = min(max(agent_frames // max(len(data.record.agents), 1), least), most)
+        least, most, agent_frames = self.WHOLE
+        self.whole_frames = min(max(agent_frames // max(len(data.record.agents), 1), least), most)
+        self.block_frames = max(self.whole_frames // 2, least)
         self._earlier = Earlier()
         self._blocks: list[Block] = []
         self._counts: dict[str, ReportCounts] = {}
@@ -133,7 +135,7 @@ class RunScoring:
         limits = self.settings.attribution
         # Messages about the frames of the block and of those that its causes depend on arrive before this frame.
         after = self._frames(LATEST_S) + max(self._frames(2 * limits.coast_s), self.settings.skip_last)
-        if frame < end + after + BETWEEN_KEYS or not self.settings.settled(self.block_frames):
+        if frame < max(end, self.whole_frames) + after + BETWEEN_KEYS or not self.settings.settled(self.block_frames):
             return {}
         before = end - self._frames(3 * limits.coast_s + 2 * limits.begin_s + self.settings.cut_off.recovery_s)
         data.meter.settle(end)

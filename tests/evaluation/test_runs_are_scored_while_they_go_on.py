@@ -36,7 +36,7 @@ def scored(name: str, *settings: str, frames: int) -> tuple[Results, Results]:
 def in_blocks(evaluation: Evaluation, data: RunData, frames: int) -> Results:
     """The results of blocks that end while so many frames are played; 0: of one block."""
     scoring = RunScoring(evaluation, data)
-    scoring.block_frames = 60
+    scoring.whole_frames = scoring.block_frames = 60
     parts = [part for frame in range(frames) if (part := scoring.advance(frame))]
     assert len(parts) >= (2 if frames else 0), "expected more blocks"
     results = scoring.results()
@@ -128,7 +128,7 @@ def test_a_run_that_is_longer_than_a_block_keeps_no_more_messages(
         kept.extend(self.data.record.frames().tolist())
         return results(self)
 
-    monkeypatch.setattr(RunScoring, "BLOCK", (60, 60, 0))
+    monkeypatch.setattr(RunScoring, "WHOLE", (60, 60, 0))
     monkeypatch.setattr(RunScoring, "results", noting)
     run = play(tmp_path, "baseline", "n_infrastructure=1", frames=430)
     assert kept[0] >= 180 - 150, "of three blocks, all but the last 15 s are forgotten"
