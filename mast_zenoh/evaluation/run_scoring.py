@@ -101,8 +101,8 @@ class RunScoring:
     `advance` evaluates what is complete and returns rows of tables; `results` returns the rest and the summary.
     """
 
-    #: The longest run that is scored as a whole: its frames, at least and at most, and agents times frames. The blocks of
-    #: a longer one are half as long, because what they need is in memory all the time, but at least as long as the least.
+    #: The longest run that is scored as a whole: its frames, at least and at most, and agents times frames. Blocks of
+    #: longer ones are half as long, because what they need is in memory all the time, but as long as the least.
     WHOLE: ClassVar[tuple[int, int, int]] = (200, 1000, 10_000)
 
     def __init__(self, settings: Evaluation, data: RunData) -> None:
