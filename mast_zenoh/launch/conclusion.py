@@ -38,12 +38,10 @@ def latency_ms(wiring: Wiring, outcomes: Mapping[str, Mapping[str, Any]]) -> dic
     evaluator, may be busy.
     """
     sent, arrived = on_launcher_clock(outcomes)
-    earliest: dict[int, int] = {}
-    for key in (wire.legs[0].key for wire in wiring.wires if wire.key == "cc/picture"):
-        for arrivals in arrived.values():
-            for frame, at in arrivals.get(key, {}).items():
-                earliest[frame] = min(at, earliest.get(frame, at))
-    picture = percentiles(sent, earliest)
+    key = next((wire.legs[0].key for wire in wiring.wires if wire.key == "cc/picture"), "")
+    of_nodes = [arrivals.get(key, {}) for arrivals in arrived.values()]
+    frames = set().union(*of_nodes)
+    picture = percentiles(sent, {frame: min(at[frame] for at in of_nodes if frame in at) for frame in frames})
     to_picture = picture or dict.fromkeys(f"p{p}" for p in PERCENTILES)
     return {"sim_to_picture": to_picture, "by_wire": by_wire(wiring, sent, arrived)}
 
