@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import CLASS_INDEX, CLASSES, DETECTION_COLUMNS, Detections, Floats, Ints, ObjectStates
+from mast_zenoh.sensing.error_memory import ViewErrors, WanderingNumbers
 from mast_zenoh.sensing.sensors import LidarSensor, in_view, to_sensor
 
 
@@ -109,23 +111,57 @@ def independent_draws(count: int, random: np.random.Generator) -> Draws:
     return Draws(detection, flip, wrong, score, noise, random.integers(1, len(CLASS_INDEX), count))
 
 
+_UNIFORMS, _NOISES = 5, 7  # numbers of an object: those of `Draws` that are uniform, and its noise
+_SMALLEST_VIEW_DEG = 30.0
+_NEVER_S = 3600.0  # time constant of what stays the same for an object: its heading's reversal, its class
+
+
+@dataclass(eq=False)
+class _ClutterKind:
+    """Clutter that stays where it is in the world, until it ends by chance.
+
+    share: of all clutter of a frame; survival: probability that one is there in the next frame, too
+    standing: that of the last frame, world frame; None before the first
+    """
+
+    share: float
+    survival: float
+    standing: Detections | None = None
+
+
+def _joined(parts: Sequence[Detections]) -> Detections:
+    return Detections(*(np.concatenate([getattr(part, name) for part in parts]) for name in DETECTION_COLUMNS))
+
+
 @dataclass(kw_only=True, eq=False)
 class DetectionModel(Detector):
-    """A statistical detector: misses, noise, wrong classes and clutter.
+    """A statistical detector: misses, noise, wrong classes and clutter, which last as those of real detectors do.
 
     They are drawn from the number of lidar returns.
 
     An object with n >= min_points returns is detected with probability 1 - exp(-n / points_scale). Errors are normal,
-    independent from frame to frame (`LastingErrors`: not), with the standard deviations below times
+    with the standard deviations below times
 
         sqrt(1 + (range / range_scale_m)^2 + few_points / n)
 
     along the axes of the world; size errors are limited to 30 % of the size. Clutter is Poisson, uniform over the
     ground in view up to `clutter_range_m`.
 
+    From frame to frame, an error of position, size or yaw is the sum of three parts:
+
+    * one that stays with the object and the angle from which it is seen: a smooth random function of that angle, fixed
+      to the object and the sensor. It turns with the object (share `view_share` of the variance);
+    * one that wanders: a stationary first-order autoregressive process with the time constant `error_s` (the rest);
+    * one that is new in each frame (`white_share`).
+
+    What decides whether an object is detected, its score, its class and a reversed heading wander as well. What wanders
+    begins anew for an object that was out of view. Clutter stays where it is in the world, except for the part of the
+    error that is new in each frame, and ends by chance: most is there for a moment, some lasts.
+
     The defaults approximate lidar detectors on two real cooperative data sets (0.3 to 0.6 m error per axis,
     about two false positives a frame, a precision of about 0.8, a recall of about 0.65): on the generated junctions
-    they give 0.37 m, 2.5, 0.85 and 0.70. Real errors are correlated over time; these are not, see `LastingErrors`.
+    they give 0.37 m, 2.5, 0.85 and 0.70. Errors, misses and clutter last as long as in the published detections of
+    V2V4Real's two cars (Xu et al. 2023); docs/scenes.md compares them.
 
     min_points:        an object with fewer returns is not detected
     points_scale:      number of returns at which 63 % of objects are detected
@@ -137,6 +173,15 @@ class DetectionModel(Detector):
     clutter_range_m:   m, maximum distance of clutter
     score, clutter_score: (low, high), uniform
     report_covariance: whether detections have a position covariance
+    white:             whether everything is independent from frame to frame; the parameters below have no effect then
+    view_share:        share of the errors' variance that stays with the object and the viewing angle
+    view_angle_deg:    difference of viewing angles at which that part correlates by 0.6; 30 or more
+    white_share:       share of the errors' variance that is new in each frame
+    error_s:           s, time constant of the part that wanders
+    miss_s:            s, time constant of what decides whether an object is detected: misses come in episodes
+    clutter_s:         s, mean duration of clutter that lasts
+    blip_s:            s, mean duration of the other clutter
+    lasting_clutter:   share of a frame's clutter that lasts
     """
 
     min_points: int = 5
@@ -154,6 +199,15 @@ class DetectionModel(Detector):
     score: tuple[float, float] = (0.6, 1.0)
     clutter_score: tuple[float, float] = (0.3, 0.8)
     report_covariance: bool = True
+    white: bool = True
+    view_share: float = 0.45
+    view_angle_deg: float = 40.0
+    white_share: float = 0.35
+    error_s: float = 1.5
+    miss_s: float = 0.22
+    clutter_s: float = 0.8
+    blip_s: float = 0.085
+    lasting_clutter: float = 0.44
 
     def __post_init__(self) -> None:
         scales = "points_scale", "range_scale_m"
@@ -161,10 +215,41 @@ class DetectionModel(Detector):
         noises = "position_noise_m", "vertical_noise_m", "size_noise_m", "yaw_noise_deg", "few_points"
         clutter = "clutter_rate", "clutter_range_m"
         check("0 or more", **{name: getattr(self, name) for name in (*noises, *clutter)})
-        check("0 to 1", flip_probability=self.flip_probability, wrong_class=self.wrong_class)
+        shares = "flip_probability", "wrong_class", "view_share", "white_share", "lasting_clutter"
+        check("0 to 1", **{name: getattr(self, name) for name in shares})
+        check("True or False", white=self.white)
+        times = "error_s", "miss_s", "clutter_s", "blip_s"
+        check("more than 0", **{name: getattr(self, name) for name in times})
+        if not _SMALLEST_VIEW_DEG <= self.view_angle_deg < np.inf:
+            raise ValueError(f"view_angle_deg: found {self.view_angle_deg}, expected {_SMALLEST_VIEW_DEG:g} or more")
+        if self.view_share + self.white_share > 1.0:
+            found = f"{self.view_share} and {self.white_share}"
+            raise ValueError(f"view_share, white_share: found {found}, expected a sum of at most 1")
         for name, (low, high) in (("score", self.score), ("clutter_score", self.clutter_score)):
             if not 0 <= low <= high <= 1:
                 raise ValueError(f"{name}: found {(low, high)}, expected 0 <= low <= high <= 1")
+        self._forget(0.1)
+
+    def _forget(self, period_s: float) -> None:
+        """Begin anew, with a period s between frames."""
+        # Standard normal numbers of each object: detection, flip, wrong class, score, other class, seven of noise.
+        constants = [self.miss_s, _NEVER_S, _NEVER_S, self.miss_s, _NEVER_S, *[self.error_s] * _NOISES]
+        self._wandering = WanderingNumbers(np.exp(-period_s / np.array(constants)))
+        self._view = ViewErrors(_NOISES, float(np.radians(self.view_angle_deg)))
+        self._clutter_kinds = [
+            _ClutterKind(share, float(np.exp(-period_s / duration_s)))
+            for share, duration_s in (
+                (self.lasting_clutter, self.clutter_s),
+                (1.0 - self.lasting_clutter, self.blip_s),
+            )
+        ]
+
+    def begin(self, agent: str, sensor: str, period_s: float) -> Detector:
+        if self.white:
+            return self
+        mine = copy.copy(self)
+        mine._forget(period_s)
+        return mine
 
     def detect(
         self,
@@ -182,18 +267,17 @@ class DetectionModel(Detector):
         seen, returns = objects.select(order), points[order].astype(np.float64)
         detected, detected_id = self._true_detections(seen, returns, sensor_position, random)
         clutter = self._clutter(lidar, sensor_position, sensor_rotation, ground, random)
-        columns = [np.concatenate([getattr(detected, name), getattr(clutter, name)]) for name in detected.columns()]
-        best_first = np.argsort(-columns[3], kind="stable")
+        both = _joined([detected, clutter])
+        best_first = np.argsort(-both.score, kind="stable")
         ids = np.concatenate([detected_id, np.full(len(clutter), -1, np.int64)])[best_first]
-        detections = Detections(*columns).select(best_first)
-        return to_sensor(detections, sensor_position, sensor_rotation), ids
+        return to_sensor(both.select(best_first), sensor_position, sensor_rotation), ids
 
     def _true_detections(
         self, seen: ObjectStates, returns: Floats, sensor_position: Floats, random: np.random.Generator
     ) -> tuple[Detections, Ints]:
         n = len(seen)
         # Draws are made for every object, detected or not, so that changing a parameter does not shift other draws.
-        draws = self._draws(seen.id, random)
+        draws = independent_draws(n, random) if self.white else self._lasting_draws(seen, sensor_position, random)
         keep = (returns >= self.min_points) & (draws.detection < 1.0 - np.exp(-returns / self.points_scale))
         range_m = np.linalg.norm(seen.position - sensor_position, axis=1)
         growth = np.sqrt(1.0 + (range_m / self.range_scale_m) ** 2 + self.few_points / np.maximum(returns, 1.0))
@@ -216,9 +300,31 @@ class DetectionModel(Detector):
         )
         return detections.select(keep), seen.id[keep]
 
-    def _draws(self, ids: Ints, random: np.random.Generator) -> Draws:
+    def _lasting_draws(self, seen: ObjectStates, sensor_position: Floats, random: np.random.Generator) -> Draws:
         """The draws for objects in the order of their ids."""
-        return independent_draws(len(ids), random)
+        from scipy.special import ndtr  # nodes import this module, and this takes 0.3 s
+
+        n = len(seen)
+        fresh = random.standard_normal((n, _UNIFORMS + _NOISES))
+        white = random.standard_normal((n, _NOISES))
+        numbers = self._wandering.step(seen.id, fresh)
+        uniform = ndtr(numbers[:, :_UNIFORMS])
+        classes = np.minimum(1 + uniform[:, 4] * (len(CLASSES) - 1), len(CLASSES) - 1).astype(np.int64)
+        wandering_share = max(1.0 - self.white_share - self.view_share, 0.0)
+        noise = np.sqrt(wandering_share) * numbers[:, _UNIFORMS:] + np.sqrt(self.white_share) * white
+        if self.view_share > 0.0:
+            noise += np.sqrt(self.view_share) * self._view_errors(seen, sensor_position, random)
+        detection, flip, wrong, score = uniform[:, :4].T
+        return Draws(detection, flip, wrong, score, noise, classes)
+
+    def _view_errors(self, seen: ObjectStates, sensor_position: Floats, random: np.random.Generator) -> Floats:
+        """(n, 7) standard normal numbers that stay with an object and the angle from which it is seen; x, y: world."""
+        to_viewer = sensor_position - seen.position
+        errors = self._view.at(seen.id, np.arctan2(to_viewer[:, 1], to_viewer[:, 0]) - seen.yaw, random)
+        forward, left = errors[:, 0].copy(), errors[:, 1].copy()
+        errors[:, 0] = np.cos(seen.yaw) * forward - np.sin(seen.yaw) * left
+        errors[:, 1] = np.sin(seen.yaw) * forward + np.cos(seen.yaw) * left
+        return errors
 
     def _scores(self, returns: Floats, draw: Floats) -> Floats:
         """(n,) scores of detected objects, from their lidar returns and uniform draws."""
@@ -232,8 +338,41 @@ class DetectionModel(Detector):
         ground: float,
         random: np.random.Generator,
     ) -> Detections:
-        n = int(random.poisson(self.clutter_rate))
-        return self._new_clutter(n, lidar, sensor_position, sensor_rotation, ground, random)
+        if self.white:
+            n = int(random.poisson(self.clutter_rate))
+            return self._new_clutter(n, lidar, sensor_position, sensor_rotation, ground, random)
+        kinds = [
+            self._standing_clutter(kind, lidar, sensor_position, sensor_rotation, ground, random)
+            for kind in self._clutter_kinds
+        ]
+        clutter = _joined(kinds)
+        jitter = random.standard_normal((len(clutter), 3)) * np.sqrt(self.white_share)
+        jitter *= [self.position_noise_m, self.position_noise_m, self.vertical_noise_m]
+        return replace(clutter, position=clutter.position + jitter)
+
+    def _standing_clutter(
+        self,
+        kind: _ClutterKind,
+        lidar: LidarSensor,
+        sensor_position: Floats,
+        sensor_rotation: Floats,
+        ground: float,
+        random: np.random.Generator,
+    ) -> Detections:
+        """The clutter of a kind in the next frame, world frame: what goes on from the frame before, and new ones."""
+        before = Detections.empty() if kind.standing is None else kind.standing
+        survival = 0.0 if kind.standing is None else kind.survival
+        lasts = random.random(len(before)) < survival
+        lasts &= in_view(before.position, sensor_position, sensor_rotation, lidar)
+        lasts &= np.linalg.norm(before.position - sensor_position, axis=1) <= self.clutter_range_m
+        count = int(random.poisson(self.clutter_rate * kind.share * (1.0 - survival)))
+        new = self._new_clutter(count, lidar, sensor_position, sensor_rotation, ground, random)
+        kind.standing = _joined([before.select(lasts), self._scored_clutter(new, random)])
+        return kind.standing
+
+    def _scored_clutter(self, new: Detections, random: np.random.Generator) -> Detections:
+        """New clutter with its scores; uniform ones, as it has already."""
+        return new
 
     def _new_clutter(
         self,
@@ -274,81 +413,43 @@ class DetectionModel(Detector):
 
 
 _MAX_STRENGTH = 1.5  # of an object's returns in the logit of its score, up and down
-_NEVER_S = 3600.0  # time constant of what stays the same for an object: its heading's reversal, its class
 
 
 @dataclass(kw_only=True, eq=False)
 class LastingErrors(DetectionModel):
-    """`DetectionModel`, with errors, misses, scores and clutter that last.
+    """`DetectionModel`, with misses and clutter that last longer, errors that only wander, and weak scores.
 
-    In one frame, they have the distributions of `DetectionModel`, except for the scores. From frame to frame, an
-    object's errors follow a stationary first-order autoregressive process (Ornstein and Uhlenbeck 1930); an object
-    that was out of view begins anew. Clutter stays where it is in the world.
+    In one frame, errors and misses have the distributions of `DetectionModel`. No part of an error stays with the
+    object and the viewing angle, and there are no blips.
 
     The score of an object is the logistic function of a normal number, with mean `score_at_scale` plus the logarithm of
     its returns relative to `points_scale`, limited to 1.5 up and down; that of clutter has the mean
     `clutter_score_mean`. The defaults are like the raw output of real detectors, which has many weak false detections:
     on generated junctions, a recall of 0.66 and a precision of 0.79, which is 0.92 above a score of 0.3.
 
-    error_s:            s, time constant of position, size and yaw errors
-    white_share:        share of their variance that is independent from frame to frame
-    miss_s:             s, time constant of what decides whether an object is detected: misses come in episodes
-    clutter_s:          s, mean duration of clutter, at the mean rate `clutter_rate`
     score_at_scale, clutter_score_mean, score_std: mean and standard deviation of the logit of scores
-    The other parameters are those of `DetectionModel`, except for the scores.
+    The other parameters are those of `DetectionModel`, except for `white` and the scores.
     """
 
-    error_s: float = 1.0
+    points_scale: float = 30.0
+    clutter_rate: float = 4.0
+    report_covariance: bool = False
+    white: bool = field(default=False, init=False)
+    score: tuple[float, float] = field(default=(0.0, 1.0), init=False)
+    clutter_score: tuple[float, float] = field(default=(0.0, 1.0), init=False)
+    view_share: float = 0.0
     white_share: float = 0.4
+    error_s: float = 1.0
     miss_s: float = 0.6
     clutter_s: float = 0.5
+    lasting_clutter: float = 1.0
     score_at_scale: float = 0.6
     clutter_score_mean: float = -1.2
     score_std: float = 0.8
-    clutter_rate: float = 4.0
-    points_scale: float = 30.0
-    report_covariance: bool = False
-    score: tuple[float, float] = field(default=(0.0, 1.0), init=False)
-    clutter_score: tuple[float, float] = field(default=(0.0, 1.0), init=False)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check("more than 0", error_s=self.error_s, miss_s=self.miss_s, clutter_s=self.clutter_s)
-        check("0 to 1", white_share=self.white_share)
         check("0 or more", score_std=self.score_std)
-        self._forget(0.1)
-
-    def _forget(self, period_s: float) -> None:
-        """Begin anew, with a period s between frames."""
-        self._period_s = period_s
-        self._ids: Ints = np.zeros(0, np.int64)
-        # Standard normal numbers of each object: detection, flip, wrong class, score, other class, seven of noise.
-        self._constants_s = np.array([self.miss_s, _NEVER_S, _NEVER_S, self.miss_s, _NEVER_S, *[self.error_s] * 7])
-        self._memory: Floats = np.zeros((0, len(self._constants_s)))
-        self._standing: Detections | None = None  # clutter, world frame
-
-    def begin(self, agent: str, sensor: str, period_s: float) -> Detector:
-        mine = copy.copy(self)
-        mine._forget(period_s)
-        return mine
-
-    def _draws(self, ids: Ints, random: np.random.Generator) -> Draws:
-        from scipy.special import ndtr  # nodes import this module, and this takes 0.3 s
-
-        n = len(ids)
-        keep = np.exp(-self._period_s / self._constants_s)
-        fresh = random.standard_normal((n, len(keep)))
-        white = random.standard_normal((n, 7))
-        row = np.minimum(np.searchsorted(self._ids, ids), max(len(self._ids) - 1, 0))
-        known = self._ids[row] == ids if len(self._ids) else np.zeros(n, np.bool_)
-        memory = fresh.copy()
-        memory[known] = keep * self._memory[row[known]] + np.sqrt(1.0 - keep**2) * fresh[known]
-        self._ids, self._memory = ids.copy(), memory
-        uniform = ndtr(memory[:, :5])
-        classes = np.minimum(1 + uniform[:, 4] * (len(CLASSES) - 1), len(CLASSES) - 1).astype(np.int64)
-        noise = np.sqrt(1.0 - self.white_share) * memory[:, 5:] + np.sqrt(self.white_share) * white
-        detection, flip, wrong, score = uniform[:, :4].T
-        return Draws(detection, flip, wrong, score, noise, classes)
 
     def _scores(self, returns: Floats, draw: Floats) -> Floats:
         from scipy.special import expit, ndtri
@@ -357,26 +458,6 @@ class LastingErrors(DetectionModel):
         scores: Floats = expit(self.score_at_scale + strength + self.score_std * ndtri(np.clip(draw, 1e-9, 1 - 1e-9)))
         return scores
 
-    def _clutter(
-        self,
-        lidar: LidarSensor,
-        sensor_position: Floats,
-        sensor_rotation: Floats,
-        ground: float,
-        random: np.random.Generator,
-    ) -> Detections:
-        survival = np.exp(-self._period_s / self.clutter_s) if self._standing is not None else 0.0
-        standing = Detections.empty() if self._standing is None else self._standing
-        lasts = random.random(len(standing)) < survival
-        lasts &= in_view(standing.position, sensor_position, sensor_rotation, lidar)
-        lasts &= np.linalg.norm(standing.position - sensor_position, axis=1) <= self.clutter_range_m
-        count = int(random.poisson(self.clutter_rate * (1.0 - survival)))
-        new = self._new_clutter(count, lidar, sensor_position, sensor_rotation, ground, random)
+    def _scored_clutter(self, new: Detections, random: np.random.Generator) -> Detections:
         logit = self.clutter_score_mean + self.score_std * random.standard_normal(len(new))
-        new = replace(new, score=1.0 / (1.0 + np.exp(-logit)))
-        parts = [standing.select(lasts), new]
-        columns = (np.concatenate([getattr(part, name) for part in parts]) for name in DETECTION_COLUMNS)
-        self._standing = Detections(*columns)
-        jitter = random.standard_normal((len(self._standing), 3)) * np.sqrt(self.white_share)
-        jitter *= [self.position_noise_m, self.position_noise_m, self.vertical_noise_m]
-        return replace(self._standing, position=self._standing.position + jitter)
+        return replace(new, score=1.0 / (1.0 + np.exp(-logit)))

@@ -62,6 +62,17 @@ def test_errors_have_the_reported_covariance() -> None:
     np.testing.assert_allclose(np.concatenate(normalised).std(axis=0), 1.0, atol=0.05)
 
 
+def test_white_errors_are_those_of_earlier_versions() -> None:
+    detections, ids = detected(DetectionModel(white=True), np.array([8, 20, 50, 100], np.int32))
+    assert ids.tolist() == [102, 103, -1, -1, -1]
+    x = [40.912791892, 33.324039787, 17.590303596, 46.069105454, 15.007196260]
+    y = [26.535496592, 1.868916906, 51.620779385, 31.799805217, 62.682602340]
+    np.testing.assert_allclose(detections.position[:, 0], x, atol=1e-8)
+    np.testing.assert_allclose(detections.position[:, 1], y, atol=1e-8)
+    score = [0.823981238, 0.809706105, 0.741756306, 0.691379289, 0.603666002]
+    np.testing.assert_allclose(detections.score, score, atol=1e-8)
+
+
 def test_noise_grows_with_range_and_with_few_points() -> None:
     def sigma(points: int) -> np.ndarray:
         detections, ids = detected(DetectionModel(clutter_rate=0.0, points_scale=0.01), np.full(100, points, np.int32))
@@ -112,8 +123,16 @@ def test_without_returns_and_clutter_there_are_no_detections() -> None:
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("points_scale", 0.0), ("clutter_rate", -1.0), ("wrong_class", 1.5), ("score", (0.9, 0.3)), ("few_points", -1.0)],
+    [("points_scale", 0.0), ("clutter_rate", -1.0), ("wrong_class", 1.5), ("score", (0.9, 0.3)), ("few_points", -1.0)]
+    + [(name, 0.0) for name in ("error_s", "miss_s", "clutter_s", "blip_s")]
+    + [(name, 1.5) for name in ("view_share", "white_share", "lasting_clutter")]
+    + [("view_angle_deg", 20.0), ("white", "no")],
 )
 def test_invalid_parameters_are_refused_by_name(name: str, value: object) -> None:
     with pytest.raises(ValueError, match=f"{name}: found .*, expected"):
         DetectionModel(**{name: value})
+
+
+def test_shares_of_the_errors_that_are_more_than_all_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"view_share, white_share: found 0\.7 and 0\.4, expected a sum of at most 1"):
+        DetectionModel(view_share=0.7, white_share=0.4)
