@@ -12,8 +12,10 @@ from mast_zenoh.arrays.geometry import rotation_from_yaw, rotation_from_yaw_pitc
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats, Ints, ObjectStates
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.scenes.base import Scene
+from mast_zenoh.scenes.generated.differing_drivers import differing
 from mast_zenoh.scenes.generated.driven import DrivenTraffic, JunctionWorld
 from mast_zenoh.scenes.generated.junction import PAVEMENT, PAVEMENT_END, REACH, ROAD, Arm, arms_of, corners, plan
+from mast_zenoh.scenes.generated.parked import ParkedCars, no_parked_cars, parked_cars
 from mast_zenoh.scenes.generated.traffic import Motion, Movers, Network, Traffic, road_users
 from mast_zenoh.scenes.making.observe import World, detect, lidar_visibility, make_recording
 from mast_zenoh.scenes.making.sensor_types import SensorsByAgent, equip
@@ -81,6 +83,10 @@ _SEARCH_S = 45.0  # range of start times, searched for one in which the ego cros
 _WINDOW_S = 15.0  # duration considered when choosing the ego
 _POLES = 4
 _VEHICLES = 21  # at least, so that up to 20 agents besides the ego add none
+#: Of a dense junction: vehicles that drive, relative to the usual number, and at least.
+_DENSER, _DENSE_VEHICLES = 1.2, 26
+#: Parked cars, at least, and fewest and most vehicles with them: a junction with few lanes has more of them.
+_PARKED, _WITH_PARKED = 5, (36, 46)
 #: Where poles stand at each arm: m behind the stop line, and the side of the road; those of up to 24 poles come first.
 _POLE_SITES = (
     *((8.0, 1.0), (24.0, -1.0), (40.0, 1.0), (56.0, -1.0), (72.0, 1.0), (88.0, -1.0)),
@@ -107,6 +113,8 @@ class Intersection(Scene):
     n_vehicles:       motor vehicles including the ego; None: depends on the junction, about 20, or as many as n_mobile
                       needs
     n_bicycles, n_pedestrians: None: depends on the junction
+    dense:            whether drivers differ, some follow closely and react late, cars are parked beside the roads, and
+                      there is more traffic
     rate_hz:          frames per second
     detector:         the model that generates detections from lidar visibility
     sensors:          lists of dict(type=…) by agent or pattern, see `Sensor`; None: a lidar each
@@ -125,6 +133,7 @@ class Intersection(Scene):
     n_vehicles: int | None = None
     n_bicycles: int | None = None
     n_pedestrians: int | None = None
+    dense: bool = False
     rate_hz: float = 10.0
     detector: Detector = _DETECTOR
     sensors: SensorsByAgent | None = None
@@ -177,12 +186,14 @@ class Intersection(Scene):
     def _site(self, seed: int) -> _Site:
         """The junction and its road users."""
         junction = _junction(self.scene_index)
+        vehicles = junction.vehicles
+        usual = (round(_DENSER * vehicles), _DENSE_VEHICLES) if self.dense else (vehicles, _VEHICLES)
         counts = (
-            self._count("n_vehicles", max(junction.vehicles, _VEHICLES, 1 + (self.n_mobile or 0))),
+            self._count("n_vehicles", max(*usual, 1 + (self.n_mobile or 0))),
             self._count("n_bicycles", junction.bicycles),
             self._count("n_pedestrians", junction.pedestrians),
         )
-        return _site(self.scene_index, counts, seed)
+        return _site(self.scene_index, counts, seed, self.dense)
 
     def _unequipped(
         self, site: _Site, motion: Motion, motorised: list[int], agents: tuple[SceneAgent, ...] | None = None
@@ -191,9 +202,9 @@ class Intersection(Scene):
         return _world(
             f"intersection-{self.scene_index}",
             round(1e9 / self.rate_hz),
-            site.movers,
-            site.kinds,
-            motion,
+            np.concatenate([site.movers.size, site.parked.size]),
+            [*site.kinds, *["car"] * len(site.parked.yaw)],
+            motion.beside(site.parked.position, site.parked.yaw),
             motorised,
             _poles(site.junction, _POLES if self.n_infrastructure is None else self.n_infrastructure),
             site.junction.buildings,
@@ -245,22 +256,28 @@ def _junction(scene_index: int) -> _Junction:
 
 @dataclass(frozen=True, eq=False)
 class _Site:
-    """A junction and its road users; kinds: class name of each mover."""
+    """A junction and its road users; kinds: class name of each mover; parked: cars beside the roads."""
 
     junction: _Junction
     movers: Movers
     kinds: list[str]
+    parked: ParkedCars
 
 
 @lru_cache(maxsize=8)
-def _site(scene_index: int, counts: tuple[int, int, int], seed: int) -> _Site:
-    """A junction and its road users. counts: vehicles, bicycles, pedestrians"""
+def _site(scene_index: int, counts: tuple[int, int, int], seed: int, dense: bool) -> _Site:
+    """A junction and its road users. counts: vehicles that drive, bicycles, pedestrians"""
     junction = _junction(scene_index)
     random = stream(seed, "intersection", scene_index, "movers")
     movers, kinds = road_users(
         junction.network, dict(zip(("vehicle", "bicycle", "pedestrian"), counts, strict=True)), random
     )
-    return _Site(junction, movers, kinds)
+    if not dense:
+        return _Site(junction, movers, kinds, no_parked_cars())
+    movers = differing(movers, stream(seed, "intersection", scene_index, "drivers"))
+    random = stream(seed, "intersection", scene_index, "parked")
+    count = max(_PARKED, int(random.integers(*_WITH_PARKED, endpoint=True)) - counts[0])
+    return _Site(junction, movers, kinds, parked_cars(junction.arms, random, count))
 
 
 def _steps(rate_hz: float) -> tuple[int, float]:
@@ -357,7 +374,7 @@ def _poles(junction: _Junction, count: int) -> list[_Pole]:
 def _world(
     name: str,
     period_ns: int,
-    movers: Movers,
+    sizes: Floats,
     classes: list[str],
     motion: Motion,
     motorised: list[int],
@@ -365,9 +382,12 @@ def _world(
     buildings: tuple[tuple[Floats, ...], Floats],
     agents: tuple[SceneAgent, ...] | None,
 ) -> World:
-    """The scene's truth and its agents, flat ground at z = 0. agents: None: with the usual sensors"""
+    """The scene's truth and its agents, flat ground at z = 0.
+
+    sizes: (n, 3) m, classes: of the n objects of the motion; agents: None: with the usual sensors
+    """
     frames, n = motion.yaw.shape
-    heights = movers.size[:, 2]
+    heights = sizes[:, 2]
     if agents is None:
         cars = [
             SceneAgent(car, "mobile", row, *roof_sensors(float(heights[row]))) for car, row in _names(motorised).items()
@@ -392,7 +412,7 @@ def _world(
             "id": np.tile(np.arange(n, dtype=np.int64), frames),
             "position": centre.reshape(-1, 3),
             "velocity": mover_velocity.reshape(-1, 3),
-            "size": np.tile(movers.size, (frames, 1)),
+            "size": np.tile(sizes, (frames, 1)),
             "yaw": (motion.yaw.reshape(-1) + np.pi) % (2 * np.pi) - np.pi,
             "class_id": np.tile(np.array([CLASS_INDEX[name] for name in classes], np.uint8), frames),
         }

@@ -84,6 +84,8 @@ def road_users(network: Network, count: dict[str, int], random: np.random.Genera
         gap=gap,
         path=np.array([path for path, _ in rows]),
         start=np.array([s for _, s in rows]),
+        reaction=np.zeros(len(names)),
+        guide=np.arange(len(names)),
     )
     return movers, [kind[1] for kind in kinds]
 
@@ -111,6 +113,7 @@ def _places(network: Network, user: int, random: np.random.Generator) -> list[tu
 _STOP_AHEAD = 0.8  # m, distance between front and stop line when stopped
 _FIRM_BRAKING = 2.2  # m/s^2, a mover that would have to brake harder does not stop
 _HARDEST_BRAKING = 7.0
+_EXPECTED_BRAKING = 2.5  # m/s^2, of the mover ahead: harder braking is a surprise
 _COMFORT = 1.5  # m/s^2, along and across the path
 
 
@@ -120,6 +123,10 @@ class Movers:
 
     size: (n, 3) m;  user: ROAD, BIKE, CROSSER or WALKER;  speed: m/s, desired;  acceleration, braking: m/s^2, usual;
     headway: s;  gap: m, at a standstill;  path, start: initial path, and initial distance along it, m
+    exact_headway: whether a follower keeps just its headway (IDM+: Schakel, van Arem, Netten: Effects of cooperative
+              adaptive cruise control on traffic flow stability, ITSC 2010)
+    reaction: s, after which it notices a change of speed of the mover ahead
+    guide: the mover whose turns it takes; itself, if it is not in a platoon
     """
 
     size: Floats
@@ -131,6 +138,9 @@ class Movers:
     gap: Floats
     path: Ints
     start: Floats
+    reaction: Floats
+    guide: Ints
+    exact_headway: bool = False
 
     @property
     def size_class(self) -> Ints:
@@ -184,6 +194,16 @@ class Motion:
         """The selected frames."""
         return Motion(self.position[index], self.yaw[index], self.speed[index], self.path[index])
 
+    def beside(self, position: Floats, yaw: Floats) -> Motion:
+        """The motion of the movers, and then that of p objects that stand. position (p, 2) m, yaw (p,) rad"""
+        frames, p = len(self.yaw), len(yaw)
+        return Motion(
+            np.concatenate([self.position, np.broadcast_to(position, (frames, p, 2))], axis=1),
+            np.concatenate([self.yaw, np.broadcast_to(yaw, (frames, p))], axis=1),
+            np.concatenate([self.speed, np.zeros((frames, p))], axis=1),
+            np.concatenate([self.path, np.full((frames, p), -1)], axis=1),
+        )
+
 
 class Traffic:
     """A running simulation; `step` advances it."""
@@ -191,12 +211,12 @@ class Traffic:
     def __init__(self, network: Network, movers: Movers, seed: int, name: str) -> None:
         """Place the movers at their starting points, at rest.
 
-        Mover i chooses its turns with its own random stream.
+        Mover i chooses its turns with its own random stream, or one that equals that of its guide.
         """
         self.network, self.movers = network, movers
         self.time = 0.0
         n = len(movers.user)
-        self._choice = [stream(seed, name, "route", i) for i in range(n)]
+        self._choice = [stream(seed, name, "route", int(i)) for i in movers.guide]
         self._size_class = movers.size_class
         #: (n, 3), the current path of each mover and the next two.
         self.route = np.zeros((n, 3), np.int64)
@@ -206,6 +226,9 @@ class Traffic:
                 self.route[i, k] = self._next_path(i, int(self.route[i, k - 1]))
         self.s = movers.start.copy()
         self.v = np.zeros(n)
+        self._travelled = np.zeros(n)  # m, since the beginning
+        #: Time s, speed (n,) m/s and way travelled (n,) m of the last steps, as far back as the latest reaction.
+        self._past: list[tuple[float, Floats, Floats]] = []
         #: (n,) connector on which a mover has the right of way; -1: none.
         self.granted = np.full(n, -1)
         #: (n,) s, time of the first refused request for the right of way; inf: no request. A mover keeps requesting,
@@ -252,7 +275,7 @@ class Traffic:
         """Acceleration (n,) m/s^2 that each mover chooses now; grants rights of way, so once before each `move`."""
         movers, table = self.movers, self.network.table
         end = table.length[self.route[:, 0]]
-        gap, leader_speed = self._leader()
+        gap, leader_speed = self._noticed(*self._leader())
         to_line = end - self.s - movers.size[:, 0] / 2
         self.must_stop = self._right_of_way(to_line)
         acceleration = np.minimum(
@@ -263,14 +286,19 @@ class Traffic:
         desired_speed = np.minimum(movers.speed, table.limit_at(self.route[:, 0], self.s))
         desired_speed = np.minimum(desired_speed, np.sqrt(ahead**2 + 2 * _COMFORT * np.maximum(end - self.s, 0.0)))
         free = np.maximum(movers.acceleration * (1.0 - (self.v / desired_speed) ** 4), -movers.braking)
-        # The intelligent driver's acceleration is the free one plus the (negative) interaction.
-        return np.asarray(np.clip(free + np.minimum(acceleration, 0.0), -_HARDEST_BRAKING, movers.acceleration))
+        # The intelligent driver's acceleration is the free one plus the (negative) interaction. So it keeps more than
+        # its headway, the more the closer it is to its desired speed; with IDM+, it keeps just its headway.
+        interaction = np.minimum(acceleration, 0.0)
+        wanted = np.minimum(free, movers.acceleration + interaction) if movers.exact_headway else free + interaction
+        return np.asarray(np.clip(wanted, -_HARDEST_BRAKING, movers.acceleration))
 
     def move(self, acceleration: Floats, dt: float) -> None:
         """Move all movers for `dt` s. acceleration: (n,) m/s^2"""
         end = self.network.table.length[self.route[:, 0]]
         new_speed = np.maximum(self.v + acceleration * dt, 0.0)
-        self.s += self._progress((self.v + new_speed) / 2 * dt)
+        progress = self._progress((self.v + new_speed) / 2 * dt)
+        self.s += progress
+        self._travelled = self._travelled + progress
         self.v = new_speed
         self.time += dt
         self._advance(end)
@@ -279,12 +307,31 @@ class Traffic:
         """Progress (n,) m along the paths of movers that drive a distance (n,) m."""
         return distance
 
-    def _leader(self) -> tuple[Floats, Floats]:
-        """Free distance (n,) m to the mover ahead of each, and its speed (n,) m/s."""
+    def _noticed(self, gap: Floats, leader: Ints) -> tuple[Floats, Floats]:
+        """Free distance (n,) m to the mover ahead of each and its speed (n,) m/s, as the driver believes.
+
+        A driver expects the mover ahead to brake as is usual for lights and queues, and follows at once; harder braking
+        is a surprise, noticed after the reaction time. Until then it believes in the usual one.
+        gap: m, true; leader: (n,) row of the mover ahead
+        """
+        if not self.movers.reaction.any():
+            return gap, self.v[leader]
+        self._past.append((self.time, self.v, self._travelled))
+        times = np.array([time for time, _, _ in self._past])
+        seen = np.maximum(np.searchsorted(times, self.time - self.movers.reaction + 1e-9, side="right") - 1, 0)
+        before = np.stack([speed for _, speed, _ in self._past])[seen, leader]
+        travelled = self._travelled[leader] - np.stack([way for _, _, way in self._past])[seen, leader]
+        del self._past[: int(seen.min())]
+        expected = np.maximum(before - _EXPECTED_BRAKING * (self.time - times[seen]), 0.0)
+        way = (before**2 - expected**2) / (2 * _EXPECTED_BRAKING)
+        return gap + np.maximum(way - travelled, 0.0), np.maximum(self.v[leader], expected)
+
+    def _leader(self) -> tuple[Floats, Ints]:
+        """Free distance (n,) m to the mover ahead of each, inf: there is none, and the row (n,) of that mover."""
         length = self.movers.size[:, 0]
         rear = self.s - length / 2
         best = np.full(len(self.s), np.inf)
-        speed = np.zeros(len(self.s))
+        row = np.zeros(len(self.s), np.int64)
         offset = -self.s
         for k in range(3):
             obstructs = rear[None, :] < self.network.shared[self.route[:, k]][:, self.route[:, 0]]
@@ -294,10 +341,10 @@ class Traffic:
             )
             leader = distance.argmin(axis=1)
             nearest = distance[np.arange(len(leader)), leader]
-            speed = np.where(nearest < best, self.v[leader], speed)
+            row = np.where(nearest < best, leader, row)
             best = np.minimum(best, nearest)
             offset = offset + self.network.table.length[self.route[:, k]]
-        return best, speed
+        return best, row
 
     def _follow(self, gap: Floats, leader_speed: Floats) -> Floats:
         """The interaction term of the intelligent driver model, (n,) m/s^2, negative."""
