@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 
+from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.fusion.base import Fusion, Members, state_vectors
 from mast_zenoh.kernels import kernel
@@ -81,11 +82,16 @@ def _length(relative: Floats) -> Floats:
 
 
 class CovarianceIntersectionFusion(Fusion):
-    """Covariance intersection (Julier, Uhlmann, ACC 1997).
+    """Covariance intersection (Julier, Uhlmann, ACC 1997), split where errors are known to be partly independent.
 
     P^-1 = sum w_i P_i^-1, x = P sum w_i P_i^-1 x_i, sum w_i = 1.
 
     Consistent, whatever the correlation of the members' errors, for any weights.
+
+    independent_share: share d of each covariance that is independent of the other members' errors. The rest may have
+    any correlation (split covariance intersection: Julier, Uhlmann, Handbook of Multisensor Data Fusion, 2001; Li,
+    Nashashibi, Yang, IEEE Intelligent Vehicles Symposium, 2013). Each P_i becomes (1 - d) P_i / w_i + d P_i, so w_i
+    becomes w_i / (1 - d + d w_i). With 0 it is covariance intersection, with 1 `NaiveKalmanFusion`.
 
     weights: "uniform", or "optimised": the least determinant of the fused covariance of the full state, within 1 %. It
     is the volume of the region of uncertainty, so the optimum does not depend on units; that of a trace, which adds
@@ -94,19 +100,35 @@ class CovarianceIntersectionFusion(Fusion):
     err less.
     """
 
-    def __init__(self, *, weights: Literal["uniform", "optimised"] = "uniform") -> None:
+    def __init__(
+        self, *, weights: Literal["uniform", "optimised"] = "uniform", independent_share: float = 0.0
+    ) -> None:
+        check("0 to 1", independent_share=independent_share)
         self._optimised = weights == "optimised"
+        self._independent_share = independent_share
 
     def fuse(self, states: ObjectStates, labels: Ints, weights: Floats | None = None) -> ObjectStates:
         members = Members.of(states, labels, weights)
         if len(members.start) == 0:
             return ObjectStates.empty()
+        trust = members.relative_weight
         if self._optimised:
             best = least_volume_weights(inverse(members.states.covariance), members.start)
             members = members.weighted(members.weight * best)
-        vectors = state_vectors(members.states)
-        mean, covariance = covariance_intersection(members.states.covariance, vectors, members.weight, members.start)
+        vectors, weight = state_vectors(members.states), split_weights(members.weight, trust, self._independent_share)
+        mean, covariance = covariance_intersection(members.states.covariance, vectors, weight, members.start)
         return members.fused(mean, covariance)
+
+
+def split_weights(weight: Floats, trust: Floats, independent_share: float) -> Floats:
+    """Factors (n,) on the information of members, a share of whose covariances is independent.
+
+    weight: (n,) of covariance intersection, trust included; trust: (n,) relative to the most trusted of the cluster.
+    It multiplies the factor of a member whose errors are all independent.
+    """
+    if independent_share == 0.0:
+        return weight
+    return np.asarray(weight / (1.0 - independent_share + independent_share * np.minimum(weight / trust, 1.0)))
 
 
 @kernel

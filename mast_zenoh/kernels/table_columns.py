@@ -30,7 +30,9 @@ ID = CLASS + 3
 ROW = CLASS + 4
 #: Mean score of the measurements; s from the first one to the last, and at which the next sample of it is due.
 SCORE, SPAN, DUE = CLASS + 5, CLASS + 6, CLASS + 7
-WIDTH = CLASS + 8
+#: Variances and covariance of the horizontal position, m^2, that last: averaging does not reduce them.
+LASTING_XX, LASTING_XY, LASTING_YY = CLASS + 8, CLASS + 9, CLASS + 10
+WIDTH = CLASS + 11
 
 # -- objects that an adversary follows (`attacks.following`) ---------------------------------------------------------
 

@@ -29,12 +29,14 @@ from mast_zenoh.tracking.tracks import (
     CONFIRMED,
     COVARIANCE,
     FORWARD,
+    LASTING,
     ODDS,
     ROW,
     SCORE,
     TURN_LIMIT,
     XX,
     XY,
+    YX,
     YY,
     correct_heading,
     duplicated,
@@ -180,6 +182,29 @@ def excess_sum(tracks: Floats, innovation: Floats, steady: Bools) -> tuple[float
     return float(np.square(innovation).sum() - t[:, XX].sum() - t[:, YY].sum()), len(rows)
 
 
+def set_lasting(tracks: Floats, noise: Floats, share: float) -> None:
+    """Remember the part of the variance of k tracks' newest measurements that lasts.
+
+    noise: (k, m, m) of the measurements; share: of the variance of their horizontal positions
+
+    An error that stays with an object, or wanders slower than the filter follows, is in the track as it is in the
+    measurement: the mean of many measurements still has it, so the covariance of the filter is too small by it.
+    """
+    if share > 0.0:
+        tracks[:, LASTING] = share * noise[:, (0, 0, 1), (0, 1, 1)]
+
+
+def with_lasting(tracks: Floats) -> Floats:
+    """The tracks (n, WIDTH), their covariances with what lasts of the errors of their measurements."""
+    lasting = tracks[:, LASTING]
+    if np.count_nonzero(lasting) == 0:
+        return tracks
+    tracks = tracks.copy()
+    tracks[:, (XX, XY, YY)] += lasting
+    tracks[:, YX] += lasting[:, 1]
+    return tracks
+
+
 #: rad/sqrt(s), drift of a heading.
 YAW_DRIFT = 0.3
 #: m/s, upper limit for road users; faster tracks are dropped.
@@ -211,10 +236,14 @@ class KalmanBoxTracker3D(Tracker):
     position_std_m, vertical_std_m: standard deviation of a detection's horizontal position per axis, and of its height,
         unless it has its own covariance; the former is estimated where none has one, see `detection_noise`
     size_std_m, yaw_std_rad: standard deviation of a detection's sizes, and of its heading modulo half a turn
+    lasting_share: share of the variance of a detection's horizontal position that lasts, so that the filter does not
+        average it away: it is added to the variance that a track reports; 0: all errors are new in each frame
     detection_probability: probability of detecting an object in full view, unless the sensor's view has its own; a
         track's own hit rate can only lower it
     report_probability: probability that a source of states (`step_states`) continues to report an existing object
     clutter_per_m2: false detections per square metre and frame
+    clutter_s: s, mean duration of false detections, which repeat themselves, see `existence.repeated_ratio`; 0: a frame
+    miss_s: s, time constant of misses, which come in episodes, see `existence.after_a_miss`; 0: a frame
     birth_odds: odds that a detection without a matching track is a new object
     lifetime_s: s, average time that an object stays in view; memory_s: s, time constant of a track's hit rate
     confirm_probability, min_probability: existence probabilities above which a track is confirmed, and reported
@@ -229,8 +258,8 @@ class KalmanBoxTracker3D(Tracker):
         tracks', as in a Kalman filter that takes tracks for measurements; they are not, so it becomes too certain
     assignment: how detections are assigned to tracks
 
-    Raises ValueError for a probability outside (0, 1) and for any other parameter, except max_coast_s, that is not
-    positive.
+    Raises ValueError for a probability outside (0, 1), for a share outside [0, 1], for a negative duration and for any
+    other parameter, except max_coast_s, that is not positive.
     """
 
     filter: kalman.BoxFilter = kalman.BatchedFilter()
@@ -242,9 +271,12 @@ class KalmanBoxTracker3D(Tracker):
         vertical_std_m: float = 0.2,
         size_std_m: float = 0.3,
         yaw_std_rad: float = 0.1,
+        lasting_share: float = 0.0,
         detection_probability: float = 0.9,
         report_probability: float = 0.98,
         clutter_per_m2: float = 5e-5,
+        clutter_s: float = 0.0,
+        miss_s: float = 0.0,
         birth_odds: float = 0.03,
         lifetime_s: float = 30.0,
         memory_s: float = 2.0,
@@ -261,6 +293,10 @@ class KalmanBoxTracker3D(Tracker):
         parameters = locals()
         check("more than 0 and less than 1", **{name: parameters[name] for name in PROBABILITIES})
         check("more than 0", **{name: parameters[name] for name in POSITIVE})
+        check("0 to 1", lasting_share=lasting_share)
+        check("0 or more", clutter_s=clutter_s, miss_s=miss_s)
+        self._lasting_share = lasting_share
+        self._clutter_s, self._miss_s = clutter_s, miss_s
         self._variance = np.square([position_std_m] * 2 + [vertical_std_m] + [size_std_m] * 3)
         self._yaw_noise = yaw_std_rad**2
         self._detection_probability = detection_probability
@@ -306,21 +342,27 @@ class KalmanBoxTracker3D(Tracker):
 
     def step(self, time_ns: int, detections: Detections, view: SensorView | None = None) -> ObjectStates:
         measurements = Measured.detections(detections, self._noise.variance)
-        self._advance(time_ns)
+        dt = self._advance(time_ns)
         t = self._tracks
         of_sensor = None if view is None else view.detection_probability
         prior = self._detection_probability if of_sensor is None else of_sensor
         detected = existence.detection_probability(t, prior, PRIOR_FRAMES)
+        detected = existence.after_a_miss(t, detected, dt, self._miss_s)
         match = self._associate(measurements, detected)
         if len(match.track):
+            log_ratio = existence.repeated_ratio(match.log_ratio, t[match.track, AGE], self._clutter_s)
+            match = match._replace(log_ratio=log_ratio)
             matched, state, noise, innovation, excess = self._matched_tracks(match, measurements, detected)
             if not np.count_nonzero(detections.covariance):
                 self._noise.learn(*excess)
             self.filter.correct(matched, state, noise)
             constrain_lateral_speed(self.filter, matched, innovation)
+            set_lasting(matched, noise, self._lasting_share)
             resolve_headings_and_store(t, match.track, matched, FORWARD, TURN_LIMIT)
         self._update_missed(detected, view)
-        reported = self._finish(match, self._created(match, measurements))
+        new_tracks = self._created(match, measurements)
+        set_lasting(new_tracks, tracks.covariances(new_tracks), self._lasting_share)
+        reported = self._finish(match, new_tracks)
         self._evidence.learn(self._tracks, measurements.score, self._report_odds)
         doubtful = self._evidence.doubtful(reported)
         if np.count_nonzero(doubtful):
@@ -348,8 +390,8 @@ class KalmanBoxTracker3D(Tracker):
         reported = self._finish(match, new_tracks)
         return self._states(reported, np.clip(reported[:, SCORE], 0.0, 1.0), -math.inf)
 
-    def _advance(self, time_ns: int) -> None:
-        """Predict the tracks to `time_ns`."""
+    def _advance(self, time_ns: int) -> float:
+        """Predict the tracks to `time_ns`; s since the previous step."""
         before = time_ns if self._time_ns is None else self._time_ns
         if time_ns < before:
             raise ValueError(
@@ -363,6 +405,7 @@ class KalmanBoxTracker3D(Tracker):
                 noise = kalman.process_noise(dt, self._acceleration, classes.VERTICAL_ACCELERATION, classes.SIZE_DRIFT)
                 self._process_noise = (dt, noise)
             self.filter.predict(t, dt, self._process_noise[1])
+        return dt
 
     def _associate(self, measurements: Measured, detected: Floats) -> Match:
         """Assign m measurements to n tracks; detected: (n,) detection probabilities."""
@@ -410,7 +453,7 @@ class KalmanBoxTracker3D(Tracker):
         """
         if weight is None:
             weight, least = np.ones(len(reported)), -math.inf
-        columns, self._matched = report_columns(reported, weight, least)
+        columns, self._matched = report_columns(with_lasting(reported), weight, least)
         return ObjectStates(*columns)
 
     def _finish(self, match: Match, new_tracks: Floats) -> Floats:

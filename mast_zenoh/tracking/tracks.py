@@ -18,7 +18,7 @@ from mast_zenoh.kernels import table_columns as columns
 
 #: Columns of the table, see `kernels.table_columns`.
 MEAN, COVARIANCE = slice(0, columns.P), slice(columns.P, columns.YAW)
-XX, XY, YY = columns.XX, columns.XY, columns.YY
+XX, XY, YX, YY = columns.XX, columns.XY, columns.XX + 9, columns.YY
 YAW, YAW_VARIANCE, TURN = columns.YAW, columns.YAW_VARIANCE, columns.TURN
 LATERAL_RESIDUAL, ODDS = columns.LATERAL_RESIDUAL, columns.ODDS
 HITS, MISSES, VOTES = columns.HITS, columns.MISSES, slice(columns.VOTES, columns.CLASS)
@@ -26,6 +26,7 @@ RECORD = slice(HITS, VOTES.stop)
 CLASS, CONFIRMED, AGE = columns.CLASS, columns.CONFIRMED, columns.AGE
 ID, ROW, WIDTH = columns.ID, columns.ROW, columns.WIDTH
 SCORE, SPAN, DUE = columns.SCORE, columns.SPAN, columns.DUE
+LASTING = slice(columns.LASTING_XX, columns.LASTING_YY + 1)
 
 assert len(CLASSES) == columns.N_CLASSES, "each class has a column of votes"
 _ONE_VOTE = np.eye(len(CLASSES))

@@ -169,3 +169,52 @@ def test_a_rumour_that_circulates_makes_the_naive_fusion_certain_without_limit(a
         assert mean_nees(rumour_loop(fusion, agents, 8)) <= HIGH
     few, many = (rumour_loop(NAIVE(), agents, rounds) for rounds in (2, 8))
     assert mean_nees(many) > 20.0 * mean_nees(few) > 20.0 * HIGH
+
+
+# -- errors that are known to be partly independent
+
+
+def partly_shared(random: np.random.Generator, members: int, independent: float) -> list[tuple[Floats, Floats]]:
+    """Estimates with a share `independent` of each covariance of their own; the rest is the same error in all."""
+    common = drawn(random, np.broadcast_to(np.eye(9), (TRIALS, 9, 9)))
+    result = []
+    for _ in range(members):
+        covariance = covariances(random, TRIALS)
+        root = np.linalg.cholesky(covariance)
+        errors = np.sqrt(1.0 - independent) * (root @ common[:, :, None])[:, :, 0]
+        result.append((errors + np.sqrt(independent) * drawn(random, covariance), covariance))
+    return result
+
+
+@pytest.mark.parametrize("weights", ["uniform", "optimised"])
+@pytest.mark.parametrize("independent", [0.3, 0.7])
+@pytest.mark.parametrize("members", [2, 5])
+def test_split_covariance_intersection_is_consistent_where_the_stated_share_is_independent(
+    members, independent, weights
+):
+    estimates = partly_shared(np.random.default_rng(members), members, independent)
+    split = fuse(CI(weights=weights, independent_share=independent), estimates)
+    assert mean_nees(split) <= HIGH
+    assert mean_nees(split) > mean_nees(fuse(CI(weights=weights), estimates)), "less cautious than for any correlation"
+    assert mean_nees(fuse(NAIVE(), estimates)) > HIGH
+
+
+def test_shares_of_0_and_1_are_covariance_intersection_and_the_naive_fusion():
+    estimates = partly_shared(np.random.default_rng(0), 3, 0.5)
+    for share, other in ((0.0, CI()), (1.0, NAIVE())):
+        for a, b in zip(fuse(CI(independent_share=share), estimates), fuse(other, estimates), strict=True):
+            assert np.allclose(a, b, rtol=1e-9)
+
+
+def test_trust_counts_with_any_share():
+    estimates = partly_shared(np.random.default_rng(0), 2, 0.5)
+    states = of_vectors(*(np.concatenate(part) for part in zip(*estimates, strict=True)))
+    labels, weights = np.tile(np.arange(TRIALS), 2), np.repeat([1.0, 1e-9], TRIALS)
+    for share in (0.0, 0.5, 1.0):
+        fused = CI(independent_share=share).fuse(states, labels, weights)
+        assert np.allclose(vectors_of(fused), estimates[0][0], atol=1e-3)
+
+
+def test_a_share_outside_0_to_1_is_named():
+    with pytest.raises(ValueError, match="independent_share"):
+        CI(independent_share=1.1)
