@@ -100,9 +100,7 @@ class CovarianceIntersectionFusion(Fusion):
     err less.
     """
 
-    def __init__(
-        self, *, weights: Literal["uniform", "optimised"] = "uniform", independent_share: float = 0.0
-    ) -> None:
+    def __init__(self, *, weights: Literal["uniform", "optimised"] = "uniform", independent_share: float = 0.0) -> None:
         check("0 to 1", independent_share=independent_share)
         self._optimised = weights == "optimised"
         self._independent_share = independent_share
