@@ -19,7 +19,7 @@ SMALL = dict(n_infrastructure=1, n_mobile=1, n_vehicles=8, n_bicycles=1, n_pedes
 
 @cache
 def scene(scene_index: int = 0, **options) -> Intersection:
-    return Intersection(scene_index=scene_index, **(SMALL | options))
+    return Intersection(scene_index=scene_index, **(SMALL | options), dense=False)
 
 
 def stepped(commands: dict[str, Command], first: int = 0, frames: int = FRAMES) -> list[World]:
@@ -92,7 +92,7 @@ def test_the_route_begins_at_the_car_and_its_points_are_a_metre_apart() -> None:
 
 def test_a_line_is_told_as_long_as_the_car_must_stop_there() -> None:
     """Some car waits at a red light in every junction: with it as the ego, the line is before its front."""
-    world = Intersection(scene_index=0, n_infrastructure=0, n_mobile=19, n_vehicles=20).world(0, 150)
+    world = Intersection(scene_index=0, n_infrastructure=0, n_mobile=19, n_vehicles=20, dense=False).world(0, 150)
     stops = []
     for _ in range(60):
         stops += [world.route(car).stop_m for car in world.cars]
