@@ -49,7 +49,7 @@ def test_a_tracker_that_knows_how_much_of_the_errors_lasts_is_as_certain_as_it_i
 
 def test_the_positions_are_those_of_a_tracker_that_does_not_know():
     random = np.random.default_rng(1)
-    plain, knowing = KalmanBoxTracker3D(), KalmanBoxTracker3D(lasting_share=0.5)
+    plain, knowing = KalmanBoxTracker3D(lasting_share=0.0), KalmanBoxTracker3D(lasting_share=0.5)
     for frame in range(20):
         seen = detected(np.array([20.0, 5.0]) + random.normal(0.0, STD_M, 2))
         a, b = (tracker.step(nanoseconds(frame), seen) for tracker in (plain, knowing))
@@ -61,7 +61,7 @@ def test_the_positions_are_those_of_a_tracker_that_does_not_know():
 
 @pytest.mark.parametrize("kind", [KalmanBoxTracker3D, InteractingModelsTracker3D])
 def test_a_coasting_track_keeps_what_lasts_of_its_errors(kind):
-    plain, knowing = kind(), kind(lasting_share=0.5)
+    plain, knowing = kind(lasting_share=0.0), kind(lasting_share=0.5)
     for frame in range(14):
         seen = detected([20.0, 5.0]) if frame < 10 else NOTHING
         a, b = (tracker.step(nanoseconds(frame), seen) for tracker in (plain, knowing))
