@@ -91,7 +91,7 @@ def test_an_agent_that_claims_to_be_certain_beside_the_objects_does_not_ruin_the
     assert believed.rmse_m > 0.7
     assert believed.id_switches > 50
     assert checked.fn <= 0.65
-    assert checked.fp <= 0.7
+    assert checked.fp <= 0.75
     assert checked.rmse_m <= 0.25
     assert checked.id_switches <= 3
 
