@@ -220,7 +220,7 @@ def _distance(place: tuple[float, float, int] | None, position: Floats) -> float
 LEAST_VARIANCE = 0.02
 #: How much of an own track counts by its disagreement with the picture: this times their squared distance, relative to
 #: the variance that both claim. Then a picture from badly surveyed sensors makes the estimate hardly worse.
-DISAGREEMENT = 3.0
+DISAGREEMENT = 0.5
 WEIGHTING = LEAST_VARIANCE, DISAGREEMENT
 #: Estimates whose own tracks are remembered: a picture's age in frames, at most.
 MAX_EARLIER = 16
