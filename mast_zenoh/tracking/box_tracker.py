@@ -242,8 +242,6 @@ class KalmanBoxTracker3D(Tracker):
         track's own hit rate can only lower it
     report_probability: probability that a source of states (`step_states`) continues to report an existing object
     clutter_per_m2: false detections per square metre and frame
-    clutter_s: s, mean duration of false detections, which repeat themselves, see `existence.repeated_ratio`; 0: a frame
-    miss_s: s, time constant of misses, which come in episodes, see `existence.after_a_miss`; 0: a frame
     birth_odds: odds that a detection without a matching track is a new object
     lifetime_s: s, average time that an object stays in view; memory_s: s, time constant of a track's hit rate
     confirm_probability, min_probability: existence probabilities above which a track is confirmed, and reported
@@ -258,8 +256,8 @@ class KalmanBoxTracker3D(Tracker):
         tracks', as in a Kalman filter that takes tracks for measurements; they are not, so it becomes too certain
     assignment: how detections are assigned to tracks
 
-    Raises ValueError for a probability outside (0, 1), for a share outside [0, 1], for a negative duration and for any
-    other parameter, except max_coast_s, that is not positive.
+    Raises ValueError for a probability outside (0, 1), for a share outside [0, 1] and for any other
+    parameter, except max_coast_s, that is not positive.
     """
 
     filter: kalman.BoxFilter = kalman.BatchedFilter()
@@ -275,8 +273,6 @@ class KalmanBoxTracker3D(Tracker):
         detection_probability: float = 0.9,
         report_probability: float = 0.98,
         clutter_per_m2: float = 5e-5,
-        clutter_s: float = 0.0,
-        miss_s: float = 0.0,
         birth_odds: float = 0.03,
         lifetime_s: float = 30.0,
         memory_s: float = 2.0,
@@ -294,9 +290,7 @@ class KalmanBoxTracker3D(Tracker):
         check("more than 0 and less than 1", **{name: parameters[name] for name in PROBABILITIES})
         check("more than 0", **{name: parameters[name] for name in POSITIVE})
         check("0 to 1", lasting_share=lasting_share)
-        check("0 or more", clutter_s=clutter_s, miss_s=miss_s)
         self._lasting_share = lasting_share
-        self._clutter_s, self._miss_s = clutter_s, miss_s
         self._variance = np.square([position_std_m] * 2 + [vertical_std_m] + [size_std_m] * 3)
         self._yaw_noise = yaw_std_rad**2
         self._detection_probability = detection_probability
@@ -342,16 +336,13 @@ class KalmanBoxTracker3D(Tracker):
 
     def step(self, time_ns: int, detections: Detections, view: SensorView | None = None) -> ObjectStates:
         measurements = Measured.detections(detections, self._noise.variance)
-        dt = self._advance(time_ns)
+        self._advance(time_ns)
         t = self._tracks
         of_sensor = None if view is None else view.detection_probability
         prior = self._detection_probability if of_sensor is None else of_sensor
         detected = existence.detection_probability(t, prior, PRIOR_FRAMES)
-        detected = existence.after_a_miss(t, detected, dt, self._miss_s)
         match = self._associate(measurements, detected)
         if len(match.track):
-            log_ratio = existence.repeated_ratio(match.log_ratio, t[match.track, AGE], self._clutter_s)
-            match = match._replace(log_ratio=log_ratio)
             matched, state, noise, innovation, excess = self._matched_tracks(match, measurements, detected)
             if not np.count_nonzero(detections.covariance):
                 self._noise.learn(*excess)
@@ -390,8 +381,8 @@ class KalmanBoxTracker3D(Tracker):
         reported = self._finish(match, new_tracks)
         return self._states(reported, np.clip(reported[:, SCORE], 0.0, 1.0), -math.inf)
 
-    def _advance(self, time_ns: int) -> float:
-        """Predict the tracks to `time_ns`; s since the previous step."""
+    def _advance(self, time_ns: int) -> None:
+        """Predict the tracks to `time_ns`."""
         before = time_ns if self._time_ns is None else self._time_ns
         if time_ns < before:
             raise ValueError(
@@ -405,7 +396,6 @@ class KalmanBoxTracker3D(Tracker):
                 noise = kalman.process_noise(dt, self._acceleration, classes.VERTICAL_ACCELERATION, classes.SIZE_DRIFT)
                 self._process_noise = (dt, noise)
             self.filter.predict(t, dt, self._process_noise[1])
-        return dt
 
     def _associate(self, measurements: Measured, detected: Floats) -> Match:
         """Assign m measurements to n tracks; detected: (n,) detection probabilities."""

@@ -71,31 +71,6 @@ def detection_probability(tracks: Floats, prior: float, weight: float) -> Floats
     return np.asarray(np.minimum((hits + prior * weight) / (hits + tracks[:, MISSES] + weight), prior))
 
 
-def after_a_miss(tracks: Floats, detected: Floats, dt: float, miss_s: float) -> Floats:
-    """Detection probabilities (n,) given whether each object was missed in the step before, `dt` s ago.
-
-    Misses come in episodes: what hid an object from the detector is still there. They are a Markov process with the
-    time constant `miss_s`; so a run of misses is not as many independent ones. 0: independent.
-    """
-    if miss_s == 0.0 or dt == 0.0:
-        return detected
-    missed = tracks[:, AGE] > 1.5 * dt
-    return np.asarray(np.where(missed, detected * -math.expm1(-dt / miss_s), detected))
-
-
-def repeated_ratio(log_ratio: Floats, age_s: Floats, clutter_s: float) -> Floats:
-    """Log density ratios (k,) of measurements to clutter where false detections last, too.
-
-    age_s: (k,) s since the measurement before; clutter_s: s, mean duration of a false detection; 0: a frame
-
-    If the track is a false detection, it is repeated at its place with the probability exp(-age / clutter_s). So the
-    density of clutter there is that of all clutter and this share of the density of the track's own measurements.
-    """
-    if clutter_s == 0.0:
-        return log_ratio
-    return np.asarray(-np.logaddexp(-log_ratio, -age_s / clutter_s))
-
-
 def update_detected(tracks: Floats, detected: Floats, log_ratio: Floats, most: float) -> None:
     """Update existence of measured tracks.
 
