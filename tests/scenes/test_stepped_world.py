@@ -14,12 +14,12 @@ from mast_zenoh.scenes.making.observe import World
 
 FRAMES = 60
 FIRST = 30  # by then the ego drives
-SMALL = dict(n_infrastructure=1, n_mobile=1, n_vehicles=8, n_bicycles=1, n_pedestrians=2)
+SMALL = dict(n_infrastructure=1, n_mobile=1, n_vehicles=8, n_bicycles=1, n_pedestrians=2, dense=False)
 
 
 @cache
 def scene(scene_index: int = 0, **options) -> Intersection:
-    return Intersection(scene_index=scene_index, **(SMALL | options), dense=False)
+    return Intersection(scene_index=scene_index, **(SMALL | options))
 
 
 def stepped(commands: dict[str, Command], first: int = 0, frames: int = FRAMES) -> list[World]:
@@ -36,7 +36,7 @@ def stepped(commands: dict[str, Command], first: int = 0, frames: int = FRAMES) 
     [(0, 10.0), *(pytest.param(*other, marks=pytest.mark.heavy) for other in ((0, 4.0), (1, 10.0)))],
 )
 def test_without_commands_it_is_the_prepared_scene_bit_by_bit(scene_index: int, rate_hz: float) -> None:
-    junction = scene(scene_index, rate_hz=rate_hz, n_infrastructure=0)
+    junction = scene(scene_index, rate_hz=rate_hz, n_infrastructure=0, dense=True)
     recording, world = junction.record(3, 20), junction.world(3, 20)
     for frame in range(20):
         present, truth = world.now(), recording.truth_at(frame)
@@ -92,7 +92,7 @@ def test_the_route_begins_at_the_car_and_its_points_are_a_metre_apart() -> None:
 
 def test_a_line_is_told_as_long_as_the_car_must_stop_there() -> None:
     """Some car waits at a red light in every junction: with it as the ego, the line is before its front."""
-    world = Intersection(scene_index=0, n_infrastructure=0, n_mobile=19, n_vehicles=20, dense=False).world(0, 150)
+    world = Intersection(scene_index=0, n_infrastructure=0, n_mobile=19, n_vehicles=20).world(0, 150)
     stops = []
     for _ in range(60):
         stops += [world.route(car).stop_m for car in world.cars]

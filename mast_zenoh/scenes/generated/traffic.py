@@ -113,6 +113,7 @@ def _places(network: Network, user: int, random: np.random.Generator) -> list[tu
 _STOP_AHEAD = 0.8  # m, distance between front and stop line when stopped
 _FIRM_BRAKING = 2.2  # m/s^2, a mover that would have to brake harder does not stop
 _HARDEST_BRAKING = 7.0
+_LINE_HEADWAY_S = 1.2  # least, of drivers that differ, when they stop at a line
 _EXPECTED_BRAKING = 2.5  # m/s^2, of the mover ahead: harder braking is a surprise
 _COMFORT = 1.5  # m/s^2, along and across the path
 
@@ -278,9 +279,11 @@ class Traffic:
         gap, leader_speed = self._noticed(*self._leader())
         to_line = end - self.s - movers.size[:, 0] / 2
         self.must_stop = self._right_of_way(to_line)
+        # Who follows closely does not brake for lines as late.
+        for_line = np.maximum(movers.headway, _LINE_HEADWAY_S) if movers.exact_headway else movers.headway
+        stopping = self._follow(to_line + movers.gap - _STOP_AHEAD, np.zeros(len(gap)), for_line)
         acceleration = np.minimum(
-            self._follow(gap, leader_speed),
-            np.where(self.must_stop, self._follow(to_line + movers.gap - _STOP_AHEAD, np.zeros(len(gap))), np.inf),
+            self._follow(gap, leader_speed, movers.headway), np.where(self.must_stop, stopping, np.inf)
         )
         ahead = table.limit_at(self.route[:, 1], np.zeros(len(gap)))
         desired_speed = np.minimum(movers.speed, table.limit_at(self.route[:, 0], self.s))
@@ -346,11 +349,11 @@ class Traffic:
             offset = offset + self.network.table.length[self.route[:, k]]
         return best, row
 
-    def _follow(self, gap: Floats, leader_speed: Floats) -> Floats:
+    def _follow(self, gap: Floats, leader_speed: Floats, headway: Floats) -> Floats:
         """The interaction term of the intelligent driver model, (n,) m/s^2, negative."""
         movers = self.movers
         closing = self.v * (self.v - leader_speed) / (2 * np.sqrt(movers.acceleration * movers.braking))
-        desired_gap = movers.gap + np.maximum(self.v * movers.headway + closing, 0.0)
+        desired_gap = movers.gap + np.maximum(self.v * headway + closing, 0.0)
         interaction: Floats = -movers.acceleration * (desired_gap / np.maximum(gap, 0.05)) ** 2
         return interaction
 
