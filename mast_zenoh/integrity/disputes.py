@@ -194,9 +194,10 @@ class Testimonies:
 
         credible: (a,) agents that do not lie in every explanation: the others accuse nobody
 
-        That an agent's own sensor sees through what it reports is none: false detections of real detectors are where
-        nothing is, and nobody believes what the agent itself denies. What an agent does not report is no accusation: the object stays in the picture as long as another one reports
-        it, and things that a sensor does not see are easier to make than things that are not there (TrustFlip).
+        Withheld, but no accusation, is what an agent's own sensor sees through: honest detectors make false detections
+        where nothing is. What an agent does not report is none either: the object stays in the picture as long as
+        another one reports it, and things that a sensor does not see are easier to make than things that are not there
+        (TrustFlip).
         """
         denied = self.claims & (self.denies & credible).any(axis=1, keepdims=True)
         return np.stack([denied, self.impossible, self.repeated])

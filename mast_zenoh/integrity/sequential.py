@@ -75,9 +75,12 @@ class SequentialConsistency(Integrity):
     disagrees (`explanations`).
 
     Four statistics for each agent: the cumulative sum of contradictions in progress: objects that others see through,
-    that its own sensor contradicts, that no road user can be, or that it reports twice; the greatest whitened offset
-    of one of its tracks from the median of the agents, summed over `offset_memory_s`; and the cumulative sums of the
-    log-likelihood ratios of an offset of 1 m, and of 0.5 m. Each counts as an alarm by how rarely an honest agent
+    that no road user can be, or that it reports twice, each for its first PERSISTENT_S, relative to what is usual among
+    the agents now; the greatest whitened offset of one of its tracks from the median of the agents, summed over
+    `offset_memory_s`; and the cumulative sums of the log-likelihood ratios of an offset of 1 m, and of 0.5 m. One
+    object alone, however long, is thus no alarm: honest detectors have such errors, and the object is withheld. What an
+    agent's own sensor sees through, or is outside its own view, is no claim of it, and counts neither for nor against
+    it. Each statistic counts as an alarm by how rarely an honest agent
     exceeds it, with the false discoveries among all agents controlled (Benjamini and Hochberg 1995). An agent is
     suspended if one of them is an alarm, and it is in every explanation. Two accusers of five prove nothing, since two
     may lie; three do. Agents in some explanations alone are `undecided`: their reason says so.
@@ -284,14 +287,14 @@ class SequentialConsistency(Integrity):
             self._apart_ns[one, other] = self._apart_ns[other, one] = batch.time_ns
         return some.max(axis=0, initial=0.0), known.max(axis=0, initial=0.0)
 
-    def _summed(self, total: Floats, count: Ints, tail: Tail, dt: float) -> Floats:
+    def _summed(self, total: Floats, count: Ints, tail: Tail, dt: float, wider: float = 1.0) -> Floats:
         """Cumulative sums after a batch with `count` contradictions.
 
         An honest agent errs about one object at a time: several at once are much rarer. Limited, so that they can be
-        forgotten again.
+        forgotten again. wider: see `_wider`
         """
         after = accumulate(total, np.asarray(0.5 * count * (count + 1), np.float64), self.allowance, dt)
-        return np.minimum(after, 2.0 * WIDER * max(tail.value_at(self.false_alarms_per_hour / 10.0), tail.scale))
+        return np.minimum(after, 2.0 * wider * max(tail.value_at(self.false_alarms_per_hour / 10.0), tail.scale))
 
     def _add_disputes(self, testimonies: Testimonies, dt: float) -> None:
         """Add what a batch shows to all sums; those of absent agents and pairs fall as without evidence."""
@@ -305,8 +308,9 @@ class SequentialConsistency(Integrity):
         between[np.ix_(rows, rows)] = testimonies.between(fresh)
         step = 1.0 - np.exp(-dt / USUAL_S)
         of.usual[rows] += step * (counts[0, rows] - of.usual[rows])
-        of.contradictions = self._summed(of.contradictions, counts[0], self._tails[CONTRADICTIONS], dt)
-        of.own = self._summed(of.own, counts[1], OWN_TAIL, dt)
+        wider = self._wider(rows)
+        of.contradictions = self._summed(of.contradictions, counts[0], self._tails[CONTRADICTIONS], dt, wider)
+        of.own = self._summed(of.own, counts[1], OWN_TAIL, dt, wider)
         self._pairs = self._summed(self._pairs, between, self._pair_tail, dt)
         of.kinds[rows] += dt * kinds.sum(axis=1).T
 

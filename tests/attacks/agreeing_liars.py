@@ -188,5 +188,3 @@ class AgainstEgo(FrameTwo):
         if ego is None or not len(moment.seen):
             return np.zeros(len(moment.seen), np.bool_)
         return np.asarray(moment.coverage.in_sight(ego, moment.seen, moment.seen))
-
-
