@@ -21,7 +21,7 @@ from mast_zenoh.integrity.base import (
     ClusterBoxes,
     Integrity,
 )
-from mast_zenoh.integrity.disputes import ACCUSATIONS, Evidence, Testimonies
+from mast_zenoh.integrity.disputes import ACCUSATIONS, OF_ITSELF, Evidence, Testimonies
 from mast_zenoh.integrity.existence import ExistenceVotes
 from mast_zenoh.integrity.explanations import Explanations, Verdict, explained
 from mast_zenoh.integrity.memory import NOW, AgentMemory
@@ -54,6 +54,9 @@ DISPUTES_PER_HOUR = 1.0
 FAULT_AWAITED_S, EXPLAINED_S, EXPLAINED = 1.5, 10.0, 0.5
 #: s, for which contradictions must have lasted: those of a fault begin all at once, and finding it takes some batches.
 SUDDEN_S = 0.5
+#: Objects of an honest agent that are contradicted at a time, expected before a run shows it; s, over which the number
+#: is averaged; and how many times as much evidence is needed at most where more is usual.
+EXPECTED, USUAL_S, WIDER = 0.05, 20.0, 6.0
 #: s, of this time that an agent regains in a second: one that differs now and then is not excused for ever.
 AWAITED_AGAIN = 0.05
 #: s, for which a dispute about where an object is lasts.
@@ -72,9 +75,12 @@ class SequentialConsistency(Integrity):
     disagrees (`explanations`).
 
     Four statistics for each agent: the cumulative sum of contradictions in progress: objects that others see through,
-    that its own sensor contradicts, that no road user can be, or that it reports twice; the greatest whitened offset
-    of one of its tracks from the median of the agents, summed over `offset_memory_s`; and the cumulative sums of the
-    log-likelihood ratios of an offset of 1 m, and of 0.5 m. Each counts as an alarm by how rarely an honest agent
+    that no road user can be, or that it reports twice, each for its first PERSISTENT_S, relative to what is usual among
+    the agents now; the greatest whitened offset of one of its tracks from the median of the agents, summed over
+    `offset_memory_s`; and the cumulative sums of the log-likelihood ratios of an offset of 1 m, and of 0.5 m. One
+    object alone, however long, is thus no alarm: honest detectors have such errors, and the object is withheld. What an
+    agent's own sensor sees through, or is outside its own view, is no claim of it, and counts neither for nor against
+    it. Each statistic counts as an alarm by how rarely an honest agent
     exceeds it, with the false discoveries among all agents controlled (Benjamini and Hochberg 1995). An agent is
     suspended if one of them is an alarm, and it is in every explanation. Two accusers of five prove nothing, since two
     may lie; three do. Agents in some explanations alone are `undecided`: their reason says so.
@@ -132,6 +138,7 @@ class SequentialConsistency(Integrity):
         # kinds: object-seconds of each of ACCUSATIONS since there was no evidence
         # clean_s: since the last alarm or evidence;  seen_s: for which the agent has been observed
         # awaited_s: for which an agent was to be suspended that may have a fault
+        # usual: mean number of its objects that are contradicted
         # suspended_ns: time, ns, of the last suspension;  for_offset: whether that was for an offset alone
         # quiet_ns: time, ns, of the last batch without evidence;  lying: whether it lies in every explanation
         sums = dict.fromkeys(("contradictions", "own", "clean_s", "offset", "seen_s", "awaited_s"), 0.0)
@@ -139,6 +146,7 @@ class SequentialConsistency(Integrity):
         self._agents = AgentMemory(
             forget_s=600.0,
             number=-1,
+            usual=EXPECTED,
             suspensions=0,
             suspended_ns=0,
             quiet_ns=NOW,
@@ -203,7 +211,7 @@ class SequentialConsistency(Integrity):
         offset, known = self._offsets(batch, evidence.boxes, objects, dt)
         self._add_disputes(evidence.testimonies, dt)
         self._of.offset[rows] = offset
-        self._statistics = np.column_stack([self._of.contradictions[rows], offset, known])
+        self._statistics = np.column_stack([self._of.contradictions[rows] / self._wider(rows), offset, known])
         explanations, verdict = self._explain(batch, rows)
         rates = np.column_stack(
             [tail.rate(values) for tail, values in zip(self._tails, self._statistics.T, strict=True)]
@@ -229,6 +237,15 @@ class SequentialConsistency(Integrity):
         if len(self._reasons) > len(self._agents.names):
             self._reasons = {name: self._reasons[name] for name in self._agents.names if name in self._reasons}
         return rows
+
+    def _wider(self, rows: Ints) -> float:
+        """How many times as much evidence an alarm takes as is expected: by what is usual among the agents now.
+
+        The middle of those that are not suspended: fewer than half cannot move it beyond what others have.
+        """
+        voter = ~self._of.suspended[rows]
+        usual = float(np.median(self._of.usual[rows[voter]])) if voter.any() else EXPECTED
+        return min(max(usual / EXPECTED, 1.0), WIDER)
 
     def _alarm_at(self, statistic: int, agents: int) -> float:
         """The value from which one statistic alone, a column of `_statistics`, is an alarm."""
@@ -270,25 +287,30 @@ class SequentialConsistency(Integrity):
             self._apart_ns[one, other] = self._apart_ns[other, one] = batch.time_ns
         return some.max(axis=0, initial=0.0), known.max(axis=0, initial=0.0)
 
-    def _summed(self, total: Floats, count: Ints, tail: Tail, dt: float) -> Floats:
+    def _summed(self, total: Floats, count: Ints, tail: Tail, dt: float, wider: float = 1.0) -> Floats:
         """Cumulative sums after a batch with `count` contradictions.
 
         An honest agent errs about one object at a time: several at once are much rarer. Limited, so that they can be
-        forgotten again.
+        forgotten again. wider: see `_wider`
         """
         after = accumulate(total, np.asarray(0.5 * count * (count + 1), np.float64), self.allowance, dt)
-        return np.minimum(after, 2.0 * max(tail.value_at(self.false_alarms_per_hour / 10.0), tail.scale))
+        return np.minimum(after, 2.0 * wider * max(tail.value_at(self.false_alarms_per_hour / 10.0), tail.scale))
 
     def _add_disputes(self, testimonies: Testimonies, dt: float) -> None:
         """Add what a batch shows to all sums; those of absent agents and pairs fall as without evidence."""
         of, rows = self._of, self._agents.rows
         kinds = testimonies.accusations(~of.lying[rows])
+        fresh = self._existence.fresh(testimonies.contradicted, dt)
+        kinds &= fresh
         counts = np.zeros((2, len(of.own)), np.int64)
-        counts[:, rows] = kinds.any(axis=0).sum(axis=0), testimonies.against_itself
+        counts[:, rows] = kinds.any(axis=0).sum(axis=0), kinds[OF_ITSELF].any(axis=0).sum(axis=0)
         between = np.zeros(self._pairs.shape, np.int64)
-        between[np.ix_(rows, rows)] = testimonies.between
-        of.contradictions = self._summed(of.contradictions, counts[0], self._tails[CONTRADICTIONS], dt)
-        of.own = self._summed(of.own, counts[1], OWN_TAIL, dt)
+        between[np.ix_(rows, rows)] = testimonies.between(fresh)
+        step = 1.0 - np.exp(-dt / USUAL_S)
+        of.usual[rows] += step * (counts[0, rows] - of.usual[rows])
+        wider = self._wider(rows)
+        of.contradictions = self._summed(of.contradictions, counts[0], self._tails[CONTRADICTIONS], dt, wider)
+        of.own = self._summed(of.own, counts[1], OWN_TAIL, dt, wider)
         self._pairs = self._summed(self._pairs, between, self._pair_tail, dt)
         of.kinds[rows] += dt * kinds.sum(axis=1).T
 
@@ -297,7 +319,7 @@ class SequentialConsistency(Integrity):
         pairs, apart_ns = self._pairs[np.ix_(rows, rows)], self._apart_ns[np.ix_(rows, rows)]
         apart = (apart_ns > 0) & (batch.time_ns - apart_ns <= APART_S * 1e9)
         disputes = self._disputes = (self._pair_tail.rate(pairs) <= self.disputes_per_hour) | apart
-        lying = OWN_TAIL.rate(self._of.own[rows]) <= self.false_alarms_per_hour / max(len(rows), 1)
+        lying = OWN_TAIL.rate(self._of.own[rows] / self._wider(rows)) <= self.false_alarms_per_hour / max(len(rows), 1)
         lying |= self._of.suspended[rows]
         honest = np.isin(batch.agents, self.anchors)
         key = disputes.tobytes() + lying.tobytes() + honest.tobytes()

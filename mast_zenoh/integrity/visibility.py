@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mast_zenoh.arrays.matching import neighbours
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.integrity.base import Batch, ClusterBoxes
 from mast_zenoh.integrity.views import SweptView
@@ -239,6 +240,60 @@ def rays_at(batch: Batch, boxes: ClusterBoxes, views: Sequence[SweptView | None]
     own, _ = ray_evidence(states.position, states.velocity, states.size, states.yaw, views, batch.agent, TOLERANCES)
     through, ends = ray_evidence(boxes.position, boxes.velocity, boxes.size, boxes.yaw, views, None, TOLERANCES)
     return RayEvidence(np.where(batch.reported, _by_own_tracks(batch, own), through), ends)
+
+
+def out_of_view(batch: Batch) -> Bools:
+    """(n,) tracks that are outside their agent's own field of view, with room for errors; none of an agent without one.
+
+    What is only hidden behind something else is inside: trackers go on with it for good reasons.
+    """
+    states, result = batch.states, np.zeros(len(batch.labels), np.bool_)
+    margin = TOLERANCES.outside_m + ERROR_SD * _track_error(batch)
+    points = sample_points(states.position, states.size, states.yaw, margin, _ACROSS)
+    for rows, _, view in _asked(len(result), current(batch.views), batch.agent):
+        inside = view.ranges(points[rows].reshape(-1, 3))[2].reshape(len(rows), -1).any(axis=1)
+        result[rows] = ~inside & (_distance(states.position[rows], view) > TOLERANCES.own_m)
+    return result
+
+
+#: m, between the outlines of two objects that are beside each other.
+BESIDE_M = 1.5
+#: m, by which an object beside another one may be displaced, and by which a ray must go on behind each of its points;
+#: share of the points for which it must.
+BESIDE_ERROR_M, BESIDE_SHARE = 0.2, 0.7
+
+
+def passed_to_others(batch: Batch, boxes: ClusterBoxes, rays: RayEvidence, voter: Bools) -> Bools:
+    """(c, a) objects beside one that more agents report, through which a sensor's rays go on to that other one.
+
+    boxes, rays: of the clusters; voter: (a,) agents that count
+
+    Rays end at the other object, whose errors are known to be small because agents agree about it. So they show more
+    exactly than those that pass into the open whether something is before it. What is behind it, they don't show.
+    """
+    result = np.zeros(rays.ends.shape, np.bool_)
+    half = 0.5 * np.hypot(boxes.size[:, 0], boxes.size[:, 1])
+    i, j, dx, dy = neighbours(boxes.position, boxes.position, half + half.max(initial=0.0) + BESIDE_M)
+    witnesses = (batch.reported & voter).sum(axis=1)
+    beside = (np.hypot(dx, dy) <= half[i] + half[j] + BESIDE_M) & (witnesses[j] > witnesses[i])
+    i, j = i[beside], j[beside]
+    if not len(i):
+        return result
+    judged, row = np.unique(i, return_inverse=True)
+    margin = np.full(len(judged), BESIDE_ERROR_M)
+    points = sample_points(boxes.position[judged], boxes.size[judged], boxes.yaw[judged], margin, _AROUND)
+    for column, view in enumerate(current(batch.views)):
+        if view is None or not view.free.size or not voter[column]:
+            continue
+        ranges, free, inside = view.ranges(points.reshape(-1, 3))
+        with np.errstate(invalid="ignore"):
+            through = inside & (free > ranges + BESIDE_ERROR_M)
+        passed = through.reshape(len(judged), -1).mean(axis=1) >= BESIDE_SHARE
+        passed &= _distance(boxes.position[judged], view) > TOLERANCES.own_m
+        ends = np.zeros(len(judged), np.bool_)
+        ends[row[rays.ends[j, column]]] = True
+        result[judged, column] = passed & ends
+    return result & ~batch.reported
 
 
 def silent_about(batch: Batch, boxes: ClusterBoxes, seen: Sightings, rays: RayEvidence, range_m: float) -> Bools:

@@ -33,17 +33,22 @@ def statements(
 CAR_AT_ORIGIN = (0.0, 0.0, 2.3)
 
 
+def contradictions(found: disputes.Testimonies) -> list[list[int]]:
+    """By two agents, about how many objects they contradict each other."""
+    return found.between(np.ones_like(found.claims)).tolist()
+
+
 def test_each_that_sees_through_an_object_contradicts_the_one_that_reports_it() -> None:
     found = statements([("a", 0, (0.0, 0.0))], {"a": [CAR_AT_ORIGIN]})
-    assert found.between.tolist() == [[0, 1, 1], [1, 0, 0], [1, 0, 0]]
+    assert contradictions(found) == [[0, 1, 1], [1, 0, 0], [1, 0, 0]]
     assert found.accusations(EVERYBODY)[0].tolist() == [[True, False, False]]
-    assert not found.against_itself.any()
+    assert not found.accusations(EVERYBODY)[disputes.OF_ITSELF].any()
 
 
 def test_an_agent_that_sees_through_what_two_report_is_contradicted_and_not_accused() -> None:
     tracks: list[Track] = [("a", 0, (0.0, 0.0)), ("b", 0, (0.0, 0.0))]
     found = statements(tracks, {"a": [CAR_AT_ORIGIN], "b": [CAR_AT_ORIGIN]})
-    assert found.between.tolist() == [[0, 0, 1], [0, 0, 1], [1, 1, 0]]
+    assert contradictions(found) == [[0, 0, 1], [0, 0, 1], [1, 1, 0]]
     assert not found.accusations(EVERYBODY)[:, :, 2].any()
 
 
@@ -51,12 +56,12 @@ def test_an_agent_that_lies_in_any_case_accuses_nobody_and_is_contradicted() -> 
     found = statements([("a", 0, (0.0, 0.0))], {"a": [CAR_AT_ORIGIN], "c": [CAR_AT_ORIGIN]})
     assert found.accusations(EVERYBODY)[0].tolist() == [[True, False, False]]
     assert not found.accusations(np.array([True, False, True])).any()
-    assert found.between.tolist() == [[0, 1, 0], [1, 0, 0], [0, 0, 0]]
+    assert contradictions(found) == [[0, 1, 0], [1, 0, 0], [0, 0, 0]]
 
 
 def test_what_a_suspended_agent_sees_through_contradicts_nobody() -> None:
     found = statements([("a", 0, (0.0, 0.0))], {"a": [CAR_AT_ORIGIN]}, suspended="b")
-    assert found.between.tolist() == [[0, 0, 1], [0, 0, 0], [1, 0, 0]]
+    assert contradictions(found) == [[0, 0, 1], [0, 0, 0], [1, 0, 0]]
     alone = {"a": [CAR_AT_ORIGIN], "c": [CAR_AT_ORIGIN]}
     both: list[Track] = [("a", 0, (0.0, 0.0)), ("c", 0, (0.0, 0.0))]
     assert not statements(both, alone, suspended="b").accusations(EVERYBODY).any()
@@ -92,11 +97,30 @@ def test_two_that_report_a_small_object_as_a_large_one_do_not_make_others_silent
         assert disputes.Evidence.of(smaller, EVERYBODY).testimonies.silent[0, 2] == silent
 
 
-def test_a_claim_in_space_that_its_own_sensor_sees_through_contradicts_itself() -> None:
+def test_a_report_that_its_own_sensor_sees_through_is_no_claim_and_no_accusation() -> None:
     found = statements([("a", 0, (0.0, 0.0))], {})
-    assert found.against_itself.tolist() == [1, 0, 0]
+    assert found.denies.tolist() == [[False, True, True]]
     assert not found.claims.any()
-    assert not found.between.any()
+    assert not found.contradicted.any()
+    assert not found.accusations(EVERYBODY).any()
+    assert not np.any(contradictions(found))
+
+
+def test_a_report_outside_the_own_field_of_view_is_no_claim() -> None:
+    tracks: list[Track] = [("a", 0, (0.0, 0.0))]
+    looking_away = view(CORNERS["a"], CAR_AT_ORIGIN, max_range=10.0)
+    views = {name: view(place) for name, place in CORNERS.items()} | {"a": looking_away}
+    found = disputes.Evidence.of(batch(tracks, tuple(CORNERS), views), EVERYBODY)
+    assert found.unseen.tolist() == [[True, False, False]]
+    assert not found.testimonies.claims.any()
+    assert not found.testimonies.accusations(EVERYBODY).any()
+    assert not np.any(contradictions(found.testimonies))
+
+
+def test_only_fresh_reports_contradict_others() -> None:
+    found = statements([("a", 0, (0.0, 0.0))], {"a": [CAR_AT_ORIGIN]})
+    assert found.contradicted.tolist() == [[True, False, False]]
+    assert not found.between(~found.contradicted).any()
 
 
 def test_the_offset_of_one_of_three_is_seen_in_its_own_track() -> None:
