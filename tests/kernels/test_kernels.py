@@ -205,6 +205,17 @@ def ray_evidence(random, n, m):
     return position, random.normal(0, 9, (n, 3)), *around, *others
 
 
+def outside_view(random, n, m):
+    around, views, only, tolerances = looked_at(random, n, m)
+    only = random.integers(0, len(views), n) if only is None else only
+    return *around, random.uniform(0, 3, n), views, only, tolerances
+
+
+def passed_beside(random, n, m):
+    around, views, _, tolerances = looked_at(random, n, m)
+    return *around, views, tolerances
+
+
 def looked_for(random, n, m):
     """Objects that are not there, a sensor that would see them, and what is in the way."""
     around, others = (places(random, n), random.uniform(0.3, 6, (n, 3)), random.uniform(-4, 4, n)), places(random, m)
@@ -414,6 +425,8 @@ ARGUMENTS = {
     "box_visibility": box_visibility,
     "has_returns": looked_for,
     "lidar_points": cast,
+    "outside_view": outside_view,
+    "passed_beside": passed_beside,
     "ray_evidence": ray_evidence,
     "median_boxes": median_boxes,
     "track_offsets": track_offsets,
