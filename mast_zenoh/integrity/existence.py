@@ -113,7 +113,11 @@ class ExistenceVotes:
         most_contested = self._most_contested(usual, voter)
         beyond = alone.any(axis=1) & ~self._oldest(alone, most)
         beyond |= contested.any(axis=1) & ~self._oldest(contested, most_contested)
-        counts = unseen.sum(axis=0), np.minimum(alone.sum(axis=0), most), np.minimum(contested.sum(axis=0), most_contested)
+        counts = (
+            unseen.sum(axis=0),
+            np.minimum(alone.sum(axis=0), most),
+            np.minimum(contested.sum(axis=0), most_contested),
+        )
         self._usual[agent_rows] = self._averaged(batch.time_ns, usual, np.column_stack(counts), voter)
         withheld = (balance < 0.0) | ~self._stays(batch.time_ns, claimed, believed) | beyond
         objects = ObjectTrust(

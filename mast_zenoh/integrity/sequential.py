@@ -301,6 +301,7 @@ class SequentialConsistency(Integrity):
         of, rows = self._of, self._agents.rows
         kinds = testimonies.accusations(~of.lying[rows])
         fresh = self._existence.fresh(testimonies.contradicted, dt)
+        fresh |= of.suspended[rows]  # one that goes on with the same lies is not released
         kinds &= fresh
         counts = np.zeros((2, len(of.own)), np.int64)
         counts[:, rows] = kinds.any(axis=0).sum(axis=0), kinds[OF_ITSELF].any(axis=0).sum(axis=0)

@@ -61,7 +61,11 @@ class BesideReal(UnlimitedLiar):
         position[:, 2] = vehicles.position[:, 2] - 0.5 * vehicles.size[:, 2] + 0.5 * PEDESTRIAN[2]
         pedestrians = np.full(k, CLASS_INDEX["pedestrian"], np.uint8)
         ghosts = ObjectStates.of(
-            position, velocity=vehicles.velocity, size=np.tile(PEDESTRIAN, (k, 1)), yaw=vehicles.yaw, class_id=pedestrians
+            position,
+            velocity=vehicles.velocity,
+            size=np.tile(PEDESTRIAN, (k, 1)),
+            yaw=vehicles.yaw,
+            class_id=pedestrians,
         )
         return Lies(inserted=typical(ghosts.with_(id=np.arange(k)), moment.seen))
 
@@ -81,7 +85,9 @@ class Scapegoats(UnlimitedLiar):
         xy = np.round(centre[:2] / self.step_m) * self.step_m + np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
         cars = _cars_at(xy, np.zeros(len(xy)), moment)
         boxes = boxes_of(cars)
-        looks = np.array([moment.coverage.visible(view, boxes) for view in self._surroundings.other_views(moment.time_s)])
+        looks = np.array(
+            [moment.coverage.visible(view, boxes) for view in self._surroundings.other_views(moment.time_s)]
+        )
         lookers = looks.sum(axis=0)
         taken = concatenate([moment.seen, self.known_objects(moment)])
         free = (lookers >= 1) & (lookers <= self.scapegoats) & (nearest_m(cars, taken) > 4.5)

@@ -3,57 +3,20 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterable
 
 import numpy as np
 import pytest
-from integrity_batches import STEP_NS, Track, batch, view
+from crossing import CAR, PLACES, later, world
+from integrity_batches import Track, batch, view
 
 from mast_zenoh.integrity import Batch, FaultOrLie, SequentialConsistency
 from mast_zenoh.integrity.base import STATES, SUSPENDED, TRUSTED, UNDECIDED, Assessment
 from mast_zenoh.integrity.existence import ALONE, SUDDEN
 
-Place = tuple[float, float]
-#: Five agents around a crossing, and a car that all of them see.
-PLACES: dict[str, Place] = {"a": (-25.0, 0.0), "b": (25.0, 0.0), "c": (0.0, 25.0), "d": (0.0, -25.0), "e": (18.0, 18.0)}
-CAR: Place = (6.0, 6.0)
 #: Places of phantoms. One alone suspends nobody, two do.
 NORTH, WEST, SOUTH, SOUTHWEST = (0.0, 8.0), (-4.0, 8.0), (0.0, -8.0), (-10.0, -3.0)
 TWO = [SOUTH, SOUTHWEST]
-
-
-def world(
-    phantoms: Mapping[str, Sequence[Place]] | None = None,
-    hidden: Mapping[str, Sequence[Place]] | None = None,
-    cars: Sequence[Place] = (CAR,),
-    sees: Mapping[Place, str] | None = None,
-    frames: int = 50,
-) -> Iterable[Batch]:
-    """Batches of five agents that see cars.
-
-    phantoms: by liar, what it reports besides, and where its view ends; hidden: by liar, cars that it sees through
-    sees: by place, the agents that can look there; all others have something before it. Default: all
-    """
-    phantoms, hidden, sees = phantoms or {}, hidden or {}, sees or {}
-    places = list(dict.fromkeys([*cars, *(place for own in phantoms.values() for place in own)]))
-    for frame in range(frames):
-        tracks: list[Track] = []
-        views = {}
-        for name, place in PLACES.items():
-            blocked = []
-            for cluster, where in enumerate(places):
-                looks = name in sees.get(where, "abcde")
-                claimed = where in phantoms.get(name, ())
-                real = where in cars and where not in hidden.get(name, ())
-                if (looks and real) or claimed:
-                    tracks.append((name, cluster, where))
-                    blocked.append((*where, 2.5))
-                elif not looks:
-                    before = (0.8 * where[0] + 0.2 * place[0], 0.8 * where[1] + 0.2 * place[1])
-                    blocked.append((*before, 2.5))
-            views[name] = view(place, *blocked)
-        yield batch(tracks, tuple(PLACES), views, frame=frame)
 
 
 def last(stage: SequentialConsistency, batches: Iterable[Batch]) -> Assessment:
@@ -232,7 +195,9 @@ def test_two_agents_that_contradict_each_other_are_both_undecided_and_the_object
 def test_one_that_denies_cannot_remove_what_two_report_once_others_are_suspended() -> None:
     stage = SequentialConsistency()
     phantoms = [WEST, SOUTHWEST]
-    *_, before = (stage.assess(each) for each in world(dict.fromkeys("ab", phantoms), sees=dict.fromkeys(phantoms, "cde")))
+    *_, before = (
+        stage.assess(each) for each in world(dict.fromkeys("ab", phantoms), sees=dict.fromkeys(phantoms, "cde"))
+    )
     assert suspended(before) == "ab"
     views = {name: view(place, *([] if name == "d" else [(*CAR, 2.5)])) for name, place in PLACES.items()}
     for frame in range(50, 70):
@@ -246,11 +211,6 @@ def test_what_a_suspended_agent_denies_is_no_evidence_against_others() -> None:
     *_, found = (stage.assess(each) for each in later(world(hidden={"a": [CAR]}), 50))
     assert found.agents.state[0] == SUSPENDED
     assert (found.agents.log_odds[1:] > 5.0).all()
-
-
-def later(batches: Iterable[Batch], frames: int) -> Iterable[Batch]:
-    """Batches, so many frames later."""
-    return (replace(each, time_ns=each.time_ns + frames * STEP_NS) for each in batches)
 
 
 def test_a_dispute_is_forgotten_while_an_agent_is_away() -> None:

@@ -81,6 +81,12 @@ def test_a_suspended_agent_has_no_vote_and_is_released_after_a_clean_time() -> N
     assert not later[-1].agents.reason[0]
 
 
+def test_a_suspended_agent_that_goes_on_with_the_same_phantoms_is_not_released() -> None:
+    stage = SequentialConsistency(release_s=1.0)
+    found = [stage.assess(each).agents.state[0] for each in batches(250, "a")]
+    assert set(found[found.index(SUSPENDED) :]) == {SUSPENDED}
+
+
 def batch_at(frame: int):
     views = {name: view(place, (*CAR, 2.5)) for name, place in PLACES.items()}
     return batch([(name, 0, CAR) for name in PLACES], tuple(PLACES), views, frame=frame)
