@@ -245,7 +245,7 @@ def test_contradictions_that_begin_all_at_once_are_judged_when_a_fault_could_hav
     assert first < 5 <= waiting <= 8
 
 
-@pytest.mark.parametrize("name", ["contradiction_tail", "offset_tail", "pair_tail"])
+@pytest.mark.parametrize("name", ["contradiction_tail", "deviation_tail", "pair_tail"])
 def test_a_tail_of_nothing_is_refused(name: str) -> None:
     with pytest.raises(ValueError, match=re.escape(f"{name}[1]: found 0.0, expected more than 0")):
         SequentialConsistency(**{name: (10.0, 0.0)})

@@ -8,7 +8,6 @@ from mast_zenoh.integrity import SequentialConsistency, TruthDiscovery
 from mast_zenoh.integrity.alarms import Tail, accumulate, discoveries
 from mast_zenoh.integrity.base import SUSPENDED, UNDECIDED
 from mast_zenoh.integrity.calibration import fitted_tail
-from mast_zenoh.integrity.offsets import Offsets, OffsetSums
 
 PLACES = {"a": (-20.0, 0.0), "b": (20.0, 0.0), "c": (0.0, 20.0)}
 PHANTOMS, CAR = [(0.0, 0.0), (-9.0, 9.0)], (9.0, 9.0)
@@ -124,31 +123,6 @@ def test_cumulative_sums_grow_with_evidence_and_never_fall_below_zero() -> None:
 
 def test_a_tail_becomes_e_times_rarer_with_each_scale() -> None:
     assert Tail(100.0, 2.0).rate(np.array([0.0, 2.0])) == pytest.approx([100.0, 100.0 / np.e])
-
-
-def off(*values: float, agents: int = 1) -> Offsets:
-    """Offsets in x of an agent's tracks of some objects, with unit information."""
-    c = len(values)
-    offset, information = np.zeros((c, agents, 2)), np.tile(np.eye(2), (c, agents, 1, 1))
-    offset[..., 0] = np.array(values)[:, None]
-    return Offsets(np.ones((c, agents), np.bool_), offset, information)
-
-
-def test_offsets_add_up_and_are_forgotten_with_time_and_by_agent() -> None:
-    sums, both, car = OffsetSums(1.0), np.array([0, 1]), np.array([7])
-    # n offsets of one standard deviation have the statistic n.
-    assert sums.of_objects(0, both, car, off(1.0, agents=2))[0] == pytest.approx([1.0, 1.0])
-    later = sums.of_objects(1_000_000_000, both, car, off(1.0, agents=2))[0]
-    assert later == pytest.approx([1.0 + np.exp(-1.0)] * 2)
-    sums.forget(0)
-    assert sums.of_objects(1_000_000_000, both, car, off(1.0, agents=2))[0, 0] == pytest.approx(1.0)
-
-
-def test_remembered_offsets_are_bounded() -> None:
-    sums = OffsetSums(100.0, limit=5)
-    for frame in range(20):
-        sums.of_objects(frame * 100_000_000, np.array([0]), np.arange(3 * frame, 3 * frame + 3), off(1.0, 1.0, 1.0))
-    assert sums.of_objects(2_100_000_000, np.array([0]), np.array([0]), off(1.0)).tolist() == [[1.0]]
 
 
 def test_the_tail_of_exponential_maxima_is_found() -> None:

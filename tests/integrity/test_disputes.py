@@ -1,4 +1,4 @@
-"""Who contradicts whom about an object, and the median of its tracks shows which agent is off."""
+"""Who contradicts whom about an object."""
 
 from dataclasses import replace
 
@@ -6,12 +6,7 @@ import numpy as np
 import pytest
 from integrity_batches import Track, batch, view
 
-from mast_zenoh.arrays.states import Floats
 from mast_zenoh.integrity import disputes
-from mast_zenoh.integrity.agent_fault import PRIOR, displacements
-from mast_zenoh.integrity.base import ClusterBoxes
-from mast_zenoh.integrity.offsets import Offsets, OffsetSums, offsets
-from mast_zenoh.integrity.sequential import EXPLAINED
 
 EVERYBODY = np.ones(3, np.bool_)
 CORNERS = {"a": (-20.0, 0.0), "b": (20.0, 0.0), "c": (0.0, 20.0)}
@@ -121,46 +116,3 @@ def test_only_fresh_reports_contradict_others() -> None:
     found = statements([("a", 0, (0.0, 0.0))], {"a": [CAR_AT_ORIGIN]})
     assert found.contradicted.tolist() == [[True, False, False]]
     assert not found.between(~found.contradicted).any()
-
-
-def test_the_offset_of_one_of_three_is_seen_in_its_own_track() -> None:
-    given = batch([("a", 0, (0.0, 0.0)), ("b", 0, (0.1, 0.0)), ("c", 0, (1.5, 0.0))], ("a", "b", "c"))
-    measured = offsets(given, ClusterBoxes.of(given), np.ones(3))
-    assert measured.valid.tolist() == [[True, True, True]]
-    assert measured.offset[0, :, 0] == pytest.approx([-0.1, 0.0, 1.4])
-
-
-@pytest.mark.parametrize("others", [[], [("a", 1, (2.0, 0.0)), ("b", 1, (2.0, 0.0)), ("c", 1, (2.0, 0.0))]])
-def test_two_tracks_and_crowded_objects_have_no_middle(others: list[Track]) -> None:
-    tracks: list[Track] = [("a", 0, (0.0, 0.0)), ("b", 0, (0.1, 0.0))]
-    tracks += [("c", 0, (0.0, 0.1))] if others else []
-    given = batch([*tracks, *others], ("a", "b", "c"))
-    assert not offsets(given, ClusterBoxes.of(given), np.ones(3)).valid.any()
-
-
-def offsets_of(moved: Floats, random: np.random.Generator) -> OffsetSums:
-    """Sums of the offsets of an agent from twelve objects that are moved by (12, 2) m, over three seconds."""
-    sums = OffsetSums(5.0)
-    information = np.tile(np.eye(2) / 0.05, (12, 1, 1, 1))
-    for frame in range(30):
-        offset = (moved + random.normal(0.0, 0.2, (12, 2)))[:, None]
-        sums.of_objects(frame * 100_000_000, np.zeros(1, np.int64), np.arange(12), Offsets(SEEN, offset, information))
-    return sums
-
-
-SEEN = np.ones((12, 1), np.bool_)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_an_offset_is_a_lie_as_far_as_no_fault_of_the_agent_explains_it(seed: int) -> None:
-    random = np.random.default_rng(seed)
-    arm, velocity = random.uniform(-50.0, 50.0, (12, 2)), random.uniform(-12.0, 12.0, (12, 2))
-    design, prior = displacements(arm, velocity), np.diag(1.0 / PRIOR) / 0.11
-    for fault in ([1.0, -0.5, 0.0, 0.0], [0.0, 0.0, 0.03, 0.0], [0.0, 0.0, 0.0, 0.2]):
-        moved = design @ fault
-        worst = int(np.hypot(*moved.T).argmax())
-        sums = offsets_of(moved, random)
-        assert sums.beyond_fault(0, np.arange(12), worst, design, prior) < 0.5 * EXPLAINED
-    one = np.zeros((12, 2))
-    one[4] = 1.0, 0.0
-    assert offsets_of(one, random).beyond_fault(0, np.arange(12), 4, design, prior) > EXPLAINED
