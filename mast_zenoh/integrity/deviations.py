@@ -45,8 +45,11 @@ MEMORY_S = np.array([0.3, 3.0, 3.0, 3.0, 3.0])
 NAMES = ("position", "position", "velocity", "heading", "size")
 #: Their usual length, standard deviations, before a run shows it, and by what factor a run's may differ from it: liars
 #: cannot stretch it far.
-USUAL = np.array([0.55, 0.28, 0.22, 0.4, 0.44])
+USUAL = np.array([0.6, 0.3, 0.22, 0.4, 0.44])
 USUAL_FACTOR = 2.0
+#: By what the greatest, second, third and fourth mean of an agent are multiplied: honest agents have as large products
+#: of each, so several smaller deviations are as much evidence as one.
+RANKS = np.array([1.0, 1.4, 1.7, 2.0])
 #: s, over which the usual length is averaged, and between two looks at it.
 USUAL_S, LOOK_S = 10.0, 1.0
 #: s, greatest time for which a track stands that was not there before.
@@ -154,6 +157,20 @@ class Means:
     def length(self) -> Floats:
         """(k, 5) lengths of the means; an honest agent's are about 1."""
         return np.asarray(np.sqrt((self.mean**2).sum(axis=2)))
+
+    def of_agents(self, agents: int) -> tuple[Floats, Bools]:
+        """(a,) statistic of each agent, the greatest of its largest means times RANKS; (k,) the tracks that make it."""
+        length = self.length.max(axis=1, initial=0.0)
+        order = np.lexsort((-length, self.agent))
+        agent = self.agent[order]
+        rank = np.arange(len(order)) - np.searchsorted(agent, agent)
+        first = rank < len(RANKS)
+        largest = np.zeros((agents, len(RANKS)))
+        largest[agent[first], rank[first]] = length[order[first]]
+        statistics = largest * RANKS
+        last = statistics.argmax(axis=1)
+        rows = np.arange(agents)
+        return statistics[rows, last], np.asarray(length >= largest[rows, last][self.agent])
 
     def apart(self, some: Bools) -> tuple[Ints, Ints, Floats]:
         """Pairs of agents (p,), (p,), and how far their tracks of an object are apart, relative to the usual length.
