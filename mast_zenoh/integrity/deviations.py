@@ -55,7 +55,7 @@ USUAL_S, LOOK_S = 10.0, 1.0
 #: s, greatest time for which a track stands that was not there before.
 STEP_S = 0.2
 
-_CLAIMED = np.array([[0, 1], [6, 7], [0, 0], [3, 4]])  # rows of the covariance of each quantity
+_VARIANCES = 10 * np.array([0, 1, 6, 7, 0, 0, 3, 4])  # of each number, in a flat covariance; the heading has none
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,12 +104,12 @@ def deviations(batch: Batch, boxes: ClusterBoxes, weight: Floats) -> Deviations:
     across = length * (own[:, HEADING, 1] * of[:, HEADING, 0] - own[:, HEADING, 0] * of[:, HEADING, 1])
     value[:, HEADING, 0], value[:, HEADING, 1] = along - 0.5, across
     value[:, SIZE] /= size[row_of]
-    claimed = states.covariance[track[:, None, None], _CLAIMED, _CLAIMED]
+    claimed = states.covariance.reshape(-1, 81)[track[:, None], _VARIANCES].reshape(-1, 4, 2)
     claimed[:, SIZE] /= size[row_of] ** 2
     claimed = np.clip(claimed.mean(axis=2), 0.0, MOST_CLAIMED**2)
-    of_middle = np.zeros((len(kept), 4))
-    np.add.at(of_middle, row_of, claimed * counted[row_of, agent][:, None])
-    of_middle *= (MEDIAN / np.maximum(count, 1) ** 2)[:, None]
+    starts = np.searchsorted(row_of, np.arange(len(kept)))
+    of_middle = np.add.reduceat(claimed * counted[row_of, agent][:, None], starts) if len(kept) else np.zeros((0, 4))
+    of_middle *= (MEDIAN / count**2)[:, None]
     floor = np.tile(FLOORS, (len(kept), 1))
     small = size[:, 0] < SMALL_M
     floor[small, POSITION] = SMALL_FLOOR_M
@@ -238,12 +238,11 @@ class LastingDeviations:
         self._mean = np.concatenate([self._mean, np.zeros((new, len(OF), 2))])
         self._time_ns = np.concatenate([self._time_ns, np.full(new, time_ns - round(0.5 * STEP_S * 1e9))])
         elapsed_s = (time_ns - self._time_ns[rows]) * 1e-9
-        keep, add = (
-            np.exp(-each[:, None, None] / MEMORY_S[:, None]) for each in (elapsed_s, np.minimum(elapsed_s, STEP_S))
-        )
+        keep = np.exp(-elapsed_s[:, None, None] / MEMORY_S[:, None])
+        add = 1.0 - np.maximum(keep, np.exp(-STEP_S / MEMORY_S)[:, None])
         length = np.sqrt((measured.whitened**2).sum(axis=2, keepdims=True))
         clipped = measured.whitened * np.minimum(1.0, CLIP / np.maximum(length, 1e-12))
-        mean = self._mean[rows] * keep + (1.0 - add) * clipped[:, OF]
+        mean = self._mean[rows] * keep + add * clipped[:, OF]
         self._mean[rows], self._time_ns[rows] = mean, time_ns
         self._forget_oldest(time_ns)
         self._look(time_ns, mean, measured, believed)
