@@ -45,14 +45,17 @@ MEMORY_S = np.array([0.3, 3.0, 3.0, 3.0, 3.0])
 NAMES = ("position", "position", "velocity", "heading", "size")
 #: Their usual length, standard deviations, before a run shows it, and by what factor a run's may differ from it: liars
 #: cannot stretch it far.
-USUAL = np.array([0.55, 0.28, 0.22, 0.4, 0.44])
+USUAL = np.array([0.6, 0.3, 0.22, 0.4, 0.44])
 USUAL_FACTOR = 2.0
+#: By what the greatest, second, third and fourth mean of an agent are multiplied: honest agents have as large products
+#: of each, so several smaller deviations are as much evidence as one.
+RANKS = np.array([1.0, 1.4, 1.7, 2.0])
 #: s, over which the usual length is averaged, and between two looks at it.
 USUAL_S, LOOK_S = 10.0, 1.0
 #: s, greatest time for which a track stands that was not there before.
 STEP_S = 0.2
 
-_CLAIMED = np.array([[0, 1], [6, 7], [0, 0], [3, 4]])  # rows of the covariance of each quantity
+_VARIANCES = 10 * np.array([0, 1, 6, 7, 0, 0, 3, 4])  # of each number, in a flat covariance; the heading has none
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,12 +104,12 @@ def deviations(batch: Batch, boxes: ClusterBoxes, weight: Floats) -> Deviations:
     across = length * (own[:, HEADING, 1] * of[:, HEADING, 0] - own[:, HEADING, 0] * of[:, HEADING, 1])
     value[:, HEADING, 0], value[:, HEADING, 1] = along - 0.5, across
     value[:, SIZE] /= size[row_of]
-    claimed = states.covariance[track[:, None, None], _CLAIMED, _CLAIMED]
+    claimed = states.covariance.reshape(-1, 81)[track[:, None], _VARIANCES].reshape(-1, 4, 2)
     claimed[:, SIZE] /= size[row_of] ** 2
     claimed = np.clip(claimed.mean(axis=2), 0.0, MOST_CLAIMED**2)
-    of_middle = np.zeros((len(kept), 4))
-    np.add.at(of_middle, row_of, claimed * counted[row_of, agent][:, None])
-    of_middle *= (MEDIAN / np.maximum(count, 1) ** 2)[:, None]
+    starts = np.searchsorted(row_of, np.arange(len(kept)))
+    of_middle = np.add.reduceat(claimed * counted[row_of, agent][:, None], starts) if len(kept) else np.zeros((0, 4))
+    of_middle *= (MEDIAN / count**2)[:, None]
     floor = np.tile(FLOORS, (len(kept), 1))
     small = size[:, 0] < SMALL_M
     floor[small, POSITION] = SMALL_FLOOR_M
@@ -154,6 +157,20 @@ class Means:
     def length(self) -> Floats:
         """(k, 5) lengths of the means; an honest agent's are about 1."""
         return np.asarray(np.sqrt((self.mean**2).sum(axis=2)))
+
+    def of_agents(self, agents: int) -> tuple[Floats, Bools]:
+        """(a,) statistic of each agent, the greatest of its largest means times RANKS; (k,) the tracks that make it."""
+        length = self.length.max(axis=1, initial=0.0)
+        order = np.lexsort((-length, self.agent))
+        agent = self.agent[order]
+        rank = np.arange(len(order)) - np.searchsorted(agent, agent)
+        first = rank < len(RANKS)
+        largest = np.zeros((agents, len(RANKS)))
+        largest[agent[first], rank[first]] = length[order[first]]
+        statistics = largest * RANKS
+        last = statistics.argmax(axis=1)
+        rows = np.arange(agents)
+        return statistics[rows, last], np.asarray(length >= largest[rows, last][self.agent])
 
     def apart(self, some: Bools) -> tuple[Ints, Ints, Floats]:
         """Pairs of agents (p,), (p,), and how far their tracks of an object are apart, relative to the usual length.
@@ -221,12 +238,11 @@ class LastingDeviations:
         self._mean = np.concatenate([self._mean, np.zeros((new, len(OF), 2))])
         self._time_ns = np.concatenate([self._time_ns, np.full(new, time_ns - round(0.5 * STEP_S * 1e9))])
         elapsed_s = (time_ns - self._time_ns[rows]) * 1e-9
-        keep, add = (
-            np.exp(-each[:, None, None] / MEMORY_S[:, None]) for each in (elapsed_s, np.minimum(elapsed_s, STEP_S))
-        )
+        keep = np.exp(-elapsed_s[:, None, None] / MEMORY_S[:, None])
+        add = 1.0 - np.maximum(keep, np.exp(-STEP_S / MEMORY_S)[:, None])
         length = np.sqrt((measured.whitened**2).sum(axis=2, keepdims=True))
         clipped = measured.whitened * np.minimum(1.0, CLIP / np.maximum(length, 1e-12))
-        mean = self._mean[rows] * keep + (1.0 - add) * clipped[:, OF]
+        mean = self._mean[rows] * keep + add * clipped[:, OF]
         self._mean[rows], self._time_ns[rows] = mean, time_ns
         self._forget_oldest(time_ns)
         self._look(time_ns, mean, measured, believed)

@@ -258,13 +258,13 @@ class SequentialConsistency(Integrity):
         measured = deviations(batch, boxes, self._median_weights(rows))
         numbers, believed = self._of.number[rows], ~self._of.suspended[rows]
         means = self._lasting.update(batch.time_ns, numbers, objects, measured, believed)
-        length = means.length
+        statistics, tracks = means.of_agents(len(rows))
         greatest = np.zeros((len(rows), len(NAMES)))
-        np.maximum.at(greatest, means.agent, length)
-        self._deviating, self._of.deviation[rows] = greatest.argmax(axis=1), greatest.max(axis=1)
+        np.maximum.at(greatest, means.agent, means.length)
+        self._deviating, self._of.deviation[rows] = greatest.argmax(axis=1), statistics
         self._of_apart = np.zeros(len(rows))
         # Two honest agents may report a box half a metre apart for long, but not where one of them is off, too.
-        off = length.max(axis=1, initial=0.0) >= self._alarm_at(DEVIATION, len(rows))
+        off = tracks & (statistics >= self._alarm_at(DEVIATION, len(rows)))[means.agent]
         if off.any():
             one, other, difference = means.apart(off)
             np.maximum.at(self._of_apart, one, difference)

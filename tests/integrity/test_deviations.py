@@ -13,6 +13,7 @@ from mast_zenoh.integrity.deviations import (
     CLIP,
     HEADING,
     POSITION,
+    RANKS,
     SIZE,
     USUAL,
     USUAL_FACTOR,
@@ -199,3 +200,12 @@ def test_a_deviation_is_a_lie_as_far_as_no_fault_of_the_agent_explains_it(seed: 
     one[4] = half[::2] = 1.0, 0.0
     assert left(one) > EXPLAINED
     assert left(half) > EXPLAINED
+
+
+def test_several_smaller_deviations_are_as_much_evidence_as_one() -> None:
+    mean = np.zeros((6, 5, 2))
+    mean[:, 1, 0] = 8.0, 1.0, 1.0, 6.0, 6.0, 6.0
+    agent = np.repeat([0, 1], 3)
+    statistics, tracks = Means(np.tile(np.arange(3), 2), agent, mean, np.ones((6, 5))).of_agents(3)
+    assert statistics.tolist() == pytest.approx([8.0, 6.0 * RANKS[2], 0.0])
+    assert tracks.tolist() == [True, False, False, True, True, True]
