@@ -50,6 +50,9 @@ USUAL_FACTOR = 2.0
 #: By what the greatest, second, third and fourth mean of an agent are multiplied: honest agents have as large products
 #: of each, so several smaller deviations are as much evidence as one.
 RANKS = np.array([1.0, 1.4, 1.7, 2.0])
+#: Greatest lengths that count. One object alone is evidence only where it is: an honest track that begins with a false
+#: detection has the size of something else for seconds, and one that is swapped with another its velocity and heading.
+MOST = np.array([np.inf, np.inf, 8.5, 8.5, 8.5])
 #: s, over which the usual length is averaged, and between two looks at it.
 USUAL_S, LOOK_S = 10.0, 1.0
 #: s, greatest time for which a track stands that was not there before.
@@ -155,8 +158,8 @@ class Means:
 
     @property
     def length(self) -> Floats:
-        """(k, 5) lengths of the means; an honest agent's are about 1."""
-        return np.asarray(np.sqrt((self.mean**2).sum(axis=2)))
+        """(k, 5) lengths of the means, at most MOST of each; an honest agent's are about 1."""
+        return np.asarray(np.minimum(np.sqrt((self.mean**2).sum(axis=2)), MOST))
 
     def of_agents(self, agents: int) -> tuple[Floats, Bools]:
         """(a,) statistic of each agent, the greatest of its largest means times RANKS; (k,) the tracks that make it."""

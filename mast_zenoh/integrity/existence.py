@@ -17,15 +17,15 @@ CONFIRMING = 2
 ESTABLISHED_S = 10.0
 #: Objects that an agent alone may report: so many, and this many times what is usual for the agents now; and as many
 #: above this many times its own mean until now.
-ALONE, ALONE_TIMES = 12, 2.0
-SUDDEN, SUDDEN_TIMES = 6, 1.5
+ALONE, ALONE_TIMES = 10, 2.0
+SUDDEN, SUDDEN_TIMES = 5, 1.5
 #: The same of objects that fewer than half of the agents report, and others see through.
-CONTESTED, CONTESTED_TIMES = 2, 2.0
+CONTESTED, CONTESTED_TIMES = 1, 2.0
 #: s, after which an object that is contradicted is evidence against the agent that reports it no more: it is withheld,
 #: and lasting false detections of honest detectors are of this kind. One object adds less than any alarm takes.
 PERSISTENT_S = 2.5
 #: s, over which these numbers are averaged for each agent, and s after which its mean is known.
-USUAL_S, KNOWN_S = 10.0, 2.0
+USUAL_S, KNOWN_S = 30.0, 2.0
 
 
 class ExistenceVotes:

@@ -36,8 +36,8 @@ MAX_LOG_ODDS = 20.0
 
 #: Tails of the statistics on unattacked junctions, see docs/defences.md: of one agent's disputes, of those of a pair,
 #: of what an agent's own reports contradict, and of deviations.
-CONTRADICTION_TAIL = Tail(per_hour=78.0, scale=0.237)
-PAIR_TAIL = Tail(per_hour=43.0, scale=0.234)
+CONTRADICTION_TAIL = Tail(per_hour=78.0, scale=0.45)
+PAIR_TAIL = Tail(per_hour=43.0, scale=0.5)
 OWN_TAIL = Tail(per_hour=40.0, scale=0.248)
 DEVIATION_TAIL = Tail(per_hour=60.0, scale=1.3)
 #: Columns of the statistics of an agent.
@@ -100,7 +100,7 @@ class SequentialConsistency(Integrity):
 
     anchors: tuple[str, ...] = ()
     false_alarms_per_hour: float = FALSE_ALARMS_PER_HOUR
-    allowance: float = 0.25
+    allowance: float = 0.5
     release_s: float = 30.0
     disputes_per_hour: float = DISPUTES_PER_HOUR
     contradiction_tail: tuple[float, float] = (CONTRADICTION_TAIL.per_hour, CONTRADICTION_TAIL.scale)
