@@ -14,21 +14,6 @@ from mast_zenoh.attacks.adaptive import AdaptiveAttack
 FRAMES, START_S = 150, 3.0
 #: (junction, seed) of the runs.
 RUNS = ((8, 2000), (9, 2001))
-#: Settings of the errors of all sensors: the default ones, and ones that last as long as those of real detectors.
-DETECTORS: dict[str, dict[str, Any]] = {
-    "default": {},
-    "lasting": {
-        "scene.detector": dict(
-            type="LastingErrors",
-            clutter_s=0.22,
-            miss_s=0.35,
-            error_s=4.0,
-            white_share=0.45,
-            clutter_rate=2.5,
-            points_scale=25.0,
-        )
-    },
-}
 
 
 class Outcome(NamedTuple):
@@ -41,16 +26,8 @@ class Outcome(NamedTuple):
 
 
 @cache
-def played(
-    attack: type[AdaptiveAttack] | None,
-    liars: int,
-    defence: str,
-    run: tuple[int, int],
-    *,
-    errors: str = "default",
-    **more: Any,
-) -> Outcome:
-    """One run of `defence_cell` with liars among its five agents; attack None: without any; errors: of DETECTORS."""
+def played(attack: type[AdaptiveAttack] | None, liars: int, defence: str, run: tuple[int, int], **more: Any) -> Outcome:
+    """One run of `defence_cell` with liars among its five agents; attack None: without any."""
     junction, seed = run
     kind = dict(type=f"{getfile(attack)}:{attack.__name__}", **more) if attack else "uncoordinated"
     # Undefended is without the input limit, too, which alone takes away half of a swarm.
@@ -72,7 +49,6 @@ def played(
             placement_seed=seed,
             placement_frames=FRAMES,
             **limit,
-            **DETECTORS[errors],
         ).summary
     picture = metrics["agents"]["ego"]["picture"]
     agents = metrics.get("integrity", {}).get("agents", {})
@@ -84,16 +60,7 @@ def played(
     )
 
 
-def harm(
-    attack: type[AdaptiveAttack],
-    liars: int,
-    defence: str,
-    run: tuple[int, int],
-    *,
-    errors: str = "default",
-    **more: Any,
-) -> float:
+def harm(attack: type[AdaptiveAttack], liars: int, defence: str, run: tuple[int, int], **more: Any) -> float:
     """Missed and false objects a frame, over those of the same run with the same defence and without liars."""
-    attacked = played(attack, liars, defence, run, errors=errors, **more)
-    honest = played(None, 0, defence, run, errors=errors)
+    attacked, honest = played(attack, liars, defence, run, **more), played(None, 0, defence, run)
     return attacked.missed + attacked.false - honest.missed - honest.false

@@ -17,7 +17,7 @@ from agreeing_liars import (
     Scapegoats,
     Turned,
 )
-from liar_runs import DETECTORS, RUNS, harm, played
+from liar_runs import RUNS, harm, played
 
 from mast_zenoh.attacks.adaptive import AdaptiveAttack
 from mast_zenoh.testing import check_attack
@@ -34,29 +34,23 @@ def test_agreeing_liars_are_what_an_attack_has_to_be(attack: type[AdaptiveAttack
 
 
 @pytest.mark.heavy
-@pytest.mark.parametrize("errors", DETECTORS)
-@pytest.mark.parametrize("run", RUNS)
-@pytest.mark.parametrize(("attack", "liars"), [(BesideReal, 1), (BesideReal, 2), (Scapegoats, 2)])
-def test_liars_that_agree_about_ghosts_do_at_most_half_of_their_harm_without_the_defence(
-    attack: type[AdaptiveAttack], liars: int, run: tuple[int, int], errors: str
+@pytest.mark.parametrize(("attack", "liars"), [(BesideReal, 1), (Scapegoats, 2)])
+def test_liars_about_ghosts_do_at_most_half_of_their_harm_without_the_defence(
+    attack: type[AdaptiveAttack], liars: int
 ) -> None:
-    defended = played(attack, liars, "FaultOrLie", run, errors=errors)
+    defended = played(attack, liars, "FaultOrLie", RUNS[0])
     assert len(defended.liars) == liars
     assert defended.suspended <= defended.liars
-    undefended = harm(attack, liars, "NoIntegrity", run, errors=errors)
-    assert harm(attack, liars, "FaultOrLie", run, errors=errors) <= 0.5 * undefended
+    assert harm(attack, liars, "FaultOrLie", RUNS[0]) <= 0.5 * harm(attack, liars, "NoIntegrity", RUNS[0])
 
 
 @pytest.mark.heavy
-@pytest.mark.parametrize("errors", DETECTORS)
-@pytest.mark.parametrize("run", RUNS)
-@pytest.mark.parametrize("liars", [1, 2])
-@pytest.mark.parametrize("attack", ALTERING)
-def test_liars_about_real_objects_suspend_no_honest_agent_and_do_no_more_harm_than_without_the_defence(
-    attack: type[AdaptiveAttack], liars: int, run: tuple[int, int], errors: str
+@pytest.mark.parametrize("attack", [BesideReal, *ALTERING])
+def test_two_liars_about_real_objects_suspend_no_honest_agent_and_do_no_more_harm_than_without_the_defence(
+    attack: type[AdaptiveAttack],
 ) -> None:
-    defended = played(attack, liars, "FaultOrLie", run, errors=errors)
-    assert len(defended.liars) == liars
+    defended = played(attack, 2, "FaultOrLie", RUNS[0])
+    assert len(defended.liars) == 2
     assert defended.suspended <= defended.liars
-    undefended = harm(attack, liars, "NoIntegrity", run, errors=errors)
-    assert harm(attack, liars, "FaultOrLie", run, errors=errors) <= max(1.1 * undefended, SLIGHT)
+    undefended = harm(attack, 2, "NoIntegrity", RUNS[0])
+    assert harm(attack, 2, "FaultOrLie", RUNS[0]) <= max(1.1 * undefended, SLIGHT)
