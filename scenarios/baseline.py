@@ -10,8 +10,7 @@ commandcenter = dict(
         clustering=dict(type="SampledAssignmentClusterer", assign_radius=2.0),
         group_tracking=dict(
             type="GroupTrackerWrapper",
-            # Detectors of different agents err independently; nine tenths leave room for poses and clocks.
-            fusion=dict(type="CovarianceIntersectionFusion", independent_share=0.9),
+            fusion=dict(type="CovarianceIntersectionFusion"),
             tracker=dict(type="KalmanBoxTracker3D"),
         ),
     ),
