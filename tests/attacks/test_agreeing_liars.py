@@ -45,7 +45,7 @@ def test_liars_about_ghosts_do_at_most_half_of_their_harm_without_the_defence(
 
 
 @pytest.mark.heavy
-@pytest.mark.parametrize("attack", [BesideReal, *ALTERING])
+@pytest.mark.parametrize("attack", [FrameTwo, Turned])
 def test_two_liars_about_real_objects_suspend_no_honest_agent_and_do_no_more_harm_than_without_the_defence(
     attack: type[AdaptiveAttack],
 ) -> None:
