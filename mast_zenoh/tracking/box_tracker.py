@@ -190,16 +190,12 @@ def set_lasting(tracks: Floats, noise: Floats, share: float) -> None:
     An error that stays with an object, or wanders slower than the filter follows, is in the track as it is in the
     measurement: the mean of many measurements still has it, so the covariance of the filter is too small by it.
     """
-    if share > 0.0:
-        tracks[:, LASTING] = share * noise[:, (0, 0, 1), (0, 1, 1)]
+    tracks[:, LASTING] = share * noise[:, (0, 0, 1), (0, 1, 1)]
 
 
 def with_lasting(tracks: Floats) -> Floats:
     """The tracks (n, WIDTH), their covariances with what lasts of the errors of their measurements."""
-    lasting = tracks[:, LASTING]
-    if np.count_nonzero(lasting) == 0:
-        return tracks
-    tracks = tracks.copy()
+    lasting, tracks = tracks[:, LASTING], tracks.copy()
     tracks[:, (XX, XY, YY)] += lasting
     tracks[:, YX] += lasting[:, 1]
     return tracks
@@ -348,11 +344,13 @@ class KalmanBoxTracker3D(Tracker):
                 self._noise.learn(*excess)
             self.filter.correct(matched, state, noise)
             constrain_lateral_speed(self.filter, matched, innovation)
-            set_lasting(matched, noise, self._lasting_share)
+            if self._lasting_share:
+                set_lasting(matched, noise, self._lasting_share)
             resolve_headings_and_store(t, match.track, matched, FORWARD, TURN_LIMIT)
         self._update_missed(detected, view)
         new_tracks = self._created(match, measurements)
-        set_lasting(new_tracks, tracks.covariances(new_tracks), self._lasting_share)
+        if self._lasting_share:
+            set_lasting(new_tracks, tracks.covariances(new_tracks), self._lasting_share)
         reported = self._finish(match, new_tracks)
         self._evidence.learn(self._tracks, measurements.score, self._report_odds)
         doubtful = self._evidence.doubtful(reported)
@@ -443,7 +441,9 @@ class KalmanBoxTracker3D(Tracker):
         """
         if weight is None:
             weight, least = np.ones(len(reported)), -math.inf
-        columns, self._matched = report_columns(with_lasting(reported), weight, least)
+        if self._lasting_share:
+            reported = with_lasting(reported)
+        columns, self._matched = report_columns(reported, weight, least)
         return ObjectStates(*columns)
 
     def _finish(self, match: Match, new_tracks: Floats) -> Floats:
