@@ -37,7 +37,7 @@ MAX_LOG_ODDS = 20.0
 #: Tails of the statistics on unattacked junctions, see docs/defences.md: of one agent's disputes, of those of a pair,
 #: of what an agent's own reports contradict, and of deviations.
 CONTRADICTION_TAIL = Tail(per_hour=78.0, scale=0.45)
-PAIR_TAIL = Tail(per_hour=43.0, scale=0.5)
+PAIR_TAIL = Tail(per_hour=43.0, scale=0.234)
 OWN_TAIL = Tail(per_hour=40.0, scale=0.248)
 DEVIATION_TAIL = Tail(per_hour=60.0, scale=1.3)
 #: Columns of the statistics of an agent.
@@ -100,7 +100,7 @@ class SequentialConsistency(Integrity):
 
     anchors: tuple[str, ...] = ()
     false_alarms_per_hour: float = FALSE_ALARMS_PER_HOUR
-    allowance: float = 0.5
+    allowance: float = 0.25
     release_s: float = 30.0
     disputes_per_hour: float = DISPUTES_PER_HOUR
     contradiction_tail: tuple[float, float] = (CONTRADICTION_TAIL.per_hour, CONTRADICTION_TAIL.scale)
@@ -280,7 +280,7 @@ class SequentialConsistency(Integrity):
         forgotten again. wider: see `_wider`
         """
         after = accumulate(total, np.asarray(0.5 * count * (count + 1), np.float64), self.allowance, dt)
-        return np.minimum(after, 2.0 * wider * max(tail.value_at(self.false_alarms_per_hour / 10.0), tail.scale))
+        return np.minimum(after, 1.5 * wider * max(tail.value_at(self.false_alarms_per_hour / 10.0), tail.scale))
 
     def _add_disputes(self, testimonies: Testimonies, dt: float) -> None:
         """Add what a batch shows to all sums; those of absent agents and pairs fall as without evidence."""

@@ -64,8 +64,8 @@ def test_alarms_widen_with_what_is_usual_among_the_agents_up_to_a_limit(usual: f
 
 
 def test_a_liar_is_suspended_later_where_contradictions_are_usual() -> None:
-    cars = CARS[:2]
-    batches = list(world({"a": cars}, sees=dict.fromkeys(cars, "bcd"), frames=25))
+    cars = CARS[:3]
+    batches = list(world({"a": cars}, sees=dict.fromkeys(cars, "bcd"), frames=45))
     first = []
     for usual in (EXPECTED, 2 * EXPECTED):
         stage = accustomed(usual, 5)
