@@ -251,7 +251,7 @@ def opened(swept: SweptView, boxes: ObjectStates) -> SweptView:
         beside = np.flatnonzero(_neighbours(sectors, swept))
         behind = np.full(len(free), far + BEHIND_M)
         if len(beside):
-            behind = np.maximum(behind, free[:, beside].max(axis=1))
+            behind = np.fmax(behind, np.fmax.reduce(free[:, beside], axis=1))  # what is unknown tells nothing
         behind = np.minimum(behind, swept.view.max_range)[:, None]
         changed = cells & (free > near - BEFORE_M)
         free = np.where(changed, np.maximum(free, behind), free)
