@@ -147,7 +147,7 @@ class DetectionModel(Detector):
     along the axes of the world; size errors are limited to 30 % of the size. Clutter is Poisson, uniform over the
     ground in view up to `clutter_range_m`.
 
-    From frame to frame, an error of position, size or yaw is the sum of three parts:
+    With `white`, the default, nothing lasts. Without, an error of position, size or yaw is the sum of three parts:
 
     * one that stays with the object and the angle from which it is seen: a smooth random function of that angle, fixed
       to the object and the sensor. It turns with the object (share `view_share` of the variance);

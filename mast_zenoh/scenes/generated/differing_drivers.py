@@ -1,7 +1,7 @@
 """Drivers that differ: how fast, how close behind each other and how late each drives is drawn per vehicle.
 
 Time headways are log-normal, as measured ones are; the parameters are chosen so that the time gaps of moving followers
-are as in the clips of NGSIM: 15 % below 1 s, and 5 % below 0.67 s.
+are about as in the clips of NGSIM: 20 % below 1 s, 15 % there, and 5 % below 0.67 s, as there.
 """
 
 from __future__ import annotations
