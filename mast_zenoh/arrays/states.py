@@ -150,6 +150,11 @@ class Detections:
         """The detections in a message body (other columns are left out)."""
         return cls(*_pick_detections(columns))
 
+    @classmethod
+    def joined(cls, parts: Sequence[Detections]) -> Detections:
+        """All rows of one part or more, in order."""
+        return cls(*[np.concatenate(columns) for columns in zip(*map(_detections_of, parts), strict=True)])
+
     def columns(self) -> dict[str, NDArray[Any]]:
         """The detections as message columns, by name; the arrays are shared, not copied."""
         return dict(zip(DETECTION_COLUMNS, _detections_of(self), strict=True))

@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion
-from mast_zenoh.arrays.states import DETECTION_COLUMNS, Detections, Floats, Ints
+from mast_zenoh.arrays.states import Detections, Floats, Ints
 from mast_zenoh.errors import SceneError
 from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.detection_tables import class_of, read_kitti, read_parquet
@@ -90,7 +90,7 @@ def read_json_lines(
         except (ValueError, KeyError, TypeError, OverflowError) as error:
             raise SceneError(f"{place}: {reason(error)}") from error
     ordered = [rows[frame, agent] for frame in range(len(frames)) for agent in range(len(agents))]
-    flat = Detections(*(np.concatenate([getattr(part, name) for part, _ in ordered]) for name in DETECTION_COLUMNS))
+    flat = Detections.joined([part for part, _ in ordered])
     ids = np.concatenate([truth_id for _, truth_id in ordered])
     return flat, np.cumsum([0, *(len(part) for part, _ in ordered)]), ids
 

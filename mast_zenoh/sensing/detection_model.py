@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.geometry import wrap_angle
-from mast_zenoh.arrays.states import CLASS_INDEX, CLASSES, DETECTION_COLUMNS, Detections, Floats, Ints, ObjectStates
+from mast_zenoh.arrays.states import CLASS_INDEX, CLASSES, Detections, Floats, Ints, ObjectStates
 from mast_zenoh.sensing.error_memory import ViewErrors, WanderingNumbers
 from mast_zenoh.sensing.sensors import LidarSensor, in_view, to_sensor
 
@@ -127,10 +126,6 @@ class _ClutterKind:
     share: float
     survival: float
     standing: Detections | None = None
-
-
-def _joined(parts: Sequence[Detections]) -> Detections:
-    return Detections(*(np.concatenate([getattr(part, name) for part in parts]) for name in DETECTION_COLUMNS))
 
 
 @dataclass(kw_only=True, eq=False)
@@ -267,7 +262,7 @@ class DetectionModel(Detector):
         seen, returns = objects.select(order), points[order].astype(np.float64)
         detected, detected_id = self._true_detections(seen, returns, sensor_position, random)
         clutter = self._clutter(lidar, sensor_position, sensor_rotation, ground, random)
-        both = _joined([detected, clutter])
+        both = Detections.joined([detected, clutter])
         best_first = np.argsort(-both.score, kind="stable")
         ids = np.concatenate([detected_id, np.full(len(clutter), -1, np.int64)])[best_first]
         return to_sensor(both.select(best_first), sensor_position, sensor_rotation), ids
@@ -345,7 +340,7 @@ class DetectionModel(Detector):
             self._standing_clutter(kind, lidar, sensor_position, sensor_rotation, ground, random)
             for kind in self._clutter_kinds
         ]
-        clutter = _joined(kinds)
+        clutter = Detections.joined(kinds)
         jitter = random.standard_normal((len(clutter), 3)) * np.sqrt(self.white_share)
         jitter *= [self.position_noise_m, self.position_noise_m, self.vertical_noise_m]
         return replace(clutter, position=clutter.position + jitter)
@@ -367,7 +362,7 @@ class DetectionModel(Detector):
         lasts &= np.linalg.norm(before.position - sensor_position, axis=1) <= self.clutter_range_m
         count = int(random.poisson(self.clutter_rate * kind.share * (1.0 - survival)))
         new = self._new_clutter(count, lidar, sensor_position, sensor_rotation, ground, random)
-        kind.standing = _joined([before.select(lasts), self._scored_clutter(new, random)])
+        kind.standing = Detections.joined([before.select(lasts), self._scored_clutter(new, random)])
         return kind.standing
 
     def _scored_clutter(self, new: Detections, random: np.random.Generator) -> Detections:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.arrays.geometry import quaternion_from_rotation, rotation_from_quaternion, wrap_angle
-from mast_zenoh.arrays.states import DETECTION_COLUMNS, Detections, Floats, Ints, ObjectStates
+from mast_zenoh.arrays.states import Detections, Floats, Ints, ObjectStates
 from mast_zenoh.scenes.making.sensor_types import Rig
 from mast_zenoh.scenes.recording import NO_MEASUREMENT, Measurements, Recording, SceneAgent
 from mast_zenoh.sensing import Detector, LidarSensor, Walls, lidar_points, sensor_pose
@@ -180,8 +180,7 @@ def detect(
         for detections, truth_id in detection.of(world, frame, points, ground, recorded):
             batches.append(detections)
             ids.append(truth_id)
-    flat = Detections(*(np.concatenate([getattr(part, name) for part in batches]) for name in DETECTION_COLUMNS))
-    return flat, np.cumsum([0, *map(len, ids)]), np.concatenate(ids)
+    return Detections.joined(batches), np.cumsum([0, *map(len, ids)]), np.concatenate(ids)
 
 
 class FrameDetection:

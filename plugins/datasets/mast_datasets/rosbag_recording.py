@@ -21,7 +21,7 @@ from mast_datasets.rosbag_reading import (
 )
 from mast_datasets.traffic import MAX_BOXES, DataSetScene
 from mast_zenoh.arrays.geometry import heading, to_world, wrap_angle
-from mast_zenoh.arrays.states import DETECTION_COLUMNS, Bools, Detections, Floats, Ints
+from mast_zenoh.arrays.states import Bools, Detections, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes.making.assembly import AgentPath, Boxes, assemble
 from mast_zenoh.scenes.making.sensor_types import Schedule
@@ -341,7 +341,7 @@ def _measured_rows(measured: Measured, source: Ints, frame: Ints, poses: _Poses,
         )
         parts.append(to_sensor(in_world, *pose))
     frames = np.repeat(frame, [len(part) for part in parts])
-    return _Rows(frames, _concatenated(parts), np.full(len(frames), -1, np.int64))
+    return _Rows(frames, Detections.joined([Detections.empty(), *parts]), np.full(len(frames), -1, np.int64))
 
 
 def _about_vertical(yaw: Floats, rotation: Floats) -> Floats:
@@ -356,15 +356,10 @@ def _about_vertical(yaw: Floats, rotation: Floats) -> Floats:
     return wrap_angle(np.arctan2(y, x) - heading(rotation))
 
 
-def _concatenated(parts: list[Detections]) -> Detections:
-    parts = [Detections.empty(), *parts]
-    return Detections(*(np.concatenate([getattr(part, name) for part in parts]) for name in DETECTION_COLUMNS))
-
-
 def _joined(sensors: list[_Rows], frames: int) -> tuple[Detections, Ints, Ints]:
     """The columns of a recording of the detections of all sensors, in their order."""
     group = np.concatenate([each.frame * len(sensors) + column for column, each in enumerate(sensors)])
     order = np.argsort(group, kind="stable")
     start = np.searchsorted(group[order], np.arange(frames * len(sensors) + 1)).astype(np.int64)
-    detections = _concatenated([each.detections for each in sensors]).select(order)
+    detections = Detections.joined([Detections.empty(), *[each.detections for each in sensors]]).select(order)
     return detections, start, np.concatenate([each.truth_id for each in sensors])[order]
