@@ -7,7 +7,7 @@ memory       follows objects and agents from batch to batch; how often each agen
 disputes     what agents say of each object, and who contradicts whom
 explanations which agents must be lying, and which may be
 existence    which objects exist, given that
-offsets      how far each agent's tracks are from the others', at once and over time
+deviations   how far each agent's tracks are from the others', for how long, and how usual that is
 calibration  sums of evidence, when they are alarms, and the data on which thresholds were chosen
 agent_fault  what a fault does to tracks and views
 relative_faults  how the tracks of each pair of agents differ, and which agents are faulty

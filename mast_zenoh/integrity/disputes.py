@@ -9,7 +9,15 @@ import numpy as np
 from mast_zenoh.arrays.matching import neighbours
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.integrity.base import Batch, ClusterBoxes
-from mast_zenoh.integrity.visibility import RayEvidence, Sightings, current, lenient_sightings, rays_at
+from mast_zenoh.integrity.visibility import (
+    RayEvidence,
+    Sightings,
+    current,
+    lenient_sightings,
+    out_of_view,
+    passed_to_others,
+    rays_at,
+)
 from mast_zenoh.tracking.tracks import ONE_OBJECT, overlap
 
 #: m, length, width and height of road users: from a small child to the longest and highest vehicles that Directive
@@ -104,10 +112,11 @@ def reports_nearby(batch: Batch, boxes: ClusterBoxes) -> Bools:
 #: What counts against an agent, in words.
 ACCUSATIONS = (
     "reports objects that others see through",
-    "reports objects in space that its own sensor sees through",
     "reports objects that no road user can be",
     "reports one object twice",
 )
+#: Of these, what an agent's own reports show.
+OF_ITSELF = slice(1, None)
 #: sr; an object that looks smaller may go unnoticed (a lidar with 0.2 by 0.9 degrees has some 50 returns of this).
 CONSPICUOUS_SR = 2.5e-3
 #: m, farther away nothing is conspicuous.
@@ -124,34 +133,39 @@ def conspicuous(size: Floats, distance: Floats) -> Bools:
 class Testimonies:
     """What each of `a` agents says of each of `c` objects.
 
-    claims: (c, a) reports it there, and nothing that its own sensor shows speaks against it
+    claims: (c, a) reports it there, in its own view, and nothing that its own sensor shows speaks against it
     denies: (c, a) all its rays pass through it;  silent: (c, a) does not report it, though its rays end there, it is
             clear to see, and WITNESSES report it
-    inconsistent: (c, a) reports it, though its own sensor sees through it, and nobody else does: a tracker that has
-            lost a real object goes on for some frames
     impossible:   (c, a) reports it as a box that no road user has;  repeated: (c, a) reports it for the second time
     """
 
     claims: Bools
     denies: Bools
     silent: Bools
-    inconsistent: Bools
     impossible: Bools
     repeated: Bools
 
     @classmethod
     def of(
-        cls, batch: Batch, boxes: ClusterBoxes, own: Bools, seen: Sightings, rays: RayEvidence, voter: Bools
+        cls,
+        batch: Batch,
+        boxes: ClusterBoxes,
+        own: Bools,
+        seen: Sightings,
+        rays: RayEvidence,
+        unseen: Bools,
+        voter: Bools,
     ) -> Testimonies:
         """The testimonies of a batch.
 
         boxes: of its clusters; own: (c, a) whether the agent sees through its own track of the object
         seen, rays: what the sensors see of the objects, and what their rays show
+        unseen: (c, a) whether the agent reports the object outside its own view
         voter: (a,) agents that are not suspended: others accuse nobody
         """
         reported, states = batch.reported, batch.states
         impossible = of_tracks(batch, ~(plausible_size(states) & on_ground(states, batch.agent, len(batch.agents))))
-        claims = reported & ~own & ~impossible & of_tracks(batch, in_place(batch, boxes))
+        claims = reported & ~own & ~unseen & ~impossible & of_tracks(batch, in_place(batch, boxes))
         silent = ~reports_nearby(batch, boxes) & ~rays.mostly_clear & rays.ends & seen.in_view
         least = np.full((batch.clusters, 3), np.inf)  # reported sizes: two liars can make the middle one large
         np.minimum.at(least, batch.labels, states.size)
@@ -160,42 +174,49 @@ class Testimonies:
             claims=claims,
             denies=seen.fully_clear & ~reported & voter,
             silent=silent & ((claims & voter).sum(axis=1) >= WITNESSES)[:, None],
-            inconsistent=reported & own & ~claims.any(axis=1, keepdims=True),
             impossible=impossible,
             repeated=of_tracks(batch, repeated(batch)),
         )
 
-    @property
-    def between(self) -> Ints:
-        """(a, a) number of objects about which two agents contradict each other."""
-        against = self.claims.T.astype(np.int64) @ (self.denies | self.silent)
+    def between(self, fresh: Bools) -> Ints:
+        """(a, a) number of objects about which two agents contradict each other. fresh: (c, a) reports that count"""
+        against = (self.claims & fresh).T.astype(np.int64) @ (self.denies | self.silent)
         return np.asarray(against + against.T)
 
     @property
-    def against_itself(self) -> Ints:
-        """(a,) number of objects of which an agent's report contradicts itself."""
-        return np.asarray((self.inconsistent | self.impossible | self.repeated).sum(axis=0))
+    def contradicted(self) -> Bools:
+        """(c, a) reports that others deny, or that contradict themselves."""
+        denied = self.claims & self.denies.any(axis=1, keepdims=True)
+        return np.asarray(denied | self.impossible | self.repeated)
 
     def accusations(self, credible: Bools) -> Bools:
-        """(4, c, a) what contradicts the reports of an agent, in the order of ACCUSATIONS.
+        """(3, c, a) what contradicts the reports of an agent, in the order of ACCUSATIONS.
 
         credible: (a,) agents that do not lie in every explanation: the others accuse nobody
 
-        What an agent does not report is no accusation: the object stays in the picture as long as another one reports
-        it, and things that a sensor does not see are easier to make than things that are not there (TrustFlip).
+        Withheld, but no accusation, is what an agent's own sensor sees through: honest detectors make false detections
+        where nothing is. What an agent does not report is none either: the object stays in the picture as long as
+        another one reports it, and things that a sensor does not see are easier to make than things that are not there
+        (TrustFlip).
         """
         denied = self.claims & (self.denies & credible).any(axis=1, keepdims=True)
-        return np.stack([denied, self.inconsistent, self.impossible, self.repeated])
+        return np.stack([denied, self.impossible, self.repeated])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """A batch with the middle boxes of its clusters, what sensors see of them, and what agents say of them."""
+    """A batch with the middle boxes of its clusters, what sensors see of them, and what agents say of them.
+
+    unseen: (c, a) whether the agent reports the object outside its own view
+    beside: (c, a) whether its rays pass the place of the object, and end at another one beside it
+    """
 
     batch: Batch
     boxes: ClusterBoxes
     seen: Sightings
     rays: RayEvidence
+    unseen: Bools
+    beside: Bools
     testimonies: Testimonies
 
     @classmethod
@@ -204,4 +225,6 @@ class Evidence:
         boxes = ClusterBoxes.of(batch, np.broadcast_to(voter, batch.reported.shape))
         seen, own = lenient_sightings(batch, boxes)
         rays = rays_at(batch, boxes, current(batch.views))
-        return cls(batch, boxes, seen, rays, Testimonies.of(batch, boxes, own, seen, rays, voter))
+        unseen, beside = of_tracks(batch, out_of_view(batch)), passed_to_others(batch, boxes, rays, voter)
+        testimonies = Testimonies.of(batch, boxes, own, seen, rays, unseen, voter)
+        return cls(batch, boxes, seen, rays, unseen, beside, testimonies)

@@ -16,12 +16,16 @@ CONFIRMING = 2
 #: s, for which it is believed then.
 ESTABLISHED_S = 10.0
 #: Objects that an agent alone may report: so many, and this many times what is usual for the agents now; and as many
-#: above this many times its own mean until now. Honest agents on generated junctions had 8 at most, and 4 above their
-#: mean.
-ALONE, ALONE_TIMES = 8, 2.0
-SUDDEN, SUDDEN_TIMES = 4, 1.5
+#: above this many times its own mean until now.
+ALONE, ALONE_TIMES = 10, 2.0
+SUDDEN, SUDDEN_TIMES = 5, 1.5
+#: The same of objects that fewer than half of the agents report, and others see through.
+CONTESTED, CONTESTED_TIMES = 1, 2.0
+#: s, after which an object that is contradicted is evidence against the agent that reports it no more: it is withheld,
+#: and lasting false detections of honest detectors are of this kind. One object adds less than any alarm takes.
+PERSISTENT_S = 2.5
 #: s, over which these numbers are averaged for each agent, and s after which its mean is known.
-USUAL_S, KNOWN_S = 10.0, 2.0
+USUAL_S, KNOWN_S = 30.0, 2.0
 
 
 class ExistenceVotes:
@@ -34,8 +38,10 @@ class ExistenceVotes:
     it, unless an agent that is not suspended has confirmed it together with another one, or it was known before the
     agents began to lie: then it stays for ESTABLISHED_S.
 
-    Objects where no other sensor looks can be neither confirmed nor refuted. Of a suspended agent, as many of them are
-    believed as it had on average before, the oldest: disbelieving all would cost more than it saves.
+    An agent is heard only about what may be in its own view. Objects where no other sensor looks can be neither
+    confirmed nor refuted. Of a suspended agent, as many of them are believed as it had on average before, the oldest:
+    disbelieving all would cost more than it saves. Objects that fewer than half of the agents report, and others see
+    through, are open as long as either may be lying: of each agent's, not many more are believed than what is usual.
 
     agents: the memory of agents, with a column `suspended`; it is updated by the caller
     """
@@ -50,9 +56,10 @@ class ExistenceVotes:
         # (m, k) which agents confirmed an object with another one, and the ids of their tracks of it
         self._witnessed: Bools = np.zeros((0, 0), np.bool_)
         self._track: Ints = np.zeros((0, 0), np.int64)
-        # (k, 3) mean numbers of objects that an agent reports and nobody else looks at, and of those that it alone
-        # reports, and s, over which they are averaged
-        self._usual = np.zeros((0, 3))
+        self._contradicted_s = np.zeros((0, 0))  # (m, k) for how long what each agent reports was contradicted
+        # (k, 4) mean numbers of objects that an agent reports and nobody else looks at, of those that it alone reports,
+        # and of those that others see through; and s, over which they are averaged
+        self._usual = np.zeros((0, 4))
         self._time_ns: int | None = None
 
     def follow(self, time_ns: int, boxes: ClusterBoxes) -> Ints:
@@ -61,7 +68,17 @@ class ExistenceVotes:
         objects = self._votes.objects
         self._witnessed = self._agents.carry(objects.carry(self._witnessed, False), False, axis=1)
         self._track = self._agents.carry(objects.carry(self._track, 0), 0, axis=1)
+        self._contradicted_s = self._agents.carry(objects.carry(self._contradicted_s, 0.0), 0.0, axis=1)
         return np.asarray(objects.of.number[self._rows])
+
+    def fresh(self, contradicted: Bools, dt: float) -> Bools:
+        """(c, a) reports of a batch that have not been contradicted for PERSISTENT_S in all.
+
+        contradicted: (c, a) those that are now; dt: s, for which the batch stands
+        """
+        place = np.ix_(self._rows, self._agents.rows)
+        self._contradicted_s[place] += dt * contradicted
+        return np.asarray(self._contradicted_s[place] <= PERSISTENT_S)
 
     def settle(self, evidence: Evidence, explanations: Explanations) -> tuple[ObjectTrust, Floats]:
         """The trust in the objects of a batch, which are followed, and the weights (n,) of its tracks.
@@ -72,8 +89,9 @@ class ExistenceVotes:
         impossible, reported, rows = evidence.testimonies.impossible, batch.reported, self._rows
         believed, agent_rows = ~self._agents.of.suspended, self._agents.rows
         voter = believed[agent_rows]
-        clear, silent = rays.mostly_clear, silent_about(batch, boxes, seen, rays, FAR_M)
-        claims = reported & ~clear & ~impossible & voter
+        clear, silent = rays.mostly_clear | evidence.beside, silent_about(batch, boxes, seen, rays, FAR_M)
+        silent &= ~evidence.beside
+        claims = reported & ~clear & ~impossible & ~evidence.unseen & voter
         votes = voter.astype(np.float64)
         confirming, contradicting = (claims | silent) @ votes, clear @ votes
         denied = np.flatnonzero(claims.any(axis=1) & (clear & voter).any(axis=1))
@@ -90,9 +108,17 @@ class ExistenceVotes:
         usual = self._usual[agent_rows]
         claimed = claims.any(axis=1) | self._oldest(unseen & ~voter, np.rint(usual[:, 0]))
         most = self._most_alone(alone.sum(axis=0), usual, voter)
+        few = (2 * claims.sum(axis=1) < len(batch.agents)) & (clear & voter).any(axis=1)
+        contested = claims & (few & ~refuted)[:, None]
+        most_contested = self._most_contested(usual, voter)
         beyond = alone.any(axis=1) & ~self._oldest(alone, most)
-        numbers = np.column_stack([unseen.sum(axis=0), np.minimum(alone.sum(axis=0), most)])
-        self._usual[agent_rows] = self._averaged(batch.time_ns, usual, numbers, voter)
+        beyond |= contested.any(axis=1) & ~self._oldest(contested, most_contested)
+        counts = (
+            unseen.sum(axis=0),
+            np.minimum(alone.sum(axis=0), most),
+            np.minimum(contested.sum(axis=0), most_contested),
+        )
+        self._usual[agent_rows] = self._averaged(batch.time_ns, usual, np.column_stack(counts), voter)
         withheld = (balance < 0.0) | ~self._stays(batch.time_ns, claimed, believed) | beyond
         objects = ObjectTrust(
             (1.0 + confirming) / (2.0 + confirming + contradicting),
@@ -131,18 +157,23 @@ class ExistenceVotes:
     def _most_alone(self, alone: Ints, usual: Floats, voter: Bools) -> Floats:
         """(a,) objects that each agent may report alone.
 
-        alone: (a,) that it does; usual: (a, 3), see `_usual`; voter: (a,) agents that are not suspended
+        alone: (a,) that it does; usual: (a, 4), see `_usual`; voter: (a,) agents that are not suspended
         """
-        own = np.where(usual[:, 2] >= KNOWN_S, SUDDEN + SUDDEN_TIMES * usual[:, 1], np.inf)
+        own = np.where(usual[:, -1] >= KNOWN_S, SUDDEN + SUDDEN_TIMES * usual[:, 1], np.inf)
         return np.asarray(np.minimum(ALONE + ALONE_TIMES * (np.median(alone[voter]) if voter.any() else 0.0), own))
 
+    def _most_contested(self, usual: Floats, voter: Bools) -> Floats:
+        """(a,) objects that each agent may report although others see through them. usual, voter: as above"""
+        middle = np.median(usual[voter, 2]) if voter.any() else 0.0
+        return np.full(len(voter), CONTESTED + CONTESTED_TIMES * middle)
+
     def _averaged(self, time_ns: int, usual: Floats, numbers: Floats, voter: Bools) -> Floats:
-        """(a, 3) means with the numbers (a, 2) of a batch. voter: (a,) agents not suspended; of others, they stay"""
+        """(a, 4) means with the numbers (a, 3) of a batch. voter: (a,) agents not suspended; of others, they stay"""
         elapsed_s = 0.0 if self._time_ns is None else (time_ns - self._time_ns) * 1e-9
         self._time_ns = time_ns
-        seconds = np.where(voter, np.minimum(usual[:, 2] + elapsed_s, USUAL_S), usual[:, 2])
+        seconds = np.where(voter, np.minimum(usual[:, -1] + elapsed_s, USUAL_S), usual[:, -1])
         step = np.where(voter, np.minimum(elapsed_s / np.maximum(seconds, 1e-9), 1.0), 0.0)
-        return np.column_stack([usual[:, :2] + step[:, None] * (numbers - usual[:, :2]), seconds])
+        return np.column_stack([usual[:, :-1] + step[:, None] * (numbers - usual[:, :-1]), seconds])
 
     def _oldest(self, objects: Bools, most: Floats) -> Bools:
         """(c,) the oldest of each agent's objects (c, a), at most (a,) so many."""

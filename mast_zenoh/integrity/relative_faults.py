@@ -30,8 +30,9 @@ MATCHED = 0.6
 FLOOR_M = 0.1
 #: m, how far differences of two objects may differ that have one cause.
 COMMON_M = 0.8
-#: Standard deviations at which a difference stops to count for more, and up to which a fit explains it.
-CLIP, EXPLAINED_SD = 1.5, 3.0
+#: Standard deviations at which a difference stops to count for more, up to which a fit explains it, and by which it may
+#: fit worse than no fault: one that moves half of its tracks alike has no fault.
+CLIP, EXPLAINED_SD, WORSE_SD = 1.5, 3.0, 0.5
 #: Tracks that two agents must share to be compared.
 COMPARABLE = 3
 #: Mean of Huber's loss of a difference up to which a fit is good, and difference of the sums of it from which a batch
@@ -395,7 +396,8 @@ class RelativeFaults:
                 summed[changed] = alone[changed]
             fault[changed] = fresh[changed]
             deviation = near.deviations(fault)
-        explained = near.sums(a, (deviation <= EXPLAINED_SD).astype(np.float64))
+        worse = deviation > near.deviations(np.zeros_like(fault)) + WORSE_SD
+        explained = near.sums(a, ((deviation <= EXPLAINED_SD) & ~worse).astype(np.float64))
         share = np.where(count >= COMPARABLE, explained / np.maximum(count, 1.0), past.explains)
         return PairFits(total[0], total[1], fault, share)
 

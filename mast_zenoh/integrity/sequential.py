@@ -8,8 +8,8 @@ import numpy as np
 
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Bools, Floats, Ints
-from mast_zenoh.integrity.agent_fault import PRIOR, displacements
-from mast_zenoh.integrity.alarms import EXCUSED_S, MAX_STEP_S, SAMPLES_PER_S, Tail, accumulate, discoveries
+from mast_zenoh.integrity.agent_fault import displacements
+from mast_zenoh.integrity.alarms import EXCUSED_S, MAX_STEP_S, Tail, accumulate, discoveries
 from mast_zenoh.integrity.base import (
     SUSPENDED,
     TRUSTED,
@@ -21,11 +21,11 @@ from mast_zenoh.integrity.base import (
     ClusterBoxes,
     Integrity,
 )
-from mast_zenoh.integrity.disputes import ACCUSATIONS, Evidence, Testimonies
+from mast_zenoh.integrity.deviations import NAMES, OF, POSITION, LastingDeviations, Means, deviations
+from mast_zenoh.integrity.disputes import ACCUSATIONS, OF_ITSELF, Evidence, Testimonies
 from mast_zenoh.integrity.existence import ExistenceVotes
 from mast_zenoh.integrity.explanations import Explanations, Verdict, explained
 from mast_zenoh.integrity.memory import NOW, AgentMemory
-from mast_zenoh.integrity.offsets import KnownOffsetSums, OffsetSums, PairOffsetSums, floors, offsets
 
 #: s, before the first evidence against an agent, in which it may have lied unnoticed.
 GRACE_S = 1.0
@@ -35,31 +35,31 @@ MIN_MEDIAN_WEIGHT = 0.05
 MAX_LOG_ODDS = 20.0
 
 #: Tails of the statistics on unattacked junctions, see docs/defences.md: of one agent's disputes, of those of a pair,
-#: of what an agent's own reports contradict, and of the offsets of any size.
-CONTRADICTION_TAIL = Tail(per_hour=78.0, scale=0.237)
+#: of what an agent's own reports contradict, and of deviations.
+CONTRADICTION_TAIL = Tail(per_hour=78.0, scale=0.45)
 PAIR_TAIL = Tail(per_hour=43.0, scale=0.234)
 OWN_TAIL = Tail(per_hour=40.0, scale=0.248)
-OFFSET_TAIL = Tail(per_hour=4800.0, scale=4.4)
-#: The same of the offsets of known sizes, and m, these sizes.
-KNOWN_OFFSET_TAILS = Tail(per_hour=2400.0, scale=0.433), Tail(per_hour=7300.0, scale=0.355)
-KNOWN_OFFSETS_M = 1.0, 0.5
-#: Columns of the statistics of an agent; from KNOWN on, one for each known offset.
-CONTRADICTIONS, OFFSET, KNOWN = range(3)
+DEVIATION_TAIL = Tail(per_hour=60.0, scale=1.3)
+#: Columns of the statistics of an agent.
+CONTRADICTIONS, DEVIATION = range(2)
 #: Of all agents together; a tenth of what is acceptable, because the tails are extrapolated.
 FALSE_ALARMS_PER_HOUR = 0.1
 #: Disputes an hour of each pair of honest agents that count as one. A pair alone suspends nobody.
 DISPUTES_PER_HOUR = 1.0
-#: s, for which an agent that may have a fault is not suspended for what it does; and for an offset that a fault of the
-#: agent, fitted to its other objects, explains, but for this share of its statistic.
-FAULT_AWAITED_S, EXPLAINED_S, EXPLAINED = 1.5, 10.0, 0.5
+#: s, for which an agent that may have a fault is not suspended for what it does; and for a deviation of position if a
+#: fault leaves at most this share of all its deviations.
+FAULT_AWAITED_S, EXPLAINED_S, EXPLAINED = 0.7, 10.0, 0.3
 #: s, for which contradictions must have lasted: those of a fault begin all at once, and finding it takes some batches.
 SUDDEN_S = 0.5
+#: Objects of an honest agent that are contradicted at a time, expected before a run shows it; s, over which the number
+#: is averaged; and how many times as much evidence is needed at most where more is usual.
+EXPECTED, USUAL_S, WIDER = 0.05, 20.0, 6.0
 #: s, of this time that an agent regains in a second: one that differs now and then is not excused for ever.
 AWAITED_AGAIN = 0.05
+#: s, before a suspension for a deviation, in which an agent may have lied unnoticed.
+DEVIATED_S = 10.0
 #: s, for which a dispute about where an object is lasts.
 APART_S = 10.0
-#: Share of the statistic of an alarm from which an agent's track is compared with those of each other agent.
-COMPARED = 0.25
 
 
 @dataclass(kw_only=True, eq=False)
@@ -71,10 +71,13 @@ class SequentialConsistency(Integrity):
     pair seldom exceeds disagree. An explanation is a set of fewer than half of the agents with one of each pair that
     disagrees (`explanations`).
 
-    Four statistics for each agent: the cumulative sum of contradictions in progress: objects that others see through,
-    that its own sensor contradicts, that no road user can be, or that it reports twice; the greatest whitened offset
-    of one of its tracks from the median of the agents, summed over `offset_memory_s`; and the cumulative sums of the
-    log-likelihood ratios of an offset of 1 m, and of 0.5 m. Each counts as an alarm by how rarely an honest agent
+    Two statistics for each agent: the cumulative sum of contradictions in progress: objects that others see through,
+    that no road user can be, or that it reports twice, each for its first PERSISTENT_S, relative to what is usual among
+    the agents now; and the greatest deviation of one of its tracks from the median of the agents, in position,
+    velocity, heading or size, as long as it lasts, relative to what is usual in the run (`LastingDeviations`). One
+    object alone, however long it is contradicted, is thus no alarm: honest detectors have such errors, and the object
+    is withheld. What an agent's own sensor sees through, or is outside its own view, is no claim of it, and counts
+    neither for nor against it. Each statistic counts as an alarm by how rarely an honest agent
     exceeds it, with the false discoveries among all agents controlled (Benjamini and Hochberg 1995). An agent is
     suspended if one of them is an alarm, and it is in every explanation. Two accusers of five prove nothing, since two
     may lie; three do. Agents in some explanations alone are `undecided`: their reason says so.
@@ -84,47 +87,42 @@ class SequentialConsistency(Integrity):
     anchors: names of agents that are known to be honest, and never suspended: a receiver trusts its own sensors
     false_alarms_per_hour: of all agents together
     allowance: contradictions that are subtracted per second, so that an honest agent's sum stays near 0
-    offset_memory_s: s, over which offsets are summed
     release_s: s without evidence after which a suspended agent is trusted again, at first; doubled each time
     disputes_per_hour: of a pair of honest agents that count as a disagreement
-    contradiction_tail, offset_tail, pair_tail: (per hour, scale) of the statistics of an honest agent, or pair
+    contradiction_tail, deviation_tail, pair_tail: (per hour, scale) of the statistics of an honest agent, or pair
 
     An agent's log-odds are the logarithm of how often an honest agent would look worse, relative to the permitted rate.
 
     Weaknesses: a lie that no other agent could notice, or only as many as may be lying themselves, is believed, up to a
     few objects; pedestrians may be moved by half a metre. Suspending an agent costs the objects that it alone reports
-    and that were not known before. Needs views for all but the offsets.
+    and that were not known before. Needs views for all but the deviations.
     """
 
     anchors: tuple[str, ...] = ()
     false_alarms_per_hour: float = FALSE_ALARMS_PER_HOUR
     allowance: float = 0.25
-    offset_memory_s: float = 5.0
     release_s: float = 30.0
     disputes_per_hour: float = DISPUTES_PER_HOUR
     contradiction_tail: tuple[float, float] = (CONTRADICTION_TAIL.per_hour, CONTRADICTION_TAIL.scale)
-    offset_tail: tuple[float, float] = (OFFSET_TAIL.per_hour, OFFSET_TAIL.scale)
+    deviation_tail: tuple[float, float] = (DEVIATION_TAIL.per_hour, DEVIATION_TAIL.scale)
     pair_tail: tuple[float, float] = (PAIR_TAIL.per_hour, PAIR_TAIL.scale)
 
     def __post_init__(self) -> None:
         check(
             "more than 0",
             false_alarms_per_hour=self.false_alarms_per_hour,
-            offset_memory_s=self.offset_memory_s,
             release_s=self.release_s,
             disputes_per_hour=self.disputes_per_hour,
             **{
                 f"{name}[{part}]": value
-                for name in ("contradiction_tail", "offset_tail", "pair_tail")
+                for name in ("contradiction_tail", "deviation_tail", "pair_tail")
                 for part, value in enumerate(getattr(self, name))
             },
         )
         check("0 or more, finite", allowance=self.allowance)
-        self._tails = (Tail(*self.contradiction_tail), Tail(*self.offset_tail), *KNOWN_OFFSET_TAILS)
+        self._tails = Tail(*self.contradiction_tail), Tail(*self.deviation_tail)
         self._pair_tail = Tail(*self.pair_tail)
-        self._sums = OffsetSums(self.offset_memory_s)
-        self._pair_sums = PairOffsetSums(self.offset_memory_s)
-        self._known_sums = KnownOffsetSums(KNOWN_OFFSETS_M, SAMPLES_PER_S)
+        self._lasting = LastingDeviations()
         self.reset()
 
     def reset(self) -> None:
@@ -132,13 +130,15 @@ class SequentialConsistency(Integrity):
         # kinds: object-seconds of each of ACCUSATIONS since there was no evidence
         # clean_s: since the last alarm or evidence;  seen_s: for which the agent has been observed
         # awaited_s: for which an agent was to be suspended that may have a fault
-        # suspended_ns: time, ns, of the last suspension;  for_offset: whether that was for an offset alone
+        # usual: mean number of its objects that are contradicted
+        # suspended_ns: time, ns, of the last suspension;  for_deviation: whether that was for a deviation alone
         # quiet_ns: time, ns, of the last batch without evidence;  lying: whether it lies in every explanation
-        sums = dict.fromkeys(("contradictions", "own", "clean_s", "offset", "seen_s", "awaited_s"), 0.0)
-        flags = dict(suspended=False, for_offset=False, lying=False)
+        sums = dict.fromkeys(("contradictions", "own", "clean_s", "deviation", "seen_s", "awaited_s"), 0.0)
+        flags = dict(suspended=False, for_deviation=False, lying=False)
         self._agents = AgentMemory(
             forget_s=600.0,
             number=-1,
+            usual=EXPECTED,
             suspensions=0,
             suspended_ns=0,
             quiet_ns=NOW,
@@ -151,23 +151,21 @@ class SequentialConsistency(Integrity):
         self._existence = ExistenceVotes(self._agents)
         self._pairs = np.zeros((0, 0))  # (m, m) cumulative disputes of each pair, object-seconds
         self._apart_ns = np.zeros((0, 0), np.int64)  # (m, m) ns, when a pair last reported an object apart; 0: never
-        self._sums.reset()
-        self._pair_sums.reset()
-        self._known_sums.reset()
+        self._lasting.reset()
         self._time_ns: int | None = None
         self._reasons: dict[str, str] = {}
         self._awaited: frozenset[str] | None = None  # None: nobody looks for faults
         self._settled: tuple[bytes, Explanations, Verdict] | None = None
-        # of the last batch: (a, 4) statistics, and (a,) the greatest of an offset from one other agent
+        # of the last batch: (a, 2) statistics, (a,) the greatest difference from one other agent, (a,) which of NAMES
+        # deviates most
         self._statistics, self._of_apart = np.zeros((0, len(self._tails))), np.zeros(0)
+        self._deviating: Ints = np.zeros(0, np.int64)
         self._disputes: Bools = np.zeros((0, 0), np.bool_)  # (a, a) of the last batch, who disagrees with whom
-        self._shares = np.zeros((0, 0))  # (c, a) of the last batch, how near each offset is to an alarm
 
     @property
     def calibrated(self) -> dict[str, Floats]:
         """By name, (k,) statistics of the last batch that have a tail, see `tools/calibrate_integrity.py`."""
-        names = ("contradictions", "offset", *(f"offset of {size_m} m" for size_m in KNOWN_OFFSETS_M))
-        of_agents = dict(zip(names, self._statistics.T, strict=True))
+        of_agents = dict(zip(("contradictions", "deviation"), self._statistics.T, strict=True))
         rows = self._agents.rows
         pairs = self._pairs[np.ix_(rows, rows)][np.triu_indices(len(rows), 1)]
         return of_agents | {"pair": pairs, "own": self._of.own[rows], "apart": self._of_apart}
@@ -178,15 +176,13 @@ class SequentialConsistency(Integrity):
         row = self._agents.names.index(agent)
         assert self._time_ns is not None
         number = int(self._of.number[row])
-        self._sums.forget(number)
-        self._pair_sums.forget(number)
-        self._known_sums.forget(number)
-        for name in ("contradictions", "own", "kinds", "offset", "awaited_s"):
+        self._lasting.forget(number)
+        for name in ("contradictions", "own", "kinds", "deviation", "awaited_s"):
             getattr(self._of, name)[row] = 0.0
         self._pairs[row] = self._pairs[:, row] = 0.0
         self._apart_ns[row] = self._apart_ns[:, row] = 0
         recent = self._time_ns - self._of.suspended_ns[row] <= EXCUSED_S * 1e9
-        if self._of.suspended[row] and (recent or self._of.for_offset[row]):
+        if self._of.suspended[row] and (recent or self._of.for_deviation[row]):
             self._of.suspended[row] = False
             self._reasons.pop(agent, None)
 
@@ -200,10 +196,10 @@ class SequentialConsistency(Integrity):
         vote = ~self._of.suspended[rows]
         evidence = Evidence.of(batch, vote)
         objects = self._existence.follow(batch.time_ns, evidence.boxes)
-        offset, known = self._offsets(batch, evidence.boxes, objects, dt)
+        means = self._deviate(batch, evidence.boxes, objects)
         self._add_disputes(evidence.testimonies, dt)
-        self._of.offset[rows] = offset
-        self._statistics = np.column_stack([self._of.contradictions[rows], offset, known])
+        contradictions = self._of.contradictions[rows] / self._wider(rows)
+        self._statistics = np.column_stack([contradictions, self._of.deviation[rows]])
         explanations, verdict = self._explain(batch, rows)
         rates = np.column_stack(
             [tail.rate(values) for tail, values in zip(self._tails, self._statistics.T, strict=True)]
@@ -213,7 +209,7 @@ class SequentialConsistency(Integrity):
         alarms[vote] = discoveries(rates[vote], self.false_alarms_per_hour)
         alarms[vote & ~verdict.lying] = False
         self._of.lying[rows] = verdict.lying
-        self._wait_for_faults(batch, evidence.boxes, objects, rows, alarms, dt)
+        self._wait_for_faults(batch, evidence.boxes, means, rows, alarms, dt)
         self._update_suspensions(batch, rows, alarms, dt)
         judged, weights = self._existence.settle(evidence, explanations)
         return Assessment(weights, self._agent_trust(batch, rows, rates, verdict), judged)
@@ -230,65 +226,78 @@ class SequentialConsistency(Integrity):
             self._reasons = {name: self._reasons[name] for name in self._agents.names if name in self._reasons}
         return rows
 
+    def _wider(self, rows: Ints) -> float:
+        """How many times as much evidence an alarm takes as is expected: by what is usual among the agents now.
+
+        The middle of those that are not suspended: fewer than half cannot move it beyond what others have.
+        """
+        voter = ~self._of.suspended[rows]
+        usual = float(np.median(self._of.usual[rows[voter]])) if voter.any() else EXPECTED
+        return min(max(usual / EXPECTED, 1.0), WIDER)
+
     def _alarm_at(self, statistic: int, agents: int) -> float:
         """The value from which one statistic alone, a column of `_statistics`, is an alarm."""
         tail = self._tails[statistic]
         return max(tail.value_at(self.false_alarms_per_hour / max(len(self._tails) * agents, 1)), tail.scale)
 
     def _median_weights(self, rows: Ints) -> Floats:
-        """(a,) weight of each agent in the middle of its objects: the less, the nearer its own offset is to an alarm.
+        """(a,) weight of each agent in the middle of its objects: less, the nearer its deviation is to an alarm.
 
         Of two liars and one honest agent that report an object, the liars thus have no majority once they are off
         elsewhere, where others see the object, too.
         """
-        weight = np.clip(1.0 - self._of.offset[rows] / self._alarm_at(OFFSET, len(rows)), MIN_MEDIAN_WEIGHT, 1.0)
+        weight = np.clip(1.0 - self._of.deviation[rows] / self._alarm_at(DEVIATION, len(rows)), MIN_MEDIAN_WEIGHT, 1.0)
         return np.asarray(np.where(self._of.suspended[rows], 0.0, weight))
 
-    def _offsets(self, batch: Batch, boxes: ClusterBoxes, objects: Ints, dt: float) -> tuple[Floats, Floats]:
-        """(a,) greatest statistics of an offset of each agent of any size, and (a, 2) of the known ones.
+    def _deviate(self, batch: Batch, boxes: ClusterBoxes, objects: Ints) -> Means:
+        """The means of the deviations of a batch; notes the greatest of each agent, and who reports an object apart.
 
-        objects: (c,) numbers of the clusters' objects. Notes which agents report an object apart.
+        objects: (c,) numbers of the clusters' objects
         """
         rows = self._agents.rows
-        numbers = self._of.number[rows]
-        measured = offsets(batch, boxes, self._median_weights(rows))
-        some = self._sums.of_objects(batch.time_ns, numbers, objects, measured)
-        known = self._known_sums.of_objects(batch.time_ns, numbers, objects, measured, dt)
-        limits = [self._alarm_at(KNOWN + size, len(rows)) for size in range(len(KNOWN_OFFSETS_M))]
-        share = np.maximum(some / self._alarm_at(OFFSET, len(rows)), (known / limits).max(axis=2))
-        self._shares = share
-        compared = measured.valid & (share >= COMPARED)
+        measured = deviations(batch, boxes, self._median_weights(rows))
+        numbers, believed = self._of.number[rows], ~self._of.suspended[rows]
+        means = self._lasting.update(batch.time_ns, numbers, objects, measured, believed)
+        statistics, tracks = means.of_agents(len(rows))
+        greatest = np.zeros((len(rows), len(NAMES)))
+        np.maximum.at(greatest, means.agent, means.length)
+        self._deviating, self._of.deviation[rows] = greatest.argmax(axis=1), statistics
         self._of_apart = np.zeros(len(rows))
-        if compared.any():
-            of_pairs = self._pair_sums.of_pairs(batch.time_ns, numbers, objects, batch, compared, floors(boxes))
-            one, other, statistic = of_pairs
-            # Two honest agents may report a box half a metre apart for long, but not where one of them is off, too.
-            statistic = np.where(share[:, one] >= 1.0, statistic, 0.0).max(axis=0)
-            np.maximum.at(self._of_apart, one, statistic)
-            apart = self._tails[OFFSET].rate(statistic) <= self.disputes_per_hour
+        # Two honest agents may report a box half a metre apart for long, but not where one of them is off, too.
+        off = tracks & (statistics >= self._alarm_at(DEVIATION, len(rows)))[means.agent]
+        if off.any():
+            one, other, difference = means.apart(off)
+            np.maximum.at(self._of_apart, one, difference)
+            apart = self._tails[DEVIATION].rate(difference) <= self.disputes_per_hour
             one, other = rows[one[apart]], rows[other[apart]]
             self._apart_ns[one, other] = self._apart_ns[other, one] = batch.time_ns
-        return some.max(axis=0, initial=0.0), known.max(axis=0, initial=0.0)
+        return means
 
-    def _summed(self, total: Floats, count: Ints, tail: Tail, dt: float) -> Floats:
+    def _summed(self, total: Floats, count: Ints, tail: Tail, dt: float, wider: float = 1.0) -> Floats:
         """Cumulative sums after a batch with `count` contradictions.
 
         An honest agent errs about one object at a time: several at once are much rarer. Limited, so that they can be
-        forgotten again.
+        forgotten again. wider: see `_wider`
         """
         after = accumulate(total, np.asarray(0.5 * count * (count + 1), np.float64), self.allowance, dt)
-        return np.minimum(after, 2.0 * max(tail.value_at(self.false_alarms_per_hour / 10.0), tail.scale))
+        return np.minimum(after, 1.5 * wider * max(tail.value_at(self.false_alarms_per_hour / 10.0), tail.scale))
 
     def _add_disputes(self, testimonies: Testimonies, dt: float) -> None:
         """Add what a batch shows to all sums; those of absent agents and pairs fall as without evidence."""
         of, rows = self._of, self._agents.rows
         kinds = testimonies.accusations(~of.lying[rows])
+        fresh = self._existence.fresh(testimonies.contradicted, dt)
+        fresh |= of.suspended[rows]  # one that goes on with the same lies is not released
+        kinds &= fresh
         counts = np.zeros((2, len(of.own)), np.int64)
-        counts[:, rows] = kinds.any(axis=0).sum(axis=0), testimonies.against_itself
+        counts[:, rows] = kinds.any(axis=0).sum(axis=0), kinds[OF_ITSELF].any(axis=0).sum(axis=0)
         between = np.zeros(self._pairs.shape, np.int64)
-        between[np.ix_(rows, rows)] = testimonies.between
-        of.contradictions = self._summed(of.contradictions, counts[0], self._tails[CONTRADICTIONS], dt)
-        of.own = self._summed(of.own, counts[1], OWN_TAIL, dt)
+        between[np.ix_(rows, rows)] = testimonies.between(fresh)
+        step = 1.0 - np.exp(-dt / USUAL_S)
+        of.usual[rows] += step * (counts[0, rows] - of.usual[rows])
+        wider = self._wider(rows)
+        of.contradictions = self._summed(of.contradictions, counts[0], self._tails[CONTRADICTIONS], dt, wider)
+        of.own = self._summed(of.own, counts[1], OWN_TAIL, dt, wider)
         self._pairs = self._summed(self._pairs, between, self._pair_tail, dt)
         of.kinds[rows] += dt * kinds.sum(axis=1).T
 
@@ -297,7 +306,7 @@ class SequentialConsistency(Integrity):
         pairs, apart_ns = self._pairs[np.ix_(rows, rows)], self._apart_ns[np.ix_(rows, rows)]
         apart = (apart_ns > 0) & (batch.time_ns - apart_ns <= APART_S * 1e9)
         disputes = self._disputes = (self._pair_tail.rate(pairs) <= self.disputes_per_hour) | apart
-        lying = OWN_TAIL.rate(self._of.own[rows]) <= self.false_alarms_per_hour / max(len(rows), 1)
+        lying = OWN_TAIL.rate(self._of.own[rows] / self._wider(rows)) <= self.false_alarms_per_hour / max(len(rows), 1)
         lying |= self._of.suspended[rows]
         honest = np.isin(batch.agents, self.anchors)
         key = disputes.tobytes() + lying.tobytes() + honest.tobytes()
@@ -310,34 +319,31 @@ class SequentialConsistency(Integrity):
         return self._settled[1], self._settled[2]
 
     def _wait_for_faults(
-        self, batch: Batch, boxes: ClusterBoxes, objects: Ints, rows: Ints, alarms: Bools, dt: float
+        self, batch: Batch, boxes: ClusterBoxes, means: Means, rows: Ints, alarms: Bools, dt: float
     ) -> None:
-        """Take back the alarms of agents that may have a fault, for a while: it excuses them once it is found.
-
-        objects: (c,) numbers of the clusters' objects
-        """
+        """Take back the alarms of agents that may have a fault, for a while: it excuses them once it is found."""
         if self._awaited is None:
             return
         before = self._of.awaited_s[rows]
         awaited = np.array([name in self._awaited for name in batch.agents], np.bool_) & (before < FAULT_AWAITED_S)
-        for row in np.flatnonzero(alarms[:, OFFSET:].any(axis=1) & ~alarms[:, CONTRADICTIONS]).tolist():
+        for row in np.flatnonzero(alarms[:, DEVIATION] & ~alarms[:, CONTRADICTIONS]).tolist():
             if not awaited[row] and before[row] < EXPLAINED_S:
-                awaited[row] = self._is_explained(row, boxes, objects, dt)
+                awaited[row] = self._is_explained(row, boxes, means)
         awaited |= alarms[:, CONTRADICTIONS] & (batch.time_ns - self._of.quiet_ns[rows] < SUDDEN_S * 1e9)
         waiting = alarms.any(axis=1) & awaited
         self._of.awaited_s[rows] = np.where(waiting, before + dt, np.maximum(before - AWAITED_AGAIN * dt, 0.0))
         alarms[waiting] = False
 
-    def _is_explained(self, row: int, boxes: ClusterBoxes, objects: Ints, dt: float) -> bool:
-        """Whether a fault of an agent may explain its greatest offset."""
+    def _is_explained(self, row: int, boxes: ClusterBoxes, means: Means) -> bool:
+        """Whether a fault of an agent may explain that its positions deviate."""
+        most = int(self._deviating[row])
+        if OF[most] != POSITION:
+            return False
         arm = boxes.position[:, :2] - boxes.position[:, :2].mean(axis=0)
-        design = displacements(arm, boxes.velocity[:, :2])
-        prior = np.diag(1.0 / PRIOR) / max(SAMPLES_PER_S * dt, 1e-3)  # consecutive offsets are not independent
-        number, worst = int(self._of.number[self._agents.rows[row]]), int(self._shares[:, row].argmax())
-        return self._sums.beyond_fault(number, objects, worst, design, prior) < EXPLAINED
+        return means.left_by_fault(row, most, displacements(arm, boxes.velocity[:, :2])) <= EXPLAINED
 
     def _update_suspensions(self, batch: Batch, rows: Ints, alarms: Bools, dt: float) -> None:
-        """Suspend and release agents. alarms: (a, 4) of the statistics"""
+        """Suspend and release agents. alarms: (a, 2) of the statistics"""
         of = self._of
         of.seen_s[rows] += dt
         alarmed = alarms.any(axis=1)
@@ -353,15 +359,14 @@ class SequentialConsistency(Integrity):
             excess = (self._statistics / [tail.scale for tail in self._tails]).sum(axis=1)
             worst = int(np.argmax(np.where(new, excess, -1.0)))
             new = np.arange(len(new)) == worst
-            self._sums.reset()
-            self._known_sums.reset()
-            of.offset[:] = 0.0
+            self._lasting.forget_all()
+            of.deviation[:] = 0.0
             self._existence.keep_known(self._honest_until(rows[worst], bool(alarms[worst, CONTRADICTIONS])))
             self._reasons[batch.agents[worst]] = self._reason(worst, alarms[worst])
         of.suspensions[rows] += new
         of.suspended[rows] = (of.suspended[rows] | new) & ~released
         of.suspended_ns[rows[new]] = batch.time_ns
-        of.for_offset[rows[new]] = ~alarms[new, CONTRADICTIONS]
+        of.for_deviation[rows[new]] = ~alarms[new, CONTRADICTIONS]
         for row in np.flatnonzero(released).tolist():
             self._reasons.pop(batch.agents[row], None)
 
@@ -370,16 +375,16 @@ class SequentialConsistency(Integrity):
         assert self._time_ns is not None
         if lied:
             return int(self._of.quiet_ns[row]) - round(GRACE_S * 1e9)
-        return self._time_ns - round(2.0 * self.offset_memory_s * 1e9)
+        return self._time_ns - round(DEVIATED_S * 1e9)
 
     def _reason(self, row: int, alarms: Bools) -> str:
         """Why an agent is suspended."""
-        contradictions, offset, *known = self._statistics[row]
+        contradictions, deviation = self._statistics[row]
         if alarms[CONTRADICTIONS]:
             most = ACCUSATIONS[int(self._of.kinds[self._agents.rows[row]].argmax())]
             return f"{most}, {contradictions:.1f} object-seconds"
-        statistic = f"offset statistic {offset:.0f}" if alarms[OFFSET] else f"log-likelihood ratio {max(known):.1f}"
-        return f"reports a position that differs from the other agents' ({statistic})"
+        name = NAMES[self._deviating[row]]
+        return f"reports a {name} that differs from the other agents' ({deviation:.0f} times as much as usual)"
 
     def _agent_trust(self, batch: Batch, rows: Ints, rates: Floats, verdict: Verdict) -> AgentTrust:
         """The trust in the agents; the reason of those whose honesty is open names those they disagree with."""

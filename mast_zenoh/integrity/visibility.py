@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mast_zenoh.arrays.matching import neighbours
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.integrity.base import Batch, ClusterBoxes
 from mast_zenoh.integrity.views import SweptView
@@ -32,6 +33,8 @@ class Tolerances(NamedTuple):
     behind_m: m, beyond a point: a sensor that sees farther than this sees through it
     before_m: m, before a point: a sensor that sees no farther than this does not see it
     own_m, far_m: m, on the ground: nearer to a sensor is its own carrier, and farther away its rays miss small objects
+    beside_m: m, by which an object beside another one may be displaced, and by which a ray must go on behind its points
+    beside_share: of these points, behind more than which it must
     in_view: share of the points inside an object that must be in view
     max_age_s: s; an older view shows where objects were, not where they are
     """
@@ -42,6 +45,8 @@ class Tolerances(NamedTuple):
     before_m: float = 1.5
     own_m: float = 4.0
     far_m: float = 70.0
+    beside_m: float = 0.2
+    beside_share: float = 0.7
     in_view: float = 0.6
     max_age_s: float = 0.05
 
@@ -131,6 +136,48 @@ def ray_evidence(
     return through, ends
 
 
+@kernel
+def outside_view(
+    position: Floats,
+    size: Floats,
+    yaw: Floats,
+    margin_m: Floats,
+    views: Sequence[SweptView | None],
+    only: Ints,
+    tolerances: Tolerances,
+) -> Bools:
+    """(c,) boxes of which no point is in the field of view of one sensor each; a box at the sensor itself is inside.
+
+    margin_m: (c,) m, by which boxes are larger on each side; only: (c,) the view of each; the others as in
+    `box_visibility`
+    """
+    result = np.zeros(len(position), np.bool_)
+    points = sample_points(position, size, yaw, margin_m, _ACROSS)
+    for rows, _, view in _asked(len(position), views, only):
+        inside = view.ranges(points[rows].reshape(-1, 3))[2].reshape(len(rows), -1).any(axis=1)
+        result[rows] = ~inside & (_distance(position[rows], view) > tolerances.own_m)
+    return result
+
+
+@kernel
+def passed_beside(
+    position: Floats, size: Floats, yaw: Floats, views: Sequence[SweptView | None], tolerances: Tolerances
+) -> Bools:
+    """(c, a) boxes behind most of whose points the rays of sensors go on, as exactly as `beside_m`.
+
+    The parameters are those of `box_visibility`.
+    """
+    result = np.zeros((len(position), len(views)), np.bool_)
+    points = sample_points(position, size, yaw, np.full(len(position), tolerances.beside_m), _AROUND)
+    for rows, column, view in _asked(len(position), views, None):
+        ranges, free, _ = view.ranges(points.reshape(-1, 3))
+        with np.errstate(invalid="ignore"):
+            share = (free > ranges + tolerances.beside_m).reshape(len(position), -1).mean(axis=1)
+        far = _distance(position, view) > tolerances.own_m
+        result[rows, column] = (share > tolerances.beside_share) & far
+    return result
+
+
 def _asked(c: int, views: Sequence[SweptView | None], only: Ints | None) -> Iterator[tuple[Ints, int, SweptView]]:
     """Views, the rows of boxes that each is asked about, the column of its answers."""
     for number, view in enumerate(views):
@@ -166,6 +213,8 @@ MAX_AGE_S = TOLERANCES.max_age_s
 LEAST_IN_VIEW = 0.25
 #: Standard deviations of a claim's position within which others need not see it.
 ERROR_SD = 2.0
+#: m, between the outlines of two objects that are beside each other.
+BESIDE_M = 1.5
 #: m, greatest standard deviation that a track may claim in its favour.
 MAX_ERROR_M = 1.0
 
@@ -239,6 +288,42 @@ def rays_at(batch: Batch, boxes: ClusterBoxes, views: Sequence[SweptView | None]
     own, _ = ray_evidence(states.position, states.velocity, states.size, states.yaw, views, batch.agent, TOLERANCES)
     through, ends = ray_evidence(boxes.position, boxes.velocity, boxes.size, boxes.yaw, views, None, TOLERANCES)
     return RayEvidence(np.where(batch.reported, _by_own_tracks(batch, own), through), ends)
+
+
+def out_of_view(batch: Batch) -> Bools:
+    """(n,) tracks that are outside their agent's own field of view, with room for errors; none of an agent without one.
+
+    What is only hidden behind something else is inside: trackers go on with it for good reasons.
+    """
+    states = batch.states
+    margin = TOLERANCES.outside_m + ERROR_SD * _track_error(batch)
+    views = current(batch.views)
+    return outside_view(states.position, states.size, states.yaw, margin, views, batch.agent, TOLERANCES)
+
+
+def passed_to_others(batch: Batch, boxes: ClusterBoxes, rays: RayEvidence, voter: Bools) -> Bools:
+    """(c, a) objects beside one that more agents report, through which a sensor's rays go on to that other one.
+
+    boxes, rays: of the clusters; voter: (a,) agents that count
+
+    Rays end at the other object, whose errors are known to be small because agents agree about it. So they show more
+    exactly than those that pass into the open whether something is before it. What is behind it, they don't show.
+    """
+    result = np.zeros(rays.ends.shape, np.bool_)
+    half = 0.5 * np.hypot(boxes.size[:, 0], boxes.size[:, 1])
+    i, j, dx, dy = neighbours(boxes.position, boxes.position, half + half.max(initial=0.0) + BESIDE_M)
+    witnesses = (batch.reported & voter).sum(axis=1)
+    beside = (np.hypot(dx, dy) <= half[i] + half[j] + BESIDE_M) & (witnesses[j] > witnesses[i])
+    i, j = i[beside], j[beside]
+    if not len(i):
+        return result
+    judged, row = np.unique(i, return_inverse=True)
+    ends = np.zeros((len(judged), len(voter)), np.bool_)
+    np.logical_or.at(ends, row, rays.ends[j])
+    views = current(batch.views)
+    passed = passed_beside(boxes.position[judged], boxes.size[judged], boxes.yaw[judged], views, TOLERANCES)
+    result[judged] = passed & ends & voter & ~batch.reported[judged]
+    return result
 
 
 def silent_about(batch: Batch, boxes: ClusterBoxes, seen: Sightings, rays: RayEvidence, range_m: float) -> Bools:

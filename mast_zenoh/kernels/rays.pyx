@@ -157,6 +157,18 @@ cdef bint passes_most(View view, Box box, double behind, double needed) noexcept
     return False
 
 
+cdef bint in_field(View view, Box box) noexcept:
+    """Whether a point of a box is in the field of view."""
+    cdef Py_ssize_t i, j, k
+    cdef double distance, free
+    for i in range(3):
+        for j in range(3):
+            for k in range(2):
+                if point_ray(view, box, ACROSS[i], ACROSS[j], UP[k], &distance, &free):
+                    return True
+    return False
+
+
 def box_visibility(position, size, yaw, error_m, views, only, tolerances):
     position, size, yaw = contiguous(position), contiguous(size), contiguous(yaw)
     cdef const double* at = float_data(position, 2)
@@ -222,3 +234,44 @@ def ray_evidence(position, velocity, size, yaw, views, only, tolerances):
             ends[column] = free >= range_m - half - before and free <= range_m + half + behind
         at, speed, extent, through, ends = at + 3, speed + 3, extent + 3, through + a, ends + a
     return seen_through.reshape(c, a), ending.reshape(c, a)
+
+
+def outside_view(position, size, yaw, margin_m, views, only, tolerances):
+    position, size, yaw = contiguous(position), contiguous(size), contiguous(yaw)
+    cdef const double* at = float_data(position, 2)
+    cdef const double* extent = float_data(size, 2)
+    cdef const double* heading = float_data(yaw, 1)
+    cdef const double* margin = float_data(margin_m, 1)
+    cdef const np.int64_t* number = int_data(only)
+    cdef double own = tolerances.own_m
+    cdef list looking = views_of(views)
+    cdef Py_ssize_t r, c = length(position)
+    cdef View view
+    result = zero_vector(np.NPY_BOOL, c)
+    cdef np.uint8_t* outside = byte_data(result)
+    for r in range(c):
+        view = looking[number[r]]
+        if view is not None and view.away(at[0], at[1]) > own:
+            outside[r] = not in_field(view, box_at(at, extent, heading[r], margin[r]))
+        at, extent = at + 3, extent + 3
+    return result
+
+
+def passed_beside(position, size, yaw, views, tolerances):
+    position, size, yaw = contiguous(position), contiguous(size), contiguous(yaw)
+    cdef const double* at = float_data(position, 2)
+    cdef const double* extent = float_data(size, 2)
+    cdef const double* heading = float_data(yaw, 1)
+    cdef double own = tolerances.own_m, beside = tolerances.beside_m, needed = tolerances.beside_share
+    cdef list looking = views_of(views)
+    cdef Py_ssize_t r, column, c = length(position), a = len(looking)
+    cdef View view
+    result = zero_vector(np.NPY_BOOL, c * a)
+    cdef np.uint8_t* passed = byte_data(result)
+    for r in range(c):
+        for column in range(a):
+            view = looking[column]
+            if view is not None and view.away(at[0], at[1]) > own:
+                passed[column] = passes_most(view, box_at(at, extent, heading[r], beside), beside, needed)
+        at, extent, passed = at + 3, extent + 3, passed + a
+    return result.reshape(c, a)

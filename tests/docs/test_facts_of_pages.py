@@ -25,7 +25,7 @@ from mast_zenoh.config.registry import known_types
 from mast_zenoh.effects import EFFECTS
 from mast_zenoh.integrity import STATES, Integrity
 from mast_zenoh.integrity.alarms import discoveries
-from mast_zenoh.integrity.sequential import CONTRADICTION_TAIL, FALSE_ALARMS_PER_HOUR, OFFSET_TAIL
+from mast_zenoh.integrity.sequential import CONTRADICTION_TAIL, DEVIATION_TAIL, FALSE_ALARMS_PER_HOUR
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.launch.tables import read_table
 from mast_zenoh.metrics.causes import CAUSES
@@ -111,10 +111,10 @@ def test_every_run_of_the_page_and_of_the_readme_is_a_valid_scenario(name: str, 
 
 
 def test_the_stated_alarm_limits_follow_from_the_calibrated_tails() -> None:
-    (stated,) = re.findall(r"from ([\d.]+)\s+object-seconds .*? statistic\s+of\s+(\d+)\.", PAGE, flags=re.S)
-    for tail, limit, step in zip((CONTRADICTION_TAIL, OFFSET_TAIL), map(float, stated), (0.01, 1.0), strict=True):
+    (stated,) = re.findall(r"from ([\d.]+)\s+object-seconds .*? statistic\s+of\s+([\d.]+) times", PAGE, flags=re.S)
+    for tail, limit, step in zip((CONTRADICTION_TAIL, DEVIATION_TAIL), map(float, stated), (0.01, 0.1), strict=True):
         for value, alarm in ((limit - step, False), (limit + step, True)):
-            rates = tail.rate(np.array([value] + 19 * [0.0]))  # twenty statistics, one of them with evidence
+            rates = tail.rate(np.array([value] + 9 * [0.0]))  # ten statistics, one of them with evidence
             assert discoveries(rates, FALSE_ALARMS_PER_HOUR)[0] == alarm
 
 

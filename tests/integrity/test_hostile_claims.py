@@ -22,14 +22,17 @@ from mast_zenoh.pipelines import Pipeline
 PLACES = {"a": (-20.0, 0.0), "b": (20.0, 0.0), "c": (0.0, 20.0), "d": (0.0, -20.0)}
 CARS = ((9.0, 9.0), (-9.0, 9.0))
 PHANTOM = (0.0, 0.0)
+#: Two phantoms of `d`: one alone suspends nobody.
+TWO: list[Track] = [("d", 2, PHANTOM), ("d", 3, (8.0, -10.0))]
 STAGES: list[type[Integrity]] = [SequentialConsistency, FaultOrLie, TruthDiscovery]
 
 
 def honest(frame: int, *more: Track, age_s: float = 0.0) -> Batch:
-    """Four agents that see two cars, and some more tracks; `d` claims to see its own further tracks."""
+    """Four agents that see two cars, and some more tracks; the view of `d` ends at its own further tracks."""
     tracks: list[Track] = [(name, i, car) for name in PLACES for i, car in enumerate(CARS)]
     seen = [(*car, 2.5) for car in CARS]
-    views = {name: view(place, *seen, *([(*PHANTOM, 2.5)] if name == "d" else [])) for name, place in PLACES.items()}
+    views = {name: view(place, *seen) for name, place in PLACES.items()}
+    views["d"] = view(PLACES["d"], *seen, *((*place, 2.5) for name, _, place in more if name == "d"))
     views["d"] = replace(views["d"], age_s=age_s)
     return batch([*tracks, *more], tuple(PLACES), views, frame=frame)
 
@@ -71,7 +74,7 @@ def test_false_heights_of_one_agent_do_not_frame_the_others(stage: type[Integrit
 @pytest.mark.parametrize("deviation_m", [0.2, 2.0, 20.0])
 def test_a_phantom_is_refuted_however_uncertain_it_claims_to_be(deviation_m: float) -> None:
     covariance = np.eye(9) * np.repeat([deviation_m**2, 0.05], [2, 7])
-    batches = [altered(honest(frame, ("d", 2, PHANTOM)), -1, covariance=covariance) for frame in range(60)]
+    batches = [altered(honest(frame, *TWO), np.array([-2, -1]), covariance=covariance) for frame in range(60)]
     assert suspended(SequentialConsistency(), batches) == {"d"}
 
 
@@ -104,11 +107,12 @@ def test_two_tracks_of_each_object_frame_nobody_and_are_a_lie() -> None:
 
 @pytest.mark.parametrize(("height_m", "size"), [(20.0, CAR), (0.75, (4.5, 1.8, 40.0)), (0.75, (0.0, 0.0, 0.0))])
 def test_what_no_road_user_can_be_is_withheld_and_a_lie(height_m: float, size: tuple[float, float, float]) -> None:
-    place = (*PHANTOM, height_m)
-    batches = [altered(honest(frame, ("d", 2, PHANTOM)), -1, position=place, size=size) for frame in range(60)]
+    height = np.array([0.0, 0.0, height_m - 0.75])
+    changes = dict(position=lambda position: position + height, size=size)
+    batches = [altered(honest(frame, *TWO), np.array([-2, -1]), **changes) for frame in range(60)]
     stage = SequentialConsistency()
     assert suspended(stage, batches) == {"d"}
-    assert stage.assess(batches[-1]).objects.withheld.tolist() == [False, False, True]
+    assert stage.assess(batches[-1]).objects.withheld.tolist() == [False, False, True, True]
 
 
 def test_where_two_halves_disagree_about_a_position_nobody_is_off() -> None:
@@ -214,9 +218,9 @@ def test_views_are_limited_in_size_and_all_together() -> None:
 def test_a_fault_does_not_release_a_liar(judge: type[Integrity]) -> None:
     stage = judge()
     for frame in range(200):
-        stage.assess(honest(frame, ("d", 2, PHANTOM)))
+        stage.assess(honest(frame, *TWO))
     stage.excuse("d")
-    assert stage.assess(honest(200, ("d", 2, PHANTOM))).agents.state.tolist()[3] == SUSPENDED
+    assert stage.assess(honest(200, *TWO)).agents.state.tolist()[3] == SUSPENDED
 
 
 def test_many_lies_do_not_delay_the_release_without_end() -> None:

@@ -4,11 +4,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from integrity_batches import CAR, view
+from integrity_batches import CAR, Track, batch, view
 
 from mast_zenoh.integrity.base import ClusterBoxes
 from mast_zenoh.integrity.views import SweptView, check_view, collated_columns, view_columns, views_of
-from mast_zenoh.integrity.visibility import FAR_M, MAX_AGE_S, clear_in_view, sightings
+from mast_zenoh.integrity.visibility import (
+    FAR_M,
+    MAX_AGE_S,
+    clear_in_view,
+    current,
+    out_of_view,
+    passed_to_others,
+    rays_at,
+    sightings,
+)
 
 
 def seen(place: tuple[float, float], *views: SweptView | None, error: float = 0.0):
@@ -68,6 +77,62 @@ CLEAR = {
 @pytest.mark.parametrize(("case", "expected"), CLEAR.values(), ids=CLEAR)
 def test_a_place_is_clear_if_the_rays_in_view_pass_through_it(case, expected: bool) -> None:
     assert clear(*case) is expected
+
+
+AHEAD = replace(view(HERE, max_range=50.0).view, azimuth_min=-0.5, azimuth_max=0.5)
+OUTSIDE = {
+    "ahead": ((20.0, 0.0), view(HERE), False),
+    "hidden behind a wall": ((20.0, 0.0), view(HERE, (10.0, 0.0, 5.0)), False),
+    "behind the sensor": ((-20.0, 0.0), replace(view(HERE), view=AHEAD), True),
+    "at the edge of the view": ((20.0, 11.5), replace(view(HERE), view=AHEAD), False),
+    "out of range": ((60.0, 0.0), replace(view(HERE), view=AHEAD), True),
+    "the own carrier": ((-1.0, 0.0), replace(view(HERE), view=AHEAD), False),
+    "without a view": ((-20.0, 0.0), None, False),
+    "outside an old view": ((-20.0, 0.0), replace(view(HERE), view=AHEAD, age_s=2 * MAX_AGE_S), False),
+}
+
+
+@pytest.mark.parametrize(("place", "swept", "expected"), OUTSIDE.values(), ids=OUTSIDE)
+def test_a_track_is_out_of_view_where_its_agents_sensor_does_not_look(place, swept, expected: bool) -> None:
+    views = {"b": view((0.0, 30.0))} | ({"a": swept} if swept else {})
+    assert out_of_view(batch([("a", 0, place), ("b", 1, (0.0, 0.0))], "ab", views)).tolist() == [expected, False]
+
+
+NEIGHBOUR, PERSON = (20.0, 0.0), (0.6, 0.6, 1.5)
+BEFORE, BEHIND = (17.0, 0.0), (23.0, 0.0)
+ON_NEIGHBOUR = view(HERE, (*NEIGHBOUR, 1.0))
+#: Where `a` reports a person, what `v` sees, which agents report the car beside it, whether `v` refutes the person.
+BESIDE = {
+    "rays go on to the neighbour": (BEFORE, ON_NEIGHBOUR, "bc", True),
+    "rays end at the person": (BEFORE, view(HERE, (*BEFORE, 1.0)), "bc", False),
+    "behind the neighbour": (BEHIND, ON_NEIGHBOUR, "bc", False),
+    "far before it": ((10.0, 0.0), ON_NEIGHBOUR, "bc", False),
+    "no more agents report the neighbour": (BEFORE, ON_NEIGHBOUR, "b", False),
+    "nothing is where the neighbour is said to be": (BEFORE, view(HERE), "bc", False),
+    "in an old view": (BEFORE, replace(ON_NEIGHBOUR, age_s=2 * MAX_AGE_S), "bc", False),
+}
+
+
+def refuted_by(place: tuple[float, float], swept: SweptView, of_neighbour: str, person: str = "a", voter: str = "abcv"):
+    """(a,) which of the agents a, b, c and v refute a person at a place beside a car."""
+    tracks: list[Track] = [(name, 0, place) for name in person] + [(name, 1, NEIGHBOUR) for name in of_neighbour]
+    given = batch(tracks, "abcv", {"v": swept}, size={0: PERSON})
+    boxes, voters = ClusterBoxes.of(given), np.array([name in voter for name in given.agents])
+    refuted = passed_to_others(given, boxes, rays_at(given, boxes, current(given.views)), voters)
+    assert not refuted[1].any(), "the car"
+    return refuted[0].tolist()
+
+
+@pytest.mark.parametrize(("place", "swept", "of_neighbour", "expected"), BESIDE.values(), ids=BESIDE)
+def test_rays_that_go_on_to_a_neighbour_refute_what_is_said_to_be_before_it(
+    place, swept: SweptView, of_neighbour: str, expected: bool
+) -> None:
+    assert refuted_by(place, swept, of_neighbour) == [False, False, False, expected]
+
+
+def test_neither_suspended_agents_nor_those_that_report_it_refute_an_object_beside_another_one() -> None:
+    assert not any(refuted_by(BEFORE, ON_NEIGHBOUR, "bc", voter="abc"))
+    assert not any(refuted_by(BEFORE, ON_NEIGHBOUR, "abc", person="av"))
 
 
 def test_views_are_unchanged_by_their_messages() -> None:

@@ -205,6 +205,17 @@ def ray_evidence(random, n, m):
     return position, random.normal(0, 9, (n, 3)), *around, *others
 
 
+def outside_view(random, n, m):
+    around, views, only, tolerances = looked_at(random, n, m)
+    only = random.integers(0, len(views), n) if only is None else only
+    return *around, random.uniform(0, 3, n), views, only, tolerances
+
+
+def passed_beside(random, n, m):
+    around, views, _, tolerances = looked_at(random, n, m)
+    return *around, views, tolerances
+
+
 def looked_for(random, n, m):
     """Objects that are not there, a sensor that would see them, and what is in the way."""
     around, others = (places(random, n), random.uniform(0.3, 6, (n, 3)), random.uniform(-4, 4, n)), places(random, m)
@@ -245,12 +256,11 @@ def median_boxes(random, n, m):
     return places(random, n), places(random, n), places(random, n), random.uniform(-4, 4, n), member, member >= 0
 
 
-def track_offsets(random, n, m):
+def weighted_medians(random, n, m):
     member = members(random, n, m)
-    c, a = member.shape
-    weight = random.choice([0.0, 0.05, 0.5, 1.0], a)
-    floor = random.choice([0.1, 0.35], c)
-    return places(random, n), covariances(random, n), member, weight, random.random(c) < 0.8, floor, 1.0, 3, 1.57
+    weight = np.where(member >= 0, random.choice([0.0, 0.05, 0.5, 1.0], member.shape), 0.0)
+    weight[np.arange(len(member)), member.argmax(axis=1)] = 0.5  # of one member at least
+    return table(random, n), member, weight
 
 
 def boxes(random, n):
@@ -414,9 +424,11 @@ ARGUMENTS = {
     "box_visibility": box_visibility,
     "has_returns": looked_for,
     "lidar_points": cast,
+    "outside_view": outside_view,
+    "passed_beside": passed_beside,
     "ray_evidence": ray_evidence,
     "median_boxes": median_boxes,
-    "track_offsets": track_offsets,
+    "weighted_medians": weighted_medians,
     "rotation_from_quaternion": lambda r, n, m: (r.normal(size=(4,) if n == 1 else (n, 4)),),
     "quaternion_from_rotation": lambda r, n, m: (np.linalg.qr(r.normal(size=(n, 3, 3)))[0],),
     "overlap": overlap,

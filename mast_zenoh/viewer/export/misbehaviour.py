@@ -48,7 +48,6 @@ class Detector(NamedTuple):
 
 DETECTORS = (
     Detector("seen_through_by_others", "reports objects that others see through", 5),
-    Detector("seen_through_by_itself", "reports objects in space that its own sensor sees through", 5),
     Detector("impossible_object", "reports objects that no road user can be", 1),
     Detector("repeated_object", "reports one object twice", 1),
     Detector("different_position", "reports a position that differs from the other agents'", 5),

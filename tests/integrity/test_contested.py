@@ -1,0 +1,79 @@
+"""What few agents report and others see through is open, and limited; what is usual in a run needs more evidence."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from crossing import Place, world
+
+from mast_zenoh.integrity import SequentialConsistency
+from mast_zenoh.integrity.base import SUSPENDED
+from mast_zenoh.integrity.existence import CONTESTED, CONTESTED_TIMES, PERSISTENT_S, ExistenceVotes
+from mast_zenoh.integrity.memory import AgentMemory
+from mast_zenoh.integrity.sequential import CONTRADICTION_TAIL, EXPECTED, WIDER
+
+#: Cars that two liars of five invent where two honest agents look.
+CARS: list[Place] = [(10.0, -12.0), (-8.0, -10.0), (0.0, -8.0), (-10.0, 10.0), (-10.0, 0.0)]
+EVERYBODY = np.ones(5, np.bool_)
+
+
+def withheld(liars: str, lookers: str) -> np.ndarray:
+    """(5,) which of CARS are withheld after some frames in which liars report them; lookers: see through them."""
+    stage = SequentialConsistency()
+    for each in world(dict.fromkeys(liars, CARS), sees=dict.fromkeys(CARS, lookers), frames=8):
+        found = stage.assess(each)
+    assert SUSPENDED not in found.agents.state
+    assert not found.objects.withheld[0], "the car that all see"
+    return found.objects.withheld[1:]
+
+
+def test_of_what_two_of_five_report_and_two_see_through_few_objects_are_believed() -> None:
+    assert (~withheld("ae", "bd")).sum() == CONTESTED
+
+
+def test_what_two_of_five_report_and_nobody_sees_through_is_believed() -> None:
+    assert not withheld("ae", "").any()
+
+
+def test_what_more_than_half_of_the_agents_report_is_not_limited() -> None:
+    assert not withheld("ace", "b").any()
+
+
+@pytest.mark.parametrize(("agents", "usual"), [(2, 0.0), (3, 3.0)])
+def test_as_many_contested_objects_are_believed_as_the_middle_of_the_agents_has(agents: int, usual: float) -> None:
+    means = np.zeros((5, 4))
+    means[:agents, 2] = 3.0
+    most = ExistenceVotes(AgentMemory(suspended=False))._most_contested(means, EVERYBODY)
+    assert most.tolist() == [CONTESTED + CONTESTED_TIMES * usual] * 5
+
+
+def accustomed(usual: float, agents: int) -> SequentialConsistency:
+    """A stage that has seen so many agents of five contradicted about `usual` objects at a time."""
+    stage = SequentialConsistency()
+    stage.assess(next(iter(world())))
+    stage._of.usual[stage._agents.rows[:agents]] = usual
+    return stage
+
+
+@pytest.mark.parametrize(("usual", "times"), [(0.0, 1.0), (3 * EXPECTED, 3.0), (100.0, WIDER)])
+def test_alarms_widen_with_what_is_usual_among_the_agents_up_to_a_limit(usual: float, times: float) -> None:
+    stage = accustomed(usual, 3)
+    assert stage._wider(stage._agents.rows) == pytest.approx(times)
+    stage = accustomed(usual, 2)
+    assert stage._wider(stage._agents.rows) == 1.0, "two of five cannot widen them"
+
+
+def test_a_liar_is_suspended_later_where_contradictions_are_usual() -> None:
+    cars = CARS[:3]
+    batches = list(world({"a": cars}, sees=dict.fromkeys(cars, "bcd"), frames=45))
+    first = []
+    for usual in (EXPECTED, 2 * EXPECTED):
+        stage = accustomed(usual, 5)
+        first.append([stage.assess(each).agents.state[0] for each in batches].index(SUSPENDED))
+    assert first[0] < first[1] < 2.5 * first[0]
+
+
+def test_one_object_adds_less_than_an_alarm_of_any_number_of_agents_takes() -> None:
+    stage = SequentialConsistency()
+    least = CONTRADICTION_TAIL.value_at(stage.false_alarms_per_hour / 4)
+    assert PERSISTENT_S * (1.0 - stage.allowance) < least
