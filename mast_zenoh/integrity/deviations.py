@@ -149,12 +149,14 @@ class Means:
     cluster, agent: (k,) of each track, no pair twice
     mean: (k, 5, 2) relative to the usual length of such a mean, in the order of NAMES
     deviation: (k, 5) usual lengths, in the units of the quantities
+    weight: (k, 5) 0 to 1, what the mean of a deviation that was always 1 would be: less of a track that began lately
     """
 
     cluster: Ints
     agent: Ints
     mean: Floats
     deviation: Floats
+    weight: Floats
 
     @property
     def length(self) -> Floats:
@@ -179,12 +181,16 @@ class Means:
         """Pairs of agents (p,), (p,), and how far their tracks of an object are apart, relative to the usual length.
 
         some: (k,) tracks that are compared with all others of their objects
+
+        As if both were seen since the later one began: what moves the middle of an object has moved the mean of a track
+        that has been there for longer by more.
         """
         one, other = np.nonzero(some[:, None] & (self.cluster[:, None] == self.cluster))
         one, other = one[one != other], other[one != other]
-        absolute = self.mean * self.deviation[..., None]
-        scale = self.deviation[one] ** 2 + self.deviation[other] ** 2
-        difference = np.sqrt(((absolute[one] - absolute[other]) ** 2).sum(axis=2) / scale)
+        absolute = self.mean * (self.deviation / self.weight)[..., None]
+        scale = np.minimum(self.weight[one], self.weight[other]) ** 2
+        scale /= self.deviation[one] ** 2 + self.deviation[other] ** 2
+        difference = np.sqrt(((absolute[one] - absolute[other]) ** 2).sum(axis=2) * scale)
         return self.agent[one], self.agent[other], np.asarray(difference.max(axis=1, initial=0.0))
 
     def left_by_fault(self, agent: int, quick: int, design: Floats) -> float:
@@ -221,7 +227,7 @@ class LastingDeviations:
     def forget_all(self) -> None:
         """Forget all deviations, but not what is usual."""
         self._row: dict[tuple[int, int], int] = {}  # by (agent, object)
-        self._mean = np.zeros((0, len(OF), 2))
+        self._mean, self._weight = np.zeros((0, len(OF), 2)), np.zeros((0, len(OF)))
         self._time_ns = np.zeros(0, np.int64)
         self._most = min(100, self._limit)  # pairs from which the oldest are forgotten
 
@@ -239,18 +245,20 @@ class LastingDeviations:
         rows = np.array([self._row.setdefault(key, len(self._row)) for key in keys], np.int64)
         new = len(self._row) - len(self._mean)
         self._mean = np.concatenate([self._mean, np.zeros((new, len(OF), 2))])
+        self._weight = np.concatenate([self._weight, np.zeros((new, len(OF)))])
         self._time_ns = np.concatenate([self._time_ns, np.full(new, time_ns - round(0.5 * STEP_S * 1e9))])
         elapsed_s = (time_ns - self._time_ns[rows]) * 1e-9
-        keep = np.exp(-elapsed_s[:, None, None] / MEMORY_S[:, None])
-        add = 1.0 - np.maximum(keep, np.exp(-STEP_S / MEMORY_S)[:, None])
+        keep = np.exp(-elapsed_s[:, None] / MEMORY_S)
+        add = 1.0 - np.maximum(keep, np.exp(-STEP_S / MEMORY_S))
         length = np.sqrt((measured.whitened**2).sum(axis=2, keepdims=True))
         clipped = measured.whitened * np.minimum(1.0, CLIP / np.maximum(length, 1e-12))
-        mean = self._mean[rows] * keep + add * clipped[:, OF]
-        self._mean[rows], self._time_ns[rows] = mean, time_ns
+        mean = self._mean[rows] * keep[..., None] + add[..., None] * clipped[:, OF]
+        weight = self._weight[rows] * keep + add
+        self._mean[rows], self._weight[rows], self._time_ns[rows] = mean, weight, time_ns
         self._forget_oldest(time_ns)
         self._look(time_ns, mean, measured, believed)
         usual = measured.deviation[:, OF] * self._usual
-        return Means(measured.cluster, measured.agent, mean / self._usual[:, None], usual)
+        return Means(measured.cluster, measured.agent, mean / self._usual[:, None], usual, weight)
 
     def _look(self, time_ns: int, mean: Floats, measured: Deviations, believed: Bools) -> None:
         """Note how long the means of a batch are: the median over agents of the medians over their objects."""
@@ -275,7 +283,7 @@ class LastingDeviations:
     def _keep(self, kept: list[tuple[tuple[int, int], int]]) -> None:
         rows = np.array([row for _, row in kept], np.int64)
         self._row = {key: row for row, (key, _) in enumerate(kept)}
-        self._mean, self._time_ns = self._mean[rows], self._time_ns[rows]
+        self._mean, self._weight, self._time_ns = self._mean[rows], self._weight[rows], self._time_ns[rows]
 
 
 def median_of_each(values: Floats) -> Floats:

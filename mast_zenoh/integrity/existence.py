@@ -41,7 +41,8 @@ class ExistenceVotes:
     An agent is heard only about what may be in its own view. Objects where no other sensor looks can be neither
     confirmed nor refuted. Of a suspended agent, as many of them are believed as it had on average before, the oldest:
     disbelieving all would cost more than it saves. Objects that fewer than half of the agents report, and others see
-    through, are open as long as either may be lying: of each agent's, not many more are believed than what is usual.
+    through, are open as long as either may be lying: of each agent's, not many more are believed than what is usual,
+    unless those that deny them dispute as many objects.
 
     agents: the memory of agents, with a column `suspended`; it is updated by the caller
     """
@@ -108,11 +109,11 @@ class ExistenceVotes:
         usual = self._usual[agent_rows]
         claimed = claims.any(axis=1) | self._oldest(unseen & ~voter, np.rint(usual[:, 0]))
         most = self._most_alone(alone.sum(axis=0), usual, voter)
-        few = (2 * claims.sum(axis=1) < len(batch.agents)) & (clear & voter).any(axis=1)
-        contested = claims & (few & ~refuted)[:, None]
+        few = (2 * claims.sum(axis=1) < len(batch.agents)) & (clear & voter).any(axis=1) & ~refuted
+        contested = claims & few[:, None]
         most_contested = self._most_contested(usual, voter)
         beyond = alone.any(axis=1) & ~self._oldest(alone, most)
-        beyond |= contested.any(axis=1) & ~self._oldest(contested, most_contested)
+        beyond |= more_disputed(contested, clear & voter & few[:, None]) & ~self._oldest(contested, most_contested)
         counts = (
             unseen.sum(axis=0),
             np.minimum(alone.sum(axis=0), most),
@@ -190,3 +191,15 @@ class ExistenceVotes:
         For the moment in which an agent is suspended: what it reported before it began to lie is no lie.
         """
         self._of.known |= self._of.first_ns < before_ns
+
+
+def more_disputed(claims: Bools, denials: Bools) -> Bools:
+    """(c,) claims of agents that dispute more objects on average than those who deny them.
+
+    claims, denials: (c, a) who claims each contested object, and who denies it
+
+    Honest agents that several liars contradict dispute some objects each; the liars dispute all of them.
+    """
+    disputed = (claims | denials).sum(axis=0)
+    claiming, denying = ((side @ disputed) / np.maximum(side.sum(axis=1), 1) for side in (claims, denials))
+    return np.asarray(claims.any(axis=1) & (claiming > denying))

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 import pytest
-from crossing import Place, world
+from crossing import CAR, Place, world
 
-from mast_zenoh.integrity import SequentialConsistency
+from mast_zenoh.integrity import Batch, SequentialConsistency
 from mast_zenoh.integrity.base import SUSPENDED
 from mast_zenoh.integrity.existence import CONTESTED, CONTESTED_TIMES, PERSISTENT_S, ExistenceVotes
 from mast_zenoh.integrity.memory import AgentMemory
@@ -17,18 +19,27 @@ CARS: list[Place] = [(10.0, -12.0), (-8.0, -10.0), (0.0, -8.0), (-10.0, 10.0), (
 EVERYBODY = np.ones(5, np.bool_)
 
 
-def withheld(liars: str, lookers: str) -> np.ndarray:
-    """(5,) which of CARS are withheld after some frames in which liars report them; lookers: see through them."""
+def withheld(liars: str, *lookers: str) -> np.ndarray:
+    """(5,) which of CARS are withheld after some frames in which liars report them.
+
+    lookers: agents that see through them, of all cars or of each
+    """
+    sees = dict(zip(CARS, lookers * (len(CARS) // len(lookers)), strict=True))
+    return withheld_of(world(dict.fromkeys(liars, CARS), sees=sees, frames=8))
+
+
+def withheld_of(batches: Iterable[Batch]) -> np.ndarray:
+    """(5,) which of CARS are withheld after some batches."""
     stage = SequentialConsistency()
-    for each in world(dict.fromkeys(liars, CARS), sees=dict.fromkeys(CARS, lookers), frames=8):
+    for each in batches:
         found = stage.assess(each)
     assert SUSPENDED not in found.agents.state
     assert not found.objects.withheld[0], "the car that all see"
     return found.objects.withheld[1:]
 
 
-def test_of_what_two_of_five_report_and_two_see_through_few_objects_are_believed() -> None:
-    assert (~withheld("ae", "bd")).sum() == CONTESTED
+def test_of_what_two_of_five_report_and_others_see_through_in_part_few_objects_are_believed() -> None:
+    assert (~withheld("ae", "b", "d", "bd", "bc", "d")).sum() == CONTESTED
 
 
 def test_what_two_of_five_report_and_nobody_sees_through_is_believed() -> None:
@@ -37,6 +48,12 @@ def test_what_two_of_five_report_and_nobody_sees_through_is_believed() -> None:
 
 def test_what_more_than_half_of_the_agents_report_is_not_limited() -> None:
     assert not withheld("ace", "b").any()
+
+
+def test_real_objects_that_few_agents_see_are_not_limited_by_two_of_five_that_deny_them_all() -> None:
+    sees = dict(zip(CARS, ("abe", "abe", "ace", "ace", "ade"), strict=True))
+    cars = [CAR, *CARS]
+    assert not withheld_of(world(hidden=dict.fromkeys("ae", CARS), cars=cars, sees=sees, frames=8)).any()
 
 
 @pytest.mark.parametrize(("agents", "usual"), [(2, 0.0), (3, 3.0)])

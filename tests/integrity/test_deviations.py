@@ -183,6 +183,18 @@ def test_tracks_of_one_object_are_compared_with_each_other() -> None:
     assert difference == pytest.approx(found.length[2].max() / np.sqrt(2.0))
 
 
+@pytest.mark.parametrize("later", [10, 25])
+def test_two_tracks_that_liars_moved_the_middle_from_are_not_apart_because_one_began_later(later: int) -> None:
+    lasting = LastingDeviations()
+    given = of(6.0, agents=2)
+    for frame in range(30):
+        some = np.arange(2) < (1 if frame < later else 2)
+        columns = given.cluster, given.agent, given.whitened, given.judged, given.deviation
+        found = means(lasting, frame, Deviations(*(column[some] for column in columns)), 2)
+    assert found.length[0, 1] > 1.1 * found.length[1, 1]
+    assert found.apart(np.ones(2, np.bool_))[2] == pytest.approx(0.0, abs=1e-9)
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_a_deviation_is_a_lie_as_far_as_no_fault_of_the_agent_explains_it(seed: int) -> None:
     random = np.random.default_rng(seed)
@@ -192,7 +204,9 @@ def test_a_deviation_is_a_lie_as_far_as_no_fault_of_the_agent_explains_it(seed: 
     def left(moved: Floats) -> float:
         mean = np.zeros((12, 5, 2))
         mean[:, 1] = (moved + random.normal(0.0, 0.15, (12, 2))) / 0.1
-        return Means(np.arange(12), np.zeros(12, np.int64), mean, np.full((12, 5), 0.1)).left_by_fault(0, 1, design)
+        return Means(
+            np.arange(12), np.zeros(12, np.int64), mean, np.full((12, 5), 0.1), np.ones((12, 5))
+        ).left_by_fault(0, 1, design)
 
     for fault in ([1.0, -0.5, 0.0, 0.0], [0.0, 0.0, 0.03, 0.0], [0.0, 0.0, 0.0, 0.2]):
         assert left(design @ fault) < 0.5 * EXPLAINED
@@ -206,6 +220,6 @@ def test_several_smaller_deviations_are_as_much_evidence_as_one() -> None:
     mean = np.zeros((6, 5, 2))
     mean[:, 1, 0] = 8.0, 1.0, 1.0, 6.0, 6.0, 6.0
     agent = np.repeat([0, 1], 3)
-    statistics, tracks = Means(np.tile(np.arange(3), 2), agent, mean, np.ones((6, 5))).of_agents(3)
+    statistics, tracks = Means(np.tile(np.arange(3), 2), agent, mean, *np.ones((2, 6, 5))).of_agents(3)
     assert statistics.tolist() == pytest.approx([8.0, 6.0 * RANKS[2], 0.0])
     assert tracks.tolist() == [True, False, False, True, True, True]
