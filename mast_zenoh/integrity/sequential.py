@@ -167,8 +167,8 @@ class SequentialConsistency(Integrity):
         """By name, (k,) statistics of the last batch that have a tail, see `tools/calibrate_integrity.py`."""
         of_agents = dict(zip(("contradictions", "deviation"), self._statistics.T, strict=True))
         rows = self._agents.rows
-        pairs = self._pairs[np.ix_(rows, rows)][np.triu_indices(len(rows), 1)]
-        return of_agents | {"pair": pairs, "own": self._of.own[rows], "apart": self._of_apart}
+        pairs, wider = self._pairs[np.ix_(rows, rows)][np.triu_indices(len(rows), 1)], self._wider(rows)
+        return of_agents | {"pair": pairs / wider, "own": self._of.own[rows] / wider, "apart": self._of_apart}
 
     def excuse(self, agent: str) -> None:
         if agent not in self._agents.names:
@@ -298,15 +298,16 @@ class SequentialConsistency(Integrity):
         wider = self._wider(rows)
         of.contradictions = self._summed(of.contradictions, counts[0], self._tails[CONTRADICTIONS], dt, wider)
         of.own = self._summed(of.own, counts[1], OWN_TAIL, dt, wider)
-        self._pairs = self._summed(self._pairs, between, self._pair_tail, dt)
+        self._pairs = self._summed(self._pairs, between, self._pair_tail, dt, wider)
         of.kinds[rows] += dt * kinds.sum(axis=1).T
 
     def _explain(self, batch: Batch, rows: Ints) -> tuple[Explanations, Verdict]:
         """The explanations of the disputes of the agents of a batch, and what they say of each."""
-        pairs, apart_ns = self._pairs[np.ix_(rows, rows)], self._apart_ns[np.ix_(rows, rows)]
+        wider = self._wider(rows)
+        pairs, apart_ns = self._pairs[np.ix_(rows, rows)] / wider, self._apart_ns[np.ix_(rows, rows)]
         apart = (apart_ns > 0) & (batch.time_ns - apart_ns <= APART_S * 1e9)
         disputes = self._disputes = (self._pair_tail.rate(pairs) <= self.disputes_per_hour) | apart
-        lying = OWN_TAIL.rate(self._of.own[rows] / self._wider(rows)) <= self.false_alarms_per_hour / max(len(rows), 1)
+        lying = OWN_TAIL.rate(self._of.own[rows] / wider) <= self.false_alarms_per_hour / max(len(rows), 1)
         lying |= self._of.suspended[rows]
         honest = np.isin(batch.agents, self.anchors)
         key = disputes.tobytes() + lying.tobytes() + honest.tobytes()
