@@ -68,7 +68,9 @@ def scenario(
     if listener not in agents_of(content["scene"]):
         raise ValueError(f"listener: no agent {listener!r} in this scene")
     pipeline = content["command_center"]["pipeline"]
-    pipeline["group_tracking"]["fusion"] = dict(type=fusion)
+    if relays or fusion != pipeline["group_tracking"]["fusion"]["type"]:
+        # What is relayed comes back: nothing is independent.
+        pipeline["group_tracking"]["fusion"] = dict(type=fusion)
     # The rules leave objects out for up to a second.
     radio = {} if rules == "EveryFrame" else dict(rules=dict(type=rules), memory_s=1.05, max_age_s=1.2)
     radio |= dict(awareness=dict(type="CamGeneration")) if awareness else {}

@@ -1,11 +1,8 @@
 """Measures how detections of generated junctions err over time, and how their traffic crowds, beside real data.
 
-    python tools/realism.py [--scenes K ...] [--seeds SEED ...] [--frames N] [--detector NAME[,PARAMETER=VALUE ...]]
-                            [--infrastructure N] [--mobile N]
+    python tools/realism.py --seeds 0 1 2 --detector LastingErrors,clutter_s=0.2,miss_s=0.35
 
-The detector is a class of `mast_zenoh.sensing`, with its parameters:
-
-    python tools/realism.py --detector LastingErrors,clutter_s=0.2,miss_s=0.35
+The detector is a class of `mast_zenoh.sensing`, with its parameters. Options: --help.
 
 The counting rules, for each agent and frame. Objects are those within 100 m with a lidar return, except itself.
 Detections within 100 m are matched to them within 2 m on the ground, nearest pairs first.
@@ -194,11 +191,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--mobile", type=int, default=0)
     chosen = parser.parse_args(arguments)
     scene = partial(Intersection, n_infrastructure=chosen.infrastructure, n_mobile=chosen.mobile)
-    recordings = [
-        scene(scene_index=index, detector=detector(chosen.detector)).record(seed, chosen.frames)
-        for index in chosen.scenes
-        for seed in chosen.seeds
-    ]
+    scenes = [scene(scene_index=index, detector=detector(chosen.detector)) for index in chosen.scenes]
+    recordings = [each.record(seed, chosen.frames) for each in scenes for seed in chosen.seeds]
     for name, value in measure(recordings).items():
         print(f"{name:44} {value:8.2f}   real: {REAL[name]}")
 

@@ -515,7 +515,7 @@ def averaged(mean, yaw, covariance, j, pairs, limits):
     cdef const double* own_yaw = float_data(own_yaws, 1)
     cdef const double* share_of = float_data(shares, 1)
     cdef const double* change = float_data(changes, 2)
-    cdef double least = limits[0], picture_share = limits[1], disagreement = limits[2]
+    cdef double least = limits[0], disagreement = limits[1]
     cdef Py_ssize_t r, i, row, n = length(mean), p = length(j)
     positions, sizes, velocities = empty_matrix(n, 3), empty_matrix(n, 3), empty_matrix(n, 3)
     yaws, covariances = empty_vector(np.NPY_DOUBLE, n), empty_matrices(n, 9)
@@ -538,7 +538,6 @@ def averaged(mean, yaw, covariance, j, pairs, limits):
             difference[i] = own_mean[9 * r + i] - mean_of[9 * row + i]
         share = disagreement * (difference[0] * difference[0] + difference[1] * difference[1])
         share = fmax(share_of[r], fmin(share / (own_variance + picture_variance), 1.0))
-        picture_variance = fmax(picture_share * picture_variance, least)
         gain = picture_variance / (share * picture_variance + own_variance)
         weight = gain * share
         for i in range(9):

@@ -15,6 +15,7 @@ import numpy as np
 
 from mast_zenoh.arrays.matching import greedy_matching, neighbours, uncontested
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, concatenate
+from mast_zenoh.fusion.group_tracking import ReturningObjects
 from mast_zenoh.integrity.base import ClusterBoxes
 from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.integrity.visibility import seen_through
@@ -27,9 +28,8 @@ FORGOTTEN_NS = 3_000_000_000
 #: ns for which an object that both sources have lost may continue under a new id of theirs: constant velocity predicts
 #: a car to within about a metre (`tracking.classes`).
 RESUMED_NS = 1_000_000_000
-#: Estimates in a row for which an own track and an object of the picture must be together before the picture's object
-#: continues as the own track did.
-SETTLED_AFTER = 5
+#: s for which a lost object is remembered where it can be found by its motion: as in the picture (`group_tracking`).
+RETURNING_S = 4.0
 #: Largest number of lost objects that are remembered.
 MAX_LOST = 1000
 
@@ -39,9 +39,8 @@ NONE = -1
 
 @dataclass(frozen=True, slots=True)
 class _Estimate:
-    """The n objects of one estimate: arguments and result of `MissionIds.assign`, and its number."""
+    """The n objects of one estimate: arguments and result of `MissionIds.assign`."""
 
-    number: int
     time_ns: int
     own: list[int]
     picture: list[int]
@@ -54,9 +53,9 @@ class MissionIds:
     """Gives the objects of an estimate ids, from those that they have as own tracks and in the picture.
 
     An object keeps its id when the picture loses it or takes it over. Where the two sources have had different ids for
-    what now is one object, it keeps that of the own track: a pairing does not change the identity of what the agent
-    sees itself. Where they have had the same id for what now are two objects, it stays with the one nearer to where the
-    object should be.
+    what now is one object, it keeps that of the picture, which loses fewer objects than one agent alone, unless the
+    picture's object should be elsewhere. Where they have had the same id for what now are two objects, it stays with
+    the one nearer to where the object should be.
 
     radius: m, how far from there an object may be that continues with an id although its sources have new ones
     """
@@ -65,9 +64,8 @@ class MissionIds:
         self.radius = radius
         self._own = _IdMap()
         self._picture = _IdMap()
-        self._partners: dict[int, tuple[int, int, int]] = {}  # by picture id: own id, for how long, last estimate
         self._lost: dict[int, tuple[int, Floats, Floats]] = {}  # by id: time, ns, position and velocity
-        self._newest = _Estimate(0, 0, [], [], np.zeros((0, 2)), np.zeros((0, 2)), [])
+        self._newest = _Estimate(0, [], [], np.zeros((0, 2)), np.zeros((0, 2)), [])
         self._settled = False  # the same objects would have the same ids again
         self._next = 0
 
@@ -89,12 +87,11 @@ class MissionIds:
         if unchanged and self._settled:
             ids = before.ids
         else:
-            self._inherit(own_ids)
             ids, unclear = self._known(own_ids, picture_ids)
             if unclear:
                 self._decide(time_ns, own_ids, picture_ids, position, ids, unclear)
-            self._settled = not unclear and not self._partners
-        self._newest = _Estimate(before.number + 1, time_ns, own_ids, picture_ids, position, velocity, ids)
+            self._settled = not unclear
+        self._newest = _Estimate(time_ns, own_ids, picture_ids, position, velocity, ids)
         if unclear or not unchanged:
             self._note_lost(before)
             self._own.note_gone(before.time_ns, before.own, own_ids)
@@ -121,8 +118,8 @@ class MissionIds:
         self, time_ns: int, own: list[int], picture: list[int], position: Floats, ids: list[int], unclear: list[int]
     ) -> None:
         """Set the ids of the unclear rows, first of the objects that are where their id should be."""
-        choices = {row: self._choices(own[row], picture[row]) for row in unclear}
         places = self._predicted(time_ns)
+        choices = {row: self._choices(own[row], picture[row], position[row], places) for row in unclear}
         away = {row: _distance(places.get(c[0]) if c else None, position[row]) for row, c in choices.items()}
         order = sorted(unclear, key=lambda row: (away[row], own[row], picture[row]))
         taken = {id_ for row, id_ in enumerate(ids) if row not in choices}
@@ -135,23 +132,15 @@ class MissionIds:
             if own[row] != NONE:
                 self._own.ids[own[row]] = ids[row]
             if picture[row] != NONE:
-                self._continue(picture[row], own[row], ids[row])
+                self._picture.ids[picture[row]] = ids[row]
 
-    def _choices(self, own_id: int, picture_id: int) -> list[int]:
-        """The ids that an object had, the one that it should keep first."""
-        choices = [self._own.ids.get(own_id), self._picture.ids.get(picture_id)]
-        if self._own.away(own_id) and not self._picture.away(picture_id):
-            choices.reverse()  # the agent has not seen it itself of late
-        return [id_ for id_ in choices if id_ is not None]
-
-    def _inherit(self, own: list[int]) -> None:
-        """Let objects of the picture whose own track has just been lost continue as it did."""
-        if self._partners:
-            present, number = set(own), self._newest.number
-            for picture_id, (partner, _, last) in list(self._partners.items()):
-                if last == number - 1 and partner not in present:
-                    self._picture.ids[picture_id] = self._own.ids[partner]
-                    del self._partners[picture_id]
+    def _choices(
+        self, own_id: int, picture_id: int, position: Floats, places: dict[int, tuple[float, float, int]]
+    ) -> list[int]:
+        """The ids that an object at `position` (2,) had, the one that it should keep first."""
+        ids = self._picture.ids.get(picture_id), self._own.ids.get(own_id)
+        known = [id_ for id_ in ids if id_ is not None]
+        return sorted(known, key=lambda id_: _distance(places.get(id_), position) > self.radius)
 
     def _predicted(self, time_ns: int) -> dict[int, tuple[float, float, int]]:
         """Where the objects with ids should be now, m, and since when they are unseen, ns."""
@@ -184,19 +173,6 @@ class MissionIds:
             if ids[row] == NONE:
                 ids[row], self._next = self._next, self._next + 1
 
-    def _continue(self, picture_id: int, own_id: int, id_: int) -> None:
-        """Let an object of the picture, with an own track or without, have an id, at once or after some time."""
-        known = self._picture.ids.get(picture_id, id_)
-        number = self._newest.number
-        if own_id != NONE and known != id_:
-            partner, together, last = self._partners.get(picture_id, (NONE, 0, number))
-            together = together + 1 if partner == own_id and last == number - 1 else 1
-            if together < SETTLED_AFTER:
-                self._partners[picture_id] = own_id, together, number
-                return
-        self._partners.pop(picture_id, None)
-        self._picture.ids[picture_id] = id_
-
     def _note_lost(self, before: _Estimate) -> None:
         """Remember where the objects were that the newest estimate no longer has."""
         present = set(self._newest.ids)
@@ -209,8 +185,7 @@ class MissionIds:
     def _forget(self, limit_ns: int) -> None:
         """Forget what has been gone since before a time."""
         self._own.forget(limit_ns)
-        for picture_id in self._picture.forget(limit_ns):
-            self._partners.pop(picture_id, None)
+        self._picture.forget(limit_ns)
         for id_ in [id_ for id_, (last_ns, _, _) in self._lost.items() if last_ns < limit_ns]:
             del self._lost[id_]
 
@@ -222,10 +197,6 @@ class _IdMap:
         self.ids: dict[int, int] = {}
         self._gone: dict[int, int] = {}  # since when, ns
 
-    def away(self, source_id: int) -> bool:
-        """Whether the source did not have an object in the newest estimate."""
-        return source_id in self._gone
-
     def note_gone(self, time_ns: int, before: list[int], now: list[int]) -> None:
         """Remember which ids of the source are gone since a time, and which are back."""
         present = set(now)
@@ -233,12 +204,10 @@ class _IdMap:
         for source_id in present & self._gone.keys():
             del self._gone[source_id]
 
-    def forget(self, limit_ns: int) -> list[int]:
-        """Forget the ids of the source that have been gone since before a time, and return them."""
-        forgotten = [source_id for source_id, since_ns in self._gone.items() if since_ns < limit_ns]
-        for source_id in forgotten:
+    def forget(self, limit_ns: int) -> None:
+        """Forget the ids of the source that have been gone since before a time."""
+        for source_id in [source_id for source_id, since_ns in self._gone.items() if since_ns < limit_ns]:
             del self._gone[source_id], self.ids[source_id]
-        return forgotten
 
 
 def _distance(place: tuple[float, float, int] | None, position: Floats) -> float:
@@ -249,13 +218,10 @@ def _distance(place: tuple[float, float, int] | None, position: Floats) -> float
 #: m^2, least variance of a horizontal position, both axes together, that a message can claim: 0.1 m per axis, as in
 #: `fusion.CheckedCovariances`.
 LEAST_VARIANCE = 0.02
-#: Of the variance that a picture claims, how much its errors have: covariance intersection bounds them for any
-#: correlation of the agents' errors. Measured: 0.2 to 0.4 (docs/tracking.md).
-PICTURE_SHARE = 0.3
 #: How much of an own track counts by its disagreement with the picture: this times their squared distance, relative to
 #: the variance that both claim. Then a picture from badly surveyed sensors makes the estimate hardly worse.
-DISAGREEMENT = 3.0
-WEIGHTING = LEAST_VARIANCE, PICTURE_SHARE, DISAGREEMENT
+DISAGREEMENT = 0.5
+WEIGHTING = LEAST_VARIANCE, DISAGREEMENT
 #: Estimates whose own tracks are remembered: a picture's age in frames, at most.
 MAX_EARLIER = 16
 #: Where a flat covariance has the terms of a horizontal position's variance after some time: those of its x, then of y.
@@ -291,7 +257,7 @@ class OwnAndPicture(MissionEstimator):
     The weights are inverse to the variances of the horizontal positions: where the agent sees an object well itself,
     its own track has most of the weight, and errors of other agents' poses do little harm. But the picture already
     contains what this agent saw until the picture was made. So what it has seen since counts fully, and what it saw
-    before only as far as the two disagree: `_OwnNews`. Of the variance that the picture claims, `PICTURE_SHARE` counts.
+    before only as far as the two disagree: `_OwnNews`.
 
     The covariance is an average of both, with the weights of the positions. It bounds that of the average whatever the
     correlation, because covariances are convex.
@@ -341,6 +307,7 @@ class _Pairs:
     def __init__(self, radius: float) -> None:
         self.radius = radius
         self._ids = MissionIds(radius)
+        self._returning = ReturningObjects(RETURNING_S)
 
     def find(self, own: ObjectStates, picture: ObjectStates) -> tuple[Ints, Ints, Bools]:
         """Rows of own tracks (p,), rows of the picture (p,), and which own tracks (n,) have an object nearby."""
@@ -366,6 +333,8 @@ class _Pairs:
         own_ids[j] = own.id[i]
         picture_ids = np.concatenate([picture.id, np.full(len(remaining), NONE)])
         ids = self._ids.assign(time_ns, own_ids, picture_ids, objects.position[:, :2], objects.velocity[:, :2])
+        order = ids.argsort()
+        ids[order] = self._returning.ids_for(time_ns, objects.with_(id=ids).select(order))
         return objects.with_(id=ids)
 
 
@@ -444,7 +413,7 @@ def averaged(
     covariance: Floats,
     j: Ints,
     pairs: tuple[Floats, ...],
-    weighting: tuple[float, float, float],
+    weighting: tuple[float, float],
 ) -> tuple[Floats, ...]:
     """The n objects of a picture after averaging p of them with own tracks, as in `_average_pairs`.
 
@@ -455,14 +424,13 @@ def averaged(
         (p,) of the own tracks, share and change; weighting: WEIGHTING
     """
     own_mean, own_covariance, claimed, own_yaw, share, change = pairs
-    least, picture_share, disagreement = weighting
+    least, disagreement = weighting
     own_variance = np.maximum(_variance(own_covariance), least)
     picture_variance = np.maximum(_variance(claimed), least)
     paired = mean.take(j, 0)
     difference = own_mean - paired
     apart = difference[:, 0] * difference[:, 0] + difference[:, 1] * difference[:, 1]
     share = np.maximum(share, np.minimum(disagreement * apart / (own_variance + picture_variance), 1.0))
-    picture_variance = np.maximum(picture_share * picture_variance, least)
     gain = picture_variance / (share * picture_variance + own_variance)
     weight = gain * share  # of the own track
     mean, yaw, covariance = mean.copy(), yaw.copy(), covariance.copy()

@@ -194,7 +194,7 @@ class DetectionModel(Detector):
     score: tuple[float, float] = (0.6, 1.0)
     clutter_score: tuple[float, float] = (0.3, 0.8)
     report_covariance: bool = True
-    white: bool = True
+    white: bool = False
     view_share: float = 0.45
     view_angle_deg: float = 40.0
     white_share: float = 0.35

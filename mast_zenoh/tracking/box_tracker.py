@@ -265,7 +265,7 @@ class KalmanBoxTracker3D(Tracker):
         vertical_std_m: float = 0.2,
         size_std_m: float = 0.3,
         yaw_std_rad: float = 0.1,
-        lasting_share: float = 0.0,
+        lasting_share: float = 0.4,
         detection_probability: float = 0.9,
         report_probability: float = 0.98,
         clutter_per_m2: float = 5e-5,

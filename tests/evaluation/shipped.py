@@ -22,7 +22,7 @@ VARIANTS: dict[str, list[tuple[str, ...]]] = {
     ],
     "attack_during_partition": [("partition_s=1.0", "partition_until_s=2.0", "kill_s=2.4", "restart_after_s=0.6")],
     "two_hosts": [("partition_s=0", "run.mode=lockstep")],
-    "hide_object": [("attack_start_s=1.5",)],  # it selects its target once, when tracks must exist
+    "hide_object": [("attack_start_s=2.0",)],  # it selects its target once, when tracks of real objects must exist
     "defended": [
         (),
         ("attack=Replay", "wires=detections pose tracks view"),

@@ -62,6 +62,11 @@ def scenario():
     return base | dict(name="sure")
 """
 
+#: The same with a centre that checks, and errors that are new in each frame: it believes what its own filter says.
+CHECKED = SURE.replace("ReportedCovariances", "CheckedCovariances").replace(
+    "    pipeline =", '    base["scene"] |= dict(detector=dict(type="DetectionModel", white=True))\n    pipeline ='
+)
+
 #: Nothing counts as truth, and one agent takes its detections for five times as accurate as they are.
 BLIND = """
 from dataclasses import replace
@@ -77,6 +82,7 @@ class SharpTracker(KalmanBoxTracker3D):
 
 def scenario():
     _, base = load("baseline")
+    base["scene"] |= dict(detector=dict(type="DetectionModel", white=True))
     pipeline = base["agents"]["*"]["pipeline"]
     base["agents"]["infra_2"] = dict(pipeline=pipeline | dict(tracker=dict(type="SharpTracker")))
     base["evaluator"] = dict(scorer=dict(type="Scorer", min_points=1_000_000))
@@ -172,7 +178,7 @@ def test_the_mission_estimate_is_less_confident_than_the_picture_that_it_predict
 
 
 def test_a_centre_that_checks_covariances_is_not_dragged_along(once: Once) -> None:
-    checked = once("checked", checked=SURE.replace("ReportedCovariances", "CheckedCovariances"))
+    checked = once("checked", checked=CHECKED)
     assert not any(text.startswith(("the picture is ", "the mission estimate")) for text in confidence_notices(checked))
 
 
@@ -190,7 +196,8 @@ def test_nodes_tell_their_innovations_unless_their_tracker_does_not(once: Once) 
     innovations = record_of(once("sure", sure=SURE))["innovations"]
     assert set(innovations) == {"ego", "infra_2", "infra_3", "infra_4", "command_center"}
     for agent in ("ego", "infra_2", "infra_4"):
-        assert 0.8 < innovations[agent]["factor"] < 1.2, "scaled output does not change the tracker itself"
+        # Below 1: what lasts of an error is in the track as in the next detection, and in no innovation.
+        assert 0.4 < innovations[agent]["factor"] < 1.2, "scaled output does not change the tracker itself"
     assert innovations["command_center"]["at_most"]
     results = json.loads((once("sure", sure=SURE).folder / "results" / "ego" / "results.json").read_text())
     assert results["innovations"]["pairs"] == innovations["ego"]["pairs"]

@@ -26,14 +26,17 @@ def undefended(tmp_path_factory: pytest.TempPathFactory) -> mast.Run:
     )
 
 
-@pytest.mark.parametrize("defence", ["KOfN", "FreeSpace", "Mate"])
-def test_most_false_objects_of_one_adversary_are_withheld(play: Any, undefended: mast.Run, defence: str) -> None:
+@pytest.mark.parametrize(("defence", "lost"), [("KOfN", 0.15), ("FreeSpace", 0.05), ("Mate", 0.05)])
+def test_most_false_objects_of_one_adversary_are_withheld(
+    play: Any, undefended: mast.Run, defence: str, lost: float
+) -> None:
+    """`KOfN` loses some more real objects: those that all but one agent miss for a while."""
     run = play("defended", frames=FRAMES, seed=SEED, defence=defence, n_adversaries=1, report=False)
     quiet = play("defended", frames=FRAMES, seed=SEED, n_adversaries=0, report=False)
     added = false_objects(undefended) - false_objects(quiet)
     assert false_objects(run) - false_objects(quiet) < 0.5 * added
     missed = [each.summary["agents"]["ego"]["picture"]["fn"]["mean"] for each in (run, undefended)]
-    assert missed[0] < missed[1] + 0.05, "hardly any real object is withheld"
+    assert missed[0] < missed[1] + lost, "hardly any real object is withheld"
 
 
 def test_the_egos_veto_removes_what_it_sees_through(play: Any, undefended: mast.Run) -> None:

@@ -27,9 +27,7 @@ def detected_again(recording: Recording, detector: Detector, seed: int) -> Recor
 
 def test_errors_last_as_real_ones_do() -> None:
     scenes = [Intersection(scene_index=junction).record(0, 120) for junction in (0, 3)]
-    measured = measure(
-        [detected_again(scene, DetectionModel(white=False), seed) for scene in scenes for seed in range(3)]
-    )
+    measured = measure([detected_again(scene, DetectionModel(), seed) for scene in scenes for seed in range(3)])
     for name, low, high in (
         ("life of a false detection, frames", 2.2, 2.3),
         ("share of them in runs of 5 and more", 39.0, 42.0),
@@ -61,7 +59,7 @@ def test_the_detector_of_a_command_line_has_its_parameters(capsys: pytest.Captur
 
 def test_an_error_turns_with_its_object_and_stays_when_both_are_turned() -> None:
     """A car is seen from one side, then car and sensor turn about it by 90 degrees."""
-    model = DetectionModel(white=False, view_share=1.0, white_share=0.0, clutter_rate=0.0).begin("ego", "lidar", 0.1)
+    model = DetectionModel(view_share=1.0, white_share=0.0, clutter_rate=0.0).begin("ego", "lidar", 0.1)
 
     def error(bearing: float, yaw: float) -> np.ndarray:
         """(2,) m, in the frame of the car."""

