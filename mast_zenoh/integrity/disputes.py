@@ -15,6 +15,7 @@ from mast_zenoh.integrity.visibility import (
     current,
     lenient_sightings,
     out_of_view,
+    passed_nearby,
     passed_to_others,
     rays_at,
 )
@@ -226,5 +227,6 @@ class Evidence:
         seen, own = lenient_sightings(batch, boxes)
         rays = rays_at(batch, boxes, current(batch.views))
         unseen, beside = of_tracks(batch, out_of_view(batch)), passed_to_others(batch, boxes, rays, voter)
+        beside |= passed_nearby(batch, boxes, voter)
         testimonies = Testimonies.of(batch, boxes, own, seen, rays, unseen, voter)
         return cls(batch, boxes, seen, rays, unseen, beside, testimonies)

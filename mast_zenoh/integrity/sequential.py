@@ -229,11 +229,10 @@ class SequentialConsistency(Integrity):
     def _wider(self, rows: Ints) -> float:
         """How many times as much evidence an alarm takes as is expected: by what is usual among the agents now.
 
-        The middle of those that are not suspended: fewer than half cannot move it beyond what others have.
+        The middle of those that are not suspended, of two the lower one: half of them cannot raise it.
         """
-        voter = ~self._of.suspended[rows]
-        usual = float(np.median(self._of.usual[rows[voter]])) if voter.any() else EXPECTED
-        return min(max(usual / EXPECTED, 1.0), WIDER)
+        usual = np.sort(self._of.usual[rows[~self._of.suspended[rows]]])
+        return min(max(usual[(len(usual) - 1) // 2] / EXPECTED, 1.0), WIDER) if len(usual) else 1.0
 
     def _alarm_at(self, statistic: int, agents: int) -> float:
         """The value from which one statistic alone, a column of `_statistics`, is an alarm."""

@@ -17,6 +17,7 @@ from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.integrity.base import Batch, ClusterBoxes
 from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.kernels import kernel
+from mast_zenoh.tracking.tracks import overlap
 
 #: Sample points of a box, in half lengths and half widths, and in half heights.
 _ACROSS = (-1.0, 0.0, 1.0)
@@ -215,6 +216,11 @@ LEAST_IN_VIEW = 0.25
 ERROR_SD = 2.0
 #: m, between the outlines of two objects that are beside each other.
 BESIDE_M = 1.5
+#: m, from a sensor, nearer than which only a part of what stands there is in its view.
+NEARBY_M = 6.0
+#: m, between objects that nearly touch; m/s, from which objects drive, and by which velocities of two differ that do so
+#: as one.
+TOUCH_M, DRIVES_MPS, AS_ONE_MPS = 1.0, 3.0, 2.0
 #: m, greatest standard deviation that a track may claim in its favour.
 MAX_ERROR_M = 1.0
 
@@ -319,10 +325,48 @@ def passed_to_others(batch: Batch, boxes: ClusterBoxes, rays: RayEvidence, voter
         return result
     judged, row = np.unique(i, return_inverse=True)
     ends = np.zeros((len(judged), len(voter)), np.bool_)
-    np.logical_or.at(ends, row, rays.ends[j])
+    np.logical_or.at(ends, row, rays.ends[j] | batch.reported[j])
     views = current(batch.views)
     passed = passed_beside(boxes.position[judged], boxes.size[judged], boxes.yaw[judged], views, TOLERANCES)
     result[judged] = passed & ends & voter & ~batch.reported[judged]
+    return result
+
+
+def passed_nearby(batch: Batch, boxes: ClusterBoxes, voter: Bools) -> Bools:
+    """(c, a) objects beside a sensor that it sees through, of what is in its view there, and does not report.
+
+    boxes: of the clusters; voter: (a,) agents that count. Not what the sensor is on.
+    """
+    result = np.zeros(batch.reported.shape, np.bool_)
+    half = 0.5 * np.hypot(boxes.size[:, 0], boxes.size[:, 1])
+    for agent, view in enumerate(current(batch.views)):
+        if view is None or not voter[agent]:
+            continue
+        away = _distance(boxes.position, view)
+        near = np.flatnonzero((away <= NEARBY_M) & (away > half) & ~batch.reported[:, agent])
+        if len(near):
+            some = ClusterBoxes(*(column[near] for column in (boxes.position, boxes.velocity, boxes.size, boxes.yaw)))
+            result[near, agent] = clear_in_view(some, view)
+    return result
+
+
+def attached(batch: Batch, boxes: ClusterBoxes, voter: Bools) -> Bools:
+    """(c,) objects that drive as one with another one, which more agents report, and nearly touch it.
+
+    boxes: of the clusters; voter: (a,) agents that count
+    """
+    result = np.zeros(batch.clusters, np.bool_)
+    half = 0.5 * np.hypot(boxes.size[:, 0], boxes.size[:, 1])
+    i, j, dx, dy = neighbours(boxes.position, boxes.position, half + half.max(initial=0.0) + TOUCH_M)
+    witnesses = (batch.reported & voter).sum(axis=1)
+    near = (witnesses[j] > witnesses[i]) & (2 * witnesses[i] < len(voter))
+    near &= np.hypot(dx, dy) <= half[i] + half[j] + TOUCH_M
+    near &= np.linalg.norm(boxes.velocity[i, :2], axis=1) >= DRIVES_MPS
+    near &= np.linalg.norm(boxes.velocity[i, :2] - boxes.velocity[j, :2], axis=1) <= AS_ONE_MPS
+    i, j, offset = i[near], j[near], np.column_stack([dx, dy])[near]
+    if len(i):
+        grown = boxes.size + 2.0 * np.array([TOUCH_M, TOUCH_M, 0.0])
+        result[i[overlap(offset, boxes.size[i], boxes.yaw[i], grown[j], boxes.yaw[j], 1.0)]] = True
     return result
 
 
