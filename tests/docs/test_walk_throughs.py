@@ -99,7 +99,7 @@ def test_the_tutorial_on_driving_works_as_written_and_its_table_has_the_measured
 @pytest.fixture(scope="module")
 def defended(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder in which the tutorial on defences was played."""
-    folder = play_page(page("tutorial_defence"), tmp_path_factory.mktemp("defence"), least=9)
+    folder = play_page(page("tutorial_defence"), tmp_path_factory.mktemp("defence"), least=10)
     printed = (folder / "printed").read_text()
     assert "4 passed" in printed
     assert printed.count("withheld objects per frame") == 2
@@ -113,21 +113,24 @@ def picture(folder: Path, run: str, measure: str = "fp") -> float:
 
 
 def test_the_defence_stops_the_naive_adversary_and_not_the_one_that_knows_it(defended: Path) -> None:
-    assert picture(defended, "naive_undefended") > 2.0
-    assert picture(defended, "naive_defended") < 0.3 * picture(defended, "naive_undefended")
-    assert picture(defended, "adaptive_undefended") > 1.0
-    assert picture(defended, "adaptive_defended") > 0.9 * picture(defended, "adaptive_undefended")
-    assert picture(defended, "quiet_defended", "fn") == picture(defended, "adaptive_undefended", "fn"), "no cost"
+    assert added(defended, "naive_undefended") > 2.0
+    assert added(defended, "naive_defended") < 0.3 * added(defended, "naive_undefended")
+    assert added(defended, "adaptive_undefended") > 1.0
+    assert added(defended, "adaptive_defended") > 0.9 * added(defended, "adaptive_undefended")
+    assert picture(defended, "quiet_defended", "fn") == picture(defended, "quiet_undefended", "fn"), "no cost"
+
+
+def added(folder: Path, run: str) -> float:
+    """False objects a frame that an attack adds."""
+    return picture(folder, run) - picture(folder, f"quiet_{run.split('_')[1]}")
 
 
 def test_the_table_of_the_tutorial_has_the_measured_numbers(defended: Path) -> None:
-    rows = {"`UncoordinatedAttack`": "naive", "`FewWitnesses`": "adaptive"}
+    rows = {"`UncoordinatedAttack`": "naive", "`FewWitnesses`": "adaptive", "none": "quiet"}
     for row, run in rows.items():
         (numbers,) = re.findall(rf"^\| {row} \| ([\d.]+) \| ([\d.]+) \|$", page("tutorial_defence"), flags=re.M)
         for defence, number in zip(("undefended", "defended"), numbers, strict=True):
             assert picture(defended, f"{run}_{defence}") == pytest.approx(float(number), abs=0.3)
-    (quiet,) = re.findall(r"^\| none \| [\d.]+ \| ([\d.]+) \|$", page("tutorial_defence"), flags=re.M)
-    assert picture(defended, "quiet_defended") == pytest.approx(float(quiet), abs=0.1)
 
 
 def test_the_liar_is_trusted_less_only_if_it_is_naive(defended: Path) -> None:
