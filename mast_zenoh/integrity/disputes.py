@@ -12,6 +12,7 @@ from mast_zenoh.integrity.base import Batch, ClusterBoxes
 from mast_zenoh.integrity.visibility import (
     RayEvidence,
     Sightings,
+    better_known,
     current,
     lenient_sightings,
     out_of_view,
@@ -35,6 +36,9 @@ WITNESSES = 2
 #: m, horizontally and vertically, from an agent's track to the middle box of its object, up to which others' denial of
 #: the box contradicts the agent: two liars that report an object elsewhere move the box, and not the honest track.
 SAME_PLACE_M, SAME_HEIGHT_M = 1.0, 0.75
+#: m, between outlines of objects that nearly touch; m/s, from which objects drive, and by which the velocities of two
+#: that drive as one differ at most. Cars that drive keep more distance, also from bicycles beside them.
+TOUCH_M, DRIVES_MPS, AS_ONE_MPS = 1.0, 3.0, 2.0
 #: m, from an object, within which an agent's track may be of it: it is not silent about the object. The clusterer's
 #: radius.
 ABOUT_M = 2.0
@@ -100,6 +104,22 @@ def in_place(batch: Batch, boxes: ClusterBoxes) -> Bools:
     """(n,) tracks that are where the middle boxes of their clusters are."""
     away = np.abs(batch.states.position - boxes.position[batch.labels])
     return np.asarray((np.hypot(away[:, 0], away[:, 1]) <= SAME_PLACE_M) & (away[:, 2] <= SAME_HEIGHT_M))
+
+
+def attached(batch: Batch, boxes: ClusterBoxes, voter: Bools, beside: tuple[Ints, Ints, Floats]) -> Bools:
+    """(c,) objects that fewer than half of the agents report, and that drive as one with another one, nearly touching.
+
+    boxes: of the clusters; voter: (a,) agents that count; beside: see `better_known`
+    """
+    i, j, offset = beside
+    velocity, other = boxes.velocity[i, :2], boxes.velocity[j, :2]
+    as_one = (np.linalg.norm(velocity, axis=1) >= DRIVES_MPS) & (np.linalg.norm(velocity - other, axis=1) <= AS_ONE_MPS)
+    grown = boxes.size + np.array([2.0 * TOUCH_M, 2.0 * TOUCH_M, 0.0])
+    touches = overlap(offset, boxes.size[i], boxes.yaw[i], grown[j], boxes.yaw[j], 1.0)
+    few = 2 * (batch.reported & voter).sum(axis=1) < len(voter)
+    result = np.zeros(batch.clusters, np.bool_)
+    result[i[as_one & touches & few[i]]] = True
+    return result
 
 
 def reports_nearby(batch: Batch, boxes: ClusterBoxes) -> Bools:
@@ -209,7 +229,8 @@ class Evidence:
     """A batch with the middle boxes of its clusters, what sensors see of them, and what agents say of them.
 
     unseen: (c, a) whether the agent reports the object outside its own view
-    beside: (c, a) whether its rays pass the place of the object, and end at another one beside it
+    beside: (c, a) whether its rays pass the place of the object, beside another one or the sensor
+    attached: (c,) objects that few report, and that seem to hang on to another one
     """
 
     batch: Batch
@@ -218,6 +239,7 @@ class Evidence:
     rays: RayEvidence
     unseen: Bools
     beside: Bools
+    attached: Bools
     testimonies: Testimonies
 
     @classmethod
@@ -226,7 +248,7 @@ class Evidence:
         boxes = ClusterBoxes.of(batch, np.broadcast_to(voter, batch.reported.shape))
         seen, own = lenient_sightings(batch, boxes)
         rays = rays_at(batch, boxes, current(batch.views))
-        unseen, beside = of_tracks(batch, out_of_view(batch)), passed_to_others(batch, boxes, rays, voter)
-        beside |= passed_nearby(batch, boxes, voter)
+        unseen, known = of_tracks(batch, out_of_view(batch)), better_known(batch, boxes, voter)
+        beside = passed_to_others(batch, boxes, rays, voter, known) | passed_nearby(batch, boxes, voter)
         testimonies = Testimonies.of(batch, boxes, own, seen, rays, unseen, voter)
-        return cls(batch, boxes, seen, rays, unseen, beside, testimonies)
+        return cls(batch, boxes, seen, rays, unseen, beside, attached(batch, boxes, voter, known), testimonies)

@@ -9,7 +9,7 @@ from mast_zenoh.integrity.base import Batch, ClusterBoxes, ObjectTrust
 from mast_zenoh.integrity.disputes import Evidence
 from mast_zenoh.integrity.explanations import Explanations
 from mast_zenoh.integrity.memory import NOW, VOTE_MEMORY_S, AgentMemory, VoteMemory
-from mast_zenoh.integrity.visibility import FAR_M, attached, silent_about
+from mast_zenoh.integrity.visibility import FAR_M, silent_about
 
 #: Agents that must confirm an object at one time, so that it is believed when only suspended agents report it later.
 CONFIRMING = 2
@@ -120,8 +120,7 @@ class ExistenceVotes:
             np.minimum(contested.sum(axis=0), most_contested),
         )
         self._usual[agent_rows] = self._averaged(batch.time_ns, usual, np.column_stack(counts), voter)
-        withheld = (balance < 0.0) | ~self._stays(batch.time_ns, claimed, believed) | beyond
-        withheld |= attached(batch, boxes, voter)
+        withheld = (balance < 0.0) | ~self._stays(batch.time_ns, claimed, believed) | beyond | evidence.attached
         objects = ObjectTrust(
             (1.0 + confirming) / (2.0 + confirming + contradicting),
             (seen.in_view | reported).sum(axis=1),

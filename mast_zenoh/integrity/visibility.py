@@ -17,7 +17,6 @@ from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.integrity.base import Batch, ClusterBoxes
 from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.kernels import kernel
-from mast_zenoh.tracking.tracks import overlap
 
 #: Sample points of a box, in half lengths and half widths, and in half heights.
 _ACROSS = (-1.0, 0.0, 1.0)
@@ -218,9 +217,6 @@ ERROR_SD = 2.0
 BESIDE_M = 1.5
 #: m, from a sensor, nearer than which only a part of what stands there is in its view.
 NEARBY_M = 6.0
-#: m, between objects that nearly touch; m/s, from which objects drive, and by which velocities of two differ that do so
-#: as one.
-TOUCH_M, DRIVES_MPS, AS_ONE_MPS = 1.0, 3.0, 2.0
 #: m, greatest standard deviation that a track may claim in its favour.
 MAX_ERROR_M = 1.0
 
@@ -307,28 +303,38 @@ def out_of_view(batch: Batch) -> Bools:
     return outside_view(states.position, states.size, states.yaw, margin, views, batch.agent, TOLERANCES)
 
 
-def passed_to_others(batch: Batch, boxes: ClusterBoxes, rays: RayEvidence, voter: Bools) -> Bools:
-    """(c, a) objects beside one that more agents report, through which a sensor's rays go on to that other one.
+def better_known(batch: Batch, boxes: ClusterBoxes, voter: Bools) -> tuple[Ints, Ints, Floats]:
+    """Pairs of an object (p,) and one beside it (p,) that more agents report, and the way (p, 2) m to the other one.
 
-    boxes, rays: of the clusters; voter: (a,) agents that count
+    boxes: of the clusters; voter: (a,) agents that count
+    """
+    half = 0.5 * np.hypot(boxes.size[:, 0], boxes.size[:, 1])
+    i, j, dx, dy = neighbours(boxes.position, boxes.position, half + half.max(initial=0.0) + BESIDE_M)
+    witnesses = (batch.reported & voter).sum(axis=1)
+    beside = (np.hypot(dx, dy) <= half[i] + half[j] + BESIDE_M) & (witnesses[j] > witnesses[i])
+    return i[beside], j[beside], np.column_stack([dx[beside], dy[beside]])
+
+
+def passed_to_others(
+    batch: Batch, boxes: ClusterBoxes, rays: RayEvidence, voter: Bools, beside: tuple[Ints, Ints, Floats]
+) -> Bools:
+    """(c, a) objects beside a better known one through which the rays of a sensor that has that one in view go on.
+
+    boxes, rays: of the clusters; voter: (a,) agents that count; beside: see `better_known`
 
     Rays end at the other object, whose errors are known to be small because agents agree about it. So they show more
     exactly than those that pass into the open whether something is before it. What is behind it, they don't show.
     """
     result = np.zeros(rays.ends.shape, np.bool_)
-    half = 0.5 * np.hypot(boxes.size[:, 0], boxes.size[:, 1])
-    i, j, dx, dy = neighbours(boxes.position, boxes.position, half + half.max(initial=0.0) + BESIDE_M)
-    witnesses = (batch.reported & voter).sum(axis=1)
-    beside = (np.hypot(dx, dy) <= half[i] + half[j] + BESIDE_M) & (witnesses[j] > witnesses[i])
-    i, j = i[beside], j[beside]
+    i, j, _ = beside
     if not len(i):
         return result
     judged, row = np.unique(i, return_inverse=True)
-    ends = np.zeros((len(judged), len(voter)), np.bool_)
-    np.logical_or.at(ends, row, rays.ends[j] | batch.reported[j])
+    seen = np.zeros((len(judged), len(voter)), np.bool_)
+    np.logical_or.at(seen, row, rays.ends[j] | batch.reported[j])
     views = current(batch.views)
     passed = passed_beside(boxes.position[judged], boxes.size[judged], boxes.yaw[judged], views, TOLERANCES)
-    result[judged] = passed & ends & voter & ~batch.reported[judged]
+    result[judged] = passed & seen & voter & ~batch.reported[judged]
     return result
 
 
@@ -347,26 +353,6 @@ def passed_nearby(batch: Batch, boxes: ClusterBoxes, voter: Bools) -> Bools:
         if len(near):
             some = ClusterBoxes(*(column[near] for column in (boxes.position, boxes.velocity, boxes.size, boxes.yaw)))
             result[near, agent] = clear_in_view(some, view)
-    return result
-
-
-def attached(batch: Batch, boxes: ClusterBoxes, voter: Bools) -> Bools:
-    """(c,) objects that drive as one with another one, which more agents report, and nearly touch it.
-
-    boxes: of the clusters; voter: (a,) agents that count
-    """
-    result = np.zeros(batch.clusters, np.bool_)
-    half = 0.5 * np.hypot(boxes.size[:, 0], boxes.size[:, 1])
-    i, j, dx, dy = neighbours(boxes.position, boxes.position, half + half.max(initial=0.0) + TOUCH_M)
-    witnesses = (batch.reported & voter).sum(axis=1)
-    near = (witnesses[j] > witnesses[i]) & (2 * witnesses[i] < len(voter))
-    near &= np.hypot(dx, dy) <= half[i] + half[j] + TOUCH_M
-    near &= np.linalg.norm(boxes.velocity[i, :2], axis=1) >= DRIVES_MPS
-    near &= np.linalg.norm(boxes.velocity[i, :2] - boxes.velocity[j, :2], axis=1) <= AS_ONE_MPS
-    i, j, offset = i[near], j[near], np.column_stack([dx, dy])[near]
-    if len(i):
-        grown = boxes.size + 2.0 * np.array([TOUCH_M, TOUCH_M, 0.0])
-        result[i[overlap(offset, boxes.size[i], boxes.yaw[i], grown[j], boxes.yaw[j], 1.0)]] = True
     return result
 
 

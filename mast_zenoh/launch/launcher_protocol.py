@@ -240,7 +240,7 @@ class Steps:
 
 
 LEAVE_GRACE_S = 20.0  #: without progress of any node, from the end of the scene to the last node's results
-INTERRUPT_GRACE_S = 5.0  #: the same after a stop signal, when only data counts as progress
+INTERRUPT_GRACE_S = 10.0  #: the same after a stop signal, when only data counts as progress
 _SHOWN_S = 2.0  # of waiting at the end, before it is shown
 
 

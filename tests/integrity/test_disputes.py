@@ -7,6 +7,8 @@ import pytest
 from integrity_batches import Track, batch, view
 
 from mast_zenoh.integrity import disputes
+from mast_zenoh.integrity.base import ClusterBoxes
+from mast_zenoh.integrity.visibility import better_known
 
 EVERYBODY = np.ones(3, np.bool_)
 CORNERS = {"a": (-20.0, 0.0), "b": (20.0, 0.0), "c": (0.0, 20.0)}
@@ -116,3 +118,27 @@ def test_only_fresh_reports_contradict_others() -> None:
     found = statements([("a", 0, (0.0, 0.0))], {"a": [CAR_AT_ORIGIN]})
     assert found.contradicted.tolist() == [[True, False, False]]
     assert not found.between(~found.contradicted).any()
+
+
+#: Where a person is beside a car that two of five report, how fast both drive, who reports the person, whether it is
+#: taken for something that hangs on to the car.
+ATTACHED = {
+    "at the bumper of a car that drives": ((3.0, 0.0), (8.0, 8.0), "a", True),
+    "at the bumper of a car that stands": ((3.0, 0.0), (0.0, 0.0), "a", False),
+    "beside it in the next lane": ((0.0, 2.5), (8.0, 8.0), "a", False),
+    "overtaken by it": ((3.0, 0.0), (8.0, 4.0), "a", False),
+    "far ahead of it": ((8.0, 0.0), (8.0, 8.0), "a", False),
+    "reported by more than half": ((3.0, 0.0), (8.0, 8.0), "abc", False),
+}
+
+
+@pytest.mark.parametrize(("place", "speeds", "reporting", "expected"), ATTACHED.values(), ids=ATTACHED)
+def test_what_few_report_and_drives_as_one_with_a_car_is_no_object_of_its_own(
+    place: tuple[float, float], speeds: tuple[float, float], reporting: str, expected: bool
+) -> None:
+    tracks: list[Track] = [(name, 0, (0.0, 0.0)) for name in "abcd"] + [(name, 1, place) for name in reporting]
+    given = batch(
+        tracks, tuple("abcde"), velocity={k: (speed, 0.0) for k, speed in enumerate(speeds)}, size={1: (0.6, 0.6, 1.7)}
+    )
+    boxes, voter = ClusterBoxes.of(given), np.ones(5, np.bool_)
+    assert disputes.attached(given, boxes, voter, better_known(given, boxes, voter)).tolist() == [False, expected]

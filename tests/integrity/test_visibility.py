@@ -11,9 +11,11 @@ from mast_zenoh.integrity.views import SweptView, check_view, collated_columns, 
 from mast_zenoh.integrity.visibility import (
     FAR_M,
     MAX_AGE_S,
+    better_known,
     clear_in_view,
     current,
     out_of_view,
+    passed_nearby,
     passed_to_others,
     rays_at,
     sightings,
@@ -109,6 +111,7 @@ BESIDE = {
     "far before it": ((10.0, 0.0), ON_NEIGHBOUR, "bc", False),
     "no more agents report the neighbour": (BEFORE, ON_NEIGHBOUR, "b", False),
     "nothing is where the neighbour is said to be": (BEFORE, view(HERE), "bc", False),
+    "its own track shows that it sees the neighbour": (BEFORE, view(HERE), "bv", True),
     "in an old view": (BEFORE, replace(ON_NEIGHBOUR, age_s=2 * MAX_AGE_S), "bc", False),
 }
 
@@ -118,7 +121,8 @@ def refuted_by(place: tuple[float, float], swept: SweptView, of_neighbour: str, 
     tracks: list[Track] = [(name, 0, place) for name in person] + [(name, 1, NEIGHBOUR) for name in of_neighbour]
     given = batch(tracks, "abcv", {"v": swept}, size={0: PERSON})
     boxes, voters = ClusterBoxes.of(given), np.array([name in voter for name in given.agents])
-    refuted = passed_to_others(given, boxes, rays_at(given, boxes, current(given.views)), voters)
+    rays, known = rays_at(given, boxes, current(given.views)), better_known(given, boxes, voters)
+    refuted = passed_to_others(given, boxes, rays, voters, known)
     assert not refuted[1].any(), "the car"
     return refuted[0].tolist()
 
@@ -133,6 +137,28 @@ def test_rays_that_go_on_to_a_neighbour_refute_what_is_said_to_be_before_it(
 def test_neither_suspended_agents_nor_those_that_report_it_refute_an_object_beside_another_one() -> None:
     assert not any(refuted_by(BEFORE, ON_NEIGHBOUR, "bc", voter="abc"))
     assert not any(refuted_by(BEFORE, ON_NEIGHBOUR, "abc", person="av"))
+
+
+AT_BUMPER = (3.2, 0.0)
+#: What `v`, a car, sees, where which agents report a person, and whether it refutes the person.
+NEARBY = {
+    "a free place at the bumper": (on_car(), AT_BUMPER, "a", True),
+    "a person at the bumper": (on_car((*AT_BUMPER, 0.6)), AT_BUMPER, "a", False),
+    "one that it reports, too": (on_car(), AT_BUMPER, "av", False),
+    "at the sensor": (on_car(), (0.2, 0.0), "a", False),
+    "farther away": (on_car(), (12.0, 0.0), "a", False),
+    "in an old view": (replace(on_car(), age_s=2 * MAX_AGE_S), AT_BUMPER, "a", False),
+}
+
+
+@pytest.mark.parametrize(("swept", "place", "reporting", "expected"), NEARBY.values(), ids=NEARBY)
+def test_a_sensor_refutes_what_is_said_to_stand_beside_it_by_the_part_that_it_sees(
+    swept: SweptView, place: tuple[float, float], reporting: str, expected: bool
+) -> None:
+    given = batch([(name, 0, place) for name in reporting], "abv", {"v": swept}, size={0: PERSON})
+    for voter in (True, False):
+        refuted = passed_nearby(given, ClusterBoxes.of(given), np.array([True, True, voter]))
+        assert refuted[0].tolist() == [False, False, expected and voter]
 
 
 def test_views_are_unchanged_by_their_messages() -> None:
