@@ -34,11 +34,12 @@ class _Known(NamedTuple):
 
 
 class _Lost(NamedTuple):
-    """An object that was in a row of a picture."""
+    """An object as it was seen last: x y vx vy, their covariance, and its class."""
 
     last_seen_ns: int
-    picture: ObjectStates
-    row: int
+    motion: Floats
+    covariance: Floats
+    class_id: int
 
 
 class ReturningObjects:
@@ -81,13 +82,7 @@ class ReturningObjects:
             tracker_id: self._known[tracker_id].output_id for tracker_id in tracker_ids if tracker_id in self._known
         }
         ids = [kept.get(tracker_id, tracker_id) for tracker_id in tracker_ids]
-        self._lost |= {output_id: _Lost(self._time_ns, self._picture, row) for row, output_id in enumerate(before)}
-        present = set(kept.values())
-        self._lost = {
-            output_id: lost
-            for output_id, lost in self._lost.items()
-            if output_id not in present and time_ns - lost.last_seen_ns <= self._memory_ns
-        }
+        self._note_lost(time_ns, before, set(kept.values()))
         if new and self._lost:
             lost_ids = sorted(self._lost)
             for i, j in zip(*self._match_lost(time_ns, lost_ids, picture.select(np.array(new))), strict=True):
@@ -95,40 +90,52 @@ class ReturningObjects:
                 del self._lost[lost_ids[i]]
         return np.array(_distinct(ids, tracker_ids), np.int64)
 
+    def _note_lost(self, time_ns: int, before: list[int], present: set[int]) -> None:
+        """Remember the objects of the last picture, with the ids `before`, that are not present any more."""
+        gone = [row for row, output_id in enumerate(before) if output_id not in present]
+        of_gone = *_motion(self._picture, gone), self._picture.class_id[gone].tolist()
+        for row, motion, covariance, class_id in zip(gone, *of_gone, strict=True):
+            self._lost[before[row]] = _Lost(self._time_ns, motion, covariance, class_id)
+        self._lost = {
+            output_id: lost
+            for output_id, lost in self._lost.items()
+            if output_id not in present and time_ns - lost.last_seen_ns <= self._memory_ns
+        }
+
     def _match_lost(self, time_ns: int, ids: list[int], new: ObjectStates) -> tuple[list[int], list[int]]:
         """Rows of `ids` of lost objects, and of the new objects that they are."""
-        entries = [self._lost[output_id] for output_id in ids]
-        lost = concatenate([entry.picture.select(slice(entry.row, entry.row + 1)) for entry in entries])
-        elapsed_s = np.array([(time_ns - entry.last_seen_ns) * 1e-9 for entry in entries])
-        motion = np.concatenate([lost.position[:, :2], lost.velocity[:, :2]], axis=1)
+        last_seen_ns, motions, covariances, class_ids = zip(*(self._lost[output_id] for output_id in ids), strict=True)
+        elapsed_s = np.array([(time_ns - last_ns) * 1e-9 for last_ns in last_seen_ns])
+        motion, class_id = np.array(motions), known_class(np.array(class_ids))
         motion[:, :2] += motion[:, 2:] * elapsed_s[:, None]
-        spread = _predicted(_motion_covariance(lost), elapsed_s, lost)
-        measured = _motion_covariance(new)
+        spread = _predicted(make_positive_definite(np.array(covariances)), elapsed_s, class_id)
+        measured = make_positive_definite(new.covariance[:, _MOTION[:, None], _MOTION])
         widest = float((measured[:, 0, 0] + measured[:, 1, 1]).max())
         reach = np.sqrt(RETURN_GATE * (spread[:, 0, 0] + spread[:, 1, 1] + widest))
         i, j, dx, dy = neighbours(motion, new.position, reach)
         difference = np.column_stack([dx, dy, new.velocity[j, :2] - motion[i, 2:]])
         total = spread[i] + measured[j]
         distance = squared_distance(difference, total)
-        alike = classes.CONFUSION[known_class(lost.class_id[i]), known_class(new.class_id[j])] >= -1.0
+        alike = classes.CONFUSION[class_id[i], known_class(new.class_id[j])] >= -1.0
         near = (alike & (distance <= RETURN_GATE)).nonzero()[0]
         i, j = i[near], j[near]
         chosen = greedy_matching(i, j, distance[near] + np.linalg.slogdet(total[near])[1])
         return i[chosen].tolist(), j[chosen].tolist()
 
 
-def _motion_covariance(states: ObjectStates) -> Floats:
-    """(n, 4, 4) covariances of horizontal position and velocity."""
-    return make_positive_definite(states.covariance[:, _MOTION[:, None], _MOTION])
+def _motion(states: ObjectStates, rows: list[int]) -> tuple[Floats, Floats]:
+    """(n, 4) horizontal position and velocity of some rows, and (n, 4, 4) their covariances as they are claimed."""
+    motion = np.concatenate([states.position[rows, :2], states.velocity[rows, :2]], axis=1)
+    return motion, states.covariance[rows][:, _MOTION[:, None], _MOTION]
 
 
-def _predicted(covariance: Floats, elapsed_s: Floats, states: ObjectStates) -> Floats:
+def _predicted(covariance: Floats, elapsed_s: Floats, class_id: Ints) -> Floats:
     """(n, 4, 4) covariances of horizontal motion after some time, see `kalman.process_noise`."""
     t, eye = elapsed_s[:, None, None], np.eye(2)
     move = np.broadcast_to(np.eye(4), (len(t), 4, 4)).copy()
     move[:, :2, 2:] = t * eye
     result = move @ covariance @ move.mT
-    density = classes.ACCELERATION[known_class(states.class_id)][:, None, None]
+    density = classes.ACCELERATION[class_id][:, None, None]
     result[:, :2, :2] += density * t**3 / 3.0 * eye
     result[:, :2, 2:] += density * t**2 / 2.0 * eye
     result[:, 2:, :2] += density * t**2 / 2.0 * eye
