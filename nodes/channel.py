@@ -2,7 +2,8 @@
 
 It is part of the world, like the simulator: it listens to what all peers broadcast, their agents' tracks and where they
 are themselves, and tells each peer in the next frame which of the messages were lost, how busy the channel was, and how
-long its own messages were on the air. Where stations are is what the simulator says, not what they claim.
+long its own messages were on the air. Where stations are is what the simulator says, not what they claim. Stations in
+the background, which are not in the scene, can load the channel too.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from mast_zenoh.messages.packed import Packed
 from mast_zenoh.messages.schemas import text
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime.mesh.hosting import main
-from mast_zenoh.v2x import OfdmTiming, RadioChannel, Transmissions, arrivals
+from mast_zenoh.v2x import BackgroundStations, OfdmTiming, RadioChannel, Transmissions, arrivals
 
 #: Ports of the two kinds of messages, which are lost separately.
 KINDS = ("sent", "awareness")
@@ -38,15 +39,22 @@ class Channel(Node):
 
     radio: of all stations, and what is between them; None: RadioChannel()
     timing: how long frames are on the air; None: OfdmTiming()
+    background: stations besides, which load the channel; None: none
     """
 
     role = "channel"
     inputs = {"clock": "clock", "pose": "pose", "sent": "tracks", "awareness": "tracks"}
     outputs = {"reception": "reception"}
 
-    def __init__(self, radio: RadioChannel | None = None, timing: OfdmTiming | None = None) -> None:
+    def __init__(
+        self,
+        radio: RadioChannel | None = None,
+        timing: OfdmTiming | None = None,
+        background: BackgroundStations | None = None,
+    ) -> None:
         self.radio = radio or RadioChannel()
         self.timing = timing or OfdmTiming()
+        self.background = background or BackgroundStations(stations=0)
         self.stations: list[str] = []
         self.positions: dict[str, LatestBefore[np.ndarray]] = {}
         self.sent: list[Sent] = []
@@ -96,8 +104,7 @@ class Channel(Node):
         transmissions = Transmissions(sender, np.full(len(sender), began_ns), airtime)
         self.before_ns = time_ns
         n = len(self.stations)
-        busy = self.radio.busy_ratio(position, transmissions, time_ns, window_ns)
-        chance = self.radio.reception(position, transmissions, time_ns, window_ns)
+        busy, chance = self.load(position, transmissions, time_ns, window_ns, context)
         arrived = arrivals(chance, sender, lambda row: context.rng("arrivals", frame, self.stations[row]))
         missed = np.zeros((2, n, n), bool)  # by kind, sender and receiver: a frame of the message did not arrive
         np.logical_or.at(missed, (kind, sender), ~arrived)
@@ -116,6 +123,26 @@ class Channel(Node):
             }
             context.publish("reception", body, subject=name, frame=frame, time_ns=time_ns)
 
+    def load(
+        self, position: np.ndarray, sent: Transmissions, time_ns: int, window_ns: int | None, context: Context
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Busy ratio (n,) at the stations, and probability (n, n) that a message of the row's arrives at the column's.
+
+        position: (n, 2) m; sent: what they sent in the last window_ns before time_ns, to which the background adds
+        """
+        n, background = len(position), self.background
+        present = position[np.isfinite(position).all(axis=1)]
+        if not background.begun and window_ns is not None and len(present):
+            background.begin(time_ns - window_ns, window_ns, present.mean(axis=0), context.rng("background"))
+        if background.begun and window_ns is not None:
+            others = background.transmit(time_ns - window_ns, self.timing)
+            others = others._replace(sender=others.sender + n)
+            sent = Transmissions(*map(np.concatenate, zip(sent, others, strict=True)))
+            position = np.concatenate([position, background.position])
+        busy = self.radio.busy_ratio(position, sent, time_ns, window_ns)
+        background.measure(time_ns, busy[n:])
+        return busy[:n], self.radio.reception(position, sent, time_ns, window_ns)[:n, :n]
+
     def note(self, busy: np.ndarray, sending: np.ndarray, missed: np.ndarray) -> None:
         """Count for the results. busy: (n,); sending: (2, n); missed: (2, n, n)"""
         self.busy.append(float(busy.mean()) if len(busy) else 0.0)
@@ -131,7 +158,8 @@ class Channel(Node):
         """
         busy = self.busy or [0.0]
         ratios = {"busy_ratio_mean": sum(busy) / len(busy), "busy_ratio_max": max(busy)}
-        return {"channel": {"stations": len(self.stations), **self.counts, **ratios}}
+        background = len(self.background.position)
+        return {"channel": {"stations": len(self.stations), "background": background, **self.counts, **ratios}}
 
 
 def sizes_of(received: Received) -> tuple[int, ...]:

@@ -263,6 +263,8 @@ class Peer(Node):
 
     def broadcast(self, time_ns: int, own: Received, states: ObjectStates, context: Context) -> None:
         """Broadcast the tracks of the agent that are due. states: those of the message, world frame"""
+        if self.counts["broadcasts"] and not self.station.may_send(time_ns):
+            self.counts["gate_closed"] += 1
         generation = self.station.transmit(time_ns, states, self.place)
         if generation.generated:
             reference = {name: own.body[name] for name in ("origin", "rotation")}
@@ -330,7 +332,11 @@ class Peer(Node):
         return states if len(rows) == len(states) else states.select(rows)
 
     def finish(self, context: Context) -> dict[str, Any]:
-        """Numbers of broadcasts, of messages heard and lost and of tracks left out, and what the pipeline counted."""
+        """Counts of the radio, of tracks left out, and what the pipeline counted.
+
+        Counts of the radio: broadcasts and announcements; `gate_closed`, frames after the first broadcast in which
+        congestion control let it send nothing; messages heard and lost, by sender; and absurd tracks.
+        """
         counts = {"radio": dict(sorted(self.counts.items())), "left_out": self.admission.counts()}
         return self.pipeline.results() | counts
 

@@ -18,11 +18,13 @@ def scenario(
     scene_index=None,
     n_infrastructure=None,
     n_mobile=15,
+    background=150,
 ):
     """As `peers`, with a channel that fills up.
 
     rules: CpmGeneration (the standard's), or EveryFrame; congestion: ReactiveDcc, AdaptiveDcc, or NoCongestionControl;
     codec: of broadcasts: cpm, the standard's bytes, or columns;
+    background: stations besides, around the scene, which only load the channel, under the same congestion control;
     awareness: whether vehicles say where they are, by Cooperative Awareness Messages;
     n_adversaries: agents compromised, with the attack of `uncoordinated`, from attack_start_s on;
     on: sent, pair, heard or awareness, as in `peers`; listener: an agent;
@@ -44,9 +46,13 @@ def scenario(
         n_mobile=n_mobile,
     )
     maps = content["keyexpr"]["rewrites"]
+    channel = dict(radio=dict(type="RadioChannel"), timing=dict(type="OfdmTiming"))
+    if background:
+        others = dict(type="BackgroundStations", stations=background, congestion=dict(type=congestion))
+        channel |= dict(background=others)
     return content | dict(
         name="congested",
         peers={agent: peer | dict(congestion=dict(type=congestion)) for agent, peer in content["peers"].items()},
-        channel=dict(radio=dict(type="RadioChannel"), timing=dict(type="OfdmTiming")),
+        channel=channel,
         keyexpr=content["keyexpr"] | dict(rewrites=[*maps, "channel.toml"]),
     )

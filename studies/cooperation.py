@@ -15,7 +15,7 @@ _ARCHITECTURES = dict(
     centre=(("baseline", {}), ("uncoordinated", _SENT)),
     regions=(("two_centres", {}), ("two_centres", {})),
     peers=(("peers", {}), ("peers", {})),
-    radio=(("congested", {}), ("congested", {})),
+    radio=(("congested", {"background": 0}), ("congested", {"background": 0})),
 )
 
 

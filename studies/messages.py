@@ -16,7 +16,7 @@ def study(n_mobile=3, junction=8, scenes=4, trials=5, frames=150, seed=3000):
         tracks={}, variances={"peers.*.correlations": False}, quantised=quantised, rules=rules, cpm=rules | quantised
     )
     runs = {name: dict(scenario="peers", parameters=dict(n_mobile=n_mobile) | limit) for name, limit in limits.items()}
-    runs["radio"] = dict(scenario="congested", parameters=dict(n_mobile=n_mobile))
+    runs["radio"] = dict(scenario="congested", parameters=dict(n_mobile=n_mobile, background=0))
     return dict(
         name="messages",
         runs=runs,

@@ -218,6 +218,7 @@ _BASES: Mapping[str, Mapping[str, type]] = {
     "channel": {
         "radio: which transmissions arrive": v2x.RadioChannel,
         "timing: how long transmissions are on the air": v2x.OfdmTiming,
+        "background: stations that are not in the scene": v2x.BackgroundStations,
     },
     "awareness": {
         "when the peer of a vehicle says where the vehicle is": v2x.CamGeneration,

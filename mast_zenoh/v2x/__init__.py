@@ -19,12 +19,14 @@ Sending:
     congestion   how often stations may send: base class CongestionControl; NoCongestionControl, ReactiveDcc,
                  AdaptiveDcc
     channel      airtime, busy ratio of the channel, and which transmissions arrive
+    background   stations that load the channel but are not in the scene
     station      what one station sends: its rules, under its congestion control
 
 Arrays in, arrays out: no class here knows of nodes. Times are int64 ns, as in clocks.
 """
 
 from mast_zenoh.v2x.awareness import CamDecision, CamGeneration, Vehicle
+from mast_zenoh.v2x.background import BackgroundStations
 from mast_zenoh.v2x.channel import OfdmTiming, RadioChannel, Transmissions, arrivals
 from mast_zenoh.v2x.congestion import AdaptiveDcc, CongestionControl, NoCongestionControl, ReactiveDcc
 from mast_zenoh.v2x.generation import (
@@ -46,6 +48,7 @@ from mast_zenoh.v2x.redundancy import (
 
 __all__ = [
     "AdaptiveDcc",
+    "BackgroundStations",
     "CamDecision",
     "CamGeneration",
     "CongestionControl",

@@ -131,8 +131,9 @@ class CpmGeneration(GenerationRules):
     moved_m: m, by which an object must have moved to be due (clause 6.1.2.3, as the next three)
     speed_mps: m/s, by which its speed must have changed
     direction_deg: °, by which the direction of its velocity must have changed
-    direction_speed_mps: m/s, speed below which a velocity has no direction; the standard has no such limit, so that
-        noise makes parked cars due
+    direction_sigmas: standard deviations of a velocity above which an object moves, so that its velocity has a
+        direction. A slower object keeps the one that was last sent, or noise would turn parked cars. The standard
+        compares directions of estimated ground velocities (clause 6.1.2.3), and has no such limit
     type_a: classes of type A; the standard's are pedestrians, light vehicles such as bicycles, and animals
     type_a_s: s, after which all objects of type A are due (T_GenCpmMax / 2)
     quality: objects are sent if their quality is above (ObjectPerceptionQualityThreshold)
@@ -152,7 +153,7 @@ class CpmGeneration(GenerationRules):
     moved_m: float = 4.0
     speed_mps: float = 0.5
     direction_deg: float = 4.0
-    direction_speed_mps: float = 0.0
+    direction_sigmas: float = 2.0
     type_a: tuple[str, ...] = ("bicycle", "pedestrian")
     type_a_s: float = 0.5
     quality: int = 3
@@ -172,7 +173,7 @@ class CpmGeneration(GenerationRules):
         check("more than 0, finite", sensors_s=self.sensors_s)
         check("more than 0, finite", type_a_s=self.type_a_s, retention_s=self.retention_s)
         check("0 or more, finite", moved_m=self.moved_m, speed_mps=self.speed_mps, direction_deg=self.direction_deg)
-        check("0 or more, finite", direction_speed_mps=self.direction_speed_mps, tolerance_s=self.tolerance_s)
+        check("0 or more, finite", direction_sigmas=self.direction_sigmas, tolerance_s=self.tolerance_s)
         check("1 or more", most_objects=self.most_objects, remembered=self.remembered)
         if self.least_s > self.most_s:
             raise ValueError(f"least_s: found {self.least_s}, expected at most `most_s`, which is {self.most_s}")
@@ -184,7 +185,7 @@ class CpmGeneration(GenerationRules):
             if name not in CLASS_INDEX:
                 raise ValueError(f"type_a: found {name!r}, expected some of {', '.join(CLASS_INDEX)}")
         self._type_a = np.array([CLASS_INDEX[name] for name in self.type_a], np.uint8)
-        self._sent = SentObjects(self.remembered)
+        self._sent = SentObjects(self.remembered, self.direction_sigmas)
         self._message_ns: int | None = None
         self._sensors_ns: int | None = None
 
@@ -216,7 +217,7 @@ class CpmGeneration(GenerationRules):
     def _select(self, perception: Perception) -> Ints:
         """(k,) rows of objects to send, the most useful first."""
         objects = perception.objects
-        change = self._sent.changes(objects, perception.time_ns, self.direction_speed_mps)
+        change = self._sent.changes(objects, perception.time_ns)
         due = change.new | (change.moved_m > self.moved_m) | (change.speed_mps > self.speed_mps)
         due |= (change.direction_deg > self.direction_deg) | (change.silence_s >= self.most_s - self.tolerance_s)
         type_a = np.isin(objects.class_id, self._type_a)
@@ -261,39 +262,47 @@ class Changes:
 
 
 class SentObjects(ObjectTable):
-    """The objects that a station has sent, as it sent them.
+    """The objects that a station has sent, as it sent them, each with its last known direction.
 
     most: number of objects that are remembered at most
+    direction_sigmas: standard deviations of a velocity above which it has a direction
     """
 
-    def __init__(self, most: int) -> None:
-        super().__init__(("sent_ns", np.int64), ("position", np.float64, 3), ("velocity", np.float64, 3), most=most)
+    def __init__(self, most: int, direction_sigmas: float) -> None:
+        columns = (("sent_ns", np.int64), ("position", np.float64, 3), ("speed", np.float64), ("direction", np.float64))
+        super().__init__(*columns, most=most)
+        self._direction_sigmas = direction_sigmas
 
-    def changes(self, objects: ObjectStates, time_ns: int, direction_speed_mps: float) -> Changes:
-        """How objects differ from what was last sent.
-
-        direction_speed_mps: m/s, speed below which a velocity has no direction
-        """
+    def changes(self, objects: ObjectStates, time_ns: int) -> Changes:
+        """How objects differ from what was last sent; the direction of one that does not move, not at all."""
         last, known = self.read(objects.id)
-        before, after = (np.linalg.norm(velocity, axis=1) for velocity in (last["velocity"], objects.velocity))
-        turned = wrap_angle(_direction(objects.velocity) - _direction(last["velocity"]))
-        moving = known & (before >= direction_speed_mps) & (after >= direction_speed_mps)
+        turned = np.nan_to_num(wrap_angle(_direction(objects, self._direction_sigmas) - last["direction"]))
         return Changes(
             ~known,
             np.where(known, np.linalg.norm(objects.position - last["position"], axis=1), 0.0),
-            np.where(known, np.abs(after - before), 0.0),
-            np.where(moving, np.abs(np.degrees(turned)), 0.0),
+            np.where(known, np.abs(_speed(objects) - last["speed"]), 0.0),
+            np.where(known, np.abs(np.degrees(turned)), 0.0),
             np.where(known, (time_ns - last["sent_ns"]) / 1e9, 0.0),
         )
 
     def note_sent(self, objects: ObjectStates, time_ns: int) -> None:
         """Note that objects are sent."""
+        last, known = self.read(objects.id)
+        direction = _direction(objects, self._direction_sigmas)
         sent = np.zeros(len(objects), self.dtype)
-        sent["id"], sent["position"], sent["velocity"] = objects.id, objects.position, objects.velocity
+        sent["id"], sent["position"], sent["speed"] = objects.id, objects.position, _speed(objects)
+        sent["direction"] = np.where(np.isnan(direction) & known, last["direction"], direction)
         sent["sent_ns"] = sent["perceived_ns"] = time_ns
         self.write(sent)
 
 
-def _direction(velocity: Floats) -> Floats:
-    """Directions (n,) rad of velocities (n, 3), seen from above."""
-    return np.asarray(np.arctan2(velocity[:, 1], velocity[:, 0]))
+def _speed(objects: ObjectStates) -> Floats:
+    """Speeds (n,) m/s."""
+    return np.asarray(np.linalg.norm(objects.velocity, axis=1))
+
+
+def _direction(objects: ObjectStates, sigmas: float) -> Floats:
+    """Directions (n,) rad of velocities, seen from above; NaN below so many standard deviations, one for both axes."""
+    x, y = objects.velocity[:, :2].T
+    variance = (objects.covariance[:, 6, 6] + objects.covariance[:, 7, 7]) / 2.0
+    return np.where(x**2 + y**2 > sigmas**2 * variance, np.arctan2(y, x), np.nan)

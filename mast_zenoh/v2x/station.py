@@ -72,7 +72,7 @@ class Station:
 
     def transmit(self, time_ns: int, objects: ObjectStates, position: Floats) -> Generation:
         """What to send now. objects: n own ones, world frame; position: (3,) m, of the station"""
-        if not self._may_send(time_ns):
+        if not self.may_send(time_ns):
             return Generation.nothing()
         while self._reports and (self._reports[0].time_ns < time_ns - _REPORTS_NS).all():
             self._reports.popleft()
@@ -85,11 +85,11 @@ class Station:
 
         A gate that is open is open for both kinds of messages of a frame, and the next wait counts the airtime of both.
         """
-        if self.awareness is None or not self._may_send(time_ns):
+        if self.awareness is None or not self.may_send(time_ns):
             return False
         yaw = float(itself.yaw[0])
         return self.awareness.generate(time_ns, itself.position[0], itself.velocity[0], yaw).generated
 
-    def _may_send(self, time_ns: int) -> bool:
+    def may_send(self, time_ns: int) -> bool:
         """Whether congestion control lets it send now."""
         return self._uncontrolled or (self._running and bool(self.congestion.may_send(time_ns)[0]))

@@ -51,7 +51,7 @@ BASES: dict[str, list[type]] = {
     "rules": [v2x.GenerationRules],
     "redundancy": [v2x.RedundancyRule],
     "congestion": [v2x.CongestionControl],
-    "channel": [v2x.RadioChannel, v2x.OfdmTiming],
+    "channel": [v2x.RadioChannel, v2x.OfdmTiming, v2x.BackgroundStations],
     "awareness": [v2x.CamGeneration, v2x.Vehicle],
 }
 

@@ -5,6 +5,7 @@ from functools import cache
 import pytest
 from tiny_world import Run, tiny
 
+from mast_zenoh import scenario
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.messages.packed import codec_of
 from mast_zenoh.v2x import cpm
@@ -12,16 +13,20 @@ from mast_zenoh.v2x import cpm
 
 @cache
 def played(*settings: str) -> Run:
-    run = Run(tiny("congested", "n_mobile=0", *settings, infrastructure=4, frames=25))
+    run = Run(tiny("congested", "n_mobile=0", "background=0", *settings, infrastructure=4, frames=25))
     assert not run.failures
     assert not run.rejected
     return run
 
 
-@pytest.mark.parametrize("settings", [(), ("n_adversaries=1", "attack_start_s=0.2", "on=pair")], ids=["honest", "lie"])
+@pytest.mark.parametrize(
+    "settings",
+    [(), ("background=50",), ("n_adversaries=1", "attack_start_s=0.2", "on=pair")],
+    ids=["honest", "background", "lie"],
+)
 def test_any_order_of_delivery_gives_the_same_bytes_encoded_or_not(settings: tuple[str, ...]) -> None:
     plain = played(*settings)
-    resolved = tiny("congested", "n_mobile=0", *settings, infrastructure=4, frames=25)
+    resolved = tiny("congested", "n_mobile=0", "background=0", *settings, infrastructure=4, frames=25)
     for options in (*(dict(shuffle=shuffle) for shuffle in range(3)), dict(encode=False, shuffle=3)):
         other = Run(resolved, **options)
         assert other.messages == plain.messages, options
@@ -68,7 +73,7 @@ def test_a_peer_uses_what_arrived_and_counts_what_was_lost() -> None:
     def far(content: dict) -> None:
         content["channel"]["radio"]["power_dbm"] = -30.0
 
-    run = Run(tiny("congested", "n_mobile=0", infrastructure=4, frames=25, edit=far))
+    run = Run(tiny("congested", "n_mobile=0", "background=0", infrastructure=4, frames=25, edit=far))
     radio = run.results["peer_ego"]["radio"]
     lost = sum(count for name, count in radio.items() if name.startswith("lost/"))
     arrived = sum(count for name, count in radio.items() if name.startswith("heard/"))
@@ -116,3 +121,21 @@ def test_a_message_says_how_many_objects_its_sender_knows_sent_or_not() -> None:
             assert {part.known_objects for part in parts} == {known[message.header.frame]}
             fewer += len(message.body["id"]) < known[message.header.frame]
     assert fewer > 5, "the rules leave objects out"
+
+
+@pytest.mark.heavy
+def test_congested_is_congested_the_channel_is_busy_and_gates_close() -> None:
+    run = Run(scenario.resolve(*scenario.load("congested", ["n_infrastructure=1", "n_mobile=2"]), frames=100, seed=0))
+    channel = run.results["channel"]["channel"]
+    assert channel["background"] == 150
+    assert run.results["evaluator"]["metrics"]["channel"]["busy_ratio"]["mean"] > 0.6
+    for agent in ("ego", "infra_1", "mobile_1", "mobile_2"):
+        radio = run.results[f"peer_{agent}"]["radio"]
+        assert radio["gate_closed"] > 0, agent
+        assert radio["broadcasts"] + radio["gate_closed"] <= 100, "a closed gate lets nothing through"
+
+
+def test_without_the_background_no_gate_closes() -> None:
+    run = played()
+    assert run.results["channel"]["channel"]["background"] == 0
+    assert "gate_closed" not in run.results["peer_ego"]["radio"]

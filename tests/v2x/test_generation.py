@@ -106,10 +106,48 @@ def test_a_direction_across_the_limits_of_angles_is_a_small_turn() -> None:
     assert sent(rules, 1, objects(1, v=(-10.0, -0.1))) == []
 
 
-def test_noise_of_a_parked_car_is_a_turn_unless_slow_objects_have_no_direction() -> None:
-    for rules, due in ((CpmGeneration(), [1]), (CpmGeneration(direction_speed_mps=0.5), [])):
-        sent(rules, 0, objects(1, v=(0.05, 0.0)))
-        assert sent(rules, 1, objects(1, v=(-0.05, 0.0))) == due
+def with_speed_std(states: ObjectStates, std_mps: float) -> ObjectStates:
+    """The same with a standard deviation of each component of the velocity, m/s."""
+    return states.with_(covariance=np.tile(np.diag([0.0] * 6 + [std_mps**2] * 3), (len(states), 1, 1)))
+
+
+def estimated(v: tuple[float, float]) -> ObjectStates:
+    """Object 1 with an estimated velocity v, m/s, with a standard deviation of 0.2 m/s in each component."""
+    return with_speed_std(objects(1, v=v), 0.2)
+
+
+def test_a_standing_object_does_not_turn_by_the_noise_of_its_velocity() -> None:
+    rules, rng = CpmGeneration(), np.random.default_rng(0)
+    noise = np.clip(rng.normal(0.0, 0.1, (20, 2)), -0.2, 0.2)
+    assert [frame for frame in range(20) if sent(rules, frame, estimated(tuple(noise[frame])))] == [0, 10]
+
+
+def test_a_moving_object_turns_and_so_does_any_velocity_on_request() -> None:
+    assert sent_after(CpmGeneration(), (2.0, 0.0), (1.98, 0.16)) == [1]
+    assert sent_after(CpmGeneration(), (0.3, 0.0), (0.29, 0.1)) == []
+    assert sent_after(CpmGeneration(direction_sigmas=0.0), (0.3, 0.0), (0.29, 0.1)) == [1]
+
+
+def sent_after(rules: GenerationRules, *velocities: tuple[float, float]) -> list[int]:
+    """The ids that are sent in the last of some frames, the others of which are sent as a matter of course."""
+    for frame, velocity in enumerate(velocities):
+        ids = sent(rules, frame, estimated(velocity))
+    return ids
+
+
+def test_an_object_that_stops_keeps_its_direction_until_it_moves_in_another_one() -> None:
+    rules = CpmGeneration(speed_mps=100.0)
+    assert sent(rules, 0, estimated((5.0, 0.0))) == [1]
+    assert sent(rules, 5, estimated((0.0, 0.1))) == [], "it has stopped"
+    assert sent(rules, 10, estimated((0.0, 0.1))) == [1], "after a second, still with the direction that it had"
+    assert sent(rules, 12, estimated((5.0, 0.1))) == [], "it moves on as before"
+    assert sent(rules, 14, estimated((0.0, 5.0))) == [1], "it moves off to the side"
+
+
+def test_an_object_that_was_never_seen_to_move_does_not_turn_by_beginning_to() -> None:
+    rules = CpmGeneration(speed_mps=100.0)
+    assert sent(rules, 0, estimated((0.0, 0.0))) == [1]
+    assert sent(rules, 1, estimated((5.0, 0.0))) == []
 
 
 def test_road_users_of_type_a_are_sent_together_every_half_second() -> None:

@@ -249,11 +249,13 @@ def test_headers_hold_speed_and_heading_of_a_vehicle_that_says_them(
 
 
 def spoilt(change: Callable[[Recorded], Recorded]) -> Callable[..., Iterator[Recorded]]:
-    """A function that reads a recording, with the ego's message about its tracks in frame 9 changed."""
+    """A function that reads a recording, with the ego's first message about its tracks changed."""
 
     def reading(path: Path, wanted: Wanted) -> Iterator[Recorded]:
+        changed = False
         for message in read(path, wanted):
-            chosen = (message.wire, message.frame) == ("agent/ego/broadcast", 9)
+            chosen = not changed and message.wire == "agent/ego/broadcast"
+            changed |= chosen
             yield change(message) if chosen else message
 
     return reading
