@@ -19,7 +19,7 @@ from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion, tracks
 from mast_zenoh.arrays.states import Bools, ObjectStates, canonical_order
 from mast_zenoh.driving import CarLimits, Command, Driver, RouteAhead, Situation
 from mast_zenoh.driving.driver import ESTIMATE_AGE_S
-from mast_zenoh.driving.veto import overruled
+from mast_zenoh.driving.veto import Refutations, overruled
 from mast_zenoh.gather import Gather, LatestBefore, plausible_rows
 from mast_zenoh.integrity.base import ClusterBoxes
 from mast_zenoh.integrity.views import SweptView, check_view, view_of
@@ -84,6 +84,7 @@ class DriverNode(Node):
         self.sensed: Gather[str, Received] = Gather({"clock", "pose", "route"})
         self.estimates: dict[str, LatestBefore[tuple[int, ObjectStates]]] = {name: LatestBefore() for name in ESTIMATES}
         self.views: LatestBefore[tuple[int, SweptView]] = LatestBefore()
+        self.refutations = Refutations()
         self.counts = {"commands": 0, "blind": 0, "absurd": 0}
 
     def on_clock(self, received: Received, context: Context) -> None:
@@ -171,7 +172,10 @@ class DriverNode(Node):
         if objects is None or not self.veto:
             return objects
         own = self.estimate_at("safety", frame, time_ns)
-        return None if own is None else overruled(own, objects, self.free(objects, frame, time_ns))
+        if own is None:
+            return None
+        free = self.refutations.update(time_ns, objects.id, self.free(objects, frame, time_ns))
+        return overruled(own, objects, free)
 
     def estimate_at(self, name: str, frame: int, time_ns: int) -> ObjectStates | None:
         """The newest estimate of an earlier frame, predicted to `time_ns`; None: it is too old."""

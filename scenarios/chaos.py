@@ -24,10 +24,14 @@ def scenario(
     n_infrastructure: None: two on a generated junction, else all of the scene.
 
     The scene, and all draws in it, use the run's own seed, so runs with different chaos seeds differ only in faults.
+    On a generated junction, errors of detections are new in each frame, so that what faults did is soon forgotten.
     """
-    if n_infrastructure is None and str(scene).startswith("intersection"):
+    generated = str(scene).startswith("intersection")
+    if n_infrastructure is None and generated:
         n_infrastructure = 2
     calm = baseline(scene, scene_index, n_infrastructure, n_mobile)
+    if generated:
+        calm["scene"] |= dict(detector=dict(type="DetectionModel", white=True))
     agents = agents_of(calm["scene"])
     return calm | dict(
         name="chaos",

@@ -14,7 +14,7 @@ from mast_zenoh.driving import Actuation, CarLimits, Command, driver
 from mast_zenoh.driving.braking import Belief, Commands
 from mast_zenoh.driving.consequences import DrivenCar
 from mast_zenoh.driving.motion import RouteAhead
-from mast_zenoh.driving.veto import upheld
+from mast_zenoh.driving.veto import Refutations, upheld
 from mast_zenoh.effects import CODE, Effects
 from mast_zenoh.evaluation.driver_on_truth import DriverOnTruth
 from mast_zenoh.gather import LatestBefore
@@ -240,7 +240,7 @@ class DrivenCars:
         with a veto not all.
         """
         held = {port: self._usable(car, arrivals) for port, arrivals in heard.estimates.items()}
-        views = self._usable(car, heard.views)
+        views, refutations = self._usable(car, heard.views), Refutations()
         for row in range(len(self.scores.frames)):
             now = {port: of_port[row] for port, of_port in held.items() if row in of_port}
             moved = {
@@ -251,7 +251,9 @@ class DrivenCars:
             if heard.has_veto:
                 if not {"safety", "mission"} <= now.keys():
                     continue
-                free = _free(now["mission"][0].objects, moved["mission"], views.get(row))
+                objects = now["mission"][0].objects
+                free = _free(objects, moved["mission"], views.get(row))
+                free = refutations.update(self._time_ns(int(self.scores.frames[row])), objects.id, free)
                 counts["mission"] = upheld(moved["safety"], moved["mission"], free)
             if now:
                 yield row, [(now[port][0], moved[port], counts[port]) for port in now]

@@ -33,7 +33,7 @@ def judged(tmp_path_factory: pytest.TempPathFactory) -> mast.Run:
     """A run with one adversary and two faults, whose command centre judges agents."""
     out = tmp_path_factory.mktemp("judged") / "run"
     _, scenario = load("defended", ["n_adversaries=1", "defence=SequentialConsistency"])
-    return mast.run(scenario | dict(faults=FAULTS), frames=90, seed=11, out=out)
+    return mast.run(scenario | dict(faults=FAULTS), frames=130, seed=11, out=out)
 
 
 def agents(run: mast.Run) -> dict[str, Any]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.driving.veto import SAME_OBJECT_M, overruled
+from mast_zenoh.driving.veto import REFUTED_S, SAME_OBJECT_M, Refutations, overruled
 
 
 def cars(*places: tuple[float, float]) -> ObjectStates:
@@ -51,3 +51,26 @@ def test_what_is_believed_does_not_depend_on_the_order_of_objects(seed: int) -> 
     plain = believed(own, mission, *free)
     one, other = random.permutation(6), random.permutation(9)
     assert sorted(believed(own.select(one), mission.select(other), *free[other])) == sorted(plain)
+
+
+def refuted(refutations: Refutations, time_s: float, **free: bool) -> str:
+    """Of objects 0 to 9, in the order given, those that are refuted; free: whether each is seen through now."""
+    ids = np.array([int(name[1:]) for name in free], np.int64)
+    found = refutations.update(round(time_s * 1e9), ids, np.array(list(free.values()), np.bool_))
+    return " ".join(str(id_) for id_ in ids[found])
+
+
+def test_what_was_seen_through_stays_refuted_for_a_while_and_nothing_else() -> None:
+    refutations = Refutations()
+    assert refuted(refutations, 0.0, o1=True, o2=False) == "1"
+    assert refuted(refutations, 0.5, o2=False, o1=False) == "1"
+    assert refuted(refutations, 0.6, o2=False) == ""
+    assert refuted(refutations, REFUTED_S, o1=False) == "1"
+    assert refuted(refutations, REFUTED_S + 0.1, o1=False, o2=True) == "2"
+    assert refuted(refutations, REFUTED_S + 0.2) == ""
+
+
+def test_what_is_seen_through_again_stays_refuted_for_longer() -> None:
+    refutations = Refutations()
+    assert refuted(refutations, 0.0, o1=True) == refuted(refutations, 0.8 * REFUTED_S, o1=True) == "1"
+    assert refuted(refutations, 1.6 * REFUTED_S, o1=False) == "1"

@@ -138,4 +138,4 @@ def test_slanderers_at_most_restore_what_is_without_gossip(slanderers: int) -> N
 @pytest.mark.heavy
 def test_a_defence_that_takes_the_word_of_its_own_sensors_is_faster_with_gossip() -> None:
     alone, gossip = (false_objects(lied("anchored=true", *more)) for more in ((), ("gossip=true",)))
-    assert sum(gossip.values()) < 0.5 * sum(alone.values())
+    assert sum(gossip.values()) < sum(alone.values())
