@@ -70,6 +70,35 @@ class BesideReal(UnlimitedLiar):
         return Lies(inserted=typical(ghosts.with_(id=np.arange(k)), moment.seen))
 
 
+class AtBumper(UnlimitedLiar):
+    """Invents a pedestrian half a metre before the ego, wherever that drives, by the own track of it."""
+
+    gap_m, length_m, lost_m = 0.5, 4.5, 8.0
+
+    def __init__(self, *, start_s: float = 4.0) -> None:
+        super().__init__(start_s=start_s)
+        self._place: Floats | None = None  # (2,) m, where the ego should be next
+
+    def lie(self, moment: Moment) -> Lies:
+        ego, cars = self._surroundings.ego_sensor, moment.seen.select(np.isin(moment.seen.class_id, VEHICLES))
+        if ego is None or not len(cars):
+            return Lies()
+        place = ego.route.position_at(moment.time_s)[:2] if self._place is None else self._place
+        away = np.linalg.norm(cars.position[:, :2] - place, axis=1)
+        if away.min() > self.lost_m:
+            return Lies()
+        car = cars.select(away.argmin()[None])
+        self._place = (car.position + moment.elapsed_s * car.velocity)[0, :2]
+        ahead = np.stack([np.cos(car.yaw), np.sin(car.yaw), np.zeros(1)], axis=1)
+        position = car.position + ahead * (0.5 * (self.length_m + PEDESTRIAN[0]) + self.gap_m)
+        position[:, 2] += 0.5 * (PEDESTRIAN[2] - car.size[:, 2])
+        pedestrian = np.full(1, CLASS_INDEX["pedestrian"], np.uint8)
+        ghost = ObjectStates.of(
+            position, velocity=car.velocity, size=PEDESTRIAN[None], yaw=car.yaw, class_id=pedestrian
+        )
+        return Lies(inserted=typical(ghost.with_(id=np.zeros(1, np.int64)), moment.seen))
+
+
 class Scapegoats(UnlimitedLiar):
     """Invents standing cars on a grid that all liars share, where at most `scapegoats` honest agents look.
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import pytest
 from agreeing_liars import (
     AgainstEgo,
+    AtBumper,
     BesideReal,
     FrameTwo,
     Growing,
@@ -28,7 +29,7 @@ ALTERING: list[type[AdaptiveAttack]] = [AgainstEgo, FrameTwo, Growing, HeadingDr
 SLIGHT = 0.1
 
 
-@pytest.mark.parametrize("attack", [BesideReal, Scapegoats, *ALTERING])
+@pytest.mark.parametrize("attack", [AtBumper, BesideReal, Scapegoats, *ALTERING])
 def test_agreeing_liars_are_what_an_attack_has_to_be(attack: type[AdaptiveAttack]) -> None:
     check_attack(attack(start_s=0.5))
 

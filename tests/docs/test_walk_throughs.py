@@ -99,7 +99,7 @@ def test_the_tutorial_on_driving_works_as_written_and_its_table_has_the_measured
 @pytest.fixture(scope="module")
 def defended(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder in which the tutorial on defences was played."""
-    folder = play_page(page("tutorial_defence"), tmp_path_factory.mktemp("defence"), least=10)
+    folder = play_page(page("tutorial_defence"), tmp_path_factory.mktemp("defence"), least=9)
     printed = (folder / "printed").read_text()
     assert "4 passed" in printed
     assert printed.count("withheld objects per frame") == 2

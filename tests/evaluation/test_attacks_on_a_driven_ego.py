@@ -20,7 +20,7 @@ DRIVER = loading.module(Path("studies/driving.py")).DRIVER
 
 @cache
 def metrics_of(junction: int, seed: int, *settings: str) -> dict[str, Any]:
-    """metrics.json of 15 s with attacks from 2 s on, where no false detection lasts: cars would brake for those, too."""
+    """metrics.json of 15 s with attacks from 2 s on. No false detection lasts: cars would brake for those, too."""
     path, content = scenario.load(
         "driving", [f"scene_index={junction}", f"driver={DRIVER}", "attack_start_s=2.0", *settings]
     )
@@ -55,6 +55,22 @@ def test_an_ego_brakes_hard_for_what_is_not_there_and_its_twin_does_not(attack: 
 def test_a_queue_stops_the_ego_for_as_long_as_it_stands() -> None:
     attacked, twin = driven(6, 2, "attack=phantom_queue"), driven(6, 2)
     assert attacked["blocked_s"] > 2.0 > twin["blocked_s"]
+
+
+def test_a_ghost_at_the_bumper_stops_a_car_unless_the_centre_or_the_driver_is_defended() -> None:
+    ghost = [f"attack={Path('tests/attacks/agreeing_liars.py').resolve()}:AtBumper", "wire=tracks", "n_adversaries=1"]
+    way_m = {
+        name: driven(2, 0, *settings)["progress_m"]
+        for name, settings in {
+            "no attack": (),
+            "undefended": ghost,
+            "centre": (*ghost, "defence=FaultOrLie"),
+            "driver": (*ghost, "veto=true"),
+        }.items()
+    }
+    assert way_m["undefended"] < 0.6 * way_m["no attack"]
+    assert way_m["centre"] > 0.8 * way_m["no attack"]
+    assert way_m["driver"] > 0.95 * way_m["no attack"]
 
 
 @pytest.mark.parametrize("attack", ["hidden_leader", "displaced_leader"])
