@@ -37,7 +37,7 @@ WITNESSES = 2
 #: the box contradicts the agent: two liars that report an object elsewhere move the box, and not the honest track.
 SAME_PLACE_M, SAME_HEIGHT_M = 1.0, 0.75
 #: m, between outlines of objects that nearly touch; m/s, from which objects drive, and by which the velocities of two
-#: that drive as one differ at most. Cars that drive keep more distance, also from bicycles beside them.
+#: that drive as one differ at most. Who drives behind another one keeps more distance.
 TOUCH_M, DRIVES_MPS, AS_ONE_MPS = 1.0, 3.0, 2.0
 #: m, from an object, within which an agent's track may be of it: it is not silent about the object. The clusterer's
 #: radius.
@@ -107,13 +107,16 @@ def in_place(batch: Batch, boxes: ClusterBoxes) -> Bools:
 
 
 def attached(batch: Batch, boxes: ClusterBoxes, voter: Bools, beside: tuple[Ints, Ints, Floats]) -> Bools:
-    """(c,) objects that fewer than half of the agents report, and that drive as one with another one, nearly touching.
+    """(c,) objects that fewer than half of the agents report, and that drive as one with another one close before or
+    behind it, in its path.
 
     boxes: of the clusters; voter: (a,) agents that count; beside: see `better_known`
     """
     i, j, offset = beside
     velocity, other = boxes.velocity[i, :2], boxes.velocity[j, :2]
     as_one = (np.linalg.norm(velocity, axis=1) >= DRIVES_MPS) & (np.linalg.norm(velocity - other, axis=1) <= AS_ONE_MPS)
+    across = np.abs(np.cos(boxes.yaw[j]) * offset[:, 1] - np.sin(boxes.yaw[j]) * offset[:, 0])
+    as_one &= across <= 0.5 * boxes.size[j, 1]
     grown = boxes.size + np.array([2.0 * TOUCH_M, 2.0 * TOUCH_M, 0.0])
     touches = overlap(offset, boxes.size[i], boxes.yaw[i], grown[j], boxes.yaw[j], 1.0)
     few = 2 * (batch.reported & voter).sum(axis=1) < len(voter)

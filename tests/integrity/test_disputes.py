@@ -125,7 +125,7 @@ def test_only_fresh_reports_contradict_others() -> None:
 ATTACHED = {
     "at the bumper of a car that drives": ((3.0, 0.0), (8.0, 8.0), "a", True),
     "at the bumper of a car that stands": ((3.0, 0.0), (0.0, 0.0), "a", False),
-    "beside it in the next lane": ((0.0, 2.5), (8.0, 8.0), "a", False),
+    "close beside it": ((0.0, 1.7), (8.0, 8.0), "a", False),
     "overtaken by it": ((3.0, 0.0), (8.0, 4.0), "a", False),
     "far ahead of it": ((8.0, 0.0), (8.0, 8.0), "a", False),
     "reported by more than half": ((3.0, 0.0), (8.0, 8.0), "abc", False),
