@@ -87,7 +87,7 @@ def test_a_node_that_does_not_finish_after_a_signal_is_killed() -> None:
         assert outcome.error.startswith("Interrupted"), seed
         assert outcome.lost == {"b": "killed by signal 9 (SIGKILL)"}, seed
         assert outcome.results.keys() == EVERY - {"b"}, seed
-        assert 5.0 < outcome.seconds < 6.0, "it had 5 s"
+        assert 10.0 < outcome.seconds < 11.0, "it had 10 s"
 
 
 @pytest.mark.parametrize("seconds", [0.5, 5.0, 25.0])
