@@ -10,8 +10,6 @@ from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, concaten
 #: m, in the bird's-eye view, between an own track and the object of the mission estimate that it stands for at most:
 #: the radius within which agents pair the two.
 SAME_OBJECT_M = 2.0
-
-
 #: s, for which own sensors remember that they saw through an object: of what is close to the car, too little is in view
 #: now and then.
 REFUTED_S = 1.0

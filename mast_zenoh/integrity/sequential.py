@@ -198,9 +198,10 @@ class SequentialConsistency(Integrity):
         objects = self._existence.follow(batch.time_ns, evidence.boxes)
         means = self._deviate(batch, evidence.boxes, objects)
         self._add_disputes(evidence.testimonies, dt)
-        contradictions = self._of.contradictions[rows] / self._wider(rows)
+        wider = self._wider(rows)
+        contradictions = self._of.contradictions[rows] / wider
         self._statistics = np.column_stack([contradictions, self._of.deviation[rows]])
-        explanations, verdict = self._explain(batch, rows)
+        explanations, verdict = self._explain(batch, rows, wider)
         rates = np.column_stack(
             [tail.rate(values) for tail, values in zip(self._tails, self._statistics.T, strict=True)]
         )
@@ -300,9 +301,8 @@ class SequentialConsistency(Integrity):
         self._pairs = self._summed(self._pairs, between, self._pair_tail, dt, wider)
         of.kinds[rows] += dt * kinds.sum(axis=1).T
 
-    def _explain(self, batch: Batch, rows: Ints) -> tuple[Explanations, Verdict]:
-        """The explanations of the disputes of the agents of a batch, and what they say of each."""
-        wider = self._wider(rows)
+    def _explain(self, batch: Batch, rows: Ints, wider: float) -> tuple[Explanations, Verdict]:
+        """The explanations of the disputes of the agents of a batch, and what they say of each. wider: see `_wider`"""
         pairs, apart_ns = self._pairs[np.ix_(rows, rows)] / wider, self._apart_ns[np.ix_(rows, rows)]
         apart = (apart_ns > 0) & (batch.time_ns - apart_ns <= APART_S * 1e9)
         disputes = self._disputes = (self._pair_tail.rate(pairs) <= self.disputes_per_hour) | apart
