@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import tempfile
 import threading
@@ -260,7 +261,11 @@ class _BridgeProcess:
 
     def finish(self) -> None:
         """Wait until it has sent the last frames; an interrupt ends it at once, a second one kills it."""
+        from mast_zenoh.viewer.live import priority
+
         process, signals = self._process, self._context.signals
+        if process.poll() is None:  # the run is over, so nothing of it waits for a processor
+            priority.restore(process.pid, os.getpriority(os.PRIO_PROCESS, 0))
         try:
             if signals:
                 if len(signals) > 1:

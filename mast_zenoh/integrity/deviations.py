@@ -43,6 +43,8 @@ CLIP = 8.0
 OF = np.array([POSITION, POSITION, VELOCITY, HEADING, SIZE])
 MEMORY_S = np.array([0.3, 3.0, 3.0, 3.0, 3.0])
 NAMES = ("position", "position", "velocity", "heading", "size")
+#: How the reason of a suspension begins, by name.
+REASONS = {name: f"reports a {name} that differs from the other agents'" for name in NAMES}
 #: Their usual length, standard deviations, before a run shows it, and by what factor a run's may differ from it: liars
 #: cannot stretch it far.
 USUAL = np.array([0.6, 0.3, 0.22, 0.4, 0.44])

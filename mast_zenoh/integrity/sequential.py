@@ -21,7 +21,7 @@ from mast_zenoh.integrity.base import (
     ClusterBoxes,
     Integrity,
 )
-from mast_zenoh.integrity.deviations import NAMES, OF, POSITION, LastingDeviations, Means, deviations
+from mast_zenoh.integrity.deviations import NAMES, OF, POSITION, REASONS, LastingDeviations, Means, deviations
 from mast_zenoh.integrity.disputes import ACCUSATIONS, OF_ITSELF, Evidence, Testimonies
 from mast_zenoh.integrity.existence import ExistenceVotes
 from mast_zenoh.integrity.explanations import Explanations, Verdict, explained
@@ -383,8 +383,8 @@ class SequentialConsistency(Integrity):
         if alarms[CONTRADICTIONS]:
             most = ACCUSATIONS[int(self._of.kinds[self._agents.rows[row]].argmax())]
             return f"{most}, {contradictions:.1f} object-seconds"
-        name = NAMES[self._deviating[row]]
-        return f"reports a {name} that differs from the other agents' ({deviation:.0f} times as much as usual)"
+        reason = REASONS[NAMES[self._deviating[row]]]
+        return f"{reason} ({deviation:.0f} times as much as usual)"
 
     def _agent_trust(self, batch: Batch, rows: Ints, rates: Floats, verdict: Verdict) -> AgentTrust:
         """The trust in the agents; the reason of those whose honesty is open names those they disagree with."""

@@ -17,6 +17,7 @@ from mcap.reader import make_reader
 
 import mast_zenoh as mast
 from mast_zenoh.errors import ExportError
+from mast_zenoh.integrity import deviations
 from mast_zenoh.integrity.agent_fault import described
 from mast_zenoh.integrity.disputes import ACCUSATIONS
 from mast_zenoh.messagelog.reader import Recorded, Wanted, read
@@ -171,7 +172,12 @@ def test_a_report_of_a_centre_has_no_place_and_names_what_its_broker_received(
 
 
 def test_every_reason_of_the_shipped_stages_has_a_detector() -> None:
-    reasons = [*ACCUSATIONS, described(np.zeros(4)), described(np.array([1.0, 0.0, 0.1, 0.2]))]
+    reasons = [
+        *ACCUSATIONS,
+        *deviations.REASONS.values(),
+        described(np.zeros(4)),
+        described(np.array([1.0, 0.0, 0.1, 0.2])),
+    ]
     for reason in reasons:
         assert [each for each in misbehaviour.DETECTORS if reason.startswith(each.reason)], reason
     assert {each.kind for each in misbehaviour.DETECTORS} <= {1, 2, 3, 4, 5}

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mast_zenoh.errors import ExportError, MessageError
+from mast_zenoh.integrity import deviations
 from mast_zenoh.integrity.base import FAULTY, STATES, SUSPENDED
 from mast_zenoh.messagelog.reader import Recorded, read
 from mast_zenoh.messages import codec
@@ -50,7 +51,7 @@ DETECTORS = (
     Detector("seen_through_by_others", "reports objects that others see through", 5),
     Detector("impossible_object", "reports objects that no road user can be", 1),
     Detector("repeated_object", "reports one object twice", 1),
-    Detector("different_position", "reports a position that differs from the other agents'", 5),
+    *(Detector(f"different_{name}", reason, 5) for name, reason in deviations.REASONS.items()),
     Detector("refuted_claims", "its claims are refuted more often than an honest agent's", 5),
     Detector("disagreement", "not among the agents that agree with ", 5),
     Detector("misfit", "no group with it fits the last believed picture", 3),

@@ -26,18 +26,10 @@ def yield_processors() -> Callable[[], None]:
     niceness = int(value)
     before = os.getpriority(os.PRIO_PROCESS, 0)
     os.nice(niceness)
-    is_idle = niceness == _NICENESS and hasattr(os, "SCHED_IDLE")
-    if is_idle:  # any node that wakes up takes the processor at once
-        _schedule(os.SCHED_IDLE)
-    _set_session(niceness)
-
-    def restore() -> None:
-        _set_session(0)
-        if is_idle:
-            _schedule(os.SCHED_OTHER)
-        _set_niceness(before)
-
-    return restore
+    if niceness == _NICENESS and hasattr(os, "SCHED_IDLE"):  # any node that wakes up takes the processor at once
+        _schedule(os.getpid(), os.SCHED_IDLE)
+    _set_session(os.getpid(), niceness)
+    return lambda: restore(os.getpid(), before)
 
 
 def yield_to_nodes() -> Callable[[], None]:
@@ -47,30 +39,42 @@ def yield_to_nodes() -> Callable[[], None]:
     """
     before = os.getpriority(os.PRIO_PROCESS, 0)
     os.nice(LISTENER_NICENESS)
-    _set_session(LISTENER_NICENESS)
-
-    def restore() -> None:
-        _set_session(0)
-        _set_niceness(before)
-
-    return restore
+    _set_session(os.getpid(), LISTENER_NICENESS)
+    return lambda: restore(os.getpid(), before)
 
 
-def _schedule(policy: int) -> None:
+def restore(process: int, niceness: int) -> None:
+    """Have an observer, given by its process id, get the processors as others do, as far as the system allows that.
+
+    Beside busy processes an observer that yields may not get to see that its run is over, so whoever waits for it
+    calls this.
+    """
+    _set_session(process, 0)
+    if hasattr(os, "SCHED_OTHER"):
+        _schedule(process, os.SCHED_OTHER)
+    _set_niceness(process, niceness)
+
+
+def _schedule(process: int, policy: int) -> None:
     """Set the scheduling policy of all threads."""
-    for thread in os.listdir("/proc/self/task"):
+    for thread in _threads(process):
         with suppress(OSError):  # a container may forbid it; a thread may have ended
-            os.sched_setscheduler(int(thread), policy, os.sched_param(0))
+            os.sched_setscheduler(thread, policy, os.sched_param(0))
 
 
-def _set_niceness(niceness: int) -> None:
+def _set_niceness(process: int, niceness: int) -> None:
     """Set the niceness of all threads."""
-    tasks = Path("/proc/self/task")  # not on every system
-    for thread in os.listdir(tasks) if tasks.is_dir() else ("0",):
+    for thread in _threads(process):
         with suppress(OSError):  # only a privileged process may lower it
-            os.setpriority(os.PRIO_PROCESS, int(thread), niceness)
+            os.setpriority(os.PRIO_PROCESS, thread, niceness)
 
 
-def _set_session(niceness: int) -> None:
+def _threads(process: int) -> list[int]:
+    with suppress(OSError):  # not on every system; the process may have ended
+        return [int(thread) for thread in os.listdir(f"/proc/{process}/task")]
+    return [process]
+
+
+def _set_session(process: int, niceness: int) -> None:
     with suppress(OSError):  # not on every system
-        Path("/proc/self/autogroup").write_text(str(niceness))
+        Path(f"/proc/{process}/autogroup").write_text(str(niceness))
