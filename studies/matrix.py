@@ -20,11 +20,16 @@ ADVERSARIES = (
     "coordinated,uncoordinated,BlindSpot,Mimic,SlowDrift,Sleeper,Collusion,Framing,GhostAhead,"
     "OpenDispute,PairedDenial,TrustFlip,PosePert,BlindAreaConfusion,PretendBenign,Flood"
 )
-# On two cores, quick takes a minute and full 6 hours (docs/defence_studies.md).
+# Those that hide or add objects all the time; others displace them, strike late or briefly, or lie as BlindSpot does.
+COUNTED = (
+    "coordinated,uncoordinated,BlindSpot,Mimic,Collusion,Framing,GhostAhead,OpenDispute,PairedDenial,TrustFlip,Flood"
+)
+# On two cores, quick takes a minute; docs/scoreboard.md has the time of scoreboard and of full.
 PRESETS = dict(
     quick=dict(
         defences="FaultOrLie,Cad", adversaries="coordinated,OpenDispute", kinds="poles,cars", counts=(2,), trials=2
     ),
+    scoreboard=dict(defences=DEFENCES, adversaries=COUNTED, kinds="poles,cars", counts=(2,), trials=10),
     full=dict(defences=DEFENCES, adversaries=ADVERSARIES, kinds="poles,cars,many", counts=(2,), trials=30),
 )
 
@@ -45,7 +50,8 @@ def study(
 ):
     """Paired runs: the same scenes and seeds for every cell.
 
-    preset: quick (FaultOrLie and Cad; coordinated and OpenDispute; poles, cars) or full; it sets all that is None;
+    preset: quick (FaultOrLie and Cad; coordinated and OpenDispute; poles, cars), scoreboard (10 seeds) or full (all
+    attacks, many agents, 30 seeds); it sets all that is None;
     defences, adversaries: names or files, separated by commas, as in the study defences;
     kinds: of the scene, separated by commas: poles, cars, many;
     junction: generated junction of all scenes; counts: numbers of adversaries, 2 or [1,2,3]; placements: random,

@@ -35,6 +35,8 @@ class FieldRow:
     """A cell of the matrix, in one kind of scene or in all.
 
     scene:    its title; "" for all scenes together
+    damage:   missed and false objects added per frame, compared with no attack and no defence
+    by_attack: compared with the same defence without an attack
     harm:     missed and false objects per frame in the ego's picture, minus those without the defence under this attack
     attacked: share of the runs in which the adversaries lied; unknown without any
     honest_suspended: share of the runs that suspend an agent while it is honest, whether anybody lied or not
@@ -46,6 +48,8 @@ class FieldRow:
     attack: str
     n_adversaries: int
     placement: str
+    damage: Measured
+    by_attack: Measured
     harm: Measured
     attacked: Measured
     honest_suspended: Measured

@@ -18,7 +18,7 @@ from mast_zenoh.metrics.field_results import (
     PublishedComparison,
     PublishedNumber,
 )
-from mast_zenoh.metrics.study_results import BINOMIAL, BOOTSTRAP, Measured
+from mast_zenoh.metrics.study_results import BINOMIAL, BOOTSTRAP, STUDENT, Measured
 
 SCENES = ("4 poles", "4 cars")
 IDLE = Measured(0.0, 0.0, 0.1, 30, 0, BINOMIAL)
@@ -59,6 +59,8 @@ def field(
                         attack=attack,
                         n_adversaries=count,
                         placement=placement,
+                        damage=Measured(9.0 * bool(attack) + harm, 8.0, 10.0, 30, 0, STUDENT, 1e-9),
+                        by_attack=Measured(9.0 * bool(attack), 8.0, 10.0, 30, 0, STUDENT, 1e-9),
                         harm=Measured(harm, harm - width, harm + width, 30, 0, BOOTSTRAP),
                         attacked=_attacked(attack, idle and (at, attack) == (1, attacks[0])),
                         honest_suspended=Measured((0.0, 0.0, 0.1, 0.8)[at % 4], 0.0, 1.0, 30, 0, BINOMIAL),

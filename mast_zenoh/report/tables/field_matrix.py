@@ -15,6 +15,7 @@ from mast_zenoh.metrics.field_results import (
 )
 from mast_zenoh.metrics.study_results import Measured
 from mast_zenoh.report.tables.defences import ABOUT_IDLE, IDLE, defence_tables
+from mast_zenoh.report.tables.scoreboard import scoreboard_tables
 from mast_zenoh.report.tables.text_table import (
     BOUNDS,
     DASH,
@@ -47,7 +48,7 @@ _ABOUT_BREAKING = (
 
 
 def field_tables(table: FieldMatrix) -> ResultTables:
-    """The tables of the matrix, with those of this study before the summary, to which it adds columns.
+    """The scoreboard and the tables of the matrix, with those of this study before the summary, which has more columns.
 
     The CSV has all lines of the matrix, and those by kind of scene, with the column `scene` (empty: all).
     """
@@ -62,7 +63,7 @@ def field_tables(table: FieldMatrix) -> ResultTables:
     own = [*(_harm(table, scene) for scene in table.scenes), _processor_time(table), _breakdown(table)]
     headings, lines_of_matrix = of_matrix.numbers
     numbers = ("scene", *headings), [*(["", *line] for line in lines_of_matrix), *_csv_lines(table)]
-    *brief, turned = of_matrix.brief  # a column for each defence
+    turned, board = of_matrix.brief[-1], scoreboard_tables(table)  # a column for each defence
     extra = [
         [heading, *(added[name][index] for name in turned.headings[1:])]
         for index, heading in enumerate(_SUMMARY_HEADINGS if added else ())
@@ -71,9 +72,10 @@ def field_tables(table: FieldMatrix) -> ResultTables:
         turned = turned._replace(about=f"{turned.about} {_ABOUT_BREAKING}", lines=[*turned.lines, *extra])
     return of_matrix._replace(
         title="Published and own defences against published and own attacks",
-        tables=[*others, *(each for each in own if each.lines), *last],
+        tables=[*board.tables, *others, *(each for each in own if each.lines), *last],
         numbers=numbers,
-        brief=[*brief, turned],
+        brief=[*board.brief, turned],
+        reading=board.reading,
     )
 
 

@@ -110,8 +110,9 @@ class Collection(matrix.Collection):
 
     def more_tables(self, table: Any) -> Mapping[str, ResultTables]:
         from mast_zenoh.report.tables.field_matrix import published_tables
+        from mast_zenoh.report.tables.scoreboard import scoreboard_tables
 
-        return {"published": published_tables(table)}
+        return {"scoreboard": scoreboard_tables(table), "published": published_tables(table)}
 
     def figures(self, table: Any) -> Mapping[str, RenderedFigure]:
         from mast_zenoh.report.figures.defences import figures_of_defences
@@ -154,14 +155,18 @@ class Collection(matrix.Collection):
             [self.records[cell][key]] for key in self.order if key in self.records[cell] and scene in ("", key.scene)
         ]
         cpu_ms, scenes = self._in_scene(self._processor(cell), scene), 1 if scene else self.scenes
-        harm = self._in_scene(self._damage(cell) - self._damage(cell.undefended), scene)
+        damages = [self._in_scene(self._damage(each), scene) for each in (cell, cell.alone, cell.undefended)]
+        differences = (damages[0], damages[0] - damages[1], damages[0] - damages[2])
+        damage, by_attack, harm = (intervals.mean(each, scenes=scenes, paired=True) for each in differences)
         return FieldRow(
             scene=scene_title(scene),
             defence=cell.defence,
             attack=cell.attack,
             n_adversaries=cell.n_adversaries,
             placement=cell.placement,
-            harm=intervals.mean(harm, scenes=scenes, paired=True),
+            damage=damage,
+            by_attack=by_attack,
+            harm=harm,
             attacked=matrix_records.attacked_share(groups) if cell.lies else Measured(),
             honest_suspended=matrix_records.shares_of_runs(groups)["honest_suspended"],
             cpu_ms=intervals.mean(cpu_ms, scenes=scenes),

@@ -66,13 +66,22 @@ def test_an_attack_that_begins_after_the_end_is_refused_before_anything_runs() -
         trials.plan(study, count=1, seed=0, frames=50, runtime="inproc")
 
 
-@pytest.mark.parametrize("preset", ["quick", "full"])
+@pytest.mark.parametrize("preset", ["quick", "scoreboard", "full"])
 def test_a_preset_plays_every_defence_against_every_attack_in_every_kind(preset: str) -> None:
     study = definition.load("matrix", [f"preset={preset}"])
     defences, attacks = ({getattr(each, name) for each in study.cells.values()} for name in ("defence", "attack"))
     assert len(study.cells) == len(defences) * len(attacks)
     assert {each.kind for each in study.cells.values()} == {"field_matrix"}
     assert {scene_title(scene.label) for scene in study.scenes} <= {"4 poles", "4 cars", "8 poles, 4 cars"}
+
+
+def test_a_scoreboard_has_ten_seeds_of_every_defence_and_its_folder_can_be_continued_by_the_full_matrix() -> None:
+    board, full = (definition.load("matrix", [f"preset={preset}"]) for preset in ("scoreboard", "full"))
+    assert board.trials == 10
+    assert {each.label for each in board.configurations} < {each.label for each in full.configurations}
+    assert {scene.label for scene in board.scenes} < {scene.label for scene in full.scenes}
+    defences = ({each.defence for each in study.cells.values()} for study in (board, full))  # type: ignore[attr-defined]
+    assert next(defences) == next(defences)
 
 
 # -- synthetic trials --------------------------------------------------------------------------------------------------
@@ -434,7 +443,7 @@ def test_a_small_matrix_is_carried_out_and_resumed(tmp_path: Path) -> None:
     chosen = dict(defences="Cad", adversaries="coordinated", kinds="poles", counts=[2], attack_start_s=0.3)
     finished = mast.study("matrix", **options, **chosen)  # type: ignore[arg-type]
     names = {path.name for path in finished.path.iterdir()}
-    expected = {f"{name}.{suffix}" for name in ("matrix", "published") for suffix in ("md", "csv", "tex")}
+    expected = {f"{name}.{suffix}" for name in ("matrix", "scoreboard", "published") for suffix in ("md", "csv", "tex")}
     assert expected | {"harm_by_scene.png", "harm_by_scene.pdf", "defence_matrix.png", "report.html"} <= names
     rows = list(csv.DictReader((finished.path / "matrix.csv").open()))
     times = [float(row["value"]) for row in rows if row["measure"] == "cpu_ms" and row["scene"] == "all"]
@@ -448,4 +457,5 @@ def test_a_small_matrix_is_carried_out_and_resumed(tmp_path: Path) -> None:
     mast.study("matrix", **options, **chosen, resume=True)  # type: ignore[arg-type]
     assert {path: path.stat().st_mtime_ns for path in kept[1:]} == modified, "finished trials are not repeated"
     assert kept[0].is_file()
-    assert (finished.path / "published.md").read_bytes() == before["published.md"], "the same numbers"
+    for name in ("published.md", "scoreboard.md", "scoreboard.csv"):
+        assert (finished.path / name).read_bytes() == before[name], "the same numbers"

@@ -1,0 +1,151 @@
+"""The scoreboard of a matrix: each defence with the case that is worst for it, best first, and what follows from it."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from typing import NamedTuple
+
+from mast_zenoh.metrics.field_results import FieldMatrix, FieldRow
+from mast_zenoh.metrics.significance import holm
+from mast_zenoh.metrics.study_results import LEVEL, plural
+from mast_zenoh.report.narrative.changes import join_names
+from mast_zenoh.report.tables.text_table import BOUNDS, ResultTables, TextTable, bounds, digits, measured
+
+TITLE = "Scoreboard"
+_HEADINGS = (
+    *("defence", "beaten most by", "errors added", "by the attack", "minus undefended"),
+    *("without an attack", "seeds"),
+)
+_CSV = ("defence", "attack", "n_adversaries", "placement", "scene", "measure", *BOUNDS, "p_holm", "worst")
+#: What is read together of every cell.
+_READ = ("damage", "by_attack", "harm")
+
+
+class Score(NamedTuple):
+    """A defence: its cells with the greatest damage, of all and of those without an attack."""
+
+    worst: FieldRow
+    quiet: FieldRow
+
+    @property
+    def defence(self) -> str:
+        """The name of the defence."""
+        return self.worst.defence
+
+
+class Scoreboard:
+    """The scores of a matrix, the smallest worst case first; none without a defence, or without an adversary.
+
+    rows:     the cells that scores are chosen from, by kind of scene: without faults, and attacks in which nobody lied
+    adjusted: p-values by measure and cell, adjusted as one family, because a score is the greatest of many
+    """
+
+    def __init__(self, table: FieldMatrix) -> None:
+        defences = {each.defence for each in table.summaries}  # without that of no defence
+        played = [row for row in table.rows if defences and row.scene and row.damage.known and not row.idle]
+        self.rows = [row for row in played if row.attacked.known or not row.attack]
+        values = {(name, row): getattr(row, name).p for row in self.rows for name in _READ}
+        tested = {key: p for key, p in values.items() if not math.isnan(p)}
+        self.adjusted = dict(zip(tested, holm(list(tested.values())), strict=True))
+        self.scores = sorted(self._scores(), key=lambda score: score.worst.damage.value)
+        self.defended = [score for score in self.scores if score.defence in defences]
+
+    def _scores(self) -> Iterator[Score]:
+        for name in dict.fromkeys(row.defence for row in self.rows):
+            own = [row for row in self.rows if row.defence == name]
+            if quiet := [row for row in own if not row.attack]:
+                yield Score(*(max(rows, key=lambda row: row.damage.value) for rows in (own, quiet)))
+
+    def differs(self, name: str, row: FieldRow) -> bool:
+        """Whether a measure of a cell differs from 0 if all are read together."""
+        return self.adjusted.get((name, row), 1.0) <= LEVEL
+
+    def conclusions(self) -> list[str]:
+        """Five computed sentences: the best defence, its rivals, what beats most, gain, cost; none without scores."""
+        if not self.defended:
+            return []
+        best, costly = self.scores[0], max(self.defended, key=lambda score: score.quiet.damage.value)
+        name = best.defence if best in self.defended else "no defence at all"
+        quiet, worst = [score.quiet for score in self.defended], [score.worst for score in self.defended]
+        return [
+            f"The best worst case of {plural(len(self.defended), 'defence')} has {name}: with {_case(best.worst)}, "
+            f"the picture has {self._text('damage', best.worst)} more errors a frame than without attack and defence.",
+            self._rivals(best),
+            self._beaten(),
+            f"In its worst case, better than no defence: {self._named('harm', worst, -1)}; "
+            f"worse: {self._named('harm', worst, 1)}; for all others, that is open.",
+            f"Without an attack, clearly more errors than without a defence: {self._named('damage', quiet, 1)}; "
+            f"fewer: {self._named('damage', quiet, -1)}; "
+            f"the greatest cost has {costly.defence}: {self._text('damage', costly.quiet)} a frame.",
+        ]
+
+    def _rivals(self, best: Score) -> str:
+        high = best.worst.damage.high
+        if math.isnan(high):
+            return "That number has no interval, so the order of the rows is open."
+        others = [each.defence for each in self.scores if each is not best and not each.worst.damage.low > high]
+        if others:
+            return f"Not told apart from it, as intervals overlap or are missing: {join_names(others)}."
+        return "No other row's interval overlaps with its own."
+
+    def _beaten(self) -> str:
+        counts = Counter(score.worst.attack or "their own cost" for score in self.defended)
+        names = [name for name, count in counts.items() if count == max(counts.values())]
+        share = f"{max(counts.values())} of {len(self.defended)}{' each' if len(names) > 1 else ''}"
+        bare = [each.worst for each in self.scores if each not in self.defended]
+        undefended = (f"; without a defence, {_case(row)} adds {self._text('by_attack', row)}" for row in bare)
+        return f"What beats defences most is {join_names(names)} ({share}){''.join(undefended)}."
+
+    def _named(self, name: str, rows: Iterable[FieldRow], sign: int) -> str:
+        """The defences of cells whose measure differs from 0, in one direction."""
+        named = [row.defence for row in rows if self.differs(name, row) and sign * getattr(row, name).value > 0.0]
+        return join_names(named) if named else "none"
+
+    def _text(self, name: str, row: FieldRow) -> str:
+        return measured(getattr(row, name)) + "*" * self.differs(name, row)
+
+    def table(self) -> TextTable:
+        """The scores as text."""
+        lines = [
+            [
+                *(score.defence, _case(score.worst), *(self._text(name, score.worst) for name in _READ)),
+                *(self._text("damage", score.quiet), str(score.worst.damage.trials)),
+            ]
+            for score in self.scores
+        ]
+        about = (
+            "Errors are missed and false objects per frame in the ego's picture. Of each defence the case with the "
+            "most errors added, of all attacks and kinds of scene, compared with no attack and no defence. Negative: "
+            "the defence takes more of the sensors' own errors away than the attack adds. Then the same case compared "
+            "with the same defence without the attack, and with no defence under it. * differs from 0 after Holm's "
+            f"procedure, over the {plural(len(self.adjusted), 'number')} of all cases, as the greatest of many is "
+            "chosen. For that reason, errors added are a little too many."
+        )
+        return TextTable(TITLE, about, _HEADINGS, lines, 2)
+
+
+def _case(row: FieldRow) -> str:
+    """`Ghost (2 of 4 poles, random)`."""
+    if not row.attack:
+        return f"no attack ({row.scene})"
+    return f"{row.attack} ({row.n_adversaries} of {row.scene}, {row.placement})"
+
+
+def scoreboard_tables(table: FieldMatrix) -> ResultTables:
+    """The scoreboard as a page of its own; its CSV has all numbers that are read together."""
+    board = Scoreboard(table)
+    worst = [score.worst for score in board.scores]
+    numbers = []
+    for row in board.rows:
+        for name in _READ:
+            cell = (row.defence, row.attack, row.n_adversaries, row.placement, row.scene, name)
+            adjusted = digits(board.adjusted.get((name, row), math.nan))
+            numbers.append([*cell, *bounds(getattr(row, name)), *adjusted, int(row in worst)])
+    sentences = board.conclusions()
+    numbered = [f"{at}. {text}" for at, text in enumerate(sentences, 1)]
+    about = "\n".join([f"{table.matrix.size}.", *([""] if numbered else []), *numbered])
+    tables = [board.table()] if board.scores else []
+    brief = [each._replace(about=" ".join([each.about, *sentences])) for each in tables]
+    return ResultTables(TITLE, about, table.matrix.size, tables, (_CSV, numbers), brief, reading=sentences)
