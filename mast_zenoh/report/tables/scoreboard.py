@@ -71,14 +71,14 @@ class Scoreboard:
         quiet, worst = [score.quiet for score in self.defended], [score.worst for score in self.defended]
         return [
             f"The best worst case of {plural(len(self.defended), 'defence')} has {name}: with {_case(best.worst)}, "
-            f"the picture has {self._text('damage', best.worst)} more errors a frame than without attack and defence.",
+            f"{self._text('damage', best.worst)} errors a frame are added, compared with no attack and no defence.",
             self._rivals(best),
             self._beaten(),
             f"In its worst case, better than no defence: {self._named('harm', worst, -1)}; "
             f"worse: {self._named('harm', worst, 1)}; for all others, that is open.",
             f"Without an attack, clearly more errors than without a defence: {self._named('damage', quiet, 1)}; "
             f"fewer: {self._named('damage', quiet, -1)}; "
-            f"the greatest cost has {costly.defence}: {self._text('damage', costly.quiet)} a frame.",
+            f"the greatest cost is that of {costly.defence}: {self._text('damage', costly.quiet)} a frame.",
         ]
 
     def _rivals(self, best: Score) -> str:

@@ -78,7 +78,8 @@ def test_a_preset_plays_every_defence_against_every_attack_in_every_kind(preset:
 def test_a_scoreboard_has_ten_seeds_of_every_defence_and_its_folder_can_be_continued_by_the_full_matrix() -> None:
     board, full = (definition.load("matrix", [f"preset={preset}"]) for preset in ("scoreboard", "full"))
     assert board.trials == 10
-    assert {each.label for each in board.configurations} < {each.label for each in full.configurations}
+    played, every = ({(each.label, *each.settings) for each in study.configurations} for study in (board, full))
+    assert played < every
     assert {scene.label for scene in board.scenes} < {scene.label for scene in full.scenes}
     defences = ({each.defence for each in study.cells.values()} for study in (board, full))  # type: ignore[attr-defined]
     assert next(defences) == next(defences)

@@ -66,12 +66,14 @@ def test_five_sentences_say_what_the_table_does() -> None:
     first, rivals, beaten, gain, cost = tables.reading
     assert table.lines[0][1] == "Ghost (2 of 8 poles, 4 cars, random)"
     assert table.lines[0][2] in first
-    assert first.startswith("The best worst case of 3 defences has Cad: with Ghost (2 of 8 poles, 4 cars, random), the")
+    assert first.startswith(
+        "The best worst case of 3 defences has Cad: with Ghost (2 of 8 poles, 4 cars, random), 2.50 ["
+    )
     assert rivals == "No other row's interval overlaps with its own."
     assert beaten.startswith("What beats defences most is Ghost (3 of 3); without a defence, Flood (2 of 4 poles, ")
     assert gain.startswith("In its worst case, better than no defence: none; worse: KOfN and Robosac;")
     assert cost.startswith("Without an attack, clearly more errors than without a defence: none; fewer: none;")
-    assert cost.endswith("the greatest cost has Robosac: 8.00 (all equal) a frame.")
+    assert cost.endswith("the greatest cost is that of Robosac: 8.00 (all equal) a frame.")
     assert all(f"\n{at}. {text}" in tables.as_markdown() for at, text in enumerate(tables.reading, 1))
 
 
