@@ -8,6 +8,7 @@ from mast_zenoh.scenario import victims_of
 def scenario(
     n_adversaries=2,
     false_positives=5.0,
+    exact_number=False,
     fraction_false_negatives=0.2,
     fraction_translations=0.0,
     region="in_view",
@@ -44,6 +45,7 @@ def scenario(
                 selection=dict(
                     type="CoordinatedSelection",
                     n_false_positives=false_positives,
+                    exact_number=exact_number,
                     region=region,
                     fraction_false_negatives=fraction_false_negatives,
                     fraction_translations=fraction_translations,

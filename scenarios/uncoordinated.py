@@ -8,6 +8,7 @@ from mast_zenoh.scenario import victims_of
 def scenario(
     n_adversaries=2,
     false_positives=5.0,
+    exact_number=False,
     fraction_false_negatives=0.2,
     fraction_translations=0.0,
     region="in_view",
@@ -23,6 +24,7 @@ def scenario(
     """A baseline run with independent adversaries.
 
     n_adversaries: agents compromised; false_positives: mean number added by each (Poisson);
+    exact_number: whether that number is not drawn, but is `false_positives`, rounded;
     fraction_…: fraction of the agent's objects that are hidden, or moved;
     region: where false objects are put: in_view, ego_path, victim_only, or paper (about the agent, never missed);
     propagation: class that moves false objects, such as StaticPropagation;
@@ -37,6 +39,7 @@ def scenario(
         selection=dict(
             type="UncoordinatedSelection",
             n_false_positives=false_positives,
+            exact_number=exact_number,
             region=region,
             fraction_false_negatives=fraction_false_negatives,
             fraction_translations=fraction_translations,

@@ -14,10 +14,12 @@ def study(
     n_infrastructure=None,
     adversaries=(1, 2, 3),
     false_positives=5.0,
+    exact_number=False,
     fraction_false_negatives=0.2,
     attack_start_s=4.0,
     reading="testbed",
     compromised=(),
+    settings=None,
 ):
     """Runs for each number of adversaries.
 
@@ -26,24 +28,27 @@ def study(
     reading: "testbed", or "paper" for the attacks as in the paper: false objects stand still, without noise or misses;
     those of a coordinated attack are near any agent, and each adversary reports those within 70 m of its agent,
     and hides nothing;
-    compromised: agents to compromise first, in this order.
+    compromised: agents to compromise first, in this order;
+    settings: dotted paths into the scenario and their values, for all runs: {"evaluator.scorer.range_m": 70}.
     """
     if reading not in READINGS:
         raise ValueError(f"reading: found {reading!r}, expected one of {', '.join(READINGS)}")
     attack = dict(
         n_infrastructure=n_infrastructure,
         false_positives=false_positives,
+        exact_number=exact_number,
         fraction_false_negatives=fraction_false_negatives,
         attack_start_s=attack_start_s,
         compromised=compromised,
     )
     both, coordinated = READINGS[reading]
-    attack |= both
+    settings = settings or {}
+    attack |= both | settings
     grid = dict(n_adversaries=adversaries)
     return dict(
         name="monte_carlo",
         runs=dict(
-            baseline=dict(scenario="baseline", parameters=dict(n_infrastructure=n_infrastructure)),
+            baseline=dict(scenario="baseline", parameters=dict(n_infrastructure=n_infrastructure) | settings),
             uncoordinated=dict(scenario="uncoordinated", parameters=attack, grid=grid),
             coordinated=dict(scenario="coordinated", parameters=attack | coordinated, grid=grid),
         ),

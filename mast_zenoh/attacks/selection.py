@@ -88,6 +88,7 @@ class UncoordinatedSelection(Selection):
     """Selects false objects, and objects to hide and move, for one adversary.
 
     n_false_positives:        λ of the Poisson distribution of the number of false objects
+    exact_number:             whether that number is not drawn, but is `n_false_positives`, rounded
     region:                   where to place them: "in_view" of the victim, in the "ego_path", "victim_only" (outside
                               the view of other agents), "outnumbered" (where more victims than others look),
                               "few_witnesses" (where at most one honest agent looks), "many_witnesses" (two or more),
@@ -109,6 +110,7 @@ class UncoordinatedSelection(Selection):
     """
 
     n_false_positives: float = 5.0
+    exact_number: bool = False
     region: RegionName = "in_view"
     fraction_false_negatives: float = 0.2
     fraction_translations: float = 0.0
@@ -143,7 +145,8 @@ class UncoordinatedSelection(Selection):
         rows = rows_rng.permutation(n)
         direction = offset_rng.uniform(-np.pi, np.pi, moved)
         offset = np.column_stack([np.cos(direction), np.sin(direction), np.zeros(moved)]) * self.translation_m
-        count = int(add_rng.poisson(self.n_false_positives)) if coverage.victims else 0
+        number = self.n_false_positives
+        count = (round(number) if self.exact_number else int(add_rng.poisson(number))) if coverage.victims else 0
         return Targets(
             add=REGIONS[self.region].objects(count, self._shape, objects, ground_height(objects), coverage, add_rng),
             remove=objects.select(np.sort(rows[:removed])),

@@ -30,6 +30,12 @@ def test_the_number_of_false_objects_is_poisson_distributed():
     assert counts.var() == pytest.approx(5.0, rel=0.15)
 
 
+@pytest.mark.parametrize("selection", [UncoordinatedSelection, CoordinatedSelection])
+def test_an_exact_number_of_false_objects_is_rounded_and_not_drawn(selection: type[UncoordinatedSelection]) -> None:
+    exact = selection(region="paper", n_false_positives=8.6, exact_number=True)
+    assert {len(targets.add) for targets in draws(exact, world(10), trials=50)} == {9}
+
+
 def test_false_objects_are_spread_around_the_victim_and_move_along_their_heading():
     victim = np.array([200.0, -100.0, 15.0])
     selection = UncoordinatedSelection(

@@ -35,6 +35,20 @@ def test_false_objects_of_the_papers_reading_stand_still_and_are_near_any_agent(
     assert attack["imitation"] == {"type": "Exact"}
 
 
+def test_an_exact_number_of_false_objects_reaches_both_attacks() -> None:
+    number = ("exact_number=true", "false_positives=9")
+    coordination = loaded("coordinated-2", *number)["coordinator"]["coordination"]
+    attack = loaded("uncoordinated-2", *number)["adversaries"]["adversary_2"]["attack"]
+    for selection in (coordination["selection"], attack["selection"]):
+        assert (selection["n_false_positives"], selection["exact_number"]) == (9, True)
+
+
+def test_dotted_settings_reach_all_runs_of_the_study() -> None:
+    for configuration in ("baseline", "uncoordinated-1", "coordinated-3"):
+        content = loaded(configuration, 'settings={"evaluator.scorer.range_m": 70.0}')
+        assert content["evaluator"]["scorer"]["range_m"] == 70.0
+
+
 def test_without_a_reading_the_study_is_as_before() -> None:
     coordination = loaded("coordinated-3")["coordinator"]["coordination"]
     assert coordination["propagation"] == {"type": "TrajectoryPropagation"}
