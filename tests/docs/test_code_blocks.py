@@ -169,6 +169,11 @@ def fault_of_ones_own(block: Block, folder: Path) -> None:
     resolved(dict(faults=[dict(type="WeakSignal", at=1.0, until=2.0, node="ego", strength=0.5)]))
 
 
+def draws_of_the_authors_software(block: Block, folder: Path) -> None:
+    (comment,) = re.findall(r"# (\[.*\])$", block.content, flags=re.M)
+    assert executed(block)["_"] == ast.literal_eval(comment)
+
+
 def results_of_a_node(block: Block, folder: Path) -> None:
     node = SimpleNamespace(seen=[1, 2], frames=np.arange(2), counts=np.ones(2))
     assert executed(block)["finish"](node, None)["frames"] == 2
@@ -271,6 +276,7 @@ def message_of_ros(block: Block, folder: Path) -> None:
 
 #: By page the function that runs its Python blocks in order; None: another test runs them.
 RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
+    "attacks.md": [draws_of_the_authors_software],
     "driving.md": [whole_scenario, whole_scenario, played_scenario],
     "exports.md": [None],  # test_export_labels.py
     "faults.md": [part_of_a_scenario, part_of_a_scenario, random_faults, fault_of_ones_own],

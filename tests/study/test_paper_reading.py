@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
+import re
+import shlex
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -17,6 +22,9 @@ from mast_zenoh.study import definition
 
 #: m, as in `CoordinatedAttack`.
 MAX_RANGE_M = 70.0
+#: Commands of the page that compares the study with the paper.
+PAGE = Path(__file__).parents[2] / "docs" / "attacks.md"
+COMMANDS = re.findall(r"^\$ mast study monte_carlo (.*)$", PAGE.read_text(encoding="utf-8"), flags=re.M)
 
 
 def loaded(configuration: str, *settings: str) -> dict:
@@ -47,6 +55,20 @@ def test_dotted_settings_reach_all_runs_of_the_study() -> None:
     for configuration in ("baseline", "uncoordinated-1", "coordinated-3"):
         content = loaded(configuration, 'settings={"evaluator.scorer.range_m": 70.0}')
         assert content["evaluator"]["scorer"]["range_m"] == 70.0
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_runs_of_each_command_of_the_page_can_be_started(command: str) -> None:
+    words = shlex.split(command.replace("avstack:PATH", "intersection:1"), comments=True)
+    settings = [value for option, value in itertools.pairwise(words) if option == "--set"]
+    assert "scenes=intersection:1" in settings
+    for configuration in definition.load("monte_carlo", settings).configurations:
+        path, content = scenario.load(configuration.scenario, configuration.settings)
+        assert scenario.resolve(path, content, frames=20).nodes
+
+
+def test_the_page_has_commands_of_the_study() -> None:
+    assert len(COMMANDS) > 5
 
 
 def test_without_a_reading_the_study_is_as_before() -> None:
