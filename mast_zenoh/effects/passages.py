@@ -257,7 +257,9 @@ class PassageEffects:
             self._add_whole(message, received=True)
             return
         header, body = message.header, message.body
-        predicted = {**body, "position": body["position"] - body["velocity"] * (shift_ns * 1e-9)}
+        shift_s, covariance = shift_ns * 1e-9, body["covariance"].copy()
+        covariance[:, :3, :3] += shift_s**2 * covariance[:, 6:, 6:]  # what stands is less certain, too, and lost sooner
+        predicted = {**body, "position": body["position"] - body["velocity"] * shift_s, "covariance": covariance}
         changes, _ = rows.changed_objects(
             self._type, [ChangedMessage(header.frame, header.seq, message.step, body, predicted)]
         )

@@ -120,7 +120,7 @@ def manipulations(
     inserted, episode, velocity = insertions(effects, period_s)
     hidden, kind = _hidden(effects, limits)
     of_tracks = np.array([interposed.message != "detections" for interposed in effects.passages], bool)
-    columns = [set(names.split()) for names in effects.columns[hidden].tolist()]
+    columns = [set(names.split()) - {"position"} for names in effects.columns[hidden].tolist()]
     of_box = np.array([set() < names <= _OF_BOX for names in columns], bool)
     of_box &= (kind == ALTERED) & of_tracks[effects.passage[hidden]]
     renamed = effects.passage[hidden[np.array(["id" in names for names in columns], bool)]]
@@ -178,7 +178,10 @@ def _hidden(effects: Effects, limits: AttributionLimits) -> tuple[Ints, Ints]:
     rows = rows[np.isfinite(effects.before[rows]).all(axis=1)]
     kind = np.array([KINDS.index(name) if name in KINDS else -1 for name in EFFECTS])[effects.code[rows]]
     displacement = np.hypot(*(effects.after[rows] - effects.before[rows])[:, :2].T)
-    counts = (kind != MOVED) | (displacement >= limits.least_move_m)
+    unmoved = (kind == MOVED) & ~(displacement >= limits.least_move_m)
+    kind[unmoved] = ALTERED  # if it is in other columns
+    counts = ~unmoved
+    counts[unmoved] = [set(names.split()) > {"position"} for names in effects.columns[rows[unmoved]].tolist()]
     return rows[counts], kind[counts]
 
 
