@@ -13,7 +13,9 @@ FILE = str(Path(__file__).with_name("altered_boxes.py"))
 
 @pytest.mark.parametrize("setting", ["length=2.0", "turn_rad=0.5"])
 def test_a_false_box_is_blamed_for_no_error_of_place_which_are_those_of_the_twin(tmp_path: Path, setting: str) -> None:
-    run, twin = play(tmp_path / "run", FILE, setting, frames=FRAMES), play(tmp_path / "twin", FILE, frames=FRAMES)
+    apart = "scene.dense=False"  # in queues, boxes that nearly touch are grouped otherwise if one is longer
+    run = play(tmp_path / "run", FILE, apart, setting, frames=FRAMES)
+    twin = play(tmp_path / "twin", FILE, apart, frames=FRAMES)
     assert (run.table("attacks")["effect"] == "altered").sum() > FRAMES
     assert not (twin.table("attacks")["effect"] == "altered").any()
     for errors in ("fn", "fp"):

@@ -120,7 +120,7 @@ def numbers(value: Any) -> list[float]:
 
 
 def test_the_shipped_agents_are_about_as_accurate_as_they_say(once: Once) -> None:
-    baseline = once("baseline")
+    baseline = once("baseline", "scene_index=3")
     assert confidence_notices(baseline) == []
     for agent, estimates in baseline.metrics["consistency"].items():
         assert 0.7 < estimates["local"]["position"]["factor"] < 1.2, agent

@@ -8,9 +8,9 @@ from collections.abc import Callable
 from observed_run import ObservedRun
 from played import Played
 
-#: What is so in the first 3.6 s: adversary_4 never sees the object that it is to hide.
+#: What is so in the first 3.6 s: the ego never sees the object that its adversary is to hide.
 IDLE = {
-    "hide_object": ["adversary_4 on agent/infra_4/tracks changed no message"],
+    "hide_object": ["adversary_0 on agent/ego/tracks changed no message"],
     "sybil": ["faults[0] (Join) begins at 12 s, after the last frame (3.5 s)"],
 }
 

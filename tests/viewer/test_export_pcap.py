@@ -138,7 +138,7 @@ def test_the_file_holds_what_each_station_sent_in_order(broadcast: mast.Run, out
         assert packet.position == (decoded.position.latitude, decoded.position.longitude)
         kind = packet.port, packet.station_type, packet.mobile
         if message["codec"] == "cam":
-            assert kind == (2001, 5, True)
+            assert kind == (2001, {"peer_ego": 5, "peer_mobile_1": 8}[message["source"]], True), "a car and a truck"
             motion = decoded.vehicle
             assert packet.speed == motion.speed * (-1 if motion.drive_direction == 1 else 1)
             assert packet.heading == motion.heading

@@ -110,17 +110,17 @@ class Intersection(Scene):
                       first stand near the stop lines; None: 4
     n_mobile:         additional agents among the motor vehicles, as many as fit: at the first five junctions up to
                       84, 102, 84, 55 and 100; None: 0
-    n_vehicles:       motor vehicles including the ego; None: depends on the junction, about 20, or as many as n_mobile
-                      needs
+    n_vehicles:       motor vehicles that drive, including the ego; None: depends on the junction, about 30, or as many
+                      as n_mobile needs
     n_bicycles, n_pedestrians: None: depends on the junction
     dense:            whether drivers differ, some follow closely and react late, cars are parked beside the roads, and
-                      there is more traffic
+                      there is more traffic; False: equal drivers, about 20 vehicles
     rate_hz:          frames per second
     detector:         the model that generates detections from lidar visibility
     sensors:          lists of dict(type=…) by agent or pattern, see `Sensor`; None: a lidar each
 
     `record` makes 150 frames by default at 10 Hz. The seed determines the traffic and the detections, never the
-    junction; the number of agents affects neither, except that more than 20 mobile ones besides the ego may need more
+    junction; the number of agents affects neither, except that more than 25 mobile ones besides the ego may need more
     vehicles. Raises ConfigurationError if there is no room for these.
     """
 
@@ -133,7 +133,7 @@ class Intersection(Scene):
     n_vehicles: int | None = None
     n_bicycles: int | None = None
     n_pedestrians: int | None = None
-    dense: bool = False
+    dense: bool = True
     rate_hz: float = 10.0
     detector: Detector = _DETECTOR
     sensors: SensorsByAgent | None = None

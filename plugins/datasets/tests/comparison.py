@@ -21,7 +21,9 @@ FRAMES = 12
 @cache
 def junction(*, n_infrastructure: int = 2, n_mobile: int = 1, frames: int = FRAMES) -> Recording:
     """A junction with the ego, other mobile agents and poles."""
-    scene = Intersection(scene_index=0, n_infrastructure=n_infrastructure, n_mobile=n_mobile, detector=CleanDetector())
+    scene = Intersection(
+        scene_index=0, n_infrastructure=n_infrastructure, n_mobile=n_mobile, dense=False, detector=CleanDetector()
+    )
     return scene.record(0, frames)
 
 
