@@ -21,9 +21,10 @@ ALONE, ALONE_TIMES = 10, 2.0
 SUDDEN, SUDDEN_TIMES = 5, 1.5
 #: The same of objects that fewer than half of the agents report, and others see through.
 CONTESTED, CONTESTED_TIMES = 1, 2.0
-#: s, after which an object that is contradicted is evidence against the agent that reports it no more: it is withheld,
-#: and lasting false detections of honest detectors are of this kind. One object adds less than any alarm takes.
-PERSISTENT_S = 2.5
+#: s, after which an object that is contradicted is evidence against the agent that reports it: by then, most false
+#: detections of honest detectors are gone, and a fault, whose contradictions begin all at once, has been found. And s,
+#: for which it is evidence: it is withheld, and few false detections last long. One object adds less than any alarm takes.
+BRIEF_S, PERSISTENT_S = 0.5, 2.5
 #: s, over which these numbers are averaged for each agent, and s after which its mean is known.
 USUAL_S, KNOWN_S = 30.0, 2.0
 
@@ -73,13 +74,14 @@ class ExistenceVotes:
         return np.asarray(objects.of.number[self._rows])
 
     def fresh(self, contradicted: Bools, dt: float) -> Bools:
-        """(c, a) reports of a batch that have not been contradicted for PERSISTENT_S in all.
+        """(c, a) reports of a batch that have been contradicted for more than BRIEF_S, and PERSISTENT_S more at most.
 
         contradicted: (c, a) those that are now; dt: s, for which the batch stands
         """
         place = np.ix_(self._rows, self._agents.rows)
         self._contradicted_s[place] += dt * contradicted
-        return np.asarray(self._contradicted_s[place] <= PERSISTENT_S)
+        contradicted_s = self._contradicted_s[place]
+        return np.asarray((contradicted_s > BRIEF_S) & (contradicted_s <= BRIEF_S + PERSISTENT_S))
 
     def settle(self, evidence: Evidence, explanations: Explanations) -> tuple[ObjectTrust, Floats]:
         """The trust in the objects of a batch, which are followed, and the weights (n,) of its tracks.

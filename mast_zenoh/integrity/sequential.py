@@ -36,8 +36,8 @@ MAX_LOG_ODDS = 20.0
 
 #: Tails of the statistics on unattacked junctions, see docs/defences.md: of one agent's disputes, of those of a pair,
 #: of what an agent's own reports contradict, and of deviations.
-CONTRADICTION_TAIL = Tail(per_hour=78.0, scale=0.45)
-PAIR_TAIL = Tail(per_hour=43.0, scale=0.234)
+CONTRADICTION_TAIL = Tail(per_hour=84.0, scale=0.66)
+PAIR_TAIL = Tail(per_hour=86.0, scale=0.49)
 OWN_TAIL = Tail(per_hour=40.0, scale=0.248)
 DEVIATION_TAIL = Tail(per_hour=60.0, scale=1.3)
 #: Columns of the statistics of an agent.
@@ -45,15 +45,14 @@ CONTRADICTIONS, DEVIATION = range(2)
 #: Of all agents together; a tenth of what is acceptable, because the tails are extrapolated.
 FALSE_ALARMS_PER_HOUR = 0.1
 #: Disputes an hour of each pair of honest agents that count as one. A pair alone suspends nobody.
-DISPUTES_PER_HOUR = 1.0
+DISPUTES_PER_HOUR = 10.0
 #: s, for which an agent that may have a fault is not suspended for what it does; and for a deviation of position if a
 #: fault leaves at most this share of all its deviations.
 FAULT_AWAITED_S, EXPLAINED_S, EXPLAINED = 0.7, 10.0, 0.3
-#: s, for which contradictions must have lasted: those of a fault begin all at once, and finding it takes some batches.
-SUDDEN_S = 0.5
 #: Objects of an honest agent that are contradicted at a time, expected before a run shows it; s, over which the number
-#: is averaged; and how many times as much evidence is needed at most where more is usual.
-EXPECTED, USUAL_S, WIDER = 0.05, 20.0, 6.0
+#: is averaged, of a new agent at least and later on; and how many times as much evidence is needed at most where more
+#: is usual.
+EXPECTED, USUAL_FROM_S, USUAL_S, WIDER = 0.02, 4.0, 20.0, 6.0
 #: s, of this time that an agent regains in a second: one that differs now and then is not excused for ever.
 AWAITED_AGAIN = 0.05
 #: s, before a suspension for a deviation, in which an agent may have lied unnoticed.
@@ -72,9 +71,10 @@ class SequentialConsistency(Integrity):
     disagrees (`explanations`).
 
     Two statistics for each agent: the cumulative sum of contradictions in progress: objects that others see through,
-    that no road user can be, or that it reports twice, each for its first PERSISTENT_S, relative to what is usual among
-    the agents now; and the greatest deviation of one of its tracks from the median of the agents, in position,
-    velocity, heading or size, as long as it lasts, relative to what is usual in the run (`LastingDeviations`). One
+    that no road user can be, or that it reports twice, each for PERSISTENT_S after the first BRIEF_S, relative to what
+    is usual among the agents now; and the greatest deviation of one of its tracks from the median of the agents, in
+    position, velocity, heading or size, as long as it lasts, relative to what is usual in the run
+    (`LastingDeviations`). One
     object alone, however long it is contradicted, is thus no alarm: honest detectors have such errors, and the object
     is withheld. What an agent's own sensor sees through, or is outside its own view, is no claim of it, and counts
     neither for nor against it. Each statistic counts as an alarm by how rarely an honest agent
@@ -293,7 +293,8 @@ class SequentialConsistency(Integrity):
         counts[:, rows] = kinds.any(axis=0).sum(axis=0), kinds[OF_ITSELF].any(axis=0).sum(axis=0)
         between = np.zeros(self._pairs.shape, np.int64)
         between[np.ix_(rows, rows)] = testimonies.between(fresh)
-        step = 1.0 - np.exp(-dt / USUAL_S)
+        # At first the mean of what there was, so that it is right soon.
+        step = 1.0 - np.exp(-dt / np.clip(of.seen_s[rows], USUAL_FROM_S, USUAL_S))
         of.usual[rows] += step * (counts[0, rows] - of.usual[rows])
         wider = self._wider(rows)
         of.contradictions = self._summed(of.contradictions, counts[0], self._tails[CONTRADICTIONS], dt, wider)
@@ -329,7 +330,6 @@ class SequentialConsistency(Integrity):
         for row in np.flatnonzero(alarms[:, DEVIATION] & ~alarms[:, CONTRADICTIONS]).tolist():
             if not awaited[row] and before[row] < EXPLAINED_S:
                 awaited[row] = self._is_explained(row, boxes, means)
-        awaited |= alarms[:, CONTRADICTIONS] & (batch.time_ns - self._of.quiet_ns[rows] < SUDDEN_S * 1e9)
         waiting = alarms.any(axis=1) & awaited
         self._of.awaited_s[rows] = np.where(waiting, before + dt, np.maximum(before - AWAITED_AGAIN * dt, 0.0))
         alarms[waiting] = False

@@ -227,7 +227,7 @@ def test_many_lies_do_not_delay_the_release_without_end() -> None:
     stage, places = SequentialConsistency(), [(0.0, 0.0), (4.0, -12.0), (-4.0, -12.0), (-12.0, 0.0), (12.0, 0.0)]
     for frame in range(50):
         stage.assess(honest(frame, *(("d", 2 + i, place) for i, place in enumerate(places))))
-    states = [stage.assess(honest(frame)).agents for frame in range(50, 50 + 600)]
+    states = [stage.assess(honest(frame)).agents for frame in range(50, 50 + 700)]
     assert states[200].state[3] == SUSPENDED
     assert states[-1].state[3] != SUSPENDED
     assert not states[-1].reason[3]

@@ -184,7 +184,7 @@ def test_two_agents_that_contradict_each_other_are_both_undecided_and_the_object
     two = {name: PLACES[name] for name in "ab"}
     views = {"a": view(two["a"], (*NORTH, 2.5)), "b": view(two["b"])}
     stage = SequentialConsistency()
-    for frame in range(60):
+    for frame in range(50):
         found = stage.assess(batch([("a", 0, NORTH)], tuple(two), views, frame=frame))
     assert found.agents.state.tolist() == [UNDECIDED, UNDECIDED]
     assert found.agents.reason == ("either it lies, or b does", "either it lies, or a does")
@@ -226,23 +226,21 @@ def test_a_dispute_is_forgotten_while_an_agent_is_away() -> None:
 
 def test_the_reason_is_what_was_most_often_seen_and_not_what_is_seen_last() -> None:
     stage, sees = SequentialConsistency(), dict.fromkeys(TWO, "bcd")
-    *_, found = (stage.assess(each) for each in world({"a": TWO}, sees=sees, frames=12))
+    *_, found = (stage.assess(each) for each in world({"a": TWO}, sees=sees, frames=24))
     assert suspended(found) == ""
     stage.await_faults(frozenset("a"))
-    *_, found = (stage.assess(each) for each in later(world({"a": TWO}, sees=sees, frames=8), 12))
+    *_, found = (stage.assess(each) for each in later(world({"a": TWO}, sees=sees, frames=8), 24))
     assert suspended(found) == ""
     stage.await_faults(frozenset())
-    *_, found = (stage.assess(each) for each in later(world(frames=3), 20))
+    *_, found = (stage.assess(each) for each in later(world(frames=3), 32))
     assert found.agents.reason[0].startswith("reports objects that others see through")
 
 
 def test_contradictions_that_begin_all_at_once_are_judged_when_a_fault_could_have_been_found() -> None:
     places = [(-14.0 + 4.0 * column, y) for column in range(7) for y in (-12.0, -8.0)]
     batches = list(world({"a": places}, sees=dict.fromkeys(places, "bcd"), frames=12))
-    alone, inside = SequentialConsistency(), SequentialConsistency()
-    inside.await_faults(frozenset())
-    first, waiting = ([suspended(stage.assess(each)) for each in batches].index("a") for stage in (alone, inside))
-    assert first < 5 <= waiting <= 8
+    stage = SequentialConsistency()
+    assert 5 <= [suspended(stage.assess(each)) for each in batches].index("a") <= 8
 
 
 @pytest.mark.parametrize("name", ["contradiction_tail", "deviation_tail", "pair_tail"])

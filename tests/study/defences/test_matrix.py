@@ -102,7 +102,7 @@ def test_a_defence_that_suspends_an_agent_or_leaves_one_undecided_has_panels(sta
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> mast.Run:
     """A run of 4 s whose liar begins at 2 s."""
-    settings = dict(attack="uncoordinated", placement="poles", n_adversaries=1, attack_start_s=2.0)
+    settings = dict(attack="Flood", placement="poles", n_adversaries=1, attack_start_s=2.0)
     folder = tmp_path_factory.mktemp("traces") / "run"
     options = dict(frames=40, runtime="inproc", seed=3, out=folder, scene="intersection:9")
     soon = dict(type="SequentialConsistency", contradiction_tail=(78.0, 0.1), pair_tail=(43.0, 0.1))
