@@ -44,8 +44,9 @@ DEVIATION_TAIL = Tail(per_hour=60.0, scale=1.3)
 CONTRADICTIONS, DEVIATION = range(2)
 #: Of all agents together; a tenth of what is acceptable, because the tails are extrapolated.
 FALSE_ALARMS_PER_HOUR = 0.1
-#: Disputes an hour of each pair of honest agents that count as one. A pair alone suspends nobody.
-DISPUTES_PER_HOUR = 10.0
+#: Disputes an hour of each pair of honest agents that count as one, and of those about where an object is. A pair alone
+#: suspends nobody.
+DISPUTES_PER_HOUR, APART_PER_HOUR = 10.0, 1.0
 #: s, for which an agent that may have a fault is not suspended for what it does; and for a deviation of position if a
 #: fault leaves at most this share of all its deviations.
 FAULT_AWAITED_S, EXPLAINED_S, EXPLAINED = 0.7, 10.0, 0.3
@@ -268,7 +269,7 @@ class SequentialConsistency(Integrity):
         if off.any():
             one, other, difference = means.apart(off)
             np.maximum.at(self._of_apart, one, difference)
-            apart = self._tails[DEVIATION].rate(difference) <= self.disputes_per_hour
+            apart = self._tails[DEVIATION].rate(difference) <= APART_PER_HOUR
             one, other = rows[one[apart]], rows[other[apart]]
             self._apart_ns[one, other] = self._apart_ns[other, one] = batch.time_ns
         return means
@@ -314,7 +315,7 @@ class SequentialConsistency(Integrity):
         # Which disputes are left out depends on how strong they are now.
         if self._settled is None or self._settled[0] != key or not self._settled[1].whole:
             rarity = -np.log(self._pair_tail.rate(pairs))
-            strength = np.maximum(rarity, np.where(apart, -np.log(self.disputes_per_hour), -np.inf))
+            strength = np.maximum(rarity, np.where(apart, -np.log(APART_PER_HOUR), -np.inf))
             explanations = explained(disputes, strength, lying, honest)
             self._settled = key, explanations, explanations.verdict()
         return self._settled[1], self._settled[2]
