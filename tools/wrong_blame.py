@@ -111,9 +111,9 @@ def objects(side: tuple[str, dict[str, Any], dict[str, Any] | None], where: Wher
 
 @dataclass(frozen=True)
 class Where:
-    """A scene, a seed, the number of frames, and the folder for what evaluators collected."""
+    """A scene (a short name, or a dict), a seed, the number of frames, and the folder for what evaluators collected."""
 
-    scene: str
+    scene: str | dict[str, Any]
     seed: int
     frames: int
     keep: Path | None

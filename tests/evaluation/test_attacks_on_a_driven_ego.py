@@ -39,7 +39,7 @@ def driven(junction: int, seed: int, *settings: str) -> dict[str, Any]:
 
 @pytest.mark.parametrize(
     ("attack", "junction", "seed"),
-    [("ghost_ahead", 6, 2), ("phantom_queue", 6, 2), ("cut_in", 6, 2), ("stale_picture", 6, 2), ("intruder", 5, 0)],
+    [("ghost_ahead", 5, 2), ("phantom_queue", 5, 2), ("cut_in", 5, 2), ("stale_picture", 5, 2), ("intruder", 5, 0)],
 )
 def test_an_ego_brakes_hard_for_what_is_not_there_and_its_twin_does_not(attack: str, junction: int, seed: int) -> None:
     attacked, twin = driven(junction, seed, f"attack={attack}"), driven(junction, seed)
@@ -53,14 +53,14 @@ def test_an_ego_brakes_hard_for_what_is_not_there_and_its_twin_does_not(attack: 
 
 
 def test_a_queue_stops_the_ego_for_as_long_as_it_stands() -> None:
-    attacked, twin = driven(6, 2, "attack=phantom_queue"), driven(6, 2)
+    attacked, twin = driven(4, 0, "attack=phantom_queue"), driven(4, 0)
     assert attacked["blocked_s"] > 2.0 > twin["blocked_s"]
 
 
 def test_a_ghost_at_the_bumper_stops_a_car_unless_the_centre_or_the_driver_is_defended() -> None:
     ghost = [f"attack={Path('tests/attacks/agreeing_liars.py').resolve()}:AtBumper", "wire=tracks", "n_adversaries=1"]
     way_m = {
-        name: driven(2, 0, *settings)["progress_m"]
+        name: driven(4, 0, *settings)["progress_m"]
         for name, settings in {
             "no attack": (),
             "undefended": ghost,
@@ -73,33 +73,42 @@ def test_a_ghost_at_the_bumper_stops_a_car_unless_the_centre_or_the_driver_is_de
     assert way_m["driver"] > 0.95 * way_m["no attack"]
 
 
-@pytest.mark.parametrize("attack", ["hidden_leader", "displaced_leader"])
+#: Where the ego comes up to a leader: junction, seed, settings. In dense traffic, no displaced leader is hit so far.
+LEADERS: dict[str, tuple[int, int, tuple[str, ...]]] = {
+    "hidden_leader": (7, 0, ()),
+    "displaced_leader": (13, 0, ("scene.dense=False",)),
+}
+
+
+@pytest.mark.parametrize("attack", LEADERS)
 def test_an_ego_hits_the_leader_that_it_does_not_see_and_its_twin_does_not(attack: str) -> None:
-    attacked, twin = driven(13, 0, f"attack={attack}"), driven(13, 0)
+    junction, seed, settings = LEADERS[attack]
+    attacked, twin = driven(junction, seed, *settings, f"attack={attack}"), driven(junction, seed, *settings)
     assert [hit["hidden"] for hit in attacked["collisions"]] == [True]
     assert twin["collisions"] == []
 
 
-@pytest.mark.parametrize("attack", ["hidden_leader", "displaced_leader"])
+@pytest.mark.parametrize("attack", LEADERS)
 @pytest.mark.parametrize("wire", ["picture", "detections"])
 def test_one_of_both_sources_is_enough_to_keep_the_leader(attack: str, wire: str) -> None:
-    assert driven(13, 0, f"attack={attack}", f"wire={wire}")["collisions"] == []
+    junction, seed, settings = LEADERS[attack]
+    assert driven(junction, seed, *settings, f"attack={attack}", f"wire={wire}")["collisions"] == []
 
 
 def test_hidden_crossers_are_missing_in_what_the_ego_gets_and_nobody_is_hit_where_the_route_knows_where_to_wait() -> (
     None
 ):
-    metrics = metrics_of(14, 0, "attack=hidden_crosser")
+    metrics = metrics_of(14, 1, "attack=hidden_crosser")
     assert metrics["achieved"]["all"]["hidden"] >= 1
     assert metrics["achieved"]["all"]["success_ego"] is True
     assert metrics["driven"]["ego"]["collisions"] == []
 
 
 def test_own_sensors_or_a_defence_of_the_centre_protect_from_a_queue_where_they_can_see_it() -> None:
-    twin = driven(6, 2)["progress_m"]
-    assert driven(6, 2, "attack=phantom_queue", "veto=True")["progress_m"] > twin - 15.0
+    twin = driven(4, 0)["progress_m"]
+    assert driven(4, 0, "attack=phantom_queue", "veto=True")["progress_m"] > twin - 15.0
     on_tracks = ("attack=phantom_queue", "wire=tracks")
-    assert driven(6, 2, *on_tracks)["progress_m"] < twin - 15.0
-    assert driven(6, 2, *on_tracks, "defence=FaultOrLie")["progress_m"] > twin - 15.0
-    on_downlink = driven(6, 2, "attack=phantom_queue", "defence=FaultOrLie")
+    assert driven(4, 0, *on_tracks)["progress_m"] < twin - 15.0
+    assert driven(4, 0, *on_tracks, "defence=FaultOrLie")["progress_m"] > twin - 15.0
+    on_downlink = driven(4, 0, "attack=phantom_queue", "defence=FaultOrLie")
     assert on_downlink["progress_m"] < twin - 15.0, "the centre does not see what happens to its picture"
