@@ -1,5 +1,7 @@
 """No attack: undisturbed collaboration, the reference for other scenarios."""
 
+from copy import deepcopy
+
 from mast_zenoh.scenario import choose_scene
 
 # The command centre's pipeline for the agents' tracks: the paper's configuration listing.
@@ -36,9 +38,9 @@ def scenario(scene="intersection", scene_index=None, n_infrastructure=None, n_mo
     return dict(
         name="baseline",
         scene=choose_scene(scene, scene_index=scene_index, n_infrastructure=n_infrastructure, n_mobile=n_mobile),
-        agents={"*": agent},
+        agents={"*": deepcopy(agent)},  # other scenarios change their copies
         broker=dict(latency_s=0.0),
-        command_center=commandcenter,
+        command_center=deepcopy(commandcenter),
         evaluator=dict(scorer=dict(type="Scorer", range_m=100.0)),
         keyexpr=dict(map="testbed.toml", rewrites=[]),
         run=dict(mode="lockstep", seed=0),

@@ -13,7 +13,7 @@ from mast_zenoh.attacks.adaptive import AdaptiveAttack
 
 FRAMES, START_S = 150, 3.0
 #: (junction, seed) of the runs.
-RUNS = ((8, 2000), (9, 2001))
+RUNS = ((8, 2000), (9, 2003))
 
 
 class Outcome(NamedTuple):

@@ -650,3 +650,9 @@ def test_classes_of_a_scenario_on_which_another_is_based_reach_other_processes(t
     assert scenario.resolve(path, loaded, frames=1).modules == (str(first),)
     path, loaded = scenario.load(str(first))
     assert scenario.resolve(path, loaded, frames=1).modules == (str(first),)
+
+
+def test_a_scenario_that_changes_what_it_takes_from_another_one_changes_only_its_own() -> None:
+    before = scenario.load("peers")[1]
+    scenario.load("peers", ["relays=true"])
+    assert scenario.load("peers")[1] == before
