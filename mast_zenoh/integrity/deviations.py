@@ -52,9 +52,9 @@ USUAL_FACTOR = 2.0
 #: By what the greatest, second, third and fourth mean of an agent are multiplied: honest agents have as large products
 #: of each, so several smaller deviations are as much evidence as one.
 RANKS = np.array([1.0, 1.4, 1.7, 2.0])
-#: Greatest lengths that count. One object alone is evidence only where it is: an honest track that begins with a false
-#: detection has the size of something else for seconds, and one that is swapped with another its velocity and heading.
-MOST = np.array([np.inf, np.inf, 8.5, 8.5, 8.5])
+#: Greatest lengths that count. Two objects alone are evidence only where they are: an honest track that begins with a
+#: false detection has the size of something else for seconds, and two that are swapped have each other's velocity.
+MOST = np.array([np.inf, np.inf, 7.5, 7.5, 7.5])
 #: s, over which the usual length is averaged, and between two looks at it.
 USUAL_S, LOOK_S = 10.0, 1.0
 #: s, greatest time for which a track stands that was not there before.
