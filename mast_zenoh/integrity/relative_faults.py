@@ -416,7 +416,10 @@ class RelativeFaults:
         may_differ = (gain >= SUPPORT * self._significance) & (size >= self._least_m) & (fits.explains >= self._share)
         may_differ &= may_differ.T
         self.differ = may_differ & (gain >= self._significance)
-        faulty = self._still_faulty(fits) | self._found(fits, may_differ, prior, suspended)
+        faulty = self._still_faulty(fits)
+        found = faulty | self._found(fits, may_differ, prior, suspended)
+        if 2 * found.sum() < len(found):  # else those known and those found cannot both be right
+            faulty = found
         # The word of suspended agents counts no more than that of faulty ones.
         sound = ~faulty & ~suspended
         corrected = np.zeros((len(faulty), 4))

@@ -106,6 +106,18 @@ def test_a_delay_is_kept_while_nothing_moves_and_forgotten_when_it_is_over() -> 
     assert not estimator.faults(PIVOTS).any()
 
 
+def test_no_more_than_a_minority_is_corrected_and_those_known_before_stay() -> None:
+    estimator = RelativeFaults(significance=30.0, least_m=0.3, share=0.7, memory_s=1.5)
+    faulty = []
+    for shifted in ("ab", "abe"):  # then c and d differ from most
+        begin_ns = len(faulty) * STEP_NS
+        for time_ns, states, agent in batches(dict.fromkeys(shifted, SHIFT)):
+            estimator.update(begin_ns + time_ns, states, agent, NAMES, PIVOTS, NOBODY)
+            faulty.append(estimator.faults(PIVOTS).any(axis=1).nonzero()[0].tolist())
+    assert max(map(len, faulty)) == 2
+    assert faulty[24] == faulty[-1] == [0, 1]
+
+
 def test_a_fault_is_the_same_about_each_point() -> None:
     about = about_pivot(np.array([[3.0, 4.0]]))[0]
     fault = np.array([1.0, 2.0, 0.1, 0.5])
