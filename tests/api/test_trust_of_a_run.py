@@ -32,7 +32,7 @@ COLUMNS = (
 def judged(tmp_path_factory: pytest.TempPathFactory) -> mast.Run:
     """A run with one adversary and two faults, whose command centre judges agents."""
     out = tmp_path_factory.mktemp("judged") / "run"
-    _, scenario = load("defended", ["n_adversaries=1", "defence=SequentialConsistency"])
+    _, scenario = load("defended", ["n_adversaries=1", "defence=SequentialConsistency", "scene_index=7"])
     return mast.run(scenario | dict(faults=FAULTS), frames=130, seed=11, out=out)
 
 

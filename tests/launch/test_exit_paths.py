@@ -186,7 +186,7 @@ def test_a_disk_that_is_full_from_the_start_leaves_no_run_folder(out: Path) -> N
 
 def test_a_recording_that_fills_the_disk_fails_the_run_but_keeps_its_results(out: Path) -> None:
     command = [word if word != "12" else "120" for word in (*MAST, *RUN)]
-    outcome = FinishedCommand(out, command, preexec_fn=file_size_limit(2_200_000))
+    outcome = FinishedCommand(out, command, preexec_fn=file_size_limit(3_500_000))
     outcome.assert_matches(ending("disk full while the scene is played"))
     assert "messages.mcap: cannot be written: File too large" in outcome.text
     assert (out / "metrics.parquet").is_file()

@@ -79,14 +79,14 @@ def test_slanderers_without_gossip_are_refused() -> None:
         tiny("peers", "n_slanderers=1")
 
 
-LIAR = ("scene=intersection:8", "defence=FaultOrLie", "anchored=false", "n_adversaries=1", "attack_start_s=2.0")
+LIAR = ("scene=intersection:4", "defence=FaultOrLie", "anchored=false", "n_adversaries=1", "attack_start_s=2.0")
 
 
 @cache
 def lied(*settings: str) -> Run:
     """A run in which infra_1 lies to all others on a generated junction."""
     path, content = scenario.load("peers", [*LIAR, *settings])
-    run = Run(scenario.resolve(path, content, frames=45, seed=0))
+    run = Run(scenario.resolve(path, content, frames=60, seed=0))
     assert not run.failures
     return run
 
