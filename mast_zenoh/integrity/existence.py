@@ -23,8 +23,7 @@ SUDDEN, SUDDEN_TIMES = 5, 1.5
 CONTESTED, CONTESTED_TIMES = 1, 2.0
 #: s, after which an object that is contradicted is evidence against the agent that reports it: by then, most false
 #: detections of honest detectors are gone, and a fault, whose contradictions begin all at once, has been found. And s,
-#: for which it is evidence: it is withheld, and few false detections last long. One object adds less than any
-#: alarm takes.
+#: for which it is evidence: it is withheld meanwhile. One object adds less than any alarm takes.
 BRIEF_S, PERSISTENT_S = 0.5, 2.5
 #: s, over which these numbers are averaged for each agent, and s after which its mean is known.
 USUAL_S, KNOWN_S = 30.0, 2.0

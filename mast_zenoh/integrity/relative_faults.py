@@ -417,9 +417,9 @@ class RelativeFaults:
         may_differ &= may_differ.T
         self.differ = may_differ & (gain >= self._significance)
         faulty = self._still_faulty(fits)
-        found = faulty | self._found(fits, may_differ, prior, suspended)
-        if 2 * found.sum() < len(found):  # else those known and those found cannot both be right
-            faulty = found
+        with_new = faulty | self._found(fits, may_differ, prior, suspended)
+        if 2 * with_new.sum() < len(with_new):  # never half of the agents: then only those known before stay
+            faulty = with_new
         # The word of suspended agents counts no more than that of faulty ones.
         sound = ~faulty & ~suspended
         corrected = np.zeros((len(faulty), 4))

@@ -75,10 +75,9 @@ class SequentialConsistency(Integrity):
     that no road user can be, or that it reports twice, each for PERSISTENT_S after the first BRIEF_S, relative to what
     is usual among the agents now; and the greatest deviation of one of its tracks from the median of the agents, in
     position, velocity, heading or size, as long as it lasts, relative to what is usual in the run
-    (`LastingDeviations`). One
-    object alone, however long it is contradicted, is thus no alarm: honest detectors have such errors, and the object
-    is withheld. What an agent's own sensor sees through, or is outside its own view, is no claim of it, and counts
-    neither for nor against it. Each statistic counts as an alarm by how rarely an honest agent
+    (`LastingDeviations`). One object alone, however long it is contradicted, is thus no alarm: honest detectors have
+    such errors, and the object is withheld. What an agent's own sensor sees through, or is outside its own view, is no
+    claim of it, and counts neither for nor against it. Each statistic counts as an alarm by how rarely an honest agent
     exceeds it, with the false discoveries among all agents controlled (Benjamini and Hochberg 1995). An agent is
     suspended if one of them is an alarm, and it is in every explanation. Two accusers of five prove nothing, since two
     may lie; three do. Agents in some explanations alone are `undecided`: their reason says so.

@@ -44,13 +44,12 @@ def yield_to_nodes() -> Callable[[], None]:
 
 
 def restore(process: int, niceness: int) -> None:
-    """Have an observer, given by its process id, get the processors as others do, as far as the system allows that.
+    """Take back that an observer yields, as far as the system allows that. process: its id
 
-    Beside busy processes an observer that yields may not get to see that its run is over, so whoever waits for it
-    calls this.
+    For whoever waits for an observer: beside busy processes, one that yields may never notice that its run is over.
     """
     _set_session(process, 0)
-    if hasattr(os, "SCHED_OTHER"):
+    if hasattr(os, "SCHED_IDLE") and os.sched_getscheduler(process) == os.SCHED_IDLE:
         _schedule(process, os.SCHED_OTHER)
     _set_niceness(process, niceness)
 

@@ -16,22 +16,22 @@ from mast_zenoh.report.html import write_report
 from mast_zenoh.viewer.page.page import viewer_page
 from mast_zenoh.viewer.run import RunRecord
 
-#: A junction at which one of the liars is soon suspended.
-JUNCTION = 7
+#: Few objects are near each other, and both liars are soon suspended.
+SPARSE = "scene.dense=False"
 
 
 @pytest.fixture(scope="session")
 def attacked_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a run with two adversaries and a command centre that judges agents."""
     soon = dict(type="SequentialConsistency", contradiction_tail=(84.0, 0.1), pair_tail=(86.0, 0.1))
-    settings = ["attack_start_s=2.0", f"defence={json.dumps(soon)}", f"scene_index={JUNCTION}"]
+    settings = ["attack_start_s=2.0", f"defence={json.dumps(soon)}", SPARSE]
     return play("defended", settings, tmp_path_factory.mktemp("runs") / "attacked")
 
 
 @pytest.fixture(scope="session")
 def baseline_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a run of the same scene without adversaries."""
-    return play("baseline", [f"scene_index={JUNCTION}"], tmp_path_factory.mktemp("runs") / "baseline")
+    return play("baseline", [SPARSE], tmp_path_factory.mktemp("runs") / "baseline")
 
 
 @pytest.fixture(scope="session")

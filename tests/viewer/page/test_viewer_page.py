@@ -230,7 +230,7 @@ def test_the_first_window_shows_every_agent_and_no_distant_false_track(report: P
         box = page.page.locator(".v-canvas").first.bounding_box()
         assert box["x"] <= x <= box["x"] + box["width"]
         assert box["y"] <= y <= box["y"] + box["height"]
-    assert page.run("viewer.viewport.half") < 70
+    assert page.run("viewer.viewport.half") < 60
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
