@@ -106,23 +106,24 @@ def in_place(batch: Batch, boxes: ClusterBoxes) -> Bools:
     return np.asarray((np.hypot(away[:, 0], away[:, 1]) <= SAME_PLACE_M) & (away[:, 2] <= SAME_HEIGHT_M))
 
 
-def attached(batch: Batch, boxes: ClusterBoxes, voter: Bools, beside: tuple[Ints, Ints, Floats]) -> Bools:
-    """(c,) objects that fewer than half of the agents report, and that drive as one with another one close before or
-    behind it, in its path.
+def attached(batch: Batch, boxes: ClusterBoxes, voter: Bools, beside: tuple[Ints, Ints, Floats]) -> tuple[Bools, Bools]:
+    """(c,) objects that fewer than half of the agents report, close before or behind another one, in its path; and
+    (c,) of these, those that drive as one with it.
 
     boxes: of the clusters; voter: (a,) agents that count; beside: see `better_known`
     """
     i, j, offset = beside
     velocity, other = boxes.velocity[i, :2], boxes.velocity[j, :2]
-    as_one = (np.linalg.norm(velocity, axis=1) >= DRIVES_MPS) & (np.linalg.norm(velocity - other, axis=1) <= AS_ONE_MPS)
     across = np.abs(np.cos(boxes.yaw[j]) * offset[:, 1] - np.sin(boxes.yaw[j]) * offset[:, 0])
-    as_one &= across <= 0.5 * boxes.size[j, 1]
     grown = boxes.size + np.array([2.0 * TOUCH_M, 2.0 * TOUCH_M, 0.0])
-    touches = overlap(offset, boxes.size[i], boxes.yaw[i], grown[j], boxes.yaw[j], 1.0)
     few = 2 * (batch.reported & voter).sum(axis=1) < len(voter)
-    result = np.zeros(batch.clusters, np.bool_)
-    result[i[as_one & touches & few[i]]] = True
-    return result
+    touches = few[i] & (across <= 0.5 * boxes.size[j, 1])
+    touches &= overlap(offset, boxes.size[i], boxes.yaw[i], grown[j], boxes.yaw[j], 1.0)
+    as_one = (np.linalg.norm(velocity, axis=1) >= DRIVES_MPS) & (np.linalg.norm(velocity - other, axis=1) <= AS_ONE_MPS)
+    touching, driving = np.zeros((2, batch.clusters), np.bool_)
+    touching[i[touches]] = True
+    driving[i[touches & as_one]] = True
+    return touching, driving
 
 
 def reports_nearby(batch: Batch, boxes: ClusterBoxes) -> Bools:
@@ -233,7 +234,7 @@ class Evidence:
 
     unseen: (c, a) whether the agent reports the object outside its own view
     beside: (c, a) whether its rays pass the place of the object, beside another one or the sensor
-    attached: (c,) objects that few report, and that seem to hang on to another one
+    touching, attached: (c,) objects that few report close to another one, and those that drive as one with it
     """
 
     batch: Batch
@@ -242,6 +243,7 @@ class Evidence:
     rays: RayEvidence
     unseen: Bools
     beside: Bools
+    touching: Bools
     attached: Bools
     testimonies: Testimonies
 
@@ -254,4 +256,4 @@ class Evidence:
         unseen, known = of_tracks(batch, out_of_view(batch)), better_known(batch, boxes, voter)
         beside = passed_to_others(batch, boxes, rays, voter, known) | passed_nearby(batch, boxes, voter)
         testimonies = Testimonies.of(batch, boxes, own, seen, rays, unseen, voter)
-        return cls(batch, boxes, seen, rays, unseen, beside, attached(batch, boxes, voter, known), testimonies)
+        return cls(batch, boxes, seen, rays, unseen, beside, *attached(batch, boxes, voter, known), testimonies)

@@ -13,7 +13,7 @@ from mast_zenoh.integrity.visibility import FAR_M, silent_about
 
 #: Agents that must confirm an object at one time, so that it is believed when only suspended agents report it later.
 CONFIRMING = 2
-#: s, for which it is believed then.
+#: s, for which it is believed then; and for which what was refuted is not, unless another agent confirms it.
 ESTABLISHED_S = 10.0
 #: Objects that an agent alone may report: so many, and this many times what is usual for the agents now; and as many
 #: above this many times its own mean until now.
@@ -25,6 +25,8 @@ CONTESTED, CONTESTED_TIMES = 1, 2.0
 #: detections of honest detectors are gone, and a fault, whose contradictions begin all at once, has been found. And s,
 #: for which it is evidence: it is withheld meanwhile. One object adds less than any alarm takes.
 BRIEF_S, PERSISTENT_S = 0.5, 2.5
+#: s, for which an agent that reported something attached to an object is not believed about what touches one.
+ATTACHED_S = 30.0
 #: s, over which these numbers are averaged for each agent, and s after which its mean is known.
 USUAL_S, KNOWN_S = 30.0, 2.0
 
@@ -37,7 +39,8 @@ class ExistenceVotes:
 
     An object is withheld while it is false in every explanation of the disputes, or while only suspended agents report
     it, unless an agent that is not suspended has confirmed it together with another one, or it was known before the
-    agents began to lie: then it stays for ESTABLISHED_S.
+    agents began to lie: then it stays for ESTABLISHED_S. What was false in every explanation is withheld for as long,
+    unless another agent reports it.
 
     An agent is heard only about what may be in its own view. Objects where no other sensor looks can be neither
     confirmed nor refuted. Of a suspended agent, as many of them are believed as it had on average before, the oldest:
@@ -59,9 +62,12 @@ class ExistenceVotes:
         self._witnessed: Bools = np.zeros((0, 0), np.bool_)
         self._track: Ints = np.zeros((0, 0), np.int64)
         self._contradicted_s = np.zeros((0, 0))  # (m, k) for how long what each agent reports was contradicted
+        self._false_until_ns = np.zeros((0, 0), np.int64)  # (m, k) ns, until when it is false by what was known
         # (k, 4) mean numbers of objects that an agent reports and nobody else looks at, of those that it alone reports,
         # and of those that others see through; and s, over which they are averaged
         self._usual = np.zeros((0, 4))
+        # (k,) ns, until when what each agent reports close to other objects is doubted
+        self._attached_until_ns: Ints = np.zeros(0, np.int64)
         self._time_ns: int | None = None
 
     def follow(self, time_ns: int, boxes: ClusterBoxes) -> Ints:
@@ -71,6 +77,7 @@ class ExistenceVotes:
         self._witnessed = self._agents.carry(objects.carry(self._witnessed, False), False, axis=1)
         self._track = self._agents.carry(objects.carry(self._track, 0), 0, axis=1)
         self._contradicted_s = self._agents.carry(objects.carry(self._contradicted_s, 0.0), 0.0, axis=1)
+        self._false_until_ns = self._agents.carry(objects.carry(self._false_until_ns, 0), 0, axis=1)
         return np.asarray(objects.of.number[self._rows])
 
     def fresh(self, contradicted: Bools, dt: float) -> Bools:
@@ -100,6 +107,7 @@ class ExistenceVotes:
         denied = np.flatnonzero(claims.any(axis=1) & (clear & voter).any(axis=1))
         refuted = np.zeros(len(rows), np.bool_)
         refuted[denied] = explanations.false(claims[denied] | (silent[denied] & voter), clear[denied] & voter)
+        doubtful = self._doubtful(batch.time_ns, claims, refuted)
         refuted |= ~claims.any(axis=1) & (contradicting > confirming)
         balance = self._votes.vote(rows, np.where(refuted, -1.0, 1.0))
         self._note_witnesses(batch, claims)
@@ -122,7 +130,8 @@ class ExistenceVotes:
             np.minimum(contested.sum(axis=0), most_contested),
         )
         self._usual[agent_rows] = self._averaged(batch.time_ns, usual, np.column_stack(counts), voter)
-        withheld = (balance < 0.0) | ~self._stays(batch.time_ns, claimed, believed) | beyond | evidence.attached
+        withheld = (balance < 0.0) | ~self._stays(batch.time_ns, claimed, believed) | beyond
+        withheld |= doubtful | self._attached(evidence)
         objects = ObjectTrust(
             (1.0 + confirming) / (2.0 + confirming + contradicting),
             (seen.in_view | reported).sum(axis=1),
@@ -131,6 +140,26 @@ class ExistenceVotes:
             withheld,
         )
         return objects, batch.weights(claims)
+
+    def _doubtful(self, time_ns: int, claims: Bools, refuted: Bools) -> Bools:
+        """(c,) objects that only those claim whose claims of them were refuted lately, though they may be open now.
+
+        claims: (c, a); refuted: (c,) objects that are false in every explanation now
+        """
+        place = np.ix_(self._rows, self._agents.rows)
+        until_ns = self._false_until_ns[place]
+        until_ns[claims & refuted[:, None]] = time_ns + round(ESTABLISHED_S * 1e9)
+        self._false_until_ns[place] = until_ns
+        return np.asarray(claims.any(axis=1) & ~(claims & (until_ns <= time_ns)).any(axis=1))
+
+    def _attached(self, evidence: Evidence) -> Bools:
+        """(c,) objects that drive as one with another one, or touch one by the word of those who said that before."""
+        batch, rows = evidence.batch, self._agents.rows
+        until_ns = self._attached_until_ns = self._agents.carry(self._attached_until_ns, 0)
+        saying = (batch.reported & evidence.attached[:, None]).any(axis=0)
+        until_ns[rows[saying]] = batch.time_ns + round(ATTACHED_S * 1e9)
+        others = batch.reported & (batch.time_ns >= until_ns[rows])
+        return np.asarray(evidence.attached | (evidence.touching & ~others.any(axis=1)))
 
     def _note_witnesses(self, batch: Batch, claims: Bools) -> None:
         """Note which agents confirm an object together. claims: (c, a)

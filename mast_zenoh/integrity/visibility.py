@@ -306,13 +306,25 @@ def out_of_view(batch: Batch) -> Bools:
 def better_known(batch: Batch, boxes: ClusterBoxes, voter: Bools) -> tuple[Ints, Ints, Floats]:
     """Pairs of an object (p,) and one beside it (p,) that more agents report, and the way (p, 2) m to the other one.
 
-    boxes: of the clusters; voter: (a,) agents that count
+    boxes: of the clusters; voter: (a,) agents that count. An agent reports the object that its sensor is on, too.
     """
     half = 0.5 * np.hypot(boxes.size[:, 0], boxes.size[:, 1])
     i, j, dx, dy = neighbours(boxes.position, boxes.position, half + half.max(initial=0.0) + BESIDE_M)
-    witnesses = (batch.reported & voter).sum(axis=1)
+    witnesses = ((batch.reported | _carrying(boxes, current(batch.views))) & voter).sum(axis=1)
     beside = (np.hypot(dx, dy) <= half[i] + half[j] + BESIDE_M) & (witnesses[j] > witnesses[i])
     return i[beside], j[beside], np.column_stack([dx[beside], dy[beside]])
+
+
+def _carrying(boxes: ClusterBoxes, views: Sequence[SweptView | None]) -> Bools:
+    """(c, a) objects that an agent's sensor is on."""
+    result = np.zeros((len(boxes.position), len(views)), np.bool_)
+    for agent, view in enumerate(views):
+        if view is not None:
+            x, y = (view.view.position[:2] - boxes.position[:, :2]).T
+            cos, sin = np.cos(boxes.yaw), np.sin(boxes.yaw)
+            along, across = np.abs(cos * x + sin * y), np.abs(cos * y - sin * x)
+            result[:, agent] = (along <= 0.5 * boxes.size[:, 0]) & (across <= 0.5 * boxes.size[:, 1])
+    return result
 
 
 def passed_to_others(

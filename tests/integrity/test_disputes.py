@@ -141,4 +141,5 @@ def test_what_few_report_and_drives_as_one_with_a_car_is_no_object_of_its_own(
         tracks, tuple("abcde"), velocity={k: (speed, 0.0) for k, speed in enumerate(speeds)}, size={1: (0.6, 0.6, 1.7)}
     )
     boxes, voter = ClusterBoxes.of(given), np.ones(5, np.bool_)
-    assert disputes.attached(given, boxes, voter, better_known(given, boxes, voter)).tolist() == [False, expected]
+    _, driving = disputes.attached(given, boxes, voter, better_known(given, boxes, voter))
+    assert driving.tolist() == [False, expected]

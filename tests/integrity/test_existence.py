@@ -1,0 +1,60 @@
+"""What was refuted, or hung on to another object, is doubted for a while when the evidence becomes weaker."""
+
+import numpy as np
+import pytest
+from integrity_batches import Track, batch, view
+
+from mast_zenoh.integrity import SequentialConsistency
+from mast_zenoh.integrity.base import Batch, ClusterBoxes
+from mast_zenoh.integrity.disputes import attached
+from mast_zenoh.integrity.visibility import better_known
+
+AGENTS = tuple("abcde")
+PLACES = {"a": (-20.0, 0.0), "b": (20.0, 0.0), "c": (0.0, 20.0), "d": (0.0, -20.0), "e": (15.0, 15.0)}
+PERSON = (0.6, 0.6, 1.7)
+AT_BUMPER = (3.0, 0.0)
+
+
+def car_and_person(frame: int, speed_mps: float, reporting: str) -> Batch:
+    """A car that four of five agents report, and a person at its bumper; nobody sees through anything."""
+    tracks: list[Track] = [(name, 0, (0.0, 0.0)) for name in "abcd"] + [(name, 1, AT_BUMPER) for name in reporting]
+    return batch(tracks, AGENTS, velocity=dict.fromkeys((0, 1), (speed_mps, 0.0)), size={1: PERSON}, frame=frame)
+
+
+@pytest.mark.parametrize(("speed_mps", "believed"), [(8.0, False), (0.0, True)])
+def test_who_reported_a_person_that_drives_along_is_not_believed_about_one_at_a_car_that_stands(
+    speed_mps: float, believed: bool
+) -> None:
+    stage = SequentialConsistency()
+    for frame in range(5):
+        stage.assess(car_and_person(frame, speed_mps, "e"))
+    for frame in range(5, 100):
+        assert stage.assess(car_and_person(frame, 0.0, "e")).objects.withheld.tolist() == [False, not believed]
+    assert not stage.assess(car_and_person(100, 0.0, "ae")).objects.withheld.any(), "another agent sees it, too"
+
+
+def test_a_sensor_is_known_to_be_on_its_own_car() -> None:
+    tracks: list[Track] = [("e", 0, (0.0, 0.0)), ("e", 1, AT_BUMPER)]
+    drives = dict.fromkeys((0, 1), (8.0, 0.0))
+    for place, expected in (((0.0, 0.0), True), ((0.0, 4.0), False)):
+        given = batch(tracks, AGENTS, {"a": view(place)}, velocity=drives, size={1: PERSON})
+        boxes, voter = ClusterBoxes.of(given), np.ones(5, np.bool_)
+        _, driving = attached(given, boxes, voter, better_known(given, boxes, voter))
+        assert driving.tolist() == [False, expected]
+
+
+def test_what_three_of_five_refuted_is_doubted_for_ten_seconds_unless_another_agent_reports_it() -> None:
+    def ghost(frame: int, looking: str, reporting: str = "e") -> Batch:
+        views = {name: view(PLACES[name]) for name in looking}
+        return batch([(name, 0, (0.0, 0.0)) for name in reporting], AGENTS, views, frame=frame)
+
+    open_dispute, refuted = SequentialConsistency(), SequentialConsistency()
+    assert not open_dispute.assess(ghost(0, "a")).objects.withheld[0]
+    assert refuted.assess(ghost(0, "abc")).objects.withheld[0]
+    for frame in range(1, 90):
+        assert not open_dispute.assess(ghost(frame, "a")).objects.withheld[0]
+        assert refuted.assess(ghost(frame, "a")).objects.withheld[0]
+    assert not refuted.assess(ghost(90, "a", "de")).objects.withheld[0]
+    for frame in range(91, 102):
+        found = refuted.assess(ghost(frame, "a"))
+    assert not found.objects.withheld[0]
