@@ -49,7 +49,7 @@ FALSE_ALARMS_PER_HOUR = 0.1
 DISPUTES_PER_HOUR, APART_PER_HOUR = 10.0, 1.0
 #: s, for which an agent that may have a fault is not suspended for what it does; and for a deviation of position if a
 #: fault leaves at most this share of all its deviations.
-FAULT_AWAITED_S, EXPLAINED_S, EXPLAINED = 0.7, 10.0, 0.3
+FAULT_AWAITED_S, EXPLAINED_S, EXPLAINED = 1.0, 10.0, 0.3
 #: Objects of an honest agent that are contradicted at a time, expected before a run shows it; s, over which the number
 #: is averaged, of a new agent at least and later on; and how many times as much evidence is needed at most where more
 #: is usual.
