@@ -214,17 +214,17 @@ class Testimonies:
         denied = self.claims & self.denies.any(axis=1, keepdims=True)
         return np.asarray(denied | self.impossible | self.repeated)
 
-    def accusations(self, credible: Bools) -> Bools:
-        """(3, c, a) what contradicts the reports of an agent, in the order of ACCUSATIONS.
+    def accusations(self, word: Floats) -> Floats:
+        """(3, c, a) 0 to 1, how much contradicts the reports of an agent, in the order of ACCUSATIONS.
 
-        credible: (a,) agents that do not lie in every explanation: the others accuse nobody
+        word: (a,) how much an agent's word counts against another's: 1 is enough; 0: it lies in every explanation
 
         Withheld, but no accusation, is what an agent's own sensor sees through: honest detectors make false detections
         where nothing is. What an agent does not report is none either: the object stays in the picture as long as
         another one reports it, and things that a sensor does not see are easier to make than things that are not there
         (TrustFlip).
         """
-        denied = self.claims & (self.denies & credible).any(axis=1, keepdims=True)
+        denied = self.claims * np.minimum(self.denies @ word, 1.0)[:, None]
         return np.stack([denied, self.impossible, self.repeated])
 
 

@@ -36,24 +36,26 @@ MAX_LOG_ODDS = 20.0
 
 #: Tails of the statistics on unattacked junctions, see docs/defences.md: of one agent's disputes, of those of a pair,
 #: of what an agent's own reports contradict, and of deviations.
-CONTRADICTION_TAIL = Tail(per_hour=84.0, scale=0.66)
-PAIR_TAIL = Tail(per_hour=86.0, scale=0.49)
+CONTRADICTION_TAIL = Tail(per_hour=56.0, scale=0.55)
+PAIR_TAIL = Tail(per_hour=74.0, scale=0.51)
 OWN_TAIL = Tail(per_hour=40.0, scale=0.248)
-DEVIATION_TAIL = Tail(per_hour=60.0, scale=1.3)
+DEVIATION_TAIL = Tail(per_hour=60.0, scale=1.2)
 #: Columns of the statistics of an agent.
 CONTRADICTIONS, DEVIATION = range(2)
-#: Of all agents together; a tenth of what is acceptable, because the tails are extrapolated.
-FALSE_ALARMS_PER_HOUR = 0.1
+#: Of all agents together; a fiftieth of what is acceptable, because the tails are extrapolated.
+FALSE_ALARMS_PER_HOUR = 0.02
 #: Disputes an hour of each pair of honest agents that count as one, and of those about where an object is. A pair alone
 #: suspends nobody.
 DISPUTES_PER_HOUR, APART_PER_HOUR = 10.0, 1.0
+#: How much the word of an agent counts that an object is not there: that of two is needed. An anchor's alone is enough.
+WORD = 0.5
 #: s, for which an agent that may have a fault is not suspended for what it does; and for a deviation of position if a
 #: fault leaves at most this share of all its deviations.
 FAULT_AWAITED_S, EXPLAINED_S, EXPLAINED = 1.0, 10.0, 0.3
 #: Objects of an honest agent that are contradicted at a time, expected before a run shows it; s, over which the number
 #: is averaged, of a new agent at least and later on; and how many times as much evidence is needed at most where more
 #: is usual.
-EXPECTED, USUAL_FROM_S, USUAL_S, WIDER = 0.02, 4.0, 20.0, 6.0
+EXPECTED, USUAL_FROM_S, USUAL_S, WIDER = 0.01, 4.0, 20.0, 6.0
 #: s, of this time that an agent regains in a second: one that differs now and then is not excused for ever.
 AWAITED_AGAIN = 0.05
 #: s, before a suspension for a deviation, in which an agent may have lied unnoticed.
@@ -71,10 +73,11 @@ class SequentialConsistency(Integrity):
     pair seldom exceeds disagree. An explanation is a set of fewer than half of the agents with one of each pair that
     disagrees (`explanations`).
 
-    Two statistics for each agent: the cumulative sum of contradictions in progress: objects that others see through,
-    that no road user can be, or that it reports twice, each for PERSISTENT_S after the first BRIEF_S, relative to what
-    is usual among the agents now; and the greatest deviation of one of its tracks from the median of the agents, in
-    position, velocity, heading or size, as long as it lasts, relative to what is usual in the run
+    Two statistics for each agent: the cumulative sum of contradictions in progress: objects that others see through (if
+    one agent alone does, half), that no road user can be, or that it reports twice, each for PERSISTENT_S after the
+    first BRIEF_S, relative to what is usual among the agents now; and the greatest deviation of one of its tracks from
+    the median of the agents, in position, velocity, heading or size, as long as it lasts, relative to what is usual in
+    the run
     (`LastingDeviations`). One object alone, however long it is contradicted, is thus no alarm: honest detectors have
     such errors, and the object is withheld. What an agent's own sensor sees through, or is outside its own view, is no
     claim of it, and counts neither for nor against it. Each statistic counts as an alarm by how rarely an honest agent
@@ -273,7 +276,7 @@ class SequentialConsistency(Integrity):
             self._apart_ns[one, other] = self._apart_ns[other, one] = batch.time_ns
         return means
 
-    def _summed(self, total: Floats, count: Ints, tail: Tail, dt: float, wider: float = 1.0) -> Floats:
+    def _summed(self, total: Floats, count: Floats | Ints, tail: Tail, dt: float, wider: float = 1.0) -> Floats:
         """Cumulative sums after a batch with `count` contradictions.
 
         An honest agent errs about one object at a time: several at once are much rarer. Limited, so that they can be
@@ -285,12 +288,13 @@ class SequentialConsistency(Integrity):
     def _add_disputes(self, testimonies: Testimonies, dt: float) -> None:
         """Add what a batch shows to all sums; those of absent agents and pairs fall as without evidence."""
         of, rows = self._of, self._agents.rows
-        kinds = testimonies.accusations(~of.lying[rows])
+        known = np.isin(self._agents.names, self.anchors)[rows]
+        kinds = testimonies.accusations(np.where(of.lying[rows], 0.0, np.where(known, 1.0, WORD)))
         fresh = self._existence.fresh(testimonies.contradicted, dt)
         fresh |= of.suspended[rows]  # one that goes on with the same lies is not released
-        kinds &= fresh
-        counts = np.zeros((2, len(of.own)), np.int64)
-        counts[:, rows] = kinds.any(axis=0).sum(axis=0), kinds[OF_ITSELF].any(axis=0).sum(axis=0)
+        kinds *= fresh
+        counts = np.zeros((2, len(of.own)))
+        counts[:, rows] = kinds.max(axis=0).sum(axis=0), kinds[OF_ITSELF].max(axis=0).sum(axis=0)
         between = np.zeros(self._pairs.shape, np.int64)
         between[np.ix_(rows, rows)] = testimonies.between(fresh)
         # At first the mean of what there was, so that it is right soon.

@@ -42,6 +42,14 @@ def test_each_that_sees_through_an_object_contradicts_the_one_that_reports_it() 
     assert not found.accusations(EVERYBODY)[disputes.OF_ITSELF].any()
 
 
+@pytest.mark.parametrize(("word", "expected"), [((0.0, 0.5, 0.0), 0.5), ((0.0, 0.5, 0.5), 1.0), ((0.0, 1.0, 0.5), 1.0)])
+def test_an_object_is_contradicted_as_much_as_the_words_of_those_that_see_through_it_count(
+    word: tuple[float, ...], expected: float
+) -> None:
+    found = statements([("a", 0, (0.0, 0.0))], {"a": [CAR_AT_ORIGIN]})
+    assert found.accusations(np.array(word))[0].tolist() == [[expected, 0.0, 0.0]]
+
+
 def test_an_agent_that_sees_through_what_two_report_is_contradicted_and_not_accused() -> None:
     tracks: list[Track] = [("a", 0, (0.0, 0.0)), ("b", 0, (0.0, 0.0))]
     found = statements(tracks, {"a": [CAR_AT_ORIGIN], "b": [CAR_AT_ORIGIN]})

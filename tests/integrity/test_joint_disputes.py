@@ -57,8 +57,8 @@ def test_two_of_five_do_not_and_the_reason_names_both_possibilities() -> None:
 
 
 def test_disputes_about_different_objects_add_up_to_a_proof() -> None:
-    phantoms = [(14.0, -12.0), (-8.0, 12.0), (-8.0, -14.0)]
-    one_each = dict(zip(phantoms, "bcd", strict=True))
+    phantoms = [(14.0, -12.0), (-8.0, 12.0), (-8.0, -14.0), (14.0, -18.0), (-14.0, 12.0), (-14.0, -14.0)]
+    one_each = dict(zip(phantoms, "bcdbcd", strict=True))
     found = last(SequentialConsistency(), world({"a": phantoms}, sees=one_each))
     assert suspended(found) == "a"
 
@@ -89,7 +89,7 @@ def test_an_anchor_is_believed_against_each_and_never_suspended() -> None:
 
 def test_once_one_liar_is_known_two_accusers_prove_the_next() -> None:
     stage = SequentialConsistency()
-    others = [(-12.0, -12.0), (12.0, -10.0)]
+    others = [(-12.0, -12.0), (12.0, -10.0), (-12.0, -6.0)]
     sees = dict.fromkeys(TWO, "bcd") | dict.fromkeys(others, "bc")
     assert suspended(last(stage, world({"a": TWO}, sees=sees))) == "a"
     assert suspended(last(stage, later(world({"a": TWO, "e": others}, sees=sees), 50))) == "ae"
