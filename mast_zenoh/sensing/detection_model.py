@@ -5,13 +5,14 @@ from __future__ import annotations
 import copy
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.geometry import wrap_angle
-from mast_zenoh.arrays.states import CLASS_INDEX, CLASSES, Detections, Floats, Ints, ObjectStates
+from mast_zenoh.arrays.states import CLASS_INDEX, CLASSES, Bools, Detections, Floats, Ints, ObjectStates
 from mast_zenoh.sensing.error_memory import ViewErrors, WanderingNumbers
 from mast_zenoh.sensing.sensors import LidarSensor, in_view, to_sensor
 
@@ -115,6 +116,19 @@ _SMALLEST_VIEW_DEG = 30.0
 _NEVER_S = 3600.0  # time constant of what stays the same for an object: its heading's reversal, its class
 
 
+class _Viewpoint(NamedTuple):
+    """A sensor in one frame; see `Detector.detect`."""
+
+    lidar: LidarSensor
+    position: Floats
+    rotation: Floats
+    ground: float
+
+    def in_view(self, position: Floats) -> Bools:
+        """(n,) whether positions (n, 3) m in the world are in the field of view."""
+        return in_view(position, self.position, self.rotation, self.lidar)
+
+
 @dataclass(eq=False)
 class _ClutterKind:
     """Clutter that stays where it is in the world, until it ends by chance.
@@ -142,7 +156,7 @@ class DetectionModel(Detector):
     along the axes of the world; size errors are limited to 30 % of the size. Clutter is Poisson, uniform over the
     ground in view up to `clutter_range_m`.
 
-    With `white`, the default, nothing lasts. Without, an error of position, size or yaw is the sum of three parts:
+    With `white`, nothing lasts. Without, the default, an error of position, size or yaw is the sum of three parts:
 
     * one that stays with the object and the angle from which it is seen: a smooth random function of that angle, fixed
       to the object and the sensor. It turns with the object (share `view_share` of the variance);
@@ -154,9 +168,8 @@ class DetectionModel(Detector):
     error that is new in each frame, and ends by chance: most is there for a moment, some lasts.
 
     The defaults approximate lidar detectors on two real cooperative data sets (0.3 to 0.6 m error per axis,
-    about two false positives a frame, a precision of about 0.8, a recall of about 0.65): on the generated junctions
-    they give 0.37 m, 2.5, 0.85 and 0.70. Errors, misses and clutter last as long as in the published detections of
-    V2V4Real's two cars (Xu et al. 2023); docs/scenes.md compares them.
+    about two false positives a frame, a precision of about 0.8, a recall of about 0.65). Errors, misses and clutter
+    last as long as in the published detections of V2V4Real's two cars (Xu et al. 2023). docs/scenes.md compares them.
 
     min_points:        an object with fewer returns is not detected
     points_scale:      number of returns at which 63 % of objects are detected
@@ -223,10 +236,10 @@ class DetectionModel(Detector):
         for name, (low, high) in (("score", self.score), ("clutter_score", self.clutter_score)):
             if not 0 <= low <= high <= 1:
                 raise ValueError(f"{name}: found {(low, high)}, expected 0 <= low <= high <= 1")
-        self._forget(0.1)
+        self._begin_anew(0.1)
 
-    def _forget(self, period_s: float) -> None:
-        """Begin anew, with a period s between frames."""
+    def _begin_anew(self, period_s: float) -> None:
+        """Forget all frames. period_s: s, between two"""
         # Standard normal numbers of each object: detection, flip, wrong class, score, other class, seven of noise.
         constants = [self.miss_s, _NEVER_S, _NEVER_S, self.miss_s, _NEVER_S, *[self.error_s] * _NOISES]
         self._wandering = WanderingNumbers(np.exp(-period_s / np.array(constants)))
@@ -243,7 +256,7 @@ class DetectionModel(Detector):
         if self.white:
             return self
         mine = copy.copy(self)
-        mine._forget(period_s)
+        mine._begin_anew(period_s)
         return mine
 
     def detect(
@@ -261,7 +274,7 @@ class DetectionModel(Detector):
         order = order[points[order] > 0]
         seen, returns = objects.select(order), points[order].astype(np.float64)
         detected, detected_id = self._true_detections(seen, returns, sensor_position, random)
-        clutter = self._clutter(lidar, sensor_position, sensor_rotation, ground, random)
+        clutter = self._clutter(_Viewpoint(lidar, sensor_position, sensor_rotation, ground), random)
         both = Detections.joined([detected, clutter])
         best_first = np.argsort(-both.score, kind="stable")
         ids = np.concatenate([detected_id, np.full(len(clutter), -1, np.int64)])[best_first]
@@ -325,59 +338,31 @@ class DetectionModel(Detector):
         """(n,) scores of detected objects, from their lidar returns and uniform draws."""
         return self.score[0] + (self.score[1] - self.score[0]) * draw
 
-    def _clutter(
-        self,
-        lidar: LidarSensor,
-        sensor_position: Floats,
-        sensor_rotation: Floats,
-        ground: float,
-        random: np.random.Generator,
-    ) -> Detections:
+    def _clutter(self, viewpoint: _Viewpoint, random: np.random.Generator) -> Detections:
         if self.white:
-            n = int(random.poisson(self.clutter_rate))
-            return self._new_clutter(n, lidar, sensor_position, sensor_rotation, ground, random)
-        kinds = [
-            self._standing_clutter(kind, lidar, sensor_position, sensor_rotation, ground, random)
-            for kind in self._clutter_kinds
-        ]
-        clutter = Detections.joined(kinds)
+            return self._new_clutter(int(random.poisson(self.clutter_rate)), viewpoint, random)
+        clutter = Detections.joined([self._standing_clutter(kind, viewpoint, random) for kind in self._clutter_kinds])
         jitter = random.standard_normal((len(clutter), 3)) * np.sqrt(self.white_share)
         jitter *= [self.position_noise_m, self.position_noise_m, self.vertical_noise_m]
         return replace(clutter, position=clutter.position + jitter)
 
-    def _standing_clutter(
-        self,
-        kind: _ClutterKind,
-        lidar: LidarSensor,
-        sensor_position: Floats,
-        sensor_rotation: Floats,
-        ground: float,
-        random: np.random.Generator,
-    ) -> Detections:
-        """The clutter of a kind in the next frame, world frame: what goes on from the frame before, and new ones."""
+    def _standing_clutter(self, kind: _ClutterKind, viewpoint: _Viewpoint, random: np.random.Generator) -> Detections:
+        """The clutter of a kind in the next frame, world frame: what stays from the frame before, and what is new."""
         before = Detections.empty() if kind.standing is None else kind.standing
         survival = 0.0 if kind.standing is None else kind.survival
         lasts = random.random(len(before)) < survival
-        lasts &= in_view(before.position, sensor_position, sensor_rotation, lidar)
-        lasts &= np.linalg.norm(before.position - sensor_position, axis=1) <= self.clutter_range_m
+        lasts &= viewpoint.in_view(before.position)
+        lasts &= np.linalg.norm(before.position - viewpoint.position, axis=1) <= self.clutter_range_m
         count = int(random.poisson(self.clutter_rate * kind.share * (1.0 - survival)))
-        new = self._new_clutter(count, lidar, sensor_position, sensor_rotation, ground, random)
+        new = self._new_clutter(count, viewpoint, random)
         kind.standing = Detections.joined([before.select(lasts), self._scored_clutter(new, random)])
         return kind.standing
 
     def _scored_clutter(self, new: Detections, random: np.random.Generator) -> Detections:
-        """New clutter with its scores; uniform ones, as it has already."""
+        """New clutter with its scores; here the uniform ones that it has already."""
         return new
 
-    def _new_clutter(
-        self,
-        n: int,
-        lidar: LidarSensor,
-        sensor_position: Floats,
-        sensor_rotation: Floats,
-        ground: float,
-        random: np.random.Generator,
-    ) -> Detections:
+    def _new_clutter(self, n: int, viewpoint: _Viewpoint, random: np.random.Generator) -> Detections:
         """Up to n false detections in view, world frame."""
         if n == 0:
             return Detections.empty()
@@ -389,17 +374,15 @@ class DetectionModel(Detector):
         radius = self.clutter_range_m * np.sqrt(random.random((n, _CLUTTER_CANDIDATES)))
         bearing = random.uniform(-np.pi, np.pi, (n, _CLUTTER_CANDIDATES))
         position = np.empty((n, _CLUTTER_CANDIDATES, 3))
-        position[..., 0] = sensor_position[0] + radius * np.cos(bearing)
-        position[..., 1] = sensor_position[1] + radius * np.sin(bearing)
-        position[..., 2] = ground + size[:, 2:] / 2
-        visible = in_view(position.reshape(-1, 3), sensor_position, sensor_rotation, lidar).reshape(
-            n, _CLUTTER_CANDIDATES
-        )
+        position[..., 0] = viewpoint.position[0] + radius * np.cos(bearing)
+        position[..., 1] = viewpoint.position[1] + radius * np.sin(bearing)
+        position[..., 2] = viewpoint.ground + size[:, 2:] / 2
+        visible = viewpoint.in_view(position.reshape(-1, 3)).reshape(n, _CLUTTER_CANDIDATES)
         rows, first = np.arange(n), visible.argmax(axis=1)
         chosen = position[rows, first]
         covariance = np.zeros((n, 3, 3))
         if self.report_covariance:
-            distance = np.linalg.norm(chosen - sensor_position, axis=1)
+            distance = np.linalg.norm(chosen - viewpoint.position, axis=1)
             growth = 1.0 + (distance / self.range_scale_m) ** 2 + self.few_points / self.points_scale
             variance = np.array([self.position_noise_m, self.position_noise_m, self.vertical_noise_m]) ** 2
             covariance[:, [0, 1, 2], [0, 1, 2]] = growth[:, None] * variance
@@ -419,8 +402,8 @@ class LastingErrors(DetectionModel):
 
     The score of an object is the logistic function of a normal number, with mean `score_at_scale` plus the logarithm of
     its returns relative to `points_scale`, limited to 1.5 up and down; that of clutter has the mean
-    `clutter_score_mean`. The defaults are like the raw output of real detectors, which has many weak false detections:
-    on generated junctions, a recall of 0.66 and a precision of 0.79, which is 0.92 above a score of 0.3.
+    `clutter_score_mean`. The defaults are like the raw output of real detectors, which has many weak false detections;
+    docs/scenes.md has recall and precision.
 
     score_at_scale, clutter_score_mean, score_std: mean and standard deviation of the logit of scores
     The other parameters are those of `DetectionModel`, except for `white` and the scores.
