@@ -118,9 +118,8 @@ def manipulations(
     )
 
     inserted, episode, velocity = insertions(effects, period_s)
-    hidden, kind = _hidden(effects, limits)
+    hidden, kind, columns = _hidden(effects, limits)
     of_tracks = np.array([interposed.message != "detections" for interposed in effects.passages], bool)
-    columns = [set(names.split()) - {"position"} for names in effects.columns[hidden].tolist()]
     of_box = np.array([set() < names <= _OF_BOX for names in columns], bool)
     of_box &= (kind == ALTERED) & of_tracks[effects.passage[hidden]]
     renamed = effects.passage[hidden[np.array(["id" in names for names in columns], bool)]]
@@ -172,17 +171,17 @@ def _lasts(passage: Passage, is_link: bool, limits: AttributionLimits, period_s:
     return round(limits.late_picture_s / period_s) if passage.port == "picture" else 0
 
 
-def _hidden(effects: Effects, limits: AttributionLimits) -> tuple[Ints, Ints]:
-    """Rows and kinds of objects that were removed, moved far enough or altered."""
+def _hidden(effects: Effects, limits: AttributionLimits) -> tuple[Ints, Ints, list[set[str]]]:
+    """Rows and kinds of objects that were removed, moved far enough or altered, and what changed besides position."""
     rows = effects.rows("removed", "moved", "altered")
     rows = rows[np.isfinite(effects.before[rows]).all(axis=1)]
     kind = np.array([KINDS.index(name) if name in KINDS else -1 for name in EFFECTS])[effects.code[rows]]
     displacement = np.hypot(*(effects.after[rows] - effects.before[rows])[:, :2].T)
+    columns = [set(names.split()) - {"position"} for names in effects.columns[rows].tolist()]
     unmoved = (kind == MOVED) & ~(displacement >= limits.least_move_m)
-    kind[unmoved] = ALTERED  # if it is in other columns
-    counts = ~unmoved
-    counts[unmoved] = [set(names.split()) > {"position"} for names in effects.columns[rows[unmoved]].tolist()]
-    return rows[counts], kind[counts]
+    kind[unmoved] = ALTERED  # if anything else changed
+    counts = ~unmoved | np.array([bool(names) for names in columns], bool)
+    return rows[counts], kind[counts], [columns[row] for row in np.flatnonzero(counts).tolist()]
 
 
 def effects_of_absence(effects: Effects, absences: Mapping[str, Bools], frames: Ints) -> Bools:

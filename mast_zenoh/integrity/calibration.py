@@ -20,12 +20,13 @@ def fitted_tail(maxima: Floats, hours: float) -> Tail:
 
     maxima: (n,) of a statistic in n blocks of honest agents, nearly independent; hours: their total length
 
-    Raises ValueError for fewer maxima than a tail can be fitted to.
+    Raises ValueError if too few of them exceed the threshold.
     """
     threshold = np.quantile(maxima, 1.0 - LARGEST)
     excess = maxima[maxima > threshold] - threshold
     if len(excess) < 2:
-        raise ValueError(f"maxima: found {len(maxima)} blocks, expected at least {round(3 / LARGEST)}")
+        found = f"found {len(excess)} of {len(maxima)} above their {1.0 - LARGEST:.0%} quantile, {threshold:g}"
+        raise ValueError(f"maxima: {found}, expected at least 2: use more blocks, or a statistic that varies more")
     scale = float(excess.mean())
     return Tail(float(len(excess) / hours * np.exp(threshold / scale)), scale)
 

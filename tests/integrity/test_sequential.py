@@ -131,8 +131,16 @@ def test_the_tail_of_exponential_maxima_is_found() -> None:
     assert tail.scale == pytest.approx(0.5, rel=0.05)
     assert tail.per_hour == pytest.approx(200.0, rel=0.2)
     assert tail.value_at(tail.per_hour / np.e) == pytest.approx(tail.scale)
-    with pytest.raises(ValueError, match="expected at least 30"):
-        fitted_tail(np.zeros(5), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("maxima", "found"), [(np.arange(5.0), "1 of 5 above their 90% quantile, 3.6"), (np.zeros(100), "0 of 100")]
+)
+def test_a_tail_is_refused_for_few_blocks_and_for_equal_ones_with_what_was_found(
+    maxima: np.ndarray, found: str
+) -> None:
+    with pytest.raises(ValueError, match=f"maxima: found {found}.*, expected at least 2: use more blocks"):
+        fitted_tail(maxima, 1.0)
 
 
 def test_agents_with_new_names_in_every_frame_do_not_take_the_numbers_of_others() -> None:

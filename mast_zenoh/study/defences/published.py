@@ -191,8 +191,8 @@ PUBLISHED = (
     _attack(
         "uncoordinated",
         *(_MAST, "15.67 false objects added per frame with 2 adversaries (7.92 with 1, 23.30 with 3)", PAPER),
-        "Apparently one run in CARLA with one draw of the number of false objects; here it is drawn for each seed, and "
-        "the first frames are not attacked.",
+        "Apparently one run in CARLA. In the authors' public code every adversary adds nine false objects, because an "
+        "import sets NumPy's seed; here their number is drawn for each seed, and the first frames are not attacked.",
         quantities=("fp_added",),
         defences=("NoIntegrity",),
     ),
