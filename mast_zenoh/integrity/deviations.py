@@ -34,13 +34,13 @@ LONG, SLOW_FLOOR_RAD, SLOW_MPS = 1.5, 0.3, 1.0
 #: m, between two clusters: nearer ones may have swapped members.
 CROWD_M = 3.5
 #: Variance of the median of normal errors, relative to that of their mean.
-MEDIAN = np.pi / 2
+MEDIAN_VARIANCE = np.pi / 2
 #: Standard deviations at which a deviation stops to count for more: a track of another object may be near for a moment.
 CLIP = 8.0
 
 #: The means of deviations: what each is of, and s after which a deviation has fallen to 1/e. Only positions are judged
 #: at once: trackers that swap two objects err in all else for half a second.
-OF = np.array([POSITION, POSITION, VELOCITY, HEADING, SIZE])
+QUANTITY = np.array([POSITION, POSITION, VELOCITY, HEADING, SIZE])
 MEMORY_S = np.array([0.3, 3.0, 3.0, 3.0, 3.0])
 NAMES = ("position", "position", "velocity", "heading", "size")
 #: How the reason of a suspension begins, by name.
@@ -54,7 +54,7 @@ USUAL_FACTOR = 2.0
 RANKS = np.array([1.0, 1.4, 1.7, 2.0])
 #: Greatest lengths that count. Two objects alone are evidence only where they are: an honest track that begins with a
 #: false detection has the size of something else for seconds, and two that are swapped have each other's velocity.
-MOST = np.array([np.inf, np.inf, 7.5, 7.5, 7.5])
+GREATEST = np.array([np.inf, np.inf, 7.5, 7.5, 7.5])
 #: s, over which the usual length is averaged, and between two looks at it.
 USUAL_S, LOOK_S = 10.0, 1.0
 #: s, greatest time for which a track stands that was not there before.
@@ -70,14 +70,14 @@ class Deviations:
     cluster, agent: (k,) of each track, no pair twice
     whitened: (k, 4, 2) deviation in standard deviations of an honest agent's; 0 where it is not judged
     judged: (k, 4) whether the object shows the quantity
-    deviation: (k, 4) the standard deviations, in the units of the quantities
+    std: (k, 4) the standard deviations, in the units of the quantities
     """
 
     cluster: Ints
     agent: Ints
     whitened: Floats
     judged: Bools
-    deviation: Floats
+    std: Floats
 
 
 def deviations(batch: Batch, boxes: ClusterBoxes, weight: Floats) -> Deviations:
@@ -114,18 +114,18 @@ def deviations(batch: Batch, boxes: ClusterBoxes, weight: Floats) -> Deviations:
     claimed = np.clip(claimed.mean(axis=2), 0.0, MOST_CLAIMED**2)
     starts = np.searchsorted(row_of, np.arange(len(kept)))
     of_middle = np.add.reduceat(claimed * counted[row_of, agent][:, None], starts) if len(kept) else np.zeros((0, 4))
-    of_middle *= (MEDIAN / count**2)[:, None]
+    of_middle *= (MEDIAN_VARIANCE / count**2)[:, None]
     floor = np.tile(FLOORS, (len(kept), 1))
     small = size[:, 0] < SMALL_M
     floor[small, POSITION] = SMALL_FLOOR_M
     floor[np.hypot(middle[:, 2], middle[:, 3]) < SLOW_MPS, HEADING] = SLOW_FLOOR_RAD
-    deviation = np.sqrt(claimed + (of_middle + floor**2)[row_of])
+    std = np.sqrt(claimed + (of_middle + floor**2)[row_of])
     judged = np.ones((len(kept), 4), np.bool_)
     judged[:, HEADING] = size[:, 0] >= LONG * size[:, 1]
     judged[:, SIZE] = ~small
     judged = judged[row_of]
-    whitened = np.where(judged[..., None], value / deviation[..., None], 0.0)
-    return Deviations(kept[row_of], agent, whitened, judged, deviation)
+    whitened = np.where(judged[..., None], value / std[..., None], 0.0)
+    return Deviations(kept[row_of], agent, whitened, judged, std)
 
 
 @kernel
@@ -150,20 +150,20 @@ class Means:
 
     cluster, agent: (k,) of each track, no pair twice
     mean: (k, 5, 2) relative to the usual length of such a mean, in the order of NAMES
-    deviation: (k, 5) usual lengths, in the units of the quantities
+    usual: (k, 5) the usual lengths, in the units of the quantities
     weight: (k, 5) 0 to 1, what the mean of a deviation that was always 1 would be: less of a track that began lately
     """
 
     cluster: Ints
     agent: Ints
     mean: Floats
-    deviation: Floats
+    usual: Floats
     weight: Floats
 
     @property
     def length(self) -> Floats:
-        """(k, 5) lengths of the means, at most MOST of each; an honest agent's are about 1."""
-        return np.asarray(np.minimum(np.sqrt((self.mean**2).sum(axis=2)), MOST))
+        """(k, 5) lengths of the means, at most GREATEST of each; an honest agent's are about 1."""
+        return np.asarray(np.minimum(np.sqrt((self.mean**2).sum(axis=2)), GREATEST))
 
     def of_agents(self, agents: int) -> tuple[Floats, Bools]:
         """(a,) statistic of each agent, the greatest of its largest means times RANKS; (k,) the tracks that make it."""
@@ -179,29 +179,29 @@ class Means:
         rows = np.arange(agents)
         return statistics[rows, last], np.asarray(length >= largest[rows, last][self.agent])
 
-    def apart(self, some: Bools) -> tuple[Ints, Ints, Floats]:
+    def apart(self, compared: Bools) -> tuple[Ints, Ints, Floats]:
         """Pairs of agents (p,), (p,), and how far their tracks of an object are apart, relative to the usual length.
 
-        some: (k,) tracks that are compared with all others of their objects
+        compared: (k,) tracks that are compared with all others of their objects
 
         As if both were seen since the later one began: what moves the middle of an object has moved the mean of a track
         that has been there for longer by more.
         """
-        one, other = np.nonzero(some[:, None] & (self.cluster[:, None] == self.cluster))
+        one, other = np.nonzero(compared[:, None] & (self.cluster[:, None] == self.cluster))
         one, other = one[one != other], other[one != other]
-        absolute = self.mean * (self.deviation / self.weight)[..., None]
+        absolute = self.mean * (self.usual / self.weight)[..., None]
         scale = np.minimum(self.weight[one], self.weight[other]) ** 2
-        scale /= self.deviation[one] ** 2 + self.deviation[other] ** 2
+        scale /= self.usual[one] ** 2 + self.usual[other] ** 2
         difference = np.sqrt(((absolute[one] - absolute[other]) ** 2).sum(axis=2) * scale)
         return self.agent[one], self.agent[other], np.asarray(difference.max(axis=1, initial=0.0))
 
-    def left_by_fault(self, agent: int, quick: int, design: Floats) -> float:
+    def left_by_fault(self, agent: int, kind: int, design: Floats) -> float:
         """Share of an agent's squared deviations of position that the fault that fits them best leaves, 0 to 1.
 
-        quick: which of the two means of positions;  design: (c, 2, 4) of the objects, see `displacements`
+        kind: of the means, one of the two of positions;  design: (c, 2, 4) of the objects, see `displacements`
         """
         rows = np.flatnonzero(self.agent == agent)
-        of, fits = self.mean[rows, quick], design[self.cluster[rows]] / self.deviation[rows, quick, None, None]
+        of, fits = self.mean[rows, kind], design[self.cluster[rows]] / self.usual[rows, kind, None, None]
         information = np.diag(1.0 / PRIOR) + np.einsum("kij,kil->jl", fits, fits)
         fault = np.linalg.solve(information, np.einsum("kij,ki->j", fits, of))
         return min(1.0, float(((of - fits @ fault) ** 2).sum() / max((of**2).sum(), 1e-12)))
@@ -229,7 +229,7 @@ class LastingDeviations:
     def forget_all(self) -> None:
         """Forget all deviations, but not what is usual."""
         self._row: dict[tuple[int, int], int] = {}  # by (agent, object)
-        self._mean, self._weight = np.zeros((0, len(OF), 2)), np.zeros((0, len(OF)))
+        self._mean, self._weight = np.zeros((0, len(QUANTITY), 2)), np.zeros((0, len(QUANTITY)))
         self._time_ns = np.zeros(0, np.int64)
         self._most = min(100, self._limit)  # pairs from which the oldest are forgotten
 
@@ -246,32 +246,32 @@ class LastingDeviations:
         keys = zip(number[measured.agent].tolist(), obj[measured.cluster].tolist(), strict=True)
         rows = np.array([self._row.setdefault(key, len(self._row)) for key in keys], np.int64)
         new = len(self._row) - len(self._mean)
-        self._mean = np.concatenate([self._mean, np.zeros((new, len(OF), 2))])
-        self._weight = np.concatenate([self._weight, np.zeros((new, len(OF)))])
+        self._mean = np.concatenate([self._mean, np.zeros((new, len(QUANTITY), 2))])
+        self._weight = np.concatenate([self._weight, np.zeros((new, len(QUANTITY)))])
         self._time_ns = np.concatenate([self._time_ns, np.full(new, time_ns - round(0.5 * STEP_S * 1e9))])
         elapsed_s = (time_ns - self._time_ns[rows]) * 1e-9
         keep = np.exp(-elapsed_s[:, None] / MEMORY_S)
         add = 1.0 - np.maximum(keep, np.exp(-STEP_S / MEMORY_S))
         length = np.sqrt((measured.whitened**2).sum(axis=2, keepdims=True))
         clipped = measured.whitened * np.minimum(1.0, CLIP / np.maximum(length, 1e-12))
-        mean = self._mean[rows] * keep[..., None] + add[..., None] * clipped[:, OF]
+        mean = self._mean[rows] * keep[..., None] + add[..., None] * clipped[:, QUANTITY]
         weight = self._weight[rows] * keep + add
         self._mean[rows], self._weight[rows], self._time_ns[rows] = mean, weight, time_ns
         self._forget_oldest(time_ns)
-        self._look(time_ns, mean, measured, believed)
-        usual = measured.deviation[:, OF] * self._usual
+        self._learn_usual(time_ns, mean, measured, believed)
+        usual = measured.std[:, QUANTITY] * self._usual
         return Means(measured.cluster, measured.agent, mean / self._usual[:, None], usual, weight)
 
-    def _look(self, time_ns: int, mean: Floats, measured: Deviations, believed: Bools) -> None:
-        """Note how long the means of a batch are: the median over agents of the medians over their objects."""
+    def _learn_usual(self, time_ns: int, mean: Floats, measured: Deviations, believed: Bools) -> None:
+        """Update what is usual by the means of a batch: the median over agents of the medians over their objects."""
         elapsed_s = LOOK_S if self._looked_ns is None else (time_ns - self._looked_ns) * 1e-9
         if elapsed_s < LOOK_S:
             return
         self._looked_ns = time_ns
         length = np.sqrt((mean**2).sum(axis=2))
-        length[~measured.judged[:, OF]] = np.nan
+        length[~measured.judged[:, QUANTITY]] = np.nan
         of_agents = [median_of_each(length[measured.agent == each]) for each in np.flatnonzero(believed).tolist()]
-        seen = median_of_each(np.array(of_agents).reshape(-1, len(OF)))
+        seen = median_of_each(np.array(of_agents).reshape(-1, len(QUANTITY)))
         seen = np.where(np.isnan(seen), self._usual, np.clip(seen, USUAL / USUAL_FACTOR, USUAL * USUAL_FACTOR))
         self._usual += (seen - self._usual) * (1.0 - np.exp(-min(elapsed_s, USUAL_S) / USUAL_S))
 

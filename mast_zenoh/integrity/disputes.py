@@ -106,21 +106,19 @@ def in_place(batch: Batch, boxes: ClusterBoxes) -> Bools:
     return np.asarray((np.hypot(away[:, 0], away[:, 1]) <= SAME_PLACE_M) & (away[:, 2] <= SAME_HEIGHT_M))
 
 
-def attached(batch: Batch, boxes: ClusterBoxes, voter: Bools, beside: tuple[Ints, Ints, Floats]) -> tuple[Bools, Bools]:
-    """(c,) objects that fewer than half of the agents report, close before or behind another one, in its path; and
-    (c,) of these, those that drive as one with it.
+def attached(boxes: ClusterBoxes, few: Bools, beside: tuple[Ints, Ints, Floats]) -> tuple[Bools, Bools]:
+    """(c,) objects of few agents close before or behind another one, in its path; and (c,) those that drive as one with it.
 
-    boxes: of the clusters; voter: (a,) agents that count; beside: see `better_known`
+    boxes: of the clusters; few: (c,) whether fewer than half of the agents report it; beside: see `better_known`
     """
     i, j, offset = beside
     velocity, other = boxes.velocity[i, :2], boxes.velocity[j, :2]
     across = np.abs(np.cos(boxes.yaw[j]) * offset[:, 1] - np.sin(boxes.yaw[j]) * offset[:, 0])
     grown = boxes.size + np.array([2.0 * TOUCH_M, 2.0 * TOUCH_M, 0.0])
-    few = 2 * (batch.reported & voter).sum(axis=1) < len(voter)
     touches = few[i] & (across <= 0.5 * boxes.size[j, 1])
     touches &= overlap(offset, boxes.size[i], boxes.yaw[i], grown[j], boxes.yaw[j], 1.0)
     as_one = (np.linalg.norm(velocity, axis=1) >= DRIVES_MPS) & (np.linalg.norm(velocity - other, axis=1) <= AS_ONE_MPS)
-    touching, driving = np.zeros((2, batch.clusters), np.bool_)
+    touching, driving = np.zeros((2, len(few)), np.bool_)
     touching[i[touches]] = True
     driving[i[touches & as_one]] = True
     return touching, driving
@@ -178,19 +176,19 @@ class Testimonies:
         own: Bools,
         seen: Sightings,
         rays: RayEvidence,
-        unseen: Bools,
+        outside: Bools,
         voter: Bools,
     ) -> Testimonies:
         """The testimonies of a batch.
 
         boxes: of its clusters; own: (c, a) whether the agent sees through its own track of the object
         seen, rays: what the sensors see of the objects, and what their rays show
-        unseen: (c, a) whether the agent reports the object outside its own view
+        outside: (c, a) whether the agent reports the object outside its own view
         voter: (a,) agents that are not suspended: others accuse nobody
         """
         reported, states = batch.reported, batch.states
         impossible = of_tracks(batch, ~(plausible_size(states) & on_ground(states, batch.agent, len(batch.agents))))
-        claims = reported & ~own & ~unseen & ~impossible & of_tracks(batch, in_place(batch, boxes))
+        claims = reported & ~own & ~outside & ~impossible & of_tracks(batch, in_place(batch, boxes))
         silent = ~reports_nearby(batch, boxes) & ~rays.mostly_clear & rays.ends & seen.in_view
         least = np.full((batch.clusters, 3), np.inf)  # reported sizes: two liars can make the middle one large
         np.minimum.at(least, batch.labels, states.size)
@@ -203,9 +201,9 @@ class Testimonies:
             repeated=of_tracks(batch, repeated(batch)),
         )
 
-    def between(self, fresh: Bools) -> Ints:
-        """(a, a) number of objects about which two agents contradict each other. fresh: (c, a) reports that count"""
-        against = (self.claims & fresh).T.astype(np.int64) @ (self.denies | self.silent)
+    def between(self, counted: Bools) -> Ints:
+        """(a, a) number of objects about which two agents contradict each other. counted: (c, a) reports that count"""
+        against = (self.claims & counted).T.astype(np.int64) @ (self.denies | self.silent)
         return np.asarray(against + against.T)
 
     @property
@@ -232,8 +230,8 @@ class Testimonies:
 class Evidence:
     """A batch with the middle boxes of its clusters, what sensors see of them, and what agents say of them.
 
-    unseen: (c, a) whether the agent reports the object outside its own view
-    beside: (c, a) whether its rays pass the place of the object, beside another one or the sensor
+    out_of_view: (c, a) whether the agent reports the object outside its own view
+    passed: (c, a) whether its rays pass the place of the object, beside another one or the sensor
     touching, attached: (c,) objects that few report close to another one, and those that drive as one with it
     """
 
@@ -241,8 +239,8 @@ class Evidence:
     boxes: ClusterBoxes
     seen: Sightings
     rays: RayEvidence
-    unseen: Bools
-    beside: Bools
+    out_of_view: Bools
+    passed: Bools
     touching: Bools
     attached: Bools
     testimonies: Testimonies
@@ -253,7 +251,9 @@ class Evidence:
         boxes = ClusterBoxes.of(batch, np.broadcast_to(voter, batch.reported.shape))
         seen, own = lenient_sightings(batch, boxes)
         rays = rays_at(batch, boxes, current(batch.views))
-        unseen, known = of_tracks(batch, out_of_view(batch)), better_known(batch, boxes, voter)
-        beside = passed_to_others(batch, boxes, rays, voter, known) | passed_nearby(batch, boxes, voter)
-        testimonies = Testimonies.of(batch, boxes, own, seen, rays, unseen, voter)
-        return cls(batch, boxes, seen, rays, unseen, beside, *attached(batch, boxes, voter, known), testimonies)
+        outside, reported = of_tracks(batch, out_of_view(batch)), batch.reported & voter
+        beside = better_known(boxes, (reported | carrying(boxes, current(batch.views)) & voter).sum(axis=1))
+        passed = passed_to_others(batch, boxes, rays, voter, beside) | passed_nearby(batch, boxes, voter)
+        hang_on = attached(boxes, 2 * reported.sum(axis=1) < len(voter), beside)
+        testimonies = Testimonies.of(batch, boxes, own, seen, rays, outside, voter)
+        return cls(batch, boxes, seen, rays, outside, passed, *hang_on, testimonies)

@@ -24,7 +24,7 @@ CONTESTED, CONTESTED_TIMES = 1, 2.0
 #: s, after which an object that is contradicted is evidence against the agent that reports it: by then, most false
 #: detections of honest detectors are gone, and a fault, whose contradictions begin all at once, has been found. And s,
 #: for which it is evidence: it is withheld meanwhile. One object adds less than any alarm takes.
-BRIEF_S, PERSISTENT_S = 0.5, 2.5
+BRIEF_S, COUNTED_S = 0.5, 2.5
 #: s, for which an agent that reported something attached to an object is not believed about what touches one.
 ATTACHED_S = 30.0
 #: s, over which these numbers are averaged for each agent, and s after which its mean is known.
@@ -80,15 +80,15 @@ class ExistenceVotes:
         self._false_until_ns = self._agents.carry(objects.carry(self._false_until_ns, 0), 0, axis=1)
         return np.asarray(objects.of.number[self._rows])
 
-    def fresh(self, contradicted: Bools, dt: float) -> Bools:
-        """(c, a) reports of a batch that have been contradicted for more than BRIEF_S, and PERSISTENT_S more at most.
+    def counted(self, contradicted: Bools, dt: float) -> Bools:
+        """(c, a) reports of a batch that have been contradicted for more than BRIEF_S, and COUNTED_S more at most.
 
         contradicted: (c, a) those that are now; dt: s, for which the batch stands
         """
         place = np.ix_(self._rows, self._agents.rows)
         self._contradicted_s[place] += dt * contradicted
         contradicted_s = self._contradicted_s[place]
-        return np.asarray((contradicted_s > BRIEF_S) & (contradicted_s <= BRIEF_S + PERSISTENT_S))
+        return np.asarray((contradicted_s > BRIEF_S) & (contradicted_s <= BRIEF_S + COUNTED_S))
 
     def settle(self, evidence: Evidence, explanations: Explanations) -> tuple[ObjectTrust, Floats]:
         """The trust in the objects of a batch, which are followed, and the weights (n,) of its tracks.
@@ -99,9 +99,9 @@ class ExistenceVotes:
         impossible, reported, rows = evidence.testimonies.impossible, batch.reported, self._rows
         believed, agent_rows = ~self._agents.of.suspended, self._agents.rows
         voter = believed[agent_rows]
-        clear, silent = rays.mostly_clear | evidence.beside, silent_about(batch, boxes, seen, rays, FAR_M)
-        silent &= ~evidence.beside
-        claims = reported & ~clear & ~impossible & ~evidence.unseen & voter
+        clear, silent = rays.mostly_clear | evidence.passed, silent_about(batch, boxes, seen, rays, FAR_M)
+        silent &= ~evidence.passed
+        claims = reported & ~clear & ~impossible & ~evidence.out_of_view & voter
         votes = voter.astype(np.float64)
         confirming, contradicting = (claims | silent) @ votes, clear @ votes
         denied = np.flatnonzero(claims.any(axis=1) & (clear & voter).any(axis=1))
@@ -111,13 +111,13 @@ class ExistenceVotes:
         refuted |= ~claims.any(axis=1) & (contradicting > confirming)
         balance = self._votes.vote(rows, np.where(refuted, -1.0, 1.0))
         self._note_witnesses(batch, claims)
-        unseen = reported & ~clear & ~impossible & ~(seen.in_view & voter & ~reported).any(axis=1, keepdims=True)
+        unwatched = reported & ~clear & ~impossible & ~(seen.in_view & voter & ~reported).any(axis=1, keepdims=True)
         one = (reported.sum(axis=1) == 1)[:, None]  # what a suspended agent reports, too, is not reported alone
-        unseen &= one
+        unwatched &= one
         alone = claims & one & ~self._confirmed(believed)[:, None]
         self._usual = self._agents.carry(self._usual, 0.0)
         usual = self._usual[agent_rows]
-        claimed = claims.any(axis=1) | self._oldest(unseen & ~voter, np.rint(usual[:, 0]))
+        claimed = claims.any(axis=1) | self._oldest(unwatched & ~voter, np.rint(usual[:, 0]))
         most = self._most_alone(alone.sum(axis=0), usual, voter)
         few = (2 * claims.sum(axis=1) < len(batch.agents)) & (clear & voter).any(axis=1) & ~refuted
         contested = claims & few[:, None]
@@ -125,7 +125,7 @@ class ExistenceVotes:
         beyond = alone.any(axis=1) & ~self._oldest(alone, most)
         beyond |= more_disputed(contested, clear & voter & few[:, None]) & ~self._oldest(contested, most_contested)
         counts = (
-            unseen.sum(axis=0),
+            unwatched.sum(axis=0),
             np.minimum(alone.sum(axis=0), most),
             np.minimum(contested.sum(axis=0), most_contested),
         )

@@ -21,7 +21,15 @@ from mast_zenoh.integrity.base import (
     ClusterBoxes,
     Integrity,
 )
-from mast_zenoh.integrity.deviations import NAMES, OF, POSITION, REASONS, LastingDeviations, Means, deviations
+from mast_zenoh.integrity.deviations import (
+    NAMES,
+    POSITION,
+    QUANTITY,
+    REASONS,
+    LastingDeviations,
+    Means,
+    deviations,
+)
 from mast_zenoh.integrity.disputes import ACCUSATIONS, OF_ITSELF, Evidence, Testimonies
 from mast_zenoh.integrity.existence import ExistenceVotes
 from mast_zenoh.integrity.explanations import Explanations, Verdict, explained
@@ -50,14 +58,14 @@ DISPUTES_PER_HOUR, APART_PER_HOUR = 10.0, 1.0
 #: How much the word of an agent counts that an object is not there: that of two is needed. An anchor's alone is enough.
 WORD = 0.5
 #: s, for which an agent that may have a fault is not suspended for what it does; and for a deviation of position if a
-#: fault leaves at most this share of all its deviations.
-FAULT_AWAITED_S, EXPLAINED_S, EXPLAINED = 1.0, 10.0, 0.3
+#: fault leaves at most this share of the squares of all of them.
+FAULT_AWAITED_S, EXPLAINED_S, UNEXPLAINED = 1.0, 10.0, 0.3
+#: s, of this time that an agent regains in a second: one that differs now and then is not excused for ever.
+AWAITED_AGAIN = 0.05
 #: Objects of an honest agent that are contradicted at a time, expected before a run shows it; s, over which the number
 #: is averaged, of a new agent at least and later on; and how many times as much evidence is needed at most where more
 #: is usual.
-EXPECTED, USUAL_FROM_S, USUAL_S, WIDER = 0.01, 4.0, 20.0, 6.0
-#: s, of this time that an agent regains in a second: one that differs now and then is not excused for ever.
-AWAITED_AGAIN = 0.05
+EXPECTED, USUAL_FROM_S, USUAL_S, MOST_EVIDENCE = 0.01, 4.0, 20.0, 6.0
 #: s, before a suspension for a deviation, in which an agent may have lied unnoticed.
 DEVIATED_S = 10.0
 #: s, for which a dispute about where an object is lasts.
@@ -74,10 +82,9 @@ class SequentialConsistency(Integrity):
     disagrees (`explanations`).
 
     Two statistics for each agent: the cumulative sum of contradictions in progress: objects that others see through (if
-    one agent alone does, half), that no road user can be, or that it reports twice, each for PERSISTENT_S after the
-    first BRIEF_S, relative to what is usual among the agents now; and the greatest deviation of one of its tracks from
-    the median of the agents, in position, velocity, heading or size, as long as it lasts, relative to what is usual in
-    the run
+    one agent alone does, half), that no road user can be, or that it reports twice, each for COUNTED_S after the first
+    BRIEF_S, relative to what is usual among the agents now; and the greatest deviation of one of its tracks from the
+    median of the agents, in position, velocity, heading or size, as long as it lasts, relative to what is usual in the run
     (`LastingDeviations`). One object alone, however long it is contradicted, is thus no alarm: honest detectors have
     such errors, and the object is withheld. What an agent's own sensor sees through, or is outside its own view, is no
     claim of it, and counts neither for nor against it. Each statistic counts as an alarm by how rarely an honest agent
@@ -170,8 +177,8 @@ class SequentialConsistency(Integrity):
         """By name, (k,) statistics of the last batch that have a tail, see `tools/calibrate_integrity.py`."""
         of_agents = dict(zip(("contradictions", "deviation"), self._statistics.T, strict=True))
         rows = self._agents.rows
-        pairs, wider = self._pairs[np.ix_(rows, rows)][np.triu_indices(len(rows), 1)], self._wider(rows)
-        return of_agents | {"pair": pairs / wider, "own": self._of.own[rows] / wider, "apart": self._of_apart}
+        pairs, factor = self._pairs[np.ix_(rows, rows)][np.triu_indices(len(rows), 1)], self._evidence_factor(rows)
+        return of_agents | {"pair": pairs / factor, "own": self._of.own[rows] / factor, "apart": self._of_apart}
 
     def excuse(self, agent: str) -> None:
         if agent not in self._agents.names:
@@ -199,12 +206,12 @@ class SequentialConsistency(Integrity):
         vote = ~self._of.suspended[rows]
         evidence = Evidence.of(batch, vote)
         objects = self._existence.follow(batch.time_ns, evidence.boxes)
-        means = self._deviate(batch, evidence.boxes, objects)
+        means = self._note_deviations(batch, evidence.boxes, objects)
         self._add_disputes(evidence.testimonies, dt)
-        wider = self._wider(rows)
-        contradictions = self._of.contradictions[rows] / wider
+        factor = self._evidence_factor(rows)
+        contradictions = self._of.contradictions[rows] / factor
         self._statistics = np.column_stack([contradictions, self._of.deviation[rows]])
-        explanations, verdict = self._explain(batch, rows, wider)
+        explanations, verdict = self._explain(batch, rows, factor)
         rates = np.column_stack(
             [tail.rate(values) for tail, values in zip(self._tails, self._statistics.T, strict=True)]
         )
@@ -230,13 +237,13 @@ class SequentialConsistency(Integrity):
             self._reasons = {name: self._reasons[name] for name in self._agents.names if name in self._reasons}
         return rows
 
-    def _wider(self, rows: Ints) -> float:
+    def _evidence_factor(self, rows: Ints) -> float:
         """How many times as much evidence an alarm takes as is expected: by what is usual among the agents now.
 
         The middle of those that are not suspended, of two the lower one: half of them cannot raise it.
         """
         usual = np.sort(self._of.usual[rows[~self._of.suspended[rows]]])
-        return min(max(usual[(len(usual) - 1) // 2] / EXPECTED, 1.0), WIDER) if len(usual) else 1.0
+        return min(max(usual[(len(usual) - 1) // 2] / EXPECTED, 1.0), MOST_EVIDENCE) if len(usual) else 1.0
 
     def _alarm_at(self, statistic: int, agents: int) -> float:
         """The value from which one statistic alone, a column of `_statistics`, is an alarm."""
@@ -252,7 +259,7 @@ class SequentialConsistency(Integrity):
         weight = np.clip(1.0 - self._of.deviation[rows] / self._alarm_at(DEVIATION, len(rows)), MIN_MEDIAN_WEIGHT, 1.0)
         return np.asarray(np.where(self._of.suspended[rows], 0.0, weight))
 
-    def _deviate(self, batch: Batch, boxes: ClusterBoxes, objects: Ints) -> Means:
+    def _note_deviations(self, batch: Batch, boxes: ClusterBoxes, objects: Ints) -> Means:
         """The means of the deviations of a batch; notes the greatest of each agent, and who reports an object apart.
 
         objects: (c,) numbers of the clusters' objects
@@ -276,42 +283,45 @@ class SequentialConsistency(Integrity):
             self._apart_ns[one, other] = self._apart_ns[other, one] = batch.time_ns
         return means
 
-    def _summed(self, total: Floats, count: Floats | Ints, tail: Tail, dt: float, wider: float = 1.0) -> Floats:
+    def _summed(self, total: Floats, count: Floats | Ints, tail: Tail, dt: float, factor: float) -> Floats:
         """Cumulative sums after a batch with `count` contradictions.
 
         An honest agent errs about one object at a time: several at once are much rarer. Limited, so that they can be
-        forgotten again. wider: see `_wider`
+        forgotten again. factor: see `_evidence_factor`
         """
         after = accumulate(total, np.asarray(0.5 * count * (count + 1), np.float64), self.allowance, dt)
-        return np.minimum(after, 1.5 * wider * max(tail.value_at(self.false_alarms_per_hour / 10.0), tail.scale))
+        return np.minimum(after, 1.5 * factor * max(tail.value_at(self.false_alarms_per_hour / 10.0), tail.scale))
 
     def _add_disputes(self, testimonies: Testimonies, dt: float) -> None:
         """Add what a batch shows to all sums; those of absent agents and pairs fall as without evidence."""
         of, rows = self._of, self._agents.rows
         known = np.isin(self._agents.names, self.anchors)[rows]
         kinds = testimonies.accusations(np.where(of.lying[rows], 0.0, np.where(known, 1.0, WORD)))
-        fresh = self._existence.fresh(testimonies.contradicted, dt)
-        fresh |= of.suspended[rows]  # one that goes on with the same lies is not released
-        kinds *= fresh
+        counted = self._existence.counted(testimonies.contradicted, dt)
+        counted |= of.suspended[rows]  # one that goes on with the same lies is not released
+        kinds *= counted
         counts = np.zeros((2, len(of.own)))
         counts[:, rows] = kinds.max(axis=0).sum(axis=0), kinds[OF_ITSELF].max(axis=0).sum(axis=0)
         between = np.zeros(self._pairs.shape, np.int64)
-        between[np.ix_(rows, rows)] = testimonies.between(fresh)
+        between[np.ix_(rows, rows)] = testimonies.between(counted)
         # At first the mean of what there was, so that it is right soon.
         step = 1.0 - np.exp(-dt / np.clip(of.seen_s[rows], USUAL_FROM_S, USUAL_S))
         of.usual[rows] += step * (counts[0, rows] - of.usual[rows])
-        wider = self._wider(rows)
-        of.contradictions = self._summed(of.contradictions, counts[0], self._tails[CONTRADICTIONS], dt, wider)
-        of.own = self._summed(of.own, counts[1], OWN_TAIL, dt, wider)
-        self._pairs = self._summed(self._pairs, between, self._pair_tail, dt, wider)
+        factor = self._evidence_factor(rows)
+        of.contradictions = self._summed(of.contradictions, counts[0], self._tails[CONTRADICTIONS], dt, factor)
+        of.own = self._summed(of.own, counts[1], OWN_TAIL, dt, factor)
+        self._pairs = self._summed(self._pairs, between, self._pair_tail, dt, factor)
         of.kinds[rows] += dt * kinds.sum(axis=1).T
 
-    def _explain(self, batch: Batch, rows: Ints, wider: float) -> tuple[Explanations, Verdict]:
-        """The explanations of the disputes of the agents of a batch, and what they say of each. wider: see `_wider`"""
-        pairs, apart_ns = self._pairs[np.ix_(rows, rows)] / wider, self._apart_ns[np.ix_(rows, rows)]
+    def _explain(self, batch: Batch, rows: Ints, factor: float) -> tuple[Explanations, Verdict]:
+        """The explanations of the disputes of the agents of a batch, and what they say of each.
+
+        factor: see `_evidence_factor`
+        """
+        pairs, apart_ns = self._pairs[np.ix_(rows, rows)] / factor, self._apart_ns[np.ix_(rows, rows)]
         apart = (apart_ns > 0) & (batch.time_ns - apart_ns <= APART_S * 1e9)
         disputes = self._disputes = (self._pair_tail.rate(pairs) <= self.disputes_per_hour) | apart
-        lying = OWN_TAIL.rate(self._of.own[rows] / wider) <= self.false_alarms_per_hour / max(len(rows), 1)
+        lying = OWN_TAIL.rate(self._of.own[rows] / factor) <= self.false_alarms_per_hour / max(len(rows), 1)
         lying |= self._of.suspended[rows]
         honest = np.isin(batch.agents, self.anchors)
         key = disputes.tobytes() + lying.tobytes() + honest.tobytes()
@@ -341,10 +351,10 @@ class SequentialConsistency(Integrity):
     def _is_explained(self, row: int, boxes: ClusterBoxes, means: Means) -> bool:
         """Whether a fault of an agent may explain that its positions deviate."""
         most = int(self._deviating[row])
-        if OF[most] != POSITION:
+        if QUANTITY[most] != POSITION:
             return False
         arm = boxes.position[:, :2] - boxes.position[:, :2].mean(axis=0)
-        return means.left_by_fault(row, most, displacements(arm, boxes.velocity[:, :2])) <= EXPLAINED
+        return means.left_by_fault(row, most, displacements(arm, boxes.velocity[:, :2])) <= UNEXPLAINED
 
     def _update_suspensions(self, batch: Batch, rows: Ints, alarms: Bools, dt: float) -> None:
         """Suspend and release agents. alarms: (a, 2) of the statistics"""

@@ -14,6 +14,7 @@ import numpy as np
 
 from mast_zenoh.arrays.matching import neighbours
 from mast_zenoh.arrays.states import Bools, Floats, Ints
+from mast_zenoh.integrity.agreement import select
 from mast_zenoh.integrity.base import Batch, ClusterBoxes
 from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.kernels import kernel
@@ -303,19 +304,18 @@ def out_of_view(batch: Batch) -> Bools:
     return outside_view(states.position, states.size, states.yaw, margin, views, batch.agent, TOLERANCES)
 
 
-def better_known(batch: Batch, boxes: ClusterBoxes, voter: Bools) -> tuple[Ints, Ints, Floats]:
+def better_known(boxes: ClusterBoxes, witnesses: Ints) -> tuple[Ints, Ints, Floats]:
     """Pairs of an object (p,) and one beside it (p,) that more agents report, and the way (p, 2) m to the other one.
 
-    boxes: of the clusters; voter: (a,) agents that count. An agent reports the object that its sensor is on, too.
+    boxes: of c clusters; witnesses: (c,) number of agents that count and report each, or whose sensor is on it
     """
     half = 0.5 * np.hypot(boxes.size[:, 0], boxes.size[:, 1])
     i, j, dx, dy = neighbours(boxes.position, boxes.position, half + half.max(initial=0.0) + BESIDE_M)
-    witnesses = ((batch.reported | _carrying(boxes, current(batch.views))) & voter).sum(axis=1)
     beside = (np.hypot(dx, dy) <= half[i] + half[j] + BESIDE_M) & (witnesses[j] > witnesses[i])
     return i[beside], j[beside], np.column_stack([dx[beside], dy[beside]])
 
 
-def _carrying(boxes: ClusterBoxes, views: Sequence[SweptView | None]) -> Bools:
+def carrying(boxes: ClusterBoxes, views: Sequence[SweptView | None]) -> Bools:
     """(c, a) objects that an agent's sensor is on."""
     result = np.zeros((len(boxes.position), len(views)), np.bool_)
     for agent, view in enumerate(views):
@@ -363,8 +363,7 @@ def passed_nearby(batch: Batch, boxes: ClusterBoxes, voter: Bools) -> Bools:
         away = _distance(boxes.position, view)
         near = np.flatnonzero((away <= NEARBY_M) & (away > half) & ~batch.reported[:, agent])
         if len(near):
-            some = ClusterBoxes(*(column[near] for column in (boxes.position, boxes.velocity, boxes.size, boxes.yaw)))
-            result[near, agent] = clear_in_view(some, view)
+            result[near, agent] = clear_in_view(select(boxes, near), view)
     return result
 
 

@@ -10,9 +10,9 @@ from crossing import CAR, Place, world
 
 from mast_zenoh.integrity import Batch, SequentialConsistency
 from mast_zenoh.integrity.base import SUSPENDED
-from mast_zenoh.integrity.existence import CONTESTED, CONTESTED_TIMES, PERSISTENT_S, ExistenceVotes
+from mast_zenoh.integrity.existence import CONTESTED, CONTESTED_TIMES, COUNTED_S, ExistenceVotes
 from mast_zenoh.integrity.memory import AgentMemory
-from mast_zenoh.integrity.sequential import CONTRADICTION_TAIL, EXPECTED, WIDER
+from mast_zenoh.integrity.sequential import CONTRADICTION_TAIL, EXPECTED, MOST_EVIDENCE
 
 #: Cars that two liars of five invent where two honest agents look.
 CARS: list[Place] = [(10.0, -12.0), (-8.0, -10.0), (0.0, -8.0), (-10.0, 10.0), (-10.0, 0.0)]
@@ -72,12 +72,12 @@ def accustomed(usual: float, agents: int) -> SequentialConsistency:
     return stage
 
 
-@pytest.mark.parametrize(("usual", "times"), [(0.0, 1.0), (3 * EXPECTED, 3.0), (100.0, WIDER)])
+@pytest.mark.parametrize(("usual", "times"), [(0.0, 1.0), (3 * EXPECTED, 3.0), (100.0, MOST_EVIDENCE)])
 def test_alarms_widen_with_what_is_usual_among_the_agents_up_to_a_limit(usual: float, times: float) -> None:
     stage = accustomed(usual, 3)
-    assert stage._wider(stage._agents.rows) == pytest.approx(times)
+    assert stage._evidence_factor(stage._agents.rows) == pytest.approx(times)
     stage = accustomed(usual, 2)
-    assert stage._wider(stage._agents.rows) == 1.0, "two of five cannot widen them"
+    assert stage._evidence_factor(stage._agents.rows) == 1.0, "two of five cannot widen them"
 
 
 def test_a_liar_is_suspended_later_where_contradictions_are_usual() -> None:
@@ -93,4 +93,4 @@ def test_a_liar_is_suspended_later_where_contradictions_are_usual() -> None:
 def test_one_object_adds_less_than_an_alarm_of_any_number_of_agents_takes() -> None:
     stage = SequentialConsistency()
     least = CONTRADICTION_TAIL.value_at(stage.false_alarms_per_hour / 4)
-    assert PERSISTENT_S * (1.0 - stage.allowance) < least
+    assert COUNTED_S * (1.0 - stage.allowance) < least

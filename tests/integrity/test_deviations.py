@@ -23,7 +23,7 @@ from mast_zenoh.integrity.deviations import (
     Means,
     deviations,
 )
-from mast_zenoh.integrity.sequential import EXPLAINED
+from mast_zenoh.integrity.sequential import UNEXPLAINED
 
 AGENTS = ("a", "b", "c")
 
@@ -45,7 +45,7 @@ def test_the_deviation_of_one_of_three_is_seen_in_its_own_track() -> None:
     given = batch([("a", 0, (0.0, 0.0)), ("b", 0, (0.1, 0.0)), ("c", 0, (1.5, 0.0))], AGENTS)
     found = measured(given)
     assert found.agent.tolist() == [0, 1, 2]
-    metres = found.whitened[:, POSITION] * found.deviation[:, POSITION, None]
+    metres = found.whitened[:, POSITION] * found.std[:, POSITION, None]
     assert metres[:, 0] == pytest.approx([-0.1, 0.0, 1.4])
     assert not metres[:, 1].any()
 
@@ -75,7 +75,7 @@ def test_each_quantity_is_compared_by_itself(changed: dict[str, Floats], quantit
 def test_a_heading_is_compared_by_its_axis() -> None:
     assert three(yaw=np.pi).whitened[2, HEADING] == pytest.approx([0.0, 0.0], abs=1e-9)
     small = three(yaw=0.05)
-    assert small.whitened[2, HEADING, 1] * small.deviation[2, HEADING] == pytest.approx(0.05, rel=0.01)
+    assert small.whitened[2, HEADING, 1] * small.std[2, HEADING] == pytest.approx(0.05, rel=0.01)
 
 
 def test_the_headings_of_square_boxes_and_the_sizes_of_pedestrians_are_not_judged() -> None:
@@ -116,7 +116,7 @@ def means(lasting: LastingDeviations, frame: int, given: Deviations, agents: int
 def test_a_deviation_counts_the_more_the_longer_it_lasts_up_to_its_own_size() -> None:
     lasting = LastingDeviations()
     at_once, lasts = np.array(
-        [(found.length * found.deviation)[0, :2] for frame in range(200) for found in [means(lasting, frame, of(1.0))]]
+        [(found.length * found.usual)[0, :2] for frame in range(200) for found in [means(lasting, frame, of(1.0))]]
     ).T
     assert at_once[3] > 0.6
     assert lasts[3] < 0.2
@@ -189,7 +189,7 @@ def test_two_tracks_that_liars_moved_the_middle_from_are_not_apart_because_one_b
     given = of(6.0, agents=2)
     for frame in range(30):
         some = np.arange(2) < (1 if frame < later else 2)
-        columns = given.cluster, given.agent, given.whitened, given.judged, given.deviation
+        columns = given.cluster, given.agent, given.whitened, given.judged, given.std
         found = means(lasting, frame, Deviations(*(column[some] for column in columns)), 2)
     assert found.length[0, 1] > 1.1 * found.length[1, 1]
     assert found.apart(np.ones(2, np.bool_))[2] == pytest.approx(0.0, abs=1e-9)
@@ -209,11 +209,11 @@ def test_a_deviation_is_a_lie_as_far_as_no_fault_of_the_agent_explains_it(seed: 
         ).left_by_fault(0, 1, design)
 
     for fault in ([1.0, -0.5, 0.0, 0.0], [0.0, 0.0, 0.03, 0.0], [0.0, 0.0, 0.0, 0.2]):
-        assert left(design @ fault) < 0.5 * EXPLAINED
+        assert left(design @ fault) < 0.5 * UNEXPLAINED
     one, half = np.zeros((12, 2)), np.zeros((12, 2))
     one[4] = half[::2] = 1.0, 0.0
-    assert left(one) > EXPLAINED
-    assert left(half) > EXPLAINED
+    assert left(one) > UNEXPLAINED
+    assert left(half) > UNEXPLAINED
 
 
 def test_several_smaller_deviations_are_as_much_evidence_as_one() -> None:

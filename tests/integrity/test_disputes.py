@@ -7,8 +7,6 @@ import pytest
 from integrity_batches import Track, batch, view
 
 from mast_zenoh.integrity import disputes
-from mast_zenoh.integrity.base import ClusterBoxes
-from mast_zenoh.integrity.visibility import better_known
 
 EVERYBODY = np.ones(3, np.bool_)
 CORNERS = {"a": (-20.0, 0.0), "b": (20.0, 0.0), "c": (0.0, 20.0)}
@@ -116,7 +114,7 @@ def test_a_report_outside_the_own_field_of_view_is_no_claim() -> None:
     looking_away = view(CORNERS["a"], CAR_AT_ORIGIN, max_range=10.0)
     views = {name: view(place) for name, place in CORNERS.items()} | {"a": looking_away}
     found = disputes.Evidence.of(batch(tracks, tuple(CORNERS), views), EVERYBODY)
-    assert found.unseen.tolist() == [[True, False, False]]
+    assert found.out_of_view.tolist() == [[True, False, False]]
     assert not found.testimonies.claims.any()
     assert not found.testimonies.accusations(EVERYBODY).any()
     assert not np.any(contradictions(found.testimonies))
@@ -148,6 +146,4 @@ def test_what_few_report_and_drives_as_one_with_a_car_is_no_object_of_its_own(
     given = batch(
         tracks, tuple("abcde"), velocity={k: (speed, 0.0) for k, speed in enumerate(speeds)}, size={1: (0.6, 0.6, 1.7)}
     )
-    boxes, voter = ClusterBoxes.of(given), np.ones(5, np.bool_)
-    _, driving = disputes.attached(given, boxes, voter, better_known(given, boxes, voter))
-    assert driving.tolist() == [False, expected]
+    assert disputes.Evidence.of(given, np.ones(5, np.bool_)).attached.tolist() == [False, expected]

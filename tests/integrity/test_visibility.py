@@ -121,8 +121,8 @@ def refuted_by(place: tuple[float, float], swept: SweptView, of_neighbour: str, 
     tracks: list[Track] = [(name, 0, place) for name in person] + [(name, 1, NEIGHBOUR) for name in of_neighbour]
     given = batch(tracks, "abcv", {"v": swept}, size={0: PERSON})
     boxes, voters = ClusterBoxes.of(given), np.array([name in voter for name in given.agents])
-    rays, known = rays_at(given, boxes, current(given.views)), better_known(given, boxes, voters)
-    refuted = passed_to_others(given, boxes, rays, voters, known)
+    beside = better_known(boxes, (given.reported & voters).sum(axis=1))
+    refuted = passed_to_others(given, boxes, rays_at(given, boxes, current(given.views)), voters, beside)
     assert not refuted[1].any(), "the car"
     return refuted[0].tolist()
 
