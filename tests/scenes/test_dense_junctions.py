@@ -59,7 +59,7 @@ def time_gaps(recording: Recording) -> np.ndarray:
     return np.concatenate(gaps)
 
 
-def test_the_usual_crowd_is_the_one_of_before() -> None:
+def test_sparse_traffic_is_that_of_earlier_versions() -> None:
     recording = Intersection(scene_index=1, n_infrastructure=1, dense=False).record(3, 20)
     digest = hashlib.sha256()
     for column in (recording.truth.position, recording.truth.velocity, recording.truth.size):

@@ -1,7 +1,7 @@
 """Drivers that differ: how fast, how close behind each other and how late each drives is drawn per vehicle.
 
 Time headways are log-normal, as measured ones are; the parameters are chosen so that the time gaps of moving followers
-are about as in the clips of NGSIM: 20 % below 1 s, 15 % there, and 5 % below 0.67 s, as there.
+are about those of the clips of NGSIM: 20 % are below 1 s (15 % in the clips), and 5 % below 0.67 s, as in the clips.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _PLATOON_SPEED = 0.8  # of its first car; the others would be faster
 _PLATOON_CHANCE = 0.5  # in each scene
 
 
-def differing(movers: Movers, random: np.random.Generator) -> Movers:
+def with_differing_drivers(movers: Movers, random: np.random.Generator) -> Movers:
     """The movers with vehicles whose drivers differ, in some scenes with a platoon among them."""
     road = movers.user == ROAD
 

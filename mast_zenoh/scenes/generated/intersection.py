@@ -12,10 +12,10 @@ from mast_zenoh.arrays.geometry import rotation_from_yaw, rotation_from_yaw_pitc
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats, Ints, ObjectStates
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.scenes.base import Scene
-from mast_zenoh.scenes.generated.differing_drivers import differing
+from mast_zenoh.scenes.generated.differing_drivers import with_differing_drivers
 from mast_zenoh.scenes.generated.driven import DrivenTraffic, JunctionWorld
 from mast_zenoh.scenes.generated.junction import PAVEMENT, PAVEMENT_END, REACH, ROAD, Arm, arms_of, corners, plan
-from mast_zenoh.scenes.generated.parked import ParkedCars, no_parked_cars, parked_cars
+from mast_zenoh.scenes.generated.parked import ParkedCars, parked_cars
 from mast_zenoh.scenes.generated.traffic import Motion, Movers, Network, Traffic, road_users
 from mast_zenoh.scenes.making.observe import World, detect, lidar_visibility, make_recording
 from mast_zenoh.scenes.making.sensor_types import SensorsByAgent, equip
@@ -204,7 +204,7 @@ class Intersection(Scene):
             round(1e9 / self.rate_hz),
             np.concatenate([site.movers.size, site.parked.size]),
             [*site.kinds, *["car"] * len(site.parked.yaw)],
-            motion.beside(site.parked.position, site.parked.yaw),
+            motion.with_standing(site.parked.position, site.parked.yaw),
             motorised,
             _poles(site.junction, _POLES if self.n_infrastructure is None else self.n_infrastructure),
             site.junction.buildings,
@@ -272,12 +272,11 @@ def _site(scene_index: int, counts: tuple[int, int, int], seed: int, dense: bool
     movers, kinds = road_users(
         junction.network, dict(zip(("vehicle", "bicycle", "pedestrian"), counts, strict=True)), random
     )
-    if not dense:
-        return _Site(junction, movers, kinds, no_parked_cars())
-    movers = differing(movers, stream(seed, "intersection", scene_index, "drivers"))
-    random = stream(seed, "intersection", scene_index, "parked")
-    count = max(_PARKED, int(random.integers(*_WITH_PARKED, endpoint=True)) - counts[0])
-    return _Site(junction, movers, kinds, parked_cars(junction.arms, random, count))
+    parked, random = 0, stream(seed, "intersection", scene_index, "parked")
+    if dense:
+        movers = with_differing_drivers(movers, stream(seed, "intersection", scene_index, "drivers"))
+        parked = max(_PARKED, int(random.integers(*_WITH_PARKED, endpoint=True)) - counts[0])
+    return _Site(junction, movers, kinds, parked_cars(junction.arms, random, parked))
 
 
 def _steps(rate_hz: float) -> tuple[int, float]:

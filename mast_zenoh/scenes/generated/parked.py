@@ -29,11 +29,6 @@ class ParkedCars:
     size: Floats
 
 
-def no_parked_cars() -> ParkedCars:
-    """A junction without parked cars."""
-    return ParkedCars(np.zeros((0, 2)), np.zeros(0), np.zeros((0, 3)))
-
-
 def parked_cars(arms: tuple[Arm, ...], random: np.random.Generator, count: int) -> ParkedCars:
     """`count` cars, or as many as there are bays, parked along the arms; some kerbs are fuller than others."""
     bays, weight = [], []

@@ -195,7 +195,7 @@ class Motion:
         """The selected frames."""
         return Motion(self.position[index], self.yaw[index], self.speed[index], self.path[index])
 
-    def beside(self, position: Floats, yaw: Floats) -> Motion:
+    def with_standing(self, position: Floats, yaw: Floats) -> Motion:
         """The motion of the movers, and then that of p objects that stand. position (p, 2) m, yaw (p,) rad"""
         frames, p = len(self.yaw), len(yaw)
         return Motion(
@@ -279,7 +279,7 @@ class Traffic:
         gap, leader_speed = self._noticed(*self._leader())
         to_line = end - self.s - movers.size[:, 0] / 2
         self.must_stop = self._right_of_way(to_line)
-        # Who follows closely does not brake for lines as late.
+        # A close follower brakes for a line as early as others.
         for_line = np.maximum(movers.headway, _LINE_HEADWAY_S) if movers.exact_headway else movers.headway
         stopping = self._follow(to_line + movers.gap - _STOP_AHEAD, np.zeros(len(gap)), for_line)
         acceleration = np.minimum(
