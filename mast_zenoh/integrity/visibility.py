@@ -117,8 +117,7 @@ def ray_evidence(
     c, a = len(position), len(views) if only is None else 1
     through, ends = np.zeros((c, a), np.bool_), np.zeros((c, a), np.bool_)
     points = sample_points(position, size, yaw, np.full(c, tolerances.outside_m), _AROUND)
-    half_width = 0.5 * np.minimum(size[:, 0], size[:, 1])
-    needed = 1.0 - 0.5 * half_width / (half_width + tolerances.outside_m)
+    needed = _needed_share(size, tolerances)
     half = 0.5 * np.hypot(size[:, 0], size[:, 1])
     for rows, column, view in _asked(c, views, only):
         if view.free.size == 0:
@@ -185,6 +184,12 @@ def _asked(c: int, views: Sequence[SweptView | None], only: Ints | None) -> Iter
         rows = np.arange(c) if only is None else np.flatnonzero(only == number)
         if view is not None and len(rows):
             yield rows, number if only is None else 0, view
+
+
+def _needed_share(size: Floats, tolerances: Tolerances) -> Floats:
+    """(c,) share of the points in and around boxes that rays must pass, see `ray_evidence`. size: (c, 3) m"""
+    half_width = 0.5 * np.minimum(size[:, 0], size[:, 1])
+    return np.asarray(1.0 - 0.5 * half_width / (half_width + tolerances.outside_m))
 
 
 def _distance(position: Floats, view: SweptView) -> Floats:
@@ -399,9 +404,7 @@ def clear_in_view(boxes: ClusterBoxes, view: SweptView) -> Bools:
     with np.errstate(invalid="ignore"):
         through = (free > ranges + TOLERANCES.behind_m).reshape(len(position), -1).mean(axis=1)
     in_view = inside.reshape(len(position), -1).mean(axis=1)
-    half_width = 0.5 * np.minimum(boxes.size[:, 0], boxes.size[:, 1])
-    needed = 1.0 - 0.5 * half_width / (half_width + TOLERANCES.outside_m)
-    clear = (in_view >= LEAST_IN_VIEW) & (through > needed * in_view)
+    clear = (in_view >= LEAST_IN_VIEW) & (through > _needed_share(boxes.size, TOLERANCES) * in_view)
     return np.asarray(clear & (_distance(position, view) <= TOLERANCES.far_m))
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import abstractmethod
 
 import numpy as np
-from informed_liars import ALL, CHANGED, LiesAtOnce, _cars_at, nearest_m
+from informed_liars import ALL, CHANGED, LiesAtOnce, cars_at, nearest_m
 
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats, ObjectStates, concatenate
 from mast_zenoh.attacks.adaptive import AdaptiveAttack, Lies, Moment
@@ -112,7 +112,7 @@ class Scapegoats(UnlimitedLiar):
         centre = moment.position if ego is None else ego.route.position_at(10.0 * (moment.time_s // 10.0))
         axis = np.arange(-48.0, 48.1, self.step_m)
         xy = np.round(centre[:2] / self.step_m) * self.step_m + np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
-        cars = _cars_at(xy, np.zeros(len(xy)), moment)
+        cars = cars_at(xy, np.zeros(len(xy)), moment)
         boxes = boxes_of(cars)
         looks = np.array(
             [moment.coverage.visible(view, boxes) for view in self._surroundings.other_views(moment.time_s)]

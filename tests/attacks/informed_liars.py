@@ -237,7 +237,7 @@ class UndeniedCars(PhantomAttack):
         self._born_ns = np.append(self._born_ns, np.full(len(chosen), moment.time_ns, np.int64))
 
 
-def _cars_at(xy: Floats, yaw: Floats, moment: Moment) -> ObjectStates:
+def cars_at(xy: Floats, yaw: Floats, moment: Moment) -> ObjectStates:
     """Cars on the ground at xy (k, 2) m with yaw (k,) rad."""
     k = len(xy)
     position = np.column_stack([xy, np.full(k, ground_height(moment.seen) + 0.5 * BOX[2])])
@@ -266,7 +266,7 @@ class WallHugger(UndeniedCars):
         inward = np.where(self._surroundings.inside_buildings(point + 0.3 * normal)[:, None], normal, -normal)
         yaw = np.arctan2(along[:, 1], along[:, 0])
         near = np.linalg.norm(point - moment.position[:2], axis=1) < 65.0
-        cars, outside = (_cars_at((point + inward * depth)[near], yaw[near], moment) for depth in (0.5, -0.5))
+        cars, outside = (cars_at((point + inward * depth)[near], yaw[near], moment) for depth in (0.5, -0.5))
         return cars, moment.coverage.honest_viewers(outside) > 0
 
 
@@ -278,7 +278,7 @@ class BlindSwarm(UndeniedCars):
 
     def _spots(self, moment: Moment, centre: Floats, rng: np.random.Generator) -> tuple[ObjectStates, Bools]:
         xy = centre[:2] + rng.uniform(-60.0, 60.0, (self.tries, 2))
-        return _cars_at(xy, rng.choice([0.0, 0.5 * np.pi], self.tries), moment), np.ones(self.tries, bool)
+        return cars_at(xy, rng.choice([0.0, 0.5 * np.pi], self.tries), moment), np.ones(self.tries, bool)
 
 
 class Zombie(AdaptiveAttack):
