@@ -17,6 +17,7 @@ EXPECTED: dict[str, Callable[[Any], bool]] = {
     "more than 0 and at most 1": lambda value: 0.0 < value <= 1.0,
     "0 or more": lambda value: value >= 0.0,
     "0 or more, finite": lambda value: 0.0 <= value < inf,
+    "0 to 1000": lambda value: 0.0 <= value <= 1e3,
     "0 to 1": lambda value: 0.0 <= value <= 1.0,
     "1 or more": lambda value: value >= 1.0,
     "2 or more": lambda value: value >= 2.0,

@@ -13,6 +13,7 @@ from mast_zenoh.integrity.visibility import (
     RayEvidence,
     Sightings,
     better_known,
+    carrying,
     current,
     lenient_sightings,
     out_of_view,
@@ -106,16 +107,17 @@ def in_place(batch: Batch, boxes: ClusterBoxes) -> Bools:
     return np.asarray((np.hypot(away[:, 0], away[:, 1]) <= SAME_PLACE_M) & (away[:, 2] <= SAME_HEIGHT_M))
 
 
-def attached(boxes: ClusterBoxes, few: Bools, beside: tuple[Ints, Ints, Floats]) -> tuple[Bools, Bools]:
-    """(c,) objects of few agents close before or behind another one, in its path; and (c,) those that drive as one with it.
+def attached(boxes: ClusterBoxes, few: Bools, certain: Bools, beside: tuple[Ints, Ints, Floats]) -> tuple[Bools, Bools]:
+    """(c,) objects of few agents close before or behind a certain one, in its path; (c,) those that drive as one.
 
-    boxes: of the clusters; few: (c,) whether fewer than half of the agents report it; beside: see `better_known`
+    boxes: of the clusters; few: (c,) whether fewer than half of the agents report it; certain: (c,) whether it exists
+    beside: see `better_known`
     """
     i, j, offset = beside
     velocity, other = boxes.velocity[i, :2], boxes.velocity[j, :2]
     across = np.abs(np.cos(boxes.yaw[j]) * offset[:, 1] - np.sin(boxes.yaw[j]) * offset[:, 0])
     grown = boxes.size + np.array([2.0 * TOUCH_M, 2.0 * TOUCH_M, 0.0])
-    touches = few[i] & (across <= 0.5 * boxes.size[j, 1])
+    touches = few[i] & certain[j] & (across <= 0.5 * boxes.size[j, 1])
     touches &= overlap(offset, boxes.size[i], boxes.yaw[i], grown[j], boxes.yaw[j], 1.0)
     as_one = (np.linalg.norm(velocity, axis=1) >= DRIVES_MPS) & (np.linalg.norm(velocity - other, axis=1) <= AS_ONE_MPS)
     touching, driving = np.zeros((2, len(few)), np.bool_)
@@ -174,6 +176,7 @@ class Testimonies:
         batch: Batch,
         boxes: ClusterBoxes,
         own: Bools,
+        impossible: Bools,
         seen: Sightings,
         rays: RayEvidence,
         outside: Bools,
@@ -182,16 +185,16 @@ class Testimonies:
         """The testimonies of a batch.
 
         boxes: of its clusters; own: (c, a) whether the agent sees through its own track of the object
+        impossible: (c, a) see `Testimonies`
         seen, rays: what the sensors see of the objects, and what their rays show
         outside: (c, a) whether the agent reports the object outside its own view
         voter: (a,) agents that are not suspended: others accuse nobody
         """
-        reported, states = batch.reported, batch.states
-        impossible = of_tracks(batch, ~(plausible_size(states) & on_ground(states, batch.agent, len(batch.agents))))
+        reported = batch.reported
         claims = reported & ~own & ~outside & ~impossible & of_tracks(batch, in_place(batch, boxes))
         silent = ~reports_nearby(batch, boxes) & ~rays.mostly_clear & rays.ends & seen.in_view
         least = np.full((batch.clusters, 3), np.inf)  # reported sizes: two liars can make the middle one large
-        np.minimum.at(least, batch.labels, states.size)
+        np.minimum.at(least, batch.labels, batch.states.size)
         silent &= conspicuous(least, seen.distance)
         return cls(
             claims=claims,
@@ -248,12 +251,18 @@ class Evidence:
     @classmethod
     def of(cls, batch: Batch, voter: Bools) -> Evidence:
         """The evidence of a batch. voter: (a,) agents that are not suspended"""
-        boxes = ClusterBoxes.of(batch, np.broadcast_to(voter, batch.reported.shape))
+        reported, states = batch.reported & voter, batch.states
+        impossible = of_tracks(batch, ~(plausible_size(states) & on_ground(states, batch.agent, len(batch.agents))))
+        boxes = ClusterBoxes.of(batch, ~impossible & voter)
         seen, own = lenient_sightings(batch, boxes)
         rays = rays_at(batch, boxes, current(batch.views))
-        outside, reported = of_tracks(batch, out_of_view(batch)), batch.reported & voter
-        beside = better_known(boxes, (reported | carrying(boxes, current(batch.views)) & voter).sum(axis=1))
+        outside = of_tracks(batch, out_of_view(batch))
+        testimonies = Testimonies.of(batch, boxes, own, impossible, seen, rays, outside, voter)
+        claiming = (testimonies.claims & voter).sum(axis=1)
+        under_sensor = (carrying(boxes, current(batch.views)) & voter).any(axis=1)
+        beside = better_known(boxes, claiming + under_sensor)
         passed = passed_to_others(batch, boxes, rays, voter, beside) | passed_nearby(batch, boxes, voter)
-        hang_on = attached(boxes, 2 * reported.sum(axis=1) < len(voter), beside)
-        testimonies = Testimonies.of(batch, boxes, own, seen, rays, outside, voter)
+        # Those that may lie can neither make an object certain, nor another agent's place but their own.
+        certain = (2 * claiming > len(voter)) | (under_sensor & (claiming > 0))
+        hang_on = attached(boxes, 2 * reported.sum(axis=1) < len(voter), certain, beside)
         return cls(batch, boxes, seen, rays, outside, passed, *hang_on, testimonies)

@@ -107,9 +107,10 @@ class ExistenceVotes:
         denied = np.flatnonzero(claims.any(axis=1) & (clear & voter).any(axis=1))
         refuted = np.zeros(len(rows), np.bool_)
         refuted[denied] = explanations.false(claims[denied] | (silent[denied] & voter), clear[denied] & voter)
-        doubtful = self._doubtful(batch.time_ns, claims, refuted)
-        refuted |= ~claims.any(axis=1) & (contradicting > confirming)
-        balance = self._votes.vote(rows, np.where(refuted, -1.0, 1.0))
+        false = refuted | (~claims.any(axis=1) & (contradicting > confirming))
+        balance = self._votes.vote(rows, np.where(false, -1.0, 1.0))
+        lasting = (balance < 0.0) & (batch.time_ns - self._of.first_ns[rows] >= VOTE_MEMORY_S * 1e9)
+        doubtful = self._doubtful(batch.time_ns, claims, refuted & lasting)
         self._note_witnesses(batch, claims)
         unwatched = reported & ~clear & ~impossible & ~(seen.in_view & voter & ~reported).any(axis=1, keepdims=True)
         one = (reported.sum(axis=1) == 1)[:, None]  # what a suspended agent reports, too, is not reported alone
@@ -119,7 +120,7 @@ class ExistenceVotes:
         usual = self._usual[agent_rows]
         claimed = claims.any(axis=1) | self._oldest(unwatched & ~voter, np.rint(usual[:, 0]))
         most = self._most_alone(alone.sum(axis=0), usual, voter)
-        few = (2 * claims.sum(axis=1) < len(batch.agents)) & (clear & voter).any(axis=1) & ~refuted
+        few = (2 * claims.sum(axis=1) < len(batch.agents)) & (clear & voter).any(axis=1) & ~false
         contested = claims & few[:, None]
         most_contested = self._most_contested(usual, voter)
         beyond = alone.any(axis=1) & ~self._oldest(alone, most)
@@ -144,7 +145,7 @@ class ExistenceVotes:
     def _doubtful(self, time_ns: int, claims: Bools, refuted: Bools) -> Bools:
         """(c,) objects that only those claim whose claims of them were refuted lately, though they may be open now.
 
-        claims: (c, a); refuted: (c,) objects that are false in every explanation now
+        claims: (c, a); refuted: (c,) false in every explanation, now and for most of the last half second
         """
         place = np.ix_(self._rows, self._agents.rows)
         until_ns = self._false_until_ns[place]

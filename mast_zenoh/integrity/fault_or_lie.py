@@ -55,9 +55,11 @@ class FaultOrLie(Integrity):
     memory_s: float = 3.0
 
     def __post_init__(self) -> None:
-        check("more than 0", significance=self.significance, memory_s=self.memory_s)
+        check("more than 0, finite", significance=self.significance, memory_s=self.memory_s)
         check("0 or more, finite", least_m=self.least_m)
         check("0 to 1", share=self.share)
+        if isinstance(self.stage, FaultOrLie):
+            raise ValueError("stage: found FaultOrLie, expected another stage: faults are corrected once")
         self._stage = self.stage or SequentialConsistency()
         self._faults = RelativeFaults(self.significance, self.least_m, self.share, self.memory_s)
         self.reset()

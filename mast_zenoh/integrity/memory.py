@@ -106,7 +106,11 @@ class ObjectMemory(_Rows):
         predicted = of.position[kept] + of.velocity[kept] * gap[:, None]
         gate = self._gate_m + 0.5 * self._acceleration * gap * gap
         i, j, dx, dy = neighbours(predicted, position, gate)
-        chosen = greedy_matching(i, j, np.hypot(dx, dy))
+        # In space: a liar's box above an object must not take its number.
+        distance = np.sqrt(dx**2 + dy**2 + (position[j, 2] - predicted[i, 2]) ** 2)
+        near = distance <= gate[i]
+        i, j = i[near], j[near]
+        chosen = greedy_matching(i, j, distance[near])
         rows = np.full(c, -1, np.int64)
         rows[j[chosen]] = i[chosen]
         new = np.flatnonzero(rows < 0)

@@ -84,7 +84,8 @@ class SequentialConsistency(Integrity):
     Two statistics for each agent: the cumulative sum of contradictions in progress: objects that others see through (if
     one agent alone does, half), that no road user can be, or that it reports twice, each for COUNTED_S after the first
     BRIEF_S, relative to what is usual among the agents now; and the greatest deviation of one of its tracks from the
-    median of the agents, in position, velocity, heading or size, as long as it lasts, relative to what is usual in the run
+    median of the agents, in position, velocity, heading or size, as long as it lasts, relative to what is usual in the
+    run
     (`LastingDeviations`). One object alone, however long it is contradicted, is thus no alarm: honest detectors have
     such errors, and the object is withheld. What an agent's own sensor sees through, or is outside its own view, is no
     claim of it, and counts neither for nor against it. Each statistic counts as an alarm by how rarely an honest agent
@@ -104,8 +105,9 @@ class SequentialConsistency(Integrity):
     An agent's log-odds are the logarithm of how often an honest agent would look worse, relative to the permitted rate.
 
     Weaknesses: a lie that no other agent could notice, or only as many as may be lying themselves, is believed, up to a
-    few objects; pedestrians may be moved by half a metre. Suspending an agent costs the objects that it alone reports
-    and that were not known before. Needs views for all but the deviations.
+    few objects where others look, and ten and more where nobody does; pedestrians may be moved by half a metre.
+    Suspending an agent costs the objects that it alone reports and that were not known before. Needs views for all but
+    the deviations.
     """
 
     anchors: tuple[str, ...] = ()
@@ -119,7 +121,7 @@ class SequentialConsistency(Integrity):
 
     def __post_init__(self) -> None:
         check(
-            "more than 0",
+            "more than 0, finite",
             false_alarms_per_hour=self.false_alarms_per_hour,
             release_s=self.release_s,
             disputes_per_hour=self.disputes_per_hour,

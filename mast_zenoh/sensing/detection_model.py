@@ -183,7 +183,7 @@ class DetectionModel(Detector):
     report_covariance: whether detections have a position covariance
     white:             whether everything is independent from frame to frame; the parameters below have no effect then
     view_share:        share of the errors' variance that stays with the object and the viewing angle
-    view_angle_deg:    difference of viewing angles at which that part correlates by 0.6; 30 or more
+    view_angle_deg:    difference of viewing angles at which that part correlates by 0.6; 30 to 360
     white_share:       share of the errors' variance that is new in each frame
     error_s:           s, time constant of the part that wanders
     miss_s:            s, time constant of what decides whether an object is detected: misses come in episodes
@@ -219,17 +219,17 @@ class DetectionModel(Detector):
 
     def __post_init__(self) -> None:
         scales = "points_scale", "range_scale_m"
-        check("more than 0", **{name: getattr(self, name) for name in scales})
+        check("more than 0 and at most 1000", **{name: getattr(self, name) for name in scales})
         noises = "position_noise_m", "vertical_noise_m", "size_noise_m", "yaw_noise_deg", "few_points"
-        clutter = "clutter_rate", "clutter_range_m"
-        check("0 or more", **{name: getattr(self, name) for name in (*noises, *clutter)})
+        numbers = "min_points", "clutter_rate", "clutter_range_m"
+        check("0 to 1000", **{name: getattr(self, name) for name in (*noises, *numbers)})
         shares = "flip_probability", "wrong_class", "view_share", "white_share", "lasting_clutter"
         check("0 to 1", **{name: getattr(self, name) for name in shares})
         check("True or False", white=self.white)
         times = "error_s", "miss_s", "clutter_s", "blip_s"
-        check("more than 0", **{name: getattr(self, name) for name in times})
-        if not _SMALLEST_VIEW_DEG <= self.view_angle_deg < np.inf:
-            raise ValueError(f"view_angle_deg: found {self.view_angle_deg}, expected {_SMALLEST_VIEW_DEG:g} or more")
+        check("more than 0, finite", **{name: getattr(self, name) for name in times})
+        if not _SMALLEST_VIEW_DEG <= self.view_angle_deg <= 360.0:
+            raise ValueError(f"view_angle_deg: found {self.view_angle_deg}, expected {_SMALLEST_VIEW_DEG:g} to 360")
         if self.view_share + self.white_share > 1.0:
             found = f"{self.view_share} and {self.white_share}"
             raise ValueError(f"view_share, white_share: found {found}, expected a sum of at most 1")
