@@ -48,7 +48,10 @@ class ExistenceVotes:
     through, are open as long as either may be lying: of each agent's, not many more are believed than what is usual,
     unless those that deny them dispute as many objects.
 
-    agents: the memory of agents, with a column `suspended`; it is updated by the caller
+    Who is suspended because of how its objects look or move is heard about whether they exist; its tracks count where
+    nobody else reports the object.
+
+    agents: the memory of agents, with columns `suspended` and `misdescribes`; they are updated by the caller
     """
 
     def __init__(self, agents: AgentMemory) -> None:
@@ -97,7 +100,8 @@ class ExistenceVotes:
         """
         batch, boxes, seen, rays = evidence.batch, evidence.boxes, evidence.seen, evidence.rays
         impossible, reported, rows = evidence.testimonies.impossible, batch.reported, self._rows
-        believed, agent_rows = ~self._agents.of.suspended, self._agents.rows
+        agents, agent_rows = self._agents.of, self._agents.rows
+        believed = ~agents.suspended | agents.misdescribes
         voter = believed[agent_rows]
         clear, silent = rays.mostly_clear | evidence.passed, silent_about(batch, boxes, seen, rays, FAR_M)
         silent &= ~evidence.passed
@@ -140,7 +144,8 @@ class ExistenceVotes:
             (clear & voter).sum(axis=1),
             withheld,
         )
-        return objects, batch.weights(claims)
+        trusted = claims & ~agents.suspended[agent_rows]
+        return objects, batch.weights(trusted | (claims & ~trusted.any(axis=1, keepdims=True)))
 
     def _doubtful(self, time_ns: int, claims: Bools, refuted: Bools) -> Bools:
         """(c,) objects that only those claim whose claims of them were refuted lately, though they may be open now.

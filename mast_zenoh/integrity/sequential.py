@@ -144,9 +144,10 @@ class SequentialConsistency(Integrity):
         # awaited_s: for which an agent was to be suspended that may have a fault
         # usual: mean number of its objects that are contradicted
         # suspended_ns: time, ns, of the last suspension;  for_deviation: whether that was for a deviation alone
+        # misdescribes: whether that was for a velocity, a heading or a size: its objects are where it says
         # quiet_ns: time, ns, of the last batch without evidence;  lying: whether it lies in every explanation
         sums = dict.fromkeys(("contradictions", "own", "clean_s", "deviation", "seen_s", "awaited_s"), 0.0)
-        flags = dict(suspended=False, for_deviation=False, lying=False)
+        flags = dict.fromkeys(("suspended", "for_deviation", "misdescribes", "lying"), False)
         self._agents = AgentMemory(
             forget_s=600.0,
             number=-1,
@@ -383,6 +384,8 @@ class SequentialConsistency(Integrity):
         of.suspended[rows] = (of.suspended[rows] | new) & ~released
         of.suspended_ns[rows[new]] = batch.time_ns
         of.for_deviation[rows[new]] = ~alarms[new, CONTRADICTIONS]
+        elsewhere = alarms[:, CONTRADICTIONS] | (alarms[:, DEVIATION] & (QUANTITY[self._deviating] == POSITION))
+        of.misdescribes[rows] = (of.misdescribes[rows] | new) & ~elsewhere
         for row in np.flatnonzero(released).tolist():
             self._reasons.pop(batch.agents[row], None)
 

@@ -60,7 +60,7 @@ def test_real_objects_that_few_agents_see_are_not_limited_by_two_of_five_that_de
 def test_as_many_contested_objects_are_believed_as_the_middle_of_the_agents_has(agents: int, usual: float) -> None:
     means = np.zeros((5, 4))
     means[:agents, 2] = 3.0
-    most = ExistenceVotes(AgentMemory(suspended=False))._most_contested(means, EVERYBODY)
+    most = ExistenceVotes(AgentMemory(suspended=False, misdescribes=False))._most_contested(means, EVERYBODY)
     assert most.tolist() == [CONTESTED + CONTESTED_TIMES * usual] * 5
 
 

@@ -8,7 +8,9 @@ from integrity_batches import Track, batch, view
 from mast_zenoh.integrity import SequentialConsistency
 from mast_zenoh.integrity.base import Batch
 from mast_zenoh.integrity.disputes import Evidence
-from mast_zenoh.integrity.memory import ObjectMemory
+from mast_zenoh.integrity.existence import ExistenceVotes
+from mast_zenoh.integrity.explanations import Explanations
+from mast_zenoh.integrity.memory import AgentMemory, ObjectMemory
 
 AGENTS = tuple("abcde")
 PLACES = {"a": (-20.0, 0.0), "b": (20.0, 0.0), "c": (0.0, 20.0), "d": (0.0, -20.0), "e": (15.0, 15.0)}
@@ -75,3 +77,17 @@ def test_a_box_above_an_object_does_not_take_its_number() -> None:
     both = np.array([[0.0, 0.0, 6.75], [0.5, 0.0, 0.75]])
     rows = memory.follow(10**8, both, np.zeros((2, 3)))
     assert memory.of.number[rows].tolist() == [1, 0]
+
+
+@pytest.mark.parametrize("misdescribes", [True, False])
+def test_who_is_suspended_for_how_objects_look_is_heard_about_whether_they_exist(misdescribes: bool) -> None:
+    agents = AgentMemory(suspended=False, misdescribes=False)
+    votes = ExistenceVotes(agents)
+    given = batch([("e", 0, (0.0, 0.0)), ("a", 1, AT_BUMPER), ("e", 1, AT_BUMPER)], AGENTS)
+    rows, suspended = agents.meet(given.time_ns, given.agents), np.arange(5) == 4
+    agents.of.suspended[rows], agents.of.misdescribes[rows] = suspended, suspended & misdescribes
+    evidence = Evidence.of(given, ~suspended)
+    votes.follow(given.time_ns, evidence.boxes)
+    found, weights = votes.settle(evidence, Explanations(np.zeros((5, 5), np.bool_), *np.zeros((2, 5), np.bool_)))
+    assert found.withheld.tolist() == [not misdescribes, False]
+    assert (weights > 0.0).tolist() == [True, True, False], "tracks of others are better, where there are any"
