@@ -88,7 +88,7 @@ def test_of_several_recorded_measurements_before_a_frame_the_newest_is_new() -> 
         ({"ego": [dict(LATE, rate_hz=1e-300)]}, "rate_hz is 1e-300, expected at least 1e-05"),
         ({"ego": [dict(LATE, phase_s=float("nan"))]}, "phase_s is nan, expected 0 to less than 0.2"),
         ({"ego": [dict(LATE, phase_s=-1e300)]}, "phase_s is -1e.300, expected 0 to less than 0.2"),
-        ({"ego": [dict(LATE, detector=dict(type="DetectionModel", clutter_rate=float("nan")))]}, "expected 0 or more"),
+        ({"ego": [dict(LATE, detector=dict(type="DetectionModel", clutter_rate=float("nan")))]}, "expected 0 to 1000"),
         ({"ego": [dict(LATE, phase_s=0.2)]}, "phase_s is 0.2, expected 0 to less than 0.2"),
         ({"ego": [dict(type="Lidar", phase_s=0.1)]}, "phase_s: found 0.1, expected 0 for a sensor without rate_hz"),
         ({"infra_9": [RADAR]}, "no agent 'infra_9' in this scene; did you mean 'infra_1'"),
