@@ -192,10 +192,14 @@ def test_as_many_agents_as_fit() -> None:
     assert (one == other).all()
     few = Intersection(scene_index=3, n_infrastructure=16).record(0, 1)
     np.testing.assert_array_equal(few.agent_position[0, 1:, :2], poles[:16])
-    with pytest.raises(ConfigurationError, match=rf"no room for {most + 2} x .*, expected at most {most + 1} motor"):
+    with pytest.raises(ConfigurationError, match=rf"no room for {most + 2}, expected at most {most + 1} motor"):
         Intersection(scene_index=3, n_mobile=most + 1).record(0, 1)
 
 
-def test_too_many_vehicles_are_refused() -> None:
-    with pytest.raises(ConfigurationError, match=r"no room for 5000 x .*, expected at most 85 motor vehicles"):
-        Intersection(n_vehicles=5000).record(0, 1)
+@pytest.mark.parametrize(
+    ("users", "most"),
+    [("vehicles", "85 motor vehicles"), ("bicycles", r"\d+ bicycles"), ("pedestrians", r"\d+ pedestrians")],
+)
+def test_too_many_road_users_are_refused(users: str, most: str) -> None:
+    with pytest.raises(ConfigurationError, match=f"no room for 5000, expected at most {most}"):
+        Intersection(**{f"n_{users}": 5000}).record(0, 1)

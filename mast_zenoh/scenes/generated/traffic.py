@@ -59,11 +59,10 @@ def road_users(network: Network, count: dict[str, int], random: np.random.Genera
         elif not free and name in ("truck", "bus"):  # no lane passable for long vehicles: a car instead
             names[i], free = "car", places[ROAD]
         if not free:
-            wanted = sum(_KINDS[k][0] == user for k in names)
-            which = " motor vehicles, the ego and n_mobile among them" if user == ROAD else ""
-            raise ConfigurationError(
-                f"Intersection: no room for {wanted} x {names[i]}, expected at most {room[user]}{which}"
-            )
+            users = (CROSSER, WALKER) if user == WALKER else (user,)
+            wanted, most = sum(_KINDS[name][0] in users for name in names), sum(room[user] for user in users)
+            what = {ROAD: "motor vehicles, the ego and n_mobile among them", BIKE: "bicycles"}.get(user, "pedestrians")
+            raise ConfigurationError(f"Intersection: no room for {wanted}, expected at most {most} {what}")
         place = free[-1]
         for free_places in (places[user], long_places):
             if place in free_places:
