@@ -285,6 +285,13 @@ class ClusterBoxes:
             present = np.asarray(np.where(used.any(axis=1, keepdims=True), used, present), np.bool_)
         return cls(*median_boxes(states.position, states.velocity, states.size, states.yaw, batch.member, present))
 
+    def cover(self, points: Floats) -> Bools:
+        """(n, c) which points (n, 2) m are on which boxes, seen from above."""
+        dx, dy = (points[:, None] - self.position[:, :2]).transpose(2, 0, 1)
+        cos, sin = np.cos(self.yaw), np.sin(self.yaw)
+        along, across = np.abs(dx * cos + dy * sin), np.abs(dy * cos - dx * sin)
+        return np.asarray((along <= 0.5 * self.size[:, 0]) & (across <= 0.5 * self.size[:, 1]))
+
     def sight_range(self, range_m: float) -> Floats:
         """(c,) m up to which a box gives a lidar as many returns as a car does at `range_m`, at most `range_m`.
 

@@ -251,18 +251,20 @@ class Evidence:
     @classmethod
     def of(cls, batch: Batch, voter: Bools) -> Evidence:
         """The evidence of a batch. voter: (a,) agents that are not suspended"""
-        reported, states = batch.reported & voter, batch.states
+        states = batch.states
         impossible = of_tracks(batch, ~(plausible_size(states) & on_ground(states, batch.agent, len(batch.agents))))
         boxes = ClusterBoxes.of(batch, ~impossible & voter)
         seen, own = lenient_sightings(batch, boxes)
-        rays = rays_at(batch, boxes, current(batch.views))
+        views = current(batch.views)
+        rays = rays_at(batch, boxes, views)
         outside = of_tracks(batch, out_of_view(batch))
         testimonies = Testimonies.of(batch, boxes, own, impossible, seen, rays, outside, voter)
         claiming = (testimonies.claims & voter).sum(axis=1)
-        under_sensor = (carrying(boxes, current(batch.views)) & voter).any(axis=1)
+        under_sensor = (carrying(boxes, views) & voter).any(axis=1)
         beside = better_known(boxes, claiming + under_sensor)
         passed = passed_to_others(batch, boxes, rays, voter, beside) | passed_nearby(batch, boxes, voter)
         # Those that may lie can neither make an object certain, nor another agent's place but their own.
         certain = (2 * claiming > len(voter)) | (under_sensor & (claiming > 0))
-        hang_on = attached(boxes, 2 * reported.sum(axis=1) < len(voter), certain, beside)
+        few = 2 * (batch.reported & voter).sum(axis=1) < len(voter)
+        hang_on = attached(boxes, few, certain, beside)
         return cls(batch, boxes, seen, rays, outside, passed, *hang_on, testimonies)

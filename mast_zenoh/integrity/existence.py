@@ -48,8 +48,8 @@ class ExistenceVotes:
     through, are open as long as either may be lying: of each agent's, not many more are believed than what is usual,
     unless those that deny them dispute as many objects.
 
-    Who is suspended because of how its objects look or move is heard about whether they exist; its tracks count where
-    nobody else reports the object.
+    An agent that is suspended for how its objects look or move still votes on whether they exist, and its tracks count
+    where nobody else reports the object.
 
     agents: the memory of agents, with columns `suspended` and `misdescribes`; they are updated by the caller
     """

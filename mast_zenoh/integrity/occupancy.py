@@ -186,14 +186,6 @@ def inside_hull(points: Floats, corners: Floats) -> Bools:
     return np.asarray((side[:, 0] * offset[..., 1] - side[:, 1] * offset[..., 0] >= 0.0).all(axis=1))
 
 
-def inside_boxes(points: Floats, boxes: ClusterBoxes) -> Bools:
-    """(n,) which points (n, 2) are under one of some boxes, seen from above."""
-    dx, dy = (points[:, None] - boxes.position[:, :2]).transpose(2, 0, 1)
-    cos, sin = np.cos(boxes.yaw), np.sin(boxes.yaw)
-    along, across = np.abs(dx * cos + dy * sin), np.abs(dy * cos - dx * sin)
-    return np.asarray(((along <= 0.5 * boxes.size[:, 0]) & (across <= 0.5 * boxes.size[:, 1])).any(axis=1))
-
-
 def uncovered_m2(area: OccupiedArea, boxes: ClusterBoxes) -> float:
     """m² of an occupied area under no box.
 
@@ -204,4 +196,4 @@ def uncovered_m2(area: OccupiedArea, boxes: ClusterBoxes) -> float:
     points = points[inside_hull(points, area.corners)]
     reach = 0.5 * np.hypot(*(high - low)) + 0.5 * np.hypot(boxes.size[:, 0], boxes.size[:, 1])
     near = select(boxes, np.hypot(*(boxes.position[:, :2] - 0.5 * (low + high)).T) <= reach * (1.0 + 1e-9))
-    return area.area_m2 * float((~inside_boxes(points, near)).mean()) if len(points) else 0.0
+    return area.area_m2 * float((~near.cover(points).any(axis=1)).mean()) if len(points) else 0.0

@@ -85,11 +85,10 @@ class SequentialConsistency(Integrity):
     one agent alone does, half), that no road user can be, or that it reports twice, each for COUNTED_S after the first
     BRIEF_S, relative to what is usual among the agents now; and the greatest deviation of one of its tracks from the
     median of the agents, in position, velocity, heading or size, as long as it lasts, relative to what is usual in the
-    run
-    (`LastingDeviations`). One object alone, however long it is contradicted, is thus no alarm: honest detectors have
-    such errors, and the object is withheld. What an agent's own sensor sees through, or is outside its own view, is no
-    claim of it, and counts neither for nor against it. Each statistic counts as an alarm by how rarely an honest agent
-    exceeds it, with the false discoveries among all agents controlled (Benjamini and Hochberg 1995). An agent is
+    run (`LastingDeviations`). One object alone, however long it is contradicted, is thus no alarm: honest detectors
+    have such errors, and the object is withheld. What an agent's own sensor sees through, or is outside its own view,
+    is no claim of it, and counts neither for nor against it. Each statistic counts as an alarm by how rarely an honest
+    agent exceeds it, with the false discoveries among all agents controlled (Benjamini and Hochberg 1995). An agent is
     suspended if one of them is an alarm, and it is in every explanation. Two accusers of five prove nothing, since two
     may lie; three do. Agents in some explanations alone are `undecided`: their reason says so.
 
@@ -210,11 +209,12 @@ class SequentialConsistency(Integrity):
         evidence = Evidence.of(batch, vote)
         objects = self._existence.follow(batch.time_ns, evidence.boxes)
         means = self._note_deviations(batch, evidence.boxes, objects)
-        self._add_disputes(evidence.testimonies, dt)
+        honest = np.isin(batch.agents, self.anchors)
+        self._add_disputes(evidence.testimonies, honest, dt)
         factor = self._evidence_factor(rows)
         contradictions = self._of.contradictions[rows] / factor
         self._statistics = np.column_stack([contradictions, self._of.deviation[rows]])
-        explanations, verdict = self._explain(batch, rows, factor)
+        explanations, verdict = self._explain(batch, rows, honest, factor)
         rates = np.column_stack(
             [tail.rate(values) for tail, values in zip(self._tails, self._statistics.T, strict=True)]
         )
@@ -295,11 +295,13 @@ class SequentialConsistency(Integrity):
         after = accumulate(total, np.asarray(0.5 * count * (count + 1), np.float64), self.allowance, dt)
         return np.minimum(after, 1.5 * factor * max(tail.value_at(self.false_alarms_per_hour / 10.0), tail.scale))
 
-    def _add_disputes(self, testimonies: Testimonies, dt: float) -> None:
-        """Add what a batch shows to all sums; those of absent agents and pairs fall as without evidence."""
+    def _add_disputes(self, testimonies: Testimonies, honest: Bools, dt: float) -> None:
+        """Add what a batch shows to all sums; those of absent agents and pairs fall as without evidence.
+
+        honest: (a,) agents that are known to be
+        """
         of, rows = self._of, self._agents.rows
-        known = np.isin(self._agents.names, self.anchors)[rows]
-        kinds = testimonies.accusations(np.where(of.lying[rows], 0.0, np.where(known, 1.0, WORD)))
+        kinds = testimonies.accusations(np.where(of.lying[rows], 0.0, np.where(honest, 1.0, WORD)))
         counted = self._existence.counted(testimonies.contradicted, dt)
         counted |= of.suspended[rows]  # one that goes on with the same lies is not released
         kinds *= counted
@@ -316,17 +318,16 @@ class SequentialConsistency(Integrity):
         self._pairs = self._summed(self._pairs, between, self._pair_tail, dt, factor)
         of.kinds[rows] += dt * kinds.sum(axis=1).T
 
-    def _explain(self, batch: Batch, rows: Ints, factor: float) -> tuple[Explanations, Verdict]:
+    def _explain(self, batch: Batch, rows: Ints, honest: Bools, factor: float) -> tuple[Explanations, Verdict]:
         """The explanations of the disputes of the agents of a batch, and what they say of each.
 
-        factor: see `_evidence_factor`
+        honest: (a,) agents that are known to be; factor: see `_evidence_factor`
         """
         pairs, apart_ns = self._pairs[np.ix_(rows, rows)] / factor, self._apart_ns[np.ix_(rows, rows)]
         apart = (apart_ns > 0) & (batch.time_ns - apart_ns <= APART_S * 1e9)
         disputes = self._disputes = (self._pair_tail.rate(pairs) <= self.disputes_per_hour) | apart
         lying = OWN_TAIL.rate(self._of.own[rows] / factor) <= self.false_alarms_per_hour / max(len(rows), 1)
         lying |= self._of.suspended[rows]
-        honest = np.isin(batch.agents, self.anchors)
         key = disputes.tobytes() + lying.tobytes() + honest.tobytes()
         # Which disputes are left out depends on how strong they are now.
         if self._settled is None or self._settled[0] != key or not self._settled[1].whole:

@@ -323,10 +323,7 @@ def better_known(boxes: ClusterBoxes, witnesses: Ints) -> tuple[Ints, Ints, Floa
 def carrying(boxes: ClusterBoxes, views: Sequence[SweptView | None]) -> Bools:
     """(c, a) objects that an agent's sensor is on."""
     places = np.array([np.full(2, np.nan) if view is None else view.view.position[:2] for view in views]).reshape(-1, 2)
-    x, y = (places[:, axis] - boxes.position[:, axis, None] for axis in range(2))
-    cos, sin = np.cos(boxes.yaw)[:, None], np.sin(boxes.yaw)[:, None]
-    half = 0.5 * boxes.size[:, :, None]
-    return np.asarray((np.abs(cos * x + sin * y) <= half[:, 0]) & (np.abs(cos * y - sin * x) <= half[:, 1]))
+    return boxes.cover(places).T
 
 
 def passed_to_others(

@@ -237,12 +237,15 @@ class UndeniedCars(PhantomAttack):
         self._born_ns = np.append(self._born_ns, np.full(len(chosen), moment.time_ns, np.int64))
 
 
-def cars_at(xy: Floats, yaw: Floats, moment: Moment) -> ObjectStates:
-    """Cars on the ground at xy (k, 2) m with yaw (k,) rad."""
+def cars_at(
+    xy: Floats, yaw: Floats, moment: Moment, size: Floats = BOX, velocity: Floats | None = None
+) -> ObjectStates:
+    """Cars on the ground at xy (k, 2) m with yaw (k,) rad. size: (3,) m; velocity: (k, 3) m/s; None: they stand"""
     k = len(xy)
-    position = np.column_stack([xy, np.full(k, ground_height(moment.seen) + 0.5 * BOX[2])])
+    position = np.column_stack([xy, np.full(k, ground_height(moment.seen) + 0.5 * size[2])])
     car: Ints = np.full(k, CLASS_INDEX["car"])
-    return ObjectStates.of(position, size=np.tile(BOX, (k, 1)), yaw=yaw, class_id=car.astype(np.uint8))
+    states = ObjectStates.of(position, size=np.tile(size, (k, 1)), yaw=yaw, class_id=car.astype(np.uint8))
+    return states if velocity is None else states.with_(velocity=velocity)
 
 
 class WallHugger(UndeniedCars):

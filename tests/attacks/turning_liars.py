@@ -6,25 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 from agreeing_liars import UnlimitedLiar
-from informed_liars import CHANGED, EVERYWHERE_M, nearest_m
+from informed_liars import CHANGED, EVERYWHERE_M, cars_at, nearest_m
 
-from mast_zenoh.arrays.states import CLASS_INDEX, Floats, ObjectStates, concatenate
+from mast_zenoh.arrays.states import Floats, ObjectStates, concatenate
 from mast_zenoh.attacks.adaptive import Lies, Moment
 from mast_zenoh.attacks.imitation import typical
-from mast_zenoh.attacks.selection import ground_height
 from mast_zenoh.attacks.surroundings import unlimited
 from mast_zenoh.integrity.views import SweptView
 
 CAR: Floats = np.array([4.5, 1.9, 1.5])
 
 
-def invented(xy: Floats, size: Floats, velocity: Floats, yaw: Floats, moment: Moment) -> ObjectStates:
-    """k cars on the ground. xy: (k, 2) m; size: (3,) m; velocity: (k, 3) m/s; yaw: (k,) rad"""
-    k = len(xy)
-    position = np.column_stack([xy, np.full(k, ground_height(moment.seen) + 0.5 * size[2])])
-    car = np.full(k, CLASS_INDEX["car"], np.uint8)
-    ghosts = ObjectStates.of(position, velocity=velocity, size=np.tile(size, (k, 1)), yaw=yaw, class_id=car)
-    return typical(ghosts.with_(id=np.arange(k)), moment.seen)
+def invented(xy: Floats, yaw: Floats, moment: Moment, size: Floats, velocity: Floats) -> ObjectStates:
+    """What an honest tracker would say of cars, see `cars_at`."""
+    return typical(cars_at(xy, yaw, moment, size, velocity).with_(id=np.arange(len(xy))), moment.seen)
 
 
 class Giant(UnlimitedLiar):
@@ -39,7 +34,7 @@ class Giant(UnlimitedLiar):
         # A new place every few frames: a new object each time, which is never contradicted for long.
         angle = 2.4 * (moment.frame // 3)
         place = moment.position[:2] + 12.0 * np.array([np.cos(angle), np.sin(angle)])
-        return Lies(inserted=invented(place[None], self.size, velocity, np.zeros(1), moment))
+        return Lies(inserted=invented(place[None], np.zeros(1), moment, self.size, velocity))
 
 
 class Tailgate(UnlimitedLiar):
@@ -56,7 +51,7 @@ class Tailgate(UnlimitedLiar):
         target = known.select((np.linalg.norm(known.position - moment.position, axis=1) > 4.0) & (viewers <= 1))
         ahead = np.column_stack([np.cos(target.yaw), np.sin(target.yaw)])
         reach = 0.5 * (target.size[:, :1] + CAR[0]) + self.gap_m
-        ghosts = invented(target.position[:, :2] + reach * ahead, CAR, target.velocity, target.yaw, moment)
+        ghosts = invented(target.position[:, :2] + reach * ahead, target.yaw, moment, CAR, target.velocity)
         hidden = np.flatnonzero(moment.established & (nearest_m(moment.seen, target) < 1.5))
         return Lies(inserted=ghosts, hidden=hidden, hidden_number=CHANGED + hidden)
 

@@ -46,7 +46,7 @@ def yield_to_nodes() -> Callable[[], None]:
 def restore(process: int, niceness: int) -> None:
     """Take back that an observer yields, as far as the system allows that. process: its id
 
-    For whoever waits for an observer: beside busy processes, one that yields may never notice that its run is over.
+    Call it before you wait for an observer: beside busy processes, one that yields may never notice that its run ended.
     """
     _set_session(process, 0)
     if hasattr(os, "SCHED_IDLE") and os.sched_getscheduler(process) == os.SCHED_IDLE:
