@@ -198,7 +198,7 @@ class Testimonies:
         silent &= conspicuous(least, seen.distance)
         return cls(
             claims=claims,
-            denies=seen.fully_clear & ~reported & voter,
+            denies=rays.mostly_clear & ~reported & voter,
             silent=silent & ((claims & voter).sum(axis=1) >= WITNESSES)[:, None],
             impossible=impossible,
             repeated=of_tracks(batch, repeated(batch)),

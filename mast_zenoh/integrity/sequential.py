@@ -44,8 +44,8 @@ MAX_LOG_ODDS = 20.0
 
 #: Tails of the statistics on unattacked junctions, see docs/defences.md: of one agent's disputes, of those of a pair,
 #: of what an agent's own reports contradict, and of deviations.
-CONTRADICTION_TAIL = Tail(per_hour=56.0, scale=0.55)
-PAIR_TAIL = Tail(per_hour=74.0, scale=0.51)
+CONTRADICTION_TAIL = Tail(per_hour=71.0, scale=0.83)
+PAIR_TAIL = Tail(per_hour=98.0, scale=0.98)
 OWN_TAIL = Tail(per_hour=40.0, scale=0.248)
 DEVIATION_TAIL = Tail(per_hour=60.0, scale=1.2)
 #: Columns of the statistics of an agent.
@@ -65,7 +65,7 @@ AWAITED_AGAIN = 0.05
 #: Objects of an honest agent that are contradicted at a time, expected before a run shows it; s, over which the number
 #: is averaged, of a new agent at least and later on; and how many times as much evidence is needed at most where more
 #: is usual.
-EXPECTED, USUAL_FROM_S, USUAL_S, MOST_EVIDENCE = 0.01, 4.0, 20.0, 6.0
+EXPECTED, USUAL_FROM_S, USUAL_S, MOST_EVIDENCE = 0.05, 4.0, 20.0, 6.0
 #: s, before a suspension for a deviation, in which an agent may have lied unnoticed.
 DEVIATED_S = 10.0
 #: s, for which a dispute about where an object is lasts.
@@ -111,7 +111,7 @@ class SequentialConsistency(Integrity):
 
     anchors: tuple[str, ...] = ()
     false_alarms_per_hour: float = FALSE_ALARMS_PER_HOUR
-    allowance: float = 0.25
+    allowance: float = 0.4
     release_s: float = 30.0
     disputes_per_hour: float = DISPUTES_PER_HOUR
     contradiction_tail: tuple[float, float] = (CONTRADICTION_TAIL.per_hour, CONTRADICTION_TAIL.scale)
