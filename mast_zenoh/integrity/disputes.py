@@ -159,7 +159,7 @@ class Testimonies:
     """What each of `a` agents says of each of `c` objects.
 
     claims: (c, a) reports it there, in its own view, and nothing that its own sensor shows speaks against it
-    denies: (c, a) all its rays pass through it;  silent: (c, a) does not report it, though its rays end there, it is
+    denies: (c, a) most of its rays pass through it;  silent: (c, a) does not report it, though its rays end there, it is
             clear to see, and WITNESSES report it
     impossible:   (c, a) reports it as a box that no road user has;  repeated: (c, a) reports it for the second time
     """

@@ -226,13 +226,13 @@ def test_a_dispute_is_forgotten_while_an_agent_is_away() -> None:
 
 def test_the_reason_is_what_was_most_often_seen_and_not_what_is_seen_last() -> None:
     stage, sees = SequentialConsistency(), dict.fromkeys(TWO, "bcd")
-    *_, found = (stage.assess(each) for each in world({"a": TWO}, sees=sees, frames=24))
+    *_, found = (stage.assess(each) for each in world({"a": TWO}, sees=sees, frames=36))
     assert suspended(found) == ""
     stage.await_faults(frozenset("a"))
-    *_, found = (stage.assess(each) for each in later(world({"a": TWO}, sees=sees, frames=8), 24))
+    *_, found = (stage.assess(each) for each in later(world({"a": TWO}, sees=sees, frames=8), 36))
     assert suspended(found) == ""
     stage.await_faults(frozenset())
-    *_, found = (stage.assess(each) for each in later(world(frames=3), 32))
+    *_, found = (stage.assess(each) for each in later(world(frames=3), 44))
     assert found.agents.reason[0].startswith("reports objects that others see through")
 
 

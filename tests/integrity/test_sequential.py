@@ -71,10 +71,10 @@ def test_a_track_that_is_off_by_more_than_the_noise_suspends_its_agent() -> None
 
 def test_a_suspended_agent_has_no_vote_and_is_released_after_a_clean_time() -> None:
     stage = SequentialConsistency(release_s=5.0)
-    *_, lied = (stage.assess(each) for each in batches(30, "a"))
+    *_, lied = (stage.assess(each) for each in batches(45, "a"))
     assert lied.agents.state[0] == SUSPENDED
     assert lied.agents.reason[0]
-    later = [stage.assess(batch_at(frame)) for frame in range(30, 400)]
+    later = [stage.assess(batch_at(frame)) for frame in range(45, 415)]
     assert later[0].agents.state[0] == SUSPENDED
     assert later[-1].agents.state[0] != SUSPENDED
     assert not later[-1].agents.reason[0]
@@ -93,9 +93,9 @@ def batch_at(frame: int):
 
 def test_an_object_that_only_a_suspended_agent_reports_is_withheld_and_tracked_on() -> None:
     stage = SequentialConsistency()
-    for each in batches(30, "a"):
+    for each in batches(45, "a"):
         stage.assess(each)
-    isolated = batch([("a", 0, (-60.0, -60.0)), ("b", 1, CAR)], tuple(PLACES), {}, frame=30)
+    isolated = batch([("a", 0, (-60.0, -60.0)), ("b", 1, CAR)], tuple(PLACES), {}, frame=45)
     found = stage.assess(isolated)
     assert found.objects.withheld.tolist() == [True, False]
     assert found.weights is not None
