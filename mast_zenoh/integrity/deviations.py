@@ -15,7 +15,7 @@ from mast_zenoh.arrays.matching import neighbours
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.integrity.agent_fault import PRIOR
 from mast_zenoh.integrity.base import Batch, ClusterBoxes
-from mast_zenoh.kernels import kernel
+from mast_zenoh.integrity.medians import column_medians, weighted_medians
 
 #: What is compared, two numbers of each: x and y of position, m, and velocity, m/s; heading of the length axis, rad,
 #: modulo 180 degrees; length and width, relative to the middle.
@@ -126,22 +126,6 @@ def deviations(batch: Batch, boxes: ClusterBoxes, weight: Floats) -> Deviations:
     judged = judged[row_of]
     whitened = np.where(judged[..., None], value / std[..., None], 0.0)
     return Deviations(kept[row_of], agent, whitened, judged, std)
-
-
-@kernel
-def weighted_medians(values: Floats, member: Ints, weight: Floats) -> Floats:
-    """(c, q) weighted medians of the values of the members of clusters, the middle of their ends where they differ.
-
-    values: (n, q) of n tracks; member: (c, a) rows of tracks; weight: (c, a) >= 0, of each member
-    """
-    table = values[member].transpose(0, 2, 1)
-    order = np.argsort(table, axis=2, kind="stable")
-    ordered = np.take_along_axis(table, order, axis=2)
-    below = np.cumsum(np.take_along_axis(np.broadcast_to(weight[:, None], table.shape), order, axis=2), axis=2)
-    half = 0.5 * below[..., -1:]
-    ends = [(below >= half * (1.0 - 1e-9)).argmax(axis=2), (below > half * (1.0 + 1e-9)).argmax(axis=2)]
-    low, high = (np.take_along_axis(ordered, end[..., None], axis=2)[..., 0] for end in ends)
-    return np.asarray(0.5 * (low + high))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -270,8 +254,8 @@ class LastingDeviations:
         self._looked_ns = time_ns
         length = np.sqrt((mean**2).sum(axis=2))
         length[~measured.judged[:, QUANTITY]] = np.nan
-        of_agents = [median_of_each(length[measured.agent == each]) for each in np.flatnonzero(believed).tolist()]
-        seen = median_of_each(np.array(of_agents).reshape(-1, len(QUANTITY)))
+        of_agents = [column_medians(length[measured.agent == each]) for each in np.flatnonzero(believed).tolist()]
+        seen = column_medians(np.array(of_agents).reshape(-1, len(QUANTITY)))
         seen = np.where(np.isnan(seen), self._usual, np.clip(seen, USUAL / USUAL_FACTOR, USUAL * USUAL_FACTOR))
         self._usual += (seen - self._usual) * (1.0 - np.exp(-min(elapsed_s, USUAL_S) / USUAL_S))
 
@@ -286,9 +270,3 @@ class LastingDeviations:
         rows = np.array([row for _, row in kept], np.int64)
         self._row = {key: row for row, (key, _) in enumerate(kept)}
         self._mean, self._weight, self._time_ns = self._mean[rows], self._weight[rows], self._time_ns[rows]
-
-
-def median_of_each(values: Floats) -> Floats:
-    """(q,) medians of the numbers in each column (k, q); NaN for a column without any."""
-    columns = [column[~np.isnan(column)] for column in values.T]
-    return np.array([np.median(column) if len(column) else np.nan for column in columns])

@@ -9,6 +9,7 @@ import numpy as np
 from mast_zenoh.arrays.matching import neighbours
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.integrity.base import Batch, ClusterBoxes
+from mast_zenoh.integrity.medians import column_medians, group_medians
 from mast_zenoh.integrity.visibility import (
     RayEvidence,
     Sightings,
@@ -62,23 +63,13 @@ def on_ground(states: ObjectStates, agent: Ints, agents: int) -> Bools:
     if len(states) <= 2:
         return np.ones(len(states), np.bool_)
     bottom = states.position[:, 2] - 0.5 * states.size[:, 2]
-    middles = medians(np.column_stack([states.position[:, :2], bottom]), agent)
+    middles = group_medians(np.column_stack([states.position[:, :2], bottom]), agent)
     heights, last = np.sort(middles[:, 2]), len(middles) - 1
     liars = min((agents - 1) // 2, last)
     low, high = heights[min(liars, last - liars)], heights[max(liars, last - liars)]
-    x, y = np.median(middles[:, :2], axis=0)
+    x, y = column_medians(middles[:, :2])
     reach = HEIGHT_ERROR_M + SLOPE * np.hypot(states.position[:, 0] - x, states.position[:, 1] - y)
     return np.asarray((bottom >= low - reach) & (bottom <= high + reach))
-
-
-def medians(values: Floats, group: Ints) -> Floats:
-    """(g, k) medians of the columns of values (n, k) in each of g groups that occur. group: (n,) >= 0"""
-    count = np.bincount(group)
-    count = count[count > 0]
-    first = np.cumsum(count) - count
-    low, high = first + (count - 1) // 2, first + count // 2
-    ordered = np.column_stack([column[np.lexsort((column, group))] for column in values.T])
-    return np.asarray(0.5 * (ordered[low] + ordered[high]))
 
 
 def of_tracks(batch: Batch, tracks: Bools) -> Bools:
@@ -159,8 +150,8 @@ class Testimonies:
     """What each of `a` agents says of each of `c` objects.
 
     claims: (c, a) reports it there, in its own view, and nothing that its own sensor shows speaks against it
-    denies: (c, a) most of its rays pass through it;  silent: (c, a) does not report it, though its rays end there, it is
-            clear to see, and WITNESSES report it
+    denies: (c, a) most of its rays pass through it
+    silent: (c, a) does not report it, though its rays end there, it is clear to see, and WITNESSES report it
     impossible:   (c, a) reports it as a box that no road user has;  repeated: (c, a) reports it for the second time
     """
 

@@ -8,6 +8,7 @@ from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.integrity.base import Batch, ClusterBoxes, ObjectTrust
 from mast_zenoh.integrity.disputes import Evidence
 from mast_zenoh.integrity.explanations import Explanations
+from mast_zenoh.integrity.medians import column_medians
 from mast_zenoh.integrity.memory import NOW, VOTE_MEMORY_S, AgentMemory, VoteMemory
 from mast_zenoh.integrity.visibility import FAR_M, silent_about
 
@@ -198,12 +199,11 @@ class ExistenceVotes:
         alone: (a,) that it does; usual: (a, 4), see `_usual`; voter: (a,) agents that are not suspended
         """
         own = np.where(usual[:, -1] >= KNOWN_S, SUDDEN + SUDDEN_TIMES * usual[:, 1], np.inf)
-        return np.asarray(np.minimum(ALONE + ALONE_TIMES * (np.median(alone[voter]) if voter.any() else 0.0), own))
+        return np.asarray(np.minimum(ALONE + ALONE_TIMES * _middle(alone[voter]), own))
 
     def _most_contested(self, usual: Floats, voter: Bools) -> Floats:
         """(a,) objects that each agent may report although others see through them. usual, voter: as above"""
-        middle = np.median(usual[voter, 2]) if voter.any() else 0.0
-        return np.full(len(voter), CONTESTED + CONTESTED_TIMES * middle)
+        return np.full(len(voter), CONTESTED + CONTESTED_TIMES * _middle(usual[voter, 2]))
 
     def _averaged(self, time_ns: int, usual: Floats, numbers: Floats, voter: Bools) -> Floats:
         """(a, 4) means with the numbers (a, 3) of a batch. voter: (a,) agents not suspended; of others, they stay"""
@@ -240,3 +240,8 @@ def more_disputed(claims: Bools, denials: Bools) -> Bools:
     disputed = (claims | denials).sum(axis=0)
     claiming, denying = ((side @ disputed) / np.maximum(side.sum(axis=1), 1) for side in (claims, denials))
     return np.asarray(claims.any(axis=1) & (claiming > denying))
+
+
+def _middle(values: Floats | Ints) -> float:
+    """The median of values (n,); 0 without any."""
+    return float(column_medians(values[:, None])[0]) if len(values) else 0.0

@@ -355,14 +355,15 @@ def passed_nearby(batch: Batch, boxes: ClusterBoxes, voter: Bools) -> Bools:
     boxes: of the clusters; voter: (a,) agents that count. Not what the sensor is on.
     """
     result = np.zeros(batch.reported.shape, np.bool_)
+    views = current(batch.views)
     half = 0.5 * np.hypot(boxes.size[:, 0], boxes.size[:, 1])
-    for agent, view in enumerate(current(batch.views)):
-        if view is None or not voter[agent]:
-            continue
-        away = _distance(boxes.position, view)
-        near = np.flatnonzero((away <= NEARBY_M) & (away > half) & ~batch.reported[:, agent])
-        if len(near):
-            result[near, agent] = clear_in_view(select(boxes, near), view)
+    away = np.full(result.T.shape, np.inf)
+    for column, view in enumerate(views):
+        if view is not None:
+            away[column] = _distance(boxes.position, view)
+    near, agent = np.nonzero(((half < away) & (away <= NEARBY_M)).T & ~batch.reported & voter)
+    if len(near):
+        result[near, agent] = _clear_in_view(select(boxes, near), views, agent)
     return result
 
 
@@ -390,16 +391,26 @@ def clear_in_view(boxes: ClusterBoxes, view: SweptView) -> Bools:
     As `seen_through`, but also close to the sensor, whose rays pass over the lower parts of what stands there: at least
     `LEAST_IN_VIEW` of a box must be in the field of view. What carries the sensor counts as clear, as its rays pass it.
     """
-    if not len(boxes.yaw) or not view.free.size:
-        return np.zeros(len(boxes.yaw), np.bool_)
-    position = boxes.position - boxes.velocity * view.age_s
+    return _clear_in_view(boxes, (view,), np.zeros(len(boxes.yaw), np.int64))
+
+
+def _clear_in_view(boxes: ClusterBoxes, views: Sequence[SweptView | None], only: Ints) -> Bools:
+    """(c,) the same of one sensor for each box. only: (c,) the view of each"""
+    result = np.zeros(len(boxes.yaw), np.bool_)
+    age_s = np.array([0.0 if view is None else view.age_s for view in views])[only]
+    position = boxes.position - boxes.velocity * age_s[:, None]
     points = sample_points(position, boxes.size, boxes.yaw, np.full(len(position), TOLERANCES.outside_m), _AROUND)
-    ranges, free, inside = view.ranges(points.reshape(-1, 3))
-    with np.errstate(invalid="ignore"):
-        through = (free > ranges + TOLERANCES.behind_m).reshape(len(position), -1).mean(axis=1)
-    in_view = inside.reshape(len(position), -1).mean(axis=1)
-    clear = (in_view >= LEAST_IN_VIEW) & (through > _needed_share(boxes.size, TOLERANCES) * in_view)
-    return np.asarray(clear & (_distance(position, view) <= TOLERANCES.far_m))
+    needed = _needed_share(boxes.size, TOLERANCES)
+    for rows, _, view in _asked(len(position), views, only):
+        if not view.free.size:
+            continue
+        ranges, free, inside = view.ranges(points[rows].reshape(-1, 3))
+        with np.errstate(invalid="ignore"):
+            through = (free > ranges + TOLERANCES.behind_m).reshape(len(rows), -1).mean(axis=1)
+        in_view = inside.reshape(len(rows), -1).mean(axis=1)
+        clear = (in_view >= LEAST_IN_VIEW) & (through > needed[rows] * in_view)
+        result[rows] = clear & (_distance(position[rows], view) <= TOLERANCES.far_m)
+    return result
 
 
 def _by_own_tracks(batch: Batch, of_tracks: Bools) -> Bools:

@@ -190,14 +190,15 @@ def set_lasting(tracks: Floats, noise: Floats, share: float) -> None:
     An error that stays with an object, or wanders slower than the filter follows, is in the track as it is in the
     measurement: the mean of many measurements still has it, so the covariance of the filter is too small by it.
     """
-    tracks[:, LASTING] = share * noise[:, (0, 0, 1), (0, 1, 1)]
+    np.multiply(noise[:, 0, :2], share, tracks[:, LASTING][:, :2])
+    np.multiply(noise[:, 1, 1], share, tracks[:, LASTING][:, 2])
 
 
 def with_lasting(tracks: Floats) -> Floats:
     """The tracks (n, WIDTH), their covariances with what lasts of the errors of their measurements."""
     lasting, tracks = tracks[:, LASTING], tracks.copy()
-    tracks[:, (XX, XY, YY)] += lasting
-    tracks[:, YX] += lasting[:, 1]
+    for column, part in ((XX, 0), (XY, 1), (YX, 1), (YY, 2)):
+        tracks[:, column] += lasting[:, part]
     return tracks
 
 
