@@ -25,7 +25,7 @@ CONTESTED, CONTESTED_TIMES = 1, 2.0
 #: s, after which an object that is contradicted is evidence against the agent that reports it: by then, most false
 #: detections of honest detectors are gone, and a fault, whose contradictions begin all at once, has been found. And s,
 #: for which it is evidence: it is withheld meanwhile. One object adds less than any alarm takes.
-BRIEF_S, COUNTED_S = 0.5, 5.0
+BRIEF_S, COUNTED_S = 1.5, 2.5
 #: s, for which an agent that reported something attached to an object is not believed about what touches one.
 ATTACHED_S = 30.0
 #: s, over which these numbers are averaged for each agent, and s after which its mean is known.

@@ -44,8 +44,8 @@ MAX_LOG_ODDS = 20.0
 
 #: Tails of the statistics on unattacked junctions, see docs/defences.md: of one agent's disputes, of those of a pair,
 #: of what an agent's own reports contradict, and of deviations.
-CONTRADICTION_TAIL = Tail(per_hour=71.0, scale=0.83)
-PAIR_TAIL = Tail(per_hour=98.0, scale=0.98)
+CONTRADICTION_TAIL = Tail(per_hour=54.0, scale=0.63)
+PAIR_TAIL = Tail(per_hour=94.0, scale=0.68)
 OWN_TAIL = Tail(per_hour=40.0, scale=0.248)
 DEVIATION_TAIL = Tail(per_hour=60.0, scale=1.2)
 #: Columns of the statistics of an agent.
@@ -111,7 +111,7 @@ class SequentialConsistency(Integrity):
 
     anchors: tuple[str, ...] = ()
     false_alarms_per_hour: float = FALSE_ALARMS_PER_HOUR
-    allowance: float = 0.4
+    allowance: float = 0.25
     release_s: float = 30.0
     disputes_per_hour: float = DISPUTES_PER_HOUR
     contradiction_tail: tuple[float, float] = (CONTRADICTION_TAIL.per_hour, CONTRADICTION_TAIL.scale)
