@@ -31,12 +31,12 @@ from mast_zenoh.integrity.deviations import (
     deviations,
 )
 from mast_zenoh.integrity.disputes import ACCUSATIONS, OF_ITSELF, Evidence, Testimonies
-from mast_zenoh.integrity.existence import ExistenceVotes
+from mast_zenoh.integrity.existence import BRIEF_S, ExistenceVotes
 from mast_zenoh.integrity.explanations import Explanations, Verdict, explained
 from mast_zenoh.integrity.memory import NOW, AgentMemory
 
 #: s, before the first evidence against an agent, in which it may have lied unnoticed.
-GRACE_S = 1.0
+GRACE_S = BRIEF_S + 0.5
 #: Least weight of an agent that is not suspended in the middle of its objects.
 MIN_MEDIAN_WEIGHT = 0.05
 #: Log-odds are limited to this, either way.

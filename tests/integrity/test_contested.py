@@ -84,7 +84,7 @@ def test_a_liar_is_suspended_later_where_contradictions_are_usual() -> None:
     cars = CARS[:3]
     batches = list(world({"a": cars}, sees=dict.fromkeys(cars, "bcd"), frames=45))
     first = []
-    for usual in (EXPECTED, 2 * EXPECTED):
+    for usual in (EXPECTED, 4 * EXPECTED):
         stage = accustomed(usual, 5)
         first.append([stage.assess(each).agents.state[0] for each in batches].index(SUSPENDED))
     assert first[0] < first[1] < 2.5 * first[0]

@@ -238,9 +238,9 @@ def test_the_reason_is_what_was_most_often_seen_and_not_what_is_seen_last() -> N
 
 def test_contradictions_that_begin_all_at_once_are_judged_when_a_fault_could_have_been_found() -> None:
     places = [(-14.0 + 4.0 * column, y) for column in range(7) for y in (-12.0, -8.0)]
-    batches = list(world({"a": places}, sees=dict.fromkeys(places, "bcd"), frames=12))
+    batches = list(world({"a": places}, sees=dict.fromkeys(places, "bcd"), frames=22))
     stage = SequentialConsistency()
-    assert 5 <= [suspended(stage.assess(each)) for each in batches].index("a") <= 8
+    assert 15 <= [suspended(stage.assess(each)) for each in batches].index("a") <= 18
 
 
 @pytest.mark.parametrize("name", ["contradiction_tail", "deviation_tail", "pair_tail"])

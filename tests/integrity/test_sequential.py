@@ -74,7 +74,7 @@ def test_a_suspended_agent_has_no_vote_and_is_released_after_a_clean_time() -> N
     *_, lied = (stage.assess(each) for each in batches(45, "a"))
     assert lied.agents.state[0] == SUSPENDED
     assert lied.agents.reason[0]
-    later = [stage.assess(batch_at(frame)) for frame in range(45, 415)]
+    later = [stage.assess(batch_at(frame)) for frame in range(45, 500)]
     assert later[0].agents.state[0] == SUSPENDED
     assert later[-1].agents.state[0] != SUSPENDED
     assert not later[-1].agents.reason[0]
