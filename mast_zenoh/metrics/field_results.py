@@ -18,7 +18,7 @@ FIELD_MEASURES = {
 #: Our numbers next to published figures, and their headings.
 QUANTITIES = {
     "lies_detected": "observable lies detected (share)",
-    "harm_removed": "damage of all attacks removed (share)",
+    "harm_removed": "removed of what attacks add (share)",
     "honest_suspended_time": "time in which honest agents are suspended (share)",
     "median_delay_s": "median time to suspension (s)",
     "targets_suspended": "agents attacked that are suspended (share)",
@@ -96,8 +96,8 @@ class FieldBreakdown:
 class FieldSummary:
     """What one defence is worth, besides its `DefenceSummary`.
 
-    harm_removed: share of the damage of all attacks that the defence takes away, in runs in which they took place;
-            negative: it does harm
+    harm_removed: share of what all attacks add to the same picture without them that the defence takes away, in runs
+            in which they took place; negative: they add more with it
     breaks_at:    in all scenes together
     cpu_ratio_alone, cpu_ratio_attacked: relative to no defence
     """

@@ -26,7 +26,7 @@ def test_the_summary_has_harm_breakdown_and_processor_time_of_each_defence() -> 
     assert values["Wall"]["weakest against"] == "Ghost (1.25)"
     assert values["Fence"]["breaks at (adversaries)"] == "> 2 [1.80, \u221e)"
     assert values["Fence"]["weakest against"] == "none"
-    assert values["Wall"]["damage of all attacks removed (share)"] == "0.750 [0.600, 0.900]"
+    assert values["Wall"]["removed of what attacks add (share)"] == "0.750 [0.600, 0.900]"
     assert values["Wall"]["processor time under attack, relative to undefended"] == "1.20 [1.10, 1.30]"
     terminal = as_text(field_tables(field()).as_rich())
     assert "1.25 [1.10, 1.50]" in terminal

@@ -30,7 +30,7 @@ from mast_zenoh.report.tables.text_table import (
 
 ALL_SCENES = "all"
 _SUMMARY_HEADINGS = (
-    *("damage of all attacks removed (share)", "breaks at (adversaries)", "weakest against"),
+    *(QUANTITIES["harm_removed"], "breaks at (adversaries)", "weakest against"),
     *(
         "processor time without an attack, relative to undefended",
         "processor time under attack, relative to undefended",
@@ -45,6 +45,11 @@ _ABOUT_BREAKING = (
     "the runs of all attacks are broken: interpolated, or \u2264 the only number that was played. It is weakest "
     "against the attack with the smallest such number, a minimum of few trials."
 )
+#: Below summaries.
+_ABOUT_ADDED = (
+    "What attacks add is missed and false objects, compared with the same defence without an attack: what a defence "
+    f"removes of the sensors' own errors does not count. {_ABOUT_BREAKING}"
+)
 
 
 def field_tables(table: FieldMatrix) -> ResultTables:
@@ -58,7 +63,7 @@ def field_tables(table: FieldMatrix) -> ResultTables:
     if added:
         (summary,) = last
         lines = [[*line, *added[line[0]]] for line in summary.lines]
-        about = f"{summary.about} {_ABOUT_BREAKING}"
+        about = f"{summary.about} {_ABOUT_ADDED}"
         last = [summary._replace(about=about, headings=[*summary.headings, *_SUMMARY_HEADINGS], lines=lines)]
     own = [*(_harm(table, scene) for scene in table.scenes), _processor_time(table), _breakdown(table)]
     headings, lines_of_matrix = of_matrix.numbers
@@ -69,7 +74,7 @@ def field_tables(table: FieldMatrix) -> ResultTables:
         for index, heading in enumerate(_SUMMARY_HEADINGS if added else ())
     ]
     if added:
-        turned = turned._replace(about=f"{turned.about} {_ABOUT_BREAKING}", lines=[*turned.lines, *extra])
+        turned = turned._replace(about=f"{turned.about} {_ABOUT_ADDED}", lines=[*turned.lines, *extra])
     return of_matrix._replace(
         title="Published and own defences against published and own attacks",
         tables=[*board.tables, *others, *(each for each in own if each.lines), *last],

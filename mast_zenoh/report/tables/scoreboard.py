@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from mast_zenoh.metrics.field_results import FieldMatrix, FieldRow
 from mast_zenoh.metrics.significance import holm
-from mast_zenoh.metrics.study_results import LEVEL, plural
+from mast_zenoh.metrics.study_results import LEVEL, MIN_SEEDS, plural
 from mast_zenoh.report.narrative.changes import join_names
 from mast_zenoh.report.tables.text_table import BOUNDS, ResultTables, TextTable, bounds, digits, measured
 
@@ -71,15 +71,21 @@ class Scoreboard:
         quiet, worst = [score.quiet for score in self.defended], [score.worst for score in self.defended]
         return [
             f"The best worst case of {plural(len(self.defended), 'defence')} has {name}: with {_case(best.worst)}, "
-            f"{self._text('damage', best.worst)} errors a frame are added, compared with no attack and no defence.",
+            f"{self._text('damage', best.worst)} errors a frame are added, compared with no attack and no defence"
+            f"{self._share_of_attack(best.worst)}.",
             self._rivals(best),
             self._beaten(),
             f"In its worst case, better than no defence: {self._named('harm', worst, -1)}; "
             f"worse: {self._named('harm', worst, 1)}; for all others, that is open.",
             f"Without an attack, clearly more errors than without a defence: {self._named('damage', quiet, 1)}; "
             f"fewer: {self._named('damage', quiet, -1)}; "
-            f"the greatest cost is that of {costly.defence}: {self._text('damage', costly.quiet)} a frame.",
+            f"the {'greatest cost' if costly.quiet.damage.value >= 0.0 else 'smallest gain'} is that of "
+            f"{costly.defence}: {self._text('damage', costly.quiet)} a frame.",
         ]
+
+    def _share_of_attack(self, row: FieldRow) -> str:
+        """What the attack adds, as a defence also removes errors of the sensors; empty without an attack."""
+        return f", of which the attack adds {self._text('by_attack', row)}" if row.attack else ""
 
     def _rivals(self, best: Score) -> str:
         high = best.worst.damage.high
@@ -119,11 +125,18 @@ class Scoreboard:
             "Errors are missed and false objects per frame in the ego's picture. Of each defence the case with the "
             "most errors added, of all attacks and kinds of scene, compared with no attack and no defence. Negative: "
             "the defence takes more of the sensors' own errors away than the attack adds. Then the same case compared "
-            "with the same defence without the attack, and with no defence under it. * differs from 0 after Holm's "
-            f"procedure, over the {plural(len(self.adjusted), 'number')} of all cases, as the greatest of many is "
-            "chosen. For that reason, errors added are a little too many."
+            f"with the same defence without the attack, and with no defence under it. {self._about_tests()} As the "
+            "greatest of many is chosen, errors added are a little too many."
         )
         return TextTable(TITLE, about, _HEADINGS, lines, 2)
+
+    def _about_tests(self) -> str:
+        if not self.adjusted:
+            return f"No number can be tested: there are fewer than {MIN_SEEDS} seeds, or most differences are equal."
+        return (
+            "* differs from 0 after Holm's procedure, over the "
+            f"{plural(len(self.adjusted), 'number')} of all cases that have a test."
+        )
 
 
 def _case(row: FieldRow) -> str:

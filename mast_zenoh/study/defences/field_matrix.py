@@ -250,12 +250,20 @@ class Collection(matrix.Collection):
         )
 
     def _harm_removed(self, cells: Sequence[Cell]) -> Measured:
-        """1 minus the damage of all cells over that of the same runs without the defence; NaN if that is 0 or less.
+        """1 minus what the attacks of all cells add with the defence over what they add without it.
 
-        Runs in which the adversaries did not lie to this defence are left out.
+        Each is relative to the same run without the attack, so that neither the cost of a defence nor what it removes
+        of the sensors' own errors counts. NaN if attacks add nothing without the defence. Runs in which the adversaries
+        did not lie to this defence are left out.
         """
         damage = np.array(
-            [[self._where_attacked(cell, self._damage(each)) for each in (cell, cell.undefended)] for cell in cells]
+            [
+                [
+                    self._where_attacked(cell, self._damage(each) - self._damage(each.alone))
+                    for each in (cell, cell.undefended)
+                ]
+                for cell in cells
+            ]
         )
         damage = np.where(np.isnan(damage).any(axis=1, keepdims=True), np.nan, damage)
         sums = np.nansum(damage, axis=0)[:, ~np.isnan(damage).all(axis=(0, 1))]

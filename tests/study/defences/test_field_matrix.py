@@ -192,7 +192,16 @@ def test_harm_is_relative_to_no_defence_in_each_kind_of_scene_and_in_all() -> No
     harms = [by_cell(table, "Cad", scene=scene).harm.value for scene in ("4 poles", "8 poles, 4 cars", "")]
     assert harms == pytest.approx([-3.0, 1.0, -1.0])
     assert by_cell(table, "Cad", "").harm.value == pytest.approx(0.5), "the cost without an attack"
-    assert table.summaries[0].harm_removed.value == pytest.approx(1.0 - (1.0 + 5.0) / (4.0 + 4.0))
+    added = (1.0 - 0.5) + (5.0 - 0.5)
+    assert table.summaries[0].harm_removed.value == pytest.approx(1.0 - added / (4.0 + 4.0)), "without that cost"
+
+
+def test_what_a_defence_removes_of_the_sensors_own_errors_is_not_removed_of_an_attack() -> None:
+    played = {cell("NoIntegrity"): always(fp=3.0), cell("Cad"): always(fp=1.0)}
+    played |= {ghosts("NoIntegrity"): always(fp=5.0, liars=2), ghosts("Cad"): always(fp=3.0, liars=2)}
+    table = collected(played)
+    assert by_cell(table, "Cad").by_attack.value == pytest.approx(2.0), "as many as without the defence"
+    assert table.summaries[0].harm_removed.value == pytest.approx(0.0)
 
 
 def test_processor_time_is_paired_with_the_undefended_run_of_the_same_scene_and_seed() -> None:

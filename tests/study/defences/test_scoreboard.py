@@ -69,11 +69,14 @@ def test_five_sentences_say_what_the_table_does() -> None:
     assert first.startswith(
         "The best worst case of 3 defences has Cad: with Ghost (2 of 8 poles, 4 cars, random), 2.50 ["
     )
+    assert f"no attack and no defence, of which the attack adds {table.lines[0][3]}." in first
     assert rivals == "No other row's interval overlaps with its own."
     assert beaten.startswith("What beats defences most is Ghost (3 of 3); without a defence, Flood (2 of 4 poles, ")
     assert gain.startswith("In its worst case, better than no defence: none; worse: KOfN and Robosac;")
     assert cost.startswith("Without an attack, clearly more errors than without a defence: none; fewer: none;")
     assert cost.endswith("the greatest cost is that of Robosac: 8.00 (all equal) a frame.")
+    gaining = scoreboard_tables(table_of({name: ERRORS[name] for name in ("NoIntegrity", "Cad")})).reading[-1]
+    assert gaining.endswith("the smallest gain is that of Cad: \u22121.00 (all equal) a frame.")
     assert all(f"\n{at}. {text}" in tables.as_markdown() for at, text in enumerate(tables.reading, 1))
 
 
@@ -88,6 +91,8 @@ def test_two_seeds_have_no_interval_and_decide_nothing() -> None:
     assert "*" not in "".join(cell for line in tables.tables[0].lines for cell in line)
     assert tables.reading[1] == "That number has no interval, so the order of the rows is open."
     assert "better than no defence: none; worse: none; for all others" in tables.reading[3]
+    assert "No number can be tested: there are fewer than 5 seeds" in tables.tables[0].about
+    assert "Holm" not in tables.tables[0].about
     assert {line[-1] for line in tables.tables[0].lines} == {"2"}
 
 
