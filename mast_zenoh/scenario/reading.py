@@ -220,6 +220,8 @@ def _with_settings(path: Path, scenario: Mapping[str, Any], dotted: Mapping[str,
         first, _, others = key.partition(".")
         agent, _, deeper = others.partition(".")
         entries = [agent]
+        if first == "scene" and deeper:
+            result["scene"] = _with_default(choose_scene(result.get("scene", "intersection")), agent)
         if first in OF_AGENTS and deeper:
             entries, is_new = _entries_of_agent(result, first, agent, f"{path}: --set {key}")
             created += [(key, agent)] * is_new
@@ -227,6 +229,18 @@ def _with_settings(path: Path, scenario: Mapping[str, Any], dotted: Mapping[str,
             set_dotted(result, f"{first}.{entry}.{deeper}" if deeper else key, dotted[key], str(path))
     _check_agents(result, created, str(path))
     return result
+
+
+def _with_default(spec: dict[str, Any], name: str) -> dict[str, Any]:
+    """The spec of a scene, with the component that a parameter has by default, such as its detector, written out.
+
+    A setting can then change a part of it.
+    """
+    type_ = registry.known_types(scenes.Scene, spec.get("type")).get(str(spec.get("type")))
+    parameter = registry.parameters_of(type_).get(name) if type_ else None
+    if parameter is None or type(parameter.default).__module__ == "builtins":
+        return spec
+    return {name: {"type": type(parameter.default).__name__}, **spec}
 
 
 #: Keys of a scenario that configure agents by name or pattern, each with the entries that it has if it is left out.

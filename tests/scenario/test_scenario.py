@@ -149,6 +149,23 @@ def test_a_setting_of_a_pattern_of_agents_holds_for_all_that_match() -> None:
     assert radii == {"ego": 2.0, "infra_1": 3.5, "infra_2": 3.5}
 
 
+def test_a_dotted_key_changes_a_part_of_the_scenes_default_detector() -> None:
+    def detector(*settings: str) -> dict[str, Any]:
+        path, content = load("baseline", settings)
+        detector: dict[str, Any] = resolve(path, content, frames=1).scene["detector"]
+        return detector
+
+    assert detector("scene.detector.white=true") == {"type": "DetectionModel", "white": True}
+    assert detector("scene.detector.type=LastingErrors") == {"type": "LastingErrors"}
+    whole = 'scene.detector={"type": "DetectionModel", "clutter_rate": 5.0}'
+    parts = "scene.detector.clutter_rate=5.0", "scene=intersection:3"
+    assert detector(whole) == detector(*parts) == {"type": "DetectionModel", "clutter_rate": 5.0}
+    with pytest.raises(
+        ConfigurationError, match=r"scene\.detector\.whit: DetectionModel has no .* did you mean 'white'"
+    ):
+        detector("scene.detector.whit=true")
+
+
 def test_a_dotted_key_reaches_into_a_list(tmp_path: Path) -> None:
     text = "def scenario():\n    return dict(faults=[dict(at=1.0), dict(at=2.0)], nodes=dict(n=dict(gains=(1, 2))))\n"
     file = write_scenario(tmp_path, text)
