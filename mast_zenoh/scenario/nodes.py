@@ -122,9 +122,15 @@ def nodes_of(
         add("recorder", "recorder", {"log": MessageLog()})
     for name, spec in specs.items():
         integrity = _part(_part(spec.config, "pipeline"), "integrity")
-        place = f"{path}: {name}: pipeline.integrity.anchors"
-        _check_names(integrity.get("anchors", ()), agents, place, "agent in this scene")
+        _check_anchors(integrity, agents, f"{path}: {name}: pipeline.integrity")
     return specs
+
+
+def _check_anchors(stage: Mapping[str, Any], agents: Sequence[str], place: str) -> None:
+    """Raise ConfigurationError for an anchor of an integrity stage, or of one inside it, that no agent is."""
+    _check_names(stage.get("anchors", ()), agents, f"{place}.anchors", "agent in this scene")
+    for key in stage:
+        _check_anchors(_part(stage, key), agents, f"{place}.{key}")
 
 
 def _part(config: Mapping[str, Any], name: str) -> Mapping[str, Any]:

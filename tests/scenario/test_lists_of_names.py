@@ -90,6 +90,12 @@ def test_a_coordinator_directs_exactly_the_adversaries_of_its_list(names: list[s
             r"integrity.anchors: no agent .* called 'infra_9'",
         ),
         ("defended", 'command_center.pipeline.integrity.anchors=["*"]', r"integrity.anchors: no agent .* called '\*'"),
+        (
+            "defended",
+            'command_center.pipeline.integrity={"type": "FaultOrLie", "stage": '
+            '{"type": "TruthDiscovery", "anchors": ["infra_1", "infra_22"]}}',
+            r"integrity.stage.anchors: no agent .* called 'infra_22'; did you mean 'infra_2'",
+        ),
     ],
 )
 def test_a_name_of_nobody_in_a_list_is_refused(name: str, setting: str, message: str) -> None:
