@@ -286,6 +286,12 @@ def test_effects_without_a_change_of_scores_are_named(run_of: RunOf) -> None:
     changes = {"interposers": {"adversary_1": passive, "adversary_2": passive}}
     assert "passed every message on unchanged" in headline(run_of("uncoordinated", metrics=agents | changes))
     assert "were not measured" in headline(run_of("uncoordinated", metrics=agents | {"interposers": ...}))
+    silent = run_of("uncoordinated", metrics=changes)  # its errors differ, as with another defence
+    assert headline(silent, Reference(reference, "unattacked")).startswith(
+        "Adversaries on two of four roadside sensors passed every message on unchanged: 6.25 more false objects a frame"
+    )
+    one = run_of("uncoordinated", metrics={"interposers": {"adversary_1": passive}})
+    assert headline(one).startswith("One of four roadside sensors compromised: ")
 
 
 def test_difference_in_driving_alone_is_reported(run_of: RunOf) -> None:

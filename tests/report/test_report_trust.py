@@ -328,12 +328,15 @@ def test_every_undecided_period_has_a_row_and_a_line_with_its_whole_reason(undec
     run = RunRecord.load(undecided)
     assert [line.cells for line in undecided_table(run).lines] == [
         ("infra_2", "1.0", "end", "honest", OPEN),
-        ("infra_3", "1.0", "2.0", "honest", OPEN),
+        ("infra_3", "1.0", "2.0", "honest, lies from 1.5 s on", OPEN),
     ]
     assert undecided_lines(run) == [
         f"infra_2 (honest) was undecided from 1.0 s to the end: {OPEN}",
-        f"infra_3 (honest) was undecided from 1.0 s to 2.0 s: {OPEN}",
+        f"infra_3 (honest, lies from 1.5 s on) was undecided from 1.0 s to 2.0 s: {OPEN}",
     ]
+    agents = run.metrics["integrity"]["agents"]
+    agents["infra_3"]["undecided"] = [suspension(2.5, None, "honest") | {"reason": OPEN}]
+    assert undecided_table(run).lines[-1].cells[3] == "honest, lied before"
     page = io.StringIO()
     terminal.show_run(Console(file=page, width=100), undecided)
     assert OPEN in " ".join(page.getvalue().split())

@@ -46,13 +46,16 @@ from mast_zenoh.wiring.model import peer_of
 _MOST_SENDERS = 3
 
 
-def compromised(run: RunRecord) -> str:
-    """Positions of adversaries in words; empty: none.
+def compromised(run: RunRecord, *, idle: bool = False) -> str:
+    """Positions of adversaries in words, without those that were measured and changed nothing; empty: none.
+
+    idle: with these, too
 
     `two of four roadside sensors`, `the gossip of one of three vehicles`, `what infra_1 sends to the ego`,
     `what mobile_1 hears`, `the picture's path to ego`
     """
     hostile = [each for each in interposers(run) if not each.is_link]
+    hostile = [each for each in hostile if idle or each.changed or each.effects is None]
     kinds = {agent.name: agent.kind for agent in run.recording.agents} if run.recording else {}
     everywhere = [each for each in hostile if not each.before]
     gossip = {agent for each in everywhere if changes_gossip_alone(run, each) for agent in each.agents}
@@ -337,7 +340,7 @@ def _result(run: RunRecord, reference: Reference | None) -> str:
     reference = _reference_of_errors(run, reference)
     places, change = compromised(run), _largest(run, reference)
     if change is None:
-        return _unchanged(run, places, reference, elsewhere)
+        return _unchanged(run, reference, elsewhere)
     what = amount(run, change, more=reference is not None)
     if reference is not None:
         what += f" than {reference.name}{cause_clause(run, change, reference.run)}"
@@ -345,7 +348,9 @@ def _result(run: RunRecord, reference: Reference | None) -> str:
         what += f" {due_to_causes(run, [change])}{elsewhere}"
     if change.estimate == RECEIVED or (change.agent != run.ego and "pictures" in run.metrics):
         what = f"{_picture_unchanged(run, reference)}; {what}"
-    return capital(f"{places} compromised: " * bool(places) + what + _limits(run, reference, change))
+    if start := f"{places} compromised" if places else _idle(run):
+        what = f"{start}: {what}"
+    return capital(what + _limits(run, reference, change))
 
 
 def _reference_of_errors(run: RunRecord, reference: Reference | None) -> Reference | None:
@@ -401,7 +406,18 @@ def _largest(run: RunRecord, reference: Reference | None) -> Change | None:
     return largest_change(run, reference.run if reference else None)
 
 
-def _unchanged(run: RunRecord, places: str, reference: Reference | None, elsewhere: str) -> str:
+def _idle(run: RunRecord) -> str:
+    """Where adversaries are, if no change by them was measured, and why; empty: there are none."""
+    adversaries = [each for each in interposers(run) if not each.is_link]
+    if not (places := compromised(run, idle=True)):
+        return ""
+    late = all(late_start_s(run, each) is not None for each in adversaries)
+    passed = "were to begin after the end of the run" if late else "passed every message on unchanged"
+    unmeasured = any(each.effects is None for each in adversaries)
+    return f"adversaries on {places} {'were not measured' if unmeasured else passed}"
+
+
+def _unchanged(run: RunRecord, reference: Reference | None, elsewhere: str) -> str:
     """The result if no score differs.
 
     elsewhere: where differences come from if driven cars go another way, see `_changed_way`; or empty
@@ -415,13 +431,8 @@ def _unchanged(run: RunRecord, places: str, reference: Reference | None, elsewhe
             unknown = "no error can be attributed to them without --against twin"
             return "; ".join([f"Interposers changed messages ({did}); {unknown}", *_box_errors(run)])
         return f"Interposers changed messages ({did}), but {_same_scores(run, reference.run, reference.name)}"
-    if places:
-        unmeasured = any(each.effects is None for each in interposers(run))
-        idle = [each for each in interposers(run) if not each.is_link]
-        late = all(late_start_s(run, each) is not None for each in idle)
-        passed = "were to begin after the end of the run" if late else "passed every message on unchanged"
-        nothing = "were not measured" if unmeasured else passed
-        return capital(f"adversaries on {places} {nothing}: {_missed_sentence(run)}{elsewhere}")
+    if idle := _idle(run):
+        return capital(f"{idle}: {_missed_sentence(run)}{elsewhere}")
     if reference is not None:
         return capital(f"{_same_scores(run, reference.run, reference.name)}: {_missed_sentence(run)}")
     return capital(f"{_missed_sentence(run)}{elsewhere}")

@@ -340,9 +340,17 @@ def suspension_table(run: RunRecord) -> PageTable:
             "end" if each["until_s"] is None else f"{each['until_s']:.1f}",
             f"{delay_s:.1f}" if first else DASH,
         )
-        cells = agent, f"{each['from_s']:.1f}", until, each["conduct"], after, each["reason"] or DASH
+        cells = agent, f"{each['from_s']:.1f}", until, _conduct(run, each), after, each["reason"] or DASH
         lines.append(Line(cells, "bad" if each["conduct"] == "honest" else ""))
     return PageTable(_SUSPENSIONS, lines)
+
+
+def _conduct(run: RunRecord, period: Mapping[str, Any]) -> str:
+    """What an agent was when a period began, and when it lied, if it was honest then and is a liar at other times."""
+    first_s = run.metrics["integrity"]["agents"][period["agent"]].get("first_lie_s")
+    if period["conduct"] == "lying" or first_s is None:
+        return str(period["conduct"])
+    return f"{period['conduct']}, " + (f"lies from {first_s:.1f} s on" if first_s > period["from_s"] else "lied before")
 
 
 _DOUBTS = (
@@ -359,7 +367,7 @@ def undecided_table(run: RunRecord) -> PageTable:
                 each["agent"],
                 f"{each['from_s']:.1f}",
                 "end" if each["until_s"] is None else f"{each['until_s']:.1f}",
-                each["conduct"],
+                _conduct(run, each),
                 each["reason"] or DASH,
             )
         )
