@@ -14,12 +14,11 @@ from run_samples import edit
 
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.html import write_report
-from mast_zenoh.report.narrative.adversaries import attack_description
+from mast_zenoh.report.narrative.adversaries import attack_description, compromised
 from mast_zenoh.report.narrative.attribution import other_differences, reaches
 from mast_zenoh.report.narrative.changes import effects as effects_in_words
 from mast_zenoh.report.narrative.changes import join_names
 from mast_zenoh.report.narrative.run import (
-    compromised,
     headline,
     reading,
     study_headline,

@@ -11,9 +11,10 @@ import pytest
 from mast_zenoh.report.figures.diagram import draw_wiring
 from mast_zenoh.report.figures.style import svg
 from mast_zenoh.report.html import environment
+from mast_zenoh.report.narrative.adversaries import compromised
 from mast_zenoh.report.narrative.attribution import reaches
 from mast_zenoh.report.narrative.changes import effects
-from mast_zenoh.report.narrative.run import compromised, reading
+from mast_zenoh.report.narrative.run import reading
 from mast_zenoh.report.tables.wiring import Spot, WireRow, all_wires, layout, wire_rows
 from mast_zenoh.viewer.interposers import Interposer, adversaries_by_agent, exit_expected, interposers
 from mast_zenoh.viewer.run import RunRecord

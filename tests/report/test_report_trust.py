@@ -24,6 +24,8 @@ from mast_zenoh.report.figures.view import frame_view
 from mast_zenoh.report.film import takes
 from mast_zenoh.report.film.takes import Take
 from mast_zenoh.report.html import write_report
+from mast_zenoh.report.narrative.attribution import causes
+from mast_zenoh.report.narrative.changes import MISSED, Change
 from mast_zenoh.report.narrative.run import defence_sentence
 from mast_zenoh.report.tables.of_run import (
     conduct_table,
@@ -383,3 +385,31 @@ def test_a_run_of_an_older_version_has_no_undecided_agents(folder: Path) -> None
 def test_a_missing_trust_table_is_named(folder: Path) -> None:
     (folder / "trust.parquet").unlink()
     assert "trust.parquet is absent: trust in agents is not shown." in RunRecord.load(folder).missing
+
+
+@pytest.mark.parametrize(
+    ("reporters", "suspended", "words"),
+    [
+        (("infra_2", "infra_3", "infra_4"), (), "objects that one agent that was not suspended reported"),
+        (("infra_2+infra_3", "infra_2", "infra_4"), ("infra_2",), "objects that on average 0.7 agents that were not"),
+        (("infra_2", "infra_2+infra_3", "infra_3"), ("infra_2", "infra_3"), "objects that only suspended agents repor"),
+        (
+            ("ego+infra_2", "infra_2+infra_3", "infra_3+infra_4"),
+            (),
+            "objects that two agents that were not suspended r",
+        ),
+    ],
+)
+def test_the_cause_counts_the_agents_that_reported_each_withheld_object(
+    folder: Path, reporters: tuple[str, ...], suspended: tuple[str, ...], words: str
+) -> None:
+    run = RunRecord.load(folder)
+    assert run.objects is not None
+    assert run.trust is not None
+    rows = np.flatnonzero((run.objects["estimator"] == "picture") & (run.objects["frame"] == FAULTY))[: len(reporters)]
+    for name, values in (("cause", "withheld"), ("by", reporters)):
+        run.objects[name] = run.objects[name].astype(object)
+        run.objects[name][rows] = values
+    run.trust["state"][np.isin(run.trust["agent"], suspended)] = "suspended"
+    change = Change("ego", "picture", MISSED, 1.0, 1.0, {"withheld": 1.0})
+    assert f"which withheld {words}" in causes(run, change)[-1]

@@ -60,6 +60,70 @@ _MESSAGES = {
 }
 
 
+#: Agents that are named as senders; more are counted.
+_MOST_SENDERS = 3
+
+
+def compromised(run: RunRecord, *, idle: bool = False) -> str:
+    """Positions of adversaries in words, without those that were measured and changed nothing; empty: none.
+
+    idle: with these, too
+
+    `two of four roadside sensors`, `the gossip of one of three vehicles`, `what infra_1 sends to the ego`,
+    `what mobile_1 hears`, `the picture's path to ego`
+    """
+    hostile = [each for each in interposers(run) if not each.is_link]
+    hostile = [each for each in hostile if idle or each.changed or each.effects is None]
+    kinds = {agent.name: agent.kind for agent in run.recording.agents} if run.recording else {}
+    everywhere = [each for each in hostile if not each.before]
+    gossip = {agent for each in everywhere if changes_gossip_alone(run, each) for agent in each.agents}
+    all_messages = {agent for each in everywhere if not changes_gossip_alone(run, each) for agent in each.agents}
+    names = set(kinds) or set(run.metrics.get("agents", {})) | {agent for each in hostile for agent in each.agents}
+    groups = [
+        (noun, {name for name in names if kinds.get(name, "static" if name.startswith("infra") else "mobile") == kind})
+        for kind, noun in (("static", "roadside sensor"), ("mobile", "vehicle"))
+    ]
+    places = _shares(groups, all_messages)
+    if alone := _shares(groups, gossip - all_messages):
+        places.append(f"the gossip of {join_names(alone)}")
+    places += _on_the_way(run, names, hostile)
+    other_wires = [wire for each in hostile if not each.agents and not each.before for wire in each.wires]
+    places += dict.fromkeys(f"the wire {wire}" for wire in other_wires)
+    return " and ".join(places)
+
+
+def _shares(groups: Sequence[tuple[str, set[str]]], agents: set[str]) -> list[str]:
+    """How many of each kind of agent are among some: `two of four roadside sensors`; groups: (noun, all agents)."""
+    shares = []
+    for noun, group in groups:
+        number = len(group & agents)
+        if number and len(group) == 1:
+            shares.append(f"the {noun}")
+        elif number:
+            shares.append(f"{'all' if number == len(group) else f'{count(number)} of'} {count(len(group))} {noun}s")
+    return shares
+
+
+def _on_the_way(run: RunRecord, names: set[str], hostile: Sequence[Interposer]) -> list[str]:
+    """What adversaries change for single subscribers: `what infra_1 sends to the ego`, `what mobile_1 hears`."""
+    listeners = {peer_of(name): name for name in names}
+    places = []
+    for before in dict.fromkeys(before for each in hostile for before in each.before):
+        senders = {agent for each in hostile if before in each.before for agent in each.agents}
+        listener = listeners.get(before, before)
+        to = "the ego" if listener == run.ego else listener
+        if before not in listeners and not senders:
+            places.append(f"the picture's path to {before}")
+        elif before in listeners and senders >= names - {listener}:
+            places.append(f"what {to} hears")
+        elif len(senders) > _MOST_SENDERS:
+            places.append(f"what {count(len(senders))} agents send to {to}")
+        else:
+            verb = "sends" if len(senders) == 1 else "send"
+            places.append(f"what {join_names(sorted(senders))} {verb} to {to}")
+    return places
+
+
 def attack_description(run: RunRecord) -> list[str]:
     """Sentences: what each adversary did, where and when; which coordinators directed it; faults of the scenario."""
     adversaries = [each for each in interposers(run) if not each.is_link]

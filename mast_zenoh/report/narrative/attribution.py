@@ -21,7 +21,7 @@ from mast_zenoh.report.narrative.changes import (
     amount,
     count,
     join_names,
-    withheld_from,
+    witnesses_of_withheld,
 )
 from mast_zenoh.report.tables.wiring import all_wires
 from mast_zenoh.viewer.interposers import failures_of, interposers
@@ -266,10 +266,16 @@ def culprit_names(run: RunRecord, change: Change, reference: RunRecord | None = 
 
 
 def _defence(run: RunRecord, change: Change) -> str:
-    """The integrity stage, and the agents of which it withheld what they reported."""
-    agents = [name for name, _ in withheld_from(run, change.estimate).most_common()] if change.agent == run.ego else []
-    of_whom = f"{count(len(agents))} agents" if len(agents) > _MAX_CULPRITS else join_names(sorted(agents))
-    what = f"objects that {of_whom} reported" if agents else "objects"
+    """The integrity stage, and how many agents that were not suspended reported what it withheld."""
+    witnesses = witnesses_of_withheld(run, change.estimate) if change.agent == run.ego else []
+    what = "objects"
+    if witnesses:
+        fewest, most = min(witnesses), max(witnesses)
+        number = count(most) if fewest == most else f"on average {sum(witnesses) / len(witnesses):.1f}"
+        agents = "agent that was not suspended" if (fewest, most) == (1, 1) else "agents that were not suspended"
+        if sum(witnesses) < 0.05 * len(witnesses):
+            number, agents = "almost only" if most else "only", "suspended agents"
+        what += f" that {number} {agents} reported"
     return f"{run.defence or 'the command centre'}, which withheld {what}"
 
 

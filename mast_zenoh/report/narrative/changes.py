@@ -214,13 +214,22 @@ def culprits(run: RunRecord, estimate: str, kind: str) -> Counter[str]:
     return Counter({name: count for name, count in switches.items() if count})
 
 
-def withheld_from(run: RunRecord, estimate: str) -> Counter[str]:
-    """Number of the ego's missed objects in scored frames that the centre withheld, by agent that reported them."""
-    if run.objects is None:
-        return Counter()
-    table = run.objects
+def witnesses_of_withheld(run: RunRecord, estimate: str) -> list[int]:
+    """How many agents that were not suspended reported each of the ego's missed objects that the centre withheld.
+
+    In scored frames; [] if that is not known.
+    """
+    if run.objects is None or run.trust is None:
+        return []
+    table, trust = run.objects, run.trust
     selected = (table["estimator"] == run.original(estimate)) & (table["cause"] == "withheld")
-    return _names(run, table["by"][selected & scored(run, table["frame"])])
+    selected &= scored(run, table["frame"])
+    out = trust["state"] == "suspended"
+    suspended = set(zip(trust["frame"][out].tolist(), trust["agent"][out].tolist(), strict=True))
+    return [
+        sum((frame, name) not in suspended for name in str(names).split("+") if name)
+        for frame, names in zip(table["frame"][selected].tolist(), table["by"][selected].tolist(), strict=True)
+    ]
 
 
 def _names(run: RunRecord, by: np.ndarray) -> Counter[str]:

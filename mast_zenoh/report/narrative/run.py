@@ -10,7 +10,7 @@ import numpy as np
 from mast_zenoh.messagelog import churn
 from mast_zenoh.metrics.estimates import ESTIMATES, IN_TRANSIT, LOCAL, MAIN, MISSION, PICTURE, RECEIVED
 from mast_zenoh.report.comparison import Reference, same_ways
-from mast_zenoh.report.narrative.adversaries import altered_on_the_way, changes_gossip_alone, late_start_s, period
+from mast_zenoh.report.narrative.adversaries import altered_on_the_way, compromised, late_start_s, period
 from mast_zenoh.report.narrative.attribution import cause_clause, causes, due_to_causes, other_differences
 from mast_zenoh.report.narrative.changes import (
     BOX_ERRORS,
@@ -40,71 +40,6 @@ from mast_zenoh.report.tables.of_run import braking_by_attack, check_rows, drivi
 from mast_zenoh.report.tables.scores import ScoreTable
 from mast_zenoh.viewer.interposers import Interposer, failures_of, frames_of, interposers
 from mast_zenoh.viewer.run import RunRecord, Table, rows
-from mast_zenoh.wiring.model import peer_of
-
-#: Agents that are named as senders; more are counted.
-_MOST_SENDERS = 3
-
-
-def compromised(run: RunRecord, *, idle: bool = False) -> str:
-    """Positions of adversaries in words, without those that were measured and changed nothing; empty: none.
-
-    idle: with these, too
-
-    `two of four roadside sensors`, `the gossip of one of three vehicles`, `what infra_1 sends to the ego`,
-    `what mobile_1 hears`, `the picture's path to ego`
-    """
-    hostile = [each for each in interposers(run) if not each.is_link]
-    hostile = [each for each in hostile if idle or each.changed or each.effects is None]
-    kinds = {agent.name: agent.kind for agent in run.recording.agents} if run.recording else {}
-    everywhere = [each for each in hostile if not each.before]
-    gossip = {agent for each in everywhere if changes_gossip_alone(run, each) for agent in each.agents}
-    all_messages = {agent for each in everywhere if not changes_gossip_alone(run, each) for agent in each.agents}
-    names = set(kinds) or set(run.metrics.get("agents", {})) | {agent for each in hostile for agent in each.agents}
-    groups = [
-        (noun, {name for name in names if kinds.get(name, "static" if name.startswith("infra") else "mobile") == kind})
-        for kind, noun in (("static", "roadside sensor"), ("mobile", "vehicle"))
-    ]
-    places = _shares(groups, all_messages)
-    if alone := _shares(groups, gossip - all_messages):
-        places.append(f"the gossip of {join_names(alone)}")
-    places += _on_the_way(run, names, hostile)
-    other_wires = [wire for each in hostile if not each.agents and not each.before for wire in each.wires]
-    places += dict.fromkeys(f"the wire {wire}" for wire in other_wires)
-    return " and ".join(places)
-
-
-def _shares(groups: Sequence[tuple[str, set[str]]], agents: set[str]) -> list[str]:
-    """How many of each kind of agent are among some: `two of four roadside sensors`; groups: (noun, all agents)."""
-    shares = []
-    for noun, group in groups:
-        number = len(group & agents)
-        if number and len(group) == 1:
-            shares.append(f"the {noun}")
-        elif number:
-            shares.append(f"{'all' if number == len(group) else f'{count(number)} of'} {count(len(group))} {noun}s")
-    return shares
-
-
-def _on_the_way(run: RunRecord, names: set[str], hostile: Sequence[Interposer]) -> list[str]:
-    """What adversaries change for single subscribers: `what infra_1 sends to the ego`, `what mobile_1 hears`."""
-    listeners = {peer_of(name): name for name in names}
-    places = []
-    for before in dict.fromkeys(before for each in hostile for before in each.before):
-        senders = {agent for each in hostile if before in each.before for agent in each.agents}
-        listener = listeners.get(before, before)
-        to = "the ego" if listener == run.ego else listener
-        if before not in listeners and not senders:
-            places.append(f"the picture's path to {before}")
-        elif before in listeners and senders >= names - {listener}:
-            places.append(f"what {to} hears")
-        elif len(senders) > _MOST_SENDERS:
-            places.append(f"what {count(len(senders))} agents send to {to}")
-        else:
-            verb = "sends" if len(senders) == 1 else "send"
-            places.append(f"what {join_names(sorted(senders))} {verb} to {to}")
-    return places
-
 
 #: How a run that did not end well failed, by its status.
 _FAILED = {
