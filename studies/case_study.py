@@ -1,5 +1,8 @@
 """The paper's case study: no, uncoordinated and coordinated attack on one scene."""
 
+#: The generated junction that is played if none is named: its ego drives on if nothing is in its way.
+JUNCTION = 4
+
 
 def study(
     scene="intersection",
@@ -14,6 +17,8 @@ def study(
     They add five false objects on average, and hide a fifth of the real ones. Then one more run, in which a driver
     steers the ego and somebody puts ghosts into the picture that it receives: what an attack does to a car.
     """
+    if scene == "intersection" and scene_index is None:
+        scene_index = JUNCTION
     place = dict(scene=scene, scene_index=scene_index, n_infrastructure=n_infrastructure)
     attack = dict(
         n_adversaries=n_adversaries,

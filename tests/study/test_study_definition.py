@@ -121,6 +121,18 @@ def test_the_case_study_has_a_run_with_drivers_where_its_scene_can_be_stepped() 
 
 
 @pytest.mark.parametrize(
+    ("settings", "junction"),
+    [([], "scene_index=4"), (["scene_index=2"], "scene_index=2"), (["scene=intersection:3"], "scene=intersection:3")],
+)
+def test_the_case_study_plays_one_junction_in_all_its_runs(settings: list[str], junction: str) -> None:
+    study = definition.load("case_study", settings)
+    assert study.driven is not None
+    played = [each.settings for each in (*study.configurations, study.driven.configuration)]
+    assert all(junction in each for each in played), played
+    assert all("scene_index=4" not in each for each in played) or not settings
+
+
+@pytest.mark.parametrize(
     ("driven", "labels", "problem"),
     [
         ("'driving'", ("a",), r"driven: found 'driving', expected dict\(scenario=…, parameters=…, frames=…\)"),
