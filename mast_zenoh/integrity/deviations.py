@@ -16,6 +16,7 @@ from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.integrity.agent_fault import PRIOR
 from mast_zenoh.integrity.base import Batch, ClusterBoxes
 from mast_zenoh.integrity.medians import column_medians, weighted_medians
+from mast_zenoh.integrity.visibility import MAX_ERROR_M
 
 #: What is compared, two numbers of each: x and y of position, m, and velocity, m/s; heading of the length axis, rad,
 #: modulo 180 degrees; length and width, relative to the middle.
@@ -25,7 +26,7 @@ MIN_MEMBERS = 3
 #: Standard deviations of the part of each quantity that covariances do not show: boxes seen from two sides.
 FLOORS = np.array([0.2, 0.5, 0.1, 0.1])
 #: Standard deviations that a track may claim at most of each quantity: a large one is in its favour.
-MOST_CLAIMED = np.array([1.0, 3.0, 0.0, 0.2])
+MOST_CLAIMED = np.array([MAX_ERROR_M, 3.0, 0.0, 0.2])
 #: m, that of positions of objects shorter than SMALL_M: trackers swap pedestrians that walk together.
 SMALL_FLOOR_M, SMALL_M = 0.35, 1.5
 #: Length over width from which a box shows its heading, and rad, standard deviation of that of an object slower than
