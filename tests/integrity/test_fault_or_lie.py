@@ -150,3 +150,8 @@ def test_the_order_of_the_rows_does_not_matter_where_no_views_are_known() -> Non
         shuffled, _ = other.correct(frame * STEP_NS, states.select(order), agent[order], AGENTS, {})
         assert np.array_equal(corrected.position[order], shuffled.position)
     assert not np.array_equal(corrected.position, states.position), "the fault was found"
+
+
+def test_faults_are_corrected_once() -> None:
+    with pytest.raises(ValueError, match="stage: found FaultOrLie, expected another stage"):
+        FaultOrLie(stage=FaultOrLie())

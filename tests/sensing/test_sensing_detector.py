@@ -128,7 +128,8 @@ def test_without_returns_and_clutter_there_are_no_detections() -> None:
     [("points_scale", 0.0), ("clutter_rate", -1.0), ("wrong_class", 1.5), ("score", (0.9, 0.3)), ("few_points", -1.0)]
     + [(name, 0.0) for name in ("error_s", "miss_s", "clutter_s", "blip_s")]
     + [(name, 1.5) for name in ("view_share", "white_share", "lasting_clutter")]
-    + [("view_angle_deg", 20.0), ("white", "no")],
+    + [("view_angle_deg", 20.0), ("white", "no")]
+    + [(name, 1001.0) for name in ("points_scale", "range_scale_m", "position_noise_m", "clutter_rate", "min_points")],
 )
 def test_invalid_parameters_are_refused_by_name(name: str, value: object) -> None:
     with pytest.raises(ValueError, match=f"{name}: found .*, expected"):
