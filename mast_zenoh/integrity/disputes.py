@@ -253,7 +253,7 @@ class Evidence:
         claiming = (testimonies.claims & voter).sum(axis=1)
         under_sensor = (carrying(boxes, views) & voter).any(axis=1)
         beside = better_known(boxes, claiming + under_sensor)
-        passed = passed_to_others(batch, boxes, rays, voter, beside) | passed_nearby(batch, boxes, voter)
+        passed = passed_to_others(batch, boxes, rays, voter, beside) | passed_nearby(batch, boxes, seen, voter)
         # Those that may lie can neither make an object certain, nor another agent's place but their own.
         certain = (2 * claiming > len(voter)) | (under_sensor & (claiming > 0))
         few = 2 * (batch.reported & voter).sum(axis=1) < len(voter)

@@ -233,7 +233,7 @@ class Sightings:
 
     in_view: (c, a) whether the object is in the field of view, not hidden behind something else
     fully_clear: (c, a) whether all rays pass through it and the space around it: there is no such object
-    distance: (c, a) m
+    distance: (c, a) m; infinite from a sensor without a view, or with an old one
     """
 
     in_view: Bools
@@ -349,21 +349,17 @@ def passed_to_others(
     return result
 
 
-def passed_nearby(batch: Batch, boxes: ClusterBoxes, voter: Bools) -> Bools:
+def passed_nearby(batch: Batch, boxes: ClusterBoxes, seen: Sightings, voter: Bools) -> Bools:
     """(c, a) objects beside a sensor that it sees through, of what is in its view there, and does not report.
 
-    boxes: of the clusters; voter: (a,) agents that count. Not what the sensor is on.
+    boxes, seen: of the clusters; voter: (a,) agents that count. Not what the sensor is on.
     """
     result = np.zeros(batch.reported.shape, np.bool_)
-    views = current(batch.views)
     half = 0.5 * np.hypot(boxes.size[:, 0], boxes.size[:, 1])
-    away = np.full(result.T.shape, np.inf)
-    for column, view in enumerate(views):
-        if view is not None:
-            away[column] = _distance(boxes.position, view)
-    near, agent = np.nonzero(((half < away) & (away <= NEARBY_M)).T & ~batch.reported & voter)
+    beside = (half[:, None] < seen.distance) & (seen.distance <= NEARBY_M)
+    near, agent = np.nonzero(beside & ~batch.reported & voter)
     if len(near):
-        result[near, agent] = _clear_in_view(select(boxes, near), views, agent)
+        result[near, agent] = _clear_in_view(select(boxes, near), batch.views, agent)
     return result
 
 

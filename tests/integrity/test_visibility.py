@@ -14,6 +14,7 @@ from mast_zenoh.integrity.visibility import (
     better_known,
     clear_in_view,
     current,
+    lenient_sightings,
     out_of_view,
     passed_nearby,
     passed_to_others,
@@ -156,8 +157,10 @@ def test_a_sensor_refutes_what_is_said_to_stand_beside_it_by_the_part_that_it_se
     swept: SweptView, place: tuple[float, float], reporting: str, expected: bool
 ) -> None:
     given = batch([(name, 0, place) for name in reporting], "abv", {"v": swept}, size={0: PERSON})
+    boxes = ClusterBoxes.of(given)
+    seen, _ = lenient_sightings(given, boxes)
     for voter in (True, False):
-        refuted = passed_nearby(given, ClusterBoxes.of(given), np.array([True, True, voter]))
+        refuted = passed_nearby(given, boxes, seen, np.array([True, True, voter]))
         assert refuted[0].tolist() == [False, False, expected and voter]
 
 
