@@ -20,7 +20,7 @@ ESTABLISHED_S = 10.0
 #: above this many times its own mean until now.
 ALONE, ALONE_TIMES = 10, 2.0
 SUDDEN, SUDDEN_TIMES = 5, 1.5
-#: The same of objects that fewer than half of the agents report, and others see through.
+#: The same of objects that fewer than half of the agents report, and as many others see through.
 CONTESTED, CONTESTED_TIMES = 1, 2.0
 #: s, after which an object that is contradicted is evidence against the agent that reports it: by then, most false
 #: detections of honest detectors are gone, and a fault, whose contradictions begin all at once, has been found. And s,
@@ -45,9 +45,9 @@ class ExistenceVotes:
 
     An agent is heard only about what may be in its own view. Objects where no other sensor looks can be neither
     confirmed nor refuted. Of a suspended agent, as many of them are believed as it had on average before, the oldest:
-    disbelieving all would cost more than it saves. Objects that fewer than half of the agents report, and others see
-    through, are open as long as either may be lying: of each agent's, not many more are believed than what is usual,
-    unless those that deny them dispute as many objects.
+    disbelieving all would cost more than it saves. Objects that fewer than half of the agents report, and as many
+    others see through, are open as long as either may be lying: of each agent's, not many more are believed than what
+    is usual, unless those that deny them dispute as many objects. If fewer see through them, they are believed.
 
     An agent that is suspended for how its objects look or move still votes on whether they exist, and its tracks count
     where nobody else reports the object.
@@ -117,25 +117,7 @@ class ExistenceVotes:
         lasting = (balance < 0.0) & (batch.time_ns - self._of.first_ns[rows] >= VOTE_MEMORY_S * 1e9)
         doubtful = self._doubtful(batch.time_ns, claims, refuted & lasting)
         self._note_witnesses(batch, claims)
-        unwatched = reported & ~clear & ~impossible & ~(seen.in_view & voter & ~reported).any(axis=1, keepdims=True)
-        one = (reported.sum(axis=1) == 1)[:, None]  # what a suspended agent reports, too, is not reported alone
-        unwatched &= one
-        alone = claims & one & ~self._confirmed(believed)[:, None]
-        self._usual = self._agents.carry(self._usual, 0.0)
-        usual = self._usual[agent_rows]
-        claimed = claims.any(axis=1) | self._oldest(unwatched & ~voter, np.rint(usual[:, 0]))
-        most = self._most_alone(alone.sum(axis=0), usual, voter)
-        few = (2 * claims.sum(axis=1) < len(batch.agents)) & (clear & voter).any(axis=1) & ~false
-        contested = claims & few[:, None]
-        most_contested = self._most_contested(usual, voter)
-        beyond = alone.any(axis=1) & ~self._oldest(alone, most)
-        beyond |= more_disputed(contested, clear & voter & few[:, None]) & ~self._oldest(contested, most_contested)
-        counts = (
-            unwatched.sum(axis=0),
-            np.minimum(alone.sum(axis=0), most),
-            np.minimum(contested.sum(axis=0), most_contested),
-        )
-        self._usual[agent_rows] = self._averaged(batch.time_ns, usual, np.column_stack(counts), voter)
+        claimed, beyond = self._reported_by_few(evidence, claims, clear, believed, false)
         withheld = (balance < 0.0) | ~self._stays(batch.time_ns, claimed, believed) | beyond
         withheld |= doubtful | self._attached(evidence)
         objects = ObjectTrust(
@@ -147,6 +129,38 @@ class ExistenceVotes:
         )
         trusted = claims & ~agents.suspended[agent_rows]
         return objects, batch.weights(trusted | (claims & ~trusted.any(axis=1, keepdims=True)))
+
+    def _reported_by_few(
+        self, evidence: Evidence, claims: Bools, clear: Bools, believed: Bools, false: Bools
+    ) -> tuple[Bools, Bools]:
+        """(c,) objects that agents claim, or a suspended one alone as often as before; (c,) those beyond what is usual.
+
+        claims, clear: (c, a) who claims an object, and who sees through it; believed: (k,) agents that count
+        false: (c,) in every explanation
+        """
+        batch, agent_rows = evidence.batch, self._agents.rows
+        reported, voter = batch.reported, believed[agent_rows]
+        unwatched = reported & ~clear & ~evidence.testimonies.impossible
+        unwatched &= ~(evidence.seen.in_view & voter & ~reported).any(axis=1, keepdims=True)
+        one = (reported.sum(axis=1) == 1)[:, None]  # what a suspended agent reports, too, is not reported alone
+        unwatched &= one
+        alone = claims & one & ~self._confirmed(believed)[:, None]
+        denials, claiming = clear & voter, claims.sum(axis=1)
+        few = (2 * claiming < len(batch.agents)) & (claiming <= denials.sum(axis=1)) & ~false
+        contested, denials = claims & few[:, None], denials & few[:, None]
+        self._usual = self._agents.carry(self._usual, 0.0)
+        usual = self._usual[agent_rows]
+        most = self._most_alone(alone.sum(axis=0), usual, voter)
+        most_contested = self._most_contested(usual, voter)
+        beyond = alone.any(axis=1) & ~self._oldest(alone, most)
+        beyond |= more_disputed(contested, denials) & ~self._oldest(contested, most_contested)
+        counts = (
+            unwatched.sum(axis=0),
+            np.minimum(alone.sum(axis=0), most),
+            np.minimum(contested.sum(axis=0), most_contested),
+        )
+        self._usual[agent_rows] = self._averaged(batch.time_ns, usual, np.column_stack(counts), voter)
+        return claims.any(axis=1) | self._oldest(unwatched & ~voter, np.rint(usual[:, 0])), beyond
 
     def _doubtful(self, time_ns: int, claims: Bools, refuted: Bools) -> Bools:
         """(c,) objects that only those claim whose claims of them were refuted lately, though they may be open now.
