@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import ClassVar
+
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
@@ -32,6 +35,46 @@ ATTACHED_S = 30.0
 USUAL_S, KNOWN_S = 30.0, 2.0
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Votes:
+    """The votes of `a` agents about `c` objects.
+
+    voter: (a,) agents whose votes count
+    clear: (c, a) rays of the agent pass the place of the object
+    claims: (c, a) votes for it: reports it where its own rays end
+    occupied: (c, a) votes for it: its rays end there, though it does not report it
+    denials: (c, a) votes against it: its rays pass there, even if it reports it
+    """
+
+    voter: Bools
+    clear: Bools
+    claims: Bools
+    occupied: Bools
+    denials: Bools
+
+    @classmethod
+    def of(cls, evidence: Evidence, voter: Bools) -> Votes:
+        """The votes about the objects of a batch. voter: (a,) agents whose votes count"""
+        batch, clear = evidence.batch, evidence.rays.mostly_clear | evidence.passed
+        impossible = evidence.testimonies.impossible | evidence.out_of_view
+        silent = silent_about(batch, evidence.boxes, evidence.seen, evidence.rays, FAR_M)
+        return cls(
+            voter,
+            clear,
+            claims=batch.reported & ~clear & ~impossible & voter,
+            occupied=silent & ~evidence.passed & voter,
+            denials=clear & voter,
+        )
+
+    def refuted(self, explanations: Explanations) -> Bools:
+        """(c,) objects that are false in every explanation of the disputes."""
+        result = np.zeros(len(self.claims), np.bool_)
+        denied = np.flatnonzero(self.claims.any(axis=1) & self.denials.any(axis=1))
+        for_it = self.claims[denied] | self.occupied[denied]
+        result[denied] = explanations.false(for_it, self.denials[denied])
+        return result
+
+
 class ExistenceVotes:
     """Decides which objects exist, with a short memory.
 
@@ -52,8 +95,13 @@ class ExistenceVotes:
     An agent that is suspended for how its objects look or move still votes on whether they exist, and its tracks count
     where nobody else reports the object.
 
-    agents: the memory of agents, with columns `suspended` and `misdescribes`; they are updated by the caller
+    agents: the memory of agents, with columns `suspended` and `misdescribes`, which the caller updates, and COLUMNS
     """
+
+    #: Of each agent: mean numbers of objects that it reports and nobody else looks at, of those that it reports alone,
+    #: and of contested ones; s, over which they are averaged; ns, until when what it reports close to other objects is
+    #: doubted.
+    COLUMNS: ClassVar = dict(unwatched=0.0, alone=0.0, contested=0.0, averaged_s=0.0, attached_until_ns=0)
 
     def __init__(self, agents: AgentMemory) -> None:
         self._agents = agents
@@ -67,11 +115,6 @@ class ExistenceVotes:
         self._track: Ints = np.zeros((0, 0), np.int64)
         self._contradicted_s = np.zeros((0, 0))  # (m, k) for how long what each agent reports was contradicted
         self._false_until_ns = np.zeros((0, 0), np.int64)  # (m, k) ns, until when it is false by what was known
-        # (k, 4) mean numbers of objects that an agent reports and nobody else looks at, of those that it alone reports,
-        # and of those that others see through; and s, over which they are averaged
-        self._usual = np.zeros((0, 4))
-        # (k,) ns, until when what each agent reports close to other objects is doubted
-        self._attached_until_ns: Ints = np.zeros(0, np.int64)
         self._time_ns: int | None = None
 
     def follow(self, time_ns: int, boxes: ClusterBoxes) -> Ints:
@@ -99,68 +142,57 @@ class ExistenceVotes:
 
         explanations: of the disputes of its agents
         """
-        batch, boxes, seen, rays = evidence.batch, evidence.boxes, evidence.seen, evidence.rays
-        impossible, reported, rows = evidence.testimonies.impossible, batch.reported, self._rows
-        agents, agent_rows = self._agents.of, self._agents.rows
+        batch, agents, rows = evidence.batch, self._agents.of, self._rows
         believed = ~agents.suspended | agents.misdescribes
-        voter = believed[agent_rows]
-        clear, silent = rays.mostly_clear | evidence.passed, silent_about(batch, boxes, seen, rays, FAR_M)
-        silent &= ~evidence.passed
-        claims = reported & ~clear & ~impossible & ~evidence.out_of_view & voter
-        votes = voter.astype(np.float64)
-        confirming, contradicting = (claims | silent) @ votes, clear @ votes
-        denied = np.flatnonzero(claims.any(axis=1) & (clear & voter).any(axis=1))
-        refuted = np.zeros(len(rows), np.bool_)
-        refuted[denied] = explanations.false(claims[denied] | (silent[denied] & voter), clear[denied] & voter)
-        false = refuted | (~claims.any(axis=1) & (contradicting > confirming))
+        votes = Votes.of(evidence, believed[self._agents.rows])
+        confirming, contradicting = (votes.claims | votes.occupied).sum(axis=1), votes.denials.sum(axis=1)
+        refuted = votes.refuted(explanations)
+        false = refuted | (~votes.claims.any(axis=1) & (contradicting > confirming))
         balance = self._votes.vote(rows, np.where(false, -1.0, 1.0))
         lasting = (balance < 0.0) & (batch.time_ns - self._of.first_ns[rows] >= VOTE_MEMORY_S * 1e9)
-        doubtful = self._doubtful(batch.time_ns, claims, refuted & lasting)
-        self._note_witnesses(batch, claims)
-        claimed, beyond = self._reported_by_few(evidence, claims, clear, believed, false)
+        doubtful = self._doubtful(batch.time_ns, votes.claims, refuted & lasting)
+        self._note_witnesses(batch, votes.claims)
+        claimed, beyond = self._limited(evidence, votes, self._confirmed(believed), false)
         withheld = (balance < 0.0) | ~self._stays(batch.time_ns, claimed, believed) | beyond
         withheld |= doubtful | self._attached(evidence)
         objects = ObjectTrust(
             (1.0 + confirming) / (2.0 + confirming + contradicting),
-            (seen.in_view | reported).sum(axis=1),
-            claims.sum(axis=1),
-            (clear & voter).sum(axis=1),
+            (evidence.seen.in_view | batch.reported).sum(axis=1),
+            votes.claims.sum(axis=1),
+            contradicting,
             withheld,
         )
-        trusted = claims & ~agents.suspended[agent_rows]
-        return objects, batch.weights(trusted | (claims & ~trusted.any(axis=1, keepdims=True)))
+        trusted = votes.claims & ~agents.suspended[self._agents.rows]
+        return objects, batch.weights(trusted | (votes.claims & ~trusted.any(axis=1, keepdims=True)))
 
-    def _reported_by_few(
-        self, evidence: Evidence, claims: Bools, clear: Bools, believed: Bools, false: Bools
-    ) -> tuple[Bools, Bools]:
+    def _limited(self, evidence: Evidence, votes: Votes, confirmed: Bools, false: Bools) -> tuple[Bools, Bools]:
         """(c,) objects that agents claim, or a suspended one alone as often as before; (c,) those beyond what is usual.
 
-        claims, clear: (c, a) who claims an object, and who sees through it; believed: (k,) agents that count
-        false: (c,) in every explanation
+        confirmed: (c,) see `_confirmed`; false: (c,) in every explanation
         """
-        batch, agent_rows = evidence.batch, self._agents.rows
-        reported, voter = batch.reported, believed[agent_rows]
-        unwatched = reported & ~clear & ~evidence.testimonies.impossible
-        unwatched &= ~(evidence.seen.in_view & voter & ~reported).any(axis=1, keepdims=True)
+        batch, of, agents = evidence.batch, self._agents.of, self._agents.rows
+        reported, claims, voter = batch.reported, votes.claims, votes.voter
         one = (reported.sum(axis=1) == 1)[:, None]  # what a suspended agent reports, too, is not reported alone
-        unwatched &= one
-        alone = claims & one & ~self._confirmed(believed)[:, None]
-        denials, claiming = clear & voter, claims.sum(axis=1)
-        few = (2 * claiming < len(batch.agents)) & (claiming <= denials.sum(axis=1)) & ~false
-        contested, denials = claims & few[:, None], denials & few[:, None]
-        self._usual = self._agents.carry(self._usual, 0.0)
-        usual = self._usual[agent_rows]
-        most = self._most_alone(alone.sum(axis=0), usual, voter)
-        most_contested = self._most_contested(usual, voter)
-        beyond = alone.any(axis=1) & ~self._oldest(alone, most)
-        beyond |= more_disputed(contested, denials) & ~self._oldest(contested, most_contested)
-        counts = (
-            unwatched.sum(axis=0),
-            np.minimum(alone.sum(axis=0), most),
-            np.minimum(contested.sum(axis=0), most_contested),
+        watched = (evidence.seen.in_view & voter & ~reported).any(axis=1, keepdims=True)
+        unwatched = reported & ~votes.clear & ~evidence.testimonies.impossible & ~watched & one
+        alone = claims & one & ~confirmed[:, None]
+        claiming = claims.sum(axis=1)
+        open_ = (2 * claiming < len(batch.agents)) & (claiming <= votes.denials.sum(axis=1)) & ~false
+        contested = claims & open_[:, None]
+        most_alone = self._most_alone(alone.sum(axis=0), voter)
+        most_contested = self._most_contested(voter)
+        claimed = claims.any(axis=1) | self._oldest(unwatched & ~voter, np.rint(of.unwatched[agents]))
+        beyond = alone.any(axis=1) & ~self._oldest(alone, most_alone)
+        disputed = more_disputed(contested, votes.denials & open_[:, None])
+        beyond |= disputed & ~self._oldest(contested, most_contested)
+        self._average(
+            batch.time_ns,
+            voter,
+            unwatched=unwatched.sum(axis=0),
+            alone=np.minimum(alone.sum(axis=0), most_alone),
+            contested=np.minimum(contested.sum(axis=0), most_contested),
         )
-        self._usual[agent_rows] = self._averaged(batch.time_ns, usual, np.column_stack(counts), voter)
-        return claims.any(axis=1) | self._oldest(unwatched & ~voter, np.rint(usual[:, 0])), beyond
+        return claimed, beyond
 
     def _doubtful(self, time_ns: int, claims: Bools, refuted: Bools) -> Bools:
         """(c,) objects that only those claim whose claims of them were refuted lately, though they may be open now.
@@ -175,8 +207,7 @@ class ExistenceVotes:
 
     def _attached(self, evidence: Evidence) -> Bools:
         """(c,) objects that drive as one with another one, or touch one by the word of those who said that before."""
-        batch, rows = evidence.batch, self._agents.rows
-        until_ns = self._attached_until_ns = self._agents.carry(self._attached_until_ns, 0)
+        batch, rows, until_ns = evidence.batch, self._agents.rows, self._agents.of.attached_until_ns
         saying = (batch.reported & evidence.attached[:, None]).any(axis=0)
         until_ns[rows[saying]] = batch.time_ns + round(ATTACHED_S * 1e9)
         others = batch.reported & (batch.time_ns >= until_ns[rows])
@@ -207,25 +238,27 @@ class ExistenceVotes:
         recent = time_ns - self._of.claimed_ns[rows] <= ESTABLISHED_S * 1e9
         return np.asarray(claimed | ((self._of.known[rows] | self._confirmed(believed)) & recent))
 
-    def _most_alone(self, alone: Ints, usual: Floats, voter: Bools) -> Floats:
-        """(a,) objects that each agent may report alone.
-
-        alone: (a,) that it does; usual: (a, 4), see `_usual`; voter: (a,) agents that are not suspended
-        """
-        own = np.where(usual[:, -1] >= KNOWN_S, SUDDEN + SUDDEN_TIMES * usual[:, 1], np.inf)
+    def _most_alone(self, alone: Ints, voter: Bools) -> Floats:
+        """(a,) objects that each agent may report alone. alone: (a,) that it does; voter: (a,) agents that count"""
+        of, rows = self._agents.of, self._agents.rows
+        own = np.where(of.averaged_s[rows] >= KNOWN_S, SUDDEN + SUDDEN_TIMES * of.alone[rows], np.inf)
         return np.asarray(np.minimum(ALONE + ALONE_TIMES * _middle(alone[voter]), own))
 
-    def _most_contested(self, usual: Floats, voter: Bools) -> Floats:
-        """(a,) objects that each agent may report although others see through them. usual, voter: as above"""
-        return np.full(len(voter), CONTESTED + CONTESTED_TIMES * _middle(usual[voter, 2]))
+    def _most_contested(self, voter: Bools) -> Floats:
+        """(a,) objects that each agent may report although others see through them. voter: (a,) agents that count"""
+        usual = self._agents.of.contested[self._agents.rows[voter]]
+        return np.full(len(voter), CONTESTED + CONTESTED_TIMES * _middle(usual))
 
-    def _averaged(self, time_ns: int, usual: Floats, numbers: Floats, voter: Bools) -> Floats:
-        """(a, 4) means with the numbers (a, 3) of a batch. voter: (a,) agents not suspended; of others, they stay"""
+    def _average(self, time_ns: int, voter: Bools, **numbers: Floats | Ints) -> None:
+        """Average the numbers (a,) of a batch, by column. voter: (a,) agents that count; those of others stay"""
         elapsed_s = 0.0 if self._time_ns is None else (time_ns - self._time_ns) * 1e-9
         self._time_ns = time_ns
-        seconds = np.where(voter, np.minimum(usual[:, -1] + elapsed_s, USUAL_S), usual[:, -1])
-        step = np.where(voter, np.minimum(elapsed_s / np.maximum(seconds, 1e-9), 1.0), 0.0)
-        return np.column_stack([usual[:, :-1] + step[:, None] * (numbers - usual[:, :-1]), seconds])
+        of, rows = self._agents.of, self._agents.rows[voter]
+        seconds = of.averaged_s[rows] = np.minimum(of.averaged_s[rows] + elapsed_s, USUAL_S)
+        step = np.minimum(elapsed_s / np.maximum(seconds, 1e-9), 1.0)
+        for name, number in numbers.items():
+            mean = getattr(of, name)
+            mean[rows] += step * (number[voter] - mean[rows])
 
     def _oldest(self, objects: Bools, most: Floats) -> Bools:
         """(c,) the oldest of each agent's objects (c, a), at most (a,) so many."""

@@ -21,7 +21,7 @@ from mast_zenoh.integrity.views import SweptView
 SUSPECT_LOG_ODDS = 2.0
 #: ns, between two faults that excuse what an agent did before they were found.
 EXCUSE_NS = 60_000_000_000
-#: Share of the last frame in the share of frames in which nothing of an agent arrived.
+#: Weight of the latest frame in the mean share of frames in which nothing of an agent arrived.
 LOSS_STEP = 0.02
 
 
@@ -32,10 +32,11 @@ class FaultOrLie(Integrity):
     A fault moves all tracks of an agent alike. Of each pair of agents, the displacement, turn and delay of one against
     the other is fitted to all tracks of objects that both report. An agent is faulty if it is in every set of fewer
     than half of the agents that has one of each pair that differs so (`relative_faults`): on one agent or on several at
-    once. Two agents cannot make a third one seem faulty. The tracks and the view of a faulty agent are corrected, and
-    it keeps its vote. A lie concerns some of its tracks: what remains after the correction is evidence for `stage`,
-    as without a fault. A fault that is newly found excuses what the agent did before, once in a minute at most, and
-    `stage` waits for a moment before it acts on an agent whose tracks differ.
+    once. Of five agents, two cannot make another one seem faulty; of four, two can. The tracks and the view of a faulty
+    agent are corrected, and it keeps its vote. A lie concerns some of its tracks: what remains after the correction is
+    evidence for `stage`, as without a fault. A fault that is newly found excuses what the agent did before, once in a
+    minute at most, and `stage` waits up to 10 s before it acts on an agent whose tracks differ as a fault would make
+    them.
 
     stage: judges the corrected tracks; None: SequentialConsistency()
     significance: gain in twice the log-likelihood from which the tracks of two agents differ; 30 is exceeded by 5 in a
@@ -45,7 +46,8 @@ class FaultOrLie(Integrity):
     memory_s: s, over which differences are summed
 
     Weaknesses: an agent that moves all its tracks alike on purpose is corrected, not suspended, which does no harm; as
-    many agents with a fault as without are left as they are; errors beyond 9 m are not found.
+    many agents with a fault as without are left as they are; two liars of four agents can have an honest one
+    corrected; errors beyond 9 m are not found.
     """
 
     stage: Integrity | None = None

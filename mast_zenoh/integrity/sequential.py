@@ -157,6 +157,7 @@ class SequentialConsistency(Integrity):
             kinds=(0.0,) * len(ACCUSATIONS),
             **sums,
             **flags,
+            **ExistenceVotes.COLUMNS,
         )
         self._of = self._agents.of
         self._next_number = 0  # of an agent that was not there before

@@ -163,9 +163,10 @@ class DetectionModel(Detector):
     * one that wanders: a stationary first-order autoregressive process with the time constant `error_s` (the rest);
     * one that is new in each frame (`white_share`).
 
-    What decides whether an object is detected, its score, its class and a reversed heading wander as well. What wanders
-    begins anew for an object that was out of view. Clutter stays where it is in the world, except for the part of the
-    error that is new in each frame, and ends by chance: most is there for a moment, some lasts.
+    What decides whether an object is detected, and its score, wander as well. A wrong class and a reversed heading stay
+    with the object. What wanders begins anew for an object that was out of view. Clutter stays where it is in the
+    world, except for the part of the error that is new in each frame, and ends by chance: most is there for a moment,
+    some lasts.
 
     The defaults approximate lidar detectors on two real cooperative data sets (0.3 to 0.6 m error per axis,
     about two false positives a frame, a precision of about 0.8, a recall of about 0.65). Errors, misses and clutter
@@ -397,8 +398,8 @@ _MAX_STRENGTH = 1.5  # of an object's returns in the logit of its score, up and 
 class LastingErrors(DetectionModel):
     """`DetectionModel`, with misses and clutter that last longer, errors that only wander, and weak scores.
 
-    In one frame, errors and misses have the distributions of `DetectionModel`. No part of an error stays with the
-    object and the viewing angle, and there are no blips.
+    In one frame, errors and misses have the distributions of a `DetectionModel` with the same parameters. No part of an
+    error stays with the object and the viewing angle, and there are no blips.
 
     The score of an object is the logistic function of a normal number, with mean `score_at_scale` plus the logarithm of
     its returns relative to `points_scale`, limited to 1.5 up and down; that of clutter has the mean

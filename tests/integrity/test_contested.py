@@ -64,9 +64,10 @@ def test_real_objects_that_few_agents_see_are_not_limited_by_two_of_five_that_de
 
 @pytest.mark.parametrize(("agents", "usual"), [(2, 0.0), (3, 3.0)])
 def test_as_many_contested_objects_are_believed_as_the_middle_of_the_agents_has(agents: int, usual: float) -> None:
-    means = np.zeros((5, 4))
-    means[:agents, 2] = 3.0
-    most = ExistenceVotes(AgentMemory(suspended=False, misdescribes=False))._most_contested(means, EVERYBODY)
+    memory = AgentMemory(suspended=False, misdescribes=False, **ExistenceVotes.COLUMNS)
+    memory.meet(0, tuple("abcde"))
+    memory.of.contested[:agents] = 3.0
+    most = ExistenceVotes(memory)._most_contested(EVERYBODY)
     assert most.tolist() == [CONTESTED + CONTESTED_TIMES * usual] * 5
 
 

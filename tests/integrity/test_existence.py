@@ -81,7 +81,7 @@ def test_a_box_above_an_object_does_not_take_its_number() -> None:
 
 @pytest.mark.parametrize("misdescribes", [True, False])
 def test_who_is_suspended_for_how_objects_look_is_heard_about_whether_they_exist(misdescribes: bool) -> None:
-    agents = AgentMemory(suspended=False, misdescribes=False)
+    agents = AgentMemory(suspended=False, misdescribes=False, **ExistenceVotes.COLUMNS)
     votes = ExistenceVotes(agents)
     given = batch([("e", 0, (0.0, 0.0)), ("a", 1, AT_BUMPER), ("e", 1, AT_BUMPER)], AGENTS)
     rows, suspended = agents.meet(given.time_ns, given.agents), np.arange(5) == 4

@@ -129,7 +129,7 @@ def test_an_agent_that_stays_off_is_not_trusted_again() -> None:
 
 @pytest.mark.parametrize(("witnesses", "believed"), [("ab", False), ("ac", True)])
 def test_what_only_liars_confirmed_leaves_the_picture_with_them(witnesses: str, believed: bool) -> None:
-    agents = AgentMemory(suspended=False, misdescribes=False)
+    agents = AgentMemory(suspended=False, misdescribes=False, **ExistenceVotes.COLUMNS)
     votes = ExistenceVotes(agents)
     for frame, lying in enumerate(["", "", "ab"]):  # `a` and `b` are suspended in the last frame
         reporting = witnesses if not lying else "ab"
@@ -145,7 +145,7 @@ def test_what_only_liars_confirmed_leaves_the_picture_with_them(witnesses: str, 
 
 
 def test_a_liar_does_not_take_along_that_others_confirmed_an_object_when_it_leaves_it() -> None:
-    agents = AgentMemory(suspended=False, misdescribes=False)
+    agents = AgentMemory(suspended=False, misdescribes=False, **ExistenceVotes.COLUMNS)
     votes = ExistenceVotes(agents)
     nobody = Explanations(np.zeros((4, 4), np.bool_), *np.zeros((2, 4), np.bool_))
     for frame in range(40):
