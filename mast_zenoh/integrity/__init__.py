@@ -3,7 +3,8 @@
 base         what a stage gets and returns, one box for each cluster, STATES of agents; NoIntegrity
 views        what the agents' sensors cover
 visibility   what the rays of sensors say about boxes: which should see an object, and which see through it
-memory       follows objects and agents from batch to batch; how often each agent's claims have held up
+memory       follows objects and agents from batch to batch
+reputation   how often each agent's claims have held up
 disputes     what agents say of each object, and who contradicts whom
 explanations which agents must be lying, and which may be
 existence    which objects exist, given that

@@ -35,6 +35,10 @@ class Tail:
         """The value that an honest agent exceeds `per_hour` times."""
         return float(self.scale * np.log(self.per_hour / per_hour))
 
+    def alarm_at(self, per_hour: float) -> float:
+        """The value from which a statistic is an alarm, at `per_hour` false ones: at least one scale."""
+        return max(self.value_at(per_hour), self.scale)
+
 
 def discoveries(rates: Floats, per_hour: float) -> Bools:
     """Which of m statistics are alarms, at `per_hour` false ones among all.

@@ -11,7 +11,6 @@ from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.integrity.base import AgentTrust, Assessment, Batch, ClusterBoxes, Integrity, ObjectTrust
 from mast_zenoh.integrity.consensus import CheckCount
-from mast_zenoh.integrity.memory import BetaReputation
 from mast_zenoh.integrity.occupancy import (
     AreaLimits,
     OccupiedArea,
@@ -21,6 +20,7 @@ from mast_zenoh.integrity.occupancy import (
     sampled,
     uncovered_m2,
 )
+from mast_zenoh.integrity.reputation import BetaReputation
 from mast_zenoh.integrity.visibility import current, sightings
 
 #: m, heights above the ground between which returns may be those of a vehicle, as in the original.
@@ -61,7 +61,7 @@ class Cad(Integrity):
 
     def __post_init__(self) -> None:
         check("more than 0", threshold_m2=self.threshold_m2, range_m=self.range_m, link_m=self.link_m)
-        self._record = BetaReputation(memory_s=self.record_s)
+        self._record = BetaReputation(record_s=self.record_s)
         self.reset()
 
     def reset(self) -> None:

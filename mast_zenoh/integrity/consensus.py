@@ -25,7 +25,7 @@ from mast_zenoh.integrity.base import (
     Integrity,
     ObjectTrust,
 )
-from mast_zenoh.integrity.memory import BetaReputation
+from mast_zenoh.integrity.reputation import BetaReputation
 from mast_zenoh.integrity.views import SweptView
 
 
@@ -132,7 +132,7 @@ class RecordedAdmission:
     """
 
     def __init__(self, record_s: float) -> None:
-        self._record = BetaReputation(memory_s=record_s)
+        self._record = BetaReputation(record_s=record_s)
 
     def reset(self) -> None:
         """Return to the initial state."""

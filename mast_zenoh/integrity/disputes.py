@@ -257,5 +257,5 @@ class Evidence:
         # Those that may lie can neither make an object certain, nor another agent's place but their own.
         certain = (2 * claiming > len(voter)) | (under_sensor & (claiming > 0))
         few = 2 * (batch.reported & voter).sum(axis=1) < len(voter)
-        hang_on = attached(boxes, few, certain, beside)
-        return cls(batch, boxes, seen, rays, outside, passed, *hang_on, testimonies)
+        touching, driving = attached(boxes, few, certain, beside)
+        return cls(batch, boxes, seen, rays, outside, passed, touching, driving, testimonies)

@@ -28,12 +28,12 @@ class Verdict(NamedTuple):
     """What the explanations say of `a` agents.
 
     lying: (a,) whether the agent lies in every explanation
-    open:  (a,) whether it lies in one that needs it, and in another one it does not; without an explanation: whether it
-           disagrees with anybody
+    undecided: (a,) whether it lies in one that needs it, and in another one it does not; without an explanation:
+        whether it disagrees with anybody
     """
 
     lying: Bools
-    open: Bools
+    undecided: Bools
 
 
 class Explanations:
@@ -42,20 +42,20 @@ class Explanations:
     disputes: (a, a) bool, symmetric, which agents disagree
     lying:    (a,) which agents are known to lie: they are in every set
     honest:   (a,) which are known to be honest: they are in none
-    open:     (a,) which disagree about something else, too, that is left out here; None: nobody
+    left_out: (a,) which disagree about something else, too, that is left out here; None: nobody
     branches: of the search for covers, in one question
 
     branches_left: of the last question; below 0: it took too long, and nothing counts as certain
     """
 
     def __init__(
-        self, disputes: Bools, lying: Bools, honest: Bools, open: Bools | None = None, branches: int = BRANCHES
+        self, disputes: Bools, lying: Bools, honest: Bools, left_out: Bools | None = None, branches: int = BRANCHES
     ) -> None:
         a = len(lying)
         self._agents = a
         self._others = [mask_of(row) for row in disputes]
         self._lying, self._honest = mask_of(lying & ~honest), mask_of(honest)
-        self._open = np.zeros(a, np.bool_) if open is None else open & ~honest
+        self._left_out = np.zeros(a, np.bool_) if left_out is None else left_out & ~honest
         self._most = (a - 1) // 2
         self._branches = self.branches_left = branches
         self._fewest_of: dict[int, int] = {}
@@ -63,7 +63,7 @@ class Explanations:
     @property
     def whole(self) -> bool:
         """Whether they explain all disputes."""
-        return not self._open.any()
+        return not self._left_out.any()
 
     def possible(self, lying: int = 0, honest: int = 0) -> bool:
         """Whether there is an explanation in which some agents lie and others do not."""
@@ -82,7 +82,7 @@ class Explanations:
         if not self.possible():
             lying = np.array([bool(self._lying >> agent & 1) for agent in every], np.bool_)
             disputed = [bool(others) and not self._honest >> agent & 1 for agent, others in enumerate(self._others)]
-            return Verdict(lying, ~lying & (self._open | np.array(disputed, np.bool_)))
+            return Verdict(lying, ~lying & (self._left_out | np.array(disputed, np.bool_)))
         honest = [self.possible(honest=1 << agent) for agent in every]
         # An agent lies in an explanation that needs it if one of those that it disagrees with is honest there.
         needed = [
@@ -90,7 +90,7 @@ class Explanations:
             for agent, others in enumerate(self._others)
         ]
         may_be_honest = np.array(honest, np.bool_)
-        return Verdict(~may_be_honest, may_be_honest & (self._open | np.array(needed, np.bool_)))
+        return Verdict(~may_be_honest, may_be_honest & (self._left_out | np.array(needed, np.bool_)))
 
     def false(self, claiming: Bools, denying: Bools) -> Bools:
         """(c,) which of c claims are false in every explanation.
@@ -162,7 +162,7 @@ def explained(disputes: Bools, strength: Floats, lying: Bools, honest: Bools) ->
         if tried.possible() and tried.branches_left >= 0:
             kept = more
         left = max(tried.branches_left, 0)
-    return Explanations(kept, lying, honest, open=np.asarray((disputes & ~kept).any(axis=1)))
+    return Explanations(kept, lying, honest, left_out=np.asarray((disputes & ~kept).any(axis=1)))
 
 
 def mask_of(members: Bools) -> int:

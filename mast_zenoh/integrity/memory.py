@@ -1,4 +1,4 @@
-"""What a stage remembers of objects and agents from batch to batch, and how often agents' claims have held up.
+"""What a stage remembers of objects and agents from batch to batch.
 
 Both memories give each object or agent a row. The rows of the next batch may be others: a stage's own columns, named
 with their first values, are taken along, and `carry` does so with any array.
@@ -16,7 +16,6 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.matching import greedy_matching, neighbours
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.integrity.base import ClusterBoxes
@@ -71,12 +70,16 @@ class _Rows:
             setattr(self.of, name, self.carry(getattr(self.of, name), time_ns if first == NOW else first))
 
 
+#: m, in the bird's-eye view, greatest distance of a cluster from the predicted position: the clusterer's radius, as
+#: tracks of one object at one time are not farther apart.
+GATE_M = 2.0
+#: m/s², by which an object may accelerate; widens the gate with the time without a cluster.
+ACCELERATION_MPS2 = 4.5
+
+
 class ObjectMemory(_Rows):
     """Follows clusters from batch to batch by predicted position, the nearest first.
 
-    gate_m: m, in the bird's-eye view, greatest distance of a cluster from the predicted position; the clusterer's
-        radius by default: tracks of one object at one time are not farther apart
-    acceleration_mps2: m/s², by which an object may accelerate; widens the gate with the time without a cluster
     forget_s: s, after which an object without a cluster is forgotten
     columns: of the caller, see `_Rows`; besides them there are
 
@@ -85,14 +88,10 @@ class ObjectMemory(_Rows):
     number: (m,) that it keeps for ever, and no other object has
     """
 
-    def __init__(
-        self, *, gate_m: float = 2.0, acceleration_mps2: float = 4.5, forget_s: float = 2.0, **columns: Any
-    ) -> None:
+    def __init__(self, *, forget_s: float = 2.0, **columns: Any) -> None:
         nowhere = (0.0, 0.0, 0.0)
         super().__init__(position=nowhere, velocity=nowhere, first_ns=NOW, seen_ns=NOW, frames=0, number=-1, **columns)
         self._next = 0
-        self._gate_m = gate_m
-        self._acceleration = acceleration_mps2
         self._forget_ns = round(forget_s * 1e9)
 
     def follow(self, time_ns: int, position: Floats, velocity: Floats) -> Ints:
@@ -104,7 +103,7 @@ class ObjectMemory(_Rows):
         kept = _newest(of.seen_ns, time_ns - self._forget_ns, MAX_OBJECTS)
         gap = (time_ns - of.seen_ns[kept]) * 1e-9
         predicted = of.position[kept] + of.velocity[kept] * gap[:, None]
-        gate = self._gate_m + 0.5 * self._acceleration * gap * gap
+        gate = GATE_M + 0.5 * ACCELERATION_MPS2 * gap * gap
         i, j, dx, dy = neighbours(predicted, position, gate)
         # In space: a liar's box above an object must not take its number.
         distance = np.sqrt(dx**2 + dy**2 + (position[j, 2] - predicted[i, 2]) ** 2)
@@ -202,51 +201,3 @@ def _newest(seen_ns: Ints, since_ns: int, most: int) -> Ints:
     if len(rows) > most:
         rows = np.sort(rows[np.argsort(-seen_ns[rows], kind="stable")[:most]])
     return rows
-
-
-#: s between independent pieces of evidence about one object: consecutive offsets of two honest tracks correlate at 0.8
-#: at 10 Hz, which leaves about one independent sample a second.
-INDEPENDENT_S = 1.0
-
-
-class BetaReputation:
-    """Beta record of each agent: claims upheld and refuted, with forgetting.
-
-    The mean is (1 + upheld) / (2 + upheld + refuted), so that a new agent has 0.5.
-
-    memory_s: s, after which a claim counts 1/e
-    """
-
-    def __init__(self, *, memory_s: float) -> None:
-        check("more than 0", record_s=memory_s)
-        self._memory_s = memory_s
-        self.reset()
-
-    def reset(self) -> None:
-        """Return to the initial state."""
-        self._agents = AgentMemory(counts=(0.0, 0.0))
-        self._last_ns: int | None = None
-
-    def mean(self, names: tuple[str, ...]) -> Floats:
-        """(a,) the present mean of agents; 0.5 for unknown ones."""
-        known = dict(zip(self._agents.names, _mean(self._agents.of.counts).tolist(), strict=True))
-        return np.array([known.get(name, 0.5) for name in names], np.float64)
-
-    def update(self, time_ns: int, names: tuple[str, ...], upheld: Floats, refuted: Floats) -> Floats:
-        """(a,) the mean after a batch.
-
-        upheld, refuted: (a,) numbers of claims in the batch; each counts for the time since the last batch, at most
-        INDEPENDENT_S, so that an object counts once a second however often it is reported.
-        """
-        elapsed = 0.0 if self._last_ns is None else (time_ns - self._last_ns) * 1e-9
-        self._last_ns = time_ns
-        rows = self._agents.meet(time_ns, names)
-        counts = self._agents.of.counts
-        counts *= np.exp(-elapsed / self._memory_s)
-        counts[rows] += np.column_stack([upheld, refuted]) * min(elapsed / INDEPENDENT_S, 1.0)
-        return _mean(counts)[rows]
-
-
-def _mean(counts: Floats) -> Floats:
-    """(m,) means of (m, 2) counts of upheld and refuted claims."""
-    return np.asarray((1.0 + counts[:, 0]) / (2.0 + counts.sum(axis=1)))

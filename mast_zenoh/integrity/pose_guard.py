@@ -11,7 +11,7 @@ from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.integrity.base import AgentTrust, Assessment, Batch, ClusterBoxes, Integrity, ObjectTrust
 from mast_zenoh.integrity.consensus import CheckCount, check_agent
-from mast_zenoh.integrity.memory import BetaReputation
+from mast_zenoh.integrity.reputation import BetaReputation
 from mast_zenoh.integrity.visibility import current, seen_through
 
 
@@ -49,7 +49,7 @@ class PoseGuard(Integrity):
     def __post_init__(self) -> None:
         check_agent("ego", self.ego)
         check("more than 0", region_m=self.region_m, agree_m=self.agree_m)
-        self._record = BetaReputation(memory_s=self.record_s)
+        self._record = BetaReputation(record_s=self.record_s)
         self.reset()
 
     def reset(self) -> None:

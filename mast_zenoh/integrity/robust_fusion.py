@@ -9,7 +9,7 @@ import numpy as np
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.integrity.base import AgentTrust, Assessment, Batch, Integrity, ObjectTrust
-from mast_zenoh.integrity.memory import BetaReputation
+from mast_zenoh.integrity.reputation import BetaReputation
 from mast_zenoh.tracking.covariances import make_positive_definite
 
 #: Rows of the state that members are compared by, in COVARIANCE_ORDER: x y vx vy.
@@ -58,7 +58,7 @@ class RobustFusion(Integrity):
         check("more than 0", gate=self.gate, bias_m=self.bias_m, bias_mps=self.bias_mps)
         check("1 or more", confidence=self.confidence)
         self._bias = np.diag([self.bias_m**2, self.bias_m**2, self.bias_mps**2, self.bias_mps**2])
-        self._record = BetaReputation(memory_s=self.record_s)
+        self._record = BetaReputation(record_s=self.record_s)
 
     def assess(self, batch: Batch) -> Assessment:
         reported: Bools = batch.reported

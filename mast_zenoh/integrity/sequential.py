@@ -57,15 +57,21 @@ FALSE_ALARMS_PER_HOUR = 0.02
 DISPUTES_PER_HOUR, APART_PER_HOUR = 10.0, 1.0
 #: How much the word of an agent counts that an object is not there: that of two is needed. An anchor's alone is enough.
 WORD = 0.5
-#: s, for which an agent that may have a fault is not suspended for what it does; and for a deviation of position if a
-#: fault leaves at most this share of the squares of all of them.
-FAULT_AWAITED_S, EXPLAINED_S, UNEXPLAINED = 1.0, 10.0, 0.3
+#: s, for which an agent that may have a fault is not suspended for what it does.
+FAULT_AWAITED_S = 1.0
+#: s, for which an agent is not suspended for a deviation of position that a fault may explain, and the greatest share
+#: of the squared deviations that such a fault may leave.
+EXPLAINED_S, UNEXPLAINED = 10.0, 0.3
 #: s, of this time that an agent regains in a second: one that differs now and then is not excused for ever.
 AWAITED_AGAIN = 0.05
-#: Objects of an honest agent that are contradicted at a time, expected before a run shows it; s, over which the number
-#: is averaged, of a new agent at least and later on; and how many times as much evidence is needed at most where more
-#: is usual.
-EXPECTED, USUAL_FROM_S, USUAL_S, MOST_EVIDENCE = 0.05, 4.0, 20.0, 6.0
+#: Objects of an honest agent that are contradicted at a time, expected before a run shows it.
+EXPECTED = 0.05
+#: s, over which their number is averaged, of a new agent and later on.
+USUAL_FROM_S, USUAL_S = 4.0, 20.0
+#: How many times as much evidence is needed at most where more are usual.
+MOST_EVIDENCE = 6.0
+#: Greatest sum, as many times the alarm of one of ten statistics (of five agents), so that it can be forgotten again.
+MAX_SUM = 1.5
 #: s, before a suspension for a deviation, in which an agent may have lied unnoticed.
 DEVIATED_S = 10.0
 #: s, for which a dispute about where an object is lasts.
@@ -249,10 +255,9 @@ class SequentialConsistency(Integrity):
         usual = np.sort(self._of.usual[rows[~self._of.suspended[rows]]])
         return min(max(usual[(len(usual) - 1) // 2] / EXPECTED, 1.0), MOST_EVIDENCE) if len(usual) else 1.0
 
-    def _alarm_at(self, statistic: int, agents: int) -> float:
-        """The value from which one statistic alone, a column of `_statistics`, is an alarm."""
-        tail = self._tails[statistic]
-        return max(tail.value_at(self.false_alarms_per_hour / max(len(self._tails) * agents, 1)), tail.scale)
+    def _deviation_alarm(self, agents: int) -> float:
+        """The value from which the deviation of one agent alone is an alarm."""
+        return self._tails[DEVIATION].alarm_at(self.false_alarms_per_hour / max(len(self._tails) * agents, 1))
 
     def _median_weights(self, rows: Ints) -> Floats:
         """(a,) weight of each agent in the middle of its objects: less, the nearer its deviation is to an alarm.
@@ -260,7 +265,7 @@ class SequentialConsistency(Integrity):
         Of two liars and one honest agent that report an object, the liars thus have no majority once they are off
         elsewhere, where others see the object, too.
         """
-        weight = np.clip(1.0 - self._of.deviation[rows] / self._alarm_at(DEVIATION, len(rows)), MIN_MEDIAN_WEIGHT, 1.0)
+        weight = np.clip(1.0 - self._of.deviation[rows] / self._deviation_alarm(len(rows)), MIN_MEDIAN_WEIGHT, 1.0)
         return np.asarray(np.where(self._of.suspended[rows], 0.0, weight))
 
     def _note_deviations(self, batch: Batch, boxes: ClusterBoxes, objects: Ints) -> Means:
@@ -278,7 +283,7 @@ class SequentialConsistency(Integrity):
         self._deviating, self._of.deviation[rows] = greatest.argmax(axis=1), statistics
         self._of_apart = np.zeros(len(rows))
         # Two honest agents may report a box half a metre apart for long, but not where one of them is off, too.
-        off = tracks & (statistics >= self._alarm_at(DEVIATION, len(rows)))[means.agent]
+        off = tracks & (statistics >= self._deviation_alarm(len(rows)))[means.agent]
         if off.any():
             one, other, difference = means.apart(off)
             np.maximum.at(self._of_apart, one, difference)
@@ -290,11 +295,10 @@ class SequentialConsistency(Integrity):
     def _summed(self, total: Floats, count: Floats | Ints, tail: Tail, dt: float, factor: float) -> Floats:
         """Cumulative sums after a batch with `count` contradictions.
 
-        An honest agent errs about one object at a time: several at once are much rarer. Limited, so that they can be
-        forgotten again. factor: see `_evidence_factor`
+        An honest agent errs about one object at a time: several at once are much rarer. factor: see `_evidence_factor`
         """
         after = accumulate(total, np.asarray(0.5 * count * (count + 1), np.float64), self.allowance, dt)
-        return np.minimum(after, 1.5 * factor * max(tail.value_at(self.false_alarms_per_hour / 10.0), tail.scale))
+        return np.minimum(after, MAX_SUM * factor * tail.alarm_at(self.false_alarms_per_hour / 10.0))
 
     def _add_disputes(self, testimonies: Testimonies, honest: Bools, dt: float) -> None:
         """Add what a batch shows to all sums; those of absent agents and pairs fall as without evidence.
@@ -414,7 +418,7 @@ class SequentialConsistency(Integrity):
         log_odds = np.clip(least, -MAX_LOG_ODDS, MAX_LOG_ODDS)
         log_odds = np.where(suspended, np.minimum(log_odds, -1.0), log_odds)
         log_odds = np.where(suspended | verdict.lying, log_odds, np.maximum(log_odds, 0.0))
-        undecided = verdict.open & ~suspended
+        undecided = verdict.undecided & ~suspended
         log_odds = np.where(undecided, np.minimum(log_odds, 0.0), log_odds)  # nobody of a dispute looks better
         state = np.where(self._of.seen_s[rows] >= 1.0, TRUSTED, UNKNOWN)
         state = np.where(suspended, SUSPENDED, np.where(undecided, UNDECIDED, state)).astype(np.uint8)

@@ -8,7 +8,8 @@ import numpy as np
 
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.integrity.base import AgentTrust, Assessment, Batch, ClusterBoxes, Integrity, ObjectTrust
-from mast_zenoh.integrity.memory import BetaReputation, VoteMemory
+from mast_zenoh.integrity.memory import VoteMemory
+from mast_zenoh.integrity.reputation import BetaReputation
 from mast_zenoh.integrity.visibility import FAR_M, rays_at, sightings, silent_about
 
 
@@ -37,7 +38,7 @@ class KOfN(Integrity):
     def __post_init__(self) -> None:
         check("1 or more", k=self.k)
         check("more than 0", range_m=self.range_m)
-        self._record = BetaReputation(memory_s=self.record_s)
+        self._record = BetaReputation(record_s=self.record_s)
 
     def assess(self, batch: Batch) -> Assessment:
         boxes = ClusterBoxes.of(batch)
@@ -90,7 +91,7 @@ class FreeSpace(Integrity):
 
     def __post_init__(self) -> None:
         check("more than 0", memory_s=self.memory_s, range_m=self.range_m)
-        self._record = BetaReputation(memory_s=self.record_s)
+        self._record = BetaReputation(record_s=self.record_s)
         self.reset()
 
     def reset(self) -> None:

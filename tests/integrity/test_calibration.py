@@ -3,7 +3,7 @@
 import pytest
 
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.integrity.calibration import CALIBRATION_SCENES, CALIBRATION_SEEDS, refuse_calibration_data
+from mast_zenoh.integrity.calibration import CALIBRATION_SCENES, refuse_calibration_data
 
 JUNCTION = {"type": "Intersection", "scene_index": 4}
 
@@ -15,7 +15,6 @@ def test_other_seeds_and_junctions_are_accepted() -> None:
 
 @pytest.mark.parametrize("seed", [101, 150, 202])
 def test_a_calibration_seed_is_refused(seed: int) -> None:
-    assert seed in CALIBRATION_SEEDS
     with pytest.raises(ConfigurationError, match=f"study: seed {seed}: thresholds were calibrated on seeds 101 to 202"):
         refuse_calibration_data([0, seed], JUNCTION, "study")
 

@@ -65,7 +65,7 @@ def test_it_is_open_whether_an_agent_lies_that_only_some_explanations_need(graph
     certain = set.intersection(*every) if every else lying
     needed = set.union(*smallest) if smallest else set(np.flatnonzero(disputes.any(axis=0)).tolist()) - honest
     verdict = built(disputes, lying, honest).verdict()
-    assert set(np.flatnonzero(verdict.open).tolist()) == needed - certain
+    assert set(np.flatnonzero(verdict.undecided).tolist()) == needed - certain
 
 
 @given(graphs(), st.data())
@@ -93,11 +93,11 @@ def test_nothing_is_false_in_a_dispute_in_which_neither_side_can_lie() -> None:
 def test_two_accusers_of_five_prove_nothing_and_three_do() -> None:
     disputes = np.zeros((5, 5), np.bool_)
     disputes[0, 1:3] = disputes[1:3, 0] = True
-    assert np.flatnonzero(built(disputes).verdict().open).tolist() == [0, 1, 2]
+    assert np.flatnonzero(built(disputes).verdict().undecided).tolist() == [0, 1, 2]
     disputes[0, 3] = disputes[3, 0] = True
     verdict = built(disputes).verdict()
     assert np.flatnonzero(verdict.lying).tolist() == [0]
-    assert not verdict.open.any()
+    assert not verdict.undecided.any()
 
 
 @pytest.mark.parametrize("density", [0.1, 0.2, 0.3, 0.5])
@@ -130,7 +130,7 @@ def test_where_no_explanation_exists_the_weakest_disputes_are_left_out() -> None
     assert not Explanations(disputes, nobody, nobody).possible()
     verdict = explained(disputes, strength, nobody, nobody).verdict()
     assert verdict.lying.tolist() == [True, False, False]
-    assert verdict.open.tolist() == [False, True, True]  # what they disagree about is left out
+    assert verdict.undecided.tolist() == [False, True, True]  # what they disagree about is left out
 
 
 def test_disputes_of_one_strength_are_left_out_together() -> None:
@@ -140,7 +140,7 @@ def test_disputes_of_one_strength_are_left_out_together() -> None:
     disputes = graph_of(5, [(0, 1), (3, 0), (3, 1), (3, 2), (4, 0), (4, 1), (4, 2)])
     verdict = explained(disputes, strength, nobody, nobody).verdict()
     assert not verdict.lying.any()
-    assert verdict.open.all()
+    assert verdict.undecided.all()
     strength[0, 1] = strength[1, 0] = 0.5
     assert np.flatnonzero(explained(disputes, strength, nobody, nobody).verdict().lying).tolist() == [3, 4]
 
@@ -157,7 +157,7 @@ def test_the_names_of_agents_do_not_matter(graph: Graph, data: st.DataObject) ->
     renamed = np.ix_(order, order)
     other = explained(disputes[renamed], strength[renamed], *(each[order] for each in flags)).verdict()
     assert other.lying.tolist() == verdict.lying[order].tolist()
-    assert other.open.tolist() == verdict.open[order].tolist()
+    assert other.undecided.tolist() == verdict.undecided[order].tolist()
 
 
 @given(graphs())

@@ -10,7 +10,7 @@ from integrity_batches import STEP_NS, Track, batch, view
 
 from mast_zenoh.integrity import Batch, FreeSpace, Integrity, KOfN
 from mast_zenoh.integrity.base import ClusterBoxes
-from mast_zenoh.integrity.memory import BetaReputation
+from mast_zenoh.integrity.reputation import BetaReputation
 from mast_zenoh.integrity.visibility import seen_through
 
 AGENTS = ("a", "b", "c", "d")
@@ -152,7 +152,7 @@ def test_an_old_view_shows_where_an_object_was() -> None:
 
 
 def test_a_record_counts_an_object_once_a_second_and_forgets() -> None:
-    record, names = BetaReputation(memory_s=10.0), ("a", "b")
+    record, names = BetaReputation(record_s=10.0), ("a", "b")
     assert record.mean(names).tolist() == [0.5, 0.5]
     upheld, refuted = np.array([3.0, 0.0]), np.array([0.0, 3.0])
     assert record.update(0, names, upheld, refuted).tolist() == [0.5, 0.5], "no time has passed"
