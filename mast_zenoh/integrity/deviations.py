@@ -55,7 +55,7 @@ USUAL_FACTOR = 2.0
 RANKS = np.array([1.0, 1.4, 1.7, 2.0])
 #: Greatest lengths that count. Two objects alone are evidence only where they are: an honest track that begins with a
 #: false detection has the size of something else for seconds, and two that are swapped have each other's velocity.
-GREATEST = np.array([np.inf, np.inf, 7.5, 7.5, 7.5])
+GREATEST = np.array([np.inf, np.inf, 9.4, 9.4, 9.4])
 #: s, over which the usual length is averaged, and between two looks at it.
 USUAL_S, LOOK_S = 10.0, 1.0
 #: s, greatest time for which a track stands that was not there before.
@@ -165,7 +165,7 @@ class Means:
         return statistics[rows, last], np.asarray(length >= largest[rows, last][self.agent])
 
     def apart(self, compared: Bools) -> tuple[Ints, Ints, Floats]:
-        """Pairs of agents (p,), (p,), and how far their tracks of an object are apart, relative to the usual length.
+        """Pairs of agents (p,), (p,), and how far their tracks are apart, as the statistic of an agent.
 
         compared: (k,) tracks that are compared with all others of their objects
 
@@ -178,7 +178,16 @@ class Means:
         scale = np.minimum(self.weight[one], self.weight[other]) ** 2
         scale /= self.usual[one] ** 2 + self.usual[other] ** 2
         difference = np.sqrt(((absolute[one] - absolute[other]) ** 2).sum(axis=2) * scale)
-        return self.agent[one], self.agent[other], np.asarray(difference.max(axis=1, initial=0.0))
+        largest = np.minimum(difference, GREATEST).max(axis=1, initial=0.0)
+        agents = self.agent.max(initial=0) + 1
+        pair = self.agent[one] * agents + self.agent[other]
+        order = np.lexsort((-largest, pair))
+        pair, first, row = np.unique(pair[order], return_index=True, return_inverse=True)
+        rank = np.arange(len(order)) - first[row]
+        ranked = rank < len(RANKS)
+        statistic = np.zeros(len(pair))
+        np.maximum.at(statistic, row[ranked], largest[order[ranked]] * RANKS[rank[ranked]])
+        return pair // agents, pair % agents, statistic
 
     def left_by_fault(self, agent: int, kind: int, design: Floats) -> float:
         """Share of an agent's squared deviations of position that the fault that fits them best leaves, 0 to 1.

@@ -23,8 +23,9 @@ ESTABLISHED_S = 10.0
 #: above this many times its own mean until now.
 ALONE, ALONE_TIMES = 10, 2.0
 SUDDEN, SUDDEN_TIMES = 5, 1.5
-#: The same of objects that fewer than half of the agents report, and as many others see through.
-CONTESTED, CONTESTED_TIMES = 1, 2.0
+#: Objects that an agent may report with fewer than half of all: so many above this many times its own mean until now.
+#: Of what is beyond, the objects that others see through are withheld.
+FEW, FEW_TIMES = 2, 1.25
 #: s, after which an object that is contradicted is evidence against the agent that reports it: by then, most false
 #: detections of honest detectors are gone, and a fault, whose contradictions begin all at once, has been found. And s,
 #: for which it is evidence: it is withheld meanwhile. One object adds less than any alarm takes.
@@ -88,9 +89,9 @@ class ExistenceVotes:
 
     An agent is heard only about what may be in its own view. Objects where no other sensor looks can be neither
     confirmed nor refuted. Of a suspended agent, as many of them are believed as it had on average before, the oldest:
-    disbelieving all would cost more than it saves. Objects that fewer than half of the agents report, and as many
-    others see through, are open as long as either may be lying: of each agent's, not many more are believed than what
-    is usual, unless those that deny them dispute as many objects. If fewer see through them, they are believed.
+    disbelieving all would cost more than it saves. Objects that fewer than half of the agents report, and others see
+    through, are open as long as either may be lying. They are believed unless the agent reports many more with few
+    others than it did before.
 
     An agent that is suspended for how its objects look or move still votes on whether they exist, and its tracks count
     where nobody else reports the object.
@@ -99,9 +100,9 @@ class ExistenceVotes:
     """
 
     #: Of each agent: mean numbers of objects that it reports and nobody else looks at, of those that it reports alone,
-    #: and of contested ones; s, over which they are averaged; ns, until when what it reports close to other objects is
-    #: doubted.
-    COLUMNS: ClassVar = dict(unwatched=0.0, alone=0.0, contested=0.0, averaged_s=0.0, attached_until_ns=0)
+    #: and of those that it reports with fewer than half of all; s, over which they are averaged; ns, until when what it
+    #: reports close to other objects is doubted.
+    COLUMNS: ClassVar = dict(unwatched=0.0, alone=0.0, few=0.0, averaged_s=0.0, attached_until_ns=0)
 
     def __init__(self, agents: AgentMemory) -> None:
         self._agents = agents
@@ -176,21 +177,18 @@ class ExistenceVotes:
         watched = (evidence.seen.in_view & voter & ~reported).any(axis=1, keepdims=True)
         unwatched = reported & ~votes.clear & ~evidence.testimonies.impossible & ~watched & one
         alone = claims & one & ~confirmed[:, None]
-        claiming = claims.sum(axis=1)
-        open_ = (2 * claiming < len(batch.agents)) & (claiming <= votes.denials.sum(axis=1)) & ~false
-        contested = claims & open_[:, None]
-        most_alone = self._most_alone(alone.sum(axis=0), voter)
-        most_contested = self._most_contested(voter)
+        few = claims & ((2 * claims.sum(axis=1) < len(batch.agents)) & ~false)[:, None]
+        contested = few.any(axis=1) & votes.denials.any(axis=1)
+        most_alone, most_few = self._most_alone(alone.sum(axis=0), voter), self._most_of_few(few.sum(axis=0), voter)
         claimed = claims.any(axis=1) | self._oldest(unwatched & ~voter, np.rint(of.unwatched[agents]))
         beyond = alone.any(axis=1) & ~self._oldest(alone, most_alone)
-        disputed = more_disputed(contested, votes.denials & open_[:, None])
-        beyond |= disputed & ~self._oldest(contested, most_contested)
+        beyond |= contested & ~self._oldest(few, most_few)
         self._average(
             batch.time_ns,
             voter,
             unwatched=unwatched.sum(axis=0),
             alone=np.minimum(alone.sum(axis=0), most_alone),
-            contested=np.minimum(contested.sum(axis=0), most_contested),
+            few=np.minimum(few.sum(axis=0), most_few),
         )
         return claimed, beyond
 
@@ -244,10 +242,10 @@ class ExistenceVotes:
         own = np.where(of.averaged_s[rows] >= KNOWN_S, SUDDEN + SUDDEN_TIMES * of.alone[rows], np.inf)
         return np.asarray(np.minimum(ALONE + ALONE_TIMES * _middle(alone[voter]), own))
 
-    def _most_contested(self, voter: Bools) -> Floats:
-        """(a,) objects that each agent may report although others see through them. voter: (a,) agents that count"""
-        usual = self._agents.of.contested[self._agents.rows[voter]]
-        return np.full(len(voter), CONTESTED + CONTESTED_TIMES * _middle(usual))
+    def _most_of_few(self, few: Ints, voter: Bools) -> Floats:
+        """(a,) objects that each agent may report with few others. few: (a,) that it does; voter: as above"""
+        of, rows = self._agents.of, self._agents.rows
+        return FEW + FEW_TIMES * np.where(of.averaged_s[rows] >= KNOWN_S, of.few[rows], _middle(few[voter]))
 
     def _average(self, time_ns: int, voter: Bools, **numbers: Floats | Ints) -> None:
         """Average the numbers (a,) of a batch, by column. voter: (a,) agents that count; those of others stay"""
@@ -275,18 +273,6 @@ class ExistenceVotes:
         For the moment in which an agent is suspended: what it reported before it began to lie is no lie.
         """
         self._of.known |= self._of.first_ns < before_ns
-
-
-def more_disputed(claims: Bools, denials: Bools) -> Bools:
-    """(c,) claims of agents that dispute more objects on average than those who deny them.
-
-    claims, denials: (c, a) who claims each contested object, and who denies it
-
-    Honest agents that several liars contradict dispute some objects each; the liars dispute all of them.
-    """
-    disputed = (claims | denials).sum(axis=0)
-    claiming, denying = ((side @ disputed) / np.maximum(side.sum(axis=1), 1) for side in (claims, denials))
-    return np.asarray(claims.any(axis=1) & (claiming > denying))
 
 
 def _middle(values: Floats | Ints) -> float:

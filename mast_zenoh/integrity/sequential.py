@@ -47,14 +47,13 @@ MAX_LOG_ODDS = 20.0
 CONTRADICTION_TAIL = Tail(per_hour=54.0, scale=0.63)
 PAIR_TAIL = Tail(per_hour=94.0, scale=0.68)
 OWN_TAIL = Tail(per_hour=40.0, scale=0.248)
-DEVIATION_TAIL = Tail(per_hour=60.0, scale=1.2)
+DEVIATION_TAIL = Tail(per_hour=60.0, scale=1.5)
 #: Columns of the statistics of an agent.
 CONTRADICTIONS, DEVIATION = range(2)
 #: Of all agents together; a fiftieth of what is acceptable, because the tails are extrapolated.
 FALSE_ALARMS_PER_HOUR = 0.02
-#: Disputes an hour of each pair of honest agents that count as one, and of those about where an object is. A pair alone
-#: suspends nobody.
-DISPUTES_PER_HOUR, APART_PER_HOUR = 10.0, 1.0
+#: Disputes an hour of each pair of honest agents that count as one: a pair alone suspends nobody.
+DISPUTES_PER_HOUR = 10.0
 #: How much the word of an agent counts that an object is not there: that of two is needed. An anchor's alone is enough.
 WORD = 0.5
 #: s, for which an agent that may have a fault is not suspended for what it does.
@@ -287,7 +286,7 @@ class SequentialConsistency(Integrity):
         if off.any():
             one, other, difference = means.apart(off)
             np.maximum.at(self._of_apart, one, difference)
-            apart = self._tails[DEVIATION].rate(difference) <= APART_PER_HOUR
+            apart = self._tails[DEVIATION].rate(difference) <= self.false_alarms_per_hour
             one, other = rows[one[apart]], rows[other[apart]]
             self._apart_ns[one, other] = self._apart_ns[other, one] = batch.time_ns
         return means
@@ -337,7 +336,7 @@ class SequentialConsistency(Integrity):
         # Which disputes are left out depends on how strong they are now.
         if self._settled is None or self._settled[0] != key or not self._settled[1].whole:
             rarity = -np.log(self._pair_tail.rate(pairs))
-            strength = np.maximum(rarity, np.where(apart, -np.log(APART_PER_HOUR), -np.inf))
+            strength = np.maximum(rarity, np.where(apart, -np.log(self.false_alarms_per_hour), -np.inf))
             explanations = explained(disputes, strength, lying, honest)
             self._settled = key, explanations, explanations.verdict()
         return self._settled[1], self._settled[2]

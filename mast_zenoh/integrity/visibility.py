@@ -312,7 +312,7 @@ def out_of_view(batch: Batch) -> Bools:
 def better_known(boxes: ClusterBoxes, witnesses: Ints) -> tuple[Ints, Ints, Floats]:
     """Pairs of an object (p,) and one beside it (p,) that is better known, and the way (p, 2) m to the other one.
 
-    boxes: of c clusters; witnesses: (c,) number of agents that claim each, one more if a sensor is on it
+    boxes: of c clusters; witnesses: (c,) number of agents that claim each, or whose sensor is on it
     """
     half = 0.5 * np.hypot(boxes.size[:, 0], boxes.size[:, 1])
     i, j, dx, dy = neighbours(boxes.position, boxes.position, half + half.max(initial=0.0) + BESIDE_M)

@@ -6,17 +6,15 @@ from collections.abc import Iterable
 
 import numpy as np
 import pytest
-from crossing import CAR, Place, world
+from crossing import CAR, Place, later, world
 
 from mast_zenoh.integrity import Batch, SequentialConsistency
 from mast_zenoh.integrity.base import SUSPENDED
-from mast_zenoh.integrity.existence import CONTESTED, CONTESTED_TIMES, COUNTED_S, ExistenceVotes
-from mast_zenoh.integrity.memory import AgentMemory
+from mast_zenoh.integrity.existence import COUNTED_S, FEW, FEW_TIMES
 from mast_zenoh.integrity.sequential import CONTRADICTION_TAIL, EXPECTED, MOST_EVIDENCE
 
 #: Cars that two liars of five invent where two honest agents look.
 CARS: list[Place] = [(10.0, -12.0), (-8.0, -10.0), (0.0, -8.0), (-10.0, 10.0), (-10.0, 0.0)]
-EVERYBODY = np.ones(5, np.bool_)
 
 
 def withheld(liars: str, *lookers: str) -> np.ndarray:
@@ -38,14 +36,8 @@ def withheld_of(batches: Iterable[Batch]) -> np.ndarray:
     return found.objects.withheld[1:]
 
 
-def test_of_what_two_of_five_report_and_two_others_see_through_few_objects_are_believed() -> None:
-    contested = 4  # of the other one, only one agent has a free view
-    assert withheld("ae", "bd", "bc", "bd", "bcd", "bcd").sum() == contested - CONTESTED
-
-
-def test_what_two_of_five_report_and_one_sees_through_is_believed_whoever_that_is() -> None:
-    """It may be one of two liars that share the objects between them."""
-    assert not withheld("ae", "b", "d", "b", "c", "d").any()
+def test_of_what_two_of_five_report_and_others_see_through_few_objects_are_believed() -> None:
+    assert (~withheld("ae", "b", "d", "bd", "bc", "d")).sum() == FEW
 
 
 def test_what_two_of_five_report_and_nobody_sees_through_is_believed() -> None:
@@ -62,13 +54,22 @@ def test_real_objects_that_few_agents_see_are_not_limited_by_two_of_five_that_de
     assert not withheld_of(world(hidden=dict.fromkeys("ae", CARS), cars=cars, sees=sees, frames=8)).any()
 
 
-@pytest.mark.parametrize(("agents", "usual"), [(2, 0.0), (3, 3.0)])
-def test_as_many_contested_objects_are_believed_as_the_middle_of_the_agents_has(agents: int, usual: float) -> None:
-    memory = AgentMemory(suspended=False, misdescribes=False, **ExistenceVotes.COLUMNS)
-    memory.meet(0, tuple("abcde"))
-    memory.of.contested[:agents] = 3.0
-    most = ExistenceVotes(memory)._most_contested(EVERYBODY)
-    assert most.tolist() == [CONTESTED + CONTESTED_TIMES * usual] * 5
+def test_what_an_agent_sees_with_few_others_is_believed_when_two_of_five_begin_to_deny_it() -> None:
+    sees = dict.fromkeys(CARS, "abe")
+    cars = [CAR, *CARS]
+    honest = list(world(cars=cars, sees=dict.fromkeys(CARS, "b"), frames=30))
+    denied = world(hidden=dict.fromkeys("ae", CARS), cars=cars, sees=sees, frames=8)
+    assert not withheld_of([*honest, *later(denied, len(honest))]).any()
+
+
+def test_what_an_agent_reports_with_few_others_counts_against_what_it_invents() -> None:
+    sees, own = dict(zip(CARS, ("a", "a", "a", "b", "b"), strict=True)), CARS[:3]
+    honest = list(world(cars=[CAR, *own], sees=sees, frames=30))
+    lies = world({"a": CARS[3:]}, cars=[CAR, *own], sees=sees, frames=8)
+    usual = len(own)
+    found = withheld_of([*honest, *later(lies, len(honest))])
+    assert not found[:usual].any()
+    assert (~found).sum() == min(len(CARS), int(FEW + FEW_TIMES * usual))
 
 
 def accustomed(usual: float, agents: int) -> SequentialConsistency:

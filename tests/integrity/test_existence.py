@@ -36,12 +36,18 @@ def test_who_reported_a_person_that_drives_along_is_not_believed_about_one_at_a_
     assert not stage.assess(car_and_person(100, 0.0, "ae")).objects.withheld.any(), "another agent sees it, too"
 
 
-def test_a_sensor_is_known_to_be_on_its_own_car() -> None:
-    tracks: list[Track] = [("e", 0, (0.0, 0.0)), ("e", 1, AT_BUMPER)]
+@pytest.mark.parametrize(
+    ("reporting", "sensor", "certain"),
+    [("be", (0.0, 0.0), True), ("be", (0.0, 4.0), False), ("e", (0.0, 0.0), False), ("ae", (0.0, 0.0), False)],
+)
+def test_the_sensor_on_a_car_is_as_good_as_one_more_agent_that_reports_it(
+    reporting: str, sensor: tuple[float, float], certain: bool
+) -> None:
+    """Two of five can't make a car certain, on which other agents' objects would hang, by a false place of a sensor."""
+    tracks: list[Track] = [(name, 0, (0.0, 0.0)) for name in reporting] + [("e", 1, AT_BUMPER)]
     drives = dict.fromkeys((0, 1), (8.0, 0.0))
-    for place, expected in (((0.0, 0.0), True), ((0.0, 4.0), False)):
-        given = batch(tracks, AGENTS, {"a": view(place)}, velocity=drives, size={1: PERSON})
-        assert Evidence.of(given, np.ones(5, np.bool_)).attached.tolist() == [False, expected]
+    given = batch(tracks, AGENTS, {"a": view(sensor)}, velocity=drives, size={1: PERSON})
+    assert Evidence.of(given, np.ones(5, np.bool_)).attached.tolist() == [False, certain]
 
 
 def test_what_three_of_five_refuted_is_doubted_for_ten_seconds_unless_another_agent_reports_it() -> None:

@@ -79,7 +79,7 @@ def test_a_phantom_is_refuted_however_uncertain_it_claims_to_be(deviation_m: flo
 
 
 def test_an_offset_is_found_however_uncertain_its_track_claims_to_be() -> None:
-    batches = of_d(200, covariance=np.eye(9) * 25.0, position=along_x(1.8))
+    batches = of_d(200, covariance=np.eye(9) * 25.0, position=along_x(2.1))
     assert suspended(SequentialConsistency(), batches) == {"d"}
 
 

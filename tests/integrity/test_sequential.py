@@ -147,7 +147,7 @@ def test_agents_with_new_names_in_every_frame_do_not_take_the_numbers_of_others(
     stage = SequentialConsistency()
     for frame in range(80):
         names = tuple(sorted(["a", "b", "c", "d", *(f"x{frame}_{i}" for i in range(20))]))
-        tracks: list[Track] = [(name, 0, (CAR[0] + 1.2 * (name == "d"), CAR[1])) for name in "abcd"]
+        tracks: list[Track] = [(name, 0, (CAR[0] + 1.5 * (name == "d"), CAR[1])) for name in "abcd"]
         found = stage.assess(batch(tracks, names, {}, frame=frame)).agents
         stage.excuse("a")
     assert dict(zip(names, found.state.tolist(), strict=True))["d"] == UNDECIDED, "24 agents, and three accuse"
