@@ -82,9 +82,9 @@ class SequentialConsistency(Integrity):
     """Suspends agents that lie in every explanation of all recent disputes.
 
     Each object about which two agents contradict each other, however many others look at it, counts for that pair in a
-    cumulative sum (Page 1954); so does each object that both report at places too far apart. Pairs whose sum an honest
-    pair seldom exceeds disagree. An explanation is a set of fewer than half of the agents with one of each pair that
-    disagrees (`explanations`).
+    cumulative sum (Page 1954). Pairs whose sum an honest pair seldom exceeds disagree, and pairs whose tracks deviate
+    from each other as those of an honest pair seldom do. An explanation is a set of fewer than half of the agents with
+    one of each pair that disagrees (`explanations`).
 
     Two statistics for each agent: the cumulative sum of contradictions in progress: objects that others see through (if
     one agent alone does, half), that no road user can be, or that it reports twice, each for COUNTED_S after the first

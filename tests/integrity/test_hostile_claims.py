@@ -83,6 +83,18 @@ def test_an_offset_is_found_however_uncertain_its_track_claims_to_be() -> None:
     assert suspended(SequentialConsistency(), batches) == {"d"}
 
 
+@pytest.mark.parametrize("offset_m", [1.3, 1.8])
+def test_two_liars_that_move_middles_do_not_frame_one_of_two_honest_agents_that_differ(offset_m: float) -> None:
+    """The liars and the other honest agent would be three of five that disagree with it."""
+    places = {"a": -0.3, "b": 0.3, "d": offset_m, "e": offset_m}
+    batches = []
+    for frame in range(100):
+        tracks: list[Track] = [(name, 0, CARS[0]) for name in "abcde"]
+        tracks += [(name, cluster, (x, 20.0 * cluster)) for name, x in places.items() for cluster in (1, 2)]
+        batches.append(batch(tracks, tuple("abcde"), frame=frame))
+    assert suspended(SequentialConsistency(), batches) == set()
+
+
 def test_an_offset_is_found_under_a_new_id_in_every_frame() -> None:
     batches = [
         altered(given, given.agent == 3, position=along_x(1.0), id=lambda id, frame=frame: id + 10 * frame)
