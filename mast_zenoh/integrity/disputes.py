@@ -250,7 +250,8 @@ class Evidence:
         rays = rays_at(batch, boxes, views)
         outside = of_tracks(batch, out_of_view(batch))
         testimonies = Testimonies.of(batch, boxes, own, impossible, seen, rays, outside, voter)
-        vouching = ((testimonies.claims | carrying(boxes, views)) & voter).sum(axis=1)
+        claims = testimonies.claims & voter
+        vouching = (claims | (carrying(boxes, views) & voter & claims.any(axis=1, keepdims=True))).sum(axis=1)
         beside = better_known(boxes, vouching)
         passed = passed_to_others(batch, boxes, rays, voter, beside) | passed_nearby(batch, boxes, seen, voter)
         certain = 2 * vouching > len(voter)

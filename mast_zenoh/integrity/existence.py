@@ -149,12 +149,12 @@ class ExistenceVotes:
         confirming, contradicting = (votes.claims | votes.occupied).sum(axis=1), votes.denials.sum(axis=1)
         refuted = votes.refuted(explanations)
         false = refuted | (~votes.claims.any(axis=1) & (contradicting > confirming))
-        balance = self._votes.vote(rows, np.where(false, -1.0, 1.0))
-        lasting = (balance < 0.0) & (batch.time_ns - self._of.first_ns[rows] >= VOTE_MEMORY_S * 1e9)
-        doubtful = self._doubtful(batch.time_ns, votes.claims, refuted & lasting)
         self._note_witnesses(batch, votes.claims)
         claimed, beyond = self._limited(evidence, votes, self._confirmed(believed), false)
-        withheld = (balance < 0.0) | ~self._stays(batch.time_ns, claimed, believed) | beyond
+        balance = self._votes.vote(rows, np.where(false | beyond, -1.0, 1.0))
+        lasting = (balance < 0.0) & (batch.time_ns - self._of.first_ns[rows] >= VOTE_MEMORY_S * 1e9)
+        doubtful = self._doubtful(batch.time_ns, votes.claims, refuted & lasting)
+        withheld = (balance < 0.0) | ~self._stays(batch.time_ns, claimed, believed)
         withheld |= doubtful | self._attached(evidence)
         objects = ObjectTrust(
             (1.0 + confirming) / (2.0 + confirming + contradicting),
