@@ -153,12 +153,7 @@ class Means:
     def of_agents(self, agents: int) -> tuple[Floats, Bools]:
         """(a,) statistic of each agent, the greatest of its largest means times RANKS; (k,) the tracks that make it."""
         length = self.length.max(axis=1, initial=0.0)
-        order = np.lexsort((-length, self.agent))
-        agent = self.agent[order]
-        rank = np.arange(len(order)) - np.searchsorted(agent, agent)
-        first = rank < len(RANKS)
-        largest = np.zeros((agents, len(RANKS)))
-        largest[agent[first], rank[first]] = length[order[first]]
+        largest = _largest(length, self.agent, agents)
         statistics = largest * RANKS
         last = statistics.argmax(axis=1)
         rows = np.arange(agents)
@@ -178,16 +173,10 @@ class Means:
         scale = np.minimum(self.weight[one], self.weight[other]) ** 2
         scale /= self.usual[one] ** 2 + self.usual[other] ** 2
         difference = np.sqrt(((absolute[one] - absolute[other]) ** 2).sum(axis=2) * scale)
-        largest = np.minimum(difference, GREATEST).max(axis=1, initial=0.0)
         agents = self.agent.max(initial=0) + 1
-        pair = self.agent[one] * agents + self.agent[other]
-        order = np.lexsort((-largest, pair))
-        pair, first, row = np.unique(pair[order], return_index=True, return_inverse=True)
-        rank = np.arange(len(order)) - first[row]
-        ranked = rank < len(RANKS)
-        statistic = np.zeros(len(pair))
-        np.maximum.at(statistic, row[ranked], largest[order[ranked]] * RANKS[rank[ranked]])
-        return pair // agents, pair % agents, statistic
+        pairs, row = np.unique(self.agent[one] * agents + self.agent[other], return_inverse=True)
+        largest = _largest(np.minimum(difference, GREATEST).max(axis=1, initial=0.0), row, len(pairs))
+        return pairs // agents, pairs % agents, (largest * RANKS).max(axis=1)
 
     def left_by_fault(self, agent: int, kind: int, design: Floats) -> float:
         """Share of an agent's squared deviations of position that the fault that fits them best leaves, 0 to 1.
@@ -199,6 +188,17 @@ class Means:
         information = np.diag(1.0 / PRIOR) + np.einsum("kij,kil->jl", fits, fits)
         fault = np.linalg.solve(information, np.einsum("kij,ki->j", fits, of))
         return min(1.0, float(((of - fits @ fault) ** 2).sum() / max((of**2).sum(), 1e-12)))
+
+
+def _largest(values: Floats, group: Ints, groups: int) -> Floats:
+    """(groups, len(RANKS)) the largest values of each group, descending; 0 where it has fewer. values, group: (k,)"""
+    order = np.lexsort((-values, group))
+    grouped = group[order]
+    rank = np.arange(len(order)) - np.searchsorted(grouped, grouped)
+    first = rank < len(RANKS)
+    largest = np.zeros((groups, len(RANKS)))
+    largest[grouped[first], rank[first]] = values[order[first]]
+    return largest
 
 
 class LastingDeviations:

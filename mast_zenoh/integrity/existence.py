@@ -150,11 +150,12 @@ class ExistenceVotes:
         refuted = votes.refuted(explanations)
         false = refuted | (~votes.claims.any(axis=1) & (contradicting > confirming))
         self._note_witnesses(batch, votes.claims)
-        claimed, beyond = self._limited(evidence, votes, self._confirmed(believed), false)
+        confirmed = self._confirmed(believed)
+        claimed, beyond = self._limited(evidence, votes, confirmed, false)
         balance = self._votes.vote(rows, np.where(false | beyond, -1.0, 1.0))
         lasting = (balance < 0.0) & (batch.time_ns - self._of.first_ns[rows] >= VOTE_MEMORY_S * 1e9)
         doubtful = self._doubtful(batch.time_ns, votes.claims, refuted & lasting)
-        withheld = (balance < 0.0) | ~self._stays(batch.time_ns, claimed, believed)
+        withheld = (balance < 0.0) | ~self._stays(batch.time_ns, claimed, confirmed)
         withheld |= doubtful | self._attached(evidence)
         objects = ObjectTrust(
             (1.0 + confirming) / (2.0 + confirming + contradicting),
@@ -229,12 +230,12 @@ class ExistenceVotes:
         """(c,) objects that an agent confirmed together with another one. believed: (k,) agents that count"""
         return np.asarray((self._witnessed[self._rows] & believed).any(axis=1))
 
-    def _stays(self, time_ns: int, claimed: Bools, believed: Bools) -> Bools:
-        """(c,) objects that are claimed (c,), or were until lately and were known or confirmed before."""
+    def _stays(self, time_ns: int, claimed: Bools, confirmed: Bools) -> Bools:
+        """(c,) objects that are claimed (c,), or were until lately and were known, or confirmed (c,), before."""
         rows = self._rows
         self._of.claimed_ns[rows] = np.where(claimed, time_ns, self._of.claimed_ns[rows])
         recent = time_ns - self._of.claimed_ns[rows] <= ESTABLISHED_S * 1e9
-        return np.asarray(claimed | ((self._of.known[rows] | self._confirmed(believed)) & recent))
+        return np.asarray(claimed | ((self._of.known[rows] | confirmed) & recent))
 
     def _most_alone(self, alone: Ints, voter: Bools) -> Floats:
         """(a,) objects that each agent may report alone. alone: (a,) that it does; voter: (a,) agents that count"""

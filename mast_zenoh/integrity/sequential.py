@@ -281,7 +281,7 @@ class SequentialConsistency(Integrity):
         np.maximum.at(greatest, means.agent, means.length)
         self._deviating, self._of.deviation[rows] = greatest.argmax(axis=1), statistics
         self._of_apart = np.zeros(len(rows))
-        # Two honest agents may report a box half a metre apart for long, but not where one of them is off, too.
+        # Of agents that are off alone: liars can move the middle from an honest one, but not another one's tracks.
         off = tracks & (statistics >= self._deviation_alarm(len(rows)))[means.agent]
         if off.any():
             one, other, difference = means.apart(off)
