@@ -42,16 +42,16 @@ class Votes:
 
     voter: (a,) agents whose votes count
     clear: (c, a) rays of the agent pass the place of the object
-    claims: (c, a) votes for it: reports it where its own rays end
+    supports: (c, a) votes for it: reports it where its own rays end
     occupied: (c, a) votes for it: its rays end there, though it does not report it
-    denials: (c, a) votes against it: its rays pass there, even if it reports it
+    opposes: (c, a) votes against it: its rays pass there, even if it reports it
     """
 
     voter: Bools
     clear: Bools
-    claims: Bools
+    supports: Bools
     occupied: Bools
-    denials: Bools
+    opposes: Bools
 
     @classmethod
     def of(cls, evidence: Evidence, voter: Bools) -> Votes:
@@ -62,17 +62,17 @@ class Votes:
         return cls(
             voter,
             clear,
-            claims=batch.reported & ~clear & ~impossible & voter,
+            supports=batch.reported & ~clear & ~impossible & voter,
             occupied=silent & ~evidence.passed & voter,
-            denials=clear & voter,
+            opposes=clear & voter,
         )
 
     def refuted(self, explanations: Explanations) -> Bools:
         """(c,) objects that are false in every explanation of the disputes."""
-        result = np.zeros(len(self.claims), np.bool_)
-        denied = np.flatnonzero(self.claims.any(axis=1) & self.denials.any(axis=1))
-        for_it = self.claims[denied] | self.occupied[denied]
-        result[denied] = explanations.false(for_it, self.denials[denied])
+        result = np.zeros(len(self.supports), np.bool_)
+        denied = np.flatnonzero(self.supports.any(axis=1) & self.opposes.any(axis=1))
+        for_it = self.supports[denied] | self.occupied[denied]
+        result[denied] = explanations.false(for_it, self.opposes[denied])
         return result
 
 
@@ -107,8 +107,8 @@ class ExistenceVotes:
     def __init__(self, agents: AgentMemory) -> None:
         self._agents = agents
         # known: whether nobody lied yet when it appeared
-        # claimed_ns: time, ns, at which a believed agent reported it last
-        self._votes = VoteMemory(VOTE_MEMORY_S, known=False, claimed_ns=NOW)
+        # supported_ns: time, ns, at which a believed agent reported it last
+        self._votes = VoteMemory(VOTE_MEMORY_S, known=False, supported_ns=NOW)
         self._of = self._votes.objects.of
         self._rows: Ints = np.zeros(0, np.int64)  # of the clusters of the last batch
         # (m, k) which agents confirmed an object with another one, and the ids of their tracks of it
@@ -146,42 +146,42 @@ class ExistenceVotes:
         batch, agents, rows = evidence.batch, self._agents.of, self._rows
         believed = ~agents.suspended | agents.misdescribes
         votes = Votes.of(evidence, believed[self._agents.rows])
-        confirming, contradicting = (votes.claims | votes.occupied).sum(axis=1), votes.denials.sum(axis=1)
+        confirming, contradicting = (votes.supports | votes.occupied).sum(axis=1), votes.opposes.sum(axis=1)
         refuted = votes.refuted(explanations)
-        false = refuted | (~votes.claims.any(axis=1) & (contradicting > confirming))
-        self._note_witnesses(batch, votes.claims)
+        false = refuted | (~votes.supports.any(axis=1) & (contradicting > confirming))
+        self._note_witnesses(batch, votes.supports)
         confirmed = self._confirmed(believed)
-        claimed, beyond = self._limited(evidence, votes, confirmed, false)
+        supported, beyond = self._limited(evidence, votes, confirmed, false)
         balance = self._votes.vote(rows, np.where(false | beyond, -1.0, 1.0))
         lasting = (balance < 0.0) & (batch.time_ns - self._of.first_ns[rows] >= VOTE_MEMORY_S * 1e9)
-        doubtful = self._doubtful(batch.time_ns, votes.claims, refuted & lasting)
-        withheld = (balance < 0.0) | ~self._stays(batch.time_ns, claimed, confirmed)
+        doubtful = self._doubtful(batch.time_ns, votes.supports, refuted & lasting)
+        withheld = (balance < 0.0) | ~self._stays(batch.time_ns, supported, confirmed)
         withheld |= doubtful | self._attached(evidence)
         objects = ObjectTrust(
             (1.0 + confirming) / (2.0 + confirming + contradicting),
             (evidence.seen.in_view | batch.reported).sum(axis=1),
-            votes.claims.sum(axis=1),
+            votes.supports.sum(axis=1),
             contradicting,
             withheld,
         )
-        trusted = votes.claims & ~agents.suspended[self._agents.rows]
-        return objects, batch.weights(trusted | (votes.claims & ~trusted.any(axis=1, keepdims=True)))
+        trusted = votes.supports & ~agents.suspended[self._agents.rows]
+        return objects, batch.weights(trusted | (votes.supports & ~trusted.any(axis=1, keepdims=True)))
 
     def _limited(self, evidence: Evidence, votes: Votes, confirmed: Bools, false: Bools) -> tuple[Bools, Bools]:
-        """(c,) objects that agents claim, or a suspended one alone as often as before; (c,) those beyond what is usual.
+        """(c,) objects that agents support, or a suspended one alone as often as before; (c,) those beyond the usual.
 
         confirmed: (c,) see `_confirmed`; false: (c,) in every explanation
         """
         batch, of, agents = evidence.batch, self._agents.of, self._agents.rows
-        reported, claims, voter = batch.reported, votes.claims, votes.voter
+        reported, supports, voter = batch.reported, votes.supports, votes.voter
         one = (reported.sum(axis=1) == 1)[:, None]  # what a suspended agent reports, too, is not reported alone
         watched = (evidence.seen.in_view & voter & ~reported).any(axis=1, keepdims=True)
         unwatched = reported & ~votes.clear & ~evidence.testimonies.impossible & ~watched & one
-        alone = claims & one & ~confirmed[:, None]
-        few = claims & ((2 * claims.sum(axis=1) < len(batch.agents)) & ~false)[:, None]
-        contested = few.any(axis=1) & votes.denials.any(axis=1)
+        alone = supports & one & ~confirmed[:, None]
+        few = supports & ((2 * supports.sum(axis=1) < len(batch.agents)) & ~false)[:, None]
+        contested = few.any(axis=1) & votes.opposes.any(axis=1)
         most_alone, most_few = self._most_alone(alone.sum(axis=0), voter), self._most_of_few(few.sum(axis=0), voter)
-        claimed = claims.any(axis=1) | self._oldest(unwatched & ~voter, np.rint(of.unwatched[agents]))
+        supported = supports.any(axis=1) | self._oldest(unwatched & ~voter, np.rint(of.unwatched[agents]))
         beyond = alone.any(axis=1) & ~self._oldest(alone, most_alone)
         beyond |= contested & ~self._oldest(few, most_few)
         self._average(
@@ -191,18 +191,18 @@ class ExistenceVotes:
             alone=np.minimum(alone.sum(axis=0), most_alone),
             few=np.minimum(few.sum(axis=0), most_few),
         )
-        return claimed, beyond
+        return supported, beyond
 
-    def _doubtful(self, time_ns: int, claims: Bools, refuted: Bools) -> Bools:
-        """(c,) objects that only those claim whose claims of them were refuted lately, though they may be open now.
+    def _doubtful(self, time_ns: int, supports: Bools, refuted: Bools) -> Bools:
+        """(c,) objects that only those support whose support of it was refuted lately, though they may be open now.
 
-        claims: (c, a); refuted: (c,) false in every explanation, now and for most of the last half second
+        supports: (c, a); refuted: (c,) false in every explanation, now and for most of the last half second
         """
         place = np.ix_(self._rows, self._agents.rows)
         until_ns = self._false_until_ns[place]
-        until_ns[claims & refuted[:, None]] = time_ns + round(ESTABLISHED_S * 1e9)
+        until_ns[supports & refuted[:, None]] = time_ns + round(ESTABLISHED_S * 1e9)
         self._false_until_ns[place] = until_ns
-        return np.asarray(claims.any(axis=1) & ~(claims & (until_ns <= time_ns)).any(axis=1))
+        return np.asarray(supports.any(axis=1) & ~(supports & (until_ns <= time_ns)).any(axis=1))
 
     def _attached(self, evidence: Evidence) -> Bools:
         """(c,) objects that drive as one with another one, or touch one by the word of those who said that before."""
@@ -212,8 +212,8 @@ class ExistenceVotes:
         others = batch.reported & (batch.time_ns >= until_ns[rows])
         return np.asarray(evidence.attached | (evidence.touching & ~others.any(axis=1)))
 
-    def _note_witnesses(self, batch: Batch, claims: Bools) -> None:
-        """Note which agents confirm an object together. claims: (c, a)
+    def _note_witnesses(self, batch: Batch, supports: Bools) -> None:
+        """Note which agents confirm an object together. supports: (c, a)
 
         An object is not confirmed any more once a witness's track of it is of another one: a liar that leaves a real
         object with a false velocity would take its number along.
@@ -222,7 +222,7 @@ class ExistenceVotes:
         row, column = self._rows[batch.labels], agent_rows[batch.agent]
         same = self._witnessed[:, column] & (self._track[:, column] == track)
         self._witnessed[(same & (np.arange(len(same))[:, None] != row)).any(axis=1)] = False
-        cluster, agent = np.nonzero(claims & (claims.sum(axis=1) >= CONFIRMING)[:, None])
+        cluster, agent = np.nonzero(supports & (supports.sum(axis=1) >= CONFIRMING)[:, None])
         place = self._rows[cluster], agent_rows[agent]
         self._witnessed[place], self._track[place] = True, track[batch.member[cluster, agent]]
 
@@ -230,12 +230,12 @@ class ExistenceVotes:
         """(c,) objects that an agent confirmed together with another one. believed: (k,) agents that count"""
         return np.asarray((self._witnessed[self._rows] & believed).any(axis=1))
 
-    def _stays(self, time_ns: int, claimed: Bools, confirmed: Bools) -> Bools:
-        """(c,) objects that are claimed (c,), or were until lately and were known, or confirmed (c,), before."""
+    def _stays(self, time_ns: int, supported: Bools, confirmed: Bools) -> Bools:
+        """(c,) objects that are supported (c,), or were until lately and were known, or confirmed (c,), before."""
         rows = self._rows
-        self._of.claimed_ns[rows] = np.where(claimed, time_ns, self._of.claimed_ns[rows])
-        recent = time_ns - self._of.claimed_ns[rows] <= ESTABLISHED_S * 1e9
-        return np.asarray(claimed | ((self._of.known[rows] | confirmed) & recent))
+        self._of.supported_ns[rows] = np.where(supported, time_ns, self._of.supported_ns[rows])
+        recent = time_ns - self._of.supported_ns[rows] <= ESTABLISHED_S * 1e9
+        return np.asarray(supported | ((self._of.known[rows] | confirmed) & recent))
 
     def _most_alone(self, alone: Ints, voter: Bools) -> Floats:
         """(a,) objects that each agent may report alone. alone: (a,) that it does; voter: (a,) agents that count"""

@@ -149,14 +149,16 @@ def short_name(choice: Choice) -> str:
 
 
 def _literal(choice: Choice) -> Choice:
-    """A choice whose text is that of a dict, as a dict."""
-    if not isinstance(choice, str) or not choice.startswith("{"):
-        return choice
-    try:
-        spec: dict[str, Any] = ast.literal_eval(choice)
-    except (ValueError, SyntaxError):
-        raise ConfigurationError(f"found {choice!r}, expected a dict(type=…)") from None
-    return spec
+    """A choice whose text is that of a dict, as a dict. Raises ConfigurationError where it names no class."""
+    literal: object = choice
+    if isinstance(choice, str) and choice.startswith("{"):
+        try:
+            literal = ast.literal_eval(choice)
+        except (ValueError, SyntaxError):
+            literal = None
+    if isinstance(literal, str) or (isinstance(literal, dict) and isinstance(literal.get("type"), (str, type))):
+        return literal
+    raise ConfigurationError(f"found {choice!r}, expected a name, a file or a dict with `type`")
 
 
 def _absolute(text: str) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -16,7 +17,7 @@ from mast_zenoh.integrity import Integrity
 from mast_zenoh.integrity.calibration import refuse_calibration_data
 from mast_zenoh.study import definition, execution, trial, trials
 from mast_zenoh.study.defences import PLACEMENTS, BreakdownCell, Cell, DriftCell, FieldCell, matrix_records, place
-from mast_zenoh.study.defences.choices import FAULTS
+from mast_zenoh.study.defences.choices import FAULTS, resolve_choice
 from mast_zenoh.study.defences.kinds import DefenceCell, collection_of
 
 DEFENCE = """
@@ -176,6 +177,12 @@ def test_a_full_preset_has_every_shipped_defence() -> None:
 def test_an_invalid_choice_is_refused_before_anything_runs(settings: str, message: str) -> None:
     with pytest.raises(ConfigurationError, match=message):
         planned(settings)
+
+
+@pytest.mark.parametrize("choice", ['{"tpye": "KOfN"}', '{"type": 3}', "{KOfN", {"k": 3}, 3])
+def test_a_choice_without_the_name_of_a_class_is_refused(choice: Any) -> None:
+    with pytest.raises(ConfigurationError, match="expected a name, a file or a dict with `type`"):
+        resolve_choice(choice, Integrity)
 
 
 def test_calibration_seeds_are_refused_before_anything_runs() -> None:
