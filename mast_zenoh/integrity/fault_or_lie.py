@@ -47,7 +47,7 @@ class FaultOrLie(Integrity):
 
     Weaknesses: an agent that moves all its tracks alike on purpose is corrected, not suspended, which does no harm; as
     many agents with a fault as without are left as they are; two liars of four agents can have an honest one
-    corrected; errors beyond 9 m are not found.
+    corrected; errors beyond 3 m are found only where two agents share six objects, and none beyond 9 m.
     """
 
     stage: Integrity | None = None

@@ -38,8 +38,9 @@ COMPARABLE = 3
 #: Mean of Huber's loss of a difference up to which a fit is good, and difference of the sums of it from which a batch
 #: shows another fault than those before.
 FIT, CHANGED = 1.2, 5.0
-#: m, farthest that two agents may report one object apart, if one has a fault.
-GATE_M = 9.0
+#: m, farthest that two agents may report one object apart, if one has a fault; and m, beyond which a track may be of
+#: the next car of a queue instead, so that MANY tracks must have the displacement in common.
+GATE_M, AMBIGUOUS_M, MANY = 9.0, 3.0, 6
 #: Tracks of an agent that are compared, at most, and tracks of each other agent for one: a flood must cost little.
 MAX_TRACKS, MAX_NEAR = 200, 6
 #: m/s, from which a track is moving.
@@ -208,7 +209,8 @@ def most_common(found: Differences, pair: tuple[int, int]) -> Floats | None:
     """The fault (4,) of one agent of a pair against the other that matches most of its tracks; None: no better one.
 
     Each turn and each lead is tried, with the displacement that most of the tracks then have in common. The least fault
-    of equals is chosen, if it matches more tracks than none at all, and most of them.
+    of equals is chosen, if it matches most of the tracks, and more than none at all; of those farther away than
+    AMBIGUOUS_M, MANY.
     """
     mine = np.flatnonzero((found.one == pair[0]) & (found.other == pair[1]))
     track = np.cumsum(np.diff(found.track[mine], prepend=-1) > 0) - 1
@@ -220,10 +222,14 @@ def most_common(found: Differences, pair: tuple[int, int]) -> Floats | None:
     chosen = np.where(count == count.max(axis=1, keepdims=True), size, np.inf).argmin(axis=1)
     support = count[np.arange(len(left)), chosen]
     best = int(support.argmax())
+    shift = left[best, chosen[best]]
+    matched = np.hypot(*(left[best] - shift).T) <= COMMON_M
+    clear = np.unique(track[matched & (size[0] <= AMBIGUOUS_M)])
     before = len(np.unique(track[size[0] <= COMMON_M]))
-    if support[best] < max(before + 1, MATCHED * (track[-1] + 1), COMPARABLE):
+    enough = max(before + 1, MATCHED * (track[-1] + 1), COMPARABLE)
+    if support[best] < enough or (len(clear) <= before and support[best] - len(clear) < MANY):
         return None
-    return np.array([*left[best, chosen[best]], *_TRIED[best]])
+    return np.array([*shift, *_TRIED[best]])
 
 
 @kernel

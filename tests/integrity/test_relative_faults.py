@@ -60,6 +60,7 @@ def found(faults: dict[str, tuple[float, ...]], **world: object) -> Floats:
         {"a": SKEW},
         {"a": SHIFT},
         {"a": TURN},
+        {"a": (5.0, -4.0, 0.0, 0.0)},
         {"a": (0.0, 0.0, 0.0, 0.5)},
         {"a": SKEW, "c": SKEW},
         {"a": SHIFT, "b": SHIFT},
@@ -80,6 +81,19 @@ def test_faults_of_up_to_two_of_five_are_found_and_of_nobody_else(
 
 def test_an_agent_that_moves_some_of_its_objects_has_no_fault() -> None:
     assert not found({}, odd="b").any()
+
+
+def test_an_agent_that_sees_other_cars_of_a_queue_than_the_rest_has_no_fault() -> None:
+    estimator = RelativeFaults(significance=30.0, least_m=0.3, share=0.7, memory_s=1.5)
+    for time_ns, states, agent in batches({}):
+        # Five cars each, 6.2 m apart; those that "a" sees stand between those of the others.
+        queue = np.isin(np.arange(len(states)) % 12, range(5))
+        row = np.arange(len(states))[queue] % 12
+        position = states.position[queue]
+        position[:, :2] = np.column_stack([12.4 * row + 6.2 * (agent[queue] == 0), 0.0 * row])
+        standing = states.select(queue).with_(position=position, velocity=np.zeros_like(position))
+        estimator.update(time_ns, standing, agent[queue], NAMES, PIVOTS, NOBODY)
+    assert not estimator.faults(PIVOTS).any()
 
 
 def test_nobody_is_corrected_where_as_many_agents_differ_as_agree() -> None:
