@@ -251,10 +251,11 @@ class Evidence:
         outside = of_tracks(batch, out_of_view(batch))
         testimonies = Testimonies.of(batch, boxes, own, impossible, seen, rays, outside, voter)
         claims = testimonies.claims & voter
-        vouching = (claims | (carrying(boxes, views) & voter & claims.any(axis=1, keepdims=True))).sum(axis=1)
+        carried = carrying(boxes, views) & voter & ~batch.reported & claims.any(axis=1, keepdims=True)
+        vouching = (claims | carried).sum(axis=1)
         beside = better_known(boxes, vouching)
         passed = passed_to_others(batch, boxes, rays, voter, beside) | passed_nearby(batch, boxes, seen, voter)
-        certain = 2 * vouching > len(voter)
+        certain = (2 * vouching > len(voter)) | (carried.any(axis=1) & ~testimonies.denies.any(axis=1))
         few = 2 * (batch.reported & voter).sum(axis=1) < len(voter)
         touching, driving = attached(boxes, few, certain, beside)
         return cls(batch, boxes, seen, rays, outside, passed, touching, driving, testimonies)

@@ -37,16 +37,24 @@ def test_who_reported_a_person_that_drives_along_is_not_believed_about_one_at_a_
 
 
 @pytest.mark.parametrize(
-    ("reporting", "sensor", "certain"),
-    [("be", (0.0, 0.0), True), ("be", (0.0, 4.0), False), ("e", (0.0, 0.0), False), ("ae", (0.0, 0.0), False)],
+    ("reporting", "sensor", "denying", "certain"),
+    [
+        ("be", (0.0, 0.0), "", True),
+        ("be", (0.0, 4.0), "", False),
+        ("e", (0.0, 0.0), "", True),
+        ("e", (0.0, 0.0), "d", False),
+        ("be", (0.0, 0.0), "d", True),
+        ("ae", (0.0, 0.0), "", False),
+    ],
 )
-def test_the_sensor_on_a_car_is_as_good_as_one_more_agent_that_reports_it(
-    reporting: str, sensor: tuple[float, float], certain: bool
+def test_a_car_under_a_sensor_is_certain_if_another_agent_reports_it_and_nobody_denies_it(
+    reporting: str, sensor: tuple[float, float], denying: str, certain: bool
 ) -> None:
-    """Two of five can't make a car certain, on which other agents' objects would hang, by a false place of a sensor."""
+    """Nobody reports the car under its own sensor. Where three of five vouch for a car, a denial makes no difference."""
     tracks: list[Track] = [(name, 0, (0.0, 0.0)) for name in reporting] + [("e", 1, AT_BUMPER)]
     drives = dict.fromkeys((0, 1), (8.0, 0.0))
-    given = batch(tracks, AGENTS, {"a": view(sensor)}, velocity=drives, size={1: PERSON})
+    views = {"a": view(sensor)} | {name: view(PLACES[name]) for name in denying}
+    given = batch(tracks, AGENTS, views, velocity=drives, size={1: PERSON})
     assert Evidence.of(given, np.ones(5, np.bool_)).attached.tolist() == [False, certain]
 
 
