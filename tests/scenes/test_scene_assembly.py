@@ -128,3 +128,34 @@ def pole() -> AgentPath:
 def test_an_impossible_path_is_refused(changes: dict, message: str) -> None:
     with pytest.raises(SceneError, match=f"road: agent ego: {message}"):
         recorded(road(), [replace(pole(), **changes)])
+
+
+class Percent(CleanDetector):
+    """Gives scores from 0 to 100, as long as its fault is `score`."""
+
+    def __init__(self, *, fault: str) -> None:
+        super().__init__()
+        self.fault = fault
+
+    def detect(self, *sensed):
+        found, ids = super().detect(*sensed)
+        score, position = found.score.copy(), found.position.copy()
+        if self.fault == "score":
+            score *= 100.0
+        elif self.fault == "position":
+            position[:, 0] = np.nan
+        return replace(found, score=score, position=position), ids[1:] if self.fault == "ids" else ids
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        ("score", "score 100 to 100, expected 0 to 1"),
+        ("position", "position has a number that is not finite"),
+        ("ids", "0 ids of objects and 1 rows of position"),
+    ],
+)
+def test_what_a_detector_must_not_return_names_it_and_its_sensor(fault: str, message: str) -> None:
+    boxes = road()
+    with pytest.raises(SceneError, match=f"Percent, .* of ego, frame 0: {message}"):
+        assemble("road", TIMES, boxes, [vehicle("ego", boxes, 3)], Percent(fault=fault), seed=0)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.geometry import quaternion_from_rotation, rotation_from_quaternion, wrap_angle
 from mast_zenoh.arrays.states import Detections, Floats, Ints, ObjectStates
+from mast_zenoh.errors import SceneError
 from mast_zenoh.scenes.making.sensor_types import Rig
 from mast_zenoh.scenes.recording import NO_MEASUREMENT, Measurements, Recording, SceneAgent
 from mast_zenoh.sensing import Detector, LidarSensor, Walls, lidar_points, sensor_pose
@@ -225,7 +226,7 @@ class FrameDetection:
                 returns = points[world.rows(moment.source), agent]
             else:
                 returns = _returns(world, agent, lidar, moment, self.walls)
-            yield own_detector.detect(
+            found, ids = own_detector.detect(
                 moment.truth,
                 returns,
                 lidar,
@@ -239,6 +240,22 @@ class FrameDetection:
                     *([described.sensors[sensor].name] if sensor else []),
                 ),
             )
+            if problem := _problem(found, ids):
+                where = f"{type(own_detector).__name__}, {described.sensors[sensor].name} of {described.name}"
+                raise SceneError(f"{where}, frame {number}: {problem}")
+            yield found, ids
+
+
+def _problem(found: Detections, ids: Ints) -> str:
+    """What is wrong with the detections of a sensor and their ids (n,); empty: nothing."""
+    for name, values in found.columns().items():
+        if len(values) != len(ids):
+            return f"{len(ids)} ids of objects and {len(values)} rows of {name}, expected as many"
+        if not np.isfinite(values).all():
+            return f"{name} has a number that is not finite"
+    if len(found) and not 0.0 <= found.score.min() <= found.score.max() <= 1.0:
+        return f"score {found.score.min():g} to {found.score.max():g}, expected 0 to 1"
+    return ""
 
 
 def _period_s(world: World, rig: Rig) -> float:
