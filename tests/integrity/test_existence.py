@@ -50,7 +50,7 @@ def test_who_reported_a_person_that_drives_along_is_not_believed_about_one_at_a_
 def test_a_car_under_a_sensor_is_certain_if_another_agent_reports_it_and_nobody_denies_it(
     reporting: str, sensor: tuple[float, float], denying: str, certain: bool
 ) -> None:
-    """Nobody reports the car under its own sensor. Where three of five vouch for a car, a denial makes no difference."""
+    """Nobody reports the car under its own sensor. Where three of five vouch for a car, a denial changes nothing."""
     tracks: list[Track] = [(name, 0, (0.0, 0.0)) for name in reporting] + [("e", 1, AT_BUMPER)]
     drives = dict.fromkeys((0, 1), (8.0, 0.0))
     views = {"a": view(sensor)} | {name: view(PLACES[name]) for name in denying}
