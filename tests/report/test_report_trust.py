@@ -248,6 +248,11 @@ def test_the_last_line_says_which_agents_the_defence_suspended_when_and_what_it_
     assert last_line(folder, "FreeSpace", INTEGRITY | nothing) == (
         "FreeSpace set no agent's state to suspended and withheld nothing."
     )
+    honest = {"honest": {"trusted": 3.0, "faulty": 1.25}, "faulty": {"faulty": 2.0}}
+    corrected = nothing | {"agents": {"ego": of_agent(seconds=honest), "infra_1": of_agent()}}
+    assert last_line(folder, "FaultOrLie", INTEGRITY | corrected) == (
+        "FaultOrLie set no agent's state to suspended, corrected without a fault ego (1.2 s), and withheld nothing."
+    )
     alarm = of_agent(suspensions=[suspension(1.0, None, "honest")])
     many = last_line(folder, "KOfN", INTEGRITY | {"agents": {f"infra_{number}": alarm for number in range(15)}})
     assert many.startswith("KOfN suspended 15 agents, infra_0 (while honest), ")

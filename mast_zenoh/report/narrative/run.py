@@ -103,7 +103,7 @@ def defence_sentence(run: RunRecord) -> str:
     agents_suspended = f"suspended {count(len(suspended))} agent{'s' if len(suspended) > 1 else ''}"
     did = [agents_suspended if suspended else "set no agent's state to suspended"]
     did += [join_names([f"{name} ({_when(agents[name])})" for name in suspended], _MOST_NAMES)] if suspended else []
-    did += _doubts(agents)
+    did += _doubts(agents) + _needless_corrections(agents)
     on_the_way = altered_on_the_way(run)
     lied, altered = ([name for name in missed if (name in on_the_way) == way] for way in (False, True))
     ego_hears = f"what the ego hears of {join_names(altered, _MOST_NAMES)} is altered on the way"
@@ -140,6 +140,13 @@ def _doubts(agents: dict[str, Any]) -> list[str]:
     parts = [f"for a time about {join_names(for_a_time, _MOST_NAMES)}"] * bool(for_a_time)
     parts += [f"to the end about {join_names(to_the_end, _MOST_NAMES)}"] * bool(to_the_end)
     return [f"was undecided {' and '.join(parts)}"] * bool(parts)
+
+
+def _needless_corrections(agents: dict[str, Any]) -> list[str]:
+    """Which honest agents without a fault the defence took for faulty, and for how long."""
+    seconds = {name: agent.get("seconds", {}).get("honest", {}).get("faulty", 0.0) for name, agent in agents.items()}
+    named = [f"{name} ({duration:.1f} s)" for name, duration in seconds.items() if duration]
+    return [f"corrected without a fault {join_names(named, _MOST_NAMES)}"] * bool(named)
 
 
 def _when(agent: dict[str, Any]) -> str:
