@@ -84,7 +84,8 @@ def crossing(car: Vehicle, routes: Mapping[int, RouteAhead], objects: Objects, l
         ahead = look.ahead(now, there._replace(position=there.position + time[:, None] * there.velocity))
         at, when = repeated[ahead.row], time[ahead.row]
         already = np.isin(at, at[when == 0.0])
-        passed = own * when - np.where(ahead.speed_mps > 0.0, 0.0, car.length)  # what goes along, goes behind or beside
+        # What goes along meets the front half of the car, or goes behind or beside it.
+        passed = own * when - np.where(ahead.speed_mps > 0.0, 0.5, 1.0) * car.length
         meets = ~already & (ahead.gap_m >= passed) & (ahead.gap_m <= own * (when + _AFTER_S))
         found = np.flatnonzero(meets)
         found = found[np.unique(at[found], return_index=True)[1]]  # the first look of each
