@@ -131,7 +131,7 @@ def test_an_impossible_path_is_refused(changes: dict, message: str) -> None:
 
 
 class Percent(CleanDetector):
-    """Gives scores from 0 to 100, as long as its fault is `score`."""
+    """Gives scores from 0 to 100, or one id of an object too few."""
 
     def __init__(self, *, fault: str) -> None:
         super().__init__()
@@ -139,20 +139,14 @@ class Percent(CleanDetector):
 
     def detect(self, *sensed):
         found, ids = super().detect(*sensed)
-        score, position = found.score.copy(), found.position.copy()
-        if self.fault == "score":
-            score *= 100.0
-        elif self.fault == "position":
-            position[:, 0] = np.nan
-        return replace(found, score=score, position=position), ids[1:] if self.fault == "ids" else ids
+        return (found, ids[1:]) if self.fault == "ids" else (replace(found, score=100.0 * found.score), ids)
 
 
 @pytest.mark.parametrize(
     ("fault", "message"),
     [
         ("score", "score 100 to 100, expected 0 to 1"),
-        ("position", "position has a number that is not finite"),
-        ("ids", "0 ids of objects and 1 rows of position"),
+        ("ids", "1 detections and 0 ids of objects, expected equal numbers"),
     ],
 )
 def test_what_a_detector_must_not_return_names_it_and_its_sensor(fault: str, message: str) -> None:

@@ -248,11 +248,8 @@ class FrameDetection:
 
 def _problem(found: Detections, ids: Ints) -> str:
     """What is wrong with the detections of a sensor and their ids (n,); empty: nothing."""
-    for name, values in found.columns().items():
-        if len(values) != len(ids):
-            return f"{len(ids)} ids of objects and {len(values)} rows of {name}, expected as many"
-        if not np.isfinite(values).all():
-            return f"{name} has a number that is not finite"
+    if len(found) != len(ids):
+        return f"{len(found)} detections and {len(ids)} ids of objects, expected equal numbers"
     if len(found) and not 0.0 <= found.score.min() <= found.score.max() <= 1.0:
         return f"score {found.score.min():g} to {found.score.max():g}, expected 0 to 1"
     return ""
