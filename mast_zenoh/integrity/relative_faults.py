@@ -38,9 +38,10 @@ COMPARABLE = 3
 #: Mean of Huber's loss of a difference up to which a fit is good, and difference of the sums of it from which a batch
 #: shows another fault than those before.
 FIT, CHANGED = 1.2, 5.0
-#: m, farthest that two agents may report one object apart, if one has a fault; and m, beyond which a track may be of
-#: the next car of a queue instead, so that MANY tracks must have the displacement in common.
-GATE_M, AMBIGUOUS_M, MANY = 9.0, 3.0, 6
+#: m, farthest that two agents may report one object apart, if one has a fault.
+GATE_M = 9.0
+#: m, beyond which a track may be of the next car of a queue instead, and tracks that must then be displaced alike.
+AMBIGUOUS_M, MANY = 3.0, 6
 #: Tracks of an agent that are compared, at most, and tracks of each other agent for one: a flood must cost little.
 MAX_TRACKS, MAX_NEAR = 200, 6
 #: m/s, from which a track is moving.
@@ -222,12 +223,13 @@ def most_common(found: Differences, pair: tuple[int, int]) -> Floats | None:
     chosen = np.where(count == count.max(axis=1, keepdims=True), size, np.inf).argmin(axis=1)
     support = count[np.arange(len(left)), chosen]
     best = int(support.argmax())
+    before = len(np.unique(track[size[0] <= COMMON_M]))
+    if support[best] < max(before + 1, MATCHED * (track[-1] + 1), COMPARABLE):
+        return None
     shift = left[best, chosen[best]]
     matched = np.hypot(*(left[best] - shift).T) <= COMMON_M
-    clear = np.unique(track[matched & (size[0] <= AMBIGUOUS_M)])
-    before = len(np.unique(track[size[0] <= COMMON_M]))
-    enough = max(before + 1, MATCHED * (track[-1] + 1), COMPARABLE)
-    if support[best] < enough or (len(clear) <= before and support[best] - len(clear) < MANY):
+    near = len(np.unique(track[matched & (size[0] <= AMBIGUOUS_M)]))
+    if near <= before and support[best] - near < MANY:
         return None
     return np.array([*shift, *_TRIED[best]])
 

@@ -22,6 +22,7 @@ from mast_zenoh.streams import stream
 
 #: The name of a class, FILE.py or FILE.py:CLASS; or a dict with one of these as `type`, and parameters.
 Choice = str | dict[str, Any]
+_EXPECTED = "expected a name, a file or a dict with `type`"
 
 #: The adversaries of the scenarios of these names: on tracks alone, without a budget and without knowledge.
 COORDINATED, UNCOORDINATED = "coordinated", "uncoordinated"
@@ -87,9 +88,9 @@ def parse_choices(text: str | Sequence[Choice], setting: str) -> list[Choice]:
     choices = [choices] if isinstance(choices, Mapping) else choices
     result = []
     for choice in choices:
-        name = choice if isinstance(choice, str) else choice.get("type") if isinstance(choice, Mapping) else None
+        name = _named(choice)
         if not isinstance(name, str) or not name.strip():
-            raise ConfigurationError(f"{setting}: found {choice!r}, expected a name, a file or a dict with `type`")
+            raise ConfigurationError(f"{setting}: found {choice!r}, {_EXPECTED}")
         name = _absolute(name.strip())
         result.append(name if isinstance(choice, str) else {**choice, "type": name})
     return result
@@ -150,15 +151,20 @@ def short_name(choice: Choice) -> str:
 
 def _literal(choice: Choice) -> Choice:
     """A choice whose text is that of a dict, as a dict. Raises ConfigurationError where it names no class."""
-    literal: object = choice
+    literal: Choice | None = choice
     if isinstance(choice, str) and choice.startswith("{"):
         try:
             literal = ast.literal_eval(choice)
         except (ValueError, SyntaxError):
             literal = None
-    if isinstance(literal, str) or (isinstance(literal, dict) and isinstance(literal.get("type"), (str, type))):
-        return literal
-    raise ConfigurationError(f"found {choice!r}, expected a name, a file or a dict with `type`")
+    if literal is None or not isinstance(_named(literal), (str, type)):
+        raise ConfigurationError(f"found {choice!r}, {_EXPECTED}")
+    return literal
+
+
+def _named(choice: object) -> object:
+    """What a choice names, a name or a class; None: nothing."""
+    return choice if isinstance(choice, str) else choice.get("type") if isinstance(choice, Mapping) else None
 
 
 def _absolute(text: str) -> str:
