@@ -15,7 +15,7 @@ LAYERS: dict[str, str] = {
     "api": "runs as Python objects, and listings of classes, for notebooks and scripts",
     "report": "pages of runs and studies; figures/ tables/ narrative/ film/ templates/",
     "viewer": "one model of a run, finished or running: tables and frames; page/ live/ export/",
-    "deploy": "nodes in containers and on other hosts; engine: what compose, swarm and ssh/ share",
+    "deploy": "nodes in containers and on other hosts; engine: what compose and ssh/ share",
     "replay": "puts a recorded run back on a mesh: recorded nodes before a cut, live nodes after it",
     "launch": "starts, watches and ends the processes of a run; launcher_protocol: what it decides; netns/: its hosts",
     "checks": "invariants of finished runs",

@@ -1,6 +1,5 @@
 """Options and fixtures for all tests."""
 
-import os
 import signal
 import subprocess
 from collections.abc import Callable, Iterator
@@ -19,18 +18,6 @@ settings.load_profile("untimed")
 
 # Under nohup all commands would inherit that hangups are ignored.
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
-
-
-def pytest_configure() -> None:
-    os.environ.setdefault("MAST_TEST_SESSION", str(os.getpid()))  # one name for all workers
-
-
-def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Leave a swarm that a test made, once no other worker's containers need the engine any more."""
-    from containers import leave_swarm
-
-    if not hasattr(session.config, "workerinput"):
-        leave_swarm()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

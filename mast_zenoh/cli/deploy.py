@@ -13,14 +13,14 @@ from rich.table import Table
 
 from mast_zenoh.cli import options
 from mast_zenoh.cli.options import out as _out
-from mast_zenoh.errors import ConfigurationError, RunFolderError
+from mast_zenoh.errors import RunFolderError
 from mast_zenoh.run_files import read_json
 
 app = typer.Typer(help="Run a scenario in containers or on other hosts.", no_args_is_help=True, add_completion=False)
 
 Engine = Annotated[
     str,
-    typer.Option(metavar="NAME|FILE", help="Where the nodes run: compose, swarm, ssh, or the file of your own engine."),
+    typer.Option(metavar="NAME|FILE", help="Where the nodes run: compose, ssh, or the file of your own engine."),
 ]
 
 
@@ -39,10 +39,6 @@ def up(
         str | None, typer.Option(help="Image of all containers. Default: the one built by `mast deploy image`.")
     ] = None,
     hosts: Annotated[Path | None, typer.Option(help="SSH: file with the hosts. Default: deploy/hosts.toml.")] = None,
-    place: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NODES=LABEL", help="Swarm: run nodes on the machine with this label mast.host."),
-    ] = None,
     option: Annotated[
         list[str] | None,
         typer.Option(metavar="KEY=VALUE", help="A parameter of the engine, such as your own engine's."),
@@ -61,7 +57,7 @@ def up(
 
     path, loaded = scenario.load(scenario_file, settings or ())
     resolved = scenario.resolve(path, loaded, seed=seed, frames=frames, mode=mode, rate=rate, record=record)
-    chosen = {"image": image, "hosts": hosts, "place": _placements(place), "patience_s": patience}
+    chosen = {"image": image, "hosts": hosts, "patience_s": patience}
     kind = engines.load(engine)
     parameters = {name: value for name, value in chosen.items() if value is not None}
     accepted = inspect.signature(kind).parameters
@@ -250,12 +246,3 @@ def _deployed(folder: Path, confirmed: bool) -> tuple[Any, dict[str, Any]]:
     if "engine_plugin" in record:
         plugins.expect({engine: record["engine_plugin"]})
     return engines.load(engine), record
-
-
-def _placements(words: list[str] | None) -> dict[str, str] | None:
-    if not words:
-        return None
-    for word in words:
-        if "=" not in word:
-            raise ConfigurationError(f"--place {word}: expected NODES=LABEL, such as 'infra_*=west'")
-    return dict(word.split("=", 1) for word in words)

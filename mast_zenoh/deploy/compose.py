@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterable, Mapping
@@ -16,22 +17,29 @@ from typing import Any
 
 from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.deploy import documents
-from mast_zenoh.deploy.docker import AT_A_TIME, TO_LOG, USER, DockerEngine, docker, exit_code, run
+from mast_zenoh.deploy.docker import TAG, USER, check, check_image, docker, exit_code, run
 from mast_zenoh.deploy.documents import LABEL, PORT, ROUTER
-from mast_zenoh.deploy.engine import DeployedNodes, numeric_environment, write_settings
+from mast_zenoh.deploy.engine import CREDENTIALS, DeployedNodes, DeploymentEngine, numeric_environment, write_settings
 from mast_zenoh.errors import EngineError
 from mast_zenoh.launch.context import RunContext
 from mast_zenoh.launch.supervisor import Child, how_ended
 from mast_zenoh.security.deployment import Deployment
 
 _MAKE_S = 600.0  # for docker-compose to make networks and containers
+_LOG_S = 60.0  # for Docker to print a log
 _LOG_GRACE_S = 5.0  # from the end of a container to the end of its log
 _REMOVAL_TIMEOUT_S = 20.0  # for networks and volumes to become unused and be removed
 _ATTACHED = "{{range .Containers}}{{.Name}} {{end}}"
 _STATE = "{{.State.Running}} {{.State.ExitCode}}"
 
+#: Commands to the Docker engine at a time.
+_AT_A_TIME = 4
 
-class Compose(DockerEngine):
+#: Options of a process whose standard output is a log: so are its errors, and Ctrl-C does not interrupt it.
+_TO_LOG: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stderr": subprocess.STDOUT, "start_new_session": True}
+
+
+class Compose(DeploymentEngine):
     """Containers of this machine.
 
     image:      image of the containers, see `docker.build_image`
@@ -41,9 +49,15 @@ class Compose(DockerEngine):
     name = "compose"
     unplugs = True
 
-    def check_platform(self, resolved: Resolved) -> None:
+    def __init__(self, image: str = TAG, patience_s: float = 30.0) -> None:
+        self.image = image
+        self.patience_s = patience_s
+
+    def check(self, resolved: Resolved, secure: str) -> None:
+        check()
         command()
         documents.check_names(resolved)
+        check_image(self.image)
 
     def nodes(self, context: RunContext, stack: ExitStack) -> Containers:
         return Containers(self, context, stack)
@@ -57,11 +71,27 @@ class Compose(DockerEngine):
         return [{"node": name[start:], "state": state, "where": name} for name, _, state in rows]
 
     @classmethod
-    def log_command(cls, record: dict[str, Any], node: str) -> list[str]:
-        return ["docker", "logs", documents.container(record["id"], node)]
+    def logs(cls, folder: Path, record: dict[str, Any], node: str | None, *, follow: bool) -> None:
+        """Print logs; those of containers that are gone are in the run folder."""
+        existing = [row["node"] for row in cls.status(folder, record)]
+        files = {path.stem: path for path in (folder / "logs").glob("*.log")}
+        for name in [node] if node else sorted({*existing, *files}):
+            lines: list[str] = []
+            if name in existing:
+                command = ["docker", "logs", documents.container(record["id"], name)]
+                if follow and node:
+                    subprocess.run([*command, "--follow"], check=False, stdin=subprocess.DEVNULL)
+                    return
+                pipe, both = subprocess.PIPE, subprocess.STDOUT
+                done = subprocess.run(command, check=False, text=True, stdout=pipe, stderr=both, timeout=_LOG_S)
+                lines = done.stdout.splitlines()
+            if not lines and name in files:
+                lines = files[name].read_text(errors="replace").splitlines()
+            sys.stdout.writelines(f"{name}  {line}\n" for line in lines)
 
     @classmethod
-    def remove(cls, record: dict[str, Any]) -> None:
+    def down(cls, folder: Path, record: dict[str, Any]) -> None:
+        shutil.rmtree(folder / CREDENTIALS, ignore_errors=True)
         label = f"label={record['deployment']['label']}"
         if containers := docker("ps", "--all", "--quiet", "--filter", label).split():
             docker("rm", "--force", "--volumes", *containers)
@@ -119,7 +149,7 @@ class Container(Child):
         """Append its output since a time to its log."""
         words = ["docker", "logs", "--follow", "--since", f"{since:.6f}", self.container]
         with self.log.open("ab") as log:
-            self.follower = subprocess.Popen(words, stdout=log, **TO_LOG)
+            self.follower = subprocess.Popen(words, stdout=log, **_TO_LOG)
 
     def close(self) -> None:
         """End the process that follows its output."""
@@ -208,7 +238,7 @@ class Containers(DeployedNodes[Container]):
         """Start nodes, several at a time."""
         children = {name: self._container(name, spec) for name, spec in specs.items()}
         self.children |= children
-        with ThreadPoolExecutor(AT_A_TIME) as pool:
+        with ThreadPoolExecutor(_AT_A_TIME) as pool:
             list(pool.map(self._run, children.values()))
 
     def _restart(self, child: Container) -> None:

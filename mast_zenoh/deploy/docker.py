@@ -1,21 +1,16 @@
-"""The `docker` command, the image of the nodes, and what the engines that use them share."""
+"""The `docker` command, and the image of the nodes."""
 
 from __future__ import annotations
 
 import shutil
 import subprocess
-import sys
 import tempfile
-from abc import abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from mast_zenoh import kernels, version
 from mast_zenoh.config import bundle
-from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.deploy import wheel
-from mast_zenoh.deploy.engine import CREDENTIALS, DeploymentEngine
 from mast_zenoh.errors import EngineError
 
 BASE = "python:3.12-slim"
@@ -27,18 +22,11 @@ USER = "10001:10001"
 #: The label with the fingerprint of the sources in an image.
 LABEL = "org.mast-zenoh.code"
 
-#: Commands to the Docker engine at a time.
-AT_A_TIME = 4
-
-#: Options of a process whose standard output is a log: so are its errors, and Ctrl-C does not interrupt it.
-TO_LOG: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stderr": subprocess.STDOUT, "start_new_session": True}
-
 #: Beginnings of the lines that Docker writes after the one with the reason of a failure.
 _NO_REASON = ("exit status", "See 'docker", "Run 'docker")
 
 _TIMEOUT_S = 120.0
 _BUILD_S = 1200.0
-_LOG_S = 60.0
 
 
 def docker(*words: str, timeout: float = _TIMEOUT_S, check: bool = True) -> str:
@@ -146,58 +134,3 @@ def size_over_base(tag: str = TAG, base: str = BASE) -> int:
     """Size of the image minus the size of its base, bytes."""
     sizes = [int(docker("image", "inspect", "--format", "{{.Size}}", name)) for name in (tag, base)]
     return sizes[0] - sizes[1]
-
-
-class DockerEngine(DeploymentEngine):
-    """An engine whose nodes run in containers of an image.
-
-    image:      image of the containers, see `build_image`
-    patience_s: how long they run without the launcher, s
-    """
-
-    def __init__(self, image: str = TAG, patience_s: float = 30.0) -> None:
-        self.image = image
-        self.patience_s = patience_s
-
-    def check(self, resolved: Resolved, secure: str) -> None:
-        check()
-        self.check_platform(resolved)
-        check_image(self.image)
-
-    @abstractmethod
-    def check_platform(self, resolved: Resolved) -> None:
-        """Raise EngineError if the run is impossible with this Docker engine."""
-
-    @classmethod
-    @abstractmethod
-    def log_command(cls, record: dict[str, Any], node: str) -> list[str]:
-        """The command that prints a node's log."""
-
-    @classmethod
-    @abstractmethod
-    def remove(cls, record: dict[str, Any]) -> None:
-        """Remove everything of a run that Docker still has."""
-
-    @classmethod
-    def logs(cls, folder: Path, record: dict[str, Any], node: str | None, *, follow: bool) -> None:
-        """Print logs; those of containers that are gone are in the run folder."""
-        existing = [row["node"] for row in cls.status(folder, record)]
-        files = {path.stem: path for path in (folder / "logs").glob("*.log")}
-        for name in [node] if node else sorted({*existing, *files}):
-            lines: list[str] = []
-            if name in existing:
-                command = cls.log_command(record, name)
-                if follow and node:
-                    subprocess.run([*command, "--follow"], check=False, stdin=subprocess.DEVNULL)
-                    return
-                pipe, both = subprocess.PIPE, subprocess.STDOUT
-                done = subprocess.run(command, check=False, text=True, stdout=pipe, stderr=both, timeout=_LOG_S)
-                lines = done.stdout.splitlines()
-            if not lines and name in files:
-                lines = files[name].read_text(errors="replace").splitlines()
-            sys.stdout.writelines(f"{name}  {line}\n" for line in lines)
-
-    @classmethod
-    def down(cls, folder: Path, record: dict[str, Any]) -> None:
-        shutil.rmtree(folder / CREDENTIALS, ignore_errors=True)
-        cls.remove(record)

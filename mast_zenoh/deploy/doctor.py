@@ -15,7 +15,6 @@ from mast_zenoh import version as release
 from mast_zenoh.config import plugins
 from mast_zenoh.deploy import docker as engine
 from mast_zenoh.deploy.compose import command
-from mast_zenoh.deploy.swarm import check_manager, machines
 from mast_zenoh.errors import BackendError, EngineError
 from mast_zenoh.launch.netns import shaping
 from mast_zenoh.launch.netns.namespaces import Owner
@@ -98,13 +97,6 @@ def _compose() -> str:
     return f"{' '.join(words)} {engine.run([*words, 'version', '--short'], timeout=30.0).strip()}"
 
 
-def _swarm() -> str:
-    engine.check()
-    check_manager()
-    usable = [machine.name for machine in machines() if machine.usable]
-    return f"{len(usable)} machine(s) take nodes: {', '.join(usable)}"
-
-
 def _image() -> str:
     engine.check_image()
     return engine.TAG
@@ -138,7 +130,6 @@ CHECKS: list[Callable[[], Finding]] = [
     control,
     lambda: optional("docker", lambda: f"engine {engine.check()}", "apt install docker.io; usermod -aG docker $USER"),
     lambda: optional("compose", _compose, "apt install docker-compose"),
-    lambda: optional("swarm", _swarm, "docker swarm init --advertise-addr 127.0.0.1"),
     lambda: optional("image", _image, "mast deploy image"),
     lambda: optional("ssh", _ssh, "pip install 'mast-zenoh[deploy]'"),
     lambda: optional("namespaces", _namespaces, "see docs/network.md"),

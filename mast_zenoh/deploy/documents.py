@@ -1,22 +1,18 @@
-"""A resolved scenario as a compose file and as a stack file for a swarm: services for the router and every node.
+"""A resolved scenario as a compose file: services for the router and every node.
 
 Nodes have no access to the host except to their credentials. They are on one of two networks without external access:
 `wired` for static nodes, and `wireless` for mobile agents and interposers on their wires. The router is on both.
 
 With a `Launcher`, a compose file is complete: `docker-compose up` plays the run. One more service makes the
 certificates and waits, so that the file systems in memory that hold them stay; the launcher starts last. No container
-ends before the launcher, or `--exit-code-from launcher` would end the run with it.
-
-In a swarm, Docker restarts a node after a failure if its `on_exit` requests it, as often as a launcher would; other
-nodes are never restarted. Names are resolved by DNS only (`dnsrr`): each service has one task, and virtual addresses
-would need a kernel with IPVS. Pure functions.
+ends before the launcher, or `--exit-code-from launcher` would end the run with it. Pure functions.
 """
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -27,13 +23,11 @@ from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.deploy.docker import BASE, USER, launcher_tag
 from mast_zenoh.deploy.engine import CREDENTIALS, NUMERIC_VARIABLES, ROUTER_SETTINGS
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.launch.supervisor import MAX_RESTARTS
 from mast_zenoh.runtime.mesh.hosting import UP
 from mast_zenoh.security import levels
 from mast_zenoh.security.credentials import AUTHORITY, CERTIFICATE, CONTROL, KEY
 
 COMPOSE_FILE = "compose.yml"
-STACK_FILE = "stack.yml"
 ROUTER = "router"
 PORT = 7447
 LABEL = "org.mast-zenoh.run"  # on everything that belongs to a run
@@ -42,29 +36,9 @@ LAUNCHER = "launcher"
 HOLDER = "certificates"  # the service that makes the credentials and keeps them in memory
 KEYS = "/keys"  # where it has the credentials of all
 
-#: The label of a machine that constraints name: docker node update --label-add mast.host=west MACHINE
-HOST_LABEL = "mast.host"
-
-#: Delay before Docker restarts a node, s: time to cancel the restart if the scenario has killed the node.
-RESTART_DELAY_S = 2
-
-#: Time between SIGTERM and SIGKILL in a swarm, s.
-STOP_GRACE_S = 10
-
 _SECRETS = "/run/secrets"
 _AT_ONCE = {"interval": "1s", "timeout": "10s", "retries": 60, "start_period": "60s"}
 _NAME = re.compile(r"[A-Za-z0-9][\w.-]*")
-_SERVICE_NAME = re.compile(r"[A-Za-z0-9]([A-Za-z0-9_-]*[A-Za-z0-9])?")
-_MAX_LABEL = 63  # a service's name is a label of a domain name
-
-#: Other services can resolve the router only once it is healthy. Launchers wait; without one, the router leaves.
-_ROUTER_HEALTH = {"interval": "2s", "timeout": "10s", "retries": 15, "start_period": "60s"}
-
-#: Keys of a compose file that a stack file spells differently or lacks.
-_COMPOSE_ONLY = {
-    *("container_name", "depends_on", "restart", "security_opt", "tmpfs", "ports", "secrets"),
-    *("cpus", "mem_limit", "pids_limit", "labels"),
-}
 
 
 @dataclass(frozen=True)
@@ -358,106 +332,3 @@ def longest_disconnection_s(resolved: Resolved, name: str) -> float:
     pairs = [pair for pair in pairwise(steps) if pair[0].action == "disconnect"]
     frames = max((after.frame - before.frame for before, after in pairs), default=0)
     return frames * resolved.period_ns * 1e-9 / resolved.rate
-
-
-# -- stack files -------------------------------------------------------------------------------------------------
-
-
-def stack_name(run: str) -> str:
-    """The stack name of a run: short, because it is part of the services' names."""
-    return "mast-" + re.sub(r"[^a-z0-9]", "", run.rpartition("-")[2].lower())
-
-
-def service_name(run: str, node: str) -> str:
-    """The full name of a node's service."""
-    return f"{stack_name(run)}_{node}"
-
-
-def stack(
-    resolved: Resolved,
-    run: str,
-    *,
-    port: int,
-    here: str,
-    place: Mapping[str, str] | None = None,
-    pinned: Collection[str] = (),
-    absent: Collection[str] = (),
-    **options: Any,
-) -> dict[str, Any]:
-    """The stack file of a run as plain values: its compose file, converted for a swarm.
-
-    port:   port of the router on the launcher's machine
-    here:   id of that machine in the swarm: the router and the nodes `pinned` run there
-    place:  by node, the value of the label `mast.host` that its machine must have
-    absent: nodes that do not start with the run
-    options: settings of the compose file: image (NAME@DIGEST, or the id of an image that every machine has), secure,
-             environment, patience_s
-
-    Raises ConfigurationError for a node's name that a swarm does not allow.
-    """
-    check_service_names(resolved)
-    content = compose(resolved, run, user=USER, **options)
-    common = content["x-node"]
-    uid, _, gid = USER.partition(":")
-    limits = {"cpus": f"{common['cpus']:g}", "memory": common["mem_limit"], "pids": common["pids_limit"]}
-    node = _Anchored({key: value for key, value in common.items() if key not in _COMPOSE_ONLY})
-    node |= {"volumes": [{"type": "tmpfs", "target": "/tmp"}], "stop_grace_period": f"{STOP_GRACE_S}s"}
-    services = {}
-    for name, composed in content["services"].items():
-        spec = resolved.nodes.get(name)
-        constraints = [f"node.id == {here}"] if spec is None or name in pinned else []
-        if place and name in place:
-            constraints.append(f"node.labels.{HOST_LABEL} == {place[name]}")
-        service = {key: value for key, value in composed.items() if key not in _COMPOSE_ONLY} | {_MERGE: node}
-        if spec is None:
-            service["healthcheck"] = common["healthcheck"] | _ROUTER_HEALTH
-            service["ports"] = [{"target": PORT, "published": port, "protocol": "tcp", "mode": "host"}]
-        if "secrets" in composed:  # only the user of the processes may read them
-            service["secrets"] = [{**secret, "uid": uid, "gid": gid, "mode": 0o600} for secret in composed["secrets"]]
-        service["deploy"] = {
-            "replicas": 0 if name in absent else 1,
-            "endpoint_mode": "dnsrr",
-            "labels": composed["labels"],
-            **({"placement": {"constraints": constraints}} if constraints else {}),
-            "restart_policy": _restart_policy(router_exit(resolved.mode) if spec is None else spec.on_exit),
-            "resources": {"limits": limits},
-        }
-        services[name] = service
-    networks = {name: {"driver": "overlay", **settings} for name, settings in content["networks"].items()}
-    return {"version": "3.9", **content, "x-node": node, "services": services, "networks": networks}
-
-
-def stack_text(resolved: Resolved, run: str, **options: Any) -> str:
-    """The stack file of a run; the options are the same as for `stack`."""
-    comment = (
-        f"{_heading(resolved, run, options)}: written by\n"
-        f"# `mast deploy up`, which deploys it as the stack {stack_name(run)}, gives every node what it needs over\n"
-        "# the mesh, and collects their results. Docker places the nodes.\n"
-    )
-    return comment + dump(stack(resolved, run, **options))
-
-
-def router_exit(mode: str) -> str:
-    """The router's `on_exit` in a swarm: in lock-step it ends the run, as messages are lost.
-
-    The run would treat disconnected nodes as gone, and continue the scene without them.
-    """
-    return "restart" if mode == "realtime" else "fail"
-
-
-def check_service_names(resolved: Resolved) -> None:
-    """Raise ConfigurationError for a node that cannot be a service of a swarm."""
-    check_names(resolved)
-    max_length = _MAX_LABEL - len(service_name("RUN-01234567", ""))
-    for name in resolved.nodes:
-        if not _SERVICE_NAME.fullmatch(name) or len(name) > max_length:
-            raise ConfigurationError(
-                f"node {name!r}: no name for a service of a swarm; expected at most {max_length} letters, digits, `_` "
-                "and `-`, the first and the last neither `_` nor `-`"
-            )
-
-
-def _restart_policy(on_exit: str) -> dict[str, Any]:
-    if on_exit != "restart":
-        return {"condition": "none"}
-    return {"condition": "on-failure", "delay": f"{RESTART_DELAY_S}s", "max_attempts": MAX_RESTARTS}

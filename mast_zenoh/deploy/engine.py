@@ -12,7 +12,7 @@ import socket
 import threading
 import time
 from abc import abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
@@ -107,9 +107,6 @@ class DeployedNodes(Supervisor[C]):
     def look(self) -> None:
         """Update what is known of the router and the nodes, if the platform does not report it."""
 
-    def keep_logs(self, children: Iterable[C]) -> None:
-        """Complete the logs of nodes, which have ended or soon will."""
-
     def running(self) -> list[C]:
         """The running nodes; raises EngineError if the router has ended."""
         self.look()
@@ -117,14 +114,8 @@ class DeployedNodes(Supervisor[C]):
             raise EngineError(f"the router{ending}; see logs/{self.router}.log")
         return super().running()
 
-    def newly_ended(self) -> list[C]:
-        """Nodes that have ended since the last call; their logs are complete."""
-        ended = super().newly_ended()
-        self.keep_logs(ended)
-        return ended
-
     def dispose(self, child: C) -> None:
-        self.keep_logs([child])
+        """Release nothing: what belongs to a node is removed with the run."""
 
     def end(self, grace_s: float) -> None:
         """Resume and reconnect all nodes, then end them: SIGTERM, wait, SIGKILL."""
@@ -139,7 +130,6 @@ class DeployedNodes(Supervisor[C]):
                 child.notes.append(f"told to leave by SIG{word}")
             self.signal(running, word)
             self.wait(lambda: not super(DeployedNodes, self).running(), seconds)
-        self.keep_logs(self.children.values())
 
     def wait(self, condition: Callable[[], bool], seconds: float) -> bool:
         """Wait for a condition on the known states; False after `seconds`."""
@@ -199,13 +189,12 @@ def join(
         threading.Event().wait(0.1)
 
 
-def write_settings(folder: Path, router: Mapping[str, Any]) -> Path:
+def write_settings(folder: Path, router: Mapping[str, Any]) -> None:
     """Write the router's settings, which hold its key, into a folder, with modes 0700 and 0600."""
     folder.mkdir(mode=0o700, exist_ok=True)  # or a mounted one
     handle = os.open(folder / ROUTER_SETTINGS, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     with os.fdopen(handle, "w", encoding="utf-8") as file:
         json.dump(router, file, separators=(",", ":"))
-    return folder / ROUTER_SETTINGS
 
 
 def numeric_environment(launcher_environment: Mapping[str, str] = os.environ) -> dict[str, str]:

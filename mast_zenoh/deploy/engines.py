@@ -18,7 +18,9 @@ from mast_zenoh.config import loading, plugins, registry, settings
 from mast_zenoh.errors import ConfigurationError, EngineError, nearest
 from mast_zenoh.launch.engine import Engine
 
-_BUILT_IN = {"compose": ("compose", "Compose"), "ssh": ("ssh.engine", "Ssh"), "swarm": ("swarm", "Swarm")}
+_BUILT_IN = {"compose": ("compose", "Compose"), "ssh": ("ssh.engine", "Ssh")}
+#: What serves instead of an engine that there is no more.
+_GONE = {"swarm": "--engine compose runs the nodes on this machine, --engine ssh on several (docs/deploy.md)"}
 #: How an engine in a user's file is named.
 FILE = re.compile(r"(.*\.py)(?::(\w+))?")
 
@@ -39,6 +41,8 @@ def load(name: str) -> type[Engine]:
         module, kind = _BUILT_IN[name]
         engine: type[Engine] = getattr(import_module(f"mast_zenoh.deploy.{module}"), kind)
         return engine
+    if name in _GONE:
+        raise EngineError(f"engine {name} is gone: {_GONE[name]}")
     found = _of_plugins()
     if name not in found:
         raise plugins.not_found(f"there is no engine {name!r}", name, (*_BUILT_IN, *found), EngineError)

@@ -1,11 +1,9 @@
-"""Generated compose and stack files: readable, valid for Docker, reproducible."""
+"""Generated compose files: readable, valid for Docker, reproducible."""
 
 from __future__ import annotations
 
-import contextlib
 import re
 import shutil
-import string
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -19,9 +17,8 @@ from typer.testing import CliRunner
 
 from mast_zenoh import scenario
 from mast_zenoh.cli.app import app
-from mast_zenoh.config.process_steps import ProcessStep
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.deploy import documents, swarm
+from mast_zenoh.deploy import documents
 from mast_zenoh.deploy.compose_inside import EXAMPLES, check_steps, example
 from mast_zenoh.deploy.documents import dump
 from mast_zenoh.deploy.engine import NUMERIC_VARIABLES
@@ -169,85 +166,3 @@ def test_a_disconnected_node_waits_longer_for_the_launcher() -> None:
     waits = {name: service["command"][-1] for name, service in services.items()}
     assert waits.pop("infra_1") == "18", "4 s of scene time at half speed"
     assert set(waits.values()) == {"10"}
-
-
-# -- stack files -------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def resolved() -> Resolved:
-    made = resolve("uncoordinated", "n_infrastructure=2", "n_adversaries=1", "n_mobile=1")
-    return replace(made, nodes=made.nodes | {"infra_2": replace(made.nodes["infra_2"], on_exit="restart")})
-
-
-def stacked(resolved: Resolved, **options: Any) -> dict[str, Any]:
-    return documents.stack(resolved, RUN, image="sha256:1", port=7000, here="id-here", **options)
-
-
-def test_every_node_is_a_service_with_one_task_and_a_limit(resolved: Resolved) -> None:
-    content = stacked(resolved, absent=["infra_1"], secure="acl", environment={"OPENBLAS_CORETYPE": "Haswell"})
-    composed = documents.compose(resolved, RUN, image="sha256:1", secure="acl")["services"]
-    known = {"image", "user", "init", "read_only", "cap_drop", "healthcheck", "volumes", "stop_grace_period"}
-    known |= {"command", "networks", "ports", "secrets", "deploy", "environment", "<<"}
-    assert set(content["x-node"]) <= known, "no key of Compose alone"
-    assert content["x-node"]["environment"] == {"OPENBLAS_CORETYPE": "Haswell"}
-    assert content["services"].keys() == {"router", *resolved.nodes}
-    for name, service in content["services"].items():
-        assert set(service) <= known
-        assert (service["command"], service["networks"]) == (composed[name]["command"], composed[name]["networks"])
-        deploy = service["deploy"]
-        assert deploy["replicas"] == (0 if name == "infra_1" else 1)
-        assert deploy["endpoint_mode"] == "dnsrr", "a kernel without IPVS has no virtual addresses"
-        assert deploy["resources"]["limits"].keys() == {"cpus", "memory", "pids"}
-        names = {"router.json"} if name == "router" else CREDENTIALS
-        assert {secret["target"] for secret in service["secrets"]} == names
-        assert {(s["uid"], s["gid"], s["mode"]) for s in service["secrets"]} == {("10001", "10001", 0o600)}
-        assert all(content["secrets"][secret["source"]]["file"].startswith("./") for secret in service["secrets"])
-    assert "secrets" not in stacked(resolved)
-
-
-def test_docker_restarts_only_nodes_with_a_restart_policy_and_the_router_only_in_real_time(resolved: Resolved) -> None:
-    policies = {name: s["deploy"]["restart_policy"] for name, s in stacked(resolved)["services"].items()}
-    assert policies.pop("infra_2") == {"condition": "on-failure", "delay": "2s", "max_attempts": 5}
-    assert {policy["condition"] for policy in policies.values()} == {"none"}
-    router = stacked(replace(resolved, mode="realtime"))["services"]["router"]
-    assert router["deploy"]["restart_policy"]["condition"] == "on-failure"
-
-
-def test_mobile_agents_have_their_own_network_and_no_node_has_external_access(resolved: Resolved) -> None:
-    content = stacked(resolved)
-    assert {network["driver"] for network in content["networks"].values()} == {"overlay"}
-    assert all(content["networks"][name]["internal"] for name in ("wired", "wireless"))
-    networks_by_node = {name: service["networks"] for name, service in content["services"].items()}
-    assert networks_by_node.pop("router") == ["launcher", "wired", "wireless"]
-    assert {name for name, networks in networks_by_node.items() if networks == ["wireless"]} == {"ego", "mobile_1"}
-
-
-def test_the_router_and_nodes_killed_by_the_scenario_are_on_the_launchers_machine(resolved: Resolved) -> None:
-    steps = (ProcessStep(3, "kill", "infra_1"), ProcessStep(5, "start", "infra_1"), ProcessStep(4, "leave", "broker"))
-    place = swarm.placement({"infra_*": "west"}, resolved.nodes)
-    services = stacked(resolved, place=place, pinned=swarm.pinned(steps))["services"]
-    constraints = {name: s["deploy"].get("placement", {}).get("constraints", []) for name, s in services.items()}
-    west = "node.labels.mast.host == west"
-    assert constraints["router"] == ["node.id == id-here"]
-    assert constraints["infra_1"] == ["node.id == id-here", west]
-    assert constraints["infra_2"] == [west]
-    assert constraints["broker"] == [], "a node to be disconnected may run on any machine"
-
-
-def test_the_router_is_checked_often_because_its_name_resolves_only_when_healthy(resolved: Resolved) -> None:
-    stack_file = stacked(resolved)
-    assert stack_file["services"]["router"]["healthcheck"]["interval"] == "2s"
-    assert stack_file["services"]["router"]["healthcheck"]["test"] == stack_file["x-node"]["healthcheck"]["test"]
-    read = yaml.safe_load(documents.stack_text(resolved, RUN, image="sha256:1", port=7000, here="id-here"))
-    assert read["services"]["ego"]["image"] == "sha256:1", "the settings of all nodes are merged in"
-
-
-@given(name=st.text(alphabet=string.ascii_letters + string.digits + "_-.é ", min_size=1, max_size=60))
-def test_every_accepted_name_is_a_valid_dns_label(resolved: Resolved, name: str) -> None:
-    one = replace(resolved, nodes={name: resolved.nodes["broker"]})
-    label = documents.service_name(RUN, name)
-    with contextlib.suppress(ConfigurationError):
-        documents.check_service_names(one)
-        assert len(label) <= 63
-        assert re.fullmatch(r"[a-zA-Z0-9_-]*[a-zA-Z0-9]", label)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import subprocess
@@ -18,15 +17,10 @@ from typer.testing import CliRunner
 from mast_zenoh import kernels, scenario
 from mast_zenoh.cli.app import app
 from mast_zenoh.config import plugins
-from mast_zenoh.deploy import doctor, engines, swarm, wheel
+from mast_zenoh.deploy import doctor, engines, wheel
 from mast_zenoh.deploy.engine import check_space, needed_space, numeric_environment
-from mast_zenoh.deploy.swarm import Machine
 from mast_zenoh.errors import BackendError, ConfigurationError, DiskFull, EngineError, PluginError
 from mast_zenoh.launch import liveness, run
-
-Expectation = contextlib.AbstractContextManager[object]
-HERE = Machine("id-here", "here", True, {"mast.host": "west"})
-THERE = Machine("id-there", "there", True, {"mast.host": "east"})
 
 
 def up(out: Path, environment: Mapping[str, str], *words: str) -> subprocess.CompletedProcess[str]:
@@ -52,7 +46,7 @@ def test_a_missing_or_unreachable_engine_is_reported_before_anything_is_written(
 
 @pytest.mark.parametrize(
     ("engine", "runtime", "where"),
-    [("swarm", "mesh", "engine swarm"), ("", "mesh", "processes of this machine"), ("", "inproc", "one process")],
+    [("ssh", "mesh", "engine ssh"), ("", "mesh", "processes of this machine"), ("", "inproc", "one process")],
 )
 def test_a_disconnect_fault_on_an_unable_engine_is_refused_before_anything_starts(
     tmp_path: Path, engine: str, runtime: str, where: str
@@ -105,7 +99,7 @@ def engine_file(tmp_path: Path) -> Path:
 
 
 def test_an_engine_is_found_by_its_name_or_in_its_defining_file(engine_file: Path) -> None:
-    assert sorted(engines.names()) == ["compose", "ssh", "swarm"]
+    assert sorted(engines.names()) == ["compose", "ssh"]
     assert [name for name in engines.names() if engines.load(name).unplugs] == ["compose"]
     kind = engines.load(f"{engine_file}:Rack")
     assert kind.name == f"{engine_file}:Rack"
@@ -124,7 +118,7 @@ def test_an_engine_of_a_plugin_is_found_by_the_name_of_its_class(
     plugins.load.cache_clear()
     try:
         assert engines.load("Shelf").name == "Shelf"
-        assert set(engines.names()) == {"compose", "ssh", "swarm", "Shelf", "Board"}
+        assert set(engines.names()) == {"compose", "ssh", "Shelf", "Board"}
         with pytest.raises(EngineError, match="no engine 'Shelv'; did you mean 'Shelf'"):
             engines.load("Shelv")
     finally:
@@ -137,7 +131,7 @@ def test_a_run_whose_engine_is_of_a_plugin_that_is_not_installed_names_the_plugi
     monkeypatch.setattr(plugins, "_expected", {})
     record = {"id": "x-1", "deployment": {"engine": "Gentle"}, "launcher": liveness.identity()}
     for plugin, error, message in (
-        ({}, EngineError, "there is no engine 'Gentle'; known: compose, ssh, swarm"),
+        ({}, EngineError, "there is no engine 'Gentle'; known: compose, ssh"),
         (
             {"engine_plugin": "racks 0.4"},
             PluginError,
@@ -147,6 +141,17 @@ def test_a_run_whose_engine_is_of_a_plugin_that_is_not_installed_names_the_plugi
         (tmp_path / "run.json").write_text(json.dumps(record | plugin))
         with pytest.raises(error, match=message):
             CliRunner().invoke(app, ["deploy", "status", str(tmp_path)], catch_exceptions=False)
+
+
+def test_the_swarm_engine_names_what_serves_instead_also_to_a_run_that_it_started(tmp_path: Path) -> None:
+    message = "engine swarm is gone: --engine compose runs the nodes on this machine, --engine ssh on several"
+    with pytest.raises(EngineError, match=message):
+        engines.load("swarm")
+    record = {"id": "x-1", "deployment": {"engine": "swarm", "stack": "mast-1"}, "launcher": liveness.identity()}
+    (tmp_path / "run.json").write_text(json.dumps(record))
+    for command in ("status", "logs", "down"):
+        with pytest.raises(EngineError, match=message):
+            CliRunner().invoke(app, ["deploy", command, str(tmp_path)], catch_exceptions=False)
 
 
 @pytest.mark.parametrize(
@@ -172,38 +177,7 @@ def test_an_unknown_engine_or_an_invalid_parameter_of_it_is_named(
         make(name.format(file=engine_file, folder=engine_file.parent))
 
 
-# -- swarms ------------------------------------------------------------------------------------------------------
-
-
-def test_a_node_is_placed_by_the_first_pattern_that_matches_it() -> None:
-    nodes = ["infra_1", "infra_2", "broker"]
-    with pytest.raises(ConfigurationError, match=r"--place brokr: there is no such node; did you mean 'broker'\?"):
-        swarm.placement({"brokr": "west"}, nodes)
-    assert swarm.placement({"infra_1": "east", "infra_*": "west"}, nodes) == {"infra_1": "east", "infra_2": "west"}
-
-
-def accepted_or(problem: str | None) -> Expectation:
-    """Expects no error, or an EngineError with this problem."""
-    return pytest.raises(EngineError, match=problem) if problem else contextlib.nullcontext()
-
-
-@pytest.mark.parametrize(
-    ("machines", "place", "pinned", "problem"),
-    [
-        ([HERE, THERE], {"infra_1": "wst"}, (), r"infra_1: no machine .* mast.host=wst; did you mean 'west'\?.*label-"),
-        ([HERE, THERE._replace(usable=False)], {"infra_1": "east"}, (), r"mast\.host=east"),
-        ([HERE._replace(usable=False)], {}, (), "this machine takes no tasks"),
-        ([HERE, THERE], {"infra_1": "east"}, {"infra_1"}, "infra_1: the scenario kills or pauses it, .*here.* .*east"),
-        ([HERE, THERE], {"infra_1": "east"}, (), None),
-        ([HERE, THERE], {"infra_1": "west"}, {"infra_1"}, None),
-    ],
-)
-def test_a_placement_without_a_suitable_machine_is_refused(
-    machines: list[Machine], place: dict[str, str], pinned: set[str], problem: str | None
-) -> None:
-    with accepted_or(problem):
-        swarm.check_placement(machines, place, pinned)
-
+# -- images -----------------------------------------------------------------------------------------------------
 
 #: What Docker writes when it cannot pull the base image: its reason is not on the last line.
 _NOT_PULLED = """Unable to find image 'python:3.12-slim' locally
@@ -243,46 +217,6 @@ def test_wheels_that_cannot_be_downloaded_name_the_broken_connection(
     monkeypatch.setattr(wheel.sys, "executable", str(tmp_path / "python"))
     with pytest.raises(EngineError, match=r"Name or service not known.*No matching distribution"):
         wheel.third_party(tmp_path / "wheels", required=["numpy==1.0"])
-
-
-@pytest.mark.parametrize(
-    ("swarm_state", "reason"),
-    [
-        ("inactive false", r"not in a swarm: create one with `docker swarm init --advertise-addr 127\.0\.0\.1`"),
-        ("locked false", "the swarm of this machine is locked"),
-        ("active false", "is a worker of its swarm"),
-        ("active true", None),
-    ],
-)
-def test_a_worker_cannot_deploy_a_stack(monkeypatch: pytest.MonkeyPatch, swarm_state: str, reason: str | None) -> None:
-    monkeypatch.setattr(swarm, "docker", lambda *words: swarm_state + "\n")
-    with accepted_or(reason):
-        swarm.check_manager()
-
-
-def test_the_engine_of_another_machine_is_refused() -> None:
-    with pytest.raises(EngineError, match="DOCKER_HOST is tcp://there:2375: expected the engine of this machine"):
-        swarm.check_here({"DOCKER_HOST": "tcp://there:2375"})
-    swarm.check_here({"DOCKER_HOST": "unix:///var/run/docker.sock"})
-    swarm.check_here({})
-
-
-def test_all_machines_run_the_same_image(monkeypatch: pytest.MonkeyPatch) -> None:
-    for digests, image in (
-        ('["registry.example/mast@sha256:2"]', "registry.example/mast@sha256:2"),
-        ("[]", "sha256:1"),
-    ):
-        monkeypatch.setattr(swarm, "docker", lambda *words, digests=digests: f"{digests}\tsha256:1\n")
-        assert swarm.image_reference("mast") == image
-
-
-def test_router_settings_that_are_too_large_for_a_secret_are_refused(tmp_path: Path) -> None:
-    settings = tmp_path / "router.json"
-    settings.write_bytes(b" " * 500_000)
-    swarm.check_size(settings)
-    settings.write_bytes(b" " * 500_001)
-    with pytest.raises(EngineError, match="are 500001 bytes: a secret of a swarm is at most 500000"):
-        swarm.check_size(settings)
 
 
 def test_remote_nodes_get_only_the_variables_that_affect_floating_point_results() -> None:

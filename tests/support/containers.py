@@ -6,8 +6,6 @@ import functools
 import os
 import re
 import subprocess
-import tempfile
-from pathlib import Path
 
 import pytest
 from launched import MAST
@@ -53,28 +51,6 @@ def built(*, launcher: bool = False) -> str:
 def _launcher_built(on: str) -> str:
     """The launcher's image, built once: its label says nothing of the launcher's sources."""
     return docker.build_image(TAG, on, launcher=True)
-
-
-def join_swarm() -> None:
-    """Make a swarm of this one machine, until the end of all tests; an existing swarm is kept.
-
-    An engine that leaves a swarm forgets the names of all running containers, so a test must not leave it:
-    nodes of composed runs in other workers would no longer find their router.
-    """
-    if docker.docker("info", "--format", "{{.Swarm.LocalNodeState}}").strip() == "inactive":
-        docker.docker("swarm", "init", "--advertise-addr", "127.0.0.1")
-        _note_of_swarm().touch()
-
-
-def leave_swarm() -> None:
-    """Leave the swarm that a test of this session made, if any."""
-    if _note_of_swarm().exists():
-        docker.docker("swarm", "leave", "--force")
-        _note_of_swarm().unlink()
-
-
-def _note_of_swarm() -> Path:
-    return Path(tempfile.gettempdir()) / f"mast-swarm-{os.environ['MAST_TEST_SESSION']}"
 
 
 def remnants_of(run: str) -> dict[str, list[str]]:
