@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from mast_zenoh.config import bundle
+from mast_zenoh.viewer.formats import FORMATS
 
 _MAX_FOLDERS = 50
 #: What may go into a command line: a shell would run other names.
@@ -95,6 +96,12 @@ def logged_nodes(ctx: Any, incomplete: str) -> Iterator[str]:
 def kinds(ctx: Any, incomplete: str) -> Iterable[str]:
     """What `mast list` lists."""
     return KINDS
+
+
+@_safe
+def formats(ctx: Any, incomplete: str) -> Iterable[str]:
+    """The formats of `mast export`."""
+    return FORMATS
 
 
 def _words() -> list[str]:

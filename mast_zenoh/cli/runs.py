@@ -14,11 +14,11 @@ import typer
 from mast_zenoh.cli import completion, options, ros2, standard_streams
 from mast_zenoh.cli.options import err as _err
 from mast_zenoh.cli.options import out as _out
-from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.errors import ConfigurationError, ExportError
 from mast_zenoh.launch import stop_signals
 from mast_zenoh.ros2.connection import ROUTER, Connection
 from mast_zenoh.run_files import reading
-from mast_zenoh.viewer.formats import FormatName
+from mast_zenoh.viewer.formats import FORMATS, GONE, check
 
 if TYPE_CHECKING:
     from mast_zenoh.report.film.look import Look
@@ -85,9 +85,30 @@ def report(
         _err.warn(warning)
 
 
+def _checked_format(name: str) -> str:
+    """The name of a format; any other is a usage error, unless it is of one that is gone."""
+    try:
+        check(name)
+    except ExportError as error:
+        options.refuse(name not in GONE, str(error), "--to")
+        raise
+    return name
+
+
+Format = Annotated[
+    str,
+    typer.Option(
+        metavar="|".join(FORMATS),
+        help="The format, see docs/exports.md.",
+        autocompletion=completion.formats,
+        callback=_checked_format,
+    ),
+]
+
+
 def export(
     run_folder: FinishedRun,
-    to: Annotated[FormatName, typer.Option(help="The format, see docs/exports.md.")],
+    to: Format,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="PATH", help="The new file or folder. Required.")
     ] = None,

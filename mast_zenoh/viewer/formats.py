@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
-FormatName = Literal[
-    "csv", "parquet", "kitti", "mot", "openlabel", "foxglove", "rosbag2", "rrd", "pcap", "misbehaviour"
-]
+from mast_zenoh.errors import ExportError, nearest
 
 
 class Format(NamedTuple):
@@ -27,10 +25,20 @@ FORMATS: Mapping[str, Format] = {
     "parquet": Format("tables.write_parquet"),
     "kitti": Format("kitti.write"),
     "mot": Format("mot.write"),
-    "openlabel": Format("openlabel.write"),
     "foxglove": Format("foxglove.write", "foxglove"),
     "rosbag2": Format("rosbag2.write", "rosbag2"),
     "rrd": Format("rrd.write", "rerun"),
     "pcap": Format("pcap.write"),
     "misbehaviour": Format("misbehaviour.write"),
 }
+
+#: What serves instead of a format that there is no more.
+GONE = {"openlabel": "--to kitti, mot, csv or parquet"}
+
+
+def check(name: str) -> None:
+    """Raise ExportError for a name that no format has."""
+    if name in GONE:
+        raise ExportError(f"--to {name} is gone: {GONE[name]}")
+    if name not in FORMATS:
+        raise ExportError(f"unknown format {name!r}: expected one of {', '.join(FORMATS)}{nearest(name, FORMATS)}")

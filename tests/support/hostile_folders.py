@@ -21,7 +21,6 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "export": ("export", "RUN", "--to", "mot", "--out", "OUT"),
     "export kitti": ("export", "RUN", "--to", "kitti", "--out", "OUT"),
     "export csv": ("export", "RUN", "--to", "csv", "--out", "OUT"),
-    "export openlabel": ("export", "RUN", "--to", "openlabel", "--out", "OUT"),
     "export pcap": ("export", "RUN", "--to", "pcap", "--out", "OUT"),
     "export misbehaviour": ("export", "RUN", "--to", "misbehaviour", "--out", "OUT"),
     "animate": ("animate", "RUN", "--out", "OUT.gif", "--size", "320x200", "--to", "0"),

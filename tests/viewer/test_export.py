@@ -14,15 +14,28 @@ import mast_zenoh as mast
 from mast_zenoh.cli import runs
 from mast_zenoh.errors import ExportError, RunFolderError
 from mast_zenoh.viewer.export import export
-from mast_zenoh.viewer.formats import FORMATS
+from mast_zenoh.viewer.formats import FORMATS, GONE
 
 #: Formats of objects; the others have messages and reports, see test_export_pcap.py, test_export_misbehaviour.py.
 OF_OBJECTS = [name for name in FORMATS if name not in ("pcap", "misbehaviour")]
 
 
 def test_the_command_offers_every_format() -> None:
-    hint = typing.get_type_hints(runs.export, include_extras=True)["to"]
-    assert set(typing.get_args(typing.get_args(hint)[0])) == set(FORMATS)
+    (option,) = typing.get_type_hints(runs.export, include_extras=True)["to"].__metadata__
+    assert option.metavar.split("|") == list(FORMATS)
+    assert option.autocompletion(None, [], "") == list(FORMATS)
+
+
+@pytest.mark.parametrize(("name", "instead"), GONE.items())
+def test_a_format_that_is_gone_names_what_serves_instead(
+    recorded: mast.Run, out: Path, name: str, instead: str
+) -> None:
+    code, _, err = command("export", str(recorded.path), "--to", name, "-o", str(out))
+    assert code == ExportError.exit_code
+    assert f"--to {name} is gone: {instead}" in " ".join(err.split())
+    with pytest.raises(ExportError, match=f"--to {name} is gone"):
+        recorded.export(name, out)
+    assert not out.exists()
 
 
 def test_the_command_names_what_it_wrote_and_what_is_missing(recorded: mast.Run, tmp_path: Path) -> None:
@@ -81,6 +94,9 @@ def test_a_folder_that_does_not_exist_and_an_unknown_format_are_named(recorded: 
         export(recorded.path, "csv", tmp_path / "nothing" / "run.csv")
     with pytest.raises(ExportError, match=r"unknown format 'foxgove': .*did you mean 'foxglove'"):
         export(recorded.path, "foxgove", tmp_path / "run.mcap")
+    code, _, err = command("export", str(recorded.path), "--to", "foxgove", "-o", str(tmp_path / "run.mcap"))
+    assert code == 2
+    assert "did you mean 'foxglove'" in " ".join(err.replace("│", " ").split())
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,7 @@
-"""KITTI, MOTChallenge and OpenLABEL, read back by mast's readers, TrackEval and VCD."""
+"""KITTI and MOTChallenge, read back by mast's reader and TrackEval."""
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
 from collections.abc import Callable
@@ -13,10 +12,7 @@ import numpy as np
 import pytest
 import trackeval
 from mast_datasets.kitti import KittiTracking, read_calibration, read_labels, read_poses
-from mast_datasets.traffic import Labels
-from mast_datasets.tumtraf import read_frames
-from plain_record import CLASSES, PlainRecord, assert_same_boxes
-from vcd import core as vcd
+from plain_record import PlainRecord, assert_same_boxes
 
 SEEN = 5  # lidar returns
 
@@ -29,11 +25,6 @@ def kitti(exported_to: Callable[[str], Path]) -> Path:
 @pytest.fixture
 def mot(exported_to: Callable[[str], Path]) -> Path:
     return exported_to("mot")
-
-
-@pytest.fixture
-def openlabel(exported_to: Callable[[str], Path]) -> Path:
-    return exported_to("openlabel")
 
 
 def own_object(record: PlainRecord) -> int:
@@ -200,74 +191,3 @@ def test_the_example_of_the_page_evaluates_the_folder(
     combined = results["picture"]["COMBINED_SEQ"]["pedestrian"]
     assert 0.1 < combined["CLEAR"]["MOTA"] <= 1.0
     assert combined["Count"]["Dets"] == record.count("picture")
-
-
-# -- OpenLABEL ---------------------------------------------------------------------------------------------------------
-
-
-def test_openlabel_is_valid_by_the_schema_and_read_back_by_vcd(openlabel: Path, record: PlainRecord) -> None:
-    assert {path.stem for path in openlabel.iterdir()} == set(record.boxes)
-    for name, frames in record.boxes.items():
-        content = vcd.OpenLABEL()
-        # validation takes a second for a file, and all are written in the same way
-        content.load_from_file(str(openlabel / f"{name}.json"), validation=name in ("truth", "infra_1.received"))
-        found = {}
-        for frame in record.frames:
-            objects = (content.get_frame(frame) or {}).get("objects", {})
-            values = {int(number): content.get_object_data(number, "box", frame) for number in objects}
-            found[frame] = list(values), [box_of(value["val"]) for value in values.values()]
-            kinds = [attributes(value)["class"] for _, value in sorted(values.items())]
-            assert kinds == [CLASSES[index] for index in frames[frame].columns["class_id"]]
-            velocity = [attributes(value)["velocity"] for _, value in sorted(values.items())]
-            assert velocity == frames[frame].columns["velocity"].tolist()
-        assert_same_boxes(found, frames, 1e-9)
-
-
-def test_a_file_that_breaks_the_openlabel_schema_is_noticed(openlabel: Path, tmp_path: Path) -> None:
-    content = json.loads((openlabel / "picture.json").read_text())
-    del content["openlabel"]["metadata"]["schema_version"]
-    (tmp_path / "broken.json").write_text(json.dumps(content))
-    with pytest.raises(Exception, match="schema_version"):
-        vcd.OpenLABEL().load_from_file(str(tmp_path / "broken.json"), validation=True)
-
-
-def test_intervals_of_openlabel_objects_are_the_frames_in_which_they_are(openlabel: Path, record: PlainRecord) -> None:
-    content = json.loads((openlabel / "picture.json").read_text())["openlabel"]
-    for number, element in content["objects"].items():
-        frames = [frame for frame, boxes in record.boxes["picture"].items() if int(number) in boxes.number]
-        covered = [
-            frame
-            for interval in element["frame_intervals"]
-            for frame in range(interval["frame_start"], interval["frame_end"] + 1)
-        ]
-        assert covered == sorted(frames)
-
-
-def test_the_tumtraf_reader_reads_openlabel_with_the_agents_poses(
-    openlabel: Path, record: PlainRecord, tmp_path: Path
-) -> None:
-    (tmp_path / "truth.json").write_bytes((openlabel / "truth.json").read_bytes())
-    frames = read_frames(tmp_path)
-    assert [frame.time_ns for frame in frames] == [record.times_ns[frame] for frame in record.frames]
-    labels = Labels(tmp_path)
-    for number, frame in enumerate(frames):
-        frame.add_boxes(number, labels, "world", "world")
-    read, _ = labels.boxes()
-    for number, (frame, rows) in enumerate(zip(frames, read.rows_by_frame(len(frames)), strict=True)):
-        boxes = record.boxes["truth"][number]
-        assert read.id[rows].tolist() == boxes.number.tolist()
-        np.testing.assert_allclose(read.position[rows], boxes.box[:, :3], atol=1e-9)
-        assert read.class_id[rows].tolist() == boxes.columns["class_id"].tolist()
-        root, position, _ = frame.coordinates.locate("infra_2")
-        assert root == "world"
-        np.testing.assert_allclose(position, record.poses["infra_2"][number][0], atol=1e-9)
-
-
-def box_of(value: list[float]) -> list[float]:
-    """x y z l w h yaw of a cuboid of ten values, whose rotation is about the vertical."""
-    assert value[3] == value[4] == 0
-    return [*value[:3], *value[7:], 2 * np.arctan2(value[5], value[6])]
-
-
-def attributes(cuboid: dict[str, Any]) -> dict[str, Any]:
-    return {each["name"]: each["val"] for kind in cuboid["attributes"].values() for each in kind}

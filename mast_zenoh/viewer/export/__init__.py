@@ -7,9 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from mast_zenoh.errors import ExportError, nearest
+from mast_zenoh.errors import ExportError
 from mast_zenoh.launch.folder import check_free, write_new
-from mast_zenoh.viewer.formats import FORMATS, Format
+from mast_zenoh.viewer.formats import FORMATS, Format, check
 from mast_zenoh.viewer.recorded import RecordedRun
 
 
@@ -32,8 +32,7 @@ def export(run: Path, to: str, out: Path) -> Exported:
     Raises ExportError for an unknown format, a package that is not installed, a file that is in the way, or a run
     without messages for the format; RunFolderError if the run cannot be read; DiskFull.
     """
-    if to not in FORMATS:
-        raise ExportError(f"unknown format {to!r}: expected one of {', '.join(FORMATS)}{nearest(to, FORMATS)}")
+    check(to)
     check_free(out)
     write = _writer(FORMATS[to])
     frames = RecordedRun.load(run)
