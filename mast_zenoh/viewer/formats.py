@@ -29,11 +29,14 @@ FORMATS: Mapping[str, Format] = {
     "rosbag2": Format("rosbag2.write", "rosbag2"),
     "rrd": Format("rrd.write", "rerun"),
     "pcap": Format("pcap.write"),
-    "misbehaviour": Format("misbehaviour.write"),
 }
 
 #: What serves instead of a format that there is no more.
-GONE = {"openlabel": "--to kitti, mot, csv or parquet"}
+GONE = {
+    "openlabel": "--to kitti, mot, csv or parquet",
+    "misbehaviour": "run.trust (trust.parquet) says whom the command centre or the ego's peer suspected, when and why; "
+    'run.messages("agent/*/trust") has what every peer said',
+}
 
 
 def check(name: str) -> None:

@@ -43,7 +43,7 @@ KNOWN_CODES = {0, 1, 2} | {
 }
 #: Commands that could do what these kinds of cases want.
 RUNNING = ("report measured", "report against twin", "replay", "intercept", "deploy down", "view")
-WRITING = ("report", "report measured", "replay", "export", "export pcap", "export misbehaviour")
+WRITING = ("report", "report measured", "replay", "export", "export pcap")
 
 
 def commands_of(name: str, *, every: bool) -> list[str]:
@@ -61,7 +61,7 @@ def commands_of(name: str, *, every: bool) -> list[str]:
     if name.startswith(("link_report", "link_metrics", "linked_folder", "results_to", "name_of", "recording_of")):
         chosen += WRITING
     if name.startswith(("names_in_the_recording", "link_messages", "wiring_", "list_as_wiring", "nothing_in_wiring")):
-        chosen += ["export pcap", "export misbehaviour"]
+        chosen += ["export pcap"]
     return list(dict.fromkeys(chosen))
 
 
@@ -276,7 +276,7 @@ def test_a_bomb_costs_bounded_memory_and_time(bomb: Case, sound: Path, tmp_path:
         "OUT": str(tmp_path / "x"),
         "OUT.png": str(tmp_path / "x.png"),
     }
-    for title in ("export csv", "export pcap", "export misbehaviour", "snapshot", "diff", "replay"):
+    for title in ("export csv", "export pcap", "snapshot", "diff", "replay"):
         words = [sys.executable, "-P", "-m", "mast_zenoh", *(paths.get(word, word) for word in COMMANDS[title])]
         measured = measure(words, 60)
         assert measured.code in KNOWN_CODES, title

@@ -22,7 +22,6 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "export kitti": ("export", "RUN", "--to", "kitti", "--out", "OUT"),
     "export csv": ("export", "RUN", "--to", "csv", "--out", "OUT"),
     "export pcap": ("export", "RUN", "--to", "pcap", "--out", "OUT"),
-    "export misbehaviour": ("export", "RUN", "--to", "misbehaviour", "--out", "OUT"),
     "animate": ("animate", "RUN", "--out", "OUT.gif", "--size", "320x200", "--to", "0"),
     "snapshot": ("snapshot", "RUN", "--out", "OUT.png", "--size", "320x200"),
     "replay": ("replay", "RUN", "--runtime", "inproc", "--no-report", "--out", "OUT"),

@@ -16,8 +16,8 @@ from mast_zenoh.errors import ExportError, RunFolderError
 from mast_zenoh.viewer.export import export
 from mast_zenoh.viewer.formats import FORMATS, GONE
 
-#: Formats of objects; the others have messages and reports, see test_export_pcap.py, test_export_misbehaviour.py.
-OF_OBJECTS = [name for name in FORMATS if name not in ("pcap", "misbehaviour")]
+#: Formats of objects; the other one has messages, see test_export_pcap.py.
+OF_OBJECTS = [name for name in FORMATS if name != "pcap"]
 
 
 def test_the_command_offers_every_format() -> None:
