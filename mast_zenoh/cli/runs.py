@@ -33,7 +33,7 @@ RunningRun = Annotated[Path, options.run_argument("The folder of a running run."
 Agent = Annotated[str | None, typer.Option(help="Whose estimates to show. Default: the main agent.")]
 Estimates = Annotated[
     list[str] | None,
-    typer.Option("--estimate", metavar="NAME", help="Up to three, side by side: local, picture, mission, truth, …"),
+    typer.Option("--estimate", metavar="NAME", help="Up to two, side by side: local, picture, mission, truth, …"),
 ]
 Beside = Annotated[
     Path | None, typer.Option("--against", metavar="OTHER", help="Another run, beside the first at the same time.")

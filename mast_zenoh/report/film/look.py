@@ -62,10 +62,8 @@ THEMES = {
 }
 #: What panels can show.
 SHOWN = (*ESTIMATES, TRUTH)
-#: Largest number of panels.
-MOST_PANELS = 3
-#: px, default widths and heights by number of panels, without camera views.
-_SIZES = {1: (800, 760), 2: (1280, 760), 3: (1600, 720)}
+#: px, default widths and heights by number of panels, one or two, without camera views.
+_SIZES = {1: (800, 760), 2: (1280, 760)}
 _PER_INCH = {"px": None, "in": 1.0, "cm": 2.54, "mm": 25.4}
 _LEAST_PX, _MOST_PX = 240, 8192
 
@@ -87,7 +85,7 @@ class Look:
     """Options of `mast animate` and `mast snapshot` (docs/animations.md).
 
     agent:     whose estimates are shown; None: the main agent
-    estimates: one to three of SHOWN, side by side; None: what the agent's driver believes, without one the picture
+    estimates: one or two of SHOWN, side by side; None: what the agent's driver believes, without one the picture
     camera:    with the agent's camera view below each bird's-eye view
     window:    `fit`, `follow`, `follow:HALF` or `X,Y,HALF`, m
     theme:     dark or light
@@ -116,8 +114,8 @@ class Look:
             if estimate not in SHOWN:
                 raise ConfigurationError(f"unknown estimate {estimate!r}: expected one of {', '.join(SHOWN)}"
                                          f"{_similar(estimate, SHOWN)}")  # fmt: skip
-        if not 1 <= panels <= MOST_PANELS:
-            raise ConfigurationError(f"found {panels} panels, expected one to {MOST_PANELS}")
+        if panels not in _SIZES:
+            raise ConfigurationError(f"found {panels} panels, expected one or two: mast view shows three")
         if self.theme not in THEMES:
             raise ConfigurationError(f"unknown theme {self.theme!r}: expected one of {', '.join(THEMES)}")
         if not 20 <= self.dpi <= 1200:

@@ -20,7 +20,7 @@ INVALID: list[tuple[str, dict[str, Any], type[MastError], str]] = [
     ("nowhere/film.gif", {}, ExportError, r"found no folder '.*nowhere', expected it to exist"),
     ("f.gif", {"agent": "infra1"}, ConfigurationError, r"no agent 'infra1' in this run; did you mean 'infra_1'"),
     ("f.gif", {"estimates": "pictures"}, ConfigurationError, r"unknown estimate 'pictures': .*did you mean 'picture'"),
-    ("f.gif", {"estimates": ["picture"] * 4}, ConfigurationError, r"found 4 panels, expected one to 3"),
+    ("f.gif", {"estimates": ["picture"] * 3}, ConfigurationError, r"found 3 panels, .*or two: mast view shows three"),
     ("f.gif", {"estimates": []}, ConfigurationError, r"found 0 panels"),
     ("f.gif", {"theme": "blue"}, ConfigurationError, r"unknown theme 'blue': expected one of dark, light"),
     ("f.gif", {"window": "near"}, ConfigurationError, r"window: found 'near', expected fit, follow,"),
