@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from plain_values import from_plain
 from v2x_messages import MessageMaker
 from v2x_messages import damaged as damaged_message
 
@@ -40,7 +41,6 @@ from mast_zenoh.sensing.raycast import PlacedSensor
 from mast_zenoh.tracking import SensorView, association, classes, tracks
 from mast_zenoh.tracking.existence import STAGES_S
 from mast_zenoh.v2x.asn1 import cam_fields, cpm_fields, uper
-from mast_zenoh.v2x.asn1.plain import from_plain
 
 for package in ("tracking", "fusion", "pipelines", "metrics", "sensing", "attacks", "integrity"):
     for module in pkgutil.iter_modules([str(Path(mast_zenoh.__file__).parent / package)]):

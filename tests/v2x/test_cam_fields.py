@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from plain_values import from_plain
 from v2x_messages import MessageMaker
 
 from mast_zenoh.errors import MessageError
 from mast_zenoh.v2x import cam
 from mast_zenoh.v2x.asn1 import cam_fields, uper
-from mast_zenoh.v2x.asn1.plain import from_plain, to_plain
+from mast_zenoh.v2x.asn1.plain import to_plain
 from mast_zenoh.v2x.perceived_objects import ABSENT
 from mast_zenoh.v2x.reference_position import Position
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from plain_values import from_plain
 from v2x_messages import MessageMaker
 
 from mast_zenoh.errors import MessageError
@@ -15,7 +16,7 @@ from mast_zenoh.v2x import cpm
 from mast_zenoh.v2x.asn1 import cpm_fields, uper
 from mast_zenoh.v2x.asn1.cdd import PerceivedObject
 from mast_zenoh.v2x.asn1.layout import slot_of
-from mast_zenoh.v2x.asn1.plain import from_plain, to_plain
+from mast_zenoh.v2x.asn1.plain import to_plain
 from mast_zenoh.v2x.perceived_objects import (
     ABSENT,
     CARTESIAN,

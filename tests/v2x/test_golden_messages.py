@@ -7,9 +7,10 @@ import os
 from pathlib import Path
 
 import pytest
+from plain_values import from_plain
 
 from mast_zenoh.v2x.asn1 import cam_fields, cpm_fields
-from mast_zenoh.v2x.asn1.plain import from_plain, to_plain
+from mast_zenoh.v2x.asn1.plain import to_plain
 from mast_zenoh.v2x.asn1.uper import decode, encode
 
 FOLDER = Path(os.environ.get("MAST_DATA") or Path(__file__).parents[3] / "shared" / "data") / "etsi_asn1"

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from plain_values import from_plain
 from v2x_messages import MessageMaker, damaged
 
 from mast_zenoh import kernels
 from mast_zenoh.errors import MessageError
 from mast_zenoh.v2x.asn1 import cam_fields, cpm_fields
 from mast_zenoh.v2x.asn1.layout import Layout
-from mast_zenoh.v2x.asn1.plain import from_plain, to_plain
+from mast_zenoh.v2x.asn1.plain import to_plain
 from mast_zenoh.v2x.asn1.uper import decode, encode
 
 LAYOUTS = [cpm_fields.LAYOUT, cam_fields.LAYOUT]

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from plain_values import from_plain
 from v2x_messages import MessageMaker
 
 from mast_zenoh.v2x.asn1 import cam_fields, cpm_fields
-from mast_zenoh.v2x.asn1.plain import from_plain, to_plain
+from mast_zenoh.v2x.asn1.plain import to_plain
 from mast_zenoh.v2x.asn1.uper import decode, encode
 
 pytestmark = pytest.mark.skipif(not asn1_oracle.FOLDER.is_dir(), reason="no ASN.1 modules in $MAST_DATA/etsi_asn1")

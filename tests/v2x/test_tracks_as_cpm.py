@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from plain_values import from_plain
 from v2x_messages import MessageMaker, damaged
 
 from mast_zenoh.arrays.states import CLASSES, ObjectStates
 from mast_zenoh.errors import MessageError
 from mast_zenoh.v2x import cpm
 from mast_zenoh.v2x.asn1 import cpm_fields, uper
-from mast_zenoh.v2x.asn1.plain import from_plain
 from mast_zenoh.v2x.perceived_objects import ABSENT, GROUP, POLAR, VEHICLE, VRU, PerceivedObjects
 from mast_zenoh.v2x.reference_position import LocalPlane, Position
 from mast_zenoh.v2x.tracks import (

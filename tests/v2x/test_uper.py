@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from plain_values import from_plain
 
 from mast_zenoh import kernels
 from mast_zenoh.errors import MessageError
@@ -23,7 +24,7 @@ from mast_zenoh.v2x.asn1.asn1_types import (
     Wrapped,
 )
 from mast_zenoh.v2x.asn1.layout import Layout, slot_of
-from mast_zenoh.v2x.asn1.plain import from_plain, to_plain
+from mast_zenoh.v2x.asn1.plain import to_plain
 from mast_zenoh.v2x.asn1.uper import decode, encode
 
 PAIR = Sequence({"a": Integer(0, 3), "b": Optional(Integer(0, 255))})
