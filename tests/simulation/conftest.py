@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import pytest
+from small_worlds import small_worlds
 
-from mast_zenoh.testing.simulation import World, small_worlds
+from mast_zenoh.testing.simulation import World
 from mast_zenoh.testing.simulation.promises import undisturbed
 
 

@@ -8,6 +8,7 @@ import pytest
 from endings_table import ending
 from hypothesis import given
 from hypothesis import strategies as st
+from small_worlds import small_world, small_worlds
 
 from mast_zenoh import testing
 from mast_zenoh.errors import ConfigurationError, StallError
@@ -19,10 +20,9 @@ from mast_zenoh.testing.simulation import (
     explore,
     play,
     random_schedule,
-    small_worlds,
 )
 from mast_zenoh.testing.simulation.promises import undisturbed
-from mast_zenoh.testing.simulation.world import KINDS, small_world
+from mast_zenoh.testing.simulation.world import KINDS
 
 SEEDS = 1000  # among all worlds
 

@@ -13,9 +13,10 @@ from simulated_runs import (
     resolve,
     schedule,
 )
+from small_worlds import small_world
 
 from mast_zenoh.config.process_steps import ProcessStep
-from mast_zenoh.testing.simulation import World, play, small_world
+from mast_zenoh.testing.simulation import World, play
 
 SEEDS = range(0, 24, 2)
 EVERY = {"ticker", "a", "b", "hub", "listener"}

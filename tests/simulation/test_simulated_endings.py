@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import pytest
 from simulated_runs import schedule
+from small_worlds import small_world
 
 from mast_zenoh.node import Context, Node
-from mast_zenoh.testing.simulation import World, check, play, small_world
+from mast_zenoh.testing.simulation import World, check, play
 
 SEEDS = range(0, 24, 2)
 EVERY = {"ticker", "a", "b", "hub", "listener"}

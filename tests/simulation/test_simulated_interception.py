@@ -16,12 +16,13 @@ from simulated_runs import (
     resolve,
     schedule,
 )
+from small_worlds import small_world
 
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control.interception import Intercept
 from mast_zenoh.launch import live_interception
 from mast_zenoh.messages import codec
-from mast_zenoh.testing.simulation import World, check, play, small_world
+from mast_zenoh.testing.simulation import World, check, play
 from mast_zenoh.wiring.insertion import Place
 
 LIVE = Path(__file__).parents[1] / "support" / "live"

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_worlds import SmallAgent, small_world
 
 from mast_zenoh import scenario, testing
 from mast_zenoh.errors import ConfigurationError, WiringError
@@ -20,10 +21,8 @@ from mast_zenoh.testing.simulation import (
     check,
     explore,
     play,
-    small_world,
     undisturbed,
 )
-from mast_zenoh.testing.simulation.world import SmallAgent
 
 RELAY = dict(wire="agent/infra_1/tracks", file="adversary.py", name="relay", settings=["attack.type=PassThrough"])
 INSERTED = Schedule(8, (Disturbance(0.0563, "intercept", "relay"),))

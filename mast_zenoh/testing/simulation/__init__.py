@@ -1,6 +1,6 @@
 """A mesh without processes: plays whole runs in one thread and in virtual time, and looks for broken promises.
 
-world       what is simulated: `World.of(resolved)`, or a small one; what disturbs it: `random_schedule(seed, world)`
+world       what is simulated: `World.of(resolved)`; what disturbs it: `random_schedule(seed, world)`
 simulation  `play(world, schedule)`: the run with the protocols of the nodes, the driver and the launcher
             network: messages, tokens, declarations;  processes: of nodes;  launcher
 promises    `check`: what must hold of every run;  `explore`: many seeds;  `simplest`: fewer disturbances;
@@ -9,7 +9,7 @@ promises    `check`: what must hold of every run;  `explore`: many seeds;  `simp
 
 from mast_zenoh.testing.simulation.promises import check, explore, find, simplest, undisturbed
 from mast_zenoh.testing.simulation.simulation import Outcome, play
-from mast_zenoh.testing.simulation.world import Disturbance, Schedule, World, random_schedule, small_world, small_worlds
+from mast_zenoh.testing.simulation.world import Disturbance, Schedule, World, random_schedule
 
 __all__ = [
     "Disturbance",
@@ -22,7 +22,5 @@ __all__ = [
     "play",
     "random_schedule",
     "simplest",
-    "small_world",
-    "small_worlds",
     "undisturbed",
 ]

@@ -10,7 +10,7 @@ from mast_zenoh.control import failures
 from mast_zenoh.messagelog.churn import LOST
 from mast_zenoh.testing.comparison import first_difference
 from mast_zenoh.testing.simulation.simulation import Outcome, play
-from mast_zenoh.testing.simulation.world import COUNTS, Schedule, World, random_schedule
+from mast_zenoh.testing.simulation.world import Schedule, World, random_schedule
 from mast_zenoh.wiring.model import Wiring
 
 #: Errors with which a run may end; docs/endings.md and docs/exit_codes.md describe them.
@@ -21,6 +21,9 @@ Promise = Callable[[Outcome], Iterable[str]]
 
 #: Reasons of a stall that need no liar and no slow process: a node that was to start, or all nodes, have been killed.
 _EXCUSES = ("not done before frame", "no other node is on the mesh")
+
+#: Results of a node that counts what it handles: messages, and those that came twice, never, or after later ones.
+_COUNTS = frozenset({"handled", "twice", "missing", "disordered"})
 
 
 class Counterexample(NamedTuple):
@@ -128,7 +131,7 @@ def _broken_in_real_time(schedule: Schedule, outcome: Outcome, *, has_steps: boo
             f"{name} handled {counts['handled']} messages: "
             + ", ".join(f"{counts[kind]} {kind}" for kind in sorted(wrong))
             for name, counts in outcome.results.items()
-            if counts.keys() >= COUNTS and any(counts[kind] for kind in wrong)
+            if counts.keys() >= _COUNTS and any(counts[kind] for kind in wrong)
         ]
     return []
 
