@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mast_zenoh import scenario
-from mast_zenoh.runtime.inproc import InProcess, find_result
+from mast_zenoh.runtime.inproc import InProcess
 
 ESTIMATES = ("truth", "safety", "mission")
 DRIVERS = ("FollowingDriver", "ProposalDriver")
@@ -51,7 +51,7 @@ def driven(case: Case) -> dict[str, Any]:
     content["drivers"]["ego"]["veto"] = case.veto and case.estimate == "mission"
     resolved = scenario.resolve(path, content, frames=case.frames, seed=case.seed)
     results = InProcess(resolved).run()
-    consequences: dict[str, Any] = find_result({name: of for name, of in results.items() if name}, "metrics")["driven"]
+    consequences: dict[str, Any] = results["evaluator"]["metrics"]["driven"]
     return consequences["ego"]
 
 

@@ -32,7 +32,7 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.messages.codec import conform
 from mast_zenoh.messages.schemas import Header
 from mast_zenoh.runtime.host import Host
-from mast_zenoh.runtime.inproc import InProcess, find_result
+from mast_zenoh.runtime.inproc import InProcess
 
 CPM = {"agents.*.tracks_from": "agent"}
 ON_TRACKS = {"n_adversaries": 1, "keyexpr.rewrites": ["on_tracks.toml"]}
@@ -87,9 +87,7 @@ def in_process(name: str, settings: dict[str, Any], attack: dict[str, Any], fram
     process = Timed(scenario.resolve(path, loaded, frames=frames))
     results = process.run()
     others = sum(spent for node, spent in process.spent.items() if node != "adversary_1")
-    return others * 1e-9 / frames, missed(
-        find_result({node: each for node, each in results.items() if node}, "metrics")
-    )
+    return others * 1e-9 / frames, missed(results["evaluator"]["metrics"])
 
 
 def on_mesh(name: str, settings: dict[str, Any], attack: dict[str, Any], frames: int) -> tuple[float, float]:

@@ -26,7 +26,7 @@ from contextlib import closing
 from pathlib import Path
 
 from mast_zenoh import scenario
-from mast_zenoh.runtime.inproc import InProcess, find_result
+from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.study import definition, execution
 from mast_zenoh.study.trial import Trial
 from mast_zenoh.study.trials import plan
@@ -48,7 +48,7 @@ def whole_runs(name: str, scene: str, repeats: int) -> None:
         wall.append(time.perf_counter() - began)
         evaluation.append(wall[-1] - results[""]["wall_s"])
     frames = resolved.frames
-    metrics = find_result({key: value for key, value in results.items() if key}, "metrics")
+    metrics = results["evaluator"]["metrics"]
     picture = next(iter(metrics["agents"].values()))["picture"]
     print(
         f"{name:14}{frames / min(cpu):12.0f}{frames / statistics.median(cpu):10.0f}"

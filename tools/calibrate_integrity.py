@@ -19,7 +19,7 @@ from mast_zenoh import scenario
 from mast_zenoh.arrays.states import Floats, ObjectStates
 from mast_zenoh.fusion import SampledAssignmentClusterer
 from mast_zenoh.integrity import Batch, Integrity, Made, SequentialConsistency
-from mast_zenoh.integrity.calibration import LARGEST, fitted_tail
+from mast_zenoh.integrity.alarms import Tail
 from mast_zenoh.integrity.made import match_losses
 from mast_zenoh.integrity.views import views_of
 from mast_zenoh.runtime.inproc import InProcess
@@ -30,6 +30,8 @@ RESAMPLES = 1000
 #: Frames of the first match loss, and between two: 1 s, so that they are nearly independent.
 FIRST_LOSS, LOSS_PERIOD = 20, 10
 QUANTILES = 250
+#: Share of the maxima, the largest, that a tail is fitted to.
+LARGEST = 0.1
 
 
 def unattacked(stage: Integrity, seed: int, scene_index: int, frames: int) -> Iterator[Batch]:
@@ -51,6 +53,22 @@ def unattacked(stage: Integrity, seed: int, scene_index: int, frames: int) -> It
         states, views = stage.correct(time_ns, states, body["agent"], names, views)
         labels = clusterer.cluster(states, body["agent"])
         yield Batch(time_ns, states, body["agent"], labels, names, tuple(map(views.get, names)))
+
+
+def fitted_tail(maxima: Floats, hours: float) -> Tail:
+    """The exponential tail of the maxima of blocks, by maximum likelihood over a threshold.
+
+    maxima: (n,) of a statistic in n blocks of honest agents, nearly independent; hours: their total length
+
+    Raises ValueError if too few of them exceed the threshold.
+    """
+    threshold = np.quantile(maxima, 1.0 - LARGEST)
+    excess = maxima[maxima > threshold] - threshold
+    if len(excess) < 2:
+        found = f"found {len(excess)} of {len(maxima)} above their {1.0 - LARGEST:.0%} quantile, {threshold:g}"
+        raise ValueError(f"maxima: {found}, expected at least 2: use more blocks, or a statistic that varies more")
+    scale = float(excess.mean())
+    return Tail(float(len(excess) / hours * np.exp(threshold / scale)), scale)
 
 
 def statistics(stage: SequentialConsistency, seed: int, scene_index: int, frames: int) -> dict[str, Floats]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import pkgutil
 import re
 import sys
 from collections.abc import Callable
@@ -16,7 +17,7 @@ from mast_zenoh.api.messages import WireMessage
 from mast_zenoh.api.plots import Plots
 from mast_zenoh.api.runs import Agent
 from mast_zenoh.api.scenes import PreparedAgent
-from mast_zenoh.api.surface import BASE_CLASSES, base_class
+from mast_zenoh.api.surface import BASE_CLASSES
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.deploy.compose_inside import EXAMPLES, example
 from mast_zenoh.layers import LAYERS
@@ -162,7 +163,7 @@ def api_page() -> str:
     lines += ["## Base classes", "", "| to write a | derive from, or use | which is |", "|---|---|---|"]
     for purpose, places in BASE_CLASSES.items():
         for place in places:
-            lines.append(f"| {purpose} | `{place}` | {_first_line(base_class(place))} |")
+            lines.append(f"| {purpose} | `{place}` | {_first_line(pkgutil.resolve_name(place))} |")
     return "\n".join([*lines, ""])
 
 

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
-from typing import Any
-
 #: Base classes (of a message type: the classes that describe it) as `module.Class`, by purpose.
 BASE_CLASSES: dict[str, tuple[str, ...]] = {
     "node": ("mast_zenoh.node.Node", "mast_zenoh.node.Source"),
@@ -45,10 +42,3 @@ BASE_CLASSES: dict[str, tuple[str, ...]] = {
     "report figure": ("mast_zenoh.report.RunFigure",),
     "deployment engine": ("mast_zenoh.launch.engine.Engine",),
 }
-
-
-def base_class(place: str) -> type[Any]:
-    """The class of an entry of BASE_CLASSES."""
-    module, _, name = place.rpartition(".")
-    cls: type[Any] = getattr(importlib.import_module(module), name)
-    return cls

@@ -11,7 +11,7 @@ existence    which objects exist, given that
 deviations   how far each agent's tracks are from the others', for how long, and how usual that is
 alarms       cumulative sums of evidence, and when they are alarms
 medians      of columns, groups and members of clusters
-calibration  fits tails; the seeds and junctions on which thresholds were chosen
+calibration  the seeds and junctions on which thresholds were chosen
 agent_fault  what a fault does to tracks and views
 relative_faults  how the tracks of each pair of agents differ, and which agents are faulty
 voting       which objects exist; the stages KOfN and FreeSpace

@@ -1,35 +1,11 @@
-"""Tails of statistics of honest agents, and the data on which thresholds were chosen."""
+"""The data on which thresholds were chosen, and match losses of honest agents in them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-import numpy as np
-
-from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.integrity.alarms import Tail
-
-#: Share of the maxima, the largest, that a tail is fitted to.
-LARGEST = 0.1
-
-
-def fitted_tail(maxima: Floats, hours: float) -> Tail:
-    """The exponential tail of the maxima of blocks, by maximum likelihood over a threshold.
-
-    maxima: (n,) of a statistic in n blocks of honest agents, nearly independent; hours: their total length
-
-    Raises ValueError if too few of them exceed the threshold.
-    """
-    threshold = np.quantile(maxima, 1.0 - LARGEST)
-    excess = maxima[maxima > threshold] - threshold
-    if len(excess) < 2:
-        found = f"found {len(excess)} of {len(maxima)} above their {1.0 - LARGEST:.0%} quantile, {threshold:g}"
-        raise ValueError(f"maxima: {found}, expected at least 2: use more blocks, or a statistic that varies more")
-    scale = float(excess.mean())
-    return Tail(float(len(excess) / hours * np.exp(threshold / scale)), scale)
-
 
 #: Seeds, and generated junctions (`Intersection.scene_index`), of the runs from which thresholds were chosen. (Runs of
 #: seeds 201 and 202 on other junctions showed a weakness of a statistic, and are test data no more.)

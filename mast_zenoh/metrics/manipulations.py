@@ -85,11 +85,3 @@ class Manipulations:
                 first_frame[culprit] = frame.min(axis=0)
         responsible = np.column_stack([by, ~by.any(axis=1)])
         return np.asarray(np.where(responsible, first_frame[:, series].T, span).min(axis=1))
-
-
-def no_manipulations(n_series: int) -> Manipulations:
-    """Manipulations without rows."""
-    zero, nowhere = np.zeros(0, np.int64), np.zeros((0, 3))
-    no_reach = np.zeros((0, n_series), bool)
-    columns = (zero, zero, zero, zero, zero, nowhere, nowhere, nowhere, zero, np.zeros(0, bool))
-    return Manipulations((), no_reach, no_reach, no_reach, no_reach.astype(np.int64), *columns)

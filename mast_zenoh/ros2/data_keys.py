@@ -4,17 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mast_zenoh.errors import MessageError
-from mast_zenoh.ros2.names import (
-    check_domain,
-    check_hash,
-    check_topic,
-    dds_type,
-    domain_of_chunk,
-    hash_chunk,
-    hash_of_chunk,
-    type_of_dds,
-)
+from mast_zenoh.ros2.names import check_domain, check_hash, check_topic, dds_type, hash_chunk
 from mast_zenoh.ros2.type_store import type_hash
 
 
@@ -49,15 +39,3 @@ class DataKey:
     def write(self) -> str:
         """The key expression."""
         return f"{self.domain}{self.topic}/{dds_type(self.type_name)}/{hash_chunk(self.type_hash)}"
-
-
-def parse_data_key(key: str) -> DataKey:
-    """The topic and type of a key expression; raises MessageError if it is none of rmw_zenoh's."""
-    chunks = key.split("/")
-    if len(chunks) < 4:
-        raise MessageError(f"key {key!r:.200}: found {len(chunks)} chunks, expected domain/topic/type/hash")
-    domain, *topic, dds_name, type_hash = chunks
-    try:
-        return DataKey(domain_of_chunk(domain), "/" + "/".join(topic), type_of_dds(dds_name), hash_of_chunk(type_hash))
-    except (MessageError, ValueError) as error:
-        raise MessageError(f"key {key!r:.200}: {error}") from None

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict, deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -251,8 +251,3 @@ class _Shuffled:
 
     def __bool__(self) -> bool:
         return bool(self._queues)
-
-
-def find_result(results: Mapping[str, dict[str, Any]], key: str) -> Any:
-    """The result named `key` of the first node that has one, or None."""
-    return next((of_node[key] for of_node in results.values() if key in of_node), None)

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from calibrate_integrity import fitted_tail
 from integrity_batches import Track, batch, view
 
 from mast_zenoh.integrity import SequentialConsistency, TruthDiscovery
 from mast_zenoh.integrity.alarms import Tail, accumulate, discoveries
 from mast_zenoh.integrity.base import SUSPENDED, UNDECIDED
-from mast_zenoh.integrity.calibration import fitted_tail
 
 PLACES = {"a": (-20.0, 0.0), "b": (20.0, 0.0), "c": (0.0, 20.0)}
 PHANTOMS, CAR = [(0.0, 0.0), (-9.0, 9.0)], (9.0, 9.0)

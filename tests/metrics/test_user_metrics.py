@@ -21,7 +21,7 @@ from mast_zenoh.metrics import (
     Scorer,
 )
 from mast_zenoh.metrics.judged_estimate import estimates_of
-from mast_zenoh.metrics.manipulations import no_manipulations
+from mast_zenoh.metrics.manipulations import Manipulations
 from mast_zenoh.metrics.measures import ScoredRun, check, measured
 from mast_zenoh.metrics.named_metrics import ErrorsNearby, LongestMiss
 
@@ -46,6 +46,14 @@ class ToldForRun(RunMetric):
 
     def per_run(self, estimate: Estimate) -> Any:
         return self.what
+
+
+def no_manipulations(n_series: int) -> Manipulations:
+    """Manipulations without rows."""
+    zero, nowhere = np.zeros(0, np.int64), np.zeros((0, 3))
+    no_reach = np.zeros((0, n_series), bool)
+    columns = (zero, zero, zero, zero, zero, nowhere, nowhere, nowhere, zero, np.zeros(0, bool))
+    return Manipulations((), no_reach, no_reach, no_reach, no_reach.astype(np.int64), *columns)
 
 
 def computed(metrics: list[Any], tracked: list[list[bool]], scored: list[bool] | None = None):

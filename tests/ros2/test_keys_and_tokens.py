@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from ros2_keys import parse_data_key
 
 from mast_zenoh.errors import MessageError
 from mast_zenoh.ros2 import type_store
 from mast_zenoh.ros2.attachments import GID_BYTES, Attachment, gid_of, parse_attachment
-from mast_zenoh.ros2.data_keys import DataKey, parse_data_key
+from mast_zenoh.ros2.data_keys import DataKey
 from mast_zenoh.ros2.liveliness_tokens import ENDPOINTS, EndpointToken, NodeToken, all_tokens, parse_token
 from mast_zenoh.ros2.names import NO_HASH, check_topic, dds_type, demangle, mangle
 from mast_zenoh.ros2.qos import DURABILITIES, HISTORIES, INFINITE, LIVELINESSES, RELIABILITIES, Qos, parse_qos

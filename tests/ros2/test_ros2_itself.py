@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from ros2_keys import parse_data_key
 from ros2_messages import random_message
 
 from mast_zenoh.ros2 import type_store
-from mast_zenoh.ros2.data_keys import parse_data_key
 from mast_zenoh.ros2.definitions import DEFINITIONS
 
 ROOT = Path(__file__).parents[2]

@@ -18,12 +18,12 @@ import numpy as np
 import zenoh
 from launched import eventually
 from ros2_client import plain_message, ros2_router
+from ros2_keys import parse_data_key
 from tiny_world import tiny
 
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.ros2.attachments import GID_BYTES, Attachment, gid_of, parse_attachment
 from mast_zenoh.ros2.connection import Connection
-from mast_zenoh.ros2.data_keys import parse_data_key
 from mast_zenoh.ros2.liveliness_tokens import EndpointToken, parse_token
 from mast_zenoh.ros2.type_store import STORE, decode
 from mast_zenoh.runtime.mesh.ros2_participant import Participant
@@ -52,7 +52,7 @@ def recorded_session(folder: Path) -> dict[str, Any]:
             eventually(lambda: len(samples) == sent, "all messages", 20)
             replies = listener.liveliness().get("@ros2_lv/7/**", timeout=5.0)
             tokens = sorted({str(reply.ok.key_expr) for reply in replies if reply.ok is not None})
-            session = participant.session_id
+            session = participant._node.session
     publishers = [each for each in map(parse_token, tokens) if isinstance(each, EndpointToken)]
     gids = {gid_of(each.write()): each.topic for each in publishers}
     messages = []

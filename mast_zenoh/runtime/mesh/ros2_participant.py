@@ -155,11 +155,6 @@ class Participant:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    @property
-    def session_id(self) -> str:
-        """The id of the session in tokens, hexadecimal."""
-        return self._node.session
-
     def publisher(self, topic: str, type_name: str, qos: Qos | None = None) -> Publisher:
         """A publisher of a topic; one that is `transient_local` keeps its messages for those that come late.
 
@@ -230,10 +225,6 @@ class Participant:
         """Whether others have a publisher of a topic, whatever its type."""
         with self._lock:
             return any(map(self._is_other, self._of_topics.get(("publisher", topic), {}).values()))
-
-    def subscriptions_of(self, topic: str) -> list[EndpointToken]:
-        """The subscriptions to a topic that others have, whatever their type."""
-        return self._others("subscription", topic)
 
     def absence(self, topic: str) -> str:
         """Why nothing can arrive on a topic to which this node subscribes, as a clause; "": others publish on it."""
