@@ -18,6 +18,7 @@ from mast_zenoh.links import FATES, WIRES
 from mast_zenoh.messagelog import reader
 from mast_zenoh.messagelog.format import MALFORMED
 from mast_zenoh.messages import codec
+from mast_zenoh.messages.packed import check_kernels
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.run_files import read_object
 from mast_zenoh.wiring.model import Wiring
@@ -107,7 +108,7 @@ class Evidence:
     def read(cls, folder: Path, resolved: Resolved) -> Evidence:
         """Read the evidence in a run folder.
 
-        Raises RunFolderError if the run or its recording is incomplete.
+        Raises RunFolderError if the run or its recording is incomplete, ConfigurationError without kernels to read it.
         """
         run = read_object(folder / "run.json")
         if run["status"] not in ("ok", "handler_failures"):
@@ -115,6 +116,7 @@ class Evidence:
         metrics = folder / "metrics.json"
         scores = read_object(metrics) if metrics.is_file() else {}
         evidence = cls(folder, resolved, Wiring.from_json(resolved.wiring), run, scores)
+        check_kernels(evidence.wiring.codecs, str(folder))
         for message in reader.read(folder):
             key = message.key.removesuffix(f"/{MALFORMED}")
             if message.malformed:

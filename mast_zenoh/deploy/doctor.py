@@ -55,8 +55,8 @@ def compiled_kernels() -> Finding:
     """Whether compiled kernels are in use."""
     reason = kernels.why_not()
     if reason:
-        fix = "unset MAST_KERNELS" if kernels.COMPILED else kernels.HOW
-        return Finding("kernels", None, f"not used, NumPy is slower: {reason}", fix)
+        detail = f"not used: NumPy is slower, and wires cannot have a codec (cpm, cam): {reason}"
+        return Finding("kernels", None, detail, kernels.remedy())
     return Finding("kernels", True, "compiled")
 
 

@@ -5,8 +5,8 @@
         ...                             # NumPy: the reference, used if there is no compiled version
 
 `predict` is then the function of that name in one of the `.pyx` files of this folder, if it was compiled from the
-current sources. The environment variable MAST_KERNELS=numpy disables compiled kernels; MAST_KERNELS=compiled requires
-them.
+current sources. A function that has no NumPy version raises `missing`. The environment variable MAST_KERNELS=numpy
+disables compiled kernels; MAST_KERNELS=compiled requires them.
 """
 
 from __future__ import annotations
@@ -95,6 +95,17 @@ def notice() -> str:
     if not reason:
         return ""
     return f"compiled kernels are not used, which is slower: {reason}" + ("" if COMPILED else f"; to get them, {HOW}")
+
+
+def remedy() -> str:
+    """What to do to use compiled kernels."""
+    return "unset MAST_KERNELS" if COMPILED else HOW
+
+
+def missing(what: str) -> ConfigurationError:
+    """The error of what has no NumPy version; what: the subject of its sentence"""
+    reason = f"which are not used: {why_not()}; to use them, {remedy()}"
+    return ConfigurationError(f"{what} needs compiled kernels, {reason}")
 
 
 #: The references by name.

@@ -31,8 +31,10 @@ from mast_zenoh.launch.observation import InProcessObservation
 from mast_zenoh.launch.table_files import TableFiles
 from mast_zenoh.messagelog import churn
 from mast_zenoh.messages import user_types
+from mast_zenoh.messages.packed import check_kernels
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.scenes import Scene, inspection
+from mast_zenoh.wiring.model import Wiring
 
 #: Where scenes are generated.
 _GENERATED = "mast_zenoh.scenes.generated."
@@ -162,11 +164,13 @@ def run(
     command:  what started the run, for run.json; None: this process's command line
     replay:   of a replay: what it replays, for run.json and metrics.json, with `notices`, a sentence for each thing
               that is missing
-    Raises RunFolderError, DiskFull and, of the engine, BackendError and EngineError before anything is started.
+    Raises RunFolderError, DiskFull, ConfigurationError without the kernels that it needs, and, of the engine,
+    BackendError and EngineError before anything is started.
     """
     console = console or Console(quiet=True)
     where = f"engine {engine.name}" if engine else "one process" if runtime == "inproc" else "processes of this machine"
     ensure_descriptors(len(resolved.nodes) if runtime == "mesh" else 0)
+    check_kernels(Wiring.from_json(resolved.wiring).codecs, resolved.name)
     check_steps(resolved, where, unplugs=engine is not None and engine.unplugs)
     if engine is not None:
         engine.check(resolved, secure)

@@ -7,6 +7,8 @@ about one object, its sender; without one, nothing is sent: `{"cam": []}`.
 
 Where the scene is far from the origin of the world, as in UTM coordinates, the stations' plane has its origin there.
 Bodies then name it, as all readers of a recording need it: `{"cpm": [...], "origin": [690000.0, 5340000.0]}`.
+
+Only compiled kernels read and write the bytes.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mast_zenoh import kernels
 from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion, states_to_local, tracks_in_world
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates, concatenate, lowest_rows
 from mast_zenoh.errors import MessageError
@@ -66,6 +69,17 @@ _STILL.setflags(write=False)
 _IDS = 1 << 16
 
 
+def check_kernels(codecs: Mapping[str, str], place: str) -> None:
+    """Raise ConfigurationError if wires have codecs, and compiled kernels are not used.
+
+    codecs: by the key of a wire;  place: named in the error
+    """
+    if kernels.USED == "compiled":
+        return
+    for key, codec in codecs.items():
+        raise kernels.missing(f"{place}: codec {codec} on {key!r}")
+
+
 class Packed(dict[str, NDArray[Any]]):
     """Columns of a message that travels in another format.
 
@@ -111,9 +125,14 @@ def pack(message: Message, codec: str, plane: LocalPlane = WORLD_PLANE, known: i
 
 
 def unpack(codec: str, data: Sequence[object], plane: LocalPlane = WORLD_PLANE) -> Packed:
-    """The columns in the bytes of a message. Raises MessageError for bytes that are none, and for mixed segments."""
+    """The columns in the bytes of a message.
+
+    Raises MessageError for bytes that are none, for mixed segments, and for any if compiled kernels are not used.
+    """
     if codec not in CODECS:
         raise MessageError(f"body: unknown codec {codec[:20]!r}, expected one of {', '.join(CODECS)}")
+    if kernels.USED != "compiled":  # of a stranger: `check_kernels` refuses wires that have a codec
+        raise MessageError(f"{codec}: only compiled kernels read it: {kernels.remedy()}")
     least, most = (0, 1) if codec == "cam" else (1, MOST_SEGMENTS)
     if not isinstance(data, (list, tuple)) or not least <= len(data) <= most:
         raise MessageError(f"{codec}: expected a list of {least} to {most} segments")

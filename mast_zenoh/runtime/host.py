@@ -21,7 +21,7 @@ from mast_zenoh.control.tables import PartedTables
 from mast_zenoh.errors import ConfigurationError, MessageError, nearest
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.limits import NO_LIMITS, Shortened, Timespan, excess
-from mast_zenoh.messages.packed import Packed, check_codec, pack
+from mast_zenoh.messages.packed import Packed, check_codec, check_kernels, pack
 from mast_zenoh.messages.schemas import Body, Header, Message
 from mast_zenoh.node import Node, Outside, Overheard, Received, Source, Unopened, handler_names
 from mast_zenoh.runtime.waiting import DELAYED, HELD, Delayed, Held, HeldMessages, Room
@@ -83,8 +83,7 @@ class Host:
     observe: called with the key and header of every valid message
     on_failure: called with every failure of a handler, after it has been counted
     tables: rows that the node has appended; the runtime sets `hand_in`
-    frame, time_ns: of the newest clock
-    sent, handled: number of messages by key; failures: by handler
+    frame, time_ns: of the newest clock; sent, handled: number of messages by key; failures: by handler
     rejected: number of rejected messages by (key, kind)
     first_rejected: frame and reason of the first rejection, by key
     """
@@ -104,6 +103,7 @@ class Host:
         timespan: Timespan | None = None,
         plane: LocalPlane = WORLD_PLANE,
     ) -> None:
+        check_kernels(ports.codecs, name)
         self.name = name
         self.node = node
         self.seed = seed

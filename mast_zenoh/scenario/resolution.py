@@ -18,6 +18,7 @@ from mast_zenoh.control.results import EVALUATOR
 from mast_zenoh.errors import ConfigurationError, NodeFileError, WiringError, nearest
 from mast_zenoh.messages import user_types
 from mast_zenoh.messages.limits import LEEWAY_S, fused_rows, limits_for
+from mast_zenoh.messages.packed import check_kernels
 from mast_zenoh.messages.schemas import Schema
 from mast_zenoh.node import Node
 from mast_zenoh.ros2.connection import BridgeConfig
@@ -103,6 +104,7 @@ def resolve(
     wiring = _wiring(path, nodes, unused, sources)
     built = {name: (spec, node) for (name, spec), node in zip(nodes.items(), built_nodes, strict=True)}
     check_cooperation(path, built, sources, wiring, recording.period_ns)
+    check_kernels(wiring.codecs, str(path))
     if any(wire.message == "sweep" for wire in wiring.wires) and not scenario.get("drivers"):  # a world casts its own
         recording = scenes.prepare_sweeps(recording, scene, options["seed"], options["frames"], cache_key)
         nodes[driver_of(nodes)].config["recording"] = recording

@@ -15,6 +15,7 @@ from mast_zenoh.launch import liveness, measurement
 from mast_zenoh.launch.ending import RUNNING
 from mast_zenoh.messagelog.reader import Recorded, file_of, read
 from mast_zenoh.messages import codec
+from mast_zenoh.messages.packed import check_kernels
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.run_files import read_object
@@ -33,7 +34,7 @@ class RecordedRun(FramedRun):
         """Open the folder of a finished run. frame: as of RunRecord
 
         Raises RunFolderError if the folder is not that of a recorded run, if the run is still in progress, or if its
-        recording is damaged before its end.
+        recording is damaged before its end; ConfigurationError if only compiled kernels can read it, and none are used.
         """
         file_of(path)
         if path.is_file():
@@ -48,6 +49,7 @@ class RecordedRun(FramedRun):
         run.missing[:0] = notes
         if not run.agents:
             raise RunFolderError(f"{path}: found no agent in the wiring of the run, expected one at least")
+        check_kernels(run.wirings[0][1].codecs, str(path))
         return run
 
     @cached_property

@@ -195,6 +195,11 @@ class Wiring:
         """Every key, tap legs included, in one fixed order."""
         return tuple(leg.key for _, leg in self.legs())
 
+    @property
+    def codecs(self) -> dict[str, str]:
+        """The codecs of the wires that have one, by key."""
+        return {wire.key: wire.codec for wire in self.wires if wire.codec}
+
     def ports(self, node: str) -> Ports:
         """The keys of one node."""
         own = [(wire, leg) for wire, leg in self.legs() if leg.publisher.node == node]
@@ -204,7 +209,7 @@ class Wiring:
             source = wire.legs[0].publisher
             for port in [end.port for end in (*wire.receivers(leg), *self.overhearers) if end.node == node]:
                 inputs[leg.key] = Input(port, wire.subject, wire.message, source.node, source.port)
-        return Ports(inputs, outputs, {wire.key: wire.codec for wire in self.wires if wire.codec})
+        return Ports(inputs, outputs, self.codecs)
 
     def to_json(self) -> dict[str, Any]:
         """The content of wiring.json; `from_json` reads it back."""

@@ -17,14 +17,14 @@ ROOT = Path(__file__).parents[2]
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 
 
-def mast(site: Path, folder: Path, *words: str) -> str:
-    """The output of a command of an installed wheel."""
+def mast(site: Path, folder: Path, *words: str, code: int = 0) -> str:
+    """The output of a command of an installed wheel, which ends with a code."""
     environment = {name: value for name, value in os.environ.items() if name != "MAST_KERNELS"}
     command = [sys.executable, "-c", "from mast_zenoh.cli.app import main; main()", *words]
     options = {"cwd": folder, "env": environment | {"PYTHONPATH": str(site)}, "capture_output": True, "text": True}
     process = subprocess.run(command, check=False, **options)
-    assert process.returncode == 0, process.stdout + process.stderr
-    return process.stdout
+    assert process.returncode == code, process.stdout + process.stderr
+    return process.stdout + process.stderr
 
 
 def test_a_wheel_in_an_empty_folder_runs_everything(tmp_path: Path) -> None:
@@ -70,3 +70,7 @@ def test_without_a_compiler_the_wheel_is_pure_python_and_runs(tmp_path: Path) ->
         archive.extractall(site)
     mast(site, tmp_path, "run", "baseline", "--frames", "3", "--out", "run")
     assert json.loads((tmp_path / "run" / "run.json").read_text())["versions"]["kernels"] == "numpy"
+    settings = [word for each in ("codec=cpm", "n_infrastructure=1", "n_mobile=1") for word in ("--set", each)]
+    refusal = mast(site, tmp_path, "run", "peers", *settings, "--out", "refused", code=10)
+    assert "needs compiled kernels, which are not used: the C compiler failed" in refusal
+    assert not (tmp_path / "refused").exists()
