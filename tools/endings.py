@@ -30,8 +30,8 @@ from disturbing import PlanResult, left_behind, numbers, parser, report_results
 
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch.liveness import current_record
-from mast_zenoh.messagelog.difference import compare
-from mast_zenoh.messagelog.reader import first_incomplete_frame, read
+from mast_zenoh.run_folder.recording.difference import compare
+from mast_zenoh.run_folder.recording.reader import first_incomplete_frame, read
 
 WAYS = (
     *("SIGINT", "SIGTERM", "SIGHUP", "SIGINT SIGINT", "SIGTERM SIGINT", "SIGINT SIGINT SIGINT"),

@@ -45,7 +45,7 @@ from mast_zenoh.errors import (
     StallError,
     StartError,
 )
-from mast_zenoh.messagelog.difference import compare, explain
+from mast_zenoh.run_folder.recording.difference import compare, explain
 from mast_zenoh.runtime.mesh.session import open_observer
 from mast_zenoh.runtime.protocol.traffic import stamp_of
 

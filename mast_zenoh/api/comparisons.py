@@ -15,7 +15,7 @@ from mast_zenoh.report import comparison
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.narrative.run import result
 from mast_zenoh.report.tables.scores import as_markdown, as_rich, score_table
-from mast_zenoh.run_files import reading
+from mast_zenoh.run_folder import reading
 
 
 class Comparison:

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.geometry import states_to_world
 from mast_zenoh.arrays.states import CLASSES, ObjectStates
-from mast_zenoh.messagelog.reader import Recorded, read
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body
+from mast_zenoh.run_folder.recording.reader import Recorded, read
 
 Columns = dict[str, NDArray[Any]]
 

@@ -16,10 +16,10 @@ from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.config.resolved import RECORDING
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.evaluation.trust import UPSTREAM
-from mast_zenoh.launch.tables import from_arrow, to_arrow
 from mast_zenoh.metrics.boxes import Places, nearest
 from mast_zenoh.metrics.trust import detection_delay
-from mast_zenoh.run_files import read_json
+from mast_zenoh.run_folder import read_json
+from mast_zenoh.run_folder.tables import from_arrow, to_arrow
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import Walls, sensor_pose
 from mast_zenoh.sensing.raycast import PlacedSensor, has_returns

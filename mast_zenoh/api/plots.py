@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Protocol
 
 from mast_zenoh.errors import ConfigurationError, RunFolderError, nearest
-from mast_zenoh.launch.tables import read_table
 from mast_zenoh.metrics.estimates import ESTIMATES
 from mast_zenoh.report.figures.diagram import draw_wiring
 from mast_zenoh.report.figures.drawing import birdseye_figure, camera_figure, side_by_side_figure
@@ -16,6 +15,7 @@ from mast_zenoh.report.figures.over_time import REPORT_COLUMNS, causes_over_time
 from mast_zenoh.report.figures.style import Figure
 from mast_zenoh.report.figures.view import check_frame, choose_common_frame, choose_frame, frame_view
 from mast_zenoh.report.tables.scores import score_table
+from mast_zenoh.run_folder.tables import read_table
 from mast_zenoh.viewer.frame import Frame
 from mast_zenoh.viewer.run import RunRecord
 

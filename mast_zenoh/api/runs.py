@@ -15,11 +15,10 @@ from mast_zenoh.api import messages as recorded
 from mast_zenoh.api.messages import WireMessage
 from mast_zenoh.config.resolved import RECORDING
 from mast_zenoh.errors import ConfigurationError, RunFolderError, nearest
-from mast_zenoh.launch import folder, liveness
+from mast_zenoh.launch import liveness
 from mast_zenoh.launch.ending import RUNNING
-from mast_zenoh.launch.folder import json_or_empty
-from mast_zenoh.launch.tables import read_arrow
-from mast_zenoh.run_files import read_json, read_object, reading
+from mast_zenoh.run_folder import json_or_empty, read_json, read_object, reading
+from mast_zenoh.run_folder.tables import read_arrow
 from mast_zenoh.scenes.recording import Recording
 
 
@@ -212,9 +211,7 @@ class Run:
         for message in recorded.messages(self.path, pattern, taps=taps):
             none = False
             yield message
-        wires = (
-            [wire["key"] for wire in folder.json_or_empty(self.path / "wiring.json").get("wires", ())] if none else []
-        )
+        wires = [wire["key"] for wire in json_or_empty(self.path / "wiring.json").get("wires", ())] if none else []
         if wires and not any(fnmatchcase(wire, pattern) for wire in wires):
             raise ConfigurationError(f"{self.path}: no wire matches {pattern!r}{nearest(pattern, wires)}")
 

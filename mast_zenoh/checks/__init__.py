@@ -19,7 +19,7 @@ from mast_zenoh.checks.messages import check_collation, check_sequences
 from mast_zenoh.checks.runs import RunCheck, apply, check_processes, of_scenario
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.run_files import write_bytes
+from mast_zenoh.run_folder import write_bytes
 
 __all__ = ["FILE", "Check", "RunCheck", "is_checked", "run"]
 

@@ -15,12 +15,12 @@ import numpy as np
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import MessageError, RunFolderError
 from mast_zenoh.links import FATES, WIRES
-from mast_zenoh.messagelog import reader
-from mast_zenoh.messagelog.format import MALFORMED
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.packed import check_kernels
 from mast_zenoh.messages.schemas import Body
-from mast_zenoh.run_files import read_object
+from mast_zenoh.run_folder import read_object
+from mast_zenoh.run_folder.recording import reader
+from mast_zenoh.run_folder.recording.format import MALFORMED
 from mast_zenoh.wiring.model import Wiring
 
 

@@ -11,7 +11,7 @@ from mast_zenoh.checks.evidence import Check
 from mast_zenoh.config import loading, plugins
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control.failures import described, location
-from mast_zenoh.run_files import read_object
+from mast_zenoh.run_folder import read_object
 
 NAME = "processes"
 _PROC = Path("/proc")

@@ -179,8 +179,8 @@ def diff(
 
     Exits with 0 if they are equal, 1 if they differ, 2 if they cannot be compared.
     """
-    from mast_zenoh.messagelog.churn import comparable
-    from mast_zenoh.messagelog.difference import compare, explain
+    from mast_zenoh.run_folder.recording.churn import comparable
+    from mast_zenoh.run_folder.recording.difference import compare, explain
 
     try:
         before, reason = comparable(run_a, run_b)

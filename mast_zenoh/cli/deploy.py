@@ -14,7 +14,7 @@ from rich.table import Table
 from mast_zenoh.cli import options
 from mast_zenoh.cli.options import out as _out
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.run_files import read_json
+from mast_zenoh.run_folder import read_json
 
 app = typer.Typer(help="Run a scenario in containers or on other hosts.", no_args_is_help=True, add_completion=False)
 
@@ -177,7 +177,7 @@ def down(run_folder: options.RunPath, confirmed: options.Confirmed = False) -> N
     kind, record = _deployed(run_folder, confirmed)
     kind.down(run_folder, record)
     if record["status"] == "running":
-        from mast_zenoh.launch.folder import write_json
+        from mast_zenoh.run_folder import write_json
 
         write_json(
             run_folder / "run.json", record | {"status": "failed", "message": "taken down by `mast deploy down`"}

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from mast_zenoh.cli.options import out as _out
 from mast_zenoh.cli.options import refuse
 from mast_zenoh.errors import RunFolderError, UntrustedCode
-from mast_zenoh.run_files import read_object
+from mast_zenoh.run_folder import read_object
 
 if TYPE_CHECKING:
     import zenoh

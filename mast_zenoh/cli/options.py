@@ -254,7 +254,7 @@ def check_reference(against: str | None) -> None:
     """Raise NotComparable unless `--against` is missing, `twin`, or the folder of a run with results."""
     if against is None or against == "twin":
         return
-    from mast_zenoh.launch.folder import json_or_empty
+    from mast_zenoh.run_folder import json_or_empty
 
     folder = Path(against)
     expected = "expected the folder of a run with results, or twin"

@@ -19,7 +19,7 @@ from mast_zenoh.cli.options import Confirmed, allowed_code, refuse, run_argument
 from mast_zenoh.cli.options import err as _err
 from mast_zenoh.errors import ConfigurationError, HandlerFailed
 from mast_zenoh.ros2.connection import ROUTER, Connection
-from mast_zenoh.run_files import reading
+from mast_zenoh.run_folder import reading
 
 if TYPE_CHECKING:
     from mast_zenoh.config.allowed_code import AllowedCode
@@ -105,7 +105,7 @@ def between(
 
     Raises HandlerFailed at the end if the node has failed.
     """
-    from mast_zenoh.launch.folder import write_new
+    from mast_zenoh.run_folder import write_new
 
     with bridge_modules():
         from mast_zenoh.launch.ros2_interception import (

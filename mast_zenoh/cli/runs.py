@@ -17,7 +17,7 @@ from mast_zenoh.cli.options import out as _out
 from mast_zenoh.errors import ConfigurationError, ExportError
 from mast_zenoh.launch import stop_signals
 from mast_zenoh.ros2.connection import ROUTER, Connection
-from mast_zenoh.run_files import reading
+from mast_zenoh.run_folder import reading
 from mast_zenoh.viewer.formats import FORMATS, GONE, check
 
 if TYPE_CHECKING:

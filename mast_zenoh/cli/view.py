@@ -15,7 +15,7 @@ from mast_zenoh.cli.observers import LAST_LINE, print_line
 from mast_zenoh.cli.options import Confirmed, allowed_code, refuse, run_argument
 from mast_zenoh.cli.options import out as _out
 from mast_zenoh.errors import ConfigurationError, RunFolderError
-from mast_zenoh.run_files import reading
+from mast_zenoh.run_folder import reading
 
 if TYPE_CHECKING:
     from mast_zenoh.config.allowed_code import AllowedCode

@@ -12,13 +12,13 @@ from mast_zenoh.config import loading, plugins, registry
 from mast_zenoh.config.allowed_code import SHIPPED, AllowedCode
 from mast_zenoh.config.process_steps import ProcessStep
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.messagelog.script import Script
-from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.messages import user_types
 from mast_zenoh.messages.limits import Timespan
 from mast_zenoh.messages.schemas import Schema
 from mast_zenoh.node import Node
-from mast_zenoh.run_files import read_object
+from mast_zenoh.run_folder import read_object
+from mast_zenoh.run_folder.recording.script import Script
+from mast_zenoh.run_folder.recording.writer import MessageLog
 from mast_zenoh.v2x.reference_position import LocalPlane
 from mast_zenoh.wiring.model import Wiring
 

@@ -31,7 +31,7 @@ from mast_zenoh.control.codec import (
 from mast_zenoh.control.failures import MAX_HANDLERS, FailureEntry
 from mast_zenoh.control.tables import TablePart, checked_columns
 from mast_zenoh.errors import MessageError
-from mast_zenoh.messagelog.churn import BACK, LOST
+from mast_zenoh.run_folder.recording.churn import BACK, LOST
 
 #: The node whose metrics and tables become those of the run; every scenario has one of this name.
 EVALUATOR = "evaluator"

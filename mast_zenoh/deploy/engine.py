@@ -19,10 +19,9 @@ from typing import Any, ClassVar, TypeVar
 
 import zenoh
 
-from mast_zenoh import kernels
+from mast_zenoh import kernels, run_folder
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import CredentialsError, DiskFull, EngineError, Interrupted
-from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.context import Mesh, RunContext
 from mast_zenoh.launch.engine import Engine
 from mast_zenoh.launch.supervisor import Child, Supervisor

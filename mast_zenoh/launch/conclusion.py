@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 
+from mast_zenoh import run_folder
 from mast_zenoh.config.resolved import NodeSpec, Resolved, driver_of
 from mast_zenoh.control import results
 from mast_zenoh.control.results import EVALUATOR, counts_of
 from mast_zenoh.control.tables import EXPECTED_NAME, MAX_TABLES, is_table_name
 from mast_zenoh.launch import driven_scene, idle, notices
-from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.table_files import TableFiles
-from mast_zenoh.messagelog import churn
-from mast_zenoh.messagelog.reader import first_incomplete_frame, first_missing_frame
-from mast_zenoh.run_files import subfolder
+from mast_zenoh.run_folder import subfolder
+from mast_zenoh.run_folder.recording import churn
+from mast_zenoh.run_folder.recording.reader import first_incomplete_frame, first_missing_frame
 from mast_zenoh.wiring.model import Wiring
 
 _MAX_PROBLEM_CHARS = 300  # of a problem as a node describes it

@@ -14,9 +14,9 @@ from mast_zenoh.arrays.geometry import rotation_from_quaternion
 from mast_zenoh.arrays.states import DETECTION_COLUMNS, Detections
 from mast_zenoh.config.resolved import RECORDING, Resolved, driver_of
 from mast_zenoh.errors import MessageError, RunFolderError, SceneError
-from mast_zenoh.messagelog.reader import read
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body
+from mast_zenoh.run_folder.recording.reader import read
 from mast_zenoh.scenes.recording import TRUTH_COLUMNS, Recording, truth_states
 from mast_zenoh.wiring.model import Wiring, subject_of
 

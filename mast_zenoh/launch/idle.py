@@ -96,7 +96,7 @@ class _Played:
 
     def table(self, name: str, *columns: str) -> Iterator[Mapping[str, np.ndarray]]:
         """Some columns of a table of the evaluator, one row group after the other; none if it does not have them."""
-        from mast_zenoh.launch.tables import read_groups  # loads Arrow
+        from mast_zenoh.run_folder.tables import read_groups  # loads Arrow
 
         for rows in read_groups(self.folder / f"{name}.parquet", *columns):
             if len(rows) == len(columns):

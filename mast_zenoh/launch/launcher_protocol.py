@@ -31,7 +31,7 @@ from mast_zenoh.errors import (
 from mast_zenoh.launch import ending
 from mast_zenoh.launch.progress import Progress
 from mast_zenoh.launch.supervisor import Child, Supervisor
-from mast_zenoh.messagelog import churn
+from mast_zenoh.run_folder.recording import churn
 from mast_zenoh.runtime.protocol.timetable import Timetable
 from mast_zenoh.wiring import insertion
 from mast_zenoh.wiring.insertion import Place

@@ -43,7 +43,7 @@ from mast_zenoh.errors import (
 from mast_zenoh.launch import liveness
 from mast_zenoh.launch.launcher_protocol import Interceptions, LauncherActions
 from mast_zenoh.node import Node
-from mast_zenoh.run_files import check_plain, read_json
+from mast_zenoh.run_folder import check_plain, read_json
 from mast_zenoh.runtime.mesh.session import open_client
 from mast_zenoh.scenario.nodes import add_surroundings, node_spec
 from mast_zenoh.scenario.resolution import modules_of

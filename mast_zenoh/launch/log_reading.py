@@ -13,7 +13,7 @@ from typing import IO, NamedTuple
 from mast_zenoh.errors import RunFolderError, nearest
 from mast_zenoh.launch import liveness
 from mast_zenoh.launch.ending import RUNNING
-from mast_zenoh.launch.folder import json_or_empty
+from mast_zenoh.run_folder import json_or_empty
 
 #: Bytes of a line; a longer one is continued on the next.
 MAX_LINE = 1 << 16

@@ -11,6 +11,7 @@ from typing import Any
 import zenoh
 from rich.markup import escape
 
+from mast_zenoh import run_folder
 from mast_zenoh.config.resolved import RECORDING, Resolved, joining_files
 from mast_zenoh.control import control_prefix, files, flow, prefix
 from mast_zenoh.control.failures import described
@@ -19,7 +20,6 @@ from mast_zenoh.control.key_marks import check_control_mark, control_mark
 from mast_zenoh.control.results import EVALUATOR
 from mast_zenoh.errors import BackendError, MastError, MessageError, RunError, ServiceDied, StallError
 from mast_zenoh.launch import conclusion, ending, local_mesh
-from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.context import Mesh, RunContext
 from mast_zenoh.launch.display import Display
 from mast_zenoh.launch.engine import Engine

@@ -17,21 +17,20 @@ from typing import Any, TextIO
 from rich.console import Console
 from rich.markup import escape
 
-from mast_zenoh import checks, kernels
+from mast_zenoh import checks, kernels, run_folder
 from mast_zenoh.config import plugins, registry
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import failures
 from mast_zenoh.errors import BackendError, MastError, ResourcesExhausted
 from mast_zenoh.launch import conclusion, ending, liveness, mesh_run, stop_signals
-from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.context import RunContext
 from mast_zenoh.launch.display import Display
 from mast_zenoh.launch.engine import Engine
 from mast_zenoh.launch.observation import InProcessObservation
 from mast_zenoh.launch.table_files import TableFiles
-from mast_zenoh.messagelog import churn
 from mast_zenoh.messages import user_types
 from mast_zenoh.messages.packed import check_kernels
+from mast_zenoh.run_folder.recording import churn, script
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.scenes import Scene, inspection
 from mast_zenoh.wiring.model import Wiring
@@ -243,7 +242,7 @@ def run(
         run_folder.finish(folder, record)
         if caught is not None and ending.from_exception(caught) is None:
             raise caught  # a defect
-        run_folder.discard_scripts(folder)
+        script.discard(folder)
         if checks.is_checked(resolved) and replay is None:  # what is checked is in the record of the recorded run
             checks.run(folder, resolved)
     if received and not ended.error:

@@ -9,7 +9,7 @@ from typing import Any
 from mast_zenoh.control.results import EVALUATOR, TABLES
 from mast_zenoh.control.tables import MAX_TABLES, TablePart
 from mast_zenoh.errors import MessageError, RunFolderError
-from mast_zenoh.run_files import replacing, subfolder
+from mast_zenoh.run_folder import replacing, subfolder
 
 #: Limit on the columns in memory that one node may hand in while a run goes on, bytes.
 MAX_HANDED_IN = 64 << 30
@@ -91,7 +91,7 @@ class TableFiles:
             raise ValueError(f"found more than {MAX_TABLES} tables, expected at most as many")
         from pyarrow import parquet  # for which no process that writes no table should wait
 
-        from mast_zenoh.launch.tables import to_arrow
+        from mast_zenoh.run_folder.tables import to_arrow
 
         rows = to_arrow(part.columns)
         if key not in self._files:

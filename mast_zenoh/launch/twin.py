@@ -15,10 +15,9 @@ from mast_zenoh import version
 from mast_zenoh.config.allowed_code import SHIPPED, AllowedCode
 from mast_zenoh.config.resolved import RECORDING, NodeSpec, Resolved
 from mast_zenoh.errors import HandlerFailed, MastError, NotComparable, UntrustedCode
-from mast_zenoh.launch import folder as run_folder_files
 from mast_zenoh.launch import run
-from mast_zenoh.launch.folder import json_or_empty
-from mast_zenoh.messagelog.writer import MessageLog
+from mast_zenoh.run_folder import json_or_empty, write_json
+from mast_zenoh.run_folder.recording.writer import MessageLog
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.wiring import insertion
 from mast_zenoh.wiring.model import Wiring
@@ -86,7 +85,7 @@ def of(run_folder: Path, console: Console | None = None, allowed: AllowedCode = 
         raise NotComparable(f"the unattacked twin of {run_folder} cannot be played: {error}") from error
     if ended.error and not isinstance(ended.error, HandlerFailed):
         raise NotComparable(f"the unattacked twin of {run_folder} failed: {ended.error}")
-    run_folder_files.write_json(folder / SOURCES, sources)
+    write_json(folder / SOURCES, sources)
     return folder
 
 

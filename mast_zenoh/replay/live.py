@@ -14,7 +14,7 @@ from mast_zenoh.config import loading, registry
 from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.config.settings import ALIASES, KEYS, literal, set_dotted
 from mast_zenoh.errors import ConfigurationError, nearest
-from mast_zenoh.messagelog.writer import FILE, MessageLog
+from mast_zenoh.run_folder.recording.writer import FILE, MessageLog
 from mast_zenoh.scenario.nodes import node_spec
 from mast_zenoh.scenario.resolution import load_builders, modules_of
 from mast_zenoh.scenes.agents import best_pattern

@@ -14,17 +14,17 @@ from mast_zenoh.config import plugins
 from mast_zenoh.config.resolved import DRIVER_ROLE, Resolved
 from mast_zenoh.errors import MessageError, RunFolderError
 from mast_zenoh.launch.ending import RUNNING
-from mast_zenoh.launch.folder import versions
 from mast_zenoh.launch.notices import number, of_recording
 from mast_zenoh.links import WIRES
-from mast_zenoh.messagelog import churn
-from mast_zenoh.messagelog.format import MALFORMED
-from mast_zenoh.messagelog.reader import Recorded, is_whole, read
-from mast_zenoh.messagelog.script import Output, Script, path_of
-from mast_zenoh.messagelog.writer import FILE
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Message
 from mast_zenoh.replay.cut import Cut
+from mast_zenoh.run_folder import versions
+from mast_zenoh.run_folder.recording import churn
+from mast_zenoh.run_folder.recording.format import MALFORMED
+from mast_zenoh.run_folder.recording.reader import Recorded, is_whole, read
+from mast_zenoh.run_folder.recording.script import Output, Script, path_of
+from mast_zenoh.run_folder.recording.writer import FILE
 from mast_zenoh.wiring.model import Wire
 
 #: Number of frames of an endless replay: weeks, at a thousand frames a second.

@@ -64,7 +64,7 @@ from mast_zenoh.report.tables.scores import Cell, ScoreTable, Value, number, sco
 from mast_zenoh.report.tables.study import difference_title, sections, side_by_side
 from mast_zenoh.report.tables.text_table import TextTable
 from mast_zenoh.report.tables.wiring import wire_rows
-from mast_zenoh.run_files import write_bytes
+from mast_zenoh.run_folder import write_bytes
 from mast_zenoh.version import __version__
 from mast_zenoh.viewer.frame import Frame, has_boxes
 from mast_zenoh.viewer.interposers import BAD, EFFECTS, failure_lines, interposers, node_row

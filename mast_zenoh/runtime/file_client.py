@@ -27,7 +27,7 @@ from mast_zenoh.control.codec import Message
 from mast_zenoh.control.files import PIECE_BYTES
 from mast_zenoh.control.key_marks import control_mark
 from mast_zenoh.errors import MessageError, RunError
-from mast_zenoh.messagelog.writer import MessageLog
+from mast_zenoh.run_folder.recording.writer import MessageLog
 
 _HAND_IN_EVERY_S = 1.0
 _HAND_IN_TIMEOUT_S = 20.0

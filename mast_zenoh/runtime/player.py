@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from mast_zenoh.messagelog.script import Script
 from mast_zenoh.node import Context, Node, Received, Source, Unopened
+from mast_zenoh.run_folder.recording.script import Script
 
 
 class Player(Node):

@@ -14,10 +14,10 @@ from mast_zenoh.arrays.states import CLASSES, Floats, Ints
 from mast_zenoh.config import bundle, loading
 from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.errors import ConfigurationError, NodeFileError, nearest
-from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.metrics.achievement import ALL
 from mast_zenoh.pipelines.agent import DUE, IDLE
 from mast_zenoh.ros2.outside import ros2_name
+from mast_zenoh.run_folder.recording.writer import MessageLog
 from mast_zenoh.scenario import driving
 from mast_zenoh.scenes.agents import best_pattern
 from mast_zenoh.scenes.recording import NO_MEASUREMENT, Recording

@@ -260,7 +260,7 @@ def read_parquet(path: Path, agents: Sequence[str], first_frame: int) -> Detecti
 def _open(path: Path) -> Any:
     import pyarrow  # takes 0.15 s, and every run imports this module
 
-    from mast_zenoh import unpacking
+    from mast_zenoh.run_folder import unpacking
 
     try:
         return unpacking.read_parquet(path, (*_NEEDED, *_OPTIONAL))
@@ -275,7 +275,7 @@ def read_column(path: Path, table: Any, name: str, kind: str) -> NDArray[Any]:
     """
     import pyarrow
 
-    from mast_zenoh.unpacking import check_expanded
+    from mast_zenoh.run_folder.unpacking import check_expanded
 
     if table.column_names.count(name) > 1:
         raise SceneError(f"{path}: column {name} occurs twice")

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import CLASSES, DETECTION_COLUMNS, Detections, Floats, Ints, ObjectStates
 from mast_zenoh.errors import SceneError
-from mast_zenoh.run_files import check_plain
+from mast_zenoh.run_folder import check_plain
 from mast_zenoh.scenes.agents import SceneAgent as SceneAgent
 from mast_zenoh.scenes.agents import agent_from_json, agent_to_json
 

@@ -21,7 +21,7 @@ from mast_zenoh.control import failures, results
 from mast_zenoh.control.results import EVALUATOR
 from mast_zenoh.errors import ConfigurationError, HandlerFailed, RunError, StartError
 from mast_zenoh.metrics import Table
-from mast_zenoh.run_files import read_json
+from mast_zenoh.run_folder import read_json
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.study.trial import Outcome, Trial, environment
 
@@ -113,7 +113,7 @@ def _run_in_process(resolved: Resolved, allow_failures: bool) -> RunResult:
 def _run_in_folder(resolved: Resolved, trial: Trial, compromised: Sequence[str]) -> RunResult:
     """Run a trial on the mesh, or one whose run folder is evaluated or kept, in that folder or a temporary one."""
     from mast_zenoh.launch import run as launcher
-    from mast_zenoh.launch.tables import read_table
+    from mast_zenoh.run_folder.tables import read_table
 
     folder = Path(tempfile.mkdtemp(prefix="mast-trial-"))
     try:

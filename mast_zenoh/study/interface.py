@@ -13,20 +13,19 @@ import pyarrow
 from pyarrow import csv
 from rich.console import Console
 
-from mast_zenoh import scenario
+from mast_zenoh import run_folder, scenario
 from mast_zenoh.api.comparisons import Comparison, as_text
 from mast_zenoh.api.runs import Run
 from mast_zenoh.config.allowed_code import OWN_RUN
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import ConfigurationError, HandlerFailed, MastError, RunFolderError
-from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.launch import twin
-from mast_zenoh.launch.tables import read_arrow
+from mast_zenoh.run_folder.tables import read_arrow
 from mast_zenoh.study import definition, execution
 from mast_zenoh.study import trials as repeated_runs
 from mast_zenoh.study.definition import DRIVEN, Configuration, Study
-from mast_zenoh.study.store import new_folder
+from mast_zenoh.study.store import new_folder, status_written
 from mast_zenoh.study.tables import StudyResult
 from mast_zenoh.study.trial import run_command
 
@@ -247,7 +246,7 @@ def run_once(
     def write_status(status: str) -> None:
         run_folder.write_json(status_file, {"name": study.name, "status": status, "runs": list(runs)})
 
-    with run_folder.status_written(status_file, write_status):
+    with status_written(status_file, write_status):
         for configuration in study.configurations:
             label = configuration.label
             settings = (*study.scenes[0].settings, *configuration.settings)

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pyarrow
 from pyarrow import parquet
 
-from mast_zenoh.errors import RunFolderError
-from mast_zenoh.launch import ending
-from mast_zenoh.launch import folder as run_folder
-from mast_zenoh.launch.tables import from_arrow, read_arrow, to_arrow
-from mast_zenoh.messagelog.writer import FILE as RECORDING
-from mast_zenoh.run_files import check_plain, parse_json, read_json, subfolder
+from mast_zenoh import run_folder
+from mast_zenoh.errors import RunError, RunFolderError
+from mast_zenoh.launch import ending, stop_signals
+from mast_zenoh.run_folder import check_plain, parse_json, read_json, subfolder
+from mast_zenoh.run_folder.recording.writer import FILE as RECORDING
+from mast_zenoh.run_folder.tables import from_arrow, read_arrow, to_arrow
 from mast_zenoh.study.definition import Study
 from mast_zenoh.study.trial import Outcome, Trial
 
@@ -29,6 +30,32 @@ def new_folder(out: Path | None, name: str) -> Path:
     for part in ("logs", "figures"):
         (folder / part).rmdir()
     return folder
+
+
+@contextmanager
+def status_written(file: Path, write: Callable[[str], None]) -> Iterator[None]:
+    """Write the status `running`, run the block, and write how it ended.
+
+    file: that `write` writes; room for it is reserved, so that a full disk does not leave it at `running`
+    Stop signals that come while the final status is written are ignored.
+    """
+    write(ending.RUNNING)
+    caught: BaseException | None = None
+    try:
+        run_folder.reserve(file.parent, 2 * file.stat().st_size)  # errors of trials are added
+        yield
+    except BaseException as raised:
+        caught = raised
+    with stop_signals.collected():
+        error = None if caught is None else ending.from_exception(caught) or RunError(str(caught))
+        run_folder.release(file.parent)
+        try:
+            write(ending.status(error))
+        except OSError:
+            if caught is None:
+                raise
+    if caught is not None:
+        raise caught
 
 
 class Store:

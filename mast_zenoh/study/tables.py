@@ -14,9 +14,9 @@ import pyarrow
 
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import TrialsFailed
-from mast_zenoh.launch.tables import to_arrow
 from mast_zenoh.metrics.study_results import Estimate, FailedTrial, IdleAttack, Series, StudyFacts, StudyRow
-from mast_zenoh.run_files import write_bytes
+from mast_zenoh.run_folder import write_bytes
+from mast_zenoh.run_folder.tables import to_arrow
 from mast_zenoh.study import numbers, statistics
 from mast_zenoh.study.defences import kinds
 from mast_zenoh.study.definition import Study

@@ -24,12 +24,11 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.integrity.calibration import refuse_calibration_data
 from mast_zenoh.launch import ending
-from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.scenario.timeline import attack_starts
 from mast_zenoh.study import execution, tables
 from mast_zenoh.study import trial as identity
 from mast_zenoh.study.definition import Study
-from mast_zenoh.study.store import Store
+from mast_zenoh.study.store import Store, status_written
 from mast_zenoh.study.tables import StudyResult
 from mast_zenoh.study.trial import Outcome, Trial
 
@@ -77,7 +76,7 @@ def run(
     def write_status(status: str) -> None:
         store.write_status(study, trials, failures, status)
 
-    with run_folder.status_written(store.status_file, write_status):
+    with status_written(store.status_file, write_status):
         try:
             if pending:
                 with (

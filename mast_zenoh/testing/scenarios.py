@@ -14,10 +14,10 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control.failures import lines
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.messagelog.difference import compare, explain
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import BUILT_IN, Schema
 from mast_zenoh.node import Node, handler_names
+from mast_zenoh.run_folder.recording.difference import compare, explain
 from mast_zenoh.runtime.host import Outgoing
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.testing import simulation

@@ -12,7 +12,7 @@ import pyarrow
 from mast_zenoh.driving.braking import BRAKING_MPS2
 from mast_zenoh.errors import MastError
 from mast_zenoh.launch.twin import FOLDER, NAME
-from mast_zenoh.run_files import read_json
+from mast_zenoh.run_folder import read_json
 from mast_zenoh.viewer.events import Event
 from mast_zenoh.viewer.run import RunRecord, Table, driven_table, rows
 

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.geometry import rotation_from_quaternion, states_to_world
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
-from mast_zenoh.launch.tables import from_arrow
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics.estimates import LOCAL, MISSION, PICTURE_ON_ARRIVAL, PICTURE_RECEIVED
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.metrics.scores import OUTCOMES, UNEVALUATED
+from mast_zenoh.run_folder.tables import from_arrow
 from mast_zenoh.scenes.recording import truth_states
 from mast_zenoh.viewer.palette import OUTCOME_COLOURS
 from mast_zenoh.viewer.routes import POSE, TRUTH

@@ -13,12 +13,12 @@ import pyarrow
 from mast_zenoh.errors import MessageError, RunFolderError
 from mast_zenoh.launch import liveness, measurement
 from mast_zenoh.launch.ending import RUNNING
-from mast_zenoh.messagelog.reader import Recorded, file_of, read
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.packed import check_kernels
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics.record import Series
-from mast_zenoh.run_files import read_object
+from mast_zenoh.run_folder import read_object
+from mast_zenoh.run_folder.recording.reader import Recorded, file_of, read
 from mast_zenoh.viewer.frame import Evaluated, Frame, FramedRun
 from mast_zenoh.viewer.routes import CLOCK, TRUTH, routes
 

@@ -20,10 +20,10 @@ from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.errors import ConfigurationError, MastError, RunFolderError, nearest
 from mast_zenoh.launch import liveness
 from mast_zenoh.launch.measurement import recorded_wirings
-from mast_zenoh.launch.tables import from_arrow, read_arrow, read_groups
 from mast_zenoh.metrics.estimates import LOCAL, MISSION
 from mast_zenoh.metrics.record import Series
-from mast_zenoh.run_files import check_plain, read_object
+from mast_zenoh.run_folder import check_plain, read_object
+from mast_zenoh.run_folder.tables import from_arrow, read_arrow, read_groups
 from mast_zenoh.scenario.driving import driver_of_car
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.viewer import routes

@@ -7,13 +7,24 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
-from mast_zenoh.run_files import check_shape
+from mast_zenoh.messages.plain_shapes import Name, check_shape
 
 #: The message type of an input port that receives every key. A node with such a port publishes nothing.
 ANY = "*"
 
 #: The verbatim chunk of hidden legs, which wildcard subscribers do not match.
 TAP = "@tap"
+
+_LEG = {"key": str, "from": Name, "from_port": str, "to": [Name], "to_ports": [str], "before": str}
+_WIRE: dict[str, Any] = {
+    **dict.fromkeys(("key", "subject", "message", "publisher"), str),
+    "subscribers": [str],
+    "interposers": [str],
+    "listeners": [{"node": Name, "port": str, "source": bool, "key": str}],
+    "legs": [_LEG],
+}
+#: The types of a wiring as JSON.
+SHAPE: dict[str, Any] = {"wires": [_WIRE], "overhearers": [{"node": Name, "port": str}]}
 
 
 @dataclass(frozen=True, slots=True)
@@ -256,7 +267,7 @@ class Wiring:
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Wiring:
         """The wiring that `to_json` wrote; raises ValueError, TypeError or LookupError for another."""
-        check_shape(data, "wiring.json")
+        check_shape(data, SHAPE)
         return cls(tuple(map(_wire_of, data["wires"])), tuple(Endpoint(**end) for end in data.get("overhearers", ())))
 
 

@@ -13,7 +13,7 @@ import pytest
 import mast_zenoh as mast
 from mast_zenoh.errors import ConfigurationError, HandlerFailed, Interrupted, RunFolderError
 from mast_zenoh.launch.display import Display
-from mast_zenoh.messagelog.difference import compare
+from mast_zenoh.run_folder.recording.difference import compare
 from mast_zenoh.scenario import load
 
 SMALL: dict[str, Any] = dict(n_infrastructure=1)

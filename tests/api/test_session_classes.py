@@ -74,7 +74,7 @@ def test_classes_and_functions_of_a_session_run_in_one_process(tmp_path: Path) -
 one = mast.run(attack, frames=20, seed=3, start=5)
 same = mast.run(attack, frames=20, seed=3, selection="Many", metric="Twice", node="Counter", start=5)
 results = [json.loads((run.path / "results/counter/results.json").read_text()) for run in (one, same)]
-from mast_zenoh.messagelog.difference import compare
+from mast_zenoh.run_folder.recording.difference import compare
 print(json.dumps(dict(
     name=one.name,
     results=results,

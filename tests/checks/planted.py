@@ -14,10 +14,10 @@ from mast_zenoh import checks
 from mast_zenoh.checks import Check
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.launch import run
-from mast_zenoh.messagelog.reader import Recorded, read
-from mast_zenoh.messagelog.writer import FILE, MessageLog
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import text
+from mast_zenoh.run_folder.recording.reader import Recorded, read
+from mast_zenoh.run_folder.recording.writer import FILE, MessageLog
 from mast_zenoh.scenario import resolve
 from mast_zenoh.wiring.model import Wiring
 

@@ -33,8 +33,8 @@ from mast_zenoh import checks
 from mast_zenoh.checks import RunCheck, convergence
 from mast_zenoh.checks.runs import apply
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.messagelog.reader import Recorded, read
 from mast_zenoh.messages import codec
+from mast_zenoh.run_folder.recording.reader import Recorded, read
 from mast_zenoh.scenario import resolve
 
 Run = tuple[Path, Resolved]

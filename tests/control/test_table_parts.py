@@ -15,7 +15,7 @@ from mast_zenoh.control.tables import PART_BYTES, PART_ROWS, PartedTables, Table
 from mast_zenoh.errors import MessageError
 from mast_zenoh.launch import conclusion
 from mast_zenoh.launch.table_files import TableFiles
-from mast_zenoh.launch.tables import read_groups, read_table
+from mast_zenoh.run_folder.tables import read_groups, read_table
 
 ROWS = 2 * PART_ROWS + 17
 

@@ -19,7 +19,7 @@ from launched import MAST, Launched, eventually
 from mast_zenoh.deploy.compose import command
 from mast_zenoh.deploy.compose_inside import EXAMPLES
 from mast_zenoh.deploy.docker import docker
-from mast_zenoh.messagelog.reader import read
+from mast_zenoh.run_folder.recording.reader import read
 from mast_zenoh.runtime.mesh.hosting import UP
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh, pytest.mark.timeout(600)]

@@ -18,7 +18,7 @@ from mast_zenoh.control import files
 from mast_zenoh.control.codec import Message
 from mast_zenoh.errors import RunError
 from mast_zenoh.launch.file_server import files_for_node, with_local_imports
-from mast_zenoh.messagelog.writer import MessageLog
+from mast_zenoh.run_folder.recording.writer import MessageLog
 from mast_zenoh.runtime.file_client import FileClient, files_written_by
 
 

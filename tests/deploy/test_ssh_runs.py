@@ -23,7 +23,7 @@ from ssh_hosts import NAMES, SshHosts
 from mast_zenoh.deploy import wheel
 from mast_zenoh.errors import EngineError
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.messagelog.reader import read
+from mast_zenoh.run_folder.recording.reader import read
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh, pytest.mark.timeout(300)]
 PROGRAM = [sys.executable, ssh_launch.__file__]

@@ -19,7 +19,7 @@ import pytest
 import mast_zenoh as mast
 from mast_zenoh import testing
 from mast_zenoh.config import loading
-from mast_zenoh.launch.tables import read_table
+from mast_zenoh.run_folder.tables import read_table
 from mast_zenoh.scenes.recording import Recording
 
 pytestmark = pytest.mark.heavy

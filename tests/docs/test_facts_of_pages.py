@@ -27,8 +27,8 @@ from mast_zenoh.integrity import STATES, Integrity
 from mast_zenoh.integrity.alarms import discoveries
 from mast_zenoh.integrity.sequential import CONTRADICTION_TAIL, DEVIATION_TAIL, FALSE_ALARMS_PER_HOUR
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.launch.tables import read_table
 from mast_zenoh.metrics.causes import CAUSES
+from mast_zenoh.run_folder.tables import read_table
 from mast_zenoh.study.numbers import numbers
 
 ROOT = Path(__file__).parents[2]

@@ -12,8 +12,8 @@ import pytest
 
 from mast_zenoh import scenario
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.messagelog.reader import read
 from mast_zenoh.messages import codec
+from mast_zenoh.run_folder.recording.reader import read
 from mast_zenoh.runtime.mesh.session import open_router
 
 PAGE = (Path(__file__).parents[2] / "docs" / "ros2_nodes.md").read_text(encoding="utf-8")

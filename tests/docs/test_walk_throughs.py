@@ -20,7 +20,7 @@ from PIL import Image
 
 from mast_zenoh import scenario
 from mast_zenoh.deploy.ssh import hostsfile
-from mast_zenoh.messagelog.difference import compare
+from mast_zenoh.run_folder.recording.difference import compare
 
 pytestmark = [pytest.mark.heavy, pytest.mark.timeout(300)]
 

@@ -16,10 +16,10 @@ from observed_run import ObservedRun
 from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.launch import run
-from mast_zenoh.launch.tables import read_table
-from mast_zenoh.messagelog.reader import read
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body
+from mast_zenoh.run_folder.recording.reader import read
+from mast_zenoh.run_folder.tables import read_table
 
 DOCS = Path(__file__).parents[2] / "docs"
 FRAMES = 36

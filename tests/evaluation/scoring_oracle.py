@@ -16,8 +16,8 @@ import numpy as np
 
 from mast_zenoh.arrays.geometry import rotation_from_quaternion
 from mast_zenoh.errors import MessageError
-from mast_zenoh.messagelog.reader import read
 from mast_zenoh.messages import codec
+from mast_zenoh.run_folder.recording.reader import read
 
 RANGE_M, GATE_M, MIN_POINTS = 100.0, 2.0, 5
 HELD = 5  # frames: agents use a picture for 0.5 s

@@ -13,7 +13,7 @@ from mast_zenoh import checks, scenario
 from mast_zenoh.checks import convergence
 from mast_zenoh.cli import app
 from mast_zenoh.launch import run
-from mast_zenoh.messagelog.difference import compare, explain
+from mast_zenoh.run_folder.recording.difference import compare, explain
 
 #: Numbers from 0 to 19; all after the first four are heavy.
 TWENTY = [number if number < 1 else pytest.param(number, marks=pytest.mark.heavy) for number in range(20)]

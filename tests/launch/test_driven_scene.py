@@ -13,9 +13,9 @@ from driven import driven
 from recorded_observer import RecordedObserver
 
 from mast_zenoh.launch import run, twin
-from mast_zenoh.messagelog.reader import read
 from mast_zenoh.messages import codec
 from mast_zenoh.report import comparison
+from mast_zenoh.run_folder.recording.reader import read
 from mast_zenoh.scenes import Recording
 from mast_zenoh.viewer.page.columns import unpack
 from mast_zenoh.viewer.page.live_view import LiveBlocks

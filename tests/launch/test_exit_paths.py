@@ -15,7 +15,7 @@ import pytest
 from endings_table import Ending, ending, table
 from launched import MAST
 
-from mast_zenoh.messagelog.reader import read
+from mast_zenoh.run_folder.recording.reader import read
 
 pytestmark = pytest.mark.heavy
 

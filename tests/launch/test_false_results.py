@@ -15,13 +15,12 @@ from insider.forgeries import false_results, forgeries, refused
 from insider.position import MARKER, Position, position
 from rich.console import Console
 
-from mast_zenoh import scenario, version
+from mast_zenoh import run_folder, scenario, version
 from mast_zenoh.cli.options import reporting
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import results
 from mast_zenoh.errors import MastError
 from mast_zenoh.launch import ending
-from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.context import Mesh, RunContext
 from mast_zenoh.launch.mesh_run import MeshLauncher
 from mast_zenoh.launch.supervisor import Child, Supervisor

@@ -15,8 +15,8 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import failures
 from mast_zenoh.errors import HandlerFailed, NodeDied
 from mast_zenoh.launch import run
-from mast_zenoh.launch.tables import read_table
 from mast_zenoh.report.html import write_report, write_study_report
+from mast_zenoh.run_folder.tables import read_table
 from mast_zenoh.scenes.recording import Recording
 
 

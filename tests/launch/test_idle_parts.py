@@ -18,9 +18,9 @@ from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.launch import run
 from mast_zenoh.launch.idle import idle_parts
-from mast_zenoh.launch.tables import write_table
 from mast_zenoh.metrics import FrameMetric, RunMetric
 from mast_zenoh.report.html import write_report
+from mast_zenoh.run_folder.tables import write_table
 
 Edit = Callable[[dict[str, Any]], Any]
 UNCOORDINATED = dict(type="UncoordinatedAttack", start_s=0.0)

@@ -14,7 +14,7 @@ import pytest
 from mast_zenoh import scenario
 from mast_zenoh.errors import DiskFull, NodeFileError, ResourcesExhausted, StartError
 from mast_zenoh.launch import ending, run
-from mast_zenoh.run_files import read_json
+from mast_zenoh.run_folder import read_json
 
 CODE = ResourcesExhausted.exit_code
 
@@ -26,7 +26,7 @@ def test_a_table_that_cannot_be_written_for_want_of_memory_fails_the_run(
     def fail(*_: object) -> None:
         raise error
 
-    monkeypatch.setattr("mast_zenoh.launch.tables.to_arrow", fail)
+    monkeypatch.setattr("mast_zenoh.run_folder.tables.to_arrow", fail)
     path, loaded = scenario.load("baseline", [])
     resolved = scenario.resolve(path, loaded, frames=2)
     ended = run.run(resolved, runtime="inproc", out=tmp_path / "run")

@@ -16,8 +16,8 @@ from simulated_runs import CHURN, resolve
 
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.messagelog.reader import read
 from mast_zenoh.messages import codec
+from mast_zenoh.run_folder.recording.reader import read
 
 pytestmark = pytest.mark.mesh
 

@@ -10,7 +10,7 @@ from equal_runs import assert_equal
 
 from mast_zenoh import replay, scenario
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.messagelog.difference import compare
+from mast_zenoh.run_folder.recording.difference import compare
 
 pytestmark = [pytest.mark.mesh, pytest.mark.heavy]
 FRAMES = 24

@@ -18,7 +18,7 @@ from held_back import allow
 from launched import Launched, eventually
 
 from mast_zenoh.launch.liveness import current_record
-from mast_zenoh.messagelog.reader import read
+from mast_zenoh.run_folder.recording.reader import read
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 

@@ -11,7 +11,7 @@ import pytest
 from equal_runs import assert_equal, run_alone
 from launched import Launched
 
-from mast_zenoh.messagelog.reader import read
+from mast_zenoh.run_folder.recording.reader import read
 
 pytestmark = pytest.mark.mesh
 DATA = Path(os.environ.get("MAST_DATA") or Path(__file__).parents[3] / "shared" / "data")

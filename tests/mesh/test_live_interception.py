@@ -14,7 +14,7 @@ from launched import Launched, Observer, eventually
 
 from mast_zenoh.errors import NotRunning, StartError, WiringError
 from mast_zenoh.launch import live_interception
-from mast_zenoh.messagelog.reader import read
+from mast_zenoh.run_folder.recording.reader import read
 from mast_zenoh.runtime.protocol.traffic import ATTACHMENT
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]

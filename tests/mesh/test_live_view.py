@@ -19,7 +19,7 @@ from equal_runs import assert_equal, run_alone
 from launched import MAST, Launched, eventually
 from websockets.sync.client import connect
 
-from mast_zenoh.launch.tables import read_table
+from mast_zenoh.run_folder.tables import read_table
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 _TIMEOUT_MS = 90_000

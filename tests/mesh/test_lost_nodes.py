@@ -13,8 +13,8 @@ from equal_runs import assert_equal, run_alone
 from launched import MAST, Launched
 
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.messagelog.difference import compare
-from mast_zenoh.messagelog.reader import read
+from mast_zenoh.run_folder.recording.difference import compare
+from mast_zenoh.run_folder.recording.reader import read
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 

@@ -11,7 +11,7 @@ from contextlib import closing
 import pytest
 from launched import Launched, Observer, eventually
 
-from mast_zenoh.messagelog.reader import read
+from mast_zenoh.run_folder.recording.reader import read
 from mast_zenoh.wiring.model import Wiring
 
 pytestmark = pytest.mark.mesh

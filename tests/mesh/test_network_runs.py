@@ -17,8 +17,8 @@ from launched import Launched, Observer, alive, eventually
 from namespaced import leftovers_of, require
 
 from mast_zenoh.launch.netns.namespaces import NAMESPACES, sweep
-from mast_zenoh.messagelog.reader import read
 from mast_zenoh.messages import codec
+from mast_zenoh.run_folder.recording.reader import read
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 WEST = {"infra_1", "infra_2"}

@@ -12,7 +12,7 @@ import pytest
 from equal_runs import assert_equal, run_alone
 from random_scenarios import FRAMES, KINDS, drawn
 
-from mast_zenoh.messagelog.reader import read
+from mast_zenoh.run_folder.recording.reader import read
 
 pytestmark = [pytest.mark.mesh, pytest.mark.heavy]
 

@@ -11,8 +11,8 @@ from mast_zenoh import scenario
 from mast_zenoh.control.tables import PART_ROWS
 from mast_zenoh.errors import NodeDied
 from mast_zenoh.launch import launcher_protocol, run
-from mast_zenoh.launch.tables import read_table
-from mast_zenoh.run_files import read_json
+from mast_zenoh.run_folder import read_json
+from mast_zenoh.run_folder.tables import read_table
 
 GRACE_S = 1.5  #: of these runs, in place of 20 s
 

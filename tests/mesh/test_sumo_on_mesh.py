@@ -12,7 +12,7 @@ from sumo_network import vehicle, write_network
 
 from mast_zenoh import replay, scenario
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.messagelog.difference import compare
+from mast_zenoh.run_folder.recording.difference import compare
 
 pytestmark = [
     pytest.mark.mesh,

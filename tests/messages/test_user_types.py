@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 
 from mast_zenoh.effects import rows
 from mast_zenoh.errors import MessageError
-from mast_zenoh.messagelog.format import DEFINITION, user_schema
 from mast_zenoh.messages import codec, user_types
 from mast_zenoh.messages.layout import LAYOUTS, WIRE_DTYPE
 from mast_zenoh.messages.schemas import BUILT_IN, DTYPES, SCHEMAS, Column, Header, Message, Schema, text
 from mast_zenoh.node import Node
+from mast_zenoh.run_folder.recording.format import DEFINITION, user_schema
 
 LETTERS = ("n", "m", "rows")
 

@@ -16,10 +16,10 @@ from tiny_world import Run as Played
 from mast_zenoh import replay
 from mast_zenoh.errors import ConfigurationError, MastError, NodeFileError, RunFolderError, WiringError
 from mast_zenoh.launch import liveness
-from mast_zenoh.messagelog.format import REWIRED, Event
-from mast_zenoh.messagelog.reader import Recorded, read
-from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.messages import codec
+from mast_zenoh.run_folder.recording.format import REWIRED, Event
+from mast_zenoh.run_folder.recording.reader import Recorded, read
+from mast_zenoh.run_folder.recording.writer import MessageLog
 from mast_zenoh.wiring.insertion import Place, insert
 from mast_zenoh.wiring.model import Wiring
 

@@ -19,13 +19,13 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import NotComparable
 from mast_zenoh.launch import measurement, twin
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.messagelog.difference import compare
-from mast_zenoh.messagelog.reader import read
-from mast_zenoh.messagelog.script import Script
 from mast_zenoh.replay.cut import Cut, Place, cut
 from mast_zenoh.report import html
 from mast_zenoh.report.comparison import reference
 from mast_zenoh.report.narrative.run import result
+from mast_zenoh.run_folder.recording.difference import compare
+from mast_zenoh.run_folder.recording.reader import read
+from mast_zenoh.run_folder.recording.script import Script
 from mast_zenoh.viewer.run import RunRecord
 from mast_zenoh.wiring.model import Wiring
 

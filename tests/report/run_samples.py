@@ -11,7 +11,7 @@ import numpy as np
 
 from mast_zenoh.arrays.geometry import rotation_from_yaw, rotation_from_yaw_pitch
 from mast_zenoh.arrays.states import Detections
-from mast_zenoh.launch.tables import write_table
+from mast_zenoh.run_folder.tables import write_table
 from mast_zenoh.scenes.recording import Recording, SceneAgent, truth_states
 from mast_zenoh.sensing.sensors import Camera, LidarSensor
 

@@ -13,7 +13,6 @@ import pytest
 from matplotlib.figure import Figure
 from run_samples import FRAMES
 
-from mast_zenoh.launch.tables import write_table
 from mast_zenoh.report import comparison
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.figures.driven import driven_figure
@@ -23,6 +22,7 @@ from mast_zenoh.report.film.takes import Captions, Take, Window
 from mast_zenoh.report.html import write_report
 from mast_zenoh.report.narrative.driven import car_sentences
 from mast_zenoh.report.tables.of_run import driven_table
+from mast_zenoh.run_folder.tables import write_table
 from mast_zenoh.viewer.driven import course_of, reason_of, twin_course
 from mast_zenoh.viewer.page.block import run_block
 from mast_zenoh.viewer.page.columns import unpack

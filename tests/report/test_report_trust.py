@@ -15,7 +15,6 @@ from matplotlib.patches import Rectangle
 from rich.console import Console
 from run_samples import edit
 
-from mast_zenoh.launch.tables import write_table
 from mast_zenoh.report import terminal
 from mast_zenoh.report.figures.drawing import birdseye_figure
 from mast_zenoh.report.figures.style import png
@@ -35,6 +34,7 @@ from mast_zenoh.report.tables.of_run import (
     undecided_lines,
     undecided_table,
 )
+from mast_zenoh.run_folder.tables import write_table
 from mast_zenoh.viewer.events import (
     fault_spans,
     happenings,

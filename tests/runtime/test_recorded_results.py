@@ -16,10 +16,10 @@ from mast_zenoh import scenario
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch import measurement
 from mast_zenoh.launch.measurement import results_of
-from mast_zenoh.launch.tables import read_table
-from mast_zenoh.messagelog.format import REWIRED, Event
-from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.report import html, terminal
+from mast_zenoh.run_folder.recording.format import REWIRED, Event
+from mast_zenoh.run_folder.recording.writer import MessageLog
+from mast_zenoh.run_folder.tables import read_table
 
 pytestmark = pytest.mark.heavy
 

@@ -17,9 +17,9 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import ConfigurationError, MastError, WiringError
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.launch.file_server import files_for_node
-from mast_zenoh.messagelog import difference
-from mast_zenoh.messagelog.difference import explain
 from mast_zenoh.messages import user_types
+from mast_zenoh.run_folder.recording import difference
+from mast_zenoh.run_folder.recording.difference import explain
 
 FRAMES = 4
 TYPES = """

@@ -13,11 +13,11 @@ from pyarrow import parquet
 from synthetic_outcomes import FRAMES, outcome, study
 
 from mast_zenoh import scenario
-from mast_zenoh.launch.tables import to_arrow
 from mast_zenoh.metrics.study_results import StudyRow
 from mast_zenoh.report.html import write_study_report
 from mast_zenoh.report.narrative.study import compare
 from mast_zenoh.report.tables.study import sections
+from mast_zenoh.run_folder.tables import to_arrow
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.study import definition, interface
 from mast_zenoh.study.numbers import Number, numbers, values

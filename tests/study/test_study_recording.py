@@ -10,7 +10,7 @@ import pytest
 from small_study import tables
 
 from mast_zenoh.errors import ConfigurationError, RunFolderError
-from mast_zenoh.messagelog.reader import file_of
+from mast_zenoh.run_folder.recording.reader import file_of
 from mast_zenoh.study import definition, interface, trials
 from mast_zenoh.study.store import Store
 

@@ -8,8 +8,8 @@ from typing import Any
 
 from mast_zenoh import scenario
 from mast_zenoh.launch import run
-from mast_zenoh.messagelog.difference import compare, explain
-from mast_zenoh.messagelog.reader import read
+from mast_zenoh.run_folder.recording.difference import compare, explain
+from mast_zenoh.run_folder.recording.reader import read
 
 
 def run_alone(out: Path, name: str, *settings: str, **options: Any) -> Path:

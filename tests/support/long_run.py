@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
+from mast_zenoh import run_folder
 from mast_zenoh.control.results import EVALUATOR, TABLES
 from mast_zenoh.control.tables import PartedTables
-from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.launch.table_files import TableFiles
-from mast_zenoh.launch.tables import read_table
-from mast_zenoh.messagelog.reader import events, read
-from mast_zenoh.messagelog.writer import MessageLog
-from mast_zenoh.run_files import read_json
+from mast_zenoh.run_folder import read_json
+from mast_zenoh.run_folder.recording.reader import events, read
+from mast_zenoh.run_folder.recording.writer import MessageLog
+from mast_zenoh.run_folder.tables import read_table
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.wiring.model import Wiring
 

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.messagelog.reader import read
+from mast_zenoh.run_folder.recording.reader import read
 from mast_zenoh.viewer.frame import Frame
 from mast_zenoh.viewer.live.measurement import FrameMeter, LiveRun
 from mast_zenoh.viewer.live.observer import Insertion

@@ -23,7 +23,7 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.launch.file_server import files_for_node
-from mast_zenoh.messagelog.difference import compare, explain
+from mast_zenoh.run_folder.recording.difference import compare, explain
 from mast_zenoh.tracking import StoneSoupTracker
 from mast_zenoh.tracking.association import Measured
 

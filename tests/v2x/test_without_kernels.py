@@ -15,8 +15,8 @@ from mast_zenoh.checks.evidence import Evidence
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import ConfigurationError, MessageError
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.messagelog.reader import read
 from mast_zenoh.messages import codec
+from mast_zenoh.run_folder.recording.reader import read
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.v2x.asn1 import cpm_fields
 from mast_zenoh.viewer.recorded import RecordedRun

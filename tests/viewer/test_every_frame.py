@@ -14,7 +14,7 @@ from recorded_observer import RecordedObserver
 
 import mast_zenoh as mast
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.messagelog.reader import read
+from mast_zenoh.run_folder.recording.reader import read
 from mast_zenoh.viewer.frame import Frame
 from mast_zenoh.viewer.live import every_frame
 from mast_zenoh.viewer.live.every_frame import (

@@ -22,10 +22,10 @@ from mcap.reader import make_reader
 import mast_zenoh as mast
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.errors import ExportError, RunFolderError
-from mast_zenoh.messagelog.reader import Recorded, Wanted, read
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.packed import pack
 from mast_zenoh.messages.schemas import Message
+from mast_zenoh.run_folder.recording.reader import Recorded, Wanted, read
 from mast_zenoh.v2x import cam, cpm
 from mast_zenoh.v2x.reference_position import Position
 from mast_zenoh.viewer.export import export, pcap

@@ -17,8 +17,8 @@ from pyarrow import parquet
 import mast_zenoh as mast
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch import liveness
-from mast_zenoh.messagelog.reader import Recorded, read
 from mast_zenoh.metrics.record import Series
+from mast_zenoh.run_folder.recording.reader import Recorded, read
 from mast_zenoh.viewer import recorded as recordings
 from mast_zenoh.viewer.export.columns import stem
 from mast_zenoh.viewer.frame import Outcomes

@@ -16,8 +16,8 @@ import mast_zenoh as mast
 from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import prefix
-from mast_zenoh.launch.tables import from_arrow, read_table
-from mast_zenoh.messagelog.reader import read
+from mast_zenoh.run_folder.recording.reader import read
+from mast_zenoh.run_folder.tables import from_arrow, read_table
 from mast_zenoh.runtime.mesh.session import open_client, open_router
 from mast_zenoh.runtime.protocol.traffic import stamp
 from mast_zenoh.viewer.frame import Frame, FramedRun

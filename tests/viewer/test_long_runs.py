@@ -16,7 +16,7 @@ import mast_zenoh as mast
 from mast_zenoh.report.film.takes import Take
 from mast_zenoh.report.film.writing import schedule
 from mast_zenoh.report.html import write_report
-from mast_zenoh.run_files import read_json
+from mast_zenoh.run_folder import read_json
 from mast_zenoh.viewer import run as run_module
 from mast_zenoh.viewer.page.block import run_block
 from mast_zenoh.viewer.page.columns import unpack

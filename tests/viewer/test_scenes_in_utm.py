@@ -15,8 +15,8 @@ from rerun.chunk import RrdReader
 from rosbags.highlevel import AnyReader
 
 import mast_zenoh as mast
-from mast_zenoh.messagelog.reader import read
 from mast_zenoh.messages import codec
+from mast_zenoh.run_folder.recording.reader import read
 from mast_zenoh.scenes import Recording
 from mast_zenoh.viewer.export import export
 

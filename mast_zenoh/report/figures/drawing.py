@@ -17,7 +17,7 @@ from mast_zenoh.report.figures.camera import draw_camera, ego_eye
 from mast_zenoh.report.figures.style import Figure, pdf, plain, png, svg
 from mast_zenoh.report.figures.view import window
 from mast_zenoh.report.tables.scores import ScoreTable, number
-from mast_zenoh.run_files import subfolder, write_bytes
+from mast_zenoh.run_folder import subfolder, write_bytes
 from mast_zenoh.viewer.frame import Frame
 from mast_zenoh.viewer.palette import FAINT, GROUND
 

@@ -31,7 +31,7 @@ from mast_zenoh.report.narrative.changes import capital
 from mast_zenoh.report.narrative.driven import car_sentences
 from mast_zenoh.report.run_figure import SECTIONS, FigureContext, RunFigure
 from mast_zenoh.report.tables.scores import ScoreTable
-from mast_zenoh.run_files import check_plain, read_json, write_bytes
+from mast_zenoh.run_folder import check_plain, read_json, write_bytes
 from mast_zenoh.viewer.events import doubts, states_at, suspensions
 from mast_zenoh.viewer.frame import Frame
 from mast_zenoh.viewer.interposers import interposers

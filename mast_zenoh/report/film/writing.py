@@ -15,13 +15,13 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 
 from mast_zenoh.errors import ConfigurationError, ExportError, RunFolderError
 from mast_zenoh.launch.ending import RUNNING
-from mast_zenoh.launch.folder import check_free, write_new
 from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.report.figures.view import choose_frame
 from mast_zenoh.report.film.encoding import ffmpeg, images, write_gif, write_video
 from mast_zenoh.report.film.look import Look
 from mast_zenoh.report.film.sheet import Sheet
 from mast_zenoh.report.film.takes import TITLES, Take
+from mast_zenoh.run_folder import check_free, write_new
 from mast_zenoh.viewer.run import MOST_FRAMES, RunRecord
 
 #: Images per second at most, unless the user asks for more.

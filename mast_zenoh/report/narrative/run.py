@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from mast_zenoh.messagelog import churn
 from mast_zenoh.metrics.estimates import ESTIMATES, IN_TRANSIT, LOCAL, MAIN, MISSION, PICTURE, RECEIVED
 from mast_zenoh.report.comparison import Reference, same_ways
 from mast_zenoh.report.narrative.adversaries import altered_on_the_way, compromised, late_start_s, period
@@ -38,6 +37,7 @@ from mast_zenoh.report.narrative.changes import (
 from mast_zenoh.report.narrative.consequences import consequence, drives, worst
 from mast_zenoh.report.tables.of_run import braking_by_attack, check_rows, driving_differs, unattributed_braking
 from mast_zenoh.report.tables.scores import ScoreTable
+from mast_zenoh.run_folder.recording import churn
 from mast_zenoh.viewer.interposers import Interposer, failures_of, frames_of, interposers
 from mast_zenoh.viewer.run import RunRecord, Table, rows
 

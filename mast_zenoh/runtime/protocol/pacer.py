@@ -18,7 +18,7 @@ from collections.abc import Collection, Iterable, Mapping
 from typing import Any, NamedTuple
 
 from mast_zenoh.config.resolved import DRIVER_ROLE
-from mast_zenoh.messagelog.churn import BACK, LOST
+from mast_zenoh.run_folder.recording.churn import BACK, LOST
 from mast_zenoh.wiring.model import Wiring
 
 #: Frames after which the driver also waits for nodes that publish nothing.
@@ -198,7 +198,7 @@ class Membership:
     alive:    nodes with a liveliness token
     replaced: nodes whose token went since the epoch began: their new process joins in an epoch of its own
     leaving:  nodes that the scenario ends
-    churn:    losses and returns of nodes, see messagelog.churn
+    churn:    losses and returns of nodes, see run_folder.recording.churn
     """
 
     def __init__(self, own: str, expected: dict[str, str]) -> None:

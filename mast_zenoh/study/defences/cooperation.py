@@ -100,7 +100,7 @@ class Collection(kinds.Collection):
         penetration: share of the vehicles that are agents
         """
         from mast_zenoh.api.runs import Run  # PyArrow is slow to load
-        from mast_zenoh.messagelog.reader import read
+        from mast_zenoh.run_folder.recording.reader import read
 
         recording = Recording.load(folder / RECORDING)
         times_s = (recording.times_ns - recording.times_ns[0]) * 1e-9

@@ -164,7 +164,7 @@ class Collection(kinds.Collection):
         """
         from mast_zenoh.api.observability import observability  # PyArrow is slow to load
         from mast_zenoh.api.runs import Run
-        from mast_zenoh.launch.tables import from_arrow
+        from mast_zenoh.run_folder.tables import from_arrow
 
         run = Run(folder)
         lies = from_arrow(observability(run).lies)

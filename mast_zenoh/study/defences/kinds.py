@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from mast_zenoh.metrics.study_results import Measured, size_of
-from mast_zenoh.run_files import write_bytes
+from mast_zenoh.run_folder import write_bytes
 from mast_zenoh.study.defences import intervals
 from mast_zenoh.study.trial import Outcome, TrialKey
 

@@ -15,9 +15,9 @@ from mast_zenoh.api.runs import Run
 from mast_zenoh.arrays.states import Bools
 from mast_zenoh.config.resolved import RECORDING
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.launch.tables import from_arrow
 from mast_zenoh.metrics.boxes import Places, nearest
 from mast_zenoh.metrics.study_results import AgentTrustSeries, Spans
+from mast_zenoh.run_folder.tables import from_arrow
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.study.defences.choices import honest_majority
 from mast_zenoh.study.numbers import ego, scored_frames

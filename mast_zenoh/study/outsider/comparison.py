@@ -11,17 +11,16 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from mast_zenoh import scenario
+from mast_zenoh import run_folder, scenario
 from mast_zenoh.config import loading, registry
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.launch import ending
-from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.report.tables.text_table import csv_text
 from mast_zenoh.study.definition import Study
 from mast_zenoh.study.outsider.attacked_run import AttackedRun, attacker_errors
 from mast_zenoh.study.outsider.attempts import Attempt, Outcome
-from mast_zenoh.study.store import new_folder
+from mast_zenoh.study.store import new_folder, status_written
 
 #: The row of messages that belong to no attempt; their number should be 0.
 STRAY = "(anything else)"
@@ -107,7 +106,7 @@ def run(
         content = {"name": study.name, "status": status, "security": list(study.security), "rows": effects.rows()}
         run_folder.write_json(status_file, content)
 
-    with run_folder.status_written(status_file, write_status):
+    with status_written(status_file, write_status):
         try:
             for label, (resolved, attempts) in prepared.items():
                 for level in study.security:

@@ -6,9 +6,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from mast_zenoh.launch import folder as run_folder
+from mast_zenoh import run_folder
 from mast_zenoh.metrics.search_results import SearchResults, SearchRow
-from mast_zenoh.run_files import write_bytes
+from mast_zenoh.run_folder import write_bytes
 from mast_zenoh.study.defences.kinds import StudyFiles
 
 NAME = "search"

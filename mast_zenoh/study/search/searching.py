@@ -25,7 +25,6 @@ from mast_zenoh.config import loading
 from mast_zenoh.config.registry import known_types
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.launch import ending
-from mast_zenoh.launch import folder as run_folder
 from mast_zenoh.metrics.search_results import CandidateRow, SearchResults, SearchRow
 from mast_zenoh.study import execution, numbers, statistics, tables, trials
 from mast_zenoh.study.definition import Configuration, Study, settings_of
@@ -34,7 +33,7 @@ from mast_zenoh.study.search import files, proposals
 from mast_zenoh.study.search.plan import CANDIDATE, SEARCHED, SearchPlan
 from mast_zenoh.study.search.proposals import Candidate, Effort
 from mast_zenoh.study.search.space import value_at
-from mast_zenoh.study.store import Store
+from mast_zenoh.study.store import Store, status_written
 from mast_zenoh.study.tables import StudyResult
 from mast_zenoh.study.trial import Outcome, Trial, TrialKey
 
@@ -77,7 +76,7 @@ def run(
     def write_status(status: str) -> None:
         store.write_status(state.study, state.planned, state.failures, status)
 
-    with run_folder.status_written(store.status_file, write_status):
+    with status_written(store.status_file, write_status):
         try:
             with trials.progress_bars(console) as progress, ExitStack() as stack:
                 runs = Runs(state, store, how, Workers(jobs, cluster, stack), progress)

@@ -7,7 +7,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 from mast_zenoh.control import failures
-from mast_zenoh.messagelog.churn import LOST
+from mast_zenoh.run_folder.recording.churn import LOST
 from mast_zenoh.testing.comparison import first_difference
 from mast_zenoh.testing.simulation.simulation import Outcome, play
 from mast_zenoh.testing.simulation.world import Schedule, World, random_schedule

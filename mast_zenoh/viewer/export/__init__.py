@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from mast_zenoh.errors import ExportError
-from mast_zenoh.launch.folder import check_free, write_new
+from mast_zenoh.run_folder import check_free, write_new
 from mast_zenoh.viewer.formats import FORMATS, Format, check
 from mast_zenoh.viewer.recorded import RecordedRun
 

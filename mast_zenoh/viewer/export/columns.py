@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from mast_zenoh.arrays.geometry import quaternion_from_rotation
 from mast_zenoh.arrays.states import CLASSES, Floats, ObjectStates
 from mast_zenoh.errors import RunFolderError
+from mast_zenoh.messages.plain_shapes import EXPECTED_NAME, is_name
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.metrics.scores import OUTCOMES
-from mast_zenoh.run_files import EXPECTED_NAME, is_name
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import Camera
 from mast_zenoh.viewer.frame import Frame, FramedRun, Pose

@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 from mast_zenoh.errors import ExportError, MessageError
-from mast_zenoh.messagelog.reader import Recorded, read
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.packed import Packed
+from mast_zenoh.run_folder.recording.reader import Recorded, read
 from mast_zenoh.v2x import cam, cpm
 from mast_zenoh.v2x.asn1 import cam_fields, cpm_fields, uper
 from mast_zenoh.v2x.asn1.plain import to_plain

@@ -12,12 +12,12 @@ from typing import Any
 from mast_zenoh.config import bundle, loading, registry
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import ConfigurationError, MessageError
-from mast_zenoh.launch.tables import as_read, to_arrow
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.limits import RowLimits
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics.estimates import LOCAL, MISSION, PICTURE, PICTURE_RECEIVED, RECEIVED
 from mast_zenoh.metrics.record import Series
+from mast_zenoh.run_folder.tables import as_read, to_arrow
 from mast_zenoh.runtime.host import Host
 from mast_zenoh.viewer.frame import Evaluated, Frame, FramedRun
 from mast_zenoh.viewer.live.observed import ObservedRun

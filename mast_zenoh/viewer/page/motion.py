@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
-from mast_zenoh.messagelog.reader import read
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body
+from mast_zenoh.run_folder.recording.reader import read
 from mast_zenoh.viewer.run import RunRecord, Table
 
 #: m, greatest standard deviation that is kept: more is not drawn.

@@ -156,7 +156,7 @@ def _read(path: Path, expected: dict[str, str]) -> dict[str, NDArray[Any]]:
     # Imported here because it is slow and few processes of a run need it.
     import pyarrow
 
-    from mast_zenoh.unpacking import read_feather
+    from mast_zenoh.run_folder.unpacking import read_feather
 
     try:
         table = read_feather(path)

@@ -14,10 +14,10 @@ from matplotlib.colors import to_hex
 from PIL import Image
 
 import mast_zenoh as mast
-from mast_zenoh.launch.tables import write_table
 from mast_zenoh.report.film.encoding import images
 from mast_zenoh.report.film.look import Look
 from mast_zenoh.report.film.writing import snapshot
+from mast_zenoh.run_folder.tables import write_table
 
 
 def centres(outlines: object) -> np.ndarray:

@@ -18,8 +18,8 @@ from mast_zenoh import streams, version
 from mast_zenoh.config.resolved import Resolved, driver_of
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch import run
-from mast_zenoh.launch.folder import json_or_empty
-from mast_zenoh.messagelog.difference import compare
+from mast_zenoh.run_folder import json_or_empty
+from mast_zenoh.run_folder.recording.difference import compare
 from mast_zenoh.study.outsider.attacked_run import AttackedRun
 
 _END_S = 90.0

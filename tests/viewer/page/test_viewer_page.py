@@ -13,7 +13,7 @@ import pytest
 from browser import FRAME, FRAMES, WatchedPage
 from launched import eventually
 
-from mast_zenoh.launch.tables import read_table
+from mast_zenoh.run_folder.tables import read_table
 
 pytestmark = pytest.mark.heavy
 

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.launch.tables import from_arrow, read_table, to_arrow, write_table
+from mast_zenoh.run_folder.tables import from_arrow, read_table, to_arrow, write_table
 
 texts = st.lists(st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=8), max_size=20)
 
@@ -53,7 +53,7 @@ def test_tables_do_not_load_pandas_but_it_can_still_be_imported(tmp_path: Path) 
     program = (
         "import sys, numpy as np\n"
         "from pathlib import Path\n"
-        "from mast_zenoh.launch.tables import read_arrow, read_table, write_table\n"
+        "from mast_zenoh.run_folder.tables import read_arrow, read_table, write_table\n"
         "path = Path('t.parquet')\n"
         "write_table(path, {'name': np.array(['a', 'b']), 'x': np.array([1.0, np.nan])})\n"
         "read_table(path)\n"

@@ -16,8 +16,8 @@ from pyarrow import parquet
 
 from mast_zenoh.arrays.states import Bools
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.run_files import check_plain, replacing
-from mast_zenoh.unpacking import MAX_TABLE_BYTES, check_expanded, read_parquet, read_row_groups
+from mast_zenoh.run_folder import check_plain, replacing
+from mast_zenoh.run_folder.unpacking import MAX_TABLE_BYTES, check_expanded, read_parquet, read_row_groups
 
 #: Columns of text get this type at once, because `dictionary_encode` would load all of Arrow's compute functions.
 _TEXT = pyarrow.dictionary(pyarrow.int32(), pyarrow.string())

@@ -16,13 +16,13 @@ from mcap.writer import MCAP0_MAGIC
 from pyarrow import feather as arrow_feather
 from pyarrow import parquet as arrow_parquet
 
-from mast_zenoh import unpacking
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.launch.tables import from_arrow, read_table
-from mast_zenoh.messagelog import reader
-from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header
+from mast_zenoh.run_folder import unpacking
+from mast_zenoh.run_folder.recording import reader
+from mast_zenoh.run_folder.recording.writer import MessageLog
+from mast_zenoh.run_folder.tables import from_arrow, read_table
 from mast_zenoh.wiring.model import Input
 
 pytestmark = pytest.mark.heavy
@@ -31,8 +31,8 @@ pytestmark = pytest.mark.heavy
 _LIMITED = """
 import resource, sys
 from pathlib import Path
-from mast_zenoh.launch.tables import read_table
-from mast_zenoh.messagelog.reader import read as read_recording
+from mast_zenoh.run_folder.tables import read_table
+from mast_zenoh.run_folder.recording.reader import read as read_recording
 from mast_datasets.argoverse import read_poses
 used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
 resource.setrlimit(resource.RLIMIT_AS, (used + 900_000_000,) * 2)

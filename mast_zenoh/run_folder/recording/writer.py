@@ -10,7 +10,9 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, NamedTuple
 
 from mast_zenoh.errors import DiskFull, RunFolderError, is_disk_full
-from mast_zenoh.messagelog.format import (
+from mast_zenoh.messages.plain_shapes import EXPECTED_NAME, is_name
+from mast_zenoh.messages.schemas import SCHEMAS, Header
+from mast_zenoh.run_folder.recording.format import (
     ENCODING,
     EVENT,
     MALFORMED,
@@ -23,8 +25,6 @@ from mast_zenoh.messagelog.format import (
     metadata,
     wire_and_key,
 )
-from mast_zenoh.messages.schemas import SCHEMAS, Header
-from mast_zenoh.run_files import EXPECTED_NAME, is_name
 from mast_zenoh.wiring.model import Input
 
 if TYPE_CHECKING:

@@ -1,9 +1,7 @@
-"""The run folder: creates it, and writes and reads its files."""
+"""A run folder, or what is exported beside it, begins: room for it, and what it is made with."""
 
 from __future__ import annotations
 
-import json
-import math
 import os
 import platform
 import shutil
@@ -16,13 +14,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from mast_zenoh import kernels
-from mast_zenoh.errors import DiskFull, ExportError, RunError, RunFolderError, is_disk_full
-from mast_zenoh.launch import ending, stop_signals
-from mast_zenoh.messagelog import script
-from mast_zenoh.run_files import read_object, replacing
+from mast_zenoh.errors import DiskFull, ExportError, RunFolderError, is_disk_full
+from mast_zenoh.run_folder.files import write_json
 
 
 def check_free(out: Path) -> None:
@@ -119,37 +113,6 @@ def finish(folder: Path, record: Mapping[str, Any]) -> None:
     write_json(folder / "run.json", record)
 
 
-@contextmanager
-def status_written(file: Path, write: Callable[[str], None]) -> Iterator[None]:
-    """Write the status `running`, run the block, and write how it ended.
-
-    file: that `write` writes; room for it is reserved, so that a full disk does not leave it at `running`
-    Stop signals that come while the final status is written are ignored.
-    """
-    write(ending.RUNNING)
-    caught: BaseException | None = None
-    try:
-        reserve(file.parent, 2 * file.stat().st_size)  # errors of trials are added
-        yield
-    except BaseException as raised:
-        caught = raised
-    with stop_signals.collected():
-        error = None if caught is None else ending.from_exception(caught) or RunError(str(caught))
-        release(file.parent)
-        try:
-            write(ending.status(error))
-        except OSError:
-            if caught is None:
-                raise
-    if caught is not None:
-        raise caught
-
-
-def discard_scripts(folder: Path) -> None:
-    """Remove what the played nodes of a replay have sent: it is in both recordings."""
-    shutil.rmtree(folder / script.FOLDER, ignore_errors=True)
-
-
 def _unused(path: Path) -> Path:
     """Create a new folder of this name, with a number if it exists; safe between runs."""
     for candidate in (path, *(path.with_name(f"{path.name}-{i}") for i in range(2, 1000))):
@@ -161,37 +124,9 @@ def _unused(path: Path) -> Path:
     raise FileExistsError(f"{path}-2 to {path}-999 all exist")
 
 
-def write_json(path: Path, content: Any) -> None:
-    """Write a JSON file atomically: a reader sees the old file or the new one."""
-    with replacing(path) as new, new.open("w", encoding="utf-8") as file:
-        json.dump(content, file, indent=2, allow_nan=False)
-        file.write("\n")
-
-
-def json_or_empty(path: Path) -> dict[str, Any]:
-    """Read the object in a JSON file; {} if that fails."""
-    try:
-        return read_object(path)
-    except RunFolderError:
-        return {}
-
-
 @cache
 def versions() -> dict[str, str]:
     """Versions of Python, platform, kernels and packages."""
     packages = ("mast-zenoh", "eclipse-zenoh", "numpy", "scipy", "msgpack", "filterpy", "mcap")
     host = {"python": platform.python_version(), "platform": platform.platform(), "kernels": kernels.USED}
     return host | {package: version(package) for package in packages}
-
-
-def finite(value: Any) -> Any:
-    """Plain JSON values: a number that is not finite becomes null, an array a list."""
-    if isinstance(value, Mapping):
-        return {key: finite(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray):
-        return [str(item) for item in value.tolist()] if value.dtype.kind in "OU" else finite(value.tolist())
-    if isinstance(value, (list, tuple)):
-        return [finite(item) for item in value]
-    if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
-    return value.item() if isinstance(value, np.generic) else value

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from mast_zenoh.errors import NodeLost, RunFolderError
-from mast_zenoh.run_files import read_object
+from mast_zenoh.run_folder import read_object
 
 #: The events of a node, and their wording.
 LOST, BACK = "lost", "back"

@@ -30,11 +30,11 @@ from mcap.writer import MCAP0_MAGIC
 
 from mast_zenoh.arrays.states import Ints
 from mast_zenoh.errors import MessageError, RunFolderError
-from mast_zenoh.messagelog.format import EVENT, ORDER, STEPS, Event, user_schema
-from mast_zenoh.messagelog.writer import FILE
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import BUILT_IN, Schema
-from mast_zenoh.run_files import read_object
+from mast_zenoh.run_folder import read_object
+from mast_zenoh.run_folder.recording.format import EVENT, ORDER, STEPS, Event, user_schema
+from mast_zenoh.run_folder.recording.writer import FILE
 
 _RECORD = struct.Struct("<BQ")
 _TIMES = struct.Struct("<QQ")

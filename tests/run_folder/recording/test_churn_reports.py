@@ -7,8 +7,8 @@ import json
 import pytest
 
 from mast_zenoh.errors import NodeLost, RunFolderError
-from mast_zenoh.messagelog import churn
-from mast_zenoh.messagelog.churn import comparable
+from mast_zenoh.run_folder.recording import churn
+from mast_zenoh.run_folder.recording.churn import comparable
 
 EVENTS = [
     {"frame": 40, "node": "infra_2", "what": "lost"},

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header
+from mast_zenoh.run_folder.recording.writer import MessageLog
 from mast_zenoh.wiring.model import Input
 
 PERIOD_NS = 10**8

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.errors import MessageError, RunFolderError
-from mast_zenoh.messagelog.reader import Recorded, read
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import BUILT_IN, Column, Message
+from mast_zenoh.run_folder.recording.reader import Recorded, read
 
 
 @dataclass

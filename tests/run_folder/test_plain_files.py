@@ -12,9 +12,9 @@ import pytest
 
 from mast_zenoh import scene
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.launch.tables import read_table
-from mast_zenoh.messagelog.script import Script
-from mast_zenoh.run_files import check_plain, open_plain, read_json
+from mast_zenoh.run_folder import check_plain, open_plain, read_json
+from mast_zenoh.run_folder.recording.script import Script
+from mast_zenoh.run_folder.tables import read_table
 from mast_zenoh.scenario import load, resolve
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.scenes.recording_file import RecordingFile

@@ -21,13 +21,13 @@ from mcap.writer import Writer
 from recordings import HEARS, PERIOD_NS, TAP, add, begun, payload, small_run, write
 
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.messagelog import writer
-from mast_zenoh.messagelog.format import JOINED, LEFT, REWIRED, Event
-from mast_zenoh.messagelog.reader import events, first_missing_frame, read
-from mast_zenoh.messagelog.writer import MessageLog
 from mast_zenoh.messages import codec
+from mast_zenoh.run_folder.recording import writer
+from mast_zenoh.run_folder.recording.format import JOINED, LEFT, REWIRED, Event
+from mast_zenoh.run_folder.recording.reader import events, first_missing_frame, read
+from mast_zenoh.run_folder.recording.writer import MessageLog
 
-PAGE = Path(__file__).parents[2] / "docs" / "recording.md"
+PAGE = Path(__file__).parents[3] / "docs" / "recording.md"
 
 
 @pytest.mark.parametrize("chunk_bytes", [1 << 20, 2000, 1], ids=["one chunk", "some chunks", "a chunk a message"])
@@ -255,7 +255,7 @@ def test_a_chunk_with_an_impossible_size_is_refused_before_it_is_unpacked(
     path = write(tmp_path / "run.mcap", small_run())
     unpacked = MagicMock()
     monkeypatch.setattr("zstandard.decompress", unpacked)
-    monkeypatch.setattr("mast_zenoh.messagelog.reader.MAX_CHUNK_BYTES", 100)
+    monkeypatch.setattr("mast_zenoh.run_folder.recording.reader.MAX_CHUNK_BYTES", 100)
     with pytest.raises(RunFolderError, match=r"run\.mcap: byte \d+: a damaged chunk: found \d+ bytes, expected"):
         list(read(path))
     unpacked.assert_not_called()

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.messagelog.reader import file_of
+from mast_zenoh.run_folder.recording.reader import file_of
 
 GENERAL = "repeat it without --no-record, or its study with --record"
 OUT = ["--out", "taken", "-o", "taken", "--out=taken"]

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import stat
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
+import numpy as np
+
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.run_files.shapes import SHAPES, check_shape
+from mast_zenoh.messages.plain_shapes import check_shape
+from mast_zenoh.run_folder.shapes import SHAPES
 
 #: Limits of a JSON file. A run of a thousand agents needs a tenth of each; the largest content takes about 150 MB.
 MAX_JSON_BYTES = 32 << 20
@@ -55,7 +59,7 @@ def read_json(path: Path, *, shaped: bool = True) -> Any:
     try:
         content = parse_json(_json_bytes(path))
         if shaped and path.name in SHAPES:
-            check_shape(content, path.name)
+            check_shape(content, SHAPES[path.name])
     except FileNotFoundError:
         raise RunFolderError(f"{path}: missing; is {path.parent} a run folder?") from None
     except OSError as error:
@@ -173,3 +177,31 @@ def write_bytes(path: Path, content: bytes) -> None:
     """Write a file of a run folder; see `replacing`."""
     with replacing(path) as new:
         new.write_bytes(content)
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write a JSON file atomically: a reader sees the old file or the new one."""
+    with replacing(path) as new, new.open("w", encoding="utf-8") as file:
+        json.dump(content, file, indent=2, allow_nan=False)
+        file.write("\n")
+
+
+def json_or_empty(path: Path) -> dict[str, Any]:
+    """Read the object in a JSON file; {} if that fails."""
+    try:
+        return read_object(path)
+    except RunFolderError:
+        return {}
+
+
+def finite(value: Any) -> Any:
+    """Plain JSON values: a number that is not finite becomes null, an array a list."""
+    if isinstance(value, Mapping):
+        return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return [str(item) for item in value.tolist()] if value.dtype.kind in "OU" else finite(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [finite(item) for item in value]
+    if isinstance(value, (float, np.floating)):
+        return float(value) if math.isfinite(value) else None
+    return value.item() if isinstance(value, np.generic) else value

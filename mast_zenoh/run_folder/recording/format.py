@@ -9,7 +9,7 @@ from typing import Any
 
 from mast_zenoh.messages import user_types
 from mast_zenoh.messages.schemas import BUILT_IN, Column, Schema
-from mast_zenoh.run_files import parse_json
+from mast_zenoh.run_folder import parse_json
 from mast_zenoh.wiring.model import TAP
 
 PROFILE = "mast-zenoh"

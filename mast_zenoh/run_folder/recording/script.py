@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,7 @@ import numpy as np
 from mast_zenoh.errors import MessageError, RunFolderError
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Message
-from mast_zenoh.run_files import check_plain
+from mast_zenoh.run_folder import check_plain
 
 #: Folder of the scripts in the run folder of a replay, and their suffix.
 FOLDER, SUFFIX = Path("played"), ".msgpack"
@@ -125,3 +126,8 @@ class Script:
 def path_of(node: str) -> Path:
     """The path of a node's script, relative to the run folder."""
     return FOLDER / f"{node}{SUFFIX}"
+
+
+def discard(folder: Path) -> None:
+    """Remove what the played nodes of a replay have sent: it is in both recordings."""
+    shutil.rmtree(folder / FOLDER, ignore_errors=True)

@@ -13,7 +13,7 @@ from tiny_world import Run, tiny
 
 pytestmark = pytest.mark.heavy
 
-DATA = Path(os.environ.get("MAST_DATA") or Path(__file__).parents[3] / "shared" / "data")
+DATA = Path(os.environ.get("MAST_DATA") or Path(__file__).parents[4] / "shared" / "data")
 
 
 @pytest.fixture(scope="session")

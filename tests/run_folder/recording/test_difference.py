@@ -9,7 +9,7 @@ import pytest
 from recordings import TAP, detections, payload, small_run, write
 
 from mast_zenoh.cli import app
-from mast_zenoh.messagelog.difference import compare, explain
+from mast_zenoh.run_folder.recording.difference import compare, explain
 
 WIRE = "agent/b/detections"
 
