@@ -16,8 +16,8 @@ from mast_zenoh.report.figures.style import Figure
 from mast_zenoh.report.figures.view import check_frame, choose_common_frame, choose_frame, frame_view
 from mast_zenoh.report.tables.scores import score_table
 from mast_zenoh.run_folder.tables import read_table
-from mast_zenoh.viewer.frame import Frame
-from mast_zenoh.viewer.run import RunRecord
+from mast_zenoh.runs.frame import Frame
+from mast_zenoh.runs.run import RunRecord
 
 
 class Run(Protocol):

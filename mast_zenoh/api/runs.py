@@ -83,8 +83,8 @@ class Agent:
 if TYPE_CHECKING:  # drawing libraries are slow to load
     from mast_zenoh.api.plots import Plots
     from mast_zenoh.report.film.look import Look
+    from mast_zenoh.runs.run import RunRecord
     from mast_zenoh.viewer.export import Exported
-    from mast_zenoh.viewer.run import RunRecord
 
 
 class Run:
@@ -321,7 +321,7 @@ class Run:
 
     def _folder(self) -> RunRecord:
         """The folder as the report reads it; reloaded while the run is in progress."""
-        from mast_zenoh.viewer.run import RunRecord
+        from mast_zenoh.runs.run import RunRecord
 
         if self._loaded is None or self._loaded.run.get("status") == RUNNING:
             self._loaded = RunRecord.load(self.path)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import zenoh
 
     from mast_zenoh.config.allowed_code import AllowedCode
-    from mast_zenoh.viewer.live.observed import ObservedRun
+    from mast_zenoh.runs.live.observed import ObservedRun
 
 _START_S = 60.0  # for a run to start its nodes
 _END_S = 5.0  # for an observer to end
@@ -152,9 +152,9 @@ def join(
     allowed: which of the code that the run folder names may run
     prepare: called with the title of the run before it is waited for
     """
+    from mast_zenoh.runs.live import observed
+    from mast_zenoh.runs.live.measurement import evaluator_class
     from mast_zenoh.runtime.mesh import hosting
-    from mast_zenoh.viewer.live import observed
-    from mast_zenoh.viewer.live.measurement import evaluator_class
 
     evaluator_class()  # before the run begins
     remote, folder = is_router(target), Path(target)

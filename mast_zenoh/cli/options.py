@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from mast_zenoh.config.allowed_code import AllowedCode
     from mast_zenoh.launch.run import Run
     from mast_zenoh.report.comparison import Reference
-    from mast_zenoh.viewer.run import RunRecord
+    from mast_zenoh.runs.run import RunRecord
 
 
 #: Control characters except tab and line feed, and characters that change the direction of text.
@@ -211,7 +211,7 @@ def reporting(folder: Path, command: str = "report", *, complete: bool = True) -
 def _show(finished: Run, *, report: bool, against: str | None) -> tuple[RunFolderError | None, Reference | None]:
     """Show a run's results; returns (why it was not compared, the reference run)."""
     from mast_zenoh.report import terminal
-    from mast_zenoh.viewer.run import RunRecord
+    from mast_zenoh.runs.run import RunRecord
 
     scored = (finished.folder / "metrics.json").is_file()
     run = RunRecord.load(finished.folder)

@@ -24,8 +24,8 @@ from mast_zenoh.run_folder import reading
 if TYPE_CHECKING:
     from mast_zenoh.config.allowed_code import AllowedCode
     from mast_zenoh.launch.context import RunContext
+    from mast_zenoh.runs.frame import Frame
     from mast_zenoh.runtime.mesh.ros2_participant import Participant
-    from mast_zenoh.viewer.frame import Frame
     from mast_zenoh.viewer.ros2_bridge import Ros2Bridge
 
 _READY_S = 60.0  # for a bridge to be ready, for which a run waits
@@ -158,7 +158,7 @@ def _words(config: Mapping[str, Any]) -> list[str]:
 def _play(folder: Path, connection: Connection, namespace: str, *, rate: float, loop: bool) -> None:
     """Publish a finished run until its end, or Ctrl-C."""
     with bridge_modules():
-        from mast_zenoh.viewer.recorded import RecordedRun
+        from mast_zenoh.runs.recorded import RecordedRun
         from mast_zenoh.viewer.ros2_bridge import Ros2Bridge, played
 
     with reading(folder):
@@ -173,9 +173,9 @@ def _observe(
 ) -> None:
     """Publish a running run until its end, or until standard input ends."""
     with bridge_modules():
-        from mast_zenoh.viewer.live import priority
-        from mast_zenoh.viewer.live.every_frame import EveryFrame
-        from mast_zenoh.viewer.live.observer import Observer
+        from mast_zenoh.runs.live import priority
+        from mast_zenoh.runs.live.every_frame import EveryFrame
+        from mast_zenoh.runs.live.observer import Observer
         from mast_zenoh.viewer.ros2_bridge import Ros2Bridge, frames_to_the_end
 
     with ExitStack() as stack:
@@ -261,7 +261,7 @@ class _BridgeProcess:
 
     def finish(self) -> None:
         """Wait until it has sent the last frames; an interrupt ends it at once, a second one kills it."""
-        from mast_zenoh.viewer.live import priority
+        from mast_zenoh.runs.live import priority
 
         process, signals = self._process, self._context.signals
         if process.poll() is None:  # the run is over, so nothing of it waits for a processor

@@ -114,8 +114,8 @@ def export(
     ] = None,
 ) -> None:
     """Write a finished run in another format."""
+    from mast_zenoh.runs.recorded import RecordedRun
     from mast_zenoh.viewer import export as formats
-    from mast_zenoh.viewer.recorded import RecordedRun
 
     with reading(run_folder):
         if out is None:

@@ -114,7 +114,7 @@ def observe(target: str, run: str, port: int, allowed: AllowedCode, *, browser: 
     target: the folder of a run, or a router with a run of this id, "": its only one
     allowed: which of the code that the run folder names may run
     """
-    from mast_zenoh.viewer.live.priority import yield_processors
+    from mast_zenoh.runs.live.priority import yield_processors
     from mast_zenoh.viewer.page import live_view
     from mast_zenoh.viewer.page.live_server import Feed, LiveServer
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh.errors import NotComparable
-from mast_zenoh.viewer.driven import course_of
-from mast_zenoh.viewer.run import RunRecord
+from mast_zenoh.runs.driven import course_of
+from mast_zenoh.runs.run import RunRecord
 
 #: Settings of the evaluator that do not change how two runs are scored: users' metrics, which only add rows, and what
 #: describes the experiment itself (its faults, how long its agents use a picture, and when its world obeys drivers).

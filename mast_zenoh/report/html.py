@@ -65,12 +65,12 @@ from mast_zenoh.report.tables.study import difference_title, sections, side_by_s
 from mast_zenoh.report.tables.text_table import TextTable
 from mast_zenoh.report.tables.wiring import wire_rows
 from mast_zenoh.run_folder import write_bytes
+from mast_zenoh.runs.frame import Frame, has_boxes
+from mast_zenoh.runs.interposers import BAD, EFFECTS, failure_lines, interposers, node_row
+from mast_zenoh.runs.run import RunRecord
 from mast_zenoh.version import __version__
-from mast_zenoh.viewer.frame import Frame, has_boxes
-from mast_zenoh.viewer.interposers import BAD, EFFECTS, failure_lines, interposers, node_row
 from mast_zenoh.viewer.page.block import run_block
 from mast_zenoh.viewer.page.page import ViewerParts, viewer_parts
-from mast_zenoh.viewer.run import RunRecord
 
 #: Where a template wants its table of contents, and a heading that it lists.
 _CONTENTS = "<!-- contents -->"

@@ -13,8 +13,8 @@ if TYPE_CHECKING:  # scenarios' files import this module, also in the processes 
     from matplotlib.figure import Figure
 
     from mast_zenoh.report.comparison import Reference
-    from mast_zenoh.viewer.frame import Frame
-    from mast_zenoh.viewer.run import RunRecord
+    from mast_zenoh.runs.frame import Frame
+    from mast_zenoh.runs.run import RunRecord
 
 #: The sections of a report that a figure can follow, in their order on the page.
 SECTIONS = (

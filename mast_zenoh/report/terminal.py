@@ -17,8 +17,8 @@ from mast_zenoh.report.narrative.run import defence_sentence, headline, referenc
 from mast_zenoh.report.tables.of_run import causes_as_rich, check_lines, nees_as_rich, suspension_lines, undecided_lines
 from mast_zenoh.report.tables.pictures import channel_sentences, picture_sentences
 from mast_zenoh.report.tables.scores import as_rich, score_table
-from mast_zenoh.viewer.interposers import BAD, interposers
-from mast_zenoh.viewer.run import RunRecord
+from mast_zenoh.runs.interposers import BAD, interposers
+from mast_zenoh.runs.run import RunRecord
 
 
 def show(console: Console, runs: Mapping[str, Path]) -> None:

@@ -13,11 +13,11 @@ from typing import Any
 
 from mast_zenoh.errors import ConfigurationError, RunFolderError
 from mast_zenoh.ros2.qos import TRANSIENT_LOCAL, Qos
+from mast_zenoh.runs.frame import Frame, FramedRun
+from mast_zenoh.runs.live.observer import Observer
+from mast_zenoh.runs.recorded import RecordedRun
 from mast_zenoh.runtime.mesh.ros2_participant import Participant, Publisher
 from mast_zenoh.viewer.export.ros2_messages import MARKERS, RunMessages
-from mast_zenoh.viewer.frame import Frame, FramedRun
-from mast_zenoh.viewer.live.observer import Observer
-from mast_zenoh.viewer.recorded import RecordedRun
 
 log = logging.getLogger("mast.ros2")
 

@@ -16,10 +16,10 @@ from mast_zenoh.launch import run, twin
 from mast_zenoh.messages import codec
 from mast_zenoh.report import comparison
 from mast_zenoh.run_folder.recording.reader import read
+from mast_zenoh.runs.run import RunRecord
 from mast_zenoh.scenes import Recording
 from mast_zenoh.viewer.page.columns import unpack
 from mast_zenoh.viewer.page.live_view import LiveBlocks
-from mast_zenoh.viewer.run import RunRecord
 
 ATTACK = ("attack=GhostAhead", "wire=detections", "attack_start_s=0.6")
 

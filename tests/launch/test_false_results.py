@@ -25,7 +25,7 @@ from mast_zenoh.launch.context import Mesh, RunContext
 from mast_zenoh.launch.mesh_run import MeshLauncher
 from mast_zenoh.launch.supervisor import Child, Supervisor
 from mast_zenoh.report import html, terminal
-from mast_zenoh.viewer.run import RunRecord
+from mast_zenoh.runs.run import RunRecord
 
 pytestmark = pytest.mark.heavy
 

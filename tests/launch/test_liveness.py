@@ -14,7 +14,7 @@ import pytest
 from mast_zenoh.errors import NotRunning
 from mast_zenoh.launch import folder, live_interception, liveness
 from mast_zenoh.report.narrative.run import status
-from mast_zenoh.viewer.run import RunRecord
+from mast_zenoh.runs.run import RunRecord
 
 SAYS_WHO = (
     "from mast_zenoh.launch import liveness; import json; print(json.dumps(liveness.identity()), flush=True); input()"

@@ -16,10 +16,10 @@ from launched import MAST, Launched, alive, eventually
 from ros2_client import ForeignClient, expected_messages, ros2_router
 
 from mast_zenoh.ros2 import type_store
+from mast_zenoh.runs.recorded import RecordedRun
 from mast_zenoh.security.authority import Authority
 from mast_zenoh.security.credentials import ROUTER
 from mast_zenoh.security.levels import router_settings
-from mast_zenoh.viewer.recorded import RecordedRun
 
 pytestmark = pytest.mark.mesh
 

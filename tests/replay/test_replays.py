@@ -26,7 +26,7 @@ from mast_zenoh.report.narrative.run import result
 from mast_zenoh.run_folder.recording.difference import compare
 from mast_zenoh.run_folder.recording.reader import read
 from mast_zenoh.run_folder.recording.script import Script
-from mast_zenoh.viewer.run import RunRecord
+from mast_zenoh.runs.run import RunRecord
 from mast_zenoh.wiring.model import Wiring
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from run_samples import edit, write_run
 
-from mast_zenoh.viewer.run import RunRecord
+from mast_zenoh.runs.run import RunRecord
 
 
 @pytest.fixture(scope="session")

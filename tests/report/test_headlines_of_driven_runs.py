@@ -18,9 +18,9 @@ from mast_zenoh.report.narrative.changes import effects
 from mast_zenoh.report.narrative.consequences import consequence
 from mast_zenoh.report.narrative.run import headline, reading, study_headline, study_reading
 from mast_zenoh.report.tables.scores import score_table
-from mast_zenoh.viewer.events import first_changes
-from mast_zenoh.viewer.interposers import interposers
-from mast_zenoh.viewer.run import RunRecord
+from mast_zenoh.runs.events import first_changes
+from mast_zenoh.runs.interposers import interposers
+from mast_zenoh.runs.run import RunRecord
 
 RunOf = Callable[..., RunRecord]
 Driven = Callable[..., tuple[RunRecord, Reference]]

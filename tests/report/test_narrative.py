@@ -26,9 +26,9 @@ from mast_zenoh.report.narrative.run import (
     while_attacked,
 )
 from mast_zenoh.report.tables.scores import number, score_table, signed
-from mast_zenoh.viewer.events import first_changes
-from mast_zenoh.viewer.interposers import interposers
-from mast_zenoh.viewer.run import RunRecord
+from mast_zenoh.runs.events import first_changes
+from mast_zenoh.runs.interposers import interposers
+from mast_zenoh.runs.run import RunRecord
 
 RunOf = Callable[..., RunRecord]
 Metrics = dict[str, Any]

@@ -20,7 +20,7 @@ from mast_zenoh.report.narrative.run import reading
 from mast_zenoh.report.tables.of_run import achieved_table, driving_table
 from mast_zenoh.report.tables.text_table import DASH
 from mast_zenoh.report.terminal import show_loaded
-from mast_zenoh.viewer.run import RunRecord
+from mast_zenoh.runs.run import RunRecord
 
 RunOf = Callable[..., RunRecord]
 

@@ -16,7 +16,7 @@ from mast_zenoh.errors import NotComparable, RunFolderError
 from mast_zenoh.report import comparison
 from mast_zenoh.report.html import write_report
 from mast_zenoh.report.terminal import show_run
-from mast_zenoh.viewer.run import RunRecord
+from mast_zenoh.runs.run import RunRecord
 
 Pair = tuple[Path, Path]
 

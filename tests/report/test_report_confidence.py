@@ -13,8 +13,8 @@ from mast_zenoh.metrics import Consistency
 from mast_zenoh.report.html import write_report
 from mast_zenoh.report.tables.of_run import confidence_tables, nees_table
 from mast_zenoh.report.tables.text_table import DASH, Line
+from mast_zenoh.runs.run import RunRecord
 from mast_zenoh.tracking import Innovations
-from mast_zenoh.viewer.run import RunRecord
 
 
 def summary(scale: float, n: int = 400) -> dict[str, Any]:

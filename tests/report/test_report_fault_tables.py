@@ -25,7 +25,7 @@ from mast_zenoh.report.narrative.run import reading
 from mast_zenoh.report.tables.of_run import cause_table, check_lines, check_rows, latency_tables
 from mast_zenoh.report.tables.text_table import DASH
 from mast_zenoh.run_folder.tables import read_table, write_table
-from mast_zenoh.viewer.run import RunRecord
+from mast_zenoh.runs.run import RunRecord
 
 PARTITION = {"label": "Partition infra_1", "kind": "fault", "type": "Partition", "at_s": 0.5, "until_s": 1.5}
 KILL = {"label": "Kill infra_2", "kind": "fault", "type": "Kill", "at_s": 1.0, "until_s": None}

@@ -21,10 +21,10 @@ from mast_zenoh.report.figures.over_time import counts_over_time
 from mast_zenoh.report.figures.style import png
 from mast_zenoh.report.figures.view import frame_view
 from mast_zenoh.report.tables.scores import score_table
+from mast_zenoh.runs.frame import Frame
+from mast_zenoh.runs.run import RunRecord
 from mast_zenoh.sensing.sensors import Camera
-from mast_zenoh.viewer.frame import Frame
 from mast_zenoh.viewer.palette import ADVERSARY, OUTCOME_COLOURS
-from mast_zenoh.viewer.run import RunRecord
 
 COLOURS = OUTCOME_COLOURS | {"adversary": ADVERSARY}
 

@@ -17,8 +17,8 @@ from run_samples import edit
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.report.html import write_report, write_study_report
 from mast_zenoh.run_folder.tables import read_table, write_table
+from mast_zenoh.runs.run import RunRecord
 from mast_zenoh.viewer.page.columns import unpack
-from mast_zenoh.viewer.run import RunRecord
 
 RunFolderFixture = Callable[..., Path]
 

@@ -16,8 +16,8 @@ from mast_zenoh.report.narrative.attribution import reaches
 from mast_zenoh.report.narrative.changes import effects
 from mast_zenoh.report.narrative.run import reading
 from mast_zenoh.report.tables.wiring import Spot, WireRow, all_wires, layout, wire_rows
-from mast_zenoh.viewer.interposers import Interposer, adversaries_by_agent, exit_expected, interposers
-from mast_zenoh.viewer.run import RunRecord
+from mast_zenoh.runs.interposers import Interposer, adversaries_by_agent, exit_expected, interposers
+from mast_zenoh.runs.run import RunRecord
 
 MEASURED = {"messages": 40, "effects": {"inserted": 3, "corrupted": 2}, "reports": 0, "agreement": "silent"}
 MEASURED |= {"unreported": 5, "unfounded": 0, "role": "adversary", "wires": ["agent/infra_1/tracks"]}

@@ -23,11 +23,11 @@ from mast_zenoh.report.html import write_report
 from mast_zenoh.report.narrative.driven import car_sentences
 from mast_zenoh.report.tables.of_run import driven_table
 from mast_zenoh.run_folder.tables import write_table
-from mast_zenoh.viewer.driven import course_of, reason_of, twin_course
+from mast_zenoh.runs.driven import course_of, reason_of, twin_course
+from mast_zenoh.runs.run import RunRecord, Table
 from mast_zenoh.viewer.page.block import run_block
 from mast_zenoh.viewer.page.columns import unpack
 from mast_zenoh.viewer.palette import RUN_COLOURS
-from mast_zenoh.viewer.run import RunRecord, Table
 
 RunOf = Callable[..., RunRecord]
 GHOST = {"object": 28, "kind": "false", "adversary": "adversary_1"}

@@ -10,7 +10,7 @@ import pytest
 import mast_zenoh as mast
 from mast_zenoh.report.narrative.adversaries import attack_description, compromised, explanations
 from mast_zenoh.report.narrative.run import defence_sentence, headline
-from mast_zenoh.viewer.run import RunRecord
+from mast_zenoh.runs.run import RunRecord
 
 SETTINGS: dict[str, Any] = dict(n_infrastructure=2, n_mobile=1, attack_start_s=0.3, scene_index=8)
 

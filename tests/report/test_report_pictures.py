@@ -8,7 +8,7 @@ import pytest
 
 import mast_zenoh as mast
 from mast_zenoh.report.tables.pictures import channel_sentences, picture_sentences, picture_table
-from mast_zenoh.viewer.run import RunRecord
+from mast_zenoh.runs.run import RunRecord
 
 
 @pytest.fixture(scope="module")

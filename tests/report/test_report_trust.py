@@ -35,7 +35,7 @@ from mast_zenoh.report.tables.of_run import (
     undecided_table,
 )
 from mast_zenoh.run_folder.tables import write_table
-from mast_zenoh.viewer.events import (
+from mast_zenoh.runs.events import (
     fault_spans,
     happenings,
     judged_agents,
@@ -45,8 +45,8 @@ from mast_zenoh.viewer.events import (
     states_at,
     withheld_at,
 )
+from mast_zenoh.runs.run import RunRecord
 from mast_zenoh.viewer.palette import STATES, WITHHELD
-from mast_zenoh.viewer.run import RunRecord
 
 AGENTS = ("ego", "infra_1", "infra_2", "infra_3", "infra_4")
 FRAMES, DETECTED, FAULTY = 40, 20, 25

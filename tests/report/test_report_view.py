@@ -12,7 +12,7 @@ import pytest
 
 from mast_zenoh.report.figures.drawing import birdseye_figure, camera_figure
 from mast_zenoh.report.figures.view import choose_common_frame, choose_frame, frame_view, window
-from mast_zenoh.viewer.run import RunRecord
+from mast_zenoh.runs.run import RunRecord
 
 
 def a_run(

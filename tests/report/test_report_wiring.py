@@ -13,8 +13,8 @@ import pytest
 from mast_zenoh.report.figures.diagram import draw_wiring
 from mast_zenoh.report.figures.style import svg
 from mast_zenoh.report.tables.wiring import HIGH, ROW, WIDE, Spot, layout, wire_rows
-from mast_zenoh.viewer.interposers import adversaries_by_agent, interposers
-from mast_zenoh.viewer.run import RunRecord
+from mast_zenoh.runs.interposers import adversaries_by_agent, interposers
+from mast_zenoh.runs.run import RunRecord
 
 
 def a_run(wires: list[dict[str, Any]], roles: dict[str, str] | None = None) -> RunRecord:

@@ -12,8 +12,8 @@ from rich.console import Console
 import mast_zenoh as mast
 from mast_zenoh.report.film.takes import Take
 from mast_zenoh.report.terminal import show_run
-from mast_zenoh.viewer.events import spans
-from mast_zenoh.viewer.run import RunRecord
+from mast_zenoh.runs.events import spans
+from mast_zenoh.runs.run import RunRecord
 
 SETTINGS = dict(n_infrastructure=3, n_mobile=1, n_adversaries=1, attack_start_s=0.3, defence="Pasac")
 FRAMES = 12

@@ -18,7 +18,7 @@ from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.report.figures.of_run import OURS, user_figures
 from mast_zenoh.report.html import write_report
 from mast_zenoh.report.run_figure import SECTIONS, FigureContext, RunFigure
-from mast_zenoh.viewer.run import RunRecord
+from mast_zenoh.runs.run import RunRecord
 
 Folder = Callable[..., Path]
 PNG = b"\x89PNG\r\n\x1a\n" + bytes(100)

@@ -10,11 +10,11 @@ from typing import Any
 
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.run_folder.recording.reader import read
-from mast_zenoh.viewer.frame import Frame
-from mast_zenoh.viewer.live.measurement import FrameMeter, LiveRun
-from mast_zenoh.viewer.live.observer import Insertion
-from mast_zenoh.viewer.live.reception import Sample, WireState
-from mast_zenoh.viewer.recorded import RecordedRun
+from mast_zenoh.runs.frame import Frame
+from mast_zenoh.runs.live.measurement import FrameMeter, LiveRun
+from mast_zenoh.runs.live.observer import Insertion
+from mast_zenoh.runs.live.reception import Sample, WireState
+from mast_zenoh.runs.recorded import RecordedRun
 from mast_zenoh.wiring.model import Wiring
 
 NUMBERS = (9, 10, 22)

@@ -17,9 +17,9 @@ from mast_zenoh.errors import ConfigurationError, MessageError
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.messages import codec
 from mast_zenoh.run_folder.recording.reader import read
+from mast_zenoh.runs.recorded import RecordedRun
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.v2x.asn1 import cpm_fields
-from mast_zenoh.viewer.recorded import RecordedRun
 
 SMALL = ("n_infrastructure=1", "n_mobile=1")
 REASON = r" needs compiled kernels, which are not used: "

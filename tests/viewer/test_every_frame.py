@@ -15,9 +15,9 @@ from recorded_observer import RecordedObserver
 import mast_zenoh as mast
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.run_folder.recording.reader import read
-from mast_zenoh.viewer.frame import Frame
-from mast_zenoh.viewer.live import every_frame
-from mast_zenoh.viewer.live.every_frame import (
+from mast_zenoh.runs.frame import Frame
+from mast_zenoh.runs.live import every_frame
+from mast_zenoh.runs.live.every_frame import (
     MOST_PER_KEY,
     PATIENCE,
     SETTLING_AT_MOST,
@@ -27,10 +27,10 @@ from mast_zenoh.viewer.live.every_frame import (
     patience_for,
     room_for,
 )
-from mast_zenoh.viewer.live.measurement import FrameMeter
-from mast_zenoh.viewer.live.observer import SETTLING
-from mast_zenoh.viewer.live.reception import Arrival, Sample
-from mast_zenoh.viewer.recorded import RecordedRun
+from mast_zenoh.runs.live.measurement import FrameMeter
+from mast_zenoh.runs.live.observer import SETTLING
+from mast_zenoh.runs.live.reception import Arrival, Sample
+from mast_zenoh.runs.recorded import RecordedRun
 from mast_zenoh.wiring.model import Wiring
 
 KEYS = ("clock", "a", "b")

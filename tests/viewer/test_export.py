@@ -69,7 +69,7 @@ def test_a_write_error_leaves_nothing_behind(
     def fail(self: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("mast_zenoh.viewer.recorded.RecordedRun.__iter__", fail)
+    monkeypatch.setattr("mast_zenoh.runs.recorded.RecordedRun.__iter__", fail)
     for name in OF_OBJECTS:
         with pytest.raises(mast.MastError, match="No space left on device"):
             export(recorded.path, name, tmp_path / "exported")

@@ -26,10 +26,10 @@ from mast_zenoh.messages import codec
 from mast_zenoh.messages.packed import pack
 from mast_zenoh.messages.schemas import Message
 from mast_zenoh.run_folder.recording.reader import Recorded, Wanted, read
+from mast_zenoh.runs.recorded import RecordedRun
 from mast_zenoh.v2x import cam, cpm
 from mast_zenoh.v2x.reference_position import Position
 from mast_zenoh.viewer.export import export, pcap
-from mast_zenoh.viewer.recorded import RecordedRun
 
 FRAMES = 12
 SCENE_BEGINS_S = 1_072_915_200  # 2004-01-01

@@ -19,11 +19,11 @@ from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch import liveness
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.run_folder.recording.reader import Recorded, read
-from mast_zenoh.viewer import recorded as recordings
+from mast_zenoh.runs import recorded as recordings
+from mast_zenoh.runs.frame import Outcomes
+from mast_zenoh.runs.recorded import RecordedRun
+from mast_zenoh.runs.routes import TRUTH
 from mast_zenoh.viewer.export.columns import stem
-from mast_zenoh.viewer.frame import Outcomes
-from mast_zenoh.viewer.recorded import RecordedRun
-from mast_zenoh.viewer.routes import TRUTH
 from mast_zenoh.wiring.model import Wiring
 
 

@@ -18,14 +18,14 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import prefix
 from mast_zenoh.run_folder.recording.reader import read
 from mast_zenoh.run_folder.tables import from_arrow, read_table
+from mast_zenoh.runs.frame import Frame, FramedRun
+from mast_zenoh.runs.live.measurement import FrameMeter, LiveRun
+from mast_zenoh.runs.live.observer import Observer
+from mast_zenoh.runs.live.reception import LegState, Sample, WireMeter
+from mast_zenoh.runs.recorded import RecordedRun
 from mast_zenoh.runtime.mesh.session import open_client, open_router
 from mast_zenoh.runtime.protocol.traffic import stamp
-from mast_zenoh.viewer.frame import Frame, FramedRun
-from mast_zenoh.viewer.live.measurement import FrameMeter, LiveRun
-from mast_zenoh.viewer.live.observer import Observer
-from mast_zenoh.viewer.live.reception import LegState, Sample, WireMeter
 from mast_zenoh.viewer.page.live_view import LASTING, LiveBlocks
-from mast_zenoh.viewer.recorded import RecordedRun
 from mast_zenoh.wiring.model import Wiring
 
 _OBJECTS = ("agent", "estimator", "kind", "outcome", "id", "match_id", "x", "y")

@@ -17,11 +17,11 @@ from mast_zenoh.report.film.takes import Take
 from mast_zenoh.report.film.writing import schedule
 from mast_zenoh.report.html import write_report
 from mast_zenoh.run_folder import read_json
-from mast_zenoh.viewer import run as run_module
+from mast_zenoh.runs import run as run_module
+from mast_zenoh.runs.recorded import RecordedRun
+from mast_zenoh.runs.run import RunRecord
 from mast_zenoh.viewer.page.block import run_block
 from mast_zenoh.viewer.page.columns import unpack
-from mast_zenoh.viewer.recorded import RecordedRun
-from mast_zenoh.viewer.run import RunRecord
 
 EVERY = 4
 
@@ -90,7 +90,7 @@ def test_a_frame_that_is_asked_for_is_among_those_of_a_long_run(long: Path) -> N
 def test_frames_of_a_long_run_are_judged_as_those_of_a_short_one(
     long: Path, recorded: mast.Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("mast_zenoh.viewer.recorded._WINDOW", 9)
+    monkeypatch.setattr("mast_zenoh.runs.recorded._WINDOW", 9)
     frames = list(RecordedRun.load(long))
     monkeypatch.setattr(run_module, "MOST_FRAMES", 10**6)
     for frame, other in zip(frames, RecordedRun.load(recorded.path), strict=True):

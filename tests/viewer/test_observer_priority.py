@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from mast_zenoh.viewer.live import priority
+from mast_zenoh.runs.live import priority
 
 _SYS_NICE = 23  # the capability to raise priorities
 _STATUS = Path("/proc/self/status")
@@ -18,7 +18,7 @@ _CAPABILITIES = re.search(r"^CapEff:\s*(\w+)", _STATUS.read_text(), re.MULTILINE
 
 SCRIPT = """
 import os, sys
-from mast_zenoh.viewer.live import priority
+from mast_zenoh.runs.live import priority
 
 def state():
     return [(os.sched_getscheduler(int(each)), os.getpriority(os.PRIO_PROCESS, int(each)))
@@ -49,7 +49,7 @@ def test_an_observer_that_gave_way_has_its_priority_back_when_the_run_is_over(fu
 @NICE
 def test_who_waits_for_an_observer_gives_it_its_priority_back() -> None:
     script = (
-        "from mast_zenoh.viewer.live import priority; priority.yield_processors(); print('yields', flush=True); input()"
+        "from mast_zenoh.runs.live import priority; priority.yield_processors(); print('yields', flush=True); input()"
     )
     with subprocess.Popen(
         [sys.executable, "-c", script],

@@ -22,10 +22,10 @@ from plain_record import PlainRecord
 from ros2_client import ForeignClient, expected_messages, ros2_router
 
 import mast_zenoh as mast_package
+from mast_zenoh.runs.frame import Frame
+from mast_zenoh.runs.recorded import RecordedRun
 from mast_zenoh.viewer.export.ros2_layouts import write_layouts
 from mast_zenoh.viewer.export.ros2_messages import RunMessages
-from mast_zenoh.viewer.frame import Frame
-from mast_zenoh.viewer.recorded import RecordedRun
 from mast_zenoh.viewer.ros2_bridge import Ros2Bridge, frames_to_the_end, played
 
 FAST = ("--rate", "10")

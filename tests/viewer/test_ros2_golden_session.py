@@ -26,9 +26,9 @@ from mast_zenoh.ros2.attachments import GID_BYTES, Attachment, gid_of, parse_att
 from mast_zenoh.ros2.connection import Connection
 from mast_zenoh.ros2.liveliness_tokens import EndpointToken, parse_token
 from mast_zenoh.ros2.type_store import STORE, decode
+from mast_zenoh.runs.recorded import RecordedRun
 from mast_zenoh.runtime.mesh.ros2_participant import Participant
 from mast_zenoh.runtime.mesh.session import open_client
-from mast_zenoh.viewer.recorded import RecordedRun
 from mast_zenoh.viewer.ros2_bridge import NODE, Ros2Bridge
 
 GOLDEN = Path(__file__).parent / "ros2_golden_session.json"

@@ -20,11 +20,11 @@ from mast_zenoh.arrays.geometry import box_corners, heading
 from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.metrics.estimates import OWN
 from mast_zenoh.report.figures.style import Figure, dark_axes, plain
+from mast_zenoh.runs.events import states_at, withheld_at
+from mast_zenoh.runs.frame import Boxes, Frame, Marks
+from mast_zenoh.runs.interposers import adversaries_by_agent, interposers
 from mast_zenoh.scenes.recording import SEEN_RETURNS, Recording
 from mast_zenoh.sensing import sensor_pose, to_world
-from mast_zenoh.viewer.events import states_at, withheld_at
-from mast_zenoh.viewer.frame import Boxes, Frame, Marks
-from mast_zenoh.viewer.interposers import adversaries_by_agent, interposers
 from mast_zenoh.viewer.palette import (
     ADVERSARY,
     AGENT,

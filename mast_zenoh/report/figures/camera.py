@@ -12,8 +12,8 @@ from matplotlib.colors import to_rgb, to_rgba
 
 from mast_zenoh.arrays.geometry import along_and_across, box_corners, heading, to_world
 from mast_zenoh.arrays.states import Floats
+from mast_zenoh.runs.frame import Boxes, Frame
 from mast_zenoh.sensing.sensors import Camera
-from mast_zenoh.viewer.frame import Boxes, Frame
 from mast_zenoh.viewer.palette import ADVERSARY, BUILDING, BUILDING_EDGE, GROUND, OUTCOME_COLOURS
 
 

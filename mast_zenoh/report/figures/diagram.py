@@ -10,8 +10,8 @@ from matplotlib.path import Path as Curve
 
 from mast_zenoh.report.figures.style import Figure, plain
 from mast_zenoh.report.tables.wiring import GAP, HIGH, ROW, WIDE, Layout, Spot, column_of, layout, live_frames
+from mast_zenoh.runs.run import RunRecord
 from mast_zenoh.viewer.palette import ADVERSARY_ON_LIGHT, FAINT, FAULT_ON_LIGHT, INK, LOCAL, RUN_COLOURS
-from mast_zenoh.viewer.run import RunRecord
 
 _HALF = WIDE / 2
 

@@ -18,7 +18,7 @@ from mast_zenoh.report.figures.style import Figure, pdf, plain, png, svg
 from mast_zenoh.report.figures.view import window
 from mast_zenoh.report.tables.scores import ScoreTable, number
 from mast_zenoh.run_folder import subfolder, write_bytes
-from mast_zenoh.viewer.frame import Frame
+from mast_zenoh.runs.frame import Frame
 from mast_zenoh.viewer.palette import FAINT, GROUND
 
 _WHITE = "#f2f5f9"

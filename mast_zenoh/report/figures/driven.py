@@ -12,9 +12,9 @@ from mast_zenoh.driving.comfort import HARD_BRAKING_MPS2
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.figures.style import Figure, light_axes, plain
 from mast_zenoh.report.figures.timeaxis import padded
-from mast_zenoh.viewer.driven import brakes_of, course_of
+from mast_zenoh.runs.driven import brakes_of, course_of
+from mast_zenoh.runs.run import RunRecord, Table
 from mast_zenoh.viewer.palette import ADVERSARY_ON_LIGHT, GROUNDS, INK, KEYS, LOCAL, RUN_COLOURS
-from mast_zenoh.viewer.run import RunRecord, Table
 
 #: Of needless brakes, and of others.
 _NEEDLESS, _BRAKE = KEYS["paper"]["light"].outcomes["track false"], "#9aa3ad"

@@ -32,10 +32,10 @@ from mast_zenoh.report.narrative.driven import car_sentences
 from mast_zenoh.report.run_figure import SECTIONS, FigureContext, RunFigure
 from mast_zenoh.report.tables.scores import ScoreTable
 from mast_zenoh.run_folder import check_plain, read_json, write_bytes
-from mast_zenoh.viewer.events import doubts, states_at, suspensions
-from mast_zenoh.viewer.frame import Frame
-from mast_zenoh.viewer.interposers import interposers
-from mast_zenoh.viewer.run import RunRecord
+from mast_zenoh.runs.events import doubts, states_at, suspensions
+from mast_zenoh.runs.frame import Frame
+from mast_zenoh.runs.interposers import interposers
+from mast_zenoh.runs.run import RunRecord
 
 _COUNTS_CAPTION = (
     f"Bold: mean over the last {SMOOTH} frames; pale: single frames. Shaded: from the first to the last change that an "

@@ -18,8 +18,8 @@ from mast_zenoh.report.figures.timeaxis import HATCH, bands, fault_legend, padde
 from mast_zenoh.report.narrative.changes import scored
 from mast_zenoh.report.tables.of_run import DRIVEN_BY
 from mast_zenoh.report.tables.scores import shown_estimates
+from mast_zenoh.runs.run import RunRecord, Table, rows
 from mast_zenoh.viewer.palette import ADVERSARY_ON_LIGHT, FAULT_ON_LIGHT, INK, LOCAL, RUN_COLOURS
-from mast_zenoh.viewer.run import RunRecord, Table, rows
 
 #: Columns that the report shows.
 REPORT_COLUMNS = ("fn", "fp", "rmse_m")

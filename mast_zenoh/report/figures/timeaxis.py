@@ -14,9 +14,9 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.textpath import TextPath
 
 from mast_zenoh.report.figures.style import Figure, plain
-from mast_zenoh.viewer.events import absences
+from mast_zenoh.runs.events import absences
+from mast_zenoh.runs.run import RunRecord
 from mast_zenoh.viewer.palette import ADVERSARY_ON_LIGHT, FAULT_ON_LIGHT, INK
-from mast_zenoh.viewer.run import RunRecord
 
 #: Inches: height of a lane, and gap between a band and the next label. Points: font size of labels.
 LANE, _GAP, _FONT_SIZE = 0.2, 0.14, 8.5

@@ -14,9 +14,9 @@ from mast_zenoh.metrics.study_results import AgentTrustSeries, Spans, TrustPanel
 from mast_zenoh.report.figures.drawing import RenderedFigure, render
 from mast_zenoh.report.figures.style import Figure, light_axes, plain
 from mast_zenoh.report.figures.timeaxis import HATCH, padded
-from mast_zenoh.viewer.events import trust_in_agents
+from mast_zenoh.runs.events import trust_in_agents
+from mast_zenoh.runs.run import RunRecord
 from mast_zenoh.viewer.palette import ADVERSARY_ON_LIGHT, FAULT_ON_LIGHT, INK, STATES_ON_LIGHT
-from mast_zenoh.viewer.run import RunRecord
 
 
 class Scale(NamedTuple):

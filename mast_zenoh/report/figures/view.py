@@ -9,8 +9,8 @@ import numpy as np
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.report.narrative.changes import OBJECT_M2, SWITCH, scored
-from mast_zenoh.viewer.frame import Frame, ego_position, frame_at, has_boxes
-from mast_zenoh.viewer.run import RunRecord
+from mast_zenoh.runs.frame import Frame, ego_position, frame_at, has_boxes
+from mast_zenoh.runs.run import RunRecord
 
 #: The estimates that pictures show, side by side.
 PANELS = ("local", "picture", "mission")

@@ -22,12 +22,12 @@ from mast_zenoh.report.figures.camera import draw_camera, ego_eye
 from mast_zenoh.report.figures.style import plain
 from mast_zenoh.report.film.look import Theme
 from mast_zenoh.report.film.takes import Attacks, Framing, Take, Window
+from mast_zenoh.runs.driven import NEEDLESSLY, ROLLS, braking_of, cars_of, course_of, twin_course
+from mast_zenoh.runs.events import node_absences, spans, states_at, withheld_at
+from mast_zenoh.runs.frame import Boxes
+from mast_zenoh.runs.run import Table
 from mast_zenoh.sensing.sensors import LidarSensor
-from mast_zenoh.viewer.driven import NEEDLESSLY, ROLLS, braking_of, cars_of, course_of, twin_course
-from mast_zenoh.viewer.events import node_absences, spans, states_at, withheld_at
-from mast_zenoh.viewer.frame import Boxes
 from mast_zenoh.viewer.palette import TROUBLES
-from mast_zenoh.viewer.run import Table
 
 #: Of a sensor's outline: its points, how opaque it is, and the number of agents above which it is fainter.
 _POINTS, _OPACITY, _MANY = 49, 0.35, 6

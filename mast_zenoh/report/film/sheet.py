@@ -21,8 +21,8 @@ from mast_zenoh.report.figures.style import Figure, plain
 from mast_zenoh.report.film.look import Look, Theme
 from mast_zenoh.report.film.panels import BirdseyePanel, CameraPanel, Strip, image_crop_aspect
 from mast_zenoh.report.film.takes import Attacks, Captions, Framing, Take, framing
-from mast_zenoh.viewer.events import states_at, withheld_at
-from mast_zenoh.viewer.frame import Frame
+from mast_zenoh.runs.events import states_at, withheld_at
+from mast_zenoh.runs.frame import Frame
 
 #: Left and right of the panels; between them; between a bird's-eye view and a camera view.
 MARGIN, GAP, CAMERA_GAP = 0.12, 0.14, 0.06

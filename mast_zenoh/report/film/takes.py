@@ -15,12 +15,12 @@ from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import ConfigurationError, RunFolderError, nearest
 from mast_zenoh.metrics.estimates import TRUTH
 from mast_zenoh.report.film.look import SHOWN, WindowChoice
-from mast_zenoh.viewer import events
-from mast_zenoh.viewer.driven import braking_events
-from mast_zenoh.viewer.events import spans
-from mast_zenoh.viewer.frame import Frame, Score, ego_position, frame_at, has_boxes
-from mast_zenoh.viewer.interposers import interposers
-from mast_zenoh.viewer.run import RunRecord, Table, rows
+from mast_zenoh.runs import events
+from mast_zenoh.runs.driven import braking_events
+from mast_zenoh.runs.events import spans
+from mast_zenoh.runs.frame import Frame, Score, ego_position, frame_at, has_boxes
+from mast_zenoh.runs.interposers import interposers
+from mast_zenoh.runs.run import RunRecord, Table, rows
 
 #: What panels are titled.
 TITLES = {

@@ -22,7 +22,7 @@ from mast_zenoh.report.film.look import Look
 from mast_zenoh.report.film.sheet import Sheet
 from mast_zenoh.report.film.takes import TITLES, Take
 from mast_zenoh.run_folder import check_free, write_new
-from mast_zenoh.viewer.run import MOST_FRAMES, RunRecord
+from mast_zenoh.runs.run import MOST_FRAMES, RunRecord
 
 #: Images per second at most, unless the user asks for more.
 _SMOOTH_FPS = 30.0

@@ -26,8 +26,8 @@ from mast_zenoh.report.narrative.changes import (
     plural,
     scored,
 )
-from mast_zenoh.viewer.interposers import OF_OBJECTS, Interposer, interposers
-from mast_zenoh.viewer.run import RunRecord, Table, agent_of, rows
+from mast_zenoh.runs.interposers import OF_OBJECTS, Interposer, interposers
+from mast_zenoh.runs.run import RunRecord, Table, agent_of, rows
 from mast_zenoh.wiring.model import peer_of
 
 #: Adversaries with a sentence of their own; the others share one.

@@ -24,8 +24,8 @@ from mast_zenoh.report.narrative.changes import (
     witnesses_of_withheld,
 )
 from mast_zenoh.report.tables.wiring import all_wires
-from mast_zenoh.viewer.interposers import failures_of, interposers
-from mast_zenoh.viewer.run import RunRecord, agent_of
+from mast_zenoh.runs.interposers import failures_of, interposers
+from mast_zenoh.runs.run import RunRecord, agent_of
 from mast_zenoh.wiring.model import Passage
 
 

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mast_zenoh.metrics.estimates import ESTIMATES, IN_TRANSIT, PICTURE, RECEIVED, place_of
-from mast_zenoh.viewer.interposers import EFFECTS, OF_OBJECTS, Interposer
-from mast_zenoh.viewer.run import RunRecord
+from mast_zenoh.runs.interposers import EFFECTS, OF_OBJECTS, Interposer
+from mast_zenoh.runs.run import RunRecord
 
 FALSE, MISSED, DISPLACED, IDENTITY = "false", "missed", "displaced", "identity"
 

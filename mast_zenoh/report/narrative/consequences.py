@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from mast_zenoh.report.comparison import WAY_M, Reference
 from mast_zenoh.report.narrative.changes import capital, count, join_names
-from mast_zenoh.viewer.run import RunRecord
+from mast_zenoh.runs.run import RunRecord
 
 #: Cars that a headline names; more are counted.
 _MOST_CARS = 3

@@ -8,8 +8,8 @@ from typing import Any
 
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.narrative.changes import join_names, plural
-from mast_zenoh.viewer.driven import reason_of
-from mast_zenoh.viewer.run import RunRecord
+from mast_zenoh.runs.driven import reason_of
+from mast_zenoh.runs.run import RunRecord
 
 #: m, of way, and s, of standing: a smaller difference between a run and its twin is not said.
 _WAY_M, _STANDING_S = 1.0, 0.2

@@ -38,8 +38,8 @@ from mast_zenoh.report.narrative.consequences import consequence, drives, worst
 from mast_zenoh.report.tables.of_run import braking_by_attack, check_rows, driving_differs, unattributed_braking
 from mast_zenoh.report.tables.scores import ScoreTable
 from mast_zenoh.run_folder.recording import churn
-from mast_zenoh.viewer.interposers import Interposer, failures_of, frames_of, interposers
-from mast_zenoh.viewer.run import RunRecord, Table, rows
+from mast_zenoh.runs.interposers import Interposer, failures_of, frames_of, interposers
+from mast_zenoh.runs.run import RunRecord, Table, rows
 
 #: How a run that did not end well failed, by its status.
 _FAILED = {

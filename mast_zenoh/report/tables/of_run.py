@@ -14,10 +14,10 @@ from mast_zenoh.report.narrative.adversaries import explanations
 from mast_zenoh.report.narrative.attribution import reaches
 from mast_zenoh.report.tables.pictures import exceeds
 from mast_zenoh.report.tables.text_table import DASH, Head, Line, PageTable
+from mast_zenoh.runs.events import doubts, suspensions
+from mast_zenoh.runs.interposers import interposers
+from mast_zenoh.runs.run import RunRecord
 from mast_zenoh.tracking.base import OVERCONFIDENT
-from mast_zenoh.viewer.events import doubts, suspensions
-from mast_zenoh.viewer.interposers import interposers
-from mast_zenoh.viewer.run import RunRecord
 
 ALL = "all"
 _ACHIEVED = (

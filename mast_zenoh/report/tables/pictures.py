@@ -7,7 +7,7 @@ from typing import Any
 
 from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.report.tables.text_table import DASH, Head, Line, PageTable, whole_percent
-from mast_zenoh.viewer.run import RunRecord
+from mast_zenoh.runs.run import RunRecord
 
 _QUANTITIES = {"position": "positions", "velocity": "velocities"}
 _HEADS = [

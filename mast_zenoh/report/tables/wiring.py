@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from mast_zenoh.viewer.interposers import interposers
-from mast_zenoh.viewer.run import RunRecord
+from mast_zenoh.runs.interposers import interposers
+from mast_zenoh.runs.run import RunRecord
 
 #: The receivers of what a peer sends to all others, drawn as one node.
 _OTHER_PEERS = "all other peers"

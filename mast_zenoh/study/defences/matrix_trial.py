@@ -18,11 +18,11 @@ from mast_zenoh.errors import RunFolderError
 from mast_zenoh.metrics.boxes import Places, nearest
 from mast_zenoh.metrics.study_results import AgentTrustSeries, Spans
 from mast_zenoh.run_folder.tables import from_arrow
+from mast_zenoh.runs.events import trust_in_agents
+from mast_zenoh.runs.run import RunRecord
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.study.defences.choices import honest_majority
 from mast_zenoh.study.numbers import ego, scored_frames
-from mast_zenoh.viewer.events import trust_in_agents
-from mast_zenoh.viewer.run import RunRecord
 
 #: States that the figure shows.
 _DRAWN_STATES = ("faulty", "suspended", "undecided")

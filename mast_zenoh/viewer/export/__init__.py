@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 from mast_zenoh.errors import ExportError
 from mast_zenoh.run_folder import check_free, write_new
+from mast_zenoh.runs.recorded import RecordedRun
 from mast_zenoh.viewer.formats import FORMATS, Format, check
-from mast_zenoh.viewer.recorded import RecordedRun
 
 
 class Exported(NamedTuple):

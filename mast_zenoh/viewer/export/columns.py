@@ -13,11 +13,11 @@ from mast_zenoh.errors import RunFolderError
 from mast_zenoh.messages.plain_shapes import EXPECTED_NAME, is_name
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.metrics.scores import OUTCOMES
+from mast_zenoh.runs.frame import Frame, FramedRun, Pose
+from mast_zenoh.runs.routes import TRUTH
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import Camera
-from mast_zenoh.viewer.frame import Frame, FramedRun, Pose
 from mast_zenoh.viewer.palette import OUTCOME_COLOURS, rgb
-from mast_zenoh.viewer.routes import TRUTH
 
 #: Colours (4, 3), 0 to 255, of the outcomes of objects of the truth, and of tracks.
 _TRUTH_COLOURS = np.array(

@@ -38,6 +38,8 @@ from PIL import Image
 from mast_zenoh.arrays.geometry import scalar_last_quaternions
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.metrics.record import Series
+from mast_zenoh.runs.frame import Frame, FramedRun, Score
+from mast_zenoh.runs.routes import TRUTH
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import Camera
 from mast_zenoh.viewer.export.columns import (
@@ -62,9 +64,7 @@ from mast_zenoh.viewer.export.foxglove_layout import (
     object_topics,
     score_topic,
 )
-from mast_zenoh.viewer.frame import Frame, FramedRun, Score
 from mast_zenoh.viewer.palette import ADVERSARY, BUILDING_EDGE, OUTCOME_COLOURS, rgb
-from mast_zenoh.viewer.routes import TRUTH
 
 
 def replacement(time_ns: int, entities: list[SceneEntity]) -> SceneUpdate:

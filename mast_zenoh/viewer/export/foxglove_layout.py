@@ -9,10 +9,10 @@ import numpy as np
 
 from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.metrics.record import Series
+from mast_zenoh.runs.frame import FramedRun
+from mast_zenoh.runs.routes import TRUTH
 from mast_zenoh.viewer.export.columns import scene_frame
-from mast_zenoh.viewer.frame import FramedRun
 from mast_zenoh.viewer.palette import GROUND
-from mast_zenoh.viewer.routes import TRUTH
 
 TRANSFORMS, BUILDINGS, CHANGES, LOG = "/tf", "/scene/buildings", "/changes", "/log"
 

@@ -15,12 +15,12 @@ import numpy as np
 from mast_zenoh.arrays.geometry import box_corners, to_local, to_world, wrap_angle
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.metrics.record import Series
+from mast_zenoh.runs.frame import Frame, Pose
+from mast_zenoh.runs.recorded import RecordedRun
+from mast_zenoh.runs.routes import TRUTH
 from mast_zenoh.scenes.recording import SEEN_RETURNS
 from mast_zenoh.sensing import Camera, LidarSensor
 from mast_zenoh.viewer.export.columns import AXES, cameras, class_names, stem
-from mast_zenoh.viewer.frame import Frame, Pose
-from mast_zenoh.viewer.recorded import RecordedRun
-from mast_zenoh.viewer.routes import TRUTH
 
 SEQUENCE = "0000"
 _TYPES = {"car": "Car", "truck": "Truck", "bicycle": "Cyclist", "pedestrian": "Pedestrian"}

@@ -10,11 +10,11 @@ import numpy as np
 
 from mast_zenoh.arrays.geometry import box_corners
 from mast_zenoh.arrays.states import Floats, ObjectStates
+from mast_zenoh.runs.frame import Frame
+from mast_zenoh.runs.recorded import RecordedRun
+from mast_zenoh.runs.routes import TRUTH
 from mast_zenoh.scenes.recording import SEEN_RETURNS
 from mast_zenoh.viewer.export.columns import stem
-from mast_zenoh.viewer.frame import Frame
-from mast_zenoh.viewer.recorded import RecordedRun
-from mast_zenoh.viewer.routes import TRUTH
 
 
 def write(run: RecordedRun, path: Path) -> None:

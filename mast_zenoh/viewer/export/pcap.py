@@ -21,11 +21,11 @@ from mast_zenoh.errors import ExportError, MessageError
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.packed import Packed
 from mast_zenoh.run_folder.recording.reader import Recorded, read
+from mast_zenoh.runs.recorded import RecordedRun
 from mast_zenoh.v2x import cam, cpm
 from mast_zenoh.v2x.asn1 import cam_fields, cpm_fields, uper
 from mast_zenoh.v2x.asn1.plain import to_plain
 from mast_zenoh.v2x.reference_position import Position
-from mast_zenoh.viewer.recorded import RecordedRun
 from mast_zenoh.wiring.model import Passage, Wiring
 
 #: When a scene begins, s since 1970: 2004-01-01 00:00 UTC, from which the reference times in CPMs count.

@@ -9,6 +9,8 @@ from typing import Any, NamedTuple
 import yaml
 
 from mast_zenoh.metrics.estimates import PICTURE
+from mast_zenoh.runs.frame import FramedRun
+from mast_zenoh.runs.routes import TRUTH
 from mast_zenoh.viewer.export.foxglove_layout import document, from_above, scene_of, split, view_of
 from mast_zenoh.viewer.export.ros2_messages import (
     DIAGNOSTICS,
@@ -20,9 +22,7 @@ from mast_zenoh.viewer.export.ros2_messages import (
     TRANSFORMS,
     RunMessages,
 )
-from mast_zenoh.viewer.frame import FramedRun
 from mast_zenoh.viewer.palette import GROUND, rgb
-from mast_zenoh.viewer.routes import TRUTH
 
 _HEADER = "# rviz2 -d {path} --ros-args -p use_sim_time:=true\n# Times are those of the scene, on /clock.\n"
 

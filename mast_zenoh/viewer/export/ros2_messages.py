@@ -18,9 +18,9 @@ from mast_zenoh.ros2.pose_messages import clock, odometry, transform_message
 from mast_zenoh.ros2.spatial import Transform
 from mast_zenoh.ros2.trust_messages import diagnostic_array
 from mast_zenoh.ros2.type_store import RosMessage
+from mast_zenoh.runs.frame import Frame, FramedRun
+from mast_zenoh.runs.routes import POSE, TRUST
 from mast_zenoh.viewer.export.columns import AXES, WORLD, cameras, colours
-from mast_zenoh.viewer.frame import Frame, FramedRun
-from mast_zenoh.viewer.routes import POSE, TRUST
 
 #: The root of all frames of reference, which RViz expects: at the run's origin, as RViz has 32 bits for a coordinate.
 MAP = "map"

@@ -9,8 +9,8 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 
 from mast_zenoh.ros2 import type_store
 from mast_zenoh.ros2.type_store import RosMessage
+from mast_zenoh.runs.recorded import RecordedRun
 from mast_zenoh.viewer.export.ros2_messages import CLOCK, RunMessages
-from mast_zenoh.viewer.recorded import RecordedRun
 
 _NEVER = QosTime(2147483647, 4294967295)
 #: Of topics whose message those get that subscribe late.

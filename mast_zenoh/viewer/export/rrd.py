@@ -16,10 +16,10 @@ from mast_zenoh.arrays.geometry import scalar_last_quaternions
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.metrics.record import Series
+from mast_zenoh.runs.frame import Frame, FramedRun
+from mast_zenoh.runs.routes import TRUTH
 from mast_zenoh.viewer.export.columns import cameras, class_names, colours, missed, wall_lines
-from mast_zenoh.viewer.frame import Frame, FramedRun
 from mast_zenoh.viewer.palette import ADVERSARY, BUILDING_EDGE, GROUND, OUTCOME_COLOURS, rgb
-from mast_zenoh.viewer.routes import TRUTH
 
 APPLICATION = "mast-zenoh"
 #: Timelines: number of the frame, and time of the scene.

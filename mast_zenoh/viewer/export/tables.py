@@ -13,10 +13,10 @@ import pyarrow.csv
 import pyarrow.parquet
 
 from mast_zenoh.arrays.states import COVARIANCE_ORDER
+from mast_zenoh.runs.frame import Frame
+from mast_zenoh.runs.recorded import RecordedRun
+from mast_zenoh.runs.routes import TRUTH
 from mast_zenoh.viewer.export.columns import class_names, standard_deviations
-from mast_zenoh.viewer.frame import Frame
-from mast_zenoh.viewer.recorded import RecordedRun
-from mast_zenoh.viewer.routes import TRUTH
 
 #: Frames that are written together.
 _BATCH = 50

@@ -20,14 +20,14 @@ from mast_zenoh.arrays.states import CLASSES, Bools, Floats, Ints, ObjectStates
 from mast_zenoh.errors import MastError
 from mast_zenoh.launch.twin import NAME
 from mast_zenoh.metrics.estimates import ESTIMATES
+from mast_zenoh.runs.driven import braking_events, braking_of, cars_of, course_of, twin_course
+from mast_zenoh.runs.events import EFFECTS, Event, first_changes, happenings, lie_frames, node_absences, spans
+from mast_zenoh.runs.interposers import adversaries_by_agent, interposers
+from mast_zenoh.runs.run import ALL, RunRecord, Sample, Table, column, rows
 from mast_zenoh.scenes.recording import TRUTH_COLUMNS, Recording, SceneAgent, truth_states
-from mast_zenoh.viewer.driven import braking_events, braking_of, cars_of, course_of, twin_course
-from mast_zenoh.viewer.events import EFFECTS, Event, first_changes, happenings, lie_frames, node_absences, spans
-from mast_zenoh.viewer.interposers import adversaries_by_agent, interposers
 from mast_zenoh.viewer.page.columns import Packer
 from mast_zenoh.viewer.page.motion import BoxTable, Meaning, Truth, View, motion_of, recorded_tracks, row_keys
 from mast_zenoh.viewer.palette import STATES, page_colours
-from mast_zenoh.viewer.run import ALL, RunRecord, Sample, Table, column, rows
 
 FORMAT = 1
 #: m, rad and 1: resolution of positions and sizes, of headings, and of scores.

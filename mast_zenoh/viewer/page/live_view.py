@@ -15,18 +15,18 @@ import zenoh
 from mast_zenoh.arrays.states import Floats, ObjectStates
 from mast_zenoh.errors import MastError
 from mast_zenoh.metrics.estimates import ESTIMATORS
+from mast_zenoh.runs.events import spans
+from mast_zenoh.runs.frame import Frame
+from mast_zenoh.runs.live.observed import ObservedRun
+from mast_zenoh.runs.live.observer import POLL_S, Observer
+from mast_zenoh.runs.routes import TRUTH
+from mast_zenoh.runs.run import RunRecord
 from mast_zenoh.scenes.recording import truth_states
-from mast_zenoh.viewer.events import spans
-from mast_zenoh.viewer.frame import Frame
-from mast_zenoh.viewer.live.observed import ObservedRun
-from mast_zenoh.viewer.live.observer import POLL_S, Observer
 from mast_zenoh.viewer.page.block import Surroundings, boxes_of, pack_frames
 from mast_zenoh.viewer.page.columns import Packer
 from mast_zenoh.viewer.page.live_server import Feed, LiveServer
 from mast_zenoh.viewer.page.motion import Truth, motion_of
 from mast_zenoh.viewer.page.page import policy, viewer_page
-from mast_zenoh.viewer.routes import TRUTH
-from mast_zenoh.viewer.run import RunRecord
 
 #: s in which a finished run must have its results.
 _RESULTS_S = 60.0

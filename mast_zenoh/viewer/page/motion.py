@@ -13,7 +13,7 @@ from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.run_folder.recording.reader import read
-from mast_zenoh.viewer.run import RunRecord, Table
+from mast_zenoh.runs.run import RunRecord, Table
 
 #: m, greatest standard deviation that is kept: more is not drawn.
 _MOST_M = 300.0

@@ -19,10 +19,10 @@ from string import Template
 from typing import NamedTuple
 
 from mast_zenoh.errors import NotComparable, RunFolderError
+from mast_zenoh.runs.run import RunRecord
 from mast_zenoh.viewer.loopback import LoopbackHandler, LoopbackServer
 from mast_zenoh.viewer.page.block import run_block
 from mast_zenoh.viewer.palette import GROUNDS
-from mast_zenoh.viewer.run import RunRecord
 
 _FOLDER = resources.files("mast_zenoh.viewer.page")
 _IMPORT = re.compile(r'^import \{[^}]*\} from "\./([\w.]+)";\n', re.MULTILINE)

@@ -13,8 +13,8 @@ from browser import FRAME, FRAMES, WatchedPage, chromium
 from mast_zenoh import scenario
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.report.html import write_report
+from mast_zenoh.runs.run import RunRecord
 from mast_zenoh.viewer.page.page import viewer_page
-from mast_zenoh.viewer.run import RunRecord
 
 #: Few objects are near each other, and both liars are soon suspended.
 SPARSE = "scene.dense=False"

@@ -19,9 +19,9 @@ from mast_zenoh.arrays.geometry import box_corners, to_local, to_world
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.report.figures.camera import clip_polygon
 from mast_zenoh.run_folder.tables import read_table
+from mast_zenoh.runs.run import RunRecord
 from mast_zenoh.viewer.page.block import run_block
 from mast_zenoh.viewer.page.columns import unpack
-from mast_zenoh.viewer.run import RunRecord
 
 pytestmark = pytest.mark.heavy
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from browser import FRAMES, WatchedPage
 
-from mast_zenoh.viewer.events import spans
+from mast_zenoh.runs.events import spans
+from mast_zenoh.runs.run import RunRecord
 from mast_zenoh.viewer.page.page import viewer_page
-from mast_zenoh.viewer.run import RunRecord
 
 OpenPage = Callable[..., WatchedPage]
 

@@ -11,7 +11,7 @@ import pytest
 from launched import eventually
 from recorded_observer import RecordedObserver
 
-from mast_zenoh.viewer.live.reception import LegState, WireState
+from mast_zenoh.runs.live.reception import LegState, WireState
 from mast_zenoh.viewer.page.live_server import Feed, LiveServer
 from mast_zenoh.viewer.page.live_view import LiveBlocks
 

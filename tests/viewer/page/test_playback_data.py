@@ -9,9 +9,9 @@ import pytest
 from numpy.typing import NDArray
 
 from mast_zenoh.run_folder.tables import read_table
+from mast_zenoh.runs.run import RunRecord
 from mast_zenoh.viewer.page.block import run_block, shown_id
 from mast_zenoh.viewer.page.columns import Packer, unpack
-from mast_zenoh.viewer.run import RunRecord
 
 Block = tuple[dict, dict[str, NDArray[np.float64]]]
 

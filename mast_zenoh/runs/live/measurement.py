@@ -19,10 +19,10 @@ from mast_zenoh.metrics.estimates import LOCAL, MISSION, PICTURE, PICTURE_RECEIV
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.run_folder.tables import as_read, to_arrow
 from mast_zenoh.runtime.host import Host
-from mast_zenoh.viewer.frame import Evaluated, Frame, FramedRun
-from mast_zenoh.viewer.live.observed import ObservedRun
-from mast_zenoh.viewer.live.reception import Sample
-from mast_zenoh.viewer.routes import CLOCK, routes
+from mast_zenoh.runs.frame import Evaluated, Frame, FramedRun
+from mast_zenoh.runs.live.observed import ObservedRun
+from mast_zenoh.runs.live.reception import Sample
+from mast_zenoh.runs.routes import CLOCK, routes
 from mast_zenoh.wiring.model import ANY, Endpoint, Wiring
 
 #: Parameters of the evaluator that decide how a frame is measured; the others only concern summaries of runs.

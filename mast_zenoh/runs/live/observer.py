@@ -12,10 +12,10 @@ import zenoh
 
 from mast_zenoh.config.resolved import driver_of
 from mast_zenoh.control import prefix
-from mast_zenoh.viewer.frame import Frame
-from mast_zenoh.viewer.live.measurement import FrameMeter, LiveRun
-from mast_zenoh.viewer.live.observed import ObservedRun
-from mast_zenoh.viewer.live.reception import KEPT, Arrival, Reception, WireMeter, WireState
+from mast_zenoh.runs.frame import Frame
+from mast_zenoh.runs.live.measurement import FrameMeter, LiveRun
+from mast_zenoh.runs.live.observed import ObservedRun
+from mast_zenoh.runs.live.reception import KEPT, Arrival, Reception, WireMeter, WireState
 from mast_zenoh.wiring.model import Wiring
 
 #: Most frames a second that are measured.

@@ -19,12 +19,15 @@ from mast_zenoh.metrics.record import Series
 from mast_zenoh.metrics.scores import OUTCOMES, UNEVALUATED
 from mast_zenoh.run_folder.tables import from_arrow
 from mast_zenoh.scenes.recording import truth_states
-from mast_zenoh.viewer.palette import OUTCOME_COLOURS
-from mast_zenoh.viewer.routes import POSE, TRUTH
-from mast_zenoh.viewer.run import RunRecord, Table, rows
+from mast_zenoh.runs.routes import POSE, TRUTH
+from mast_zenoh.runs.run import RunRecord, Table, rows
 
 #: Estimates behind the picture's way to the agent.
 BEHIND = (MISSION, PICTURE_RECEIVED, PICTURE_ON_ARRIVAL)
+
+
+#: Kinds of boxes, in drawing order: what they are, and how the evaluator judged them.
+BOX_OUTCOMES = ("unevaluated", "truth matched", "track matched", "truth missed", "track false")
 
 
 class Pose(NamedTuple):
@@ -362,7 +365,7 @@ class Frame:
 
     @cached_property
     def boxes(self) -> dict[str, dict[str, Boxes]]:
-        """The main agent's boxes by estimate, then by outcome (the keys of OUTCOME_COLOURS)."""
+        """The main agent's boxes by estimate, then by outcome (the keys of BOX_OUTCOMES)."""
         boxes: dict[str, dict[str, Boxes]] = {}
         objects, scene = self.run.objects, self.run.recording
         if objects is None:
@@ -373,12 +376,12 @@ class Frame:
                 prepared = scene.truth_at(min(self.index, len(scene) - 1))
                 truth = _states(TRUTH, self.bodies[TRUTH]) if TRUTH in self.bodies else prepared
                 nothing = Boxes(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
-                boxes[estimate] = dict.fromkeys(OUTCOME_COLOURS, nothing)
+                boxes[estimate] = dict.fromkeys(BOX_OUTCOMES, nothing)
                 boxes[estimate]["truth matched"] = Boxes(truth.position, truth.size, truth.yaw)
                 continue
             own = rows(here, here["estimator"] == self.run.original(estimate))
             boxes[estimate] = {}
-            for outcome in OUTCOME_COLOURS:
+            for outcome in BOX_OUTCOMES:
                 kind, _, result = outcome.rpartition(" ")
                 mask = own["outcome"] == result
                 boxes[estimate][outcome] = Boxes.of(rows(own, mask & (own["kind"] == kind) if kind else mask))

@@ -13,8 +13,8 @@ from mast_zenoh.driving.braking import BRAKING_MPS2
 from mast_zenoh.errors import MastError
 from mast_zenoh.launch.twin import FOLDER, NAME
 from mast_zenoh.run_folder import read_json
-from mast_zenoh.viewer.events import Event
-from mast_zenoh.viewer.run import RunRecord, Table, driven_table, rows
+from mast_zenoh.runs.events import Event
+from mast_zenoh.runs.run import RunRecord, Table, driven_table, rows
 
 #: What a car does in a frame: it does not brake, it brakes, it does so although the truth gives no reason.
 ROLLS, BRAKES, NEEDLESSLY = range(3)

@@ -10,7 +10,7 @@ import numpy as np
 
 from mast_zenoh.control import failures
 from mast_zenoh.control.failures import how_often
-from mast_zenoh.viewer.run import RunRecord, agent_of
+from mast_zenoh.runs.run import RunRecord, agent_of
 
 #: Effects with their own column; all others share one.
 EFFECTS = ("inserted", "removed", "moved", "altered", "delayed", "dropped", "repeated")

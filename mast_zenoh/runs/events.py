@@ -11,7 +11,7 @@ from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.evaluation.trust import UPSTREAM
 from mast_zenoh.metrics.study_results import AgentTrustSeries, Spans
 from mast_zenoh.run_folder.recording.churn import LOST
-from mast_zenoh.viewer.run import RunRecord, Table, agent_of, column, rows
+from mast_zenoh.runs.run import RunRecord, Table, agent_of, column, rows
 
 #: Manipulations that have a place, as verbs.
 EFFECTS = {"inserted": "inserts", "removed": "removes", "moved": "moves"}

@@ -19,8 +19,8 @@ from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.run_folder import read_object
 from mast_zenoh.run_folder.recording.reader import Recorded, file_of, read
-from mast_zenoh.viewer.frame import Evaluated, Frame, FramedRun
-from mast_zenoh.viewer.routes import CLOCK, TRUTH, routes
+from mast_zenoh.runs.frame import Evaluated, Frame, FramedRun
+from mast_zenoh.runs.routes import CLOCK, TRUTH, routes
 
 _WINDOW = 250  # frames of a long run whose tables are in memory
 

@@ -26,7 +26,7 @@ from mast_zenoh.run_folder import check_plain, read_object
 from mast_zenoh.run_folder.tables import from_arrow, read_arrow, read_groups
 from mast_zenoh.scenario.driving import driver_of_car
 from mast_zenoh.scenes.recording import Recording
-from mast_zenoh.viewer import routes
+from mast_zenoh.runs import routes
 from mast_zenoh.wiring.model import Wiring
 
 #: A table: one array per column, all of one length.

@@ -18,10 +18,10 @@ import zenoh
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messages import codec
-from mast_zenoh.viewer.frame import Frame
-from mast_zenoh.viewer.live.observed import ObservedRun
-from mast_zenoh.viewer.live.observer import SETTLING, Observer
-from mast_zenoh.viewer.live.reception import Arrival, Sample
+from mast_zenoh.runs.frame import Frame
+from mast_zenoh.runs.live.observed import ObservedRun
+from mast_zenoh.runs.live.observer import SETTLING, Observer
+from mast_zenoh.runs.live.reception import Arrival, Sample
 
 #: s between two looks at what has arrived.
 POLL_S = 0.01
