@@ -13,10 +13,11 @@ ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "architecture.md").read_text()
 PATHS = {
     "One detection, from the simulator to the picture": 12,
-    "One metric, from the evaluator to the page": 6,
+    "One metric, from the evaluator to the page": 7,
 }
-#: Between two functions: a message crosses the mesh, waits in a queue, or is written to the run folder.
-CROSSINGS = ("mesh", "inbox", "disk")
+#: Between two functions: a message crosses the mesh, waits in a queue, is written to the run folder, or is asked for by
+#: the next function.
+CROSSINGS = ("mesh", "inbox", "disk", "asked")
 
 
 def steps(title: str) -> list[tuple[str, list[str]]]:
@@ -62,6 +63,11 @@ def test_a_path_through_the_code_has_few_files_and_every_name_leads_to_the_next(
     assert len(files) <= PATHS[title]
     way = [(path, name) for path, names in path_steps for name in names]
     published: set[str] = set()  # ports on which the nodes so far publish
+    for (_, answer), (_, crossing), (path, name) in zip(way, way[1:], way[2:], strict=False):
+        if crossing == "asked":
+            assert answer.rpartition(".")[2] in names_in(definition(path, name)), (
+                f"{path}: {name} asks not for {answer}"
+            )
     for (path, name), (next_path, next_name) in pairwise(way):
         if name in CROSSINGS:
             continue

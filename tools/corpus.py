@@ -63,6 +63,9 @@ VOLATILE_FIELDS = {
     "*/run.json:interceptions.*.frame": "a live interception begins between two frames, when the node is ready",
     "*/run.json:interceptions.*.took_ms": "duration",
     "*.json:replay.folder": "where the corpus is",
+    "*/scenario.json:nodes.*.file": "where the checkout is",
+    "*/twin/sources.json:*": "digests of the sources",
+    "*/study.json:environment.code": "digest of the sources",
     "mesh/intercepted/run/metrics.json:interposers.mallory.messages": "of a live interception, since its frame",
     "mesh/intercepted/run/*.json:recorded.messages": "with those of the hidden leg, since that frame",
 }

@@ -7,21 +7,23 @@ import pkgutil
 import re
 import sys
 from collections.abc import Callable
+from functools import cached_property
 from pathlib import Path
 from typing import Any
+
+from surface import BASE_CLASSES, OF_A_RUN
 
 import mast_zenoh
 from mast_zenoh import errors
 from mast_zenoh.api.catalogue import Entry, Parameter
-from mast_zenoh.api.messages import WireMessage
-from mast_zenoh.api.plots import Plots
-from mast_zenoh.api.runs import Agent
 from mast_zenoh.api.scenes import PreparedAgent
-from mast_zenoh.api.surface import BASE_CLASSES
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.deploy.compose_inside import EXAMPLES, example
 from mast_zenoh.layers import LAYERS
 from mast_zenoh.messages.schemas import SCHEMAS
+from mast_zenoh.report.figures.plots import Plots
+from mast_zenoh.runs.agent import Agent
+from mast_zenoh.runs.messages import WireMessage
 from mast_zenoh.study.interface import carry_out
 
 _PACKAGE = Path(mast_zenoh.__file__).parent
@@ -134,7 +136,7 @@ def api_page() -> str:
     lines = [
         "# API",
         "",
-        _GENERATED.format(source="mast_zenoh/__init__.py and mast_zenoh/api/surface.py"),
+        _GENERATED.format(source="mast_zenoh/__init__.py and tools/surface.py"),
         "After reading this page you know every public name. [python.md](python.md) shows how they work together,",
         "[stability.md](stability.md) lists what is stable.",
         "",
@@ -156,9 +158,10 @@ def api_page() -> str:
         Parameter,
     ]:
         lines += [f"## `{cls.__name__}`", "", *_text(cls), ""]
-        for name, member in vars(cls).items():
-            if not name.startswith("_") and (callable(member) or isinstance(member, property)):
-                heading = name if isinstance(member, property) else f"{name}{_signature(member)}"
+        members = {name: getattr(cls, name) for name in OF_A_RUN} if cls is mast_zenoh.Run else vars(cls)
+        for name, member in members.items():
+            if not name.startswith("_") and (callable(member) or isinstance(member, (property, cached_property))):
+                heading = f"{name}{_signature(member)}" if callable(member) else name
                 lines += [f"### `{cls.__name__}.{heading}`", "", *_text(member), ""]
     lines += ["## Base classes", "", "| to write a | derive from, or use | which is |", "|---|---|---|"]
     for purpose, places in BASE_CLASSES.items():

@@ -3,13 +3,9 @@
 See docs/python.md.
 
     execution    run: a scenario in, a run out; open: a run folder in, the same object out
-    runs         the object: tables, messages, agents, plots, report
-    messages     recorded messages, decoded; states of objects by frame, as tables
+    runs         that object: the model of `runs`, with plots, report, exports and films
     scenes       scene: truth, poses and detections of a scene, without a run
-    plots        the report's figures of a run, or of several
-    comparisons  compare: the same scores of several runs, and what differs in words
     catalogue    list: what a scenario can name, with its parameters: defaults, units, meanings
-    surface      the base classes that users derive from
 
-`mast.study` is in mast_zenoh.study.interface.
+`mast.compare` is in mast_zenoh.report.compare, `mast.study` in mast_zenoh.study.interface.
 """

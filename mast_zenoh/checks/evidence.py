@@ -50,7 +50,7 @@ REALTIME_SLACK_S = 1.5
 NETWORK_SLACK_S = 5.0
 
 
-class Tracks(NamedTuple):
+class TracksSummary(NamedTuple):
     """Summary of a track message: number of tracks, greatest absolute value in SI."""
 
     rows: int
@@ -60,7 +60,7 @@ class Tracks(NamedTuple):
 class Sent(NamedTuple):
     """A valid message on one leg.
 
-    content: for tracks, Tracks; for a collation, the rows of each agent whose tracks are of its own frame; for a
+    content: for tracks, TracksSummary; for a collation, the rows of each agent whose tracks are of its own frame; for a
              picture, (n, 3) m, positions; else None
     step:    the current frame when it was sent; -1: unknown
     """
@@ -238,9 +238,9 @@ class Evidence:
         return [band for band in self.resolved.timeline if band["kind"] == "fault"]
 
 
-def _tracks(body: Body) -> Tracks:
+def _tracks(body: Body) -> TracksSummary:
     magnitudes = [np.abs(body[name]).max(initial=0.0) for name in ("position", "velocity", "size", "covariance")]
-    return Tracks(len(body["id"]), float(max(magnitudes)))
+    return TracksSummary(len(body["id"]), float(max(magnitudes)))
 
 
 def _current_rows(body: Body) -> dict[str, int]:

@@ -17,13 +17,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from mast_zenoh.cli.options import out as _out
 from mast_zenoh.cli.options import refuse
 from mast_zenoh.errors import RunFolderError, UntrustedCode
-from mast_zenoh.run_folder import read_object
 
 if TYPE_CHECKING:
     import zenoh
 
     from mast_zenoh.config.allowed_code import AllowedCode
-    from mast_zenoh.runs.live.observed import ObservedRun
+    from mast_zenoh.runs.live.address import LiveAddress
 
 _START_S = 60.0  # for a run to start its nodes
 _END_S = 5.0  # for an observer to end
@@ -73,6 +72,7 @@ def is_router(name: str) -> bool:
 def record_of(folder: Path) -> dict[str, Any]:
     """run.json of a run as of now; {}: there is none. Raises RunFolderError for one that cannot be read."""
     from mast_zenoh.launch import liveness
+    from mast_zenoh.run_folder import read_object
 
     if not (folder / "run.json").exists():
         return {}
@@ -144,7 +144,7 @@ def join(
     run: str,
     allowed: AllowedCode,
     prepare: Callable[[str], None] = lambda title: None,
-) -> tuple[ObservedRun, zenoh.Session, threading.Event]:
+) -> tuple[LiveAddress, zenoh.Session, threading.Event]:
     """Join the mesh of a running run to observe it; returns also what is set when the process is to end.
 
     stack:   leaves at its end
@@ -152,7 +152,7 @@ def join(
     allowed: which of the code that the run folder names may run
     prepare: called with the title of the run before it is waited for
     """
-    from mast_zenoh.runs.live import observed
+    from mast_zenoh.runs.live import address
     from mast_zenoh.runs.live.measurement import evaluator_class
     from mast_zenoh.runtime.mesh import hosting
 
@@ -160,13 +160,13 @@ def join(
     remote, folder = is_router(target), Path(target)
     stop = stack.enter_context(_stopped(lambda: None if remote else _delete_keys_of_the_dead(folder)))
     if remote:
-        observed.check_reachable(target)
+        address.check_reachable(target)
         session = stack.enter_context(hosting.join(target, None, observer=True))
-        running = observed.ObservedRun.of_mesh(session, target, run)
+        running = address.LiveAddress.of_mesh(session, target, run)
         prepare(running.resolved.name)
         return running, session, stop
     prepare(str(record_of(folder).get("name") or target))
-    running = observed.await_start(folder, _START_S, stop, allowed)
+    running = address.await_start(folder, _START_S, stop, allowed)
     if running.refused:
         print_line(f"warning: {running.refused}")
     session = stack.enter_context(hosting.join(running.endpoint, running.credentials, observer=True))

@@ -23,9 +23,9 @@ from mast_zenoh.security import levels
 
 if TYPE_CHECKING:
     from mast_zenoh.config.allowed_code import AllowedCode
-    from mast_zenoh.launch.run import Run
+    from mast_zenoh.launch.run import EndedRun
     from mast_zenoh.report.comparison import Reference
-    from mast_zenoh.runs.run import RunRecord
+    from mast_zenoh.runs.run import Run
 
 
 #: Control characters except tab and line feed, and characters that change the direction of text.
@@ -154,7 +154,7 @@ def check_environment(runtime: str, mode: str, secure: str, endpoint: str | None
     refuse(secure != "open" and (alone or endpoint), f"a secure mesh has its own router: {reason}", "--secure")
 
 
-def conclude(finished: Run, *, report: bool, against: str | None = None, allow_failures: bool = False) -> None:
+def conclude(finished: EndedRun, *, report: bool, against: str | None = None, allow_failures: bool = False) -> None:
     """Show a run's results, compared with another run if named, and raise its error.
 
     If the comparison is not possible, results are still shown, and the run's own error is raised first. Failed handlers
@@ -208,13 +208,13 @@ def reporting(folder: Path, command: str = "report", *, complete: bool = True) -
         raise RunFolderError(f"{folder}: the evaluator's results cannot be reported: {description}") from exception
 
 
-def _show(finished: Run, *, report: bool, against: str | None) -> tuple[RunFolderError | None, Reference | None]:
+def _show(finished: EndedRun, *, report: bool, against: str | None) -> tuple[RunFolderError | None, Reference | None]:
     """Show a run's results; returns (why it was not compared, the reference run)."""
     from mast_zenoh.report import terminal
-    from mast_zenoh.runs.run import RunRecord
+    from mast_zenoh.runs.run import Run
 
     scored = (finished.folder / "metrics.json").is_file()
-    run = RunRecord.load(finished.folder)
+    run = Run(finished.folder)
     reference, refusal = None, None
     if against is not None and scored:
         reference, refusal = _reference(run, against, interrupted=isinstance(finished.error, Interrupted))
@@ -230,7 +230,7 @@ def _show(finished: Run, *, report: bool, against: str | None) -> tuple[RunFolde
     return refusal, reference
 
 
-def _reference(run: RunRecord, against: str, *, interrupted: bool) -> tuple[Reference | None, RunFolderError | None]:
+def _reference(run: Run, against: str, *, interrupted: bool) -> tuple[Reference | None, RunFolderError | None]:
     """The run to compare with, or why that is not possible."""
     from mast_zenoh.config.allowed_code import OWN_RUN
     from mast_zenoh.report import comparison
@@ -245,7 +245,7 @@ def _reference(run: RunRecord, against: str, *, interrupted: bool) -> tuple[Refe
 
 def _raise_failure(reference: Reference) -> None:
     """Raise HandlerFailed if handlers of the reference run have failed."""
-    record = reference.run.run
+    record = reference.run.files.record
     if record.get("status") == "handler_failures":
         raise HandlerFailed(f"{reference.name} ({reference.run.path}): {record.get('message')}")
 
@@ -294,7 +294,7 @@ def reference_folder(run_folder: Path, against: str, allowed: AllowedCode) -> Pa
     return twin.of(run_folder, out, allowed) if against == twin.FOLDER else Path(against)
 
 
-def show_notices(finished: Run, label: str = "") -> None:
+def show_notices(finished: EndedRun, label: str = "") -> None:
     """Print a run's notices, and handler failures that its error does not name.
 
     Notices are warnings: if nothing else is printed, they go to standard error.

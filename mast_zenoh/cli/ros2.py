@@ -158,14 +158,14 @@ def _words(config: Mapping[str, Any]) -> list[str]:
 def _play(folder: Path, connection: Connection, namespace: str, *, rate: float, loop: bool) -> None:
     """Publish a finished run until its end, or Ctrl-C."""
     with bridge_modules():
-        from mast_zenoh.runs.recorded import RecordedRun
+        from mast_zenoh.runs.recorded import open_recorded
         from mast_zenoh.viewer.ros2_bridge import Ros2Bridge, played
 
     with reading(folder):
-        run = RecordedRun.load(folder)
+        run = open_recorded(folder)
     frames = played(run, rate=rate, loop=loop)
     with _participant(connection, namespace) as participant:
-        _publish(Ros2Bridge(run, participant, namespace), frames, lambda: run.missing)
+        _publish(Ros2Bridge(run, participant, namespace), frames, lambda: run.files.missing)
 
 
 def _observe(
@@ -189,7 +189,7 @@ def _observe(
             # In real time the run waits for nobody, and on a busy machine a process of low priority would lose frames.
             restore = priority.yield_to_nodes() if running.resolved.mode == "lockstep" else lambda: None
             stack.callback(restore)
-            bridge = Ros2Bridge(every.observer.record, participant, namespace, partners)
+            bridge = Ros2Bridge(every.observer.run, participant, namespace, partners)
             frames = every.frames(stop, lambda: bridge.shows_outcomes, restore)
             _publish(bridge, frames, lambda: [*every.tally.sentences(), *every.observer.meter.notes])
         else:
@@ -197,7 +197,7 @@ def _observe(
             stack.callback(observer.close)
             restore = priority.yield_processors()
             stack.callback(restore)
-            bridge = Ros2Bridge(observer.record, participant, namespace, partners)
+            bridge = Ros2Bridge(observer.run, participant, namespace, partners)
             frames = frames_to_the_end(bridge, observer, stop, restore)
             _publish(bridge, frames, lambda: observer.meter.notes, lambda: max(observer.frame, bridge.newest) + 1)
 

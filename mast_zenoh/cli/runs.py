@@ -114,12 +114,12 @@ def export(
     ] = None,
 ) -> None:
     """Write a finished run in another format."""
-    from mast_zenoh.runs.recorded import RecordedRun
+    from mast_zenoh.runs.recorded import open_recorded
     from mast_zenoh.viewer import export as formats
 
     with reading(run_folder):
         if out is None:
-            RecordedRun.load(run_folder)  # a wrong folder is named first
+            open_recorded(run_folder)  # a wrong folder is named first
             raise typer.BadParameter("missing: expected the new file or folder", param_hint="--out / -o")
         exported = formats.export(run_folder, to, out)
     for path in exported.paths:

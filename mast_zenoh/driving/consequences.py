@@ -18,7 +18,7 @@ from mast_zenoh.driving.contact import collisions, post_encroachment_s
 from mast_zenoh.driving.corridor import InCorridor, crossing, in_corridor, needed_braking
 from mast_zenoh.driving.followers import behind_car
 from mast_zenoh.driving.motion import RouteAhead
-from mast_zenoh.metrics.driving import STANDING_MPS, Driving, Objects, SafeDistance, Vehicle
+from mast_zenoh.metrics.driving import STANDING_MPS, Driving, RoadUsers, SafeDistance, Vehicle
 
 #: s and m/s^2: below this time to collision, and above this braking that avoids it, an encounter is a near miss.
 #: Source: thresholds of TTC and DRAC of SUMO's device "ssm". There, either is a conflict; an ordinary stop behind
@@ -48,7 +48,7 @@ class DrivenCar:
     """
 
     car: Vehicle
-    objects: Objects
+    objects: RoadUsers
     ids: Ints
     seen: Bools
     known: Bools
@@ -56,7 +56,7 @@ class DrivenCar:
     times_s: Floats
     period_s: float
     routes: Mapping[int, RouteAhead]
-    believed: Objects
+    believed: RoadUsers
     belief: Belief
     commands: Commands
     look: Driving
@@ -105,14 +105,14 @@ class DrivenCar:
                 velocity=np.concatenate([car.velocity for car in cars]),
                 heading=np.concatenate([car.heading for car in cars]),
             ),
-            objects=Objects(*map(np.concatenate, zip(*(part.objects for part in parts), strict=True))),
+            objects=RoadUsers(*map(np.concatenate, zip(*(part.objects for part in parts), strict=True))),
             ids=ids,
             seen=seen,
             known=known,
             frames=frames,
             times_s=times_s,
             routes={row: route for part in parts for row, route in part.routes.items()},
-            believed=Objects(*map(np.concatenate, zip(*(part.believed for part in parts), strict=True))),
+            believed=RoadUsers(*map(np.concatenate, zip(*(part.believed for part in parts), strict=True))),
             belief=Belief(*map(np.concatenate, zip(*(part.belief for part in parts), strict=True))),
             commands=Commands(
                 of=np.concatenate([each.of for each in commands]),

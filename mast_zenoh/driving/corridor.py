@@ -10,7 +10,7 @@ import numpy as np
 from mast_zenoh.arrays.geometry import along_and_across
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.driving.motion import RouteAhead
-from mast_zenoh.metrics.driving import STANDING_MPS, Driving, Objects, Vehicle
+from mast_zenoh.metrics.driving import STANDING_MPS, Driving, RoadUsers, Vehicle
 
 #: s; what comes into the corridor later crosses too late to matter, as for ProposalDriver; and s between two looks.
 CROSSING_S, _LOOK_S = 4.0, 0.2
@@ -50,7 +50,7 @@ class InCorridor(NamedTuple):
     ttc_s: Floats
 
 
-def in_corridor(car: Vehicle, routes: Mapping[int, RouteAhead], objects: Objects, look: Driving) -> InCorridor:
+def in_corridor(car: Vehicle, routes: Mapping[int, RouteAhead], objects: RoadUsers, look: Driving) -> InCorridor:
     """What is ahead of a car in each of f frames, along the route of that frame.
 
     routes: by row of the car's frames; a frame without one has no corridor
@@ -65,7 +65,7 @@ def in_corridor(car: Vehicle, routes: Mapping[int, RouteAhead], objects: Objects
     return _joined(parts)
 
 
-def crossing(car: Vehicle, routes: Mapping[int, RouteAhead], objects: Objects, look: Driving) -> InCorridor:
+def crossing(car: Vehicle, routes: Mapping[int, RouteAhead], objects: RoadUsers, look: Driving) -> InCorridor:
     """What comes into the corridor of a car while the car gets there, both at constant velocity, in each of f frames.
 
     What is in the corridor already, or follows the car, is not among these. `gap_m` is to where it comes in (at the
@@ -80,7 +80,7 @@ def crossing(car: Vehicle, routes: Mapping[int, RouteAhead], objects: Objects, l
         moving = np.flatnonzero(_could_cross(now, present, look))
         repeated = np.repeat(moving, len(times))
         time = np.tile(times, len(moving))
-        there = Objects._make(column[repeated] for column in present)
+        there = RoadUsers._make(column[repeated] for column in present)
         ahead = look.ahead(now, there._replace(position=there.position + time[:, None] * there.velocity))
         at, when = repeated[ahead.row], time[ahead.row]
         already = np.isin(at, at[when == 0.0])
@@ -104,8 +104,8 @@ def _joined(parts: Iterable[InCorridor]) -> InCorridor:
 
 
 def _frames(
-    car: Vehicle, routes: Mapping[int, RouteAhead], objects: Objects
-) -> Iterator[tuple[int, Vehicle, int, Objects]]:
+    car: Vehicle, routes: Mapping[int, RouteAhead], objects: RoadUsers
+) -> Iterator[tuple[int, Vehicle, int, RoadUsers]]:
     """Yield each frame with a route and objects: its row, the car along its route, and the objects and their first row.
 
     The frames of the objects are 0: they are there now.
@@ -116,11 +116,11 @@ def _frames(
         here = slice(int(first[frame]), int(last[frame]))
         if here.start < here.stop:
             now = along_route(car.position[frame], car.velocity[frame], float(car.heading[frame]), size, route)
-            present = Objects._make(column[here] for column in objects)
+            present = RoadUsers._make(column[here] for column in objects)
             yield frame, now, here.start, present._replace(frame=np.zeros_like(present.frame))
 
 
-def _could_cross(now: Vehicle, objects: Objects, look: Driving) -> Bools:
+def _could_cross(now: Vehicle, objects: RoadUsers, look: Driving) -> Bools:
     """Whether each of n objects (n,) moves, is not too far away, and does not follow the car in its lane."""
     offset = objects.position[:, :2] - now.position[0, :2]
     speed = np.hypot(objects.velocity[:, 0], objects.velocity[:, 1])

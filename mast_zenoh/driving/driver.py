@@ -12,7 +12,7 @@ from mast_zenoh.arrays.states import Floats, ObjectStates
 from mast_zenoh.driving.corridor import along_route
 from mast_zenoh.driving.following import IntelligentDriverModel
 from mast_zenoh.driving.motion import CarLimits, Command, RouteAhead
-from mast_zenoh.metrics.driving import BrakingRule, Driving, Objects, TimeToCollision
+from mast_zenoh.metrics.driving import BrakingRule, Driving, RoadUsers, TimeToCollision
 
 #: s, the greatest age of an estimate that is used, if a scenario says nothing else.
 ESTIMATE_AGE_S = 0.5
@@ -94,7 +94,7 @@ class FollowingDriver(Driver):
         objects = situation.objects
         ahead = self.corridor.ahead(
             along_route(situation.position, situation.velocity, situation.heading, situation.size, situation.route),
-            Objects(np.zeros(len(objects), np.int64), objects.position, objects.velocity, objects.size, objects.yaw),
+            RoadUsers(np.zeros(len(objects), np.int64), objects.position, objects.velocity, objects.size, objects.yaw),
         )
         acceleration = -limits.braking
         if not ahead.brake.any():

@@ -24,7 +24,7 @@ from mast_zenoh.integrity.visibility import clear_in_view
 from mast_zenoh.metrics import Driving, Scores
 from mast_zenoh.metrics.boxes import Places, find, nearest
 from mast_zenoh.metrics.causes import ATTACK_CAUSES, Hidden, Labels, joined_names
-from mast_zenoh.metrics.driving import Objects, vehicles
+from mast_zenoh.metrics.driving import RoadUsers, vehicles
 from mast_zenoh.metrics.estimates import TRUTH
 from mast_zenoh.metrics.manipulations import ALTERED, MOVED, Manipulations
 from mast_zenoh.metrics.record import Record, Snapshot
@@ -142,7 +142,7 @@ class _Believed(NamedTuple):
     informed: (f,) whether the driver had an estimate
     """
 
-    objects: Objects
+    objects: RoadUsers
     belief: Belief
     informed: Bools
 
@@ -230,7 +230,7 @@ class DrivenCars:
                 for columns, value in ((frame, row), (about, arrival.about), (series, number)):
                     columns.append(np.full(len(position[-1]), value))
         objects = Snapshot(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-        moved = Objects(np.concatenate(frame), np.concatenate(position), objects.velocity, objects.size, objects.yaw)
+        moved = RoadUsers(np.concatenate(frame), np.concatenate(position), objects.velocity, objects.size, objects.yaw)
         return _Believed(moved, self._belief(objects, np.concatenate(about), np.concatenate(series)), informed)
 
     def _used(self, car: str, heard: Heard) -> Iterator[tuple[int, list[tuple[Arrival, Floats, Bools]]]]:

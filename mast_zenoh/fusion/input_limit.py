@@ -19,7 +19,7 @@ from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Floats, Ints, lowest_rows
 
 
-class Objects(NamedTuple):
+class ClaimedObjects(NamedTuple):
     """Objects of an agent.
 
     ids: (n,) int64, of its tracks, unique; score: (n,) in [0, 1], as it claims
@@ -42,7 +42,7 @@ class InputLimit(ABC):
     rows: int | None = None
 
     @abstractmethod
-    def select(self, objects: Mapping[str, Objects]) -> dict[str, Ints]:
+    def select(self, objects: Mapping[str, ClaimedObjects]) -> dict[str, Ints]:
         """(k,) rows to keep, ascending, of each agent that does not keep all; the other agents are left out.
 
         objects: by agent. The result does not depend on the order of agents or rows.
@@ -53,7 +53,7 @@ class InputLimit(ABC):
         """The objects that were kept lately; never changed afterwards."""
         return {}
 
-    def cut(self, kept: Mapping[int, int], objects: Objects, rows: int) -> Ints:
+    def cut(self, kept: Mapping[int, int], objects: ClaimedObjects, rows: int) -> Ints:
         """(k,) rows, ascending, at most `rows`, of an agent's message with more: only these are decoded and checked.
 
         kept: of the agent, from `kept` after any earlier frame
@@ -68,7 +68,7 @@ class InputLimit(ABC):
 class NoInputLimit(InputLimit):
     """Keeps all rows."""
 
-    def select(self, objects: Mapping[str, Objects]) -> dict[str, Ints]:
+    def select(self, objects: Mapping[str, ClaimedObjects]) -> dict[str, Ints]:
         return {}
 
     def reset(self) -> None:
@@ -115,7 +115,7 @@ class FairInput(InputLimit):
     def kept(self) -> Kept:
         return self._since
 
-    def select(self, objects: Mapping[str, Objects]) -> dict[str, Ints]:
+    def select(self, objects: Mapping[str, ClaimedObjects]) -> dict[str, Ints]:
         self._frame += 1
         selected: dict[str, Ints] = {}
         usual = {name: len(ids) for name, (ids, _, _) in objects.items() if len(ids)}
@@ -133,14 +133,14 @@ class FairInput(InputLimit):
         self._remember({name: own.ids[selected.get(name, slice(None))] for name, own in objects.items()})
         return selected
 
-    def cut(self, kept: Mapping[int, int], objects: Objects, rows: int) -> Ints:
+    def cut(self, kept: Mapping[int, int], objects: ClaimedObjects, rows: int) -> Ints:
         return self._best(kept, objects, rows)
 
     def _with_reserve(self, count: int) -> int:
         """Rows of which as many as `count` are not for new objects."""
         return ceil(count / (1.0 - self.reserve)) if self.reserve < 1.0 else self.rows
 
-    def _best(self, since: Mapping[int, int], objects: Objects, count: int) -> Ints:
+    def _best(self, since: Mapping[int, int], objects: ClaimedObjects, count: int) -> Ints:
         """(count,) rows to keep of an agent with more, ascending. since: of its objects that were kept before"""
         ids, score, _ = objects
         old = rows_of(ids, np.array(sorted(since), np.int64))

@@ -14,8 +14,7 @@ netns         the hosts of a run as network namespaces
 reports       what nodes report: failures of handlers, results
 conclusion    writes the results at the end;  notices: what deserves attention
 ending        maps endings to a status and an exit code;  liveness: whether the launcher of a run.json is alive
-folder        the run folder;  log_reading: the logs of a run's nodes
-tables        columns as Parquet;  table_files: those that nodes hand in part by part
+log_reading   the logs of a run's nodes;  table_files: the tables that nodes hand in part by part
 display       progress on the console;  observation: what it shows, measured on the wires
 measurement   measures a run again from its recording
 stop_signals  Ctrl-C, SIGTERM and SIGHUP

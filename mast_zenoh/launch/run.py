@@ -115,7 +115,7 @@ def check_steps(resolved: Resolved, where: str, *, unplugs: bool) -> None:
 
 
 @dataclass
-class Run:
+class EndedRun:
     """A run that has ended: its folder, its run.json, and why it failed, if it did."""
 
     folder: Path
@@ -150,7 +150,7 @@ def run(
     quiet: bool = False,
     command: Sequence[str] | str | None = None,
     replay: Mapping[str, Any] | None = None,
-) -> Run:
+) -> EndedRun:
     """Run a scenario and write its run folder; the result and run.json hold any error.
 
     endpoint: of an existing router; None: start one in this process, listening at `listen`
@@ -232,7 +232,7 @@ def run(
         except BaseException as raised:  # whatever it is, the run folder says how the run ended
             caught = raised
         record["timings"]["total_s"] = round(time.monotonic() - begun, 3)
-        ended = Run(folder, record, ending.of_run(caught, record, str(folder)))
+        ended = EndedRun(folder, record, ending.of_run(caught, record, str(folder)))
         if record["churn"] and resolved.mode == "lockstep" and not ended.error and not allow_churn:
             ended.error = churn.error(record["churn"])
         if ended.failures and not ended.error and not allow_failures:

@@ -2,7 +2,7 @@
 
 schemas     what a message type is, and ours;  user_types  those of users
 codec       encodes, decodes and checks;  layout  dtypes, shapes and limits of columns
-limits      rows, frames and times that messages of a run can have;  plain_shapes  names, and types of plain values
+limits      rows, frames and times that messages of a run can have
 """
 
 from mast_zenoh.messages.schemas import Column, Schema, text

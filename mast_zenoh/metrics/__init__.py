@@ -23,9 +23,10 @@
 See docs/metrics.md.
 """
 
+from mast_zenoh.arrays.boxes import Boxes
 from mast_zenoh.metrics.assignment import Assigner, CenterDistanceAssigner, IoU3DGreedyAssigner, SetDistance
 from mast_zenoh.metrics.attributor import AttributionLimits, Attributor
-from mast_zenoh.metrics.boxes import Boxes, birdseye_intersection, iou_3d
+from mast_zenoh.metrics.boxes import birdseye_intersection, iou_3d
 from mast_zenoh.metrics.causes import ATTACK_CAUSES, CAUSES, DEFENCE_CAUSES, FAULT_CAUSES, cause_names, causes_of
 from mast_zenoh.metrics.consistency import Consistency
 from mast_zenoh.metrics.cut_off import CutOff, CutOffObjects, Presence

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mast_zenoh.arrays.boxes import Boxes
 from mast_zenoh.arrays.matching import greedy_matching, min_cost_matching
 from mast_zenoh.arrays.states import Floats, Ints
-from mast_zenoh.metrics.boxes import Boxes, centre_distance, check_dimensions, iou_3d, pairs_within
+from mast_zenoh.metrics.boxes import centre_distance, check_dimensions, iou_3d, pairs_within
 
 
 class Assigner(ABC):

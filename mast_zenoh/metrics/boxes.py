@@ -3,62 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mast_zenoh.arrays.boxes import Boxes
 from mast_zenoh.arrays.rectangles import intersection_area
-from mast_zenoh.arrays.states import Bools, Floats, Ints, ascending, row_order, within_runs
+from mast_zenoh.arrays.states import Bools, Floats, Ints, row_order, within_runs
 from mast_zenoh.kernels import kernel
-
-
-@dataclass(frozen=True, slots=True)
-class Boxes:
-    """n upright boxes, which are never paired between groups (frames, estimators).
-
-    group:    (n,) int64, 0 or more
-    id:       (n,) int64, identity of the object or track
-    position: (n, 3) m, centre, world frame
-    size:     (n, 3) m, length width height
-    yaw:      (n,) rad
-    """
-
-    group: Ints
-    id: Ints
-    position: Floats
-    size: Floats
-    yaw: Floats
-
-    def __len__(self) -> int:
-        return len(self.id)
-
-    def select(self, index: NDArray[np.integer] | NDArray[np.bool_] | slice) -> Boxes:
-        """The rows selected by a mask, an index array or a slice; slices are views."""
-        if isinstance(index, slice):
-            return Boxes(*[getattr(self, field.name)[index] for field in fields(self)])
-        rows = index.nonzero()[0] if index.dtype == bool else index
-        return Boxes(*[getattr(self, field.name).take(rows, 0) for field in fields(self)])
-
-    def in_group(self, group: Ints) -> Boxes:
-        """The same boxes in other groups (n,)."""
-        return replace(self, group=group)
-
-    @classmethod
-    def join(cls, parts: Sequence[Boxes]) -> Boxes:
-        """All boxes of `parts`, in order."""
-        empty = cls(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
-        return cls(*(np.concatenate([getattr(part, field.name) for part in (empty, *parts)]) for field in fields(cls)))
-
-    def sorted(self) -> tuple[Boxes, Ints]:
-        """The boxes sorted by group, id and position, and (n,) their original rows.
-
-        Returns the same object if already sorted.
-        """
-        if ascending(self.id, self.group):
-            return self, np.arange(len(self), dtype=np.int64)
-        order = row_order(self.id, self.group, ties=lambda: self.position.T[::-1])
-        return self.select(order), order
 
 
 def pairs_within(a: Boxes | Places, b: Boxes | Places, radius: float) -> tuple[Ints, Ints]:

@@ -124,7 +124,7 @@ class Vehicle(NamedTuple):
     width: float
 
 
-class Objects(NamedTuple):
+class RoadUsers(NamedTuple):
     """n objects.
 
     frame (n,) int64, row of the vehicle's frames; position, velocity and size (n, 3); yaw (n,) rad
@@ -136,9 +136,9 @@ class Objects(NamedTuple):
     size: Floats
     yaw: Floats
 
-    def select(self, rows: Bools, later: int = 0) -> Objects:
+    def select(self, rows: Bools, later: int = 0) -> RoadUsers:
         """The rows selected by a mask, with the numbers of their frames increased."""
-        return Objects(self.frame[rows] + later, *(column[rows] for column in self[1:]))
+        return RoadUsers(self.frame[rows] + later, *(column[rows] for column in self[1:]))
 
 
 class Ahead(NamedTuple):
@@ -178,7 +178,7 @@ class Driving:
         if not 0.0 <= self.margin_m < np.inf:
             raise ValueError(f"margin_m: found {self.margin_m}, expected 0 or more")
 
-    def ahead(self, vehicle: Vehicle, objects: Objects) -> Ahead:
+    def ahead(self, vehicle: Vehicle, objects: RoadUsers) -> Ahead:
         """The objects in the corridor, and the objects that overlap the vehicle itself.
 
         The corridor follows the path that the vehicle drove after each frame, and continues straight beyond its end.
@@ -209,7 +209,7 @@ class Driving:
         return Ahead(row, gap, ttc, brake, overlapping, ahead_speed)
 
 
-def _overlaps(vehicle: Vehicle, objects: Objects, row: Ints) -> Bools:
+def _overlaps(vehicle: Vehicle, objects: RoadUsers, row: Ints) -> Bools:
     """Whether each of k objects (k,) overlaps the vehicle or is centred on it."""
     frame = objects.frame[row]
     offset = objects.position[row, :2] - vehicle.position[frame, :2]
@@ -218,7 +218,7 @@ def _overlaps(vehicle: Vehicle, objects: Objects, row: Ints) -> Bools:
     return np.asarray(overlaps | (np.hypot(offset[:, 0], offset[:, 1]) <= _SELF_M))
 
 
-def _near_path(objects: Objects, path: Floats, along: Floats, driven: Floats) -> tuple[Ints, Ints]:
+def _near_path(objects: RoadUsers, path: Floats, along: Floats, driven: Floats) -> tuple[Ints, Ints]:
     """Rows of the objects near the path, and the nearest path point of each.
 
     The points are ahead of the vehicle.
@@ -309,7 +309,9 @@ def drives(driving: Driving, record: Record, scores: Scores, labels: Labels) -> 
             if Series(agent, estimate) not in record.series():
                 continue
             table = record.tracks([Series(agent, estimate)], scores.frames)
-            tracks = Objects(table.boxes.group, table.boxes.position, table.velocity, table.boxes.size, table.boxes.yaw)
+            tracks = RoadUsers(
+                table.boxes.group, table.boxes.position, table.velocity, table.boxes.size, table.boxes.yaw
+            )
             ahead = driving.ahead(vehicle, tracks)
             series = scores.every_series[agent, estimate]
             false = _errors(scores, labels, series, FALSE, tracks.frame[ahead.row], table.boxes.id[ahead.row])
@@ -321,7 +323,7 @@ def drives(driving: Driving, record: Record, scores: Scores, labels: Labels) -> 
     return result
 
 
-def vehicles(agents: Sequence[str], truth: TruthTable, n_frames: int) -> Iterator[tuple[str, Vehicle, Objects, Ints]]:
+def vehicles(agents: Sequence[str], truth: TruthTable, n_frames: int) -> Iterator[tuple[str, Vehicle, RoadUsers, Ints]]:
     """Yield each vehicle among the agents: its name, itself, all other objects, and their ids (n,).
 
     Only agents that are objects of the scene in all frames are vehicles.
@@ -331,7 +333,7 @@ def vehicles(agents: Sequence[str], truth: TruthTable, n_frames: int) -> Iterato
         if vehicle is not None:
             others = (truth.boxes.id != truth.agent_object[truth.boxes.group, column]).nonzero()[0]
             boxes = truth.boxes.select(others)
-            objects = Objects(boxes.group, boxes.position, truth.velocity[others], boxes.size, boxes.yaw)
+            objects = RoadUsers(boxes.group, boxes.position, truth.velocity[others], boxes.size, boxes.yaw)
             yield agent, vehicle, objects, boxes.id
 
 
@@ -355,7 +357,7 @@ def _errors(scores: Scores, labels: Labels, series: int, outcome: int, frame: In
     return wrong, wrong & (cause >= 0) & (cause < len(ATTACK_CAUSES))
 
 
-def _drive(ahead: Ahead, objects: Objects, n: int) -> Drive:
+def _drive(ahead: Ahead, objects: RoadUsers, n: int) -> Drive:
     frame = objects.frame[ahead.row]
     gap, ttc = np.full(n, np.inf), np.full(n, np.inf)
     np.minimum.at(gap, frame, ahead.gap_m)
@@ -369,8 +371,8 @@ def _drive(ahead: Ahead, objects: Objects, n: int) -> Drive:
 def _compare(
     drive: Drive,
     by_truth: Drive,
-    false: tuple[Ahead, Objects, Bools, Bools],
-    missed: tuple[Ahead, Objects, Bools, Bools],
+    false: tuple[Ahead, RoadUsers, Bools, Bools],
+    missed: tuple[Ahead, RoadUsers, Bools, Bools],
 ) -> Drive:
     """The behaviour under an estimate, compared with that under the truth.
 
@@ -378,7 +380,7 @@ def _compare(
     """
     n = len(drive.brake)
 
-    def frames(part: tuple[Ahead, Objects, Bools, Bools], mask: Bools) -> Ints:
+    def frames(part: tuple[Ahead, RoadUsers, Bools, Bools], mask: Bools) -> Ints:
         return np.bincount(part[1].frame[part[0].row][mask], minlength=n)
 
     needless, omitted = drive.brake & ~by_truth.brake, by_truth.brake & ~drive.brake

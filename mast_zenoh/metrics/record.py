@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mast_zenoh.arrays.boxes import Boxes
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
-from mast_zenoh.metrics.boxes import Boxes
 from mast_zenoh.metrics.estimates import PICTURE_ON_ARRIVAL, PICTURE_RECEIVED
 
 

@@ -9,9 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mast_zenoh.arrays.boxes import Boxes
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import Bools, Floats, Ints
-from mast_zenoh.metrics.boxes import Boxes, centre_distance, iou_3d
+from mast_zenoh.metrics.boxes import centre_distance, iou_3d
 from mast_zenoh.metrics.estimates import rank_of
 from mast_zenoh.metrics.record import TrackTable, TruthTable
 

@@ -7,9 +7,10 @@ from types import MappingProxyType
 
 import numpy as np
 
+from mast_zenoh.arrays.boxes import Boxes
 from mast_zenoh.arrays.states import Bools, Floats, Ints, row_order
 from mast_zenoh.metrics.assignment import Assigner, CenterDistanceAssigner, SetDistance
-from mast_zenoh.metrics.boxes import Boxes, centre_distance
+from mast_zenoh.metrics.boxes import centre_distance
 from mast_zenoh.metrics.record import Record, Series, TrackTable, TruthTable
 from mast_zenoh.metrics.scores import (
     FALSE,

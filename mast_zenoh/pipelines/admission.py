@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping
 
 from mast_zenoh.arrays.states import Ints
-from mast_zenoh.fusion.input_limit import InputLimit, Kept, NoInputLimit, Objects
+from mast_zenoh.fusion.input_limit import ClaimedObjects, InputLimit, Kept, NoInputLimit
 from mast_zenoh.gather import LatestBefore
 from mast_zenoh.messages.limits import RowChoice, Shortened
 from mast_zenoh.messages.schemas import Body
@@ -33,9 +33,9 @@ class Admission:
         limit = self._limit
         if limit.rows is None:
             return None
-        return RowChoice(limit.rows, lambda ids, score, rows: self._cut(agent, step, Objects(ids, score), rows))
+        return RowChoice(limit.rows, lambda ids, score, rows: self._cut(agent, step, ClaimedObjects(ids, score), rows))
 
-    def _cut(self, agent: str, step: int, objects: Objects, rows: int) -> Ints:
+    def _cut(self, agent: str, step: int, objects: ClaimedObjects, rows: int) -> Ints:
         latest = self._kept.get(step)
         return self._limit.cut({} if latest is None else latest[1].get(agent, {}), objects, rows)
 
@@ -45,7 +45,7 @@ class Admission:
         self.left_out[agent] += beyond
         return beyond
 
-    def select(self, objects: Mapping[str, Objects]) -> dict[str, Ints]:
+    def select(self, objects: Mapping[str, ClaimedObjects]) -> dict[str, Ints]:
         """Rows to fuse in a frame, of each agent of which some are left out. objects: by agent"""
         selected = self._limit.select(objects)
         for name, rows in selected.items():

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mast_zenoh.arrays.states import Ints, ObjectStates, concatenate
-from mast_zenoh.fusion.input_limit import InputLimit, Objects
+from mast_zenoh.fusion.input_limit import ClaimedObjects, InputLimit
 from mast_zenoh.gather import MAX_AGE_S, CollationBuffer, plausible_rows
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.pipelines.admission import Admission
@@ -37,7 +37,7 @@ class Collated(NamedTuple):
     views: Mapping[str, tuple[Body, int]]
 
 
-class Tracks(NamedTuple):
+class _Tracks(NamedTuple):
     """The tracks of an agent.
 
     states: n tracks at `time_ns`, world frame; beyond: number of rows that its message had besides
@@ -81,9 +81,9 @@ class Collation:
         self._latency_ns = round(latency_s * 1e9)
         self._patience = patience
         self._max_age_ns = round(max_age_s * 1e9)
-        self._tracks: CollationBuffer[Tracks] = CollationBuffer(capacity)
+        self._tracks: CollationBuffer[_Tracks] = CollationBuffer(capacity)
         self._views: CollationBuffer[tuple[int, Body]] = CollationBuffer(capacity)
-        self._last: dict[str, Tracks] = {}
+        self._last: dict[str, _Tracks] = {}
         self._last_views: dict[str, tuple[int, Body]] = {}
         self._gone: set[str] = set()
         self._newcomers: set[str] = set()
@@ -116,7 +116,7 @@ class Collation:
         if len(plausible) < len(states):
             self._absurd += len(states) - len(plausible)
             states = states.select(plausible)
-        self._tracks.push(agent, frame, Tracks(time_ns, states, beyond))
+        self._tracks.push(agent, frame, _Tracks(time_ns, states, beyond))
 
     def add_view(self, agent: str, frame: int, time_ns: int, body: Body) -> None:
         """Add the columns of what an agent's sensor covers; may make batches due."""
@@ -161,7 +161,7 @@ class Collation:
         self._last_views = {a: (t, v) for a, (t, v) in self._last_views.items() if abs(time_ns - t) <= self._max_age_ns}
         names = sorted(self._last)
         tracks = {name: self._last[name].states for name in names}
-        objects = {name: Objects(each.id, each.score, self._last[name].beyond) for name, each in tracks.items()}
+        objects = {name: ClaimedObjects(each.id, each.score, self._last[name].beyond) for name, each in tracks.items()}
         for name, rows in self.admission.select(objects).items():
             tracks[name] = tracks[name].select(rows)
         ages = [time_ns - self._last[name].time_ns for name in names]

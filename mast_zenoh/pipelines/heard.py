@@ -9,7 +9,7 @@ import numpy as np
 
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Ints, ObjectStates, concatenate
-from mast_zenoh.fusion.input_limit import Objects
+from mast_zenoh.fusion.input_limit import ClaimedObjects
 from mast_zenoh.gather import MAX_AGE_S
 from mast_zenoh.pipelines.admission import Admission
 from mast_zenoh.tracking.kalman import predicted
@@ -45,7 +45,7 @@ class AgentTracks(NamedTuple):
         rows = {name: np.flatnonzero(self.agent == row) for row, name in enumerate(self.names)}
         ids, score = self.states.id, self.states.score
         selected = admission.select(
-            {name: Objects(ids[own], score[own], beyond.get(name, 0)) for name, own in rows.items()}
+            {name: ClaimedObjects(ids[own], score[own], beyond.get(name, 0)) for name, own in rows.items()}
         )
         if not selected:
             return self

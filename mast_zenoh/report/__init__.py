@@ -2,7 +2,7 @@
 
 See docs/report.md and docs/studies.md.
 
-comparison         the reference run of a comparison
+comparison         the reference run of a comparison;  compare  the scores of several runs side by side
 run_figure         the base class of figures of a run, those of users included
 figures/           the pictures and charts of runs and of studies
 film/              films and stills of runs

@@ -11,7 +11,7 @@ import numpy as np
 
 from mast_zenoh.errors import NotComparable
 from mast_zenoh.runs.driven import course_of
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 
 #: Settings of the evaluator that do not change how two runs are scored: users' metrics, which only add rows, and what
 #: describes the experiment itself (its faults, how long its agents use a picture, and when its world obeys drivers).
@@ -27,25 +27,25 @@ WAY_M = 1.0
 class Reference:
     """The reference run of a comparison, and the name that it has in the text."""
 
-    run: RunRecord
+    run: Run
     name: str
 
 
-def reference(run: RunRecord, other: Path) -> Reference:
+def reference(run: Run, other: Path) -> Reference:
     """Load the reference run with which `run` is compared.
 
     Raises NotComparable if either has no results, or if their scene, seed, agents, length or scoring differ, and
     RunFolderError if the folder holds no run.
     """
-    second = RunRecord.load(other)
+    second = Run(other)
     for each in (run, second):
-        if not each.metrics.get("agents"):
+        if not each.files.summary.get("agents"):
             problem = "has a damaged metrics.json" if each.metrics_damaged else "has no results (metrics.json)"
             raise NotComparable(f"{each.path}: {problem}: expected a run that was scored")
     folders = f"{run.path} and {other}"
     if difference := _agents_difference(run, second):
         raise NotComparable(f"{folders}: {difference}: expected the same agents in both")
-    frames = [each.metrics.get("frames") for each in (run, second)]
+    frames = [each.files.summary.get("frames") for each in (run, second)]
     if frames[0] != frames[1]:
         raise NotComparable(f"{folders}: found {frames[0]} and {frames[1]} frames, expected the same number in both")
     if difference := _scoring_difference(run, second):
@@ -53,28 +53,28 @@ def reference(run: RunRecord, other: Path) -> Reference:
             f"{folders}: {difference}: expected runs that were scored the same way; run one of them again with the "
             "evaluator of the other"
         )
-    seeds = [each.run.get("seed") for each in (run, second)]
+    seeds = [each.files.record.get("seed") for each in (run, second)]
     if seeds[0] != seeds[1] or not _same_scene(run, second):
-        scenes = [each.recording.name if each.recording else "an unknown scene" for each in (run, second)]
+        scenes = [each.files.scene.name if each.files.scene else "an unknown scene" for each in (run, second)]
         raise NotComparable(
             f"{folders}: found {scenes[0]} with seed {seeds[0]}, and {scenes[1]} with seed {seeds[1]}: expected the "
             "same scene and seed, so that differences are due to what was changed"
         )
-    name = second.label if second.label not in (run.label, "") else other.resolve().name
+    name = second.name if second.name not in (run.name, "") else other.resolve().name
     return Reference(second, name)
 
 
-def same_ways(run: RunRecord, other: RunRecord) -> bool:
+def same_ways(run: Run, other: Run) -> bool:
     """Whether each driven car is within WAY_M of where it is in another run, in all frames; True: no driven cars.
 
     Elsewhere, sensors see other objects: then errors differ for this reason, too. A course that is not known counts as
     another way.
     """
-    cars, others = ({*(each.metrics.get("driven") or ())} for each in (run, other))
+    cars, others = ({*(each.files.summary.get("driven") or ())} for each in (run, other))
     return cars == others and all(_same_way(run, other, car) for car in cars)
 
 
-def _same_way(run: RunRecord, other: RunRecord, car: str) -> bool:
+def _same_way(run: Run, other: Run, car: str) -> bool:
     courses = [course for each in (run, other) if (course := course_of(each, car)) is not None]
     if len(courses) < 2:
         return False
@@ -82,10 +82,11 @@ def _same_way(run: RunRecord, other: RunRecord, car: str) -> bool:
     return here.shape == there.shape and bool((np.linalg.norm(here - there, axis=1) <= WAY_M).all())
 
 
-def _agents_difference(one: RunRecord, other: RunRecord) -> str:
+def _agents_difference(one: Run, other: Run) -> str:
     """Agents that only one of two runs has, scored or not, in words; empty: none."""
     here, there = (
-        {*each.metrics["agents"], *(each.recording.agent_names if each.recording else ())} for each in (one, other)
+        {*each.files.summary["agents"], *(each.files.scene.agent_names if each.files.scene else ())}
+        for each in (one, other)
     )
     parts = [
         f"{', '.join(sorted(names))} only in the {position}"
@@ -93,13 +94,13 @@ def _agents_difference(one: RunRecord, other: RunRecord) -> str:
         if names
     ]
     # Without the scene, a run knows only the agents that it scored.
-    known = one.recording is not None and other.recording is not None
-    if not known and set(one.metrics["agents"]) == set(other.metrics["agents"]):
+    known = one.files.scene is not None and other.files.scene is not None
+    if not known and set(one.files.summary["agents"]) == set(other.files.summary["agents"]):
         return ""
     return f"found {' and '.join(parts)}" if parts else ""
 
 
-def _scoring_difference(one: RunRecord, other: RunRecord) -> str:
+def _scoring_difference(one: Run, other: Run) -> str:
     """How the scoring of two runs differs, in words; empty: no known difference."""
     configs = [each.evaluator_config for each in (one, other)]
     if all(config is not None for config in configs):
@@ -124,18 +125,18 @@ def _flat(name: str, value: Any) -> dict[str, Any]:
     return {key: leaf for part, inner in value.items() for key, leaf in _flat(f"{name}.{part}", inner).items()}
 
 
-def _same_scene(one: RunRecord, other: RunRecord) -> bool:
+def _same_scene(one: Run, other: Run) -> bool:
     """Whether two runs have the same scene.
 
     Compares object positions in all frames or, without recordings, the scene settings; and these where cars are driven,
     because what is in the scene then follows from the run.
     """
-    driven = any("driven" in each.metrics for each in (one, other))
-    if driven or one.recording is None or other.recording is None:
-        return bool(one.scenario.get("scene") == other.scenario.get("scene"))
-    frames = int(one.metrics["frames"])
-    for frame in range(min(frames, len(one.recording), len(other.recording))):
-        here, there = one.recording.truth_at(frame), other.recording.truth_at(frame)
+    driven = any("driven" in each.files.summary for each in (one, other))
+    if driven or one.files.scene is None or other.files.scene is None:
+        return bool(one.files.scenario.get("scene") == other.files.scenario.get("scene"))
+    frames = int(one.files.summary["frames"])
+    for frame in range(min(frames, len(one.files.scene), len(other.files.scene))):
+        here, there = one.files.scene.truth_at(frame), other.files.scene.truth_at(frame)
         if not np.array_equal(here.id, there.id) or not np.array_equal(here.position, there.position):
             return False
     return True

@@ -67,7 +67,7 @@ from mast_zenoh.report.tables.wiring import wire_rows
 from mast_zenoh.run_folder import write_bytes
 from mast_zenoh.runs.frame import Frame, has_boxes
 from mast_zenoh.runs.interposers import BAD, EFFECTS, failure_lines, interposers, node_row
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 from mast_zenoh.version import __version__
 from mast_zenoh.viewer.page.block import run_block
 from mast_zenoh.viewer.page.page import ViewerParts, viewer_parts
@@ -113,32 +113,36 @@ def environment() -> Environment:
     )
 
 
-def facts(run: RunRecord) -> list[str]:
+def facts(run: Run) -> list[str]:
     """What identifies a run: id, status, scene, length, seed, mode and speed."""
-    facts = [f"run {run.run['id']}"] if "id" in run.run else []
-    facts += [str(run.run["status"])] if "status" in run.run else []
-    facts += [f"scene {run.recording.name}"] if run.recording else []
-    facts += [_frames_in_words(run)] if "frames" in run.metrics else []
-    facts += [f"seed {run.run['seed']}"] if "seed" in run.run else []
-    every = run.sample.every
+    facts = [f"run {run.files.record['id']}"] if "id" in run.files.record else []
+    facts += [str(run.files.record["status"])] if "status" in run.files.record else []
+    facts += [f"scene {run.files.scene.name}"] if run.files.scene else []
+    facts += [_frames_in_words(run)] if "frames" in run.files.summary else []
+    facts += [f"seed {run.files.record['seed']}"] if "seed" in run.files.record else []
+    every = run.files.sample.every
     facts += [f"boxes and causes of every {every}th frame, scores of all"] if every > 1 else []
-    facts += [_origin(run.run["replay"])] if run.run.get("replay") else []
-    facts += [f"{run.run['mode']} on {run.run.get('runtime', 'mesh')}"] if "mode" in run.run else []
-    speed = run.run.get("timings", {}).get("frames_per_second")
+    facts += [_origin(run.files.record["replay"])] if run.files.record.get("replay") else []
+    facts += (
+        [f"{run.files.record['mode']} on {run.files.record.get('runtime', 'mesh')}"]
+        if "mode" in run.files.record
+        else []
+    )
+    speed = run.files.record.get("timings", {}).get("frames_per_second")
     facts += [f"{speed:.0f} frames/s"] if speed else []
-    latency = run.metrics.get("latency_ms", {}).get("sim_to_picture", {})
+    latency = run.files.summary.get("latency_ms", {}).get("sim_to_picture", {})
     if latency.get("p50") is not None and latency.get("p99"):  # lock-step has no latency: scene time stands still
         facts.append(f"simulator to picture {latency['p50']:.1f} ms (99 %: {latency['p99']:.1f} ms)")
-    ages = run.metrics.get("picture_age_s", {})
+    ages = run.files.summary.get("picture_age_s", {})
     age = ages.get("ego", next(iter(ages.values()), {}))
     facts += [f"pictures used at an age of {age['mean']:.2f} s (at most {age['max']:.2f} s)"] if age.get("max") else []
     return facts
 
 
-def _security(run: RunRecord) -> str:
+def _security(run: Run) -> str:
     """The security level of a run on a mesh, and how many control messages were obeyed without a signature."""
-    level, unsigned = run.run.get("security"), run.run.get("unsigned_control")
-    if not level or run.run.get("runtime") != "mesh":
+    level, unsigned = run.files.record.get("security"), run.files.record.get("unsigned_control")
+    if not level or run.files.record.get("runtime") != "mesh":
         return ""
     obeyed = f"; {unsigned} control messages were obeyed without a signature" if unsigned else ""
     return f"Security level {level}{obeyed}."
@@ -152,31 +156,31 @@ def _origin(replay: Mapping[str, Any]) -> str:
     )
 
 
-def healing(run: RunRecord) -> list[str]:
+def healing(run: Run) -> list[str]:
     """When faults healed, and how soon the picture then equalled the fault-free one."""
-    heals, converged = run.checks.get("heals_s") or [], run.checks.get("converged_after_s")
+    heals, converged = run.files.checks.get("heals_s") or [], run.files.checks.get("converged_after_s")
     facts = [f"healed at {', '.join(f'{each:g}' for each in heals)} s"] if heals else []
     if isinstance(converged, (int, float)):
         facts.append(f"the picture converged to the unfaulted one {converged:.1f} s after the heal")
     return facts
 
 
-def facts_of_compared(runs: Mapping[str, RunRecord]) -> list[str]:
+def facts_of_compared(runs: Mapping[str, Run]) -> list[str]:
     """What compared runs have in common, and which of them failed; runs: by label."""
     facts = [f"{len(runs)} runs"]
-    scenes = {run.recording.name for run in runs.values() if run.recording}
-    seeds = {str(run.run["seed"]) for run in runs.values() if "seed" in run.run}
-    frames = {_frames_in_words(run) for run in runs.values() if "frames" in run.metrics}
+    scenes = {run.files.scene.name for run in runs.values() if run.files.scene}
+    seeds = {str(run.files.record["seed"]) for run in runs.values() if "seed" in run.files.record}
+    frames = {_frames_in_words(run) for run in runs.values() if "frames" in run.files.summary}
     facts += [f"scene {', '.join(sorted(scenes))}"] if scenes else []
     facts += [f"seed {', '.join(sorted(seeds))}"] if seeds else []
     facts += [f"each {frames.pop()}"] if len(frames) == 1 else []
-    bad = [label for label, run in runs.items() if run.run.get("status") != "ok"]
+    bad = [label for label, run in runs.items() if run.files.record.get("status") != "ok"]
     return facts + ([f"did not end well: {', '.join(bad)}"] if bad else [])
 
 
-def _frames_in_words(run: RunRecord) -> str:
-    scored = run.metrics.get("scored_frames")
-    return f"{run.metrics['frames']} frames" + (f", scored from {scored[0]} to {scored[-1]}" if scored else "")
+def _frames_in_words(run: Run) -> str:
+    scored = run.files.summary.get("scored_frames")
+    return f"{run.files.summary['frames']} frames" + (f", scored from {scored[0]} to {scored[-1]}" if scored else "")
 
 
 #: Runs of a study that its viewer holds.
@@ -194,12 +198,12 @@ def write_report(
     Returns the path of the report. Raises RunFolderError if the folder is not a run folder, or has no such frame;
     NotComparable if the runs cannot be compared.
     """
-    run = RunRecord.load(run_folder, frame)
+    run = Run(run_folder, frame)
     return write_page(run, frame, None if against is None else comparison.reference(run, against), figures)
 
 
 def write_page(
-    run: RunRecord, frame: int | None = None, reference: Reference | None = None, figures: Sequence[Path] = ()
+    run: Run, frame: int | None = None, reference: Reference | None = None, figures: Sequence[Path] = ()
 ) -> Path:
     """Write the report of a loaded run; see `write_report`."""
     estimate = _estimate(run, reference)
@@ -214,7 +218,7 @@ def write_page(
     return _write_run(FigureContext(run, view, frame_note, reference, estimate), figures)[1]
 
 
-def _estimate(run: RunRecord, reference: Reference | None) -> str:
+def _estimate(run: Run, reference: Reference | None) -> str:
     """The ego's estimate with the largest change, if it has boxes, else the picture."""
     change = largest_change(run, reference.run if reference else None)
     drawable = change is not None and change.agent == run.ego and has_boxes(run, change.estimate)
@@ -234,7 +238,7 @@ def write_study_report(
     driven: folders of a run with drivers and of its unattacked twin, which are not among the compared ones
     Returns the path of the report. Raises RunFolderError like `write_report`.
     """
-    folders = {label: RunRecord.load(path) for label, path in runs.items()}
+    folders = {label: Run(path) for label, path in runs.items()}
     reference = "baseline" if "baseline" in folders else next(iter(folders))
     largest_changes = [largest_change(run, folders[reference]) for run in folders.values()]
     change = max((each for each in largest_changes if each), key=lambda each: abs(each.weight), default=None)
@@ -266,7 +270,7 @@ def write_study_report(
         "figures": figures,
         **_score_rows(table),
         "nees": nees_table(
-            {label: run.metrics for label, run in folders.items()},
+            {label: run.files.summary for label, run in folders.items()},
             next((run.ego for run in folders.values() if run.ego), "ego"),
         ),
         "nees_title": NEES_TITLE,
@@ -280,14 +284,14 @@ def _driven(folders: tuple[Path, Path] | None) -> tuple[list[str], dict[str, Ren
     """What happened to the car of a run with drivers, in sentences, and its figure; both empty without such a run."""
     if folders is None:
         return [], {}
-    run = RunRecord.load(folders[0])
+    run = Run(folders[0])
     reference = comparison.reference(run, folders[1])
     drawn = rendered(Driven(), FigureContext(run, None, reference=reference))
     sentences = [*(f"{text}." for text in car_sentences(run, reference))]
     return [*attack_description(run), *sentences], {} if drawn is None else {drawn.name: drawn}
 
 
-def _view_to_show(run: RunRecord, frame: int | None, common: int | None) -> Frame | None:
+def _view_to_show(run: Run, frame: int | None, common: int | None) -> Frame | None:
     """The view of a run at the requested frame.
 
     Without one: at the common frame, or else at the run's own choice.
@@ -298,10 +302,12 @@ def _view_to_show(run: RunRecord, frame: int | None, common: int | None) -> Fram
     return None if chosen is None else frame_view(run, chosen)
 
 
-def _scores(runs: Mapping[str, RunRecord], reference: str | None = None) -> ScoreTable:
+def _scores(runs: Mapping[str, Run], reference: str | None = None) -> ScoreTable:
     ego = next((run.ego for run in runs.values() if run.ego), "ego")
-    metrics = {label: run.metrics for label, run in runs.items()}
-    return score_table(metrics, counts={name: run.counts for name, run in runs.items()}, agent=ego, reference=reference)
+    metrics = {label: run.files.summary for label, run in runs.items()}
+    return score_table(
+        metrics, counts={name: run.files.counts for name, run in runs.items()}, agent=ego, reference=reference
+    )
 
 
 def _write_run(
@@ -313,30 +319,30 @@ def _write_run(
     """
     run, reference = context.run, context.reference
     figures, own = run_figures(context), user_figures(context, files)
-    runs = {reference.name: reference.run, run.label: run} if reference is not None else {run.label: run}
+    runs = {reference.name: reference.run, run.name: run} if reference is not None else {run.name: run}
     scores = _scores(runs, reference.name if reference else None)
     for each in figures.values():
         each.save(run.path / "figures")
     save_user_figures(own, run.path / "figures")
-    shown_runs = {run.label: run} | ({reference.name: reference.run} if reference is not None else {})
+    shown_runs = {run.name: run} | ({reference.name: reference.run} if reference is not None else {})
     viewer, problems = _viewer(shown_runs, context.view.index if context.view else None)
     content = {
-        "title": f"Run {run.run.get('id', run.label)}",
+        "title": f"Run {run.files.record.get('id', run.name)}",
         "headline": headline(run, reference),
         "attack": attack_description(run),
         "reading": reading(run, reference),
         "facts": facts(run) + ([f"compared with {reference.name}"] if reference else []),
-        "status": run.run.get("status", "unknown"),
-        "message": run.run.get("message"),
+        "status": run.files.record.get("status", "unknown"),
+        "message": run.files.record.get("message"),
         "failures": failure_lines(run),
         "reference_status": reference_status(reference),
-        "notices": [f"{notice['kind']}: {notice['text']}" for notice in run.run.get("notices", ())],
-        "missing": (*run.missing, *problems),
+        "notices": [f"{notice['kind']}: {notice['text']}" for notice in run.files.record.get("notices", ())],
+        "missing": (*run.files.missing, *problems),
         "back": _relative(study / "report.html", run.path) if study is not None else None,
         "viewer": viewer,
         "figures": figures,
         "user_figures": own,
-        **(_score_rows(scores) if run.metrics else {"rows": []}),
+        **(_score_rows(scores) if run.files.summary else {"rows": []}),
         "confidence": confidence_tables(run),
         "pictures": picture_table(run),
         "of_pictures": [*picture_sentences(run), *channel_sentences(run)],
@@ -351,18 +357,18 @@ def _write_run(
         "driving": driving_table(run, reference.run, reference.name) if reference else driving_table(run),
         "effects": EFFECTS,
         "bad_verdicts": BAD,
-        "results": run.results,
-        "blame": cause_table({run.label: run.metrics}) if run.faulted or run.withholds else None,
-        "checks": check_rows(run.checks),
+        "results": run.files.results,
+        "blame": cause_table({run.name: run.files.summary}) if run.faulted or run.withholds else None,
+        "checks": check_rows(run.files.checks),
         "healed": healing(run),
-        "latency": latency_tables(run.metrics),
+        "latency": latency_tables(run.files.summary),
         "wires": wire_rows(run),
         "security": _security(run),
-        "nodes": [(name, node_row(run, name)) for name in run.run.get("nodes", {})],
+        "nodes": [(name, node_row(run, name)) for name in run.files.record.get("nodes", {})],
         "command": _command(run),
-        "versions": run.run.get("versions", {}),
-        "scenario": json.dumps(run.scenario, indent=2) if run.scenario else None,
-        "timings": json.dumps(run.run["timings"], indent=2) if run.run.get("timings") else None,
+        "versions": run.files.record.get("versions", {}),
+        "scenario": json.dumps(run.files.scenario, indent=2) if run.files.scenario else None,
+        "timings": json.dumps(run.files.record["timings"], indent=2) if run.files.record.get("timings") else None,
     }
     return content, render("run.html.j2", content, run.path, run.worded)
 
@@ -372,7 +378,7 @@ def _relative(path: Path, folder: Path) -> str:
     return quote(os.path.relpath(path, folder).replace(os.sep, "/"))
 
 
-def _viewer(runs: Mapping[str, RunRecord], frame: int | None) -> tuple[ViewerParts | None, tuple[str, ...]]:
+def _viewer(runs: Mapping[str, Run], frame: int | None) -> tuple[ViewerParts | None, tuple[str, ...]]:
     """The moving picture of runs by label (None: nothing to show), and why it is left out."""
     try:
         blocks = [block for label, run in runs.items() if (block := run_block(run, frame, label))]
@@ -404,8 +410,8 @@ def _score_rows(table: ScoreTable) -> dict[str, Any]:
     }
 
 
-def _command(run: RunRecord) -> str | None:
-    command = run.run.get("command")
+def _command(run: Run) -> str | None:
+    command = run.files.record.get("command")
     return shlex.join(map(str, command)) if isinstance(command, list) else command
 
 

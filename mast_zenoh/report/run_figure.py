@@ -14,7 +14,7 @@ if TYPE_CHECKING:  # scenarios' files import this module, also in the processes 
 
     from mast_zenoh.report.comparison import Reference
     from mast_zenoh.runs.frame import Frame
-    from mast_zenoh.runs.run import RunRecord
+    from mast_zenoh.runs.run import Run
 
 #: The sections of a report that a figure can follow, in their order on the page.
 SECTIONS = (
@@ -34,7 +34,7 @@ class FigureContext:
     estimate:   of the ego, the one that charts of several runs show
     """
 
-    run: RunRecord
+    run: Run
     view: Frame | None
     frame_note: str = ""
     reference: Reference | None = None

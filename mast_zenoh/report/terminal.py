@@ -18,7 +18,7 @@ from mast_zenoh.report.tables.of_run import causes_as_rich, check_lines, nees_as
 from mast_zenoh.report.tables.pictures import channel_sentences, picture_sentences
 from mast_zenoh.report.tables.scores import as_rich, score_table
 from mast_zenoh.runs.interposers import BAD, interposers
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 
 
 def show(console: Console, runs: Mapping[str, Path]) -> None:
@@ -28,11 +28,11 @@ def show(console: Console, runs: Mapping[str, Path]) -> None:
     A run without a readable metrics.json gets dashes. Runs with links or faults also get the causes of their errors;
     runs with checks get the outcome of every check.
     """
-    folders = {label: RunRecord.load(path) for label, path in runs.items()}
+    folders = {label: Run(path) for label, path in runs.items()}
     agent = next((run.ego for run in folders.values() if run.ego), "ego")
-    console.print(as_rich(score_table({label: run.metrics for label, run in folders.items()}, agent=agent)))
+    console.print(as_rich(score_table({label: run.files.summary for label, run in folders.items()}, agent=agent)))
     _show_causes(console, folders, agent)
-    nees = nees_as_rich({label: run.metrics for label, run in folders.items()}, agent) if len(runs) > 1 else None
+    nees = nees_as_rich({label: run.files.summary for label, run in folders.items()}, agent) if len(runs) > 1 else None
     if nees is not None:
         console.print(nees)
     for label, run in folders.items():
@@ -47,32 +47,32 @@ def show_run(console: Console, run_folder: Path, against: Path | None = None) ->
 
     Raises NotComparable if the two cannot be compared.
     """
-    run = RunRecord.load(run_folder)
+    run = Run(run_folder)
     show_loaded(console, run, None if against is None else comparison.reference(run, against))
 
 
 def show_driven(console: Console, run_folder: Path, twin: Path) -> None:
     """Print what happened to the driven cars of a run, in one line. twin: the folder of the same run without attack"""
-    run = RunRecord.load(run_folder)
+    run = Run(run_folder)
     sentences = car_sentences(run, comparison.reference(run, twin))
     if sentences:
-        console.print(escape(f"{run.label}: {'. '.join(sentences)}."), highlight=False)
+        console.print(escape(f"{run.name}: {'. '.join(sentences)}."), highlight=False)
 
 
 def failure(run_folder: Path) -> str:
     """How a run failed, in one line; empty: it did not."""
-    run = RunRecord.load(run_folder)
-    text, message = status(run), str(run.run.get("message") or "")
+    run = Run(run_folder)
+    text, message = status(run), str(run.files.record.get("message") or "")
     return f"{text}: {message}" if text and message else text
 
 
-def show_loaded(console: Console, run: RunRecord, reference: Reference | None = None) -> None:
+def show_loaded(console: Console, run: Run, reference: Reference | None = None) -> None:
     """Print the results of a loaded run; see `show_run`."""
-    runs = {run.label: run} if reference is None else {reference.name: reference.run, run.label: run}
-    metrics = {label: each.metrics for label, each in runs.items()}
+    runs = {run.name: run} if reference is None else {reference.name: reference.run, run.name: run}
+    metrics = {label: each.files.summary for label, each in runs.items()}
     table = score_table(metrics, agent=run.ego or "ego", reference=reference.name if reference else None)
     console.print(as_rich(table))
-    _show_causes(console, {run.label: run}, run.ego or "ego")
+    _show_causes(console, {run.name: run}, run.ego or "ego")
     _show_lines(console, "", run, reference.run if reference else None)
     if unsound := reference_status(reference):
         text = f"warning: {unsound}: the differences may be wrong"
@@ -84,13 +84,15 @@ def show_loaded(console: Console, run: RunRecord, reference: Reference | None = 
         console.print(escape(run.worded(defence)), highlight=False)
 
 
-def _show_causes(console: Console, runs: Mapping[str, RunRecord], agent: str) -> None:
-    causes = causes_as_rich({label: run.metrics for label, run in runs.items() if run.faulted or run.withholds}, agent)
+def _show_causes(console: Console, runs: Mapping[str, Run], agent: str) -> None:
+    causes = causes_as_rich(
+        {label: run.files.summary for label, run in runs.items() if run.faulted or run.withholds}, agent
+    )
     if causes is not None:
         console.print(causes)
 
 
-def _show_lines(console: Console, label: str, run: RunRecord, reference: RunRecord | None = None) -> None:
+def _show_lines(console: Console, label: str, run: Run, reference: Run | None = None) -> None:
     """Print what interposers did, why it had limited effect, and every check."""
     lines = []
     notable = [each for each in interposers(run) if not each.is_link or each.verdict in BAD]
@@ -102,5 +104,5 @@ def _show_lines(console: Console, label: str, run: RunRecord, reference: RunReco
         lines.append(f"{each.description} on {each.place}: {measured}{verdict}")
         lines += [f"  limited effect: {reason}" for reason in why.get(each.name, ()) if each.changed]
     lines += [*picture_sentences(run), *channel_sentences(run)]
-    for line in (*lines, *suspension_lines(run), *undecided_lines(run), *check_lines(run.checks)):
+    for line in (*lines, *suspension_lines(run), *undecided_lines(run), *check_lines(run.files.checks)):
         console.print(escape(f"{label}{run.worded(line)}"), highlight=False)

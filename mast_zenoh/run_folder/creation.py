@@ -14,7 +14,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from mast_zenoh import kernels
 from mast_zenoh.errors import DiskFull, ExportError, RunFolderError, is_disk_full
 from mast_zenoh.run_folder.files import write_json
 
@@ -127,6 +126,8 @@ def _unused(path: Path) -> Path:
 @cache
 def versions() -> dict[str, str]:
     """Versions of Python, platform, kernels and packages."""
+    from mast_zenoh import kernels  # NumPy is slow to load
+
     packages = ("mast-zenoh", "eclipse-zenoh", "numpy", "scipy", "msgpack", "filterpy", "mcap")
     host = {"python": platform.python_version(), "platform": platform.platform(), "kernels": kernels.USED}
     return host | {package: version(package) for package in packages}

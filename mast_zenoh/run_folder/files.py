@@ -12,11 +12,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
-import numpy as np
-
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.messages.plain_shapes import check_shape
-from mast_zenoh.run_folder.shapes import SHAPES
+from mast_zenoh.run_folder.shapes import check_file
 
 #: Limits of a JSON file. A run of a thousand agents needs a tenth of each; the largest content takes about 150 MB.
 MAX_JSON_BYTES = 32 << 20
@@ -50,7 +47,7 @@ def check_plain(path: Path) -> Path:
 
 
 def read_json(path: Path, *, shaped: bool = True) -> Any:
-    """The content of a JSON file; that of run.json and of others in SHAPES has the types that they promise.
+    """The content of a JSON file; that of run.json and of others in `shapes` has the types that they promise.
 
     shaped: whether these types are checked
 
@@ -58,8 +55,8 @@ def read_json(path: Path, *, shaped: bool = True) -> Any:
     """
     try:
         content = parse_json(_json_bytes(path))
-        if shaped and path.name in SHAPES:
-            check_shape(content, SHAPES[path.name])
+        if shaped:
+            check_file(content, path.name)
     except FileNotFoundError:
         raise RunFolderError(f"{path}: missing; is {path.parent} a run folder?") from None
     except OSError as error:
@@ -81,7 +78,7 @@ def read_object(path: Path, *, shaped: bool = True) -> dict[str, Any]:
 def reading(folder: Path) -> Iterator[None]:
     """Turn errors that only contents of a run folder explain into RunFolderError.
 
-    SHAPES has what every run has; nodes of users add what they like.
+    `shapes` has what every run has; nodes of users add what they like.
     """
     try:
         yield
@@ -196,12 +193,11 @@ def json_or_empty(path: Path) -> dict[str, Any]:
 
 def finite(value: Any) -> Any:
     """Plain JSON values: a number that is not finite becomes null, an array a list."""
+    if hasattr(value, "dtype"):  # of NumPy, which is slow to load
+        plain = value.tolist()
+        return [str(item) for item in plain] if value.dtype.kind in "OU" and value.shape else finite(plain)
     if isinstance(value, Mapping):
         return {key: finite(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray):
-        return [str(item) for item in value.tolist()] if value.dtype.kind in "OU" else finite(value.tolist())
     if isinstance(value, (list, tuple)):
         return [finite(item) for item in value]
-    if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
-    return value.item() if isinstance(value, np.generic) else value
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from mast_zenoh.messages.plain_shapes import ANY, NAMED, NUMBER, Name
 from mast_zenoh.wiring import model
+from mast_zenoh.wiring.plain_shapes import ANY, NAMED, NUMBER, Name, check_shape
 
 _NODE: dict[str, Any] = {
     **dict.fromkeys(("role", "ended", "log"), str),
@@ -62,3 +62,9 @@ SHAPES: dict[str, Any] = {
     },
     "study.json": {"name": str},
 }
+
+
+def check_file(content: Any, name: str) -> None:
+    """Raise ValueError, with the place, unless the content of a file has the types that readers rely on."""
+    if name in SHAPES:
+        check_shape(content, SHAPES[name])

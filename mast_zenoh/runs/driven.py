@@ -14,35 +14,36 @@ from mast_zenoh.errors import MastError
 from mast_zenoh.launch.twin import FOLDER, NAME
 from mast_zenoh.run_folder import read_json
 from mast_zenoh.runs.events import Event
-from mast_zenoh.runs.run import RunRecord, Table, driven_table, rows
+from mast_zenoh.runs.files import Table, driven_table, rows
+from mast_zenoh.runs.run import Run
 
 #: What a car does in a frame: it does not brake, it brakes, it does so although the truth gives no reason.
 ROLLS, BRAKES, NEEDLESSLY = range(3)
 
 
-def cars_of(run: RunRecord) -> list[str]:
+def cars_of(run: Run) -> list[str]:
     """The driven cars whose course is known, the main agent first."""
-    names = list(dict.fromkeys(run.driven["agent"].tolist())) if run.driven is not None else []
+    names = list(dict.fromkeys(run.files.driven["agent"].tolist())) if run.files.driven is not None else []
     return sorted(names, key=lambda name: name != run.ego)
 
 
-def course_of(run: RunRecord, car: str = "") -> Table | None:
+def course_of(run: Run, car: str = "") -> Table | None:
     """The rows of driven.parquet of one car, by default the first of `cars_of`; None: there are none."""
     names = cars_of(run)
     chosen = car or next(iter(names), "")
-    if run.driven is None or chosen not in names:
+    if run.files.driven is None or chosen not in names:
         return None
-    return rows(run.driven, run.driven["agent"] == chosen)
+    return rows(run.files.driven, run.files.driven["agent"] == chosen)
 
 
-def brakes_of(run: RunRecord, car: str) -> list[dict[str, Any]]:
+def brakes_of(run: Run, car: str) -> list[dict[str, Any]]:
     """The brakes of a car, as in metrics.json; without those that are damaged."""
     return [each for each in _entries(run, car, "brakes") if _is_brake(each)]
 
 
-def _entries(run: RunRecord, car: str, name: str) -> list[Any]:
+def _entries(run: Run, car: str, name: str) -> list[Any]:
     """A list in the part of metrics.json about a car; empty if it is damaged."""
-    part: Any = run.metrics
+    part: Any = run.files.summary
     for key in ("driven", car, name):
         part = part.get(key) if isinstance(part, Mapping) else None
     return part if isinstance(part, list) else []
@@ -55,7 +56,7 @@ def _is_brake(brake: Any) -> bool:
     return all(isinstance(number, float) for number in numbers) and {"kind", "object", "adversary"} <= {*brake["cause"]}
 
 
-def braking_of(run: RunRecord, car: str, times_s: np.ndarray) -> np.ndarray:
+def braking_of(run: Run, car: str, times_s: np.ndarray) -> np.ndarray:
     """What a car does at some times (n,) s: ROLLS (also in interruptions of a brake), BRAKES or NEEDLESSLY, (n,)."""
     result = np.full(len(times_s), ROLLS)
     course = course_of(run, car)
@@ -69,7 +70,7 @@ def braking_of(run: RunRecord, car: str, times_s: np.ndarray) -> np.ndarray:
     return result
 
 
-def twin_course(run: RunRecord, car: str) -> Table | None:
+def twin_course(run: Run, car: str) -> Table | None:
     """The course of a car in the unattacked twin of a run; None: it has none, or the car is not driven there."""
     folder: Path = run.path / FOLDER
     try:
@@ -105,7 +106,7 @@ def reason_of(brake: Mapping[str, Any]) -> str:
     return "for the road ahead or another reason"
 
 
-def braking_events(run: RunRecord, times: np.ndarray, *, reasons: bool = True) -> list[Event]:
+def braking_events(run: Run, times: np.ndarray, *, reasons: bool = True) -> list[Event]:
     """Brakes and collisions of driven cars. times: (f,) s, of the frames; reasons: say why they braked"""
     events = []
     for car in cars_of(run):

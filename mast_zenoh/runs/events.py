@@ -7,11 +7,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mast_zenoh.arrays.boxes import Boxes
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.evaluation.trust import UPSTREAM
 from mast_zenoh.metrics.study_results import AgentTrustSeries, Spans
 from mast_zenoh.run_folder.recording.churn import LOST
-from mast_zenoh.runs.run import RunRecord, Table, agent_of, column, rows
+from mast_zenoh.runs.files import Table, boxes_of, column, rows
+from mast_zenoh.runs.run import Run, agent_of
 
 #: Manipulations that have a place, as verbs.
 EFFECTS = {"inserted": "inserts", "removed": "removes", "moved": "moves"}
@@ -33,7 +35,7 @@ class Event(NamedTuple):
     y: float | None = None
 
 
-def happenings(run: RunRecord, periods: list[dict[str, Any]], times: Floats) -> list[Event]:
+def happenings(run: Run, periods: list[dict[str, Any]], times: Floats) -> list[Event]:
     """Beginnings and ends of periods and of nodes' absences, in any order; periods, times: as for `spans`."""
     result = []
     for each in periods:
@@ -48,9 +50,9 @@ def happenings(run: RunRecord, periods: list[dict[str, Any]], times: Floats) -> 
     return result
 
 
-def first_changes(run: RunRecord) -> list[Event]:
+def first_changes(run: Run) -> list[Event]:
     """The first manipulation of each kind by each adversary."""
-    table, result = run.attacks, []
+    table, result = run.manipulations, []
     if table is None:
         return []
     for name in np.unique(table["interposer"].astype(str)).tolist():
@@ -71,7 +73,7 @@ def first_changes(run: RunRecord) -> list[Event]:
     return result
 
 
-def spans(run: RunRecord, times: Floats) -> list[dict[str, Any]]:
+def spans(run: Run, times: Floats) -> list[dict[str, Any]]:
     """Attacks, faults, interceptions, suspensions and undecided states as periods.
 
     Each has label, kind, from_s, until_s (within the run, s), nodes, and `begins` and `ends`, what to say when it does;
@@ -99,7 +101,7 @@ def spans(run: RunRecord, times: Floats) -> list[dict[str, Any]]:
     for node, start, until in absences(run):
         add(f"{node} lost", "fault", start * run.period_s, until * run.period_s, [node])
     opened: dict[str, dict[str, Any]] = {}
-    for event in run.run.get("interceptions", ()):
+    for event in run.files.record.get("interceptions", ()):
         at, node = second(times, int(event["frame"])), event["node"]
         wires = ", ".join(event["wires"])
         if event["action"] == "intercept":
@@ -123,11 +125,11 @@ def spans(run: RunRecord, times: Floats) -> list[dict[str, Any]]:
     return sorted(result, key=lambda each: (each["from_s"], each["label"]))
 
 
-def _affected_links(run: RunRecord, fault: dict[str, Any]) -> dict[str, list[str]]:
+def _affected_links(run: Run, fault: dict[str, Any]) -> dict[str, list[str]]:
     """The agents whose link to the command centre a fault cuts or impairs; {}: none, or a fault of processes."""
     if fault.get("backend") not in ("links", "network"):
         return {}
-    agents = list(run.recording.agent_names) if run.recording else list(run.metrics.get("agents", ()))
+    agents = list(run.files.scene.agent_names) if run.files.scene else list(run.files.summary.get("agents", ()))
     nodes = fault.get("nodes") or ()
     # A partition of the centre's host separates the agents elsewhere.
     centre = any(run.role(node) in ("broker", "command_center") for node in nodes)
@@ -142,14 +144,14 @@ def second(times: Floats, frame: int) -> float:
     return float(times[min(max(frame, 0), len(times) - 1)]) if len(times) else 0.0
 
 
-def absences(run: RunRecord) -> list[tuple[str, float, float]]:
+def absences(run: Run) -> list[tuple[str, float, float]]:
     """(node, frame of its loss, frame of its return) of lost nodes."""
     return _periods((each["node"], each["frame"], each["what"] == LOST) for each in run.lost)
 
 
-def node_absences(run: RunRecord) -> list[tuple[str, float, float]]:
+def node_absences(run: Run) -> list[tuple[str, float, float]]:
     """(node, first frame without it, frame of its return or inf): stopped, paused, cut off or lost."""
-    steps = run.run.get("steps") or ()
+    steps = run.files.record.get("steps") or ()
     return absences(run) + _periods(
         (str(step["node"]), float(step["frame"]), step["action"] not in ("start", "resume", "connect"))
         for step in steps
@@ -170,23 +172,21 @@ def _periods(changes: Iterable[tuple[str, float, bool]]) -> list[tuple[str, floa
     return [*periods, *((node, start, np.inf) for node, start in away_since.items())]
 
 
-def states_at(run: RunRecord, frame: int) -> dict[str, str]:
+def states_at(run: Run, frame: int) -> dict[str, str]:
     """The state of each agent in a frame: the one in the latest message up to then."""
     states: dict[str, str] = {}
-    if run.trust is not None:
-        earlier = rows(run.trust, run.trust["frame"] <= frame)
+    if run.files.trust is not None:
+        earlier = rows(run.files.trust, run.files.trust["frame"] <= frame)
         states.update(zip(earlier["agent"].tolist(), earlier["state"].tolist(), strict=True))  # sorted by frame
     return states
 
 
-def withheld_at(run: RunRecord, frame: int) -> tuple[Floats, Floats, Floats]:
-    """Positions (n, 3) m, sizes (n, 3) m and yaws (n,) rad of the objects withheld in a frame."""
-    table = run.trust_objects
+def withheld_at(run: Run, frame: int) -> Boxes:
+    """The objects that the command centre withholds in a frame."""
+    table = run.files.trust_objects
     if table is None:
-        return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
-    here = rows(table, (table["frame"] == frame) & table["withheld"].astype(bool))
-    position, size = (np.column_stack([column(here, name) for name in names]) for names in ("xyz", "lwh"))
-    return position, size, column(here, "yaw")
+        return Boxes.join(())
+    return boxes_of(rows(table, (table["frame"] == frame) & table["withheld"].astype(bool)))
 
 
 def state_spans(table: Table, state: str, end_s: float) -> Spans:
@@ -198,9 +198,9 @@ def state_spans(table: Table, state: str, end_s: float) -> Spans:
     return _spans(np.asarray(table["state"] == state), times)
 
 
-def lie_frames(run: RunRecord, agent: str) -> Ints:
+def lie_frames(run: Run, agent: str) -> Ints:
     """(n,) The frames in which adversaries changed what an agent sent, as measured on its wires."""
-    changes = run.attacks
+    changes = run.manipulations
     if changes is None:
         return np.zeros(0, np.int64)
     wires = [
@@ -211,7 +211,7 @@ def lie_frames(run: RunRecord, agent: str) -> Ints:
     return np.unique(changes["frame"][np.isin(changes["wire"], wires)]).astype(np.int64)
 
 
-def lie_spans(run: RunRecord, agent: str) -> Spans:
+def lie_spans(run: Run, agent: str) -> Spans:
     """When adversaries changed what an agent sent, as measured on its wires."""
     frames = lie_frames(run, agent)
     if not len(frames):
@@ -222,7 +222,7 @@ def lie_spans(run: RunRecord, agent: str) -> Spans:
     return _spans(np.isin(every[:-1], frames), times)
 
 
-def fault_spans(run: RunRecord, agent: str, end_s: float) -> list[tuple[str, float, float]]:
+def fault_spans(run: Run, agent: str, end_s: float) -> list[tuple[str, float, float]]:
     """Type, beginning and end of the faults of an agent, as planned; end_s: s, of the run."""
     config = run.evaluator_config or {}
     return [
@@ -231,18 +231,18 @@ def fault_spans(run: RunRecord, agent: str, end_s: float) -> list[tuple[str, flo
     ]
 
 
-def suspensions(run: RunRecord) -> list[dict[str, Any]]:
+def suspensions(run: Run) -> list[dict[str, Any]]:
     """All suspensions of a run in the order of their beginnings, each with its agent; see docs/metrics.md."""
     return _judgements(run, "suspensions")
 
 
-def doubts(run: RunRecord) -> list[dict[str, Any]]:
+def doubts(run: Run) -> list[dict[str, Any]]:
     """All periods in which an agent was undecided, as from `suspensions`; [] for runs of versions without the state."""
     return _judgements(run, "undecided")
 
 
-def _judgements(run: RunRecord, name: str) -> list[dict[str, Any]]:
-    agents = run.metrics.get("integrity", {}).get("agents", {})
+def _judgements(run: Run, name: str) -> list[dict[str, Any]]:
+    agents = run.files.summary.get("integrity", {}).get("agents", {})
     every = [{"agent": agent, **each} for agent, measured in agents.items() for each in measured.get(name, ())]
     return sorted(every, key=lambda each: (each["from_s"], each["agent"]))
 
@@ -254,26 +254,26 @@ def _spans(active: Bools, times: Floats | Sequence[float]) -> Spans:
     return [(float(times[start]), float(times[end])) for start, end in zip(starts, ends, strict=True)]
 
 
-def judged_agents(run: RunRecord) -> list[str]:
+def judged_agents(run: Run) -> list[str]:
     """The agents in the trust table, those of the scene first and in its order."""
-    if run.trust is None:
+    if run.files.trust is None:
         return []
-    names = set(run.trust["agent"].tolist())
-    known = list(run.recording.agent_names) if run.recording else []
+    names = set(run.files.trust["agent"].tolist())
+    known = list(run.files.scene.agent_names) if run.files.scene else []
     return [name for name in known if name in names] + sorted(names - set(known))
 
 
-def trust_in_agents(run: RunRecord, names: Sequence[str], value: str = "mean") -> tuple[list[AgentTrustSeries], float]:
+def trust_in_agents(run: Run, names: Sequence[str], value: str = "mean") -> tuple[list[AgentTrustSeries], float]:
     """The trust in every judged agent, and the end of the run, s; [] without trust.
 
     names: of the states of interest;  value: column of the trust table: mean or log_odds
     """
-    if run.trust is None or not len(run.trust["agent"]):
+    if run.files.trust is None or not len(run.files.trust["agent"]):
         return [], 0.0
-    end_s = float(column(run.trust, "time_s").max()) + run.period_s
+    end_s = float(column(run.files.trust, "time_s").max()) + run.period_s
     agents = []
     for agent in judged_agents(run):
-        table = rows(run.trust, run.trust["agent"] == agent)
+        table = rows(run.files.trust, run.files.trust["agent"] == agent)
         states = {name: state_spans(table, name, end_s) for name in names}
         times, values = column(table, "time_s"), column(table, value)
         agents.append(

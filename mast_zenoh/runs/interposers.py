@@ -10,7 +10,7 @@ import numpy as np
 
 from mast_zenoh.control import failures
 from mast_zenoh.control.failures import how_often
-from mast_zenoh.runs.run import RunRecord, agent_of
+from mast_zenoh.runs.run import Run, agent_of
 
 #: Effects with their own column; all others share one.
 EFFECTS = ("inserted", "removed", "moved", "altered", "delayed", "dropped", "repeated")
@@ -105,22 +105,22 @@ class Interposer:
         return f"{self.name} (inserted live in frame {self.live})" if self.live is not None else self.name
 
 
-def interposers(run: RunRecord) -> tuple[Interposer, ...]:
+def interposers(run: Run) -> tuple[Interposer, ...]:
     """Every interposer of a run, including live ones: adversaries first, then links."""
     wires: dict[str, dict[str, None]] = {}
     before: dict[str, dict[str, None]] = {}
-    for wire in run.wiring.get("wires", []):
+    for wire in run.files.wiring.get("wires", []):
         for node in wire.get("interposers", ()):
             wires.setdefault(node, {})[wire["key"]] = None
         for leg in wire.get("legs", ()):
             if leg.get("before", wire.get("subject")) != wire.get("subject"):  # nobody else needs an agent's own wire
                 before.setdefault(leg["from"], {})[leg["before"]] = None
-    measured = run.metrics.get("interposers", {})
+    measured = run.files.summary.get("interposers", {})
     for node, summary in measured.items():
         wires.setdefault(node, {}).update(dict.fromkeys(summary.get("wires", ())))
     live: dict[str, int] = {}
     released: dict[str, int] = {}
-    for event in run.run.get("interceptions", ()):
+    for event in run.files.record.get("interceptions", ()):
         node = event["node"]
         wires.setdefault(node, {}).update(dict.fromkeys(event.get("wires", ())))
         if event.get("before"):
@@ -129,7 +129,7 @@ def interposers(run: RunRecord) -> tuple[Interposer, ...]:
     result = []
     for node, keys in wires.items():
         crash, summary = _crash(run, node), measured.get(node, {})
-        failed_frames = frames_of(failures_of(run.run.get("nodes", {}).get(node, {})))
+        failed_frames = frames_of(failures_of(run.files.record.get("nodes", {}).get(node, {})))
         agents = dict.fromkeys(agent for agent in map(agent_of, keys) if agent)
         result.append(
             Interposer(
@@ -170,22 +170,23 @@ def _verdict(failed_frames: int, crash: str) -> str:
     return "failed" if failed_frames else "crashed" if crash else ""
 
 
-def _objects(run: RunRecord, node: str, effects: Mapping[str, int]) -> dict[str, tuple[int, bool]]:
+def _objects(run: Run, node: str, effects: Mapping[str, int]) -> dict[str, tuple[int, bool]]:
     """Number of objects and presence of clutter by effect, where every row is known."""
-    if run.targets is None:
+    targets = run.files.targets
+    if targets is None:
         return {}
     objects = {}
     for effect in OF_OBJECTS:
-        ids = run.targets["object"][(run.targets["adversary"] == node) & (run.targets["kind"] == effect)]
+        ids = targets["object"][(targets["adversary"] == node) & (targets["kind"] == effect)]
         if len(ids) and len(ids) == effects.get(effect):
             real = ids if effect == "inserted" else ids[ids >= 0]
             objects[effect] = len(np.unique(real)), len(real) < len(ids)
     return objects
 
 
-def _reframed(run: RunRecord, node: str, effects: Mapping[str, int], message: str) -> int:
+def _reframed(run: Run, node: str, effects: Mapping[str, int], message: str) -> int:
     """How many of the messages that a node reframed are of a kind: view or command."""
-    table, number = run.attacks, effects.get("reframed", 0)
+    table, number = run.manipulations, effects.get("reframed", 0)
     if table is None or not number:
         return 0
     changed = (table["interposer"] == node) & (table["effect"] == "reframed") & (table["message"] == message)
@@ -197,14 +198,14 @@ def frames_of(failures: Sequence[Mapping[str, Any]]) -> int:
     return max((int(entry.get("frames", entry["count"])) for entry in failures), default=0)
 
 
-def _crash(run: RunRecord, node: str) -> str:
+def _crash(run: Run, node: str) -> str:
     """How a node's handlers or process failed, in words; empty: as expected."""
-    record = run.run.get("nodes", {}).get(node, {})
+    record = run.files.record.get("nodes", {}).get(node, {})
     failures = failures_of(record)
     if failures:
         first = failures[0]
         return f"{first['handler']} failed {how_often(first)}"
-    if record.get("exit") and not exit_expected(record) and run.run.get("status") != "interrupted":
+    if record.get("exit") and not exit_expected(record) and run.files.record.get("status") != "interrupted":
         return str(record.get("ended") or f"exit code {record['exit']}")
     return ""
 
@@ -221,9 +222,9 @@ def failures_of(node: Mapping[str, Any]) -> list[dict[str, Any]]:
     return [dict(entry) for entry in node.get("failures") or []]
 
 
-def node_row(run: RunRecord, name: str) -> dict[str, Any]:
+def node_row(run: Run, name: str) -> dict[str, Any]:
     """What run.json says about a node, for a row of the table."""
-    record = run.run["nodes"][name]
+    record = run.files.record["nodes"][name]
     return {key: record.get(key) for key in ("pid", "exit", "restarts")} | {
         "role": run.role(name),
         "ended": record.get("ended") or "not known",
@@ -233,9 +234,9 @@ def node_row(run: RunRecord, name: str) -> dict[str, Any]:
     }
 
 
-def failure_lines(run: RunRecord) -> list[str]:
+def failure_lines(run: Run) -> list[str]:
     """A line for each handler that failed."""
-    nodes = run.run.get("nodes", {})
+    nodes = run.files.record.get("nodes", {})
     failed = {name: failures_of(node) for name, node in nodes.items()}
     return failures.lines(failed, {name: nodes[name].get("log") or "not written" for name in failed})
 

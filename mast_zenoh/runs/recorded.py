@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
 from itertools import groupby
 from pathlib import Path
-
-import pyarrow
 
 from mast_zenoh.errors import MessageError, RunFolderError
 from mast_zenoh.launch import liveness, measurement
@@ -19,80 +15,62 @@ from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.run_folder import read_object
 from mast_zenoh.run_folder.recording.reader import Recorded, file_of, read
-from mast_zenoh.runs.frame import Evaluated, Frame, FramedRun
+from mast_zenoh.runs.frame import Frame
 from mast_zenoh.runs.routes import CLOCK, TRUTH, routes
+from mast_zenoh.runs.run import Run
 
 _WINDOW = 250  # frames of a long run whose tables are in memory
 
 
-@dataclass(frozen=True, eq=False)
-class RecordedRun(FramedRun):
-    """A finished run whose messages were recorded; `missing` is complete when all frames have been read."""
+def open_recorded(path: Path, frame: int | None = None) -> Run:
+    """The finished run in a folder whose messages were recorded. frame: as of Run
 
-    @classmethod
-    def load(cls, path: Path, frame: int | None = None) -> RecordedRun:
-        """Open the folder of a finished run. frame: as of RunRecord
+    Raises RunFolderError if the folder is not that of a recorded run, if the run is still in progress, or if its
+    recording is damaged before its end; ConfigurationError if only compiled kernels can read it, and none are used.
+    """
+    file_of(path)
+    if path.is_file():
+        raise RunFolderError(f"{path}: found a file, expected the folder of a run")
+    record = liveness.finished_record(path, read_object(path / "run.json"))
+    notes = [] if record.get("status") == "ok" else [f"the run is {record.get('status')}: {record.get('message')}"]
+    if record.get("status") == RUNNING:
+        notes = ["run.json says that the run is in progress; whether it is cannot be known from here"]
+    if (incomplete := measurement.incomplete_recording(path)) is not None:
+        notes.append(f"messages.mcap: {incomplete}: later frames are missing")
+    run = Run(path, frame)
+    run.files.notes[:0] = notes
+    if not run.agents:
+        raise RunFolderError(f"{path}: found no agent in the scenario of the run, expected one at least")
+    check_kernels(run.files.wirings[0][1].codecs, str(path))
+    return run
 
-        Raises RunFolderError if the folder is not that of a recorded run, if the run is still in progress, or if its
-        recording is damaged before its end; ConfigurationError if only compiled kernels can read it, and none are used.
-        """
-        file_of(path)
-        if path.is_file():
-            raise RunFolderError(f"{path}: found a file, expected the folder of a run")
-        record = liveness.finished_record(path, read_object(path / "run.json"))
-        notes = [] if record.get("status") == "ok" else [f"the run is {record.get('status')}: {record.get('message')}"]
-        if record.get("status") == RUNNING:
-            notes = ["run.json says that the run is in progress; whether it is cannot be known from here"]
-        if (incomplete := measurement.incomplete_recording(path)) is not None:
-            notes.append(f"messages.mcap: {incomplete}: later frames are missing")
-        run = super().load(path, frame)
-        run.missing[:0] = notes
-        if not run.agents:
-            raise RunFolderError(f"{path}: found no agent in the wiring of the run, expected one at least")
-        check_kernels(run.wirings[0][1].codecs, str(path))
-        return run
 
-    @cached_property
-    def evaluated(self) -> Evaluated:
-        """The evaluator's tables by frame; without outcomes if objects.parquet cannot be used."""
-        try:
-            if self.objects is not None:  # it is among what is missing
-                return super().evaluated
-        except (OSError, ValueError, KeyError, RunFolderError, pyarrow.ArrowException) as error:
-            self.note(f"objects.parquet cannot be read ({error}): no object is marked as matched, missed or false.")
-        return Evaluated(None, self.counts, self.effects, {})
+def frames_of(run: Run) -> Iterator[Frame]:
+    """All frames of a recorded run in order, read one after the other; what it lacks is noted when all have been read.
 
-    def __iter__(self) -> Iterator[Frame]:
-        """All frames in order, read from the recording one after the other.
-
-        Raises RunFolderError if there is none.
-        """
-        count = dropped = without_truth = 0
-        run, window = self, range(0)
-        series_by_key = [(frame, routes(wiring, self.agents)) for frame, wiring in self.wirings]
-        for (time_ns, index), group in groupby(read(self.path), key=lambda message: (message.time_ns, message.frame)):
-            bodies, refused = _first_valid(list(group), series_by_key)
-            dropped += refused
-            if CLOCK not in bodies and TRUTH not in bodies:
-                dropped += len(bodies)  # not of a frame of this run: receivers refuse them
-                continue
-            count += 1
-            without_truth += TRUTH not in bodies
-            if self.sample.every > 1 and index not in window:  # of a long run, its tables a part after the other
-                window = range(index - index % _WINDOW, index - index % _WINDOW + _WINDOW)
-                run = self.window(window.start, window.stop)
-            yield Frame(run, index, time_ns, bodies)
-        if not count:
-            raise RunFolderError(f"{file_of(self.path)}: found no whole frame, expected one at least")
-        if dropped:
-            self.note(f"messages.mcap: invalid messages, which receivers refuse, are left out: {dropped}")
-        if without_truth:
-            self.note(f"messages.mcap: frames without truth: {without_truth}")
-
-    def note(self, sentence: str) -> None:
-        """Add a sentence about something that the record lacks, once."""
-        if sentence not in self.missing:
-            self.missing.append(sentence)
+    Raises RunFolderError if there is none.
+    """
+    count = dropped = without_truth = 0
+    now, window = run, range(0)
+    series_by_key = [(frame, routes(wiring, run.agents)) for frame, wiring in run.files.wirings]
+    for (time_ns, index), group in groupby(read(run.path), key=lambda message: (message.time_ns, message.frame)):
+        bodies, refused = _first_valid(list(group), series_by_key)
+        dropped += refused
+        if CLOCK not in bodies and TRUTH not in bodies:
+            dropped += len(bodies)  # not of a frame of this run: receivers refuse them
+            continue
+        count += 1
+        without_truth += TRUTH not in bodies
+        if run.files.sample.every > 1 and index not in window:  # of a long run, its tables a part after the other
+            window = range(index - index % _WINDOW, index - index % _WINDOW + _WINDOW)
+            now = run.within(window.start, window.stop)
+        yield Frame(now, index, time_ns, bodies)
+    if not count:
+        raise RunFolderError(f"{file_of(run.path)}: found no whole frame, expected one at least")
+    if dropped:
+        run.files.note(f"messages.mcap: invalid messages, which receivers refuse, are left out: {dropped}")
+    if without_truth:
+        run.files.note(f"messages.mcap: frames without truth: {without_truth}")
 
 
 def _first_valid(

@@ -13,8 +13,8 @@ from mast_zenoh.config import loading, registry
 from mast_zenoh.config.scene_names import parse_scene
 from mast_zenoh.config.settings import ALIASES, KEYS, LISTS, from_values, set_dotted, split
 from mast_zenoh.errors import ConfigurationError, MastError, nearest
-from mast_zenoh.messages.plain_shapes import MAX_NAME, REFUSED, is_name
 from mast_zenoh.scenes.agents import best_pattern
+from mast_zenoh.wiring.plain_shapes import MAX_NAME, REFUSED, is_name
 
 
 def checked_name(name: object, place: str) -> str:

@@ -14,13 +14,13 @@ from pyarrow import csv
 from rich.console import Console
 
 from mast_zenoh import run_folder, scenario
-from mast_zenoh.api.comparisons import Comparison, as_text
 from mast_zenoh.api.runs import Run
 from mast_zenoh.config.allowed_code import OWN_RUN
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import ConfigurationError, HandlerFailed, MastError, RunFolderError
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.launch import twin
+from mast_zenoh.report.compare import Comparison, as_text
 from mast_zenoh.run_folder.tables import read_arrow
 from mast_zenoh.study import definition, execution
 from mast_zenoh.study import trials as repeated_runs
@@ -202,7 +202,7 @@ class ComparisonResult:
     """
 
     out: Path
-    runs: dict[str, launcher.Run]
+    runs: dict[str, launcher.EndedRun]
     driven: Resolved | None = None
 
     @property
@@ -240,7 +240,7 @@ def run_once(
     resolved = {each.label: _resolve(study, each, seed, frames, record) for each in study.configurations}
     driven = _resolve_driven(study, seed, frames)
     folder = new_folder(out, study.name)
-    status_file, runs = folder / "study.json", dict[str, launcher.Run]()
+    status_file, runs = folder / "study.json", dict[str, launcher.EndedRun]()
     chosen_runtime = runtime or study.runtime or "mesh"
 
     def write_status(status: str) -> None:

@@ -13,9 +13,10 @@ from typing import Any
 
 from mast_zenoh.errors import ConfigurationError, RunFolderError
 from mast_zenoh.ros2.qos import TRANSIENT_LOCAL, Qos
-from mast_zenoh.runs.frame import Frame, FramedRun
+from mast_zenoh.runs.frame import Frame
 from mast_zenoh.runs.live.observer import Observer
-from mast_zenoh.runs.recorded import RecordedRun
+from mast_zenoh.runs.recorded import frames_of, open_recorded
+from mast_zenoh.runs.run import Run
 from mast_zenoh.runtime.mesh.ros2_participant import Participant, Publisher
 from mast_zenoh.viewer.export.ros2_messages import MARKERS, RunMessages
 
@@ -43,7 +44,7 @@ class Ros2Bridge:
 
     def __init__(
         self,
-        run: FramedRun,
+        run: Run,
         participant: Participant,
         namespace: str = "/",
         partners: Mapping[str, Mapping[str, Any]] | None = None,
@@ -116,25 +117,25 @@ def frames_to_the_end(
     stop, ended: see `Observer.frames`
     """
     yield from observer.frames(stop, ended)
-    folder = observer.run.folder
-    if folder is None or stop.is_set() or bridge.newest >= observer.run.resolved.frames - 1:
+    folder = observer.address.folder
+    if folder is None or stop.is_set() or bridge.newest >= observer.address.resolved.frames - 1:
         return
     with suppress(RunFolderError):  # not recorded
-        (last,) = deque(RecordedRun.load(folder), maxlen=1)
+        (last,) = deque(frames_of(open_recorded(folder)), maxlen=1)
         if last.index > bridge.newest:
             yield last
 
 
-def played(run: FramedRun, *, rate: float = 1.0, loop: bool = False) -> Iterator[Frame]:
+def played(run: Run, *, rate: float = 1.0, loop: bool = False) -> Iterator[Frame]:
     """The frames of a finished run at the pace of its scene, once or again and again; rate: s of the scene per s.
 
     It reads the run once before. Raises RunFolderError if the run has no frame.
     """
-    first_ns = min(frame.time_ns for frame in run)
+    first_ns = min(frame.time_ns for frame in frames_of(run))
 
     def once() -> Iterator[Frame]:
         begin_s = time.monotonic()
-        for frame in run:
+        for frame in frames_of(run):
             time.sleep(max(0.0, begin_s + (frame.time_ns - first_ns) / 1e9 / rate - time.monotonic()))
             yield frame
 

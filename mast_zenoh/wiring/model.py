@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
-from mast_zenoh.messages.plain_shapes import Name, check_shape
+from mast_zenoh.wiring.plain_shapes import Name, check_shape
 
 #: The message type of an input port that receives every key. A node with such a port publishes nothing.
 ANY = "*"

@@ -10,9 +10,9 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from surface import BASE_CLASSES, OF_A_RUN
 
 import mast_zenoh as mast
-from mast_zenoh.api.surface import BASE_CLASSES
 from mast_zenoh.study.interface import carry_out
 
 PROJECT = Path(__file__).parents[2] / "pyproject.toml"
@@ -32,10 +32,6 @@ _BASES = """
 """
 BASES = {f"mast_zenoh.{place}" for place in _BASES.split()}
 MEMBERS = {
-    "Run": (
-        "record id name seed status running headline summary metrics objects attacks targets driving "
-        "driven trust trust_objects messages truth picture agents agent plot report export animate snapshot"
-    ),
     "Comparison": "table headline plot markdown",
     "FinishedStudy": "table comparison results frames",
     "PreparedScene": "name agents agent truth save save_detections description birdseye",
@@ -69,6 +65,14 @@ def test_base_classes_are_pinned() -> None:
 @pytest.mark.parametrize("name", MEMBERS)
 def test_members_of_returned_objects_are_pinned(name: str) -> None:
     assert {member for member in dir(getattr(mast, name)) if not member.startswith("_")} == {*MEMBERS[name].split()}
+
+
+def test_members_of_a_run_are_pinned() -> None:
+    assert " ".join(sorted(OF_A_RUN)) == (
+        "agent agents animate attacks driven driving export headline id messages metrics name objects picture plot "
+        "record report running seed snapshot status summary targets trust trust_objects truth"
+    )
+    assert {*OF_A_RUN} <= {*dir(mast.Run)}
 
 
 @pytest.mark.parametrize("name", KEYWORDS)

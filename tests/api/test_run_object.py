@@ -11,9 +11,9 @@ import pytest
 from pyarrow import parquet
 
 import mast_zenoh as mast
-from mast_zenoh.api import messages as recorded
 from mast_zenoh.errors import ConfigurationError, RunFolderError
 from mast_zenoh.launch import liveness
+from mast_zenoh.runs import messages as recorded
 from mast_zenoh.scenes.recording import Recording
 
 BOX = ["x", "y", "z", "vx", "vy", "vz", "l", "w", "h", "yaw"]

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import mast_zenoh as mast
-from mast_zenoh.api.observability import observability
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.integrity import STATES
 from mast_zenoh.launch.measurement import measure
+from mast_zenoh.runs.observability import observability
 from mast_zenoh.scenario.reading import load
 
 pytestmark = pytest.mark.heavy

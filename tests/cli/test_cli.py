@@ -13,7 +13,7 @@ from rich.table import Table
 from mast_zenoh.cli import options
 from mast_zenoh.cli.options import PlainConsole
 from mast_zenoh.errors import HandlerFailed, MastError, RunFolderError
-from mast_zenoh.launch.run import Run
+from mast_zenoh.launch.run import EndedRun
 
 SHORT = ("--frames", "4", "--runtime", "inproc")
 CLUSTERING = "command_center.pipeline.clustering"
@@ -274,4 +274,4 @@ def test_a_failing_report_does_not_hide_the_error_of_the_run(
 ) -> None:
     monkeypatch.setattr(options, "_show", lambda *_, **__: {}["agents"])
     with pytest.raises(expected):
-        options.conclude(Run(tmp_path, {"nodes": {}, "message": ""}, error), report=True)
+        options.conclude(EndedRun(tmp_path, {"nodes": {}, "message": ""}, error), report=True)

@@ -93,7 +93,7 @@ def test_a_users_files_and_their_imports_reach_the_nodes(tmp_path: Path) -> None
     assert_equal(here.folder, there.folder)
 
 
-def outcome_of(run: launcher.Run) -> tuple[Any, ...]:
+def outcome_of(run: launcher.EndedRun) -> tuple[Any, ...]:
     """Failures by node, notices, and files of results."""
     failed = {
         node: [failure | {"where": Path(failure["where"]).name} for failure in failures]

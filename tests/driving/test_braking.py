@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from mast_zenoh.driving.braking import Belief, Commands, brakes_of, missed_brakes, spans
 from mast_zenoh.driving.consequences import consequences
 from mast_zenoh.driving.corridor import crossing, in_corridor
-from mast_zenoh.metrics.driving import Driving, Objects
+from mast_zenoh.metrics.driving import Driving, RoadUsers
 from tests.driving.test_what_happened_to_cars import car, driven, objects, straight
 
 FRAMES = 30
@@ -25,11 +25,13 @@ def braking(at: int, braking: float = 6.0, until: int = FRAMES) -> tuple[list[fl
     return np.cumsum([0.0, *(0.1 * value for value in speed[1:])]).tolist(), speed
 
 
-def ahead(x: float, frames: range = range(FRAMES)) -> Objects:
+def ahead(x: float, frames: range = range(FRAMES)) -> RoadUsers:
     return objects([(row, x, 0.0, 0.0) for row in frames])
 
 
-def brakes(believed: Objects, real: int, adversary: str = "", there: Objects | None = None, **known: object) -> list:
+def brakes(
+    believed: RoadUsers, real: int, adversary: str = "", there: RoadUsers | None = None, **known: object
+) -> list:
     """The brakes of a car that brakes from frame 10 on, and whose driver believes in an object of track 5."""
     there = objects([]) if there is None else there
     x, speed = braking(10)
@@ -60,9 +62,9 @@ def test_a_brake_for_a_real_object_is_needful_and_names_it() -> None:
 
 def test_of_two_objects_the_one_that_asks_for_the_hardest_braking_is_the_cause() -> None:
     near, far = ahead(25.0), ahead(45.0)
-    both = Objects(*(np.concatenate(pair) for pair in zip(near, far, strict=True)))
+    both = RoadUsers(*(np.concatenate(pair) for pair in zip(near, far, strict=True)))
     order = np.argsort(both.frame, kind="stable")
-    both = Objects(*(column[order] for column in both))
+    both = RoadUsers(*(column[order] for column in both))
     is_near = both.position[:, 0] == 25.0
     belief = Belief(np.where(is_near, 1, 2), np.where(is_near, -1, 9), np.full(len(order), "", object))
     x, speed = braking(10)
@@ -199,7 +201,7 @@ def test_an_emergency_is_contact_within_a_second_and_a_half() -> None:
     assert math.isclose(found["min_ttc_s"], 0.0, abs_tol=0.05)
 
 
-def crossers(x: float, y: float, velocity: tuple[float, float], frames: range = range(FRAMES)) -> Objects:
+def crossers(x: float, y: float, velocity: tuple[float, float], frames: range = range(FRAMES)) -> RoadUsers:
     """An object that is at (x, y) in frame 10, and moves at constant velocity."""
     there = objects(
         [(row, x + (row - 10) * 0.1 * velocity[0], y + (row - 10) * 0.1 * velocity[1], 0) for row in frames]
@@ -227,7 +229,7 @@ def test_a_brake_for_a_ghost_ahead_is_needless_although_real_traffic_crosses() -
 
 @pytest.mark.parametrize("ghost", [ahead(24.0), crossers(21.0, 6.0, (0.0, -8.0))], ids=["ahead", "crossing"])
 @pytest.mark.parametrize(("gap", "needless"), [(45.0, True), (22.0, False)], ids=["slight reason", "good reason"])
-def test_a_slight_reason_does_not_excuse_a_hard_brake_for_a_ghost(ghost: Objects, gap: float, needless: bool) -> None:
+def test_a_slight_reason_does_not_excuse_a_hard_brake_for_a_ghost(ghost: RoadUsers, gap: float, needless: bool) -> None:
     """Behind something that stands 45 m ahead, a car that follows the model brakes with more than 1 m/s^2 already."""
     there = ahead(gap + 10.0)
     (brake,) = brakes(ghost, real=-1, there=there)

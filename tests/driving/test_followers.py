@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mast_zenoh.driving.followers import Onset, behind, behind_car, shock_wave
-from mast_zenoh.metrics.driving import Objects, Vehicle
+from mast_zenoh.metrics.driving import RoadUsers, Vehicle
 from tests.driving.test_what_happened_to_cars import SIZE, car, objects
 
 
@@ -38,7 +38,7 @@ def test_hard_brakes_and_standing_times_of_followers_are_sums_over_cars() -> Non
     rows = objects([(row, x, 0.0, 0.0) for x in (30.0, 20.0, 90.0) for row in range(6)])
     speed = np.array([10.0, 9.0, 9.0, 8.0, 8.0, 8.0, 1.0, 0.5, 0.2, 0.0, 0.0, 0.0, *[9.0, 1.0] * 3])
     velocity = np.column_stack([speed, np.zeros(18), np.zeros(18)])
-    others = Objects(rows.frame, rows.position, velocity, rows.size, rows.yaw)
+    others = RoadUsers(rows.frame, rows.position, velocity, rows.size, rows.yaw)
     found = behind_car(own, others, np.repeat([1, 2, 3], 6), 0.1, 4.05, [])
     assert (found["cars"], found["hard_brakes"]) == (2, 3)
     assert found["hardest_braking_mps2"] == pytest.approx(10.0)
@@ -79,6 +79,6 @@ def test_the_delay_of_followers_is_the_time_lost_against_their_greatest_speed_un
     own = car([50.0] * 5, [0.0] * 5)
     rows = objects([(row, 30.0, 0.0, 0.0) for row in range(5)])
     velocity = np.column_stack([[5.0, 10.0, 5.0, 0.0, 20.0], np.zeros(5), np.zeros(5)])
-    others = Objects(rows.frame, rows.position, velocity, rows.size, rows.yaw)
+    others = RoadUsers(rows.frame, rows.position, velocity, rows.size, rows.yaw)
     found = behind_car(own, others, np.ones(5, np.int64), 0.1, 4.05, [])
     assert found["delay_s"] == pytest.approx(0.1 * (0.5 + 1.0))

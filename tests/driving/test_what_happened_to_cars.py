@@ -16,7 +16,7 @@ from mast_zenoh.driving.consequences import DrivenCar, consequences, uncomfortab
 from mast_zenoh.driving.contact import collisions
 from mast_zenoh.driving.corridor import in_corridor, needed_braking
 from mast_zenoh.driving.motion import RouteAhead
-from mast_zenoh.metrics.driving import Driving, Objects, SafeDistance, Vehicle, time_to_collision
+from mast_zenoh.metrics.driving import Driving, RoadUsers, SafeDistance, Vehicle, time_to_collision
 
 SIZE = (4.5, 1.9)
 
@@ -29,12 +29,12 @@ def car(x: list[float], speed: list[float]) -> Vehicle:
     return Vehicle(position, velocity, np.zeros(n), *SIZE)
 
 
-def objects(rows: list[tuple[int, float, float, float]]) -> Objects:
+def objects(rows: list[tuple[int, float, float, float]]) -> RoadUsers:
     """Objects of 4 x 2 m, standing, by (frame, x, y, yaw)."""
     table = np.array(rows, np.float64).reshape(-1, 4)
     n = len(table)
     position = np.column_stack([table[:, 1:3], np.zeros(n)])
-    return Objects(
+    return RoadUsers(
         table[:, 0].astype(np.int64), position, np.zeros((n, 3)), np.tile([4.0, 2.0, 1.5], (n, 1)), table[:, 3]
     )
 
@@ -119,11 +119,11 @@ def straight(x: float, stop_m: float = math.inf, limit: float = 50.0) -> RouteAh
     return RouteAhead(np.column_stack([x + np.arange(80.0), np.zeros(80)]), np.full(80, limit), stop_m)
 
 
-def driven(own: Vehicle, others: Objects, ids: list[int], **known: object) -> DrivenCar:
+def driven(own: Vehicle, others: RoadUsers, ids: list[int], **known: object) -> DrivenCar:
     """A car in frames from 10, 0.1 s apart, on a straight road, whose driver knows what is there."""
     n = len(own.heading)
     order = np.argsort(others.frame, kind="stable")
-    others, numbers = Objects(*(column[order] for column in others)), np.array(ids, np.int64)[order]
+    others, numbers = RoadUsers(*(column[order] for column in others)), np.array(ids, np.int64)[order]
     return replace(
         DrivenCar(
             car=own,
@@ -144,7 +144,7 @@ def driven(own: Vehicle, others: Objects, ids: list[int], **known: object) -> Dr
     )
 
 
-def of(own: Vehicle, others: Objects, ids: list[int], **known: object) -> dict:
+def of(own: Vehicle, others: RoadUsers, ids: list[int], **known: object) -> dict:
     return consequences(driven(own, others, ids, **known))
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from mast_zenoh.config.registry import build, known_types
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.fusion.input_limit import FairInput, InputLimit, NoInputLimit, Objects, fair_shares, rows_of
+from mast_zenoh.fusion.input_limit import ClaimedObjects, FairInput, InputLimit, NoInputLimit, fair_shares, rows_of
 
 #: Objects of each agent in one frame: ids with scores.
 Frame = dict[int, dict[int, float]]
@@ -20,7 +20,7 @@ Frame = dict[int, dict[int, float]]
 def kept(limit: InputLimit, frame: Frame) -> dict[int, set[int]]:
     """Ids that are kept in a frame, by agent."""
     objects = {
-        str(agent): Objects(np.array(list(scores), np.int64), np.array(list(scores.values()), np.float64))
+        str(agent): ClaimedObjects(np.array(list(scores), np.int64), np.array(list(scores.values()), np.float64))
         for agent, scores in frame.items()
     }
     selected = limit.select(objects)
@@ -75,7 +75,9 @@ def test_rows_that_were_cut_from_a_message_count_as_sent() -> None:
     for beyond, expected in ((0, 40), (0, 40), (19_960, 54), (0, 60)):  # 54: a third more than before
         sent = {0: some(60 if beyond or expected == 60 else 40), 1: some(30)}
         objects = {
-            str(agent): Objects(np.array(list(ids), np.int64), np.full(len(ids), 0.5), beyond if agent == 0 else 0)
+            str(agent): ClaimedObjects(
+                np.array(list(ids), np.int64), np.full(len(ids), 0.5), beyond if agent == 0 else 0
+            )
             for agent, ids in sent.items()
         }
         selected = limit.select(objects)
@@ -253,7 +255,7 @@ def test_a_message_is_cut_to_what_was_kept_and_new_objects_of_high_score() -> No
     limit = FairInput(rows=50)
     kept(limit, {0: some(20, score=0.1)})
     ids = np.random.default_rng(0).permutation(20_000)
-    rows = limit.cut(limit.kept["0"], Objects(ids, np.where(ids < 10_000, 0.5, 0.9)), 40)
+    rows = limit.cut(limit.kept["0"], ClaimedObjects(ids, np.where(ids < 10_000, 0.5, 0.9)), 40)
     assert sorted(ids[rows].tolist()) == [*range(20), *range(10_000, 10_020)]
 
 
@@ -261,7 +263,7 @@ def test_cutting_a_message_changes_nothing_that_is_remembered() -> None:
     limit = FairInput(rows=50)
     kept(limit, {0: some(20)})
     before = limit.kept
-    limit.cut(before["0"], Objects(np.arange(1000), np.ones(1000)), 40)
+    limit.cut(before["0"], ClaimedObjects(np.arange(1000), np.ones(1000)), 40)
     assert limit.kept is before
 
 

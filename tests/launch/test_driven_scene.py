@@ -16,7 +16,7 @@ from mast_zenoh.launch import run, twin
 from mast_zenoh.messages import codec
 from mast_zenoh.report import comparison
 from mast_zenoh.run_folder.recording.reader import read
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 from mast_zenoh.scenes import Recording
 from mast_zenoh.viewer.page.columns import unpack
 from mast_zenoh.viewer.page.live_view import LiveBlocks
@@ -60,7 +60,7 @@ def test_the_scene_of_a_twin_is_what_happened_without_the_attack(tmp_path: Path)
     assert np.array_equal(scenes[0].truth.position, scenes[1].truth.position)
     assert not np.array_equal(scenes[0].agent_position, Recording.load(attacked.folder / "scene.npz").agent_position)
     assert not (tmp_path / "escaped.mcap").exists(), "a twin writes into its own folder alone"
-    assert comparison.reference(RunRecord.load(attacked.folder), attacked.folder / "twin").name == "unattacked"
+    assert comparison.reference(Run(attacked.folder), attacked.folder / "twin").name == "unattacked"
 
 
 @pytest.mark.heavy
@@ -69,8 +69,8 @@ def test_a_live_view_shows_the_truth_as_it_happens(tmp_path: Path) -> None:
     happened, prepared = Recording.load(ended.folder / "scene.npz"), driven(*ATTACK, frames=30).recording
     assert prepared is not None
     observer: Any = RecordedObserver(ended.folder, numbers=(10, 29))
-    observer.run.scene = prepared  # as it is while the run goes on
-    observer.record = replace(observer.record, recording=prepared)
+    observer.address.scene = prepared  # as it is while the run goes on
+    observer.run = observer.run.with_(scene=prepared)
     blocks = LiveBlocks.of(observer)
     frames = [frame for _ in range(5) if (frame := observer.advance()) is not None]
     for frame in (replace(frame, run=replace(frame.run, recording=prepared)) for frame in frames):

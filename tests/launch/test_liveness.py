@@ -11,10 +11,11 @@ from typing import Any
 
 import pytest
 
+from mast_zenoh import run_folder
 from mast_zenoh.errors import NotRunning
-from mast_zenoh.launch import folder, live_interception, liveness
+from mast_zenoh.launch import live_interception, liveness
 from mast_zenoh.report.narrative.run import status
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 
 SAYS_WHO = (
     "from mast_zenoh.launch import liveness; import json; print(json.dumps(liveness.identity()), flush=True); input()"
@@ -84,11 +85,11 @@ def test_a_finished_run_is_not_reported_as_killed() -> None:
 
 def test_every_tool_that_reads_the_folder_reports_a_killed_run(tmp_path: Path) -> None:
     record = {"id": "a-1", "status": "running", "runtime": "mesh", "launcher": liveness.identity()}
-    folder.write_json(tmp_path / "run.json", record)
-    assert RunRecord.load(tmp_path).run["status"] == "running"
-    folder.write_json(tmp_path / "run.json", record | {"launcher": liveness.identity() | {"began": "1"}})
-    run = RunRecord.load(tmp_path)
-    assert run.run["status"] == "killed"
+    run_folder.write_json(tmp_path / "run.json", record)
+    assert Run(tmp_path).files.record["status"] == "running"
+    run_folder.write_json(tmp_path / "run.json", record | {"launcher": liveness.identity() | {"began": "1"}})
+    run = Run(tmp_path)
+    assert run.files.record["status"] == "killed"
     assert "cut off" in status(run)
     with pytest.raises(NotRunning, match="the run is over: killed"):
         live_interception.release(tmp_path, name="x")

@@ -16,7 +16,7 @@ from launched import MAST, Launched, alive, eventually
 from ros2_client import ForeignClient, expected_messages, ros2_router
 
 from mast_zenoh.ros2 import type_store
-from mast_zenoh.runs.recorded import RecordedRun
+from mast_zenoh.runs.recorded import open_recorded
 from mast_zenoh.security.authority import Authority
 from mast_zenoh.security.credentials import ROUTER
 from mast_zenoh.security.levels import router_settings
@@ -63,7 +63,7 @@ def without_colours(markers: list[Any]) -> list[Any]:
 
 def assert_recorded(client: ForeignClient, folder: Path, frames: int) -> None:
     """What a client has received is what the recording of a run says, frame by frame."""
-    expected = expected_messages(RecordedRun.load(folder), TOPICS)
+    expected = expected_messages(open_recorded(folder), TOPICS)
     counts = {topic: frames if topic != "/tf_static" else 1 for topic in TOPICS}
     assert {topic: len(messages) for topic, messages in expected.items()} == counts
     eventually(lambda: client.counts() == counts, f"every message, of {counts}", 20)
@@ -219,7 +219,7 @@ def test_of_a_short_run_in_lock_step_the_last_frame_is_sent_at_least(launch: Lau
         )
         eventually(lambda: client.counts()["/clock"] == number, "the frames")
         received = client.messages()
-    expected = expected_messages(RecordedRun.load(run.out), TOPICS)
+    expected = expected_messages(open_recorded(run.out), TOPICS)
     for topic in ("/clock", "/cc/picture"):
         assert received[topic][-1] == expected[topic][-1], topic
 
@@ -235,7 +235,7 @@ def test_in_lock_step_the_newest_frames_are_sent_at_a_pace_that_costs_little(lau
         assert f"sent: {number} of 200 frames: " in output
         eventually(lambda: client.counts()["/clock"] == number, "the frames")
         received = client.messages()
-    expected = expected_messages(RecordedRun.load(run.out), TOPICS)
+    expected = expected_messages(open_recorded(run.out), TOPICS)
     stamps = [message["clock"] for message in expected["/clock"]]
     rows = [stamps.index(message["clock"]) for message in received["/clock"]]
     assert rows == sorted(set(rows))
@@ -257,7 +257,7 @@ def test_a_running_run_can_be_bridged_later_with_every_frame(launch: Launch, cli
             output, _ = bridge.communicate(timeout=120)
         assert bridge.returncode == 0, output
         received = client.messages()
-    expected = expected_messages(RecordedRun.load(run.out), TOPICS)
+    expected = expected_messages(open_recorded(run.out), TOPICS)
     stamps = [message["clock"] for message in expected["/clock"]]
     rows = [stamps.index(message["clock"]) for message in received["/clock"]]
     assert rows == sorted(set(rows))

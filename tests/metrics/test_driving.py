@@ -14,7 +14,7 @@ from shapely import LineString
 from mast_zenoh.metrics import Driving
 from mast_zenoh.metrics.driving import (
     STANDING_MPS,
-    Objects,
+    RoadUsers,
     SafeDistance,
     TimeToCollision,
     Vehicle,
@@ -37,11 +37,11 @@ def vehicle(radius_m: float = math.inf, speed: float = 10.0, frames: int = 100, 
     return Vehicle(np.column_stack([place, np.zeros(frames)]), velocity, turn, LENGTH, WIDTH)
 
 
-def objects(*rows: tuple[int, float, float, float, float, float], velocity=(0.0, 0.0)) -> Objects:
+def objects(*rows: tuple[int, float, float, float, float, float], velocity=(0.0, 0.0)) -> RoadUsers:
     """Objects from (frame, x, y, yaw, length, width)."""
     table = np.array(rows, float).reshape(-1, 6)
     n = len(table)
-    return Objects(
+    return RoadUsers(
         table[:, 0].astype(np.int64),
         np.column_stack([table[:, 1:3], np.zeros(n)]),
         np.tile([*velocity, 0.0], (n, 1)),

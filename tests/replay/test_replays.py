@@ -26,7 +26,7 @@ from mast_zenoh.report.narrative.run import result
 from mast_zenoh.run_folder.recording.difference import compare
 from mast_zenoh.run_folder.recording.reader import read
 from mast_zenoh.run_folder.recording.script import Script
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 from mast_zenoh.wiring.model import Wiring
 
 
@@ -138,7 +138,7 @@ class Witnesses(Node):
 '''
 
 
-def replayed(folder: Path, out: Path, place: Any = "agents", **options: Any) -> launcher.Run:
+def replayed(folder: Path, out: Path, place: Any = "agents", **options: Any) -> launcher.EndedRun:
     """A replay in one process, which must succeed."""
     prepared = replay.resolve(folder, place, **options)
     ended = launcher.run(prepared.resolved, out, runtime="inproc", replay=prepared.record())
@@ -172,7 +172,7 @@ def test_unchanged_nodes_compute_the_recorded_picture(
     assert not run.record["nodes"]["broker"]["rejected"]
     assert not (run.folder / "played").exists()
     if (name, place) == ("uncoordinated", "agents"):
-        sentence = result(loaded := RunRecord.load(run.folder), reference(loaded, recorded(name)))
+        sentence = result(loaded := Run(run.folder), reference(loaded, recorded(name)))
         assert sentence.endswith("but every score that both runs have equals that of uncoordinated")
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from run_samples import edit, write_run
 
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 
 
 @pytest.fixture(scope="session")
@@ -35,9 +35,9 @@ def run_folder(template: Callable[[str], Path], tmp_path: Path) -> Callable[...,
 
 
 @pytest.fixture
-def run_of(run_folder: Callable[..., Path]) -> Callable[..., RunRecord]:
+def run_of(run_folder: Callable[..., Path]) -> Callable[..., Run]:
     """The record of such a run."""
-    return lambda *args, **changes: RunRecord.load(run_folder(*args, **changes))
+    return lambda *args, **changes: Run(run_folder(*args, **changes))
 
 
 @pytest.fixture

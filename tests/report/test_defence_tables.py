@@ -10,8 +10,8 @@ from dataclasses import replace
 import pytest
 from defence_samples import SHARE, matrix, row, summary
 
-from mast_zenoh.api.comparisons import as_text
 from mast_zenoh.metrics.study_results import BINOMIAL, BOOTSTRAP, DEFENCE_MEASURES, STUDENT, DefenceMatrix, Measured
+from mast_zenoh.report.compare import as_text
 from mast_zenoh.report.tables.defences import defence_tables
 from mast_zenoh.report.tables.text_table import measured, median_delay
 

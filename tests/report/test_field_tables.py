@@ -8,8 +8,8 @@ from dataclasses import replace
 
 from field_samples import SCENES, field
 
-from mast_zenoh.api.comparisons import as_text
 from mast_zenoh.metrics.field_results import FIELD_MEASURES
+from mast_zenoh.report.compare import as_text
 from mast_zenoh.report.tables.field_matrix import field_tables, published_tables
 from mast_zenoh.report.tables.text_table import TextTable
 

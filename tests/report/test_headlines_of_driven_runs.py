@@ -20,10 +20,10 @@ from mast_zenoh.report.narrative.run import headline, reading, study_headline, s
 from mast_zenoh.report.tables.scores import score_table
 from mast_zenoh.runs.events import first_changes
 from mast_zenoh.runs.interposers import interposers
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 
-RunOf = Callable[..., RunRecord]
-Driven = Callable[..., tuple[RunRecord, Reference]]
+RunOf = Callable[..., Run]
+Driven = Callable[..., tuple[Run, Reference]]
 _WIDTHS = """() => [...document.querySelectorAll(".scroll")].map((box) => [box.scrollWidth, box.clientWidth])"""
 _WRAPPED = """() => getComputedStyle(document.querySelector("#driving ~ .scroll td.num")).whiteSpace"""
 HIT = {"object": 9, "frame": 33, "speed_mps": 2.34, "hidden": True}
@@ -33,12 +33,12 @@ HIT = {"object": 9, "frame": 33, "speed_mps": 2.34, "hidden": True}
 def driven(run_of: RunOf) -> Driven:
     """A run with the given consequences for its ego, and its twin; stops: whether it goes another way."""
 
-    def pair(*, stops: bool = False, twin: dict[str, Any] | None = None, **changes: Any) -> tuple[RunRecord, Reference]:
+    def pair(*, stops: bool = False, twin: dict[str, Any] | None = None, **changes: Any) -> tuple[Run, Reference]:
         run, other = run_of("uncoordinated"), run_of()
-        object.__setattr__(run, "driven", course(hard=stops))
-        object.__setattr__(other, "driven", course(hard=False))
-        run.metrics["driven"] = {"ego": happened(**changes)}
-        other.metrics["driven"] = {"ego": happened(**(twin or {}))}
+        run.files.driven = course(hard=stops)
+        other.files.driven = course(hard=False)
+        run.files.summary["driven"] = {"ego": happened(**changes)}
+        other.files.summary["driven"] = {"ego": happened(**(twin or {}))}
         return run, Reference(other, "unattacked")
 
     return pair
@@ -79,7 +79,7 @@ def test_without_collisions_needless_brakes_and_the_way_come_first(
 def test_of_several_cars_those_that_collide_are_named(driven: Driven) -> None:
     run, twin = driven(needless_brakes=1)
     for name in ("mobile_1", "mobile_2", "mobile_3", "mobile_4"):
-        run.metrics["driven"][name] = twin.run.metrics["driven"][name] = happened(collisions=[HIT])
+        run.files.summary["driven"][name] = twin.run.files.summary["driven"][name] = happened(collisions=[HIT])
     assert consequence(run, twin).startswith("mobile_1 hits one object (unattacked: one object), mobile_2 hits ")
     assert consequence(run, twin).endswith(" and 1 more")
 
@@ -87,7 +87,7 @@ def test_of_several_cars_those_that_collide_are_named(driven: Driven) -> None:
 @pytest.mark.parametrize("damaged", [7, [None], {"ego": 7}, {"ego": {"collisions": 1}}, {"ego": {"progress_m": "far"}}])
 def test_damaged_consequences_are_left_out(damaged: Any, driven: Driven) -> None:
     run, twin = driven()
-    run.metrics["driven"] = damaged
+    run.files.summary["driven"] = damaged
     assert consequence(run, twin) == ""
 
 
@@ -103,16 +103,16 @@ def test_errors_of_a_car_elsewhere_are_attributed_by_the_run_alone(driven: Drive
 
 def test_other_settings_that_differ_are_named_beside_the_changed_way(driven: Driven) -> None:
     run, twin = driven(stops=True)
-    run.scenario["network"] = "another"
+    run.files.scenario["network"] = "another"
     assert headline(run, twin).endswith("comes from the changed way and network")
 
 
 def test_no_attack_is_blamed_for_errors_that_come_from_the_changed_way(run_of: RunOf, driven: Driven) -> None:
     _, twin = driven()
     run = run_of()
-    object.__setattr__(run, "driven", course(hard=True))
-    run.metrics["driven"] = {"ego": happened(progress_m=29.0)}
-    run.metrics["agents"]["ego"]["picture"]["fp"]["mean"] += 5.0
+    run.files.driven = course(hard=True)
+    run.files.summary["driven"] = {"ego": happened(progress_m=29.0)}
+    run.files.summary["agents"]["ego"]["picture"]["fp"]["mean"] += 5.0
     words = headline(run, twin)
     assert words.startswith("The ego drives 29 m instead of 93 m (unattacked). The common picture misses ")
     assert "due to" not in words
@@ -122,11 +122,11 @@ def test_no_attack_is_blamed_for_errors_that_come_from_the_changed_way(run_of: R
 def test_a_car_whose_course_is_not_known_counts_as_elsewhere(driven: Driven) -> None:
     run, twin = driven()
     assert same_ways(run, twin.run)
-    object.__setattr__(run, "driven", None)
+    run.files.driven = None
     assert not same_ways(run, twin.run)
-    del run.metrics["driven"]
+    del run.files.summary["driven"]
     assert not same_ways(run, twin.run)
-    del twin.run.metrics["driven"]
+    del twin.run.files.summary["driven"]
     assert same_ways(run, twin.run)
 
 
@@ -134,7 +134,8 @@ def test_the_headline_of_compared_runs_begins_with_the_worst_that_happened(drive
     run, twin = driven(stops=True, collisions=[HIT], progress_m=40.0)
     slow, _ = driven(progress_m=10.0)
     runs = {"unattacked": twin.run, "slow": slow, "hit": run}
-    table = score_table({label: each.metrics for label, each in runs.items()}, agent="ego", reference="unattacked")
+    summaries = {label: each.files.summary for label, each in runs.items()}
+    table = score_table(summaries, agent="ego", reference="unattacked")
     words = study_headline(runs, table)
     assert words.startswith("hit: the ego hits one object (unattacked: none). Two of four roadside sensors compromised")
     assert any(text == f"Run hit: {headline(run, twin)}." for text in study_reading(runs, table))
@@ -143,14 +144,14 @@ def test_the_headline_of_compared_runs_begins_with_the_worst_that_happened(drive
 def test_braking_by_the_rule_is_not_told_as_what_the_driver_did(driven: Driven) -> None:
     run, twin = driven()
     shares = {"needless_brake_share": 0.59, "needless_brake_share_attack": 0.59, "missed_brake_share": 0.2}
-    run.metrics["driving"] = {"ego": {"mission": shares}}
-    twin.run.metrics["driving"] = {"ego": {"mission": dict.fromkeys(shares, 0.0)}}
+    run.files.summary["driving"] = {"ego": {"mission": shares}}
+    twin.run.files.summary["driving"] = {"ego": {"mission": dict.fromkeys(shares, 0.0)}}
     assert "brake" not in " ".join(reading(run, twin))
     page = write_page(run, reference=twin).read_text()
     section = page.partition('<h2 id="driving">')[2]
     assert section.startswith("What it would mean for driving, by a rule</h2>\n<p>When the ego would brake by the rule")
     assert "59.0% by attack" in section, "the table still has it"
-    del run.metrics["driven"], twin.run.metrics["driven"]
+    del run.files.summary["driven"], twin.run.files.summary["driven"]
     assert "Because of attacks, the ego with the picture brakes needlessly in 59.0%" in " ".join(reading(run, twin))
     assert '<h2 id="driving">What it would mean for driving</h2>\n<div' in write_page(run, reference=twin).read_text()
 
@@ -161,8 +162,8 @@ def test_the_tables_of_a_driven_run_fit_a_screen_of_1400_px(driven: Driven) -> N
     names = ("corridor_objects", "corridor_false", "corridor_missed", "overlapping_objects", "min_ttc_s", "brake_share")
     summary = dict.fromkeys(names, 1.25) | shares
     estimates = ("truth", "local", "mission")
-    run.metrics["driving"] = {"ego": dict.fromkeys(estimates, summary)}
-    twin.run.metrics["driving"] = {"ego": dict.fromkeys(estimates, dict.fromkeys(summary, 0.0))}
+    run.files.summary["driving"] = {"ego": dict.fromkeys(estimates, summary)}
+    twin.run.files.summary["driving"] = {"ego": dict.fromkeys(estimates, dict.fromkeys(summary, 0.0))}
     page_file = write_page(run, reference=twin)
     with chromium() as browser:
         page = browser.new_page(viewport={"width": 1400, "height": 900})
@@ -176,10 +177,10 @@ def test_the_tables_of_a_driven_run_fit_a_screen_of_1400_px(driven: Driven) -> N
 def test_only_braking_by_the_rule_differs(driven: Driven, run_of: RunOf) -> None:
     _, twin = driven()
     run = run_of()
-    run.metrics["driven"] = twin.run.metrics["driven"]
-    object.__setattr__(run, "driven", course(hard=False))
-    run.metrics["driving"] = {"ego": {"mission": {"needless_brake_share_attack": 0.5}}}
-    twin.run.metrics["driving"] = {"ego": {"mission": {"needless_brake_share_attack": 0.0}}}
+    run.files.summary["driven"] = twin.run.files.summary["driven"]
+    run.files.driven = course(hard=False)
+    run.files.summary["driving"] = {"ego": {"mission": {"needless_brake_share_attack": 0.5}}}
+    twin.run.files.summary["driving"] = {"ego": {"mission": {"needless_brake_share_attack": 0.0}}}
     words = "Of the scores, only braking by the rule of docs/metrics.md differs from unattacked: "
     assert headline(run, twin).startswith(words)
 
@@ -189,10 +190,10 @@ def test_what_the_ego_acts_on_is_not_said_to_be_the_same_if_its_errors_are_as_ma
 ) -> None:
     _, twin = driven()
     run = run_of()
-    run.metrics["driven"] = twin.run.metrics["driven"]
-    object.__setattr__(run, "driven", course(hard=False))
-    ego = run.metrics["agents"]["ego"]
-    twin.run.metrics["agents"]["ego"]["picture_received"] = deepcopy(ego["picture"])
+    run.files.summary["driven"] = twin.run.files.summary["driven"]
+    run.files.driven = course(hard=False)
+    ego = run.files.summary["agents"]["ego"]
+    twin.run.files.summary["agents"]["ego"]["picture_received"] = deepcopy(ego["picture"])
     ego["picture_received"] = deepcopy(ego["picture"])
     ego["picture_received"]["fp"]["mean"] += 4.0
     assert headline(run, twin).endswith("; what the ego acts on has no more errors")
@@ -201,11 +202,11 @@ def test_what_the_ego_acts_on_is_not_said_to_be_the_same_if_its_errors_are_as_ma
 @pytest.mark.parametrize(("number", "tell"), [(1, "1 message tells"), (25, "25 messages tell")])
 def test_changed_commands_have_words_of_their_own(number: int, tell: str, driven: Driven) -> None:
     run, twin = driven(stops=True, progress_m=29.0)
-    run.metrics["agents"] = twin.run.metrics["agents"]
+    run.files.summary["agents"] = twin.run.files.summary["agents"]
     wire = {"key": "agent/ego/command", "message": "command", "subject": "ego", "interposers": ["adversary_1"]}
-    run.wiring["wires"] = [wire]
-    run.metrics["interposers"]["adversary_1"] |= {"effects": {"reframed": number}, "wires": [wire["key"]]}
-    table = run.effects
+    run.files.wiring["wires"] = [wire]
+    run.files.summary["interposers"]["adversary_1"] |= {"effects": {"reframed": number}, "wires": [wire["key"]]}
+    table = run.files.effects
     assert table is not None
     own = table["interposer"] == "adversary_1"
     table["message"] = np.where(own, "command", table["message"]).astype(object)
@@ -216,7 +217,7 @@ def test_changed_commands_have_words_of_their_own(number: int, tell: str, driven
     assert effects(adversary) == f"{number} command{'s' * (number > 1)} changed"
     assert adversary.other == f"{number} commands changed"
     columns = ("adversary", "kind", "object", "frame", "error_m_centre", "error_m_ego")
-    object.__setattr__(run, "targets", dict.fromkeys(columns, np.zeros(0)))
+    run.files.targets = dict.fromkeys(columns, np.zeros(0))
     assert "adversary_1" not in explanations(run), "what commands do is not in errors"
     assert "adversary_1 changes its first command to ego" in [event.text for event in first_changes(run)]
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from copy import deepcopy
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -28,9 +27,9 @@ from mast_zenoh.report.narrative.run import (
 from mast_zenoh.report.tables.scores import number, score_table, signed
 from mast_zenoh.runs.events import first_changes
 from mast_zenoh.runs.interposers import interposers
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 
-RunOf = Callable[..., RunRecord]
+RunOf = Callable[..., Run]
 Metrics = dict[str, Any]
 
 NONE = {"fault": 0.0, "attack": 0.0, "natural": 0.0}
@@ -39,7 +38,7 @@ FAILURE |= {"exception": "ValueError: no", "where": "mine.py:3"}
 DUE = "are due to adversary_1 and adversary_2"
 
 
-def text_of(run: RunRecord, reference: RunRecord | None = None, name: str = "unattacked") -> str:
+def text_of(run: Run, reference: Run | None = None, name: str = "unattacked") -> str:
     """`^headline$ sentences$`"""
     other = Reference(reference, name) if reference else None
     return f"^{headline(run, other)}$ {' '.join(reading(run, other))}$"
@@ -179,7 +178,7 @@ def test_sentences_on_one_run(
 
 def test_sentences_give_the_numbers_of_the_table(run_of: RunOf) -> None:
     runs = {"baseline": run_of(), "uncoordinated": run_of("uncoordinated")}
-    table = score_table({label: run.metrics for label, run in runs.items()})
+    table = score_table({label: run.files.summary for label, run in runs.items()})
     rows = {(row.measure.label, row.run): row for row in table.rows}
     cells = rows["fn", "baseline"].cells
     missed = [number(cells[name].value, rows["fn", "baseline"].measure) for name in ("picture", "local", "mission")]
@@ -192,11 +191,11 @@ def test_sentences_give_the_numbers_of_the_table(run_of: RunOf) -> None:
 
 def test_an_attack_in_a_single_frame_has_one_time(run_of: RunOf) -> None:
     run = run_of("uncoordinated", metrics={"interposers": {"adversary_2": ...}})
-    assert run.effects is not None
-    only = (run.effects["frame"] == 20) & (run.effects["interposer"] == "adversary_1")
-    run = replace(run, effects={name: column[only] for name, column in run.effects.items()})
+    assert run.files.effects is not None
+    only = (run.files.effects["frame"] == 20) & (run.files.effects["interposer"] == "adversary_1")
+    run = run.with_(effects={name: column[only] for name, column in run.files.effects.items()})
     assert "adversary_1 changed messages at t = 2.0 s; while it did, the picture has 10.00 false" in text_of(run)
-    assert "adversary_1 changed messages in frame 20; while it did" in text_of(replace(run, recording=None))
+    assert "adversary_1 changed messages in frame 20; while it did" in text_of(run.with_(scene=None))
 
 
 def test_a_comparison_headline_names_the_difference(run_of: RunOf) -> None:
@@ -220,15 +219,15 @@ def test_every_kind_of_change_in_every_estimate_is_reported(run_of: RunOf) -> No
         ("velocity_error_mps", "5.00 m/s more error in the velocities of matched objects", 5.0),
     ):
         for estimate in ("local", "picture", "mission"):
-            metrics = attacked.metrics | {"agents": deepcopy(reference.metrics["agents"])}
+            metrics = attacked.files.summary | {"agents": deepcopy(reference.files.summary["agents"])}
             summary = metrics["agents"]["ego"][estimate]
             summary[key] = {"mean": summary[key]["mean"] + more} if "mean" in str(summary[key]) else summary[key] + more
-            assert phrase in headline(replace(attacked, metrics=metrics), Reference(reference, "unattacked"))
+            assert phrase in headline(attacked.with_(summary=metrics), Reference(reference, "unattacked"))
 
 
 def test_a_change_for_another_agent_is_named_when_the_ego_has_none(run_of: RunOf) -> None:
     reference = run_of(metrics={"agents": lambda agents: agents | {"infra_1": agents["ego"]}})
-    agents = deepcopy(reference.metrics["agents"])
+    agents = deepcopy(reference.files.summary["agents"])
     agents["infra_1"]["mission"]["fp"]["mean"] += 2.0
     text = text_of(run_of("coordinated", metrics={"agents": lambda _: agents}), reference)
     assert "2.00 more false objects a frame for infra_1 with the picture than unattacked" in text
@@ -264,12 +263,12 @@ IN_TRANSIT: dict[str, tuple[dict[str, float], str]] = {
 def test_change_of_the_picture_in_transit_reports_what_the_ego_acts_on(run_of: RunOf) -> None:
     run = run_of()
 
-    def with_false_objects(added: dict[str, float]) -> RunRecord:
-        picture = run.metrics["agents"]["ego"]["picture"]
+    def with_false_objects(added: dict[str, float]) -> Run:
+        picture = run.files.summary["agents"]["ego"]["picture"]
         names = ("picture", "picture_received", "picture_on_arrival", "mission")
         ego = {name: picture | {"fp": {"mean": added.get(name, 0.0), "std": 0.0}} for name in names}
         ego["mission"]["id_switches"] = 1 + added.get("switches", 0)
-        return replace(run, metrics=run.metrics | {"agents": {"ego": ego}, "same_as": {}})
+        return run.with_(summary=run.files.summary | {"agents": {"ego": ego}, "same_as": {}})
 
     for added, expected in IN_TRANSIT.values():
         assert headline(with_false_objects(added), Reference(with_false_objects({}), "unattacked")) == expected
@@ -277,7 +276,7 @@ def test_change_of_the_picture_in_transit_reports_what_the_ego_acts_on(run_of: R
 
 def test_effects_without_a_change_of_scores_are_named(run_of: RunOf) -> None:
     reference = run_of()
-    agents = {"agents": lambda _: reference.metrics["agents"]}
+    agents = {"agents": lambda _: reference.files.summary["agents"]}
     assert headline(run_of("uncoordinated", metrics=agents), Reference(reference, "unattacked")).startswith(
         "Interposers changed messages (adversary_1: 125 rows of objects inserted, 25 rows of objects removed"
     )
@@ -294,9 +293,9 @@ def test_effects_without_a_change_of_scores_are_named(run_of: RunOf) -> None:
 
 
 def test_difference_in_driving_alone_is_reported(run_of: RunOf) -> None:
-    def with_braking(attack: str, share: float) -> RunRecord:
+    def with_braking(attack: str, share: float) -> Run:
         mission = {"needless_brake_share": share, "needless_brake_share_attack": share}
-        agents = run_of().metrics["agents"]
+        agents = run_of().files.summary["agents"]
         return run_of(attack, metrics={"agents": lambda _: agents, "driving": {"ego": {"mission": mission}}})
 
     reference = with_braking("", 0.0)
@@ -315,7 +314,7 @@ def test_a_reference_that_ended_badly_is_named_first(run_of: RunOf) -> None:
         ("running", "has not ended"),
         ("killed", "was cut off"),
     ):
-        reference.run["status"] = state
+        reference.files.record["status"] = state
         start = f"^Compared with unattacked, which {ended}: Two of four roadside sensors compromised: 6.2"
         assert text_of(run, reference).startswith(start)
 
@@ -325,8 +324,8 @@ def test_false_objects_during_the_attack_are_those_of_its_scored_frames(run_of: 
     assert while_attacked(run, "fp") == pytest.approx(10.0)
     assert while_attacked(run, "fn", base) == pytest.approx(0.0)
     assert while_attacked(base, "fp") is None
-    assert run.counts is not None
-    run.counts["fp"] = np.where(run.counts["frame"] >= 30, 1000, run.counts["fp"])
+    assert run.files.counts is not None
+    run.files.counts["fp"] = np.where(run.files.counts["frame"] >= 30, 1000, run.files.counts["fp"])
     assert while_attacked(run, "fp") == pytest.approx(10.0)
     assert "; while they did, the picture has 10.00 false objects a frame." in text_of(run)
 
@@ -337,19 +336,19 @@ def test_the_attack_is_described_by_the_kind_of_change_that_the_headline_names(r
     assert f"; while they did, the picture has {missed:.2f} missed objects a frame." in text_of(run, run_of())
 
 
-def with_changes(run: RunRecord, estimate: str = "picture", *, agent: str = "ego", **added: float) -> RunRecord:
+def with_changes(run: Run, estimate: str = "picture", *, agent: str = "ego", **added: float) -> Run:
     """A run with more or fewer errors: fn, fp, as means per frame, of them the part due to attacks in `attack`."""
-    metrics = deepcopy(run.metrics)
+    metrics = deepcopy(run.files.summary)
     summary = metrics["agents"][agent][estimate]
     due = added.pop("attack", 0.0)
     for key, more in added.items():
         summary[key] = {"mean": summary[key]["mean"] + more, "std": 0.0}
         summary[f"{key}_split"] = {"fault": 0.0, "natural": 0.0, "attack": due if more > 0.0 else 0.0}
-    return replace(run, metrics=metrics | {"same_as": {}})
+    return run.with_(summary=metrics | {"same_as": {}})
 
 
 def test_of_changes_of_the_same_size_the_headline_names_the_harm(run_of: RunOf) -> None:
-    clean, attacked = pair(run_of, {"metrics": {"agents": lambda _: run_of().metrics["agents"]}})[::-1]
+    clean, attacked = pair(run_of, {"metrics": {"agents": lambda _: run_of().files.summary["agents"]}})[::-1]
     assert "0.50 more missed objects a frame in the common picture than" in text_of(
         with_changes(attacked, fp=-0.55, fn=0.5, attack=0.5), clean
     )
@@ -359,14 +358,15 @@ def test_of_changes_of_the_same_size_the_headline_names_the_harm(run_of: RunOf) 
 
 
 def test_of_harms_of_the_same_size_the_headline_names_what_the_attack_caused(run_of: RunOf) -> None:
-    clean, attacked = pair(run_of, {"metrics": {"agents": lambda _: run_of().metrics["agents"]}})[::-1]
+    clean, attacked = pair(run_of, {"metrics": {"agents": lambda _: run_of().files.summary["agents"]}})[::-1]
     both = with_changes(with_changes(attacked, fp=0.55), fn=0.5, attack=0.5)
     assert "0.50 more missed objects" in headline(both, Reference(clean, "unattacked"))
 
 
 def test_the_score_during_an_attack_that_hides_objects_is_of_missed_ones(run_of: RunOf) -> None:
     hides = {"adversary_1": {"effects": lambda _: {"removed": 25}}, "adversary_2": {"effects": lambda _: {}}}
-    attacked = run_of("uncoordinated", metrics={"interposers": hides, "agents": lambda _: run_of().metrics["agents"]})
+    unattacked = run_of().files.summary["agents"]
+    attacked = run_of("uncoordinated", metrics={"interposers": hides, "agents": lambda _: unattacked})
     better = with_changes(attacked, fp=-0.5)
     missed = while_attacked(better, "fn")
     assert f"while it did, the picture has {missed:.2f} missed objects a frame." in text_of(better, run_of())
@@ -374,7 +374,7 @@ def test_the_score_during_an_attack_that_hides_objects_is_of_missed_ones(run_of:
 
 def test_an_attack_that_stays_out_of_the_picture_is_headed_by_the_picture(run_of: RunOf) -> None:
     clean = run_of(metrics={"agents": lambda agents: agents | {"infra_1": {"received": agents["ego"]["local"]}}})
-    agents = {"agents": lambda _: clean.metrics["agents"]}
+    agents = {"agents": lambda _: clean.files.summary["agents"]}
     attacked = run_of("uncoordinated", metrics=agents, scenario=judged_by("FaultOrLie"))
     flooded = with_changes(attacked, "received", agent="infra_1", fp=20.0, attack=20.0)
     where = "false objects a frame in infra_1's tracks as they are received"
@@ -389,7 +389,7 @@ def test_an_attack_that_stays_out_of_the_picture_is_headed_by_the_picture(run_of
 
 def test_a_study_names_the_strongest_attack_and_every_run(run_of: RunOf) -> None:
     runs = {attack or "baseline": run_of(attack) for attack in ("", "uncoordinated", "coordinated")}
-    table = score_table({label: run.metrics for label, run in runs.items()})
+    table = score_table({label: run.files.summary for label, run in runs.items()})
     assert "(uncoordinated): 6.25 more false objects a frame in the common picture than baseline" in study_headline(
         runs, table
     )
@@ -422,7 +422,7 @@ def pair(run_of: RunOf, here: dict[str, Any] | None = None, there: dict[str, Any
     edit(records[0].path, scenario=adversary)
     edit(records[0].path, **(here or {}))
     edit(records[1].path, **(there or {}))
-    return RunRecord.load(records[0].path), RunRecord.load(records[1].path)
+    return Run(records[0].path), Run(records[1].path)
 
 
 def test_added_adversaries_and_their_wires_are_not_other_differences(run_of: RunOf) -> None:
@@ -456,7 +456,7 @@ def test_causes_are_named_of_an_increase_that_adversaries_of_one_run_alone_can_r
     attacked, clean = pair(run_of)
     weaker = run_of("coordinated", scenario=centre(2.0), metrics=of_ego(picture={"fp": {"mean": 0.0}}))
     edit(weaker.path, scenario={"nodes": {"adversary_1": {"role": "adversary", "config": {"metres": 1.5}}}})
-    assert "not attributed: the runs differ in adversary_1.metres" in text_of(attacked, RunRecord.load(weaker.path))
+    assert "not attributed: the runs differ in adversary_1.metres" in text_of(attacked, Run(weaker.path))
     more_false = of_ego(picture={"fp": {"mean": 30.0}})
     attacked, clean = pair(run_of, None, {"metrics": more_false})
     assert "not attributed: the runs differ in adversary_1, adversary_2 and coordinator" in text_of(clean, attacked)
@@ -479,7 +479,7 @@ def test_causes_are_named_of_an_increase_that_adversaries_of_one_run_alone_can_r
 
 def test_an_adversary_before_one_agent_reaches_neither_the_picture_nor_the_others(run_of: RunOf) -> None:
     run = run_of()
-    wire = next(wire for wire in run.wiring["wires"] if wire["key"] == "cc/picture")
+    wire = next(wire for wire in run.files.wiring["wires"] if wire["key"] == "cc/picture")
     leg = {"key": "cc/picture/@tap/ego/0", "from": "eve", "to": ["ego"], "before": "ego"}
     wire.update(interposers=["eve"], legs=[*wire["legs"], leg])
     assert [reaches(run, "eve", name) for name in ("picture", "picture_received", "mission")] == [False, True, True]
@@ -535,14 +535,14 @@ def test_every_kind_of_effect_is_described(run_of: RunOf) -> None:
         ({"sung": 2}, "sung 2 messages"),
     ):
         run = run_of("uncoordinated")
-        run.metrics["interposers"]["adversary_1"]["effects"] = effects
+        run.files.summary["interposers"]["adversary_1"]["effects"] = effects
         assert words in attack_description(run)[0]
 
 
 def test_a_forged_view_is_described_as_what_the_agent_says_it_sees(run_of: RunOf) -> None:
     run = run_of("uncoordinated")
-    run.metrics["interposers"]["adversary_1"]["effects"] = {"reframed": 27}
-    table = run.effects
+    run.files.summary["interposers"]["adversary_1"]["effects"] = {"reframed": 27}
+    table = run.files.effects
     assert table is not None
     views = (table["interposer"] == "adversary_1") & (table["effect"] == "removed")
     table["message"] = np.where(views, "view", table["message"]).astype(object)

@@ -20,9 +20,9 @@ from mast_zenoh.report.narrative.run import reading
 from mast_zenoh.report.tables.of_run import achieved_table, driving_table
 from mast_zenoh.report.tables.text_table import DASH
 from mast_zenoh.report.terminal import show_loaded
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 
-RunOf = Callable[..., RunRecord]
+RunOf = Callable[..., Run]
 
 ACHIEVED = {"inserted": 4, "inserted_share_centre": 1.0, "inserted_share_ego": 0.5, "inserted_s_centre": 9.25}
 ACHIEVED |= {"inserted_s_ego": None, "hidden": 0, "moved": 2, "moved_error_m_centre": 0.5, "moved_error_m_ego": 0.25}
@@ -30,7 +30,7 @@ ACHIEVED |= {"first_success_s_centre": 0.2, "first_success_s_ego": None, "id_swi
 
 
 @pytest.fixture
-def attacked(run_of: RunOf) -> RunRecord:
+def attacked(run_of: RunOf) -> Run:
     return run_of("uncoordinated")
 
 
@@ -43,27 +43,25 @@ def targets(kind: str, n: int = 10, **columns: Any) -> dict[str, np.ndarray]:
     return table | names | {"frame": np.arange(20, 20 + n)}
 
 
-def why(run: RunRecord, table: dict[str, np.ndarray] | None, blamed_for: str = "", **achieved: Any) -> str:
+def why(run: Run, table: dict[str, np.ndarray] | None, blamed_for: str = "", **achieved: Any) -> str:
     """The reasons of adversary_1; blamed_for: the only score changed by attacks."""
-    run.metrics["achieved"] = {"adversary_1": achieved, "all": achieved}
-    for summary in run.metrics["agents"]["ego"].values():
+    run.files.summary["achieved"] = {"adversary_1": achieved, "all": achieved}
+    for summary in run.files.summary["agents"]["ego"].values():
         for key in ("fn", "fp"):
             summary[f"{key}_split"] = {"fault": 0.0, "attack": 2.0 if key == blamed_for else 0.0, "natural": 0.0}
-    object.__setattr__(run, "targets", table)
+    run.files.targets = table
     return "; ".join(explanations(run).get("adversary_1", ()))
 
 
 @pytest.mark.parametrize(("error_m", "counts"), [(1.5, True), (15.0, False)])
-def test_duplicate_beyond_the_gate_is_false_and_not_in_the_rmse(
-    attacked: RunRecord, error_m: float, counts: bool
-) -> None:
-    object.__setattr__(attacked, "targets", targets("moved", error_m_centre=error_m))
+def test_duplicate_beyond_the_gate_is_false_and_not_in_the_rmse(attacked: Run, error_m: float, counts: bool) -> None:
+    attacked.files.targets = targets("moved", error_m_centre=error_m)
     displaced = [each for each in changes.attributed(attacked) if each.kind == changes.DISPLACED]
     assert any(each.estimate == "picture" and each.weight > 0.0 for each in displaced) == counts
 
 
-def test_table_has_a_row_per_adversary_and_one_for_all(attacked: RunRecord, run_of: RunOf) -> None:
-    attacked.metrics["achieved"] = {"adversary_1": ACHIEVED, "adversary_2": ACHIEVED, "all": ACHIEVED}
+def test_table_has_a_row_per_adversary_and_one_for_all(attacked: Run, run_of: RunOf) -> None:
+    attacked.files.summary["achieved"] = {"adversary_1": ACHIEVED, "adversary_2": ACHIEVED, "all": ACHIEVED}
     rows = [line.cells for line in achieved_table(attacked)[0].lines]
     assert [row[0] for row in rows] == ["adversary_1", "adversary_2", "all together"]
     inserted, hidden, moved = ("4", "100% / 50%", f"9.2 / {DASH}"), ("0", f"{DASH} / {DASH}"), ("2", "0.50 / 0.25")
@@ -157,33 +155,33 @@ SEEN = "removed: other agents still saw what it removed, all the time"
     ],
 )
 def test_reasons_for_limited_effects(
-    attacked: RunRecord, table: dict[str, np.ndarray], achieved: dict[str, Any], reason: str
+    attacked: Run, table: dict[str, np.ndarray], achieved: dict[str, Any], reason: str
 ) -> None:
     given = why(attacked, table, **achieved)
     assert reason in given
     assert bool(given) == bool(reason)
 
 
-def test_objects_inserted_on_a_real_object_match_it(attacked: RunRecord) -> None:
-    truth = attacked.objects
+def test_objects_inserted_on_a_real_object_match_it(attacked: Run) -> None:
+    truth = attacked.files.objects
     assert truth is not None
     at = (truth["frame"] == 20) & (truth["kind"] == "truth") & (truth["estimator"] == "picture")
     beside = targets("inserted", n=1, x=float(truth["x"][at][0]) + 1.5, y=float(truth["y"][at][0]))
     assert "within 2 m of a real object" in why(attacked, beside, **NOT_ACCEPTED)
     scorer = {"type": "Scorer", "assigner": {"type": "CenterDistanceAssigner", "gate_m": 0.5}}
-    attacked.scenario["nodes"] = {"evaluator": {"config": {"scorer": scorer}}}
+    attacked.files.scenario["nodes"] = {"evaluator": {"config": {"scorer": scorer}}}
     assert "the fusion rejected everything" in why(attacked, beside, **NOT_ACCEPTED)
 
 
-def test_reason_for_changes_in_unscored_frames(attacked: RunRecord) -> None:
-    attacked.metrics["scored_frames"] = [0, 10]
+def test_reason_for_changes_in_unscored_frames(attacked: Run) -> None:
+    attacked.files.summary["scored_frames"] = [0, 10]
     reason = "everything that it did was in frames that are not scored"
     assert why(attacked, targets("inserted", **BESIDE), **AT_CENTRE | {"inserted_share_ego": 1.0}) == reason
 
 
 @pytest.mark.parametrize("first_dropped", [15, 25])
-def test_dropped_messages_have_their_own_reasons(attacked: RunRecord, first_dropped: int) -> None:
-    effects = attacked.effects
+def test_dropped_messages_have_their_own_reasons(attacked: Run, first_dropped: int) -> None:
+    effects = attacked.files.effects
     assert effects is not None
     selected = (effects["interposer"] == "adversary_1") & (effects["effect"] == "removed")
     dropped = selected & (effects["frame"] >= first_dropped)
@@ -193,13 +191,13 @@ def test_dropped_messages_have_their_own_reasons(attacked: RunRecord, first_drop
     assert why(attacked, targets("removed", seen_by_others=True), **NOT_HIDDEN) == f"{removed}dropped: {reason}"
 
 
-def test_unreachable_estimates_show_dashes(attacked: RunRecord) -> None:
-    attacked.metrics["achieved"] = dict.fromkeys(("adversary_1", "adversary_2", "all"), ACHIEVED)
+def test_unreachable_estimates_show_dashes(attacked: Run) -> None:
+    attacked.files.summary["achieved"] = dict.fromkeys(("adversary_1", "adversary_2", "all"), ACHIEVED)
     for name in ("adversary_1", "adversary_2"):
-        for wire in attacked.wiring["wires"]:
+        for wire in attacked.files.wiring["wires"]:
             wire["interposers"] = [node for node in wire.get("interposers", ()) if node != name]
         leg = {"key": f"cc/picture/@tap/ego/{name}", "from": name, "to": ["ego"], "before": "ego"}
-        picture = next(wire for wire in attacked.wiring["wires"] if wire["key"] == "cc/picture")
+        picture = next(wire for wire in attacked.files.wiring["wires"] if wire["key"] == "cc/picture")
         picture["interposers"].append(name)
         picture["legs"].append(leg)
         both = [line.cells for line in achieved_table(attacked)[0].lines]
@@ -218,27 +216,26 @@ def test_unreachable_estimates_show_dashes(attacked: RunRecord) -> None:
     ],
 )
 def test_an_agent_whose_adversary_changes_the_same_object_does_not_see_it(
-    attacked: RunRecord, changes_of_the_other: dict[str, Any], seen_by: tuple[str, ...], seen: bool
+    attacked: Run, changes_of_the_other: dict[str, Any], seen_by: tuple[str, ...], seen: bool
 ) -> None:
     first = targets("removed", seen_by_others=True)
     other = targets("removed", seen_by_others=True) | {"adversary": np.full(10, "adversary_2", object)}
     other |= {name: np.full(10, value) for name, value in changes_of_the_other.items()}
     table = {name: np.concatenate([first[name], other[name]]) for name in first}
-    scene = attacked.recording
+    scene = attacked.files.scene
     assert scene is not None
     points = np.where(np.isin(scene.agent_names, seen_by), 10, 0) + 0 * scene.points
-    object.__setattr__(attacked, "recording", replace(scene, points=points))
-    reason = why(attacked, table, **NOT_HIDDEN)
+    reason = why(attacked.with_(scene=replace(scene, points=points)), table, **NOT_HIDDEN)
     assert (SEEN in reason) == seen == ("other agents" in reason)
 
 
-def test_adversary_before_another_agent_is_not_judged_by_the_ego(attacked: RunRecord) -> None:
+def test_adversary_before_another_agent_is_not_judged_by_the_ego(attacked: Run) -> None:
     legs = [{"key": "cc/picture/@tap/infra_1/0", "from": "adversary_1", "to": ["infra_1"], "before": "infra_1"}]
-    attacked.wiring["wires"].append({"key": "cc/picture", "message": "picture", "legs": legs})
+    attacked.files.wiring["wires"].append({"key": "cc/picture", "message": "picture", "legs": legs})
     assert why(attacked, None) == "it sat on the picture's path to infra_1, not to the ego"
 
 
-def test_terminal_and_page_show_limited_effects(attacked: RunRecord) -> None:
+def test_terminal_and_page_show_limited_effects(attacked: Run) -> None:
     why(attacked, targets("removed", seen_by_others=True), **NOT_HIDDEN)
     page = io.StringIO()
     show_loaded(Console(file=page, width=200), attacked)
@@ -248,13 +245,14 @@ def test_terminal_and_page_show_limited_effects(attacked: RunRecord) -> None:
     assert "no effect" not in page.getvalue() + html
 
 
-def test_changes_blamed_in_the_headline_have_no_reason_for_limited_effect(attacked: RunRecord) -> None:
-    assert attacked.objects is not None
-    attacked.objects["by"] = np.where(attacked.objects["outcome"] != "matched", "adversary_1", "").astype(object)
+def test_changes_blamed_in_the_headline_have_no_reason_for_limited_effect(attacked: Run) -> None:
+    boxes = attacked.files.objects
+    assert boxes is not None
+    boxes["by"] = np.where(boxes["outcome"] != "matched", "adversary_1", "").astype(object)
     assert why(attacked, targets("removed"), "fn", **NOT_HIDDEN) == ""
     assert why(attacked, targets("removed"), "fp", **NOT_HIDDEN).startswith("removed: "), "blamed for its insertions"
     assert why(attacked, targets("inserted", **BESIDE), "fp", **NOT_ACCEPTED) == ""
-    attacked.metrics["interposers"]["adversary_1"]["effects"] = {"removed": 25}
+    attacked.files.summary["interposers"]["adversary_1"]["effects"] = {"removed": 25}
     assert why(attacked, targets("removed"), "fp", **NOT_HIDDEN) == "", "it only removed objects"
 
 
@@ -266,8 +264,8 @@ def test_changes_blamed_in_the_headline_have_no_reason_for_limited_effect(attack
         (0, "what it removed was still tracked by the ego: tracks outlive a gap"),
     ],
 )
-def test_downlink_manipulations_are_judged_by_the_ego_alone(attacked: RunRecord, tracked: int, reason: str) -> None:
-    objects, effects = attacked.objects, attacked.effects
+def test_downlink_manipulations_are_judged_by_the_ego_alone(attacked: Run, tracked: int, reason: str) -> None:
+    objects, effects = attacked.files.objects, attacked.files.effects
     assert objects is not None
     assert effects is not None
     effects["message"] = np.full(len(effects["frame"]), "picture", object)
@@ -285,9 +283,9 @@ DRIVES = {
 }
 
 
-def test_driving_has_a_row_for_the_truth_and_each_estimate(attacked: RunRecord, run_of: RunOf) -> None:
+def test_driving_has_a_row_for_the_truth_and_each_estimate(attacked: Run, run_of: RunOf) -> None:
     assert driving_table(attacked).lines == []
-    attacked.metrics["driving"] = {"ego": DRIVES}
+    attacked.files.summary["driving"] = {"ego": DRIVES}
     truth, mission = (line.cells for line in driving_table(attacked).lines)
     assert truth == ("truth", "2.00", DASH, DASH, DASH, "never", "0.0%", DASH, DASH)
     corridor = "2.50", "0.50", "0.00", DASH, "0.4"
@@ -298,20 +296,20 @@ def test_driving_has_a_row_for_the_truth_and_each_estimate(attacked: RunRecord, 
     assert "overlapping<br>the ego" in write_report(run.path).read_text()
 
 
-def test_a_least_time_to_collision_beyond_a_minute_says_no_more_than_that(attacked: RunRecord) -> None:
-    attacked.metrics["driving"] = {"ego": DRIVES | {"truth": DRIVES["truth"] | {"min_ttc_s": 4802.1}}}
+def test_a_least_time_to_collision_beyond_a_minute_says_no_more_than_that(attacked: Run) -> None:
+    attacked.files.summary["driving"] = {"ego": DRIVES | {"truth": DRIVES["truth"] | {"min_ttc_s": 4802.1}}}
     assert driving_table(attacked).lines[0].cells[5] == "more than 60"
 
 
-def test_driving_is_compared_with_another_run(run_of: RunOf, attacked: RunRecord) -> None:
+def test_driving_is_compared_with_another_run(run_of: RunOf, attacked: Run) -> None:
     reference = run_of()
-    attacked.metrics["driving"] = {"ego": DRIVES}
+    attacked.files.summary["driving"] = {"ego": DRIVES}
     assert len(driving_table(attacked, reference, "unattacked").lines) == 2, "the other run's value is unknown"
     mission = DRIVES["mission"] | {"needless_brake_share": 0.125, "brake_share": 0.3, "min_ttc_s": None}
-    reference.metrics["driving"] = {"ego": {"truth": DRIVES["truth"], "mission": mission}}
+    reference.files.summary["driving"] = {"ego": {"truth": DRIVES["truth"], "mission": mission}}
     rows = [line.cells for line in driving_table(attacked, reference, "unattacked").lines]
     assert [row[:2] for row in rows] == [
-        (estimate, run) for estimate in ("truth", "ego with picture") for run in ("unattacked", attacked.label)
+        (estimate, run) for estimate in ("truth", "ego with picture") for run in ("unattacked", attacked.name)
     ]
     assert [row[7] for row in rows] == ["0.0%", "0.0% (+0.0)", "30.0%", "25.0% (\u22125.0)"]
     assert (rows[2][8], rows[3][8]) == (
@@ -321,7 +319,7 @@ def test_driving_is_compared_with_another_run(run_of: RunOf, attacked: RunRecord
     assert (rows[2][6], rows[3][6], rows[3][2]) == ("never", "0.4", "2.50 (+0.00)")
 
 
-def test_unattributed_increase_of_needless_braking_is_reported(run_of: RunOf, attacked: RunRecord) -> None:
+def test_unattributed_increase_of_needless_braking_is_reported(run_of: RunOf, attacked: Run) -> None:
     reference = run_of()
     share = "needless_brake_share"
     for before, after, attack, more in (
@@ -330,8 +328,8 @@ def test_unattributed_increase_of_needless_braking_is_reported(run_of: RunOf, at
         (0.0, 0.059, 0.059, ""),
         (0.1, 0.05, 0.0, ""),
     ):
-        attacked.metrics["driving"] = {"ego": {"mission": {share: after, f"{share}_attack": attack}}}
-        reference.metrics["driving"] = {"ego": {"mission": {share: before, f"{share}_attack": 0.0}}}
+        attacked.files.summary["driving"] = {"ego": {"mission": {share: after, f"{share}_attack": attack}}}
+        reference.files.summary["driving"] = {"ego": {"mission": {share: before, f"{share}_attack": 0.0}}}
         needless = driving_table(attacked, reference, "unattacked").lines[-1].cells[8]
         assert (f"{more} more than unattacked, not attributed" in needless) == bool(more)
         often = f"The ego with the picture brakes needlessly in {more} of the scored frames"
@@ -340,7 +338,7 @@ def test_unattributed_increase_of_needless_braking_is_reported(run_of: RunOf, at
         assert any("not attributed" in each for each in sentences) == bool(more)
 
 
-def test_needless_braking_is_drawn_when_it_happens(attacked: RunRecord) -> None:
+def test_needless_braking_is_drawn_when_it_happens(attacked: Run) -> None:
     assert driving_over_time(attacked, None) is None
     frames, agent = np.tile(np.arange(40), 2), np.full(80, "ego")
     estimate = np.repeat(["truth", "mission"], 40)
@@ -348,7 +346,7 @@ def test_needless_braking_is_drawn_when_it_happens(attacked: RunRecord) -> None:
     table = {"frame": frames, "agent": agent, "estimate": estimate, "false": brakes.astype(int)}
     table |= {"missed": np.zeros(80, int), "ttc_s": np.where(brakes, 1.0, np.nan)}
     table |= {"brake": brakes, "needless": brakes, "omitted": np.zeros(80, bool)}
-    figure = driving_over_time(replace(attacked, driving=table), 21)
+    figure = driving_over_time(attacked.with_(driving=table), 21)
     assert figure is not None
     assert "brakes needlessly" in [text.get_text() for text in figure.legends[0].get_texts()]
     (bars,) = (each for each in figure.axes[2].collections if each.get_label() == "brakes needlessly")
@@ -359,5 +357,5 @@ def test_needless_braking_is_drawn_when_it_happens(attacked: RunRecord) -> None:
 
 def test_runs_without_measurements_have_unknown_achievements(run_of: RunOf) -> None:
     run = run_of("uncoordinated", metrics=dict.fromkeys(("achieved", "driving", "interposers"), ...))
-    assert any("what attacks achieved is not known" in sentence for sentence in run.missing)
+    assert any("what attacks achieved is not known" in sentence for sentence in run.files.missing)
     assert {why for _, why in achieved_table(run)[1]} == {"what it did was not measured"}

@@ -16,7 +16,7 @@ from mast_zenoh.errors import NotComparable, RunFolderError
 from mast_zenoh.report import comparison
 from mast_zenoh.report.html import write_report
 from mast_zenoh.report.terminal import show_run
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 
 Pair = tuple[Path, Path]
 
@@ -47,7 +47,7 @@ def test_runs_of_equal_name_are_distinguished_by_folder(pair: Pair) -> None:
     run, other = pair
     for folder in pair:
         edit(folder, run={"name": "mine"})
-    assert comparison.reference(RunRecord.load(run), other).name == "baseline"
+    assert comparison.reference(Run(run), other).name == "baseline"
 
 
 def score_with(folder: Path, **options: Any) -> None:
@@ -67,8 +67,8 @@ def test_what_the_evaluator_computes_besides_scores_does_not_prevent_comparison(
     ):
         edit(run, scenario={"nodes": ...})
         score_with(run, **experiment)
-        assert comparison.reference(RunRecord.load(run), other).name == "baseline-1"
-        assert comparison.reference(RunRecord.load(other), run).name == "uncoordinated-1"
+        assert comparison.reference(Run(run), other).name == "baseline-1"
+        assert comparison.reference(Run(other), run).name == "uncoordinated-1"
 
 
 def test_incomparable_runs_are_rejected(run_folder: Callable[..., Path]) -> None:
@@ -98,7 +98,7 @@ def evaluator(**config: Any) -> dict[str, Any]:
 
 def test_different_scenes_and_unscored_agents_are_rejected(pair: Pair) -> None:
     run, other = pair
-    scene = RunRecord.load(other).recording
+    scene = Run(other).files.scene
     assert scene is not None
     replace(scene, truth=replace(scene.truth, position=scene.truth.position + 1.0)).save(other / "scene.npz")
     with pytest.raises(NotComparable, match="expected the same scene and seed"):
@@ -112,10 +112,10 @@ def test_different_scenes_and_unscored_agents_are_rejected(pair: Pair) -> None:
 def test_without_recordings_scenes_are_compared_by_scenario(pair: Pair) -> None:
     run, other = pair
     (other / "scene.npz").unlink()
-    assert comparison.reference(RunRecord.load(run), other).name == "baseline-1"
+    assert comparison.reference(Run(run), other).name == "baseline-1"
     edit(other, scenario={"scene": {"type": "Other"}})
     with pytest.raises(NotComparable, match="an unknown scene"):
-        comparison.reference(RunRecord.load(run), other)
+        comparison.reference(Run(run), other)
 
 
 def test_a_folder_without_a_run_is_refused(pair: Pair, tmp_path: Path) -> None:

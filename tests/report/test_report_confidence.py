@@ -13,7 +13,7 @@ from mast_zenoh.metrics import Consistency
 from mast_zenoh.report.html import write_report
 from mast_zenoh.report.tables.of_run import confidence_tables, nees_table
 from mast_zenoh.report.tables.text_table import DASH, Line
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 from mast_zenoh.tracking import Innovations
 
 
@@ -36,7 +36,7 @@ def folder(run_folder: Callable[..., Path]) -> Path:
 
 
 def test_each_estimate_has_a_row_with_its_verdict(folder: Path) -> None:
-    lines = confidence_tables(RunRecord.load(folder))[0].lines
+    lines = confidence_tables(Run(folder))[0].lines
     assert [line.style for line in lines] == ["", "bad", ""]
     picture, received, unknown = (line.cells for line in lines)
     assert [cells[0] for cells in (picture, received, unknown)] == ["the picture", "infra_1 as received", "infra_2"]
@@ -50,12 +50,12 @@ def test_each_estimate_has_a_row_with_its_verdict(folder: Path) -> None:
 def test_pictures_of_different_agents_have_different_names(run_folder: Callable[..., Path]) -> None:
     picture = {"picture": {"position": summary(0.9), "velocity": summary(9.0)}}
     folder = run_folder(metrics={"consistency": {"ego": picture, "infra_1": picture}, "pictures": {}})
-    lines = confidence_tables(RunRecord.load(folder))[0].lines
+    lines = confidence_tables(Run(folder))[0].lines
     assert [line.cells[0] for line in lines] == ["the picture of ego", "the picture of infra_1"]
 
 
 def test_each_tracker_has_a_row(folder: Path) -> None:
-    ego, silent = (line.cells for line in confidence_tables(RunRecord.load(folder))[1].lines)
+    ego, silent = (line.cells for line in confidence_tables(Run(folder))[1].lines)
     assert ego[1].startswith("1.90 (")
     assert ego[3:] == ("100", "1", "")
     assert silent[1:4:2] == (DASH, "0")
@@ -70,7 +70,7 @@ def test_the_page_has_both_tables_and_says_what_is_left_out(folder: Path) -> Non
 
 def test_runs_of_earlier_versions_have_no_such_section(run_folder: Callable[..., Path]) -> None:
     run = run_folder()
-    assert [table.lines for table in confidence_tables(RunRecord.load(run))] == [[], [], []]
+    assert [table.lines for table in confidence_tables(Run(run))] == [[], [], []]
     assert 'id="confidence"' not in write_report(run).read_text()
 
 
@@ -84,7 +84,7 @@ def test_a_mean_above_its_bounds_is_named_though_the_median_is_as_expected(run_f
     picture = {"picture": {"position": heavy_tailed(), "velocity": summary(0.9)}}
     assert picture["picture"]["position"]["verdict"] is None
     folder = run_folder(metrics={"consistency": {"ego": picture}})
-    (line,) = confidence_tables(RunRecord.load(folder))[0].lines
+    (line,) = confidence_tables(Run(folder))[0].lines
     assert line.cells[-1] == "position: NEES above its bounds"
 
 
@@ -92,7 +92,7 @@ def test_of_many_estimates_those_of_other_agents_are_folded(run_folder: Callable
     good, bad = ({"picture": dict.fromkeys(("position", "velocity"), summary(scale))} for scale in (1.0, 9.0))
     consistency = {"ego": good, "infra_1": bad} | {f"mobile_{i}": good for i in range(12)}
     folder = run_folder(metrics={"consistency": consistency, "pictures": {}})
-    shown, _, folded = confidence_tables(RunRecord.load(folder))
+    shown, _, folded = confidence_tables(Run(folder))
     assert [line.cells[0] for line in shown.lines] == ["the picture of ego", "the picture of infra_1"]
     assert len(folded.lines) == 12
     page = write_report(folder).read_text()

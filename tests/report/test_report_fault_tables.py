@@ -25,7 +25,7 @@ from mast_zenoh.report.narrative.run import reading
 from mast_zenoh.report.tables.of_run import cause_table, check_lines, check_rows, latency_tables
 from mast_zenoh.report.tables.text_table import DASH
 from mast_zenoh.run_folder.tables import read_table, write_table
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 
 PARTITION = {"label": "Partition infra_1", "kind": "fault", "type": "Partition", "at_s": 0.5, "until_s": 1.5}
 KILL = {"label": "Kill infra_2", "kind": "fault", "type": "Kill", "at_s": 1.0, "until_s": None}
@@ -87,7 +87,7 @@ def test_the_page_has_the_split_the_checks_and_the_latency(attacked_and_faulted:
 def test_run_without_links_and_faults_has_no_such_sections(run_folder: Callable[..., Path], attack: str) -> None:
     folder = run_folder(attack)
     edit(folder, scenario=timed(*[ATTACK] if attack else []))
-    run = RunRecord.load(folder)
+    run = Run(folder)
     assert not run.faulted
     assert bands([run], timed=True) == []
     assert causes_over_time(run, None) is None
@@ -102,7 +102,7 @@ def test_run_without_links_and_faults_has_no_such_sections(run_folder: Callable[
 
 
 def test_bands_and_their_names_are_above_the_counts(attacked_and_faulted: Path) -> None:
-    figure = counts_over_time({"run": RunRecord.load(attacked_and_faulted)}, None)
+    figure = counts_over_time({"run": Run(attacked_and_faulted)}, None)
     assert figure is not None
     assert len(figure.axes) == 4
     assert {text.get_text() for text in figure.axes[0].texts} == {
@@ -115,15 +115,15 @@ def test_bands_and_their_names_are_above_the_counts(attacked_and_faulted: Path) 
 
 def test_shared_band_of_compared_runs_is_shown_once(run_folder: Callable[..., Path]) -> None:
     runs = [
-        RunRecord.load(faulted(run_folder(), PARTITION)),
-        RunRecord.load(faulted(run_folder("coordinated"), PARTITION, ATTACK)),
+        Run(faulted(run_folder(), PARTITION)),
+        Run(faulted(run_folder("coordinated"), PARTITION, ATTACK)),
     ]
     assert [band.label for band in bands(runs, timed=True)] == ["Partition infra_1", "UncoordinatedAttack adversary_1"]
     assert [(band.start, band.end) for band in bands(runs, timed=False)] == [(5.0, 15.0), (15.0, np.inf)]
 
 
 def test_permanent_link_has_no_band(run_folder: Callable[..., Path]) -> None:
-    run = RunRecord.load(faulted(run_folder(), WIRELESS))
+    run = Run(faulted(run_folder(), WIRELESS))
     assert run.faulted
     assert bands([run], timed=True) == []
     assert counts_over_time({"run": run}, None) is not None
@@ -131,7 +131,7 @@ def test_permanent_link_has_no_band(run_folder: Callable[..., Path]) -> None:
 
 
 def test_missed_objects_are_stacked_by_cause(attacked_and_faulted: Path) -> None:
-    run = RunRecord.load(attacked_and_faulted)
+    run = Run(attacked_and_faulted)
     figure = causes_over_time(run, 20)
     assert figure is not None
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["link or fault", "inserted"]
@@ -224,6 +224,6 @@ def test_terminal_shows_causes_of_errors_for_runs_with_faults(
 
 
 def test_sentences_omit_unmeasured_causes(run_folder: Callable[..., Path]) -> None:
-    run = RunRecord.load(faulted(run_folder(), PARTITION))
-    object.__setattr__(run, "metrics", {"agents": {"ego": {"picture": {}}}})
+    run = Run(faulted(run_folder(), PARTITION))
+    run.files.summary = {"agents": {"ego": {"picture": {}}}}
     assert not any("faults" in sentence for sentence in reading(run))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 
 import matplotlib.image
 import numpy as np
@@ -22,7 +21,7 @@ from mast_zenoh.report.figures.style import png
 from mast_zenoh.report.figures.view import frame_view
 from mast_zenoh.report.tables.scores import score_table
 from mast_zenoh.runs.frame import Frame
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 from mast_zenoh.sensing.sensors import Camera
 from mast_zenoh.viewer.palette import ADVERSARY, OUTCOME_COLOURS
 
@@ -47,19 +46,19 @@ def panels(view: Frame) -> Mapping[str, np.ndarray]:
     }
 
 
-def view_of(run: RunRecord, frame: int = 33) -> Frame:
+def view_of(run: Run, frame: int = 33) -> Frame:
     view = frame_view(run, frame)
     assert view is not None
     return view
 
 
 @pytest.fixture
-def attacked(run_of: Callable[..., RunRecord]) -> Frame:
+def attacked(run_of: Callable[..., Run]) -> Frame:
     return view_of(run_of("uncoordinated"))
 
 
 @pytest.fixture
-def clean(run_of: Callable[..., RunRecord]) -> Frame:
+def clean(run_of: Callable[..., Run]) -> Frame:
     return view_of(run_of())
 
 
@@ -100,7 +99,7 @@ def test_missed_and_matched_objects_are_drawn_in_both_panels(clean: Frame) -> No
     assert pixels(drawn["local"], "truth missed") > pixels(drawn["picture"], "truth missed")
 
 
-def test_unevaluated_objects_are_green(run_of: Callable[..., RunRecord]) -> None:
+def test_unevaluated_objects_are_green(run_of: Callable[..., Run]) -> None:
     with_one, without = (panels(view_of(run_of(), frame))["local"] for frame in (27, 28))
     assert pixels(with_one, "unevaluated") > 30
     assert pixels(without, "unevaluated") == 0
@@ -117,7 +116,7 @@ def test_the_camera_sees_false_objects_ahead_in_the_picture_only(attacked: Frame
 
 def test_runs_side_by_side_have_a_panel_each(attacked: Frame, clean: Frame) -> None:
     views = {"baseline": clean, "uncoordinated": attacked}
-    table = score_table({label: view.run.metrics for label, view in views.items()})
+    table = score_table({label: view.run.files.summary for label, view in views.items()})
     image = image_of(png(side_by_side_figure(views, table)))
     width = image.shape[1]
     plots = image[60:700]
@@ -126,23 +125,23 @@ def test_runs_side_by_side_have_a_panel_each(attacked: Frame, clean: Frame) -> N
 
 
 def test_four_or_more_runs_use_more_rows(clean: Frame) -> None:
-    table = score_table({"a": clean.run.metrics})
+    table = score_table({"a": clean.run.files.summary})
     three = side_by_side_figure(dict.fromkeys("abc", clean), table)
     seven = side_by_side_figure(dict.fromkeys("abcdefg", clean), table)
     assert seven.get_figheight() > 2.5 * three.get_figheight()
     assert len(seven.axes) == 7
 
 
-def test_counts_are_drawn_from_any_number_of_frames(run_of: Callable[..., RunRecord]) -> None:
+def test_counts_are_drawn_from_any_number_of_frames(run_of: Callable[..., Run]) -> None:
     run = run_of()
-    assert run.counts is not None
-    few = {name: column[:2] for name, column in run.counts.items()}
-    figure = counts_over_time({"run": replace(run, counts=few)}, 0)
+    assert run.files.counts is not None
+    few = {name: column[:2] for name, column in run.files.counts.items()}
+    figure = counts_over_time({"run": run.with_(counts=few)}, 0)
     assert figure is not None
     assert len(png(figure)) > 5000
 
 
-def test_smoothed_lines_do_not_rise_before_the_attack(run_of: Callable[..., RunRecord]) -> None:
+def test_smoothed_lines_do_not_rise_before_the_attack(run_of: Callable[..., Run]) -> None:
     figure = counts_over_time({"run": run_of("uncoordinated")}, None)
     assert figure is not None
     bold = next(line for line in figure.axes[1].get_lines() if line.get_label() == "picture")

@@ -17,7 +17,7 @@ from run_samples import edit
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.report.html import write_report, write_study_report
 from mast_zenoh.run_folder.tables import read_table, write_table
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 from mast_zenoh.viewer.page.columns import unpack
 
 RunFolderFixture = Callable[..., Path]
@@ -162,7 +162,7 @@ def test_a_truncated_or_missing_file_is_named_and_everything_else_is_shown(
 ) -> None:
     folder = run_folder("uncoordinated")
     (folder / name).write_bytes((folder / name).read_bytes()[:-20])
-    (problem,) = RunRecord.load(folder).missing
+    (problem,) = Run(folder).files.missing
     assert problem.startswith(f"{name} cannot be read")
     (folder / name).unlink()
     assert f"{name} is absent" in Page(write_report(folder)).text

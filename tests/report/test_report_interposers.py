@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,8 +15,9 @@ from mast_zenoh.report.narrative.attribution import reaches
 from mast_zenoh.report.narrative.changes import effects
 from mast_zenoh.report.narrative.run import reading
 from mast_zenoh.report.tables.wiring import Spot, WireRow, all_wires, layout, wire_rows
+from mast_zenoh.runs.files import RunFiles
 from mast_zenoh.runs.interposers import Interposer, adversaries_by_agent, exit_expected, interposers
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 
 MEASURED = {"messages": 40, "effects": {"inserted": 3, "corrupted": 2}, "reports": 0, "agreement": "silent"}
 MEASURED |= {"unreported": 5, "unfounded": 0, "role": "adversary", "wires": ["agent/infra_1/tracks"]}
@@ -41,15 +41,15 @@ def run_of(
     measured: dict[str, Any] | None = None,
     nodes: dict[str, Any] | None = None,
     interceptions: tuple[dict[str, Any], ...] = (),
-) -> RunRecord:
+) -> Run:
     roles = {"ego": "agent", "infra_1": "agent", "command_center": "command_center", "broker": "broker"}
     known = {name: {"role": role, "exit": 0, "ended": "ok"} for name, role in roles.items()} | (nodes or {})
     run = {"nodes": known, "interceptions": list(interceptions), "status": "ok"}
     metrics = {"interposers": measured or {}}
-    return RunRecord(Path("run"), run, {}, {"wires": wires}, metrics, None, None, None, None)
+    return Run.of(RunFiles(None, record=run, wiring={"wires": wires}, summary=metrics))
 
 
-def only(run: RunRecord) -> Interposer:
+def only(run: Run) -> Interposer:
     (matches,) = interposers(run)
     return matches
 
@@ -158,7 +158,7 @@ def test_effects_distinguish_rows_objects_clutter_and_messages(
     """A row without target hides the number of objects."""
     run = run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": MEASURED | {"effects": measured}})
     if manipulated is not None:
-        object.__setattr__(run, "targets", targets("mallory", *manipulated))
+        run.files.targets = targets("mallory", *manipulated)
     assert effects(only(run)) == words
 
 

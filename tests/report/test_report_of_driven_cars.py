@@ -24,12 +24,13 @@ from mast_zenoh.report.narrative.driven import car_sentences
 from mast_zenoh.report.tables.of_run import driven_table
 from mast_zenoh.run_folder.tables import write_table
 from mast_zenoh.runs.driven import course_of, reason_of, twin_course
-from mast_zenoh.runs.run import RunRecord, Table
+from mast_zenoh.runs.files import Table
+from mast_zenoh.runs.run import Run
 from mast_zenoh.viewer.page.block import run_block
 from mast_zenoh.viewer.page.columns import unpack
 from mast_zenoh.viewer.palette import RUN_COLOURS
 
-RunOf = Callable[..., RunRecord]
+RunOf = Callable[..., Run]
 GHOST = {"object": 28, "kind": "false", "adversary": "adversary_1"}
 
 
@@ -77,16 +78,16 @@ def course(hard: bool) -> Table:
 
 
 @pytest.fixture
-def both(run_of: RunOf) -> tuple[RunRecord, Reference]:
+def both(run_of: RunOf) -> tuple[Run, Reference]:
     """A run in which a ghost makes the ego brake, and its twin."""
     run, twin = run_of("uncoordinated"), run_of()
-    object.__setattr__(run, "driven", course(hard=True))
-    object.__setattr__(twin, "driven", course(hard=False))
-    run.metrics["driven"], twin.metrics["driven"] = {"ego": BRAKED}, {"ego": happened()}
+    run.files.driven = course(hard=True)
+    twin.files.driven = course(hard=False)
+    run.files.summary["driven"], twin.files.summary["driven"] = {"ego": BRAKED}, {"ego": happened()}
     return run, Reference(twin, "unattacked")
 
 
-def test_sentences_name_the_moment_the_object_and_the_adversary_of_a_brake(both: tuple[RunRecord, Reference]) -> None:
+def test_sentences_name_the_moment_the_object_and_the_adversary_of_a_brake(both: tuple[Run, Reference]) -> None:
     run, twin = both
     assert car_sentences(run, twin) == [
         "The ego brakes needlessly with 9.0 m/s² at 1.7 s for an object that is not there (track 28, shown by "
@@ -95,14 +96,14 @@ def test_sentences_name_the_moment_the_object_and_the_adversary_of_a_brake(both:
     ]
     assert car_sentences(run)[-1] == "The ego drives 29 m and stands for 1.1 s"
     assert car_sentences(twin.run, twin)[-1] == "The ego drives 93 m, as unattacked"
-    del run.metrics["driven"]
+    del run.files.summary["driven"]
     assert car_sentences(run, twin) == []
 
 
-def test_collisions_are_named_first_and_counted_for_the_other_run(both: tuple[RunRecord, Reference]) -> None:
+def test_collisions_are_named_first_and_counted_for_the_other_run(both: tuple[Run, Reference]) -> None:
     run, twin = both
     hit = {"object": 9, "frame": 33, "speed_mps": 2.34, "hidden": True}
-    run.metrics["driven"] = {"ego": happened(collisions=[hit], missed_brakes=2)}
+    run.files.summary["driven"] = {"ego": happened(collisions=[hit], missed_brakes=2)}
     assert car_sentences(run, twin) == [
         "The ego hits object 9 in frame 33 (2.3 m/s between them, hidden from its driver)",
         "The ego fails to brake in 2 emergencies",
@@ -112,14 +113,14 @@ def test_collisions_are_named_first_and_counted_for_the_other_run(both: tuple[Ru
 
 
 def test_of_many_cars_the_ego_and_those_that_hit_something_are_described_and_the_others_summed_up(
-    both: tuple[RunRecord, Reference],
+    both: tuple[Run, Reference],
 ) -> None:
     run, _ = both
     hit = {"object": 9, "frame": 33, "speed_mps": 2.34, "hidden": False}
     cars = {f"mobile_{number}": happened(progress_m=100.0) for number in range(1, 18)}
     cars["mobile_4"] = happened(progress_m=100.0, needless_brakes=9)
     cars["mobile_9"] = happened(progress_m=50.0, collisions=[hit])
-    run.metrics["driven"] = cars | {"ego": happened()}
+    run.files.summary["driven"] = cars | {"ego": happened()}
     assert car_sentences(run) == [
         "The ego drives 93 m and stands for 0.0 s",
         "mobile_9 hits object 9 in frame 33 (2.3 m/s between them)",
@@ -128,7 +129,7 @@ def test_of_many_cars_the_ego_and_those_that_hit_something_are_described_and_the
     ]
     for number in (1, 2, 3):
         cars[f"mobile_{number}"] = cars["mobile_9"]
-    run.metrics["driven"] = cars
+    run.files.summary["driven"] = cars
     *_, standing, sums = car_sentences(run)
     assert standing == "mobile_3 drives 50 m and stands for 0.0 s"
     assert sums == "14 other cars drive 1,350 m, brake needlessly 9 times and hit 1 object"
@@ -155,7 +156,7 @@ def test_every_kind_of_cause_has_words(kind: str, adversary: str | None, needles
 
 
 def test_every_brake_of_an_adversary_is_named_though_the_truth_gave_a_reason_too(
-    both: tuple[RunRecord, Reference],
+    both: tuple[Run, Reference],
 ) -> None:
     run, _ = both
     moved = {"object": 7, "kind": "real", "adversary": "liar"}
@@ -174,7 +175,7 @@ def test_every_brake_of_an_adversary_is_named_though_the_truth_gave_a_reason_too
         brake(cause, needless) | {"hardest_mps2": 9.0 - number, "from_s": 2.0 + number}
         for number, (cause, needless) in enumerate([*causes, (none, True)])
     ]
-    run.metrics["driven"] = {"ego": happened(brakes=brakes, needless_brakes=4)}
+    run.files.summary["driven"] = {"ego": happened(brakes=brakes, needless_brakes=4)}
     assert car_sentences(run)[:-1] == [
         "The ego brakes with 9.0 m/s² at 2.0 s for an object that is not there (track 28, shown by adversary_1)",
         "The ego brakes with 7.0 m/s² at 4.0 s for object 7, changed by liar",
@@ -186,31 +187,31 @@ def test_every_brake_of_an_adversary_is_named_though_the_truth_gave_a_reason_too
     ]
 
 
-def test_the_table_has_a_line_for_the_run_and_one_for_its_twin(both: tuple[RunRecord, Reference]) -> None:
+def test_the_table_has_a_line_for_the_run_and_one_for_its_twin(both: tuple[Run, Reference]) -> None:
     run, twin = both
     rows = [line.cells for line in driven_table(run, twin.run, twin.name).lines]
-    assert [row[:2] for row in rows] == [("ego", "unattacked"), ("ego", run.label)]
+    assert [row[:2] for row in rows] == [("ego", "unattacked"), ("ego", run.name)]
     assert [row[4:8] for row in rows] == [("0", "0", "0", "0.0"), ("1", "1", "0", "9.0")]
     assert [row[10:12] for row in rows] == [("93.0", "0.0"), ("29.0", "1.1")]
     assert driven_table(twin.run).lines[0].cells[0] == "ego"
 
 
 def test_the_figure_shows_the_speeds_of_both_and_the_needless_brake_as_a_band(
-    both: tuple[RunRecord, Reference],
+    both: tuple[Run, Reference],
 ) -> None:
     run, twin = both
     figure = driven_figure(run, twin)
     assert figure is not None
     _, acceleration, speed = figure.axes
     lines = {line.get_label(): line for line in speed.get_lines()}
-    own = lines[f"ego, {run.label}"]
+    own = lines[f"ego, {run.name}"]
     assert own.get_color() == RUN_COLOURS[0]
     np.testing.assert_array_equal(own.get_ydata(), course(hard=True)["speed_mps"])
     np.testing.assert_array_equal(lines["unattacked"].get_ydata(), course(hard=False)["speed_mps"])
     bands = {patch.get_label(): patch.get_extents() for patch in acceleration.patches}
     assert {"attack", "brakes needlessly"} <= bands.keys()
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert labels == ["attack", "brakes needlessly", "unattacked", f"ego, {run.label}", "hard braking"]
+    assert labels == ["attack", "brakes needlessly", "unattacked", f"ego, {run.name}", "hard braking"]
 
 
 def test_a_run_without_drivers_has_neither_a_figure_nor_a_section(run_of: RunOf) -> None:
@@ -222,17 +223,17 @@ def test_a_run_without_drivers_has_neither_a_figure_nor_a_section(run_of: RunOf)
 
 def test_driven_runs_of_one_scene_are_comparable_although_their_truth_differs(run_of: RunOf) -> None:
     run, other = run_of("uncoordinated"), run_of()
-    assert run.recording is not None
-    moved = run.recording.truth.position + 1.0
-    object.__setattr__(run.recording.truth, "position", moved)
-    run.metrics["driven"] = {"ego": happened()}
+    assert run.files.scene is not None
+    moved = run.files.scene.truth.position + 1.0
+    object.__setattr__(run.files.scene.truth, "position", moved)
+    run.files.summary["driven"] = {"ego": happened()}
     assert comparison._same_scene(run, other)
-    del run.metrics["driven"]
+    del run.files.summary["driven"]
     assert not comparison._same_scene(run, other)
 
 
 @pytest.fixture
-def with_twin(both: tuple[RunRecord, Reference]) -> RunRecord:
+def with_twin(both: tuple[Run, Reference]) -> Run:
     """A run whose folder has that of its twin."""
     run, _ = both
     (run.path / "twin").mkdir()
@@ -241,7 +242,7 @@ def with_twin(both: tuple[RunRecord, Reference]) -> RunRecord:
     return run
 
 
-def test_the_page_has_the_course_of_the_car_and_of_its_twin(with_twin: RunRecord) -> None:
+def test_the_page_has_the_course_of_the_car_and_of_its_twin(with_twin: Run) -> None:
     data = run_block(with_twin)
     assert data is not None
     header, columns = unpack(data)
@@ -263,8 +264,8 @@ def test_the_page_has_the_course_of_the_car_and_of_its_twin(with_twin: RunRecord
         {"ego": {"collisions": [None, {"frame": "x"}, {"frame": 1 << 70, "object": 1}]}},
     ],
 )
-def test_a_page_of_damaged_consequences_shows_the_rest(damaged: Any, with_twin: RunRecord) -> None:
-    with_twin.metrics["driven"] = damaged
+def test_a_page_of_damaged_consequences_shows_the_rest(damaged: Any, with_twin: Run) -> None:
+    with_twin.files.summary["driven"] = damaged
     data = run_block(with_twin)
     assert data is not None
     header, columns = unpack(data)
@@ -274,7 +275,7 @@ def test_a_page_of_damaged_consequences_shows_the_rest(damaged: Any, with_twin: 
 
 
 @pytest.mark.parametrize("damage", ["no twin", "another run", "no table", "no parquet", "a list", "a link"])
-def test_a_twin_that_cannot_be_read_is_left_out(damage: str, with_twin: RunRecord, tmp_path: Path) -> None:
+def test_a_twin_that_cannot_be_read_is_left_out(damage: str, with_twin: Run, tmp_path: Path) -> None:
     folder = with_twin.path / "twin"
     assert twin_course(with_twin, "ego") is not None
     assert twin_course(with_twin, "mobile_1") is None
@@ -294,7 +295,7 @@ def test_a_twin_that_cannot_be_read_is_left_out(damage: str, with_twin: RunRecor
     assert twin_course(with_twin, "ego") is None
 
 
-def test_a_film_shows_speed_rear_lights_and_the_twin(with_twin: RunRecord) -> None:
+def test_a_film_shows_speed_rear_lights_and_the_twin(with_twin: Run) -> None:
     take = Take(with_twin, "picture")
     marks = DriveMarks(Figure().add_subplot(), take, THEMES["light"], 1.0)
     window = Window(0.0, 0.0, 50.0, 50.0)
@@ -307,9 +308,9 @@ def test_a_film_shows_speed_rear_lights_and_the_twin(with_twin: RunRecord) -> No
     assert "frame 17: ego brakes needlessly with 9.0 m/s²" in Captions([take], {}).at(17)
 
 
-def test_films_and_the_page_say_nothing_of_a_brake_while_it_is_interrupted(with_twin: RunRecord) -> None:
-    assert with_twin.driven is not None
-    with_twin.driven["acceleration_mps2"][18:20] = 0.5, -1.2
+def test_films_and_the_page_say_nothing_of_a_brake_while_it_is_interrupted(with_twin: Run) -> None:
+    assert with_twin.files.driven is not None
+    with_twin.files.driven["acceleration_mps2"][18:20] = 0.5, -1.2
     marks = DriveMarks(Figure().add_subplot(), Take(with_twin, "picture"), THEMES["light"], 1.0)
     for frame, lights in [(17, 1), (18, 0), (19, 0), (20, 1)]:
         marks.show(frame, Window(0.0, 0.0, 50.0, 50.0))

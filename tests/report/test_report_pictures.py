@@ -8,7 +8,8 @@ import pytest
 
 import mast_zenoh as mast
 from mast_zenoh.report.tables.pictures import channel_sentences, picture_sentences, picture_table
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.files import RunFiles
+from mast_zenoh.runs.run import Run
 
 
 @pytest.fixture(scope="module")
@@ -21,7 +22,7 @@ def radio(tmp_path_factory: pytest.TempPathFactory) -> mast.Run:
 
 
 def test_each_agent_has_a_line_with_the_scores_of_its_own_picture(radio: mast.Run) -> None:
-    record = RunRecord.load(radio.path)
+    record = Run(radio.path)
     lines = {line.cells[0]: line.cells for line in picture_table(record).lines}
     assert set(lines) == {"ego", "mobile_1", "infra_1", "infra_2"}
     missed = radio.summary["agents"]["infra_2"]["picture"]["fn"]["mean"]
@@ -33,7 +34,7 @@ def test_each_agent_has_a_line_with_the_scores_of_its_own_picture(radio: mast.Ru
 @pytest.mark.heavy
 def test_the_page_tells_whom_attacks_deceived_and_how_busy_the_channel_was(radio: mast.Run) -> None:
     page = radio.report().read_text()
-    record = RunRecord.load(radio.path)
+    record = Run(radio.path)
     deceived = picture_sentences(record)[1]
     assert deceived.startswith("Attacks deceived ")
     assert deceived in page
@@ -44,7 +45,7 @@ def test_the_page_tells_whom_attacks_deceived_and_how_busy_the_channel_was(radio
 
 def test_nothing_is_said_where_all_agents_get_the_same_picture(tmp_path: Path) -> None:
     run = mast.run("baseline", runtime="inproc", frames=12, out=tmp_path / "run", report=False)
-    record = RunRecord.load(run.path)
+    record = Run(run.path)
     assert not picture_table(record).lines
     assert picture_sentences(record) == channel_sentences(record) == []
 
@@ -57,7 +58,7 @@ def test_the_pictures_whose_errors_exceed_their_covariances_are_counted() -> Non
         "deceived": {"first_s": 2.0, "share": {"mean": 0.125}, "most": 0.875},
         "consistency": above,
     }
-    run = RunRecord(Path("run"), {}, {}, {}, {"pictures": pictures}, None, None, None, None)
+    run = Run.of(RunFiles(None, summary={"pictures": pictures}))
     assert picture_sentences(run) == [
         "3 agents have pictures of their own; GOSPA between two: 4.0 m, mostly objects that one of them lacks",
         "Attacks deceived 13 % of them at a time, at most 88 %, first at 2.0 s",

@@ -45,7 +45,7 @@ from mast_zenoh.runs.events import (
     states_at,
     withheld_at,
 )
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 from mast_zenoh.viewer.palette import STATES, WITHHELD
 
 AGENTS = ("ego", "infra_1", "infra_2", "infra_3", "infra_4")
@@ -114,7 +114,7 @@ def pixels(picture: bytes, colour: str) -> int:
 
 
 def test_the_state_of_an_agent_is_that_of_the_latest_message(folder: Path) -> None:
-    run = RunRecord.load(folder)
+    run = Run(folder)
     assert judged_agents(run) == list(AGENTS)
     assert states_at(run, DETECTED - 1) == dict.fromkeys(AGENTS, "trusted")
     assert states_at(run, FRAMES + 10) == dict.fromkeys(AGENTS, "trusted") | {
@@ -124,9 +124,9 @@ def test_the_state_of_an_agent_is_that_of_the_latest_message(folder: Path) -> No
 
 
 def test_spans_are_periods_of_a_state_and_of_faults(folder: Path) -> None:
-    run = RunRecord.load(folder)
-    assert run.trust is not None
-    rows = {name: column[run.trust["agent"] == "infra_1"] for name, column in run.trust.items()}
+    run = Run(folder)
+    assert run.files.trust is not None
+    rows = {name: column[run.files.trust["agent"] == "infra_1"] for name, column in run.files.trust.items()}
     assert state_spans(rows, "suspended", 4.0) == [(2.0, 4.0)]
     assert state_spans(rows, "trusted", 4.0) == [(0.0, 2.0)]
     assert fault_spans(run, "infra_4", 4.0) == [("BlindSector", 2.5, 4.0), ("Loss", 0.5, 1.0)]
@@ -134,19 +134,19 @@ def test_spans_are_periods_of_a_state_and_of_faults(folder: Path) -> None:
 
 
 def test_lies_are_the_measured_changes_on_an_agents_own_wires(folder: Path) -> None:
-    run = RunRecord.load(folder)
-    assert run.attacks is not None
-    wire = np.where(run.attacks["interposer"] == "adversary_1", "agent/infra_1/tracks", "cc/picture")
-    run.attacks["wire"] = wire.astype(object)
+    run = Run(folder)
+    assert run.manipulations is not None
+    wire = np.where(run.manipulations["interposer"] == "adversary_1", "agent/infra_1/tracks", "cc/picture")
+    run.manipulations["wire"] = wire.astype(object)
     ((start, end),) = lie_spans(run, "infra_1")
     assert (start, end) == pytest.approx((1.5, 3.9), abs=0.11)
     assert lie_spans(run, "infra_3") == [], "a change of the picture is no lie of an agent"
 
 
 def test_agents_have_the_colour_of_their_state_and_withheld_objects_are_outlined(folder: Path) -> None:
-    run = RunRecord.load(folder)
-    assert len(withheld_at(run, DETECTED)[2]) == 1
-    assert len(withheld_at(run, DETECTED - 1)[2]) == 0
+    run = Run(folder)
+    assert len(withheld_at(run, DETECTED)) == 1
+    assert len(withheld_at(run, DETECTED - 1)) == 0
     views = [frame_view(run, frame) for frame in (DETECTED - 1, FAULTY + 1)]
     before, after = (png(birdseye_figure(view)) for view in views if view is not None)
     assert pixels(before, STATES["suspended"]) == pixels(before, STATES["faulty"]) == 0
@@ -164,25 +164,25 @@ def test_suspended_relays_of_honest_agents_are_named_with_those_whose_agents_wer
     agents = {"ego": relayed(True, "lying"), "infra_2": relayed(False), "infra_4": relayed(True)}
     relays = dict(agents=agents, honest_suspended=["infra_2", "infra_4"], false_alarms=2)
     path = edit(run_folder("uncoordinated"), metrics={"integrity": INTEGRITY | {"relays": relays}})
-    run = RunRecord.load(path)
+    run = Run(path)
     expected = "What honest agents relay was suspended 2 times: infra_2, infra_4; deceived by an attack then: infra_4"
     assert expected in trust_sentences(run)
     assert suspension_lines(run)[-1] == expected
 
 
 def test_without_trust_the_picture_has_no_state_colours(run_folder: Callable[..., Path]) -> None:
-    run = RunRecord.load(run_folder("uncoordinated"))
+    run = Run(run_folder("uncoordinated"))
     view = frame_view(run, 33)
     assert view is not None
     assert pixels(png(birdseye_figure(view)), STATES["suspended"]) == 0
     assert trust_over_time(run, 33) is None
     assert trust_sentences(run) == suspension_table(run).lines == suspension_lines(run) == []
     assert defence_sentence(run) == ""
-    assert "trust.parquet" not in " ".join(run.missing)
+    assert "trust.parquet" not in " ".join(run.files.missing)
 
 
 def test_the_chart_has_a_row_for_each_agent_with_its_suspensions_and_faults(folder: Path) -> None:
-    figure = trust_over_time(RunRecord.load(folder), 33)
+    figure = trust_over_time(Run(folder), 33)
     assert figure is not None
     assert [axes.get_ylabel() for axes in figure.axes] == list(AGENTS)
 
@@ -199,7 +199,7 @@ def test_the_chart_has_a_row_for_each_agent_with_its_suspensions_and_faults(fold
 
 
 def test_every_suspension_has_a_row_with_its_reason(folder: Path) -> None:
-    assert suspension_table(RunRecord.load(folder)).lines == [
+    assert suspension_table(Run(folder)).lines == [
         (("infra_2", "1.0", "1.2", "honest", "\u2013", REASON), "bad"),
         (("infra_1", "2.0", "3.0", "lying", "0.5", REASON), ""),
         (("infra_1", "3.5", "end", "lying", "\u2013", REASON), ""),
@@ -207,7 +207,7 @@ def test_every_suspension_has_a_row_with_its_reason(folder: Path) -> None:
 
 
 def test_the_terminal_names_suspensions_with_their_reasons(folder: Path) -> None:
-    assert suspension_lines(RunRecord.load(folder)) == [
+    assert suspension_lines(Run(folder)) == [
         f"the command centre suspended infra_2 (honest) from 1.0 s to 1.2 s: {REASON}",
         f"the command centre suspended infra_1 (lying) from 2.0 s to 3.0 s, 0.5 s after its first lie: {REASON}",
         f"the command centre suspended infra_1 (lying) from 3.5 s to the end: {REASON}",
@@ -218,7 +218,7 @@ def test_an_agent_whose_suspension_flickers_has_one_line(folder: Path) -> None:
     flicker = [suspension(0.5 * at, 0.5 * at + 0.2, "honest" if at < 4 else "lying") for at in range(5)]
     agents = {"infra_2": of_agent(suspensions=[*flicker, suspension(3.5, None, "lying")])}
     edit(folder, metrics={"integrity": {"agents": agents}})
-    lines = [line for line in suspension_lines(RunRecord.load(folder)) if "infra_2" in line]
+    lines = [line for line in suspension_lines(Run(folder)) if "infra_2" in line]
     assert lines == [
         "the command centre suspended infra_2 6 times (4 while honest, 2 while lying) between 0.0 s and 4.0 s, for "
         f"1.5 s in all: {REASON}"
@@ -274,7 +274,7 @@ def test_the_last_line_explains_why_more_or_fewer_objects_are_missed_than_withhe
 
 
 def test_seconds_of_conduct_without_any_are_left_out(folder: Path) -> None:
-    table = conduct_table(RunRecord.load(folder))
+    table = conduct_table(Run(folder))
     assert [head.text for head in table.heads[1:]] == ["unknown", "trusted", "faulty", "suspended"]
     cells = [line.cells for line in table.lines]
     assert cells == [("honest", "0.0", "14.0", "0.0", "0.2"), ("lying", "0.0", "3.4", "0.0", "1.4")]
@@ -300,13 +300,13 @@ OPEN = (
 @pytest.fixture
 def undecided(folder: Path) -> Path:
     """The run, with infra_2 and infra_3 undecided: the first from frame 10 to the end, the second up to frame 20."""
-    run = RunRecord.load(folder)
-    assert run.trust is not None
-    agent, frame = run.trust["agent"], run.trust["frame"]
+    run = Run(folder)
+    assert run.files.trust is not None
+    agent, frame = run.files.trust["agent"], run.files.trust["frame"]
     rows = ((agent == "infra_2") & (frame >= 10)) | ((agent == "infra_3") & (frame >= 10) & (frame < 20))
-    state = np.where(rows, "undecided", run.trust["state"]).astype(object)
-    reason = np.where(rows, OPEN, run.trust["reason"]).astype(object)
-    write_table(folder / "trust.parquet", run.trust | dict(state=state, reason=reason))
+    state = np.where(rows, "undecided", run.files.trust["state"]).astype(object)
+    reason = np.where(rows, OPEN, run.files.trust["reason"]).astype(object)
+    write_table(folder / "trust.parquet", run.files.trust | dict(state=state, reason=reason))
     agents = INTEGRITY["agents"] | {
         "infra_2": of_agent(undecided=[suspension(1.0, None, "honest") | {"reason": OPEN}]),
         "infra_3": INTEGRITY["agents"]["infra_3"] | {"undecided": [suspension(1.0, 2.0, "honest") | {"reason": OPEN}]},
@@ -316,7 +316,7 @@ def undecided(folder: Path) -> Path:
 
 
 def test_undecided_agents_have_a_colour_and_their_state_below_the_name(undecided: Path) -> None:
-    view = frame_view(RunRecord.load(undecided), FAULTY + 1)
+    view = frame_view(Run(undecided), FAULTY + 1)
     assert view is not None
     figure = birdseye_figure(view)
     assert pixels(png(figure), STATES["undecided"]) > 50
@@ -324,7 +324,7 @@ def test_undecided_agents_have_a_colour_and_their_state_below_the_name(undecided
 
 
 def test_the_chart_shows_when_an_agent_was_undecided(undecided: Path) -> None:
-    figure = trust_over_time(RunRecord.load(undecided), None)
+    figure = trust_over_time(Run(undecided), None)
     assert figure is not None
     (patch,) = (patch for patch in figure.axes[2].patches if isinstance(patch, Rectangle))
     assert (patch.get_x(), patch.get_width()) == pytest.approx((1.0, 3.0))
@@ -332,7 +332,7 @@ def test_the_chart_shows_when_an_agent_was_undecided(undecided: Path) -> None:
 
 
 def test_every_undecided_period_has_a_row_and_a_line_with_its_whole_reason(undecided: Path) -> None:
-    run = RunRecord.load(undecided)
+    run = Run(undecided)
     assert [line.cells for line in undecided_table(run).lines] == [
         ("infra_2", "1.0", "end", "honest", OPEN),
         ("infra_3", "1.0", "2.0", "honest, lies from 1.5 s on", OPEN),
@@ -341,7 +341,7 @@ def test_every_undecided_period_has_a_row_and_a_line_with_its_whole_reason(undec
         f"infra_2 (honest) was undecided from 1.0 s to the end: {OPEN}",
         f"infra_3 (honest, lies from 1.5 s on) was undecided from 1.0 s to 2.0 s: {OPEN}",
     ]
-    agents = run.metrics["integrity"]["agents"]
+    agents = run.files.summary["integrity"]["agents"]
     agents["infra_3"]["undecided"] = [suspension(2.5, None, "honest") | {"reason": OPEN}]
     assert undecided_table(run).lines[-1].cells[3] == "honest, lied before"
     page = io.StringIO()
@@ -354,13 +354,13 @@ def test_every_undecided_period_has_a_row_and_a_line_with_its_whole_reason(undec
 
 
 def test_the_last_line_names_undecided_agents(undecided: Path) -> None:
-    integrity = RunRecord.load(undecided).metrics["integrity"]
+    integrity = Run(undecided).files.summary["integrity"]
     line = last_line(undecided, "FreeSpace", integrity)
     assert "was undecided for a time about infra_3 and to the end about infra_2, although" in line
 
 
 def test_the_events_of_a_run_say_who_the_possible_liars_are(undecided: Path) -> None:
-    run = RunRecord.load(undecided)
+    run = Run(undecided)
     times = np.arange(FRAMES) * 0.1
     periods = spans(run, times)
     assert [(each["label"], each["from_s"], each["until_s"]) for each in periods if each["kind"] == "undecided"] == [
@@ -373,14 +373,14 @@ def test_the_events_of_a_run_say_who_the_possible_liars_are(undecided: Path) -> 
 
 
 def test_the_caption_of_a_film_names_undecided_agents_in_one_line(undecided: Path) -> None:
-    take = Take(RunRecord.load(undecided), "picture")
+    take = Take(Run(undecided), "picture")
     captions = [text for frame, text in takes.happenings(take) if frame == 10]
     assert captions == ["infra_2 undecided", "infra_3 undecided"]
 
 
 def test_a_run_of_an_older_version_has_no_undecided_agents(folder: Path) -> None:
-    run = RunRecord.load(folder)
-    assert "undecided" not in run.metrics["integrity"]["agents"]["ego"]
+    run = Run(folder)
+    assert "undecided" not in run.files.summary["integrity"]["agents"]["ego"]
     assert undecided_table(run).lines == undecided_lines(run) == []
     page = write_report(folder).read_text()
     assert "suspended agent</th>" in page
@@ -389,7 +389,7 @@ def test_a_run_of_an_older_version_has_no_undecided_agents(folder: Path) -> None
 
 def test_a_missing_trust_table_is_named(folder: Path) -> None:
     (folder / "trust.parquet").unlink()
-    assert "trust.parquet is absent: trust in agents is not shown." in RunRecord.load(folder).missing
+    assert "trust.parquet is absent: trust in agents is not shown." in Run(folder).files.missing
 
 
 @pytest.mark.parametrize(
@@ -408,13 +408,14 @@ def test_a_missing_trust_table_is_named(folder: Path) -> None:
 def test_the_cause_counts_the_agents_that_reported_each_withheld_object(
     folder: Path, reporters: tuple[str, ...], suspended: tuple[str, ...], words: str
 ) -> None:
-    run = RunRecord.load(folder)
-    assert run.objects is not None
-    assert run.trust is not None
-    rows = np.flatnonzero((run.objects["estimator"] == "picture") & (run.objects["frame"] == FAULTY))[: len(reporters)]
+    run = Run(folder)
+    objects, trust = run.files.objects, run.files.trust
+    assert objects is not None
+    assert trust is not None
+    rows = np.flatnonzero((objects["estimator"] == "picture") & (objects["frame"] == FAULTY))[: len(reporters)]
     for name, values in (("cause", "withheld"), ("by", reporters)):
-        run.objects[name] = run.objects[name].astype(object)
-        run.objects[name][rows] = values
-    run.trust["state"][np.isin(run.trust["agent"], suspended)] = "suspended"
+        objects[name] = objects[name].astype(object)
+        objects[name][rows] = values
+    trust["state"][np.isin(trust["agent"], suspended)] = "suspended"
     change = Change("ego", "picture", MISSED, 1.0, 1.0, {"withheld": 1.0})
     assert f"which withheld {words}" in causes(run, change)[-1]

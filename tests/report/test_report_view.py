@@ -12,7 +12,8 @@ import pytest
 
 from mast_zenoh.report.figures.drawing import birdseye_figure, camera_figure
 from mast_zenoh.report.figures.view import choose_common_frame, choose_frame, frame_view, window
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.files import RunFiles
+from mast_zenoh.runs.run import Run
 
 
 def a_run(
@@ -20,7 +21,7 @@ def a_run(
     local: list[tuple[int, int]] | None = None,
     attack: Any = None,
     scored: tuple[int, int] | None = None,
-) -> RunRecord:
+) -> Run:
     """A run with known (FN, FP) and attacked frames only; frames start at 10."""
     rows = [("picture", k, *counts) for k, counts in enumerate(picture)]
     rows += [("local", k, *counts) for k, counts in enumerate(local or picture)]
@@ -33,7 +34,7 @@ def a_run(
         kinds = {"effect": np.full(len(attack), "inserted"), "role": np.full(len(attack), "adversary")}
         effects = {"frame": np.array(attack)} | kinds
     metrics = {} if scored is None else {"scored_frames": list(scored)}
-    return RunRecord(Path("run"), {}, {}, {}, metrics, counts, None, effects, None)
+    return Run.of(RunFiles(None, summary=metrics, counts=counts, effects=effects))
 
 
 WORST_AT_BOTH_ENDS = [(9, 9), (1, 0), (2, 0), (9, 9)]
@@ -51,7 +52,7 @@ WORST_AT_BOTH_ENDS = [(9, 9), (1, 0), (2, 0), (9, 9)]
     ],
 )
 def test_the_scored_frame_with_the_largest_effect_of_the_attack_or_benefit_is_shown(
-    run: RunRecord, frame: int | None
+    run: Run, frame: int | None
 ) -> None:
     assert choose_frame(run) == frame
 
@@ -63,29 +64,29 @@ def test_with_a_baseline_the_frame_with_the_largest_difference_is_shown() -> Non
 
 def test_a_frame_in_which_effects_are_unsettled_is_never_chosen() -> None:
     run = a_run([(0, 0), (1, 0), (9, 0), (2, 0)], attack=[11, 12, 13])
-    assert run.effects is not None
-    run.effects["effect"] = np.array(["inserted", "unsettled", "inserted"])
+    assert run.files.effects is not None
+    run.files.effects["effect"] = np.array(["inserted", "unsettled", "inserted"])
     assert choose_frame(run) == 13
 
 
 def test_errors_of_all_kinds_count() -> None:
     run = a_run([(0, 0)] * 4, attack=[10])
-    assert run.counts is not None
-    picture = np.flatnonzero(run.counts["estimator"] == "picture")
-    run.counts["tp"] = np.full(8, 20)
-    run.counts["rmse_m"] = np.zeros(8)
-    run.counts["rmse_m"][picture[1]] = 1.0
+    assert run.files.counts is not None
+    picture = np.flatnonzero(run.files.counts["estimator"] == "picture")
+    run.files.counts["tp"] = np.full(8, 20)
+    run.files.counts["rmse_m"] = np.zeros(8)
+    run.files.counts["rmse_m"][picture[1]] = 1.0
     assert choose_frame(run) == 11
-    run.counts["id_switches"] = np.zeros(8)
-    run.counts["id_switches"][picture[3]] = 1
+    run.files.counts["id_switches"] = np.zeros(8)
+    run.files.counts["id_switches"][picture[3]] = 1
     assert choose_frame(run) == 13
 
 
 def test_a_run_without_counts_has_no_frame_to_display() -> None:
     run = a_run([(1, 0)])
-    assert run.counts is not None
-    empty = {name: column[:0] for name, column in run.counts.items()}
-    assert choose_frame(RunRecord(Path("run"), {}, {}, {}, {}, empty, None, None, None)) is None
+    assert run.files.counts is not None
+    empty = {name: column[:0] for name, column in run.files.counts.items()}
+    assert choose_frame(Run.of(RunFiles(None, counts=empty))) is None
 
 
 def test_runs_share_the_frame_of_the_largest_effect() -> None:
@@ -97,7 +98,7 @@ def test_runs_share_the_frame_of_the_largest_effect() -> None:
 
 
 def test_window_is_square_and_contains_all_nearby_objects(run_folder: Callable[..., Path]) -> None:
-    view = frame_view(RunRecord.load(run_folder()), 20)
+    view = frame_view(Run(run_folder()), 20)
     assert view is not None
     x, y, half = window([view])
     boxes = np.concatenate([boxes.position for of in view.boxes.values() for boxes in of.values()])
@@ -107,7 +108,7 @@ def test_window_is_square_and_contains_all_nearby_objects(run_folder: Callable[.
 
 
 def test_distant_manipulations_are_not_in_the_view(run_folder: Callable[..., Path]) -> None:
-    view = frame_view(RunRecord.load(run_folder("uncoordinated")), 20)
+    view = frame_view(Run(run_folder("uncoordinated")), 20)
     assert view is not None
     assert len(view.before.added) == 10
     x, y, _ = view.before.added[0]
@@ -115,26 +116,26 @@ def test_distant_manipulations_are_not_in_the_view(run_folder: Callable[..., Pat
 
 
 def test_the_estimate_used_to_choose_a_frame_is_shown(run_folder: Callable[..., Path]) -> None:
-    run = RunRecord.load(run_folder("uncoordinated"))
-    assert run.objects is not None
-    touched = run.objects["estimator"] == "picture"
-    more = {name: np.concatenate([column, column[touched]]) for name, column in run.objects.items()}
+    run = Run(run_folder("uncoordinated"))
+    assert run.files.objects is not None
+    touched = run.files.objects["estimator"] == "picture"
+    more = {name: np.concatenate([column, column[touched]]) for name, column in run.files.objects.items()}
     more["estimator"] = more["estimator"].astype(object)
     more["estimator"][len(touched) :] = "picture_on_arrival"
-    object.__setattr__(run, "objects", more)
-    run.metrics["same_as"]["ego"]["picture_received"] = "picture_on_arrival"
+    run.files.objects = more
+    run.files.summary["same_as"]["ego"]["picture_received"] = "picture_on_arrival"
     view = frame_view(run, 20, "picture_received")
     assert view is not None
     assert list(view.boxes) == ["local", "picture_received", "mission"]
     assert len(view.boxes["picture_received"]["track false"]) == 10
-    assert run.effects is not None
-    run.effects["message"] = np.full(len(run.effects["frame"]), "picture")
-    assert len(replace(view, run=replace(run)).behind.added) == 10
-    assert len(replace(view, run=replace(run)).marks("picture_received").added) == 10
+    assert run.files.effects is not None
+    run.files.effects["message"] = np.full(len(run.files.effects["frame"]), "picture")
+    assert len(replace(view, run=run.with_()).behind.added) == 10
+    assert len(replace(view, run=run.with_()).marks("picture_received").added) == 10
     titles = [axes.get_title(loc="left") for axes in birdseye_figure(view).axes]
     assert titles[1] == "the picture as the ego receives it"
     assert camera_figure(view) is not None
-    del run.metrics["same_as"]["ego"]["picture_received"]
+    del run.files.summary["same_as"]["ego"]["picture_received"]
     without_boxes = frame_view(run, 20, "picture_received")
     assert without_boxes is not None
     assert list(without_boxes.boxes) == ["local", "picture", "mission"]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +12,14 @@ import pytest
 from mast_zenoh.report.figures.diagram import draw_wiring
 from mast_zenoh.report.figures.style import svg
 from mast_zenoh.report.tables.wiring import HIGH, ROW, WIDE, Spot, layout, wire_rows
+from mast_zenoh.runs.files import RunFiles
 from mast_zenoh.runs.interposers import adversaries_by_agent, interposers
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 
 
-def a_run(wires: list[dict[str, Any]], roles: dict[str, str] | None = None) -> RunRecord:
+def a_run(wires: list[dict[str, Any]], roles: dict[str, str] | None = None) -> Run:
     nodes = {name: {"role": role} for name, role in (roles or {}).items()}
-    return RunRecord(Path("run"), {"nodes": nodes}, {}, {"wires": wires}, {}, None, None, None, None)
+    return Run.of(RunFiles(None, record={"nodes": nodes}, wiring={"wires": wires}))
 
 
 def a_wire(
@@ -32,7 +32,7 @@ def a_wire(
     return record | {"legs": legs, "interposers": list(chain)}
 
 
-def mesh(agents: int, chain: int, message: str) -> RunRecord:
+def mesh(agents: int, chain: int, message: str) -> Run:
     """A run with `chain` links on each agent's wires of the type `message`, or "both"."""
     wires, roles = [], {"simulator": "simulator", "broker": "broker", "command_center": "command_center"}
     for name in ["ego", *(f"infra_{k}" for k in range(1, agents))]:
@@ -108,7 +108,7 @@ def test_a_listener_is_drawn_on_its_leg_and_named_in_the_table() -> None:
     assert wire_rows(run)[0].subscribers == ("broker", "guard (listens)", "source_guard (listens)")
 
 
-def branched(trunk: tuple[str, ...] = ()) -> RunRecord:
+def branched(trunk: tuple[str, ...] = ()) -> Run:
     """The picture's wire with a link per agent and interposers on the trunk."""
     agents = ["ego", "infra_1", "infra_2"]
     wire = a_wire("cc/picture", "picture", "command_center", [*agents, "evaluator"], trunk)
@@ -149,7 +149,7 @@ def test_interposer_on_the_trunk_intercepts_all_branches() -> None:
 
 
 def test_a_coordinator_is_above_its_adversaries(run_folder: Callable[..., Path]) -> None:
-    plan = layout(RunRecord.load(run_folder("coordinated")))
+    plan = layout(Run(run_folder("coordinated")))
     assert plan is not None
     coordinator = Spot("coordinator")
     assert plan.places[coordinator][1] < min(y for spot, (_, y) in plan.places.items() if spot != coordinator)
@@ -157,26 +157,26 @@ def test_a_coordinator_is_above_its_adversaries(run_folder: Callable[..., Path])
 
 
 def test_the_evaluator_is_in_the_table_but_not_in_the_diagram(run_folder: Callable[..., Path]) -> None:
-    run = RunRecord.load(run_folder("uncoordinated"))
+    run = Run(run_folder("uncoordinated"))
     plan = layout(run)
     assert plan is not None
     assert Spot("evaluator") not in plan.places
     assert any("evaluator" in row.subscribers for row in wire_rows(run))
-    assert len(wire_rows(run)) == len(run.wiring["wires"])
+    assert len(wire_rows(run)) == len(run.files.wiring["wires"])
 
 
 def test_the_table_begins_with_the_intercepted_wires(run_folder: Callable[..., Path]) -> None:
-    rows = wire_rows(RunRecord.load(run_folder("uncoordinated")))
+    rows = wire_rows(Run(run_folder("uncoordinated")))
     assert [row.key for row in rows if row.intercepted] == [row.key for row in rows[:2]]
     assert rows[0].taps == ("agent/infra_1/detections/@tap/0",)
     assert rows[0].interposers == ("adversary_1",)
 
 
 def test_adversaries_are_grouped_by_the_agent_of_their_wire(run_folder: Callable[..., Path]) -> None:
-    run = RunRecord.load(run_folder("uncoordinated"))
+    run = Run(run_folder("uncoordinated"))
     assert adversaries_by_agent(interposers(run)) == {"infra_1": ("adversary_1",), "infra_3": ("adversary_2",)}
     assert adversaries_by_agent(interposers(mesh(2, 1, "tracks"))) == {}
-    without_roles = replace(run, run={}, metrics={})  # run.json is lost: a role follows from the name only
+    without_roles = run.with_(record={}, summary={})  # run.json is lost: a role follows from the name only
     assert adversaries_by_agent(interposers(without_roles)) == adversaries_by_agent(interposers(run))
     assert {without_roles.role(node) for node in ("ego", "infra_2")} == {"agent"}
 

@@ -13,7 +13,7 @@ import mast_zenoh as mast
 from mast_zenoh.report.film.takes import Take
 from mast_zenoh.report.terminal import show_run
 from mast_zenoh.runs.events import spans
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 
 SETTINGS = dict(n_infrastructure=3, n_mobile=1, n_adversaries=1, attack_start_s=0.3, defence="Pasac")
 FRAMES = 12
@@ -47,7 +47,7 @@ def test_the_report_and_the_terminal_speak_of_the_ego_and_its_peer(run_of_peers:
 
 
 def test_titles_of_films_and_events_of_the_viewer_do_too(run_of_peers: mast.Run) -> None:
-    run = RunRecord.load(run_of_peers.path)
+    run = Run(run_of_peers.path)
     assert not run.has_centre
     assert Take(run, "picture").title == "the picture of the ego"
     begins = [span["begins"] for span in spans(run, np.arange(FRAMES) * run.period_s) if span["kind"] == "suspension"]
@@ -58,6 +58,6 @@ def test_titles_of_films_and_events_of_the_viewer_do_too(run_of_peers: mast.Run)
 @pytest.mark.parametrize("scenario", ["baseline", "two_centres"])
 def test_the_words_of_a_run_with_a_centre_stay(tmp_path: Path, scenario: str) -> None:
     run = mast.run(scenario, frames=5, n_infrastructure=2, out=tmp_path / "run")
-    record = RunRecord.load(run.path)
+    record = Run(run.path)
     assert record.has_centre
     assert record.worded("the command centre sends the common picture") == "the command centre sends the common picture"

@@ -18,7 +18,7 @@ from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.report.figures.of_run import OURS, user_figures
 from mast_zenoh.report.html import write_report
 from mast_zenoh.report.run_figure import SECTIONS, FigureContext, RunFigure
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 
 Folder = Callable[..., Path]
 PNG = b"\x89PNG\r\n\x1a\n" + bytes(100)
@@ -134,7 +134,7 @@ def test_a_broken_list_of_earlier_figures_is_left_out(run_folder: Folder, tmp_pa
 
     def shown(content: str) -> int:
         (folder / "figures" / "user_figures.json").write_text(content)
-        return len(user_figures(FigureContext(RunRecord.load(folder), None)))
+        return len(user_figures(FigureContext(Run(folder), None)))
 
     assert shown(json.dumps([good])) == 1
     for broken in (
@@ -204,7 +204,7 @@ def test_the_built_in_figures_use_the_same_base_class(run_folder: Folder) -> Non
         "driving",
         "wiring",
     }
-    context = FigureContext(RunRecord.load(run_folder("uncoordinated")), None)
+    context = FigureContext(Run(run_folder("uncoordinated")), None)
     drawn: dict[str, Any] = {kind.label(): kind().draw(context) for kind in OURS}
     assert {name for name, figure in drawn.items() if figure is not None} == {"counts", "wiring"}
     assert all(issubclass(kind, RunFigure) and kind.after in SECTIONS for kind in OURS)

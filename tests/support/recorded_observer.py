@@ -11,10 +11,10 @@ from typing import Any
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.run_folder.recording.reader import read
 from mast_zenoh.runs.frame import Frame
-from mast_zenoh.runs.live.measurement import FrameMeter, LiveRun
+from mast_zenoh.runs.live.measurement import FrameMeter, seen
 from mast_zenoh.runs.live.observer import Insertion
 from mast_zenoh.runs.live.reception import Sample, WireState
-from mast_zenoh.runs.recorded import RecordedRun
+from mast_zenoh.runs.recorded import open_recorded
 from mast_zenoh.wiring.model import Wiring
 
 NUMBERS = (9, 10, 22)
@@ -34,9 +34,9 @@ class RecordedObserver:
         resolved = Resolved.read(folder)
         self.wiring = Wiring.from_json(resolved.wiring)
         self.meter = FrameMeter(resolved)
-        scene = RecordedRun.load(folder).recording if has_scene else None  # a user's own simulator prepares none
-        self.run: Any = SimpleNamespace(scene=scene, id="run-1", resolved=resolved)
-        self.record = LiveRun.of(self.run, self.wiring, self.meter.agents)
+        scene = open_recorded(folder).files.scene if has_scene else None  # a user's own simulator prepares none
+        self.address: Any = SimpleNamespace(scene=scene, id="run-1", resolved=resolved)
+        self.run = seen(self.address, self.wiring, self.meter.agents)
         self.insertions: list[Insertion] = []
         self.down: list[str] = []
         self.frame = numbers[-1]
@@ -47,7 +47,7 @@ class RecordedObserver:
         self.waiting: deque[Frame | None] = deque([None])
         for number in numbers:
             own = [sample for frame, sample in messages if frame == number]
-            self.waiting += [self.meter.measure(self.record, number, own, self.wiring, roles), None]
+            self.waiting += [self.meter.measure(self.run, number, own, self.wiring, roles), None]
 
     def advance(self) -> Frame | None:
         return self.waiting.popleft() if self.waiting else None

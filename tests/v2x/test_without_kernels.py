@@ -17,7 +17,7 @@ from mast_zenoh.errors import ConfigurationError, MessageError
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.messages import codec
 from mast_zenoh.run_folder.recording.reader import read
-from mast_zenoh.runs.recorded import RecordedRun
+from mast_zenoh.runs.recorded import open_recorded
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.v2x.asn1 import cpm_fields
 
@@ -81,7 +81,7 @@ def test_a_recording_with_a_codec_is_refused_and_its_messages_are_as_those_of_a_
     with pytest.raises(MessageError, match="cpm: only compiled kernels read it: unset MAST_KERNELS"):
         codec.decode(cpms[-1].payload, "tracks")
     with pytest.raises(ConfigurationError, match="run: codec cpm on"):
-        RecordedRun.load(tmp_path / "run")
+        open_recorded(tmp_path / "run")
     with pytest.raises(ConfigurationError, match="run: codec cpm on"):
         Evidence.read(tmp_path / "run", resolved)
 

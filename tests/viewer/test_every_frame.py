@@ -30,7 +30,7 @@ from mast_zenoh.runs.live.every_frame import (
 from mast_zenoh.runs.live.measurement import FrameMeter
 from mast_zenoh.runs.live.observer import SETTLING
 from mast_zenoh.runs.live.reception import Arrival, Sample
-from mast_zenoh.runs.recorded import RecordedRun
+from mast_zenoh.runs.recorded import frames_of, open_recorded
 from mast_zenoh.wiring.model import Wiring
 
 KEYS = ("clock", "a", "b")
@@ -126,10 +126,10 @@ class FrameByFrame:
 
     def __init__(self, folder: Path, batches: list[list[Arrival]]) -> None:
         of_recording: Any = RecordedObserver(folder, (9,))
-        self.meter, self.wiring, self.record = of_recording.meter, of_recording.wiring, of_recording.record
-        self.roles = {name: spec.role for name, spec in of_recording.run.resolved.nodes.items()}
+        self.meter, self.wiring, self.run = of_recording.meter, of_recording.wiring, of_recording.run
+        self.roles = {name: spec.role for name, spec in of_recording.address.resolved.nodes.items()}
         self.types, self.clock_key = self.meter.keys(self.wiring), self.meter.clock_key(self.wiring)
-        self.run = of_recording.run
+        self.address = of_recording.address
         self.batches = batches
         self.notes: list[str] = []
         self.down: list[str] = []
@@ -161,12 +161,12 @@ def all_frames(folder: Path, batches: list[list[Arrival]], monkeypatch: pytest.M
     observer: Any = FrameByFrame(folder, batches)
     monkeypatch.setattr(every_frame, "Observer", lambda *_: observer)
     monkeypatch.setattr(every_frame, "POLL_S", 0.0)
-    every = EveryFrame(observer.run, None)  # type: ignore[arg-type]
+    every = EveryFrame(observer.address, None)  # type: ignore[arg-type]
     return list(every.frames(threading.Event(), **words)), every.tally
 
 
-def assert_recorded(frames: list[Frame], folder: Path, *, measured: bool) -> None:
-    for frame, other in zip(frames, RecordedRun.load(folder), strict=True):
+def assert_recorded(live: list[Frame], folder: Path, *, measured: bool) -> None:
+    for frame, other in zip(live, frames_of(open_recorded(folder)), strict=True):
         assert (frame.index, frame.time_ns) == (other.index, other.time_ns)
         assert frame.objects.keys() == other.objects.keys()
         assert frame.poses.keys() == other.poses.keys()
@@ -219,7 +219,7 @@ def test_queues_have_room_for_twenty_seconds_within_limits(
     recorded: mast.Run, mode: str, rate: float, room: int
 ) -> None:
     observer: Any = RecordedObserver(recorded.path, (9,))
-    resolved = observer.run.resolved
+    resolved = observer.address.resolved
     assert room_for(replace(resolved, mode=mode, rate=rate)) == room
     assert room_for(replace(resolved, mode="realtime", rate=0.01)) == 64
     assert room_for(replace(resolved, mode="realtime", rate=100.0)) == 512

@@ -66,10 +66,10 @@ def test_a_damaged_recording_leaves_nothing_behind(recorded: mast.Run, tmp_path:
 def test_a_write_error_leaves_nothing_behind(
     recorded: mast.Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fail(self: object) -> None:
+    def fail(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("mast_zenoh.runs.recorded.RecordedRun.__iter__", fail)
+    monkeypatch.setattr("mast_zenoh.runs.recorded.read", fail)
     for name in OF_OBJECTS:
         with pytest.raises(mast.MastError, match="No space left on device"):
             export(recorded.path, name, tmp_path / "exported")

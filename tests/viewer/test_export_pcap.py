@@ -26,7 +26,7 @@ from mast_zenoh.messages import codec
 from mast_zenoh.messages.packed import pack
 from mast_zenoh.messages.schemas import Message
 from mast_zenoh.run_folder.recording.reader import Recorded, Wanted, read
-from mast_zenoh.runs.recorded import RecordedRun
+from mast_zenoh.runs.recorded import open_recorded
 from mast_zenoh.v2x import cam, cpm
 from mast_zenoh.v2x.reference_position import Position
 from mast_zenoh.viewer.export import export, pcap
@@ -182,8 +182,8 @@ def test_what_is_passed_on_is_there_once_and_a_lie_to_one_listener_names_it(tmp_
 
 
 def test_a_wire_that_is_intercepted_during_the_run_is_followed_to_its_publisher(broadcast: mast.Run, out: Path) -> None:
-    run = RecordedRun.load(broadcast.path)
-    ((_, intercepted),) = run.wirings
+    run = open_recorded(broadcast.path)
+    ((_, intercepted),) = run.files.wirings
     plain = replace(
         intercepted,
         wires=tuple(
@@ -191,7 +191,7 @@ def test_a_wire_that_is_intercepted_during_the_run_is_followed_to_its_publisher(
             for wire in intercepted.wires
         ),
     )
-    run.__dict__["wirings"] = [(-1, plain), (5, intercepted)]
+    run.files.wirings = [(-1, plain), (5, intercepted)]
     pcap.write(run, out)
     messages = by_key(broadcast)
     before = [message for message in messages[INTERCEPTED] if message["frame"] <= 5]
@@ -317,7 +317,7 @@ def test_each_segment_of_a_message_is_a_packet(broadcast: mast.Run, out: Path, m
 
 
 def test_damaged_bytes_give_a_sound_file(broadcast: mast.Run, tmp_path: Path) -> None:
-    run, out = RecordedRun.load(broadcast.path), tmp_path / "run.pcap"
+    run, out = open_recorded(broadcast.path), tmp_path / "run.pcap"
 
     @settings(max_examples=100, deadline=None)
     @given(st.lists(st.tuples(st.integers(0, 1 << 20), st.integers(0, 255)), min_size=1, max_size=4))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,11 +17,11 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import prefix
 from mast_zenoh.run_folder.recording.reader import read
 from mast_zenoh.run_folder.tables import from_arrow, read_table
-from mast_zenoh.runs.frame import Frame, FramedRun
-from mast_zenoh.runs.live.measurement import FrameMeter, LiveRun
+from mast_zenoh.runs.frame import Frame
+from mast_zenoh.runs.live.measurement import FrameMeter, seen
 from mast_zenoh.runs.live.observer import Observer
 from mast_zenoh.runs.live.reception import LegState, Sample, WireMeter
-from mast_zenoh.runs.recorded import RecordedRun
+from mast_zenoh.runs.recorded import frames_of, open_recorded
 from mast_zenoh.runtime.mesh.session import open_client, open_router
 from mast_zenoh.runtime.protocol.traffic import stamp
 from mast_zenoh.viewer.page.live_view import LASTING, LiveBlocks
@@ -40,7 +39,7 @@ class Measured:
         self.wiring = Wiring.from_json(self.resolved.wiring)
         self.meter = FrameMeter(self.resolved)
         scene = SimpleNamespace(scene=None, id="run-1", resolved=self.resolved)
-        self.record = LiveRun.of(scene, self.wiring, self.meter.agents)  # type: ignore[arg-type]
+        self.record = seen(scene, self.wiring, self.meter.agents)  # type: ignore[arg-type]
         self.roles = {name: spec.role for name, spec in self.resolved.nodes.items()}
         self.samples: dict[int, list[tuple[str, Sample]]] = {}
         for message in read(path):
@@ -58,7 +57,7 @@ def measured(recorded: mast.Run) -> Measured:
 
 
 def objects_of(frame: Frame) -> dict[str, Any]:
-    return from_arrow(frame.run.read_objects())
+    return from_arrow(frame.run.files.all_objects)
 
 
 def rows(table: Any, names: tuple[str, ...], mask: Any = slice(None)) -> list[tuple[Any, ...]]:
@@ -81,7 +80,7 @@ def test_outcomes_and_effects_of_a_frame_are_those_of_the_finished_run(
     assert rows(objects_of(frame), _OBJECTS) == expected
     assert len(expected) > 100
     changed = rows(attacks, _EFFECTS, attacks["frame"] == number)
-    assert rows(frame.run.effects, _EFFECTS) == changed
+    assert rows(frame.run.files.effects, _EFFECTS) == changed
     assert bool(changed) == (number >= 5), "the attack begins after half a second"
 
 
@@ -127,9 +126,8 @@ def test_a_frame_is_shown_with_and_without_a_prepared_scene(recorded: mast.Run, 
 
 
 @pytest.fixture(scope="module")
-def source(recorded: mast.Run) -> FramedRun:
-    observer: Any = RecordedObserver(recorded.path)
-    return replace(observer.record, frames=Observer.frames(observer, threading.Event()))
+def source(recorded: mast.Run) -> RecordedObserver:
+    return RecordedObserver(recorded.path)
 
 
 def test_the_newest_frame_of_a_run_that_ends_comes_out_even_if_it_ends_at_once(recorded: mast.Run) -> None:
@@ -158,19 +156,21 @@ def test_the_newest_frame_of_a_run_that_ends_comes_out_even_if_it_ends_at_once(r
         (frame,) = observer.frames(threading.Event(), lambda: ended.append(True))
         assert observer.last_frame() is None, "only once"
         observer.close()
-    *_, last = RecordedRun.load(recorded.path)
+    *_, last = frames_of(open_recorded(recorded.path))
     assert (frame.index, observer.frame, ended) == (last.index, last.index, [True])
     assert frame.objects.keys() == last.objects.keys()
     for series, states in last.objects.items():
         assert np.array_equal(frame.objects[series].position, states.position)
 
 
-def test_the_frames_of_a_running_run_are_those_of_the_finished_one(source: FramedRun, recorded: mast.Run) -> None:
-    finished = RecordedRun.load(recorded.path)
-    assert (source.agents, source.main_agent) == (finished.agents, finished.main_agent)
-    assert source.topics == finished.topics
-    expected = {frame.index: frame for frame in finished}
-    live = list(source)
+def test_the_frames_of_a_running_run_are_those_of_the_finished_one(
+    source: RecordedObserver, recorded: mast.Run
+) -> None:
+    finished = open_recorded(recorded.path)
+    assert source.run.agents == finished.agents
+    assert source.run.topics == finished.topics
+    expected = {frame.index: frame for frame in frames_of(finished)}
+    live = list(Observer.frames(source, threading.Event()))  # type: ignore[arg-type]
     assert [frame.index for frame in live] == list(NUMBERS)
     outcomes = 0
     for frame in live:

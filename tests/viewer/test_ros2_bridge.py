@@ -23,7 +23,8 @@ from ros2_client import ForeignClient, expected_messages, ros2_router
 
 import mast_zenoh as mast_package
 from mast_zenoh.runs.frame import Frame
-from mast_zenoh.runs.recorded import RecordedRun
+from mast_zenoh.runs.recorded import frames_of, open_recorded
+from mast_zenoh.runs.run import Run
 from mast_zenoh.viewer.export.ros2_layouts import write_layouts
 from mast_zenoh.viewer.export.ros2_messages import RunMessages
 from mast_zenoh.viewer.ros2_bridge import Ros2Bridge, frames_to_the_end, played
@@ -32,22 +33,22 @@ FAST = ("--rate", "10")
 
 
 @pytest.fixture(scope="module")
-def run(recorded: mast_package.Run) -> RecordedRun:
-    return RecordedRun.load(recorded.path)
+def run(recorded: mast_package.Run) -> Run:
+    return open_recorded(recorded.path)
 
 
 @pytest.fixture(scope="module")
-def topics(run: RecordedRun) -> dict[str, str]:
+def topics(run: Run) -> dict[str, str]:
     """All topics of the run, and their types."""
     return {topic.name: topic.type_name for topic in RunMessages(run).topics}
 
 
-def test_what_nodes_of_ros_2_in_the_run_send_themselves_is_left_to_them(run: RecordedRun) -> None:
+def test_what_nodes_of_ros_2_in_the_run_send_themselves_is_left_to_them(run: Run) -> None:
     """Two senders of a clock, one of them behind, would make it go back; a frame has one parent."""
     partners = {"infra_1": {"clock": "/clock"}, "infra_2": {"clock": ""}}
     alone, beside = RunMessages(run), RunMessages(run, partners=partners)
     assert {topic.name for topic in alone.topics} - {topic.name for topic in beside.topics} == {"/clock"}
-    frame = next(iter(run))
+    frame = next(iter(frames_of(run)))
     placed = [
         {each.child_frame_id for each in dict(messages.of(frame))["/tf"].transforms} for messages in (alone, beside)
     ]
@@ -56,12 +57,12 @@ def test_what_nodes_of_ros_2_in_the_run_send_themselves_is_left_to_them(run: Rec
 
 
 def test_a_finished_run_is_played_in_order_at_the_pace_of_its_scene_once_or_again_and_again(
-    run: RecordedRun, monkeypatch: pytest.MonkeyPatch
+    run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    now, order = [100.0], [frame.index for frame in run]
+    now, order = [100.0], [frame.index for frame in frames_of(run)]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
     monkeypatch.setattr(time, "sleep", lambda duration_s: now.__setitem__(0, now[0] + duration_s))
-    scene_s = [frame.time_ns / 1e9 for frame in run]
+    scene_s = [frame.time_ns / 1e9 for frame in frames_of(run)]
     paced = [(frame.index, now[0] - 100.0) for frame in played(run, rate=2.0)]
     assert [index for index, _ in paced] == order
     assert [at for _, at in paced] == pytest.approx([(time_s - scene_s[0]) / 2.0 for time_s in scene_s])
@@ -92,7 +93,7 @@ class Bridge:
 
 @pytest.mark.heavy
 def test_a_foreign_client_receives_every_frame_of_a_finished_run(
-    recorded: mast_package.Run, run: RecordedRun, topics: dict[str, str], tmp_path: Path
+    recorded: mast_package.Run, run: Run, topics: dict[str, str], tmp_path: Path
 ) -> None:
     chosen = {topic: kind for topic, kind in topics.items() if "/infra_" not in topic and "/mission" not in topic}
     with ros2_router() as router, ForeignClient(router, chosen, tmp_path / "received.json") as client:
@@ -185,20 +186,20 @@ class Wanted:
         pass
 
 
-def test_objects_are_converted_only_for_topics_that_are_subscribed_to(run: RecordedRun) -> None:
+def test_objects_are_converted_only_for_topics_that_are_subscribed_to(run: Run) -> None:
     participant: Any = Wanted("/cc/picture/markers", "/agent/ego/odometry")
     bridge = Ros2Bridge(run, participant)
     assert bridge.shows_outcomes
-    bridge.publish(next(iter(run)))
+    bridge.publish(next(iter(frames_of(run))))
     topics = [name for name, _ in participant.published]
     assert topics == ["/tf_static", "/clock", "/tf", "/agent/ego/odometry", "/cc/picture/markers"]
     assert not Ros2Bridge(run, Wanted("/cc/picture")).shows_outcomes  # type: ignore[arg-type]
 
 
-def test_a_frame_that_ros_cannot_express_is_counted_and_the_next_one_is_published(run: RecordedRun) -> None:
+def test_a_frame_that_ros_cannot_express_is_counted_and_the_next_one_is_published(run: Run) -> None:
     participant: Any = Wanted()
     bridge = Ros2Bridge(run, participant)
-    frame = next(iter(run))
+    frame = next(iter(frames_of(run)))
     for time_ns in (-1, 2**31 * 10**9, 5):
         bridge.publish(Frame(run, 0, time_ns, frame.bodies))
     assert [message.clock.nanosec for name, message in participant.published if name == "/clock"] == [5]
@@ -206,12 +207,12 @@ def test_a_frame_that_ros_cannot_express_is_counted_and_the_next_one_is_publishe
 
 
 @pytest.fixture
-def lossy(run: RecordedRun) -> Callable[..., int]:
+def lossy(run: Run) -> Callable[..., int]:
     """Publishes frames, each with another router ("": none) and other wanted topics; returns how many are counted."""
 
     def published(*states: tuple[str, set[str]]) -> int:
         participant: Any = Wanted()
-        bridge, frame = Ros2Bridge(run, participant), next(iter(run))
+        bridge, frame = Ros2Bridge(run, participant), next(iter(frames_of(run)))
         for participant.router, participant.wanted in states:
             bridge.publish(frame)
         assert [sentence.split(" ", 1)[1] for sentence in bridge.sentences()] == [
@@ -238,12 +239,12 @@ def test_frames_are_counted_until_what_subscribed_before_a_loss_of_the_link_does
 
 @pytest.mark.parametrize(("frames", "is_stopped", "expected"), [(30, False, [4, 29]), (5, False, [4]), (30, True, [4])])
 def test_the_last_frame_of_a_run_comes_from_its_recording_if_it_did_not_arrive(
-    frames: int, is_stopped: bool, expected: list[int], run: RecordedRun, recorded: mast_package.Run
+    frames: int, is_stopped: bool, expected: list[int], run: Run, recorded: mast_package.Run
 ) -> None:
     stop, participant = threading.Event(), Wanted()
     observer: Any = SimpleNamespace(
-        frames=lambda stop, ended: (frame for frame in run if frame.index == 4),
-        run=SimpleNamespace(folder=recorded.path, resolved=SimpleNamespace(frames=frames)),
+        frames=lambda stop, ended: (frame for frame in frames_of(run) if frame.index == 4),
+        address=SimpleNamespace(folder=recorded.path, resolved=SimpleNamespace(frames=frames)),
     )
     bridge = Ros2Bridge(run, participant)  # type: ignore[arg-type]
     for frame in frames_to_the_end(bridge, observer, stop, lambda: None):
@@ -260,7 +261,7 @@ def test_a_subscription_that_ends_by_itself_is_not_waited_for(lossy: Callable[..
 
 
 def test_the_rviz_file_has_a_display_for_every_topic_that_rviz_can_show(
-    run: RecordedRun, topics: dict[str, str], tmp_path: Path
+    run: Run, topics: dict[str, str], tmp_path: Path
 ) -> None:
     layouts = write_layouts(RunMessages(run), tmp_path)
     text = layouts.rviz.read_text()
@@ -288,7 +289,7 @@ def test_the_rviz_file_has_a_display_for_every_topic_that_rviz_can_show(
     assert classes[:2] == ["rviz_default_plugins/Grid", "rviz_default_plugins/TF"]
 
 
-def test_the_foxglove_layout_shows_markers_on_the_map(run: RecordedRun, tmp_path: Path) -> None:
+def test_the_foxglove_layout_shows_markers_on_the_map(run: Run, tmp_path: Path) -> None:
     layout = json.loads(write_layouts(RunMessages(run), tmp_path).foxglove.read_text())
     (panel,) = layout["configById"].values()
     assert layout["layout"] in layout["configById"]

@@ -26,7 +26,7 @@ from mast_zenoh.ros2.attachments import GID_BYTES, Attachment, gid_of, parse_att
 from mast_zenoh.ros2.connection import Connection
 from mast_zenoh.ros2.liveliness_tokens import EndpointToken, parse_token
 from mast_zenoh.ros2.type_store import STORE, decode
-from mast_zenoh.runs.recorded import RecordedRun
+from mast_zenoh.runs.recorded import frames_of, open_recorded
 from mast_zenoh.runtime.mesh.ros2_participant import Participant
 from mast_zenoh.runtime.mesh.session import open_client
 from mast_zenoh.viewer.ros2_bridge import NODE, Ros2Bridge
@@ -39,14 +39,14 @@ def recorded_session(folder: Path) -> dict[str, Any]:
     """What the bridge puts on a router, with the id of its session and the wall times replaced."""
     resolved = tiny("defended", "n_adversaries=0", infrastructure=1, frames=2, record=True)
     launcher.run(resolved, folder / "run", runtime="inproc")
-    run = RecordedRun.load(folder / "run")
+    run = open_recorded(folder / "run")
     samples: list[zenoh.Sample] = []
     with ros2_router() as router, open_client(router) as listener:
         take: Any = zenoh.handlers.Callback(samples.append, indirect=False)
         listener.declare_subscriber("7/**", take)
         with Participant(Connection(router, domain=7), NODE, "/mast") as participant:
             bridge = Ros2Bridge(run, participant, "/mast")
-            for frame in run:
+            for frame in frames_of(run):
                 bridge.publish(frame)
             sent = sum(publisher.sent for publisher in bridge._publishers.values())
             eventually(lambda: len(samples) == sent, "all messages", 20)

@@ -16,12 +16,14 @@ from matplotlib.patches import Patch, Wedge
 from matplotlib.text import Annotation
 from matplotlib.ticker import MultipleLocator
 
+from mast_zenoh.arrays.boxes import Boxes
 from mast_zenoh.arrays.geometry import box_corners, heading
 from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.metrics.estimates import OWN
 from mast_zenoh.report.figures.style import Figure, dark_axes, plain
+from mast_zenoh.runs.evaluated import Changes
 from mast_zenoh.runs.events import states_at, withheld_at
-from mast_zenoh.runs.frame import Boxes, Frame, Marks
+from mast_zenoh.runs.frame import Frame
 from mast_zenoh.runs.interposers import adversaries_by_agent, interposers
 from mast_zenoh.scenes.recording import SEEN_RETURNS, Recording
 from mast_zenoh.sensing import sensor_pose, to_world
@@ -66,7 +68,7 @@ def draw_birdseye(axes: Axes, view: Frame, estimator: str, window: tuple[float, 
     axes.set_axisbelow(True)
     axes.set_xlabel("x, east (m)", color=FAINT, fontsize=10, labelpad=2)
     axes.set_ylabel("y, north (m)", color=FAINT, fontsize=10, labelpad=-2)
-    recording = view.run.recording
+    recording = view.run.files.scene
     if recording is not None:
         axes.add_collection(
             PolyCollection(list(recording.buildings), facecolors=BUILDING, edgecolors=BUILDING_EDGE, zorder=1)
@@ -74,7 +76,7 @@ def draw_birdseye(axes: Axes, view: Frame, estimator: str, window: tuple[float, 
     for order, (outcome, colour) in enumerate(OUTCOME_COLOURS.items()):
         BoxArtists(axes, colour, 3 + 0.1 * order, outcome).show(view.boxes[estimator][outcome])
     if estimator not in OWN:
-        withheld = outlines(Boxes(*withheld_at(view.run, view.index)))
+        withheld = outlines(withheld_at(view.run, view.index))
         axes.add_collection(PolyCollection(list(withheld), **withheld_style(WITHHELD), zorder=3.5))
     _draw_attack(axes, view.marks(estimator))
     _draw_agents(axes, view, window)
@@ -124,7 +126,7 @@ class BoxArtists:
         self.lines.set_segments(list(np.concatenate(lines)))
 
 
-def _draw_attack(axes: Axes, marks: Marks) -> None:
+def _draw_attack(axes: Axes, marks: Changes) -> None:
     # Larger than most boxes and below them, so that marks hide nothing.
     if len(marks.added):
         axes.plot(*marks.added[:, :2].T, "D", ms=14, mfc="none", mec=ADVERSARY, mew=1.2, zorder=_MARKS)
@@ -136,7 +138,7 @@ def _draw_attack(axes: Axes, marks: Marks) -> None:
 
 
 def _draw_agents(axes: Axes, view: Frame, window: tuple[float, float, float]) -> None:
-    recording = view.run.recording
+    recording = view.run.files.scene
     if recording is None or view.index >= len(recording):
         return
     x, y, half = window
@@ -237,7 +239,7 @@ def key(views: Sequence[Frame], *, agents: bool = True) -> list[Artist]:
     """Legend handles for `views`: all outcomes, and agents and attacks if present."""
     shown = {name for view in views for of in view.boxes.values() for name, boxes in of.items() if len(boxes)}
     handles = outcome_handles(OUTCOME_COLOURS, shown)
-    if agents and any(v.run.recording is not None for v in views):
+    if agents and any(v.run.files.scene is not None for v in views):
         states = {state for v in views for state in states_at(v.run, v.index).values()}
         handles.append(mark_handle("o", WITHHELD if states else AGENT, "vehicle with sensors", hollow=True))
         handles.append(mark_handle("^", WITHHELD if states else AGENT, "roadside sensor"))
@@ -247,7 +249,7 @@ def key(views: Sequence[Frame], *, agents: bool = True) -> list[Artist]:
             name = Line2D([], [], linestyle="", marker="$name$", ms=24, mew=0.0, color=ADVERSARY)
             name.set_label("adversary on its wire")
             handles.append(name if states else mark_handle("^", ADVERSARY, "adversary on its wire"))
-    if any(len(withheld_at(v.run, v.index)[2]) for v in views):
+    if any(len(withheld_at(v.run, v.index)) for v in views):
         handles.append(Patch(facecolor="none", edgecolor=WITHHELD, linewidth=1.2, linestyle=DASHED, label="withheld"))
     return handles + manipulation_handles([v.before.joined(v.behind) for v in views], ADVERSARY)
 
@@ -261,7 +263,7 @@ def outcome_handles(colours: Mapping[str, str], shown: Collection[str]) -> list[
     ]
 
 
-def manipulation_handles(marks: Sequence[Marks], colour: str, size: float = 8) -> list[Artist]:
+def manipulation_handles(marks: Sequence[Changes], colour: str, size: float = 8) -> list[Artist]:
     """Legend handles for what adversaries did."""
     kinds = (("added", "D", "inserted"), ("removed", "x", "removed"), ("moved", "$\\rightarrow$", "moved"))
     return [
@@ -305,7 +307,7 @@ def scene_figure(recording: Recording, frame: int) -> Figure:
     walls = PolyCollection(list(recording.buildings), facecolors=BUILDING, edgecolors=BUILDING_EDGE, zorder=1)
     axes.add_collection(walls)
     for chosen, colour in ((~seen, _UNSEEN), (seen, _SEEN)):
-        boxes = Boxes(truth.position[chosen], truth.size[chosen], truth.yaw[chosen])
+        boxes = Boxes.unnamed(truth.position[chosen], truth.size[chosen], truth.yaw[chosen])
         BoxArtists(axes, colour, 3).show(boxes)
     occupied: list[tuple[float, float, float, float]] = []
     for column, agent in enumerate(recording.agents):

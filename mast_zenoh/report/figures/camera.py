@@ -10,9 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import to_rgb, to_rgba
 
+from mast_zenoh.arrays.boxes import Boxes
 from mast_zenoh.arrays.geometry import along_and_across, box_corners, heading, to_world
 from mast_zenoh.arrays.states import Floats
-from mast_zenoh.runs.frame import Boxes, Frame
+from mast_zenoh.runs.frame import Frame
 from mast_zenoh.sensing.sensors import Camera
 from mast_zenoh.viewer.palette import ADVERSARY, BUILDING, BUILDING_EDGE, GROUND, OUTCOME_COLOURS
 
@@ -114,7 +115,7 @@ class Eye:
 
 def ego_eye(view: Frame) -> Eye | None:
     """The ego's camera in a frame; None: not in the recorded scene."""
-    recording, ego = view.run.recording, view.run.ego
+    recording, ego = view.run.files.scene, view.run.ego
     if recording is None or ego not in recording.agent_names or view.index >= len(recording):
         return None
     index = recording.agent_names.index(ego)
@@ -206,7 +207,7 @@ def _draw_ground(axes: Axes, eye: Eye, colours: CameraColours) -> None:
 
 def _draw_buildings(axes: Axes, view: Frame, eye: Eye, colours: CameraColours) -> None:
     """Walls, the farthest first, paler with distance."""
-    recording = view.run.recording
+    recording = view.run.files.scene
     if recording is None:
         return
     ground = float(eye.position[2])

@@ -10,13 +10,13 @@ from matplotlib.path import Path as Curve
 
 from mast_zenoh.report.figures.style import Figure, plain
 from mast_zenoh.report.tables.wiring import GAP, HIGH, ROW, WIDE, Layout, Spot, column_of, layout, live_frames
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 from mast_zenoh.viewer.palette import ADVERSARY_ON_LIGHT, FAINT, FAULT_ON_LIGHT, INK, LOCAL, RUN_COLOURS
 
 _HALF = WIDE / 2
 
 
-def draw_wiring(run: RunRecord) -> Figure | None:
+def draw_wiring(run: Run) -> Figure | None:
     """The diagram of a run; None if wiring.json has no wire to draw."""
     plan = layout(run)
     if plan is None:
@@ -41,7 +41,7 @@ def draw_wiring(run: RunRecord) -> Figure | None:
     return figure
 
 
-def _route(run: RunRecord, plan: Layout, source: Spot, target: Spot) -> Curve:
+def _route(run: Run, plan: Layout, source: Spot, target: Spot) -> Curve:
     """The path of a line: bent where many lines meet, and straight past interposers."""
     (ax, ay), (bx, by) = plan.places[source], plan.places[target]
     if _is_above_flow(run, plan, source) or _is_above_flow(run, plan, target):  # to and from a node above the flow
@@ -63,11 +63,11 @@ def _route(run: RunRecord, plan: Layout, source: Spot, target: Spot) -> Curve:
     return Curve(points, [Curve.MOVETO, Curve.LINETO, Curve.CURVE4, Curve.CURVE4, Curve.CURVE4, Curve.LINETO])
 
 
-def _is_attacker(run: RunRecord, node: str) -> bool:
+def _is_attacker(run: Run, node: str) -> bool:
     return run.role(node) in ("adversary", "coordinator")
 
 
-def _is_above_flow(run: RunRecord, plan: Layout, spot: Spot) -> bool:
+def _is_above_flow(run: Run, plan: Layout, spot: Spot) -> bool:
     """Whether a node is drawn above the flow."""
     return column_of(run, spot.node) is None and plan.places[spot][1] <= -1.2 * ROW
 
@@ -87,7 +87,7 @@ def _draw_line(axes: Axes, route: Curve, colour: str, width: float) -> None:
     )
 
 
-def _draw_node(axes: Axes, run: RunRecord, node: str, x: float, y: float, when: str) -> None:
+def _draw_node(axes: Axes, run: Run, node: str, x: float, y: float, when: str) -> None:
     """Draw a node as a box with its name; `when`: frames of a live interposer, or ""."""
     role, hostile = run.role(node), _is_attacker(run, node)
     edges, faces = {"agent": RUN_COLOURS[0], "link": FAULT_ON_LIGHT}, {"agent": "#eef5fb", "link": "#fbf6ea"}
@@ -106,7 +106,7 @@ def _draw_node(axes: Axes, run: RunRecord, node: str, x: float, y: float, when: 
     axes.text(x, y, plain(label), ha="center", va="center", fontsize=9.5, color=edge if hostile else INK, zorder=3)
 
 
-def _name_lines(axes: Axes, run: RunRecord, plan: Layout) -> None:
+def _name_lines(axes: Axes, run: Run, plan: Layout) -> None:
     """Label lines once per gap between columns, and lines back and above the flow."""
     columns = sorted({x for spot, (x, _) in plan.places.items() if column_of(run, spot.node) is not None})
     labels: dict[tuple[float, float, str, str], list[str]] = {}

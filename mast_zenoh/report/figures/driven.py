@@ -13,7 +13,8 @@ from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.figures.style import Figure, light_axes, plain
 from mast_zenoh.report.figures.timeaxis import padded
 from mast_zenoh.runs.driven import brakes_of, course_of
-from mast_zenoh.runs.run import RunRecord, Table
+from mast_zenoh.runs.files import Table
+from mast_zenoh.runs.run import Run
 from mast_zenoh.viewer.palette import ADVERSARY_ON_LIGHT, GROUNDS, INK, KEYS, LOCAL, RUN_COLOURS
 
 #: Of needless brakes, and of others.
@@ -26,7 +27,7 @@ _AROUND_M = 12.0
 _LEAST_MPS2 = (-3.0, 2.0)
 
 
-def driven_figure(run: RunRecord, reference: Reference | None = None) -> Figure | None:
+def driven_figure(run: Run, reference: Reference | None = None) -> Figure | None:
     """The course of the driven car, the ego if it is driven; None: no car is driven, or its course is unknown."""
     course = course_of(run)
     if course is None:
@@ -43,7 +44,7 @@ def driven_figure(run: RunRecord, reference: Reference | None = None) -> Figure 
     courses: dict[str, tuple[Table, str, Any]] = {}
     if reference is not None and other is not None:
         courses[reference.name] = other, LOCAL, (0, (4, 2))
-    courses[f"{car}, {run.label}" if courses else car] = course, RUN_COLOURS[0], "-"
+    courses[f"{car}, {run.name}" if courses else car] = course, RUN_COLOURS[0], "-"
     for label, (table, colour, dashes) in courses.items():
         style: dict[str, Any] = {"color": colour, "linestyle": dashes, "linewidth": 1.9}
         charts[0].plot(table["time_s"], table["speed_mps"], label=plain(label), **style)
@@ -93,7 +94,7 @@ def _chart_axes(figure: Figure) -> tuple[Axes, Axes]:
     return upper, lower
 
 
-def _draw_map(axes: Axes, run: RunRecord, course: Table, other: Table | None, brakes: Any) -> None:
+def _draw_map(axes: Axes, run: Run, course: Table, other: Table | None, brakes: Any) -> None:
     """Buildings, the paths, where the car braked, and where it ended."""
     both = [course] if other is None else [course, other]
     low = np.array([min(table[axis].min() for table in both) for axis in "xy"])
@@ -101,11 +102,11 @@ def _draw_map(axes: Axes, run: RunRecord, course: Table, other: Table | None, br
     middle, half = (low + high) / 2.0, float((high - low).max()) / 2.0 + _AROUND_M
     axes.set_xlim(middle[0] - half, middle[0] + half)
     axes.set_ylim(middle[1] - half, middle[1] + half)
-    if run.recording is not None:
+    if run.files.scene is not None:
         light = GROUNDS["light"]
         axes.add_collection(
             PolyCollection(
-                list(run.recording.buildings), facecolors=light.building, edgecolors=light.building_edge, zorder=1
+                list(run.files.scene.buildings), facecolors=light.building, edgecolors=light.building_edge, zorder=1
             )
         )
     if other is not None:
@@ -120,7 +121,7 @@ def _draw_map(axes: Axes, run: RunRecord, course: Table, other: Table | None, br
     axes.plot(course["x"][0], course["y"][0], "|", color=INK, ms=9, mew=2, zorder=5)
 
 
-def _draw_bands(axis: Axes, run: RunRecord, brakes: Any) -> None:
+def _draw_bands(axis: Axes, run: Run, brakes: Any) -> None:
     """The time of the attack, and the brakes."""
     if run.attack_frames is not None:
         first, last = (run.period_s * frame for frame in run.attack_frames)

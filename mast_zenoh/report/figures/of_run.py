@@ -35,7 +35,7 @@ from mast_zenoh.run_folder import check_plain, read_json, write_bytes
 from mast_zenoh.runs.events import doubts, states_at, suspensions
 from mast_zenoh.runs.frame import Frame
 from mast_zenoh.runs.interposers import interposers
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 
 _COUNTS_CAPTION = (
     f"Bold: mean over the last {SMOOTH} frames; pale: single frames. Shaded: from the first to the last change that an "
@@ -89,7 +89,7 @@ class Counts(RunFigure):
     def draw(self, context: FigureContext) -> Figure | None:
         reference = context.reference
         runs = {reference.name: reference.run} if reference is not None else {}
-        return counts_over_time(runs | {context.run.label: context.run}, context.frame, context.estimate)
+        return counts_over_time(runs | {context.run.name: context.run}, context.frame, context.estimate)
 
     def alt(self, context: FigureContext) -> str:
         return "Missed objects, false objects and RMSE over time, for the ego alone, the picture and both together."
@@ -213,7 +213,7 @@ def _the_picture(view: Frame) -> str:
     return ESTIMATES[name].panel.replace("the picture", "the common picture")
 
 
-def counts_caption(runs: Sequence[RunRecord]) -> str:
+def counts_caption(runs: Sequence[Run]) -> str:
     """How to read the counts of runs over time."""
     return _COUNTS_CAPTION + (_BANDS_CAPTION if any(run.faulted and run.timeline for run in runs) else "")
 
@@ -253,11 +253,11 @@ def user_figures(context: FigureContext, files: Sequence[Path] = ()) -> list[Use
     files: files to load; loaded files of the scenario, and the plugins that it uses, are searched too
     Raises ConfigurationError for a file that cannot be loaded.
     """
-    named = context.run.scenario.get("modules", ())
+    named = context.run.files.scenario.get("modules", ())
     modules = [loading.loaded_module(Path(name)) for name in named if isinstance(name, str)]
     modules += [loading.module(file) for file in files]
     kinds = loading.concrete((module for module in modules if module is not None), RunFigure)
-    used = context.run.scenario.get("plugins")
+    used = context.run.files.scenario.get("plugins")
     kinds += plugins.classes_for(used if isinstance(used, dict) else {}, RunFigure)
     if kinds:
         context = copy.deepcopy(context)  # so that no figure can change the rest of the page
@@ -343,7 +343,7 @@ _CHOICE_CLEAN = "The frame is the scored one in which the picture spares the ego
 
 
 def study_figures(
-    runs: Mapping[str, RunRecord],
+    runs: Mapping[str, Run],
     table: ScoreTable,
     views: Mapping[str, Frame],
     estimate: str = "picture",
@@ -369,7 +369,7 @@ def study_figures(
     return {each.name: each for each in figures}
 
 
-def frame_choice(run: RunRecord, estimate: str, reference: str = "") -> str:
+def frame_choice(run: Run, estimate: str, reference: str = "") -> str:
     """A sentence that explains how a frame was chosen.
 
     reference: name of the run whose errors were subtracted

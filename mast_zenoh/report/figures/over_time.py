@@ -18,7 +18,8 @@ from mast_zenoh.report.figures.timeaxis import HATCH, bands, fault_legend, padde
 from mast_zenoh.report.narrative.changes import scored
 from mast_zenoh.report.tables.of_run import DRIVEN_BY
 from mast_zenoh.report.tables.scores import shown_estimates
-from mast_zenoh.runs.run import RunRecord, Table, rows
+from mast_zenoh.runs.files import Table, rows
+from mast_zenoh.runs.run import Run
 from mast_zenoh.viewer.palette import ADVERSARY_ON_LIGHT, FAULT_ON_LIGHT, INK, LOCAL, RUN_COLOURS
 
 #: Columns that the report shows.
@@ -30,7 +31,7 @@ SMOOTH = 5
 
 
 def counts_over_time(
-    runs: Mapping[str, RunRecord],
+    runs: Mapping[str, Run],
     frame: int | None,
     estimate: str = "picture",
     columns: Sequence[str] = REPORT_COLUMNS,
@@ -46,7 +47,7 @@ def counts_over_time(
     lines = _lines(runs_with_counts, estimate)
     timed = all(run.seconds(counts["frame"]) is not None for _, run, counts, _ in lines)
 
-    def times(run: RunRecord, frames: NDArray[Any]) -> NDArray[np.float64]:
+    def times(run: Run, frames: NDArray[Any]) -> NDArray[np.float64]:
         seconds = run.seconds(frames) if timed else None
         return frames.astype(np.float64) if seconds is None else seconds
 
@@ -80,7 +81,7 @@ def counts_over_time(
     return figure
 
 
-def _top(lines: list[tuple[str, RunRecord, Table, _LineStyle]], column: str) -> float:
+def _top(lines: list[tuple[str, Run, Table, _LineStyle]], column: str) -> float:
     """The upper limit of an axis, above all values in scored frames."""
     maxima = [
         float(np.nanmax(counts[column][inside].astype(np.float64), initial=0.0))
@@ -99,12 +100,12 @@ class _LineStyle(NamedTuple):
 _ALONE = _LineStyle(LOCAL, (0, (1, 1)))
 
 
-def _lines(runs: Mapping[str, RunRecord], estimate: str) -> list[tuple[str, RunRecord, Table, _LineStyle]]:
+def _lines(runs: Mapping[str, Run], estimate: str) -> list[tuple[str, Run, Table, _LineStyle]]:
     """Name, run, counts and style of each line."""
     first = next(iter(runs.values()))
     lines = [("ego alone", first, first.counts_of("local"), _ALONE)]
     if len(runs) == 1:
-        names = [name for name in shown_estimates([first.metrics], first.ego or "") if name not in OWN]
+        names = [name for name in shown_estimates([first.files.summary], first.ego or "") if name not in OWN]
         for index, name in enumerate(names):
             line_style = _LineStyle(RUN_COLOURS[index], _STYLES[index], 2.4 if name == "picture" else 1.6)
             lines.append((ESTIMATES[name].column, first, first.counts_of(name), line_style))
@@ -153,7 +154,7 @@ def _handles(axes: Sequence[Axes]) -> dict[str, Any]:
 
 
 def _rows_of(
-    run: RunRecord, frames: NDArray[Any], count: int, height: float, frame: int | None
+    run: Run, frames: NDArray[Any], count: int, height: float, frame: int | None
 ) -> tuple[Figure, Sequence[Axes], NDArray[np.float64]]:
     """A figure of stacked charts of a run, with its faults and a line at `frame`, and the times of its frames."""
     seconds = run.seconds(frames)
@@ -170,21 +171,21 @@ def _rows_of(
     return figure, axes, times
 
 
-def causes_over_time(run: RunRecord, frame: int | None) -> Figure | None:
+def causes_over_time(run: Run, frame: int | None) -> Figure | None:
     """Missed and false objects of the ego's picture by time, stacked by cause.
 
     frame: marked by a line, if given
 
     Returns None if there is no link, fault or withheld object, or causes are not known.
     """
-    objects, counts = run.objects, run.counts_of("picture")
+    objects, counts = run.files.objects, run.counts_of("picture")
     if not (run.faulted or run.withholds) or counts is None or objects is None:
         return None
     frames = counts["frame"].astype(np.int64)
-    frames = frames[run.sample.has(frames)]
+    frames = frames[run.files.sample.has(frames)]
     figure, axes, times = _rows_of(run, frames, len(_CAUSE_ROWS), 1.9, frame)
     in_picture = objects["estimator"] == "picture"
-    first, last = run.metrics.get("scored_frames") or (frames[0], frames[-1])
+    first, last = run.files.summary.get("scored_frames") or (frames[0], frames[-1])
     scored = (frames >= first) & (frames <= last)
     for axis, (kind, outcome, label) in zip(axes, _CAUSE_ROWS, strict=True):
         errors = in_picture & (objects["kind"] == kind) & (objects["outcome"] == outcome)
@@ -218,11 +219,11 @@ _BRAKING = {
 }
 
 
-def driving_over_time(run: RunRecord, frame: int | None) -> Figure | None:
+def driving_over_time(run: Run, frame: int | None) -> Figure | None:
     """Time to collision, wrong objects and braking over time; None: not a vehicle."""
-    if run.driving is None or not np.any(run.driving["agent"] == run.ego):
+    if run.files.driving is None or not np.any(run.files.driving["agent"] == run.ego):
         return None
-    ego_rows = rows(run.driving, run.driving["agent"] == run.ego)
+    ego_rows = rows(run.files.driving, run.files.driving["agent"] == run.ego)
     parts = {
         name: rows(ego_rows, ego_rows["estimate"] == name) for name in DRIVEN_BY if np.any(ego_rows["estimate"] == name)
     }

@@ -15,7 +15,7 @@ from matplotlib.textpath import TextPath
 
 from mast_zenoh.report.figures.style import Figure, plain
 from mast_zenoh.runs.events import absences
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 from mast_zenoh.viewer.palette import ADVERSARY_ON_LIGHT, FAULT_ON_LIGHT, INK
 
 #: Inches: height of a lane, and gap between a band and the next label. Points: font size of labels.
@@ -50,7 +50,7 @@ class PlacedBand:
     align: str
 
 
-def bands(runs: Iterable[RunRecord], *, timed: bool) -> list[Band]:
+def bands(runs: Iterable[Run], *, timed: bool) -> list[Band]:
     """Distinct bands of the timelines of runs, sorted by start; empty without faults.
 
     timed: in s of scene time; else in frames

@@ -15,7 +15,7 @@ from mast_zenoh.report.figures.drawing import RenderedFigure, render
 from mast_zenoh.report.figures.style import Figure, light_axes, plain
 from mast_zenoh.report.figures.timeaxis import HATCH, padded
 from mast_zenoh.runs.events import trust_in_agents
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 from mast_zenoh.viewer.palette import ADVERSARY_ON_LIGHT, FAULT_ON_LIGHT, INK, STATES_ON_LIGHT
 
 
@@ -41,7 +41,7 @@ _NAMED = 0.7
 _LIES, _FAULTS, _BAND = -0.24, -0.46, 0.18
 
 
-def trust_over_time(run: RunRecord, frame: int | None) -> Figure | None:
+def trust_over_time(run: Run, frame: int | None) -> Figure | None:
     """Mean trust in each agent by time; None: the run's command centre judges nobody.
 
     Background: when an agent was taken to be faulty, suspended or undecided. Bands below: when it lied, and when it was

@@ -10,7 +10,7 @@ from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.report.narrative.changes import OBJECT_M2, SWITCH, scored
 from mast_zenoh.runs.frame import Frame, ego_position, frame_at, has_boxes
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 
 #: The estimates that pictures show, side by side.
 PANELS = ("local", "picture", "mission")
@@ -20,12 +20,12 @@ _IN_PLACE_OF = {"received": "local", "picture_received": "picture", "picture_on_
 _MAX_DISTANCE_M = 105.0
 
 
-def frame_view(run: RunRecord, frame: int, chosen_by: str = "picture") -> Frame | None:
+def frame_view(run: Run, frame: int, chosen_by: str = "picture") -> Frame | None:
     """The view of a frame; None if the run has no objects of that frame.
 
     chosen_by: the estimate by whose errors the frame was chosen; it is shown if it has boxes
     """
-    if run.objects is None or not np.any(run.objects["frame"] == frame):
+    if run.files.objects is None or not np.any(run.files.objects["frame"] == frame):
         return None
     replaced = _IN_PLACE_OF.get(chosen_by) if has_boxes(run, chosen_by) else None
     estimates = (chosen_by if name == replaced else name for name in PANELS)
@@ -42,7 +42,7 @@ def window(views: Sequence[Frame]) -> tuple[float, float, float]:
         if len(boxes)
     ]
     ego = ego_position(views[0].run, views[0].index)
-    recording = views[0].run.recording
+    recording = views[0].run.files.scene
     if recording is not None and views[0].index < len(recording):
         positions.append(recording.agent_position[views[0].index, :, :2])
     points = np.concatenate([*positions, np.zeros((0, 2))])
@@ -56,12 +56,12 @@ def window(views: Sequence[Frame]) -> tuple[float, float, float]:
     return float(middle[0]), float(middle[1]), half
 
 
-def settled(run: RunRecord, frames: Ints) -> Bools:
+def settled(run: Run, frames: Ints) -> Bools:
     """(n,) bool: scored frames in which the effects of interposers are settled, and of which the run has boxes."""
-    return scored(run, frames) & ~np.isin(frames, list(run.unsettled_frames)) & run.sample.has(frames)
+    return scored(run, frames) & ~np.isin(frames, list(run.unsettled_frames)) & run.files.sample.has(frames)
 
 
-def _weighted_errors(run: RunRecord, estimate: str) -> tuple[Ints, Floats] | None:
+def _weighted_errors(run: Run, estimate: str) -> tuple[Ints, Floats] | None:
     """(frames (n,), weighted sum of all the ego's errors in each (n,)).
 
     Weights are the same as in `changes`.
@@ -74,7 +74,7 @@ def _weighted_errors(run: RunRecord, estimate: str) -> tuple[Ints, Floats] | Non
     return counts["frame"].astype(np.int64), np.asarray(wrong + squared / OBJECT_M2, np.float64)
 
 
-def choose_frame(run: RunRecord, reference: RunRecord | None = None, estimate: str = "picture") -> int | None:
+def choose_frame(run: Run, reference: Run | None = None, estimate: str = "picture") -> int | None:
     """Choose the frame to show; None if no frame is both scored and settled.
 
     With a reference: the frame in which the errors of `estimate` exceed those of the reference by most. Without one, in
@@ -101,7 +101,7 @@ def choose_frame(run: RunRecord, reference: RunRecord | None = None, estimate: s
     return int(frames[allowed][np.argmax(sign * cost[allowed])]) if allowed.any() else None
 
 
-def choose_common_frame(runs: Sequence[RunRecord], baseline: RunRecord, estimate: str = "picture") -> int | None:
+def choose_common_frame(runs: Sequence[Run], baseline: Run, estimate: str = "picture") -> int | None:
     """Choose the frame of several runs: the one with the largest difference from `baseline`."""
     best: tuple[float, int] | None = None
     baseline_errors = _weighted_errors(baseline, estimate)
@@ -116,10 +116,14 @@ def choose_common_frame(runs: Sequence[RunRecord], baseline: RunRecord, estimate
     return best[1] if best else choose_frame(baseline)
 
 
-def check_frame(run: RunRecord, frame: int) -> int:
+def check_frame(run: Run, frame: int) -> int:
     """Return `frame`; raises RunFolderError if the run has no such frame."""
     counts = run.counts_of("picture")
-    known = counts["frame"] if counts is not None else (run.objects["frame"] if run.objects is not None else None)
+    known = (
+        counts["frame"]
+        if counts is not None
+        else (run.files.objects["frame"] if run.files.objects is not None else None)
+    )
     if known is not None and frame not in known:
         raise RunFolderError(f"{run.path}: found frame {frame}, expected one of {known.min()} to {known.max()}")
     return frame

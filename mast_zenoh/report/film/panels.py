@@ -24,8 +24,7 @@ from mast_zenoh.report.film.look import Theme
 from mast_zenoh.report.film.takes import Attacks, Framing, Take, Window
 from mast_zenoh.runs.driven import NEEDLESSLY, ROLLS, braking_of, cars_of, course_of, twin_course
 from mast_zenoh.runs.events import node_absences, spans, states_at, withheld_at
-from mast_zenoh.runs.frame import Boxes
-from mast_zenoh.runs.run import Table
+from mast_zenoh.runs.files import Table
 from mast_zenoh.sensing.sensors import LidarSensor
 from mast_zenoh.viewer.palette import TROUBLES
 
@@ -40,7 +39,7 @@ class AgentMarks:
     """
 
     def __init__(self, axes: Axes, take: Take, theme: Theme, scale: float) -> None:
-        self._recording, self._run, self._theme = take.run.recording, take.run, theme
+        self._recording, self._run, self._theme = take.run.files.scene, take.run, theme
         self._absences = node_absences(take.run)
         agents = self._recording.agents if self._recording is not None else ()
         self._ranges = LineCollection([], linewidths=0.9 * scale, zorder=2)
@@ -237,7 +236,7 @@ class BirdseyePanel:
         axes.set_axisbelow(True)
         for spine in axes.spines.values():
             spine.set_color(theme.building_edge)
-        recording = self.take.run.recording
+        recording = self.take.run.files.scene
         if recording is not None:
             outlines = list(recording.buildings)
             axes.add_collection(
@@ -265,7 +264,7 @@ class BirdseyePanel:
                 edge = np.clip(at, *window.corners)
                 self.outside[outcome].set_data(*edge[(edge != at).any(axis=1)].T)
         shown = self.take.estimate not in ("local", "received")
-        self._withheld.set_verts(list(outlines(Boxes(*withheld_at(view.run, frame)))) if shown else [])
+        self._withheld.set_verts(list(outlines(withheld_at(view.run, frame))) if shown else [])
         marks = view.marks(self.take.estimate)
         self.inserted.set_data(marks.added[:, 0], marks.added[:, 1])
         self.removed.set_data(marks.removed[:, 0], marks.removed[:, 1])

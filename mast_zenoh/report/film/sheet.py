@@ -119,10 +119,10 @@ def legend_entries(
         handles: list[Artist] = [Patch(facecolor="none", edgecolor=theme.outcomes["truth matched"], label="object")]
     else:
         handles = outcome_handles(theme.outcomes, shown)
-    if any(take.run.recording is not None for take in takes):
+    if any(take.run.files.scene is not None for take in takes):
         states = {state for take, view in views for state in states_at(take.run, view.index).values()}
         colour = theme.withheld if states else theme.agent
-        kinds = {agent.kind for take in takes if take.run.recording for agent in take.run.recording.agents}
+        kinds = {agent.kind for take in takes if take.run.files.scene for agent in take.run.files.scene.agents}
         handles += (
             [mark_handle("o", colour, "vehicle with sensors", hollow=True, size=_MARK)] if kinds - {"static"} else []
         )
@@ -141,7 +141,7 @@ def _conduct(views: Sequence[tuple[Take, Frame]], attacks: Sequence[Attacks], th
         handles.append(mark_handle("^", theme.adversary, "adversary on its wire", size=_MARK))
         band = Patch(facecolor=to_rgba(theme.adversary, 0.28), edgecolor=theme.adversary, label="attack")
         handles.append(band)
-    if any(len(withheld_at(view.run, view.index)[2]) for _, view in views):
+    if any(len(withheld_at(view.run, view.index)) for _, view in views):
         handles.append(Patch(facecolor="none", edgecolor=theme.withheld, linestyle="--", label="withheld"))
     marks = [view.marks(take.estimate) for take, view in views]
     return handles + manipulation_handles(marks, theme.adversary, _MARK)
@@ -264,7 +264,7 @@ class Sheet:
     def _place_head(self) -> None:
         """Create the title, the time, the states of runs, and the caption."""
         place, take = self._place, self.takes[0]
-        names = " and ".join(dict.fromkeys(each.run.label for each in self.takes))
+        names = " and ".join(dict.fromkeys(each.run.name for each in self.takes))
         title = self._look.title if self._look.title is not None else f"{names}, seen by {take.run.ego}"
         self._text(MARGIN, 0.25, self._shortened(title, 13.5, place.width - 2.6), 13.5, bold=True)
         self._time = self._text(place.width - MARGIN, 0.25, "", 11, align="right", changing=True)

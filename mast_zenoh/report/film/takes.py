@@ -5,7 +5,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import NamedTuple
 
@@ -17,10 +17,12 @@ from mast_zenoh.metrics.estimates import TRUTH
 from mast_zenoh.report.film.look import SHOWN, WindowChoice
 from mast_zenoh.runs import events
 from mast_zenoh.runs.driven import braking_events
+from mast_zenoh.runs.evaluated import Score
 from mast_zenoh.runs.events import spans
-from mast_zenoh.runs.frame import Frame, Score, ego_position, frame_at, has_boxes
+from mast_zenoh.runs.files import Table, rows
+from mast_zenoh.runs.frame import Frame, ego_position, frame_at, has_boxes
 from mast_zenoh.runs.interposers import interposers
-from mast_zenoh.runs.run import RunRecord, Table, rows
+from mast_zenoh.runs.run import Run
 
 #: What panels are titled.
 TITLES = {
@@ -45,18 +47,20 @@ class Take:
     Raises ConfigurationError for an estimate that the run does not have, RunFolderError for a run without boxes.
     """
 
-    def __init__(self, run: RunRecord, estimate: str, title: str = "") -> None:
-        if run.objects is None or not len(run.objects["frame"]):
-            reasons = " ".join(run.missing) or "objects.parquet holds no boxes of this agent."
+    def __init__(self, run: Run, estimate: str, title: str = "") -> None:
+        if run.files.objects is None or not len(run.files.objects["frame"]):
+            reasons = " ".join(run.files.missing) or "objects.parquet holds no boxes of this agent."
             raise RunFolderError(
                 f"{run.path}: nothing to draw: {reasons} `mast report {run.path}` measures a recorded run that has none"
             )
-        known = [name for name in SHOWN if (name == TRUTH and run.recording is not None) or has_boxes(run, name)]
+        known = [name for name in SHOWN if (name == TRUTH and run.files.scene is not None) or has_boxes(run, name)]
         if estimate not in known:
             raise ConfigurationError(f"{run.path}: no estimate {estimate!r} of {run.ego}{nearest(estimate, known)}")
-        frames = run.objects["frame"]
-        if run.sample.every > 1 and run.counts is not None:  # there are boxes of all frames, which are read later
-            frames = run.counts["frame"]
+        frames = run.files.objects["frame"]
+        if (
+            run.files.sample.every > 1 and run.files.counts is not None
+        ):  # there are boxes of all frames, which are read later
+            frames = run.files.counts["frame"]
         self.first, self.last = int(frames.min()), int(frames.max())
         self.run, self.estimate = self._own(run, estimate), estimate
         self.title = title or run.worded(TITLES[estimate])
@@ -66,13 +70,15 @@ class Take:
         # A film asks for the frames again and again: to choose its window and colours, and to draw.
         self.view = lru_cache(maxsize=4096)(self._view)
         self._window = lru_cache(maxsize=2)(
-            lambda place: self._own(run.window(place * _WINDOW, (place + 1) * _WINDOW, boxes=True), estimate)
+            lambda place: self._own(run.within(place * _WINDOW, (place + 1) * _WINDOW), estimate)
         )
 
-    def _own(self, run: RunRecord, estimate: str) -> RunRecord:
+    def _own(self, run: Run, estimate: str) -> Run:
         """A run with the boxes of one estimate alone."""
-        objects = run.objects and rows(run.objects, run.objects["estimator"] == run.original(estimate))
-        return replace(run, objects=objects)
+        objects = run.files.objects and rows(
+            run.files.objects, run.files.objects["estimator"] == run.original(estimate)
+        )
+        return run.with_(objects=objects)
 
     def seconds(self, frame: int) -> float:
         """Time of a frame, s since the first."""
@@ -89,12 +95,12 @@ class Take:
 
     def _view(self, frame: int) -> Frame:
         """The boxes and manipulations of a frame."""
-        run = self.run if self.run.sample.every == 1 else self._window(frame // _WINDOW)
+        run = self.run if self.run.files.sample.every == 1 else self._window(frame // _WINDOW)
         return frame_at(run, frame, [self.estimate])
 
     def agent_positions(self, frame: int) -> Floats:
         """(a, 2) m, where the agents are; none without a scene."""
-        recording = self.run.recording
+        recording = self.run.files.scene
         if recording is None:
             return np.zeros((0, 2))
         return np.asarray(recording.agent_position[min(frame, len(recording) - 1), :, :2], np.float64)
@@ -134,9 +140,13 @@ class Attacks:
     spans: first frame and the frame after the last of each period with changes by adversaries
     """
 
-    def __init__(self, run: RunRecord) -> None:
-        self._effects = run.attacks
-        frames = np.unique(run.attacks["frame"]).astype(np.int64) if run.attacks is not None else np.zeros(0, np.int64)
+    def __init__(self, run: Run) -> None:
+        self._effects = run.manipulations
+        frames = (
+            np.unique(run.manipulations["frame"]).astype(np.int64)
+            if run.manipulations is not None
+            else np.zeros(0, np.int64)
+        )
         breaks = np.flatnonzero(np.diff(frames) * run.period_s > _PAUSE_S)
         parts = np.split(frames, breaks + 1) if len(frames) else []
         self.spans = [(int(part[0]), int(part[-1]) + 1) for part in parts]
@@ -190,7 +200,7 @@ class Captions:
     def __init__(self, takes: list[Take], own: Mapping[int, str]) -> None:
         texts: dict[int, list[str]] = {}
         for take in takes:
-            label = f" ({take.run.label})" if len(takes) > 1 else ""
+            label = f" ({take.run.name})" if len(takes) > 1 else ""
             for frame, text in happenings(take):
                 shown = takes[0].frame_at(take.seconds(frame))
                 texts.setdefault(shown, []).append(text + label)

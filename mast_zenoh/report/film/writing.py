@@ -22,7 +22,8 @@ from mast_zenoh.report.film.look import Look
 from mast_zenoh.report.film.sheet import Sheet
 from mast_zenoh.report.film.takes import TITLES, Take
 from mast_zenoh.run_folder import check_free, write_new
-from mast_zenoh.runs.run import MOST_FRAMES, RunRecord
+from mast_zenoh.runs.files import MOST_FRAMES
+from mast_zenoh.runs.run import Run
 
 #: Images per second at most, unless the user asks for more.
 _SMOOTH_FPS = 30.0
@@ -165,8 +166,8 @@ def open_takes(run: Path, look: Look, against: Path | None = None) -> list[Take]
     estimates = look.estimates or [folders[0].believed or PICTURE]
     if against is None:
         return [Take(folders[0], estimate) for estimate in estimates]
-    alike = folders[0].label == folders[1].label
-    names = [folder.path.name if alike else folder.label for folder in folders]
+    alike = folders[0].name == folders[1].name
+    names = [folder.path.name if alike else folder.name for folder in folders]
     estimate = estimates[0]
     titles = [folder.worded(TITLES[estimate]) for folder in folders]
     return [
@@ -184,8 +185,8 @@ def _kind_of(out: Path, kinds: Sequence[str]) -> str:
     return kind
 
 
-def _opened(path: Path, agent: str | None) -> RunRecord:
-    folder = RunRecord.load(path)
-    if folder.run.get("status") == RUNNING:
+def _opened(path: Path, agent: str | None) -> Run:
+    folder = Run(path)
+    if folder.files.record.get("status") == RUNNING:
         raise RunFolderError(f"{path}: the run is still in progress: expected a finished run")
     return folder if agent is None else folder.seen_by(agent)

@@ -26,8 +26,9 @@ from mast_zenoh.report.narrative.changes import (
     plural,
     scored,
 )
+from mast_zenoh.runs.files import Table, rows
 from mast_zenoh.runs.interposers import OF_OBJECTS, Interposer, interposers
-from mast_zenoh.runs.run import RunRecord, Table, agent_of, rows
+from mast_zenoh.runs.run import Run, agent_of
 from mast_zenoh.wiring.model import peer_of
 
 #: Adversaries with a sentence of their own; the others share one.
@@ -64,7 +65,7 @@ _MESSAGES = {
 _MOST_SENDERS = 3
 
 
-def compromised(run: RunRecord, *, idle: bool = False) -> str:
+def compromised(run: Run, *, idle: bool = False) -> str:
     """Positions of adversaries in words, without those that were measured and changed nothing; empty: none.
 
     idle: with these, too
@@ -74,11 +75,13 @@ def compromised(run: RunRecord, *, idle: bool = False) -> str:
     """
     hostile = [each for each in interposers(run) if not each.is_link]
     hostile = [each for each in hostile if idle or each.changed or each.effects is None]
-    kinds = {agent.name: agent.kind for agent in run.recording.agents} if run.recording else {}
+    kinds = {agent.name: agent.kind for agent in run.files.scene.agents} if run.files.scene else {}
     everywhere = [each for each in hostile if not each.before]
     gossip = {agent for each in everywhere if changes_gossip_alone(run, each) for agent in each.agents}
     all_messages = {agent for each in everywhere if not changes_gossip_alone(run, each) for agent in each.agents}
-    names = set(kinds) or set(run.metrics.get("agents", {})) | {agent for each in hostile for agent in each.agents}
+    names = set(kinds) or set(run.files.summary.get("agents", {})) | {
+        agent for each in hostile for agent in each.agents
+    }
     groups = [
         (noun, {name for name in names if kinds.get(name, "static" if name.startswith("infra") else "mobile") == kind})
         for kind, noun in (("static", "roadside sensor"), ("mobile", "vehicle"))
@@ -104,7 +107,7 @@ def _shares(groups: Sequence[tuple[str, set[str]]], agents: set[str]) -> list[st
     return shares
 
 
-def _on_the_way(run: RunRecord, names: set[str], hostile: Sequence[Interposer]) -> list[str]:
+def _on_the_way(run: Run, names: set[str], hostile: Sequence[Interposer]) -> list[str]:
     """What adversaries change for single subscribers: `what infra_1 sends to the ego`, `what mobile_1 hears`."""
     listeners = {peer_of(name): name for name in names}
     places = []
@@ -124,7 +127,7 @@ def _on_the_way(run: RunRecord, names: set[str], hostile: Sequence[Interposer]) 
     return places
 
 
-def attack_description(run: RunRecord) -> list[str]:
+def attack_description(run: Run) -> list[str]:
     """Sentences: what each adversary did, where and when; which coordinators directed it; faults of the scenario."""
     adversaries = [each for each in interposers(run) if not each.is_link]
     active = [each for each in adversaries if each.changed]
@@ -140,15 +143,15 @@ def attack_description(run: RunRecord) -> list[str]:
         sentences.append(f"{join_names(idle)} changed nothing.")
     if unmeasured:
         sentences.append(f"What {join_names(unmeasured)} did was not measured.")
-    directors = [name for name in run.run.get("nodes", {}) if run.role(name) == "coordinator"]
+    directors = [name for name in run.files.record.get("nodes", {}) if run.role(name) == "coordinator"]
     if directors and len(adversaries) > 1:
         sentences.append(f"{join_names(directors)} directed the adversaries.")
-    if not adversaries and (run.wiring or run.metrics):
+    if not adversaries and (run.files.wiring or run.files.summary):
         sentences.append("No adversary took part in this run.")
     return sentences + _faults(run)
 
 
-def _sentence(run: RunRecord, adversary: Interposer) -> str:
+def _sentence(run: Run, adversary: Interposer) -> str:
     """`In the detections of infra_1, adversary_1 inserted four objects that did not exist, from t = 4.0 s to 5.9 s.`"""
     effects = adversary.effects_besides_named
     clauses = [_of_objects(adversary, name, effects[name]) for name in OF_OBJECTS if effects.get(name)]
@@ -170,22 +173,22 @@ def _sentence(run: RunRecord, adversary: Interposer) -> str:
     return f"In {places}, {adversary.name} {what}{_when(run, adversary)}."
 
 
-def changes_gossip_alone(run: RunRecord, adversary: Interposer) -> bool:
+def changes_gossip_alone(run: Run, adversary: Interposer) -> bool:
     """Whether an adversary changed what agents say of each other, and nothing that they say of objects."""
-    if run.attacks is None:
+    if run.manipulations is None:
         return False
-    changed = run.attacks["message"][run.attacks["interposer"] == adversary.name]
+    changed = run.manipulations["message"][run.manipulations["interposer"] == adversary.name]
     return bool(len(changed) and (changed == "gossip").all())
 
 
-def _listeners(run: RunRecord, adversary: Interposer) -> str:
+def _listeners(run: Run, adversary: Interposer) -> str:
     """The agents whose copy of messages alone passes through an adversary; other subscribers by their names."""
-    agent_of_peer = {peer_of(agent): agent for agent in run.metrics.get("agents", {})}
+    agent_of_peer = {peer_of(agent): agent for agent in run.files.summary.get("agents", {})}
     listeners = [agent_of_peer.get(before, before) for before in adversary.before]
     return join_names(["the ego" if name == run.ego else name for name in listeners])
 
 
-def altered_on_the_way(run: RunRecord) -> set[str]:
+def altered_on_the_way(run: Run) -> set[str]:
     """The agents that do not lie, but whose messages adversaries change for single subscribers."""
     hostile = [each for each in interposers(run) if not each.is_link]
     at_source = {agent for each in hostile if not each.before for agent in each.agents}
@@ -203,12 +206,12 @@ def _of_objects(adversary: Interposer, effect: str, rows: int) -> str:
     return _OBJECTS[effect].format(what)
 
 
-def _places(run: RunRecord, adversary: Interposer) -> list[str]:
+def _places(run: Run, adversary: Interposer) -> list[str]:
     """The messages that an adversary changed, in words."""
-    wires: Mapping[str, Mapping[str, Any]] = {wire["key"]: wire for wire in run.wiring.get("wires", ())}
+    wires: Mapping[str, Mapping[str, Any]] = {wire["key"]: wire for wire in run.files.wiring.get("wires", ())}
     changed: set[str] = set()
-    if run.attacks is not None:
-        changed = set(run.attacks["wire"][run.attacks["interposer"] == adversary.name].tolist())
+    if run.manipulations is not None:
+        changed = set(run.manipulations["wire"][run.manipulations["interposer"] == adversary.name].tolist())
     places: dict[str, None] = {}
     for key in [key for key in adversary.wires if key in changed] or adversary.wires:
         wire = wires.get(key, {})
@@ -224,11 +227,11 @@ def _places(run: RunRecord, adversary: Interposer) -> list[str]:
     return list(places)
 
 
-def _when(run: RunRecord, adversary: Interposer) -> str:
+def _when(run: Run, adversary: Interposer) -> str:
     """When it changed messages, and whether it was inserted during the run; empty: not known."""
     parts = []
-    if run.attacks is not None:
-        frames = run.attacks["frame"][run.attacks["interposer"] == adversary.name]
+    if run.manipulations is not None:
+        frames = run.manipulations["frame"][run.manipulations["interposer"] == adversary.name]
         frames = frames[frames >= 0]
         if len(frames):
             parts.append(period(run, int(frames.min()), int(frames.max())))
@@ -238,7 +241,7 @@ def _when(run: RunRecord, adversary: Interposer) -> str:
     return "".join(f", {part}" for part in parts)
 
 
-def period(run: RunRecord, first: int, last: int) -> str:
+def period(run: Run, first: int, last: int) -> str:
     """`from t = 1.5 s to 3.9 s`, of frames of the run; without its scene, `from frame 15 to 39`."""
     times = run.seconds(np.array([first, last]))
     if times is None:
@@ -246,9 +249,9 @@ def period(run: RunRecord, first: int, last: int) -> str:
     return f"at t = {times[0]:.1f} s" if first == last else f"from t = {times[0]:.1f} s to {times[1]:.1f} s"
 
 
-def _faults(run: RunRecord) -> list[str]:
+def _faults(run: Run) -> list[str]:
     """A sentence about the faults of the scenario; none without faults."""
-    timeline = run.scenario.get("timeline") if isinstance(run.scenario, Mapping) else None
+    timeline = run.files.scenario.get("timeline") if isinstance(run.files.scenario, Mapping) else None
     faults: Sequence[Mapping[str, Any]] = [each for each in timeline or () if each.get("kind") == "fault"]
     if not faults:
         return []
@@ -260,7 +263,7 @@ def _faults(run: RunRecord) -> list[str]:
 _MIN_POINTS = 5
 
 
-def explanations(run: RunRecord, reference: RunRecord | None = None) -> dict[str, tuple[str, ...]]:
+def explanations(run: Run, reference: Run | None = None) -> dict[str, tuple[str, ...]]:
     """Reasons for limited effects on the picture or the ego, by interposer.
 
     Links have none.
@@ -283,7 +286,7 @@ def explanations(run: RunRecord, reference: RunRecord | None = None) -> dict[str
     return result
 
 
-def _reasons(run: RunRecord, interposer: Interposer, blamed_for: str) -> list[str]:
+def _reasons(run: Run, interposer: Interposer, blamed_for: str) -> list[str]:
     """Reasons for limited effects of one interposer.
 
     blamed_for: the kind of the largest change if this interposer causes it, else empty
@@ -299,15 +302,18 @@ def _reasons(run: RunRecord, interposer: Interposer, blamed_for: str) -> list[st
             return [f"it delayed the clock of {listeners}, not of the ego"]
         path = "picture's path" if run.has_centre else "path of messages"
         return [f"it sat on the {path} to {listeners}, not to the ego"]
-    if run.targets is None:
+    if run.files.targets is None:
         return []
-    targets = rows(run.targets, (run.targets["adversary"] == interposer.name) & run.sample.has(run.targets["frame"]))
+    targets = rows(
+        run.files.targets,
+        (run.files.targets["adversary"] == interposer.name) & run.files.sample.has(run.files.targets["frame"]),
+    )
     if not len(targets["frame"]):
         if blamed_for or interposer.commands:  # what commands do is not in errors
             return []
         return [f"it changed no single object that could be false or missed: {effects(interposer)}"]
-    achieved = run.metrics.get("achieved", {}).get(interposer.name, {})
-    if (targets["frame"] >= run.metrics.get("frames", 0)).all():
+    achieved = run.files.summary.get("achieved", {}).get(interposer.name, {})
+    if (targets["frame"] >= run.files.summary.get("frames", 0)).all():
         return ["what it sent is about frames that the run does not have"]
     scored_rows = scored(run, targets["frame"])
     reasons = [] if scored_rows.any() else ["everything that it did was in frames that are not scored"]
@@ -329,7 +335,7 @@ def _reasons(run: RunRecord, interposer: Interposer, blamed_for: str) -> list[st
     return reasons
 
 
-def _other_interposers(run: RunRecord, interposer: Interposer) -> str:
+def _other_interposers(run: Run, interposer: Interposer) -> str:
     """Names of other interposers on its wires that changed something; empty: none."""
     names = [
         each.name
@@ -339,7 +345,7 @@ def _other_interposers(run: RunRecord, interposer: Interposer) -> str:
     return ", ".join(names)
 
 
-def _idle(run: RunRecord, interposer: Interposer) -> str:
+def _idle(run: Run, interposer: Interposer) -> str:
     """Why an interposer changed nothing."""
     if interposer.failures:
         did = "it changed nothing" if interposer.failed_frames else "it crashed before it changed anything"
@@ -352,18 +358,18 @@ def _idle(run: RunRecord, interposer: Interposer) -> str:
     return f"it passed all {interposer.received} messages on unchanged"
 
 
-def late_start_s(run: RunRecord, interposer: Interposer) -> float | None:
+def late_start_s(run: Run, interposer: Interposer) -> float | None:
     """s, start of an attack planned for after the end of the run; None: otherwise."""
     attack = (run.node_spec(interposer.name).get("config") or {}).get("attack")
     start = attack.get("start_s") if isinstance(attack, Mapping) else None
     return float(start) if isinstance(start, (int, float)) and 0.0 < _duration_s(run) <= start else None
 
 
-def _duration_s(run: RunRecord) -> float:
-    return float(run.metrics.get("frames", 0) * run.period_s)
+def _duration_s(run: Run) -> float:
+    return float(run.files.summary.get("frames", 0) * run.period_s)
 
 
-def _inserted(run: RunRecord, targets: Table, achieved: Mapping[str, Any]) -> list[str]:
+def _inserted(run: Run, targets: Table, achieved: Mapping[str, Any]) -> list[str]:
     """Reasons why no tracks followed inserted objects."""
     reasons = []
     if not achieved.get("inserted_share_centre") and not achieved.get("inserted_share_ego"):
@@ -375,7 +381,7 @@ def _inserted(run: RunRecord, targets: Table, achieved: Mapping[str, Any]) -> li
             return [f"{on_real.mean():.0%} of what it inserted was {near}, and was taken for it"]
         if _only_downlink(run, targets):
             return ["the ego's fusion rejected everything that it inserted: no track followed it"]
-        withheld = run.metrics.get("integrity", {}).get("withheld", {}).get("false")
+        withheld = run.files.summary.get("integrity", {}).get("withheld", {}).get("false")
         by = "the defence withheld, or the fusion rejected," if withheld else "the fusion rejected"
         return [f"{by} everything that it inserted: no track of the picture followed it"]
     if achieved.get("inserted_share_centre") and achieved.get("inserted_share_ego") == 0.0:  # None: not measured
@@ -383,12 +389,14 @@ def _inserted(run: RunRecord, targets: Table, achieved: Mapping[str, Any]) -> li
     return reasons
 
 
-def _removed(run: RunRecord, targets: Table, achieved: Mapping[str, Any]) -> list[str]:
+def _removed(run: Run, targets: Table, achieved: Mapping[str, Any]) -> list[str]:
     """Reasons why objects in removed rows or dropped messages were not missed."""
     dropped = np.zeros(len(targets["frame"]), bool)
-    if run.attacks is not None:
-        drops = (run.attacks["interposer"] == targets["adversary"][0]) & (run.attacks["effect"] == "dropped")
-        dropped = np.isin(targets["frame"], run.attacks["frame"][drops])
+    if run.manipulations is not None:
+        drops = (run.manipulations["interposer"] == targets["adversary"][0]) & (
+            run.manipulations["effect"] == "dropped"
+        )
+        dropped = np.isin(targets["frame"], run.manipulations["frame"][drops])
     groups = (
         ("removed", ~dropped, "what it removed"),
         ("dropped", dropped, "the objects in the messages that it dropped"),
@@ -401,7 +409,7 @@ def _removed(run: RunRecord, targets: Table, achieved: Mapping[str, Any]) -> lis
     ]
 
 
-def _reasons_not_missed(run: RunRecord, targets: Table, achieved: Mapping[str, Any], objects: str) -> list[str]:
+def _reasons_not_missed(run: Run, targets: Table, achieved: Mapping[str, Any], objects: str) -> list[str]:
     """Reasons why objects were not missed; objects: their description in words."""
     were = "were" if objects.startswith("the objects") else "was"
     are = "are" if were == "were" else "is"
@@ -431,7 +439,7 @@ def _how_often(share: float) -> str:
     return "all the time" if share >= 1.0 else f"{np.floor(100.0 * share):.0f}% of the time"
 
 
-def _moved(run: RunRecord, targets: Table, achieved: Mapping[str, Any]) -> list[str]:
+def _moved(run: Run, targets: Table, achieved: Mapping[str, Any]) -> list[str]:
     """Reasons for missing displacement of objects; identity switches count as effects."""
     effects = "moved_share", "altered_share", "id_switches"
     if any(achieved.get(f"{effect}_{viewer}") for effect in effects for viewer in ("centre", "ego")):
@@ -448,12 +456,12 @@ def _moved(run: RunRecord, targets: Table, achieved: Mapping[str, Any]) -> list[
     return []
 
 
-def _only_downlink(run: RunRecord, targets: Table) -> bool:
+def _only_downlink(run: Run, targets: Table) -> bool:
     """Whether an adversary changed only pictures in transit."""
-    if run.attacks is None or not len(targets["frame"]):
+    if run.manipulations is None or not len(targets["frame"]):
         return False
-    own_effects = run.attacks["interposer"] == targets["adversary"][0]
-    return bool(np.all(run.attacks["message"][own_effects] == "picture"))
+    own_effects = run.manipulations["interposer"] == targets["adversary"][0]
+    return bool(np.all(run.manipulations["message"][own_effects] == "picture"))
 
 
 def _judged(targets: Table) -> Bools:
@@ -461,7 +469,7 @@ def _judged(targets: Table) -> Bools:
     return np.asarray(targets["judged_centre"].astype(bool) | targets["judged_ego"].astype(bool))
 
 
-def _seen_by_others(run: RunRecord, targets: Table) -> Bools:
+def _seen_by_others(run: Run, targets: Table) -> Bools:
     """(n,) bool: targets seen by an agent whose report of them is unchanged.
 
     No adversary changes the agent's report of the target in that frame.
@@ -470,8 +478,11 @@ def _seen_by_others(run: RunRecord, targets: Table) -> Bools:
     change the same object. Without the scene, an object changed by several adversaries counts as not seen.
     """
     seen = targets["seen_by_others"].astype(bool)
-    assert run.targets is not None
-    real = rows(run.targets, (run.targets["kind"] != "inserted") & run.sample.has(run.targets["frame"]))
+    assert run.files.targets is not None
+    real = rows(
+        run.files.targets,
+        (run.files.targets["kind"] != "inserted") & run.files.sample.has(run.files.targets["frame"]),
+    )
     agents = {each.name: each.agents for each in interposers(run)}
     hidden: dict[tuple[int, int], set[str]] = {}
     changed_by: dict[tuple[int, int], set[str]] = {}
@@ -484,20 +495,20 @@ def _seen_by_others(run: RunRecord, targets: Table) -> Bools:
     return np.asarray(seen)
 
 
-def _seen_by_ego(run: RunRecord, targets: Table) -> Bools:
+def _seen_by_ego(run: Run, targets: Table) -> Bools:
     """(n,) bool: targets matched by one of the ego's own tracks in their frame."""
-    if run.objects is None:
+    if run.files.objects is None:
         return np.zeros(len(targets["frame"]), bool)
-    own = (run.objects["estimator"] == run.original("local")) & (run.objects["kind"] == "truth")
-    own &= run.objects["outcome"] == "matched"
-    tracked = set(zip(run.objects["id"][own].tolist(), run.objects["frame"][own].tolist(), strict=True))
+    own = (run.files.objects["estimator"] == run.original("local")) & (run.files.objects["kind"] == "truth")
+    own &= run.files.objects["outcome"] == "matched"
+    tracked = set(zip(run.files.objects["id"][own].tolist(), run.files.objects["frame"][own].tolist(), strict=True))
     wanted = zip(targets["object"].tolist(), targets["frame"].tolist(), strict=True)
     return np.array([each in tracked for each in wanted], bool)
 
 
-def _sees(run: RunRecord, number: int, frame: int, excluded: set[str]) -> bool:
+def _sees(run: Run, number: int, frame: int, excluded: set[str]) -> bool:
     """Whether an agent not in `excluded` sees an object in a frame of the scene."""
-    scene = run.recording
+    scene = run.files.scene
     if scene is None or not 0 <= frame < len(scene):
         return False
     columns = [column for column, agent in enumerate(scene.agent_names) if agent not in excluded]
@@ -506,11 +517,14 @@ def _sees(run: RunRecord, number: int, frame: int, excluded: set[str]) -> bool:
     return bool((scene.points[rows_of_object][:, columns] >= _MIN_POINTS).any())
 
 
-def _on_real_objects(run: RunRecord, targets: Table) -> Bools | None:
+def _on_real_objects(run: Run, targets: Table) -> Bools | None:
     """(n,) bool: targets within the gate of a true object; None: no truth."""
-    if run.objects is None:
+    if run.files.objects is None:
         return None
-    truth = rows(run.objects, (run.objects["kind"] == "truth") & (run.objects["estimator"] == "picture"))
+    truth = rows(
+        run.files.objects,
+        (run.files.objects["kind"] == "truth") & (run.files.objects["estimator"] == "picture"),
+    )
     result = np.zeros(len(targets["frame"]), bool)
     of_frame = np.argsort(truth["frame"], kind="stable")
     for frame in np.unique(targets["frame"]):

@@ -25,11 +25,11 @@ from mast_zenoh.report.narrative.changes import (
 )
 from mast_zenoh.report.tables.wiring import all_wires
 from mast_zenoh.runs.interposers import failures_of, interposers
-from mast_zenoh.runs.run import RunRecord, agent_of
+from mast_zenoh.runs.run import Run, agent_of
 from mast_zenoh.wiring.model import Passage
 
 
-def reaches(run: RunRecord, node: str, estimate: str, agent: str | None = None) -> bool:
+def reaches(run: Run, node: str, estimate: str, agent: str | None = None) -> bool:
     """Whether a node's messages can affect an estimate of an agent.
 
     agent: by default the ego
@@ -38,11 +38,11 @@ def reaches(run: RunRecord, node: str, estimate: str, agent: str | None = None) 
     """
     passages = _passages(run, node)
     series = [(agent or run.ego or "", estimate)]
-    relays = any(wire.get("message") == "relayed" for wire in run.wiring.get("wires", ()))
+    relays = any(wire.get("message") == "relayed" for wire in run.files.wiring.get("wires", ()))
     return not passages or bool(influence(passages, series, np.zeros(len(passages), bool), relays).any())
 
 
-def _passages(run: RunRecord, node: str) -> list[Passage]:
+def _passages(run: Run, node: str) -> list[Passage]:
     """Its passages through all wires that it was ever on, including live insertions."""
     passages = []
     for wire in all_wires(run):
@@ -66,7 +66,7 @@ _SETTINGS = ("mode", "period_ns", "scene", "network")
 _MAX_NAMED = 3
 
 
-def other_differences(run: RunRecord, reference: RunRecord) -> tuple[str, ...]:
+def other_differences(run: Run, reference: Run) -> tuple[str, ...]:
     """Settings, nodes, wires and failures in which two runs differ.
 
     From scenario.json and wiring.json.
@@ -81,7 +81,9 @@ def other_differences(run: RunRecord, reference: RunRecord) -> tuple[str, ...]:
         name for name in (*only_in_run, *(name for name in reference_nodes if name not in nodes)) if name not in added
     ]
     differences += [
-        key for key in _SETTINGS for key in _differing(key, *(each.scenario.get(key) for each in (run, reference)))
+        key
+        for key in _SETTINGS
+        for key in _differing(key, *(each.files.scenario.get(key) for each in (run, reference)))
     ]
     for name in (name for name in nodes if name in reference_nodes):
         differences += _differing(name, nodes[name], reference_nodes[name])
@@ -94,28 +96,32 @@ def other_differences(run: RunRecord, reference: RunRecord) -> tuple[str, ...]:
     return tuple(dict.fromkeys(differences))
 
 
-def attacking_nodes(run: RunRecord) -> frozenset[str]:
+def attacking_nodes(run: Run) -> frozenset[str]:
     """Adversaries, their coordinators, and all other interposers except links."""
     return frozenset(_attackers(run))
 
 
-def _played(run: RunRecord) -> list[str]:
+def _played(run: Run) -> list[str]:
     """The nodes of a replay that only send what was recorded."""
-    return list((run.run.get("replay") or {}).get("played", ()))
+    return list((run.files.record.get("replay") or {}).get("played", ()))
 
 
-def _attackers(run: RunRecord) -> set[str]:
+def _attackers(run: Run) -> set[str]:
     interposer_names = {each.name for each in interposers(run) if not each.is_link}
     return interposer_names | {name for name in _names(run) if run.role(name) in _HOSTILE}
 
 
-def _names(run: RunRecord) -> list[str]:
+def _names(run: Run) -> list[str]:
     """Every node of a run that can affect its results."""
-    known = [*run.scenario.get("nodes", {}), *run.run.get("nodes", {}), *(each.name for each in interposers(run))]
+    known = [
+        *run.files.scenario.get("nodes", {}),
+        *run.files.record.get("nodes", {}),
+        *(each.name for each in interposers(run)),
+    ]
     return [name for name in dict.fromkeys(known) if run.role(name) not in _PASSIVE]
 
 
-def _nodes(run: RunRecord) -> dict[str, dict[str, Any]]:
+def _nodes(run: Run) -> dict[str, dict[str, Any]]:
     """Settings by node; empty for nodes that are not in scenario.json."""
     specs = {name: run.node_spec(name) for name in _names(run)}
     settings = {name: {**(spec.pop("config", None) or {}), **spec} for name, spec in specs.items()}
@@ -139,28 +145,28 @@ def _differing_keys(here: Mapping[str, Any], there: Mapping[str, Any]) -> list[s
     return [name for name in dict.fromkeys([*here, *there]) if here.get(name) != there.get(name)]
 
 
-def _versions(run: RunRecord, reference: RunRecord) -> list[str]:
+def _versions(run: Run, reference: Run) -> list[str]:
     """Packages with different versions, and algorithm files with different paths."""
-    versions = [each.run.get("versions") or {} for each in (run, reference)]
-    files = [{Path(path).name: path for path in each.scenario.get("modules", ())} for each in (run, reference)]
+    versions = [each.files.record.get("versions") or {} for each in (run, reference)]
+    files = [{Path(path).name: path for path in each.files.scenario.get("modules", ())} for each in (run, reference)]
     known = [name for name in _differing_keys(*versions) if all(name in each for each in versions)]
     return [f"version of {name}" for name in known] + [
         name for name in files[0] if name in files[1] and files[0][name] != files[1][name]
     ]
 
 
-def _steps(run: RunRecord, excluded: set[str]) -> dict[str, Any]:
+def _steps(run: Run, excluded: set[str]) -> dict[str, Any]:
     """The scenario's steps by node."""
     steps: dict[str, Any] = {}
-    for step in run.scenario.get("steps", ()):
+    for step in run.files.scenario.get("steps", ()):
         if step.get("node") not in excluded:
             steps.setdefault(f"steps of {step.get('node')}", []).append(step)
     return steps
 
 
-def _wires(run: RunRecord, excluded: set[str]) -> dict[str, Any]:
+def _wires(run: Run, excluded: set[str]) -> dict[str, Any]:
     """The nodes of each wire, without `excluded` nodes and listeners."""
-    passive = {name for name in run.run.get("nodes", {}) if run.role(name) in (*_PASSIVE, "evaluator")}
+    passive = {name for name in run.files.record.get("nodes", {}) if run.role(name) in (*_PASSIVE, "evaluator")}
     ignored = excluded | passive | {"recorder", "visualizer", "evaluator"}
 
     def kept(names: Any) -> list[str]:
@@ -173,23 +179,27 @@ def _wires(run: RunRecord, excluded: set[str]) -> dict[str, Any]:
             kept(wire.get("interposers", ())),
             kept(listener["node"] for listener in wire.get("listeners", ())),
         )
-        for wire in run.wiring.get("wires", ())
+        for wire in run.files.wiring.get("wires", ())
         if wire.get("publisher") not in ignored
     }
 
 
-def _interceptions(run: RunRecord, added: set[str]) -> dict[str, Any]:
+def _interceptions(run: Run, added: set[str]) -> dict[str, Any]:
     """Live insertions and releases by node, as (action, frame)."""
     events: dict[str, Any] = {}
-    for event in run.run.get("interceptions", ()):
+    for event in run.files.record.get("interceptions", ()):
         if event["node"] not in added:
             events.setdefault(event["node"], []).append((event["action"], event["frame"]))
     return events
 
 
-def _failures(run: RunRecord) -> dict[str, Any]:
+def _failures(run: Run) -> dict[str, Any]:
     """Failed handlers and their counts by node, without attackers."""
-    failed = {name: failures_of(node) for name, node in run.run.get("nodes", {}).items() if name not in _attackers(run)}
+    failed = {
+        name: failures_of(node)
+        for name, node in run.files.record.get("nodes", {}).items()
+        if name not in _attackers(run)
+    }
     return {
         f"failures of {name}": [(each["handler"], each["count"]) for each in entries]
         for name, entries in failed.items()
@@ -201,14 +211,14 @@ def _failures(run: RunRecord) -> dict[str, Any]:
 _MAX_CULPRITS = 3
 
 
-def due_to_causes(run: RunRecord, changes: Sequence[Change]) -> str:
+def due_to_causes(run: Run, changes: Sequence[Change]) -> str:
     """`are due to adversary_1 and adversary_2`: measured causes shared by all changes."""
     singular = ("1 ", "1.0 ", "no ")
     one = len(changes) == 1 and (changes[0].kind == DISPLACED or amount(run, changes[0]).startswith(singular))
     return f"{'is' if one else 'are'} due to {join_names(causes(run, changes[0]))}"
 
 
-def cause_clause(run: RunRecord, change: Change, reference: RunRecord) -> str:
+def cause_clause(run: Run, change: Change, reference: Run) -> str:
     """`, due to adversary_1`: the cause of a change, or why none is named."""
     others = other_differences(run, reference)
     if others:
@@ -220,7 +230,7 @@ def cause_clause(run: RunRecord, change: Change, reference: RunRecord) -> str:
     return f", due to {join_names(names)}" if names else ", by no measured cause"
 
 
-def causes(run: RunRecord, change: Change, reference: RunRecord | None = None) -> list[str]:
+def causes(run: Run, change: Change, reference: Run | None = None) -> list[str]:
     """Adversaries, links, faults and the defence that cause a change.
 
     May be empty with a reference.
@@ -241,7 +251,7 @@ def causes(run: RunRecord, change: Change, reference: RunRecord | None = None) -
     return descriptions or ["adversaries"] if reference is None else descriptions
 
 
-def culprit_names(run: RunRecord, change: Change, reference: RunRecord | None = None) -> list[str]:
+def culprit_names(run: Run, change: Change, reference: Run | None = None) -> list[str]:
     """Adversaries that cause a change, those with the most rows first; may be empty.
 
     For a change over a run that differs in adversaries alone, these are all adversaries whose changes can reach the
@@ -259,13 +269,13 @@ def culprit_names(run: RunRecord, change: Change, reference: RunRecord | None = 
     if change.amount <= 0.0 or other_differences(run, reference):
         return []
     # Real-time runs also differ by timing, so only measured effects count.
-    exact = run.scenario.get("mode", "lockstep") == "lockstep"
+    exact = run.files.scenario.get("mode", "lockstep") == "lockstep"
     candidates = measured if change.due_to("attack") else acting if exact else []
     added = attacking_nodes(run) - attacking_nodes(reference)
     return [name for name in candidates if name in added and reaches(run, name, change.estimate, change.agent)]
 
 
-def _defence(run: RunRecord, change: Change) -> str:
+def _defence(run: Run, change: Change) -> str:
     """The integrity stage, and how many agents that were not suspended reported what it withheld."""
     witnesses = witnesses_of_withheld(run, change.estimate) if change.agent == run.ego else []
     what = "objects"
@@ -279,11 +289,13 @@ def _defence(run: RunRecord, change: Change) -> str:
     return f"{run.defence or 'the command centre'}, which withheld {what}"
 
 
-def _faults(run: RunRecord, *, any_effect: bool = False) -> list[str]:
+def _faults(run: Run, *, any_effect: bool = False) -> list[str]:
     """Links and faults in words; any_effect: only if links had a measured effect."""
     acting = [each for each in interposers(run) if each.is_link and each.changed]
     planned = [str(each["label"]) for each in run.timeline if each["kind"] != "attack"]
-    planned += [f"the loss of {node}" for node in dict.fromkeys(event["node"] for event in run.run.get("churn") or ())]
+    planned += [
+        f"the loss of {node}" for node in dict.fromkeys(event["node"] for event in run.files.record.get("churn") or ())
+    ]
     if any_effect and not acting:
         return []
     if planned:

@@ -12,7 +12,7 @@ import numpy as np
 
 from mast_zenoh.metrics.estimates import ESTIMATES, IN_TRANSIT, PICTURE, RECEIVED, place_of
 from mast_zenoh.runs.interposers import EFFECTS, OF_OBJECTS, Interposer
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 
 FALSE, MISSED, DISPLACED, IDENTITY = "false", "missed", "displaced", "identity"
 
@@ -88,19 +88,19 @@ class Change:
         return bool(self.amount) and self.parts.get(group, -math.inf) / self.amount >= MIN_NAMED_SHARE
 
 
-def against(run: RunRecord, reference: RunRecord, agents: Iterable[str] | None = None) -> list[Change]:
+def against(run: Run, reference: Run, agents: Iterable[str] | None = None) -> list[Change]:
     """Changes of scores over a reference run of the same scene; by default the ego's."""
     return [
         change
         for agent in ([run.ego or ""] if agents is None else agents)
         for estimate in ESTIMATES
-        for change in between(run, run.summary(estimate, agent), reference.summary(estimate, agent), agent, estimate)
+        for change in between(
+            run, run.scores_of(estimate, agent), reference.scores_of(estimate, agent), agent, estimate
+        )
     ]
 
 
-def between(
-    run: RunRecord, here: Summary, there: Summary, agent: str | None = None, estimate: str = ""
-) -> list[Change]:
+def between(run: Run, here: Summary, there: Summary, agent: str | None = None, estimate: str = "") -> list[Change]:
     """Changes of one summary of metrics.json over another with as many frames."""
     changes = []
     for kind, key in KEYS.items():
@@ -117,7 +117,7 @@ def between(
     return changes
 
 
-def attributed(run: RunRecord, agents: Iterable[str] | None = None) -> list[Change]:
+def attributed(run: Run, agents: Iterable[str] | None = None) -> list[Change]:
     """Errors of a run due to attacks, links and faults, and the defence, by its own measurements.
 
     Groups of causes with less than MIN_NAMED_SHARE of the errors are left out: no sentence names them.
@@ -125,7 +125,7 @@ def attributed(run: RunRecord, agents: Iterable[str] | None = None) -> list[Chan
     changes = []
     for agent in [run.ego or ""] if agents is None else agents:
         for estimate in ESTIMATES:
-            here = run.summary(estimate, agent)
+            here = run.scores_of(estimate, agent)
             for kind in (FALSE, MISSED, IDENTITY):
                 if {"attack", "fault"} <= (parts := _split(here, kind)).keys():
                     all_errors = sum(parts.values())
@@ -176,9 +176,9 @@ def _first_alike(changes: Sequence[Change]) -> Change:
     return min(candidates, key=lambda change: order.index(change.estimate))
 
 
-def largest_change(run: RunRecord, reference: RunRecord | None) -> Change | None:
+def largest_change(run: Run, reference: Run | None) -> Change | None:
     """The largest change for the ego, or, if only its tracks in transit changed, for all agents."""
-    others = [agent for agent in run.metrics.get("agents", {}) if agent != run.ego]
+    others = [agent for agent in run.files.summary.get("agents", {}) if agent != run.ego]
 
     def changes(agents: list[str]) -> list[Change]:
         return attributed(run, agents) if reference is None else against(run, reference, agents)
@@ -189,39 +189,39 @@ def largest_change(run: RunRecord, reference: RunRecord | None) -> Change | None
 
 
 def _change(
-    run: RunRecord, agent: str, estimate: str, kind: str, amount: float, weight: float, parts: Mapping[str, float]
+    run: Run, agent: str, estimate: str, kind: str, amount: float, weight: float, parts: Mapping[str, float]
 ) -> Change:
     by = culprits(run, estimate, kind) if agent == run.ego and parts.get("attack") else Counter[str]()
     return Change(agent, estimate, kind, amount, weight, parts, by)
 
 
-def culprits(run: RunRecord, estimate: str, kind: str) -> Counter[str]:
+def culprits(run: Run, estimate: str, kind: str) -> Counter[str]:
     """Number of the ego's errors of a kind in scored frames, by responsible adversary."""
-    if kind in (FALSE, MISSED) and run.objects is not None:
+    if kind in (FALSE, MISSED) and run.files.objects is not None:
         outcome, box_kind = ("false", "track") if kind == FALSE else ("missed", "truth")
-        table = run.objects
+        table = run.files.objects
         selected = (
             (table["estimator"] == run.original(estimate)) & (table["outcome"] == outcome) & (table["kind"] == box_kind)
         )
         selected &= (table["by"] != "") & (table["cause"] != "withheld") & scored(run, table["frame"])
         return _names(run, table["by"][selected])
-    if kind == DISPLACED and run.targets is not None:
-        moved = np.isin(run.targets["kind"], ("moved", "altered")) & scored(run, run.targets["frame"])
-        return Counter(run.targets["adversary"][moved].tolist())
+    if kind == DISPLACED and run.files.targets is not None:
+        moved = np.isin(run.files.targets["kind"], ("moved", "altered")) & scored(run, run.files.targets["frame"])
+        return Counter(run.files.targets["adversary"][moved].tolist())
     viewer = "ego" if estimate == "mission" else "centre"
-    achieved: dict[str, Any] = run.metrics.get("achieved", {})
+    achieved: dict[str, Any] = run.files.summary.get("achieved", {})
     switches = {name: each.get(f"id_switches_{viewer}", 0) for name, each in achieved.items() if name != "all"}
     return Counter({name: count for name, count in switches.items() if count})
 
 
-def witnesses_of_withheld(run: RunRecord, estimate: str) -> list[int]:
+def witnesses_of_withheld(run: Run, estimate: str) -> list[int]:
     """How many agents that were not suspended reported each of the ego's missed objects that the centre withheld.
 
     In scored frames; [] if that is not known.
     """
-    if run.objects is None or run.trust is None:
+    if run.files.objects is None or run.files.trust is None:
         return []
-    table, trust = run.objects, run.trust
+    table, trust = run.files.objects, run.files.trust
     selected = (table["estimator"] == run.original(estimate)) & (table["cause"] == "withheld")
     selected &= scored(run, table["frame"])
     out = trust["state"] == "suspended"
@@ -232,20 +232,20 @@ def witnesses_of_withheld(run: RunRecord, estimate: str) -> list[int]:
     ]
 
 
-def _names(run: RunRecord, by: np.ndarray) -> Counter[str]:
+def _names(run: Run, by: np.ndarray) -> Counter[str]:
     """How often each name is in a column `by` of the objects; as estimated, of a run of which only a sample is read."""
     counts = Counter(name for names in by.tolist() for name in str(names).split("+") if name)
-    return Counter({name: count * run.sample.every for name, count in counts.items()})
+    return Counter({name: count * run.files.sample.every for name, count in counts.items()})
 
 
-def scored(run: RunRecord, frames: np.ndarray) -> np.ndarray:
+def scored(run: Run, frames: np.ndarray) -> np.ndarray:
     """(n,) bool: which of n frames are scored."""
     first, last = run.scored_frames or (-np.inf, np.inf)
     in_range: np.ndarray = (frames >= first) & (frames <= last)
     return in_range
 
 
-def _displacement(run: RunRecord, estimate: str) -> tuple[float | None, float]:
+def _displacement(run: Run, estimate: str) -> tuple[float | None, float]:
     """The part of an RMSE due to moved and altered objects: (m, weight).
 
     None: not known.
@@ -254,11 +254,11 @@ def _displacement(run: RunRecord, estimate: str) -> tuple[float | None, float]:
     other objects counts.
     """
     viewer = "ego" if estimate == "mission" else "centre"
-    summary = run.summary(estimate)
+    summary = run.scores_of(estimate)
     rmse, matched, frames = summary.get("rmse_m"), _mean(summary.get("tp")), _frames(run)
-    if run.targets is None or rmse is None or not matched or not frames or estimate in ("local", "received"):
+    if run.files.targets is None or rmse is None or not matched or not frames or estimate in ("local", "received"):
         return None, 0.0
-    table, error = run.targets, np.asarray(run.targets[f"error_m_{viewer}"], np.float64)
+    table, error = run.files.targets, np.asarray(run.files.targets[f"error_m_{viewer}"], np.float64)
     selected = np.isin(table["kind"], ("moved", "altered")) & (error <= run.gate_m) & scored(run, table["frame"])
     _, first = np.unique(
         np.column_stack([table["object"][selected], table["frame"][selected]]), axis=0, return_index=True
@@ -273,16 +273,16 @@ def _displacement(run: RunRecord, estimate: str) -> tuple[float | None, float]:
     return rmse - float(np.sqrt(max(rmse**2 - excess / pairs, 0.0))), excess / frames / OBJECT_M2
 
 
-def _weight(run: RunRecord, kind: str, summary: Summary, amount: float) -> float:
+def _weight(run: Run, kind: str, summary: Summary, amount: float) -> float:
     if kind == DISPLACED or kind in BOX_ERRORS:
         off_m = amount * (BOX_ERRORS[kind].metres if kind in BOX_ERRORS else 1.0)
         return (_mean(summary.get("tp")) or 0.0) * off_m**2 / OBJECT_M2
     return amount * SWITCH / (_frames(run) or 1) if kind == IDENTITY else amount
 
 
-def _frames(run: RunRecord) -> int:
+def _frames(run: Run) -> int:
     if run.scored_frames is None:
-        return int(run.metrics.get("frames", 0))
+        return int(run.files.summary.get("frames", 0))
     return run.scored_frames[1] - run.scored_frames[0] + 1
 
 
@@ -335,16 +335,16 @@ def small(number: float) -> str:
     return f"{number:.2g}" if number >= 0.0005 else "less than 0.001"
 
 
-def place(run: RunRecord, change: Change) -> str:
+def place(run: Run, change: Change) -> str:
     """Where a change is: `in the common picture`, `in the picture of mobile_1`."""
     if change.estimate != PICTURE or change.agent == run.ego:
         return place_of(change.estimate, change.agent, run.ego)
-    if "pictures" in run.metrics:  # each agent has its own
+    if "pictures" in run.files.summary:  # each agent has its own
         return f"in the picture of {change.agent}"
     return f"in the common picture in range of {change.agent}"
 
 
-def amount(run: RunRecord, change: Change, *, where: bool = True, more: bool = False) -> str:
+def amount(run: Run, change: Change, *, where: bool = True, more: bool = False) -> str:
     """The amount of a change: `5.50 false objects a frame in the common picture`.
 
     more: as a difference: `5.50 more false objects a frame in the common picture`

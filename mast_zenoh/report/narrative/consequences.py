@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from mast_zenoh.report.comparison import WAY_M, Reference
 from mast_zenoh.report.narrative.changes import capital, count, join_names
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 
 #: Cars that a headline names; more are counted.
 _MOST_CARS = 3
@@ -21,9 +21,9 @@ class Drive(NamedTuple):
     way_m: float
 
 
-def drives(run: RunRecord) -> dict[str, Drive]:
+def drives(run: Run) -> dict[str, Drive]:
     """What happened to each driven car; without those whose entry in metrics.json is damaged."""
-    cars = run.metrics.get("driven")
+    cars = run.files.summary.get("driven")
     result = {}
     for car, happened in cars.items() if isinstance(cars, Mapping) else ():
         if isinstance(happened, Mapping):
@@ -33,7 +33,7 @@ def drives(run: RunRecord) -> dict[str, Drive]:
     return result
 
 
-def consequence(run: RunRecord, reference: Reference | None = None) -> str:
+def consequence(run: Run, reference: Reference | None = None) -> str:
     """Collisions of driven cars, else needless brakes and changed ways, without a full stop; empty: nothing such.
 
     reference: the run that it is compared with, such as its unattacked twin
@@ -55,7 +55,7 @@ def consequence(run: RunRecord, reference: Reference | None = None) -> str:
     return capital(text) if text.startswith("the ego ") else text  # names of cars stay as they are
 
 
-def worst(runs: Mapping[str, RunRecord], reference: Reference) -> str:
+def worst(runs: Mapping[str, Run], reference: Reference) -> str:
     """Of several runs with drivers, the one whose cars hit most, else brake needlessly most, else lose most way.
 
     A sentence without a full stop; empty: nothing happened to any car.

@@ -9,7 +9,7 @@ from typing import Any
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.narrative.changes import join_names, plural
 from mast_zenoh.runs.driven import reason_of
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 
 #: m, of way, and s, of standing: a smaller difference between a run and its twin is not said.
 _WAY_M, _STANDING_S = 1.0, 0.2
@@ -21,16 +21,16 @@ _MOST_LISTED = 10
 _MOST_CARS = 3
 
 
-def car_sentences(run: RunRecord, reference: Reference | None = None) -> list[str]:
+def car_sentences(run: Run, reference: Reference | None = None) -> list[str]:
     """For each driven car, its collisions, its notable brakes and why, and how far it came; without full stops.
 
     Of more than _MOST_CARS cars, those other than the ego that hit nothing are summed up in one sentence.
 
     reference: the run that it is compared with, such as its unattacked twin
     """
-    others: Mapping[str, Any] = reference.run.metrics.get("driven", {}) if reference is not None else {}
+    others: Mapping[str, Any] = reference.run.files.summary.get("driven", {}) if reference is not None else {}
     name = reference.name if reference is not None else ""
-    cars: Mapping[str, Any] = run.metrics.get("driven", {})
+    cars: Mapping[str, Any] = run.files.summary.get("driven", {})
     full = list(cars)
     if len(full) > _MOST_CARS:
         notable = [car for car in cars if car == run.ego or cars[car]["collisions"]]

@@ -38,8 +38,9 @@ from mast_zenoh.report.narrative.consequences import consequence, drives, worst
 from mast_zenoh.report.tables.of_run import braking_by_attack, check_rows, driving_differs, unattributed_braking
 from mast_zenoh.report.tables.scores import ScoreTable
 from mast_zenoh.run_folder.recording import churn
+from mast_zenoh.runs.files import Table, rows
 from mast_zenoh.runs.interposers import Interposer, failures_of, frames_of, interposers
-from mast_zenoh.runs.run import RunRecord, Table, rows
+from mast_zenoh.runs.run import Run
 
 #: How a run that did not end well failed, by its status.
 _FAILED = {
@@ -54,24 +55,24 @@ _ENDS = {
 }
 
 
-def status(run: RunRecord) -> str:
+def status(run: Run) -> str:
     """How a run failed, in a sentence without a full stop; empty: it did not."""
-    failed = {name: failures_of(node) for name, node in run.run.get("nodes", {}).items()}
+    failed = {name: failures_of(node) for name, node in run.files.record.get("nodes", {}).items()}
     if names := [f"{name} failed in {plural(frames_of(each), 'frame')}" for name, each in failed.items() if each]:
         return f"Handlers of {join_names(names)}: the numbers may be wrong"
     if lost := run.lost:
         return f"{churn.sentence(lost)}: from then on it is not the run that the scenario describes"
-    state, partial = run.run.get("status", "ok"), _partly_recorded(run)
+    state, partial = run.files.record.get("status", "ok"), _partly_recorded(run)
     if state == "ok":
         return capital(partial)
-    why = str(run.run.get("message") or "read the numbers with that in mind").partition("\n")[0]
+    why = str(run.files.record.get("message") or "read the numbers with that in mind").partition("\n")[0]
     text = _FAILED.get(state, f"The run did not end well ({state}): {why}")
     return f"{text}; {partial}" if partial else text
 
 
-def _partly_recorded(run: RunRecord) -> str:
+def _partly_recorded(run: Run) -> str:
     """A note if the numbers come from an incomplete recording; else empty."""
-    recording = run.metrics.get("recording")
+    recording = run.files.summary.get("recording")
     if not recording:
         return ""
     if not recording["frames"]:
@@ -84,16 +85,16 @@ def reference_status(reference: Reference | None) -> str:
     """`compared with unattacked, which failed`; empty: no reference, or it ended well."""
     if reference is None or not status(reference.run):
         return ""
-    return f"compared with {reference.name}, which {_ENDS.get(str(reference.run.run.get('status')), 'failed')}"
+    return f"compared with {reference.name}, which {_ENDS.get(str(reference.run.files.record.get('status')), 'failed')}"
 
 
 #: Agents that the sentence names.
 _MOST_NAMES = 8
 
 
-def defence_sentence(run: RunRecord) -> str:
+def defence_sentence(run: Run) -> str:
     """Which agents the defence suspended, when, and what it withheld, as measured; empty: the run has no defence."""
-    measured: dict[str, Any] = run.metrics.get("integrity", {})
+    measured: dict[str, Any] = run.files.summary.get("integrity", {})
     if not measured or run.defence == "NoIntegrity":
         return ""
     agents: dict[str, Any] = measured["agents"]
@@ -114,20 +115,20 @@ def defence_sentence(run: RunRecord) -> str:
         false, true = measured["withheld"]["false"], measured["withheld"]["true"]
         what = f"{false:.2f} false and {true:.2f} true objects a frame" if false or true else "nothing"
         text += f"{',' if len(did) > 1 else ''} and withheld {what}{_missed_for_it(run, true)}"
-    judges = sum(run.role(name) == "peer" for name in run.run.get("nodes", {}))
+    judges = sum(run.role(name) == "peer" for name in run.files.record.get("nodes", {}))
     of_ego = " of the ego's peer (the others judge for themselves)" if judges > 1 and not run.has_centre else ""
     return f"{run.defence or 'The defence'}{of_ego} {text}."
 
 
-def _missed_for_it(run: RunRecord, withheld: float) -> str:
+def _missed_for_it(run: Run, withheld: float) -> str:
     """How many objects the ego's picture misses because of the defence, if that is not the number of withheld ones.
 
     It misses objects that only suspended agents report, too, and none that are out of its range.
     """
-    missed = (run.summary(PICTURE).get("fn_split") or {}).get("withheld")
+    missed = (run.scores_of(PICTURE).get("fn_split") or {}).get("withheld")
     if missed is None or f"{missed:.2f}" == f"{withheld:.2f}":
         return ""
-    suspended = any(agent["suspensions"] for agent in run.metrics["integrity"]["agents"].values())
+    suspended = any(agent["suspensions"] for agent in run.files.summary["integrity"]["agents"].values())
     also = " and because only suspended agents report them" if suspended else ""
     return f"; in its range, the ego misses {missed:.2f} for this{also}"
 
@@ -159,17 +160,17 @@ def _when(agent: dict[str, Any]) -> str:
     return " and ".join([*lying, *(f"while {conduct}" for conduct in conducts if not lying or conduct != "lying")])
 
 
-def attack_sentences(run: RunRecord, change: Change | None) -> list[str]:
+def attack_sentences(run: Run, change: Change | None) -> list[str]:
     """When adversaries changed messages, the scores in that period, and needless braking by a rule.
 
     Not the latter where the ego is driven: the rule is not its driver.
     change: the headline's change; its kind and estimate select the scores
     """
-    if run.attacks is None or run.attack_frames is None:
+    if run.manipulations is None or run.attack_frames is None:
         return []
     active = [each.description for each in interposers(run) if each.changed and not each.is_link]
     if not active:  # metrics.json is damaged
-        active = sorted(set(run.attacks["interposer"].tolist()))
+        active = sorted(set(run.manipulations["interposer"].tolist()))
     scores = _scores(run, change)
     during = f"; while {'it' if len(active) == 1 else 'they'} did, {scores}" if scores else ""
     sentences = [f"{join_names(active)} changed messages {period(run, *run.attack_frames)}{during}."]
@@ -181,21 +182,21 @@ def attack_sentences(run: RunRecord, change: Change | None) -> list[str]:
     return sentences + ([f"Because of attacks, {braking}."] if braking else [])
 
 
-def _attacked_frames(run: RunRecord) -> tuple[int, int]:
+def _attacked_frames(run: Run) -> tuple[int, int]:
     """Numbers of scored frames with an adversary's change, and of all; 0: not known."""
-    if run.attacks is None or run.scored_frames is None:
+    if run.manipulations is None or run.scored_frames is None:
         return 0, 0
-    frames = np.unique(run.attacks["frame"])
+    frames = np.unique(run.manipulations["frame"])
     return int(scored(run, frames).sum()), run.scored_frames[1] - run.scored_frames[0] + 1
 
 
-def _scores(run: RunRecord, change: Change | None) -> str:
+def _scores(run: Run, change: Change | None) -> str:
     """The ego's score during the attack, of the kind of error that increased, or else that attacks cause."""
     kind, estimate = _aim(run), PICTURE
     if change is not None and change.agent == run.ego and change.estimate != RECEIVED and change.weight > 0.0:
         kind, estimate = change.kind, change.estimate
     counts = (
-        _counts_during_attack(run, estimate, run) if run.metrics else None
+        _counts_during_attack(run, estimate, run) if run.files.summary else None
     )  # without metrics, the scored frames are not known
     if counts is None:
         return ""
@@ -210,19 +211,17 @@ def _scores(run: RunRecord, change: Change | None) -> str:
         if kind != DISPLACED or not matched.sum():
             return ""
         text = f"an RMSE of {float(np.sqrt((squared * matched).sum() / matched.sum())):.2f} m"
-    own_picture = estimate == PICTURE and "pictures" in run.metrics
+    own_picture = estimate == PICTURE and "pictures" in run.files.summary
     return f"{'the picture of the ego' if own_picture else ESTIMATES[estimate].subject} has {text}"
 
 
-def _aim(run: RunRecord) -> str:
+def _aim(run: Run) -> str:
     """The kind of error that adversaries cause: MISSED if they hid objects and inserted none, else FALSE."""
     done = {effect for each in interposers(run) if not each.is_link for effect, n in (each.effects or {}).items() if n}
     return MISSED if done & {"removed", "dropped"} and "inserted" not in done else FALSE
 
 
-def while_attacked(
-    run: RunRecord, column: str, baseline: RunRecord | None = None, *, estimate: str = "picture"
-) -> float | None:
+def while_attacked(run: Run, column: str, baseline: Run | None = None, *, estimate: str = "picture") -> float | None:
     """Mean per frame of the ego's estimate over the scored frames of the attack.
 
     column: `fn`, `fp` or `tp`; with `baseline`, less the mean of the baseline's estimate over the same frames
@@ -237,7 +236,7 @@ def while_attacked(
     return None if baseline_counts is None else mean - float(baseline_counts[column].mean())
 
 
-def _counts_during_attack(run: RunRecord, estimate: str, attacked: RunRecord) -> Table | None:
+def _counts_during_attack(run: Run, estimate: str, attacked: Run) -> Table | None:
     """Counts of a run in the scored frames of an attack; None: no such frames.
 
     attacked: the run whose first and last change define the attack
@@ -250,7 +249,7 @@ def _counts_during_attack(run: RunRecord, estimate: str, attacked: RunRecord) ->
     return rows(counts, in_attack) if in_attack.any() else None
 
 
-def headline(run: RunRecord, reference: Reference | None = None) -> str:
+def headline(run: Run, reference: Reference | None = None) -> str:
     """A sentence without a full stop on a run's failure or else its largest change.
 
     reference: the run that it is compared with; None: uses its own measurements
@@ -258,24 +257,24 @@ def headline(run: RunRecord, reference: Reference | None = None) -> str:
     return status(run) or result(run, reference)
 
 
-def result(run: RunRecord, reference: Reference | None = None) -> str:
+def result(run: Run, reference: Reference | None = None) -> str:
     """The largest change and its cause, in a sentence without a full stop; after the reference if that failed.
 
     Nodes lost in real time come first, as `status` does not tell them. With drivers, what happened to their cars
     follows. Each is a sentence of its own.
     """
     unsound = reference_status(reference)
-    lost = [] if run.lost else [churn.sentence(run.run.get("churn") or ())]
+    lost = [] if run.lost else [churn.sentence(run.files.record.get("churn") or ())]
     text = run.worded(". ".join(filter(None, [*lost, consequence(run, reference), _result(run, reference)])))
     return f"{capital(unsound)}: {text}" if unsound else text
 
 
-def _result(run: RunRecord, reference: Reference | None) -> str:
-    if not run.summary("picture"):
+def _result(run: Run, reference: Reference | None) -> str:
+    if not run.scores_of("picture"):
         why = "this run did not get as far as its evaluation"
         if run.metrics_damaged:
             why = "metrics.json is damaged"
-        elif run.metrics:  # from a user-defined evaluator
+        elif run.files.summary:  # from a user-defined evaluator
             why = "metrics.json holds none of the common picture"
         return f"No scores: {why}"
     elsewhere = _changed_way(run, reference)
@@ -288,19 +287,19 @@ def _result(run: RunRecord, reference: Reference | None) -> str:
         what += f" than {reference.name}{cause_clause(run, change, reference.run)}"
     else:
         what += f" {due_to_causes(run, [change])}{elsewhere}"
-    if change.estimate == RECEIVED or (change.agent != run.ego and "pictures" in run.metrics):
+    if change.estimate == RECEIVED or (change.agent != run.ego and "pictures" in run.files.summary):
         what = f"{_picture_unchanged(run, reference)}; {what}"
     if start := f"{places} compromised" if places else _idle(run):
         what = f"{start}: {what}"
     return capital(what + _limits(run, reference, change))
 
 
-def _reference_of_errors(run: RunRecord, reference: Reference | None) -> Reference | None:
+def _reference_of_errors(run: Run, reference: Reference | None) -> Reference | None:
     """The run over which errors are attributed; None where driven cars go another way: by its own measurements."""
     return reference if reference is None or same_ways(run, reference.run) else None
 
 
-def _changed_way(run: RunRecord, reference: Reference | None) -> str:
+def _changed_way(run: Run, reference: Reference | None) -> str:
     """Where other differences of errors come from if driven cars go another way than in the reference; else empty."""
     if reference is None or same_ways(run, reference.run):
         return ""
@@ -308,7 +307,7 @@ def _changed_way(run: RunRecord, reference: Reference | None) -> str:
     return f"; what else differs in errors comes from {join_names(others, _MOST_NAMES)}"
 
 
-def _picture_unchanged(run: RunRecord, reference: Reference | None) -> str:
+def _picture_unchanged(run: Run, reference: Reference | None) -> str:
     """States that the picture that the ego uses is unchanged, and what the defence did about the tracks."""
     if reference is not None:
         return f"the common picture scores as in {reference.name}"
@@ -316,18 +315,18 @@ def _picture_unchanged(run: RunRecord, reference: Reference | None) -> str:
     return f"{judged}no error in the common picture is due to attacks"
 
 
-def _changes(run: RunRecord, reference: Reference | None) -> list[Change]:
+def _changes(run: Run, reference: Reference | None) -> list[Change]:
     """The changes for the ego, over a reference or by the run's own measurements."""
     return attributed(run) if reference is None else against(run, reference.run)
 
 
-def _limits(run: RunRecord, reference: Reference | None, change: Change) -> str:
+def _limits(run: Run, reference: Reference | None, change: Change) -> str:
     """The effect of a change of the picture in transit on its use; empty for others."""
     if change.estimate not in IN_TRANSIT or change.agent != run.ego:
         return ""
     all_changes = _changes(run, reference)
     changed = {each.estimate for each in all_changes if each.weight != 0.0}
-    present = [name for name in ("picture_on_arrival", "mission") if run.summary(name)]
+    present = [name for name in ("picture_on_arrival", "mission") if run.scores_of(name)]
     unchanged = [name for name in present if name not in changed | {change.estimate}]
     if unchanged:
         nouns, several = join_names([ESTIMATES[name].noun for name in unchanged]), len(unchanged) > 1
@@ -344,11 +343,11 @@ def _limits(run: RunRecord, reference: Reference | None, change: Change) -> str:
     return f"; in what the ego acts on, {join_names(amounts)}"
 
 
-def _largest(run: RunRecord, reference: Reference | None) -> Change | None:
+def _largest(run: Run, reference: Reference | None) -> Change | None:
     return largest_change(run, reference.run if reference else None)
 
 
-def _idle(run: RunRecord) -> str:
+def _idle(run: Run) -> str:
     """Where adversaries are, if no change by them was measured, and why; empty: there are none."""
     adversaries = [each for each in interposers(run) if not each.is_link]
     if not (places := compromised(run, idle=True)):
@@ -359,7 +358,7 @@ def _idle(run: RunRecord) -> str:
     return f"adversaries on {places} {'were not measured' if unmeasured else passed}"
 
 
-def _unchanged(run: RunRecord, reference: Reference | None, elsewhere: str) -> str:
+def _unchanged(run: Run, reference: Reference | None, elsewhere: str) -> str:
     """The result if no score differs.
 
     elsewhere: where differences come from if driven cars go another way, see `_changed_way`; or empty
@@ -380,22 +379,22 @@ def _unchanged(run: RunRecord, reference: Reference | None, elsewhere: str) -> s
     return capital(f"{_missed_sentence(run)}{elsewhere}")
 
 
-def _box_errors(run: RunRecord) -> list[str]:
+def _box_errors(run: Run) -> list[str]:
     """The errors of matched boxes if adversaries altered any, which no cause of errors accounts for."""
     altered = any((each.effects or {}).get("altered") for each in interposers(run) if not each.is_link)
-    means = {kind: (run.summary(PICTURE).get(error.key) or {}).get("mean") for kind, error in BOX_ERRORS.items()}
+    means = {kind: (run.scores_of(PICTURE).get(error.key) or {}).get("mean") for kind, error in BOX_ERRORS.items()}
     of = [(kind, BOX_ERRORS[kind], mean) for kind, mean in means.items() if mean is not None]
     texts = [f"{mean:.{error.digits}f}{error.unit} in {kind}" for kind, error, mean in of]
     return [f"matched objects of {ESTIMATES[PICTURE].noun} are off by {join_names(texts)}"] * bool(altered and texts)
 
 
-def _same_scores(run: RunRecord, reference: RunRecord, name: str) -> str:
+def _same_scores(run: Run, reference: Run, name: str) -> str:
     """States that all scores equal those of another run, or that only driving differs.
 
     A replay of what agents sent lacks the estimates that they made of the picture.
     """
     if not driving_differs(run, reference):
-        estimates = [set(each.metrics.get("agents", {}).get(run.ego or "", ())) for each in (run, reference)]
+        estimates = [set(each.files.summary.get("agents", {}).get(run.ego or "", ())) for each in (run, reference)]
         which = "every score" if estimates[0] == estimates[1] else "every score that both runs have"
         return f"{which} equals that of {name}"
     if run.ego in drives(run):
@@ -404,19 +403,19 @@ def _same_scores(run: RunRecord, reference: RunRecord, name: str) -> str:
     return f"only driving differs from {name}" + (f" (because of attacks, {braking})" if braking else "")
 
 
-def _missed_sentence(run: RunRecord) -> str:
-    missed = {name: run.summary(name).get("fn", {}).get("mean") for name in MAIN}
+def _missed_sentence(run: Run) -> str:
+    missed = {name: run.scores_of(name).get("fn", {}).get("mean") for name in MAIN}
     if missed[PICTURE] is None:
         return "missed objects were not scored"
     others = [f"{ESTIMATES[name].subject} {missed[name]:.2f}" for name in (LOCAL, MISSION) if missed[name] is not None]
     return ", ".join([f"the common picture misses {objects(missed[PICTURE])} a frame", *others])
 
 
-def reading(run: RunRecord, reference: Reference | None = None) -> list[str]:
+def reading(run: Run, reference: Reference | None = None) -> list[str]:
     """Sentences on one run."""
     sentences = [f"{result(run, reference)}."] if status(run) else []
     reference = _reference_of_errors(run, reference)
-    if run.summary("picture") and not _is_missed(run, reference):
+    if run.scores_of("picture") and not _is_missed(run, reference):
         sentences.append(f"{capital(_missed_sentence(run))}.")
     sentences += _other_changes(run, reference) + _transit(run) + _blame(run)
     sentences += attack_sentences(run, _largest(run, reference))
@@ -424,16 +423,16 @@ def reading(run: RunRecord, reference: Reference | None = None) -> list[str]:
     if more and run.ego not in drives(run):
         sentences.append(f"{capital(more)}.")
     sentences += _verdicts(interposers(run))
-    failed = [row.name for row in check_rows(run.checks) if row.outcome == "failed"]
+    failed = [row.name for row in check_rows(run.files.checks) if row.outcome == "failed"]
     return sentences + ([f"Some checks failed: {join_names(failed)}."] if failed else [])
 
 
-def _is_missed(run: RunRecord, reference: Reference | None) -> bool:
+def _is_missed(run: Run, reference: Reference | None) -> bool:
     """Whether the headline already states the missed objects."""
     return _largest(run, reference) is None and not any(each.changed for each in interposers(run))
 
 
-def _other_changes(run: RunRecord, reference: Reference | None) -> list[str]:
+def _other_changes(run: Run, reference: Reference | None) -> list[str]:
     """The largest notable change of each kind that the headline does not name."""
     all_changes = _changes(run, reference)
     main = largest(all_changes)
@@ -454,14 +453,14 @@ def _other_changes(run: RunRecord, reference: Reference | None) -> list[str]:
     return sentences
 
 
-def _transit(run: RunRecord) -> list[str]:
+def _transit(run: Run) -> list[str]:
     """Differences of the picture between the command centre and the ego."""
-    sent = run.summary("picture")
+    sent = run.scores_of("picture")
     sentences = []
     for estimate, where in (("picture_received", "as the ego receives it"), ("picture_on_arrival", "when it arrives")):
-        if run.original(estimate) != estimate or not run.summary(estimate) or not sent:
+        if run.original(estimate) != estimate or not run.scores_of(estimate) or not sent:
             continue
-        notable = [each for each in between(run, run.summary(estimate), sent) if abs(each.weight) >= NOTHING]
+        notable = [each for each in between(run, run.scores_of(estimate), sent) if abs(each.weight) >= NOTHING]
         if notable:
             differs = join_names([amount(run, each, where=False, more=True) for each in notable])
             sentences.append(f"The picture {where} has {differs} than when the command centre sent it.")
@@ -485,9 +484,9 @@ def _verdicts(all_interposers: Sequence[Interposer]) -> list[str]:
     ]
 
 
-def _blame(run: RunRecord) -> list[str]:
+def _blame(run: Run) -> list[str]:
     """Causes of the picture's missed objects; empty without links and faults, and if nothing is withheld."""
-    split = run.summary("picture").get("fn_split") or {}
+    split = run.scores_of("picture").get("fn_split") or {}
     if split.get("fault") is None or split.get("attack") is None:
         return []
     parts = [f"{split['fault']:.2f} a frame are missed because of links and faults"] if run.faulted else []
@@ -500,7 +499,7 @@ def _blame(run: RunRecord) -> list[str]:
     return [f"Of the objects that the picture misses, {', '.join(parts)}, and {natural}."]
 
 
-def study_headline(runs: Mapping[str, RunRecord], table: ScoreTable) -> str:
+def study_headline(runs: Mapping[str, Run], table: ScoreTable) -> str:
     """A sentence without a full stop on the largest change over the reference."""
     failed = [label for label, run in runs.items() if status(run)]
     if failed:
@@ -521,15 +520,15 @@ def study_headline(runs: Mapping[str, RunRecord], table: ScoreTable) -> str:
     return start + capital(f"{where}: {amount(runs[label], change, more=True)} than {table.reference}")
 
 
-def study_reading(runs: Mapping[str, RunRecord], table: ScoreTable) -> list[str]:
+def study_reading(runs: Mapping[str, Run], table: ScoreTable) -> list[str]:
     """Sentences on several runs."""
     name = table.reference or ""
     reference = runs.get(name)
     if reference is None:
         return []
-    sentences = [f"In run {name}, {_missed_sentence(reference)}."] if reference.summary("picture") else []
+    sentences = [f"In run {name}, {_missed_sentence(reference)}."] if reference.scores_of("picture") else []
     for label, run in runs.items():
-        if run is reference or not run.summary("picture"):
+        if run is reference or not run.scores_of("picture"):
             continue
         places, change = compromised(run), largest_change(run, reference)
         where = f" ({places} compromised)" if places else ""
@@ -546,8 +545,8 @@ def study_reading(runs: Mapping[str, RunRecord], table: ScoreTable) -> list[str]
                 lasts = f" ({during:+.2f} while the attack lasts)".replace("-", "\u2212")
         what = amount(run, change, more=True)
         sentences.append(f"In run {label}{where}, {what}{lasts}{cause_clause(run, change, reference)}.")
-    if len(runs) > 1 and reference.summary("local"):
-        own = {str([run.summary("local").get(key) for key in ("fn", "fp", "tp")]) for run in runs.values()}
+    if len(runs) > 1 and reference.scores_of("local"):
+        own = {str([run.scores_of("local").get(key) for key in ("fn", "fp", "tp")]) for run in runs.values()}
         same = "score the same in every run" if len(own) == 1 else "do not score the same in every run: see the table"
         sentences.append(f"The ego's own tracks {same}.")
     return sentences

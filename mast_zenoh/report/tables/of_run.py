@@ -16,7 +16,7 @@ from mast_zenoh.report.tables.pictures import exceeds
 from mast_zenoh.report.tables.text_table import DASH, Head, Line, PageTable
 from mast_zenoh.runs.events import doubts, suspensions
 from mast_zenoh.runs.interposers import interposers
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 from mast_zenoh.tracking.base import OVERCONFIDENT
 
 ALL = "all"
@@ -29,13 +29,13 @@ _ACHIEVED = (
 )
 
 
-def achieved_table(run: RunRecord, reference: RunRecord | None = None) -> tuple[PageTable, list[tuple[str, str]]]:
+def achieved_table(run: Run, reference: Run | None = None) -> tuple[PageTable, list[tuple[str, str]]]:
     """A line per interposer other than links, and a total if there are several; and reasons for limited effects.
 
     No lines if nothing was measured. Reasons: (adversary, reason).
     reference: the run that this one is compared with, see `explanations`
     """
-    achieved: Mapping[str, Mapping[str, Any]] = run.metrics.get("achieved", {})
+    achieved: Mapping[str, Mapping[str, Any]] = run.files.summary.get("achieved", {})
     why = explanations(run, reference)
     names = [each.name for each in interposers(run) if not each.is_link]
     centre = [name for name in names if reaches(run, name, "picture")]
@@ -119,7 +119,7 @@ def nees_as_rich(runs: Mapping[str, Mapping[str, Any]], agent: str) -> Table | N
 _MOST_ESTIMATES = 12
 
 
-def confidence_tables(run: RunRecord) -> tuple[PageTable, PageTable, PageTable]:
+def confidence_tables(run: Run) -> tuple[PageTable, PageTable, PageTable]:
     """How confident estimates, and the trackers of nodes, are compared with their accuracy.
 
     The third: estimates besides the ego's that have no notable verdict, if there are many.
@@ -127,8 +127,8 @@ def confidence_tables(run: RunRecord) -> tuple[PageTable, PageTable, PageTable]:
     every: list[Line] = []
     lines: list[Line] = []
     others: list[Line] = []
-    own_pictures = "pictures" in run.metrics
-    for agent, estimates in run.metrics.get("consistency", {}).items():
+    own_pictures = "pictures" in run.files.summary
+    for agent, estimates in run.files.summary.get("consistency", {}).items():
         for estimate, summaries in estimates.items():
             position, velocity = summaries["position"], summaries["velocity"]
             verdicts = {name: each["verdict"] or _ABOVE * exceeds(each) for name, each in summaries.items()}
@@ -152,7 +152,7 @@ def confidence_tables(run: RunRecord) -> tuple[PageTable, PageTable, PageTable]:
             ),
             "bad" if each["verdict"] == OVERCONFIDENT else "",
         )
-        for name, each in run.run.get("innovations", {}).items()
+        for name, each in run.files.record.get("innovations", {}).items()
     ]
     if len(every) <= _MOST_ESTIMATES:
         lines, others = every, []
@@ -197,7 +197,7 @@ _DRIVING = (
 )
 
 
-def driving_table(run: RunRecord, reference: RunRecord | None = None, name: str = "") -> PageTable:
+def driving_table(run: Run, reference: Run | None = None, name: str = "") -> PageTable:
     """Lines for the truth, the ego alone and the ego with the picture; in parentheses, the change from a reference.
 
     None if the ego is not a vehicle. Wrong braking has the part due to attacks, and the unattributed increase over the
@@ -210,7 +210,7 @@ def driving_table(run: RunRecord, reference: RunRecord | None = None, name: str 
         if estimate in own and estimate in references:
             lines.append(_driving((label, name), references[estimate], {}, name))
         if estimate in own:
-            labels = (label, run.label) if reference is not None else (label,)
+            labels = (label, run.name) if reference is not None else (label,)
             lines.append(_driving(labels, own[estimate], references.get(estimate, {}), name))
     heads = [Head("by", kind="text"), *([Head("run", kind="text")] if reference is not None else [])]
     return PageTable([*heads, *map(Head, _DRIVING)], lines, dense=False)
@@ -224,14 +224,14 @@ _DRIVEN = (
 )
 
 
-def driven_table(run: RunRecord, reference: RunRecord | None = None, name: str = "") -> PageTable:
+def driven_table(run: Run, reference: Run | None = None, name: str = "") -> PageTable:
     """What happened to driven cars: a line per car, and one for the reference, labelled `name`; no lines without."""
-    others = reference.metrics.get("driven", {}) if reference is not None else {}
+    others = reference.files.summary.get("driven", {}) if reference is not None else {}
     lines = []
-    for car, happened in run.metrics.get("driven", {}).items():
+    for car, happened in run.files.summary.get("driven", {}).items():
         if car in others:
             lines.append(_driven((car, name), others[car]))
-        lines.append(_driven((car, run.label) if reference is not None else (car,), happened))
+        lines.append(_driven((car, run.name) if reference is not None else (car,), happened))
     heads = [Head("car", kind="text"), *([Head("run", kind="text")] if reference is not None else [])]
     return PageTable([*heads, *_DRIVEN], lines)
 
@@ -248,17 +248,17 @@ def _driven(labels: Sequence[str], happened: Mapping[str, Any]) -> Line:
     return Line((*labels, *map(str, (*counts, *brakes)), hardest, far, unsafe, way, standing, behind))
 
 
-def driving_differs(run: RunRecord, reference: RunRecord) -> bool:
+def driving_differs(run: Run, reference: Run) -> bool:
     """Whether the ego's driving metrics differ between two runs, for an estimate that both have."""
     own, references = _summaries(run), _summaries(reference)
     return any(own[estimate] != references[estimate] for estimate in own.keys() & references.keys())
 
 
-def _summaries(run: RunRecord | None) -> dict[str, dict[str, Any]]:
+def _summaries(run: Run | None) -> dict[str, dict[str, Any]]:
     """The ego's driving metrics by estimate."""
     if run is None:
         return {}
-    summaries: dict[str, dict[str, Any]] = run.metrics.get("driving", {}).get(run.ego or "", {})
+    summaries: dict[str, dict[str, Any]] = run.files.summary.get("driving", {}).get(run.ego or "", {})
     return summaries
 
 
@@ -297,13 +297,13 @@ def _driving(labels: Sequence[str], summary: dict[str, Any], reference_summary: 
     return Line((*labels, *counts, ttc, brake, share("needless_brake_share"), share("missed_brake_share")))
 
 
-def braking_by_attack(run: RunRecord) -> str:
+def braking_by_attack(run: Run) -> str:
     """How attacks made the ego with picture brake wrongly, in words; or empty."""
     mission = _summaries(run).get("mission", {})
     return _braking({words: mission.get(f"{key}_attack") for key, words in _WRONG_BRAKING.items()})
 
 
-def unattributed_braking(run: RunRecord, reference: RunRecord, name: str) -> str:
+def unattributed_braking(run: Run, reference: Run, name: str) -> str:
     """Unattributed increase in wrong braking over another run, in words; or empty."""
     own, other = (_summaries(each).get("mission", {}) for each in (run, reference))
     braking = _braking({words: _unattributed(own, other, key) for key, words in _WRONG_BRAKING.items()})
@@ -327,9 +327,9 @@ _SUSPENSIONS = (
 )
 
 
-def suspension_table(run: RunRecord) -> PageTable:
+def suspension_table(run: Run) -> PageTable:
     """All suspensions, with the reason that the command centre gave for each; false alarms are bad."""
-    agents = run.metrics.get("integrity", {}).get("agents", {})
+    agents = run.files.summary.get("integrity", {}).get("agents", {})
     lines, detected = [], set()
     for each in suspensions(run):
         agent = each["agent"]
@@ -345,9 +345,9 @@ def suspension_table(run: RunRecord) -> PageTable:
     return PageTable(_SUSPENSIONS, lines)
 
 
-def _conduct(run: RunRecord, period: Mapping[str, Any]) -> str:
+def _conduct(run: Run, period: Mapping[str, Any]) -> str:
     """What an agent was when a period began, and when it lied, if it was honest then and is a liar at other times."""
-    first_s = run.metrics["integrity"]["agents"][period["agent"]].get("first_lie_s")
+    first_s = run.files.summary["integrity"]["agents"][period["agent"]].get("first_lie_s")
     if period["conduct"] == "lying" or first_s is None:
         return str(period["conduct"])
     return f"{period['conduct']}, " + (f"lies from {first_s:.1f} s on" if first_s > period["from_s"] else "lied before")
@@ -359,7 +359,7 @@ _DOUBTS = (
 )
 
 
-def undecided_table(run: RunRecord) -> PageTable:
+def undecided_table(run: Run) -> PageTable:
     """All periods in which the command centre could not decide whether an agent lies, with its reason for each."""
     lines = [
         Line(
@@ -376,9 +376,9 @@ def undecided_table(run: RunRecord) -> PageTable:
     return PageTable(_DOUBTS, lines)
 
 
-def conduct_table(run: RunRecord) -> PageTable:
+def conduct_table(run: Run) -> PageTable:
     """The seconds of all agents by conduct and state."""
-    seconds = run.metrics.get("integrity", {}).get("seconds", {})
+    seconds = run.files.summary.get("integrity", {}).get("seconds", {})
     states = list(next(iter(seconds.values()), {}))
     lines = [
         Line((conduct, *(f"{of_state[state]:.1f}" for state in states)))
@@ -388,9 +388,9 @@ def conduct_table(run: RunRecord) -> PageTable:
     return PageTable([Head("seconds of all agents", kind="text"), *map(Head, states)], lines)
 
 
-def trust_sentences(run: RunRecord) -> list[str]:
+def trust_sentences(run: Run) -> list[str]:
     """The result in sentences: liars never suspended, false alarms, undecided agents, and withheld objects."""
-    part: dict[str, Any] = run.metrics.get("integrity", {})
+    part: dict[str, Any] = run.files.summary.get("integrity", {})
     if not part:
         return []
     missed = [
@@ -429,7 +429,7 @@ def _relay_sentences(part: Mapping[str, Any]) -> list[str]:
     return [f"{sentence}; deceived by an attack then: {', '.join(deceived) or 'none'}"]
 
 
-def suspension_lines(run: RunRecord) -> list[str]:
+def suspension_lines(run: Run) -> list[str]:
     """Which agents the command centre suspended, when and why: a line each, or one for an agent that flickers."""
     lines: dict[str, list[str]] = {}
     for (agent, from_s, until, conduct, after_s, reason), _ in suspension_table(run).lines:
@@ -444,12 +444,12 @@ def suspension_lines(run: RunRecord) -> list[str]:
         for agent, of_agent in lines.items()
         for line in (of_agent if len(of_agent) <= _MOST_SUSPENSIONS else [_flicker(run, agent, times[agent])])
     ]
-    return [*_first_lines(shown, "suspensions more"), *_relay_sentences(run.metrics.get("integrity", {}))]
+    return [*_first_lines(shown, "suspensions more"), *_relay_sentences(run.files.summary.get("integrity", {}))]
 
 
-def _flicker(run: RunRecord, agent: str, periods: Sequence[Mapping[str, Any]]) -> str:
+def _flicker(run: Run, agent: str, periods: Sequence[Mapping[str, Any]]) -> str:
     """Many suspensions of an agent: how many, over what time, how long in all, and in what conduct."""
-    end_s = float(run.metrics.get("frames", 0) * run.period_s)
+    end_s = float(run.files.summary.get("frames", 0) * run.period_s)
     ends = [end_s if each["until_s"] is None else each["until_s"] for each in periods]
     total = sum(end - each["from_s"] for each, end in zip(periods, ends, strict=True))
     conducts = Counter(each["conduct"] for each in periods)
@@ -459,7 +459,7 @@ def _flicker(run: RunRecord, agent: str, periods: Sequence[Mapping[str, Any]]) -
     return f"the command centre suspended {agent} {len(periods)} times ({while_}) {when}{why}"
 
 
-def undecided_lines(run: RunRecord) -> list[str]:
+def undecided_lines(run: Run) -> list[str]:
     """Which agents the command centre could not decide about, when and why, a line each."""
     lines = []
     for (agent, from_s, until, conduct, reason), _ in undecided_table(run).lines:

@@ -7,7 +7,7 @@ from typing import Any
 
 from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.report.tables.text_table import DASH, Head, Line, PageTable, whole_percent
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 
 _QUANTITIES = {"position": "positions", "velocity": "velocities"}
 _HEADS = [
@@ -20,11 +20,11 @@ _HEADS = [
 ]
 
 
-def picture_table(run: RunRecord) -> PageTable:
+def picture_table(run: Run) -> PageTable:
     """A line for each agent's picture; none where all agents get the same one."""
-    pictures = run.metrics.get("pictures", {})
+    pictures = run.files.summary.get("pictures", {})
     deceived = pictures.get("deceived", {}).get("agents", {})
-    return PageTable(_HEADS, [_line(run.metrics, agent, share) for agent, share in deceived.items()])
+    return PageTable(_HEADS, [_line(run.files.summary, agent, share) for agent, share in deceived.items()])
 
 
 def _line(metrics: Mapping[str, Any], agent: str, deceived: float) -> Line:
@@ -41,9 +41,9 @@ def exceeds(summary: Mapping[str, Any]) -> bool:
     return summary.get("nees") is not None and summary.get("high") is not None and summary["nees"] > summary["high"]
 
 
-def picture_sentences(run: RunRecord) -> list[str]:
+def picture_sentences(run: Run) -> list[str]:
     """How far the agents' pictures differ, and how many agents attacks deceived; [] where all get the same picture."""
-    pictures = run.metrics.get("pictures", {})
+    pictures = run.files.summary.get("pictures", {})
     if not pictures:
         return []
     difference, deceived = pictures["difference_gospa_m"]["mean"], pictures["deceived"]
@@ -72,9 +72,9 @@ def _consistency(pictures: Mapping[str, Any]) -> list[str]:
     return [f"Errors are larger than covariances say (NEES above its 95 % bounds, 2 expected): {', '.join(parts)}"]
 
 
-def channel_sentences(run: RunRecord) -> list[str]:
+def channel_sentences(run: Run) -> list[str]:
     """The load of the radio channel, and what arrived; [] without one."""
-    channel = run.metrics.get("channel", {})
+    channel = run.files.summary.get("channel", {})
     if not channel:
         return []
     arrived = channel["arrived"]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from mast_zenoh.runs.interposers import interposers
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 
 #: The receivers of what a peer sends to all others, drawn as one node.
 _OTHER_PEERS = "all other peers"
@@ -50,7 +50,7 @@ class WireRow:
         return len(self.links) < len(self.interposers)
 
 
-def wire_rows(run: RunRecord) -> list[WireRow]:
+def wire_rows(run: Run) -> list[WireRow]:
     """All wires: the intercepted ones first, then those with links, then by key."""
     when = live_frames(run)
     rows = [
@@ -83,9 +83,9 @@ def _before(wire: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
     return subscribers
 
 
-def all_wires(run: RunRecord) -> list[dict[str, Any]]:
+def all_wires(run: Run) -> list[dict[str, Any]]:
     """The final wires of wiring.json, with interposers that were removed earlier."""
-    wires = {wire["key"]: wire for wire in run.wiring.get("wires", [])}
+    wires = {wire["key"]: wire for wire in run.files.wiring.get("wires", [])}
     for each in interposers(run):
         for key in each.wires if each.live is not None else ():
             wire = wires.get(key)
@@ -108,7 +108,7 @@ def _with_interposer(wire: dict[str, Any], node: str, before: str) -> dict[str, 
     return {**wire, "legs": legs, "interposers": [*wire.get("interposers", ()), node]}
 
 
-def live_frames(run: RunRecord) -> dict[str, str]:
+def live_frames(run: Run) -> dict[str, str]:
     """The frames of live interposers on their wire, in words."""
     live_interposers = {each.name: each for each in interposers(run) if each.live is not None}
     return {
@@ -117,7 +117,7 @@ def live_frames(run: RunRecord) -> dict[str, str]:
     }
 
 
-def column_of(run: RunRecord, node: str) -> int | None:
+def column_of(run: Run, node: str) -> int | None:
     """The column in which a node is drawn; None: it is outside the flow of a frame."""
     return _COLUMNS.get(node, _COLUMNS.get(run.role(node)))
 
@@ -158,7 +158,7 @@ class Layout:
     floor: float
 
 
-def layout(run: RunRecord) -> Layout | None:
+def layout(run: Run) -> Layout | None:
     """Place the nodes of a run in columns along the flow of a frame.
 
     None: there is nothing to draw.
@@ -229,13 +229,13 @@ def _orders(wire: Mapping[str, Any]) -> dict[str, tuple[int, str]]:
     return orders
 
 
-def _gap(run: RunRecord, wire: Mapping[str, Any]) -> int:
+def _gap(run: Run, wire: Mapping[str, Any]) -> int:
     """The column to the left of a wire's interposers."""
     columns = [column_of(run, end) for end in (wire["publisher"], *wire["subscribers"][:1])]
     return min((column for column in columns if column is not None), default=max(_COLUMNS.values()))
 
 
-def _grouped(run: RunRecord, wire: dict[str, Any]) -> dict[str, Any]:
+def _grouped(run: Run, wire: dict[str, Any]) -> dict[str, Any]:
     """A wire with one node in place of all peers that hear it; one that an interposer serves alone stays."""
     if sum(run.role(node) == "peer" for node in wire.get("subscribers", ())) < 2:
         return wire
@@ -247,7 +247,7 @@ def _grouped(run: RunRecord, wire: dict[str, Any]) -> dict[str, Any]:
     return {**wire, "subscribers": grouped(wire["subscribers"]), "legs": legs}
 
 
-def _lines(run: RunRecord, wires: Sequence[Mapping[str, Any]]) -> dict[tuple[Spot, Spot], Line]:
+def _lines(run: Run, wires: Sequence[Mapping[str, Any]]) -> dict[tuple[Spot, Spot], Line]:
     columns_by_node: dict[str, int] = {}
     for wire in wires:
         for node in wire.get("interposers", ()):

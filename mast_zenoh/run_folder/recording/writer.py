@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, NamedTuple
 
 from mast_zenoh.errors import DiskFull, RunFolderError, is_disk_full
-from mast_zenoh.messages.plain_shapes import EXPECTED_NAME, is_name
 from mast_zenoh.messages.schemas import SCHEMAS, Header
 from mast_zenoh.run_folder.recording.format import (
     ENCODING,
@@ -26,6 +25,7 @@ from mast_zenoh.run_folder.recording.format import (
     wire_and_key,
 )
 from mast_zenoh.wiring.model import Input
+from mast_zenoh.wiring.plain_shapes import EXPECTED_NAME, is_name
 
 if TYPE_CHECKING:
     from mcap.writer import Writer

@@ -1,6 +1,6 @@
 """A passive observer of a running run: it receives copies of the messages, and measures the newest whole frames.
 
-observed     what an observer must know of a run: scenario, wiring, scene
+address      how a running run is reached: its router, scenario, wiring and scene
 reception    the newest messages of each key, in bounded rings; rates, lag and loss on the wires
 measurement  a running run, whose frames are measured as the evaluator measures them
 observer     all of these for one run

@@ -19,7 +19,7 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messages import codec
 from mast_zenoh.runs.frame import Frame
-from mast_zenoh.runs.live.observed import ObservedRun
+from mast_zenoh.runs.live.address import LiveAddress
 from mast_zenoh.runs.live.observer import SETTLING, Observer
 from mast_zenoh.runs.live.reception import Arrival, Sample
 
@@ -164,7 +164,7 @@ class EveryFrame:
     session: a client of the run's router, with the viewer's credentials if the mesh is secure
     """
 
-    def __init__(self, run: ObservedRun, session: zenoh.Session) -> None:
+    def __init__(self, run: LiveAddress, session: zenoh.Session) -> None:
         self.observer = Observer(run, session, room_for(run.resolved))
         self.tally = Tally()
         patience = patience_for(run.resolved)
@@ -222,7 +222,7 @@ class EveryFrame:
         if self.observer.wiring is not self._wiring:
             self._wiring, self._types = self.observer.wiring, self.observer.types
             self._assembler.follow(self._keys(), self.observer.clock_key)
-        clock, timespan = self.observer.clock_key, self.observer.run.resolved.timespan
+        clock, timespan = self.observer.clock_key, self.observer.address.resolved.timespan
         # The clock first: it tells which frames there can be.
         for key, step, content in sorted(arrived, key=lambda each: each.key != clock):
             payload = content.to_bytes()
@@ -247,14 +247,14 @@ class EveryFrame:
     def _measured(self, number: int, messages: list[tuple[str, Sample]]) -> Frame | None:
         observer = self.observer
         try:
-            return observer.meter.measure(observer.record, number, messages, observer.wiring, observer.roles)
+            return observer.meter.measure(observer.run, number, messages, observer.wiring, observer.roles)
         except Exception as error:  # of an open mesh anything may come
             observer.note(f"frame {number} cannot be measured: {error!r:.200}")
             self.tally.unmeasured += 1
             return self._unmeasured(number, messages)
 
     def _unmeasured(self, number: int, messages: list[tuple[str, Sample]]) -> Frame | None:
-        return self.observer.meter.unmeasured(self.observer.record, number, messages, self.observer.wiring)
+        return self.observer.meter.unmeasured(self.observer.run, number, messages, self.observer.wiring)
 
 
 def patience_for(resolved: Resolved) -> int:

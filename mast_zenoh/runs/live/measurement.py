@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cache, cached_property
-from pathlib import Path
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from functools import cache
 from typing import Any
 
 from mast_zenoh.config import bundle, loading, registry
@@ -15,14 +14,15 @@ from mast_zenoh.errors import ConfigurationError, MessageError
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.limits import RowLimits
 from mast_zenoh.messages.schemas import Body
-from mast_zenoh.metrics.estimates import LOCAL, MISSION, PICTURE, PICTURE_RECEIVED, RECEIVED
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.run_folder.tables import as_read, to_arrow
-from mast_zenoh.runtime.host import Host
-from mast_zenoh.runs.frame import Evaluated, Frame, FramedRun
-from mast_zenoh.runs.live.observed import ObservedRun
+from mast_zenoh.runs.files import RunFiles
+from mast_zenoh.runs.frame import Frame
+from mast_zenoh.runs.live.address import LiveAddress
 from mast_zenoh.runs.live.reception import Sample
 from mast_zenoh.runs.routes import CLOCK, routes
+from mast_zenoh.runs.run import Run
+from mast_zenoh.runtime.host import Host
 from mast_zenoh.wiring.model import ANY, Endpoint, Wiring
 
 #: Parameters of the evaluator that decide how a frame is measured; the others only concern summaries of runs.
@@ -33,80 +33,37 @@ _SILENT = logging.getLogger("mast.viewer.silent")
 _SILENT.disabled = True
 
 
-@dataclass(frozen=True, eq=False)
-class LiveRun(FramedRun):
-    """A running run as of one frame, which alone its tables have: of trust, the latest rows.
+def seen(run: LiveAddress, wiring: Wiring, agents: Iterable[str]) -> Run:
+    """A run that is going on, before its first frame. wiring: the current one;  agents: their names
 
-    all_objects: the evaluator's table of objects, as Arrow has it
-    frames:      as they are measured
-
-    Topics are those of the wiring at the beginning. A node that is inserted later is seen by its changes.
+    Its topics are those of the wiring at the beginning. A node that is inserted later is seen by its changes.
     """
+    files = RunFiles(
+        None,
+        record={"id": run.id, "name": run.resolved.name},
+        scenario=run.resolved.to_json(),
+        wiring=wiring.to_json(),
+        wirings=[(-1, wiring)],
+        summary={"agents": dict.fromkeys(agents)},
+        scene=run.scene,
+    )
+    return Run.of(files)
 
-    all_objects: Any = None
-    first_wiring: Wiring | None = None
-    frames: Iterable[Frame] = ()
 
-    def __iter__(self) -> Iterator[Frame]:
-        return iter(self.frames)
+def as_of(run: Run, tables: Mapping[str, Any]) -> Run:
+    """A run that is going on as of one frame, which alone its tables have: of trust, the latest rows.
 
-    @classmethod
-    def of(cls, run: ObservedRun, wiring: Wiring, agents: Iterable[str]) -> LiveRun:
-        """A run before its first frame. wiring: the current one;  agents: their names"""
-        return cls(
-            path=Path(),
-            run={"id": run.id, "name": run.resolved.name},
-            scenario=run.resolved.to_json(),
-            wiring=wiring.to_json(),
-            metrics={"agents": dict.fromkeys(agents)},
-            counts=None,
-            objects=None,
-            effects=None,
-            recording=run.scene,
-            first_wiring=wiring,
-        )
-
-    @cached_property
-    def wirings(self) -> Sequence[tuple[int, Wiring]]:
-        """The wiring at the beginning."""
-        assert self.first_wiring is not None
-        return [(-1, self.first_wiring)]
-
-    @cached_property
-    def evaluated(self) -> Evaluated:
-        """The evaluator's tables of this frame; all objects are unevaluated if it was not measured."""
-        return Evaluated(None, None, None, {}) if self.all_objects is None else super().evaluated
-
-    @cached_property
-    def agents(self) -> tuple[str, ...]:
-        """The agents that are evaluated, the main one first."""
-        return tuple(sorted(self.metrics["agents"], key=lambda name: name != "ego"))
-
-    @property
-    def scored(self) -> list[Series]:
-        """Agents and estimates that can have scores."""
-        known = {series.estimator for series in self.topics}
-        estimators = [name for name in (LOCAL, RECEIVED, PICTURE, PICTURE_RECEIVED, MISSION) if name in known]
-        series = [Series(agent, name) for agent in self.agents for name in estimators]
-        return [each for each in series if each.estimator == PICTURE or each in self.topics]
-
-    def read_objects(self) -> Any:
-        """The objects of this frame, of every agent, as an Arrow table."""
-        return self.all_objects
-
-    def at(self, tables: Mapping[str, Any]) -> LiveRun:
-        """The run as of a frame with these tables of the evaluator."""
-        names = [name for name in tables if name not in ("objects", "same_as")]
-        read = {name: as_read(tables[name]) for name in names}
-        return replace(
-            self,
-            metrics={"agents": self.metrics["agents"], "same_as": tables["same_as"]},
-            counts=read["metrics"],
-            all_objects=to_arrow(tables["objects"]),
-            effects=read["attacks"],
-            trust=read.get("trust", self.trust),
-            trust_objects=read.get("trust_objects"),
-        )
+    tables: of the evaluator
+    """
+    read = {name: as_read(tables[name]) for name in tables if name not in ("objects", "same_as")}
+    return run.with_(
+        summary={"agents": run.files.summary["agents"], "same_as": tables["same_as"]},
+        counts=read["metrics"],
+        all_objects=to_arrow(tables["objects"]),
+        effects=read["attacks"],
+        trust=read.get("trust", run.files.trust),
+        trust_objects=read.get("trust_objects"),
+    )
 
 
 @cache
@@ -153,7 +110,7 @@ class FrameMeter:
 
     def measure(
         self,
-        run: LiveRun,
+        run: Run,
         number: int,
         messages: Iterable[tuple[str, Sample]],
         wiring: Wiring,
@@ -173,16 +130,14 @@ class FrameMeter:
                 host.joined(name, role)
         for key, sample in sound:
             host.deliver(key, sample.payload, sample.step, counted=False)
-        return replace(frame, run=run.at(node.evaluation.frame_tables(node.data)))
+        return replace(frame, run=as_of(run, node.evaluation.frame_tables(node.data)))
 
-    def unmeasured(
-        self, run: LiveRun, number: int, messages: Iterable[tuple[str, Sample]], wiring: Wiring
-    ) -> Frame | None:
+    def unmeasured(self, run: Run, number: int, messages: Iterable[tuple[str, Sample]], wiring: Wiring) -> Frame | None:
         """A frame as `measure` makes it, in a small part of the time: no object is evaluated."""
         return self._decoded(run, number, messages, wiring)[0]
 
     def _decoded(
-        self, run: LiveRun, number: int, messages: Iterable[tuple[str, Sample]], wiring: Wiring
+        self, run: Run, number: int, messages: Iterable[tuple[str, Sample]], wiring: Wiring
     ) -> tuple[Frame | None, list[tuple[str, Sample]]]:
         """A frame with what its messages hold, None without a clock; and those messages that receivers accept."""
         types = {leg.key: wire.message for wire, leg in wiring.legs()}

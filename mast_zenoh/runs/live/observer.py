@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import zenoh
@@ -13,8 +12,8 @@ import zenoh
 from mast_zenoh.config.resolved import driver_of
 from mast_zenoh.control import prefix
 from mast_zenoh.runs.frame import Frame
-from mast_zenoh.runs.live.measurement import FrameMeter, LiveRun
-from mast_zenoh.runs.live.observed import ObservedRun
+from mast_zenoh.runs.live.address import LiveAddress
+from mast_zenoh.runs.live.measurement import FrameMeter, seen
 from mast_zenoh.runs.live.reception import KEPT, Arrival, Reception, WireMeter, WireState
 from mast_zenoh.wiring.model import Wiring
 
@@ -66,19 +65,19 @@ class Observer:
     room:    None: frames are measured at a pace that the run does not feel; else everything is received, and so many
              messages of a key can wait
 
-    run:    the observed run;  insertions: nodes inserted since the observer joined
-    wiring: the current one;  meter: measures its frames;  record: the run as of the newest measured frame
+    run:    as of the newest measured frame: it grows;  insertions: nodes inserted since the observer joined
+    wiring: the current one;  meter: measures its frames;  address: how the run is reached
     types:  message types of the keys that frames need;  clock_key: the one of the clock
     """
 
-    def __init__(self, run: ObservedRun, session: zenoh.Session, room: int | None = None) -> None:
-        self.run = run
+    def __init__(self, address: LiveAddress, session: zenoh.Session, room: int | None = None) -> None:
+        self.address = address
         self.session = session
-        self.meter = FrameMeter(run.resolved)
-        self.roles = run.roles
+        self.meter = FrameMeter(address.resolved)
+        self.roles = address.roles
         self.insertions: list[Insertion] = []
-        self._base = prefix(run.id)
-        timespan = run.resolved.timespan
+        self._base = prefix(address.id)
+        timespan = address.resolved.timespan
         frames = None if timespan is None else max(1, timespan.frames)
         self._reception = Reception(session, self._base, frames, room or KEPT)
         self._wires = WireMeter(self._reception)
@@ -86,7 +85,7 @@ class Observer:
         self.clock_key = ""
         # In lock-step the next frame waits until all copies of a message have been sent. So if frames are fast, this
         # observer receives copies only for the moment that a measured frame needs.
-        self._in_bursts = run.resolved.mode == "lockstep" and room is None
+        self._in_bursts = address.resolved.mode == "lockstep" and room is None
         self._listening = self._receiving = True
         self._last = -1  # the newest frame that has been measured
         #: The newest frame of which parts may be missing, because of a new subscription; None: not known yet.
@@ -94,7 +93,7 @@ class Observer:
         self._settling_until: float | None = None  # since the first clock after a subscription
         self._silent: set[str] = set()  # keys for which the last wait was in vain
         self._due = self._effort_s = 0.0
-        self._share = _PROCESSOR_SHARE[run.resolved.mode]
+        self._share = _PROCESSOR_SHARE[address.resolved.mode]
         self._measured_at, self._newest_then = 0.0, -1
         self._frames_per_s = 0.0
         self._time_s = 0.0
@@ -110,15 +109,15 @@ class Observer:
                 f"{self._base}/alive/*", direct(self._on_alive, indirect=False), history=True
             )
         ]
-        if run.credentials is None:  # wires of a secure run cannot change
+        if address.credentials is None:  # wires of a secure run cannot change
             self._declared.append(
                 session.declare_subscriber(f"{self._base}/@control/epoch", direct(self._on_epoch, indirect=False))
             )
         # After the subscription: a change between the two would be missed.
-        self.wiring = Wiring.from_json(run.resolved.wiring)
-        if (current := run.current_wiring(session)) is not None:
+        self.wiring = Wiring.from_json(address.resolved.wiring)
+        if (current := address.current_wiring(session)) is not None:
             self.wiring, self.roles = current
-        self.record = LiveRun.of(run, self.wiring, self.meter.agents)
+        self.run = seen(address, self.wiring, self.meter.agents)
         self._follow()
 
     @property
@@ -126,7 +125,7 @@ class Observer:
         """Nodes that were there, and are not any more; none when the run is ending."""
         inserted = {each.node for each in self.insertions}  # whose wires heal, which is shown
         down = {node for node, there in self._presence.copy().items() if not there} - inserted
-        return [] if driver_of(self.run.resolved.nodes) in down else sorted(down)
+        return [] if driver_of(self.address.resolved.nodes) in down else sorted(down)
 
     @property
     def frame(self) -> int:
@@ -210,8 +209,8 @@ class Observer:
             self._unanswered = 0
         elif now - self._asked >= _ASK_S:
             self._asked = now
-            self._unanswered = self._unanswered + 1 if self.run.is_over(self.session) else 0
-        return self._unanswered >= (1 if self.run.folder is not None else _QUESTIONS)
+            self._unanswered = self._unanswered + 1 if self.address.is_over(self.session) else 0
+        return self._unanswered >= (1 if self.address.folder is not None else _QUESTIONS)
 
     def close(self) -> None:
         """Unsubscribe from everything."""
@@ -222,7 +221,7 @@ class Observer:
     @property
     def _ends_soon(self) -> bool:
         """Whether the run has played all but its last frames, as far as its scenario says."""
-        remaining = self.run.resolved.frames - 1 - self._newest
+        remaining = self.address.resolved.frames - 1 - self._newest
         return remaining <= max(_FEWEST_SKIPPED, _LAST_S * self._frames_per_s)
 
     def _is_heard(self, number: int) -> bool:
@@ -241,7 +240,7 @@ class Observer:
         begun = time.process_time()
         try:
             messages = self._reception.sent_since(number)
-            measured = self.meter.measure(self.record, number, messages, self.wiring, self.roles)
+            measured = self.meter.measure(self.run, number, messages, self.wiring, self.roles)
         except Exception as error:  # of an open mesh anything may come: one frame is lost, and the page says so
             self.note(f"frame {number} cannot be measured: {error!r:.200}")
             measured, self._last = None, number
@@ -253,8 +252,7 @@ class Observer:
         self._due = now + max(1.0 / _MOST_FRAMES_PER_S, 2.0 * self._effort_s / self._share)
         if measured is not None:
             self._last, self._time_s = number, measured.time_ns * 1e-9
-            assert isinstance(measured.run, LiveRun)
-            self.record = measured.run
+            self.run = measured.run
         return measured
 
     def _follow(self) -> None:
@@ -303,7 +301,7 @@ class Observer:
             self._ask_wiring_until = now + _ASK_WIRING_FOR_S
         if self._ask_wiring_at <= now < self._ask_wiring_until:
             self._ask_wiring_at = now + _ASK_WIRING_EVERY_S
-            current = self.run.current_wiring(self.session)
+            current = self.address.current_wiring(self.session)
             if current is not None and current[0] != self.wiring and self.meter.clock_key(current[0]):
                 self.roles |= current[1]
                 self._rewire(current[0])
@@ -319,5 +317,5 @@ class Observer:
                 self.insertions[index] = each._replace(until_s=self._time_s)
         del self.insertions[:-_MOST_INSERTIONS]
         self.wiring = wiring
-        self.record = replace(self.record, wiring=wiring.to_json())
+        self.run = self.run.with_(wiring=wiring.to_json())
         self._follow()

@@ -162,9 +162,9 @@ class Collection(kinds.Collection):
         displaced: columns of a row for each displaced track and frame: time_s, track, viewers (honest agents that see
                   the real object), offset_m (in the plane)
         """
-        from mast_zenoh.api.observability import observability  # PyArrow is slow to load
         from mast_zenoh.api.runs import Run
         from mast_zenoh.run_folder.tables import from_arrow
+        from mast_zenoh.runs.observability import observability  # PyArrow is slow to load
 
         run = Run(folder)
         lies = from_arrow(observability(run).lies)

@@ -179,7 +179,7 @@ class Collection(kinds.Collection):
         "trust_over_time",
     )
     #: Messages have the sizes of false objects, which decide how many agents would see them. Without a recording, every
-    #: false object counts as a car (`api.observability`): under `coordinated`, this changes `outnumbered`.
+    #: false object counts as a car (`runs.observability`): under `coordinated`, this changes `outnumbered`.
     recorded = True
     without_lies = NO_LIES
 

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mast_zenoh.api.observability import observability
 from mast_zenoh.api.runs import Run
 from mast_zenoh.arrays.states import Bools
 from mast_zenoh.config.resolved import RECORDING
@@ -19,7 +18,7 @@ from mast_zenoh.metrics.boxes import Places, nearest
 from mast_zenoh.metrics.study_results import AgentTrustSeries, Spans
 from mast_zenoh.run_folder.tables import from_arrow
 from mast_zenoh.runs.events import trust_in_agents
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.observability import observability
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.study.defences.choices import honest_majority
 from mast_zenoh.study.numbers import ego, scored_frames
@@ -87,7 +86,7 @@ def _first_attack_s(run: Run, recording: Recording) -> float | None:
 def outnumbered(lies: _Columns) -> float | None:
     """Share of observable rows with more lying viewers than honest ones; None without an observable row.
 
-    lies: n rows, as in `api.observability`
+    lies: n rows, as in `runs.observability`
 
     Rows that no honest agent could notice count neither way: they contradict nobody. At a tie, nobody is outnumbered.
     """
@@ -99,7 +98,7 @@ def outnumbered(lies: _Columns) -> float | None:
 def detected_lies(lies: _Columns, withheld: Bools, suspended: Bools) -> dict[str, int]:
     """Numbers of lies: all, observable, and those of them that were detected.
 
-    lies: n rows, as in `api.observability`;  withheld: (n,) whether the command centre withholds the object of a row
+    lies: n rows, as in `runs.observability`;  withheld: (n,) whether the command centre withholds the object of a row
     suspended: (n,) whether it suspends its agent in that frame
 
     A lie is what one agent claims about one object, from its first row to its last; rows without an id are one lie for
@@ -159,7 +158,7 @@ def _positions(columns: _Columns, rows: Bools) -> NDArray[np.float64]:
 
 def trace(folder: Path) -> dict[str, Any] | None:
     """The trust in each agent of a run, as JSON values; None: nobody is judged."""
-    agents, end_s = trust_in_agents(RunRecord.load(folder), _DRAWN_STATES, "log_odds")
+    agents, end_s = trust_in_agents(Run(folder), _DRAWN_STATES, "log_odds")
     if not agents:
         return None
     return {"end_s": round(end_s, 6), "agents": {agent.agent: _agent_trace(agent) for agent in agents}}

@@ -60,7 +60,7 @@ class AttackedRun:
         self._folder = folder
         self._detoured = detoured
         self._context: RunContext | None = None
-        self._ended: run.Run | None = None
+        self._ended: run.EndedRun | None = None
         self._thread = threading.Thread(target=self._play, name="attacked-run")
         self._resources = ExitStack()
         self._foreign: Authority | None = None
@@ -215,12 +215,12 @@ class AttackedRun:
             pause.wait(_POLL_S)
         return True
 
-    def wait_until_ended(self, seconds: float) -> run.Run | None:
+    def wait_until_ended(self, seconds: float) -> run.EndedRun | None:
         """Wait for the run to end by itself; its outcome, or None after `seconds`."""
         self._thread.join(seconds)
         return self._ended
 
-    def stop(self) -> run.Run | None:
+    def stop(self) -> run.EndedRun | None:
         """Stop the run if it is still playing; its outcome."""
         if self._thread.is_alive() and self._context is not None:
             self._context.interrupt()

@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 from mast_zenoh.errors import ExportError
 from mast_zenoh.run_folder import check_free, write_new
-from mast_zenoh.runs.recorded import RecordedRun
+from mast_zenoh.runs.recorded import open_recorded
+from mast_zenoh.runs.run import Run
 from mast_zenoh.viewer.formats import FORMATS, Format, check
 
 
@@ -35,9 +36,9 @@ def export(run: Path, to: str, out: Path) -> Exported:
     check(to)
     check_free(out)
     write = _writer(FORMATS[to])
-    frames = RecordedRun.load(run)
-    written = write_new(out, lambda path: write(frames, path))
-    return Exported(written, tuple(frames.missing))
+    recorded = open_recorded(run)
+    written = write_new(out, lambda path: write(recorded, path))
+    return Exported(written, tuple(recorded.files.missing))
 
 
 def not_installed(error: ModuleNotFoundError, extra: str) -> Exception:
@@ -48,11 +49,11 @@ def not_installed(error: ModuleNotFoundError, extra: str) -> Exception:
     return ExportError(f"{package} is not installed: pip install 'mast-zenoh[{extra}]'")
 
 
-def _writer(form: Format) -> Callable[[RecordedRun, Path], None]:
+def _writer(form: Format) -> Callable[[Run, Path], None]:
     """The function that writes a format; raises ExportError if its packages are not installed."""
     module, _, name = form.writer.partition(".")
     try:
-        writer: Callable[[RecordedRun, Path], None] = getattr(
+        writer: Callable[[Run, Path], None] = getattr(
             importlib.import_module(f"mast_zenoh.viewer.export.{module}"), name
         )
     except ModuleNotFoundError as error:

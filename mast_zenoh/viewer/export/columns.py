@@ -10,14 +10,15 @@ from numpy.typing import NDArray
 from mast_zenoh.arrays.geometry import quaternion_from_rotation
 from mast_zenoh.arrays.states import CLASSES, Floats, ObjectStates
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.messages.plain_shapes import EXPECTED_NAME, is_name
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.metrics.scores import OUTCOMES
-from mast_zenoh.runs.frame import Frame, FramedRun, Pose
+from mast_zenoh.runs.frame import Frame, Pose
 from mast_zenoh.runs.routes import TRUTH
+from mast_zenoh.runs.run import Run
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import Camera
 from mast_zenoh.viewer.palette import OUTCOME_COLOURS, rgb
+from mast_zenoh.wiring.plain_shapes import EXPECTED_NAME, is_name
 
 #: Colours (4, 3), 0 to 255, of the outcomes of objects of the truth, and of tracks.
 _TRUTH_COLOURS = np.array(
@@ -80,7 +81,7 @@ AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 WORLD, SCENE = "world", "scene"
 
 
-def scene_frame(run: FramedRun) -> str:
+def scene_frame(run: Run) -> str:
     """The frame that has its origin at `run.origin`: the world's, unless the scene is far from its origin."""
     return SCENE if run.origin.any() else WORLD
 
@@ -92,7 +93,7 @@ def transforms_of(agent: str, pose: Pose, camera: Camera) -> Iterator[tuple[str,
         yield parent, child, place[0], np.roll(quaternion_from_rotation(place[1]), -1)
 
 
-def cameras(run: FramedRun) -> dict[str, Camera]:
+def cameras(run: Run) -> dict[str, Camera]:
     """The camera of each agent; the default one if the scene is not known."""
-    known = {agent.name: agent.camera for agent in run.recording.agents} if run.recording is not None else {}
+    known = {agent.name: agent.camera for agent in run.files.scene.agents} if run.files.scene is not None else {}
     return {agent: known.get(agent, Camera()) for agent in run.agents}

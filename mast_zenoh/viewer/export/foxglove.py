@@ -38,8 +38,11 @@ from PIL import Image
 from mast_zenoh.arrays.geometry import scalar_last_quaternions
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.metrics.record import Series
-from mast_zenoh.runs.frame import Frame, FramedRun, Score
+from mast_zenoh.runs.evaluated import Score
+from mast_zenoh.runs.frame import Frame
+from mast_zenoh.runs.recorded import frames_of
 from mast_zenoh.runs.routes import TRUTH
+from mast_zenoh.runs.run import Run
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import Camera
 from mast_zenoh.viewer.export.columns import (
@@ -73,7 +76,7 @@ def replacement(time_ns: int, entities: list[SceneEntity]) -> SceneUpdate:
     return SceneUpdate(deletions=[everything], entities=entities)
 
 
-def building_entity(run: FramedRun, scene: Recording, time_ns: int) -> SceneEntity:
+def building_entity(run: Run, scene: Recording, time_ns: int) -> SceneEntity:
     """The edges of the buildings of a scene."""
     corners = wall_lines(scene).reshape(-1, 3) - run.origin
     lines = LinePrimitive(
@@ -85,7 +88,7 @@ def building_entity(run: FramedRun, scene: Recording, time_ns: int) -> SceneEnti
     return SceneEntity(timestamp=timestamp_of(time_ns), frame_id=scene_frame(run), id="0", lines=[lines])
 
 
-def change_entities(run: FramedRun, frame: Frame) -> list[SceneEntity]:
+def change_entities(run: Run, frame: Frame) -> list[SceneEntity]:
     """A mark for everything that an adversary inserted, removed or moved; none for the effects of links."""
     made, entities = frame.changes, []
     colour = _colour(rgb(ADVERSARY), 0.6)
@@ -111,7 +114,7 @@ def change_entities(run: FramedRun, frame: Frame) -> list[SceneEntity]:
 
 
 def box_entities(
-    run: FramedRun, frame: Frame, states: ObjectStates, colour: Ints, outcomes: Sequence[str]
+    run: Run, frame: Frame, states: ObjectStates, colour: Ints, outcomes: Sequence[str]
 ) -> list[SceneEntity]:
     """An entity for each object, named by its id: its box, a line ahead, and its other values as text."""
     positions = states.position - run.origin
@@ -191,7 +194,7 @@ _SCORE = foxglove.Schema(
 )
 
 
-def write(run: FramedRun, path: Path) -> None:
+def write(run: Run, path: Path) -> None:
     """Write the file, and next to it a layout, STEM.layout.json.
 
     Times are those of the scene, from 0.
@@ -199,14 +202,14 @@ def write(run: FramedRun, path: Path) -> None:
     context = foxglove.Context()
     with foxglove.open_mcap(path, context=context):
         channels_of_run = RunChannels(run, context)
-        for number, frame in enumerate(run):
+        for number, frame in enumerate(frames_of(run)):
             if number == 0:
                 channels_of_run.write_buildings(frame.time_ns)
             channels_of_run.write(frame)
     write_layout(run, path.with_name(f"{path.stem}.layout.json"))
 
 
-def write_layout(run: FramedRun, path: Path) -> None:
+def write_layout(run: Run, path: Path) -> None:
     """Write the layout of a run."""
     path.write_text(json.dumps(layout(run), indent=1) + "\n", encoding="utf-8")
 
@@ -217,7 +220,7 @@ class RunChannels:
     context: holds the channels
     """
 
-    def __init__(self, run: FramedRun, context: foxglove.Context) -> None:
+    def __init__(self, run: Run, context: foxglove.Context) -> None:
         self.run = run
         self.objects, self.missed = object_topics(run), missed_topics(run)
         scene = [*self.objects.values(), *self.missed.values(), BUILDINGS, CHANGES]
@@ -228,8 +231,8 @@ class RunChannels:
         self.calibrations = {
             agent: channels.CameraCalibrationChannel(camera_topic(agent), context=context) for agent in run.agents
         }
-        self.image = channels.CompressedImageChannel(image_topic(run.main_agent), context=context)
-        self.blank = blank_image(self.cameras[run.main_agent])
+        self.image = channels.CompressedImageChannel(image_topic(run.agents[0]), context=context)
+        self.blank = blank_image(self.cameras[run.agents[0]])
         self.scores = {
             series: foxglove.Channel(score_topic(series), message_encoding="json", schema=_SCORE, context=context)
             for series in run.scored
@@ -248,8 +251,8 @@ class RunChannels:
 
     def write_buildings(self, time_ns: int) -> None:
         """Write what does not change with the frame."""
-        if self.run.recording is not None:
-            self._replace(BUILDINGS, time_ns, [building_entity(self.run, self.run.recording, time_ns)])
+        if self.run.files.scene is not None:
+            self._replace(BUILDINGS, time_ns, [building_entity(self.run, self.run.files.scene, time_ns)])
 
     def _objects(self, frame: Frame, series: Series) -> None:
         """The objects of a series, and those that it misses; nothing where no message was recorded."""
@@ -303,7 +306,7 @@ class RunChannels:
                 P=[*k[:3], 0.0, *k[3:6], 0.0, *k[6:], 0.0],
             )
             self.calibrations[agent].log(calibration, log_time=frame.time_ns)
-            if agent == self.run.main_agent:
+            if agent == self.run.agents[0]:
                 image = CompressedImage(timestamp=time, frame_id=f"{agent}/camera", data=self.blank, format="png")
                 self.image.log(image, log_time=frame.time_ns)
         self.transforms.log(FrameTransforms(transforms=transforms), log_time=frame.time_ns)

@@ -9,20 +9,20 @@ import numpy as np
 
 from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.metrics.record import Series
-from mast_zenoh.runs.frame import FramedRun
 from mast_zenoh.runs.routes import TRUTH
+from mast_zenoh.runs.run import Run
 from mast_zenoh.viewer.export.columns import scene_frame
 from mast_zenoh.viewer.palette import GROUND
 
 TRANSFORMS, BUILDINGS, CHANGES, LOG = "/tf", "/scene/buildings", "/changes", "/log"
 
 
-def object_topics(run: FramedRun) -> dict[Series, str]:
+def object_topics(run: Run) -> dict[Series, str]:
     """The topic of the objects of each series."""
     return {series: f"/{topic}" for series, topic in run.topics.items()}
 
 
-def missed_topics(run: FramedRun) -> dict[Series, str]:
+def missed_topics(run: Run) -> dict[Series, str]:
     """The topic of the objects that each estimate misses."""
     return {series: f"{topic}/missed" for series, topic in object_topics(run).items() if series != TRUTH}
 
@@ -51,12 +51,12 @@ _FROM_ABOVE, _CAMERA, _FALSE, _MISSED_PLOT, _LOG = (
 )
 
 
-def layout(run: FramedRun) -> dict[str, Any]:
+def layout(run: Run) -> dict[str, Any]:
     """A layout with the truth, the picture and what it misses from above and in the main agent's camera; and series."""
     shown = {topic: series.estimator in (PICTURE, TRUTH.estimator) for series, topic in object_topics(run).items()}
     shown |= {topic: series.estimator == PICTURE for series, topic in missed_topics(run).items()}
     shown |= {BUILDINGS: True, CHANGES: True}
-    main = run.main_agent
+    main = run.agents[0]
     scene = scene_of(shown)
     panels: dict[str, Any] = {
         _FROM_ABOVE: scene | from_above(run, scene_frame(run)),
@@ -94,7 +94,7 @@ def scene_of(shown: Mapping[str, bool]) -> dict[str, Any]:
     }
 
 
-def from_above(run: FramedRun, frame_id: str) -> dict[str, Any]:
+def from_above(run: Run, frame_id: str) -> dict[str, Any]:
     """The part of a panel that shows all agents from above."""
     centre, distance = view_of(run)
     return {
@@ -120,9 +120,9 @@ def split(direction: str, first: Any, second: Any, percentage: int) -> dict[str,
     return {"direction": direction, "first": first, "second": second, "splitPercentage": percentage}
 
 
-def _plot(run: FramedRun, title: str, field: str) -> dict[str, Any]:
+def _plot(run: Run, title: str, field: str) -> dict[str, Any]:
     """A plot of a score of the main agent's estimates over time."""
-    series: list[Series] = [each for each in run.scored if each.agent == run.main_agent]
+    series: list[Series] = [each for each in run.scored if each.agent == run.agents[0]]
     paths = [
         {"value": f"{score_topic(each)}.{field}", "label": each.estimator, "enabled": True}
         | {"timestampMethod": "receiveTime"}
@@ -131,10 +131,10 @@ def _plot(run: FramedRun, title: str, field: str) -> dict[str, Any]:
     return {"title": title, "paths": paths, "showLegend": True, "xAxisVal": "timestamp", "isSynced": True}
 
 
-def view_of(run: FramedRun) -> tuple[list[float], float]:
+def view_of(run: Run) -> tuple[list[float], float]:
     """The centre of the view, m, from the run's origin, and a distance from which it holds all agents, m."""
-    if run.recording is None:
+    if run.files.scene is None:
         return [0.0, 0.0], 150.0
-    places = run.recording.agent_position[..., :2].reshape(-1, 2) - run.origin[:2]
+    places = run.files.scene.agent_position[..., :2].reshape(-1, 2) - run.origin[:2]
     low, high = places.min(axis=0), places.max(axis=0)
     return ((low + high) / 2).tolist(), max(float(np.ptp(places, axis=0).max()), 60.0) * 1.5

@@ -16,8 +16,9 @@ from mast_zenoh.arrays.geometry import box_corners, to_local, to_world, wrap_ang
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.runs.frame import Frame, Pose
-from mast_zenoh.runs.recorded import RecordedRun
+from mast_zenoh.runs.recorded import frames_of
 from mast_zenoh.runs.routes import TRUTH
+from mast_zenoh.runs.run import Run
 from mast_zenoh.scenes.recording import SEEN_RETURNS
 from mast_zenoh.sensing import Camera, LidarSensor
 from mast_zenoh.viewer.export.columns import AXES, cameras, class_names, stem
@@ -33,7 +34,7 @@ _WHOLE, _TRUNCATED = 0, 1
 _EDGES = np.array([[k, k // 4 * 4 + (k + 1) % 4] for k in range(8)] + [[k, k + 4] for k in range(4)])
 
 
-def write(run: RecordedRun, path: Path) -> None:
+def write(run: Run, path: Path) -> None:
     """Write label_02, calib and oxts of one sequence, and trackers/ESTIMATE/data, with what the camera sees.
 
     It is the main agent's camera; it sees a box if a part of it is in the image. A frame without a pose of that agent
@@ -45,31 +46,31 @@ def write(run: RecordedRun, path: Path) -> None:
     files[TRUTH] = path / "label_02" / f"{SEQUENCE}.txt"
     for file in files.values():
         file.parent.mkdir(parents=True, exist_ok=True)
-    main = run.main_agent
+    main = run.agents[0]
     camera = cameras(run)[main]
     (path / "calib" / f"{SEQUENCE}.txt").write_text(_calibration(camera, _lidar(run)), encoding="ascii")
     poses: dict[int, Pose] = {}
     without_pose = 0
     with ExitStack() as stack:
         opened = {series: stack.enter_context(file.open("w", encoding="ascii")) for series, file in files.items()}
-        for frame in run:
-            if run.main_agent not in frame.poses:
+        for frame in frames_of(run):
+            if run.agents[0] not in frame.poses:
                 without_pose += 1
                 continue
-            poses[frame.index] = frame.poses[run.main_agent]
+            poses[frame.index] = frame.poses[run.agents[0]]
             for series, states in frame.objects.items():
                 _write_objects(opened[series], run, frame, series, states, camera)
     if without_pose:
-        run.note(f"messages.mcap: frames without a pose of {main}, and therefore without labels: {without_pose}")
+        run.files.note(f"messages.mcap: frames without a pose of {main}, and therefore without labels: {without_pose}")
     (path / "oxts" / f"{SEQUENCE}.txt").write_text("".join(_positions(poses, run.origin)), encoding="ascii")
     last = max(poses, default=-1)
     (path / "evaluate_tracking.seqmap.training").write_text(f"{SEQUENCE} empty 000000 {last + 1:06d}\n", "ascii")
 
 
-def _lidar(run: RecordedRun) -> LidarSensor:
+def _lidar(run: Run) -> LidarSensor:
     """The lidar of the main agent; the default one if the scene is not known."""
-    known = {agent.name: agent.sensor for agent in run.recording.agents} if run.recording is not None else {}
-    return known.get(run.main_agent, LidarSensor())
+    known = {agent.name: agent.sensor for agent in run.files.scene.agents} if run.files.scene is not None else {}
+    return known.get(run.agents[0], LidarSensor())
 
 
 def _calibration(camera: Camera, lidar: LidarSensor) -> str:
@@ -103,16 +104,14 @@ def _positions(poses: dict[int, Pose], origin: Floats) -> Iterator[str]:
         yield " ".join([*(f"{value:.15g}" for value in values), *["0"] * 24]) + "\n"
 
 
-def _write_objects(
-    file: TextIO, run: RecordedRun, frame: Frame, series: Series, states: ObjectStates, camera: Camera
-) -> None:
+def _write_objects(file: TextIO, run: Run, frame: Frame, series: Series, states: ObjectStates, camera: Camera) -> None:
     """Write the objects of a series; the main agent's own object is not labelled, as in the benchmark."""
     occluded = np.full(len(states), -1)
     if series == TRUTH:
-        seen = frame.points[:, run.agents.index(run.main_agent)] >= SEEN_RETURNS
-        kept = states.id != frame.own.get(run.main_agent, -1)
+        seen = frame.points[:, run.agents.index(run.agents[0])] >= SEEN_RETURNS
+        kept = states.id != frame.own.get(run.agents[0], -1)
         states, occluded = states.select(kept), np.where(seen, _VISIBLE, _OCCLUDED)[kept]
-    for words in _labels(frame, states, frame.poses[run.main_agent], camera, occluded):
+    for words in _labels(frame, states, frame.poses[run.agents[0]], camera, occluded):
         file.write(" ".join(words[:-1] if series == TRUTH else words) + "\n")
 
 

@@ -11,13 +11,14 @@ import numpy as np
 from mast_zenoh.arrays.geometry import box_corners
 from mast_zenoh.arrays.states import Floats, ObjectStates
 from mast_zenoh.runs.frame import Frame
-from mast_zenoh.runs.recorded import RecordedRun
+from mast_zenoh.runs.recorded import frames_of
 from mast_zenoh.runs.routes import TRUTH
+from mast_zenoh.runs.run import Run
 from mast_zenoh.scenes.recording import SEEN_RETURNS
 from mast_zenoh.viewer.export.columns import stem
 
 
-def write(run: RecordedRun, path: Path) -> None:
+def write(run: Run, path: Path) -> None:
     """Write gt/RUN and trackers/ESTIMATE/data, as TrackEval expects them, and the list of sequences."""
     name = re.sub(r"[^\w-]", "_", run.id)
     sequence = path / "gt" / name
@@ -28,7 +29,7 @@ def write(run: RecordedRun, path: Path) -> None:
     length, times = 0, []
     with ExitStack() as stack:
         opened = {series: stack.enter_context(file.open("w", encoding="ascii")) for series, file in files.items()}
-        for frame in run:
+        for frame in frames_of(run):
             length = frame.index + 1
             times.append(frame.time_ns)
             for series, states in frame.objects.items():

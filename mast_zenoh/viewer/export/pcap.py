@@ -21,7 +21,7 @@ from mast_zenoh.errors import ExportError, MessageError
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.packed import Packed
 from mast_zenoh.run_folder.recording.reader import Recorded, read
-from mast_zenoh.runs.recorded import RecordedRun
+from mast_zenoh.runs.run import Run
 from mast_zenoh.v2x import cam, cpm
 from mast_zenoh.v2x.asn1 import cam_fields, cpm_fields, uper
 from mast_zenoh.v2x.asn1.plain import to_plain
@@ -84,7 +84,7 @@ class _Legs(NamedTuple):
     attackers: Mapping[str, Passage]
 
     @classmethod
-    def of(cls, run: RecordedRun, wiring: Wiring) -> _Legs:
+    def of(cls, run: Run, wiring: Wiring) -> _Legs:
         """The legs of one of a run's wirings."""
         wires = [wire for wire in wiring.wires if wire.codec in _PORTS]
         keys = frozenset(wire.key for wire in wires)
@@ -92,7 +92,7 @@ class _Legs(NamedTuple):
         return cls(keys, frozenset(wire.legs[0].key for wire in wires), {each.sent: each for each in passages})
 
 
-def write(run: RecordedRun, path: Path) -> None:
+def write(run: Run, path: Path) -> None:
     """Write a packet for each segment that a publisher sent, and for each that an adversary sent instead.
 
     Next to it, STEM.jsonl has a line with the fields of each packet.
@@ -101,7 +101,7 @@ def write(run: RecordedRun, path: Path) -> None:
 
     Raises ExportError if no wire of the run has such messages.
     """
-    every = [(frame, _Legs.of(run, wiring)) for frame, wiring in run.wirings]
+    every = [(frame, _Legs.of(run, wiring)) for frame, wiring in run.files.wirings]
     wires = frozenset().union(*(legs.wires for _, legs in every))
     if not wires:
         raise ExportError(
@@ -135,12 +135,12 @@ def write(run: RecordedRun, path: Path) -> None:
                 if attack:
                     forged[attack.node, attack.wire, attack.before or "all"] += len(packets)
     for (node, wire, listener), count in sorted(forged.items()):
-        run.note(
+        run.files.note(
             f"{node} sends {count} packets to {listener} in place of those on {wire}: "
             f"both are in the file, its own from {_address(_station_of(node)).hex(':')}"
         )
     if refused:
-        run.note(f"messages.mcap: invalid messages, which receivers refuse, are left out: {refused}")
+        run.files.note(f"messages.mcap: invalid messages, which receivers refuse, are left out: {refused}")
 
 
 def _in_force(every: Sequence[tuple[int, _Legs]], step: int) -> _Legs:

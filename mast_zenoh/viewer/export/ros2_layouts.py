@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import yaml
 
 from mast_zenoh.metrics.estimates import PICTURE
-from mast_zenoh.runs.frame import FramedRun
 from mast_zenoh.runs.routes import TRUTH
+from mast_zenoh.runs.run import Run
 from mast_zenoh.viewer.export.foxglove_layout import document, from_above, scene_of, split, view_of
 from mast_zenoh.viewer.export.ros2_messages import (
     DIAGNOSTICS,
@@ -131,7 +131,7 @@ def foxglove_layout(messages: RunMessages) -> dict[str, Any]:
     return document(panels, split("row", space, judged, 70))
 
 
-def _shown(run: FramedRun) -> list[Any]:
+def _shown(run: Run) -> list[Any]:
     """The series that are visible at first."""
     return [series for series in run.topics if series == TRUTH or series.estimator == PICTURE]
 

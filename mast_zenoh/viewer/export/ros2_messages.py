@@ -18,8 +18,9 @@ from mast_zenoh.ros2.pose_messages import clock, odometry, transform_message
 from mast_zenoh.ros2.spatial import Transform
 from mast_zenoh.ros2.trust_messages import diagnostic_array
 from mast_zenoh.ros2.type_store import RosMessage
-from mast_zenoh.runs.frame import Frame, FramedRun
+from mast_zenoh.runs.frame import Frame
 from mast_zenoh.runs.routes import POSE, TRUST
+from mast_zenoh.runs.run import Run
 from mast_zenoh.viewer.export.columns import AXES, WORLD, cameras, colours
 
 #: The root of all frames of reference, which RViz expects: at the run's origin, as RViz has 32 bits for a coordinate.
@@ -59,16 +60,14 @@ class RunMessages:
     objects: by series, the topic of its detections;  odometry: by agent, its topic
     """
 
-    def __init__(
-        self, run: FramedRun, namespace: str = "/", partners: Mapping[str, Mapping[str, Any]] | None = None
-    ) -> None:
+    def __init__(self, run: Run, namespace: str = "/", partners: Mapping[str, Mapping[str, Any]] | None = None) -> None:
         self.run = run
         self._partners = partners or {}
         self._sends_clock = not any(config.get("clock") for config in self._partners.values())
         names = _Names(namespace)
         self.objects: Mapping[Series, str] = {series: names.of(key) for series, key in run.topics.items()}
         self.odometry: Mapping[str, str] = {agent: names.of(f"agent/{agent}/odometry") for agent in run.agents}
-        judged = any(wire.message == TRUST for _, wiring in run.wirings for wire in wiring.wires)
+        judged = any(wire.message == TRUST for _, wiring in run.files.wirings for wire in wiring.wires)
         self.topics = (
             *([Topic(CLOCK, type_store.CLOCK)] if self._sends_clock else []),
             Topic(TRANSFORMS, type_store.TF_MESSAGE),
@@ -128,7 +127,7 @@ class RunMessages:
         for agent, camera in cameras(self.run).items():
             optical = camera.mount_rotation @ AXES.T
             yield _mount(agent, "camera_optical", camera.mount_position, optical)
-        for scene_agent in self.run.recording.agents if self.run.recording is not None else ():
+        for scene_agent in self.run.files.scene.agents if self.run.files.scene is not None else ():
             for sensor in scene_agent.sensors:
                 lidar = sensor.lidar
                 yield _mount(scene_agent.name, sensor.name, lidar.mount_position, lidar.mount_rotation)

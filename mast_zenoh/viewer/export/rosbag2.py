@@ -9,7 +9,8 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 
 from mast_zenoh.ros2 import type_store
 from mast_zenoh.ros2.type_store import RosMessage
-from mast_zenoh.runs.recorded import RecordedRun
+from mast_zenoh.runs.recorded import frames_of
+from mast_zenoh.runs.run import Run
 from mast_zenoh.viewer.export.ros2_messages import CLOCK, RunMessages
 
 _NEVER = QosTime(2147483647, 4294967295)
@@ -27,7 +28,7 @@ _TRANSIENT_LOCAL_PROFILE = Qos(
 )
 
 
-def write(run: RecordedRun, path: Path) -> None:
+def write(run: Run, path: Path) -> None:
     """Write a bag as MCAP, compressed by zstd in chunks, in the folder `path`.
 
     Times are those of the scene, from 0.
@@ -51,7 +52,7 @@ def write(run: RecordedRun, path: Path) -> None:
             if topic in connections:
                 bag.write(connections[topic], time_ns, type_store.encode(message))
 
-        for number, frame in enumerate(run):
+        for number, frame in enumerate(frames_of(run)):
             for topic, message in messages.transient_local() if number == 0 else ():
                 send(topic, message, frame.time_ns)
             for topic, message in messages.of(frame):

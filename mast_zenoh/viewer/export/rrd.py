@@ -16,8 +16,10 @@ from mast_zenoh.arrays.geometry import scalar_last_quaternions
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.metrics.record import Series
-from mast_zenoh.runs.frame import Frame, FramedRun
+from mast_zenoh.runs.frame import Frame
+from mast_zenoh.runs.recorded import frames_of
 from mast_zenoh.runs.routes import TRUTH
+from mast_zenoh.runs.run import Run
 from mast_zenoh.viewer.export.columns import cameras, class_names, colours, missed, wall_lines
 from mast_zenoh.viewer.palette import ADVERSARY, BUILDING_EDGE, GROUND, OUTCOME_COLOURS, rgb
 
@@ -28,14 +30,14 @@ BUILDINGS, CHANGES, LOG, SCORES, MISSED = "scene/buildings", "changes", "log", "
 SCENE = "scene"
 
 
-def write(run: FramedRun, path: Path) -> None:
+def write(run: Run, path: Path) -> None:
     """Write the file: an entity for each estimate, named by its key expression, with a batch of boxes a frame."""
     stream = rerun.RecordingStream(APPLICATION, recording_id=run.id)
     stream.set_log_time_enabled(False)  # the time of the export
     stream.save(path, default_blueprint=blueprint(run))
     try:
         write_static(run, stream)
-        for frame in run:
+        for frame in frames_of(run):
             write_frame(run, frame, stream)
     finally:
         stream.disconnect()
@@ -46,7 +48,7 @@ def pose_entity(agent: str) -> str:
     return f"agent/{agent}/pose"
 
 
-def write_static(run: FramedRun, stream: rerun.RecordingStream) -> None:
+def write_static(run: Run, stream: rerun.RecordingStream) -> None:
     """What does not change: axes, cameras, buildings, names of series."""
     stream.log("/", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     for agent, camera in cameras(run).items():
@@ -60,8 +62,8 @@ def write_static(run: FramedRun, stream: rerun.RecordingStream) -> None:
     if run.origin.any():
         x, y, _ = run.origin.tolist()
         stream.log(SCENE, rerun.TextDocument(f"Positions are relative to x {x:.0f} m, y {y:.0f} m."), static=True)
-    if run.recording is not None:
-        walls = rerun.LineStrips3D(list(wall_lines(run.recording) - run.origin), colors=[rgb(BUILDING_EDGE)])
+    if run.files.scene is not None:
+        walls = rerun.LineStrips3D(list(wall_lines(run.files.scene) - run.origin), colors=[rgb(BUILDING_EDGE)])
         stream.log(BUILDINGS, walls, static=True)
     for series in run.scored:
         for name in ("fn", "fp", "rmse_m"):
@@ -69,7 +71,7 @@ def write_static(run: FramedRun, stream: rerun.RecordingStream) -> None:
             stream.log(_score(series, name), rerun.SeriesLines(names=[label]), static=True)
 
 
-def write_frame(run: FramedRun, frame: Frame, stream: rerun.RecordingStream) -> None:
+def write_frame(run: Run, frame: Frame, stream: rerun.RecordingStream) -> None:
     """What a frame holds, at its time."""
     stream.set_time(FRAME, sequence=frame.index)
     stream.set_time(TIME, duration=np.timedelta64(frame.time_ns, "ns"))
@@ -127,7 +129,7 @@ def _score(series: Series, name: str) -> str:
     return f"{SCORES}/{series.agent}/{series.estimator}/{name}"
 
 
-def blueprint(run: FramedRun) -> views.Blueprint:
+def blueprint(run: Run) -> views.Blueprint:
     """3D view and the main agent's camera with the truth, the picture and what it misses; two charts; the log."""
     shown = [topic for series, topic in run.topics.items() if series.estimator in (PICTURE, TRUTH.estimator)]
     shown += [f"{topic}/{MISSED}" for series, topic in run.topics.items() if series.estimator == PICTURE]
@@ -137,13 +139,13 @@ def blueprint(run: FramedRun) -> views.Blueprint:
         views.TimeSeriesView(
             name=title,
             origin="/",
-            contents=[f"+ /{_score(series, name)}" for series in run.scored if series.agent == run.main_agent],
+            contents=[f"+ /{_score(series, name)}" for series in run.scored if series.agent == run.agents[0]],
         )
         for title, name in (("false objects", "fp"), ("missed objects", "fn"))
     ]
     ground = list(rgb(GROUND))  # boxes of the truth are white
     camera = views.Spatial2DView(
-        name=run.main_agent, origin=f"/{pose_entity(run.main_agent)}/camera", contents=contents, background=ground
+        name=run.agents[0], origin=f"/{pose_entity(run.agents[0])}/camera", contents=contents, background=ground
     )
     return views.Blueprint(
         views.Horizontal(

@@ -14,8 +14,9 @@ import pyarrow.parquet
 
 from mast_zenoh.arrays.states import COVARIANCE_ORDER
 from mast_zenoh.runs.frame import Frame
-from mast_zenoh.runs.recorded import RecordedRun
+from mast_zenoh.runs.recorded import frames_of
 from mast_zenoh.runs.routes import TRUTH
+from mast_zenoh.runs.run import Run
 from mast_zenoh.viewer.export.columns import class_names, standard_deviations
 
 #: Frames that are written together.
@@ -34,21 +35,21 @@ SCHEMA = pyarrow.schema(
 )
 
 
-def write_csv(run: RecordedRun, path: Path) -> None:
+def write_csv(run: Run, path: Path) -> None:
     """Write the table as CSV; what is not known is empty."""
     with pyarrow.csv.CSVWriter(path, SCHEMA) as writer:
         _write(run, writer)
 
 
-def write_parquet(run: RecordedRun, path: Path) -> None:
+def write_parquet(run: Run, path: Path) -> None:
     """Write the table as Parquet; what is not known is null."""
     with pyarrow.parquet.ParquetWriter(path, SCHEMA, compression="zstd") as writer:
         _write(run, writer)
 
 
-def _write(run: RecordedRun, writer: Any) -> None:
-    frames = iter(run)
-    while batch := list(islice(frames, _BATCH)):
+def _write(run: Run, writer: Any) -> None:
+    every = frames_of(run)
+    while batch := list(islice(every, _BATCH)):
         writer.write_table(pyarrow.concat_tables(table for frame in batch for table in _tables(frame)))
 
 

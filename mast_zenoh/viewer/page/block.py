@@ -15,6 +15,7 @@ import numpy as np
 import pyarrow
 from numpy.typing import NDArray
 
+from mast_zenoh.arrays.boxes import Boxes
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASSES, Bools, Floats, Ints, ObjectStates
 from mast_zenoh.errors import MastError
@@ -22,11 +23,12 @@ from mast_zenoh.launch.twin import NAME
 from mast_zenoh.metrics.estimates import ESTIMATES
 from mast_zenoh.runs.driven import braking_events, braking_of, cars_of, course_of, twin_course
 from mast_zenoh.runs.events import EFFECTS, Event, first_changes, happenings, lie_frames, node_absences, spans
+from mast_zenoh.runs.files import ALL, Sample, Table, column, rows
 from mast_zenoh.runs.interposers import adversaries_by_agent, interposers
-from mast_zenoh.runs.run import ALL, RunRecord, Sample, Table, column, rows
+from mast_zenoh.runs.run import Run
 from mast_zenoh.scenes.recording import TRUTH_COLUMNS, Recording, SceneAgent, truth_states
 from mast_zenoh.viewer.page.columns import Packer
-from mast_zenoh.viewer.page.motion import BoxTable, Meaning, Truth, View, motion_of, recorded_tracks, row_keys
+from mast_zenoh.viewer.page.motion import Judgements, Meaning, View, motion_of, recorded_tracks, row_keys
 from mast_zenoh.viewer.palette import STATES, page_colours
 
 FORMAT = 1
@@ -53,23 +55,23 @@ class Surroundings:
     sweeps: tuple[NDArray[Any], ...]
 
 
-def run_block(run: RunRecord, frame: int | None = None, label: str = "") -> bytes | None:
+def run_block(run: Run, frame: int | None = None, label: str = "") -> bytes | None:
     """The block of a finished run; None if it has nothing to show: neither boxes nor a scene.
 
     frame: the frame to show first; None: the first of the run
     label: the name that the page gives it; empty: its own
     Raises ValueError if a number is too large for the block.
     """
-    scene = run.recording
-    truth = truth_of(scene, run.sample)
+    scene = run.files.scene
+    truth = truth_of(scene, run.files.sample)
     try:
-        boxes = boxes_of(run.read_objects(), truth)
+        judged = judgements_of(run.files.all_objects, truth)
     except _DAMAGE:
-        boxes = boxes_of(None, truth)
-    if not len(boxes.frame):
+        judged = judgements_of(None, truth)
+    if not len(judged.boxes):
         return None
-    first, every = run.sample.first, run.sample.every
-    frames = range(first, int(boxes.frame.max()) + 1, every)
+    first, every = run.files.sample.first, run.files.sample.every
+    frames = range(first, int(judged.boxes.group.max()) + 1, every)
     if frame is not None and frame not in frames:
         named = f"0 to {frames[-1]}" if every == 1 else f"{first}, {first + every}, ... {frames[-1]}"
         raise ValueError(f"found frame {frame}, expected one of {named}")
@@ -84,26 +86,26 @@ def run_block(run: RunRecord, frame: int | None = None, label: str = "") -> byte
     packer = Packer()
     packer.add("time", times, scale=1e-3)
     try:
-        motion = motion_of(boxes, truth, recorded_tracks(run))
+        motion = motion_of(judged, truth, recorded_tracks(run))
     except (MastError, OSError):
-        motion = motion_of(boxes, truth, ())
+        motion = motion_of(judged, truth, ())
     periods = spans(run, times)
     header = {
-        **pack_frames(packer, run, boxes, motion, surroundings, frames),
-        "label": label or run.label,
+        **pack_frames(packer, run, judged, motion, surroundings, frames),
+        "label": label or run.name,
         "folder": run.path.name,
         "frame": frames.index(frame) if frame is not None else 0,
         "numbers": [first, every],
         "recorded": (run.path / "messages.mcap").is_file(),
         "spans": periods,
-        "events": _events(run, boxes, periods, frames, times),
+        "events": _events(run, judged, periods, frames, times),
         "drives": _add_drives(packer, run, frames, times),
     }
     return packer.block(header)
 
 
 def pack_frames(
-    packer: Packer, run: RunRecord, boxes: BoxTable, motion: Table, surroundings: Surroundings | None, frames: range
+    packer: Packer, run: Run, judged: Judgements, motion: Table, surroundings: Surroundings | None, frames: range
 ) -> dict[str, Any]:
     """Add all columns of some frames but their times, and return the part of the header that describes them.
 
@@ -111,7 +113,7 @@ def pack_frames(
     """
     header: dict[str, Any] = {
         "format": FORMAT,
-        "id": str(run.run.get("id", "")),
+        "id": str(run.files.record.get("id", "")),
         "frames": len(frames),
         "ego": run.ego or "",
         "centre": run.has_centre,
@@ -121,7 +123,7 @@ def pack_frames(
         "classes": CLASSES,
         "colours": page_colours(),
     }
-    header |= _add_boxes(packer, run, boxes, motion, frames)
+    header |= _add_boxes(packer, run, judged, motion, frames)
     header |= _add_surroundings(packer, run, surroundings)
     header |= _add_agent_states(packer, run, [agent["name"] for agent in header["agents"]], frames)
     header |= _add_manipulations(packer, run, frames)
@@ -130,19 +132,19 @@ def pack_frames(
     return header
 
 
-def truth_of(scene: Recording | None, sample: Sample = ALL) -> Truth:
-    """The objects of a scene, in the frames of a sample."""
+def truth_of(scene: Recording | None, sample: Sample = ALL) -> tuple[Ints, ObjectStates]:
+    """The objects of a scene in the frames of a sample, and (n,) their frames."""
     if scene is None:
-        return Truth(np.zeros(0, np.int64), ObjectStates.empty())
+        return np.zeros(0, np.int64), ObjectStates.empty()
     frame = np.repeat(np.arange(len(scene)), np.diff(scene.truth_start))
     if sample == ALL:
-        return Truth(frame, scene.truth)
+        return frame, scene.truth
     wanted = np.flatnonzero(sample.has(frame))
-    return Truth(frame[wanted], truth_states({name: getattr(scene.truth, name)[wanted] for name in TRUTH_COLUMNS}))
+    return frame[wanted], truth_states({name: getattr(scene.truth, name)[wanted] for name in TRUTH_COLUMNS})
 
 
-def boxes_of(content: Any | None, truth: Truth) -> BoxTable:
-    """The boxes of an Arrow table with the columns of objects.parquet, None: absent; and all objects of the scene.
+def judgements_of(content: Any | None, truth: tuple[Ints, ObjectStates]) -> Judgements:
+    """The boxes and outcomes in an Arrow table with the columns of objects.parquet (None: absent), and the truth.
 
     Raises ValueError if a column is absent.
     """
@@ -173,7 +175,8 @@ def boxes_of(content: Any | None, truth: Truth) -> BoxTable:
     matches[table["view"][followed], place[row[followed]]] = table["match_id"][followed]
     meanings = tuple(Meaning(*each) for each in names["meaning"])
     is_truth, frame, ids, geometry, score = (each[order] for each in columns)
-    return BoxTable(is_truth, frame, ids, geometry, score, views, meanings, codes, matches)
+    boxes = Boxes(frame, ids, geometry[:, :3], geometry[:, 3:6], geometry[:, 6])
+    return Judgements(boxes, is_truth, score, views, meanings, codes, matches)
 
 
 def _table(content: Any) -> tuple[Table, dict[str, list[tuple[str, ...]]]]:
@@ -208,13 +211,14 @@ def _words(content: Any, name: str) -> tuple[list[str], Ints]:
     return column.dictionary.to_pylist(), column.indices.to_numpy(zero_copy_only=False).astype(np.int64)
 
 
-def _unseen(truth: Truth, is_truth: Bools, frame: Ints, ids: Ints) -> list[NDArray[Any]]:
-    """The objects of the scene that no view has, as columns of BoxTable up to the score."""
-    states, last = truth.states, frame.max() if len(frame) else truth.frame.max(initial=-1)
+def _unseen(truth: tuple[Ints, ObjectStates], is_truth: Bools, frame: Ints, ids: Ints) -> list[NDArray[Any]]:
+    """The objects of the scene that no view has: whether they are the truth, frame, id, geometry and score."""
+    frames, states = truth
+    last = frame.max() if len(frame) else frames.max(initial=-1)
     known = row_keys(frame[is_truth], ids[is_truth])
-    new = ~np.isin(row_keys(truth.frame, states.id), known) & (truth.frame <= last)
+    new = ~np.isin(row_keys(frames, states.id), known) & (frames <= last)
     geometry = np.column_stack([states.position, states.size, states.yaw])[new]
-    return [np.ones(new.sum(), bool), truth.frame[new], states.id[new], geometry, np.zeros(new.sum())]
+    return [np.ones(new.sum(), bool), frames[new], states.id[new], geometry, np.zeros(new.sum())]
 
 
 def shown_id(ids: Ints) -> Ints:
@@ -232,26 +236,28 @@ def _shown(frames: range, table: Table) -> Table:
     return table if frames.step == 1 else rows(table, (table["frame"] - frames.start) % frames.step == 0)
 
 
-def _add_boxes(packer: Packer, run: RunRecord, boxes: BoxTable, motion: Table, frames: range) -> dict[str, Any]:
+def _add_boxes(packer: Packer, run: Run, judged: Judgements, motion: Table, frames: range) -> dict[str, Any]:
     """Add the columns of boxes and of their meaning in each view, and return `views` and `meanings`."""
-    packer.add("box.frame", _places(frames, boxes.frame))
+    boxes = judged.boxes
+    geometry = np.column_stack([boxes.position, boxes.size, boxes.yaw])
+    packer.add("box.frame", _places(frames, boxes.group))
     packer.add("box.id", shown_id(boxes.id))
-    packer.add("box.truth", boxes.truth, differences=False)
+    packer.add("box.truth", judged.is_truth, differences=False)
     for index, name in enumerate(_GEOMETRY):
-        packer.add(f"box.{name}", boxes.geometry[:, index], scale=ANGLE if name == "yaw" else LENGTH)
-    packer.add("box.score", boxes.score, scale=SCORE)
+        packer.add(f"box.{name}", geometry[:, index], scale=ANGLE if name == "yaw" else LENGTH)
+    packer.add("box.score", judged.score, scale=SCORE)
     packer.add("box.known", motion["known"], differences=False)
     for index, name in enumerate(("vx", "vy")):
         packer.add(f"box.{name}", motion["velocity"][:, index], scale=_SPEED)
     for index, (name, scale) in enumerate({"sx": _SPREAD, "sy": _SPREAD, "rho": _CORRELATION}.items()):
         packer.add(f"box.{name}", motion["spread"][:, index], scale=scale)
     packer.add("box.kind", motion["kind"], differences=False)
-    packer.add("code", boxes.codes, differences=False)
-    packer.add("match", shown_id(boxes.matches[boxes.matches >= 0]))
-    packer.add("matched", boxes.matches >= 0, differences=False)
-    row_by_view = {tuple(view): row for row, view in enumerate(boxes.views)}
+    packer.add("code", judged.codes, differences=False)
+    packer.add("match", shown_id(judged.matches[judged.matches >= 0]))
+    packer.add("matched", judged.matches >= 0, differences=False)
+    row_by_view = {tuple(view): row for row, view in enumerate(judged.views)}
     views = dict(row_by_view)
-    for agent, pairs in run.metrics.get("same_as", {}).items():
+    for agent, pairs in run.files.summary.get("same_as", {}).items():
         for estimate, original in pairs.items():
             if (agent, original) in row_by_view:
                 views.setdefault((agent, estimate), row_by_view[agent, original])
@@ -261,13 +267,13 @@ def _add_boxes(packer: Packer, run: RunRecord, boxes: BoxTable, motion: Table, f
     return {
         "views": shown,
         "estimates": {key: name.column for key, name in ESTIMATES.items()},
-        "meanings": [list(each) for each in boxes.meanings],
+        "meanings": [list(each) for each in judged.meanings],
     }
 
 
-def _add_surroundings(packer: Packer, run: RunRecord, surroundings: Surroundings | None) -> dict[str, Any]:
+def _add_surroundings(packer: Packer, run: Run, surroundings: Surroundings | None) -> dict[str, Any]:
     """Add the columns `agents.*` and `swept`, and return `buildings`, their `tops` and `agents` of the header."""
-    scene = run.recording
+    scene = run.files.scene
     if scene is None or surroundings is None:
         return {"buildings": [], "tops": [], "agents": []}
     attacked = adversaries_by_agent(interposers(run))
@@ -325,13 +331,13 @@ def _swept(sweep: NDArray[Any], agent: SceneAgent) -> Floats:
     return nearest
 
 
-def _add_agent_states(packer: Packer, run: RunRecord, names: list[str], frames: range) -> dict[str, Any]:
+def _add_agent_states(packer: Packer, run: Run, names: list[str], frames: range) -> dict[str, Any]:
     """Add the states of agents and `trust`, a row per agent and frame."""
     numbers = np.arange(frames.start, frames.stop, frames.step)
     state, trust = np.zeros((len(names), len(frames)), np.int64), np.full((len(names), len(frames)), -1.0)
     for row, name in enumerate(names):
-        if run.trust is not None:
-            own = rows(run.trust, run.trust["agent"] == name)
+        if run.files.trust is not None:
+            own = rows(run.files.trust, run.files.trust["agent"] == name)
             place = np.searchsorted(own["frame"], numbers, side="right") - 1
             if len(own["frame"]):
                 codes = np.array([1 + list(STATES).index(each) for each in own["state"].tolist()])
@@ -343,14 +349,14 @@ def _add_agent_states(packer: Packer, run: RunRecord, names: list[str], frames: 
         state[row, np.isin(numbers, lie_frames(run, name))] += LYING
     packer.add("agents.state", state)
     packer.add("trust", trust, scale=0.001)
-    return {"states": list(STATES), "flags": {"down": DOWN, "lying": LYING}, "judged": run.trust is not None}
+    return {"states": list(STATES), "flags": {"down": DOWN, "lying": LYING}, "judged": run.files.trust is not None}
 
 
-def _add_manipulations(packer: Packer, run: RunRecord, frames: range) -> dict[str, Any]:
+def _add_manipulations(packer: Packer, run: Run, frames: range) -> dict[str, Any]:
     """Add the columns `effects.*`: a row per object that an adversary inserted, removed or moved in a message."""
     effects = list(EFFECTS)
     places = ("before_x", "before_y", "before_z", "after_x", "after_y", "after_z")
-    table = _shown(frames, run.attacks) if run.attacks is not None else {}
+    table = _shown(frames, run.manipulations) if run.manipulations is not None else {}
     placed = rows(table, np.isin(table["effect"], effects)) if table else {}
     if placed:
         order = np.lexsort((placed["frame"], placed["interposer"]))
@@ -368,11 +374,11 @@ def _add_manipulations(packer: Packer, run: RunRecord, frames: range) -> dict[st
     return {"effects": effects, "adversaries": adversaries, "subscribers": subscribers}
 
 
-def _add_withheld(packer: Packer, run: RunRecord, frames: range) -> None:
+def _add_withheld(packer: Packer, run: Run, frames: range) -> None:
     """Add the columns `withheld.*`: the objects that the command centre withholds."""
     names = ("frame", "id", *_GEOMETRY)
     withheld: Table = {name: np.zeros(0) for name in names}
-    if (table := run.trust_objects) is not None:
+    if (table := run.files.trust_objects) is not None:
         withheld = rows(table, table["withheld"].astype(bool))
         order = np.lexsort((withheld["frame"], withheld["id"]))
         withheld = {name: values[order] for name, values in withheld.items()}
@@ -382,16 +388,16 @@ def _add_withheld(packer: Packer, run: RunRecord, frames: range) -> None:
         packer.add(f"withheld.{name}", _places(frames, values) if name == "frame" else values, scale=scale)
 
 
-def _add_series(packer: Packer, run: RunRecord, frames: range) -> list[dict[str, str]]:
+def _add_series(packer: Packer, run: Run, frames: range) -> list[dict[str, str]]:
     """Add `series.*`, a row per frame of each estimate in metrics.parquet, and return which they are.
 
     RMSE is -1 where there is no matched pair. Where not all frames are shown, `peaks.*` has the largest value of those
     from each frame to the next one shown.
     """
-    if run.counts is None:
+    if run.files.counts is None:
         return []
     end = frames.start + len(frames) * frames.step  # with the frames after the last one shown
-    table = rows(run.counts, (run.counts["frame"] >= frames.start) & (run.counts["frame"] < end))
+    table = rows(run.files.counts, (run.files.counts["frame"] >= frames.start) & (run.files.counts["frame"] < end))
     of_rows = list(zip(table["agent"].tolist(), table["estimator"].tolist(), strict=True))
     pairs = sorted(set(of_rows))
     number = {pair: index for index, pair in enumerate(pairs)}
@@ -409,7 +415,7 @@ def _add_series(packer: Packer, run: RunRecord, frames: range) -> list[dict[str,
     return [{"agent": agent, "estimate": estimate} for agent, estimate in pairs]
 
 
-def _add_drives(packer: Packer, run: RunRecord, frames: range, times: Floats) -> list[dict[str, str]]:
+def _add_drives(packer: Packer, run: Run, frames: range, times: Floats) -> list[dict[str, str]]:
     """Add `drive.*`, a row per frame of each driven car and of the twin's, and return the cars.
 
     Speeds are -1 where they are not known; without a twin, its places are those of the car. times: (f,) s, of `frames`
@@ -453,7 +459,7 @@ def _held(course: Table, name: str, frames: range) -> Floats:
 
 
 def _events(
-    run: RunRecord, boxes: BoxTable, periods: list[dict[str, Any]], frames: range, times: Floats
+    run: Run, judged: Judgements, periods: list[dict[str, Any]], frames: range, times: Floats
 ) -> list[dict[str, Any]]:
     """All events, the earliest first. periods: from `spans`;  times: (f,) s, of the frames shown
 
@@ -462,7 +468,7 @@ def _events(
     if frames.step > 1:  # events know the numbers of all frames
         seconds = run.seconds(np.arange(frames.stop))
         times = np.asarray(np.arange(frames.stop) * run.period_s if seconds is None else seconds, np.float64)
-    everything = [*happenings(run, periods, times), *first_changes(run), *_first_successes(run, boxes)]
+    everything = [*happenings(run, periods, times), *first_changes(run), *_first_successes(run, judged)]
     everything += braking_events(run, times)
     inside = [each for each in dict.fromkeys(everything) if 0 <= each.frame < len(times)]
     inside.sort(key=lambda each: (each.frame, each.kind, each.text))
@@ -474,22 +480,22 @@ def _events(
     return entries
 
 
-def _first_successes(run: RunRecord, boxes: BoxTable) -> list[Event]:
+def _first_successes(run: Run, judged: Judgements) -> list[Event]:
     """The first error of each kind in the ego's copy of the picture that is due to each adversary."""
     result = []
     for estimate, words in (("picture", "the picture"), ("mission", f"{run.ego} with the picture")):
-        row = next((i for i, view in enumerate(boxes.views) if view == (run.ego, estimate)), None)
+        row = next((i for i, view in enumerate(judged.views) if view == (run.ego, estimate)), None)
         if row is None:
             continue
-        for number, meaning in enumerate(boxes.meanings, 1):
+        for number, meaning in enumerate(judged.meanings, 1):
             if not meaning.by or meaning.outcome not in ("false", "missed"):
                 continue
-            places = np.flatnonzero((boxes.codes[row] == number) & (boxes.truth == (meaning.outcome == "missed")))
+            places = np.flatnonzero((judged.codes[row] == number) & (judged.is_truth == (meaning.outcome == "missed")))
             if not len(places):
                 continue
-            first = places[np.argmin(boxes.frame[places])]
+            first = places[np.argmin(judged.boxes.group[places])]
             what = "shows a false object" if meaning.outcome == "false" else "misses an object"
             text = f"{words} {what} because of {meaning.by} ({meaning.cause})"
-            x, y = (round(float(value), 2) for value in boxes.geometry[first, :2])
-            result.append(Event(int(boxes.frame[first]), "effect", text, x, y))
+            x, y = (round(float(value), 2) for value in judged.boxes.position[first, :2])
+            result.append(Event(int(judged.boxes.group[first]), "effect", text, x, y))
     return result

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +17,15 @@ from mast_zenoh.errors import MastError
 from mast_zenoh.metrics.estimates import ESTIMATORS
 from mast_zenoh.runs.events import spans
 from mast_zenoh.runs.frame import Frame
-from mast_zenoh.runs.live.observed import ObservedRun
+from mast_zenoh.runs.live.address import LiveAddress
 from mast_zenoh.runs.live.observer import POLL_S, Observer
 from mast_zenoh.runs.routes import TRUTH
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 from mast_zenoh.scenes.recording import truth_states
-from mast_zenoh.viewer.page.block import Surroundings, boxes_of, pack_frames
+from mast_zenoh.viewer.page.block import Surroundings, judgements_of, pack_frames
 from mast_zenoh.viewer.page.columns import Packer
 from mast_zenoh.viewer.page.live_server import Feed, LiveServer
-from mast_zenoh.viewer.page.motion import Truth, motion_of
+from mast_zenoh.viewer.page.motion import motion_of
 from mast_zenoh.viewer.page.page import policy, viewer_page
 
 #: s in which a finished run must have its results.
@@ -52,7 +52,7 @@ class LiveBlocks:
     @classmethod
     def of(cls, observer: Observer) -> LiveBlocks:
         """Of a run that is being observed."""
-        scene = observer.run.scene
+        scene = observer.address.scene
         if scene is None:
             return cls(observer, {})
         first = zip(scene.agent_names, scene.agent_position[0], scene.agent_rotation[0], strict=True)
@@ -64,24 +64,24 @@ class LiveBlocks:
         Raises ValueError if a number is too large for a block.
         """
         down = [{"node": node, "action": "kill", "frame": frame.index} for node in self.observer.down]
-        run = replace(frame.run, run={**frame.run.run, "steps": down})
-        body = frame.bodies.get(TRUTH) if run.recording is not None else None
+        run = frame.run.with_(record={**frame.run.files.record, "steps": down})
+        body = frame.bodies.get(TRUTH) if run.files.scene is not None else None
         states = ObjectStates.empty() if body is None else truth_states(body)
-        truth = Truth(np.full(len(states), frame.index), states)
-        boxes = boxes_of(run.read_objects(), truth)
+        truth = np.full(len(states), frame.index), states
+        judged = judgements_of(run.files.all_objects, truth)
         tracks = [body for series, body in frame.bodies.items() if series.estimator in ESTIMATORS]
-        motion = motion_of(boxes, truth, ((frame.index, body) for body in tracks))
+        motion = motion_of(judged, truth, ((frame.index, body) for body in tracks))
         packer = Packer()
         time_s = frame.time_ns * 1e-9
         packer.add("time", np.array([time_s]), scale=1e-3)
         frames = range(frame.index, frame.index + 1)
-        header = pack_frames(packer, run, boxes, motion, self._surroundings(frame), frames)
-        header |= {"label": run.label, "recorded": True, "scored": None}
+        header = pack_frames(packer, run, judged, motion, self._surroundings(frame), frames)
+        header |= {"label": run.name, "recorded": True, "scored": None}
         header |= self._happening(run, frame, time_s)
         lasting = {name: header.pop(name) for name in LASTING}
         return lasting, packer.block(header)
 
-    def _happening(self, run: RunRecord, frame: Frame, time_s: float) -> dict[str, Any]:
+    def _happening(self, run: Run, frame: Frame, time_s: float) -> dict[str, Any]:
         """What is said of the run as a whole, up to this frame."""
         observer = self.observer
         periods = spans(run, np.array([time_s]))
@@ -106,19 +106,19 @@ class LiveBlocks:
 
     def _surroundings(self, frame: Frame) -> Surroundings | None:
         """The agents as the messages have them."""
-        scene = frame.run.recording
+        scene = frame.run.files.scene
         if scene is None:
             return None
         self.poses.update({name: pose for name, pose in frame.poses.items() if name in self.poses})
         position, rotation = (np.array([[self.poses[name][part] for name in scene.agent_names]]) for part in (0, 1))
         number = min(frame.index, len(scene) - 1)  # a shorter scene keeps its last sweeps
-        roles = {spec.role for spec in self.observer.run.resolved.nodes.values()}
+        roles = {spec.role for spec in self.observer.address.resolved.nodes.values()}
         stepped = "driver" in roles  # the prepared sweeps are of another drive
         sweeps = () if stepped else tuple(sweep[number : number + 1] for sweep in scene.sweeps)
         return Surroundings(position, rotation, sweeps)
 
 
-def show(run: ObservedRun, session: zenoh.Session, server: LiveServer, stop: threading.Event) -> None:
+def show(run: LiveAddress, session: zenoh.Session, server: LiveServer, stop: threading.Event) -> None:
     """Show a running run on a server until `stop` is set, also after its end.
 
     session: a client of the run's router

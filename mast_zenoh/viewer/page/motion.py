@@ -9,11 +9,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mast_zenoh.arrays.boxes import Boxes
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.run_folder.recording.reader import read
-from mast_zenoh.runs.run import RunRecord, Table
+from mast_zenoh.runs.files import Table
+from mast_zenoh.runs.run import Run
 
 #: m, greatest standard deviation that is kept: more is not drawn.
 _MOST_M = 300.0
@@ -34,28 +36,18 @@ class Meaning(NamedTuple):
     by: str
 
 
-class Truth(NamedTuple):
-    """The n objects of the scene in some frames. frame: (n,)"""
-
-    frame: Ints
-    states: ObjectStates
-
-
 @dataclass(frozen=True, eq=False)
-class BoxTable:
-    """m boxes, those of one object in consecutive rows, and their meaning in v views.
+class Judgements:
+    """The meaning of m boxes in v views.
 
-    truth:    (m,) whether a box is the truth, not a track
-    frame, id: (m,)
-    geometry: (m, 7) x y z l w h in m, yaw in rad;  score: (m,) 0 to 1, 0 for truth
+    boxes:    of the page, those of one object in consecutive rows; their groups are frames
+    is_truth: (m,) whether a box is the truth, not a track;  score: (m,) 0 to 1, 0 for truth
     codes:    (v, m) 0: not in this view; otherwise 1 + the row of `meanings`
     matches:  (v, m) id of the object that a matched track follows; -1: none
     """
 
-    truth: Bools
-    frame: Ints
-    id: Ints
-    geometry: Floats
+    boxes: Boxes
+    is_truth: Bools
     score: Floats
     views: tuple[View, ...]
     meanings: tuple[Meaning, ...]
@@ -75,7 +67,7 @@ def row_keys(*columns: NDArray[np.generic]) -> NDArray[np.uint64]:
     return result
 
 
-def motion_of(boxes: BoxTable, truth: Truth, tracks: Iterable[tuple[int, Body]]) -> Table:
+def motion_of(judged: Judgements, truth: tuple[Ints, ObjectStates], tracks: Iterable[tuple[int, Body]]) -> Table:
     """What is known of m boxes besides their geometry.
 
     known:    (m,) bool;  the other columns are 0 where it is False
@@ -83,9 +75,11 @@ def motion_of(boxes: BoxTable, truth: Truth, tracks: Iterable[tuple[int, Body]])
     spread:   (m, 3) standard deviations in m of x and of y, and their correlation; 0: exact, or not known
     kind:     (m,) index into CLASSES
 
+    truth:  the objects of the scene, and (n,) their frames
     tracks: frame and columns of the messages that hold the tracks, on every leg of their wires
     """
-    count = len(boxes.frame)
+    boxes, (frames, states) = judged.boxes, truth
+    count = len(boxes)
     motion = {
         "known": np.zeros(count, bool),
         "velocity": np.zeros((count, 2)),
@@ -93,12 +87,12 @@ def motion_of(boxes: BoxTable, truth: Truth, tracks: Iterable[tuple[int, Body]])
         "kind": np.zeros(count, np.int64),
     }
     keys, of_tracks = _motion_of_tracks(tracks)
-    scene: Table = {"velocity": truth.states.velocity[:, :2], "kind": truth.states.class_id}
-    own = row_keys(boxes.frame, boxes.id)
-    placed = row_keys(boxes.frame, boxes.id, boxes.geometry[:, :2])
+    scene: Table = {"velocity": states.velocity[:, :2], "kind": states.class_id}
+    own = row_keys(boxes.group, boxes.id)
+    placed = row_keys(boxes.group, boxes.id, boxes.position[:, :2])
     for own_keys, wanted, known_keys, values in (
-        (own, boxes.truth, row_keys(truth.frame, truth.states.id), scene),
-        (placed, ~boxes.truth, keys, of_tracks),
+        (own, judged.is_truth, row_keys(frames, states.id), scene),
+        (placed, ~judged.is_truth, keys, of_tracks),
     ):
         if not len(known_keys):
             continue
@@ -111,12 +105,14 @@ def motion_of(boxes: BoxTable, truth: Truth, tracks: Iterable[tuple[int, Body]])
     return motion
 
 
-def recorded_tracks(run: RunRecord) -> Iterator[tuple[int, Body]]:
+def recorded_tracks(run: Run) -> Iterator[tuple[int, Body]]:
     """Frame and columns of all recorded tracks in the frames of the sample."""
-    every = run.sample.every
-    times_ns = None if run.recording is None or every == 1 else run.recording.times_ns[run.sample.first :: every]
+    every = run.files.sample.every
+    times_ns = (
+        None if run.files.scene is None or every == 1 else run.files.scene.times_ns[run.files.sample.first :: every]
+    )
     for message in read(run.path, lambda channel: channel.get("message") in ("tracks", "picture"), times_ns):
-        if not message.malformed and (message.frame - run.sample.first) % every == 0:
+        if not message.malformed and (message.frame - run.files.sample.first) % every == 0:
             yield message.frame, codec.decode_lazily(message.payload, message.type).body
 
 

@@ -19,7 +19,7 @@ from string import Template
 from typing import NamedTuple
 
 from mast_zenoh.errors import NotComparable, RunFolderError
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 from mast_zenoh.viewer.loopback import LoopbackHandler, LoopbackServer
 from mast_zenoh.viewer.page.block import run_block
 from mast_zenoh.viewer.palette import GROUNDS
@@ -131,7 +131,7 @@ def viewer_page(folders: Sequence[Path], frame: int | None = None) -> bytes:
     Raises RunFolderError for a folder that holds no run, or nothing to show; NotComparable for two runs without a
     common agent.
     """
-    runs = [RunRecord.load(folder, frame) for folder in folders]
+    runs = [Run(folder, frame) for folder in folders]
     blocks = []
     for run in runs:
         try:
@@ -141,13 +141,13 @@ def viewer_page(folders: Sequence[Path], frame: int | None = None) -> bytes:
         if block is None:
             raise RunFolderError(f"{run.path}: expected objects.parquet or scene.npz: the run has nothing to show")
         blocks.append(block)
-    agents = [set(run.known_agents) for run in runs]
+    agents = [set(run.agents) for run in runs]
     if not set.intersection(*agents) and len(runs) > 1:
         names = " and ".join(", ".join(sorted(each)) for each in agents)
         raise NotComparable(
             f"{runs[0].path} and {runs[1].path}: found the agents {names}, expected runs with a common agent"
         )
-    title = " and ".join(run.label if run.label != runs[0].label or run is runs[0] else run.path.name for run in runs)
+    title = " and ".join(run.name if run.name != runs[0].name or run is runs[0] else run.path.name for run in runs)
     return page_of(title, viewer_parts(blocks))
 
 

@@ -13,12 +13,12 @@ import pytest
 from defence_outcomes import outcome
 
 import mast_zenoh as mast
-from mast_zenoh.api.comparisons import as_text
 from mast_zenoh.config.scene_names import parse_scene
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.integrity.calibration import refuse_calibration_data
 from mast_zenoh.metrics.driving_results import DRIVING_MEASURES, DrivingTable
 from mast_zenoh.metrics.study_results import Estimate
+from mast_zenoh.report.compare import as_text
 from mast_zenoh.report.figures.driving_study import figure_of_driving
 from mast_zenoh.report.tables.driving_study import conclusion, driving_tables, headline
 from mast_zenoh.study import definition

@@ -13,7 +13,7 @@ from browser import FRAME, FRAMES, WatchedPage, chromium
 from mast_zenoh import scenario
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.report.html import write_report
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 from mast_zenoh.viewer.page.page import viewer_page
 
 #: Few objects are near each other, and both liars are soon suspended.
@@ -56,8 +56,8 @@ def play(name: str, settings: list[str], folder: Path, frames: int = FRAMES) -> 
 
 
 @pytest.fixture(scope="session")
-def loaded_run(attacked_run: Path) -> RunRecord:
-    return RunRecord.load(attacked_run)
+def loaded_run(attacked_run: Path) -> Run:
+    return Run(attacked_run)
 
 
 @pytest.fixture(scope="session")

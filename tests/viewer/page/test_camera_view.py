@@ -19,7 +19,7 @@ from mast_zenoh.arrays.geometry import box_corners, to_local, to_world
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.report.figures.camera import clip_polygon
 from mast_zenoh.run_folder.tables import read_table
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 from mast_zenoh.viewer.page.block import run_block
 from mast_zenoh.viewer.page.columns import unpack
 
@@ -58,13 +58,13 @@ def test_random_polygons_are_cut_as_numpy_cuts_them() -> None:
 class RecordedCamera:
     """The camera of an agent in a frame, from the recording alone."""
 
-    def __init__(self, run: RunRecord, agent: str, frame: int) -> None:
-        assert run.recording is not None
-        index = run.recording.agent_names.index(agent)
-        self.camera = run.recording.agents[index].camera
-        self.object = run.recording.agents[index].object_id
-        self.position = run.recording.agent_position[frame, index]
-        self.rotation = run.recording.agent_rotation[frame, index]
+    def __init__(self, run: Run, agent: str, frame: int) -> None:
+        assert run.files.scene is not None
+        index = run.files.scene.agent_names.index(agent)
+        self.camera = run.files.scene.agents[index].camera
+        self.object = run.files.scene.agents[index].object_id
+        self.position = run.files.scene.agent_position[frame, index]
+        self.rotation = run.files.scene.agent_rotation[frame, index]
 
     @property
     def eye(self) -> Floats:
@@ -94,7 +94,7 @@ def same_outline(found: NDArray[Any], expected: Floats, tolerance: NDArray[Any])
 
 
 def test_boxes_are_projected_as_the_recorded_camera_does(
-    report: Path, attacked_run: Path, loaded_run: RunRecord, open_page: OpenPage
+    report: Path, attacked_run: Path, loaded_run: Run, open_page: OpenPage
 ) -> None:
     page = open_page(report)
     table = read_table(attacked_run / "objects.parquet")
@@ -135,7 +135,7 @@ def test_boxes_are_projected_as_the_recorded_camera_does(
     assert own > 0
 
 
-def test_places_around_a_camera_never_fold_over(report: Path, loaded_run: RunRecord, open_page: OpenPage) -> None:
+def test_places_around_a_camera_never_fold_over(report: Path, loaded_run: Run, open_page: OpenPage) -> None:
     page = open_page(report)
     block = run_block(loaded_run)
     assert block is not None

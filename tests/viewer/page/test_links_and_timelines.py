@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ import pytest
 from browser import FRAMES, WatchedPage
 
 from mast_zenoh.runs.events import spans
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 from mast_zenoh.viewer.page.page import viewer_page
 
 OpenPage = Callable[..., WatchedPage]
@@ -74,11 +73,11 @@ def test_a_partition_cuts_the_links_of_its_agents(both: Path, open_page: OpenPag
     page.screenshot("partition")
 
 
-def test_spans_name_the_agents_whose_links_are_cut_or_impaired(loaded_run: RunRecord) -> None:
+def test_spans_name_the_agents_whose_links_are_cut_or_impaired(loaded_run: Run) -> None:
     def affected(type_: str, backend: str, nodes: list[str]) -> dict[str, Any]:
         fault = {"label": type_, "kind": "fault", "type": type_, "at_s": 1.0, "until_s": 2.0}
-        scenario = loaded_run.scenario | {"timeline": [fault | {"nodes": nodes, "backend": backend}]}
-        run = replace(loaded_run, scenario=scenario)
+        scenario = loaded_run.files.scenario | {"timeline": [fault | {"nodes": nodes, "backend": backend}]}
+        run = loaded_run.with_(scenario=scenario)
         (span,) = (each for each in spans(run, np.arange(FRAMES) * 0.1) if each["kind"] == "fault")
         return {name: span[name] for name in ("cut", "impaired") if name in span}
 

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from mast_zenoh.run_folder.tables import read_table
-from mast_zenoh.runs.run import RunRecord
+from mast_zenoh.runs.run import Run
 from mast_zenoh.viewer.page.block import run_block, shown_id
 from mast_zenoh.viewer.page.columns import Packer, unpack
 
@@ -17,7 +17,7 @@ Block = tuple[dict, dict[str, NDArray[np.float64]]]
 
 
 @pytest.fixture(scope="module")
-def block(loaded_run: RunRecord) -> Block:
+def block(loaded_run: Run) -> Block:
     data = run_block(loaded_run)
     assert data is not None
     return unpack(data)
@@ -71,11 +71,11 @@ def test_matched_tracks_know_the_object_that_they_follow(block: Block, attacked_
     assert sorted(found) == expected
 
 
-def test_velocities_and_covariances_come_from_the_messages(block: Block, loaded_run: RunRecord) -> None:
+def test_velocities_and_covariances_come_from_the_messages(block: Block, loaded_run: Run) -> None:
     _, columns = block
     assert columns["box.known"].all(), "every track of this run was recorded"
     truth = columns["box.truth"] > 0
-    recording = loaded_run.recording
+    recording = loaded_run.files.scene
     assert recording is not None
     frames = np.repeat(np.arange(len(recording)), np.diff(recording.truth_start))
     order, own = np.lexsort((recording.truth.id, frames)), np.lexsort((columns["box.id"], columns["box.frame"]))
@@ -113,15 +113,15 @@ def test_manipulations_states_and_series_are_those_of_the_tables(block: Block, a
 
 
 def test_an_undecided_agent_keeps_its_state_while_it_lies_and_while_it_is_down(attacked_run: Path) -> None:
-    run = RunRecord.load(attacked_run)
-    assert run.trust is not None
-    run.trust["state"] = np.full(len(run.trust["frame"]), "undecided", object)
-    run.run["steps"] = [{"node": "infra_1", "frame": 30, "action": "stop"}]
+    run = Run(attacked_run)
+    assert run.files.trust is not None
+    run.files.trust["state"] = np.full(len(run.files.trust["frame"]), "undecided", object)
+    run.files.record["steps"] = [{"node": "infra_1", "frame": 30, "action": "stop"}]
     data = run_block(run)
     assert data is not None
     header, columns = unpack(data)
     state = columns["agents.state"].reshape(-1, header["frames"]).astype(int)
-    judged = state[:, int(run.trust["frame"].min()) :]
+    judged = state[:, int(run.files.trust["frame"].min()) :]
     assert {header["states"][code - 1] for code in set((judged % 8).ravel().tolist())} == {"undecided"}
     (row,) = (index for index, agent in enumerate(header["agents"]) if agent["name"] == "infra_1")
     assert (state[row, 30:] & header["flags"]["down"]).all()
@@ -138,7 +138,7 @@ def test_events_say_when_the_attack_begins_and_when_it_first_succeeds(block: Blo
     assert frames == sorted(frames)
 
 
-def test_a_frame_takes_less_than_two_and_a_half_kilobytes(loaded_run: RunRecord) -> None:
+def test_a_frame_takes_less_than_two_and_a_half_kilobytes(loaded_run: Run) -> None:
     data = run_block(loaded_run)
     assert data is not None
     header, _ = unpack(data)
@@ -169,4 +169,4 @@ def test_ids_that_do_not_fit_are_shown_by_their_last_bits() -> None:
 
 def test_a_run_without_boxes_or_scene_has_no_picture(tmp_path: Path) -> None:
     (tmp_path / "run.json").write_text("{}")
-    assert run_block(RunRecord.load(tmp_path)) is None
+    assert run_block(Run(tmp_path)) is None

@@ -10,8 +10,6 @@ import numpy as np
 import pyarrow
 from numpy.typing import NDArray
 
-from mast_zenoh.api.messages import states, tables_of
-from mast_zenoh.api.runs import Run
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.config.resolved import RECORDING
 from mast_zenoh.errors import RunFolderError
@@ -20,6 +18,8 @@ from mast_zenoh.metrics.boxes import Places, nearest
 from mast_zenoh.metrics.trust import detection_delay
 from mast_zenoh.run_folder import read_json
 from mast_zenoh.run_folder.tables import from_arrow, to_arrow
+from mast_zenoh.runs.messages import states, tables_of
+from mast_zenoh.runs.run import Run
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import Walls, sensor_pose
 from mast_zenoh.sensing.raycast import PlacedSensor, has_returns

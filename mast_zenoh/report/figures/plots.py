@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from pathlib import Path
-from typing import Protocol
 
 from mast_zenoh.errors import ConfigurationError, RunFolderError, nearest
 from mast_zenoh.metrics.estimates import ESTIMATES
@@ -17,15 +14,7 @@ from mast_zenoh.report.figures.view import check_frame, choose_common_frame, cho
 from mast_zenoh.report.tables.scores import score_table
 from mast_zenoh.run_folder.tables import read_table
 from mast_zenoh.runs.frame import Frame
-from mast_zenoh.runs.run import RunRecord
-
-
-class Run(Protocol):
-    """The interface of a run for figures; `mast_zenoh.api.runs.Run` implements it."""
-
-    @property
-    def path(self) -> Path:
-        """The run folder."""
+from mast_zenoh.runs.run import Run
 
 
 class Plots:
@@ -34,7 +23,7 @@ class Plots:
     Each method returns a Matplotlib figure: a notebook displays it, `figure.savefig("name.png")` saves it.
     """
 
-    def __init__(self, runs: Mapping[str, RunRecord]) -> None:
+    def __init__(self, runs: Mapping[str, Run]) -> None:
         self._runs = dict(runs)
         self._first = next(iter(self._runs.values()))
 
@@ -52,7 +41,7 @@ class Plots:
         runs = {label: _with_all_columns(run) for label, run in (self._runs | labelled(others, self._runs)).items()}
         columns = (metric,) if isinstance(metric, str) else tuple(metric)
         for label, run in runs.items():
-            known = [name for name, values in (run.counts or {}).items() if values.dtype.kind in "fiu"]
+            known = [name for name, values in (run.files.counts or {}).items() if values.dtype.kind in "fiu"]
             for name in columns:
                 if known and name not in known:
                     raise ConfigurationError(f"{label}: no metric {name!r}{nearest(name, set(known) - {'frame'})}")
@@ -98,7 +87,7 @@ class Plots:
         for label, view in views.items():
             if estimate not in view.boxes:
                 raise ConfigurationError(f"{label}: no boxes of {estimate!r}{nearest(estimate, view.boxes)}")
-        table = score_table({label: run.metrics for label, run in runs.items()}, agent=self._first.ego or "ego")
+        table = score_table({label: run.files.summary for label, run in runs.items()}, agent=self._first.ego or "ego")
         return side_by_side_figure(views, table, estimate)
 
     def _view(self, frame: int | None) -> Frame:
@@ -106,7 +95,7 @@ class Plots:
 
     def _require(self, figure: Figure | None, reason: str) -> Figure:
         if figure is None:
-            reasons = " ".join(self._first.missing)
+            reasons = " ".join(self._first.files.missing)
             raise RunFolderError(f"{self._first.path}: nothing to draw: {reason}{f'; {reasons}' if reasons else ''}")
         return figure
 
@@ -115,27 +104,27 @@ class Plots:
         return f"<plots of {', '.join(self._runs)}: {drawn}>"
 
 
-def labelled(runs: Sequence[Run], taken: Mapping[str, RunRecord]) -> dict[str, RunRecord]:
+def labelled(runs: Sequence[Run], taken: Mapping[str, Run]) -> dict[str, Run]:
     """Runs by unique label, none of which is in `taken`.
 
     A label is the scenario's name, else the folder's, else the name with a number.
     """
-    result: dict[str, RunRecord] = {}
+    result: dict[str, Run] = {}
     for run in runs:
-        loaded = RunRecord.load(run.path)
-        names = [loaded.label, run.path.name, *(f"{loaded.label} ({number})" for number in range(2, 1000))]
+        loaded = Run(run.path)
+        names = [loaded.name, run.path.name, *(f"{loaded.name} ({number})" for number in range(2, 1000))]
         result[next(name for name in names if name not in {*taken, *result})] = loaded
     return result
 
 
-def _with_all_columns(run: RunRecord) -> RunRecord:
+def _with_all_columns(run: Run) -> Run:
     """The run with every column of metrics.parquet, of which the report needs few."""
-    return replace(run, counts=read_table(run.path / "metrics.parquet")) if run.counts is not None else run
+    return run.with_(counts=read_table(run.path / "metrics.parquet")) if run.files.counts is not None else run
 
 
-def _view(run: RunRecord, frame: int | None) -> Frame:
+def _view(run: Run, frame: int | None) -> Frame:
     view = None if frame is None else frame_view(run, check_frame(run, frame))
     if view is None:
-        reasons = " ".join(run.missing) or "no frame is both scored and settled: set `frame`"
+        reasons = " ".join(run.files.missing) or "no frame is both scored and settled: set `frame`"
         raise RunFolderError(f"{run.path}: no frame to draw: {reasons}")
     return view

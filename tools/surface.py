@@ -1,4 +1,4 @@
-"""Base classes for users, public like `mast_zenoh.__all__` (docs/stability.md)."""
+"""What users may rely on besides `mast_zenoh.__all__`: base classes, and members of a run (docs/stability.md)."""
 
 from __future__ import annotations
 
@@ -42,3 +42,10 @@ BASE_CLASSES: dict[str, tuple[str, ...]] = {
     "report figure": ("mast_zenoh.report.RunFigure",),
     "deployment engine": ("mast_zenoh.launch.engine.Engine",),
 }
+
+#: Members of a run that users may rely on. Its other attributes are for what shows runs, and may change.
+OF_A_RUN = (
+    *("record", "id", "name", "seed", "status", "running", "headline", "summary", "agents", "agent"),
+    *("metrics", "objects", "attacks", "targets", "driving", "driven", "trust", "trust_objects"),
+    *("messages", "truth", "picture", "plot", "report", "export", "animate", "snapshot"),
+)

@@ -1,4 +1,4 @@
-"""What an observer must know of a running run: its scenario, its wiring and its scene."""
+"""How a running run is reached and observed: its router, its scenario, its wiring and its scene."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ _CONNECT_S = 3.0
 
 
 @dataclass(frozen=True, eq=False)
-class ObservedRun:
-    """A running run.
+class LiveAddress:
+    """How a running run is reached, and what it began with.
 
     id:       of the run;  endpoint: of its router;  credentials: folder of the viewer's, None on an open mesh
     resolved: its scenario, with the wiring it began with;  scene: None: not prepared, or not known
@@ -53,7 +53,7 @@ class ObservedRun:
     refused: str = ""
 
     @classmethod
-    def of_folder(cls, path: Path, allowed: AllowedCode = SHIPPED) -> ObservedRun:
+    def of_folder(cls, path: Path, allowed: AllowedCode = SHIPPED) -> LiveAddress:
         """The run that is going on in a folder; loads those of its scenario's modules that are allowed.
 
         Raises NotRunning if it is not running on a mesh, or not yet, or if it is secure and was started without
@@ -88,7 +88,7 @@ class ObservedRun:
         return cls(str(record["id"]), str(record["endpoint"]), resolved, scene, credentials, path, refused)
 
     @classmethod
-    def of_mesh(cls, session: zenoh.Session, endpoint: str, run: str = "") -> ObservedRun:
+    def of_mesh(cls, session: zenoh.Session, endpoint: str, run: str = "") -> LiveAddress:
         """The run that is going on on a mesh. No Python file that its scenario names is imported.
 
         run: its id, needed if there are several
@@ -144,7 +144,7 @@ def is_starting(path: Path) -> bool:
     return record.get("status") == RUNNING and record.get("runtime") == "mesh" and not record.get("endpoint")
 
 
-def await_start(folder: Path, timeout_s: float, stop: threading.Event, allowed: AllowedCode = SHIPPED) -> ObservedRun:
+def await_start(folder: Path, timeout_s: float, stop: threading.Event, allowed: AllowedCode = SHIPPED) -> LiveAddress:
     """The run of a folder, once it has started its nodes; raises NotRunning if it does not, or cannot be observed.
 
     allowed: which of the code that it names may run
@@ -152,7 +152,7 @@ def await_start(folder: Path, timeout_s: float, stop: threading.Event, allowed: 
     deadline = time.monotonic() + timeout_s
     while is_starting(folder) and time.monotonic() < deadline and not stop.is_set():
         stop.wait(0.1)
-    return ObservedRun.of_folder(folder, allowed)
+    return LiveAddress.of_folder(folder, allowed)
 
 
 def check_reachable(endpoint: str) -> None:

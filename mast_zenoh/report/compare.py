@@ -8,14 +8,14 @@ import io
 import pyarrow
 from rich.console import Console, RenderableType
 
-from mast_zenoh.api.plots import Plots, labelled
-from mast_zenoh.api.runs import Run
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.report import comparison
 from mast_zenoh.report.comparison import Reference
+from mast_zenoh.report.figures.plots import Plots, labelled
 from mast_zenoh.report.narrative.run import result
 from mast_zenoh.report.tables.scores import as_markdown, as_rich, score_table
 from mast_zenoh.run_folder import reading
+from mast_zenoh.runs.run import Run
 
 
 class Comparison:
@@ -33,8 +33,8 @@ class Comparison:
         with reading(first.path):
             for label in others:
                 comparison.reference(self._folders[label], first.path)
-            metrics = {label: run.metrics for label, run in self._folders.items()}
-            counts = {label: run.counts for label, run in self._folders.items()}
+            metrics = {label: run.files.summary for label, run in self._folders.items()}
+            counts = {label: run.files.counts for label, run in self._folders.items()}
             agent = first.ego or "ego"
             self._scores = score_table(metrics, counts=counts, agent=agent, reference=self._reference)
 

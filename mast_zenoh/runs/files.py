@@ -1,0 +1,392 @@
+"""What is in the folder of a run: its documents and tables, each read when it is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+import pyarrow
+from numpy.typing import NDArray
+from pyarrow import parquet
+
+from mast_zenoh.arrays.boxes import Boxes
+from mast_zenoh.arrays.states import Bools
+from mast_zenoh.errors import MastError
+from mast_zenoh.launch import liveness
+from mast_zenoh.launch.measurement import recorded_wirings
+from mast_zenoh.run_folder import check_plain, read_object
+from mast_zenoh.run_folder.tables import from_arrow, read_arrow, read_groups
+from mast_zenoh.scenes.recording import Recording
+from mast_zenoh.wiring.model import Wiring
+
+#: A table: one array per column, all of one length.
+Table = dict[str, NDArray[Any]]
+
+_COUNTS = ("frame", "agent", "estimator", "fn", "fp", "tp", "rmse_m", "id_switches")
+_OBJECTS = (
+    *("frame", "agent", "estimator", "kind", "outcome", "id", "match_id"),
+    *("x", "y", "z", "l", "w", "h", "yaw", "cause", "by"),
+)
+_TARGETS = (
+    *("adversary", "kind", "object", "frame", "x", "y", "seen_by_others"),
+    *("believed_centre", "judged_centre", "error_m_centre", "believed_ego", "judged_ego", "error_m_ego"),
+)
+_TRUST = ("frame", "time_s", "agent", "mean", "log_odds", "state", "reason")
+_JUDGED = ("frame", "id", "x", "y", "z", "l", "w", "h", "yaw", "withheld")
+_EFFECTS = (
+    *("interposer", "role", "wire", "message", "before_subscriber", "frame", "effect"),
+    *("before_x", "before_y", "before_z", "after_x", "after_y", "after_z"),
+)
+#: What distinguishes effects.
+_KINDS = ("interposer", "wire", "message", "before_subscriber", "effect")
+_DRIVING = ("frame", "agent", "estimate", "false", "missed", "ttc_s", "brake", "needless", "omitted")
+_DRIVEN = ("agent", "frame", "time_s", "x", "y", "heading", "speed_mps", "acceleration_mps2", "brake")
+
+
+#: Frames whose boxes and manipulations are in memory, at most: of a longer run, those of every n-th frame.
+MOST_FRAMES = 3000
+
+
+class Sample(NamedTuple):
+    """Which frames of a run are in memory with their boxes and manipulations: every n-th from `first` to before `end`.
+
+    The first n frames of a sample without `end` are before `first`: of a run, every n-th frame is in it.
+    """
+
+    every: int = 1
+    first: int = 0
+    end: int | None = None
+
+    @classmethod
+    def of(cls, frames: int, wanted: int | None = None) -> Sample:
+        """The sample of a run of so many frames; wanted: a frame that is in it."""
+        every = max(1, -(-frames // MOST_FRAMES))
+        return cls(every, (wanted or 0) % every)
+
+    def has(self, frames: NDArray[Any]) -> Bools:
+        """(n,) bool: which of n frames are in the sample."""
+        inside = (frames - self.first) % self.every == 0
+        return np.asarray(inside if self.end is None else inside & (frames >= self.first) & (frames < self.end))
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """The first and the last frame."""
+        return (self.first, self.end - 1) if self.end is not None else (-np.inf, np.inf)
+
+
+#: All frames.
+ALL = Sample()
+
+
+def rows(table: Table, mask: Bools) -> Table:
+    """The rows of a table selected by a mask (n,)."""
+    return {name: column[mask] for name, column in table.items()}
+
+
+def driven_table(path: Path) -> Table:
+    """The columns of a driven.parquet that pictures show. Raises ValueError or OSError if it is missing or damaged."""
+    return _table(_DRIVEN)(path)
+
+
+def column(table: Table, name: str) -> NDArray[np.float64]:
+    """A column as numbers."""
+    return np.asarray(table[name], np.float64)
+
+
+class RunFiles:
+    """The documents and tables of a run, each read from its folder when it is asked for, and once.
+
+    What is absent or unreadable is empty or None, and named in `missing`.
+
+    path:  the folder; None: there is none, as of a run that is going on elsewhere
+    frame: of a run that is so long that only every n-th frame is read whole: one of them
+    agent: whose boxes `objects` has, if not the main agent's
+    given: contents that need not be read, by name
+
+    The tables have these columns:
+    counts:    metrics.parquet: a row per frame, agent and estimator
+    objects:   objects.parquet: a row per box of the agent, in the frames of the sample
+    effects:   attacks.parquet: a row per measured effect of an interposer; of a frame that is not in the sample, a row
+               for all effects of a kind of an interposer on a wire
+    targets:   targets.parquet: a row per manipulated object and frame
+    driving:   driving.parquet: a row per frame, vehicle and estimate
+    driven:    driven.parquet: a row per frame and driven car
+    trust:     trust.parquet: of a command centre that judges agents
+    trust_objects: trust_objects.parquet, in the frames of the sample
+    """
+
+    def __init__(self, path: Path | None, *, frame: int | None = None, agent: str = "", **given: Any) -> None:
+        self.path = path or Path()
+        self._read_from = path
+        self._frame, self._agent, self._given = frame, agent, given
+        self._absent: dict[str, str] = {}
+        #: What else the record lacks, as found by whoever reads it.
+        self.notes: list[str] = []
+        self.__dict__.update(given)
+
+    def with_(self, **changes: Any) -> Self:
+        """The same with other contents, by name; agent, sample: what depends on them is read anew."""
+        anew = (_BY_AGENT if "agent" in changes else ()) + (_BY_SAMPLE if "sample" in changes else ())
+        agent = changes.pop("agent", self._agent)
+        other = type(self)(self._read_from, frame=self._frame, agent=agent, **(self._given | changes))
+        for name in _NAMES:
+            if name in self.__dict__ and name not in anew:
+                other.__dict__.setdefault(name, self.__dict__[name])
+        other._absent, other.notes = self._absent, self.notes
+        return other
+
+    @property
+    def is_live(self) -> bool:
+        """Whether this is what was seen of a run that is going on."""
+        return self._read_from is None
+
+    # -- documents -----------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def record(self) -> dict[str, Any]:
+        """run.json, as of now."""
+        return liveness.current_record(self._document("run.json", "how the run and its nodes ended is not known"))
+
+    @cached_property
+    def scenario(self) -> dict[str, Any]:
+        """scenario.json."""
+        return self._document("scenario.json", "no configuration")
+
+    @cached_property
+    def wiring(self) -> dict[str, Any]:
+        """wiring.json."""
+        return self._document("wiring.json", "the nodes on each wire are not known")
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """metrics.json."""
+        return self._document("metrics.json", "no table of means")
+
+    @cached_property
+    def checks(self) -> dict[str, Any]:
+        """checks.json, of runs with checks."""
+        return self._optional("checks.json", _json_object, "what was checked is not known") or {}
+
+    @cached_property
+    def results(self) -> tuple[tuple[str, tuple[str, ...]], ...]:
+        """By node, the names of its files under results/."""
+        folder = self.path / "results"
+        if self.is_live or not folder.is_dir():
+            return ()
+        nodes = sorted(path for path in folder.iterdir() if path.is_dir())
+        return tuple((path.name, tuple(sorted(file.name for file in path.iterdir()))) for path in nodes)
+
+    @cached_property
+    def wirings(self) -> Sequence[tuple[int, Wiring]]:
+        """The wirings that the run had, each with the frame after which it holds; the first one with -1.
+
+        Raises RunFolderError if one cannot be read.
+        """
+        return recorded_wirings(self.path)
+
+    # -- the scene and the tables --------------------------------------------------------------------------------------
+
+    @cached_property
+    def sample(self) -> Sample:
+        """The frames of which boxes and manipulations are read."""
+        played = self.summary.get("frames") or self.record.get("frames")
+        return Sample.of(played if isinstance(played, int) else 0, self._frame)
+
+    @cached_property
+    def scene(self) -> Recording | None:
+        """scene.npz; of a long run without the sweeps of its sensors."""
+        lost = "no buildings, agents and camera view in the pictures"
+        scene: Recording | None = self._file("scene.npz", partial(_scene, sweeps=self.sample.every == 1), lost)
+        return scene
+
+    @cached_property
+    def agent(self) -> str | None:
+        """The agent whose view is shown: the given one, `ego`, or else the first; None: unknown."""
+        if self._agent:
+            return self._agent
+        names = list(self.scene.agent_names) if self.scene else list(self.summary.get("agents", {}))
+        if not names and self.counts is not None:
+            names = sorted(set(self.counts["agent"]))
+        return "ego" if "ego" in names else (names[0] if names else None)
+
+    @cached_property
+    def counts(self) -> Table | None:
+        """The counts of metrics.parquet, as far as they are whole."""
+        table: Table | None = self._file("metrics.parquet", _counts, "no counts over time")
+        return table
+
+    @cached_property
+    def objects(self) -> Table | None:
+        """The boxes of the agent."""
+        lost = "no outcomes of objects, no bird's-eye and camera views"
+        read = _table(_OBJECTS, self.agent or "", sample=self.sample)
+        table: Table | None = self._file("objects.parquet", read, lost)
+        return table
+
+    @cached_property
+    def effects(self) -> Table | None:
+        """The effects of interposers."""
+        intercepted = any(wire.get("interposers") for wire in self.wiring.get("wires", ()))
+        read = self._file if intercepted else self._optional
+        lost = "what interposers changed is not marked"
+        table: Table | None = read("attacks.parquet", _effects(self.sample), lost)
+        return table
+
+    @cached_property
+    def targets(self) -> Table | None:
+        """The objects that adversaries manipulated."""
+        return self._applied("achieved", "targets.parquet", _table(_TARGETS), "what attacks achieved is not explained")
+
+    @cached_property
+    def driving(self) -> Table | None:
+        """Effects on driving."""
+        return self._applied("driving", "driving.parquet", _table(_DRIVING), "no chart of driving")
+
+    @cached_property
+    def driven(self) -> Table | None:
+        """The course of driven cars."""
+        return self._applied("driven", "driven.parquet", _table(_DRIVEN), "the course of driven cars is not shown")
+
+    @cached_property
+    def trust(self) -> Table | None:
+        """The command centre's trust in agents."""
+        return self._applied("integrity", "trust.parquet", _table(_TRUST), "trust in agents is not shown")
+
+    @cached_property
+    def trust_objects(self) -> Table | None:
+        """The objects that a judging command centre tracks."""
+        read = _table(_JUDGED, sample=self.sample)
+        return self._applied("integrity", "trust_objects.parquet", read, "withheld objects are not shown")
+
+    @property
+    def all_objects(self) -> Any:
+        """Objects.parquet, of every agent and the frames in the sample, as an Arrow table; None: there is none.
+
+        Raises OSError, RunFolderError or ArrowException if it is missing, broken or too large when unpacked.
+        """
+        if self.is_live or "all_objects" in self._given:
+            return self._given.get("all_objects")
+        path, sample = self.path / "objects.parquet", self.sample
+        return read_arrow(path) if sample == ALL else read_arrow(path, sample.has, sample.span)
+
+    # -- what is missing -----------------------------------------------------------------------------------------------
+
+    @property
+    def missing(self) -> list[str]:
+        """A sentence for each file that is absent or unreadable: what is not shown without it. Reads all files."""
+        for name in _NAMES:
+            if name != "wirings":
+                getattr(self, name)
+        sentences = list(self._absent.values())
+        if self.summary and "achieved" not in self.summary and self.effects is not None:
+            sentences.append("metrics.json has no achievements: what attacks achieved is not known.")
+        return [*sentences, *self.notes]
+
+    def note(self, sentence: str) -> None:
+        """Add a sentence about something else that the record lacks, once."""
+        if sentence not in self.notes:
+            self.notes.append(sentence)
+
+    def is_damaged(self, name: str) -> bool:
+        """Whether a file is there, but cannot be read."""
+        return self._absent.get(name, "").startswith(f"{name} cannot be read")
+
+    def _file(self, name: str, read: Callable[[Path], Any], consequence: str) -> Any:
+        """Read a file; None on failure, with its `consequence` in `missing`."""
+        if self.is_live:
+            return None
+        path = self.path / name
+        try:
+            return read(path)
+        except FileNotFoundError:
+            self._absent[name] = f"{name} is absent: {consequence}."
+        except (OSError, ValueError, KeyError, MastError, pyarrow.ArrowException) as error:
+            reason = str(error).removeprefix(f"{path}: ")
+            self._absent[name] = f"{name} cannot be read ({reason}): {consequence}."
+        return None
+
+    def _optional(self, name: str, read: Callable[[Path], Any], consequence: str) -> Any:
+        """Like `_file`, for a file that not every run has: its absence is not reported."""
+        return self._file(name, read, consequence) if (self.path / name).is_file() else None
+
+    def _applied(self, metric: str, name: str, read: Callable[[Path], Table], consequence: str) -> Table | None:
+        """A table that the evaluator writes only for runs to which it applies."""
+        table: Table | None = (self._file if self.summary.get(metric) else self._optional)(name, read, consequence)
+        return table
+
+    def _document(self, name: str, consequence: str) -> dict[str, Any]:
+        return self._file(name, _json_object, consequence) or {}
+
+
+#: RunFiles that are read once, in the order in which `missing` names them.
+_NAMES = tuple(name for name, value in vars(RunFiles).items() if isinstance(value, cached_property))
+#: Those that are of an agent, and those that are of a sample.
+_BY_AGENT, _BY_SAMPLE = ("agent", "objects"), ("sample", "objects", "effects", "trust_objects")
+
+
+def boxes_of(table: Table) -> Boxes:
+    """The boxes in rows with the columns frame, id, x y z, l w h and yaw; their groups are frames."""
+    position, size = (np.stack([column(table, name) for name in names], axis=1) for names in ("xyz", "lwh"))
+    return Boxes(table["frame"], table["id"], position, size, column(table, "yaw"))
+
+
+def _json_object(path: Path) -> dict[str, Any]:
+    """A JSON file that holds an object."""
+    path.lstat()  # raises FileNotFoundError
+    return read_object(path)
+
+
+def _scene(path: Path, *, sweeps: bool) -> Recording:
+    """The recorded scene; sweeps: with those of the sensors."""
+    return Recording.load(check_plain(path), sweeps=sweeps)
+
+
+def _counts(path: Path) -> Table:
+    """The counts of metrics.parquet."""
+    table = _table(_COUNTS)(path)
+    if any(np.isnan(column(table, name)).any() for name in ("fn", "fp", "tp", "id_switches")):
+        raise ValueError("found missing counts, expected a number in every row")
+    return table
+
+
+def _table(columns: tuple[str, ...], agent: str = "", *, sample: Sample = ALL) -> Callable[[Path], Table]:
+    """A reader of columns of a Parquet table, for one agent if given, and for the frames in a sample."""
+
+    def read(path: Path) -> Table:
+        if sample != ALL:
+            parts = read_groups(path, *columns, keep=sample.has, span=sample.span)
+            return _joined(path, columns, (rows(part, part["agent"] == agent) if agent else part for part in parts))
+        content = read_arrow(path)
+        if missing := sorted(set(columns) - set(content.column_names)):
+            raise ValueError(f"found no column {', '.join(missing)}")
+        own: Any = from_arrow(content.select(["agent"]))["agent"] == agent if agent else slice(None)
+        return from_arrow(content.select(columns), own)
+
+    return read
+
+
+def _effects(sample: Sample) -> Callable[[Path], Table]:
+    """A reader of attacks.parquet, see `RunFiles.effects`."""
+    if sample.every == 1:
+        return _table(_EFFECTS, sample=sample)
+
+    def wanted(part: Table) -> Table:
+        kinds = [np.unique(part[name], return_inverse=True)[1] for name in _KINDS]
+        first = np.unique(np.column_stack([part["frame"], *kinds]), axis=0, return_index=True)[1]
+        mask = sample.has(part["frame"])
+        mask[first] = True
+        return rows(part, mask)
+
+    return lambda path: _joined(path, _EFFECTS, map(wanted, read_groups(path, *_EFFECTS)))
+
+
+def _joined(path: Path, columns: tuple[str, ...], parts: Iterable[Table]) -> Table:
+    """Parts of a long table, which is never in memory as a whole."""
+    content = parquet.read_schema(check_plain(path)).empty_table()
+    if missing := sorted(set(columns) - set(content.column_names)):
+        raise ValueError(f"found no column {', '.join(missing)}")
+    tables = [from_arrow(content.select(columns)), *parts]
+    return {name: np.concatenate([table[name] for table in tables]) for name in columns}
