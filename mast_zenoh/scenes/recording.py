@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 import json
+import os
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import accumulate
 from pathlib import Path
-from typing import Any
+from tokenize import TokenError
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import CLASSES, DETECTION_COLUMNS, Detections, Floats, Ints, ObjectStates
 from mast_zenoh.errors import SceneError
-from mast_zenoh.run_folder import check_plain
+from mast_zenoh.run_folder import check_plain, open_plain
 from mast_zenoh.scenes.agents import SceneAgent as SceneAgent
 from mast_zenoh.scenes.agents import agent_from_json, agent_to_json
+from mast_zenoh.scenes.mapped import MappedArray, check_stored, mapped_arrays
 
 #: In place of the age of a measurement, in frames without a new one.
 NO_MEASUREMENT = -1
@@ -58,7 +62,7 @@ class Measurements:
             if values.shape != (frames, sensors, *shape):
                 yield f"measurements.{name} has shape {values.shape}, expected {(frames, sensors, *shape)}"
                 return
-            if not np.isfinite(values).all():
+            if isinstance(values, np.ndarray) and not np.isfinite(values).all():  # a MappedArray checks what is read
                 yield f"measurements.{name} has a number that is not finite"
         latest = np.concatenate([[0], np.diff(times_ns) - 1])
         invalid = np.argwhere((self.age_ns < NO_MEASUREMENT) | (self.age_ns > latest[:, None]))
@@ -76,6 +80,7 @@ class Measurements:
 
 
 _BOX = {"position": "N,3", "size": "N,3", "yaw": "N", "class_id": "N"}
+_BUILDINGS = {"building_height": "B", "building_start": "U", "building_corners": "C,2"}
 #: Shape of each array: F frames, A agents, N truth rows, D detections, B buildings, C corners of them,
 #: S = F * sensors + 1, T = F + 1, U = B + 1.
 SHAPES: dict[str, str] = {
@@ -87,9 +92,7 @@ SHAPES: dict[str, str] = {
     "agent_velocity": "F,A,3",
     "detection_start": "S",
     "detection_truth_id": "D",
-    "building_height": "B",
-    "building_start": "U",
-    "building_corners": "C,2",
+    **_BUILDINGS,
     "truth.id": "N",
     "truth.velocity": "N,3",
     **{f"truth.{name}": shape for name, shape in _BOX.items()},
@@ -99,6 +102,10 @@ SHAPES: dict[str, str] = {
 }
 #: Arrays that only some recordings have; their shapes are checked in `measurements`.
 _OPTIONAL = ("measurements.age_ns", "measurements.position", "measurements.rotation")
+#: Arrays that `Recording.open` reads: times, offsets and buildings.
+_READ_AT_ONCE = ("head", "times_ns", "truth_start", "detection_start", "measurements.age_ns", *_BUILDINGS)
+#: Size in bytes from which `Recording.open` leaves the other arrays in their file.
+MAPPED_BYTES = 64 << 20
 #: Types other than float64.
 _TYPES: dict[str, Any] = {
     "points": np.int32,
@@ -119,7 +126,9 @@ _COUNTED = {
 def arrays_of_file(
     place: object, arrays: Mapping[str, NDArray[Any]], agents: int, sensors: int
 ) -> dict[str, NDArray[Any]]:
-    """The arrays of SHAPES with their types. place: of the recording, for messages; agents: A; sensors: of all agents
+    """The arrays of SHAPES, and of sweeps, with their types.
+
+    place: of the recording, for messages; agents: A; sensors: of all agents
 
     Raises SceneError for an array that is missing, of another shape, or not of the numbers that it should hold.
     """
@@ -127,7 +136,11 @@ def arrays_of_file(
         if name not in arrays:
             raise SceneError(f"{place}: {name} is missing")
     check_shapes(place, arrays, agents, sensors)
-    return {name: _typed(place, name, values) for name, values in arrays.items() if name in (*SHAPES, *_OPTIONAL)}
+    return {
+        name: _typed(place, name, values)
+        for name, values in arrays.items()
+        if name in (*SHAPES, *_OPTIONAL) or name.startswith("sweeps.")
+    }
 
 
 def check_shapes(place: object, arrays: Mapping[str, NDArray[Any]], agents: int, sensors: int) -> None:
@@ -151,7 +164,7 @@ def check_times(place: object, times_ns: NDArray[np.int64]) -> None:
 
 def _typed(place: object, name: str, array: NDArray[Any]) -> NDArray[Any]:
     """An array with its type; raises SceneError if that would change a number."""
-    wanted = np.dtype(_TYPES.get(name, np.float64))
+    wanted = np.dtype(_TYPES.get(name, np.float32 if name.startswith("sweeps.") else np.float64))
     if array.dtype == wanted:
         return array
     kinds = "iu" if wanted.kind in "iu" else "fiu"
@@ -165,6 +178,24 @@ def _typed(place: object, name: str, array: NDArray[Any]) -> NDArray[Any]:
     return converted
 
 
+def _check_numbers(
+    place: str,
+    name: str,
+    values: NDArray[Any],
+    place_of: Callable[[NDArray[Any]], list[int]] = np.ndarray.tolist,
+) -> None:
+    """Raise SceneError for a number of an array that is not finite, or a class that is not in CLASSES.
+
+    values: a part of the array, or all;  place_of: from a place in the part to that in the array
+    """
+    invalid = np.argwhere(~np.isfinite(values))
+    if len(invalid):
+        number = values[tuple(invalid[0])]
+        raise SceneError(f"{place}: {name}{place_of(invalid[0])} is {number}, expected a finite number")
+    if name == "truth.class_id" and np.max(values, initial=0) >= len(CLASSES):
+        raise SceneError(f"{place}: truth.class_id {np.max(values)} is not in CLASSES")
+
+
 #: Truth columns of a recording; covariance and score are constant for truth.
 TRUTH_COLUMNS = ("id", "position", "velocity", "size", "yaw", "class_id")
 
@@ -176,8 +207,17 @@ _ORIGIN_STEP_M = 10_000.0
 #: What reading a damaged file may raise.
 _DAMAGE = (
     *(OSError, ValueError, KeyError, TypeError, AttributeError, IndexError, OverflowError, EOFError),
-    *(MemoryError, RecursionError, NotImplementedError, zipfile.BadZipFile, zlib.error),
+    *(MemoryError, RuntimeError, TokenError, zipfile.BadZipFile, zlib.error),
 )
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """Turn errors that a damaged file explains into SceneError."""
+    try:
+        yield
+    except _DAMAGE as error:
+        raise SceneError(f"{path}: not a prepared scene: {error}") from error
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,6 +353,19 @@ class Recording:
 
         The message names its column and frame.
         """
+        self._check_structure()
+        for name, columns in (("truth", self.truth.columns()), ("detections", self.detections.columns())):
+            for column, values in columns.items():
+                _check_numbers(self.name, f"{name}.{column}", values)
+        for name in ("agent_position", "agent_rotation", "agent_velocity"):
+            _check_numbers(self.name, name, getattr(self, name))
+        for index, sweep in enumerate(self.sweeps):
+            _check_numbers(self.name, f"sweeps.{index}", sweep)
+        for frame in range(len(self)):
+            self._check_ids(frame, self.truth_at(frame).id)
+
+    def _check_structure(self) -> None:
+        """Raise SceneError for the first invalid shape, time, offset or building."""
         f, a, n, d = len(self.times_ns), len(self.agents), len(self.truth), len(self.detections)
         if f == 0 or a == 0:
             raise SceneError(f"{self.name}: {f} frames and {a} agents, expected at least one of each")
@@ -332,30 +385,15 @@ class Recording:
         for name, start, rows in (("truth", self.truth_start, n), ("detections", self.detection_start, d)):
             if start[0] != 0 or start[-1] != rows or np.any(np.diff(start) < 0):
                 raise SceneError(f"{self.name}: the offsets of {name} do not cover its {rows} rows in order")
-        for name, columns in (("truth", self.truth.columns()), ("detections", self.detections.columns())):
-            for column, values in columns.items():
-                self._check_finite(f"{name}.{column}", values)
-        for name in ("agent_position", "agent_rotation", "agent_velocity", "building_height"):
-            self._check_finite(name, getattr(self, name))
-        for index, sweep in enumerate(self.sweeps):
-            self._check_finite(f"sweeps[{index}]", sweep)
+        _check_numbers(self.name, "building_height", self.building_height)
         for index, outline in enumerate(self.buildings):
-            self._check_finite(f"buildings[{index}]", outline)
+            _check_numbers(self.name, f"buildings[{index}]", outline)
             if outline.ndim != 2 or outline.shape[1:] != (2,) or len(outline) < 3:
                 raise SceneError(f"{self.name}: buildings[{index}] has shape {outline.shape}, expected (k >= 3, 2)")
-        if n and self.truth.class_id.max() >= len(CLASSES):
-            raise SceneError(f"{self.name}: truth.class_id {self.truth.class_id.max()} is not in CLASSES")
-        for frame in range(f):
-            ids = self.truth_at(frame).id
-            if len(np.unique(ids)) != len(ids):
-                raise SceneError(f"{self.name}: frame {frame} has two truth rows with the same id")
 
-    def _check_finite(self, name: str, values: NDArray[Any]) -> None:
-        invalid = np.argwhere(~np.isfinite(values))
-        if len(invalid):
-            raise SceneError(
-                f"{self.name}: {name}{invalid[0].tolist()} is {values[tuple(invalid[0])]}, expected a finite number"
-            )
+    def _check_ids(self, frame: int, ids: Ints) -> None:
+        if len(np.unique(ids)) != len(ids):
+            raise SceneError(f"{self.name}: frame {frame} has two truth rows with the same id")
 
     def _columns(self) -> dict[str, NDArray[Any]]:
         """All arrays by their names in a file, but those of buildings' corners and of sweeps."""
@@ -391,40 +429,78 @@ class Recording:
 
         Raises SceneError when the file is missing, broken or of another format.
         """
-        try:
+        with _reading(path):
             with np.load(check_plain(path), allow_pickle=False) as file:
-                unpacked, size = sum(member.file_size for member in file.zip.infolist()), path.stat().st_size
-                if unpacked > size:  # `save` compresses nothing
-                    raise ValueError(f"unpacks to {unpacked} bytes, more than its own {size}")
+                check_stored(file.zip, path.stat().st_size)
                 arrays = {name: file[name] for name in file.files if sweeps or not name.startswith("sweeps.")}
-            header = json.loads(str(arrays["head"]))
-            if header["format"] != _FORMAT:
-                raise SceneError(f"{path}: format {header['format']}, expected {_FORMAT}")
-            agents = tuple(map(agent_from_json, header["agents"]))
-            arrays |= arrays_of_file(path, arrays, len(agents), sum(len(agent.sensors) for agent in agents))
-            for array in arrays.values():
-                array.setflags(write=False)  # so that messages need not copy it
-            start = arrays["building_start"]
-            if start[0] != 0 or start[-1] != len(arrays["building_corners"]) or np.any(np.diff(start) < 0):
-                raise SceneError(f"{path}: building_start is {start.tolist()[:8]}, expected offsets of the corners")
-            recording = cls(
-                name=str(header["name"]),
-                agents=agents,
-                period_ns=int(header["period_ns"]),
-                truth=truth_states({name: arrays[f"truth.{name}"] for name in TRUTH_COLUMNS}),
-                detections=Detections(*(arrays[f"detections.{name}"] for name in DETECTION_COLUMNS)),
-                buildings=tuple(np.split(arrays["building_corners"], start[1:-1])) if len(start) > 1 else (),
-                sweeps=tuple(arrays[f"sweeps.{i}"] for i in range(len(header["agents"])) if "sweeps.0" in arrays),
-                measurements=Measurements(*(arrays[f"measurements.{name}"] for name in _MEASUREMENTS))
-                if "measurements.age_ns" in arrays
-                else None,
-                notes=tuple(map(str, header.get("notes", ()))),
-                **{name: arrays[name] for name in _ARRAYS},
-            )
-        except _DAMAGE as error:
-            raise SceneError(f"{path}: not a prepared scene: {error}") from error
+            recording = cls._of(path, arrays)
         recording.validate()
         return recording
+
+    @classmethod
+    def open(cls, path: Path) -> Recording:
+        """Open a file written by `save`, to show frames of it: a large one is not read.
+
+        Of a file of MAPPED_BYTES or more, shapes, times, offsets and buildings are checked now; numbers when they are
+        asked for, and the ids of a frame when its truth is. Its arrays are `MappedArray`s: take a part by an index.
+
+        Raises SceneError, now or then, as `load` does; a damaged bit in such a file may pass for another number.
+        """
+        with _reading(path), open_plain(path) as file:
+            if os.fstat(file.fileno()).st_size < MAPPED_BYTES:
+                return cls.load(path)
+            recording = _OpenedRecording._of(path, mapped_arrays(file))
+        recording._check_structure()
+        return recording
+
+    @classmethod
+    def _of(cls, path: Path, arrays: dict[str, Any]) -> Self:
+        """The recording of a file's arrays, whose types are right and whose numbers are not checked."""
+        header = json.loads(str(arrays["head"]))
+        if header["format"] != _FORMAT:
+            raise SceneError(f"{path}: format {header['format']}, expected {_FORMAT}")
+        agents = tuple(map(agent_from_json, header["agents"]))
+        arrays |= arrays_of_file(path, arrays, len(agents), sum(len(agent.sensors) for agent in agents))
+        arrays = cls._held(str(header["name"]), arrays)
+        start = arrays["building_start"]
+        if start[0] != 0 or start[-1] != len(arrays["building_corners"]) or np.any(np.diff(start) < 0):
+            raise SceneError(f"{path}: building_start is {start.tolist()[:8]}, expected offsets of the corners")
+        return cls(
+            name=str(header["name"]),
+            agents=agents,
+            period_ns=int(header["period_ns"]),
+            truth=truth_states({name: arrays[f"truth.{name}"] for name in TRUTH_COLUMNS}),
+            detections=Detections(*(arrays[f"detections.{name}"] for name in DETECTION_COLUMNS)),
+            buildings=tuple(np.split(arrays["building_corners"], start[1:-1])) if len(start) > 1 else (),
+            sweeps=tuple(arrays[f"sweeps.{i}"] for i in range(len(header["agents"])) if "sweeps.0" in arrays),
+            measurements=Measurements(*(arrays[f"measurements.{name}"] for name in _MEASUREMENTS))
+            if "measurements.age_ns" in arrays
+            else None,
+            notes=tuple(map(str, header.get("notes", ()))),
+            **{name: arrays[name] for name in _ARRAYS},
+        )
+
+    @classmethod
+    def _held(cls, name: str, arrays: dict[str, Any]) -> dict[str, Any]:
+        """The arrays as they are held in memory. name: of the recording, for messages"""
+        for array in arrays.values():
+            array.setflags(write=False)  # so that messages need not copy it
+        return arrays
+
+
+class _OpenedRecording(Recording):
+    """A recording whose columns stay in its file, see `Recording.open`."""
+
+    def truth_at(self, frame: int) -> ObjectStates:
+        truth = super().truth_at(frame)
+        self._check_ids(frame, truth.id)
+        return truth
+
+    @classmethod
+    def _held(cls, name: str, arrays: dict[str, Any]) -> dict[str, Any]:
+        read = {key: np.array(arrays[key]) for key in _READ_AT_ONCE if key in arrays}
+        mapped = {key: MappedArray(arrays[key], partial(_check_numbers, name, key)) for key in arrays.keys() - read}
+        return super()._held(name, read) | mapped
 
 
 _ARRAYS = tuple(

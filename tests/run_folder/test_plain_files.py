@@ -19,7 +19,7 @@ from mast_zenoh.scenario import load, resolve
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.scenes.recording_file import RecordingFile
 
-READERS = [read_json, read_table, Recording.load, Script.load, check_plain, open_plain]
+READERS = [read_json, read_table, Recording.load, Recording.open, Script.load, check_plain, open_plain]
 
 
 def link(path: Path) -> None:
