@@ -51,7 +51,7 @@ class Agent:
 
     def detections_of(self, sensor: str) -> pyarrow.Table:
         """As `detections`, of one of several sensors. Raises ConfigurationError for a name that none has."""
-        agents = {agent.name: agent for agent in Recording.load(self.path / RECORDING).agents}
+        agents = {agent.name: agent for agent in Recording.open(self.path / RECORDING).agents}
         names = [each.name for each in agents[self.name].sensors]
         if sensor not in names:
             raise ConfigurationError(f"{self.name}: no sensor {sensor!r}{nearest(sensor, names)}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -197,9 +197,9 @@ class RunFiles:
 
     @cached_property
     def scene(self) -> Recording | None:
-        """scene.npz; of a long run without the sweeps of its sensors."""
+        """scene.npz; of a long run, what is asked for is read then."""
         lost = "no buildings, agents and camera view in the pictures"
-        scene: Recording | None = self._file("scene.npz", partial(_scene, sweeps=self.sample.every == 1), lost)
+        scene: Recording | None = self._file("scene.npz", Recording.open, lost)
         return scene
 
     @cached_property
@@ -337,11 +337,6 @@ def _json_object(path: Path) -> dict[str, Any]:
     """A JSON file that holds an object."""
     path.lstat()  # raises FileNotFoundError
     return read_object(path)
-
-
-def _scene(path: Path, *, sweeps: bool) -> Recording:
-    """The recorded scene; sweeps: with those of the sensors."""
-    return Recording.load(check_plain(path), sweeps=sweeps)
 
 
 def _counts(path: Path) -> Table:

@@ -422,17 +422,15 @@ class Recording:
             np.savez(file, allow_pickle=False, **arrays)
 
     @classmethod
-    def load(cls, path: Path, *, sweeps: bool = True) -> Recording:
+    def load(cls, path: Path) -> Recording:
         """Read a file written by `save`.
-
-        sweeps: whether they are read, which are most of a long scene
 
         Raises SceneError when the file is missing, broken or of another format.
         """
         with _reading(path):
             with np.load(check_plain(path), allow_pickle=False) as file:
                 check_stored(file.zip, path.stat().st_size)
-                arrays = {name: file[name] for name in file.files if sweeps or not name.startswith("sweeps.")}
+                arrays = {name: file[name] for name in file.files}
             recording = cls._of(path, arrays)
         recording.validate()
         return recording

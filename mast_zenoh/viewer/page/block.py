@@ -81,7 +81,7 @@ def run_block(run: Run, frame: int | None = None, label: str = "") -> bytes | No
     surroundings = None
     if scene is not None:
         shown = np.minimum(numbers, len(scene) - 1)  # a scene that is shorter keeps its last poses
-        sweeps = tuple(sweep[shown] for sweep in scene.sweeps)
+        sweeps = tuple(sweep[shown] for sweep in scene.sweeps if every == 1)
         surroundings = Surroundings(scene.agent_position[shown], scene.agent_rotation[shown], sweeps)
     packer = Packer()
     packer.add("time", times, scale=1e-3)
