@@ -10,7 +10,7 @@ LAYERS: dict[str, str] = {
     "__init__": "the public Python API",
     "__main__": "the process: signals and standard streams, set up before slow imports",
     "cli": "the commands; each is one call into the packages below",
-    "study": "sweeps, Monte Carlo, statistics, tables; outsider/: what attackers without a role can do",
+    "study": "sweeps, Monte Carlo, statistics, tables; attacked_run: what attackers without a role can do",
     "testing": "checks for user-written classes, and fixtures for pytest; simulation/: whole runs in virtual time",
     "api": "runs as Python objects, and listings of classes, for notebooks and scripts",
     "report": "pages of runs and studies; figures/ tables/ narrative/ film/ templates/",

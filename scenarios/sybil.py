@@ -1,4 +1,4 @@
-"""A run in which two agents of the scenario are late, for an outsider that pretends to be them."""
+"""A run in which two agents of the scenario are late, for `mast study sybil`: an outsider pretends to be them."""
 
 from baseline import scenario as baseline
 
@@ -10,12 +10,3 @@ def scenario(scene="intersection", scene_index=None):
         faults=[dict(type="Join", at=12.0, nodes=["infra_3", "infra_4"])],
         run=dict(mode="realtime", rate=0.25, seed=0, record=False),
     )
-
-
-def outsider():
-    """Tracks of the absent agents, without and with a stolen certificate, and of an agent that no scenario has."""
-    return [
-        dict(type="Sybil", name="absent agent", identity="infra_3"),
-        dict(type="Sybil", name="absent agent, another's key", identity="infra_4", shows="infra_1"),
-        dict(type="Sybil", name="agent that nobody knows", identity="ghost"),
-    ]

@@ -17,7 +17,6 @@ from mast_zenoh.launch import ending
 
 if TYPE_CHECKING:
     from mast_zenoh.launch.context import RunContext
-    from mast_zenoh.study.definition import Study
 
 app = typer.Typer(
     help="mast-zenoh: attack, break and defend collaborative sensor fusion on a Zenoh mesh.",
@@ -121,7 +120,12 @@ def study(
         invalid = ", ".join(name for name, value in words.items() if value)
         problem = f"attackers run once at each level, on the mesh: expected no {invalid}"
         options.refuse(invalid, problem, study_file)
-        _run_attackers(loaded, out, seed=seed, frames=frames)
+        from mast_zenoh.study import attacked_run
+
+        folder, tables = attacked_run.compare(loaded, out, seed=seed, frames=frames, console=_out)
+        _out.print(tables.as_rich())
+        for name in attacked_run.FILES:
+            _out.plain(str(folder / name))
         return
     from mast_zenoh.study import interface
 
@@ -155,16 +159,6 @@ def study(
         for path in (*finished.files, f"report: {finished.report}"):
             _out.plain(path)
     finished.raise_failures()
-
-
-def _run_attackers(loaded: Study, out: Path | None, **chosen: Any) -> None:
-    """Run every configuration at every security level, with the outsider of its scenario file."""
-    from mast_zenoh.study.outsider import comparison
-
-    effects = comparison.run(loaded, out, console=_out, **chosen)
-    _out.print(effects.as_rich())
-    for name in ("attempts.md", "attempts.csv"):
-        _out.plain(str(effects.out / name))
 
 
 @app.command()

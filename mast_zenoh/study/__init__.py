@@ -11,8 +11,8 @@ The package can be called: `mast_zenoh.study("case_study")` carries out a study.
     numbers     the numbers of a trial, with increments over the baseline
     statistics  intervals, and one estimate per configuration and series
     tables      all files of a finished study
+    attacked_run  what an attacker without a role achieves at each security level
     defences/   studies of defences against adversaries
-    outsider/   what an attacker without a role achieves at each security level
 
 See docs/studies.md.
 """

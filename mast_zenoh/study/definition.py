@@ -31,7 +31,8 @@ KEYS = {
     "per_trial": "launch-time parameters that get each trial's seed and frames: dict(seed=…, frames=…)",
     "search": "parameters of a run that are searched for the greatest harm (docs/search.md)",
     "driven": "dict(scenario=…, parameters=…, frames=…) with drivers: run after single runs, and its unattacked twin",
-    "security": "security levels at which the attackers in each run's scenario file are tried",
+    "security": "security levels at which the `attempts` are made",
+    "attempts": "attacks by somebody without a role in the run: a list of Attempt (docs/security.md)",
 }
 PER_TRIAL = ("seed", "frames")
 #: The label of the run with drivers, and its folder.
@@ -66,6 +67,26 @@ class Configuration:
     scenario: str
     settings: tuple[str, ...]
     point: tuple[tuple[str, Any], ...]
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """An attack on a run by somebody without a role in it, an outsider.
+
+    name:  its name in the table
+    act:   the function that makes it: act(attacked_run, attempt) returns an Outcome, see `study.attacked_run`
+    wire:  the key of the messages that it forges, without the run's prefix; "": none. No two attempts share one, as
+           messages are counted by key
+    shows: what it presents: "nothing", a certificate of its own authority ("foreign"), an "expired" one, or that of the
+           node of this name
+    lures: the node whose connection to the router passes through the outsider; "": none
+    """
+
+    name: str
+    act: Callable[[Any, Attempt], Any]
+    wire: str = ""
+    shows: str = "nothing"
+    lures: str = ""
 
 
 @dataclass(frozen=True)
@@ -104,6 +125,7 @@ class Study:
     frames: int | None
     runtime: str | None
     security: tuple[str, ...] = ()
+    attempts: tuple[Attempt, ...] = ()
     cells: Mapping[str, DefenceCell] = field(default_factory=dict)
     per_trial: Mapping[str, str] = field(default_factory=dict)
     search: SearchPlan | None = None
@@ -188,6 +210,7 @@ def _validated(path: Path, content: Any) -> Study:
         per_trial=dict(per_trial),
         search=parse_plan(content, baseline),
         driven=_driven(path, content["driven"], labels) if content.get("driven") is not None else None,
+        attempts=_attempts(content.get("attempts", ()), content.get("security", ())),
     )
 
 
@@ -208,6 +231,17 @@ def _levels(content: Any) -> tuple[str, ...]:
     for level in content:
         _check(level in LEVELS, f"security: found {level!r}{nearest(str(level), LEVELS)}")
     return tuple(dict.fromkeys(content))
+
+
+def _attempts(content: Any, levels: Sequence[str]) -> tuple[Attempt, ...]:
+    """The attempts of a study of security levels; every other study has none."""
+    valid = isinstance(content, (list, tuple)) and all(isinstance(each, Attempt) for each in content)
+    _check(valid, f"attempts: found {content!r:.120}, expected a list of {Attempt.__name__}")
+    _check(bool(content) == bool(levels), "attempts: expected together with `security`, and neither empty")
+    for values in ([each.name for each in content], [each.wire for each in content if each.wire]):
+        duplicate = next((value for value in values if values.count(value) > 1), None)
+        _check(duplicate is None, f"attempts: found {duplicate!r} twice, expected names and wires that differ")
+    return tuple(content)
 
 
 def _cells(content: Any, labels: Sequence[str]) -> dict[str, DefenceCell]:

@@ -207,6 +207,12 @@ def study_of_ones_own(block: Block, folder: Path) -> None:
     assert (study.trials, len(study.scenes), len(study.configurations)) == (20, 2, 4)
 
 
+def attempts_of_ones_own(block: Block, folder: Path) -> None:
+    (folder / "mine.py").write_text(block.content)
+    study = definition.load(str(folder / "mine.py"))
+    assert (study.security, [attempt.shows for attempt in study.attempts]) == (("open", "acl"), ["nothing", "infra_1"])
+
+
 def study_with_a_search(block: Block, folder: Path) -> None:
     (folder / "mine.py").write_text(block.content)
     study = definition.load(str(folder / "mine.py"), ["budget=3.0"])
@@ -290,7 +296,7 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "scene_arrays.md": [None] * 3,  # test_page_examples.py
     "scenarios.md": [whole_scenario, results_of_a_node],
     "search.md": [study_with_a_search],
-    "security.md": [expired_credentials],
+    "security.md": [attempts_of_ones_own, expired_credentials],
     "sensors.md": [None] * 3,  # test_page_examples.py
     "simulation.md": [simulated_run] * 4,
     "studies.md": [study_of_ones_own],

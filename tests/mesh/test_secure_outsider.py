@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from mast_zenoh import scenario
-from mast_zenoh.study.outsider import comparison
+from mast_zenoh.study import attacked_run, definition
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 
@@ -15,21 +15,21 @@ pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 NOWHERE = {"duplicate session id"}
 
 
-Outcomes = dict[str, comparison.Outcome]
+Outcomes = dict[str, attacked_run.Outcome]
 
 
 def outcomes_of(folder: Path, name: str, level: str) -> Outcomes:
     """What each attempt on a run of a scenario achieved; no foreign message beyond the attempts may reach a node."""
     path, loaded = scenario.load(name)
     resolved = scenario.resolve(path, loaded)
-    outcomes = dict(comparison.run_outsider(resolved, folder / "run", level, comparison.load(name)))
-    assert outcomes.pop(comparison.STRAY).reached == 0
+    outcomes = attacked_run.attack(resolved, folder / "run", level, definition.load(name).attempts)
+    assert outcomes.pop(attacked_run.STRAY).reached == 0
     return outcomes
 
 
 @pytest.mark.parametrize("level", ["open", "acl"])
 def test_an_outsider_succeeds_in_an_open_run_and_fails_in_a_secure_one(tmp_path: Path, level: str) -> None:
-    attempts = comparison.load("rogue")
+    attempts = definition.load("rogue").attempts
     outcomes = outcomes_of(tmp_path, "rogue", level)
     assert outcomes.keys() == {attempt.name for attempt in attempts}
     succeeded = {name for name, outcome in outcomes.items() if outcome.succeeded}

@@ -63,7 +63,7 @@ class Slow(Node):
 """
 
 
-def played(folder: Path, runtime: str, end: str) -> run.Run:
+def played(folder: Path, runtime: str, end: str) -> run.EndedRun:
     """A run of five frames with a node that ends so."""
     (folder / "slow.py").write_text(NODE)
     (folder / "scene.py").write_text(SCENARIO)

@@ -20,7 +20,7 @@ from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch import run
 from mast_zenoh.run_folder import json_or_empty
 from mast_zenoh.run_folder.recording.difference import compare
-from mast_zenoh.study.outsider.attacked_run import AttackedRun
+from mast_zenoh.study.attacked_run import AttackedRun
 
 _END_S = 90.0
 
@@ -107,10 +107,11 @@ def infiltrate(
     admitted, sent = False, 0
     with AttackedRun(resolved, folder, level) as attacked_run:
         with suppress(zenoh.ZError), attacked_run.join(node) as session:
-            admitted = True
-            forged = select_messages(position(resolved, node, version.version_string()), own=own)
-            sent = send(session, attacked_run.prefix, forged)
-            attacked_run.wait_until_ended(_END_S)
+            if session is not None:
+                admitted = True
+                forged = select_messages(position(resolved, node, version.version_string()), own=own)
+                sent = send(session, attacked_run.prefix, forged)
+                attacked_run.wait_until_ended(_END_S)
         finished = attacked_run.wait_until_ended(_END_S)
         ended_in_time = finished is not None
         finished = finished or attacked_run.stop()
@@ -122,7 +123,7 @@ def infiltrate(
 
 
 def _assess(
-    resolved: Resolved, node: str, finished: run.Run | None, ended_in_time: bool, twin: Path, strays: set[str]
+    resolved: Resolved, node: str, finished: run.EndedRun | None, ended_in_time: bool, twin: Path, strays: set[str]
 ) -> Finding:
     driver = driver_of(resolved.nodes)
     others = [name for name in resolved.nodes if name != node]
