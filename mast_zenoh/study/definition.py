@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mast_zenoh.config import loading
 from mast_zenoh.config.settings import from_values, split
@@ -15,7 +15,9 @@ from mast_zenoh.metrics.measures import MEASURES
 from mast_zenoh.scenario.reading import checked_name, name_of_file
 from mast_zenoh.security.levels import LEVELS
 from mast_zenoh.study.defences.kinds import DefenceCell
-from mast_zenoh.study.search.plan import SearchPlan, parse_plan
+
+if TYPE_CHECKING:
+    from mast_zenoh.study.search.plan import SearchPlan
 
 #: The keys of a study, and of one of its `runs`.
 KEYS = {
@@ -208,10 +210,17 @@ def _validated(path: Path, content: Any) -> Study:
         security=_levels(content.get("security", ())),
         cells=_cells(content.get("cells", {}), labels),
         per_trial=dict(per_trial),
-        search=parse_plan(content, baseline),
+        search=_search(content, baseline) if content.get("search") is not None else None,
         driven=_driven(path, content["driven"], labels) if content.get("driven") is not None else None,
         attempts=_attempts(content.get("attempts", ()), content.get("security", ())),
     )
+
+
+def _search(content: Mapping[str, Any], baseline: str) -> SearchPlan:
+    """The plan of a search."""
+    from mast_zenoh.study.search.plan import parse_plan  # Optuna may not be installed, and is slow to load
+
+    return parse_plan(content, baseline)
 
 
 def _driven(path: Path, run: Any, labels: Sequence[str]) -> DrivenRun:

@@ -222,7 +222,7 @@ def study_with_a_search(block: Block, folder: Path) -> None:
         ["n_adversaries", "placement"],
         20,
     )
-    searching.check_ranges(study, searching.Conditions(0, study.frames, "inproc", allow_failures=False))
+    searching.check_ranges(study)
 
 
 def tracking_by_hand(block: Block, folder: Path) -> None:

@@ -1,10 +1,20 @@
-"""Searches for the attack parameters that harm most: attackers that optimise.
+"""Searches for the attack parameters that harm most: attackers that optimise. They need Optuna.
 
-    space      parameters with ranges, written as `0.5..4.0`, `1..3` or a list of choices
+    space      parameters with ranges, written as `0.5..4.0`, `1..3` or a list of choices: Optuna's distributions
     objective  the number that a search maximises or minimises, of one trial
     plan       the section `search` of a study file
-    proposals  Optuna proposes candidates in batches, from the values of those before
     searching  carries out a search, then measures its result on seeds that it has not seen
+    results    what was found: Optuna's study of the candidates, and each configuration on the other seeds
+    tables, figure, files  what a reader sees of it
 
 See docs/search.md.
 """
+
+from mast_zenoh.errors import ConfigurationError
+
+try:
+    import optuna  # noqa: F401
+except ImportError:
+    raise ConfigurationError(
+        "a search needs Optuna, which is not installed: pip install 'mast-zenoh[search]' (in a checkout: make dev)"
+    ) from None

@@ -7,62 +7,57 @@ from pathlib import Path
 from typing import Any
 
 from mast_zenoh import run_folder
-from mast_zenoh.metrics.search_results import SearchResults, SearchRow
 from mast_zenoh.run_folder import write_bytes
 from mast_zenoh.study.defences.kinds import StudyFiles
-
-NAME = "search"
+from mast_zenoh.study.search.plan import SEARCHED
+from mast_zenoh.study.search.results import SearchResults
+from mast_zenoh.study.search.space import as_text
+from mast_zenoh.study.search.tables import candidates_csv, search_tables
 
 
 def write(folder: Path, results: SearchResults) -> StudyFiles:
     """Write search.md, search.csv, candidates.csv, search.json and the figure into the study's folder."""
-    from mast_zenoh.report.figures.search import search_figure  # drawing libraries are slow to load
-    from mast_zenoh.report.tables import search as search_tables
+    from mast_zenoh.study.search.figure import search_figure  # drawing libraries are slow to load
 
-    tables = search_tables.search_tables(results)
+    tables, figure = search_tables(results), search_figure(results)
     texts = {
-        f"{NAME}.md": tables.as_markdown(),
-        f"{NAME}.csv": tables.as_csv(),
-        "candidates.csv": search_tables.candidates_csv(results),
+        "search.md": tables.as_markdown(),
+        "search.csv": tables.as_csv(),
+        "candidates.csv": candidates_csv(results),
     }
     for name, text in texts.items():
         write_bytes(folder / name, text.encode())
-    run_folder.write_json(folder / f"{NAME}.json", run_folder.finite(as_json(results)))
-    figure = search_figure(results)
+    run_folder.write_json(folder / "search.json", run_folder.finite(as_json(results)))
     figure.save(folder)
-    return StudyFiles({NAME: figure}, [*texts, f"{NAME}.json", *figure.names], tables.as_rich)
+    return StudyFiles({figure.name: figure}, [*texts, "search.json", *figure.names], tables.as_rich)
 
 
 def as_json(results: SearchResults) -> dict[str, Any]:
     """All results as plain values; numbers that are not known are NaN."""
+    study, plan, best = results.study, results.plan, results.candidates.best_trial
+    optimism, over_baseline = results.optimism
     return {
-        "name": results.name,
-        "objective": results.objective,
-        "direction": "maximise" if results.maximise else "minimise",
+        "name": study.name,
+        "objective": plan.objective.text,
+        "direction": "maximise" if plan.maximise else "minimise",
         "sampler": results.sampler,
-        "parameters": dict(results.space),
-        "scenes": results.scenes,
-        "frames": results.frames,
-        "search_seeds": results.search_seeds,
-        "held_out_seeds": results.held_out_seeds,
-        "baseline": results.baseline,
-        "default": {"configuration": results.default, "values": dict(results.defaults)},
+        "parameters": {name: as_text(each) for name, each in plan.space.items()},
+        "scenes": [scene.label for scene in study.scenes],
+        "frames": study.frames,
+        "search_seeds": list(results.search_seeds),
+        "held_out_seeds": list(results.held_out_seeds),
+        "baseline": study.baseline,
+        "default": {"configuration": plan.run, "values": dict(results.defaults)},
         "searched": {
-            "configuration": results.searched,
-            "candidate": results.best + 1,
-            "values": dict(results.found.values),
-            "optimism": results.optimism,
-            "optimism_over_baseline": results.optimism_over_baseline,
+            "configuration": SEARCHED,
+            "candidate": best.number + 1,
+            "values": best.params,
+            "optimism": optimism,
+            "optimism_over_baseline": over_baseline,
         },
-        "results": [_row(row) for row in results.rows.values()],
+        "results": [asdict(row) for row in results.rows.values()],
         "candidates": [
-            {"candidate": each.number + 1, "batch": each.batch + 1, "values": dict(each.values), "value": each.value}
-            for each in results.candidates
+            {"candidate": number + 1, "batch": number // plan.batch + 1, "values": each.params, "value": value}
+            for number, (each, value) in enumerate(zip(results.candidates.trials, results.values, strict=True))
         ],
-    }
-
-
-def _row(row: SearchRow) -> dict[str, Any]:
-    return {"configuration": row.label, "search": row.search} | {
-        name: asdict(getattr(row, name)) for name in ("held_out", "over_baseline", "over_default")
     }

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.metrics.estimates import ESTIMATES
@@ -24,32 +24,20 @@ _OF_PAPER = "_ioe"
 _OVER_BASELINE = "_iob"
 
 
-class Term(NamedTuple):
-    """A number of results.parquet; owner: the column `who`, None for the agent that is scored."""
-
-    owner: str | None
-    estimator: str
-    metric: str
-
-    def series(self, ego: str) -> Series:
-        """Its series in a run; ego: the agent that is scored."""
-        return Series(ego if self.owner is None else self.owner, self.estimator, self.metric)
-
-    @property
-    def text(self) -> str:
-        """As in a study file, in full."""
-        return "/".join(part for part in self if part is not None)
-
-
 @dataclass(frozen=True, slots=True)
 class Objective:
     """The sum of its terms.
 
-    text: as in the study file
+    text:  as in the study file
+    terms: numbers of results.parquet; owner: the column `who`, "" for the agent that is scored
     """
 
     text: str
-    terms: tuple[Term, ...]
+    terms: tuple[Series, ...]
+
+    def series(self, ego: str) -> list[Series]:
+        """The series of its terms in a run; ego: the agent that is scored."""
+        return [term._replace(owner=term.owner or ego) for term in self.terms]
 
     def value(self, trial_numbers: Iterable[Number], ego: str, *, of_baseline: bool = False) -> float:
         """The value of a trial; NaN if it lacks a number.
@@ -57,12 +45,10 @@ class Objective:
         trial_numbers: of `numbers.values`;  ego: the agent that is scored
         of_baseline:   whether the trial is of the baseline, whose difference from itself is 0
         """
-        by_series = {Series(*each[:3]): each.value for each in trial_numbers}
-        parts = (
-            0.0 if of_baseline and term.metric.endswith(_OVER_BASELINE) else by_series.get(term.series(ego), NAN)
-            for term in self.terms
-        )
-        return float(sum(parts))
+        known = {Series(*each[:3]): each.value for each in trial_numbers}
+        if of_baseline:
+            known |= {each: 0.0 for each in self.series(ego) if each.metric.endswith(_OVER_BASELINE)}
+        return float(sum(known.get(each, NAN) for each in self.series(ego)))
 
     def check_names(self, place: str) -> None:
         """Raise ConfigurationError for a number that no run with our evaluator has, as far as its name tells."""
@@ -79,35 +65,29 @@ class Objective:
 
     def check(self, trial_numbers: Iterable[Number], ego: str, place: str) -> None:
         """Raise ConfigurationError for a number that a trial under attack does not have."""
-        known = list(dict.fromkeys(Series(*each[:3]) for each in trial_numbers))
-        for term in self.terms:
-            series = term.series(ego)
-            if series not in known:
-                raise ConfigurationError(f"{place}: {_unknown(series, known)}")
+        known = {Series(*each[:3]) for each in trial_numbers}
+        if unknown := [each for each in self.series(ego) if each not in known]:
+            raise ConfigurationError(f"{place}: {_unknown(unknown[0], known)}")
 
     def bounds(self, ego: str) -> tuple[float, float]:
         """The smallest and the largest possible value."""
-        limits = [statistics.value_range(term.series(ego)) for term in self.terms]
+        limits = [statistics.value_range(each) for each in self.series(ego)]
         return sum(low for low, _ in limits), sum(high for _, high in limits)
 
     def is_rate(self, trial_numbers: Iterable[Number], ego: str) -> bool:
         """Whether values are 0 or 1, so that their mean is a rate."""
-        binary = {Series(*each[:3]) for each in trial_numbers if each.binary}
-        return len(self.terms) == 1 and self.terms[0].series(ego) in binary
+        binary = [Series(*each[:3]) for each in trial_numbers if each.binary]
+        return len(self.terms) == 1 and self.series(ego)[0] in binary
 
     @property
     def label(self) -> str:
         """In words, with the unit, for tables and figures: `missed objects + false objects per frame, picture`."""
-        names = [_name_and_unit(term.metric) for term in self.terms]
-        units = list(dict.fromkeys(unit for _, unit in names))
-        unit = units[0] if len(units) == 1 else ""
-        places = list(dict.fromkeys(_place(term) for term in self.terms))
-        words = [
-            name if len(places) == 1 else f"{name} ({_place(t)})"
-            for (name, _), t in zip(names, self.terms, strict=True)
-        ]
-        place = f", {places[0]}" if len(places) == 1 and places[0] else ""
-        return f"{' + '.join(words)}{f' {unit}' if unit else ''}{place}"
+        names, units = map(list, zip(*(_name_and_unit(term.metric) for term in self.terms), strict=True))
+        places = [_place(term) for term in self.terms]
+        unit = f" {units[0]}" if units[0] and len({*units}) == 1 else ""
+        if len({*places}) == 1:
+            return f"{' + '.join(names)}{unit}{f', {places[0]}' if places[0] else ''}"
+        return " + ".join(f"{name} ({place})" for name, place in zip(names, places, strict=True)) + unit
 
 
 def parse_objective(text: Any, place: str) -> Objective:
@@ -124,7 +104,7 @@ def parse_objective(text: Any, place: str) -> Objective:
     return Objective(" + ".join(parts), terms)
 
 
-def _term(text: str, place: str) -> Term:
+def _term(text: str, place: str) -> Series:
     words = text.split("/")
     if len(words) > 3 or not all(words):
         raise ConfigurationError(f"{place}: found {text!r}, expected METRIC, ESTIMATOR/METRIC or WHO/ESTIMATOR/METRIC")
@@ -132,21 +112,20 @@ def _term(text: str, place: str) -> Term:
     if not numbers.has_mean(estimator, metric):
         expected = f"{DRIVEN}/near_misses" if estimator == DRIVEN else f"{numbers.DRIVING}.critical"
         raise ConfigurationError(f"{place}: {metric!r} has no mean: expected {expected!r}")
-    owner = words[0] if len(words) == 3 else "all" if estimator in _OF_ALL else None
-    return Term(owner, estimator, metric)
+    owner = words[0] if len(words) == 3 else "all" if estimator in _OF_ALL else ""
+    return Series(owner, estimator, metric)
 
 
-def _unknown(series: Series, known: Sequence[Series]) -> str:
+def _unknown(series: Series, known: Iterable[Series]) -> str:
     """What is unknown about a series, with the nearest that is known."""
-    owners = [each for each in known if each.owner == series.owner]
-    if not owners:
-        return f"no numbers of {series.owner!r} in the runs{nearest(series.owner, {each.owner for each in known})}"
-    of_estimator = [each for each in owners if each.estimator == series.estimator]
-    if not of_estimator:
-        estimators = {each.estimator for each in owners}
-        return f"no estimator {series.estimator!r} of {series.owner!r}{nearest(series.estimator, estimators)}"
-    hint = nearest(series.metric, {each.metric for each in of_estimator})
-    return f"no metric {series.metric!r} of {series.owner!r}, {series.estimator!r}{hint}"
+    place = [(each.estimator, each.metric) for each in known if each.owner == series.owner]
+    metrics = [metric for estimator, metric in place if estimator == series.estimator]
+    if metrics:
+        return f"no metric {series.metric!r} of {series.owner!r}, {series.estimator!r}{nearest(series.metric, metrics)}"
+    if place:
+        hint = nearest(series.estimator, {estimator for estimator, _ in place})
+        return f"no estimator {series.estimator!r} of {series.owner!r}{hint}"
+    return f"no numbers of {series.owner!r} in the runs{nearest(series.owner, {each.owner for each in known})}"
 
 
 def _name_and_unit(metric: str) -> tuple[str, str]:
@@ -161,7 +140,7 @@ def _name_and_unit(metric: str) -> tuple[str, str]:
     return f"{name}{added}", "per run" if base in _PER_RUN else per_frame.strip()
 
 
-def _place(term: Term) -> str:
+def _place(term: Series) -> str:
     """Whose number it is, in words."""
     estimator = ESTIMATES[term.estimator].column if term.estimator in ESTIMATES else term.estimator
-    return estimator if term.owner in (None, "all") else f"{term.owner}: {estimator}"
+    return estimator if term.owner in ("", "all") else f"{term.owner}: {estimator}"

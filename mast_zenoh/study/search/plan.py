@@ -22,8 +22,8 @@ KEYS = {
     "sampler": "what proposes candidates: TPE or random",
 }
 _REQUIRED = ("run", "parameters", "objective")
-DIRECTIONS = ("maximise", "minimise")
-SAMPLERS = ("TPE", "random")
+#: The values of some of them, the default first.
+CHOICES = {"direction": ("maximise", "minimise"), "sampler": ("TPE", "random")}
 #: Label of the configuration that a search finds.
 SEARCHED = "searched"
 #: Labels of candidates begin with it.
@@ -47,22 +47,19 @@ class SearchPlan:
     candidates: int = 40
     batch: int = 8
     seeds: int = 3
-    sampler: str = SAMPLERS[0]
+    sampler: str = "TPE"
 
     def parameters(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """The launch-time parameters of the run with other values of some; raises ConfigurationError."""
         return with_values(self.default, values, "search.parameters")
 
 
-def parse_plan(content: Mapping[str, Any], baseline: str) -> SearchPlan | None:
-    """The plan of a study; None: it has no search.
+def parse_plan(content: Mapping[str, Any], baseline: str) -> SearchPlan:
+    """The plan of a study with a search; raises ConfigurationError.
 
     content: what `study(...)` returned, with valid `runs`;  baseline: label of the run without the attack
-    Raises ConfigurationError.
     """
-    section = content.get("search")
-    if section is None:
-        return None
+    section = content["search"]
     _check(isinstance(section, Mapping), f"search: found {section!r:.120}, expected a dict with {', '.join(_REQUIRED)}")
     for key in section:
         _check(key in KEYS, f"search.{key}: unknown key{nearest(str(key), KEYS)}")
@@ -80,10 +77,9 @@ def parse_plan(content: Mapping[str, Any], baseline: str) -> SearchPlan | None:
     for name in map(str, runs):
         taken = name == SEARCHED or name.startswith(CANDIDATE)
         _check(not taken, f"runs: found the label {name!r}, which is that of a search's result, expected another")
-    direction = section.get("direction", DIRECTIONS[0])
-    _check(direction in DIRECTIONS, f"search.direction: found {direction!r}{nearest(str(direction), DIRECTIONS)}")
-    sampler = section.get("sampler", SAMPLERS[0])
-    _check(sampler in SAMPLERS, f"search.sampler: found {sampler!r}{nearest(str(sampler), SAMPLERS)}")
+    chosen = {key: section.get(key, known[0]) for key, known in CHOICES.items()}
+    for key, value in chosen.items():
+        _check(value in CHOICES[key], f"search.{key}: found {value!r}{nearest(str(value), CHOICES[key])}")
     numbers = {key: section[key] for key in ("candidates", "batch", "seeds") if section.get(key) is not None}
     for key, value in numbers.items():
         _check(type(value) is int and value >= 1, f"search.{key}: found {value!r}, expected a whole number from 1")
@@ -92,8 +88,8 @@ def parse_plan(content: Mapping[str, Any], baseline: str) -> SearchPlan | None:
         default=dict(runs[label].get("parameters", {})),
         space=parse_space(section["parameters"], "search.parameters"),
         objective=parse_objective(section["objective"], "search.objective"),
-        maximise=direction == DIRECTIONS[0],
-        sampler=sampler,
+        maximise=chosen["direction"] == "maximise",
+        sampler=chosen["sampler"],
         **numbers,
     )
 

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from copy import deepcopy
+from itertools import combinations
 from typing import Any
+
+from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
 
 from mast_zenoh.errors import ConfigurationError
 
@@ -16,49 +20,24 @@ _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _RANGE = re.compile(rf"\s*({_NUMBER})\s*\.\.\s*({_NUMBER})\s*(log)?\s*")
 _WHOLE = re.compile(r"[+-]?\d+")
 
-
-@dataclass(frozen=True, slots=True)
-class Range:
-    """Numbers from low to high, both included; log: as many in each factor of ten. Whole numbers if both ends are."""
-
-    low: float | int
-    high: float | int
-    log: bool = False
-
-    @property
-    def whole(self) -> bool:
-        """Whether its values are whole numbers."""
-        return isinstance(self.low, int)
-
-    @property
-    def corners(self) -> tuple[Any, ...]:
-        """Values to check before a search starts."""
-        return self.low, self.high
-
-    def __str__(self) -> str:
-        return f"{self.low}..{self.high}{' log' if self.log else ''}"
-
-
-@dataclass(frozen=True, slots=True)
-class Choices:
-    """Values without an order."""
-
-    values: tuple[Any, ...]
-
-    @property
-    def corners(self) -> tuple[Any, ...]:
-        """Values to check before a search starts: all."""
-        return self.values
-
-    def __str__(self) -> str:
-        return " | ".join(map(str, self.values))
-
-
+#: What a parameter may be: numbers from low to high, both included, whole ones if both ends are; or choices.
+Values = FloatDistribution | IntDistribution | CategoricalDistribution
 #: By name of a parameter, what it may be. A dotted name is a path in the scenario, or in a parameter that is a dict.
-Space = Mapping[str, Range | Choices]
+Space = Mapping[str, Values]
 
 
-def parse_space(content: Any, place: str) -> dict[str, Range | Choices]:
+def corners(values: Values) -> Sequence[Any]:
+    """Values to check before a search starts: both ends of a range, or all choices."""
+    return values.choices if isinstance(values, CategoricalDistribution) else (values.low, values.high)
+
+
+def as_text(values: Values) -> str:
+    """As in a study file: `0.5..4.0 log`; choices as `own | trust`."""
+    ends = " | " if isinstance(values, CategoricalDistribution) else ".."
+    return ends.join(map(str, corners(values))) + (" log" if getattr(values, "log", False) else "")
+
+
+def parse_space(content: Any, place: str) -> dict[str, Values]:
     """The space from a dict of ranges, or from text: `budget=0.5..4.0 log; n_adversaries=1..3; knowledge=own|trust`.
 
     place: its key, for errors. Raises ConfigurationError.
@@ -96,23 +75,25 @@ def _name(name: Any, place: str) -> str:
     return name
 
 
-def _values(content: Any, place: str) -> Range | Choices:
+def _values(content: Any, place: str) -> Values:
     if isinstance(content, Sequence) and not isinstance(content, str):
-        texts = [str(value) for value in content]
-        if len(texts) < 2 or len(set(texts)) < len(texts):
+        repeated = any(one == other or str(one) == str(other) for one, other in combinations(content, 2))
+        if len(content) < 2 or repeated:
             raise ConfigurationError(f"{place}: found {content!r}, expected at least two choices, each once")
-        return Choices(tuple(content))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of choices that are dicts: they are kept in memory alone
+            return CategoricalDistribution(content)
     match = _RANGE.fullmatch(content) if isinstance(content, str) else None
     if match is None:
         raise ConfigurationError(f"{place}: found {content!r}, {EXPECTED}")
     ends, log = match.groups()[:2], match[3] is not None
     whole = all(_WHOLE.fullmatch(end) for end in ends)
-    low, high = (int(end) if whole else float(end) for end in ends)
+    low, high = map(float, ends)
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
         raise ConfigurationError(f"{place}: found {content!r}, expected a finite low end below the high end")
     if log and low <= 0:
         raise ConfigurationError(f"{place}: found {content!r}, expected a low end above 0 for a logarithmic range")
-    return Range(low, high, log)
+    return IntDistribution(int(ends[0]), int(ends[1]), log) if whole else FloatDistribution(low, high, log)
 
 
 def with_values(parameters: Mapping[str, Any], values: Mapping[str, Any], place: str) -> dict[str, Any]:
@@ -121,32 +102,23 @@ def with_values(parameters: Mapping[str, Any], values: Mapping[str, Any], place:
     A dotted name whose first part is one of the run's parameters sets an entry of that dict: with an attack=dict(…),
     attack.rate_mps. Raises ConfigurationError if that parameter is no dict.
     """
-    result = dict(parameters)
+    result = deepcopy(dict(parameters))
     for name, value in sorted(values.items(), key=lambda item: item[0].count(".")):  # whole dicts before their entries
-        head, *steps = name.split(".")
-        if not steps or head not in result:
-            result[name] = value
-            continue
-        result[head] = _with_entry(result[head], steps, value, f"{place}.{name}: {head}")
+        *steps, last = name.split(".") if name.partition(".")[0] in result else [name]
+        level = result
+        for step in steps:
+            level = level.setdefault(step, {})
+            if not isinstance(level, dict):
+                raise ConfigurationError(
+                    f"{place}.{name}: {step} is {level!r}, expected a dict, such as dict(type=…), that can have entries"
+                )
+        level[last] = value
     return result
-
-
-def _with_entry(content: Any, steps: Sequence[str], value: Any, place: str) -> dict[str, Any]:
-    """A copy of nested dicts with another entry."""
-    if not isinstance(content, Mapping):
-        raise ConfigurationError(
-            f"{place} is {content!r}, expected a dict, such as dict(type=…), that can have entries"
-        )
-    first, *others = steps
-    inner = _with_entry(content.get(first, {}), others, value, f"{place}.{first}") if others else value
-    return {**content, first: inner}
 
 
 def value_at(content: Mapping[str, Any], name: str) -> Any:
     """The value that a dotted name has in nested dicts; None: it has none."""
     value: Any = content
     for step in name.split("."):
-        if not isinstance(value, Mapping) or step not in value:
-            return None
-        value = value[step]
+        value = value.get(step) if isinstance(value, Mapping) else None
     return value

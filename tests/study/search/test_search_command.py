@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -19,7 +20,6 @@ from mast_zenoh.study.search import searching
 
 @pytest.mark.heavy
 def test_a_small_search_is_played_printed_and_continued(mast, tmp_path: Path) -> None:
-    pytest.importorskip("optuna", reason="Optuna is not installed")
     study = write_study(tmp_path, trials=2, candidates=3, batch=3, seeds=1)
     words = ("study", str(study), "--jobs", "1", "--out", str(tmp_path / "out"))
     code, printed, _ = mast(*words)
@@ -49,7 +49,6 @@ def test_a_small_search_is_played_printed_and_continued(mast, tmp_path: Path) ->
 
 @pytest.mark.heavy
 def test_two_processes_find_the_same_as_one(tmp_path: Path) -> None:
-    pytest.importorskip("optuna", reason="Optuna is not installed")
     pytest.importorskip("distributed", reason="dask is not installed")
     study = write_study(tmp_path, trials=5, candidates=6, batch=3, seeds=2)
     one, two = (mast_zenoh.study(study, jobs=jobs, out=tmp_path / str(jobs)) for jobs in (1, 2))
@@ -59,6 +58,8 @@ def test_two_processes_find_the_same_as_one(tmp_path: Path) -> None:
 
 
 def test_without_optuna_a_search_names_the_command_that_installs_it(mast, monkeypatch, tmp_path: Path) -> None:
+    for name in [each for each in sys.modules if each.startswith("mast_zenoh.study.search")]:
+        monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "optuna", None)
     code, _, err = mast("study", str(write_study(tmp_path)), "--jobs", "1", "--out", str(tmp_path / "out"))
     assert code == ConfigurationError.exit_code == 10
@@ -67,7 +68,6 @@ def test_without_optuna_a_search_names_the_command_that_installs_it(mast, monkey
 
 
 def test_a_failed_trial_of_a_search_has_the_exit_code_of_failed_trials(mast, monkeypatch, tmp_path: Path) -> None:
-    pytest.importorskip("optuna", reason="Optuna is not installed")
     monkeypatch.setattr(execution, "_run_in_process", lambda *_: 1 / 0)
     code, _, err = mast("study", str(write_study(tmp_path)), "--jobs", "1", "--out", str(tmp_path / "out"))
     assert code == TrialsFailed.exit_code == 24
@@ -94,7 +94,6 @@ def test_a_failed_trial_of_a_search_has_the_exit_code_of_failed_trials(mast, mon
 def test_wrong_options_are_refused_before_anything_starts(
     mast, tmp_path: Path, words: tuple[str, ...], code: int, message: str
 ) -> None:
-    pytest.importorskip("optuna", reason="Optuna is not installed")
     ended, out, err = mast("study", *words)
     assert (ended, message in " ".join((out + err).split())) == (code, True), out + err
     assert "Traceback" not in err
@@ -148,10 +147,9 @@ def test_the_shipped_search_is_valid_for_any_scenario_with_adversaries() -> None
 def test_the_default_of_a_searched_parameter_is_that_of_the_attack_unless_the_study_has_another() -> None:
     ranges = "ranges=attack.speed_mps=0.0..15.0; attack.tolerance=0.01..0.3; budget=1.0..4.0"
     attack = "attack={'type': 'Collusion', 'tolerance': 0.2}"
-    study = definition.load("search", [ranges, attack, "scenes=intersection:8"])
-    how = searching.Conditions(seed=0, frames=5, runtime="inproc", allow_failures=False)
+    study = replace(definition.load("search", [ranges, attack, "scenes=intersection:8"]), frames=5)
     of_class = inspect.signature(Collusion).parameters["speed_mps"].default
-    assert searching.defaults(study, how) == {"attack.speed_mps": of_class, "attack.tolerance": 0.2, "budget": 2.0}
+    assert searching.defaults(study) == {"attack.speed_mps": of_class, "attack.tolerance": 0.2, "budget": 2.0}
 
 
 def test_every_parameter_of_the_shipped_search_has_an_explanation_of_its_own() -> None:

@@ -9,25 +9,26 @@ import pytest
 import synthetic_outcomes
 from hypothesis import given
 from hypothesis import strategies as st
+from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
 
 from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.metrics.study_results import Series
 from mast_zenoh.study import numbers
-from mast_zenoh.study.search.objective import Term, parse_objective
-from mast_zenoh.study.search.space import Choices, Range, parse_space, with_values
+from mast_zenoh.study.search.objective import parse_objective
+from mast_zenoh.study.search.space import as_text, parse_space, with_values
 
 
 def test_a_space_is_a_dict_or_the_same_as_text() -> None:
     as_dict = parse_space({"budget": "0.5..4.0 log", "n_adversaries": "1..3", "knowledge": ["own", "trust"]}, "p")
     as_text = parse_space("budget=0.5..4.0 log; n_adversaries = 1..3; knowledge=own|trust", "p")
     assert as_dict == as_text
-    assert as_dict["budget"] == Range(0.5, 4.0, log=True)
-    assert as_dict["n_adversaries"] == Range(1, 3)
-    assert [as_dict[name].whole for name in ("budget", "n_adversaries")] == [False, True]  # type: ignore[union-attr]
-    assert as_dict["knowledge"] == Choices(("own", "trust"))
+    assert as_dict["budget"] == FloatDistribution(0.5, 4.0, log=True)
+    assert as_dict["n_adversaries"] == IntDistribution(1, 3)
+    assert as_dict["knowledge"] == CategoricalDistribution(("own", "trust"))
 
 
 def test_choices_as_text_are_numbers_if_they_are_written_as_numbers() -> None:
-    assert parse_space("k=1|2.5|three|-1e-3", "p") == {"k": Choices((1, 2.5, "three", -1e-3))}
+    assert parse_space("k=1|2.5|three|-1e-3", "p") == {"k": CategoricalDistribution((1, 2.5, "three", -1e-3))}
 
 
 @given(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6), st.booleans())
@@ -36,8 +37,8 @@ def test_a_range_reads_as_it_is_written(first: float, second: float, log: bool) 
     log &= low > 0.0
     if low == high:
         return
-    written = Range(low, high, log)
-    assert parse_space({"x": str(written)}, "p") == {"x": written}
+    written = FloatDistribution(low, high, log)
+    assert parse_space({"x": as_text(written)}, "p") == {"x": written}
 
 
 @pytest.mark.parametrize(
@@ -55,6 +56,8 @@ def test_a_range_reads_as_it_is_written(first: float, second: float, log: bool) 
         ({"x": "0.1..1.0 lin"}, r"expected 'LOW\.\.HIGH', 'LOW\.\.HIGH log'"),
         ({"x": ["a"]}, "expected at least two choices, each once"),
         ({"x": ["a", "a"]}, "expected at least two choices, each once"),
+        ({"x": [True, 1]}, "expected at least two choices, each once"),  # Optuna takes equal ones for one
+        ({"x": ["1", 1]}, "expected at least two choices, each once"),  # the same setting
         ({"": "1..2"}, "found the name ''"),
         ({"a..b": "1..2"}, "found the name 'a..b'"),
         ({3: "1..2"}, "found the name 3"),
@@ -90,10 +93,10 @@ def test_an_entry_of_a_parameter_that_is_no_dict_is_refused() -> None:
 
 
 def test_an_objective_names_metric_estimator_and_owner() -> None:
-    assert parse_objective("fn", "p").terms == (Term(None, "picture", "fn"),)
-    assert parse_objective("mission/fn", "p").terms == (Term(None, "mission", "fn"),)
-    assert parse_objective("infra_1/local/fn", "p").terms == (Term("infra_1", "local", "fn"),)
-    assert parse_objective("defence/false_alarms", "p").terms == (Term("all", "defence", "false_alarms"),)
+    assert parse_objective("fn", "p").terms == (Series("", "picture", "fn"),)
+    assert parse_objective("mission/fn", "p").terms == (Series("", "mission", "fn"),)
+    assert parse_objective("infra_1/local/fn", "p").terms == (Series("infra_1", "local", "fn"),)
+    assert parse_objective("defence/false_alarms", "p").terms == (Series("all", "defence", "false_alarms"),)
     assert parse_objective("fn+ fp", "p").text == "fn + fp"
 
 

@@ -21,8 +21,6 @@ from mast_zenoh.study.definition import Study
 from mast_zenoh.study.search.objective import parse_objective
 from mast_zenoh.study.tables import StudyResult
 
-pytest.importorskip("optuna", reason="Optuna is not installed")
-
 #: Files that depend on the study alone.
 FILES = ("search.md", "search.csv", "candidates.csv", "search.json", "search.png", "table.csv", "results.parquet")
 
