@@ -6,6 +6,7 @@ import gzip
 import json
 import math
 import re
+import reprlib
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
@@ -123,6 +124,8 @@ def _opened(path: Path) -> IO[bytes]:
 
 
 _MAX_SHOWN = 80  # characters of a value in a message
+_SHORT = reprlib.Repr()  # also of a value that is nested deeply, or that aliases repeat
+_SHORT.maxstring = _SHORT.maxlong = _SHORT.maxother = _MAX_SHOWN
 _WHOLE = re.compile("-?[0-9]+", re.ASCII)
 _MAX_SHEAR = 1e-2  # of a rotation matrix, per element of its product with its transpose; files round
 
@@ -142,10 +145,7 @@ class Element:
 
     def fail(self, expected: str) -> NoReturn:
         """Raise SceneError: this value is not what was expected."""
-        try:
-            shown = repr(self.value)
-        except RecursionError:  # read by a caller with fewer frames on the stack
-            shown = "values nested too deeply"
+        shown = _SHORT.repr(self.value)
         shown = shown if len(shown) <= _MAX_SHOWN else shown[:_MAX_SHOWN] + "…"
         place = f"{self.place}: " if self.place else ""
         raise SceneError(f"{self.path}: {place}found {shown}, expected {expected}")
