@@ -12,11 +12,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
-from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
+from xml.sax.xmlreader import AttributesImpl
 
-from mast_datasets.files import read_pieces
-from mast_datasets.xml_files import XmlElement, read_xml
+from mast_datasets.xml_files import XmlElement, XmlHandler, read_xml
 from mast_zenoh.errors import SceneError, nearest
 
 #: Roots of configurations.
@@ -124,7 +123,7 @@ def read_configuration(path: Path) -> SumoInputs:
 
 def _options(path: Path) -> Iterator[XmlElement]:
     """The options of a configuration, whether they are in sections or not."""
-    elements = read_xml(path, None, _Everything(), 1_000_000)
+    elements = read_xml(path, None, None, 1_000_000)
     root = next(elements)
     if root.tag not in ROOTS:
         root.fail(f"found this root, expected <{'> or <'.join(ROOTS)}>")
@@ -135,30 +134,14 @@ def _options(path: Path) -> Iterator[XmlElement]:
             yield from element.children
 
 
-class _Everything(frozenset[str]):
-    """The tags of all elements."""
-
-    def __contains__(self, tag: object) -> bool:
-        return True
-
-
 def copy_input(path: Path, target: BinaryIO) -> None:
     """Write a copy of a file of a network, of routes or of additional objects, with known elements alone.
 
     Elements that measure, write or draw are left out, and so are parameters outside of traffic lights. Raises
     SceneError, with file, line and reason, for a file that is no XML or is too large, and for any other element.
     """
-    copy = _Copy(path, target)
-    parser = copy.parser
-    try:
-        for piece in read_pieces(path, MAX_BYTES):
-            parser.Parse(piece, False)
-        parser.Parse(b"", True)
-    except expat.ExpatError as error:
-        message = expat.errors.messages.get(error.code, str(error))
-        raise SceneError(f"{path}: line {error.lineno}: not XML: {message}") from error
-    except (ValueError, LookupError) as error:  # an encoding that is unknown or not supported
-        raise SceneError(f"{path}: line {parser.CurrentLineNumber}: not XML: {error}") from error
+    for _ in _Copy(path, target).parse(MAX_BYTES):
+        pass
     target.flush()
 
 
@@ -170,20 +153,18 @@ def _is_finite(text: str) -> bool:
         return True
 
 
-class _Copy:
+class _Copy(XmlHandler):
     """Writes the elements that it is given by a parser, if they are known."""
 
     def __init__(self, path: Path, target: BinaryIO) -> None:
-        self.parser = expat.ParserCreate()
-        self.parser.StartElementHandler = self._start
-        self.parser.EndElementHandler = self._end
-        self.parser.StartDoctypeDeclHandler = self._refuse
-        self._path, self._target = path, target
+        super().__init__(path)
+        self._target = target
         self._open: list[str] = []
         self._left_out = 0  # open elements that are left out
-        self._line = 1
+        self._written = 1  # lines
 
-    def _start(self, tag: str, attributes: dict[str, str]) -> None:
+    def startElement(self, tag: str, attrs: AttributesImpl) -> None:
+        attributes: Mapping[str, str] = dict(attrs.items())
         if self._left_out or tag in _SILENT or (tag == "param" and not self._is_of_lights(attributes)):
             self._left_out += 1
             return
@@ -201,8 +182,8 @@ class _Copy:
             if not _is_finite(attributes[name]):
                 self._fail(tag, f"{name}: found {attributes[name]!r}, expected a finite number")
         self._open.append(tag)
-        lines = self.parser.CurrentLineNumber - self._line
-        self._line += lines
+        lines = self.line - self._written
+        self._written += lines
         values = [
             f" {name}={quoteattr(value)}"
             for name, value in attributes.items()
@@ -214,14 +195,11 @@ class _Copy:
         """Whether a parameter is one of a traffic light that names no file."""
         return bool(self._open) and self._open[-1] == "tlLogic" and "file" not in attributes.get("key", "").lower()
 
-    def _end(self, tag: str) -> None:
+    def endElement(self, tag: str) -> None:
         if self._left_out:
             self._left_out -= 1
             return
         self._target.write(f"</{self._open.pop()}>".encode())
 
-    def _refuse(self, *_: object) -> None:
-        self._fail("!DOCTYPE", "found a document type declaration, expected none: entities are not expanded")
-
     def _fail(self, tag: str, reason: str) -> None:
-        raise SceneError(f"{self._path}: line {self.parser.CurrentLineNumber}: <{tag}>: {reason}")
+        raise SceneError(f"{self.path}: line {self.line}: <{tag}>: {reason}")

@@ -1,19 +1,22 @@
-"""Reads XML files safely: in one pass, within limits, and without document types or entities."""
+"""Reads XML files in one pass, by defusedxml: without document types or entities."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import NoReturn
-from xml.parsers import expat
+from xml.sax import SAXParseException
+from xml.sax.handler import ContentHandler
+from xml.sax.xmlreader import AttributesImpl
+
+from defusedxml import DefusedXmlException  # type: ignore[import-untyped]
+from defusedxml.expatreader import DefusedExpatParser  # type: ignore[import-untyped]
 
 from mast_datasets.files import TextElement, read_pieces
 from mast_zenoh.errors import SceneError
 from mast_zenoh.scenes.detection_tables import MAX_FILE_BYTES
 
-_MAX_DEPTH = 50
 _MAX_PARTS = 500_000  # elements within one that is read
-_MAX_CHARACTERS = 20_000_000  # of attributes and text within one that is read
 _MAX_NAMES = 12  # of elements or attributes in a message
 
 
@@ -74,29 +77,54 @@ class XmlElement:
         return TextElement("".join(self.pieces).strip(), self.path, self.place)
 
 
+class XmlHandler(ContentHandler):
+    """What is done with the elements of a file. path: of the file; parser: where it is in it"""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.path = path
+        self.parser = DefusedExpatParser(forbid_dtd=True)
+        self.parser.setContentHandler(self)
+
+    @property
+    def line(self) -> int:
+        """Number of the line that is parsed."""
+        return int(self.parser.getLineNumber())
+
+    def parse(self, max_bytes: int) -> Iterator[None]:
+        """Parse the file, compressed by gzip or not, piece by piece.
+
+        Raises SceneError if it is not XML, too large, or has a document type declaration: nothing that is read needs
+        one, and entities could expand without limit.
+        """
+        try:
+            for piece in read_pieces(self.path, max_bytes):
+                self.parser.feed(piece)
+                yield
+            self.parser.feed(b"", True)
+            yield
+        except SAXParseException as error:
+            raise SceneError(f"{self.path}: line {self.line}: not XML: {error.getMessage()}") from error
+        except DefusedXmlException:
+            reason = "found a document type declaration (DOCTYPE), expected none: entities are not expanded"
+            raise SceneError(f"{self.path}: line {self.line}: {reason}") from None
+        except (ValueError, LookupError) as error:  # an encoding that is unknown or not supported
+            raise SceneError(f"{self.path}: line {self.line}: not XML: {error}") from error
+
+
 def read_xml(
-    path: Path, root: str | None, tags: Collection[str], max_bytes: int = MAX_FILE_BYTES
+    path: Path, root: str | None, tags: Collection[str] | None, max_bytes: int = MAX_FILE_BYTES
 ) -> Iterator[XmlElement]:
     """The root of an XML file, without its children; then each element with one of the tags, when it is complete.
 
-    root: the tag expected of the root; None: any; tags: only the outermost of nested elements are yielded
+    root: the tag expected of the root; None: any; tags: of nested elements, only the outermost are yielded; None: all
 
-    The file may be compressed by gzip. Raises SceneError if it is not XML, too large or nested too deeply, has another
-    root, or a document type declaration: nothing that is read needs one, and entities could expand without limit.
+    Raises SceneError as `XmlHandler.parse` does, and if the file has another root or an element is too large.
     """
     builder = _Builder(path, root, tags)
-    parser = builder.parser
-    try:
-        for piece in read_pieces(path, max_bytes):
-            parser.Parse(piece, False)
-            yield from builder.take()
-        parser.Parse(b"", True)
-    except expat.ExpatError as error:
-        message = expat.errors.messages.get(error.code, str(error))
-        raise SceneError(f"{path}: line {error.lineno}: not XML: {message}") from error
-    except (ValueError, LookupError) as error:  # an encoding that is unknown or not supported
-        raise SceneError(f"{path}: line {parser.CurrentLineNumber}: not XML: {error}") from error
-    yield from builder.take()
+    for _ in builder.parse(max_bytes):
+        yield from builder.complete
+        builder.complete.clear()
 
 
 def has_root(path: Path, root: str) -> bool:
@@ -104,71 +132,41 @@ def has_root(path: Path, root: str) -> bool:
     return path.is_file() and ".xml" in path.suffixes and f"<{root}".encode() in next(read_pieces(path), b"")
 
 
-class _Builder:
-    """Collects elements from the events of a parser."""
+class _Builder(XmlHandler):
+    """Collects elements that are complete."""
 
-    def __init__(self, path: Path, root: str | None, tags: Collection[str]) -> None:
-        self.parser = expat.ParserCreate()
-        self.parser.buffer_text = True
-        self.parser.StartElementHandler = self._start
-        self.parser.EndElementHandler = self._end
-        self.parser.CharacterDataHandler = self._text
-        self.parser.StartDoctypeDeclHandler = self._refuse
-        self._path = path
+    def __init__(self, path: Path, root: str | None, tags: Collection[str] | None) -> None:
+        super().__init__(path)
         self._root = root
         self._tags = tags
-        self._depth = 0
+        self._seen_root = False
         self._parts = 0
-        self._characters = 0
         self._open: list[XmlElement] = []
-        self._complete: list[XmlElement] = []
+        self.complete: list[XmlElement] = []
 
-    def take(self) -> list[XmlElement]:
-        """The elements that are complete, once."""
-        complete, self._complete = self._complete, []
-        return complete
-
-    def _start(self, tag: str, attributes: dict[str, str]) -> None:
-        element = XmlElement(tag, attributes, self._path, self.parser.CurrentLineNumber)
-        self._depth += 1
-        if self._depth > _MAX_DEPTH:
-            element.fail(f"found more than {_MAX_DEPTH} nested elements, expected at most as many")
-        if self._depth == 1:
+    def startElement(self, tag: str, attributes: AttributesImpl) -> None:
+        element = XmlElement(tag, dict(attributes.items()), self.path, self.line)
+        if not self._seen_root:
+            self._seen_root = True
             if self._root is not None and tag != self._root:
                 element.fail(f"found this root, expected <{self._root}>")
-            self._complete.append(element)
+            self.complete.append(element)
         elif self._open:
             self._parts += 1
-            self._count(sum(map(len, attributes.values())))
             if self._parts > _MAX_PARTS:
                 self._open[0].fail(f"found more than {_MAX_PARTS} elements in it, expected at most as many")
             self._open[-1].children.append(element)
             self._open.append(element)
-        elif tag in self._tags:
+        elif self._tags is None or tag in self._tags:
             self._parts = 0
-            self._characters = 0
             self._open.append(element)
-            self._count(sum(map(len, attributes.values())))
 
-    def _end(self, tag: str) -> None:
-        self._depth -= 1
+    def endElement(self, tag: str) -> None:
         if self._open:
             element = self._open.pop()
             if not self._open:
-                self._complete.append(element)
+                self.complete.append(element)
 
-    def _text(self, text: str) -> None:
+    def characters(self, text: str) -> None:
         if self._open:
             self._open[-1].pieces.append(text)
-            self._count(len(text))
-
-    def _count(self, characters: int) -> None:
-        self._characters += characters
-        if self._characters > _MAX_CHARACTERS:
-            self._open[0].fail(f"found more than {_MAX_CHARACTERS} characters in it, expected at most as many")
-
-    def _refuse(self, *_: object) -> None:
-        raise SceneError(
-            f"{self._path}: line {self.parser.CurrentLineNumber}: found a document type declaration (DOCTYPE), "
-            "expected none: entities are not expanded"
-        )
