@@ -6,6 +6,10 @@ Messages in lock-step wait until every subscriber has room for them, so that no 
 no node, such as a third-party recorder, would stop the run when it is suspended, or slow it down to its own pace.
 Routers do not wait for viewers (`session.OBSERVERS`).
 
+Zenoh's own setting does not do the same: with nodes on Unix sockets, `qos/network` can drop what TCP links do not take.
+A client that reads slowly then loses most messages (of 2,000 at 2 ms each 237 arrive, instead of all), and nobody is
+named. With TLS the links of nodes and of other clients look alike, and the run stalls.
+
 Nodes are known by the Zenoh ids that the launcher gave them, as anybody may claim their liveliness tokens. The router's
 admin space knows who does, but reading it while a client connects can lock up the router (Zenoh 1.10).
 """
