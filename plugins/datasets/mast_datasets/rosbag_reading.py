@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from rosbags.typesys.base import normalize_fieldname
 
 from mast_datasets.rosbag_map import BagMap, DetectionsEntry, Pose, Source, TruthEntry
 from mast_datasets.rosbag_storage import Bag, Topic
@@ -322,7 +323,7 @@ class DetectionReader(TopicReader):
         for columns in zip(*(getattr(found, name) for name in DETECTION_COLUMNS), strict=True):
             self._values.extend(np.hstack([np.ravel(column) for column in columns]).tolist())
 
-    def _converted(self, message: dict[str, Any]) -> Any:
+    def _converted(self, message: Any) -> Any:
         """A Detection3DArray of a message of another type."""
         paths = self._entry.paths
         listed = _value(message, paths["list"])
@@ -390,18 +391,18 @@ def _result(name: str, score: float) -> Any:
 
 
 def _value(whole: Any, path: Sequence[str | int]) -> Any:
-    """The value at a path in nested dicts and lists. Raises MessageError if there is none."""
+    """The value at a path in nested messages and lists. Raises MessageError if there is none."""
     for step in path:
         try:
-            whole = whole[step]
-        except (KeyError, IndexError, TypeError):
+            whole = whole[step] if isinstance(step, int) else getattr(whole, normalize_fieldname(step))
+        except (AttributeError, IndexError, TypeError):
             raise MessageError(f"{'.'.join(map(str, path))}: found no {step}") from None
     return whole
 
 
 def _numbers(whole: Any, names: str) -> list[float]:
     """The values of x, y, z and so on, or those of a list as long."""
-    values = [_value(whole, (name,)) for name in names] if isinstance(whole, dict) else whole
+    values = [_value(whole, (name,)) for name in names] if hasattr(whole, "__msgtype__") else whole
     try:
         numbers = [float(value) for value in values]
     except (TypeError, ValueError):

@@ -1,6 +1,7 @@
 """Reads the files of ROS 2 bags, SQLite3 and MCAP: bounded in size, within the bag's folder, without running anything.
 
-A bag may come from anybody. SQL of a database file (views, triggers, generated columns) is never run.
+A bag may come from anybody. SQL of a database file (views, triggers, generated columns) is never run. MCAP is read from
+its first record to its last one, and unpacked chunk by chunk: an index may say anything.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import tempfile
 import zlib
 from collections import Counter
 from collections.abc import Collection, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path, PurePosixPath
@@ -19,10 +20,9 @@ from typing import IO, NamedTuple
 from urllib.parse import quote
 
 import zstandard
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
-from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Schema
+from mcap.exceptions import EndOfFile, McapError
+from mcap.records import Channel, Chunk, McapRecord, Message, Schema, Statistics
+from mcap.stream_reader import StreamReader
 
 from mast_datasets.files import Element
 from mast_datasets.opv2v_yaml import read_yaml
@@ -39,7 +39,7 @@ MAX_CHUNK_BYTES = 256 << 20
 _MAX_EXPANSION, _ALWAYS_BYTES = 200, 1 << 30
 _MAX_DEFINITION = 200_000  # characters
 _MAX_NAME = 1000
-_MAX_FILES = 10_000
+_MAX_FILES = _MAX_TOPICS = 10_000
 _LISTED = 100  # topics in a message
 
 _SQLITE_MAGIC = b"SQLite format 3\0"
@@ -93,8 +93,10 @@ class Bag:
                     raise SceneError(
                         f"{file}: {topic.name}: found messages encoded as {topic.encoding!r}, expected cdr"
                     )
-                if self.packed:
-                    payload = _unpacked_message(file, topic, payload)
+                try:
+                    payload = _unpacked_zstd(payload, MAX_MESSAGE_BYTES) if self.packed else payload
+                except ValueError as error:
+                    raise SceneError(f"{file}: {topic.name}: a message cannot be unpacked: {error}") from error
                 if len(payload) > MAX_MESSAGE_BYTES:
                     raise SceneError(
                         f"{file}: {topic.name}: found a message of {len(payload)} bytes, "
@@ -178,13 +180,18 @@ def _plain(path: Path) -> Path:
     return path
 
 
-def _is_mcap(file: Path) -> bool:
-    """Whether a file is of the storage MCAP; it is SQLite3 otherwise. Raises SceneError if it is neither."""
+def _start(file: Path) -> bytes:
+    """The first bytes of a file. Raises SceneError if it cannot be read."""
     try:
         with file.open("rb") as opened:
-            start = opened.read(len(_SQLITE_MAGIC))
+            return opened.read(len(_SQLITE_MAGIC))
     except OSError as error:
         raise SceneError(f"{file}: cannot be read: {error}") from error
+
+
+def _is_mcap(file: Path) -> bool:
+    """Whether a file is of the storage MCAP; it is SQLite3 otherwise. Raises SceneError if it is neither."""
+    start = _start(file)
     if not start.startswith((_MCAP_MAGIC, _SQLITE_MAGIC)):
         raise SceneError(f"{file}: begins with {start[:8]!r}, expected a bag of ROS 2: SQLite3 or MCAP")
     return start.startswith(_MCAP_MAGIC)
@@ -208,17 +215,6 @@ def _unpack_file(packed: Path, target: Path, max_bytes: int, max_unpacked_mb: fl
     return size
 
 
-def _unpacked_message(file: Path, topic: Topic, payload: bytes) -> bytes:
-    """A message that is compressed by itself."""
-    try:
-        size = zstandard.frame_content_size(payload)  # the decompressor allocates this much; -1: it is not given
-        if size > MAX_MESSAGE_BYTES:
-            raise SceneError(f"{file}: {topic.name}: found a message of {size} bytes, expected {MAX_MESSAGE_BYTES}")
-        return zstandard.ZstdDecompressor(max_window_size=1 << 27).decompress(payload, MAX_MESSAGE_BYTES)
-    except zstandard.ZstdError as error:
-        raise SceneError(f"{file}: {topic.name}: a message cannot be unpacked: {error}") from error
-
-
 #: A message: its topic, when it was received, and its payload if the topic is wanted.
 _Read = tuple[Topic, int, bytes | None]
 
@@ -237,28 +233,21 @@ def _check_topic(file: Path, topic: Topic) -> Topic:
 
 # SQLite3
 
-_COLUMNS = {
-    "topics": ("id", "name", "type", "serialization_format"),
-    "messages": ("topic_id", "timestamp", "data"),
-}
-_DEFINITIONS = ("topic_type", "encoding", "encoded_message_definition")
-_HASH = "type_description_hash"
 #: Limits on the steps of SQLite's virtual machine for all queries of a file.
 _STEPS_ALWAYS, _STEPS_PER_BYTE, _STEPS_AT_ONCE = 10_000_000, 20, 100_000
-_READABLE = ("sqlite_master", "message_definitions", *_COLUMNS)
+_READABLE = ("sqlite_master", "topics", "messages", "message_definitions")
+_TABLES = "SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage > 0"
 
 
 @contextmanager
 def _database(file: Path) -> Iterator[sqlite3.Connection]:
     """A database, opened so that it is read only, and that no SQL in it runs. Raises SceneError for all failures."""
     size = file.stat().st_size
-    for suffix, content in (
-        ("-wal", "messages that are not in the bag yet"),
-        ("-journal", "a change that was cut off"),
-    ):
+    for suffix in ("-wal", "-journal"):
         journal = file.with_name(file.name + suffix)
-        if _is_hot(journal):
-            raise SceneError(f"{journal}: found {content}, expected a bag that was closed")
+        # One that is kept for the next change begins with 0.
+        if journal.is_file() and _start(journal)[:1] not in (b"", b"\0"):
+            raise SceneError(f"{journal}: found a change that is not in the bag, expected a bag that was closed")
     try:
         # Immutable: neither locks nor journals beside the file, which might be anything.
         uri = f"file:{quote(str(file.absolute()))}?mode=ro&immutable=1"
@@ -275,52 +264,35 @@ def _database(file: Path) -> Iterator[sqlite3.Connection]:
         raise SceneError(f"{file}: cannot be read as SQLite3: {error}") from error
 
 
-def _is_hot(journal: Path) -> bool:
-    """Whether a journal has something for its database; one that is kept for the next change begins with 0."""
-    if not journal.is_file():
-        return False
-    with journal.open("rb") as file:
-        return file.read(1) not in (b"", b"\0")
-
-
-def _authorize(action: int, first: str | None, *_: str | None) -> int:
-    """Allow to read the tables of a bag, and nothing else."""
+def _authorize(action: int, first: str | None, second: str | None, *_: str | None) -> int:
+    """Allow to read and to count what is in the tables of a bag, and nothing else."""
     allowed = (
         action == sqlite3.SQLITE_SELECT
         or (action == sqlite3.SQLITE_READ and first in _READABLE)
         or (action == sqlite3.SQLITE_PRAGMA and first == "table_xinfo")
-        or action == sqlite3.SQLITE_FUNCTION
+        or (action == sqlite3.SQLITE_FUNCTION and second == "count")
     )
     return sqlite3.SQLITE_OK if allowed else sqlite3.SQLITE_DENY
 
 
-def _columns(file: Path, connection: sqlite3.Connection, table: str) -> set[str]:
-    """The columns of a table that hold stored values; empty if it is no table."""
-    kind = connection.execute("SELECT type, rootpage FROM sqlite_master WHERE name = ?", (table,)).fetchone()
-    if kind is None or kind[0] != "table" or not kind[1]:  # a view, or a virtual table
-        return set()
-    return {row[1] for row in connection.execute(f"PRAGMA table_xinfo({table})") if row[6] == 0}
-
-
 def _sqlite_topics(file: Path, connection: sqlite3.Connection) -> dict[int, Topic]:
     """The topics of a database, by id."""
-    columns = {table: _columns(file, connection, table) for table in (*_COLUMNS, "message_definitions")}
-    for table, needed in _COLUMNS.items():
-        missing = [name for name in needed if name not in columns[table]]
-        if missing:
-            raise SceneError(f"{file}: table {table}: found no column {', '.join(missing)}, expected those of a bag")
+    # Neither views, nor virtual tables, nor those with generated columns: these are functions.
+    names = [name for (name,) in connection.execute(_TABLES) if name in _READABLE]
+    tables = {name for name in names if not any(row[6] for row in connection.execute(f"PRAGMA table_xinfo({name})"))}
+    if not tables.issuperset(("topics", "messages")):
+        raise ValueError("found no tables topics and messages, expected those of a bag")
     definitions: dict[str, str] = {}
-    if columns["message_definitions"].issuperset(_DEFINITIONS):
-        for name, encoding, text in connection.execute(f"SELECT {', '.join(_DEFINITIONS)} FROM message_definitions"):
-            if encoding == "ros2msg":
-                definitions[name] = text
-    topics = {}
-    of_hash = _HASH if _HASH in columns["topics"] else "''"
-    for number, name, kind, encoding, digest in connection.execute(
-        f"SELECT {', '.join(_COLUMNS['topics'])}, {of_hash} FROM topics"
-    ):
-        topics[number] = _check_topic(file, Topic(name, kind, definitions.get(kind, ""), digest, encoding))
-    return topics
+    if "message_definitions" in tables:
+        query = "SELECT topic_type, encoded_message_definition FROM message_definitions WHERE encoding = 'ros2msg'"
+        definitions.update(connection.execute(query))
+    columns = [column for column, *_ in connection.execute("SELECT * FROM topics LIMIT 0").description]
+    digest = "type_description_hash" if "type_description_hash" in columns else "''"
+    rows = connection.execute(f"SELECT id, name, type, {digest}, serialization_format FROM topics")
+    return {
+        number: _check_topic(file, Topic(name, kind, definitions.get(kind, ""), text, encoding))
+        for number, name, kind, text, encoding in rows
+    }
 
 
 def _read_sqlite(file: Path, wanted: Collection[str]) -> Iterator[_Read]:
@@ -356,153 +328,72 @@ def _sqlite_counts(file: Path) -> Counter[tuple[str, str]]:
 
 # MCAP
 
-_RECORD = struct.Struct("<BQ")
-_MESSAGE = struct.Struct("<HIQQ")  # channel, number, ns of recording, ns of sending
-_STATISTICS = struct.Struct("<QHIIII")  # numbers of messages, schemas, channels, attachments, metadata, chunks
-_CHECKSUM = struct.Struct("<I")
-#: Kinds of records that the format allows in each part of a file; applications may add private ones in all of them.
-_IN_CHUNK = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
-_IN_DATA = frozenset(
-    {*_IN_CHUNK, Opcode.HEADER, Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT, Opcode.METADATA, Opcode.DATA_END}
-)
-_IN_SUMMARY = frozenset(Opcode) - _IN_DATA | {Opcode.SCHEMA, Opcode.CHANNEL}
-_FIRST_PRIVATE = 0x80
-
 
 def _read_mcap(file: Path, wanted: Collection[str]) -> Iterator[_Read]:
     """All messages of an MCAP file; of topics that are not wanted, without their payload."""
     channels: dict[int, Topic] = {}
-    schemas: dict[int, Schema] = {}
+    schemas: dict[int, tuple[str, str]] = {}  # name and definition
     try:
         with file.open("rb") as opened:
-            for opcode, content in _records(opened, file.stat().st_size):
-                if opcode == Opcode.SCHEMA:
-                    schema = Schema.read(ReadDataStream(BytesIO(content)))
-                    if len(schema.data) > _MAX_DEFINITION:
-                        raise ValueError(f"found a definition of {len(schema.data)} bytes")
-                    schemas[schema.id] = schema
-                elif opcode == Opcode.CHANNEL:
-                    channel = Channel.read(ReadDataStream(BytesIO(content)))
-                    channels[channel.id] = _check_topic(file, _topic(channel, schemas))
-                elif opcode == Opcode.MESSAGE:
-                    number, _, received_ns, _ = _MESSAGE.unpack_from(content)
-                    if number not in channels:
-                        raise ValueError(f"found a message of channel {number}, which is unknown")
-                    topic = channels[number]
-                    yield topic, received_ns, bytes(content[_MESSAGE.size :]) if topic.name in wanted else None
-    except (OSError, McapError, ValueError, OverflowError, struct.error, zstandard.ZstdError) as error:
-        raise SceneError(f"{file}: cannot be read as MCAP: {error}") from error
+            for record in _records(opened, file.stat().st_size):
+                if isinstance(record, Schema):
+                    if len(record.data) > _MAX_DEFINITION or len(schemas) > _MAX_TOPICS:
+                        raise ValueError(f"found a definition of {len(record.data)} bytes, {len(schemas)} before it")
+                    text = record.data.decode() if record.encoding == "ros2msg" else ""
+                    schemas.setdefault(record.id, (record.name, text))
+                elif isinstance(record, Channel):
+                    digest = record.metadata.get("topic_type_hash", "")
+                    kind = schemas.get(record.schema_id, ("", ""))
+                    topic = Topic(record.topic, *kind, digest, record.message_encoding)
+                    channels[record.id] = _check_topic(file, topic)
+                elif isinstance(record, Message):
+                    if record.channel_id not in channels:
+                        raise ValueError(f"found a message of channel {record.channel_id}, which is unknown")
+                    topic = channels[record.channel_id]
+                    yield topic, record.log_time, record.data if topic.name in wanted else None
+    except (OSError, McapError, ValueError, OverflowError, MemoryError, struct.error) as error:
+        reason = str(error) or type(error).__name__
+        raise SceneError(
+            f"{file}: cannot be read as MCAP: it is cut off or damaged: {reason}; `mcap recover` saves what can be read"
+        ) from error
 
 
-def _topic(channel: Channel, schemas: dict[int, Schema]) -> Topic:
-    schema = schemas.get(channel.schema_id)
-    is_text = schema is not None and schema.encoding == "ros2msg"
-    definition = schema.data.decode() if schema is not None and is_text else ""
-    kind = "" if schema is None else schema.name
-    digest = channel.metadata.get("topic_type_hash", "")
-    return Topic(channel.topic, kind, definition, digest, channel.message_encoding)
-
-
-def _records(file: IO[bytes], size: int) -> Iterator[tuple[int, memoryview]]:
-    """Schemas, channels and messages of the data, also those in chunks; the file is checked to its last byte."""
-    most, unpacked = _ALWAYS_BYTES + _MAX_EXPANSION * size, 0
-    messages = chunks = 0
-    allowed = _IN_DATA
-    for opcode, length in _record_heads(file, size):
-        start = file.tell()
-        if opcode not in allowed and opcode < _FIRST_PRIVATE:
-            raise _damaged(start - _RECORD.size, f"found a record of kind {opcode}")
-        if allowed is _IN_SUMMARY:
-            if opcode == Opcode.STATISTICS:
-                written, *_, written_chunks = _STATISTICS.unpack(file.read(_STATISTICS.size))
-                if (written, written_chunks) != (messages, chunks):
-                    expected = f"{written} and {written_chunks}, as its statistics say"
-                    raise _damaged(size, f"found {messages} messages and {chunks} chunks, expected {expected}")
-        elif opcode == Opcode.DATA_END:
-            if length != _CHECKSUM.size:
-                raise _damaged(start, f"found an end of the data of {length} bytes, expected {_CHECKSUM.size}")
-            (checksum,) = _CHECKSUM.unpack(file.read(_CHECKSUM.size))
-            if checksum and checksum != _checksum(file, start - _RECORD.size):
-                raise _damaged(start, "found data whose checksum is another")
-            allowed = _IN_SUMMARY
-        elif opcode in (*_IN_CHUNK, Opcode.CHUNK):
-            if length > MAX_CHUNK_BYTES:
-                raise ValueError(f"found a record of {length} bytes, expected at most {MAX_CHUNK_BYTES}")
-            content = file.read(length)
-            if opcode != Opcode.CHUNK:
-                messages += opcode == Opcode.MESSAGE
-                yield opcode, memoryview(content)
-                continue
-            chunks += 1
-            chunk = _unpacked_chunk(Chunk.read(ReadDataStream(BytesIO(content))))
-            unpacked += len(chunk)
-            if unpacked > most:
-                raise ValueError(f"found more than {most} bytes unpacked in a file of {size}")
-            for record in _in_chunk(memoryview(chunk)):
-                messages += record[0] == Opcode.MESSAGE
-                yield record
-
-
-def _record_heads(file: IO[bytes], size: int) -> Iterator[tuple[int, int]]:
-    """Opcode and length of each record, up to the footer, which ends the file; the file is at the record's content."""
-    opcode, at = 0, len(_MCAP_MAGIC)
-    while opcode != Opcode.FOOTER:
-        file.seek(at)
-        head = file.read(_RECORD.size)
-        if len(head) < _RECORD.size:
-            raise _damaged(size, "found no footer")
-        opcode, length = _RECORD.unpack(head)
-        at += _RECORD.size + length
-        if at > size:
-            raise _damaged(size, f"found a record that ends at byte {at}")
-        yield opcode, length
-    file.seek(at)
-    if file.read(len(_MCAP_MAGIC) + 1) != _MCAP_MAGIC:
-        raise _damaged(at, "found a footer that does not end the file")
-
-
-def _damaged(at: int, problem: str) -> ValueError:
-    return ValueError(f"it is cut off or damaged at byte {at}: {problem}; `mcap recover` saves what can be read")
-
-
-def _checksum(file: IO[bytes], end: int) -> int:
-    """The checksum of a file's bytes before `end`."""
-    result, at = 0, 0
-    file.seek(0)
-    while piece := file.read(min(1 << 20, end - at)):
-        result, at = zlib.crc32(piece, result), at + len(piece)
-    return result
-
-
-def _in_chunk(content: memoryview) -> Iterator[tuple[int, memoryview]]:
-    at = 0
-    while at < len(content):
-        opcode, length = _RECORD.unpack_from(content, at)
-        start = at + _RECORD.size
-        at = start + length
-        if at > len(content):
-            raise ValueError("found a record that is longer than its chunk")
-        if opcode in _IN_CHUNK:
-            yield opcode, content[start:at]
-        elif opcode < _FIRST_PRIVATE:
-            raise ValueError(f"found a record of kind {opcode} in a chunk: it is damaged")
+def _records(opened: IO[bytes], size: int) -> Iterator[McapRecord]:
+    """All records, also those in chunks; the file is checked to its last byte."""
+    remaining = _ALWAYS_BYTES + _MAX_EXPANSION * size
+    counts: Counter[type] = Counter()
+    reader = StreamReader(opened, emit_chunks=True, validate_crcs=True, record_size_limit=MAX_CHUNK_BYTES)
+    for record in reader.records:
+        counts[type(record)] += 1
+        if isinstance(record, Statistics):
+            written, found = (record.message_count, record.chunk_count), (counts[Message], counts[Chunk])
+            if written != found:
+                raise ValueError("found {} messages and {} chunks, expected {} and {}".format(*found, *written))
+        if not isinstance(record, Chunk):
+            yield record
+            continue
+        content = _unpacked_chunk(record)
+        remaining -= len(content)
+        if remaining < 0:
+            raise ValueError(f"found too many bytes unpacked in a file of {size}")
+        with suppress(EndOfFile):  # at the end of the chunk, which has no footer
+            for inner in StreamReader(BytesIO(content), skip_magic=True, emit_chunks=True).records:
+                counts[type(inner)] += 1
+                yield inner
+    if opened.read(1):
+        raise ValueError("found a footer that does not end the file")
 
 
 def _unpacked_chunk(chunk: Chunk) -> bytes:
     """The content of a chunk. Raises ValueError before more memory is used than MAX_CHUNK_BYTES."""
-    size = chunk.uncompressed_size
+    size, content = chunk.uncompressed_size, chunk.data
     if size > MAX_CHUNK_BYTES:
         raise ValueError(f"found a chunk of {size} bytes unpacked, expected at most {MAX_CHUNK_BYTES}")
-    if chunk.compression == "":
-        content = chunk.data
-    elif chunk.compression == "zstd":
-        claimed = zstandard.frame_content_size(chunk.data)  # the decompressor allocates this much; -1: it is not given
-        if claimed not in (-1, size):
-            raise ValueError(f"found a chunk of {claimed} bytes unpacked, which claims to have {size}")
-        content = zstandard.ZstdDecompressor(max_window_size=1 << 28).decompress(chunk.data, size)
+    if chunk.compression == "zstd":
+        content = _unpacked_zstd(content, size)
     elif chunk.compression == "lz4":
-        content = _unpacked_lz4(chunk.data, size)
-    else:
+        content = _unpacked_lz4(content, size)
+    elif chunk.compression:
         raise ValueError(f"found a chunk compressed by {chunk.compression!r:.20}, expected zstd or lz4")
     if len(content) != size:
         raise ValueError(f"found a chunk of {len(content)} bytes unpacked, which claims to have {size}")
@@ -511,10 +402,21 @@ def _unpacked_chunk(chunk: Chunk) -> bytes:
     return content
 
 
+def _unpacked_zstd(data: bytes, most: int) -> bytes:
+    """Unpacked data. Raises ValueError before more memory is used than `most` bytes."""
+    try:
+        size = zstandard.frame_content_size(data)  # the decompressor allocates this much; -1: it is not given
+        if size > most:
+            raise ValueError(f"found {size} bytes unpacked, expected at most {most}")
+        return zstandard.ZstdDecompressor(max_window_size=1 << 28).decompress(data, most)
+    except zstandard.ZstdError as error:
+        raise ValueError(str(error)) from error
+
+
 def _unpacked_lz4(data: bytes, size: int) -> bytes:
     import lz4.frame  # type: ignore[import-untyped]  # comes with rosbags
 
     try:
         return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1))
     except RuntimeError as error:
-        raise ValueError(f"a damaged chunk: {error}") from error
+        raise ValueError(str(error)) from error

@@ -1,18 +1,18 @@
 """Decodes messages of ROS 2 bags: types that are known, and a user's own types by their definition.
 
 Definitions in a bag are compared with ours, and hashes, too: bytes are never read with the fields of another version.
-Own types are read field by field, without generating code, because a definition may come from anybody.
+Those of own types may come from anybody. rosbags makes Python classes and functions of them, in whose code names of
+letters, digits and _ are all that is theirs; an element of an array is a line, so arrays have a limit.
 """
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
-import numpy as np
 from rosbags.interfaces import Nodetype
-from rosbags.typesys import TypesysError, get_types_from_msg
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 
 from mast_datasets.rosbag_storage import Topic
 from mast_zenoh.errors import ConfigurationError, MessageError, SceneError, nearest
@@ -26,14 +26,8 @@ Fields = dict[str, list[tuple[str, Any]]]
 #: Steps to a value in nested messages and lists.
 Steps = tuple[str | int, ...]
 
-_MAX_DEPTH = 20
 _MAX_DEFINITION = 200_000
-_NUMBERS = {
-    **{f"{sign}int{bits}": f"{sign[:1] or 'i'}{bits // 8}" for sign in ("", "u") for bits in (8, 16, 32, 64)},
-    **dict.fromkeys(("bool", "byte", "char", "octet"), "u1"),
-    "float32": "f4",
-    "float64": "f8",
-}
+_MAX_ARRAYS = 1000  # elements of all arrays in a type that are no numbers
 
 
 def parse_definition(name: str, text: str) -> Fields:
@@ -92,7 +86,7 @@ _FILLER = ("structure_needs_at_least_one_member", (Nodetype.BASE, ("uint8", 0)))
 
 
 class OwnType:
-    """A type that is read by its definition, as nested dicts and lists.
+    """A type that is read by its definition, with attributes for its fields.
 
     place: of the bag, for messages;  of_map: fields of the types that the map defines, by name; they take precedence
 
@@ -101,19 +95,26 @@ class OwnType:
     """
 
     def __init__(self, place: str, topic: Topic, of_map: Mapping[str, Fields]) -> None:
-        self._name, self._fields = topic.type, all_fields()
-        if topic.definition:
-            try:
-                self._fields |= parse_definition(topic.type, topic.definition)
-            except ValueError as error:
-                raise SceneError(f"{place}: {topic.name}: {error}") from None
-        for defined in of_map.values():
-            self._fields |= defined
-        _check_nesting(place, topic, self._fields, topic.type, 0, set())
+        self._name, known = topic.type, all_fields()
+        self._store = get_typestore(Stores.EMPTY)
+        self._store.max_sequence_length = type_store.MOST_ELEMENTS
+        try:
+            if topic.definition:
+                known |= parse_definition(topic.type, topic.definition)
+            for defined in of_map.values():
+                known |= defined
+            self._fields = _needed(place, topic, known)
+            self._store.register({kind: ([], fields) for kind, fields in self._fields.items()})
+            self._store.get_msgdef(topic.type)
+        except (TypesysError, ValueError, TypeError, SyntaxError, RecursionError) as error:
+            raise SceneError(f"{place}: {topic.name}: {topic.type!r:.120} cannot be read: {error!s:.200}") from None
 
     def decode(self, payload: bytes) -> Any:
         """The message of a payload. Raises MessageError for bytes that are none."""
-        return _Reader(self._fields, payload).message(self._name)
+        try:
+            return self._store.deserialize_cdr(payload, self._name)
+        except SerdeError as error:
+            raise MessageError(f"{self._name}: {len(payload)} bytes: {error}") from None
 
     def element_of(self, path: Steps) -> str:
         """The type of the elements of the list at a path. Raises ValueError if there is no list of messages."""
@@ -147,89 +148,29 @@ def _written(path: Steps) -> str:
     return ".".join(map(str, path))
 
 
-def _check_nesting(place: str, topic: Topic, fields: Fields, kind: str, depth: int, checked: set[str]) -> None:
-    """Raise ConfigurationError for a type that is not defined, and SceneError for one that contains itself."""
-    if kind not in fields:
-        raise ConfigurationError(
-            f"{place}: {topic.name}: the bag has no definition of {kind!r:.120}: expected one under `types` of the map"
-            f"{nearest(kind, list(fields))}"
-        )
-    if depth > _MAX_DEPTH:
-        raise SceneError(f"{place}: {topic.name}: {topic.type!r} has types in types, deeper than {_MAX_DEPTH}")
-    for _, description in fields[kind]:
-        is_single = description[0] in (Nodetype.BASE, Nodetype.NAME)
-        inner = description if is_single else description[1][0]
-        if not is_single and description[1][1] < 0:
-            raise SceneError(f"{place}: {topic.name}: {kind} has a list of {description[1][1]} elements")
-        if inner[0] == Nodetype.NAME:
-            if inner[1] not in checked:
-                _check_nesting(place, topic, fields, inner[1], depth + 1, checked)
-        elif inner[1][0] not in _NUMBERS and inner[1][0] != "string":
-            raise SceneError(f"{place}: {topic.name}: {kind} has a field of type {inner[1][0]}, which cannot be read")
-    checked.add(kind)  # after its fields, so that one that contains itself is too deep
+def _needed(place: str, topic: Topic, known: Fields) -> Fields:
+    """The fields of a topic's type, and of all types in it.
 
-
-class _Reader:
-    """Reads values from CDR, of either byte order.
-
-    Every value takes a byte at least, so its work is bounded by the size of the message.
+    Raises ConfigurationError for a type that is not defined, and ValueError for arrays that are too long, or empty:
+    every element takes a byte at least, so the work is bounded by the size of the message.
     """
-
-    def __init__(self, fields: Fields, payload: bytes) -> None:
-        if len(payload) < 4 or payload[0] != 0 or payload[1] not in (0, 1):
-            raise MessageError(f"found {payload[:4]!r}, expected the header of CDR")
-        self._fields, self._content, self._at = fields, payload[4:], 0
-        self._order = "<" if payload[1] else ">"
-
-    def message(self, kind: str) -> Any:
-        """The fields of a whole message. Raises MessageError."""
-        try:
-            value = self._named(kind)
-        except (struct.error, UnicodeDecodeError, ValueError) as error:
-            raise MessageError(f"{kind}: {len(self._content)} bytes: {error}") from None
-        if self._at + 3 < len(self._content):
-            raise MessageError(f"{kind}: found {len(self._content)} bytes, expected {self._at}")
-        return value
-
-    def _named(self, kind: str) -> dict[str, Any]:
-        return {name: self._value(description) for name, description in self._fields[kind] or [_FILLER]}
-
-    def _value(self, description: Any) -> Any:
-        kind, detail = description
-        if kind == Nodetype.NAME:
-            return self._named(detail)
-        if kind == Nodetype.BASE:
-            return self._text() if detail[0] == "string" else self._numbers(detail[0], 1)[0].item()
-        inner, count = detail
-        if kind == Nodetype.SEQUENCE:
-            count = int(self._numbers("uint32", 1)[0])
-            if count > type_store.MOST_ELEMENTS:
-                raise ValueError(f"found {count} elements, expected at most {type_store.MOST_ELEMENTS}")
-        if inner[0] == Nodetype.BASE and inner[1][0] != "string":
-            return self._numbers(inner[1][0], count) if count else np.zeros(0)
-        return list(self._elements(inner, count))
-
-    def _elements(self, inner: Any, count: int) -> Iterator[Any]:
-        for _ in range(count):
-            if self._at >= len(self._content):
-                raise ValueError(f"found {len(self._content)} bytes, expected more elements")
-            yield self._value(inner)
-
-    def _numbers(self, name: str, count: int) -> Any:
-        dtype = np.dtype(self._order + _NUMBERS[name])
-        self._at += -self._at % dtype.itemsize
-        if count * dtype.itemsize > len(self._content) - self._at:
-            raise ValueError(f"found {len(self._content)} bytes, expected {count} values of {name} at byte {self._at}")
-        values = np.frombuffer(self._content, dtype, count, self._at)
-        self._at += values.nbytes
-        return values
-
-    def _text(self) -> str:
-        length = int(self._numbers("uint32", 1)[0])
-        if not 0 < length <= len(self._content) - self._at:
-            raise ValueError(
-                f"found a text of {length} bytes at byte {self._at}, expected 1 or more, within the message"
+    needed: Fields = {}
+    missing, elements = [topic.type], 0
+    while missing:
+        kind = missing.pop()
+        if kind not in known:
+            raise ConfigurationError(
+                f"{place}: {topic.name}: the bag has no definition of {kind!r:.120}: expected one under `types` of the "
+                f"map{nearest(kind, list(known))}"
             )
-        text = self._content[self._at : self._at + length - 1].decode()
-        self._at += length
-        return text
+        needed[kind] = known[kind]
+        for _, (node, detail) in known[kind]:
+            inner, length = ((node, detail), 1) if node in (Nodetype.BASE, Nodetype.NAME) else detail
+            is_number = inner[0] == Nodetype.BASE and inner[1][0] != "string"
+            if node == Nodetype.ARRAY:
+                elements += 0 if is_number else length
+                if length < 1 or elements > _MAX_ARRAYS:
+                    raise ValueError(f"{kind} has a list of {length} elements, expected 1 to {_MAX_ARRAYS} in all")
+            if inner[0] == Nodetype.NAME and inner[1] not in needed:
+                missing.append(inner[1])
+    return needed

@@ -311,13 +311,13 @@ OWN = {
     "lab_msgs/msg/Thing": (
         "int32[2] pixel\nlab_msgs/Guess[] guesses\ngeometry_msgs/Point32 place\nfloat32[3] extent\nstring note\n"
     ),
-    "lab_msgs/msg/Guess": "string name\nfloat64 score\n",
+    "lab_msgs/msg/Guess": "string class\nfloat64 score\n",
 }
 FIELDS = {
     "list": "things",
     "position": "place",
     "size": "extent",
-    "class": "guesses.0.name",
+    "class": "guesses.0.class",  # a word of Python
     "score": "guesses.0.score",
 }
 

@@ -6,6 +6,7 @@ import sqlite3
 import struct
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import mast_datasets
@@ -20,13 +21,12 @@ from mast_datasets import RosBag, rosbag_storage
 from mast_datasets.rosbag_map import parse_map
 from mast_datasets.rosbag_reading import DetectionReader
 from mast_datasets.rosbag_storage import Topic
-from mast_datasets.rosbag_types import OwnType, known_decoder, parse_definition
+from mast_datasets.rosbag_types import OwnType, parse_definition
 from mcap.writer import Writer
-from rosbag_writer import Sent, odometry, pose_stamped, transforms, write_bag, write_recording
+from rosbag_writer import Sent, pose_stamped, write_bag, write_recording
 
 from mast_zenoh.errors import ConfigurationError, MastError, MessageError, SceneError
 from mast_zenoh.ros2 import type_store
-from mast_zenoh.ros2.object_markers import marker_array
 from mast_zenoh.ros2.object_messages import tracked_objects
 
 POSE = dict(topic="/pose")
@@ -104,12 +104,15 @@ NAMES = "relative_file_paths:\n  - bag.db3"
         (content("bag.db3", b"no database"), "begins with .* expected a bag of ROS 2"),
         (content("bag.db3", b"SQLite format 3\0" + bytes(5000)), "cannot be read as SQLite3"),
         (content("bag.db3-wal", b"x"), "expected a bag that was closed"),
-        (content("bag.db3-journal", b"\xd9\xd5\x05\xf9"), "a change that was cut off, expected a bag that was closed"),
-        (sql("DROP TABLE messages"), "table messages: found no column"),
-        (sql("ALTER TABLE topics DROP COLUMN type"), "table topics: found no column type"),
+        (
+            content("bag.db3-journal", b"\xd9\xd5\x05\xf9"),
+            "found a change that is not in the bag, expected a bag that was closed",
+        ),
+        (sql("DROP TABLE messages"), "found no tables topics and messages"),
+        (sql("ALTER TABLE topics DROP COLUMN type"), "no such column: type"),
         (
             sql(COPY, "DROP TABLE messages", "CREATE VIEW messages AS SELECT * FROM copy"),
-            "table messages: found no col",
+            "found no tables topics and messages",
         ),
         (
             sql(
@@ -117,7 +120,7 @@ NAMES = "relative_file_paths:\n  - bag.db3"
                 "CREATE TABLE messages (topic_id INTEGER, timestamp INTEGER, "
                 "data BLOB GENERATED ALWAYS AS (zeroblob(1000000000)))",
             ),
-            "table messages: found no column data",
+            "found no tables topics and messages",
         ),
         (sql("UPDATE messages SET data = zeroblob(20000000)"), "found a message of 20000000 bytes|cannot be read"),
         (sql("UPDATE messages SET data = 'text'"), "found a message that is no bytes"),
@@ -207,7 +210,7 @@ def test_a_checksum_of_all_data_is_compared(tmp_path: Path) -> None:
     bag = rosbag_storage.Bag(file, (file,), False)
     assert bag.topics() == {}
     file.write_bytes(file.read_bytes().replace(b"sound", b"noise"))
-    with pytest.raises(SceneError, match="found data whose checksum is another"):
+    with pytest.raises(SceneError, match="crc validation failed in DataEnd"):
         bag.topics()
 
 
@@ -235,18 +238,17 @@ ZSTD_OF_ZEROS = zstandard.compress(bytes(1000))
     ("records", "message"),
     [
         (chunk(BOMB, "zstd", 300_000_000), "found a chunk of 300000000 bytes unpacked"),
-        (chunk(BOMB, "zstd", 1000), "claims to have 1000"),
-        (chunk(ZSTD_OF_ZEROS, "zstd", 999), "found a chunk of 1000 bytes"),
+        (chunk(BOMB, "zstd", 1000), "found 300000000 bytes unpacked, expected at most 1000"),
+        (chunk(ZSTD_OF_ZEROS, "zstd", 999), "found 1000 bytes unpacked, expected at most 999"),
+        (chunk(ZSTD_OF_ZEROS, "zstd", 1001), "found a chunk of 1000 bytes unpacked, which claims to have 1001"),
         (chunk(ZSTD_OF_ZEROS, "zstd", 1000, crc=1), "checksum"),
         (chunk(b"no frame", "zstd", 1000), "cannot be read as MCAP"),
-        (chunk(b"no frame", "lz4", 1000), "a damaged chunk"),
+        (chunk(b"no frame", "lz4", 1000), "LZ4F_decompress failed"),
         (chunk(b"", "rar", 0), "compressed by 'rar', expected zstd or lz4"),
-        (chunk(struct.pack("<BQ", 5, 10**15), "", 9), "longer than its chunk"),
+        (chunk(struct.pack("<BQ", 5, 10**15), "", 9), "exceeds limit"),
         (struct.pack("<BQ", 5, 2**63), "cut off"),
-        (chunk(record(6, b""), "", 9), "found a record of kind 6 in a chunk"),
-        (record(15, bytes(4)) + chunk(b"", "", 0), "cut off or damaged at byte [0-9]+: found a record of kind 6"),
         (record(15, bytes(4)) + record(11, bytes([1]) + bytes(25)), "found 0 messages and 0 chunks, expected 1 and 0"),
-        (record(15, bytes(4)) + record(2, bytes(20)) + b"more", "found a footer that does not end the file"),
+        (record(15, bytes(4)) + record(2, bytes(20)) + b"more", "invalid magic"),
         (record(5, bytes(30)), "a message of channel 0, which is unknown"),
         (record(5, b""), "cannot be read as MCAP"),
         (record(3, b"\1"), "cannot be read as MCAP"),
@@ -289,7 +291,7 @@ def test_compressed_files_and_messages_unpack_to_their_limits_only(tmp_path: Pat
     with contextlib.closing(sqlite3.connect(messages / "messages.db3")) as connection:
         connection.execute("UPDATE messages SET data = ?", (zstandard.compress(bytes(100_000_000)),))
         connection.commit()
-    with pytest.raises(SceneError, match=r"messages\.db3: .* found a message of 100000000 bytes"):
+    with pytest.raises(SceneError, match=r"messages\.db3: .* found 100000000 bytes unpacked"):
         read(messages)
 
 
@@ -312,6 +314,13 @@ def test_names_of_topics_do_not_reach_the_terminal_as_they_are(bag: Path) -> Non
     sql("UPDATE topics SET name = '/a' || char(27, 91, 50, 74) || char(10) || 'b' WHERE name = '/objects'").apply(bag)
     with pytest.raises(ConfigurationError, match=r"\n  /a\[2Jb  autoware_perception_msgs/msg/TrackedObjects  4"):
         read(bag)
+
+
+def message_of(value: Any) -> Any:
+    """A message with the values of nested dicts and lists."""
+    if isinstance(value, dict):
+        return SimpleNamespace(__msgtype__="", **{name: message_of(each) for name, each in value.items()})
+    return [message_of(each) for each in value] if isinstance(value, list) else value
 
 
 def own_reader(**entries: Any) -> DetectionReader:
@@ -337,7 +346,7 @@ def own_reader(**entries: Any) -> DetectionReader:
 )
 def test_messages_of_an_own_type_with_other_values_are_left_out(message: dict[str, Any]) -> None:
     reader = own_reader()
-    reader.add(message, 0)
+    reader.add(message_of(message), 0)
     assert (reader.used, sum(reader.remarks.values())) == (0, 1)
 
 
@@ -355,7 +364,7 @@ def test_messages_of_an_own_type_with_other_values_are_left_out(message: dict[st
 )
 def test_detections_of_an_own_type_with_other_values_are_left_out(element: Any) -> None:
     reader = own_reader(axes=["z", "-x", "-y"])
-    reader.add({"header": HEADER, "list": [{"place": [1.0, 2.0, 3.0], "score": 0.5}, element]}, 0)
+    reader.add(message_of({"header": HEADER, "list": [{"place": [1.0, 2.0, 3.0], "score": 0.5}, element]}), 0)
     assert (reader.used, sum(reader.remarks.values())) == (1, 1)
     np.testing.assert_array_equal(reader.measured().detections.position, [[3.0, -1.0, -2.0]])
 
@@ -408,46 +417,15 @@ def _places(value: Any, place: str) -> Any:
             yield from _places(inner, here)
 
 
-KNOWN = [
-    odometry(5, "map", (1.0, 2.0, 3.0)),
-    transforms(5, "map", {"a": ((1, 2, 3), np.eye(3)), "a longer name": ((4, 5, 6), np.eye(3))}),
-    tracked_objects(junction(frames=4).truth_at(0), 7, "map"),
-    marker_array(
-        junction(frames=4).truth_at(0), np.zeros((len(junction(frames=4).truth_at(0)), 3), np.int64), 7, "map"
-    ),
-]
-
-
 def topic(kind: str, definition: str = "") -> Topic:
     return Topic("/topic", kind, definition, "", "cdr")
-
-
-@pytest.mark.parametrize("message", KNOWN, ids=lambda message: message.__msgtype__)
-@pytest.mark.parametrize("little_endian", [True, False])
-def test_own_types_are_decoded_as_rosbags_does(message: Any, little_endian: bool) -> None:
-    kind = message.__msgtype__
-    payload = bytes(type_store.STORE.serialize_cdr(message, kind, little_endian=little_endian))
-    _assert_same(OwnType("bag", topic(kind), {}).decode(payload), known_decoder("bag", topic(kind))(payload))
-
-
-def _assert_same(found: Any, expected: Any) -> None:
-    if isinstance(found, dict):
-        assert found
-        for name, value in found.items():
-            _assert_same(value, getattr(expected, name))
-    elif isinstance(found, list):
-        assert len(found) == len(expected)
-        for one, other in zip(found, expected, strict=True):
-            _assert_same(one, other)
-    else:
-        np.testing.assert_array_equal(found, expected)
 
 
 @settings(max_examples=80, deadline=None)
 @given(data=st.data())
 def test_any_bytes_of_an_own_type_are_a_message_or_none(data: st.DataObject) -> None:
     kind = "vision_msgs/msg/Detection3DArray"
-    payload = bytearray(type_store.encode(KNOWN[2])[:400])
+    payload = bytearray(type_store.encode(tracked_objects(junction(frames=4).truth_at(0), 7, "map"))[:400])
     for _ in range(data.draw(st.integers(0, 4))):
         payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
     with contextlib.suppress(MessageError):
@@ -457,7 +435,9 @@ def test_any_bytes_of_an_own_type_are_a_message_or_none(data: st.DataObject) -> 
 @pytest.mark.parametrize(
     ("definition", "error", "message"),
     [
-        ("a/Own inner\n", SceneError, "has types in types, deeper than 20"),
+        ("a/Own inner\n", SceneError, "recursion"),
+        ("uint8[0] data\n", SceneError, "a list of 0 elements"),
+        ("string[600] a\na/Own[600] b\n", SceneError, "expected 1 to 1000 in all"),
         ("a/Other inner\n", ConfigurationError, "the bag has no definition of 'a/msg/Other'"),
         ("uint8[-3] data\n", SceneError, "a list of -3 elements"),
         ("int32 x; import os\n", SceneError, "cannot be read"),
@@ -471,11 +451,11 @@ def test_hostile_definitions_are_refused(definition: str, error: type[MastError]
 
 
 def test_lists_of_absurd_length_end_with_the_message() -> None:
-    for definition in ("uint8[999999999999] data\n", "string[999999999999] data\n", "a/Own2[999999999999] data\n"):
-        other = {"a/msg/Own2": parse_definition("a/msg/Own2", "")}
-        decode = OwnType("bag", topic("a/msg/Own", definition), other).decode
+    other = {"a/msg/Own2": parse_definition("a/msg/Own2", "")}
+    for definition in ("string[999999999999] data\n", "a/Own2[999999999999] data\n"):
+        with pytest.raises(SceneError, match="a list of 999999999999 elements"):
+            OwnType("bag", topic("a/msg/Own", definition), other)
+    for definition in ("uint8[999999999999] data\n", "float64[] data\n"):
+        decode = OwnType("bag", topic("a/msg/Own", definition), {}).decode
         with pytest.raises(MessageError, match="a/msg/Own"):
-            decode(b"\0\1\0\0" + bytes(100))
-    decode = OwnType("bag", topic("a/msg/Own", "float64[] data\n"), {}).decode
-    with pytest.raises(MessageError, match="4294967295 elements"):
-        decode(b"\0\1\0\0" + b"\xff" * 4)
+            decode(b"\0\1\0\0" + b"\xff" * 4 + bytes(100))
