@@ -7,6 +7,7 @@ itself is given as a reason only, as its own words.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -96,11 +97,12 @@ class _Played:
 
     def table(self, name: str, *columns: str) -> Iterator[Mapping[str, np.ndarray]]:
         """Some columns of a table of the evaluator, one row group after the other; none if it does not have them."""
-        from mast_zenoh.run_folder.tables import read_groups  # loads Arrow
+        from mast_zenoh.run_folder.tables import TableFile  # loads Arrow
 
-        for rows in read_groups(self.folder / f"{name}.parquet", *columns):
-            if len(rows) == len(columns):
-                yield rows
+        table = TableFile(self.folder / f"{name}.parquet")
+        with suppress(FileNotFoundError):
+            if set(columns) <= set(table.columns):
+                yield from table.parts(columns)
 
 
 def _adversaries(run: _Played) -> Iterator[str]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from importlib.abc import MetaPathFinder
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow
@@ -16,8 +17,16 @@ from pyarrow import parquet
 
 from mast_zenoh.arrays.states import Bools
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.run_folder import check_plain, replacing
-from mast_zenoh.run_folder.unpacking import MAX_TABLE_BYTES, check_expanded, read_parquet, read_row_groups
+from mast_zenoh.run_folder import check_plain, open_plain, replacing
+from mast_zenoh.run_folder.unpacking import (
+    MAX_TABLE_BYTES,
+    check_expanded,
+    extents,
+    read_footer,
+    read_parquet,
+    read_row_group,
+    read_row_groups,
+)
 
 #: Columns of text get this type at once, because `dictionary_encode` would load all of Arrow's compute functions.
 _TEXT = pyarrow.dictionary(pyarrow.int32(), pyarrow.string())
@@ -152,3 +161,120 @@ def from_arrow(table: Any, rows: NDArray[Any] | slice = slice(None)) -> dict[str
 def as_read(columns: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
     """Columns as `read_table` would return them from a file."""
     return from_arrow(to_arrow(columns))
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Turn errors of a broken file, not of one that is missing, into RunFolderError."""
+    try:
+        yield
+    except FileNotFoundError:
+        raise
+    except (OSError, ValueError, LookupError, pyarrow.ArrowException) as error:
+        raise RunFolderError(f"{path}: {error}") from None
+
+
+class _Footer(NamedTuple):
+    """What is known of a file before its rows are read.
+
+    file: which one it is;  least, most: (groups,) first and last frame of each row group, NaN: unknown
+    """
+
+    file: tuple[int, ...]
+    content: Any
+    schema: Any
+    least: NDArray[Any]
+    most: NDArray[Any]
+
+
+#: Row groups that stay in memory for the next frames, and the bytes of one at most.
+_RECENT_GROUPS, _RECENT_BYTES = 2, 64 << 20
+
+
+class TableFile:
+    """A Parquet file from which wanted rows are read when they are asked for, so it may be of any length.
+
+    The footer is read once, and the newest row groups stay in memory. If the file is replaced, the new one is read.
+
+    Raises FileNotFoundError where there is none; RunFolderError if it is no plain file, is broken, has not the columns,
+    or if a row group, or all wanted rows, are too large when unpacked. A new object has read nothing.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._known: _Footer | None = None
+        self._recent: tuple[tuple[Any, Any], ...] = ()
+
+    @property
+    def columns(self) -> list[str]:
+        """The names of the columns."""
+        with _naming(self.path):
+            return list(self._footer().schema.names)
+
+    def rows(self, columns: Sequence[str], frames: range | None = None, agent: str = "") -> dict[str, NDArray[Any]]:
+        """The rows of some frames and of an agent, by default of all, in their order, as columns.
+
+        Columns `frame` and `agent` decide. Only row groups that by the footer may have these frames are read.
+        """
+        parts, size = list[dict[str, NDArray[Any]]](), 0
+        for part in self.parts(columns, frames, agent):
+            parts.append(part)
+            size += sum(column.nbytes for column in part.values())
+            if size > MAX_TABLE_BYTES:
+                wanted = f"found {size} bytes in the wanted rows or more, expected at most {MAX_TABLE_BYTES}"
+                raise RunFolderError(f"{self.path}: {wanted}")
+        with _naming(self.path):
+            nothing = from_arrow(self._footer().schema.empty_table().select(columns))
+        return {name: np.concatenate([part[name] for part in (nothing, *parts)]) for name in columns}
+
+    def parts(
+        self, columns: Sequence[str], frames: range | None = None, agent: str = ""
+    ) -> Iterator[dict[str, NDArray[Any]]]:
+        """The same rows as those of `rows`, one row group after the other."""
+        with _naming(self.path):
+            footer = self._footer()
+            deciding = ["frame"] * (frames is not None) + ["agent"] * bool(agent)
+            names = tuple(dict.fromkeys([*columns, *deciding]))
+            if missing := sorted(set(names) - set(footer.schema.names)):
+                raise RunFolderError(f"{self.path}: found no column {', '.join(missing)}")
+            for group in range(len(footer.least)):
+                if frames is not None and (footer.least[group] >= frames.stop or footer.most[group] < frames.start):
+                    continue
+                table = self._group(footer, group, names)
+                yield from_arrow(table.select(columns), _chosen(table, frames, agent))
+
+    def _footer(self) -> _Footer:
+        with open_plain(self.path) as file:
+            status = os.fstat(file.fileno())
+        current = status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
+        if self._known is None or self._known.file != current:
+            content = read_footer(self.path)
+            self._known = _Footer(current, content, content.schema.to_arrow_schema(), *extents(content, "frame"))
+        return self._known
+
+    def _group(self, footer: _Footer, group: int, names: tuple[str, ...]) -> Any:
+        """Some columns of a row group as an Arrow table, in which text is a dictionary if it is in the file."""
+        wanted = footer.file, group, names
+        for known, table in self._recent:
+            if known == wanted:
+                return table
+        if self._footer() is not footer:
+            raise RunFolderError(f"{self.path}: found another file than before: it was replaced while it was read")
+        table = read_row_group(self.path, group, names, footer.content)
+        if table.nbytes <= _RECENT_BYTES:
+            self._recent = ((wanted, table), *self._recent)[:_RECENT_GROUPS]
+        return table
+
+
+def _chosen(table: Any, frames: range | None, agent: str) -> Bools:
+    """Which rows of an Arrow table are of some frames and of an agent; the footer of a file may say anything."""
+    chosen = np.ones(len(table), bool)
+    if frames is not None:
+        frame = from_arrow(table.select(["frame"]))["frame"]
+        if frame.dtype.kind not in "iuf":
+            raise pyarrow.ArrowInvalid(f"column frame: found {table.schema.field('frame').type}, expected numbers")
+        frame = frame.astype(np.float64)
+        chosen &= (frame >= frames.start) & (frame < frames.stop) & ((frame - frames.start) % frames.step == 0)
+    if agent:
+        chosen &= from_arrow(table.select(["agent"]))["agent"] == agent
+    return chosen

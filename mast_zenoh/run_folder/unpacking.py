@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow
+from numpy.typing import NDArray
 from pyarrow import ipc, parquet
 
 #: Limit on the unpacked size of a table, bytes.
@@ -211,6 +212,28 @@ def read_row_groups(
             yield _read_bounded(path, columns, max_bytes, [group], metadata)
         except UnicodeDecodeError as error:
             raise pyarrow.ArrowInvalid(f"found a name that is not UTF-8: {error}") from None
+
+
+def read_footer(path: Path) -> Any:
+    """What the footer of a Parquet file says; raises OSError or ArrowException if it is broken."""
+    with parquet.ParquetFile(path, thrift_container_size_limit=_MAX_LIST) as file:
+        return file.metadata
+
+
+def read_row_group(path: Path, group: int, columns: Collection[str], footer: Any) -> pyarrow.Table:
+    """Read some columns of a row group; raises as `read_parquet` does."""
+    return _read_bounded(path, columns, MAX_TABLE_BYTES, [group], footer)
+
+
+def extents(footer: Any, column: str) -> tuple[NDArray[Any], NDArray[Any]]:
+    """The least and the largest number of a column in each row group, as the footer says; NaN: it does not."""
+    paths = [footer.schema.column(index).path for index in range(footer.num_columns)]
+    known = np.full((2, footer.num_row_groups), np.nan)
+    for group in range(footer.num_row_groups if column in paths else 0):
+        statistics = footer.row_group(group).column(paths.index(column)).statistics
+        if statistics is not None and statistics.has_min_max and isinstance(statistics.min_raw, int):
+            known[:, group] = statistics.min_raw, statistics.max_raw
+    return known[0], known[1]
 
 
 def _overlaps(metadata: Any, group: int, column: str, least: float, most: float) -> bool:

@@ -15,7 +15,7 @@ from mast_zenoh.control.tables import PART_BYTES, PART_ROWS, PartedTables, Table
 from mast_zenoh.errors import MessageError
 from mast_zenoh.launch import conclusion
 from mast_zenoh.launch.table_files import TableFiles
-from mast_zenoh.run_folder.tables import read_groups, read_table
+from mast_zenoh.run_folder.tables import TableFile, read_table
 
 ROWS = 2 * PART_ROWS + 17
 
@@ -59,7 +59,7 @@ def test_the_file_does_not_depend_on_how_rows_were_appended(tmp_path: Path) -> N
     table = read_table(path)
     for name, column in columns(0, ROWS).items():
         np.testing.assert_array_equal(table[name], column)
-    assert [len(rows["agent"]) for rows in read_groups(path, "agent")] == [PART_ROWS, PART_ROWS, 17]
+    assert [len(rows["agent"]) for rows in TableFile(path).parts(["agent"])] == [PART_ROWS, PART_ROWS, 17]
 
 
 def test_few_rows_of_long_text_are_a_part() -> None:

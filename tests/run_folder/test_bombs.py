@@ -22,7 +22,7 @@ from mast_zenoh.messages.schemas import Header
 from mast_zenoh.run_folder import unpacking
 from mast_zenoh.run_folder.recording import reader
 from mast_zenoh.run_folder.recording.writer import MessageLog
-from mast_zenoh.run_folder.tables import from_arrow, read_table
+from mast_zenoh.run_folder.tables import TableFile, from_arrow, read_table
 from mast_zenoh.wiring.model import Input
 
 pytestmark = pytest.mark.heavy
@@ -31,7 +31,7 @@ pytestmark = pytest.mark.heavy
 _LIMITED = """
 import resource, sys
 from pathlib import Path
-from mast_zenoh.run_folder.tables import read_table
+from mast_zenoh.run_folder.tables import TableFile, read_table
 from mast_zenoh.run_folder.recording.reader import read as read_recording
 from mast_datasets.argoverse import read_poses
 used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
@@ -42,6 +42,8 @@ try:
         list(read_recording(path))
     elif path.suffix == ".feather":
         read_poses(path, None)
+    elif sys.argv[2:] == ["rows"]:
+        TableFile(path).rows(TableFile(path).columns)
     else:
         read_table(path)
 except Exception as error:
@@ -95,14 +97,15 @@ def test_bombs_are_refused_in_one_line_within_900_mb(tmp_path: Path) -> None:
     frame = zstd_zeros(2_000_000_000)
     bombs.append(chunk_file(tmp_path / "lies.mcap", frame, 1000))
     bombs.append(chunk_file(tmp_path / "honest.mcap", frame, 2_000_000_000))
-    for path in bombs:
-        assert path.stat().st_size < 2_500_000
+    words = [[str(path)] for path in bombs] + [[str(path), "rows"] for path in bombs if path.suffix == ".parquet"]
+    for path, *how in words:
+        assert Path(path).stat().st_size < 2_500_000
         done = subprocess.run(
-            [sys.executable, "-c", _LIMITED, str(path)], capture_output=True, text=True, check=False, timeout=60
+            [sys.executable, "-c", _LIMITED, path, *how], capture_output=True, text=True, check=False, timeout=60
         )
         (line,) = done.stdout.splitlines()
         assert line.startswith(("RunFolderError ", "SceneError ")), (path, line, done.stderr)
-        assert path.name in line
+        assert Path(path).name in line
         assert "found" in line
 
 
@@ -145,6 +148,7 @@ def test_tables_of_any_compression_are_read_as_written(tmp_path: Path, compressi
     path = tmp_path / "t.parquet"
     arrow_parquet.write_table(table, path, compression=compression, data_page_version=version, row_group_size=1500)
     assert unpacking.read_parquet(path).equals(table)
+    assert TableFile(path).rows(["text"])["text"].tolist() == table["text"].to_pylist()
     assert unpacking.read_parquet(path, ["text", "number"]).column("text").equals(table.column("text"))
     arrow_parquet.write_table(table.slice(0, 0), path, compression=compression)
     assert unpacking.read_parquet(path).schema == table.schema

@@ -14,12 +14,13 @@ from mast_zenoh import scene
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.run_folder import check_plain, open_plain, read_json
 from mast_zenoh.run_folder.recording.script import Script
-from mast_zenoh.run_folder.tables import read_table
+from mast_zenoh.run_folder.tables import TableFile, read_table
 from mast_zenoh.scenario import load, resolve
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.scenes.recording_file import RecordingFile
 
 READERS = [read_json, read_table, Recording.load, Recording.open, Script.load, check_plain, open_plain]
+READERS += [lambda path: TableFile(path).rows(["frame"])]
 
 
 def link(path: Path) -> None:
