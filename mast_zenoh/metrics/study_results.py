@@ -315,6 +315,17 @@ class Measured(NamedTuple):
         return self.p <= LEVEL if not math.isnan(self.p) else self.low > 0.0 or self.high < 0.0
 
 
+class Row(NamedTuple):
+    """Numbers over the trials of one cell.
+
+    of: what it is of, by name;  trials: their number, or that of pairs;  numbers: by measure
+    """
+
+    of: Mapping[str, object]
+    trials: int
+    numbers: Mapping[str, Measured]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Survival:
     """Kaplan-Meier estimate (1958, JASA 53:457) of the share that is not detected yet.
@@ -544,42 +555,4 @@ class BreakdownTable:
 
     rows: Sequence[BreakdownRow]
     points: Mapping[tuple[str, int], BreakdownPoint]
-    size: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CooperationRow:
-    """Trials of one fusion architecture and number of agents.
-
-    Objects are missed and false ones in the ego's picture.
-
-    trials:      pairs, with lies and without
-    errors:      objects per frame, without lies;  harm: how many more with lies
-    harm_difference: harm minus that of the first architecture with as many agents, scene by scene and seed by seed
-    deceived:    share of the agents that are deceived, mean over frames;  deceived_max: the greatest of a frame
-    nees:        normalised error squared of positions, 2 expected
-    gospa_m:     m, between the pictures of two agents;  kb_per_s: kB/s that an agent sends
-    busy_ratio:  of the channel;  penetration: share of the vehicles that are agents
-    """
-
-    architecture: str
-    agents: int
-    trials: int
-    errors: Measured
-    harm: Measured
-    harm_difference: Measured
-    deceived: Measured
-    deceived_max: Measured
-    nees: Measured
-    gospa_m: Measured
-    kb_per_s: Measured
-    busy_ratio: Measured
-    penetration: Measured
-
-
-@dataclass(frozen=True, slots=True)
-class CooperationTable:
-    """All rows, by number of agents;  size: seeds and scenes."""
-
-    rows: Sequence[CooperationRow]
     size: str

@@ -7,7 +7,7 @@ import io
 import itertools
 import math
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 from rich.box import SIMPLE_HEAD
@@ -15,7 +15,7 @@ from rich.console import Group
 from rich.markup import escape
 from rich.table import Table
 
-from mast_zenoh.metrics.study_results import MIN_SEEDS, MOSTLY_ZERO, Measured
+from mast_zenoh.metrics.study_results import MIN_SEEDS, MOSTLY_ZERO, Measured, Row
 
 #: Placeholder for an unknown number.
 DASH = "\u2013"
@@ -226,6 +226,25 @@ def median_delay(each: Measured) -> str:
 def bounds(each: Measured) -> list[str]:
     """A number in a CSV file: value, low, high, how these were computed, trials, trials left out."""
     return [*digits(*each[:3]), each.interval, str(each.trials), str(each.left_out)]
+
+
+def shown(measure: str, show: Callable[[Measured], str] = measured) -> Callable[[Row], str]:
+    """The text of a measure of a row."""
+    return lambda row: show(row.numbers[measure])
+
+
+def table_of_rows(
+    title: str, about: str, rows: Sequence[Row], columns: Mapping[str, Callable[[Row], str]]
+) -> TextTable:
+    """What rows are of, then columns by heading."""
+    lines = [[*map(str, row.of.values()), *(show(row) for show in columns.values())] for row in rows]
+    return TextTable(title, about, [*(rows[0].of if rows else ()), *columns], lines, 1)
+
+
+def numbers_of_rows(rows: Sequence[Row]) -> tuple[Sequence[str], Sequence[Sequence[object]]]:
+    """The headings and lines of a CSV file with a line for each row and measure."""
+    lines = [[*row.of.values(), name, *bounds(each)] for row in rows for name, each in row.numbers.items()]
+    return [*(rows[0].of if rows else ()), "measure", *BOUNDS], lines
 
 
 #: Columns of `bounds`.

@@ -5,6 +5,7 @@
                breakdown (with how many liars a defence breaks), field_matrix (the matrix of published and own methods),
                cooperation (how far a lie reaches, by where tracks are fused), driving_matrix (what attacks do to a
                driven car, with each defence)
+    cells      what study files import of the kinds (of cooperation so far)
     published  what papers report of these methods
     matrix_trial    the evaluation of one trial of the matrix
     matrix_records  what the matrix needs of each trial, and its measures over many
@@ -15,6 +16,7 @@ See docs/defence_studies.md.
 """
 
 from mast_zenoh.study.defences.breakdown import BreakdownCell
+from mast_zenoh.study.defences.cells import CooperationCell
 from mast_zenoh.study.defences.choices import (
     COORDINATED,
     PLACEMENTS,
@@ -33,7 +35,6 @@ from mast_zenoh.study.defences.choices import (
     with_preset,
     words,
 )
-from mast_zenoh.study.defences.cooperation import CooperationCell
 from mast_zenoh.study.defences.drift import DriftCell
 from mast_zenoh.study.defences.driving_matrix import DrivingCell
 from mast_zenoh.study.defences.field_matrix import FieldCell, scenes_of_kinds

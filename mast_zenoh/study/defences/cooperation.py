@@ -7,79 +7,45 @@ agent is deceived in a frame if its picture has a false or a missed object that 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mast_zenoh.arrays.states import CLASS_INDEX
+from mast_zenoh.arrays.states import CLASS_INDEX, Floats
 from mast_zenoh.config.resolved import RECORDING
 from mast_zenoh.metrics.causes import ATTACK_CAUSES
 from mast_zenoh.metrics.estimates import PICTURE
-from mast_zenoh.metrics.study_results import NAN, CooperationRow, CooperationTable
+from mast_zenoh.metrics.significance import clearest
+from mast_zenoh.metrics.study_results import MIN_SEEDS, NAN, Measured, Row
+from mast_zenoh.report.tables.text_table import (
+    DASH,
+    FEW_TRIALS,
+    ResultTables,
+    measured,
+    number,
+    numbers_of_rows,
+    percent,
+    shown,
+    table_of_rows,
+    whole_percent,
+)
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.study.defences import kinds
+from mast_zenoh.study.defences.cells import CooperationCell
 from mast_zenoh.study.numbers import ego, scored_frames
-from mast_zenoh.study.trial import Outcome, TrialKey
+from mast_zenoh.study.trial import Outcome
 
 if TYPE_CHECKING:
     from mast_zenoh.report.figures.drawing import RenderedFigure
-    from mast_zenoh.report.tables.text_table import ResultTables
 
 #: What agents send to others: to a centre, or to each other.
 SENT = ("agent/*/tracks", "agent/*/broadcast")
 #: Classes of vehicles that could carry sensors.
 _VEHICLES = [CLASS_INDEX[name] for name in ("car", "truck", "bus")]
 _ROUNDING_S = 1e-6
-
-
-@dataclass(frozen=True, slots=True)
-class CooperationCell(kinds.DefenceCell):
-    """A fusion architecture and a number of agents, the ego included.
-
-    attacked: whether some of them lie;  attack_start_s: s of scene time, from which trials count, with lies or without
-    """
-
-    kind = "cooperation"
-
-    architecture: str
-    agents: int
-    attacked: bool
-    attack_start_s: float
-
-    @property
-    def label(self) -> str:
-        """The label of its configuration."""
-        return f"{self.architecture} {self.agents} agents{' attacked' if self.attacked else ''}"
-
-
-@dataclass(frozen=True, slots=True)
-class CooperationRecord:
-    """What the table needs of one trial.
-
-    From the start of the attack on:
-    errors:      missed and false objects per frame in the ego's picture
-    From the first message on that an adversary changed, as `pictures.deceived` of metrics.json:
-    deceived:    mean share of the agents that are deceived;  deceived_max: the greatest share in a frame
-    Over the scored frames:
-    nees:        normalised error squared of the positions in a picture, mean over agents; 2 is consistent
-    gospa_m:     m, between the pictures of two agents; NaN where all have the same
-    busy_ratio:  of the channel; NaN without one
-    Over the whole run:
-    kb_per_s:    kB/s that an agent sends to others
-    penetration: share of the vehicles that are agents
-    """
-
-    errors: float
-    deceived: float
-    deceived_max: float
-    nees: float
-    gospa_m: float
-    kb_per_s: float
-    busy_ratio: float
-    penetration: float
 
 
 class Collection(kinds.Collection):
@@ -130,7 +96,21 @@ class Collection(kinds.Collection):
             "penetration": round(sensing / vehicles, 6),
         }
 
-    def record(self, cell: CooperationCell, outcome: Outcome) -> CooperationRecord:
+    def record(self, cell: CooperationCell, outcome: Outcome) -> dict[str, float]:
+        """What the table needs of one trial; NaN: it has none.
+
+        From the start of the attack on:
+        errors:      missed and false objects per frame in the ego's picture
+        From the first message on that an adversary changed, as `pictures.deceived` of metrics.json:
+        deceived:    mean share of the agents that are deceived;  deceived_max: the greatest share in a frame
+        Over the scored frames:
+        nees:        normalised error squared of the positions in a picture, mean over agents; 2 is consistent
+        gospa_m:     m, between the pictures of two agents; NaN where all have the same
+        busy_ratio:  of the channel; NaN without one
+        Over the whole run:
+        kb_per_s:    kB/s that an agent sends to others
+        penetration: share of the vehicles that are agents
+        """
         metrics, part = outcome.metrics, outcome.metrics["defence"]
         first, last = scored_frames(metrics)
         start = max(first, int(np.searchsorted(part["frames_s"], cell.attack_start_s - _ROUNDING_S)))
@@ -142,68 +122,144 @@ class Collection(kinds.Collection):
         deceived = np.array(part["deceived"][max(first, lies_from) : last + 1])
         nees = [agent[PICTURE]["position"]["nees"] for agent in metrics["consistency"].values() if PICTURE in agent]
         channel = metrics.get("channel", {})
-        return CooperationRecord(
-            errors=float((table["fn"][rows] + table["fp"][rows]).mean()),
-            deceived=float(deceived.mean()) if len(deceived) else NAN,
-            deceived_max=float(deceived.max()) if len(deceived) else NAN,
-            nees=float(np.mean([each for each in nees if each is not None])) if nees else NAN,
-            gospa_m=metrics.get("pictures", {}).get("difference_gospa_m", {}).get("mean", NAN),
-            kb_per_s=part["kb_per_s"],
-            busy_ratio=channel["busy_ratio"]["mean"] if channel else NAN,
-            penetration=part["penetration"],
-        )
-
-    def table(self) -> CooperationTable:
-        """A row for each architecture and number of agents; the others are compared with the first architecture."""
-        architectures = list(dict.fromkeys(cell.architecture for cell in self.records))
-        rows = []
-        for agents in sorted({cell.agents for cell in self.records}):
-            harm = {name: self._harm(name, agents) for name in architectures}
-            rows += [self._row(name, agents, harm[name], harm[architectures[0]]) for name in architectures]
-        return CooperationTable([row for row in rows if row.trials], self.size)
-
-    def _of(self, architecture: str, agents: int, attacked: bool) -> Mapping[TrialKey, CooperationRecord]:
-        """The trials of a cell that are done, in the order of the study."""
-        for cell, records in self.records.items():
-            if (cell.architecture, cell.agents, cell.attacked) == (architecture, agents, attacked):
-                return {key: records[key] for key in self.order if key in records}
-        return {}
-
-    def _harm(self, architecture: str, agents: int) -> dict[TrialKey, float]:
-        """By trial, how many more errors the ego's picture has when agents lie."""
-        honest, attacked = (self._of(architecture, agents, lie) for lie in (False, True))
-        return {key: each.errors - honest[key].errors for key, each in attacked.items() if key in honest}
-
-    def _row(
-        self, architecture: str, agents: int, harm: Mapping[TrialKey, float], of_first: Mapping[TrialKey, float]
-    ) -> CooperationRow:
-        honest, attacked = (self._of(architecture, agents, lie) for lie in (False, True))
-
-        def values(records: Mapping[TrialKey, Any], name: str) -> list[float]:
-            return [getattr(records[key], name) if key in records else NAN for key in self.order]
-
-        means = {
-            name: self.mean(values(honest, name))
-            for name in ("errors", "nees", "gospa_m", "kb_per_s", "busy_ratio", "penetration")
+        return {
+            "errors": float((table["fn"][rows] + table["fp"][rows]).mean()),
+            "deceived": float(deceived.mean()) if len(deceived) else NAN,
+            "deceived_max": float(deceived.max()) if len(deceived) else NAN,
+            "nees": float(np.mean([each for each in nees if each is not None])) if nees else NAN,
+            "gospa_m": metrics.get("pictures", {}).get("difference_gospa_m", {}).get("mean", NAN),
+            "kb_per_s": part["kb_per_s"],
+            "busy_ratio": channel["busy_ratio"]["mean"] if channel else NAN,
+            "penetration": part["penetration"],
         }
-        shares = {name: self.mean(values(attacked, name), (0.0, 1.0)) for name in ("deceived", "deceived_max")}
-        return CooperationRow(
-            architecture=architecture,
-            agents=agents,
-            trials=len(harm),
-            harm=self.mean([harm.get(key, NAN) for key in self.order], paired=True),
-            harm_difference=self.mean([harm.get(key, NAN) - of_first.get(key, NAN) for key in self.order], paired=True),
-            **means,
-            **shares,
+
+    def table(self) -> list[Row]:
+        """A row for each architecture and number of agents, with the measures of `record`, and of pairs:
+
+        harm: errors with lies minus those without;  harm_difference: that minus the first architecture's
+        """
+        cells = sorted((cell for cell in self.records if cell.attacked), key=lambda cell: cell.agents)
+        first = next(iter(self.records)).architecture
+        rows = [self._row(cell, self._harm(cell), self._harm(replace(cell, architecture=first))) for cell in cells]
+        return [row for row in rows if row.trials]
+
+    def _harm(self, cell: CooperationCell) -> Floats:
+        return self.values(cell, "errors") - self.values(replace(cell, attacked=False), "errors")
+
+    def _row(self, cell: CooperationCell, harm: Floats, of_first: Floats) -> Row:
+        honest = replace(cell, attacked=False)
+        numbers = {
+            "errors": self.mean(self.values(honest, "errors")),
+            "harm": self.mean(harm, paired=True),
+            "harm_difference": self.mean(harm - of_first, paired=True),
+        }
+        numbers |= {name: self.mean(self.values(cell, name), (0.0, 1.0)) for name in ("deceived", "deceived_max")}
+        for name in ("nees", "gospa_m", "kb_per_s", "busy_ratio", "penetration"):
+            numbers[name] = self.mean(self.values(honest, name))
+        pairs = int((~np.isnan(harm)).sum())
+        return Row({"architecture": cell.architecture, "agents": cell.agents}, pairs, numbers)
+
+    def tables(self, table: Sequence[Row]) -> ResultTables:
+        """The CSV has a row for each architecture, number of agents and measure."""
+        summary, title = conclusion(table), "Fusion architectures"
+        return ResultTables(
+            title,
+            f"{self.size}. {summary} {_ABOUT}",
+            self.size,
+            [
+                table_of_rows("Lies", "", table, _LIES),
+                table_of_rows("Traffic and consistency, without lies", "", table, _TRAFFIC),
+            ],
+            numbers_of_rows(table),
+            [table_of_rows(title, summary, table, _BRIEF)],
+            note=FEW_TRIALS if any(row.trials < MIN_SEEDS for row in table) else "",
+            headline=headline(table),
         )
 
-    def tables(self, table: CooperationTable) -> ResultTables:
-        from mast_zenoh.report.tables.cooperation import cooperation_tables
+    def figures(self, table: Sequence[Row]) -> Mapping[str, RenderedFigure]:
+        if not table:
+            return {}
+        from mast_zenoh.report.figures.drawing import render  # drawing libraries are slow to load
+        from mast_zenoh.report.figures.facets import facet
 
-        return cooperation_tables(table)
+        figure = facet(table, "agents", "architecture", _PANELS, log="kb_per_s")
+        caption = (
+            "Errors are missed and false objects in the ego's picture. Bars: 95 % intervals over trials "
+            f"({self.size}). An agent is deceived if its picture has an error that an adversary caused."
+        )
+        return {self.name: render(self.name, figure, conclusion(table), caption, printed=True)}
 
-    def figures(self, table: CooperationTable) -> Mapping[str, RenderedFigure]:
-        from mast_zenoh.report.figures.cooperation import figure_of_cooperation
 
-        figure = figure_of_cooperation(table)
-        return {figure.name: figure}
+# -- what readers see --------------------------------------------------------------------------------------------------
+
+
+def _share(each: Measured) -> str:
+    return whole_percent(each.value) if each.known else DASH
+
+
+def _traffic(each: Measured) -> str:
+    return number(each.value, 1)
+
+
+_ABOUT = (
+    "Missed and false objects per frame in the ego's picture from the start of the attack on. Each trial with a lie is "
+    "paired with the one without of the same scene and seed; 95 % intervals of Student's t over seeds."
+)
+_LIES = {
+    "trials": lambda row: str(row.trials),
+    "vehicles with sensors (%)": shown("penetration", _share),
+    "errors without lies": shown("errors"),
+    "added by lies": shown("harm"),
+    "difference from the first": shown("harm_difference"),
+    "agents deceived at a time (%)": shown("deceived", percent),
+    "at most (%)": shown("deceived_max", percent),
+}
+_TRAFFIC = {
+    "kB/s an agent sends": shown("kb_per_s", _traffic),
+    "channel busy (%)": shown("busy_ratio", _share),
+    "between pictures (m, GOSPA)": shown("gospa_m"),
+    "NEES of positions (2 expected)": shown("nees"),
+}
+_BRIEF = {
+    "errors": shown("errors", lambda each: number(each.value)),
+    "added by lies": shown("harm"),
+    "deceived (%)": shown("deceived", percent),
+    "kB/s": shown("kb_per_s", _traffic),
+}
+#: Of each panel: a measure, its factor, and the label of its axis.
+_PANELS = (
+    ("harm", 1.0, "errors per frame that lies add"),
+    ("deceived", 100.0, "agents deceived at a time (%)"),
+    ("errors", 1.0, "errors per frame without lies"),
+    ("kb_per_s", 1.0, "kB/s that an agent sends"),
+)
+
+
+def headline(rows: Sequence[Row]) -> str:
+    """The clearest effect of lies; without a full stop. Empty: none, or too few trials for a test."""
+    for at in clearest({at: row.numbers["harm"] for at, row in enumerate(rows)}):
+        place, harm = "{architecture} and {agents} agents".format(**rows[at].of), measured(rows[at].numbers["harm"])
+        return f"The clearest effect: with {place}, lies add {harm} errors a frame"
+    return ""
+
+
+def conclusion(rows: Sequence[Row]) -> str:
+    """What lies do with most agents, by architecture, and whether that differs from the first one; "" without rows."""
+    if not rows:
+        return ""
+    agents = rows[-1].of["agents"]
+    by_name = {str(row.of["architecture"]): row.numbers for row in rows if row.of["agents"] == agents}
+    first, *others = by_name
+    harms = ", ".join(f"{name} {measured(each['harm'])}" for name, each in by_name.items())
+    deceived = ", ".join(f"{name} {percent(each['deceived'], ' %')}" for name, each in by_name.items())
+    differences = {name: by_name[name]["harm_difference"] for name in others}
+    clear = clearest(differences)
+    differ = [f"{name} (by {measured(differences[name])})" for name in others if name in clear]
+    alike = [name for name in others if name not in clear]
+    sentences = [
+        f"With {agents} agents, the lies add so many errors per frame to the ego's picture: {harms}.",
+        f"Agents deceived at a time: {deceived}.",
+        f"Different from {first}: {', '.join(differ)}." if differ else "",
+        f"No difference from {first} is shown for {', '.join(alike)}." if alike else "",
+    ]
+    return " ".join(filter(None, sentences))

@@ -16,6 +16,9 @@ from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import numpy as np
+
+from mast_zenoh.arrays.states import Floats
 from mast_zenoh.metrics.study_results import Measured, size_of
 from mast_zenoh.run_folder import write_bytes
 from mast_zenoh.study.defences import intervals
@@ -103,6 +106,14 @@ class Collection(ABC):
     ) -> Measured:
         """The mean over the trials planned for a cell (n,), in the order of the study; see `intervals.mean`."""
         return intervals.mean(values, bounds, scenes=self.scenes, paired=paired)
+
+    def values(self, cell: Any, name: str) -> Floats:
+        """(trials,) a number of each trial planned for a cell, in the order of the study; NaN: it has none.
+
+        Of kinds whose records are numbers by name.
+        """
+        records = self.records.get(cell, {})
+        return np.array([records[key][name] if key in records else math.nan for key in self.order])
 
     @abstractmethod
     def record(self, cell: Any, outcome: Outcome) -> Any:

@@ -10,12 +10,10 @@ import pytest
 from defence_outcomes import outcome
 
 import mast_zenoh as mast
-from mast_zenoh.metrics.study_results import CooperationTable
-from mast_zenoh.report.figures.cooperation import figure_of_cooperation
-from mast_zenoh.report.tables.cooperation import conclusion, cooperation_tables
+from mast_zenoh.metrics.study_results import Row
 from mast_zenoh.study import definition
 from mast_zenoh.study.defences import CooperationCell
-from mast_zenoh.study.defences.cooperation import Collection
+from mast_zenoh.study.defences.cooperation import Collection, conclusion
 
 FRAMES = 10
 START_S = 0.5
@@ -48,8 +46,8 @@ def trial(cell: CooperationCell, seed: int, false: float, deceived: float, busy:
     return outcome(cell.label, "junction", seed, metrics, per_frame)
 
 
-def table_of(architectures: dict[str, tuple[float, float]], seeds: int = 6) -> CooperationTable:
-    """The table of architectures with (false objects, deceived share) under lies.
+def trials_of(architectures: dict[str, tuple[float, float]], seeds: int = 6) -> Collection:
+    """Trials of architectures with (false objects, deceived share) under lies.
 
     On odd seeds there is one false object more, with lies or without.
     """
@@ -64,54 +62,58 @@ def table_of(architectures: dict[str, tuple[float, float]], seeds: int = 6) -> C
             odd = float(seed % 2)
             false, deceived = architectures[architecture] if attacked else (0.0, 0.0)
             collection.add(trial(cell, seed, odd + false, deceived, 0.5 if architecture == "radio" else None))
-    return collection.table()
+    return collection
+
+
+def rows_of(architectures: dict[str, tuple[float, float]]) -> list[Row]:
+    return trials_of(architectures).table()
 
 
 def test_a_trial_counts_from_the_start_of_the_attack_on_and_is_paired_with_the_one_without_lies() -> None:
-    (row,) = table_of({"centre": (2.0, 1.0)}).rows
-    assert (row.errors.value, row.harm.value, row.trials) == (1.5, 2.0, 6)
-    assert row.errors.low < 1.5 < row.errors.high
-    assert (row.deceived.value, row.nees.value, row.penetration.value) == (1.0, 2.0, 0.25)
-    assert not row.busy_ratio.known
-    assert not row.gospa_m.known
+    (row,) = rows_of({"centre": (2.0, 1.0)})
+    values = {name: each.value for name, each in row.numbers.items() if each.known}
+    assert (row.of, row.trials) == ({"architecture": "centre", "agents": 5}, 6)
+    assert (values["errors"], values["harm"]) == (1.5, 2.0)
+    assert row.numbers["errors"].low < 1.5 < row.numbers["errors"].high
+    assert (values["deceived"], values["nees"], values["penetration"]) == (1.0, 2.0, 0.25)
+    assert not {"busy_ratio", "gospa_m"} & values.keys()
 
 
 def test_places_are_compared_with_the_first_one() -> None:
-    table = table_of({"centre": (2.0, 1.0), "peers": (2.0, 0.5), "radio": (3.0, 0.5)})
-    assert [row.harm_difference.value for row in table.rows] == [0.0, 0.0, 1.0]
-    assert table.rows[2].busy_ratio.value == 0.5
+    rows = rows_of({"centre": (2.0, 1.0), "peers": (2.0, 0.5), "radio": (3.0, 0.5)})
+    assert [row.numbers["harm_difference"].value for row in rows] == [0.0, 0.0, 1.0]
+    assert rows[2].numbers["busy_ratio"].value == 0.5
 
 
 def test_the_conclusion_names_what_differs_and_what_does_not() -> None:
-    def row(architecture: str, more: tuple[float, float, float]) -> Any:
-        known = table_of({"centre": (2.0, 0.5)}).rows[0]
-        measures = {name: getattr(known, name) for name in known.__slots__}
-        measured = known.harm_difference._replace(
+    def row(architecture: str, more: tuple[float, float, float]) -> Row:
+        (known,) = rows_of({"centre": (2.0, 0.5)})
+        difference = known.numbers["harm_difference"]._replace(
             value=more[0], low=more[1], high=more[2], p=0.001 if more[1] > 0.0 else 0.4
         )
-        return type(known)(**measures | dict(architecture=architecture, harm_difference=measured))
+        numbers = {**known.numbers, "harm_difference": difference}
+        return known._replace(of={"architecture": architecture, "agents": 5}, numbers=numbers)
 
     rows = [row("centre", (0.0, 0.0, 0.0)), row("peers", (0.1, -0.2, 0.4)), row("radio", (0.7, 0.3, 1.1))]
-    said = conclusion(CooperationTable(rows, "6 seeds"))
+    said = conclusion(rows)
     assert "Different from centre: radio (by 0.70 [0.30, 1.10])." in said
     assert "No difference from centre is shown for peers." in said
 
 
-def test_a_trial_without_its_pair_makes_no_row() -> None:
+def test_a_trial_without_its_pair_makes_no_row_and_no_figure(tmp_path: Path) -> None:
     cell = CooperationCell("peers", 5, True, START_S)
     collection = Collection({cell.label: cell}, ["junction"], [0])
     collection.add(trial(cell, 0, 1.0, 1.0))
     table = collection.table()
-    assert list(table.rows) == []
+    assert table == []
     assert conclusion(table) == ""
+    assert collection.write(tmp_path).figures == {}
 
 
 def test_tables_and_figure_are_written(tmp_path: Path) -> None:
-    table = table_of({"centre": (2.0, 1.0), "radio": (3.0, 0.5)})
-    texts = cooperation_tables(table).texts("cooperation")
-    assert "| radio | 5 | 6 | 25 |" in texts["cooperation.md"]
-    assert "radio,5,busy_ratio,0.5," in texts["cooperation.csv"]
-    figure_of_cooperation(table).save(tmp_path)
+    trials_of({"centre": (2.0, 1.0), "radio": (3.0, 0.5)}).write(tmp_path)
+    assert "| radio | 5 | 6 | 25 |" in (tmp_path / "cooperation.md").read_text()
+    assert "radio,5,busy_ratio,0.5," in (tmp_path / "cooperation.csv").read_text()
     assert (tmp_path / "cooperation.png").stat().st_size > 10_000
 
 
@@ -129,9 +131,9 @@ def test_the_deceived_share_of_a_run_is_that_of_its_metrics(tmp_path: Path) -> N
     _, last = metrics["scored_frames"]
     measured = metrics["pictures"]["deceived"]
     assert part["lies_from_s"] == measured["lies_from_s"] == 2.0
-    assert record.deceived == pytest.approx(measured["share"]["mean"])
-    assert record.deceived == pytest.approx(np.mean(part["deceived"][20 : last + 1])), "not the frames before"
-    assert record.deceived_max == pytest.approx(measured["most"])
+    assert record["deceived"] == pytest.approx(measured["share"]["mean"])
+    assert record["deceived"] == pytest.approx(np.mean(part["deceived"][20 : last + 1])), "not the frames before"
+    assert record["deceived_max"] == pytest.approx(measured["most"])
     assert max(part["deceived"]) == pytest.approx(6 / 7)  # the liar's own picture is right
     assert 50.0 < part["kb_per_s"] < 500.0
     assert 0.0 < part["penetration"] < 1.0
