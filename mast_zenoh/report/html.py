@@ -120,7 +120,7 @@ def facts(run: Run) -> list[str]:
     facts += [f"scene {run.files.scene.name}"] if run.files.scene else []
     facts += [_frames_in_words(run)] if "frames" in run.files.summary else []
     facts += [f"seed {run.files.record['seed']}"] if "seed" in run.files.record else []
-    every = run.files.sample.every
+    every = run.files.sample.step
     facts += [f"boxes and causes of every {every}th frame, scores of all"] if every > 1 else []
     facts += [_origin(run.files.record["replay"])] if run.files.record.get("replay") else []
     facts += (

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from importlib.abc import MetaPathFinder
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -64,33 +64,6 @@ def write_table(path: Path, columns: Mapping[str, Any]) -> None:
         parquet.write_table(table, new)
 
 
-def _kept(group: Any, keep: Callable[[NDArray[Any]], Bools]) -> Any:
-    """The wanted rows of an Arrow table with a column `frame`."""
-    return group.filter(pyarrow.array(keep(group["frame"].to_numpy())))
-
-
-def read_groups(
-    path: Path,
-    *names: str,
-    keep: Callable[[NDArray[Any]], Bools] | None = None,
-    span: tuple[float, float] = (-np.inf, np.inf),
-) -> Iterator[dict[str, NDArray[Any]]]:
-    """Some columns of a table, one row group after the other; those that it does not have are left out.
-
-    keep, span: as of `read_arrow`
-
-    Raises RunFolderError if it is broken; no rows if it is missing.
-    """
-    with suppress(FileNotFoundError):
-        try:
-            for group in read_row_groups(check_plain(path), names, ("frame", *span)):
-                yield from_arrow(group if keep is None else _kept(group, keep))
-        except FileNotFoundError:
-            raise
-        except (OSError, pyarrow.ArrowException) as error:
-            raise RunFolderError(f"{path}: {error}") from None
-
-
 def read_table(path: Path) -> dict[str, NDArray[Any]]:
     """Read a table as columns; raises RunFolderError if it is missing or broken."""
     try:
@@ -99,21 +72,16 @@ def read_table(path: Path) -> dict[str, NDArray[Any]]:
         raise RunFolderError(f"{path}: {error}") from None
 
 
-def read_arrow(
-    path: Path, keep: Callable[[NDArray[Any]], Bools] | None = None, span: tuple[float, float] = (-np.inf, np.inf)
-) -> Any:
-    """Read a Parquet file as an Arrow table.
-
-    keep: which rows (n,) are wanted, by their frames; the others are never in memory all together
-    span: their first and last frame
+def read_arrow(path: Path, frames: range | None = None) -> Any:
+    """Read a Parquet file as an Arrow table; frames: with the rows of these alone, by its column `frame`.
 
     Raises OSError, RunFolderError or ArrowException if it is missing, broken or too large when unpacked.
     """
-    if keep is None:
+    if frames is None:
         return read_parquet(check_plain(path))
     groups, size = [], 0
-    for group in read_row_groups(check_plain(path), within=("frame", *span)):
-        groups.append(_kept(group, keep))
+    for group in read_row_groups(check_plain(path), within=("frame", frames.start, frames.stop - 1)):
+        groups.append(group.filter(pyarrow.array(_chosen(group, frames))))
         size += groups[-1].nbytes
         if size > MAX_TABLE_BYTES:
             raise pyarrow.ArrowInvalid(f"found {size} bytes in the wanted rows, expected at most {MAX_TABLE_BYTES}")
@@ -266,7 +234,7 @@ class TableFile:
         return table
 
 
-def _chosen(table: Any, frames: range | None, agent: str) -> Bools:
+def _chosen(table: Any, frames: range | None, agent: str = "") -> Bools:
     """Which rows of an Arrow table are of some frames and of an agent; the footer of a file may say anything."""
     chosen = np.ones(len(table), bool)
     if frames is not None:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from functools import cached_property
+from collections.abc import Callable, Sequence
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import numpy as np
 import pyarrow
 from numpy.typing import NDArray
-from pyarrow import parquet
 
 from mast_zenoh.arrays.boxes import Boxes
 from mast_zenoh.arrays.states import Bools
@@ -18,7 +17,7 @@ from mast_zenoh.errors import MastError
 from mast_zenoh.launch import liveness
 from mast_zenoh.launch.measurement import recorded_wirings
 from mast_zenoh.run_folder import check_plain, read_object
-from mast_zenoh.run_folder.tables import from_arrow, read_arrow, read_groups
+from mast_zenoh.run_folder.tables import TableFile, read_arrow
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.wiring.model import Wiring
 
@@ -50,35 +49,19 @@ _DRIVEN = ("agent", "frame", "time_s", "x", "y", "heading", "speed_mps", "accele
 MOST_FRAMES = 3000
 
 
-class Sample(NamedTuple):
-    """Which frames of a run are in memory with their boxes and manipulations: every n-th from `first` to before `end`.
-
-    The first n frames of a sample without `end` are before `first`: of a run, every n-th frame is in it.
-    """
-
-    every: int = 1
-    first: int = 0
-    end: int | None = None
-
-    @classmethod
-    def of(cls, frames: int, wanted: int | None = None) -> Sample:
-        """The sample of a run of so many frames; wanted: a frame that is in it."""
-        every = max(1, -(-frames // MOST_FRAMES))
-        return cls(every, (wanted or 0) % every)
-
-    def has(self, frames: NDArray[Any]) -> Bools:
-        """(n,) bool: which of n frames are in the sample."""
-        inside = (frames - self.first) % self.every == 0
-        return np.asarray(inside if self.end is None else inside & (frames >= self.first) & (frames < self.end))
-
-    @property
-    def span(self) -> tuple[float, float]:
-        """The first and the last frame."""
-        return (self.first, self.end - 1) if self.end is not None else (-np.inf, np.inf)
+#: A sample of the frames of a run: all.
+ALL = range(1 << 62)
 
 
-#: All frames.
-ALL = Sample()
+def sample_of(frames: int, wanted: int | None = None) -> range:
+    """Which frames of a run of so many have their boxes in memory: every n-th. wanted: one of them"""
+    every = max(1, -(-frames // MOST_FRAMES))
+    return range((wanted or 0) % every, ALL.stop, every) if every > 1 else ALL
+
+
+def are_in(sample: range, frames: NDArray[Any]) -> Bools:
+    """(n,) bool: which of n frames are in a sample."""
+    return np.asarray(((frames - sample.start) % sample.step == 0) & (frames >= sample.start) & (frames < sample.stop))
 
 
 def rows(table: Table, mask: Bools) -> Table:
@@ -87,8 +70,8 @@ def rows(table: Table, mask: Bools) -> Table:
 
 
 def driven_table(path: Path) -> Table:
-    """The columns of a driven.parquet that pictures show. Raises ValueError or OSError if it is missing or damaged."""
-    return _table(_DRIVEN)(path)
+    """The columns of a driven.parquet that pictures show. Raises RunFolderError or OSError if that cannot be read."""
+    return TableFile(path).rows(_DRIVEN)
 
 
 def column(table: Table, name: str) -> NDArray[np.float64]:
@@ -123,6 +106,7 @@ class RunFiles:
         self._read_from = path
         self._frame, self._agent, self._given = frame, agent, given
         self._absent: dict[str, str] = {}
+        self._tables: dict[str, TableFile] = {}
         #: What else the record lacks, as found by whoever reads it.
         self.notes: list[str] = []
         self.__dict__.update(given)
@@ -135,7 +119,7 @@ class RunFiles:
         for name in _NAMES:
             if name in self.__dict__ and name not in anew:
                 other.__dict__.setdefault(name, self.__dict__[name])
-        other._absent, other.notes = self._absent, self.notes
+        other._absent, other.notes, other._tables = self._absent, self.notes, self._tables
         return other
 
     @property
@@ -190,16 +174,16 @@ class RunFiles:
     # -- the scene and the tables --------------------------------------------------------------------------------------
 
     @cached_property
-    def sample(self) -> Sample:
+    def sample(self) -> range:
         """The frames of which boxes and manipulations are read."""
         played = self.summary.get("frames") or self.record.get("frames")
-        return Sample.of(played if isinstance(played, int) else 0, self._frame)
+        return sample_of(played if isinstance(played, int) else 0, self._frame)
 
     @cached_property
     def scene(self) -> Recording | None:
         """scene.npz; of a long run, what is asked for is read then."""
         lost = "no buildings, agents and camera view in the pictures"
-        scene: Recording | None = self._file("scene.npz", Recording.open, lost)
+        scene: Recording | None = self._file("scene.npz", lambda path: Recording.open(check_plain(path)), lost)
         return scene
 
     @cached_property
@@ -215,51 +199,53 @@ class RunFiles:
     @cached_property
     def counts(self) -> Table | None:
         """The counts of metrics.parquet, as far as they are whole."""
-        table: Table | None = self._file("metrics.parquet", _counts, "no counts over time")
-        return table
+        return self._table("metrics.parquet", _counts, "no counts over time")
 
     @cached_property
     def objects(self) -> Table | None:
         """The boxes of the agent."""
         lost = "no outcomes of objects, no bird's-eye and camera views"
-        read = _table(_OBJECTS, self.agent or "", sample=self.sample)
-        table: Table | None = self._file("objects.parquet", read, lost)
-        return table
+        return self._table("objects.parquet", self._boxes(self.sample), lost)
+
+    def objects_of(self, frame: int) -> Table | None:
+        """The rows of `objects` of one frame; if the others have not been read yet, they need not be."""
+        if "objects" in self.__dict__ or self.is_live:
+            return self.objects and rows(self.objects, self.objects["frame"] == frame)
+        return self._table("objects.parquet", self._boxes(range(frame, frame + 1)), "no boxes of this frame")
 
     @cached_property
     def effects(self) -> Table | None:
         """The effects of interposers."""
         intercepted = any(wire.get("interposers") for wire in self.wiring.get("wires", ()))
-        read = self._file if intercepted else self._optional
         lost = "what interposers changed is not marked"
-        table: Table | None = read("attacks.parquet", _effects(self.sample), lost)
-        return table
+        return self._table("attacks.parquet", partial(_effects, sample=self.sample), lost, expected=intercepted)
 
     @cached_property
     def targets(self) -> Table | None:
         """The objects that adversaries manipulated."""
-        return self._applied("achieved", "targets.parquet", _table(_TARGETS), "what attacks achieved is not explained")
+        return self._applied("achieved", "targets.parquet", _TARGETS, "what attacks achieved is not explained")
 
     @cached_property
     def driving(self) -> Table | None:
         """Effects on driving."""
-        return self._applied("driving", "driving.parquet", _table(_DRIVING), "no chart of driving")
+        return self._applied("driving", "driving.parquet", _DRIVING, "no chart of driving")
 
     @cached_property
     def driven(self) -> Table | None:
         """The course of driven cars."""
-        return self._applied("driven", "driven.parquet", _table(_DRIVEN), "the course of driven cars is not shown")
+        return self._applied("driven", "driven.parquet", _DRIVEN, "the course of driven cars is not shown")
 
     @cached_property
     def trust(self) -> Table | None:
         """The command centre's trust in agents."""
-        return self._applied("integrity", "trust.parquet", _table(_TRUST), "trust in agents is not shown")
+        return self._applied("integrity", "trust.parquet", _TRUST, "trust in agents is not shown")
 
     @cached_property
     def trust_objects(self) -> Table | None:
         """The objects that a judging command centre tracks."""
-        read = _table(_JUDGED, sample=self.sample)
-        return self._applied("integrity", "trust_objects.parquet", read, "withheld objects are not shown")
+        return self._applied(
+            "integrity", "trust_objects.parquet", _JUDGED, "withheld objects are not shown", self.sample
+        )
 
     @property
     def all_objects(self) -> Any:
@@ -269,8 +255,7 @@ class RunFiles:
         """
         if self.is_live or "all_objects" in self._given:
             return self._given.get("all_objects")
-        path, sample = self.path / "objects.parquet", self.sample
-        return read_arrow(path) if sample == ALL else read_arrow(path, sample.has, sample.span)
+        return read_arrow(self.path / "objects.parquet", _frames_of(self.sample))
 
     # -- what is missing -----------------------------------------------------------------------------------------------
 
@@ -312,10 +297,23 @@ class RunFiles:
         """Like `_file`, for a file that not every run has: its absence is not reported."""
         return self._file(name, read, consequence) if (self.path / name).is_file() else None
 
-    def _applied(self, metric: str, name: str, read: Callable[[Path], Table], consequence: str) -> Table | None:
-        """A table that the evaluator writes only for runs to which it applies."""
-        table: Table | None = (self._file if self.summary.get(metric) else self._optional)(name, read, consequence)
+    def _table(
+        self, name: str, read: Callable[[TableFile], Table], consequence: str, *, expected: bool = True
+    ) -> Table | None:
+        """Read a table; None on failure. expected: whether its absence is reported"""
+        file = self._tables.setdefault(name, TableFile(self.path / name))
+        table: Table | None = (self._file if expected else self._optional)(name, lambda _: read(file), consequence)
         return table
+
+    def _applied(
+        self, metric: str, name: str, columns: Sequence[str], consequence: str, sample: range = ALL
+    ) -> Table | None:
+        """A table that the evaluator writes only for runs to which it applies."""
+        expected = bool(self.summary.get(metric))
+        return self._table(name, lambda file: file.rows(columns, _frames_of(sample)), consequence, expected=expected)
+
+    def _boxes(self, frames: range) -> Callable[[TableFile], Table]:
+        return lambda file: file.rows(_OBJECTS, _frames_of(frames), self.agent or "")
 
     def _document(self, name: str, consequence: str) -> dict[str, Any]:
         return self._file(name, _json_object, consequence) or {}
@@ -339,49 +337,30 @@ def _json_object(path: Path) -> dict[str, Any]:
     return read_object(path)
 
 
-def _counts(path: Path) -> Table:
+def _counts(file: TableFile) -> Table:
     """The counts of metrics.parquet."""
-    table = _table(_COUNTS)(path)
+    table = file.rows(_COUNTS)
     if any(np.isnan(column(table, name)).any() for name in ("fn", "fp", "tp", "id_switches")):
         raise ValueError("found missing counts, expected a number in every row")
     return table
 
 
-def _table(columns: tuple[str, ...], agent: str = "", *, sample: Sample = ALL) -> Callable[[Path], Table]:
-    """A reader of columns of a Parquet table, for one agent if given, and for the frames in a sample."""
-
-    def read(path: Path) -> Table:
-        if sample != ALL:
-            parts = read_groups(path, *columns, keep=sample.has, span=sample.span)
-            return _joined(path, columns, (rows(part, part["agent"] == agent) if agent else part for part in parts))
-        content = read_arrow(path)
-        if missing := sorted(set(columns) - set(content.column_names)):
-            raise ValueError(f"found no column {', '.join(missing)}")
-        own: Any = from_arrow(content.select(["agent"]))["agent"] == agent if agent else slice(None)
-        return from_arrow(content.select(columns), own)
-
-    return read
-
-
-def _effects(sample: Sample) -> Callable[[Path], Table]:
-    """A reader of attacks.parquet, see `RunFiles.effects`."""
-    if sample.every == 1:
-        return _table(_EFFECTS, sample=sample)
+def _effects(file: TableFile, sample: range) -> Table:
+    """The rows of `RunFiles.effects`."""
+    if sample.step == 1:
+        return file.rows(_EFFECTS, _frames_of(sample))
 
     def wanted(part: Table) -> Table:
         kinds = [np.unique(part[name], return_inverse=True)[1] for name in _KINDS]
         first = np.unique(np.column_stack([part["frame"], *kinds]), axis=0, return_index=True)[1]
-        mask = sample.has(part["frame"])
+        mask = are_in(sample, part["frame"])
         mask[first] = True
         return rows(part, mask)
 
-    return lambda path: _joined(path, _EFFECTS, map(wanted, read_groups(path, *_EFFECTS)))
+    tables = [file.rows(_EFFECTS, range(0)), *map(wanted, file.parts(_EFFECTS))]
+    return {name: np.concatenate([table[name] for table in tables]) for name in _EFFECTS}
 
 
-def _joined(path: Path, columns: tuple[str, ...], parts: Iterable[Table]) -> Table:
-    """Parts of a long table, which is never in memory as a whole."""
-    content = parquet.read_schema(check_plain(path)).empty_table()
-    if missing := sorted(set(columns) - set(content.column_names)):
-        raise ValueError(f"found no column {', '.join(missing)}")
-    tables = [from_arrow(content.select(columns)), *parts]
-    return {name: np.concatenate([table[name] for table in tables]) for name in columns}
+def _frames_of(sample: range) -> range | None:
+    """The frames of which rows are read; None: all, also those that are about no frame."""
+    return None if sample == ALL else sample

@@ -132,10 +132,9 @@ class Frame:
     def boxes(self) -> dict[str, dict[str, Boxes]]:
         """The main agent's boxes by estimate, then by outcome (the keys of BOX_OUTCOMES)."""
         boxes: dict[str, dict[str, Boxes]] = {}
-        objects, scene = self.run.files.objects, self.run.files.scene
-        if objects is None:
+        here, scene = self.run.files.objects_of(self.index), self.run.files.scene
+        if here is None:
             return boxes
-        here = rows(objects, objects["frame"] == self.index)
         for estimate in self.estimates:
             if estimate == TRUTH.estimator and scene is not None:
                 prepared = scene.truth_at(min(self.index, len(scene) - 1))

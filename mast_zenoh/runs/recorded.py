@@ -61,7 +61,7 @@ def frames_of(run: Run) -> Iterator[Frame]:
             continue
         count += 1
         without_truth += TRUTH not in bodies
-        if run.files.sample.every > 1 and index not in window:  # of a long run, its tables a part after the other
+        if run.files.sample.step > 1 and index not in window:  # of a long run, its tables a part after the other
             window = range(index - index % _WINDOW, index - index % _WINDOW + _WINDOW)
             now = run.within(window.start, window.stop)
         yield Frame(now, index, time_ns, bodies)

@@ -27,7 +27,7 @@ from mast_zenoh.runs import messages as recorded
 from mast_zenoh.runs import routes
 from mast_zenoh.runs.agent import Agent
 from mast_zenoh.runs.evaluated import Evaluated
-from mast_zenoh.runs.files import RunFiles, Sample, Table, rows
+from mast_zenoh.runs.files import RunFiles, Table, are_in, rows
 from mast_zenoh.runs.messages import WireMessage
 from mast_zenoh.scenario.driving import driver_of_car
 
@@ -70,8 +70,8 @@ class Run:
 
     def within(self, first: int, end: int) -> Self:
         """The same run with the tables of all frames from `first` to before `end`."""
-        sample, counts = Sample(1, first, end), self.files.counts
-        return self.with_(sample=sample, counts=counts and rows(counts, sample.has(counts["frame"])))
+        sample, counts = range(first, end), self.files.counts
+        return self.with_(sample=sample, counts=counts and rows(counts, are_in(sample, counts["frame"])))
 
     def seen_by(self, agent: str) -> Self:
         """The same run with another agent in the place of the ego.

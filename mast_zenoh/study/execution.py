@@ -21,7 +21,6 @@ from mast_zenoh.control import failures, results
 from mast_zenoh.control.results import EVALUATOR
 from mast_zenoh.errors import ConfigurationError, HandlerFailed, RunError, StartError
 from mast_zenoh.metrics import Table
-from mast_zenoh.run_folder import read_json
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.study.trial import Outcome, Trial, environment
 
@@ -113,7 +112,8 @@ def _run_in_process(resolved: Resolved, allow_failures: bool) -> RunResult:
 def _run_in_folder(resolved: Resolved, trial: Trial, compromised: Sequence[str]) -> RunResult:
     """Run a trial on the mesh, or one whose run folder is evaluated or kept, in that folder or a temporary one."""
     from mast_zenoh.launch import run as launcher
-    from mast_zenoh.run_folder.tables import read_table
+    from mast_zenoh.run_folder.tables import from_arrow
+    from mast_zenoh.runs.run import Run
 
     folder = Path(tempfile.mkdtemp(prefix="mast-trial-"))
     try:
@@ -135,10 +135,11 @@ def _run_in_folder(resolved: Resolved, trial: Trial, compromised: Sequence[str])
             raise HandlerFailed(failures.summary(finished.failures))  # without the logs, which are not kept
         if finished.error:
             raise finished.error
-        metrics = read_json(finished.folder / "metrics.json")
+        played = Run(finished.folder)
+        metrics = played.summary
         if (kind := _kind(trial)) is not None:
-            metrics["defence"] = kind.evaluate(finished.folder, metrics, compromised)
-        return metrics, read_table(finished.folder / "metrics.parquet"), finished.failures, cpu_s
+            metrics["defence"] = kind.evaluate(played, compromised)
+        return metrics, from_arrow(played.metrics), finished.failures, cpu_s
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 

@@ -44,7 +44,7 @@ def long(recorded: mast.Run, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_of_a_long_run_every_nth_frame_is_shown_and_peaks_stay(long: Path) -> None:
     run = Run(long)
     whole = run.with_(sample=run_files.ALL)
-    assert run.files.sample.every == EVERY
+    assert run.files.sample.step == EVERY
     blocks = [run_block(each) for each in (run, whole)]
     assert blocks[0] is not None
     assert blocks[1] is not None

@@ -18,7 +18,7 @@ from mast_zenoh.report.figures.timeaxis import HATCH, bands, fault_legend, padde
 from mast_zenoh.report.narrative.changes import scored
 from mast_zenoh.report.tables.of_run import DRIVEN_BY
 from mast_zenoh.report.tables.scores import shown_estimates
-from mast_zenoh.runs.files import Table, rows
+from mast_zenoh.runs.files import Table, are_in, rows
 from mast_zenoh.runs.run import Run
 from mast_zenoh.viewer.palette import ADVERSARY_ON_LIGHT, FAULT_ON_LIGHT, INK, LOCAL, RUN_COLOURS
 
@@ -182,7 +182,7 @@ def causes_over_time(run: Run, frame: int | None) -> Figure | None:
     if not (run.faulted or run.withholds) or counts is None or objects is None:
         return None
     frames = counts["frame"].astype(np.int64)
-    frames = frames[run.files.sample.has(frames)]
+    frames = frames[are_in(run.files.sample, frames)]
     figure, axes, times = _rows_of(run, frames, len(_CAUSE_ROWS), 1.9, frame)
     in_picture = objects["estimator"] == "picture"
     first, last = run.files.summary.get("scored_frames") or (frames[0], frames[-1])

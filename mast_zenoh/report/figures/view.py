@@ -9,6 +9,7 @@ import numpy as np
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.report.narrative.changes import OBJECT_M2, SWITCH, scored
+from mast_zenoh.runs.files import are_in
 from mast_zenoh.runs.frame import Frame, ego_position, frame_at, has_boxes
 from mast_zenoh.runs.run import Run
 
@@ -58,7 +59,7 @@ def window(views: Sequence[Frame]) -> tuple[float, float, float]:
 
 def settled(run: Run, frames: Ints) -> Bools:
     """(n,) bool: scored frames in which the effects of interposers are settled, and of which the run has boxes."""
-    return scored(run, frames) & ~np.isin(frames, list(run.unsettled_frames)) & run.files.sample.has(frames)
+    return scored(run, frames) & ~np.isin(frames, list(run.unsettled_frames)) & are_in(run.files.sample, frames)
 
 
 def _weighted_errors(run: Run, estimate: str) -> tuple[Ints, Floats] | None:

@@ -58,7 +58,7 @@ class Take:
             raise ConfigurationError(f"{run.path}: no estimate {estimate!r} of {run.ego}{nearest(estimate, known)}")
         frames = run.files.objects["frame"]
         if (
-            run.files.sample.every > 1 and run.files.counts is not None
+            run.files.sample.step > 1 and run.files.counts is not None
         ):  # there are boxes of all frames, which are read later
             frames = run.files.counts["frame"]
         self.first, self.last = int(frames.min()), int(frames.max())
@@ -95,7 +95,7 @@ class Take:
 
     def _view(self, frame: int) -> Frame:
         """The boxes and manipulations of a frame."""
-        run = self.run if self.run.files.sample.every == 1 else self._window(frame // _WINDOW)
+        run = self.run if self.run.files.sample.step == 1 else self._window(frame // _WINDOW)
         return frame_at(run, frame, [self.estimate])
 
     def agent_positions(self, frame: int) -> Floats:

@@ -26,7 +26,7 @@ from mast_zenoh.report.narrative.changes import (
     plural,
     scored,
 )
-from mast_zenoh.runs.files import Table, rows
+from mast_zenoh.runs.files import Table, are_in, rows
 from mast_zenoh.runs.interposers import OF_OBJECTS, Interposer, interposers
 from mast_zenoh.runs.run import Run, agent_of
 from mast_zenoh.wiring.model import peer_of
@@ -306,7 +306,7 @@ def _reasons(run: Run, interposer: Interposer, blamed_for: str) -> list[str]:
         return []
     targets = rows(
         run.files.targets,
-        (run.files.targets["adversary"] == interposer.name) & run.files.sample.has(run.files.targets["frame"]),
+        (run.files.targets["adversary"] == interposer.name) & are_in(run.files.sample, run.files.targets["frame"]),
     )
     if not len(targets["frame"]):
         if blamed_for or interposer.commands:  # what commands do is not in errors
@@ -481,7 +481,7 @@ def _seen_by_others(run: Run, targets: Table) -> Bools:
     assert run.files.targets is not None
     real = rows(
         run.files.targets,
-        (run.files.targets["kind"] != "inserted") & run.files.sample.has(run.files.targets["frame"]),
+        (run.files.targets["kind"] != "inserted") & are_in(run.files.sample, run.files.targets["frame"]),
     )
     agents = {each.name: each.agents for each in interposers(run)}
     hidden: dict[tuple[int, int], set[str]] = {}

@@ -235,7 +235,7 @@ def witnesses_of_withheld(run: Run, estimate: str) -> list[int]:
 def _names(run: Run, by: np.ndarray) -> Counter[str]:
     """How often each name is in a column `by` of the objects; as estimated, of a run of which only a sample is read."""
     counts = Counter(name for names in by.tolist() for name in str(names).split("+") if name)
-    return Counter({name: count * run.files.sample.every for name, count in counts.items()})
+    return Counter({name: count * run.files.sample.step for name, count in counts.items()})
 
 
 def scored(run: Run, frames: np.ndarray) -> np.ndarray:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,6 +23,7 @@ from mast_zenoh.study.trial import Outcome, TrialKey
 if TYPE_CHECKING:
     from mast_zenoh.report.figures.drawing import RenderedFigure
     from mast_zenoh.report.tables.text_table import ResultTables
+    from mast_zenoh.runs.run import Run
 
 #: Half of the trials, and half of the objects.
 HALF = 0.5
@@ -118,14 +118,14 @@ class Collection(kinds.Collection):
     name = "breakdown"
 
     @staticmethod
-    def evaluate(folder: Path, metrics: Mapping[str, Any], compromised: Sequence[str]) -> dict[str, Any]:
+    def evaluate(run: Run, compromised: Sequence[str]) -> dict[str, Any]:
         """The part `defence` of a trial's metrics.
 
         honest_majority: share of the objects that more honest agents see than compromised ones; 1.0 without adversaries
         compromised: names of the agents with an adversary
         frames_s: s of scene time of each frame
         """
-        recording = Recording.load(folder / RECORDING)
+        recording = Recording.load(run.path / RECORDING)
         times_s = (recording.times_ns - recording.times_ns[0]) * 1e-9
         return {
             "honest_majority": honest_majority(

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -40,6 +39,7 @@ from mast_zenoh.study.trial import Outcome
 
 if TYPE_CHECKING:
     from mast_zenoh.report.figures.drawing import RenderedFigure
+    from mast_zenoh.runs.run import Run
 
 #: What agents send to others: to a centre, or to each other.
 SENT = ("agent/*/tracks", "agent/*/broadcast")
@@ -56,7 +56,7 @@ class Collection(kinds.Collection):
     recorded = True
 
     @staticmethod
-    def evaluate(folder: Path, metrics: Mapping[str, Any], compromised: Sequence[str]) -> dict[str, Any]:
+    def evaluate(run: Run, compromised: Sequence[str]) -> dict[str, Any]:
         """The part `defence` of a trial's metrics.
 
         frames_s:    s of scene time of each frame
@@ -65,23 +65,21 @@ class Collection(kinds.Collection):
         kb_per_s:    kB/s that an agent sends to others, mean
         penetration: share of the vehicles that are agents
         """
-        from mast_zenoh.api.runs import Run  # PyArrow is slow to load
         from mast_zenoh.run_folder.recording.reader import read
 
-        recording = Recording.load(folder / RECORDING)
+        recording = Recording.load(run.path / RECORDING)
         times_s = (recording.times_ns - recording.times_ns[0]) * 1e-9
-        run = Run(folder)
         changes = run.attacks.select(["frame", "role", "effect"])
         lied_in, role, effect = (column.to_numpy(zero_copy_only=False) for column in changes.columns)
         lied_in = lied_in[(role != "link") & (effect != "unsettled") & (lied_in >= 0)]
         objects = run.objects.select(["frame", "agent", "estimator", "outcome", "cause"])
         frame, agent, estimator, outcome, cause = (column.to_numpy(zero_copy_only=False) for column in objects.columns)
         wrong = (estimator == PICTURE) & np.isin(outcome, ("false", "missed")) & np.isin(cause, ATTACK_CAUSES)
-        names = sorted(metrics["agents"])
+        names = sorted(run.files.summary["agents"])
         deceived = np.zeros((len(names), len(times_s)), bool)
         deceived[np.searchsorted(names, agent[wrong].astype(str)), frame[wrong]] = True
         sent = dict.fromkeys(SENT, 0)
-        for message in read(folder, lambda channel: any(fnmatchcase(channel.get("wire", ""), each) for each in SENT)):
+        for message in read(run.path, lambda channel: any(fnmatchcase(channel.get("wire", ""), each) for each in SENT)):
             if not message.tap:
                 sent[next(each for each in SENT if fnmatchcase(message.wire, each))] += len(message.payload)
         bytes_sent = sent[SENT[1]] or sent[SENT[0]]  # peers get the tracks of their own agents only

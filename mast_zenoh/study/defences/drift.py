@@ -22,7 +22,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -36,6 +35,7 @@ from mast_zenoh.study.trial import Outcome
 
 if TYPE_CHECKING:
     from mast_zenoh.report.tables.text_table import ResultTables
+    from mast_zenoh.runs.run import Run
 
 #: s within which an offset should be detected.
 LIMIT_S = 10.0
@@ -154,7 +154,7 @@ class Collection(kinds.Collection):
     name = "drift"
 
     @staticmethod
-    def evaluate(folder: Path, metrics: Mapping[str, Any], compromised: Sequence[str]) -> dict[str, Any]:
+    def evaluate(run: Run, compromised: Sequence[str]) -> dict[str, Any]:
         """The part `defence` of a trial's metrics.
 
         first_lie_s, suspended_s: s of scene time, of the only liar; None: never
@@ -162,15 +162,13 @@ class Collection(kinds.Collection):
         displaced: columns of a row for each displaced track and frame: time_s, track, viewers (honest agents that see
                   the real object), offset_m (in the plane)
         """
-        from mast_zenoh.api.runs import Run
         from mast_zenoh.run_folder.tables import from_arrow
         from mast_zenoh.runs.observability import observability  # PyArrow is slow to load
 
-        run = Run(folder)
         lies = from_arrow(observability(run).lies)
         moved = np.flatnonzero(np.isin(lies["effect"], ("moved", "altered")))
         offset = _offsets(from_arrow(run.attacks))
-        agents = metrics["integrity"]["agents"].values()
+        agents = run.files.summary["integrity"]["agents"].values()
         liars = [each for each in agents if each["observed_s"] is not None]  # not those that were suspended before
         if not liars:
             moved = moved[:0]

@@ -11,7 +11,6 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -35,6 +34,7 @@ from mast_zenoh.study.trial import Outcome, TrialKey
 if TYPE_CHECKING:
     from mast_zenoh.report.figures.drawing import RenderedFigure
     from mast_zenoh.report.tables.text_table import ResultTables
+    from mast_zenoh.runs.run import Run
 
 #: Effects that change no message.
 _UNCHANGED = frozenset({"unsettled"})
@@ -84,7 +84,7 @@ class Collection(kinds.Collection):
     from_metrics = True
 
     @staticmethod
-    def evaluate(folder: Path, metrics: Mapping[str, Any], compromised: Sequence[str]) -> dict[str, Any]:
+    def evaluate(run: Run, compromised: Sequence[str]) -> dict[str, Any]:
         """Nothing: `driven` of metrics.json has it all."""
         return {}
 

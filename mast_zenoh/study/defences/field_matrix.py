@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,6 +30,7 @@ from mast_zenoh.study.trial import Outcome, TrialKey
 if TYPE_CHECKING:
     from mast_zenoh.report.figures.drawing import RenderedFigure
     from mast_zenoh.report.tables.text_table import ResultTables
+    from mast_zenoh.runs.run import Run
 
 _ROUNDING = 1e-12
 #: By kind of scene, the agents besides the ego: poles, cars alone, or both, 13 agents in all; and its title.
@@ -89,10 +89,10 @@ class Collection(matrix.Collection):
         self._agents: dict[str, int] = {}
 
     @staticmethod
-    def evaluate(folder: Path, metrics: Mapping[str, Any], compromised: Sequence[str]) -> dict[str, Any]:
+    def evaluate(run: Run, compromised: Sequence[str]) -> dict[str, Any]:
         """The parts of `matrix` and of `breakdown`."""
-        own = matrix.Collection.evaluate(folder, metrics, compromised)
-        return breakdown.Collection.evaluate(folder, metrics, compromised) | own
+        own = matrix.Collection.evaluate(run, compromised)
+        return breakdown.Collection.evaluate(run, compromised) | own
 
     def record(self, cell: Any, outcome: Outcome) -> matrix_records.TrialRecord:
         key, agents = outcome.trial.key, len(outcome.metrics["agents"])

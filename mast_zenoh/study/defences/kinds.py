@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from mast_zenoh.report.figures.drawing import RenderedFigure
     from mast_zenoh.report.tables.text_table import ResultTables, TextTable
+    from mast_zenoh.runs.run import Run
 
 
 class DefenceCell:
@@ -90,10 +91,10 @@ class Collection(ABC):
 
     @staticmethod
     @abstractmethod
-    def evaluate(folder: Path, metrics: Mapping[str, Any], compromised: Sequence[str]) -> dict[str, Any]:
+    def evaluate(run: Run, compromised: Sequence[str]) -> dict[str, Any]:
         """The part `defence` of a trial's metrics.
 
-        folder: of its run;  compromised: names of the agents with an adversary, whether it lied or not
+        compromised: names of the agents with an adversary, whether it lied or not
         """
 
     def add(self, outcome: Outcome) -> None:

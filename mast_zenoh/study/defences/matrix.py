@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -41,6 +40,7 @@ from mast_zenoh.study.trial import Outcome, TrialKey
 if TYPE_CHECKING:
     from mast_zenoh.report.figures.drawing import RenderedFigure
     from mast_zenoh.report.tables.text_table import ResultTables
+    from mast_zenoh.runs.run import Run
 
 #: The command centre without a defence: the reference of all others.
 UNDEFENDED = "NoIntegrity"
@@ -192,10 +192,10 @@ class Collection(kinds.Collection):
         self._suspending: set[str] = set()
 
     @staticmethod
-    def evaluate(folder: Path, metrics: Mapping[str, Any], compromised: Sequence[str]) -> dict[str, Any]:
+    def evaluate(run: Run, compromised: Sequence[str]) -> dict[str, Any]:
         from mast_zenoh.study.defences import matrix_trial  # PyArrow is slow to load
 
-        return matrix_trial.evaluate(folder, metrics, compromised)
+        return matrix_trial.evaluate(run, compromised)
 
     def record(self, cell: Cell, outcome: Outcome) -> TrialRecord:
         key, content = outcome.trial.key, outcome.metrics["defence"].get("trust")

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mast_zenoh.api.runs import Run
 from mast_zenoh.arrays.states import Bools
 from mast_zenoh.config.resolved import RECORDING
 from mast_zenoh.errors import RunFolderError
@@ -19,6 +17,7 @@ from mast_zenoh.metrics.study_results import AgentTrustSeries, Spans
 from mast_zenoh.run_folder.tables import from_arrow
 from mast_zenoh.runs.events import trust_in_agents
 from mast_zenoh.runs.observability import observability
+from mast_zenoh.runs.run import Run
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.study.defences.choices import honest_majority
 from mast_zenoh.study.numbers import ego, scored_frames
@@ -35,7 +34,7 @@ GATE_M = 2.0
 _Columns = Mapping[str, NDArray[Any]]
 
 
-def evaluate(folder: Path, metrics: Mapping[str, Any], compromised: Sequence[str]) -> dict[str, Any]:
+def evaluate(run: Run, compromised: Sequence[str]) -> dict[str, Any]:
     """The part `defence` of a trial's metrics, from its run folder.
 
     compromised: names of the agents with an adversary, whether it lied or not
@@ -52,10 +51,9 @@ def evaluate(folder: Path, metrics: Mapping[str, Any], compromised: Sequence[str
             None: there is no observable lie
     trust:  see `trace`
     """
-    run = Run(folder)
     seen = observability(run)
     lies = from_arrow(seen.lies)
-    recording = Recording.load(folder / RECORDING)
+    recording = Recording.load(run.path / RECORDING)
     return {
         "first_attack_s": _first_attack_s(run, recording),
         "lies": detected_lies(lies, *_withheld(run, lies)),
@@ -68,10 +66,10 @@ def evaluate(folder: Path, metrics: Mapping[str, Any], compromised: Sequence[str
             }
             for agent, first_s in seen.first_lie_s.items()
         },
-        "false": _false_objects(run, lies, metrics),
+        "false": _false_objects(run, lies),
         "honest_majority": honest_majority(recording.points, [name in compromised for name in recording.agent_names]),
         "outnumbered": outnumbered(lies),
-        "trust": trace(folder),
+        "trust": trace(run),
     }
 
 
@@ -137,11 +135,12 @@ def _withheld(run: Run, lies: _Columns) -> tuple[Bools, Bools]:
     return np.asarray(match >= 0), np.array([each in suspended for each in liars], bool)
 
 
-def _false_objects(run: Run, lies: _Columns, metrics: Mapping[str, Any]) -> dict[str, float]:
+def _false_objects(run: Run, lies: _Columns) -> dict[str, float]:
     """Inserted objects per scored frame in the ego's picture, by whether they are identifiable."""
-    first, last = scored_frames(metrics)
+    summary = run.files.summary
+    first, last = scored_frames(summary)
     objects = from_arrow(run.objects.select(_OBJECT_COLUMNS))
-    rows = (objects["agent"] == ego(metrics)) & (objects["estimator"] == "picture") & (objects["outcome"] == "false")
+    rows = (objects["agent"] == ego(summary)) & (objects["estimator"] == "picture") & (objects["outcome"] == "false")
     rows &= (objects["cause"] == "inserted") & (objects["frame"] >= first) & (objects["frame"] <= last)
     inserted = lies["effect"] == "inserted"
     places = Places(lies["frame"][inserted].astype(np.int64), _positions(lies, inserted))
@@ -156,9 +155,9 @@ def _positions(columns: _Columns, rows: Bools) -> NDArray[np.float64]:
     return np.column_stack([columns[axis][rows] for axis in "xyz"]).astype(np.float64).reshape(-1, 3)
 
 
-def trace(folder: Path) -> dict[str, Any] | None:
+def trace(run: Run) -> dict[str, Any] | None:
     """The trust in each agent of a run, as JSON values; None: nobody is judged."""
-    agents, end_s = trust_in_agents(Run(folder), _DRAWN_STATES, "log_odds")
+    agents, end_s = trust_in_agents(run, _DRAWN_STATES, "log_odds")
     if not agents:
         return None
     return {"end_s": round(end_s, 6), "agents": {agent.agent: _agent_trace(agent) for agent in agents}}

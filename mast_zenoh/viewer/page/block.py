@@ -23,7 +23,7 @@ from mast_zenoh.launch.twin import NAME
 from mast_zenoh.metrics.estimates import ESTIMATES
 from mast_zenoh.runs.driven import braking_events, braking_of, cars_of, course_of, twin_course
 from mast_zenoh.runs.events import EFFECTS, Event, first_changes, happenings, lie_frames, node_absences, spans
-from mast_zenoh.runs.files import ALL, Sample, Table, column, rows
+from mast_zenoh.runs.files import ALL, Table, are_in, column, rows
 from mast_zenoh.runs.interposers import adversaries_by_agent, interposers
 from mast_zenoh.runs.run import Run
 from mast_zenoh.scenes.recording import TRUTH_COLUMNS, Recording, SceneAgent, truth_states
@@ -70,7 +70,7 @@ def run_block(run: Run, frame: int | None = None, label: str = "") -> bytes | No
         judged = judgements_of(None, truth)
     if not len(judged.boxes):
         return None
-    first, every = run.files.sample.first, run.files.sample.every
+    first, every = run.files.sample.start, run.files.sample.step
     frames = range(first, int(judged.boxes.group.max()) + 1, every)
     if frame is not None and frame not in frames:
         named = f"0 to {frames[-1]}" if every == 1 else f"{first}, {first + every}, ... {frames[-1]}"
@@ -132,14 +132,14 @@ def pack_frames(
     return header
 
 
-def truth_of(scene: Recording | None, sample: Sample = ALL) -> tuple[Ints, ObjectStates]:
+def truth_of(scene: Recording | None, sample: range = ALL) -> tuple[Ints, ObjectStates]:
     """The objects of a scene in the frames of a sample, and (n,) their frames."""
     if scene is None:
         return np.zeros(0, np.int64), ObjectStates.empty()
     frame = np.repeat(np.arange(len(scene)), np.diff(scene.truth_start))
     if sample == ALL:
         return frame, scene.truth
-    wanted = np.flatnonzero(sample.has(frame))
+    wanted = np.flatnonzero(are_in(sample, frame))
     return frame[wanted], truth_states({name: getattr(scene.truth, name)[wanted] for name in TRUTH_COLUMNS})
 
 

@@ -107,12 +107,12 @@ def motion_of(judged: Judgements, truth: tuple[Ints, ObjectStates], tracks: Iter
 
 def recorded_tracks(run: Run) -> Iterator[tuple[int, Body]]:
     """Frame and columns of all recorded tracks in the frames of the sample."""
-    every = run.files.sample.every
+    every = run.files.sample.step
     times_ns = (
-        None if run.files.scene is None or every == 1 else run.files.scene.times_ns[run.files.sample.first :: every]
+        None if run.files.scene is None or every == 1 else run.files.scene.times_ns[run.files.sample.start :: every]
     )
     for message in read(run.path, lambda channel: channel.get("message") in ("tracks", "picture"), times_ns):
-        if not message.malformed and (message.frame - run.files.sample.first) % every == 0:
+        if not message.malformed and (message.frame - run.files.sample.start) % every == 0:
             yield message.frame, codec.decode_lazily(message.payload, message.type).body
 
 

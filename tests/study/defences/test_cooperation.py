@@ -122,7 +122,7 @@ def test_the_deceived_share_of_a_run_is_that_of_its_metrics(tmp_path: Path) -> N
         "peers", out=tmp_path / "run", runtime="inproc", frames=40, report=False, n_adversaries=1, attack_start_s=2.0
     )
     metrics = run.summary
-    part = Collection.evaluate(run.path, metrics, ["infra_1"])
+    part = Collection.evaluate(run, ["infra_1"])
     cell = CooperationCell("peers", 7, attacked=True, attack_start_s=1.0)
     columns = dict(agent="ego", estimator="picture", frame=25, fn=1.0, fp=1.0)
     per_frame = {name: np.array([value], object) for name, value in columns.items()}

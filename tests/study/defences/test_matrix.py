@@ -111,7 +111,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> mast.Run:
 
 
 def test_a_trace_survives_json_and_has_lies_and_suspensions(run: mast.Run) -> None:
-    content = trace(run.path)
+    content = trace(run)
     assert content is not None
     text = json.dumps(content, allow_nan=False)
     assert len(text) < 4000, "every trial of a study keeps it"
