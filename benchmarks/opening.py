@@ -23,16 +23,13 @@ from long_run import sparse
 
 #: What is done one after the other, each with `path`, of the folder, and `frame`.
 STEPS = {
-    "imports": "import mast_zenoh as mast; mast.open; from mast_zenoh.scenes.recording import Recording; "
-    "from mast_zenoh.run_folder.tables import TableFile",
-    "open": "run = mast.open(path); run.record, run.agents, run.summary",
-    "boxes of a frame": "objects = TableFile(path / 'objects.parquet'); boxes = objects.rows("
-    "['estimator', 'kind', 'outcome', 'id', *'xyzlwh', 'yaw', 'cause', 'by'], range(frame, frame + 1), 'ego')",
-    "boxes of the next frame": "objects.rows(list(boxes), range(frame + 1, frame + 2), 'ego')",
-    "a frame of the scene": "scene = Recording.open(path / 'scene.npz'); scene.truth_at(frame); "
-    "scene.agent_position[frame]; scene.detections_at(frame, 0)",
-    "scores of a window": "TableFile(path / 'metrics.parquet').rows(['frame', 'estimator', 'fn', 'fp', 'tp'], "
-    "range(frame, frame + 200), 'ego')",
+    "imports": "import mast_zenoh as mast; mast.open; from mast_zenoh.runs.frame import frame_at",
+    "open": "run = mast.open(path); run.record, run.name, run.agents, run.summary, run.ego",
+    "boxes of a frame": "frame_at(run, frame, ['picture']).boxes",
+    "boxes of the next frame": "frame_at(run, frame + 1, ['picture']).boxes",
+    "a frame of the scene": "scene = run.files.scene; scene.truth_at(frame); scene.agent_position[frame]; "
+    "scene.detections_at(frame, 0)",
+    "scores of a window": "run.within(frame, frame + 200).counts_of('picture')",
 }
 #: Does the steps, and prints for each: wall time and processor time in s, memory in MB.
 PROGRAM = """

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mast_zenoh.errors import ConfigurationError, RunFolderError, nearest
-from mast_zenoh.launch.ending import RUNNING
 from mast_zenoh.run_folder import reading
 from mast_zenoh.runs import run as model
 
@@ -117,7 +116,7 @@ class Run(model.Run):
 
     def _now(self) -> model.Run:
         """The run as it is now."""
-        return model.Run(self.path) if self.files.record.get("status") == RUNNING else self
+        return model.Run(self.path)
 
     def __repr__(self) -> str:
         return f"<Run {self.id}: {self._facts()}; {self.path}>"

@@ -10,7 +10,7 @@ import pyarrow
 from mast_zenoh.config.resolved import RECORDING
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.run_folder import json_or_empty
-from mast_zenoh.runs import messages as recorded
+from mast_zenoh.runs import messages as decoded
 from mast_zenoh.scenes.recording import Recording
 
 
@@ -24,7 +24,7 @@ class Agent:
     @property
     def tracks(self) -> pyarrow.Table:
         """Tracks by frame, as the broker receives them: columns of `Run.truth`, and score."""
-        return self._rows("tracks", recorded.states)
+        return self._rows("tracks", decoded.states)
 
     @property
     def mission(self) -> pyarrow.Table:
@@ -39,7 +39,7 @@ class Agent:
                 f"{self.path}: {self.name} makes no mission estimate, as it does not act on one; found "
                 f"{', '.join(others) or 'none'}: play the run with --set agents.{self.name}.acts=true"
             )
-        return self._rows("mission", recorded.states)
+        return self._rows("mission", decoded.states)
 
     @property
     def detections(self) -> pyarrow.Table:
@@ -47,7 +47,7 @@ class Agent:
 
         `time_s` is the time of the measurement. Of several sensors: those of the first.
         """
-        return self._rows("detections", recorded.detections)
+        return self._rows("detections", decoded.detections)
 
     def detections_of(self, sensor: str) -> pyarrow.Table:
         """As `detections`, of one of several sensors. Raises ConfigurationError for a name that none has."""
@@ -55,7 +55,7 @@ class Agent:
         names = [each.name for each in agents[self.name].sensors]
         if sensor not in names:
             raise ConfigurationError(f"{self.name}: no sensor {sensor!r}{nearest(sensor, names)}")
-        return self._rows(f"detections/{sensor}" if names.index(sensor) else "detections", recorded.detections)
+        return self._rows(f"detections/{sensor}" if names.index(sensor) else "detections", decoded.detections)
 
     @property
     def pose(self) -> pyarrow.Table:
@@ -63,10 +63,10 @@ class Agent:
 
         Columns: x y z (m), vx vy vz (m/s) and the quaternion qw qx qy qz.
         """
-        return self._rows("pose", recorded.pose)
+        return self._rows("pose", decoded.pose)
 
     def _rows(self, port: str, rows: Any) -> pyarrow.Table:
-        return recorded.table_of(self.path, f"agent/{self.name}/{port}", rows)
+        return decoded.table_of(self.path, f"agent/{self.name}/{port}", rows)
 
     def __repr__(self) -> str:
         return f"<Agent {self.name}: tracks, mission, detections, pose; {self.path}>"

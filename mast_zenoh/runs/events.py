@@ -217,9 +217,7 @@ def lie_spans(run: Run, agent: str) -> Spans:
     if not len(frames):
         return []
     every = np.arange(frames[0], frames[-1] + 2)
-    seconds = run.seconds(every)
-    times = every * run.period_s if seconds is None else seconds
-    return _spans(np.isin(every[:-1], frames), times)
+    return _spans(np.isin(every[:-1], frames), run.times(every))
 
 
 def fault_spans(run: Run, agent: str, end_s: float) -> list[tuple[str, float, float]]:

@@ -16,7 +16,7 @@ from mast_zenoh.arrays.states import Bools
 from mast_zenoh.errors import MastError
 from mast_zenoh.launch import liveness
 from mast_zenoh.launch.measurement import recorded_wirings
-from mast_zenoh.run_folder import check_plain, read_object
+from mast_zenoh.run_folder import check_plain, read_object, reading
 from mast_zenoh.run_folder.tables import TableFile, read_arrow
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.wiring.model import Wiring
@@ -49,6 +49,8 @@ _DRIVEN = ("agent", "frame", "time_s", "x", "y", "heading", "speed_mps", "accele
 MOST_FRAMES = 3000
 
 
+#: No agent has this name.
+_NOBODY = "/"
 #: A sample of the frames of a run: all.
 ALL = range(1 << 62)
 
@@ -80,9 +82,10 @@ def column(table: Table, name: str) -> NDArray[np.float64]:
 
 
 class RunFiles:
-    """The documents and tables of a run, each read from its folder when it is asked for, and once.
+    """The documents and tables of a run, each read from its folder when it is asked for.
 
-    What is absent or unreadable is empty or None, and named in `missing`.
+    What has been read is kept. A document that is absent or unreadable is {}, a table or the scene None, and `missing`
+    names it. `wirings` and `all_objects` raise errors instead.
 
     path:  the folder; None: there is none, as of a run that is going on elsewhere
     frame: of a run that is so long that only every n-th frame is read whole: one of them
@@ -167,8 +170,11 @@ class RunFiles:
     def wirings(self) -> Sequence[tuple[int, Wiring]]:
         """The wirings that the run had, each with the frame after which it holds; the first one with -1.
 
-        Raises RunFolderError if one cannot be read.
+        Without a recording only wiring.json is known. Raises RunFolderError if one cannot be read.
         """
+        if not (self.path / "messages.mcap").exists():
+            with reading(self.path):
+                return [(-1, Wiring.from_json(self.wiring))]
         return recorded_wirings(self.path)
 
     # -- the scene and the tables --------------------------------------------------------------------------------------
@@ -198,8 +204,9 @@ class RunFiles:
 
     @cached_property
     def counts(self) -> Table | None:
-        """The counts of metrics.parquet, as far as they are whole."""
-        return self._table("metrics.parquet", _counts, "no counts over time")
+        """The counts of metrics.parquet, as far as they are whole; also of frames that a sample leaves out."""
+        frames = None if self.sample.stop == ALL.stop else self.sample
+        return self._table("metrics.parquet", partial(_counts, frames=frames), "no counts over time")
 
     @cached_property
     def objects(self) -> Table | None:
@@ -265,7 +272,7 @@ class RunFiles:
         for name in _NAMES:
             if name != "wirings":
                 getattr(self, name)
-        sentences = list(self._absent.values())
+        sentences = [self._absent[name] for name in sorted(self._absent, key=_ORDER.index)]
         if self.summary and "achieved" not in self.summary and self.effects is not None:
             sentences.append("metrics.json has no achievements: what attacks achieved is not known.")
         return [*sentences, *self.notes]
@@ -313,16 +320,22 @@ class RunFiles:
         return self._table(name, lambda file: file.rows(columns, _frames_of(sample)), consequence, expected=expected)
 
     def _boxes(self, frames: range) -> Callable[[TableFile], Table]:
-        return lambda file: file.rows(_OBJECTS, _frames_of(frames), self.agent or "")
+        return lambda file: file.rows(_OBJECTS, _frames_of(frames), self.agent or _NOBODY)
 
     def _document(self, name: str, consequence: str) -> dict[str, Any]:
         return self._file(name, _json_object, consequence) or {}
 
 
-#: RunFiles that are read once, in the order in which `missing` names them.
+#: The files in the order in which `missing` names them.
+_ORDER = (
+    *("run.json", "scenario.json", "wiring.json", "metrics.json", "metrics.parquet", "scene.npz", "objects.parquet"),
+    *("attacks.parquet", "checks.json", "targets.parquet", "driving.parquet", "driven.parquet", "trust.parquet"),
+    "trust_objects.parquet",
+)
+#: What is read once.
 _NAMES = tuple(name for name, value in vars(RunFiles).items() if isinstance(value, cached_property))
 #: Those that are of an agent, and those that are of a sample.
-_BY_AGENT, _BY_SAMPLE = ("agent", "objects"), ("sample", "objects", "effects", "trust_objects")
+_BY_AGENT, _BY_SAMPLE = ("agent", "objects"), ("sample", "counts", "objects", "effects", "trust_objects")
 
 
 def boxes_of(table: Table) -> Boxes:
@@ -337,9 +350,9 @@ def _json_object(path: Path) -> dict[str, Any]:
     return read_object(path)
 
 
-def _counts(file: TableFile) -> Table:
+def _counts(file: TableFile, frames: range | None) -> Table:
     """The counts of metrics.parquet."""
-    table = file.rows(_COUNTS)
+    table = file.rows(_COUNTS, frames)
     if any(np.isnan(column(table, name)).any() for name in ("fn", "fp", "tp", "id_switches")):
         raise ValueError("found missing counts, expected a number in every row")
     return table

@@ -185,8 +185,7 @@ class Frame:
 
 def frame_at(run: Run, index: int, estimates: Sequence[str]) -> Frame:
     """A frame as its tables have it, with these estimates of the main agent; without boxes where the run has none."""
-    seconds = run.seconds(np.array([index]))
-    time_s = index * run.period_s if seconds is None else float(seconds[0])
+    (time_s,) = run.times(np.array([index])).tolist()
     return Frame(run, index, round(time_s * 1e9), estimates=tuple(estimates))
 
 

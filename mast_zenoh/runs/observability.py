@@ -65,7 +65,7 @@ def observability(run: Run | str | Path) -> Observability:
     """
     run = run if isinstance(run, Run) else Run(run)
     try:
-        scene = Recording.open(run.path / RECORDING)
+        scene = Recording.load(run.path / RECORDING)
     except Exception as error:
         raise RunFolderError(f"{run.path / RECORDING}: {error}") from None
     changes = _changes(run)

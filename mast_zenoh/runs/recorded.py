@@ -22,8 +22,8 @@ from mast_zenoh.runs.run import Run
 _WINDOW = 250  # frames of a long run whose tables are in memory
 
 
-def open_recorded(path: Path, frame: int | None = None) -> Run:
-    """The finished run in a folder whose messages were recorded. frame: as of Run
+def open_recorded(path: Path) -> Run:
+    """The finished run in a folder whose messages were recorded.
 
     Raises RunFolderError if the folder is not that of a recorded run, if the run is still in progress, or if its
     recording is damaged before its end; ConfigurationError if only compiled kernels can read it, and none are used.
@@ -37,7 +37,7 @@ def open_recorded(path: Path, frame: int | None = None) -> Run:
         notes = ["run.json says that the run is in progress; whether it is cannot be known from here"]
     if (incomplete := measurement.incomplete_recording(path)) is not None:
         notes.append(f"messages.mcap: {incomplete}: later frames are missing")
-    run = Run(path, frame)
+    run = Run(path)
     run.files.notes[:0] = notes
     if not run.agents:
         raise RunFolderError(f"{path}: found no agent in the scenario of the run, expected one at least")

@@ -23,11 +23,11 @@ from mast_zenoh.metrics.estimates import LOCAL, MISSION, PICTURE, PICTURE_RECEIV
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.run_folder import json_or_empty, read_json, read_object
 from mast_zenoh.run_folder.tables import from_arrow, read_arrow
-from mast_zenoh.runs import messages as recorded
+from mast_zenoh.runs import messages as decoded
 from mast_zenoh.runs import routes
 from mast_zenoh.runs.agent import Agent
 from mast_zenoh.runs.evaluated import Evaluated
-from mast_zenoh.runs.files import RunFiles, Table, are_in, rows
+from mast_zenoh.runs.files import RunFiles, Table, rows
 from mast_zenoh.runs.messages import WireMessage
 from mast_zenoh.scenario.driving import driver_of_car
 
@@ -70,8 +70,7 @@ class Run:
 
     def within(self, first: int, end: int) -> Self:
         """The same run with the tables of all frames from `first` to before `end`."""
-        sample, counts = range(first, end), self.files.counts
-        return self.with_(sample=sample, counts=counts and rows(counts, are_in(sample, counts["frame"])))
+        return self.with_(sample=range(first, end))
 
     def seen_by(self, agent: str) -> Self:
         """The same run with another agent in the place of the ego.
@@ -123,7 +122,7 @@ class Run:
         except FileNotFoundError:  # it is among what is missing
             pass
         except (OSError, ValueError, KeyError, RunFolderError, pyarrow.ArrowException) as error:
-            if not files.is_damaged("objects.parquet"):
+            if files.objects is not None or not files.is_damaged("objects.parquet"):
                 files.note(
                     f"objects.parquet cannot be read ({error}): no object is marked as matched, missed or false."
                 )
@@ -306,6 +305,11 @@ class Run:
         times = self.files.scene.times_ns
         return np.asarray((times[frames.astype(np.int64)] - times[0]) * 1e-9, np.float64)
 
+    def times(self, frames: NDArray[Any]) -> Floats:
+        """As `seconds`, or by the period where the scene does not say."""
+        seconds = self.seconds(frames)
+        return np.asarray(frames * self.period_s, np.float64) if seconds is None else seconds
+
     @property
     def period_s(self) -> float:
         """s from frame to frame."""
@@ -316,7 +320,7 @@ class Run:
     @property
     def record(self) -> dict[str, Any]:
         """run.json: id, status, seed, versions, timings, node endings (docs/endings.md)."""
-        return liveness.current_record(read_object(self.path / "run.json"))
+        return liveness.current_record(read_object(self._folder / "run.json"))
 
     @property
     def status(self) -> str:
@@ -397,10 +401,10 @@ class Run:
         Raises ConfigurationError, at the end of the iteration, for a pattern that matches no wire.
         """
         none = True
-        for message in recorded.messages(self.path, pattern, taps=taps):
+        for message in decoded.messages(self._folder, pattern, taps=taps):
             none = False
             yield message
-        wires = [wire["key"] for wire in json_or_empty(self.path / "wiring.json").get("wires", ())] if none else []
+        wires = [wire["key"] for wire in json_or_empty(self._folder / "wiring.json").get("wires", ())] if none else []
         if wires and not any(fnmatchcase(wire, pattern) for wire in wires):
             raise ConfigurationError(f"{self.path}: no wire matches {pattern!r}{nearest(pattern, wires)}")
 
@@ -411,25 +415,31 @@ class Run:
         Columns: frame, time_s (s), id, class, x y z (m, centre), vx vy vz (m/s), l w h (m), yaw (rad), and points, the
         lidar returns at the agent that has the most.
         """
-        return recorded.table_of(self.path, "scene/truth", recorded.truth)
+        return decoded.table_of(self._folder, "scene/truth", decoded.truth)
 
     @property
     def picture(self) -> pyarrow.Table:
         """Objects of the common picture by frame: columns of `truth`, score, support."""
-        return recorded.table_of(self.path, "cc/picture", recorded.states)
+        return decoded.table_of(self._folder, "cc/picture", decoded.states)
 
     def agent(self, name: str) -> Agent:
         """The agent of this name; raises ConfigurationError if there is none."""
         if name not in self.agents:
             raise ConfigurationError(f"{self.path}: no agent {name!r} in this run{nearest(name, self.agents)}")
-        return Agent(self.path, name)
+        return Agent(self._folder, name)
+
+    @property
+    def _folder(self) -> Path:
+        if self.files.is_live:
+            raise RunFolderError(f"{self.name}: is seen on its mesh, without its folder: expected a run of a folder")
+        return self.path
 
     def _table(self, name: str) -> pyarrow.Table:
         return self._written(name, read_arrow)
 
     def _written(self, name: str, read: Any) -> Any:
         """Read a file that a run writes at its end; raises RunFolderError if unusable."""
-        path = self.path / name
+        path = self._folder / name
         if not path.is_file():
             why = (
                 "the run is still in progress, and writes it at its end"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +44,15 @@ def test_frames_of_a_sparse_run_are_those_of_its_whole_files(tmp_path: Path, mon
         np.testing.assert_array_equal(
             opened.detections_at(frame, 2).covariance, loaded.detections_at(frame, 2).covariance
         )
+
+
+def test_a_report_with_a_scene_that_stays_in_its_file_equals_that_with_one_in_memory(
+    recorded: mast.Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = mast.open(shutil.copytree(recorded.path, tmp_path / "run"))
+    in_memory = run.report().read_text("utf-8")
+    monkeypatch.setattr(recording_module, "MAPPED_BYTES", 0)
+    assert run.report().read_text("utf-8") == in_memory
 
 
 @pytest.mark.heavy

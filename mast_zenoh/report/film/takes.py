@@ -64,9 +64,7 @@ class Take:
         self.first, self.last = int(frames.min()), int(frames.max())
         self.run, self.estimate = self._own(run, estimate), estimate
         self.title = title or run.worded(TITLES[estimate])
-        seconds = run.seconds(np.arange(self.last + 1))
-        regular = np.arange(self.last + 1) * run.period_s
-        self.times: Floats = np.asarray(regular if seconds is None else seconds, np.float64)
+        self.times = run.times(np.arange(self.last + 1))
         # A film asks for the frames again and again: to choose its window and colours, and to draw.
         self.view = lru_cache(maxsize=4096)(self._view)
         self._window = lru_cache(maxsize=2)(

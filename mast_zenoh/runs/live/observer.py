@@ -65,7 +65,7 @@ class Observer:
     room:    None: frames are measured at a pace that the run does not feel; else everything is received, and so many
              messages of a key can wait
 
-    run:    as of the newest measured frame: it grows;  insertions: nodes inserted since the observer joined
+    run:    as of the newest frame that `frames` has measured;  insertions: nodes inserted since the observer joined
     wiring: the current one;  meter: measures its frames;  address: how the run is reached
     types:  message types of the keys that frames need;  clock_key: the one of the clock
     """

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from mast_zenoh.arrays.boxes import Boxes
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASSES, Bools, Floats, Ints, ObjectStates
-from mast_zenoh.errors import MastError
+from mast_zenoh.errors import MastError, RunFolderError
 from mast_zenoh.launch.twin import NAME
 from mast_zenoh.metrics.estimates import ESTIMATES
 from mast_zenoh.runs.driven import braking_events, braking_of, cars_of, course_of, twin_course
@@ -41,7 +41,7 @@ _MOST_ID = 1 << 30
 #: Flags of an agent in a frame, above its state (0: not judged, else 1 + the row of STATES).
 DOWN, LYING = 8, 16
 #: Damage to objects.parquet, which the report names among its missing files.
-_DAMAGE = (OSError, ValueError, KeyError, pyarrow.ArrowException)
+_DAMAGE = (OSError, ValueError, KeyError, RunFolderError, pyarrow.ArrowException)
 _GEOMETRY = ("x", "y", "z", "l", "w", "h", "yaw")
 _COLUMNS = ("frame", "agent", "estimator", "kind", "outcome", "id", "match_id", *_GEOMETRY)
 
@@ -76,8 +76,7 @@ def run_block(run: Run, frame: int | None = None, label: str = "") -> bytes | No
         named = f"0 to {frames[-1]}" if every == 1 else f"{first}, {first + every}, ... {frames[-1]}"
         raise ValueError(f"found frame {frame}, expected one of {named}")
     numbers = np.arange(frames.start, frames.stop, every)
-    seconds = run.seconds(numbers)
-    times = np.asarray(numbers * run.period_s if seconds is None else seconds, np.float64)
+    times = run.times(numbers)
     surroundings = None
     if scene is not None:
         shown = np.minimum(numbers, len(scene) - 1)  # a scene that is shorter keeps its last poses
@@ -466,8 +465,7 @@ def _events(
     Where not all frames are shown, an event has its time, and the frame that is shown until then.
     """
     if frames.step > 1:  # events know the numbers of all frames
-        seconds = run.seconds(np.arange(frames.stop))
-        times = np.asarray(np.arange(frames.stop) * run.period_s if seconds is None else seconds, np.float64)
+        times = run.times(np.arange(frames.stop))
     everything = [*happenings(run, periods, times), *first_changes(run), *_first_successes(run, judged)]
     everything += braking_events(run, times)
     inside = [each for each in dict.fromkeys(everything) if 0 <= each.frame < len(times)]
