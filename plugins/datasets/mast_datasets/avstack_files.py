@@ -6,7 +6,6 @@ import bz2
 import contextlib
 import gzip
 import itertools
-import json
 import lzma
 import tarfile
 import tempfile
@@ -15,16 +14,19 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import IO, Annotated, Any, cast
 
+import msgspec
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
+from mast_datasets.files import Coordinate, Element, Point, read_json
 from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.errors import SceneError
 from mast_zenoh.scenes.detection_tables import class_of
-from mast_zenoh.scenes.own_detections import lines_of_agents, reason, reject_constant
+from mast_zenoh.scenes.own_detections import lines_of_agents, reason
 
 #: Limit on the members of an archive, of any kind.
 MAX_MEMBERS = 200_000
@@ -274,6 +276,11 @@ def check_frames(folder: Path, kind: str, files: dict[int, Path], frames: Sequen
 #: Values of `occlusion` of an object that a sensor does not see: invalid and complete. 0, 1 and 2 mean none, partial
 #: and most, 99 means unknown.
 _HIDDEN = (-1, 3)
+_Side = Annotated[float, Meta(gt=0, le=1e8)]  # m
+_Fraction = Annotated[float, Meta(ge=0, le=1)]
+_Time = Annotated[float, Meta(ge=-9e9, le=9e9)]  # s; more nanoseconds are no 64 bit number
+_Pixels = Annotated[list[Annotated[int, Meta(ge=0, le=10**6)]], Meta(min_length=2)]
+_Focal = Annotated[list[Annotated[list[Coordinate], Meta(min_length=1)]], Meta(min_length=1)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,18 +308,9 @@ class ObjectState:
 
 
 def read_objects(path: Path, frame: int) -> tuple[float, list[ObjectState]]:
-    """Time s and states in a file of `objects/`.
-
-    Raises SceneError with the file and the index of the object.
-    """
-    time, texts = _container(path, frame)
-    states = []
-    for index, text in enumerate(texts):
-        try:
-            states.append(_object_state(_decode(text)["objectstate"]))
-        except (ValueError, KeyError, TypeError, IndexError) as error:
-            raise SceneError(f"{path}: data[{index}]: {reason(error)}") from error
-    return time, states
+    """Time s and states in a file of `objects/`. Raises SceneError with the file and the place in it."""
+    time, listed = _container(path, frame)
+    return time, [_object_state(data) for data in listed]
 
 
 def read_seen(path: Path, frame: int) -> dict[int, float | None]:
@@ -321,19 +319,12 @@ def read_seen(path: Path, frame: int) -> dict[int, float | None]:
     Completely occluded objects are left out.
     """
     seen: dict[int, float | None] = {}
-    _, texts = _container(path, frame)
-    for index, text in enumerate(texts):
-        try:
-            state = _decode(text)["objectstate"]
-            fraction = state.get("visible_fraction")
-            if fraction is not None and not 0.0 <= float(fraction) <= 1.0:
-                raise ValueError(f"visible_fraction is {fraction}, expected 0 to 1")
-            if fraction is not None and float(fraction) > 0.0:
-                seen[int(state["ID"])] = float(fraction)
-            elif fraction is None and int(state["occlusion"]) not in _HIDDEN:
-                seen[int(state["ID"])] = None
-        except (ValueError, KeyError, TypeError) as error:
-            raise SceneError(f"{path}: data[{index}]: {reason(error)}") from error
+    for state in _container(path, frame)[1]:
+        fraction = state.get("visible_fraction")
+        if fraction is not None and fraction.read(_Fraction) > 0.0:
+            seen[state["ID"].read(int)] = fraction.read(_Fraction)
+        elif fraction is None and state["occlusion"].read(int) not in _HIDDEN:
+            seen[state["ID"].read(int)] = None
     return seen
 
 
@@ -353,102 +344,92 @@ class Calibration:
 
 def read_calibration(path: Path) -> Calibration:
     """Read a `calib-…` file. Raises SceneError with its path."""
-    data = _read(path)
-    try:
-        calibration = data["calibration"]
-        position, rotation = _pose(calibration["reference"])
-        if "img_shape" not in calibration:
-            return Calibration(position, rotation, None, None, None)
-        height, width = (int(size) for size in calibration["img_shape"][:2])
-        return Calibration(position, rotation, float(calibration["P"][0][0]), width, height)
-    except (ValueError, KeyError, TypeError, IndexError) as error:
-        raise SceneError(f"{path}: {reason(error)}") from error
+    calibration = read_json(path)["calibration"]
+    position, rotation = _frame(calibration["reference"])
+    if calibration.get("img_shape") is None:
+        return Calibration(position, rotation, None, None, None)
+    height, width, *_ = calibration["img_shape"].read(_Pixels)
+    return Calibration(position, rotation, calibration["P"].read(_Focal)[0][0], width, height)
 
 
-def _object_state(data: dict[str, Any]) -> ObjectState:
-    point, frame = _referenced(data["position"], "position")
-    attitude, _ = _referenced(data["attitude"], "attitude")
-    velocity = None
+def _object_state(data: Element) -> ObjectState:
+    position, rotation, velocity = _point(data, "position"), _rotation(data), None
     if data.get("velocity") is not None:
-        velocity_data, velocity_frame = _referenced(data["velocity"], "velocity")
-        velocity = velocity_frame[1] @ _vector(velocity_data["x"], 3)
-    rotation = frame[1] @ _active(attitude["qw"], attitude["qv"])
+        vector, frame = _referenced(data, "velocity")
+        velocity = frame[1] @ np.array(vector["x"].read(Point))
     centre = size = yaw = None
     if data.get("box") is not None:
-        box = _decode(data["box"])["box3d"]
-        corner, box_frame = _referenced(box["position"], "position")
-        box_attitude, attitude_frame = _referenced(box["attitude"], "attitude")
-        box_rotation = attitude_frame[1] @ _active(box_attitude["qw"], box_attitude["qv"])
-        height, width, length = _vector(box["hwl"], 3)
-        if min(height, width, length) <= 0:
-            raise ValueError(f"hwl is {box['hwl']}, expected more than 0")
-        centre = box_frame[0] + box_frame[1] @ _vector(corner["x"], 3)
-        if box["where_is_t"] == "bottom":
-            centre = centre + box_rotation[:, 2] * height / 2
-        elif box["where_is_t"] != "center":
-            raise ValueError(f"where_is_t is {box['where_is_t']!r}, expected 'bottom' or 'center'")
-        size, yaw = np.array([length, width, height]), float(heading(box_rotation))
-    position = frame[0] + frame[1] @ _vector(point["x"], 3)
-    return ObjectState(int(data["ID"]), str(data["obj_type"]), position, rotation, velocity, centre, size, yaw)
+        box = _parsed(data["box"])["box3d"]
+        height, width, length = box["hwl"].read(tuple[_Side, _Side, _Side])
+        turn = _rotation(box)
+        bottom = box["where_is_t"].text(("bottom", "center")) == "bottom"
+        centre = _point(box, "position") + (turn[:, 2] * height / 2 if bottom else 0.0)
+        size, yaw = np.array([length, width, height]), float(heading(turn))
+    return ObjectState(data["ID"].read(int), data["obj_type"].text(), position, rotation, velocity, centre, size, yaw)
 
 
-def _referenced(text: str, name: str) -> tuple[dict[str, Any], tuple[Floats, Floats]]:
+def _point(data: Element, name: str) -> Floats:
+    """(3,) m, a position in the world."""
+    point, (origin, rotation) = _referenced(data, name)
+    position: Floats = origin + rotation @ np.array(point["x"].read(Point))
+    return position
+
+
+def _rotation(data: Element) -> Floats:
+    """(3, 3) active rotation of an attitude, body to world."""
+    attitude, (_, rotation) = _referenced(data, "attitude")
+    turned: Floats = rotation @ _active(attitude)
+    return turned
+
+
+def _referenced(data: Element, name: str) -> tuple[Element, tuple[Floats, Floats]]:
     """A position, velocity or attitude, and the pose of its reference frame."""
-    data = _decode(text)[name]
-    return data, _pose(data["reference"])
+    value = _parsed(data[name])[name]
+    return value, _frame(value["reference"])
+
+
+def _frame(reference: Element) -> tuple[Floats, Floats]:
+    """Position (3,) m and active rotation (3, 3) of a reference frame in the world."""
+    try:
+        return _pose(reference.text())
+    except SceneError as error:
+        raise SceneError(f"{reference.path}: {reference.place}: {error}") from error
 
 
 @lru_cache(maxsize=256)
 def _pose(reference: str) -> tuple[Floats, Floats]:
-    """Position (3,) m and active rotation (3, 3) of a reference frame in the world.
-
-    Resolved through all its parents.
-    """
-    data = _decode(reference)["reference"]
-    position, rotation = _vector(data["x"], 3), _active(data["qw"], data["qv"])
-    if data["reference"] is None:
+    """Position (3,) m and active rotation (3, 3) of a reference frame, resolved through all its parents."""
+    data = _parsed(Element(reference, Path("its text")))["reference"]
+    position, rotation = np.array(data["x"].read(Point)), _active(data)
+    if data["reference"].value is None:
         return position, rotation
-    parent_position, parent_rotation = _pose(data["reference"])
+    parent_position, parent_rotation = _pose(data["reference"].text())
     return parent_position + parent_rotation @ position, parent_rotation @ rotation
 
 
-def _active(qw: Any, qv: Any) -> Floats:
+def _active(data: Element) -> Floats:
     """(3, 3) active rotation of a passive quaternion."""
-    quaternion = np.concatenate([_vector([qw], 1), -_vector(qv, 3)])
+    quaternion = np.array([data["qw"].read(Coordinate), *data["qv"].read(Point)])
     if abs(float(np.linalg.norm(quaternion)) - 1.0) > 1e-3:
-        raise ValueError(f"quaternion {[qw, *qv]} does not have length 1")
-    return rotation_from_quaternion(quaternion)
+        data.fail("a quaternion qw, qv of length 1")
+    return rotation_from_quaternion(quaternion * [1.0, -1.0, -1.0, -1.0])
 
 
-def _vector(values: Sequence[Any], length: int) -> Floats:
-    vector = np.array([float(value) for value in values])
-    if len(vector) != length:
-        raise ValueError(f"{list(values)} has {len(vector)} numbers, expected {length}")
-    if not np.isfinite(vector).all():
-        raise ValueError(f"{list(values)} contains a number that is not finite")
-    return vector
+def _container(path: Path, frame: int) -> tuple[float, list[Element]]:
+    """Time s, and the objects in a file of a frame."""
+    container = read_json(path)["datacontainer"]
+    if container["frame"].read(int) != frame:
+        container["frame"].fail(f"{frame} as in the name of the file")
+    listed = [_parsed(element)["objectstate"] for element in container["data"].elements()]
+    return container["timestamp"].read(_Time), listed
 
 
-def _container(path: Path, frame: int) -> tuple[float, list[str]]:
-    data = _read(path)
+def _parsed(element: Element) -> Element:
+    """What the text of a value says in JSON."""
     try:
-        container = data["datacontainer"]
-        if int(container["frame"]) != frame:
-            raise ValueError(f"frame is {container['frame']}, but {frame} in the name of the file")
-        return float(container["timestamp"]), list(container["data"])
-    except (ValueError, KeyError, TypeError) as error:
-        raise SceneError(f"{path}: datacontainer: {reason(error)}") from error
-
-
-def _read(path: Path) -> Any:
-    try:
-        return _decode(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise SceneError(f"{path}: {reason(error)}") from error
-
-
-def _decode(text: str) -> Any:
-    return json.loads(text, parse_constant=reject_constant)
+        return Element(msgspec.json.decode(element.text()), element.path, element.place)
+    except (msgspec.DecodeError, RecursionError) as error:
+        raise SceneError(f"{element.path}: {element.place}: not JSON: {error}") from error
 
 
 _DEFAULT_HEIGHT_M = 12.0  # of buildings
@@ -481,20 +462,13 @@ def read_buildings(path: Path, scene: Path | None) -> tuple[tuple[Floats, ...], 
 
     The polygons are in the world frame. All have the height `building_height_m` of `scene.json`, by default 12 m.
     """
-    data = _read(path)
-    settings = _read(scene) if scene is not None else {}
+    height = None if scene is None else read_json(scene).get("building_height_m")
     outlines = []
-    try:
-        height = float(settings.get("building_height_m", _DEFAULT_HEIGHT_M))
-        for index, polygon in enumerate(data):
-            outline = np.array(polygon, np.float64)
-            if outline.ndim != 2 or outline.shape[1:] != (2,) or not np.isfinite(outline).all():
-                raise ValueError(f"polygon {index}: expected [[x, y], ...], finite")
-            if np.array_equal(outline[0], outline[-1]):
-                outline = outline[:-1]
-            if len(outline) < 3:
-                raise ValueError(f"polygon {index} has {len(outline)} corners, expected at least 3")
-            outlines.append(outline)
-    except (ValueError, TypeError, AttributeError, IndexError) as error:
-        raise SceneError(f"{path}: {reason(error)}") from error
-    return tuple(outlines), np.full(len(outlines), height)
+    for index, polygon in enumerate(read_json(path).read(list[list[tuple[Coordinate, Coordinate]]])):
+        outline = np.array(polygon)
+        if len(outline) > 1 and np.array_equal(outline[0], outline[-1]):
+            outline = outline[:-1]
+        if len(outline) < 3:
+            raise SceneError(f"{path}: $[{index}]: found {len(outline)} corners, expected at least 3")
+        outlines.append(outline)
+    return tuple(outlines), np.full(len(outlines), _DEFAULT_HEIGHT_M if height is None else height.read(Coordinate))

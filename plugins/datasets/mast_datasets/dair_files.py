@@ -11,16 +11,21 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta
 
-from mast_datasets.files import MAX_COORDINATE_M, Element, TextElement, choose_name, find_folder, read_json
+from mast_datasets.files import Coordinate, Element, Name, Point, choose_name, find_folder, read_json
 from mast_datasets.traffic import classes_of
 from mast_zenoh.arrays.geometry import rotation_from_yaw
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.errors import SceneError
 
 MAX_LABELS = 5_000  # in one file
+_Length = Annotated[float, Meta(ge=0, le=1e8)]
+_Track = str | Annotated[int, Meta(ge=-1, le=2**63 - 1)]
+_Corners = Annotated[list[Point], Meta(min_length=8, max_length=8)]
 
 #: Types by class, in lower case. A van is a car; three wheels and a motor count as a motorcycle.
 CLASS_OF_TYPE = classes_of(
@@ -58,21 +63,14 @@ def class_of(label: Element) -> int:
     return CLASS_OF_TYPE.get(type_of(label), 0)
 
 
-def number(element: Element, low: float = -MAX_COORDINATE_M, high: float = MAX_COORDINATE_M) -> float:
-    """A finite number, which some files of the family write as text."""
-    if isinstance(element.value, str):
-        element = TextElement(element.value, element.path, element.place)
-    return element.number(low, high)
-
-
 def location(label: Element) -> Floats:
     """(3,) m, middle of the box of a label."""
-    return np.array([number(label["3d_location"][axis]) for axis in "xyz"])
+    return np.array([label["3d_location"][axis].read(Coordinate) for axis in "xyz"])
 
 
 def dimensions(label: Element) -> Floats:
     """(3,) m, length, width and height of a label, 0 or more."""
-    return np.array([number(label["3d_dimensions"][side], 0.0) for side in "lwh"])
+    return np.array([label["3d_dimensions"][side].read(_Length) for side in "lwh"])
 
 
 def box(label: Element) -> tuple[Floats, Floats, float]:
@@ -83,12 +81,12 @@ def box(label: Element) -> tuple[Floats, Floats, float]:
     size = dimensions(label)
     if size.min() <= 0:
         label["3d_dimensions"].fail("3 numbers above 0")
-    return location(label), size, number(label["rotation"])
+    return location(label), size, label["rotation"].read(Coordinate)
 
 
 def _box_of_corners(element: Element) -> tuple[Floats, Floats, float]:
     """The upright box nearest to eight corners, see `_CORNERS`."""
-    corners = element.matrix(8, 3, MAX_COORDINATE_M)
+    corners = np.array(element.read(_Corners))
     forward, left = corners[0] - corners[3], corners[0] - corners[1]
     size = np.array([np.linalg.norm(forward), np.linalg.norm(left), np.linalg.norm(corners[4] - corners[0])])
     if size.min() <= 0:
@@ -105,7 +103,7 @@ def track_of(label: Element, key: str = "track_id") -> str:
     element = label.get(key)
     if element is None:
         return ""
-    name = element.name(low=-1)
+    name = str(element.read(_Track))
     if not 1 <= len(name) <= 100:
         element.fail("a name of 1 to 100 characters")
     return name
@@ -119,16 +117,17 @@ def read_transform(path: Path) -> tuple[Floats, Floats]:
     root = read_json(path)
     inner = root.get("transform")
     root = root if inner is None else inner
-    translation = root["translation"].elements(3)
-    rows = [row.elements(1)[0] if isinstance(row.value, list) else row for row in translation]
-    return np.array([number(row) for row in rows]), root["rotation"].rotation()
+    rows = root["translation"]
+    if isinstance(rows.value, list):
+        rows.value = [row[0] if isinstance(row, list) and len(row) == 1 else row for row in rows.value]
+    return np.array(rows.read(Point)), root["rotation"].rotation()
 
 
 PAIRS = "cooperative/data_info.json"
 VEHICLE, INFRASTRUCTURE = "vehicle-side", "infrastructure-side"
 _MAX_PAIRS = 1_000_000
-_MAX_TIME_US = 9 * 10**15  # so that nanoseconds fit into 64 bits
-_MAX_OFFSET_M = 1000.0
+_Time = Annotated[int, Meta(ge=0, le=9 * 10**15)]  # µs, so that nanoseconds fit into 64 bits
+_Offset = Annotated[float, Meta(ge=-1000, le=1000)]  # m
 _SHOWN = 10  # names of sequences in a message
 _NAME = re.compile(r"[0-9A-Za-z_]{1,40}")
 
@@ -270,7 +269,7 @@ def _frame(entry: Element) -> str:
 
 def _name(element: Element) -> str:
     """A name, or the name of the file at a path, that is safe as the name of a file."""
-    name = element.name().rsplit("/", 1)[-1].removesuffix(".pcd")
+    name = str(element.read(Name)).rsplit("/", 1)[-1].removesuffix(".pcd")
     if not _NAME.fullmatch(name):
         element.fail("a name of 1 to 40 letters, digits and _")
     return name
@@ -286,7 +285,7 @@ def _pair(entry: Element, sides: Mapping[str, dict[str, Element]], in_world: boo
             named.fail(f"a frame of {side}/data_info.json")
         info = sides[side][name]
         frames.append(name)
-        times.append(info["pointcloud_timestamp"].integer(0, _MAX_TIME_US) * 1000)
+        times.append(info["pointcloud_timestamp"].read(_Time) * 1000)
         groups.append(_name(info["batch_id"] if in_world else entry[f"{key}_sequence"]))
     return Pair(frames[0], frames[1], times[0], times[1], _offset(entry)), groups[0], groups[1]
 
@@ -297,4 +296,4 @@ def _offset(entry: Element) -> Floats:
     if offset is None or offset.value == "":
         return np.zeros(2)
     deltas = [offset[f"delta_{axis}"] for axis in "xy"]
-    return np.array([0.0 if delta.value == "" else number(delta, -_MAX_OFFSET_M, _MAX_OFFSET_M) for delta in deltas])
+    return np.array([0.0 if delta.value == "" else delta.read(_Offset) for delta in deltas])

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import gzip
-import json
 import math
 import re
 import reprlib
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import IO, Any, NoReturn, cast
+from typing import IO, Annotated, Any, NoReturn, cast
 
+import msgspec
 import numpy as np
+from msgspec import Meta
 
+from mast_datasets.traffic import MAX_SIZE_M
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import ConfigurationError, SceneError, nearest
 from mast_zenoh.scenes.detection_tables import MAX_FILE_BYTES, read_text
@@ -126,38 +128,51 @@ def _opened(path: Path) -> IO[bytes]:
 _MAX_SHOWN = 80  # characters of a value in a message
 _SHORT = reprlib.Repr()  # also of a value that is nested deeply, or that aliases repeat
 _SHORT.maxstring = _SHORT.maxlong = _SHORT.maxother = _MAX_SHOWN
-_WHOLE = re.compile("-?[0-9]+", re.ASCII)
 _MAX_SHEAR = 1e-2  # of a rotation matrix, per element of its product with its transpose; files round
+
+#: Limit on a coordinate, m: far beyond any map projection, and its square is far below the limit of a number.
+MAX_COORDINATE_M = 1e8
+#: Types of values for `Element.read`, beside those of Python.
+Coordinate = Annotated[float, Meta(ge=-MAX_COORDINATE_M, le=MAX_COORDINATE_M)]
+Point = tuple[Coordinate, Coordinate, Coordinate]
+_Side = Annotated[float, Meta(gt=0, le=MAX_SIZE_M)]
+Size = tuple[_Side, _Side, _Side]
+Name = str | Annotated[int, Meta(ge=0, le=2**63 - 1)]
+_Row = tuple[Coordinate, Coordinate, Coordinate, Coordinate]
 
 
 class Element:
-    """A value in a file: what it is read as decides what is accepted.
+    """A value in a file: the type that it is read as decides what is accepted.
 
-    value: as decoded; path: of the file; place: of the value in it, such as "frames.3.objects[7]"
+    value: as decoded; path: of the file; place: of the value in it, such as "$.frames[3].objects[7]"
 
-    All methods raise SceneError, which names file, place, what was found and what was expected.
+    All methods raise SceneError, which names file, place, and what was expected.
     """
 
-    def __init__(self, value: Any, path: Path, place: str = "") -> None:
+    def __init__(self, value: Any, path: Path, place: str = "$") -> None:
         self.value = value
         self.path = path
         self.place = place
 
     def fail(self, expected: str) -> NoReturn:
         """Raise SceneError: this value is not what was expected."""
-        shown = _SHORT.repr(self.value)
-        shown = shown if len(shown) <= _MAX_SHOWN else shown[:_MAX_SHOWN] + "…"
-        place = f"{self.place}: " if self.place else ""
-        raise SceneError(f"{self.path}: {place}found {shown}, expected {expected}")
+        self._refuse(self.place, f"expected {expected}")
+
+    def read(self, kind: Any) -> Any:
+        """This value as a type that msgspec knows; text of a number is a number, too."""
+        try:
+            return msgspec.convert(self.value, kind, strict=False)
+        except (msgspec.ValidationError, UnicodeEncodeError) as error:
+            reason, _, inner = str(error).partition(" - at `")
+            self._refuse(self.place + inner.strip("$`"), reason[0].lower() + reason[1:])
 
     def __getitem__(self, key: str) -> Element:
         """The value under a key of an object."""
         members = self._object()
         if key not in members:
-            place = f"{self.place}: " if self.place else ""
             known = [str(name) for name in list(members)[:_MAX_NAMES]]
-            raise SceneError(f"{self.path}: {place}{key} is missing{nearest(key, known)}")
-        return Element(members[key], self.path, f"{self.place}.{key}" if self.place else key)
+            raise SceneError(f"{self.path}: {self.place}: {key} is missing{nearest(key, known)}")
+        return Element(members[key], self.path, f"{self.place}.{key}")
 
     def get(self, key: str) -> Element | None:
         """The value under a key of an object; None if it has none, or null."""
@@ -166,92 +181,36 @@ class Element:
     def members(self) -> Iterator[tuple[str, Element]]:
         """Keys and values of an object, in the order of the file."""
         for key in self._object():
-            yield str(key), Element(self.value[key], self.path, f"{self.place}.{key}" if self.place else str(key))
+            yield str(key), Element(self.value[key], self.path, f"{self.place}.{key}")
 
-    def elements(self, count: int | None = None) -> list[Element]:
-        """The values of a list, `count` of them if given."""
-        if not isinstance(self.value, (list, tuple)) or (count is not None and len(self.value) != count):
-            self.fail("a list" if count is None else f"a list of {count}")
-        return [Element(value, self.path, f"{self.place}[{index}]") for index, value in enumerate(self.value)]
+    def elements(self) -> list[Element]:
+        """The values of a list."""
+        listed = self.value if isinstance(self.value, list) else self.fail("a list")
+        return [Element(value, self.path, f"{self.place}[{index}]") for index, value in enumerate(listed)]
 
-    def number(self, low: float = -math.inf, high: float = math.inf) -> float:
-        """A finite number from `low` to `high`."""
-        value = self._as_number()
-        try:
-            if _is_number(value, (int, float)) and low <= value <= high and math.isfinite(value):
-                return float(value)
-        except OverflowError:
-            pass
-        return self.fail(_number("a finite number", low, high))
-
-    def positive(self, high: float) -> float:
-        """A number above 0, at most `high`."""
-        number = self.number(0.0, high)
-        if number == 0.0:
-            self.fail("a size above 0")
-        return number
-
-    def integer(self, low: float = -(2**63), high: float = 2**63 - 1) -> int:
-        """A whole number from `low` to `high`; text of digits is one, too."""
-        value = self._as_integer()
-        if not _is_number(value, int) or not low <= value <= high:
-            self.fail(_number("a whole number", low, high))
-        return int(value)
-
-    def name(self, low: float = 0) -> str:
-        """A name: text, or a whole number from `low` as text."""
-        return self.value if isinstance(self.value, str) else str(self.integer(low))
-
-    def text(self, choices: Sequence[str] = ()) -> str:
+    def text(self, choices: Collection[str] = ()) -> str:
         """Text, one of the choices if there are any."""
-        if not isinstance(self.value, str):
-            self.fail("text")
-        if choices and self.value not in choices:
-            self.fail(f"one of {', '.join(choices)}")
-        return self.value
-
-    def vector(self, count: int, limit: float = math.inf) -> Floats:
-        """(count,) finite numbers from a list, from -limit to limit."""
-        return np.array([element.number(-limit, limit) for element in self.elements(count)])
-
-    def size(self, high: float = math.inf) -> Floats:
-        """(3,) finite numbers above 0, at most `high`, m."""
-        size = self.vector(3)
-        if size.min() <= 0 or size.max() > high:
-            self.fail("3 numbers above 0" + (f", at most {high:g}" if size.max() > high else ""))
-        return size
-
-    def matrix(self, rows: int, columns: int, limit: float = math.inf) -> Floats:
-        """(rows, columns) finite numbers from a list of lists."""
-        return np.array([row.vector(columns, limit) for row in self.elements(rows)])
+        text: str = self.read(str)
+        return text if not choices or text in choices else self.fail(f"one of {', '.join(choices)}")
 
     def rotation(self) -> Floats:
         """(3, 3) rotation matrix, made exactly orthonormal."""
-        return orthonormal(self.matrix(3, 3), self)
+        return orthonormal(np.array(self.read(tuple[Point, Point, Point])), self)
 
-    def rigid(self, limit: float = math.inf) -> tuple[Floats, Floats]:
-        """Position (3,) m and rotation (3, 3) of a 4 x 4 matrix, whose numbers are from -limit to limit."""
-        matrix = self.matrix(4, 4, limit)
+    def rigid(self) -> tuple[Floats, Floats]:
+        """Position (3,) m and rotation (3, 3) of a 4 x 4 matrix."""
+        matrix = np.array(self.read(tuple[_Row, _Row, _Row, _Row]))
         if np.abs(matrix[3] - _LAST).max() > _MAX_SHEAR:
             self.fail("a 4 x 4 matrix whose last row is 0, 0, 0, 1")
         return matrix[:3, 3], orthonormal(matrix[:3, :3], self)
 
-    def _as_number(self) -> Any:
-        return self.value
-
-    def _as_integer(self) -> Any:
-        value = self.value
-        whole = isinstance(value, str) and len(value) < 20 and _WHOLE.fullmatch(value)
-        return int(value) if whole or (isinstance(value, float) and value.is_integer()) else value
+    def _refuse(self, place: str, reason: str) -> NoReturn:
+        shown = _SHORT.repr(self.value)
+        shown = shown if len(shown) <= _MAX_SHOWN else shown[:_MAX_SHOWN] + "…"
+        raise SceneError(f"{self.path}: {place}: found {shown}, {reason}")
 
     def _object(self) -> dict[Any, Any]:
-        if not isinstance(self.value, dict):
-            self.fail("an object with named values")
-        return self.value
-
-
-def _is_number(value: object, kind: Any) -> bool:
-    return isinstance(value, kind) and not isinstance(value, bool)
+        return self.value if isinstance(self.value, dict) else self.fail("an object with named values")
 
 
 def orthonormal(matrix: Floats, element: Element) -> Floats:
@@ -268,34 +227,11 @@ def orthonormal(matrix: Floats, element: Element) -> Floats:
 
 
 def read_json(path: Path) -> Element:
-    """The content of a JSON file.
-
-    Raises SceneError if it is missing, too large or not JSON, if a key occurs twice, or for NaN and Infinity.
-    """
+    """The content of a JSON file. Raises SceneError if it is missing, too large or not JSON."""
     try:
-        return Element(json.loads(read_text(path), parse_constant=_refuse, object_pairs_hook=_unique), path)
-    except (ValueError, RecursionError) as error:
+        return Element(msgspec.json.decode(read_text(path)), path)
+    except (msgspec.DecodeError, RecursionError) as error:
         raise SceneError(f"{path}: not JSON: {error}") from error
-
-
-def _refuse(name: str) -> NoReturn:
-    raise ValueError(f"found {name}, expected a finite number")
-
-
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    members = dict(pairs)
-    if len(members) != len(pairs):
-        names = [name for name, _ in pairs]
-        raise ValueError(f"found {next(n for n in names if names.count(n) > 1)!r} twice, expected a key once")
-    return members
-
-
-def _number(kind: str, low: float, high: float) -> str:
-    if (math.isinf(low) and math.isinf(high)) or (low == -(2**63) and high == 2**63 - 1):
-        return kind
-    if math.isinf(high) or high == 2**63 - 1:
-        return f"{kind}, {low:g} or more"
-    return f"{kind} from {low:g} to {high:g}"
 
 
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,4})?", re.ASCII)
@@ -308,15 +244,31 @@ class TextElement(Element):
     Space around a number is ignored; "nan", "inf" and digits of other scripts are not numbers.
     """
 
-    def _as_number(self) -> Any:
-        return float(self.value) if _NUMBER.fullmatch(self.value.strip()) else None
+    value: str
 
-    def _as_integer(self) -> Any:
-        return int(self.value) if _INTEGER.fullmatch(self.value.strip()) else None
+    def number(self, low: float = -math.inf, high: float = math.inf) -> float:
+        """A finite number from `low` to `high`."""
+        number = float(self.value) if _NUMBER.fullmatch(self.value.strip()) else math.nan
+        return number if low <= number <= high and math.isfinite(number) else self.fail(_expected("finite", low, high))
+
+    def positive(self, high: float) -> float:
+        """A number above 0, at most `high`."""
+        return self.number(0.0, high) or self.fail("a size above 0")
+
+    def integer(self, low: int = -(2**63), high: int = 2**63 - 1) -> int:
+        """A whole number from `low` to `high`."""
+        number = int(self.value) if _INTEGER.fullmatch(self.value.strip()) else None
+        return number if number is not None and low <= number <= high else self.fail(_expected("whole", low, high))
 
 
-#: Limit on a coordinate, m: far beyond any map projection, and its square is far below the limit of a number.
-MAX_COORDINATE_M = 1e8
+def _expected(kind: str, low: float, high: float) -> str:
+    if abs(low) == abs(high) == math.inf or (low == -(2**63) and high == 2**63 - 1):
+        return f"a {kind} number"
+    if math.isinf(high) or high == 2**63 - 1:
+        return f"a {kind} number, {low:g} or more"
+    return f"a {kind} number from {low:g} to {high:g}"
+
+
 _LAST = np.array([0.0, 0.0, 0.0, 1.0])
 _ROUNDING = 1e-6  # of the last row of a matrix, and of a symmetric one
 
@@ -330,8 +282,8 @@ def read_listed_pose(element: Element) -> tuple[Floats, Floats]:
     if not isinstance(element.value, list) or len(element.value) not in (4, 16):
         element.fail("4 rows of 4 numbers, or 16 numbers")
     if len(element.value) == 4:
-        return element.rigid(MAX_COORDINATE_M)
-    matrix = element.vector(16, MAX_COORDINATE_M).reshape(4, 4)
+        return element.rigid()
+    matrix = np.array(element.read(list[Coordinate])).reshape(4, 4)
     by_rows, by_columns = (bool(np.abs(end - _LAST).max() <= _ROUNDING) for end in (matrix[3], matrix[:, 3]))
     if not by_rows and not by_columns:
         element.fail("16 numbers of a 4 x 4 matrix whose last row is 0, 0, 0, 1")

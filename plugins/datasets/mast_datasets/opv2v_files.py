@@ -8,9 +8,10 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from msgspec import Meta, Struct
 
 from mast_datasets.files import Element, entries, find_folder
 from mast_datasets.traffic import classes_of
@@ -112,21 +113,10 @@ V2V4REAL = Variant(
 
 #: Limit on coordinates, m, and on angles, degrees.
 MAX_COORDINATE = 1e7
+_Number = Annotated[float, Meta(ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
+_Triple = tuple[_Number, _Number, _Number]
+_Pose = tuple[_Number, _Number, _Number, _Number, _Number, _Number]
 _FLIP = np.array([1.0, -1.0, 1.0])
-
-
-def numbers(element: Element, count: int) -> list[float]:
-    """`count` finite numbers, m or degrees, none beyond `MAX_COORDINATE`."""
-    values = element.value
-    # Element checks one at a time, which is slow for the many thousands of a scene, so it only words the refusals.
-    if not (
-        type(values) is list
-        and len(values) == count
-        and all(type(value) is float or type(value) is int for value in values)
-        and all(-MAX_COORDINATE <= value <= MAX_COORDINATE for value in values)
-    ):
-        return [part.number(-MAX_COORDINATE, MAX_COORDINATE) for part in element.elements(count)]
-    return values
 
 
 def pose(element: Element, left_handed: bool) -> tuple[Floats, Floats]:
@@ -141,7 +131,7 @@ def pose(element: Element, left_handed: bool) -> tuple[Floats, Floats]:
         if left_handed:
             rotation = rotation * np.outer(_FLIP, _FLIP)
     else:
-        values = numbers(element, 6)
+        values = element.read(_Pose)
         position, rotation = np.array(values[:3]), rotations(np.array([values[3:]]), left_handed)[0]
     return (position * _FLIP if left_handed else position), rotation
 
@@ -301,8 +291,17 @@ def file_of_frame(folder: Path, files: dict[int, Path], frame: int, ending: str 
 
 
 _MAX_OBJECTS = 20_000  # in one file
-_MAX_ID = 10**12
-_MAX_EXTENT_M = 1000.0
+_Id = Annotated[int, Meta(ge=0, le=10**12)]
+_SharedId = Annotated[int, Meta(ge=-1, le=10**12)]
+_Count = Annotated[int, Meta(ge=0, le=2**31 - 1)]
+_Half = Annotated[float, Meta(gt=0, le=1000)]  # m
+
+
+class _Placed(Struct):
+    location: _Triple
+    center: _Triple
+    extent: tuple[_Half, _Half, _Half]
+    angle: _Triple
 
 
 @dataclass(frozen=True, eq=False)
@@ -349,18 +348,16 @@ def read_labels(content: Element, variant: Variant, agent: Poses | None, frame: 
     for key, each in listed.members():
         if len(ids) == _MAX_OBJECTS:
             listed.fail(f"at most {_MAX_OBJECTS} objects")
-        number = Element(key, listed.path, each.place).integer(0, _MAX_ID)
+        number = Element(key, listed.path, each.place).read(_Id)
         category = _category(each, variant)
         if category in LEFT_OUT:
             continue
-        extent = numbers(each["extent"], 3)
-        if not 0 < min(extent) <= max(extent) <= _MAX_EXTENT_M:
-            each["extent"].fail(f"3 numbers above 0, at most {_MAX_EXTENT_M:g}")
         shared = each.get("ass_id") if variant.associated else None
         ids.append(number)
-        associated.append(-1 if shared is None else shared.integer(-1, _MAX_ID))
+        associated.append(-1 if shared is None else shared.read(_SharedId))
         classes.append(CLASS_INDEX["car"] if category is None else _CLASS_OF_CATEGORY.get(category, 0))
-        rows.append([*numbers(each["location"], 3), *numbers(each["center"], 3), *extent, *numbers(each["angle"], 3)])
+        placed = each.read(_Placed)
+        rows.append([*placed.location, *placed.center, *placed.extent, *placed.angle])
     _check_unique(ids, listed)
     table = np.array(rows, np.float64).reshape(-1, 12)
     position = (table[:, :3] + table[:, 3:6]) * (_FLIP if variant.left_handed else 1.0)
@@ -387,7 +384,7 @@ def read_visible(content: Element, known: Ints) -> dict[int, int]:
     visible: dict[int, int] = {}
     objects = set(known.tolist())
     for each in content["visible_objects"].elements():
-        number = each["object_id"].integer(0, _MAX_ID)
+        number = each["object_id"].read(_Id)
         if number in visible:
             each["object_id"].fail("each object once")
         category = each.get("category")
@@ -395,7 +392,7 @@ def read_visible(content: Element, known: Ints) -> dict[int, int]:
             continue
         if number not in objects:
             each["object_id"].fail("an object that the map has in this frame")
-        visible[number] = each["visible_points"].integer(0, 2**31 - 1)
+        visible[number] = each["visible_points"].read(_Count)
     return visible
 
 

@@ -7,12 +7,12 @@ import tomllib
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+from msgspec import Meta
 
-from mast_datasets.files import MAX_COORDINATE_M, Element
-from mast_datasets.traffic import MAX_SIZE_M
+from mast_datasets.files import Coordinate, Element, Point, Size
 from mast_zenoh.arrays.geometry import rotation_from_yaw_pitch
 from mast_zenoh.arrays.states import CLASS_INDEX, CLASSES, Floats
 from mast_zenoh.errors import ConfigurationError, SceneError, nearest
@@ -27,6 +27,8 @@ _MAX_TEXT = 1000
 _MAX_CHAIN = 20  # frames
 _KINDS: Mapping[str, type[Sensor]] = {"lidar": Lidar, "camera": ObjectCamera, "radar": Radar}
 _AXES = {"x": 0, "y": 1, "z": 2}
+_Angle = Annotated[float, Meta(ge=-180, le=180)]  # degrees
+_Id = str | Annotated[int, Meta(ge=-(2**63), le=2**63 - 1)]
 
 
 class Pose(NamedTuple):
@@ -232,7 +234,7 @@ def _truth(name: str, table: Element, received: bool) -> TruthEntry:
     if table.get("size") is None:
         _check_keys(table, (*_SOURCE, "without"))
         without = table.get("without")
-        ids = frozenset() if without is None else frozenset(each.name(-(2**63)) for each in without.elements())
+        ids = frozenset() if without is None else frozenset(map(str, without.read(list[_Id])))
         return TruthEntry(name, _source(table, received, ("without",)), None, ids)
     return TruthEntry(name, _source(table, received, _BODY), _body(table, _SOURCE), frozenset())
 
@@ -243,7 +245,7 @@ _SOURCE = ("topic", "child", "origin", "offset_s", "time")
 
 def _body(table: Element, further: Collection[str]) -> Body:
     _check_keys(table, (*_BODY, *further))
-    return Body(table["size"].size(MAX_SIZE_M), CLASS_INDEX[table["class"].text(CLASSES)], _vector(table, "centre"))
+    return Body(np.array(table["size"].read(Size)), CLASS_INDEX[table["class"].text(CLASSES)], _vector(table, "centre"))
 
 
 def _source(table: Element, received: bool, further: Collection[str] = ()) -> Source:
@@ -283,12 +285,12 @@ def _short(element: Element) -> str:
 
 def _number(table: Element, key: str, default: float, low: float, high: float) -> float:
     value = table.get(key)
-    return default if value is None else value.number(low, high)
+    return default if value is None else float(value.read(Annotated[float, Meta(ge=low, le=high)]))
 
 
 def _vector(table: Element, key: str) -> Floats:
     value = table.get(key)
-    return np.zeros(3) if value is None else value.vector(3, MAX_COORDINATE_M)
+    return np.zeros(3) if value is None else np.array(value.read(Point))
 
 
 def _pose(table: Element) -> Pose:
@@ -329,7 +331,7 @@ def _detections(table: Element, received: bool) -> DetectionsEntry:
         _sensor(table),
         _number(table, "nearest_m", 0.0, 0.0, 1e6),
         None if axes is None else _axes(axes),
-        None if size is None else size.size(MAX_SIZE_M),
+        None if size is None else np.array(size.read(Size)),
         named,
         paths,
     )
@@ -343,10 +345,9 @@ def _path(element: Element) -> tuple[str | int, ...]:
 def _axes(element: Element) -> Floats:
     """A matrix from three axes, such as ["z", "-x", "-y"]: what is forward, left and up."""
     matrix = np.zeros((3, 3))
-    for row, each in enumerate(element.elements(3)):
-        name = each.text()
+    for row, name in enumerate(element.read(tuple[str, str, str])):
         if name.removeprefix("-") not in _AXES:
-            each.fail("one of x, y, z, -x, -y, -z")
+            element.fail("three of x, y, z, -x, -y, -z")
         matrix[row, _AXES[name.removeprefix("-")]] = -1.0 if name.startswith("-") else 1.0
     if not np.abs(matrix).sum(axis=0).all():
         element.fail("three different axes")
@@ -364,8 +365,10 @@ def _sensor(table: Element) -> SceneSensor:
     options |= {key: _number(table, key, 0.0, -360.0, 360.0) for key in ("yaw_deg", "pitch_deg")}
     for key in ("azimuth_deg", "elevation_deg"):
         if (value := table.get(key)) is not None:
-            options[key] = tuple(each.number(-180.0, 180.0) for each in value.elements(2))
-    options |= {key: value.number() for key in ("range_m", _PROBABILITY) if (value := table.get(key)) is not None}
+            options[key] = value.read(tuple[_Angle, _Angle])
+    options |= {
+        key: value.read(Coordinate) for key in ("range_m", _PROBABILITY) if (value := table.get(key)) is not None
+    }
     sensor = _KINDS[kind](**options)
     try:
         return sensor.fitted(_ORIGIN)

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta
 
-from mast_datasets.files import MAX_COORDINATE_M, Element, read_json, read_listed_pose
-from mast_datasets.traffic import ABOVE_0, MAX_SIZE_M, DataSetScene, Labels, classes_of
+from mast_datasets.files import Element, Point, Size, read_json, read_listed_pose
+from mast_datasets.traffic import ABOVE_0, DataSetScene, Labels, classes_of
 from mast_zenoh.arrays.geometry import along_and_across, heading, rotation_from_quaternion
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats
 from mast_zenoh.errors import ConfigurationError, SceneError, nearest
@@ -89,7 +91,11 @@ def _matrix(element: Element) -> Element:
 
 
 MAX_FILES = 100_000
-_MAX_TIME_S = 9e9  # the year 2255; more nanoseconds are no 64 bit number
+_Time = Annotated[float, Meta(ge=0, le=9e9)]  # s, to the year 2255; more nanoseconds are no 64 bit number
+_Number = Annotated[int, Meta(ge=0)]  # of a frame
+_Box = Annotated[list[float], Meta(min_length=10, max_length=10)]
+_Part = Annotated[float, Meta(ge=-2, le=2)]
+_Quaternion = tuple[_Part, _Part, _Part, _Part]
 _MAX_LENGTH_ERROR = 1e-3  # of a quaternion
 _SIDES = ("labels_point_clouds", "_labels_point_clouds")
 _REGISTERED = "s110_lidar_ouster_south_and_vehicle_lidar_robosense_registered"
@@ -101,7 +107,7 @@ CLASS_OF_TYPE = classes_of(
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
+class LabelledFrame:
     """A labelled frame.
 
     properties: where it is in the file, for messages; objects: of the frame, by track, and of the whole file
@@ -123,7 +129,7 @@ class Frame:
             data = element["object_data"]
             cuboid = data["cuboid"]
             if isinstance(cuboid.value, list):
-                (cuboid,) = cuboid.elements(1)
+                (cuboid,) = cuboid.elements() if len(cuboid.value) == 1 else cuboid.fail("one box")
             named = next((place for place in (cuboid, data, element) if place.get("coordinate_system")), None)
             name = named["coordinate_system"].text() if named else system
             if name not in located:
@@ -160,7 +166,7 @@ def find_labels(path: Path) -> Path:
     raise SceneError(f"{path}: found no label files *.json, expected them there or in {_SIDES[0]}/{_REGISTERED}")
 
 
-def read_frames(folder: Path) -> list[Frame]:
+def read_frames(folder: Path) -> list[LabelledFrame]:
     """All frames of the files in a folder, by the names of the files and then by number.
 
     Raises SceneError, also if their times do not ascend.
@@ -168,7 +174,7 @@ def read_frames(folder: Path) -> list[Frame]:
     files = sorted(folder.glob("*.json"))
     if len(files) > MAX_FILES:
         raise SceneError(f"{folder}: found {len(files)} label files, expected at most {MAX_FILES}")
-    frames: list[Frame] = []
+    frames: list[LabelledFrame] = []
     for file in files:
         for frame in _frames(file):
             if frames and frame.time_ns <= frames[-1].time_ns:
@@ -181,30 +187,32 @@ def read_frames(folder: Path) -> list[Frame]:
     return frames
 
 
-def _frames(file: Path) -> Iterator[Frame]:
+def _frames(file: Path) -> Iterator[LabelledFrame]:
     openlabel = read_json(file)["openlabel"]
     frames = openlabel["frames"].members()
-    numbered = [(Element(key, file, "openlabel.frames").integer(0), frame) for key, frame in frames]
+    numbered = [
+        (Element(key.lstrip("0") or "0", file, "$.openlabel.frames").read(_Number), frame) for key, frame in frames
+    ]
     for _, frame in sorted(numbered, key=lambda item: item[0]):
         properties = frame["frame_properties"]
         # Microseconds, since a number of seconds since 1970 has no more digits than that.
-        time_ns = round(properties["timestamp"].number(0, _MAX_TIME_S) * 1e6) * 1000
+        time_ns = round(properties["timestamp"].read(_Time) * 1e6) * 1000
         coordinates = Coordinates(openlabel, properties)
-        yield Frame(time_ns, properties, coordinates, frame.get("objects"), openlabel.get("objects"))
+        yield LabelledFrame(time_ns, properties, coordinates, frame.get("objects"), openlabel.get("objects"))
 
 
 def _cuboid(value: Element) -> tuple[Floats, Floats, Floats]:
     """Position (3,) m, active rotation (3, 3) and size (3,) m of the numbers of a box."""
-    value.elements(10)
+    value.read(_Box)
     position, quaternion, size = (
         Element(value.value[a:b], value.path, f"{value.place}[{a}:{b}]") for a, b in ((0, 3), (3, 7), (7, 10))
     )
-    return position.vector(3, MAX_COORDINATE_M), _rotation(quaternion), size.size(MAX_SIZE_M)
+    return np.array(position.read(Point)), _rotation(quaternion), np.array(size.read(Size))
 
 
 def _rotation(element: Element) -> Floats:
     """(3, 3) active rotation of a quaternion x, y, z, w."""
-    quaternion = element.vector(4, 2)
+    quaternion = np.array(element.read(_Quaternion))
     if abs(float(np.linalg.norm(quaternion)) - 1.0) > _MAX_LENGTH_ERROR:
         element.fail("a quaternion x, y, z, w of length 1")
     return rotation_from_quaternion(np.roll(quaternion, 1))
@@ -320,7 +328,7 @@ class TUMTrafV2X(DataSetScene):
             raise SceneError(f"{folder}: found the lidars {list(lidars)}, expected at least one of a car, vehicle…")
         return cars, *self.playing(cars, poles)
 
-    def _sequence(self, folder: Path, frames: list[Frame]) -> tuple[int, list[Frame]]:
+    def _sequence(self, folder: Path, frames: list[LabelledFrame]) -> tuple[int, list[LabelledFrame]]:
         """The number and the frames of the chosen sequence."""
         gaps = np.diff([frame.time_ns for frame in frames]) > self.max_gap_s * 1e9
         starts = [0, *(np.flatnonzero(gaps) + 1).tolist(), len(frames)]
@@ -348,7 +356,7 @@ def _lidars_of(folder: Path) -> tuple[str, ...]:
     return tuple(name.removesuffix("_registered").split("_and_"))
 
 
-def _poses(frames: list[Frame], names: list[str]) -> tuple[str, dict[str, Poses]]:
+def _poses(frames: list[LabelledFrame], names: list[str]) -> tuple[str, dict[str, Poses]]:
     """The root of the coordinate systems, and the poses of some of them in it, in all frames."""
     root, poses = frames[0].coordinates.locate(names[0])[0], {}
     for name in names:
@@ -361,7 +369,7 @@ def _poses(frames: list[Frame], names: list[str]) -> tuple[str, dict[str, Poses]
     return root, poses
 
 
-def _check_still(frames: list[Frame], name: str, position: Floats, rotation: Floats) -> None:
+def _check_still(frames: list[LabelledFrame], name: str, position: Floats, rotation: Floats) -> None:
     drift = np.maximum(np.abs(position - position[0]).max(axis=1), np.abs(rotation - rotation[0]).max(axis=(1, 2)))
     moved = np.flatnonzero(drift > _MAX_DRIFT)
     if len(moved):
@@ -372,7 +380,7 @@ def _check_still(frames: list[Frame], name: str, position: Floats, rotation: Flo
         )
 
 
-def _boxes(folder: Path, frames: list[Frame], label_system: str, root: str) -> Boxes:
+def _boxes(folder: Path, frames: list[LabelledFrame], label_system: str, root: str) -> Boxes:
     """The labelled boxes in the root's frame."""
     labels = Labels(folder)
     for row, frame in enumerate(frames):

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta
 
-from mast_datasets.files import MAX_COORDINATE_M, Element, choose_name, read_json
-from mast_datasets.traffic import MAX_SIZE_M, DataSetScene, Labels, check_times, classes_of
+from mast_datasets.files import Element, Name, Point, Size, choose_name, read_json
+from mast_datasets.traffic import DataSetScene, Labels, check_times, classes_of
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats
 from mast_zenoh.errors import ConfigurationError, SceneError, nearest
@@ -116,7 +118,7 @@ def read_states(folder: Path, vehicle: str, timesync: Timesync) -> tuple[Floats,
             raise SceneError(f"{place}: found {cell[:80]!r}, expected a file name <milliseconds>.json")
         if abs(int(match[1]) - time) > _MAX_STATE_OFFSET_MS:
             raise SceneError(f"{place}: found {cell!r}, expected a time within {_MAX_STATE_OFFSET_MS} ms of {time}")
-        poses.append(read_json(folder / f"{vehicle}_state" / match[0])["gTv"].rigid(MAX_COORDINATE_M))
+        poses.append(read_json(folder / f"{vehicle}_state" / match[0])["gTv"].rigid())
     return np.stack([position for position, _ in poses]), np.stack([rotation for _, rotation in poses])
 
 
@@ -126,12 +128,12 @@ def read_vehicle_lidar(path: Path, vehicle: str) -> tuple[Floats, Floats]:
     names = [name for name, _ in calibration.members() if name.startswith(f"{vehicle}_") and name.endswith("_lidar")]
     if len(names) != 1:
         raise SceneError(f"{path}: found {len(names)} sensors {vehicle}_…_lidar, expected one")
-    return calibration[names[0]]["extrinsics"]["vTl"].rigid(MAX_COORDINATE_M)
+    return calibration[names[0]]["extrinsics"]["vTl"].rigid()
 
 
 def read_pole_lidar(path: Path, name: str) -> tuple[Floats, Floats]:
     """Position (3,) m and rotation (3, 3) of a pole's lidar in the global frame, from gTl in calibration.json."""
-    return read_json(path)[name]["extrinsics"]["gTl"].rigid(MAX_COORDINATE_M)
+    return read_json(path)[name]["extrinsics"]["gTl"].rigid()
 
 
 def read_av_tracks(files: Files, vehicles: list[str]) -> dict[str, str]:
@@ -141,7 +143,7 @@ def read_av_tracks(files: Files, vehicles: list[str]) -> dict[str, str]:
     for vehicle in vehicles:
         track = sequence.get(vehicle)
         if track is not None:
-            tracks[vehicle] = track.name()
+            tracks[vehicle] = str(track.read(Name))
     if len(set(tracks.values())) != len(tracks):
         sequence.fail("a different track for each vehicle")
     return tracks
@@ -152,7 +154,7 @@ def read_av_size(files: Files, vehicle: str) -> Floats | None:
     if not files.av_data.is_file():
         return None
     data = read_json(files.av_data).get(vehicle)
-    return None if data is None else data["size"].size(MAX_SIZE_M)
+    return None if data is None else np.array(data["size"].read(Size))
 
 
 def _milliseconds(path: Path, frame: int, cell: str) -> int:
@@ -165,7 +167,8 @@ def _milliseconds(path: Path, frame: int, cell: str) -> int:
 
 
 _MAX_TRACKS = 100_000
-_MAX_ANGLE = 1e4  # rad
+_Angle = Annotated[float, Meta(ge=-1e4, le=1e4)]  # rad
+_Time = Annotated[float, Meta(ge=0, le=1e10)]  # s
 _MAX_TIME_ERROR_MS = 1
 
 #: Classes by type; all others are unknown.
@@ -194,7 +197,7 @@ def read_tracks(path: Path, times_ms: list[int]) -> dict[str, Track]:
         Element(len(listed), path, "tracks").fail(f"at most {_MAX_TRACKS} tracks")
     tracks: dict[str, Track] = {}
     for element in listed:
-        name = element["track_id"].name()
+        name = str(element["track_id"].read(Name))
         if name in tracks:
             element["track_id"].fail("an id that no other track has")
         tracks[name] = _boxes_of(element, frame_at), element
@@ -216,29 +219,31 @@ def _boxes_of(element: Element, frame_at: Mapping[int, int]) -> Boxes:
     n = len(frames)
     dimensions = element["dimensions"]
     single = isinstance(dimensions.value, list) and len(dimensions.value) == 1
-    sizes = _column(dimensions, 1 if single else n, lambda value: value.size(MAX_SIZE_M), 3)
+    sizes = _column(dimensions, 1 if single else n, Size, 3)
     class_id = CLASS_OF_TYPE.get(element["object_type"].text(), CLASS_INDEX["unknown"])
     return Boxes(
         frame=np.array(frames, np.int64),
         id=np.zeros(n, np.int64),
-        position=_column(element["positions"], n, lambda value: value.vector(3, MAX_COORDINATE_M), 3),
+        position=_column(element["positions"], n, Point, 3),
         size=np.repeat(sizes, n, axis=0) if single else sizes,
-        yaw=_column(element["orientations"], n, lambda value: value.number(-_MAX_ANGLE, _MAX_ANGLE), 0),
+        yaw=_column(element["orientations"], n, _Angle, 0),
         class_id=np.full(n, class_id, np.uint8),
     )
 
 
 def _frame(time: Element, frame_at: Mapping[int, int]) -> int:
     """The row of the frame at a time in s."""
-    frame = frame_at.get(round(time.number(0, 1e10) * 1000))
+    frame = frame_at.get(round(time.read(_Time) * 1000))
     if frame is None:
         time.fail("the time of a frame in timesync_info.csv, s")
     return frame
 
 
-def _column(element: Element, count: int, read: Callable[[Element], Floats | float], width: int) -> Floats:
+def _column(element: Element, count: int, kind: Any, width: int) -> Floats:
     """(count, width) or (count,) of the values of a list, one for each time."""
-    values = [read(value) for value in element.elements(count)]
+    values = element.read(list[kind])
+    if len(values) != count:
+        element.fail(f"a list of {count}")
     return np.array(values, np.float64).reshape((count, width) if width else (count,))
 
 

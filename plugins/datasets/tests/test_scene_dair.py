@@ -288,7 +288,7 @@ def test_every_class_of_the_page_is_read_as_it_says() -> None:
         (value(PAIRS, "", lambda pairs: [*pairs, pairs[2]]), r"\[4\]: found frame 000012 of the car twice"),
         (value(PAIRS, "[1]", GONE)._replace(file=CAR), "frame 000012: found a gap of 0.200 s after .*(max_gap_s)"),
         (value(PAIRS, "[1].infrastructure_sequence", "0004"), "frames of the pole from the sequences 0003, 0004, exp"),
-        (value(PAIRS, "[0].system_error_offset.delta_x", 1e9), "delta_x: found .*from -1000 to 1000"),
+        (value(PAIRS, "[0].system_error_offset.delta_x", 1e9), "delta_x: found .*, expected `float` <= 1000"),
         (value(CAR, "[1].pointcloud_timestamp", 10**17), "pointcloud_timestamp: found 100000000000000000, expected"),
         (value(CAR, "[1].pointcloud_timestamp", writer.START_US), "frame 000011: time is not later than that of frame"),
         (value(CAR, "", lambda frames: [*frames, frames[1]]), r"\[4\]: found frame 000011 twice"),
@@ -298,10 +298,10 @@ def test_every_class_of_the_page_is_read_as_it_says() -> None:
         (value(LABELS, "[0].3d_dimensions.w", 0.0), r"\[0\].3d_dimensions: found .*, expected 3 numbers above 0"),
         (value(LABELS, "[0].3d_location.x", 1e300), r"3d_location.x: found 1e\+300, expected"),
         (value(LABELS, "[0].3d_location.x", "1e300"), "3d_location.x: found '1e300', expected"),
-        (value(LABELS, "[0].3d_location.x", "inf"), "3d_location.x: found 'inf', expected a finite number"),
+        (value(LABELS, "[0].3d_location.x", "inf"), "3d_location.x: found 'inf', expected `float`"),
         (value(LABELS, "[0].veh_track_id", "v1"), "veh_track_id: found 'v1', expected -1, or the track of a label in"),
         (value(LABELS, "", lambda labels: labels * 2000), "labels, expected at most 5000"),
-        (value(CAR_LABELS, "[0].3d_location.x", "x"), r"\[0\].3d_location.x: found 'x', expected a .*number"),
+        (value(CAR_LABELS, "[0].3d_location.x", "x"), r"\[0\].3d_location.x: found 'x', expected `float`, got `str`"),
         (value(POSE, "rotation[0]", [2, 0, 0]), "rotation: .*, expected an orthonormal"),
     ],
 )
@@ -325,7 +325,7 @@ def test_a_missing_file_of_v2x_seq_spd_is_refused(short: Path, tmp_path: Path) -
         (value(WORLD_LABELS, "[0].world_8_points", lambda corners: corners[::-1]), "of an upright box"),
         (
             value(WORLD_LABELS, "[0].world_8_points[0][0]", 1e12),
-            r"\[0\]\[0\]: found 1000000000000.0",
+            r"\[0\]\[0\]: found .*, expected `float` <= 100000000",
         ),
         (value(CAR, "[1].batch_id", GONE), r"\[1\]: batch_id is missing"),
         (value(PAIRS, "[1].vehicle_pointcloud_path", GONE), r"\[1\]: vehicle_pointcloud_path is missing"),
@@ -337,12 +337,12 @@ def test_a_damaged_twin_of_dair_v2x_c_is_refused(short: Path, tmp_path: Path, da
 
 def test_labels_without_track_ids_are_refused_unless_they_are_to_be_linked(short: Path, tmp_path: Path) -> None:
     with pytest.raises(
-        SceneError, match=r"000010.json: \[0\]: track_id is missing.*link_radius_m makes ids by distance"
+        SceneError, match=r"000010.json: \$\[0\]: track_id is missing.*link_radius_m makes ids by distance"
     ):
         read_spd(short / "c")
     root = shutil.copytree(short / "c", tmp_path / "c")
     value(WORLD_LABELS, "[0].track_id", "17").apply(root)
-    with pytest.raises(SceneError, match=r"000010.json: \[0\]: track_id is missing, expected one in every label"):
+    with pytest.raises(SceneError, match=r"000010.json: \$\[0\]: track_id is missing, expected one in every label"):
         read_c(root)
 
 
@@ -366,7 +366,10 @@ def test_a_folder_that_is_no_data_set_is_refused(short: Path, tmp_path: Path) ->
     [
         (value(COOP, "[0].track_id", None), r"\[0\].track_id: found None, expected a name or a number"),
         (value(OWN, "[0].3d_dimensions.h", -2), r"\[0\].3d_dimensions.h: found -2, expected"),
-        (value(CALIBRATION, "translation", [1, 2]), r"translation: found \[1, 2\], expected a list of 3"),
+        (
+            value(CALIBRATION, "translation", [1, 2]),
+            r"translation: found \[1, 2\], expected `array` of length 3, got 2",
+        ),
     ],
 )
 def test_a_damaged_twin_of_rcooper_is_refused(short: Path, tmp_path: Path, damage: Damage, message: str) -> None:

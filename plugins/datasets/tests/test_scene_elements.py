@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from mast_datasets.files import Element, read_json, read_listed_pose
+from mast_datasets.files import Coordinate, Element, Point, Size, read_json, read_listed_pose
 
 from mast_zenoh.errors import SceneError
 
@@ -25,7 +25,7 @@ def element(value: object) -> Element:
 def test_values_are_found_by_key_and_index() -> None:
     root = element({"boxes": [{"xyz": [1, 2.5, -3]}]})
     (box,) = root["boxes"].elements()
-    assert box["xyz"].vector(3).tolist() == [1.0, 2.5, -3.0]
+    assert box["xyz"].read(Point) == (1.0, 2.5, -3.0)
     assert box.place == "frames.3.boxes[0]"
     assert root.get("absent") is None
 
@@ -35,18 +35,17 @@ def test_values_are_found_by_key_and_index() -> None:
     [
         (lambda e: e["size"], {"sise": 1}, "frames.3: size is missing; did you mean 'sise'"),
         (lambda e: e["x"], [1], r"found \[1\], expected an object"),
-        (lambda e: e.integer(), "--5", "found '--5', expected a whole number"),
-        (lambda e: e.number(), True, "found True, expected a finite number"),
-        (lambda e: e.number(), 10**400, "expected a finite number"),
-        (lambda e: e.number(0, 1), 1.5, "found 1.5, expected a finite number from 0 to 1"),
-        (lambda e: e.number(0), -1, "found -1, expected a finite number, 0 or more"),
-        (lambda e: e.integer(), 1.5, "expected a whole number"),
-        (lambda e: e.integer(), "1_0", "expected a whole number"),
-        (lambda e: e.text(), 3, "found 3, expected text"),
+        (lambda e: e.read(int), "--5", "found '--5', expected `int`, got `str`"),
+        (lambda e: e.read(int), 1.5, "found 1.5, expected `int`, got `float`"),
+        (lambda e: e.read(Coordinate), True, "found True, expected `float`, got `bool`"),
+        (lambda e: e.read(Coordinate), 10**400, "number out of range"),
+        (lambda e: e.read(Coordinate), float("nan"), "found nan, expected `float` >= -100000000"),
+        (lambda e: e.read(Coordinate), "nan", "found 'nan', expected `float` >= -100000000"),
+        (lambda e: e.text(), 3, "found 3, expected `str`"),
         (lambda e: e.text(["a", "b"]), "c", "expected one of a, b"),
-        (lambda e: e.vector(3), [1, 2], "expected a list of 3"),
-        (lambda e: e.vector(2), [1, None], r"frames.3\[1\]: found None, expected a finite number"),
-        (lambda e: e.size(), [1, 0, 2], "expected 3 numbers above 0"),
+        (lambda e: e.read(Point), [1, 2], "expected `array` of length 3"),
+        (lambda e: e.read(Point), [1, 2, None], r"frames.3\[2\]: found \[1, 2, None\], expected `float`, got `null`"),
+        (lambda e: e.read(Size), [1, 0, 2], r"frames.3\[1\]: found \[1, 0, 2\], expected `float` > 0"),
         (lambda e: e.rotation(), [[2, 0, 0], [0, 1, 0], [0, 0, 1]], "expected an orthonormal"),
         (lambda e: e.rotation(), [[-1, 0, 0], [0, 1, 0], [0, 0, 1]], "expected an orthonormal, right-handed"),
         (lambda e: e.rigid(), np.diag([1, 1, 1, 2]).tolist(), "whose last row is 0, 0, 0, 1"),
@@ -65,7 +64,7 @@ def test_a_rounded_rotation_is_made_orthonormal() -> None:
 
 
 def test_a_rotation_of_huge_numbers_is_refused_without_overflow() -> None:
-    huge = [[1e200, 1e200, 0], [-1e200, 1e200, 0], [0, 0, 1]]
+    huge = [[1e8, 1e8, 0], [-1e8, 1e8, 0], [0, 0, 1]]
     with np.errstate(all="raise"), pytest.raises(SceneError, match="expected an orthonormal"):
         element(huge).rotation()
 
@@ -74,7 +73,7 @@ def test_a_deeply_nested_value_is_refused() -> None:
     value: list = []
     for _ in range(100_000):
         value = [value]
-    with pytest.raises(SceneError, match=r"found \[\[.{,40}, expected text"):
+    with pytest.raises(SceneError, match=r"found \[\[.{,40}, expected `str`"):
         element(value).text()
 
 
@@ -84,10 +83,9 @@ def test_any_value_is_read_or_refused(value: object) -> None:
         lambda e: e["a"],
         lambda e: list(e.members()),
         Element.elements,
-        Element.number,
-        Element.integer,
         Element.text,
-        lambda e: e.vector(3),
+        lambda e: e.read(int),
+        lambda e: e.read(Point),
         Element.rotation,
         Element.rigid,
     ):
@@ -98,8 +96,7 @@ def test_any_value_is_read_or_refused(value: object) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ('{"a": 1, "a": 2}', "found 'a' twice"),
-        ('{"a": NaN}', "found NaN, expected a finite number"),
+        ('{"a": NaN}', "not JSON"),
         ('{"a": 1', "not JSON"),
         ("[" * 100_000, "not JSON"),
     ],
@@ -144,8 +141,8 @@ def test_the_identity_may_be_a_list() -> None:
         ("identity", "found 'identity', expected 4 rows"),
         ([*BY_ROWS[:12], 1.0, 2.0, 3.0, 1.0], "whose last row is 0, 0, 0, 1"),
         ([number if k % 4 < 3 else float(k == 15) for k, number in enumerate(BY_ROWS)], "order of 16 numbers cannot"),
-        ([*BY_ROWS[:3], 1e9, *BY_ROWS[4:]], r"\[3\]: found 1000000000.0, expected a finite number from"),
-        ([*BY_ROWS[:3], None, *BY_ROWS[4:]], r"\[3\]: found None, expected a finite number"),
+        ([*BY_ROWS[:3], 1e9, *BY_ROWS[4:]], r"\[3\]: found .*, expected `float` <= 100000000"),
+        ([*BY_ROWS[:3], None, *BY_ROWS[4:]], r"\[3\]: found .*, expected `float`, got `null`"),
         ([ROWS[0], ROWS[0], *ROWS[2:]], "expected an orthonormal, right-handed rotation matrix"),
     ],
 )
@@ -155,5 +152,5 @@ def test_an_impossible_matrix_is_refused_with_its_place(value: object, message: 
 
 
 def test_a_list_of_16_numbers_is_refused_where_rows_are_documented() -> None:
-    with pytest.raises(SceneError, match=r"frames.3: found .*, expected a list of 4"):
+    with pytest.raises(SceneError, match=r"frames.3: found .*, expected `array` of length 4, got 16"):
         element(BY_ROWS).rigid()

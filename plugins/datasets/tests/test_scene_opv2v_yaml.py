@@ -104,11 +104,8 @@ def test_a_file_cannot_run_anything(tmp_path: Path) -> None:
         ("a: !!python/object/apply:numpy.core.multiarray.scalar [f8, x]", "found no NumPy value"),
         ("a: !!python/object/apply:numpy.core.multiarray._reconstruct [1, 2, 3]", "found no NumPy value"),
         ("{", "not YAML .*line 2"),
-        ("a: \x07", "not YAML"),
         (b"a: \xff\xfe", r"000000\.yaml: .*utf-8"),
-        ("--- 1\n--- 2\n", "expected a single document"),
         ("lidar_pose: *a", "found undefined alias at line 1"),
-        ("a: !mine 1", "tag '!mine' at line 1"),
     ],
     ids=lambda value: str(value[:20]),
 )
@@ -121,8 +118,8 @@ def test_what_aliases_repeat_is_not_copied_and_not_shown(tmp_path: Path) -> None
     (tmp_path / "000000.yaml").write_text(BOMB)
     content = read_yaml(tmp_path / "000000.yaml")
     assert content["c"].value[0] is content["c"].value[9] is content["b"].value
-    with pytest.raises(SceneError, match=r"000000\.yaml: i: found \[\[.{,90}, expected a finite number"):
-        content["i"].number()
+    with pytest.raises(SceneError, match=r"000000\.yaml: \$\.i: found \[\[.{,90}, expected `float`, got `array`"):
+        content["i"].read(float)
 
 
 @pytest.mark.parametrize(

@@ -227,7 +227,7 @@ def value(index: int, number: Any) -> Callable[[OpenLabel], object]:
 @pytest.mark.parametrize(
     ("edit", "message"),
     [
-        (lambda content: content.update(frames={"a": frame(content)}), "openlabel.frames: found 'a', expected a whole"),
+        (lambda content: content.update(frames={"a": frame(content)}), "openlabel.frames: found 'a', expected `int`"),
         (lambda content: frame(content)["frame_properties"].update(timestamp=7), "expected a time later than 16886"),
         (lambda content: frame(content)["frame_properties"].pop("transforms"), f"found no coordinate system '{CAR}'"),
         (lambda content: content.pop("coordinate_systems"), f"the root above {CAR} is '{POLE}', expected 's110_base'"),
@@ -239,12 +239,12 @@ def value(index: int, number: Any) -> Callable[[OpenLabel], object]:
         (put(pole, parent=CAR), "expected a tree of coordinate systems"),
         (put(transform, src=POLE, dst=CAR), f"the root above {CAR} is '{CAR}', expected 's110_base'"),
         (put(transform, transform_src_to_dst={"matrix4x4": [0.0] * 15}), "matrix4x4: found .*, expected 4 rows of 4"),
-        (put(first, cuboid=[1, 2]), r"cuboid: found \[1, 2\], expected a list of 1"),
+        (put(first, cuboid=[1, 2]), r"cuboid: found \[1, 2\], expected one box"),
         (put(first, coordinate_system="s110_bas"), "coordinate system 's110_bas', .*did you mean 's110_base'"),
-        (put(first, cuboid={"val": [0.0] * 9}), "cuboid.val: found .*, expected a list of 10"),
-        (value(2, 1e9), r"cuboid.val\[0:3\]\[2\]: found 1000000000.0, expected a finite number from"),
+        (put(first, cuboid={"val": [0.0] * 9}), "cuboid.val: found .*, expected `array` of length >= 10"),
+        (value(2, 1e9), r"cuboid.val\[0:3\]\[2\]: found .*, expected `float` <= 100000000"),
         (value(6, 2.0), r"cuboid.val\[3:7\]: found .*, expected a quaternion x, y, z, w of length 1"),
-        (value(8, 1e4), r"cuboid.val\[7:10\]: found .*, expected 3 numbers above 0, at most 200"),
+        (value(8, 1e4), r"cuboid.val\[7:10\]\[1\]: found .*, expected `float` <= 200"),
     ],
 )
 def test_a_damaged_frame_is_refused_with_file_place_and_reason(

@@ -95,7 +95,7 @@ def test_one_of_several_sequences_is_chosen_by_name(root: Path) -> None:
     with pytest.raises(ConfigurationError, match=f"sequence is not given, expected one of 2: {SEQUENCE}, other"):
         read(root)
     assert read(root, 1, sequence=SEQUENCE).name == SEQUENCE
-    with pytest.raises(SceneError, match=r"labels_av_track_ids.json: other is missing"):
+    with pytest.raises(SceneError, match=r"labels_av_track_ids.json: \$: other is missing"):
         read(root, sequence="other")
     with pytest.raises(ConfigurationError, match="unknown sequence 'othr'; did you mean 'other'"):
         read(root, sequence="othr")
@@ -231,9 +231,9 @@ def item(name: str, row: int, new: Any) -> Damage:
         (item("timestamps", 1, TIME_MS / 1000), r"timestamps\[1\]: .*expected a time after the one before"),
         (item("timestamps", 1, TIME_MS / 1000 + 0.03), r"timestamps\[1\]: .*expected the time of a frame"),
         (tracks(lambda c: other_track(c)["orientations"].pop()), "orientations: found .*, expected a list of 12"),
-        (item("positions", 2, [1.0, 2.0, 1e12]), r"positions\[2\]\[2\]: found .*, expected a finite number fr"),
+        (item("positions", 2, [1.0, 2.0, 1e12]), r"positions\[2\]\[2\]: found .*, expected `float` <= 100000000"),
         (other(dimensions=[[4, 2, 1.5]] * 2), "dimensions: found .*, expected a list of 12"),
-        (other(dimensions=[[4, 2, 900]]), r"dimensions\[0\]: found .*, expected 3 numbers above 0, at most 200"),
+        (other(dimensions=[[4, 2, 900]]), r"dimensions\[0\]\[2\]: found .*, expected `float` <= 200"),
         (
             tracks(lambda content: own_track(content)["positions"].__setitem__(2, SHIFT.tolist())),
             r"positions\[2\]: found .*, expected a position within 2 m of vehicle1 in its state",
