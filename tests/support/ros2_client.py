@@ -104,11 +104,12 @@ class ForeignClient:
 def expected_messages(run: Any, topics: Iterable[str], namespace: str = "/") -> dict[str, list[Any]]:
     """By topic, what the bridge publishes of a finished run, as a client has it."""
     from mast_zenoh.ros2.type_store import STORE, decode, encode
+    from mast_zenoh.runs.recorded import frames_of
     from mast_zenoh.viewer.export.ros2_messages import RunMessages
 
     wanted, messages = set(topics), RunMessages(run, namespace)
     result: dict[str, list[Any]] = {topic: [] for topic in topics}
-    for pairs in (messages.transient_local(), *(messages.of(frame, wanted.__contains__) for frame in run)):
+    for pairs in (messages.transient_local(), *(messages.of(frame, wanted.__contains__) for frame in frames_of(run))):
         for topic, message in pairs:
             if topic in wanted:
                 received = decode(message.__msgtype__, encode(message))

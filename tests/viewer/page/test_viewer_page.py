@@ -71,7 +71,7 @@ def test_the_drawn_marks_are_those_of_the_recording(report: Path, attacked_run: 
 
 def test_the_truth_shows_all_objects_of_the_scene(report: Path, loaded_run: Any, open_page: OpenPage) -> None:
     marks = drawn_marks(open_page(report), FRAME, "ego", "truth")
-    truth = loaded_run.recording.truth_at(FRAME)
+    truth = loaded_run.files.scene.truth_at(FRAME)
     assert sorted(box["id"] for box in marks["boxes"]) == sorted(truth.id.tolist())
     speeds = {box["id"]: math.hypot(box["vx"], box["vy"]) for box in marks["boxes"]}
     for identity, velocity in zip(truth.id.tolist(), truth.velocity, strict=True):
