@@ -52,6 +52,24 @@ def recorded_wirings(path: Path) -> list[tuple[int, Wiring]]:
 _HELD_FRAMES = 8
 
 
+def listening_host(resolved: Resolved, name: str, node: Any, wiring: Wiring) -> Host:
+    """The host of a node that only listens, with the settings of a run; it has not started."""
+    host = Host(
+        name,
+        node,
+        wiring.ports(name),
+        resolved.seed,
+        encode=True,
+        emit=lambda out: None,
+        period_ns=resolved.period_ns,
+        wiring=wiring,
+        timespan=resolved.timespan,
+        plane=resolved.plane,
+    )
+    host.limits = RowLimits(resolved.max_rows)
+    return host
+
+
 def results_of(
     resolved: Resolved, name: str, path: Path, hand_in: Callable[[TablePart], None] | None = None
 ) -> dict[str, Any]:
@@ -72,20 +90,7 @@ def results_of(
     node = build_node(resolved.nodes[name], name)
     overhearers = [Endpoint(name, port) for port, message in node.inputs.items() if message == ANY]
     wiring = _wiring(changes.popleft(), overhearers, path)
-    period_ns = resolved.period_ns
-    host = Host(
-        name,
-        node,
-        wiring.ports(name),
-        resolved.seed,
-        encode=True,
-        emit=lambda out: None,
-        period_ns=period_ns,
-        wiring=wiring,
-        timespan=resolved.timespan,
-        plane=resolved.plane,
-    )
-    host.limits = RowLimits(resolved.max_rows)
+    host = listening_host(resolved, name, node, wiring)
     host.tables.hand_in = hand_in
     present = {}
     while changes and changes[0].what == JOINED and changes[0].frame < 0:

@@ -25,7 +25,6 @@ from mast_zenoh.run_folder.unpacking import (
     read_footer,
     read_parquet,
     read_row_group,
-    read_row_groups,
 )
 
 #: Columns of text get this type at once, because `dictionary_encode` would load all of Arrow's compute functions.
@@ -72,20 +71,12 @@ def read_table(path: Path) -> dict[str, NDArray[Any]]:
         raise RunFolderError(f"{path}: {error}") from None
 
 
-def read_arrow(path: Path, frames: range | None = None) -> Any:
-    """Read a Parquet file as an Arrow table; frames: with the rows of these alone, by its column `frame`.
+def read_arrow(path: Path) -> Any:
+    """Read a Parquet file as an Arrow table.
 
     Raises OSError, RunFolderError or ArrowException if it is missing, broken or too large when unpacked.
     """
-    if frames is None:
-        return read_parquet(check_plain(path))
-    groups, size = [], 0
-    for group in read_row_groups(check_plain(path), within=("frame", frames.start, frames.stop - 1)):
-        groups.append(group.filter(pyarrow.array(_chosen(group, frames))))
-        size += groups[-1].nbytes
-        if size > MAX_TABLE_BYTES:
-            raise pyarrow.ArrowInvalid(f"found {size} bytes in the wanted rows, expected at most {MAX_TABLE_BYTES}")
-    return pyarrow.concat_tables(groups) if groups else parquet.read_schema(path).empty_table()
+    return read_parquet(check_plain(path))
 
 
 def to_arrow(columns: Mapping[str, Any]) -> Any:
@@ -188,9 +179,7 @@ class TableFile:
         for part in self.parts(columns, frames, agent):
             parts.append(part)
             size += sum(column.nbytes for column in part.values())
-            if size > MAX_TABLE_BYTES:
-                wanted = f"found {size} bytes in the wanted rows or more, expected at most {MAX_TABLE_BYTES}"
-                raise RunFolderError(f"{self.path}: {wanted}")
+            self._check(size)
         with _naming(self.path):
             nothing = from_arrow(self._footer().schema.empty_table().select(columns))
         return {name: np.concatenate([part[name] for part in (nothing, *parts)]) for name in columns}
@@ -200,16 +189,36 @@ class TableFile:
     ) -> Iterator[dict[str, NDArray[Any]]]:
         """The same rows as those of `rows`, one row group after the other."""
         with _naming(self.path):
-            footer = self._footer()
-            deciding = ["frame"] * (frames is not None) + ["agent"] * bool(agent)
-            names = tuple(dict.fromkeys([*columns, *deciding]))
-            if missing := sorted(set(names) - set(footer.schema.names)):
-                raise RunFolderError(f"{self.path}: found no column {', '.join(missing)}")
-            for group in range(len(footer.least)):
-                if frames is not None and (footer.least[group] >= frames.stop or footer.most[group] < frames.start):
-                    continue
+            for table, chosen in self._groups(columns, frames, agent):
+                yield from_arrow(table.select(columns), chosen)
+
+    def arrow(self, frames: range) -> Any:
+        """The rows of some frames with all columns, as an Arrow table, in which text is as it is in the file."""
+        groups, size = [], 0
+        with _naming(self.path):
+            schema = self._footer().schema
+            for table, chosen in self._groups(schema.names, frames):
+                groups.append(table.filter(pyarrow.array(chosen)))
+                size += groups[-1].nbytes
+                self._check(size)
+            return pyarrow.concat_tables(groups) if groups else schema.empty_table()
+
+    def _groups(self, columns: Sequence[str], frames: range | None, agent: str = "") -> Iterator[tuple[Any, Bools]]:
+        """The row groups that may have wanted rows, with these columns at least, and which rows are wanted."""
+        footer = self._footer()
+        deciding = ["frame"] * (frames is not None) + ["agent"] * bool(agent)
+        names = tuple(dict.fromkeys([*columns, *deciding]))
+        if missing := sorted(set(names) - set(footer.schema.names)):
+            raise RunFolderError(f"{self.path}: found no column {', '.join(missing)}")
+        for group in range(len(footer.least)):
+            if frames is None or not (footer.least[group] >= frames.stop or footer.most[group] < frames.start):
                 table = self._group(footer, group, names)
-                yield from_arrow(table.select(columns), _chosen(table, frames, agent))
+                yield table, _chosen(table, frames, agent)
+
+    def _check(self, size: int) -> None:
+        if size > MAX_TABLE_BYTES:
+            wanted = f"found {size} bytes in the wanted rows or more, expected at most {MAX_TABLE_BYTES}"
+            raise RunFolderError(f"{self.path}: {wanted}")
 
     def _footer(self) -> _Footer:
         with open_plain(self.path) as file:
@@ -234,7 +243,7 @@ class TableFile:
         return table
 
 
-def _chosen(table: Any, frames: range | None, agent: str = "") -> Bools:
+def _chosen(table: Any, frames: range | None, agent: str) -> Bools:
     """Which rows of an Arrow table are of some frames and of an agent; the footer of a file may say anything."""
     chosen = np.ones(len(table), bool)
     if frames is not None:

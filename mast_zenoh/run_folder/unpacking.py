@@ -190,30 +190,6 @@ def read_parquet(path: Path, columns: Collection[str] | None = None, max_bytes: 
         raise pyarrow.ArrowInvalid(f"found a name that is not UTF-8: {error}") from None
 
 
-def read_row_groups(
-    path: Path,
-    columns: Collection[str] | None = None,
-    within: tuple[str, float, float] | None = None,
-    max_bytes: int = MAX_TABLE_BYTES,
-) -> Iterator[pyarrow.Table]:
-    """Read a Parquet file, or only some columns of it, one row group after the other, for long tables.
-
-    within: a column of numbers, the least and the largest of interest: groups that by the file have none are left out
-
-    Raises as `read_parquet` does for a row group.
-    """
-    with parquet.ParquetFile(path, thrift_container_size_limit=_MAX_LIST) as file:
-        metadata = file.metadata
-        groups = [
-            group for group in range(metadata.num_row_groups) if within is None or _overlaps(metadata, group, *within)
-        ]
-    for group in groups:
-        try:
-            yield _read_bounded(path, columns, max_bytes, [group], metadata)
-        except UnicodeDecodeError as error:
-            raise pyarrow.ArrowInvalid(f"found a name that is not UTF-8: {error}") from None
-
-
 def read_footer(path: Path) -> Any:
     """What the footer of a Parquet file says; raises OSError or ArrowException if it is broken."""
     with parquet.ParquetFile(path, thrift_container_size_limit=_MAX_LIST) as file:
@@ -234,17 +210,6 @@ def extents(footer: Any, column: str) -> tuple[NDArray[Any], NDArray[Any]]:
         if statistics is not None and statistics.has_min_max and isinstance(statistics.min_raw, int):
             known[:, group] = statistics.min_raw, statistics.max_raw
     return known[0], known[1]
-
-
-def _overlaps(metadata: Any, group: int, column: str, least: float, most: float) -> bool:
-    """Whether a row group may have numbers of a column from `least` to `most`; also if the file does not say."""
-    row_group = metadata.row_group(group)
-    for index in range(row_group.num_columns):
-        chunk = row_group.column(index)
-        if chunk.path_in_schema == column and chunk.is_stats_set and chunk.statistics.has_min_max:
-            known = chunk.statistics
-            return bool(known.min <= most and known.max >= least)
-    return True
 
 
 def _read_bounded(

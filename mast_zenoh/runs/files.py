@@ -17,6 +17,7 @@ from mast_zenoh.errors import MastError
 from mast_zenoh.launch import liveness
 from mast_zenoh.launch.measurement import recorded_wirings
 from mast_zenoh.run_folder import check_plain, read_object, reading
+from mast_zenoh.run_folder.recording.writer import FILE
 from mast_zenoh.run_folder.tables import TableFile, read_arrow
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.wiring.model import Wiring
@@ -172,7 +173,7 @@ class RunFiles:
 
         Without a recording only wiring.json is known. Raises RunFolderError if one cannot be read.
         """
-        if not (self.path / "messages.mcap").exists():
+        if not (self.path / FILE).exists():
             with reading(self.path):
                 return [(-1, Wiring.from_json(self.wiring))]
         return recorded_wirings(self.path)
@@ -262,7 +263,9 @@ class RunFiles:
         """
         if self.is_live or "all_objects" in self._given:
             return self._given.get("all_objects")
-        return read_arrow(self.path / "objects.parquet", _frames_of(self.sample))
+        if self.sample == ALL:
+            return read_arrow(self.path / "objects.parquet")
+        return self._opened("objects.parquet").arrow(self.sample)
 
     # -- what is missing -----------------------------------------------------------------------------------------------
 
@@ -308,9 +311,12 @@ class RunFiles:
         self, name: str, read: Callable[[TableFile], Table], consequence: str, *, expected: bool = True
     ) -> Table | None:
         """Read a table; None on failure. expected: whether its absence is reported"""
-        file = self._tables.setdefault(name, TableFile(self.path / name))
+        file = self._opened(name)
         table: Table | None = (self._file if expected else self._optional)(name, lambda _: read(file), consequence)
         return table
+
+    def _opened(self, name: str) -> TableFile:
+        return self._tables.setdefault(name, TableFile(self.path / name))
 
     def _applied(
         self, metric: str, name: str, columns: Sequence[str], consequence: str, sample: range = ALL

@@ -46,7 +46,6 @@ class Frame:
     estimates: of the main agent, whose `boxes` pictures show
     window:    x, y and half the width in m, of the manipulations that pictures show, None: everywhere
     arrows:    whether pictures show moved objects
-
     """
 
     run: Run

@@ -11,8 +11,8 @@ from typing import Any
 from mast_zenoh.config import bundle, loading, registry
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import ConfigurationError, MessageError
+from mast_zenoh.launch.measurement import listening_host
 from mast_zenoh.messages import codec
-from mast_zenoh.messages.limits import RowLimits
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.run_folder.tables import as_read, to_arrow
@@ -174,20 +174,7 @@ class FrameMeter:
         node = self._build()
         port = next(port for port, message in node.inputs.items() if message == ANY)
         observed = Wiring(wiring.wires, (Endpoint(_NAME, port),))
-        resolved = self._resolved
-        host = Host(
-            _NAME,
-            node,
-            observed.ports(_NAME),
-            resolved.seed,
-            encode=True,
-            emit=lambda out: None,
-            period_ns=resolved.period_ns,
-            wiring=observed,
-            timespan=resolved.timespan,
-            plane=resolved.plane,
-        )
-        host.limits = RowLimits(resolved.max_rows)
+        host = listening_host(self._resolved, _NAME, node, observed)
         host.log = _SILENT
         host.start({})
         return host, node
