@@ -177,8 +177,8 @@ def test_a_flood_of_tokens_hides_no_publisher_of_own_topics(
         assert not participant.is_published("/late"), "no own topic yet, and no room"
         received(participant, "/late")
         assert participant.is_published("/late")
-        many = [peer.liveliness().declare_token(publisher("/early", n)) for n in range(2, 12)]
         refused = participant.refused["token beyond N"]
+        many = [peer.liveliness().declare_token(publisher("/early", n)) for n in range(2, 12)]
         eventually(lambda: participant.refused["token beyond N"] >= refused + 8, "the rest", DEADLINE_S)
         assert len(participant.publishers_of("/early")) == 3
         for token in (*honest, *many):
