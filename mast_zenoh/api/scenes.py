@@ -119,7 +119,7 @@ class PreparedScene:
         """
         if not 0 <= frame < len(self):
             raise ConfigurationError(f"{self.name}: frame is {frame}, expected 0 to {len(self) - 1}")
-        from mast_zenoh.report.figures.birdseye import scene_figure  # Matplotlib takes longer than preparing a scene
+        from mast_zenoh.report.figures.scene import scene_figure  # Matplotlib takes longer than preparing a scene
 
         return scene_figure(self.recording, frame)
 

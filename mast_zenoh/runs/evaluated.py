@@ -93,12 +93,6 @@ class Changes(NamedTuple):
         moved = self.effect == "moved"
         return np.stack([self.before[moved], self.after[moved]], axis=1)
 
-    def inside(self, window: tuple[float, float, float]) -> Changes:
-        """The changes inside a window: x, y and half the width in m."""
-        x, y, half = window
-        near = [np.abs(place[:, :2] - [x, y]).max(axis=1) <= half for place in (self.before, self.after)]
-        return Changes(*(column[near[0] | near[1]] for column in self))
-
     def joined(self, other: Changes) -> Changes:
         """These changes and others."""
         return Changes(*(np.concatenate(columns) for columns in zip(self, other, strict=True)))

@@ -44,8 +44,6 @@ class Frame:
     bodies:    by series, columns of the first valid message about it; {}: messages are not read
     refused:   number of messages about it that receivers refuse, in a running run
     estimates: of the main agent, whose `boxes` pictures show
-    window:    x, y and half the width in m, of the manipulations that pictures show, None: everywhere
-    arrows:    whether pictures show moved objects
     """
 
     run: Run
@@ -54,8 +52,6 @@ class Frame:
     bodies: Mapping[Series, Body] = field(default_factory=dict)
     refused: int = 0
     estimates: tuple[str, ...] = ()
-    window: tuple[float, float, float] | None = None
-    arrows: bool = True
 
     # -- from the messages, with the evaluator's outcomes --------------------------------------------------------------
 
@@ -166,8 +162,7 @@ class Frame:
         here = rows(effects, (effects["frame"] == self.index) & ((effects["message"] == "picture") == downlink))
         if downlink:
             here = rows(here, np.isin(here["before_subscriber"].astype(str), ("", self.run.ego or "")))
-        changes = Changes.of(here if self.arrows else rows(here, here["effect"] != "moved"))
-        return changes if self.window is None else changes.inside(self.window)
+        return Changes.of(here)
 
     def marks(self, estimate: str) -> Changes:
         """The manipulations in this frame that an estimate can show."""

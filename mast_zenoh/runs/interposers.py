@@ -165,6 +165,16 @@ def adversaries_by_agent(all_interposers: tuple[Interposer, ...]) -> dict[str, t
     return {agent: tuple(names) for agent, names in sorted(result.items())}
 
 
+def attacked_at(all_interposers: tuple[Interposer, ...], frame: int) -> set[str]:
+    """The agents on whose wires, or before which, an adversary sits in a frame."""
+    present = [
+        each
+        for each in all_interposers
+        if (each.live is None or each.live <= frame) and (each.released is None or frame < each.released)
+    ]
+    return set(adversaries_by_agent(tuple(present)))
+
+
 def _verdict(failed_frames: int, crash: str) -> str:
     """The verdict on failures; empty: none."""
     return "failed" if failed_frames else "crashed" if crash else ""

@@ -16,9 +16,10 @@ from run_samples import FRAMES
 from mast_zenoh.report import comparison
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.figures.driven import driven_figure
-from mast_zenoh.report.film.look import THEMES
+from mast_zenoh.report.figures.style import THEMES
+from mast_zenoh.report.figures.window import Window
 from mast_zenoh.report.film.panels import DriveMarks
-from mast_zenoh.report.film.takes import Captions, Take, Window
+from mast_zenoh.report.film.takes import Captions, Take
 from mast_zenoh.report.html import write_report
 from mast_zenoh.report.narrative.driven import car_sentences
 from mast_zenoh.report.tables.of_run import driven_table
@@ -300,11 +301,11 @@ def test_a_film_shows_speed_rear_lights_and_the_twin(with_twin: Run) -> None:
     marks = DriveMarks(Figure().add_subplot(), take, THEMES["light"], 1.0)
     window = Window(0.0, 0.0, 50.0, 50.0)
     marks.show(10, window)
-    assert marks.text == "ego 8.0 m/s\nunattacked 8.0 m/s (broken line)"
-    assert marks.lights == 0
+    assert marks.text.get_text() == "ego 8.0 m/s\nunattacked 8.0 m/s (broken line)"
+    assert len(marks.lights.get_segments()) == 0
     marks.show(18, window)
-    assert marks.text == "ego 6.2 m/s, brakes needlessly 9.0 m/s²\nunattacked 8.0 m/s (broken line)"
-    assert marks.lights == 1
+    assert marks.text.get_text() == "ego 6.2 m/s, brakes needlessly 9.0 m/s²\nunattacked 8.0 m/s (broken line)"
+    assert len(marks.lights.get_segments()) == 1
     assert "frame 17: ego brakes needlessly with 9.0 m/s²" in Captions([take], {}).at(17)
 
 
@@ -314,7 +315,8 @@ def test_films_and_the_page_say_nothing_of_a_brake_while_it_is_interrupted(with_
     marks = DriveMarks(Figure().add_subplot(), Take(with_twin, "picture"), THEMES["light"], 1.0)
     for frame, lights in [(17, 1), (18, 0), (19, 0), (20, 1)]:
         marks.show(frame, Window(0.0, 0.0, 50.0, 50.0))
-        assert (marks.lights, "brakes" in marks.text) == (lights, bool(lights))
+        assert len(marks.lights.get_segments()) == lights
+        assert ("brakes" in marks.text.get_text()) == bool(lights)
     data = run_block(with_twin)
     assert data is not None
     assert unpack(data)[1]["drive.brake"][17:21].tolist() == [2, 0, 0, 2]
@@ -323,4 +325,5 @@ def test_films_and_the_page_say_nothing_of_a_brake_while_it_is_interrupted(with_
 def test_a_film_of_a_run_without_drivers_has_no_such_marks(run_of: RunOf) -> None:
     marks = DriveMarks(Figure().add_subplot(), Take(run_of(), "picture"), THEMES["light"], 1.0)
     marks.show(3, Window(0.0, 0.0, 50.0, 50.0))
-    assert (marks.artists, marks.text, marks.lights) == ([], "", 0)
+    assert marks.text.get_text() == ""
+    assert len(marks.lights.get_segments()) == 0

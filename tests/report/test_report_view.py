@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from mast_zenoh.report.figures.drawing import birdseye_figure, camera_figure
-from mast_zenoh.report.figures.view import choose_common_frame, choose_frame, frame_view, window
+from mast_zenoh.report.figures.view import choose_common_frame, choose_frame, frame_view
+from mast_zenoh.report.figures.window import window_of
 from mast_zenoh.runs.files import RunFiles
 from mast_zenoh.runs.run import Run
 
@@ -100,19 +101,12 @@ def test_runs_share_the_frame_of_the_largest_effect() -> None:
 def test_window_is_square_and_contains_all_nearby_objects(run_folder: Callable[..., Path]) -> None:
     view = frame_view(Run(run_folder()), 20)
     assert view is not None
-    x, y, half = window([view])
+    window = window_of([view])
+    assert window.across == window.up
     boxes = np.concatenate([boxes.position for of in view.boxes.values() for boxes in of.values()])
     ego = np.array([-70 + 0.8 * 20, -3.0])
     near = boxes[np.hypot(*(boxes[:, :2] - ego).T) < 105]
-    assert np.abs(near[:, :2] - [x, y]).max() <= half
-
-
-def test_distant_manipulations_are_not_in_the_view(run_folder: Callable[..., Path]) -> None:
-    view = frame_view(Run(run_folder("uncoordinated")), 20)
-    assert view is not None
-    assert len(view.before.added) == 10
-    x, y, _ = view.before.added[0]
-    assert len(replace(view, window=(float(x), float(y), 0.5)).before.added) == 1
+    assert all(window.contains(position) for position in near)
 
 
 def test_the_estimate_used_to_choose_a_frame_is_shown(run_folder: Callable[..., Path]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,9 +12,10 @@ from matplotlib.colors import to_rgb, to_rgba
 from mast_zenoh.arrays.boxes import Boxes
 from mast_zenoh.arrays.geometry import along_and_across, box_corners, heading, to_world
 from mast_zenoh.arrays.states import Floats
+from mast_zenoh.report.figures.birdseye import ERRORS
+from mast_zenoh.report.figures.style import Theme
 from mast_zenoh.runs.frame import Frame
 from mast_zenoh.sensing.sensors import Camera
-from mast_zenoh.viewer.palette import ADVERSARY, BUILDING, BUILDING_EDGE, GROUND, OUTCOME_COLOURS
 
 
 def clip_polygon(corners: Floats, side: Floats) -> Floats:
@@ -48,38 +48,6 @@ _FRONT = 0
 _FAR_SIDE, _COVER, _FRONT_FILL, _ERROR_FILL = 0.35, 0.35, 0.5, 0.25
 #: The part of the image that is shown, as fractions of its height: without sky and bonnet.
 IMAGE_CROP = (0.28, 0.72)
-
-
-@dataclass(frozen=True)
-class CameraColours:
-    """Colours of a camera view, `#rrggbb`.
-
-    ground:  of the panel;  frame: around it;  grid: on the road
-    horizon: also the edges of buildings;  outcomes: of boxes, by the keys of OUTCOME_COLOURS
-    """
-
-    ground: str
-    frame: str
-    sky: str
-    road: str
-    grid: str
-    building: str
-    horizon: str
-    outcomes: Mapping[str, str]
-    adversary: str
-
-
-DARK_CAMERA = CameraColours(
-    ground=GROUND,
-    frame=BUILDING_EDGE,
-    sky="#1a2230",
-    road=GROUND,
-    grid="#242d39",
-    building=BUILDING,
-    horizon=BUILDING_EDGE,
-    outcomes=OUTCOME_COLOURS,
-    adversary=ADVERSARY,
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,34 +91,31 @@ def ego_eye(view: Frame) -> Eye | None:
     return Eye(recording.agents[index].camera, *pose)
 
 
-def draw_camera(axes: Axes, view: Frame, estimator: str, eye: Eye, colours: CameraColours = DARK_CAMERA) -> None:
-    """Draw the boxes of one estimator in a frame, as seen by the ego's camera.
-
-    estimator: one of `view.PANELS`
-    """
+def draw_camera(axes: Axes, view: Frame, estimate: str, eye: Eye, theme: Theme) -> None:
+    """Draw the boxes of one estimate in a frame, as seen by the ego's camera."""
     camera = eye.camera
-    axes.set_facecolor(colours.ground)
+    axes.set_facecolor(theme.ground)
     for spine in axes.spines.values():
-        spine.set_color(colours.frame)
+        spine.set_color(theme.building_edge)
     axes.set_xlim(0, camera.width)
     axes.set_ylim(camera.height * IMAGE_CROP[1], camera.height * IMAGE_CROP[0])
     axes.set_aspect("equal")
     axes.set_xticks([])
     axes.set_yticks([])
-    _draw_ground(axes, eye, colours)
-    _draw_buildings(axes, view, eye, colours)
-    _draw_boxes(axes, view.boxes[estimator], eye, colours)
-    marks = view.marks(estimator)
+    _draw_ground(axes, eye, theme)
+    _draw_buildings(axes, view, eye, theme)
+    _draw_boxes(axes, view.boxes[estimate], eye, theme)
+    marks = view.marks(estimate)
     for points, marker, size in ((marks.added, "D", 12.0), (marks.removed, "x", 11.0)):
         pixels, depth = eye.pixels(points)
         pixels = pixels[depth > _NEAR]
-        axes.plot(*pixels.T, marker, ms=size, mfc="none", mec=colours.adversary, mew=1.5, zorder=5)
+        axes.plot(*pixels.T, marker, ms=size, mfc="none", mec=theme.adversary, mew=1.5, zorder=5)
 
 
-def _draw_boxes(axes: Axes, by_outcome: dict[str, Boxes], eye: Eye, colours: CameraColours) -> None:
+def _draw_boxes(axes: Axes, by_outcome: dict[str, Boxes], eye: Eye, theme: Theme) -> None:
     """Boxes, the farthest first; each covers what is behind it, and its front is filled."""
     drawn: list[tuple[float, int, str, Floats, Floats]] = []
-    for order, outcome in enumerate(colours.outcomes):
+    for order, outcome in enumerate(theme.outcomes):
         boxes = by_outcome[outcome]
         corners = box_corners(boxes.position, boxes.size, boxes.yaw)
         to_lens = eye.lens - boxes.position
@@ -164,8 +129,8 @@ def _draw_boxes(axes: Axes, by_outcome: dict[str, Boxes], eye: Eye, colours: Cam
     drawn.sort(key=lambda each: each[:2])
     polygons, fills, edges, widths = [], [], [], []
     for _, _, outcome, box, seen in drawn:
-        colour = colours.outcomes[outcome]
-        error = outcome in ("truth missed", "track false")
+        colour = theme.outcomes[outcome]
+        error = outcome in ERRORS
         for face in np.argsort(seen, kind="stable"):  # the far side first
             polygon = eye.visible(box[_FACES[face]])
             if len(polygon) < 3:
@@ -173,8 +138,8 @@ def _draw_boxes(axes: Axes, by_outcome: dict[str, Boxes], eye: Eye, colours: Cam
             near = bool(seen[face]) or not seen.any()  # all faces of a box around the camera
             if seen[face]:
                 polygons.append(polygon)
-                fills.append(to_rgba(colours.road, _COVER))
-                edges.append(to_rgba(colours.road, 0.0))
+                fills.append(to_rgba(theme.ground, _COVER))
+                edges.append(to_rgba(theme.ground, 0.0))
                 widths.append(0.0)
             filled = _FRONT_FILL if face == _FRONT else _ERROR_FILL if error else 0.0
             polygons.append(polygon)
@@ -185,15 +150,15 @@ def _draw_boxes(axes: Axes, by_outcome: dict[str, Boxes], eye: Eye, colours: Cam
     axes.add_collection(faces)
 
 
-def _draw_ground(axes: Axes, eye: Eye, colours: CameraColours) -> None:
+def _draw_ground(axes: Axes, eye: Eye, theme: Theme) -> None:
     """Sky, road and a grid of 10 m on the plane under the ego."""
     camera, at = eye.camera, eye.position
     turn = heading(eye.rotation @ camera.mount_rotation)
     pixels, _ = eye.pixels(eye.lens[None] + 1e6 * np.array([[np.cos(turn), np.sin(turn), 0.0]]))
     level = float(np.clip(np.nan_to_num(pixels[0, 1]), 0, camera.height))
-    axes.axhspan(0, level, color=colours.sky, zorder=0)
-    axes.axhspan(level, camera.height, color=colours.road, zorder=0)
-    axes.axhline(level, color=colours.horizon, linewidth=0.8, zorder=1)
+    axes.axhspan(0, level, color=theme.sky, zorder=0)
+    axes.axhspan(level, camera.height, color=theme.ground, zorder=0)
+    axes.axhline(level, color=theme.building_edge, linewidth=0.8, zorder=1)
     steps = np.arange(-80.0, 81.0, 10.0)
     start = np.floor(at[:2] / 10.0) * 10.0
     lines = []
@@ -202,10 +167,10 @@ def _draw_ground(axes: Axes, eye: Eye, colours: CameraColours) -> None:
         lines.append([[at[0] - 80, start[1] + step, at[2]], [at[0] + 80, start[1] + step, at[2]]])
     segments = [eye.visible(np.array(line)) for line in lines]
     segments = [each for each in segments if len(each) > 1]
-    axes.add_collection(LineCollection(segments, colors=colours.grid, linewidths=0.7, zorder=1))
+    axes.add_collection(LineCollection(segments, colors=theme.grid, linewidths=0.7, zorder=1))
 
 
-def _draw_buildings(axes: Axes, view: Frame, eye: Eye, colours: CameraColours) -> None:
+def _draw_buildings(axes: Axes, view: Frame, eye: Eye, theme: Theme) -> None:
     """Walls, the farthest first, paler with distance."""
     recording = view.run.files.scene
     if recording is None:
@@ -220,7 +185,9 @@ def _draw_buildings(axes: Axes, view: Frame, eye: Eye, colours: CameraColours) -
             if len(face) > 2:
                 walls.append((distance, face))
     walls.sort(key=lambda wall: -wall[0])
-    near, far = np.array(to_rgb(colours.building)), np.array(to_rgb(colours.sky))
+    near, far = np.array(to_rgb(theme.building)), np.array(to_rgb(theme.sky))
     shades = [near + (far - near) * min(distance / 140.0, 1.0) for distance, _ in walls]
     faces = [face for _, face in walls]
-    axes.add_collection(PolyCollection(faces, facecolors=shades, edgecolors=colours.horizon, linewidths=0.6, zorder=2))
+    axes.add_collection(
+        PolyCollection(faces, facecolors=shades, edgecolors=theme.building_edge, linewidths=0.6, zorder=2)
+    )

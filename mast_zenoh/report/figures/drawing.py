@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from matplotlib import figure as figures
@@ -12,16 +12,16 @@ from matplotlib.axes import Axes
 
 from mast_zenoh.metrics.estimates import ESTIMATES
 from mast_zenoh.metrics.measures import MEASURES
-from mast_zenoh.report.figures.birdseye import draw_birdseye, key
+from mast_zenoh.report.figures.birdseye import BirdseyePanel
 from mast_zenoh.report.figures.camera import draw_camera, ego_eye
-from mast_zenoh.report.figures.style import Figure, pdf, plain, png, svg
-from mast_zenoh.report.figures.view import window
+from mast_zenoh.report.figures.legend import draw_legend, legend_entries
+from mast_zenoh.report.figures.style import THEMES, Figure, pdf, plain, png, svg
+from mast_zenoh.report.figures.window import Window, window_of
 from mast_zenoh.report.tables.scores import ScoreTable, number
 from mast_zenoh.run_folder import subfolder, write_bytes
 from mast_zenoh.runs.frame import Frame
-from mast_zenoh.viewer.palette import FAINT, GROUND
 
-_WHITE = "#f2f5f9"
+_THEME = THEMES["dark"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,55 +81,39 @@ def render(
     )
 
 
-def _dark_figure(views: Sequence[Frame], width: float, height: float, *, agents: bool = True) -> Figure:
+def _dark_figure(views: Sequence[Frame], width: float, height: float, *, camera: bool = False) -> Figure:
     """An empty dark figure with the legend of `views` below.
 
     height: inches, without the legend
     """
-    handles = key(views, agents=agents)
-    lines = 1 if len(handles) <= 6 else -(-len(handles) // 7) if len(handles) > 12 else 2
-    figure = Figure(figsize=(width, height + 0.24 + 0.22 * lines), facecolor=GROUND)
-    figure.legend(
-        handles=handles,
-        loc="lower center",
-        ncols=-(-len(handles) // lines),
-        frameon=False,
-        labelcolor=_WHITE,
-        fontsize=10.5,
-        handlelength=1.4,
-        columnspacing=1.8,
-        borderaxespad=0.3,
-    )
+    figure = Figure(figsize=(width, height), facecolor=_THEME.ground)
+    figure.set_figheight(height + draw_legend(figure, legend_entries(views, _THEME, camera=camera), _THEME, 10.5))
     return figure
 
 
-def _panel(figure: Figure, left: float, top: float, width: float, height: float) -> Axes:
-    """Axes placed in inches from the upper left corner."""
-    w, h = figure.get_size_inches()
-    return figure.add_axes((left / w, 1 - (top + height) / h, width / w, height / h))
+def _draw_birdseye(axes: Axes, view: Frame, estimate: str, window: Window, *, leftmost: bool) -> None:
+    BirdseyePanel(axes, view.run, estimate, _THEME).show(view, window)
+    axes.set_xlabel("x, east (m)", color=_THEME.faint, fontsize=10, labelpad=2)
+    if leftmost:
+        axes.set_ylabel("y, north (m)", color=_THEME.faint, fontsize=10, labelpad=-2)
 
 
 def birdseye_figure(view: Frame) -> Figure:
     """Bird's-eye views of the ego's own tracks, the picture, and both together."""
-    shared_window = window([view])
-    view = replace(view, window=shared_window)
-    width = 14.4
-    pitch = width / len(view.boxes)
+    window, pitch = window_of([view]), 14.4 / len(view.boxes)
     side = pitch - 0.74
-    figure = _dark_figure([view], width, side + 0.82)
-    for index, estimator in enumerate(view.boxes):
-        axes = _panel(figure, 0.66 + pitch * index, 0.4, side, side)
-        draw_birdseye(axes, view, estimator, shared_window)
-        if index:
-            axes.set_ylabel("")
-        _title(axes, ESTIMATES[estimator].panel, view, when=index == 0)
+    figure = _dark_figure([view], 14.4, side + 1.06)
+    for index, estimate in enumerate(view.boxes):
+        axes = figure.place(0.66 + pitch * index, 0.4, side, side)
+        _draw_birdseye(axes, view, estimate, window, leftmost=index == 0)
+        _title(axes, ESTIMATES[estimate].panel, view, when=index == 0)
     return figure
 
 
 def _title(axes: Axes, title: str, view: Frame, size: float = 12.5, *, when: bool = True) -> None:
-    axes.set_title(plain(view.run.worded(title)), color=_WHITE, fontsize=size, loc="left", pad=6)
+    axes.set_title(plain(view.run.worded(title)), color=_THEME.ink, fontsize=size, loc="left", pad=6)
     if when:
-        axes.set_title(view.time_label, color=FAINT, fontsize=10.5, loc="right", pad=6)
+        axes.set_title(view.time_label, color=_THEME.faint, fontsize=10.5, loc="right", pad=6)
 
 
 def camera_figure(view: Frame) -> Figure | None:
@@ -138,34 +122,28 @@ def camera_figure(view: Frame) -> Figure | None:
     if eye is None:
         return None
     height = 11.7 * eye.crop_aspect
-    view = replace(view, window=window([view]), arrows=False)  # which are not readable in perspective
     first, *_, last = view.boxes
-    estimates = first, last
-    figure = _dark_figure([view], 12.0, 2 * (height + 0.42) + 0.1, agents=False)
-    for index, estimator in enumerate(estimates):
-        axes = _panel(figure, 0.15, 0.36 + index * (height + 0.42), 11.7, height)
-        draw_camera(axes, view, estimator, eye)
-        _title(axes, ESTIMATES[estimator].panel, view)
+    figure = _dark_figure([view], 12.0, 2 * (height + 0.42) + 0.14, camera=True)
+    for index, estimate in enumerate((first, last)):
+        axes = figure.place(0.15, 0.36 + index * (height + 0.42), 11.7, height)
+        draw_camera(axes, view, estimate, eye, _THEME)
+        _title(axes, ESTIMATES[estimate].panel, view)
     return figure
 
 
 def side_by_side_figure(views: Mapping[str, Frame], table: ScoreTable, estimate: str = "picture") -> Figure:
     """One estimate of several runs in the same frame with scores, three runs per row."""
     columns = min(len(views), 3)
-    shared_window = window(list(views.values()))
-    views = {label: replace(view, window=shared_window) for label, view in views.items()}
-    pitch = 14.4 / columns
+    window, pitch = window_of(views.values()), 14.4 / columns
     side, foot = pitch - 0.74, 1.62
     lines = -(-len(views) // columns)
-    figure = _dark_figure(list(views.values()), 14.4, lines * (side + foot) + 0.05)
+    figure = _dark_figure(list(views.values()), 14.4, lines * (side + foot) + 0.2)
     for index, (label, view) in enumerate(views.items()):
         line, column = divmod(index, columns)
         left, top = 0.66 + column * pitch, 0.38 + line * (side + foot)
-        axes = _panel(figure, left, top, side, side)
-        draw_birdseye(axes, view, estimate, shared_window)
+        axes = figure.place(left, top, side, side)
+        _draw_birdseye(axes, view, estimate, window, leftmost=column == 0)
         _title(axes, label, view, 14.0)
-        if column:
-            axes.set_ylabel("")
         if label in table.runs:
             _numbers(figure, (table, label, estimate), left, top + side + 0.6, side)
     return figure
@@ -178,19 +156,17 @@ def _numbers(figure: Figure, selection: tuple[ScoreTable, str, str], left: float
     selection: the table, the run and the estimate
     """
     table, run, estimate = selection
-    w, h = figure.get_size_inches()
+    outcomes = _THEME.outcomes
     columns = (
-        ("fn", "missed", "#ffd60a"),
-        ("fp", "false", "#ff6b6b"),
-        ("tp", "matched", "#7db2ff"),
-        ("rmse_m", "RMSE (m)", _WHITE),
+        ("fn", "missed", outcomes["truth missed"]),
+        ("fp", "false", outcomes["track false"]),
+        ("tp", "matched", outcomes["track matched"]),
+        ("rmse_m", "RMSE (m)", _THEME.ink),
     )
-    values = [
-        (number(table.cell(key, run, estimate).value, MEASURES[key]), name, colour) for key, name, colour in columns
-    ]
-    for index, (value, name, colour) in enumerate(values):
-        x = (left + width * (index + 0.5) / len(values)) / w
-        figure.text(x, 1 - top / h, value, color=colour, fontsize=17, ha="center", va="top", fontweight="bold")
-        figure.text(x, 1 - (top + 0.32) / h, name, color=_WHITE, fontsize=10, ha="center", va="top")
-    x = (left + width * 1.5 / len(values)) / w
-    figure.text(x, 1 - (top + 0.51) / h, "objects per frame", color=FAINT, fontsize=9.5, ha="center", va="top")
+    style = {"ha": "center", "va": "top"}
+    step = width / len(columns)
+    for index, (key, name, colour) in enumerate(columns):
+        x, value = left + step * (index + 0.5), number(table.cell(key, run, estimate).value, MEASURES[key])
+        figure.write(x, top, value, color=colour, fontsize=17, fontweight="bold", **style)
+        figure.write(x, top + 0.32, name, color=_THEME.ink, fontsize=10, **style)
+    figure.write(left + step * 1.5, top + 0.51, "objects per frame", color=_THEME.faint, fontsize=9.5, **style)

@@ -60,8 +60,7 @@ class Birdseye(RunFigure):
         assert context.view is not None
         caption = (
             f"From above, around the ego: what it tracks from its own sensors, {_the_picture(context.view)}, and both "
-            "together, on which it acts. The tick on a box points ahead; thin lines are the limits and "
-            "the range of a roadside sensor."
+            "together, on which it acts. The tick on a box points ahead; thin lines are the limits of sensors."
         )
         if states_at(context.view.run, context.view.index):
             caption += (

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,29 +20,44 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.colors import Normalize
 from matplotlib.image import AxesImage
 from matplotlib.patches import Rectangle
+from matplotlib.text import Text
 from PIL import Image
 
 from mast_zenoh.arrays.states import Floats
-from mast_zenoh.viewer.palette import BUILDING_EDGE, FAINT, GROUND, INK, PALE
+from mast_zenoh.viewer.palette import GROUNDS, INK, KEYS, PALE, Ground, Key
 
 DPI = 110
 #: Of PNG files, 0 to 9: higher levels take twice as long for little gain.
 COMPRESSION = 3
 
 
+@dataclass(frozen=True)
+class Theme(Ground, Key):
+    """The colours of pictures of frames: what is behind the objects, and what colours mean."""
+
+
+#: By name. Light pictures are for paper, so their ground is white.
+THEMES = {
+    "dark": Theme(**vars(GROUNDS["dark"]) | vars(KEYS["paper"]["dark"])),
+    "light": Theme(**vars(GROUNDS["light"]) | vars(KEYS["paper"]["light"]) | {"ground": "#ffffff"}),
+}
+
+
 class Figure(figures.Figure):
     """A figure that a notebook shows even without pyplot."""
 
+    def place(self, left: float, top: float, width: float, height: float) -> Axes:
+        """Add axes, placed in inches from the upper left corner."""
+        w, h = self.get_size_inches()
+        return self.add_axes((left / w, 1 - (top + height) / h, width / w, height / h))
+
+    def write(self, left: float, top: float, text: str, **style: Any) -> Text:
+        """Add text, placed in inches from the upper left corner."""
+        w, h = self.get_size_inches()
+        return self.text(left / w, 1 - top / h, plain(text), **style)
+
     def _repr_png_(self) -> bytes:
         return png(self)
-
-
-def dark_axes(axes: Axes) -> None:
-    """Make axes a dark panel."""
-    axes.set_facecolor(GROUND)
-    axes.tick_params(colors=FAINT, labelsize=9, length=3)
-    for spine in axes.spines.values():
-        spine.set_color(BUILDING_EDGE)
 
 
 def light_axes(axes: Axes) -> None:

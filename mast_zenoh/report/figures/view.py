@@ -10,15 +10,13 @@ from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.report.narrative.changes import OBJECT_M2, SWITCH, scored
 from mast_zenoh.runs.files import are_in
-from mast_zenoh.runs.frame import Frame, ego_position, frame_at, has_boxes
+from mast_zenoh.runs.frame import Frame, frame_at, has_boxes
 from mast_zenoh.runs.run import Run
 
 #: The estimates that pictures show, side by side.
 PANELS = ("local", "picture", "mission")
 #: Estimates that replace one of PANELS when the frame is chosen by them.
 _IN_PLACE_OF = {"received": "local", "picture_received": "picture", "picture_on_arrival": "picture"}
-#: m, maximum distance from the ego of objects that set the window.
-_MAX_DISTANCE_M = 105.0
 
 
 def frame_view(run: Run, frame: int, chosen_by: str = "picture") -> Frame | None:
@@ -31,30 +29,6 @@ def frame_view(run: Run, frame: int, chosen_by: str = "picture") -> Frame | None
     replaced = _IN_PLACE_OF.get(chosen_by) if has_boxes(run, chosen_by) else None
     estimates = (chosen_by if name == replaced else name for name in PANELS)
     return frame_at(run, frame, [name for name in estimates if name != "mission" or has_boxes(run, name)])
-
-
-def window(views: Sequence[Frame]) -> tuple[float, float, float]:
-    """(x, y, half the width) in m of a square with the ego's surroundings."""
-    positions = [
-        boxes.position[:, :2]
-        for view in views
-        for by_outcome in view.boxes.values()
-        for boxes in by_outcome.values()
-        if len(boxes)
-    ]
-    ego = ego_position(views[0].run, views[0].index)
-    recording = views[0].run.files.scene
-    if recording is not None and views[0].index < len(recording):
-        positions.append(recording.agent_position[views[0].index, :, :2])
-    points = np.concatenate([*positions, np.zeros((0, 2))])
-    centre = ego[:2] if ego is not None else points.mean(axis=0)
-    points = points[np.hypot(*(points - centre).T) <= _MAX_DISTANCE_M]
-    if not len(points):
-        return float(centre[0]), float(centre[1]), 50.0
-    low, high = points.min(axis=0), points.max(axis=0)
-    middle = (low + high) / 2
-    half = max(float((high - low).max()) / 2 + 7.0, 40.0)
-    return float(middle[0]), float(middle[1]), half
 
 
 def settled(run: Run, frames: Ints) -> Bools:

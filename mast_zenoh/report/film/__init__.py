@@ -1,9 +1,9 @@
 """Films and stills of finished runs, for talks and papers (docs/animations.md).
 
 writing   `animate` and `snapshot`: from the folder of a run to a file; which frame each image shows
-look      what a film shows and how it looks: options, checked; colours
-takes     what one panel shows, frame by frame: boxes, attacks, captions, which part of the scene
-panels    bird's-eye view, agents, camera view, and errors over time
-sheet     the whole image: where its parts are, and its legend
+look      what a film shows and how it looks: options, checked
+takes     what one panel shows, frame by frame: boxes, attacks and captions
+panels    the bird's-eye view of figures/birdseye with driven cars, and errors over time
+sheet     the whole image: where its parts are
 encoding  images as pixels, and files of them
 """

@@ -1,70 +1,23 @@
-"""What a film or still shows and how it looks: options as users write them, checked; colours."""
+"""What a film or still shows and how it looks: options as users write them, checked."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.metrics.estimates import ESTIMATES, TRUTH
-from mast_zenoh.report.figures.camera import DARK_CAMERA, CameraColours
-from mast_zenoh.viewer.palette import ADVERSARY_ON_LIGHT, GRID, GROUND, GROUNDS, INK, KEYS
+from mast_zenoh.report.figures.style import THEMES, Theme
 
-
-@dataclass(frozen=True)
-class Theme:
-    """Colours, `#rrggbb`.
-
-    outcomes: of boxes, by the keys of OUTCOME_COLOURS;  states: of judged agents
-    ink: text;  faint: secondary text and the outlines of sensors;  camera: of camera views
-    """
-
-    ground: str
-    building: str
-    building_edge: str
-    grid: str
-    faint: str
-    ink: str
-    outcomes: Mapping[str, str]
-    adversary: str
-    fault: str
-    agent: str
-    states: Mapping[str, str]
-    withheld: str
-    camera: CameraColours
-
-
-def _theme(name: str, ground: str, grid: str, ink: str, camera: CameraColours) -> Theme:
-    """The colours of the page, with the ground, grid and ink of print."""
-    base, key = GROUNDS[name], KEYS["paper"][name]
-    of_objects = key.outcomes, key.adversary, key.fault, key.agent, key.states, base.withheld
-    return Theme(ground, base.building, base.building_edge, grid, base.faint, ink, *of_objects, camera)
-
-
-_LIGHT_CAMERA = CameraColours(
-    ground="#ffffff",
-    frame="#7a7a7a",
-    sky="#e6e6e6",
-    road="#f0f0f0",
-    grid="#dfdfdf",
-    building="#dcdcdc",
-    horizon="#c5c5c5",
-    outcomes=KEYS["paper"]["light"].outcomes,
-    adversary=ADVERSARY_ON_LIGHT,
-)
-#: By name.
-THEMES = {
-    "dark": _theme("dark", GROUND, GRID, "#f2f5f9", DARK_CAMERA),
-    "light": _theme("light", "#ffffff", GROUNDS["light"].grid, INK, _LIGHT_CAMERA),
-}
 #: What panels can show.
 SHOWN = (*ESTIMATES, TRUTH)
 #: px, default widths and heights by number of panels, one or two, without camera views.
 _SIZES = {1: (800, 760), 2: (1280, 760)}
-_PER_INCH = {"px": None, "in": 1.0, "cm": 2.54, "mm": 25.4}
+_PER_INCH = {"in": 1.0, "cm": 2.54, "mm": 25.4}
 _LEAST_PX, _MOST_PX = 240, 8192
 
 
@@ -137,11 +90,8 @@ class Look:
         match = re.fullmatch(r"(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)(px|in|cm|mm)?", self.size.strip())
         if match is None:
             raise ConfigurationError(f"size: found {self.size!r}, expected WIDTHxHEIGHT, such as 1280x720 or 18x10cm")
-        unit = _PER_INCH[match[3] or "px"]
-        width, height = (
-            2 * round((float(each) if unit is None else float(each) / unit * self.dpi) / 2)
-            for each in match.group(1, 2)
-        )
+        pixels = self.dpi / _PER_INCH[match[3]] if match[3] in _PER_INCH else 1.0
+        width, height = (2 * round(float(length) * pixels / 2) for length in match.group(1, 2))
         if min(width, height) < _LEAST_PX or max(width, height) > _MOST_PX:
             raise ConfigurationError(
                 f"size: found {self.size!r}, which is {width} by {height} px at {self.dpi} dpi: "
@@ -151,19 +101,14 @@ class Look:
 
     def window_choice(self) -> WindowChoice:
         """The window; raises ConfigurationError."""
-        if self.window == "fit":
-            return WindowChoice()
         kind, _, half = self.window.partition(":")
-        parts = half.split(",") if kind == "follow" and half else self.window.split(",") if kind != "follow" else []
-        try:
-            numbers = [float(part) for part in parts]
-        except ValueError:
-            numbers = [math.nan]
-        if len(numbers) in ((0, 1) if kind == "follow" else (3,)) and all(map(math.isfinite, numbers)):
-            if kind == "follow" and (not numbers or numbers[0] > 0):
-                return WindowChoice(follow=True, half=numbers[0] if numbers else None)
-            if kind != "follow" and numbers[2] > 0:
-                return WindowChoice(centre=(numbers[0], numbers[1]), half=numbers[2])
+        follow = kind == "follow"
+        if self.window in ("fit", "follow"):
+            return WindowChoice(follow)
+        with suppress(ValueError):
+            x, y, reach = (0.0, 0.0, float(half)) if follow else map(float, self.window.split(","))
+            if math.isfinite(x + y + reach) and reach > 0:
+                return WindowChoice(follow, None if follow else (x, y), reach)
         raise ConfigurationError(
             f"window: found {self.window!r}, expected fit, follow, follow:HALF or X,Y,HALF with HALF above 0, in m"
         )

@@ -20,7 +20,7 @@ from mast_zenoh.report.figures.view import choose_frame
 from mast_zenoh.report.film.encoding import ffmpeg, images, write_gif, write_video
 from mast_zenoh.report.film.look import Look
 from mast_zenoh.report.film.sheet import Sheet
-from mast_zenoh.report.film.takes import TITLES, Take
+from mast_zenoh.report.film.takes import Take
 from mast_zenoh.run_folder import check_free, write_new
 from mast_zenoh.runs.files import MOST_FRAMES
 from mast_zenoh.runs.run import Run
@@ -162,17 +162,13 @@ def open_takes(run: Path, look: Look, against: Path | None = None) -> list[Take]
     if against is not None and count != 1:
         raise ConfigurationError(f"found {count} estimates of two runs, expected one")
     look.check(2 if against is not None else count)
-    folders = [_opened(path, look.agent) for path in (run, *([against] if against is not None else []))]
-    estimates = look.estimates or [folders[0].believed or PICTURE]
+    first = _opened(run, look.agent)
+    estimates = look.estimates or [first.believed or PICTURE]
     if against is None:
-        return [Take(folders[0], estimate) for estimate in estimates]
-    alike = folders[0].name == folders[1].name
-    names = [folder.path.name if alike else folder.name for folder in folders]
-    estimate = estimates[0]
-    titles = [folder.worded(TITLES[estimate]) for folder in folders]
-    return [
-        Take(folder, estimate, f"{name}: {title}") for folder, name, title in zip(folders, names, titles, strict=True)
-    ]
+        return [Take(first, estimate) for estimate in estimates]
+    second = _opened(against, look.agent)
+    alike = first.name == second.name
+    return [Take(each, estimates[0], each.path.name if alike else each.name) for each in (first, second)]
 
 
 def _kind_of(out: Path, kinds: Sequence[str]) -> str:

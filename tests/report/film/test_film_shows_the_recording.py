@@ -117,7 +117,7 @@ def test_an_attack_is_visible_as_long_as_it_is_on(attacked: mast.Run) -> None:
         sheet.show(frame)
         words = " ".join(text.get_text() for text in sheet.figure.texts)
         assert ("attack by adversary_1, adversary_2: " in words) == on
-        assert sheet.birdseye[0]._frame.get_visible() == on
+        assert sheet.birdseye[0].alarm.get_visible() == on
         assert ("UncoordinatedAttack adversary_1, adversary_2 begins" in words) == on
 
 
@@ -209,12 +209,12 @@ def test_two_runs_are_shown_at_the_same_time_until_one_ends(attacked: mast.Run, 
     for panel, run in ((ours, attacked), (theirs, unattacked)):
         (row,) = rows_of(run.path, "metrics", agent="ego", estimator="picture", frame=15)
         assert f"{row['fp']} false" in [text.get_text() for text in sheet.figure.texts]
-        assert not panel._over.get_visible()
-    assert ours._frame.get_visible()
-    assert not theirs._frame.get_visible()
+        assert not panel.over.get_visible()
+    assert ours.alarm.get_visible()
+    assert not theirs.alarm.get_visible()
     sheet.show(25)
-    assert theirs._over.get_visible()
-    assert not ours._over.get_visible()
+    assert theirs.over.get_visible()
+    assert not ours.over.get_visible()
 
 
 def test_agents_that_are_down_say_so(edited: Path) -> None:
