@@ -16,8 +16,9 @@ from mast_zenoh.arrays.geometry import rotation_from_yaw
 from mast_zenoh.report.figures.birdseye import face
 from mast_zenoh.report.figures.camera import Eye, clip_polygon
 from mast_zenoh.report.figures.drawing import birdseye_figure, camera_figure, render, side_by_side_figure
+from mast_zenoh.report.figures.legend import draw_legend, legend_entries
 from mast_zenoh.report.figures.over_time import counts_over_time
-from mast_zenoh.report.figures.style import png
+from mast_zenoh.report.figures.style import THEMES, Figure, png
 from mast_zenoh.report.figures.view import frame_view
 from mast_zenoh.report.tables.scores import score_table
 from mast_zenoh.runs.frame import Frame
@@ -122,6 +123,33 @@ def test_runs_side_by_side_have_a_panel_each(attacked: Frame, clean: Frame) -> N
     plots = image[60:700]
     assert pixels(plots[:, : width // 2], "track false") == 0
     assert pixels(plots[:, width // 2 :], "track false") > 300
+
+
+def test_the_legend_fits_into_a_figure_of_any_width_and_says_how_high_it_is(attacked: Frame) -> None:
+    entries = legend_entries([attacked], THEMES["light"])
+    heights = []
+    for width in (14.0, 8.0, 3.4):
+        figure = Figure(figsize=(width, 4.0))
+        heights.append(draw_legend(figure, entries, THEMES["light"], 9.0))
+        (legend,) = figure.legends
+        drawn = legend.get_window_extent()
+        assert figure.bbox.x0 <= drawn.x0 < drawn.x1 <= figure.bbox.x1
+        assert drawn.height / figure.dpi == pytest.approx(heights[-1])
+        assert len(legend.get_texts()) == len(entries)
+    assert heights == sorted(heights)
+    assert heights[2] > 2 * heights[0]
+
+
+def test_arrows_are_in_the_legend_of_the_view_from_above_alone(attacked: Frame) -> None:
+    assert attacked.run.files.effects is not None
+    attacked.run.files.effects["effect"] = np.full(len(attacked.run.files.effects["frame"]), "moved")
+    view = view_of(attacked.run.with_())
+    above, ahead = ([entry.get_label() for entry in legend_entries([view], THEMES["dark"], camera=camera)]
+                    for camera in (False, True))  # fmt: skip
+    assert "moved by adversary" in above
+    assert "roadside sensor" in above
+    assert set(above) - set(ahead) == {"moved by adversary", "roadside sensor", "vehicle with sensors",
+                                       "adversary on its wire"}  # fmt: skip
 
 
 def test_four_or_more_runs_use_more_rows(clean: Frame) -> None:

@@ -8,15 +8,14 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, BinaryIO
 
 import numpy as np
 from matplotlib import figure as figures
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.backends.backend_pdf import FigureCanvasPdf
-from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.colors import Normalize
 from matplotlib.image import AxesImage
 from matplotlib.patches import Rectangle
@@ -116,20 +115,29 @@ def png(figure: figures.Figure) -> bytes:
     return buffer.getvalue()
 
 
+#: Of files: neither dates nor versions, so that equal figures are equal files.
+_LEFT_OUT = {"pdf": ("CreationDate",), "svg": ("Date", "Creator", "Format", "Type"), "png": ("Software",)}
+
+
+def save(figure: figures.Figure, file: Path | BinaryIO, kind: str, *, text: bool = False) -> None:
+    """Write a figure as `pdf`, with fonts that a journal accepts, `svg` or `png`; the bytes are reproducible.
+
+    text: in SVG, text stays text; otherwise letters are outlines, so that it looks the same everywhere
+    """
+    no_metadata = dict.fromkeys(_LEFT_OUT[kind])
+    with rc_context({"pdf.fonttype": 42, "svg.hashsalt": "mast-zenoh", "svg.fonttype": "none" if text else "path"}):
+        figure.savefig(file, format=kind, facecolor=figure.get_facecolor(), metadata=no_metadata)
+
+
 def svg(figure: figures.Figure) -> bytes:
-    """The figure as SVG, letters as outlines so that it looks the same everywhere."""
+    """The figure as SVG."""
     buffer = io.BytesIO()
-    FigureCanvasSVG(figure)
-    no_metadata = dict.fromkeys(("Date", "Creator", "Format", "Type"))
-    with rc_context({"svg.hashsalt": "mast-zenoh"}):  # makes the ids inside reproducible
-        figure.savefig(buffer, format="svg", facecolor=figure.get_facecolor(), metadata=no_metadata)
+    save(figure, buffer, "svg")
     return buffer.getvalue()
 
 
 def pdf(figure: figures.Figure) -> bytes:
-    """The figure as PDF, with fonts that a journal accepts; the bytes are reproducible."""
+    """The figure as PDF."""
     buffer = io.BytesIO()
-    FigureCanvasPdf(figure)
-    with rc_context({"pdf.fonttype": 42}):
-        figure.savefig(buffer, format="pdf", facecolor=figure.get_facecolor(), metadata={"CreationDate": None})
+    save(figure, buffer, "pdf")
     return buffer.getvalue()

@@ -4,6 +4,6 @@ writing   `animate` and `snapshot`: from the folder of a run to a file; which fr
 look      what a film shows and how it looks: options, checked
 takes     what one panel shows, frame by frame: boxes, attacks and captions
 panels    the bird's-eye view of figures/birdseye with driven cars, and errors over time
-sheet     the whole image: where its parts are
-encoding  images as pixels, and files of them
+sheet     the whole image: where its parts are, and drawing what changes
+encoding  Matplotlib's writers of films, for GIF, MP4 and WebM
 """

@@ -1,129 +1,132 @@
-"""Encodes images: animated GIF, and MP4 (H.264) and WebM (VP9) by ffmpeg, which imageio-ffmpeg carries."""
+"""Encodes films: animated GIF by Pillow, and MP4 (H.264) and WebM (VP9) by ffmpeg, which imageio-ffmpeg carries."""
 
 from __future__ import annotations
 
 import shlex
 import shutil
 import subprocess
-import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import to_rgb
-from numpy.typing import NDArray
-from PIL import GifImagePlugin, Image
+from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
+from PIL import GifImagePlugin, Image, ImageChops
 
-from mast_zenoh.errors import ConfigurationError, ExportError
+from mast_zenoh.errors import ExportError
 from mast_zenoh.report.film.sheet import Sheet
+from mast_zenoh.viewer.palette import rgb
 
-#: (height, width, 3) red, green and blue.
-Pixels = NDArray[np.uint8]
-
-
-def images(sheet: Sheet, frames: Iterable[int]) -> Iterator[Pixels]:
-    """Draw frames one after the other."""
-    canvas = FigureCanvasAgg(sheet.figure)
-    for artist in sheet.changing:
-        artist.set_animated(True)
-    background = None
-    for frame in frames:
-        sheet.show(frame)
-        if background is None:
-            canvas.draw()  # type: ignore[no-untyped-call]  # matplotlib has no types here
-            background = canvas.copy_from_bbox(sheet.figure.bbox)  # type: ignore[no-untyped-call]
-        canvas.restore_region(background)  # type: ignore[no-untyped-call]
-        for artist in sheet.changing:
-            sheet.figure.draw_artist(artist)
-        yield np.array(np.asarray(canvas.buffer_rgba())[..., :3])  # type: ignore[no-untyped-call]
-
-
-#: Browsers play faster films slowly: their shortest duration is 0.02 s.
-MOST_FPS = 50.0
-#: The index that stands for the colour in the image before.
-_SAME = 255
-#: Number of images from which the palette is made; of each, every second pixel of every second line.
-_SAMPLES = 12
-
-#: (height, width) rows of the palette.
-_Indices = NDArray[np.uint8]
-
-
-def write_gif(
-    path: Path, draw: Callable[[Sequence[int]], Iterable[Pixels]], frames: Sequence[int], fps: float, key: Iterable[str]
-) -> None:
-    """Write a film that repeats for ever.
-
-    draw: the images of some frames;  key: colours that are kept exactly
-    Raises ConfigurationError for more than 50 images per second.
-    """
-    if fps > MOST_FPS:
-        raise ConfigurationError(f"fps: found {fps:g}, expected at most {MOST_FPS:g} in a GIF")
-    samples = np.unique(np.linspace(0, len(frames) - 1, _SAMPLES).astype(int))
-    palette = _palette(draw([frames[place] for place in samples]), key)
-    before: _Indices | None = None
-    with path.open("wb") as file:
-        for number, pixels in enumerate(draw(frames)):
-            indices = _indices(pixels, palette)
-            changed, corner = (indices, (0, 0)) if before is None else _difference(indices, before)
-            image = Image.fromarray(changed, mode="P")
-            image.putpalette(palette.getpalette() or [])
-            if before is None:
-                header = GifImagePlugin.getheader(image, info={"loop": 0, "optimize": False})[0]
-                file.writelines(header)
-            # Durations are hundredths of a second: they are rounded so that no error adds up.
-            start, end = (round(100 * (number + ahead) / fps) for ahead in (0, 1))
-            options = {"duration": 10 * (end - start), "disposal": 1, "optimize": False}
-            if before is not None:
-                options["transparency"] = _SAME
-            file.writelines(GifImagePlugin.getdata(image, corner, **options))
-            before = indices
-        file.write(b";")
-
-
-def _palette(images: Iterable[Pixels], key: Iterable[str]) -> Image.Image:
-    """An image with the palette of a film: the key, then the commonest colours, and the last for `_SAME`."""
-    exact = np.array([np.round(np.multiply(to_rgb(colour), 255)) for colour in dict.fromkeys(key)], np.uint8)
-    sampled = np.concatenate([image[::2, ::2].reshape(-1, 3) for image in images])
-    common = Image.fromarray(sampled[None]).quantize(_SAME - len(exact), Image.Quantize.MEDIANCUT)
-    colours = np.array(common.getpalette() or [], np.uint8).reshape(-1, 3)[: _SAME - len(exact)]
-    table = np.concatenate([exact, colours])
-    table = np.concatenate([table, np.repeat(table[:1], 256 - len(table), axis=0)])
-    result = Image.new("P", (1, 1))
-    result.putpalette(table.tobytes())
-    return result
-
-
-def _indices(pixels: Pixels, palette: Image.Image) -> _Indices:
-    """The nearest colours of the palette."""
-    image = Image.fromarray(pixels).quantize(palette=palette, dither=Image.Dither.NONE)
-    indices = np.array(image, np.uint8)
-    indices[indices == _SAME] = 0  # the same colour
-    return indices
-
-
-def _difference(image: _Indices, before: _Indices) -> tuple[_Indices, tuple[int, int]]:
-    """The part of an image that differs from the one before, and its upper left corner (x, y) in px."""
-    differs = image != before
-    rows, columns = np.flatnonzero(differs.any(axis=1)), np.flatnonzero(differs.any(axis=0))
-    if not len(rows):
-        return np.full((1, 1), _SAME, np.uint8), (0, 0)
-    part = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-    return np.where(differs[part], image[part], np.uint8(_SAME)), (int(columns[0]), int(rows[0]))
-
-
-#: By kind of file. The number of threads is fixed, because encoders divide their work by it.
-_ENCODERS = {
-    "mp4": shlex.split("-c:v libx264 -preset medium -crf 18 -threads 2 -movflags +faststart"),
-    "webm": shlex.split("-c:v libvpx-vp9 -crf 24 -b:v 0 -deadline realtime -cpu-used 6 -row-mt 1 -threads 2"),
+#: Codec and its options by kind of file. The number of threads is fixed, because encoders divide their work by it.
+_CODECS = {
+    ".mp4": ("libx264", "-preset medium -crf 18 -threads 2 -movflags +faststart"),
+    ".webm": ("libvpx-vp9", "-crf 24 -b:v 0 -deadline realtime -cpu-used 6 -row-mt 1 -threads 2"),
 }
-_COLOURS = shlex.split(
+_COLOURS = (
     "-vf scale=out_color_matrix=bt709:out_range=tv -colorspace bt709 -color_primaries bt709 -color_trc bt709 "
     "-color_range tv -pix_fmt yuv420p"
 )
 #: Neither dates nor versions, so that equal images give equal files.
-_NO_METADATA = ("-map_metadata", "-1", "-fflags", "+bitexact", "-flags:v", "+bitexact")
+_NO_METADATA = "-map_metadata -1 -fflags +bitexact -flags:v +bitexact"
+#: Number of images from which the palette of a GIF is made, at least, and the index for the colour in the image before.
+_SAMPLES, _SAME = 12, 255
+
+
+def write_film(path: Path, sheet: Sheet, frames: Sequence[int], fps: float) -> None:
+    """Write a film that ends with .gif, .mp4 or .webm.
+
+    Raises ExportError if ffmpeg is absent or fails, for example because it lacks the encoder.
+    """
+    writer: AbstractMovieWriter = (
+        _VideoWriter(path.suffix.lower(), fps) if path.suffix.lower() in _CODECS else _GifWriter(sheet, frames, fps)
+    )
+    writer.setup(sheet.figure, str(path))
+    try:
+        with suppress(BrokenPipeError):  # ffmpeg has ended: `finish` says why
+            for frame in frames:
+                sheet.show(frame)
+                writer.grab_frame()
+    except BaseException:
+        with suppress(ExportError):
+            writer.finish()  # no ffmpeg is left behind
+        raise
+    writer.finish()
+
+
+class _VideoWriter(FFMpegWriter):
+    """Writes MP4 and WebM. kind: a key of _CODECS"""
+
+    _proc: subprocess.Popen[bytes]
+
+    def __init__(self, kind: str, fps: float) -> None:
+        codec, options = _CODECS[kind]
+        arguments = shlex.split(f"-an -c:v {codec} {_COLOURS} {options} {_NO_METADATA}")
+        super().__init__(codec=codec, bitrate=-1, extra_args=arguments)
+        self.fps = fps  # type: ignore[assignment]  # it may be a fraction
+
+    @classmethod
+    def bin_path(cls) -> str:
+        """The path of ffmpeg."""
+        return ffmpeg()
+
+    def finish(self) -> None:
+        """End ffmpeg; raises ExportError if it has failed."""
+        _, errors = self._proc.communicate()
+        if code := self._proc.returncode:
+            reason = " ".join(errors.decode(errors="replace").strip().splitlines()[-3:])
+            raise ExportError(f"{Path(self.outfile).name}: {ffmpeg()} failed with exit code {code}: {reason}")
+
+
+class _GifWriter(PillowWriter):
+    """Writes a film that repeats for ever: of each image, what differs from the one before, in colours of one palette.
+
+    Pillow by itself would hold all images in memory until the end, and choose colours for each.
+    """
+
+    _frames: list[Image.Image]
+
+    def __init__(self, sheet: Sheet, frames: Sequence[int], fps: float) -> None:
+        super().__init__()
+        self.fps = fps  # type: ignore[assignment]  # it may be a fraction
+        self._sheet, self._samples = sheet, frames[:: max(len(frames) // _SAMPLES, 1)]
+        self._number, self._before = 0, np.array(-1)
+
+    def setup(self, fig: Any, outfile: Any, dpi: float | None = None) -> None:
+        """Choose the palette: the key of the film, and the commonest colours of some of its images."""
+        super().setup(fig, outfile, dpi)
+        for frame in self._samples:
+            self._sheet.show(frame)
+            super().grab_frame()
+        pixels = np.concatenate([np.asarray(image)[::2, ::2] for image in self._frames])
+        self._frames.clear()
+        key = [value for colour in self._sheet.key for value in rgb(colour)]
+        common = Image.fromarray(pixels).quantize(_SAME - len(key) // 3).getpalette() or []
+        self._palette = Image.new("P", self.frame_size)
+        self._palette.putpalette([*key, *common][: 3 * _SAME])
+        self._append(GifImagePlugin.getheader(self._palette, info={"loop": 0, "optimize": False})[0])
+
+    def grab_frame(self, **options: Any) -> None:
+        """Append an image to the file."""
+        super().grab_frame(**options)
+        image = self._frames.pop().quantize(palette=self._palette, dither=Image.Dither.NONE)
+        indices = np.array(image)
+        same = Image.fromarray(indices == self._before)
+        image.paste(_SAME, mask=same)
+        box = ImageChops.invert(same).getbbox() or (0, 0, 1, 1)
+        # Durations are hundredths of a second: they are rounded so that no error adds up.
+        start, end = (round(100 * (self._number + ahead) / self.fps) for ahead in (0, 1))
+        how = {"duration": 10 * (end - start), "disposal": 1, "optimize": False, "transparency": _SAME}
+        self._append(GifImagePlugin.getdata(image.crop(box), box[:2], **how))
+        self._number, self._before = self._number + 1, indices
+
+    def finish(self) -> None:
+        """End the file."""
+        self._append([b";"])
+
+    def _append(self, parts: Sequence[bytes]) -> None:
+        with open(self.outfile, "ab") as file:
+            file.writelines(parts)
 
 
 def ffmpeg() -> str:
@@ -143,33 +146,3 @@ def ffmpeg() -> str:
             "pip install 'mast-zenoh[film]'; a name that ends with .gif needs neither"
         )
     return path
-
-
-def write_video(path: Path, images: Iterable[Pixels], size: tuple[int, int], fps: float) -> None:
-    """Write a film. size: width and height in px, both even
-
-    Raises ExportError if ffmpeg is absent or fails, for example because it lacks the encoder.
-    """
-    width, height = size
-    source = ("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{fps:.6g}", "-i", "-")
-    encoder = _ENCODERS[path.suffix.lower().removeprefix(".")]
-    program = ffmpeg()
-    command = [program, "-nostdin", "-v", "error", "-y", *source, "-an", *_COLOURS, *encoder, *_NO_METADATA, str(path)]
-    with tempfile.TemporaryFile() as errors:
-        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=errors)
-        assert process.stdin is not None
-        try:
-            for image in images:
-                process.stdin.write(image.tobytes())
-            process.stdin.close()
-        except BrokenPipeError:  # it has ended: its error output says why
-            pass
-        except BaseException:
-            process.kill()
-            raise
-        finally:
-            code = process.wait()
-        if code:
-            errors.seek(0)
-            words = errors.read().decode(errors="replace").strip().splitlines()
-            raise ExportError(f"{path.name}: {program} failed with exit code {code}: {' '.join(words[-3:])}")

@@ -8,6 +8,7 @@ from typing import Any
 
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgba
 from matplotlib.patches import Patch
 from matplotlib.text import Text
@@ -36,19 +37,45 @@ _LETTER, _WIDE = 0.0086, 5.0
 _OUTLIERS = 0.04
 
 
+class MovingFigure(Figure):
+    """A figure whose images for a film are drawn quickly: but for the first, only what changes.
+
+    changing: these artists, in drawing order
+    """
+
+    changing: Sequence[Artist] = ()
+    _still: Any = None
+
+    def savefig(self, fname: Any, **options: Any) -> None:
+        """Write an image as Matplotlib's writers of films ask for it, or else a file of the whole figure."""
+        if options.get("format") != "rgba":
+            return super().savefig(fname, **options)
+        if self._still is None:
+            canvas: Any = FigureCanvasAgg(self)
+            for artist in self.changing:
+                artist.set_animated(True)
+            canvas.draw()
+            self._still = canvas, canvas.copy_from_bbox(self.bbox)
+        canvas, still = self._still
+        canvas.restore_region(still)
+        for artist in self.changing:
+            self.draw_artist(artist)
+        fname.write(canvas.buffer_rgba())
+        return None
+
+
 class Sheet:
     """A figure that shows one frame after the other.
 
     takes:  the panels, from left to right: one run, or two
     frames: of the first take, those that are shown;  period: first and last frame of the strips
-    figure: Matplotlib's;  changing: the artists that differ from frame to frame, in drawing order
     """
 
     def __init__(self, takes: Sequence[Take], look: Look, frames: Sequence[int], period: tuple[int, int]) -> None:
         self.takes, self._look, self._theme = takes, look, look.colours
         self._attacks = [Attacks(take.run) for take in takes]
         self._width, self._height = (pixels / look.dpi for pixels in look.pixels(len(takes)))
-        self.figure = Figure(figsize=(self._width, self._height), dpi=look.dpi, facecolor=self._theme.ground)
+        self.figure = MovingFigure(figsize=(self._width, self._height), dpi=look.dpi, facecolor=self._theme.ground)
         shown = [view for frame in frames for view in self._views(frame)]
         legend = self._draw_legend(shown)
         self._panel = (self._width - 2 * _MARGIN - (len(takes) - 1) * _GAP) / len(takes)
@@ -64,7 +91,6 @@ class Sheet:
             )
         self._window = self._choose_window(shown, self._panel / view)
         self.birdseye: list[FilmPanel] = []
-        self.changing: list[Artist] = []
         self.cameras: list[Axes] = []
         for left, take, attacks in zip(self._lefts, takes, self._attacks, strict=True):
             self._write(left, self._top - 0.09, self._shortened(take.title, 11, self._panel), 11, bold=True)
@@ -77,10 +103,17 @@ class Sheet:
         if not look.plain:
             self._place_words(period, self._top + view + camera)
         follow = look.window_choice().follow
+        moving: list[Artist] = []
         for panel in self.birdseye:
-            self.changing += [panel.axes] if follow else panel.changing
-        words = [text for text in self.figure.texts if not text.get_text()]  # the others never change
-        self.changing += [*self.cameras, *(strip.now for strip in self._strips), *words]
+            moving += [panel.axes] if follow else panel.changing
+        words = (text for text in self.figure.texts if not text.get_text())  # the others never change
+        self.figure.changing = [*moving, *self.cameras, *(strip.now for strip in self._strips), *words]
+
+    @property
+    def key(self) -> list[str]:
+        """Colours that a film keeps exactly."""
+        theme = self._theme
+        return list(dict.fromkeys([theme.ground, theme.ink, theme.adversary, theme.building, *theme.outcomes.values()]))
 
     @property
     def _lefts(self) -> list[float]:

@@ -5,19 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
-
-from matplotlib import figure as figures
-from matplotlib import rc_context
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.backends.backend_pdf import FigureCanvasPdf
-from matplotlib.backends.backend_svg import FigureCanvasSVG
+from typing import NamedTuple
 
 from mast_zenoh.errors import ConfigurationError, ExportError, RunFolderError
 from mast_zenoh.launch.ending import RUNNING
 from mast_zenoh.metrics.estimates import PICTURE
+from mast_zenoh.report.figures.style import save
 from mast_zenoh.report.figures.view import choose_frame
-from mast_zenoh.report.film.encoding import ffmpeg, images, write_gif, write_video
+from mast_zenoh.report.film.encoding import ffmpeg, write_film
 from mast_zenoh.report.film.look import Look
 from mast_zenoh.report.film.sheet import Sheet
 from mast_zenoh.report.film.takes import Take
@@ -28,6 +23,8 @@ from mast_zenoh.runs.run import Run
 #: Images per second at most, unless the user asks for more.
 _SMOOTH_FPS = 30.0
 _MOST_FPS = 120.0
+#: Browsers play faster films slowly: their shortest duration is 0.02 s.
+_MOST_GIF_FPS = 50.0
 
 
 class Schedule(NamedTuple):
@@ -71,16 +68,8 @@ def check_frame(take: Take, frame: int) -> int:
 
 #: What the names of films end with.
 FILMS = ("mp4", "gif", "webm")
-#: What the names of stills end with, and their canvases.
-STILLS = {"pdf": FigureCanvasPdf, "svg": FigureCanvasSVG, "png": FigureCanvasAgg}
-#: Text stays text, in TrueType fonts that any printer takes, and ids are reproducible.
-_TEXT: dict[Any, Any] = {"pdf.fonttype": 42, "svg.fonttype": "none", "svg.hashsalt": "mast-zenoh"}
-#: Without dates, so that equal stills are equal files.
-_METADATA: dict[str, dict[str, None]] = {
-    "pdf": {"CreationDate": None, "ModDate": None},
-    "svg": dict.fromkeys(("Date", "Creator", "Format", "Type")),
-    "png": {"Software": None},
-}
+#: What the names of stills end with.
+STILLS = ("pdf", "svg", "png")
 
 
 def animate(
@@ -108,18 +97,11 @@ def animate(
         ffmpeg()
     takes = open_takes(run, look, against)
     plan = schedule(takes[0], start, end, speed, fps)
+    if kind == "gif" and plan.fps > _MOST_GIF_FPS:
+        raise ConfigurationError(f"fps: found {plan.fps:g}, expected at most {_MOST_GIF_FPS:g} in a GIF")
     shown = sorted(set(plan.frames))
     sheet = Sheet(takes, look, shown, (shown[0], shown[-1]))
-
-    def write(path: Path) -> None:
-        if kind == "gif":
-            theme = look.colours
-            key = (theme.ground, theme.ink, theme.adversary, theme.building, *theme.outcomes.values())
-            write_gif(path, lambda frames: images(sheet, frames), plan.frames, plan.fps, key)
-        else:
-            write_video(path, images(sheet, plan.frames), look.pixels(len(takes)), plan.fps)
-
-    write_new(out, write)
+    write_new(out, lambda path: write_film(path, sheet, plan.frames, plan.fps))
     return len(plan.frames)
 
 
@@ -129,28 +111,16 @@ def snapshot(run: Path, out: Path, look: Look, frame: int | None = None, against
     out:   a new file that ends with .pdf, .svg or .png;  frame: None: the one that the report shows
     Raises as `animate` does.
     """
-    kind = _kind_of(out, tuple(STILLS))
+    kind = _kind_of(out, STILLS)
     takes = open_takes(run, look, against)
     if frame is None:
         chosen = choose_frame(takes[0].run)
         frame = takes[0].first if chosen is None else chosen
     check_frame(takes[0], frame)
-    figure = still(takes, look, frame)
-
-    def write(path: Path) -> None:
-        STILLS[kind](figure)
-        with rc_context(_TEXT):
-            figure.savefig(path, format=kind, facecolor=figure.get_facecolor(), metadata=_METADATA[kind])
-
-    write_new(out, write)
-    return frame
-
-
-def still(takes: Sequence[Take], look: Look, frame: int) -> figures.Figure:
-    """One frame as a figure; its strips show the whole run."""
-    sheet = Sheet(takes, look, [frame], (takes[0].first, takes[0].last))
+    sheet = Sheet(takes, look, [frame], (takes[0].first, takes[0].last))  # its strips show the whole run
     sheet.show(frame)
-    return sheet.figure
+    write_new(out, lambda path: save(sheet.figure, path, kind, text=True))
+    return frame
 
 
 def open_takes(run: Path, look: Look, against: Path | None = None) -> list[Take]:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import io
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+import numpy as np
 import pyarrow.parquet
 
 from mast_zenoh.report.film.look import Look
@@ -20,6 +23,16 @@ def sheet_of(run: Path, look: Look | None = None, against: Path | None = None, f
     takes = open_takes(run, look, against)
     frames = frames or range(takes[0].first, takes[0].last + 1)
     return Sheet(takes, look, frames, (frames[0], frames[-1]))
+
+
+def images(sheet: Sheet, frames: Iterable[int]) -> Iterator[np.ndarray]:
+    """(height, width, 3) red, green and blue of some frames, drawn as for a film."""
+    width, height = (round(inches * sheet.figure.dpi) for inches in sheet.figure.get_size_inches())
+    for frame in frames:
+        sheet.show(frame)
+        file = io.BytesIO()
+        sheet.figure.savefig(file, format="rgba")
+        yield np.frombuffer(file.getvalue(), np.uint8).reshape(height, width, 4)[..., :3]
 
 
 def rows_of(run: Path, table: str, **values: object) -> list[dict[str, object]]:

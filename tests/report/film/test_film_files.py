@@ -12,7 +12,7 @@ import imageio_ffmpeg
 import numpy as np
 import pypdf
 import pytest
-from film_samples import sheet_of
+from film_samples import images, sheet_of
 from PIL import Image, ImageSequence
 from typer.testing import CliRunner
 
@@ -20,8 +20,8 @@ import mast_zenoh as mast
 from mast_zenoh.cli.app import app
 from mast_zenoh.errors import ExportError
 from mast_zenoh.report.film import writing
-from mast_zenoh.report.film.encoding import images
 from mast_zenoh.report.film.look import Look
+from mast_zenoh.report.film.sheet import Sheet
 
 pytestmark = pytest.mark.heavy
 
@@ -158,12 +158,12 @@ def test_nothing_is_left_behind_by_a_film_that_is_interrupted(
         started.append(popen(*arguments, **options))  # type: ignore[call-overload]
         return started[-1]
 
-    def interrupted(*_: object) -> object:
-        yield np.zeros((480, 480, 3), np.uint8)
-        raise KeyboardInterrupt
+    def show(sheet: Sheet, frame: int) -> None:
+        if frame == 2:
+            raise KeyboardInterrupt
 
     monkeypatch.setattr(subprocess, "Popen", start)
-    monkeypatch.setattr(writing, "images", interrupted)
+    monkeypatch.setattr(Sheet, "show", show)
     with pytest.raises(KeyboardInterrupt):
         writing.animate(attacked.path, tmp_path / "film.mp4", SMALL)
     assert list(tmp_path.iterdir()) == []

@@ -8,13 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from film_samples import ATTACK, FRAMES, rows_of, sheet_of
+from film_samples import ATTACK, FRAMES, images, rows_of, sheet_of
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex
 from PIL import Image
 
 import mast_zenoh as mast
-from mast_zenoh.report.film.encoding import images
 from mast_zenoh.report.film.look import Look
 from mast_zenoh.report.film.writing import snapshot
 from mast_zenoh.run_folder.tables import write_table
