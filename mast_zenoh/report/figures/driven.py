@@ -6,23 +6,22 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import PolyCollection
 
 from mast_zenoh.driving.comfort import HARD_BRAKING_MPS2
 from mast_zenoh.report.comparison import Reference
-from mast_zenoh.report.figures.style import Figure, light_axes, plain
+from mast_zenoh.report.figures.birdseye import draw_ground
+from mast_zenoh.report.figures.style import THEMES, Figure, light_axes, plain
 from mast_zenoh.report.figures.timeaxis import padded
+from mast_zenoh.report.figures.window import Window
 from mast_zenoh.runs.driven import brakes_of, course_of
 from mast_zenoh.runs.files import Table
 from mast_zenoh.runs.run import Run
-from mast_zenoh.viewer.palette import ADVERSARY_ON_LIGHT, GROUNDS, INK, KEYS, LOCAL, RUN_COLOURS
+from mast_zenoh.viewer.palette import ADVERSARY_ON_LIGHT, INK, KEYS, LOCAL, RUN_COLOURS
 
 #: Of needless brakes, and of others.
 _NEEDLESS, _BRAKE = KEYS["paper"]["light"].outcomes["track false"], "#9aa3ad"
 #: Inches: the figure; the map's side; margins.
 _WIDTH, _HEIGHT, _MAP, _LEFT, _FOOT, _HEAD = 11.5, 4.6, 3.62, 0.6, 0.5, 0.46
-#: m around the paths.
-_AROUND_M = 12.0
 #: m/s^2, of the axis at least.
 _LEAST_MPS2 = (-3.0, 2.0)
 
@@ -36,7 +35,7 @@ def driven_figure(run: Run, reference: Reference | None = None) -> Figure | None
     other = course_of(reference.run, car) if reference is not None else None
     figure = Figure(figsize=(_WIDTH, _HEIGHT), facecolor="white")
     brakes = brakes_of(run, car)
-    _draw_map(_map_axes(figure), run, course, other, brakes)
+    _draw_map(figure.place(_LEFT, _HEIGHT - _FOOT - _MAP, _MAP, _MAP), run, course, other, brakes)
     charts = _chart_axes(figure)
     for axis in charts:
         light_axes(axis)
@@ -75,40 +74,22 @@ def driven_figure(run: Run, reference: Reference | None = None) -> Figure | None
     return figure
 
 
-def _map_axes(figure: Figure) -> Axes:
-    axes = figure.add_axes((_LEFT / _WIDTH, _FOOT / _HEIGHT, _MAP / _WIDTH, _MAP / _HEIGHT))
-    axes.set_aspect("equal")
-    axes.tick_params(colors=INK, labelsize=9, length=3)
-    axes.set_xlabel("x, east (m)", fontsize=9.5, color=INK, labelpad=1)
-    axes.set_ylabel("y, north (m)", fontsize=9.5, color=INK, labelpad=-3)
-    return axes
-
-
 def _chart_axes(figure: Figure) -> tuple[Axes, Axes]:
-    left, gap = _LEFT + _MAP + 0.75, 0.16
-    width, height = _WIDTH - left - 0.15, (_HEIGHT - _FOOT - _HEAD - 0.18 - gap) / 2.0
-    lower = figure.add_axes((left / _WIDTH, _FOOT / _HEIGHT, width / _WIDTH, height / _HEIGHT))
-    bottom = (_FOOT + height + gap) / _HEIGHT
-    upper = figure.add_axes((left / _WIDTH, bottom, width / _WIDTH, height / _HEIGHT), sharex=lower)
+    left, gap, top = _LEFT + _MAP + 0.75, 0.16, _HEAD + 0.18
+    width, height = _WIDTH - left - 0.15, (_HEIGHT - _FOOT - top - gap) / 2.0
+    lower, upper = (figure.place(left, top + row * (height + gap), width, height) for row in (1, 0))
+    upper.sharex(lower)
     upper.tick_params(labelbottom=False)
     return upper, lower
 
 
 def _draw_map(axes: Axes, run: Run, course: Table, other: Table | None, brakes: Any) -> None:
     """Buildings, the paths, where the car braked, and where it ended."""
-    both = [course] if other is None else [course, other]
-    low = np.array([min(table[axis].min() for table in both) for axis in "xy"])
-    high = np.array([max(table[axis].max() for table in both) for axis in "xy"])
-    middle, half = (low + high) / 2.0, float((high - low).max()) / 2.0 + _AROUND_M
-    axes.set_xlim(middle[0] - half, middle[0] + half)
-    axes.set_ylim(middle[1] - half, middle[1] + half)
-    if run.files.scene is not None:
-        light = GROUNDS["light"]
-        axes.add_collection(
-            PolyCollection(
-                list(run.files.scene.buildings), facecolors=light.building, edgecolors=light.building_edge, zorder=1
-            )
-        )
+    paths = [np.column_stack([table["x"], table["y"]]) for table in (course, other) if table is not None]
+    draw_ground(axes, run.files.scene, THEMES["light"])
+    Window.around(np.concatenate(paths)).apply(axes)
+    axes.set_xlabel("x, east (m)", fontsize=9.5, color=INK, labelpad=1)
+    axes.set_ylabel("y, north (m)", fontsize=9.5, color=INK, labelpad=0)
     if other is not None:
         axes.plot(other["x"], other["y"], color=LOCAL, linestyle=(0, (4, 2)), linewidth=1.6, zorder=3)
         axes.plot(other["x"][-1], other["y"][-1], "o", mfc="white", mec=LOCAL, ms=6, zorder=3)
