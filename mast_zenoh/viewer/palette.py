@@ -36,7 +36,7 @@ TROUBLES = ("faulty", "suspended", "undecided")
 #: Links, faults and their effects.
 FAULT_ON_LIGHT = "#8a6100"
 #: Dark panels; objects that the command centre withholds.
-GROUND, BUILDING, BUILDING_EDGE, GRID, FAINT = "#10141b", "#2a313d", "#465062", "#222934", "#9aa7b8"
+GROUND, BUILDING, BUILDING_EDGE, FAINT = "#10141b", "#2a313d", "#465062", "#9aa7b8"
 AGENT, WITHHELD = "#7fe3ff", "#c9d2de"
 #: Light figures. The line colours are Okabe and Ito's, distinguishable under every colour-vision deficiency.
 INK, PALE = "#1b1f24", "#d5dae1"

@@ -189,16 +189,14 @@ def rows_over_time(
     total = head + strip + count * height + (count - 1) * gap + foot
     figure = Figure(figsize=(11.5, total), facecolor="white")
     if placed_bands:
-        top = (total - head - LANE * lanes(placed_bands)) / total
-        names = figure.add_axes((left / 11.5, top, width / 11.5, LANE * lanes(placed_bands) / total))
+        names = figure.place(left, head, width, LANE * lanes(placed_bands))
         draw_lanes(names, placed_bands, left_out, *padded(low, high))
     axes: list[Axes] = []
     for row in range(count):
-        bottom = foot + (count - 1 - row) * (height + gap)
-        share: dict[str, Any] = {"sharex": axes[0]} if axes else {}
-        rectangle = (left / 11.5, bottom / total, width / 11.5, height / total)
-        axes.append(figure.add_axes(rectangle, **share))
+        axes.append(figure.place(left, head + strip + row * (height + gap), width, height))
         axes[-1].tick_params(labelbottom=row == count - 1)
+        if row:
+            axes[row].sharex(axes[0])
     return figure, axes
 
 

@@ -55,9 +55,7 @@ def trust_over_time(run: Run, frame: int | None) -> Figure | None:
     height = _HEAD + row * len(agents) + _FOOT
     figure = Figure(figsize=(_WIDTH, height), facecolor="white")
     for index, agent in enumerate(agents):
-        bottom = _FOOT + (len(agents) - 1 - index) * row
-        width = _WIDTH - _LEFT - _RIGHT
-        axes = figure.add_axes((_LEFT / _WIDTH, bottom / height, width / _WIDTH, 0.88 * row / height))
+        axes = figure.place(_LEFT, _HEAD + (index + 0.12) * row, _WIDTH - _LEFT - _RIGHT, 0.88 * row)
         draw_agent(axes, agent, end, named=row >= _NAMED)
         axes.set_xlim(*padded(low, end))
         axes.tick_params(labelbottom=index == len(agents) - 1)
@@ -148,9 +146,9 @@ def trust_figure(panels: Sequence[TrustPanel], unshown: int) -> RenderedFigure:
     width, height = max(columns * _PANEL, 2 * _PANEL), _PANEL_HEAD + sum(heights)
     figure = Figure(figsize=(width, height), facecolor="white")
     for number, line in enumerate(lines):
-        top = height - _PANEL_HEAD - sum(heights[:number])
+        top = _PANEL_HEAD + sum(heights[:number])
         for column, panel in enumerate(line):
-            _draw_panel(figure, panel, column * _PANEL, top, (width, height))
+            _draw_panel(figure, panel, column * _PANEL, top)
     every = [agent for panel in panels for agent in panel.agents]
     handles = legend(every, LOG_ODDS)
     figure.legend(handles=handles, loc="upper left", ncols=len(handles), frameon=False, fontsize=9.5, columnspacing=1.3)
@@ -166,22 +164,13 @@ def trust_figure(panels: Sequence[TrustPanel], unshown: int) -> RenderedFigure:
     return render("trust_over_time", figure, alt, caption, printed=True)
 
 
-def _draw_panel(figure: Figure, panel: TrustPanel, left: float, top: float, size: tuple[float, float]) -> None:
-    """Draw a panel below `top`, inches from the figure's lower edge; size: inches of the figure."""
-    width, height = size
+def _draw_panel(figure: Figure, panel: TrustPanel, left: float, top: float) -> None:
+    """Draw a panel, placed in inches from the upper left corner."""
     title = panel.title + (f" (and {panel.left_out} more agents)" if panel.left_out else "")
-    figure.text(
-        (left + 0.12) / width, (top - 0.5 * _TITLE) / height, plain(title), fontsize=9.5, color=INK, va="center"
-    )
+    figure.write(left + 0.12, top + 0.5 * _TITLE, title, fontsize=9.5, color=INK, va="center")
     for index, agent in enumerate(panel.agents):
-        bottom = top - _TITLE - (index + 1) * _PANEL_ROW
-        rectangle = (
-            (left + _PANEL_LEFT) / width,
-            bottom / height,
-            (_PANEL - _PANEL_LEFT - _GAP) / width,
-            0.86 * _PANEL_ROW / height,
-        )
-        axes = figure.add_axes(rectangle)
+        below = top + _TITLE + (index + 0.14) * _PANEL_ROW
+        axes = figure.place(left + _PANEL_LEFT, below, _PANEL - _PANEL_LEFT - _GAP, 0.86 * _PANEL_ROW)
         draw_agent(axes, agent, panel.end_s, LOG_ODDS, named=False)
         axes.set_xlim(*padded(0.0, panel.end_s))
         axes.tick_params(labelsize=8)
