@@ -31,8 +31,9 @@ _MARGIN, _GAP, _CAMERA_GAP = 0.12, 0.14, 0.06
 _HEAD, _TITLE, _COUNTS, _STRIP, _LABELS, _CAPTION = 0.58, 0.28, 0.26, 0.5, 0.22, 0.4
 #: Above and below the panels of a plain sheet; the least size of a bird's-eye view; left of a strip, for its labels.
 _PLAIN_HEAD, _PLAIN_FOOT, _LEAST, _STRIP_LEFT = 0.04, 0.12, 1.0, 0.26
-#: Width of a letter for each point of its size. Least width of a sheet whose legend has text of ordinary size.
-_LETTER, _WIDE = 0.0086, 5.0
+#: Width of a letter for each point of its size. Least widths for text of ordinary size: of a sheet for that of its
+#: legend, of a panel for that of its numbers.
+_LETTER, _WIDE, _WIDE_COUNTS = 0.0086, 5.0, 4.0
 #: Share of the objects on either side that may lie outside the window.
 _OUTLIERS = 0.04
 
@@ -164,11 +165,12 @@ class Sheet:
         self._states = [self._write(left, 0.5, "", 10) for left in self._lefts[: len(runs)]]
         limits = first.seconds(period[0]), first.seconds(period[1])
         self._counts: list[list[Text]] = []
+        size = 10 * min(self._panel / _WIDE_COUNTS, 1.0)
         for left, take, attacks in zip(self._lefts, self.takes, self._attacks, strict=True):
             colours = [self._theme.outcomes[name] for name in ("truth missed", "track false", "track matched")]
             places = zip((0.0, 0.235, 0.45, 0.71), [*colours, self._theme.ink], strict=True)
             self._counts.append(
-                [self._write(left + share * self._panel, below + 0.2, "", 10, bold=True, color=colour)
+                [self._write(left + share * self._panel, below + 0.2, "", size, bold=True, color=colour)
                  for share, colour in places]
             )  # fmt: skip
             axes = self.figure.place(left + _STRIP_LEFT, below + _COUNTS, self._panel - _STRIP_LEFT - 0.08, _STRIP)

@@ -167,7 +167,8 @@ def test_nothing_is_left_behind_by_a_film_that_is_interrupted(
     with pytest.raises(KeyboardInterrupt):
         writing.animate(attacked.path, tmp_path / "film.mp4", SMALL)
     assert list(tmp_path.iterdir()) == []
-    assert [process.poll() is None for process in started] == [False], "ffmpeg is still running"
+    assert started
+    assert all(process.poll() is not None for process in started), "ffmpeg is still running"
 
 
 def test_a_plain_figure_has_panels_and_legend_alone_and_fits_a_column(attacked: mast.Run, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -226,3 +227,15 @@ def test_agents_that_are_down_say_so(edited: Path) -> None:
     assert "infra_3" in [name.get_text() for name in names]
     sheet.show(10)
     assert "infra_3\ndown" in [name.get_text() for name in names]
+
+
+@pytest.mark.parametrize("size", ["700x420", "1280x760"])
+def test_numbers_of_narrow_panels_do_not_overlap(attacked: mast.Run, size: str) -> None:
+    sheet = sheet_of(attacked.path, Look(estimates=("local", "picture"), size=size))
+    sheet.show(25)
+    words = ("missed", "false", "matched", "RMSE")
+    shown = [text for text in sheet.figure.texts if any(word in text.get_text() for word in words)]
+    boxes = sorted((text.get_window_extent() for text in shown), key=lambda box: box.x0)
+    assert len(boxes) == 8
+    assert all(box.x1 < following.x0 for box, following in pairwise(boxes))
+    assert boxes[-1].x1 <= sheet.figure.bbox.x1
