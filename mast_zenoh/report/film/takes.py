@@ -9,7 +9,6 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import ConfigurationError, RunFolderError, nearest
 from mast_zenoh.metrics.estimates import TRUTH
 from mast_zenoh.report.film.look import SHOWN
