@@ -121,7 +121,7 @@ def facts(run: Run) -> list[str]:
     facts += [_frames_in_words(run)] if "frames" in run.files.summary else []
     facts += [f"seed {run.files.record['seed']}"] if "seed" in run.files.record else []
     every = run.files.sample.step
-    facts += [f"boxes and causes of every {every}th frame, scores of all"] if every > 1 else []
+    facts += [f"boxes and causes of one frame in {every}, scores of all"] if every > 1 else []
     facts += [_origin(run.files.record["replay"])] if run.files.record.get("replay") else []
     facts += (
         [f"{run.files.record['mode']} on {run.files.record.get('runtime', 'mesh')}"]

@@ -170,6 +170,12 @@ class TableFile:
         with _naming(self.path):
             return list(self._footer().schema.names)
 
+    @property
+    def n_rows(self) -> int:
+        """The number of rows that the footer claims; a damaged file may claim any."""
+        with _naming(self.path):
+            return int(self._footer().content.num_rows)
+
     def rows(self, columns: Sequence[str], frames: range | None = None, agent: str = "") -> dict[str, NDArray[Any]]:
         """The rows of some frames and of an agent, by default of all, in their order, as columns.
 

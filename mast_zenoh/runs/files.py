@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from functools import cached_property, partial
 from pathlib import Path
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.boxes import Boxes
 from mast_zenoh.arrays.states import Bools
-from mast_zenoh.errors import MastError
+from mast_zenoh.errors import MastError, RunFolderError
 from mast_zenoh.launch import liveness
 from mast_zenoh.launch.measurement import recorded_wirings
 from mast_zenoh.run_folder import check_plain, read_object, reading
@@ -46,8 +47,9 @@ _DRIVING = ("frame", "agent", "estimate", "false", "missed", "ttc_s", "brake", "
 _DRIVEN = ("agent", "frame", "time_s", "x", "y", "heading", "speed_mps", "acceleration_mps2", "brake")
 
 
-#: Frames whose boxes and manipulations are in memory, at most: of a longer run, those of every n-th frame.
-MOST_FRAMES = 3000
+#: Frames whose boxes and manipulations are in memory, and rows of objects.parquet that they have, at most: of a longer
+#: run, those of every n-th frame.
+MOST_FRAMES, MOST_BOXES = 3000, 1_200_000
 
 
 #: No agent has this name.
@@ -56,9 +58,9 @@ _NOBODY = "/"
 ALL = range(1 << 62)
 
 
-def sample_of(frames: int, wanted: int | None = None) -> range:
-    """Which frames of a run of so many have their boxes in memory: every n-th. wanted: one of them"""
-    every = max(1, -(-frames // MOST_FRAMES))
+def sample_of(frames: int, n_boxes: int, wanted: int | None = None) -> range:
+    """Which frames of a run with so many have their boxes in memory: every n-th. wanted: one of them"""
+    every = max(1, -(-frames // MOST_FRAMES), -(-n_boxes // MOST_BOXES))
     return range((wanted or 0) % every, ALL.stop, every) if every > 1 else ALL
 
 
@@ -184,7 +186,11 @@ class RunFiles:
     def sample(self) -> range:
         """The frames of which boxes and manipulations are read."""
         played = self.summary.get("frames") or self.record.get("frames")
-        return sample_of(played if isinstance(played, int) else 0, self._frame)
+        n_boxes = 0
+        if not self.is_live:
+            with contextlib.suppress(OSError, RunFolderError):  # `objects` says why it cannot be read
+                n_boxes = self._opened("objects.parquet").n_rows
+        return sample_of(played if isinstance(played, int) else 0, n_boxes, self._frame)
 
     @cached_property
     def scene(self) -> Recording | None:

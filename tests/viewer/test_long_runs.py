@@ -64,6 +64,14 @@ def test_of_a_long_run_every_nth_frame_is_shown_and_peaks_stay(long: Path) -> No
         np.testing.assert_allclose(peaks, np.transpose(expected))
 
 
+def test_a_run_with_many_boxes_is_long_too(recorded: mast.Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    n_boxes = recorded.files.all_objects.num_rows
+    monkeypatch.setattr(run_files, "MOST_BOXES", n_boxes)
+    assert Run(recorded.path).files.sample == run_files.ALL
+    monkeypatch.setattr(run_files, "MOST_BOXES", n_boxes - 1)
+    assert Run(recorded.path).files.sample == range(0, run_files.ALL.stop, 2)
+
+
 def test_events_of_a_long_run_have_their_own_time(long: Path) -> None:
     run = Run(long)
     block, whole = run_block(run), run_block(Run(long, 1))
@@ -101,7 +109,7 @@ def test_frames_of_a_long_run_are_judged_as_those_of_a_short_one(
 
 def test_the_page_of_a_long_run_says_what_it_holds(long: Path) -> None:
     page = write_report(long).read_text("utf-8")
-    assert f"boxes and causes of every {EVERY}th frame, scores of all" in page
+    assert f"boxes and causes of one frame in {EVERY}, scores of all" in page
 
 
 @pytest.mark.heavy

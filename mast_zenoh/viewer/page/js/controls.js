@@ -141,7 +141,7 @@ export class Controls {
     const run = state.timeline;
     this.slider.max = String(run.frames - 1);
     this.slider.value = String(state.frame);
-    const of = run.live ? (state.playing ? ", live" : "") : ` of ${run.numberOf(run.frames - 1)}${run.every > 1 ? `, every ${run.every}th` : ""}`;
+    const of = run.live ? (state.playing ? ", live" : "") : ` of ${run.numberOf(run.frames - 1)}${run.every > 1 ? `, one in ${run.every}` : ""}`;
     this.time.textContent = `${state.time.toFixed(1)} s · frame ${run.numberOf(state.frame)}${of}`;
     this.notice.hidden = state.gone === null;
     const notice = state.gone === null ? "" : run.absence(state.gone);
