@@ -198,16 +198,16 @@ class TableFile:
             for table, chosen in self._groups(columns, frames, agent):
                 yield from_arrow(table.select(columns), chosen)
 
-    def arrow(self, frames: range) -> Any:
-        """The rows of some frames with all columns, as an Arrow table, in which text is as it is in the file."""
+    def arrow(self, columns: Sequence[str], frames: range | None = None) -> Any:
+        """The same rows as those of `rows`, as an Arrow table, in which text is as it is in the file."""
         groups, size = [], 0
         with _naming(self.path):
-            schema = self._footer().schema
-            for table, chosen in self._groups(schema.names, frames):
-                groups.append(table.filter(pyarrow.array(chosen)))
+            for table, chosen in self._groups(columns, frames):
+                wanted = table.select(columns)
+                groups.append(wanted if chosen.all() else wanted.filter(pyarrow.array(chosen)))
                 size += groups[-1].nbytes
                 self._check(size)
-            return pyarrow.concat_tables(groups) if groups else schema.empty_table()
+            return pyarrow.concat_tables(groups) if groups else self._footer().schema.empty_table().select(columns)
 
     def _groups(self, columns: Sequence[str], frames: range | None, agent: str = "") -> Iterator[tuple[Any, Bools]]:
         """The row groups that may have wanted rows, with these columns at least, and which rows are wanted."""

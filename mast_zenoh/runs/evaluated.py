@@ -116,8 +116,6 @@ class Evaluated:
 
     objects, counts, effects: objects.parquet, metrics.parquet, attacks.parquet; None: absent
     same_as: by agent, the estimate with the same messages of others
-
-    Raises ValueError for unknown outcomes.
     """
 
     def __init__(

@@ -17,9 +17,11 @@ from mast_zenoh.arrays.states import Bools
 from mast_zenoh.errors import MastError, RunFolderError
 from mast_zenoh.launch import liveness
 from mast_zenoh.launch.measurement import recorded_wirings
+from mast_zenoh.metrics.scores import OUTCOMES
 from mast_zenoh.run_folder import check_plain, read_object, reading
 from mast_zenoh.run_folder.recording.writer import FILE
-from mast_zenoh.run_folder.tables import TableFile, read_arrow
+from mast_zenoh.run_folder.tables import TableFile
+from mast_zenoh.run_folder.unpacking import check_expanded
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.wiring.model import Wiring
 
@@ -88,7 +90,7 @@ class RunFiles:
     """The documents and tables of a run, each read from its folder when it is asked for.
 
     What has been read is kept. A document that is absent or unreadable is {}, a table or the scene None, and `missing`
-    names it. `wirings` and `all_objects` raise errors instead.
+    names it. `wirings` raises errors instead.
 
     path:  the folder; None: there is none, as of a run that is going on elsewhere
     frame: of a run that is so long that only every n-th frame is read whole: one of them
@@ -97,7 +99,7 @@ class RunFiles:
 
     The tables have these columns:
     counts:    metrics.parquet: a row per frame, agent and estimator
-    objects:   objects.parquet: a row per box of the agent, in the frames of the sample
+    objects:   objects.parquet: a row per box of the agent, in the frames of the sample; all_objects: of every agent
     effects:   attacks.parquet: a row per measured effect of an interposer; of a frame that is not in the sample, a row
                for all effects of a kind of an interposer on a wire
     targets:   targets.parquet: a row per manipulated object and frame
@@ -263,15 +265,11 @@ class RunFiles:
 
     @property
     def all_objects(self) -> Any:
-        """Objects.parquet, of every agent and the frames in the sample, as an Arrow table; None: there is none.
-
-        Raises OSError, RunFolderError or ArrowException if it is missing, broken or too large when unpacked.
-        """
-        if self.is_live or "all_objects" in self._given:
+        """Objects.parquet, of every agent and the frames in the sample, as an Arrow table."""
+        if "all_objects" in self._given or self.is_live or self.is_damaged("objects.parquet"):
             return self._given.get("all_objects")
-        if self.sample == ALL:
-            return read_arrow(self.path / "objects.parquet")
-        return self._opened("objects.parquet").arrow(self.sample)
+        lost = "no object is marked as matched, missed or false"
+        return self._table("objects.parquet", partial(_judged, frames=_frames_of(self.sample)), lost)
 
     # -- what is missing -----------------------------------------------------------------------------------------------
 
@@ -368,6 +366,33 @@ def _counts(file: TableFile, frames: range | None) -> Table:
     if any(np.isnan(column(table, name)).any() for name in ("fn", "fp", "tp", "id_switches")):
         raise ValueError("found missing counts, expected a number in every row")
     return table
+
+
+def _judged(file: TableFile, frames: range | None) -> Any:
+    """The rows of `RunFiles.all_objects`, with types and outcomes that the evaluator writes."""
+    table = file.arrow((*_OBJECTS, "score"), frames)
+    for name, kind in zip(table.column_names, table.schema.types, strict=True):
+        is_right, expected = _TYPES.get(name, (pyarrow.types.is_floating, "floating-point numbers"))
+        if not is_right(kind):
+            raise ValueError(f"column {name}: found {kind}, expected {expected}")
+        if name in _TYPES and table[name].null_count:
+            raise ValueError(f"column {name}: found a missing value, expected one in every row")
+        if is_right is pyarrow.types.is_dictionary:
+            check_expanded(table[name])
+    words = {word for part in table["outcome"].chunks for word in part.dictionary.to_pylist()}
+    if unknown := sorted(words - set(OUTCOMES)):
+        raise ValueError(f"column outcome: found {unknown[0]!r}, expected one of {', '.join(OUTCOMES)}")
+    return table
+
+
+#: Columns of objects.parquet that hold no floating-point numbers.
+_TYPES = {
+    **dict.fromkeys(("frame", "id", "match_id"), (pyarrow.types.is_integer, "integers")),
+    **dict.fromkeys(
+        ("agent", "estimator", "kind", "outcome", "cause", "by"),
+        (pyarrow.types.is_dictionary, "text as a dictionary"),
+    ),
+}
 
 
 def _effects(file: TableFile, sample: range) -> Table:

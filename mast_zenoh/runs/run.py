@@ -114,19 +114,9 @@ class Run:
     @cached_property
     def evaluated(self) -> Evaluated:
         """The evaluator's tables by frame; without outcomes if objects.parquet cannot be used."""
-        files = self.files
-        try:
-            if (objects := files.all_objects) is not None:
-                same_as = files.summary.get("same_as") or {}
-                return Evaluated(from_arrow(objects), files.counts, files.effects, same_as)
-        except FileNotFoundError:  # it is among what is missing
-            pass
-        except (OSError, ValueError, KeyError, RunFolderError, pyarrow.ArrowException) as error:
-            if files.objects is not None or not files.is_damaged("objects.parquet"):
-                files.note(
-                    f"objects.parquet cannot be read ({error}): no object is marked as matched, missed or false."
-                )
-        return Evaluated(None, files.counts, files.effects, {})
+        objects, same_as = self.files.all_objects, self.files.summary.get("same_as") or {}
+        judged = from_arrow(objects) if objects is not None else None
+        return Evaluated(judged, self.files.counts, self.files.effects, same_as if judged else {})
 
     @property
     def scored(self) -> list[Series]:

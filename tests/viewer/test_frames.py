@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow
@@ -18,6 +19,7 @@ import mast_zenoh as mast
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch import liveness
 from mast_zenoh.metrics.record import Series
+from mast_zenoh.metrics.scores import UNEVALUATED
 from mast_zenoh.run_folder.recording.reader import Recorded, read
 from mast_zenoh.runs import recorded as recordings
 from mast_zenoh.runs.evaluated import Outcomes
@@ -134,6 +136,28 @@ def test_an_absent_or_damaged_table_is_named_with_its_consequence(
     assert sentence.startswith(f"{name} is absent" if damage == "absent" else f"{name} cannot be read")
     assert ("found no column" in sentence) == (damage == "of another version" and name.endswith(".parquet"))
     assert sentence.endswith(lack)
+
+
+@pytest.mark.parametrize(
+    ("name", "column", "found"),
+    [
+        ("outcome", lambda n: pyarrow.array(["correct"] * n).dictionary_encode(), "correct"),
+        ("kind", lambda n: pyarrow.array([1] * n), "int64"),
+        ("id", lambda n: pyarrow.array([0.5] * n), "double"),
+        ("match_id", lambda n: pyarrow.array([None] * n, pyarrow.int64()), "missing"),
+        ("cause", lambda n: pyarrow.array([None] * n, pyarrow.string()).dictionary_encode(), "missing"),
+    ],
+)
+def test_outcomes_that_no_evaluator_writes_are_not_shown(copy: Path, name: str, column: Any, found: str) -> None:
+    table = parquet.read_table(copy / "objects.parquet")
+    table = table.set_column(table.column_names.index(name), name, column(len(table)))
+    parquet.write_table(table, copy / "objects.parquet")
+    run = open_recorded(copy)
+    assert run.files.all_objects is None
+    assert {code for frame in frames_of(run) for each in frame.outcomes.values() for code in each.code} == {UNEVALUATED}
+    (sentence,) = run.files.missing
+    assert f"column {name}: found" in sentence
+    assert found in sentence
 
 
 def test_a_recording_that_was_cut_off_gives_its_whole_frames_and_says_so(copy: Path) -> None:

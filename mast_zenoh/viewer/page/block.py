@@ -12,15 +12,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import pyarrow
 from numpy.typing import NDArray
 
 from mast_zenoh.arrays.boxes import Boxes
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASSES, Bools, Floats, Ints, ObjectStates
-from mast_zenoh.errors import MastError, RunFolderError
+from mast_zenoh.errors import MastError
 from mast_zenoh.launch.twin import NAME
 from mast_zenoh.metrics.estimates import ESTIMATES
+from mast_zenoh.run_folder.tables import to_arrow
 from mast_zenoh.runs.driven import braking_events, braking_of, cars_of, course_of, twin_course
 from mast_zenoh.runs.events import EFFECTS, Event, first_changes, happenings, lie_frames, node_absences, spans
 from mast_zenoh.runs.files import ALL, Table, are_in, column, rows
@@ -40,10 +40,9 @@ _SPEED, _SPREAD, _CORRELATION, _SWEPT = 0.05, 0.02, 0.02, 0.5
 _MOST_ID = 1 << 30
 #: Flags of an agent in a frame, above its state (0: not judged, else 1 + the row of STATES).
 DOWN, LYING = 8, 16
-#: Damage to objects.parquet, which the report names among its missing files.
-_DAMAGE = (OSError, ValueError, KeyError, RunFolderError, pyarrow.ArrowException)
 _GEOMETRY = ("x", "y", "z", "l", "w", "h", "yaw")
-_COLUMNS = ("frame", "agent", "estimator", "kind", "outcome", "id", "match_id", *_GEOMETRY)
+_TEXT = ("agent", "estimator", "kind", "outcome", "cause", "by")
+_COLUMNS = ("frame", "id", "match_id", *_GEOMETRY, "score", *_TEXT)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,10 +63,7 @@ def run_block(run: Run, frame: int | None = None, label: str = "") -> bytes | No
     """
     scene = run.files.scene
     truth = truth_of(scene, run.files.sample)
-    try:
-        judged = judgements_of(run.files.all_objects, truth)
-    except _DAMAGE:
-        judged = judgements_of(None, truth)
+    judged = judgements_of(run.files.all_objects, truth)
     if not len(judged.boxes):
         return None
     first, every = run.files.sample.start, run.files.sample.step
@@ -143,12 +139,9 @@ def truth_of(scene: Recording | None, sample: range = ALL) -> tuple[Ints, Object
 
 
 def judgements_of(content: Any | None, truth: tuple[Ints, ObjectStates]) -> Judgements:
-    """The boxes and outcomes in an Arrow table with the columns of objects.parquet (None: absent), and the truth.
-
-    Raises ValueError if a column is absent.
-    """
+    """The boxes and outcomes in an Arrow table with the columns of objects.parquet (None: absent), and the truth."""
     if content is None:
-        content = pyarrow.table({name: pyarrow.array([], pyarrow.int64()) for name in _COLUMNS})
+        content = to_arrow({name: np.zeros(0, str if name in _TEXT else np.int64) for name in _COLUMNS})
     table, names = _table(content)
     views = tuple(View(*pair) for pair in names["view"])
     is_truth = table["kind"] == 1
@@ -180,12 +173,9 @@ def judgements_of(content: Any | None, truth: tuple[Ints, ObjectStates]) -> Judg
 
 def _table(content: Any) -> tuple[Table, dict[str, list[tuple[str, ...]]]]:
     """The columns as numbers, with `view` and `meaning` as rows of the returned names."""
-    if absent := sorted(set(_COLUMNS) - set(content.column_names)):
-        raise ValueError(f"found no column {', '.join(absent)}")
     count = content.num_rows
-    table = {name: content[name].to_numpy() for name in ("frame", "id", "match_id", *_GEOMETRY)}
-    table["score"] = content["score"].to_numpy() if "score" in content.column_names else np.zeros(count)
-    text = {name: _words(content, name) for name in ("agent", "estimator", "kind", "outcome", "cause", "by")}
+    table = {name: content[name].to_numpy() for name in ("frame", "id", "match_id", *_GEOMETRY, "score")}
+    text = {name: _words(content[name]) for name in _TEXT}
     kind_words, kinds = text["kind"]
     table["kind"] = np.array([word == "truth" for word in kind_words], np.int64)[kinds] if count else kinds
     names = {}
@@ -198,16 +188,10 @@ def _table(content: Any) -> tuple[Table, dict[str, list[tuple[str, ...]]]]:
     return table, names
 
 
-def _words(content: Any, name: str) -> tuple[list[str], Ints]:
-    """The distinct texts of a column, and the row of each in them; one empty text if the column is absent."""
-    if name not in content.column_names:
-        return [""], np.zeros(content.num_rows, np.int64)
-    column = content[name].combine_chunks()
-    column = column.chunk(0) if hasattr(column, "chunk") else column
-    if not hasattr(column, "dictionary"):  # of another writer
-        words, place = np.unique(np.array(column.to_pylist(), str), return_inverse=True)
-        return words.tolist(), place.astype(np.int64)
-    return column.dictionary.to_pylist(), column.indices.to_numpy(zero_copy_only=False).astype(np.int64)
+def _words(column: Any) -> tuple[list[str], Ints]:
+    """The distinct texts of a column, and the row of each in them."""
+    column = column.unify_dictionaries().combine_chunks()
+    return column.dictionary.to_pylist(), column.indices.to_numpy().astype(np.int64)
 
 
 def _unseen(truth: tuple[Ints, ObjectStates], is_truth: Bools, frame: Ints, ids: Ints) -> list[NDArray[Any]]:
