@@ -13,6 +13,7 @@ import pytest
 from mast_zenoh import scene
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.run_folder import check_plain, open_plain, read_json
+from mast_zenoh.run_folder.recording.reader import file_of
 from mast_zenoh.run_folder.recording.script import Script
 from mast_zenoh.run_folder.tables import TableFile, read_table
 from mast_zenoh.scenario import load, resolve
@@ -56,6 +57,13 @@ def test_every_reader_refuses_what_is_no_plain_file_and_names_it(
 def test_a_missing_file_is_missing(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         check_plain(tmp_path / "nowhere")
+
+
+def test_the_recording_of_a_run_folder_is_no_link_and_one_that_the_user_names_may_be_one(tmp_path: Path) -> None:
+    link(tmp_path / "messages.mcap")
+    assert file_of(tmp_path / "messages.mcap") == tmp_path / "messages.mcap"
+    with pytest.raises(RunFolderError, match="link"):
+        file_of(tmp_path)
 
 
 def test_a_scene_that_the_user_names_may_be_a_link(tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ from mast_zenoh.arrays.states import Ints
 from mast_zenoh.errors import MessageError, RunFolderError
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import BUILT_IN, Schema
-from mast_zenoh.run_folder import read_object
+from mast_zenoh.run_folder import check_plain, read_object
 from mast_zenoh.run_folder.recording.format import EVENT, ORDER, STEPS, Event, user_schema
 from mast_zenoh.run_folder.recording.writer import FILE
 
@@ -93,14 +93,14 @@ class Recorded:
 
 
 def file_of(path: Path) -> Path:
-    """The recording at a path, a file or a run folder; raises RunFolderError if none."""
+    """The recording at a path, a file or a run folder; raises RunFolderError if none, or for a link in a folder."""
     if path.is_file():
         return path
     if not path.is_dir():
         raise RunFolderError(f"{path}: no such folder, expected the folder of a run")
     if not (path / FILE).is_file():
         raise RunFolderError(f"{path / FILE}: missing; {without_recording(path)}")
-    return path / FILE
+    return check_plain(path / FILE)
 
 
 class _ChunkIndex(NamedTuple):
