@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from mast_zenoh.api.catalogue import list_kind as list
     from mast_zenoh.api.execution import open_run as open
     from mast_zenoh.api.execution import run as run
-    from mast_zenoh.api.runs import Run as Run
+    from mast_zenoh.api.runs import OpenedRun as Run
     from mast_zenoh.api.scenes import PreparedScene as PreparedScene
     from mast_zenoh.api.scenes import prepare as scene
     from mast_zenoh.errors import MastError as MastError
@@ -40,7 +40,7 @@ _PLACES = {
     "Listing": ("mast_zenoh.api.catalogue", "Listing"),
     "MastError": ("mast_zenoh.errors", "MastError"),
     "PreparedScene": ("mast_zenoh.api.scenes", "PreparedScene"),
-    "Run": ("mast_zenoh.api.runs", "Run"),
+    "Run": ("mast_zenoh.api.runs", "OpenedRun"),
     "__version__": ("mast_zenoh.version", "__version__"),
     "compare": ("mast_zenoh.report.compare", "compare"),
     "list": ("mast_zenoh.api.catalogue", "list_kind"),

@@ -144,25 +144,19 @@ def api_page() -> str:
         "",
     ]
     functions = [name for name in mast_zenoh.__all__ if name[0].islower()]
-    classes = [name for name in mast_zenoh.__all__ if name[0].isupper()]
+    named = {name: getattr(mast_zenoh, name) for name in mast_zenoh.__all__ if name[0].isupper()}
+    named |= {cls.__name__: cls for cls in (Agent, PreparedAgent, Plots, WireMessage, Entry, Parameter)}
     for name in functions:
         function = carry_out if name == "study" else getattr(mast_zenoh, name)
         lines += [f"### `mast.{name}{_signature(function)}`", "", *_text(function), ""]
     lines += ["### `mast.__version__`", "", "Version of the package, as text.", ""]
-    for cls in [getattr(mast_zenoh, name) for name in classes] + [
-        Agent,
-        PreparedAgent,
-        Plots,
-        WireMessage,
-        Entry,
-        Parameter,
-    ]:
-        lines += [f"## `{cls.__name__}`", "", *_text(cls), ""]
+    for title, cls in named.items():
+        lines += [f"## `{title}`", "", *_text(cls), ""]
         members = {name: getattr(cls, name) for name in OF_A_RUN} if cls is mast_zenoh.Run else vars(cls)
         for name, member in members.items():
             if not name.startswith("_") and (callable(member) or isinstance(member, (property, cached_property))):
                 heading = f"{name}{_signature(member)}" if callable(member) else name
-                lines += [f"### `{cls.__name__}.{heading}`", "", *_text(member), ""]
+                lines += [f"### `{title}.{heading}`", "", *_text(member), ""]
     lines += ["## Base classes", "", "| to write a | derive from, or use | which is |", "|---|---|---|"]
     for purpose, places in BASE_CLASSES.items():
         for place in places:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from mast_zenoh import scenario as scenarios
-from mast_zenoh.api.runs import Run
+from mast_zenoh.api.runs import OpenedRun
 from mast_zenoh.config import loading, registry
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import ConfigurationError, HandlerFailed, NodeLost
@@ -34,7 +34,7 @@ def run(
     allow_failures: bool = False,
     allow_churn: bool = False,
     **parameters: Any,
-) -> Run:
+) -> OpenedRun:
     """Run a scenario, and return the run with its tables, messages and plots.
 
     scenario:   name of a shipped scenario (`mast.list("scenarios")`), a file, a dict, or a function that returns one
@@ -68,7 +68,7 @@ def run(
         allow_churn=allow_churn,
         command=_call(scenario, {"frames": frames, "seed": seed, "runtime": runtime, "mode": mode, **parameters}),
     )
-    result = Run(finished.folder)
+    result = OpenedRun(finished.folder)
     if finished.error is not None:
         note = f"The results so far are in {finished.folder}: read them with mast_zenoh.open(…)"
         if isinstance(finished.error, (HandlerFailed, NodeLost)):  # their messages name an option of the command line
@@ -81,9 +81,9 @@ def run(
     return result
 
 
-def open_run(path: str | Path) -> Run:
+def open_run(path: str | Path) -> OpenedRun:
     """Open the folder of a finished or running run; raises RunFolderError if none."""
-    return Run(path)
+    return OpenedRun(path)
 
 
 def _call(scenario: Scenario, arguments: Mapping[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""A run as users have it: the model of `runs`, with what shows it."""
+"""`mast.Run`: a run with what shows it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from mast_zenoh.errors import ConfigurationError, RunFolderError, nearest
 from mast_zenoh.run_folder import reading
-from mast_zenoh.runs import run as model
+from mast_zenoh.runs.run import Run
 
 if TYPE_CHECKING:  # drawing libraries are slow to load
     from mast_zenoh.report.figures.plots import Plots
@@ -17,7 +17,7 @@ if TYPE_CHECKING:  # drawing libraries are slow to load
     from mast_zenoh.viewer.export import Exported
 
 
-class Run(model.Run):
+class OpenedRun(Run):
     """A run folder as an object, of a finished run or one in progress.
 
     Its tables, and what is drawn and written, are of the moment in which they are asked for.
@@ -50,7 +50,7 @@ class Run(model.Run):
 
         return Plots({self.name: self._now()})
 
-    def report(self, frame: int | None = None, against: Run | None = None) -> Path:
+    def report(self, frame: int | None = None, against: OpenedRun | None = None) -> Path:
         """Write report.html and its figures into the folder; returns its path.
 
         frame: the frame that figures show;  against: another run of the same scene and seed, to compare with
@@ -77,7 +77,7 @@ class Run(model.Run):
         self,
         out: str | Path,
         *,
-        against: Run | None = None,
+        against: OpenedRun | None = None,
         start: int | None = None,
         end: int | None = None,
         speed: float = 1.0,
@@ -101,7 +101,9 @@ class Run(model.Run):
             writing.animate(self.path, Path(out), _look(look), other, **options)
         return Path(out)
 
-    def snapshot(self, out: str | Path, frame: int | None = None, *, against: Run | None = None, **look: Any) -> Path:
+    def snapshot(
+        self, out: str | Path, frame: int | None = None, *, against: OpenedRun | None = None, **look: Any
+    ) -> Path:
         """Write one frame of the finished run as a figure, on light ground; returns its path.
 
         out:   a new file that ends with .pdf, .svg or .png;  frame: None: the one that the report shows
@@ -114,9 +116,9 @@ class Run(model.Run):
             writing.snapshot(self.path, Path(out), _look({"theme": "light", **look}), frame, other)
         return Path(out)
 
-    def _now(self) -> model.Run:
+    def _now(self) -> Run:
         """The run as it is now."""
-        return model.Run(self.path)
+        return Run(self.path)
 
     def __repr__(self) -> str:
         return f"<Run {self.id}: {self._facts()}; {self.path}>"

@@ -14,7 +14,7 @@ from pyarrow import csv
 from rich.console import Console
 
 from mast_zenoh import run_folder, scenario
-from mast_zenoh.api.runs import Run
+from mast_zenoh.api.runs import OpenedRun
 from mast_zenoh.config.allowed_code import OWN_RUN
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import ConfigurationError, HandlerFailed, MastError, RunFolderError
@@ -38,7 +38,7 @@ class FinishedStudy:
     runs:   the run of each configuration by label, if each was run once; {} for many trials
     """
 
-    def __init__(self, path: Path, report: Path, runs: Mapping[str, Run], text: str = "") -> None:
+    def __init__(self, path: Path, report: Path, runs: Mapping[str, OpenedRun], text: str = "") -> None:
         self.path = path
         self.report = report
         self.runs = dict(runs)
@@ -142,7 +142,7 @@ def carry_out(
     _raise(finished, finished.out)
     if driven and driven.error:
         raise driven.error
-    return FinishedStudy(finished.out, page, {label: Run(path) for label, path in finished.folders.items()})
+    return FinishedStudy(finished.out, page, {label: OpenedRun(path) for label, path in finished.folders.items()})
 
 
 def run(

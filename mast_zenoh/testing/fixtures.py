@@ -10,18 +10,18 @@ import pytest
 
 from mast_zenoh.api import execution
 from mast_zenoh.api.execution import Scenario
-from mast_zenoh.api.runs import Run
+from mast_zenoh.api.runs import OpenedRun
 
 
 @pytest.fixture
-def play(tmp_path: Path) -> Callable[..., Run]:
+def play(tmp_path: Path) -> Callable[..., OpenedRun]:
     """A function that runs a scenario in this process: `mast_zenoh.run`.
 
     Into a folder of the test; 20 frames by default.
     """
-    runs: list[Run] = []
+    runs: list[OpenedRun] = []
 
-    def played(scenario: Scenario, **options: Any) -> Run:
+    def played(scenario: Scenario, **options: Any) -> OpenedRun:
         usual: dict[str, Any] = {"frames": 20, "out": tmp_path / f"run_{len(runs)}"}
         runs.append(execution.run(scenario, **usual | options))
         return runs[-1]

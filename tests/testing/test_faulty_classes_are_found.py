@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from mast_zenoh import testing
-from mast_zenoh.api.runs import Run
+from mast_zenoh.api.runs import OpenedRun
 from mast_zenoh.attacks import PassThrough, alter
 from mast_zenoh.driving import Command, Driver
 from mast_zenoh.faults import Fault
@@ -257,7 +257,7 @@ def test_a_listen_only_node_passes(tmp_path: Path) -> None:
     testing.check_scenario(watched(tmp_path, "self.order.append(1)"), frames=5, schedules=10)
 
 
-def test_the_fixture_runs_a_scenario_in_a_folder_of_the_test(play: Callable[..., Run], tmp_path: Path) -> None:  # noqa: F811
+def test_the_fixture_runs_a_scenario_in_a_folder_of_the_test(play: Callable[..., OpenedRun], tmp_path: Path) -> None:  # noqa: F811
     run = play("baseline", frames=3, n_infrastructure=1)
     assert run.status == "ok"
     assert run.path.parent == tmp_path
