@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats
 from mast_zenoh.errors import SceneError, nearest
-from mast_zenoh.scenes.making.assembly import AgentPath, Boxes, assemble, direction_of_motion, fill_velocity
+from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes, assemble, direction_of_motion, fill_velocity
 from mast_zenoh.scenes.making.sensor_types import SensorsByAgent
 from mast_zenoh.scenes.making.virtual_agents import pole, vehicle
 from mast_zenoh.scenes.recording import Recording, check_times
@@ -76,7 +76,7 @@ def from_arrays(
     velocity = fill_velocity(number, there, np.full_like(there, np.nan), times_ns[frame])
     turned = direction_of_motion(number, velocity) if headings is None else headings[frame, number]
     classes = _classes(name, kinds, objects)
-    boxes = Boxes(frame, number, there, sizes[number], wrap_angle(turned), classes[number], velocity)
+    boxes = SceneBoxes(frame, number, there, sizes[number], wrap_angle(turned), classes[number], velocity)
     boxes.validate(name, len(times))
 
     paths = [_agent(name, boxes, row, agent, len(times)) for row, agent in enumerate(agents)]
@@ -117,7 +117,7 @@ def _classes(name: str, kinds: str | Sequence[str], objects: int) -> NDArray[np.
     return np.array([CLASS_INDEX[kind] for kind in each], np.uint8)
 
 
-def _agent(name: str, boxes: Boxes, row: int, number: int, frames: int) -> AgentPath:
+def _agent(name: str, boxes: SceneBoxes, row: int, number: int, frames: int) -> AgentPath:
     """The agent in a row of `agents`."""
     count = int((boxes.id == number).sum())
     if count != frames:

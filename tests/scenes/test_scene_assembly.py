@@ -7,7 +7,7 @@ import pytest
 
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes import SceneAgent
-from mast_zenoh.scenes.making.assembly import AgentPath, Boxes, assemble, ground_level
+from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes, assemble, ground_level
 from mast_zenoh.scenes.making.virtual_agents import poles, vehicle, vehicles_throughout
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import Camera, CleanDetector, LidarSensor
@@ -16,16 +16,16 @@ FRAMES = 4
 TIMES = 7_000_000_000 + 100_000_000 * np.arange(FRAMES)
 
 
-def road() -> Boxes:
+def road() -> SceneBoxes:
     """Two cars, ids 3 and 8, 20 m apart, east at 10 m/s on ground 5 m high; 8 is in front."""
     frame = np.tile(np.arange(FRAMES), 2)
     number = np.repeat([3, 8], FRAMES)
     position = np.stack([frame + np.where(number == 8, 20.0, 0.0), np.zeros(8), np.full(8, 5.75)], axis=1)
     size = np.tile([4.5, 1.9, 1.5], (8, 1))
-    return Boxes(frame, number, position, size, np.zeros(8), np.ones(8, np.uint8), np.full((8, 3), np.nan))
+    return SceneBoxes(frame, number, position, size, np.zeros(8), np.ones(8, np.uint8), np.full((8, 3), np.nan))
 
 
-def recorded(boxes: Boxes, paths: list[AgentPath], **options) -> Recording:
+def recorded(boxes: SceneBoxes, paths: list[AgentPath], **options) -> Recording:
     return assemble("road", TIMES, boxes, paths, CleanDetector(), seed=0, **options)
 
 

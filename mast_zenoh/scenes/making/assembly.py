@@ -17,7 +17,7 @@ from mast_zenoh.sensing import Detector
 
 
 @dataclass(frozen=True, eq=False)
-class Boxes:
+class SceneBoxes:
     """N boxes in the world frame, in any order.
 
     frame:    (N,) int64, row of the scene's frames
@@ -44,9 +44,9 @@ class Boxes:
     def __len__(self) -> int:
         return len(self.id)
 
-    def select(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> Boxes:
+    def select(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> SceneBoxes:
         """The boxes of the given rows, in that order."""
-        return Boxes(*(getattr(self, column.name)[rows] for column in fields(self)))
+        return SceneBoxes(*(getattr(self, column.name)[rows] for column in fields(self)))
 
     def rows_of(self, number: int) -> NDArray[np.intp]:
         """The rows of one object, in the order of the frames."""
@@ -59,7 +59,7 @@ class Boxes:
         return np.split(order, np.searchsorted(self.frame[order], np.arange(1, frames)))
 
     @classmethod
-    def throughout(cls, number: int, position: Floats, size: Floats, yaw: Floats, class_id: int) -> Boxes:
+    def throughout(cls, number: int, position: Floats, size: Floats, yaw: Floats, class_id: int) -> SceneBoxes:
         """Boxes of one object in all F frames.
 
         number: its id; position: (F, 3) m, middle; size: (3,) m l w h; yaw: (F,) rad
@@ -75,7 +75,7 @@ class Boxes:
         )
 
     @classmethod
-    def concatenate(cls, parts: Sequence[Boxes]) -> Boxes:
+    def concatenate(cls, parts: Sequence[SceneBoxes]) -> SceneBoxes:
         """All boxes of the parts, in order."""
         return cls(*(np.concatenate([getattr(part, column.name) for part in parts]) for column in fields(cls)))
 
@@ -156,6 +156,10 @@ _PERIOD_NS = 100_000_000  # of a scene with a single frame
 _MAX_SHEAR = 1e-3  # of a rotation matrix, per element of its product with its transpose
 
 
+#: Its former name, which scenes of users import.
+Boxes = SceneBoxes
+
+
 @dataclass(frozen=True, eq=False)
 class AgentPath:
     """An agent, its path, and what it sees.
@@ -185,7 +189,7 @@ DetectionColumns = tuple[Detections, Ints, Ints]
 def assemble(
     name: str,
     times_ns: Ints,
-    boxes: Boxes,
+    boxes: SceneBoxes,
     paths: Sequence[AgentPath],
     detected: Detector | DetectionColumns,
     *,
@@ -254,7 +258,7 @@ def _rigs(times_ns: Ints, paths: Sequence[AgentPath], kept: int) -> tuple[Rig, .
     return tuple(rigs)
 
 
-def _world(name: str, times_ns: Ints, boxes: Boxes, kept: int, order: NDArray[np.intp]) -> World:
+def _world(name: str, times_ns: Ints, boxes: SceneBoxes, kept: int, order: NDArray[np.intp]) -> World:
     """The kept frames without agents. order: rows of the boxes that are kept, by frame and id."""
     by_time = np.argsort(boxes.frame, kind="stable")
     velocity = np.empty_like(boxes.velocity)
@@ -276,7 +280,7 @@ def _world(name: str, times_ns: Ints, boxes: Boxes, kept: int, order: NDArray[np
     )
 
 
-def _check(name: str, times_ns: Ints, boxes: Boxes, paths: Sequence[AgentPath]) -> None:
+def _check(name: str, times_ns: Ints, boxes: SceneBoxes, paths: Sequence[AgentPath]) -> None:
     """Raise SceneError for agents that do not fit the boxes, or poses that are none."""
     frames = len(times_ns)
     if not paths:
@@ -322,7 +326,7 @@ def _velocity(path: AgentPath, world: World, times_ns: Ints) -> Floats:
     return fill_velocity(np.zeros(len(times_ns), np.int64), path.position, unknown, times_ns)[:frames]
 
 
-def _ground(path: AgentPath, boxes: Boxes, frames: int) -> Floats:
+def _ground(path: AgentPath, boxes: SceneBoxes, frames: int) -> Floats:
     """(frames,) m, z of the ground below an agent."""
     if path.ground is not None:
         return path.ground[:frames]
@@ -335,7 +339,7 @@ def _ground(path: AgentPath, boxes: Boxes, frames: int) -> Floats:
     return np.resize(levels, frames)
 
 
-def ground_level(boxes: Boxes, position: Floats) -> float:
+def ground_level(boxes: SceneBoxes, position: Floats) -> float:
     """Height m of the ground at `position` (2,): the median bottom of the boxes nearby, in all frames.
 
     If there are too few, the nearest boxes are used; without any, 0.

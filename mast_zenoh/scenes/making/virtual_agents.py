@@ -8,7 +8,7 @@ import numpy as np
 
 from mast_zenoh.arrays.geometry import rotation_from_yaw, rotation_from_yaw_pitch
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
-from mast_zenoh.scenes.making.assembly import AgentPath, Boxes, ground_level
+from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes, ground_level
 from mast_zenoh.scenes.recording import SceneAgent
 from mast_zenoh.sensing import Camera, LidarSensor
 
@@ -29,7 +29,7 @@ def roof_sensors(height: float) -> tuple[LidarSensor, Camera]:
     return LidarSensor(mount_position=mount), Camera(mount_position=mount - [0.0, 0.0, _ABOVE_ROOF_M])
 
 
-def vehicle(name: str, boxes: Boxes, object_id: int) -> AgentPath:
+def vehicle(name: str, boxes: SceneBoxes, object_id: int) -> AgentPath:
     """A car of the traffic as an agent; its origin is the middle of its underside.
 
     object_id: with a box in every frame
@@ -44,14 +44,14 @@ def vehicle(name: str, boxes: Boxes, object_id: int) -> AgentPath:
     )
 
 
-def vehicles_throughout(boxes: Boxes, frames: int) -> Ints:
+def vehicles_throughout(boxes: SceneBoxes, frames: int) -> Ints:
     """Ids of the cars, trucks and buses that have a box in each of the frames, ascending."""
     ids, count = np.unique(boxes.id[np.isin(boxes.class_id, VEHICLE_CLASSES)], return_counts=True)
     throughout: Ints = ids[count == frames]
     return throughout
 
 
-def poles(boxes: Boxes, route: Floats, yaw: Floats, count: int) -> list[AgentPath]:
+def poles(boxes: SceneBoxes, route: Floats, yaw: Floats, count: int) -> list[AgentPath]:
     """Poles 15 m above the ground on both sides of a route; they look 30 degrees down to its middle.
 
     route: (F, 2) m, and yaw: (F,) rad along it. The k-th pole does not depend on the number of poles.
@@ -75,7 +75,7 @@ def poles(boxes: Boxes, route: Floats, yaw: Floats, count: int) -> list[AgentPat
     return placed
 
 
-def pole(name: str, boxes: Boxes, position: Floats, yaw: float, frames: int) -> AgentPath:
+def pole(name: str, boxes: SceneBoxes, position: Floats, yaw: float, frames: int) -> AgentPath:
     """A pole at `position` (2,) m, 15 m above the ground; its lidar looks 30 degrees down.
 
     yaw: rad, where it looks

@@ -18,7 +18,7 @@ from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
 from mast_zenoh.errors import SceneError
 from mast_zenoh.scenes.detection_tables import read_column
-from mast_zenoh.scenes.making.assembly import AgentPath, Boxes, assemble
+from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes, assemble
 from mast_zenoh.scenes.recording import Recording, SceneAgent
 from mast_zenoh.sensing import Camera, LidarSensor
 
@@ -224,12 +224,14 @@ class AV2Log(TrafficScene):
         return assemble(name, annotations.times_ns, boxes, paths, self.detector, seed=seed, frames=frames)
 
 
-def _boxes(annotations: Annotations, axle: Floats, rotation: Floats) -> Boxes:
+def _boxes(annotations: Annotations, axle: Floats, rotation: Floats) -> SceneBoxes:
     """The ego's boxes, then those of the traffic, in the world frame."""
     frame = annotations.frame
-    ego = Boxes.throughout(_EGO_ID, axle + rotation @ _EGO_CENTRE, _EGO_SIZE, heading(rotation), CLASS_INDEX["car"])
+    ego = SceneBoxes.throughout(
+        _EGO_ID, axle + rotation @ _EGO_CENTRE, _EGO_SIZE, heading(rotation), CLASS_INDEX["car"]
+    )
     position = np.einsum("nij,nj->ni", rotation[frame], annotations.position) + axle[frame]
-    traffic = Boxes(
+    traffic = SceneBoxes(
         frame=frame,
         id=annotations.track,
         position=position,
@@ -237,4 +239,4 @@ def _boxes(annotations: Annotations, axle: Floats, rotation: Floats) -> Boxes:
         yaw=heading(rotation[frame] @ annotations.rotation),
         class_id=annotations.class_id,
     )
-    return Boxes.concatenate([ego, traffic])
+    return SceneBoxes.concatenate([ego, traffic])

@@ -13,7 +13,7 @@ from mast_datasets.traffic import HEIGHT_OF_CLASS, TrafficScene, busiest_vehicle
 from mast_datasets.xml_files import XmlElement, has_root, read_xml
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes.making.assembly import Boxes, assemble
+from mast_zenoh.scenes.making.assembly import SceneBoxes, assemble
 from mast_zenoh.scenes.making.virtual_agents import VEHICLE_CLASSES
 from mast_zenoh.scenes.recording import Recording
 
@@ -287,7 +287,7 @@ class CommonRoadScenario(TrafficScene):
         return ego.first_step or 0, len(ego.yaw)
 
 
-def _boxes(obstacles: Sequence[Obstacle], start: int, count: int, file: Path) -> Boxes:
+def _boxes(obstacles: Sequence[Obstacle], start: int, count: int, file: Path) -> SceneBoxes:
     """The boxes of the time steps from `start`, on the ground at z = 0."""
     parts = []
     total = 0
@@ -301,15 +301,15 @@ def _boxes(obstacles: Sequence[Obstacle], start: int, count: int, file: Path) ->
         if total > _MAX_BOXES:
             raise SceneError(f"{file}: found more than {_MAX_BOXES} boxes, expected at most as many")
         parts.append(_part(one, frame, rows))
-    return Boxes.concatenate(parts)
+    return SceneBoxes.concatenate(parts)
 
 
-def _part(one: Obstacle, frame: Ints, rows: Ints) -> Boxes:
+def _part(one: Obstacle, frame: Ints, rows: Ints) -> SceneBoxes:
     n = len(rows)
     height = HEIGHT_OF_CLASS[one.class_id]
     up = np.full((n, 1), height / 2)
     velocity = np.zeros((n, 2)) if one.first_step is None else one.velocity[rows]
-    return Boxes(
+    return SceneBoxes(
         frame=frame,
         id=np.full(n, one.id),
         position=np.concatenate([one.position[rows], up], axis=1),

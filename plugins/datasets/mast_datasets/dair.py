@@ -31,7 +31,7 @@ from mast_zenoh.arrays.geometry import along_and_across, heading, rotation_from_
 from mast_zenoh.arrays.matching import greedy_matching
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes.making.assembly import AgentPath, Boxes, assemble, ground_level
+from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes, assemble, ground_level
 from mast_zenoh.scenes.recording import Recording, SceneAgent
 from mast_zenoh.sensing import Camera, LidarSensor
 
@@ -120,7 +120,7 @@ class Truth:
     known: (N, A) whether the data says anything about it
     """
 
-    boxes: Boxes
+    boxes: SceneBoxes
     seen: Bools
     known: Bools
 
@@ -224,12 +224,12 @@ def with_car(truth: Truth, car: Poses) -> tuple[Truth, int]:
     bottom = car.position[:, 2] - _lidar_height(rest, car.position)
     object_id = int(boxes.id.max()) + 1
     middle = np.column_stack([car.position[:, :2], bottom + _CAR_SIZE[2] / 2])
-    added = Boxes.throughout(object_id, middle, _CAR_SIZE, heading(car.rotation), CLASS_INDEX["car"])
+    added = SceneBoxes.throughout(object_id, middle, _CAR_SIZE, heading(car.rotation), CLASS_INDEX["car"])
     seen = np.column_stack([np.zeros(frames, bool), seen_by_pole])
     known = np.column_stack([np.ones(frames, bool), np.full(frames, own.any())])
     return (
         Truth(
-            Boxes.concatenate([rest, added]),
+            SceneBoxes.concatenate([rest, added]),
             np.concatenate([truth.seen[~own], seen]),
             np.concatenate([truth.known[~own], known]),
         ),
@@ -237,7 +237,7 @@ def with_car(truth: Truth, car: Poses) -> tuple[Truth, int]:
     )
 
 
-def _enclosing(boxes: Boxes, position: Floats) -> Ints:
+def _enclosing(boxes: SceneBoxes, position: Floats) -> Ints:
     """Ids of the tracks whose boxes enclose a position (F, 3), on the ground, in at least half of their frames."""
     offset = position[boxes.frame, :2] - boxes.position[:, :2]
     inside = (np.abs(along_and_across(offset, boxes.yaw)) <= boxes.size[:, :2] / 2).all(axis=1)
@@ -246,7 +246,7 @@ def _enclosing(boxes: Boxes, position: Floats) -> Ints:
     return enclosing
 
 
-def _lidar_height(boxes: Boxes, position: Floats) -> float:
+def _lidar_height(boxes: SceneBoxes, position: Floats) -> float:
     """Height m of the car's lidar at (F, 3) above the ground, estimated from the boxes nearby."""
     ground = np.array([ground_level(boxes, place) for place in position[:, :2]])
     return float(np.clip(np.median(position[:, 2] - ground), *_LIDAR_HEIGHT_M))

@@ -18,7 +18,7 @@ from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes.detection_tables import MAX_FILE_BYTES
-from mast_zenoh.scenes.making.assembly import AgentPath, Boxes, assemble
+from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes, assemble
 from mast_zenoh.scenes.recording import Recording, SceneAgent
 from mast_zenoh.sensing import Camera, LidarSensor
 
@@ -285,7 +285,7 @@ def _lidar(calibration: Calibration) -> LidarSensor:
 
 def _boxes(
     labels: Labels, calibration: Calibration, position: Floats, rotation: Floats, window: slice, ground: float
-) -> tuple[Boxes, NDArray[np.int64]]:
+) -> tuple[SceneBoxes, NDArray[np.int64]]:
     """The ego's boxes, then the labelled ones, in the world; and how occluded each is (3: unknown)."""
     frames = len(position)
     keep = (labels.frame >= window.start) & (labels.frame < window.stop)
@@ -297,8 +297,8 @@ def _boxes(
     centre = np.einsum("nij,nj->ni", to_world, middle @ to_imu.T + origin) + position[frame]
     direction = np.einsum("nij,nj->ni", to_world, ahead @ to_imu.T)
     own = np.array([_EGO_AHEAD_M, calibration.lidar[1][1], ground + _EGO_SIZE[2] / 2])
-    ego = Boxes.throughout(0, position + rotation @ own, _EGO_SIZE, heading(rotation), CLASS_INDEX["car"])
-    others = Boxes(
+    ego = SceneBoxes.throughout(0, position + rotation @ own, _EGO_SIZE, heading(rotation), CLASS_INDEX["car"])
+    others = SceneBoxes(
         frame=frame,
         id=labels.track[keep] + 1,
         position=centre,
@@ -306,4 +306,4 @@ def _boxes(
         yaw=np.arctan2(direction[:, 1], direction[:, 0]),
         class_id=labels.class_id[keep],
     )
-    return Boxes.concatenate([ego, others]), np.concatenate([np.full(frames, 3), labels.occluded[keep]])
+    return SceneBoxes.concatenate([ego, others]), np.concatenate([np.full(frames, 3), labels.occluded[keep]])

@@ -34,7 +34,7 @@ from mast_datasets.opv2v_yaml import read_yaml
 from mast_datasets.traffic import DataSetScene, listed_returns
 from mast_zenoh.arrays.states import Bools, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes.making.assembly import AgentPath, Boxes, assemble
+from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes, assemble
 from mast_zenoh.scenes.recording import Recording, SceneAgent
 from mast_zenoh.sensing import Camera
 
@@ -164,7 +164,7 @@ class OPV2VScene(ScenarioFolder):
 
     def _traffic(
         self, agents: Sequence[AgentFolder], numbers: Sequence[int], poses: Poses, listed: Listed
-    ) -> tuple[Boxes, Bools, dict[int, OwnCar]]:
+    ) -> tuple[SceneBoxes, Bools, dict[int, OwnCar]]:
         """All boxes, whether each agent lists them, and the agents' own cars by column."""
         variant = self._variant()
 
@@ -183,7 +183,7 @@ class OPV2VScene(ScenarioFolder):
         added = [missing_boxes(boxes, car, variant) for car in own]
         seen = np.zeros((len(boxes) + sum(map(len, added)), len(agents)), np.bool_)
         seen[: len(by_agent), : by_agent.shape[1]] = by_agent
-        return Boxes.concatenate([boxes, *added]), seen, dict(zip(columns, own, strict=True))
+        return SceneBoxes.concatenate([boxes, *added]), seen, dict(zip(columns, own, strict=True))
 
 
 @dataclass(kw_only=True, eq=False)
@@ -282,7 +282,7 @@ class MultiV2XScene(ScenarioFolder):
         distance = [float(np.linalg.norm(each - place[0])) for each in place]
         return [agents[0], *(agents[k] for k in sorted(range(1, len(agents)), key=lambda k: distance[k]))]
 
-    def _boxes(self, folder: Path, numbers: Sequence[int], cars: Sequence[OwnCar]) -> Boxes:
+    def _boxes(self, folder: Path, numbers: Sequence[int], cars: Sequence[OwnCar]) -> SceneBoxes:
         """All objects of the map in the frames, and the agents' own cars where it lacks them."""
         files = map_files(folder)
 
@@ -293,10 +293,12 @@ class MultiV2XScene(ScenarioFolder):
         listed = Listed.of([[read_labels(read_yaml(file_of(frame, 0)), self.variant, None, frame)] for frame in frames])
         check_numbers(listed, cars, file_of)
         boxes, _ = listed.merged(self.variant.disagreement_m, file_of)
-        return Boxes.concatenate([boxes, *(missing_boxes(boxes, car, self.variant) for car in cars)])
+        return SceneBoxes.concatenate([boxes, *(missing_boxes(boxes, car, self.variant) for car in cars)])
 
 
-def _view_points(agent: AgentFolder, numbers: Sequence[int], boxes: Boxes, object_id: int) -> NDArray[np.int32] | None:
+def _view_points(
+    agent: AgentFolder, numbers: Sequence[int], boxes: SceneBoxes, object_id: int
+) -> NDArray[np.int32] | None:
     """(N,) lidar returns of each box, as the agent's view files count them; None without any file."""
     if not agent.views:
         return None

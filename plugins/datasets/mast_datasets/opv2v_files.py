@@ -18,7 +18,7 @@ from mast_datasets.traffic import classes_of
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes.making.assembly import Boxes
+from mast_zenoh.scenes.making.assembly import SceneBoxes
 from mast_zenoh.sensing import LidarSensor
 
 _CLASS_OF_CATEGORY = classes_of(
@@ -331,7 +331,7 @@ def read_pose(content: Element, variant: Variant, is_pole: bool) -> Poses:
     return Poses(body, lidar, rotation)
 
 
-def read_labels(content: Element, variant: Variant, agent: Poses | None, frame: int) -> tuple[Boxes, Ints]:
+def read_labels(content: Element, variant: Variant, agent: Poses | None, frame: int) -> tuple[SceneBoxes, Ints]:
     """The objects in a file in the world frame, without those that are not road users.
 
     agent: whose file it is; needed if places are in the frame of its lidar; frame: row of the frame of the boxes
@@ -365,7 +365,7 @@ def read_labels(content: Element, variant: Variant, agent: Poses | None, frame: 
     if variant.objects_in == "lidar" and agent is not None:
         position = agent.lidar + position @ agent.rotation.T
         rotation = agent.rotation @ rotation
-    boxes = Boxes(
+    boxes = SceneBoxes(
         frame=np.full(len(ids), frame, np.int64),
         id=np.array(ids, np.int64),
         position=position,

@@ -12,7 +12,7 @@ from mast_datasets.opv2v_files import Variant
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats, Ints
 from mast_zenoh.errors import SceneError
-from mast_zenoh.scenes.making.assembly import Boxes
+from mast_zenoh.scenes.making.assembly import SceneBoxes
 
 _MAX_SPEED_M_S = 70.0  # of an object whose id lasts,
 _MAX_STEP_M = 5.0  # in addition to this
@@ -30,20 +30,20 @@ class Listed:
 
     agent: Ints
     associated: Ints
-    boxes: Boxes
+    boxes: SceneBoxes
 
     @classmethod
-    def of(cls, labels: Sequence[Sequence[tuple[Boxes, Ints]]]) -> Listed:
+    def of(cls, labels: Sequence[Sequence[tuple[SceneBoxes, Ints]]]) -> Listed:
         """The objects in the files of each agent, for each frame."""
         boxes, associated = zip(*(part for frame in labels for part in frame), strict=True)
         agent = np.arange(len(boxes)) % len(labels[0])
-        return cls(np.repeat(agent, [*map(len, boxes)]), np.concatenate(associated), Boxes.concatenate(boxes))
+        return cls(np.repeat(agent, [*map(len, boxes)]), np.concatenate(associated), SceneBoxes.concatenate(boxes))
 
     def with_id(self, number: Ints) -> Listed:
         """The same objects with other ids (N,)."""
         return replace(self, boxes=replace(self.boxes, id=number))
 
-    def merged(self, limit_m: float, file_of: FileOf) -> tuple[Boxes, Bools]:
+    def merged(self, limit_m: float, file_of: FileOf) -> tuple[SceneBoxes, Bools]:
         """One box for each object and frame, by frame and id, and whether each agent (column) lists it.
 
         limit_m: how far apart the agents may place an object; that of the first agent counts
@@ -77,7 +77,7 @@ class Listed:
         return self.boxes.select(chosen), seen
 
 
-def check_ids_last(boxes: Boxes, times_ns: Ints, file_of: Callable[[int], Path]) -> None:
+def check_ids_last(boxes: SceneBoxes, times_ns: Ints, file_of: Callable[[int], Path]) -> None:
     """Raise SceneError for an id that is somewhere else a moment later: then it is another object.
 
     file_of: a file of a frame (row), for the message
@@ -173,7 +173,7 @@ def claim(listed: Listed, cars: Sequence[OwnCar]) -> tuple[Listed, list[OwnCar]]
     return listed.with_id(ids), claimed
 
 
-def missing_boxes(boxes: Boxes, car: OwnCar, variant: Variant) -> Boxes:
+def missing_boxes(boxes: SceneBoxes, car: OwnCar, variant: Variant) -> SceneBoxes:
     """Boxes of an agent's car in the frames in which nobody lists it.
 
     Their size and their place on the agent are those of the listed boxes; without any, the data set's usual car.
@@ -187,7 +187,7 @@ def missing_boxes(boxes: Boxes, car: OwnCar, variant: Variant) -> Boxes:
         centre = np.einsum("nji,nj->ni", rotation, offset).mean(axis=0)
         size, class_id = np.median(boxes.size[own], axis=0), int(np.bincount(boxes.class_id[own]).argmax())
     position = car.position[frames] + _upright(car.rotation[frames]) @ centre
-    return Boxes(
+    return SceneBoxes(
         frame=frames.astype(np.int64),
         id=np.full(len(frames), car.object_id, np.int64),
         position=position,

@@ -16,7 +16,7 @@ from mast_datasets.files import choose_name, entries
 from mast_datasets.traffic import ABOVE_0, DataSetScene, Labels, check_times, listed_returns
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes.making.assembly import Boxes, assemble
+from mast_zenoh.scenes.making.assembly import SceneBoxes, assemble
 from mast_zenoh.scenes.making.virtual_agents import standing
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import Camera, LidarSensor
@@ -157,7 +157,7 @@ def _split_path(path: Path) -> tuple[Path, str | None, str | None]:
     return path, None, None
 
 
-def _truth(files: list[Path], pose: tuple[Floats, Floats]) -> Boxes:
+def _truth(files: list[Path], pose: tuple[Floats, Floats]) -> SceneBoxes:
     """The cooperative boxes in the world frame. pose: of the first pole."""
     truth = Labels(files[0].parent)
     for frame, file in enumerate(files):

@@ -23,7 +23,7 @@ from mast_datasets.traffic import MAX_BOXES, DataSetScene
 from mast_zenoh.arrays.geometry import heading, to_world, wrap_angle
 from mast_zenoh.arrays.states import Bools, Detections, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes.making.assembly import AgentPath, Boxes, assemble
+from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes, assemble
 from mast_zenoh.scenes.making.sensor_types import Schedule
 from mast_zenoh.scenes.recording import NO_MEASUREMENT, Measurements, Recording, SceneAgent
 from mast_zenoh.sensing import Camera, LidarSensor, sensor_pose, to_sensor
@@ -179,9 +179,9 @@ class BagScene:
         velocity = np.zeros_like(poses.position) if agent.fixed else None
         return AgentPath(described, poses.position, poses.rotation, velocity)
 
-    def _boxes(self) -> tuple[Boxes, dict[str, int]]:
+    def _boxes(self) -> tuple[SceneBoxes, dict[str, int]]:
         """The boxes of all objects in the frames, and by agent the id of its own object."""
-        parts: list[Boxes] = [_NO_BOXES]
+        parts: list[SceneBoxes] = [_NO_BOXES]
         own_ids: dict[str, int] = {}
         for number, agent in enumerate(self._map.agents, start=1):  # agents that do not play are objects, too
             if agent.body is not None:
@@ -203,9 +203,9 @@ class BagScene:
         total = sum(map(len, parts))
         if total > MAX_BOXES:
             raise SceneError(f"{self._path}: found {total} boxes in all frames, expected at most {MAX_BOXES}")
-        return Boxes.concatenate(parts), own_ids
+        return SceneBoxes.concatenate(parts), own_ids
 
-    def _boxes_of_list(self, number: int, tracked: TrueObject) -> Boxes:
+    def _boxes_of_list(self, number: int, tracked: TrueObject) -> SceneBoxes:
         """The boxes of an object of a list in the frames in which its pose is known."""
         times = tracked.poses.times_ns
         first = int(np.searchsorted(self._times_ns, times[0]))
@@ -213,7 +213,7 @@ class BagScene:
         poses = _Poses(*tracked.poses.at(within, self._map.max_gap_ns))
         known = np.flatnonzero(poses.known)
         row = np.searchsorted(times, within[known], side="right") - 1
-        return Boxes(
+        return SceneBoxes(
             frame=first + known,
             id=np.full(len(known), number, np.int64),
             position=poses.position[known],
@@ -285,7 +285,7 @@ class BagScene:
                 self.notes.append(f"{name}: {number} of {total} measurements left out: {why}")
 
 
-_NO_BOXES = Boxes(
+_NO_BOXES = SceneBoxes(
     frame=np.zeros(0, np.int64),
     id=np.zeros(0, np.int64),
     position=np.zeros((0, 3)),
@@ -295,11 +295,11 @@ _NO_BOXES = Boxes(
 )
 
 
-def _boxes_of(number: int, body: Body, poses: _Poses) -> Boxes:
+def _boxes_of(number: int, body: Body, poses: _Poses) -> SceneBoxes:
     """The boxes of an object in the frames in which its pose is known."""
     frame = np.flatnonzero(poses.known)
     rotation, count = poses.rotation[frame], len(frame)
-    return Boxes(
+    return SceneBoxes(
         frame=frame,
         id=np.full(count, number, np.int64),
         position=poses.position[frame] + rotation @ body.centre,

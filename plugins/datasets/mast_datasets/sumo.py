@@ -26,7 +26,7 @@ from mast_datasets.xml_files import has_root
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes.base import Scene
-from mast_zenoh.scenes.making.assembly import Boxes, assemble
+from mast_zenoh.scenes.making.assembly import SceneBoxes, assemble
 from mast_zenoh.scenes.recording import Recording
 
 _MAX_ROWS = 2_000_000
@@ -315,12 +315,12 @@ def _beside(file: Path, suffix: str) -> list[Path]:
     return sorted(other for other in file.parent.iterdir() if other.name.endswith((suffix, suffix + ".gz")))
 
 
-def _boxes(trace: Trace) -> Boxes:
+def _boxes(trace: Trace) -> SceneBoxes:
     """The boxes of all objects, in the frame of the network."""
     size = sizes(trace.types)
     ahead: Floats = np.stack([np.cos(trace.yaw), np.sin(trace.yaw), np.zeros(len(trace.yaw))], axis=1)
     back = np.where(trace.person, 0.0, size[:, 0] / 2)
-    return Boxes(
+    return SceneBoxes(
         frame=trace.frame,
         id=trace.id,
         position=trace.front - back[:, None] * ahead + np.stack([0 * back, 0 * back, size[:, 2] / 2], axis=1),

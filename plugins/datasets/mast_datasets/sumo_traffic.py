@@ -16,7 +16,7 @@ from mast_datasets.sumo_world import Ride, SumoWorld, Surroundings, Ways
 from mast_datasets.traffic import DataSetScene
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes.making.assembly import Boxes
+from mast_zenoh.scenes.making.assembly import SceneBoxes
 from mast_zenoh.scenes.making.observe import detect, lidar_visibility, make_recording
 from mast_zenoh.scenes.making.sensor_types import SensorsByAgent
 from mast_zenoh.scenes.making.virtual_agents import MAX_POLES, poles
@@ -231,7 +231,7 @@ def _distance(present: Present, row: int) -> Floats:
 
 
 #: For poles: the ground is at 0.
-_NO_BOXES = Boxes(
+_NO_BOXES = SceneBoxes(
     frame=np.zeros(0, np.int64),
     id=np.zeros(0, np.int64),
     position=np.zeros((0, 3)),

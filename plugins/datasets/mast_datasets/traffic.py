@@ -15,7 +15,7 @@ from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes.base import Scene
-from mast_zenoh.scenes.making.assembly import AgentPath, Boxes
+from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes
 from mast_zenoh.scenes.making.virtual_agents import MAX_POLES, poles, vehicle, vehicles_throughout
 from mast_zenoh.scenes.recording import SEEN_RETURNS
 from mast_zenoh.scenes.recording_file import check_counts
@@ -119,7 +119,7 @@ class TrafficScene(DataSetScene):
     def __post_init__(self) -> None:
         self.check(n_infrastructure=(0, MAX_POLES), n_mobile=(0, math.inf))
 
-    def agents(self, boxes: Boxes, ego: AgentPath, path: Path) -> list[AgentPath]:
+    def agents(self, boxes: SceneBoxes, ego: AgentPath, path: Path) -> list[AgentPath]:
         """The ego, the vehicles nearest to it, and poles beside its path. path: of the data, for the message
 
         Raises ConfigurationError if there are not enough vehicles.
@@ -164,7 +164,7 @@ class Labels:
         self.tracks.append(track)
         self._rows.append((frame, position, size, yaw, class_id))
 
-    def boxes(self, others: Iterable[str] = ()) -> tuple[Boxes, dict[str, int]]:
+    def boxes(self, others: Iterable[str] = ()) -> tuple[SceneBoxes, dict[str, int]]:
         """All boxes, and the id of each track. others: tracks without boxes that need an id, too
 
         If all names are whole numbers, these are the ids; otherwise tracks are numbered from 1, in the order of their
@@ -175,7 +175,7 @@ class Labels:
         keep = len(numbers) == len(names) == len(set(numbers))
         ids = dict(zip(names, numbers if keep else range(1, len(names) + 1), strict=True))
         frame, position, size, yaw, class_id = zip(*self._rows, strict=True) if self._rows else [()] * 5
-        return Boxes(
+        return SceneBoxes(
             frame=np.array(frame, np.int64),
             id=np.array([ids[track] for track in self.tracks], np.int64),
             position=np.array(position).reshape(-1, 3),
@@ -192,7 +192,7 @@ _NEAR_M = 50.0  # an ego has others this near,
 _MOVING = 1 / 3  # and moves at least this part of the way of the vehicle that moves farthest
 
 
-def busiest_vehicle(boxes: Boxes, frames: int, path: Path) -> int:
+def busiest_vehicle(boxes: SceneBoxes, frames: int, path: Path) -> int:
     """Id of the vehicle that has the most company among those with a box in each of the frames.
 
     Company is the number of boxes within 50 m, over all frames. Vehicles that move less than a third of the way of the
@@ -222,7 +222,7 @@ def busiest_vehicle(boxes: Boxes, frames: int, path: Path) -> int:
     return int(candidates[company.argmax()])
 
 
-def near_route(boxes: Boxes, route: Floats, radius: float) -> Bools:
+def near_route(boxes: SceneBoxes, route: Floats, radius: float) -> Bools:
     """(N,) whether each box is within `radius` m of any position of a route (F, 2) m."""
     from scipy.spatial import cKDTree
 
@@ -231,7 +231,9 @@ def near_route(boxes: Boxes, route: Floats, radius: float) -> Bools:
     return near
 
 
-def ego_in_traffic(boxes: Boxes, ego: int, frames: int, path: Path, name_of: Callable[[int], str] = str) -> AgentPath:
+def ego_in_traffic(
+    boxes: SceneBoxes, ego: int, frames: int, path: Path, name_of: Callable[[int], str] = str
+) -> AgentPath:
     """The vehicle that is the ego, with a lidar on the roof.
 
     ego: id of its object; path: of the data; name_of: an object's name in the data; the last two for the message
@@ -246,7 +248,7 @@ def ego_in_traffic(boxes: Boxes, ego: int, frames: int, path: Path, name_of: Cal
 
 
 def listed_returns(
-    boxes: Boxes, path: AgentPath, listed: Bools, unknown: Bools | bool = False, frames: int | None = None
+    boxes: SceneBoxes, path: AgentPath, listed: Bools, unknown: Bools | bool = False, frames: int | None = None
 ) -> NDArray[np.int32]:
     """Lidar returns (N,) of each box at an agent, which never sees itself.
 

@@ -15,7 +15,7 @@ from mast_datasets.traffic import ABOVE_0, DataSetScene, Labels, classes_of
 from mast_zenoh.arrays.geometry import along_and_across, heading, rotation_from_quaternion
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats
 from mast_zenoh.errors import ConfigurationError, SceneError, nearest
-from mast_zenoh.scenes.making.assembly import AgentPath, Boxes, assemble
+from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes, assemble
 from mast_zenoh.scenes.making.virtual_agents import standing
 from mast_zenoh.scenes.recording import Recording, SceneAgent
 from mast_zenoh.sensing import Camera, LidarSensor
@@ -224,7 +224,7 @@ _ABOVE_ROOF_M = 0.2  # of the lidar of such a car
 _MAX_ABOVE_ROOF_M = 1.5  # of the lidar of a labelled car
 
 
-def own_object(boxes: Boxes, position: Floats, rotation: Floats) -> tuple[Boxes, int]:
+def own_object(boxes: SceneBoxes, position: Floats, rotation: Floats) -> tuple[SceneBoxes, int]:
     """The boxes with one of the car below a lidar in every frame, and its id.
 
     position: (F, 3) m, and rotation: (F, 3, 3), of the lidar in the world
@@ -239,11 +239,11 @@ def own_object(boxes: Boxes, position: Floats, rotation: Floats) -> tuple[Boxes,
         return boxes, int(throughout[0])
     own = int(boxes.id.max(initial=0)) + 1
     middle = position - [0.0, 0.0, _ABOVE_ROOF_M + CAR_SIZE[2] / 2]
-    added = Boxes.throughout(own, middle, CAR_SIZE, heading(rotation), CLASS_INDEX["car"])
-    return Boxes.concatenate([boxes.select(~below), added]), own
+    added = SceneBoxes.throughout(own, middle, CAR_SIZE, heading(rotation), CLASS_INDEX["car"])
+    return SceneBoxes.concatenate([boxes.select(~below), added]), own
 
 
-def _below(boxes: Boxes, lidar: Floats) -> Bools:
+def _below(boxes: SceneBoxes, lidar: Floats) -> Bools:
     """(N,) whether a box is below a lidar. lidar: (N, 3) m, its position in the frame of each box"""
     offset = lidar - boxes.position
     half = boxes.size / 2
@@ -380,7 +380,7 @@ def _check_still(frames: list[LabelledFrame], name: str, position: Floats, rotat
         )
 
 
-def _boxes(folder: Path, frames: list[LabelledFrame], label_system: str, root: str) -> Boxes:
+def _boxes(folder: Path, frames: list[LabelledFrame], label_system: str, root: str) -> SceneBoxes:
     """The labelled boxes in the root's frame."""
     labels = Labels(folder)
     for row, frame in enumerate(frames):
@@ -388,7 +388,7 @@ def _boxes(folder: Path, frames: list[LabelledFrame], label_system: str, root: s
     return labels.boxes()[0]
 
 
-def _shift(boxes: Boxes, poses: dict[str, Poses], ego: str, own: int) -> tuple[Boxes, dict[str, Poses]]:
+def _shift(boxes: SceneBoxes, poses: dict[str, Poses], ego: str, own: int) -> tuple[SceneBoxes, dict[str, Poses]]:
     """Boxes and poses with the origin on the ground below the ego's lidar in the first frame."""
     row = np.flatnonzero((boxes.id == own) & (boxes.frame == 0))[0]
     origin = np.append(poses[ego][0][0, :2], boxes.position[row, 2] - boxes.size[row, 2] / 2)
@@ -396,7 +396,7 @@ def _shift(boxes: Boxes, poses: dict[str, Poses], ego: str, own: int) -> tuple[B
     return shifted, {name: (position - origin, rotation) for name, (position, rotation) in poses.items()}
 
 
-def _car(name: str, boxes: Boxes, own: int, position: Floats, rotation: Floats) -> AgentPath:
+def _car(name: str, boxes: SceneBoxes, own: int, position: Floats, rotation: Floats) -> AgentPath:
     """A car; its origin is below the lidar, at the height of its underside in the first frame."""
     row = np.flatnonzero((boxes.id == own) & (boxes.frame == 0))[0]
     mount = np.array([0.0, 0.0, position[0, 2] - boxes.position[row, 2] + boxes.size[row, 2] / 2])

@@ -19,7 +19,7 @@ from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats
 from mast_zenoh.errors import ConfigurationError, SceneError, nearest
 from mast_zenoh.scenes.detection_tables import read_text
-from mast_zenoh.scenes.making.assembly import AgentPath, Boxes, assemble
+from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes, assemble
 from mast_zenoh.scenes.making.virtual_agents import standing
 from mast_zenoh.scenes.recording import Recording, SceneAgent
 from mast_zenoh.sensing import Camera, LidarSensor
@@ -183,7 +183,7 @@ CLASS_OF_TYPE = classes_of(
 
 
 #: The boxes of a track, without an id, and where it is in its file.
-Track = tuple[Boxes, Element]
+Track = tuple[SceneBoxes, Element]
 
 
 def read_tracks(path: Path, times_ms: list[int]) -> dict[str, Track]:
@@ -211,7 +211,7 @@ def _errors(times_ms: list[int]) -> range:
     return range(-error, error + 1)
 
 
-def _boxes_of(element: Element, frame_at: Mapping[int, int]) -> Boxes:
+def _boxes_of(element: Element, frame_at: Mapping[int, int]) -> SceneBoxes:
     frames = [_frame(time, frame_at) for time in element["timestamps"].elements()]
     for row in range(1, len(frames)):
         if frames[row] <= frames[row - 1]:
@@ -221,7 +221,7 @@ def _boxes_of(element: Element, frame_at: Mapping[int, int]) -> Boxes:
     single = isinstance(dimensions.value, list) and len(dimensions.value) == 1
     sizes = _column(dimensions, 1 if single else n, Size, 3)
     class_id = CLASS_OF_TYPE.get(element["object_type"].text(), CLASS_INDEX["unknown"])
-    return Boxes(
+    return SceneBoxes(
         frame=np.array(frames, np.int64),
         id=np.zeros(n, np.int64),
         position=_column(element["positions"], n, Point, 3),
@@ -308,7 +308,7 @@ class UrbanIngV2X(DataSetScene):
 
 def _boxes(
     files: Files, tracks: dict[str, Track], poses: dict[str, tuple[Floats, Floats]], own_tracks: dict[str, str]
-) -> tuple[Boxes, dict[str, int]]:
+) -> tuple[SceneBoxes, dict[str, int]]:
     """All boxes in the global frame, and the object ids of the vehicles with a lidar.
 
     Such a vehicle has a box in every frame, from its own state, in place of its labels.
@@ -330,11 +330,11 @@ def _boxes(
             _check_label(vehicle, boxes, element, position)
             size, class_id = boxes.size[0], int(boxes.class_id[0])
         size = _CAR_SIZE if size is None else size
-        parts.append(Boxes.throughout(objects[vehicle], position, size, heading(rotation), class_id))
-    return Boxes.concatenate(parts), objects
+        parts.append(SceneBoxes.throughout(objects[vehicle], position, size, heading(rotation), class_id))
+    return SceneBoxes.concatenate(parts), objects
 
 
-def _check_label(vehicle: str, boxes: Boxes, element: Element, position: Floats) -> None:
+def _check_label(vehicle: str, boxes: SceneBoxes, element: Element, position: Floats) -> None:
     """Raise SceneError if the label of a vehicle is elsewhere than its state. position: (F, 3) m"""
     error = np.linalg.norm(boxes.position - position[boxes.frame], axis=1)
     row = int(error.argmax())

@@ -9,7 +9,7 @@ from mast_datasets.traffic import HEIGHT_OF_CLASS
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import CLASS_INDEX
 from mast_zenoh.scenes import Intersection
-from mast_zenoh.scenes.making.assembly import Boxes, assemble
+from mast_zenoh.scenes.making.assembly import SceneBoxes, assemble
 from mast_zenoh.scenes.making.observe import World, lidar_visibility
 from mast_zenoh.scenes.making.virtual_agents import vehicle
 from mast_zenoh.scenes.recording import Recording
@@ -46,12 +46,12 @@ def flat_junction() -> Recording:
     )
 
 
-def boxes_of(recording: Recording) -> Boxes:
+def boxes_of(recording: Recording) -> SceneBoxes:
     """The objects of all frames."""
     truth = recording.truth
     frame = np.repeat(np.arange(len(recording)), np.diff(recording.truth_start))
     columns = truth.position.copy(), truth.size.copy(), truth.yaw, truth.class_id, truth.velocity
-    return Boxes(frame, truth.id, *columns)
+    return SceneBoxes(frame, truth.id, *columns)
 
 
 def lidar_pose(recording: Recording, frame: int, agent: int) -> tuple[np.ndarray, np.ndarray]:
