@@ -154,10 +154,12 @@ def test_the_scenes_of_the_monte_carlo_study_can_be_chosen() -> None:
     assert [place.label for place in study.scenes] == ["avstack:a", "intersection:5"]
 
 
-def test_an_idle_worker_imports_no_plotting_table_or_mesh_library() -> None:
+def test_an_idle_worker_imports_no_plotting_table_or_mesh_library_and_no_kind_of_study() -> None:
     code = (
         "import sys, mast_zenoh.study.execution, mast_zenoh.study.defences\n"
-        "print([n for n in ('matplotlib', 'pyarrow', 'zenoh', 'rich', 'pandas', 'scipy.stats') if n in sys.modules])"
+        "names = ['matplotlib', 'pyarrow', 'zenoh', 'rich', 'pandas', 'scipy.stats']\n"
+        "names += [f'mast_zenoh.study.defences.{kind}' for kind in ('matrix', 'drift', 'breakdown', 'cooperation')]\n"
+        "print([name for name in names if name in sys.modules])"
     )
     process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert process.stdout.strip() == "[]"

@@ -5,7 +5,7 @@
                breakdown (with how many liars a defence breaks), field_matrix (the matrix of published and own methods),
                cooperation (how far a lie reaches, by where tracks are fused), driving_matrix (what attacks do to a
                driven car, with each defence)
-    cells      what study files import of the kinds (of cooperation so far)
+    cells      what study files import of the kinds, which load more
     published  what papers report of these methods
     matrix_trial    the evaluation of one trial of the matrix
     matrix_records  what the matrix needs of each trial, and its measures over many
@@ -15,8 +15,15 @@
 See docs/defence_studies.md.
 """
 
-from mast_zenoh.study.defences.breakdown import BreakdownCell
-from mast_zenoh.study.defences.cells import CooperationCell
+from mast_zenoh.study.defences.cells import (
+    BreakdownCell,
+    Cell,
+    CooperationCell,
+    DriftCell,
+    DrivingCell,
+    FieldCell,
+    matrix_study,
+)
 from mast_zenoh.study.defences.choices import (
     COORDINATED,
     PLACEMENTS,
@@ -29,16 +36,13 @@ from mast_zenoh.study.defences.choices import (
     parse_choices,
     place,
     resolve_choice,
+    scenes_of_kinds,
     sensors_of,
     several,
     short_name,
     with_preset,
     words,
 )
-from mast_zenoh.study.defences.drift import DriftCell
-from mast_zenoh.study.defences.driving_matrix import DrivingCell
-from mast_zenoh.study.defences.field_matrix import FieldCell, scenes_of_kinds
-from mast_zenoh.study.defences.matrix import Cell, matrix_study
 
 __all__ = [
     "COORDINATED",

@@ -15,6 +15,7 @@ from mast_zenoh.metrics import Table
 from mast_zenoh.metrics.study_results import BreakdownPoint, BreakdownRow, BreakdownTable, Measured
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.study.defences import kinds
+from mast_zenoh.study.defences.cells import BreakdownCell
 from mast_zenoh.study.defences.choices import honest_majority
 from mast_zenoh.study.defences.intervals import pooled, share_of_trials
 from mast_zenoh.study.numbers import ego, scored_frames
@@ -28,28 +29,6 @@ if TYPE_CHECKING:
 #: Half of the trials, and half of the objects.
 HALF = 0.5
 _ROUNDING, _ROUNDING_S = 1e-12, 1e-6
-
-
-@dataclass(frozen=True, slots=True)
-class BreakdownCell(kinds.DefenceCell):
-    """A number of liars among a number of agents, the ego included.
-
-    attack: its short name; "" without liars;  attack_start_s: s of scene time
-    """
-
-    kind = "breakdown"
-
-    attack: str
-    agents: int
-    liars: int
-    attack_start_s: float
-
-    @property
-    def label(self) -> str:
-        """The label of its configuration."""
-        return (
-            f"{self.agents} agents {self.attack} {self.liars}" if self.liars else f"{self.agents} agents without liars"
-        )
 
 
 @dataclass(frozen=True, slots=True)

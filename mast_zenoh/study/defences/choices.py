@@ -42,6 +42,12 @@ FAULTS: dict[str, dict[str, Any]] = {
 
 #: poles: static agents first, as in the other scenarios; random: by the seed; worst: those that cover the most objects.
 PLACEMENTS = ("poles", "random", "worst")
+#: By kind of scene, the agents besides the ego: poles, cars alone, or both, 13 agents in all.
+SCENE_KINDS: dict[str, dict[str, int]] = {
+    "poles": dict(n_infrastructure=4, n_mobile=0),
+    "cars": dict(n_infrastructure=0, n_mobile=4),
+    "many": dict(n_infrastructure=8, n_mobile=4),
+}
 #: Lidar returns from which an agent sees an object.
 MIN_RETURNS = 5
 #: Up to so many agents, all but the ego stand on poles.
@@ -199,6 +205,20 @@ def sensors_of(agents: int) -> dict[str, int]:
         raise ConfigurationError(f"agents: found {agents!r}, expected whole numbers from 2 to {_MAX_AGENTS}")
     cars = max(0, (agents - _POLES_ALONE) // 2)
     return {"n_infrastructure": agents - 1 - cars, "n_mobile": cars}
+
+
+def scenes_of_kinds(kinds: str | Sequence[str], scene: str) -> list[dict[str, Any]]:
+    """The launch-time parameters of a scene of each kind. Raises ConfigurationError for an unknown kind, or none."""
+    names = words(kinds)
+    for name in names:
+        if name not in SCENE_KINDS:
+            expected = ", ".join(SCENE_KINDS)
+            hint = nearest(str(name), SCENE_KINDS)
+            hint = hint if "did you mean" in hint else ""  # otherwise it lists what is expected once more
+            raise ConfigurationError(f"kinds: unknown kind {name!r}: expected one of {expected}{hint}")
+    if not names:
+        raise ConfigurationError(f"kinds: found none, expected one or more of {', '.join(SCENE_KINDS)}")
+    return [{"scene": scene} | SCENE_KINDS[name] for name in names]
 
 
 def place(

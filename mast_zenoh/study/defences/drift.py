@@ -30,6 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.metrics.study_results import NAN, DriftRow, DriftTable, Measured
 from mast_zenoh.study.defences import kinds
+from mast_zenoh.study.defences.cells import DriftCell
 from mast_zenoh.study.defences.intervals import kaplan_meier, pooled, share_of_trials
 from mast_zenoh.study.trial import Outcome
 
@@ -50,27 +51,6 @@ INDEPENDENT_PER_S = 1.1
 #: One false alarm per hour: what the sum of log-likelihood ratios must reach.
 EVIDENCE = math.log(3600.0 * INDEPENDENT_PER_S)
 _ROUNDING_S = 1e-6
-
-
-@dataclass(frozen=True, slots=True)
-class DriftCell(kinds.DefenceCell):
-    """One liar that displaces one object at a time.
-
-    offset_m: the largest offset;  rate_mps: m/s by which it grows; None: at once
-    agents:   number of agents, the ego included
-    """
-
-    kind = "drift"
-
-    offset_m: float
-    rate_mps: float | None = None
-    agents: int = 5
-
-    @property
-    def label(self) -> str:
-        """The label of its configuration."""
-        lie = f"offset {self.offset_m:g} m" if self.rate_mps is None else f"drift {self.rate_mps:g} mps"
-        return f"{self.agents} agents {lie}"
 
 
 def _offsets(table: Mapping[str, NDArray[Any]]) -> dict[tuple[int, int], float]:

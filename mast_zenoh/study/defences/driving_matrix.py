@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -27,6 +26,7 @@ from mast_zenoh.metrics.estimates import MISSION
 from mast_zenoh.metrics.study_results import NEGLIGIBLE, Estimate
 from mast_zenoh.study import statistics
 from mast_zenoh.study.defences import kinds
+from mast_zenoh.study.defences.cells import DrivingCell
 from mast_zenoh.study.defences.intervals import share_of_trials
 from mast_zenoh.study.defences.matrix_records import own_metrics
 from mast_zenoh.study.trial import Outcome, TrialKey
@@ -53,27 +53,6 @@ class Happened(NamedTuple):
     uncommanded: int
     blind: int
     idle: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class DrivingCell(kinds.DefenceCell):
-    """One attack and one defence.
-
-    attack: its name; "": none;  wire: where it is;  defence: its name; "": none
-    car:    whose consequences count
-    """
-
-    kind = "driving_matrix"
-
-    attack: str
-    wire: str
-    defence: str
-    car: str = "ego"
-
-    @property
-    def label(self) -> str:
-        """The label of its configuration."""
-        return f"{f'{self.attack} on {self.wire}' if self.attack else 'no attack'}, {self.defence or 'no defence'}"
 
 
 class Collection(kinds.Collection):

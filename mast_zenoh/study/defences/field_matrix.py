@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats, Ints
-from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.metrics.field_results import (
     FieldBreakdown,
     FieldMatrix,
@@ -21,9 +19,9 @@ from mast_zenoh.metrics.field_results import (
 )
 from mast_zenoh.metrics.study_results import Measured
 from mast_zenoh.study.defences import breakdown, intervals, matrix, matrix_records
-from mast_zenoh.study.defences.breakdown import HALF, BreakdownCell, BreakdownRecord, crossing
-from mast_zenoh.study.defences.choices import words
-from mast_zenoh.study.defences.matrix import UNDEFENDED, Cell
+from mast_zenoh.study.defences.breakdown import HALF, BreakdownRecord, crossing
+from mast_zenoh.study.defences.cells import UNDEFENDED, BreakdownCell, Cell, FieldCell
+from mast_zenoh.study.defences.choices import SCENE_KINDS
 from mast_zenoh.study.defences.published import BY_SUSPENSION, PUBLISHED, Published
 from mast_zenoh.study.trial import Outcome, TrialKey
 
@@ -33,27 +31,8 @@ if TYPE_CHECKING:
     from mast_zenoh.runs.run import Run
 
 _ROUNDING = 1e-12
-#: By kind of scene, the agents besides the ego: poles, cars alone, or both, 13 agents in all; and its title.
-SCENE_KINDS: dict[str, dict[str, int]] = {
-    "poles": dict(n_infrastructure=4, n_mobile=0),
-    "cars": dict(n_infrastructure=0, n_mobile=4),
-    "many": dict(n_infrastructure=8, n_mobile=4),
-}
+#: Titles of kinds of scene.
 _TITLES = {"poles": "4 poles", "cars": "4 cars", "many": "8 poles, 4 cars"}
-
-
-def scenes_of_kinds(kinds: str | Sequence[str], scene: str) -> list[dict[str, Any]]:
-    """The launch-time parameters of a scene of each kind. Raises ConfigurationError for an unknown kind, or none."""
-    names = words(kinds)
-    for name in names:
-        if name not in SCENE_KINDS:
-            expected = ", ".join(SCENE_KINDS)
-            hint = nearest(str(name), SCENE_KINDS)
-            hint = hint if "did you mean" in hint else ""  # otherwise it lists what is expected once more
-            raise ConfigurationError(f"kinds: unknown kind {name!r}: expected one of {expected}{hint}")
-    if not names:
-        raise ConfigurationError(f"kinds: found none, expected one or more of {', '.join(SCENE_KINDS)}")
-    return [{"scene": scene} | SCENE_KINDS[name] for name in names]
 
 
 def scene_title(label: str) -> str:
@@ -62,15 +41,6 @@ def scene_title(label: str) -> str:
         if label.endswith(f", {agents['n_infrastructure']}, {agents['n_mobile']}"):
             return _TITLES[kind]
     return label
-
-
-@dataclass(frozen=True, slots=True)
-class FieldCell(Cell):
-    """A cell of this matrix; attack_start_s: s of scene time."""
-
-    kind = "field_matrix"
-
-    attack_start_s: float = 0.0
 
 
 class Collection(matrix.Collection):
