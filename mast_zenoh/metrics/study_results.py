@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.metrics.causes import CAUSES
@@ -321,7 +321,7 @@ class Row(NamedTuple):
     of: what it is of, by name;  trials: their number, or that of pairs;  numbers: by measure
     """
 
-    of: Mapping[str, object]
+    of: Mapping[str, Any]
     trials: int
     numbers: Mapping[str, Measured]
 
@@ -504,55 +504,4 @@ class DriftTable:
 
     rows: Sequence[DriftRow]
     limit_s: float
-    size: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BreakdownRow:
-    """Trials of one number of liars among a number of agents.
-
-    broken:    share of trials in which the defence broke: `worse`, the picture is worse than the ego alone, or
-               `honest_first`, an honest agent is suspended before any liar, and not without liars
-    honest_suspended: mean share of the honest agents that are suspended at any time
-    honest_majority:  share of objects that more honest agents see than liars
-    """
-
-    attack: str
-    agents: int
-    liars: int
-    trials: int
-    broken: Measured
-    worse: Measured
-    honest_first: Measured
-    honest_suspended: float
-    honest_majority: float
-
-    @property
-    def share(self) -> float:
-        """Share of liars among all agents."""
-        return self.liars / self.agents
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BreakdownPoint:
-    """Shares of liars, infinite if not reached with up to `most` (a share, too).
-
-    point: smallest at which half of the trials are broken;  bound: at which half of the objects have no honest majority
-    difference: point minus bound
-    """
-
-    attack: str
-    agents: int
-    point: Measured
-    bound: Measured
-    difference: Measured
-    most: float
-
-
-@dataclass(frozen=True, slots=True)
-class BreakdownTable:
-    """All rows, and the points by (attack, agents);  size: seeds and scenes."""
-
-    rows: Sequence[BreakdownRow]
-    points: Mapping[tuple[str, int], BreakdownPoint]
     size: str

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.ticker import NullFormatter, ScalarFormatter
 from numpy.typing import ArrayLike
@@ -29,7 +30,7 @@ def facet(rows: Sequence[Row], x: str, hue: str, panels: Sequence[tuple[str, flo
     """
     figure = Figure(figsize=(9.2, 3.4 * len(panels) / 2.0), layout="constrained", facecolor="white")
     grid = figure.subplots(-(-len(panels) // 2), 2, sharex=True, squeeze=False)
-    ticks = sorted({int(str(row.of[x])) for row in rows})
+    ticks = sorted({row.of[x] for row in rows})
     hues = list(dict.fromkeys(row.of[hue] for row in rows))
     for axes, (measure, factor, label) in zip(grid.ravel(), panels, strict=True):
         light_axes(axes)
@@ -41,7 +42,7 @@ def facet(rows: Sequence[Row], x: str, hue: str, panels: Sequence[tuple[str, flo
         for index, each in enumerate(hues):
             of_hue = [row for row in rows if row.of[hue] == each]
             shift = _APART ** (index - (len(hues) - 1) / 2.0)
-            at = shift * np.array([int(str(row.of[x])) for row in of_hue])
+            at = shift * np.array([row.of[x] for row in of_hue])
             curve(axes, at, [row.numbers[measure] for row in of_hue], index, str(each), factor)
         bottom, top = axes.get_ylim()
         if measure == log and bottom > 0.0 and top > _LOG * bottom:
@@ -74,9 +75,10 @@ def curve(axes: Axes, x: ArrayLike, numbers: Sequence[Measured], index: int, lab
     )
 
 
-def legend_above(figure: Figure, axes: Axes) -> None:
-    """The legend of the curves of a panel, above all panels, in one line."""
+def legend_above(figure: Figure, axes: Axes, *others: Artist) -> None:
+    """The legend of the curves of a panel and of others, above all panels, in one line."""
     handles, labels = axes.get_legend_handles_labels()
+    handles, labels = [*handles, *others], [*labels, *(str(other.get_label()) for other in others)]
     figure.legend(
         handles, labels, loc="outside upper left", ncols=max(1, len(labels)), frameon=False, fontsize=9, labelcolor=INK
     )

@@ -1,4 +1,4 @@
-"""The tables of the studies of limits: displaced objects, and the breakdown point."""
+"""The tables of the study of displaced objects."""
 
 from __future__ import annotations
 
@@ -6,12 +6,8 @@ from collections.abc import Iterator
 
 from mast_zenoh.metrics.study_results import (
     MIN_SEEDS,
-    BreakdownPoint,
-    BreakdownRow,
-    BreakdownTable,
     DriftRow,
     DriftTable,
-    Measured,
 )
 from mast_zenoh.report.tables.text_table import FEW_TRIALS, ResultTables, TextTable, digits, measured, number, percent
 
@@ -109,75 +105,3 @@ def _line(row: DriftRow) -> list[str]:
         *(measured(row.delay_s), number(row.floor_s), measured(row.ratio)),
         *(_within(row), percent(row.noticed, " %")),
     ]
-
-
-_POINT_HEADINGS = ("attack", "agents", "breakdown point (%)", "bound (%)", "difference (percentage points)")
-_ROW_HEADINGS = (
-    *("attack", "agents", "liars", "liars (%)", "trials", "broken (%)", "picture worse than the ego alone (%)"),
-    *("honest agent suspended first (%)", "honest agents suspended (%)", "objects with an honest majority (%)"),
-)
-#: Of the terminal's table, in per cent.
-_SHORT_HEADINGS = ("attack", "liars", "broken", "worse", "honest first", "honest suspended", "majority")
-_SHARES = ("broken", "worse", "honest_first")
-_MEANS = ("honest_suspended", "honest_majority")
-_CSV_HEADINGS = ("attack", "agents", "liars", "trials", "measure", "value", "low", "high")
-
-
-def breakdown_tables(table: BreakdownTable) -> ResultTables:
-    """The tables of the study of the breakdown point.
-
-    The CSV has a row for each attack and numbers of agents and liars, then one for each point, in which the column
-    `liars` is empty; shares from 0 to 1.
-    """
-    about = (
-        f"{table.size}. A trial is broken if the ego's picture has more missed and false objects than its own tracks "
-        "from the start of the attack on, or if an honest agent is suspended before any liar. A suspension that "
-        "happens in the run without liars of the same scene and seed, too, is a false alarm that no liar caused: it "
-        "counts only as a suspended honest agent."
-    )
-    about_points = (
-        "Smallest share of liars at which half of the trials are broken, next to that at which half of the objects "
-        "have no honest majority of viewers. Bootstrap 95 % intervals over trials."
-    )
-    about_rows = "With the 95 % interval of Clopper and Pearson."
-    points = TextTable(
-        "Breakdown points", about_points, _POINT_HEADINGS, [_point(each) for each in table.points.values()], 1
-    )
-    rows = TextTable("Broken trials", about_rows, _ROW_HEADINGS, [_row(row) for row in table.rows], 1)
-    short = TextTable("Broken trials (%)", "", _SHORT_HEADINGS, [_short_line(row) for row in table.rows], 1)
-    numbers = _CSV_HEADINGS, list(_csv_lines(table))
-    brief = [points._replace(about=""), short]
-    return ResultTables("Breakdown point", about, table.size, [points, rows], numbers, brief)
-
-
-def _csv_lines(table: BreakdownTable) -> Iterator[list[object]]:
-    for row in table.rows:
-        cell = (row.attack, row.agents, row.liars, row.trials)
-        for name in _SHARES:
-            yield [*cell, name, *digits(*getattr(row, name)[:3])]
-        for name in _MEANS:
-            yield [*cell, name, *digits(*Measured(getattr(row, name))[:3])]
-    for point in table.points.values():
-        for name in ("point", "bound", "difference"):
-            yield [point.attack, point.agents, "", "", f"breakdown_{name}", *digits(*getattr(point, name)[:3])]
-
-
-def _short_line(row: BreakdownRow) -> list[str]:
-    shares = (row.worse.value, row.honest_first.value, row.honest_suspended, row.honest_majority)
-    return [
-        *(row.attack, f"{row.liars} of {row.agents}", percent(row.broken)),
-        *(number(100.0 * each, 0) for each in shares),
-    ]
-
-
-def _point(point: BreakdownPoint) -> list[str]:
-    most = f"> {100.0 * point.most:.0f}"
-    numbers = [percent(point.point, beyond=most), percent(point.bound, beyond=most)]
-    beyond = f"> {number(100.0 * (point.most - point.bound.value), 0)}"
-    return [point.attack, str(point.agents), *numbers, percent(point.difference, beyond=beyond)]
-
-
-def _row(row: BreakdownRow) -> list[str]:
-    cell = [row.attack, str(row.agents), str(row.liars), f"{100.0 * row.share:.0f}", str(row.trials)]
-    means = (percent(Measured(getattr(row, name))) for name in _MEANS)
-    return [*cell, *(percent(getattr(row, name)) for name in _SHARES), *means]

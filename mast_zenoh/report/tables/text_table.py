@@ -242,9 +242,17 @@ def table_of_rows(
 
 
 def numbers_of_rows(rows: Sequence[Row]) -> tuple[Sequence[str], Sequence[Sequence[object]]]:
-    """The headings and lines of a CSV file with a line for each row and measure."""
-    lines = [[*row.of.values(), name, *bounds(each)] for row in rows for name, each in row.numbers.items()]
-    return [*(rows[0].of if rows else ()), "measure", *BOUNDS], lines
+    """The headings and lines of a CSV file with a line for each row and measure.
+
+    The first row has all names of what rows are of; those that others lack are empty.
+    """
+    names = [*rows[0].of] if rows else []
+    lines = [
+        [*(row.of.get(name, "") for name in names), measure, *bounds(each)]
+        for row in rows
+        for measure, each in row.numbers.items()
+    ]
+    return [*names, "measure", *BOUNDS], lines
 
 
 #: Columns of `bounds`.

@@ -3,32 +3,44 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.config.resolved import RECORDING
 from mast_zenoh.metrics import Table
-from mast_zenoh.metrics.study_results import BreakdownPoint, BreakdownRow, BreakdownTable, Measured
+from mast_zenoh.metrics.study_results import Measured, Row
+from mast_zenoh.report.tables.text_table import (
+    ResultTables,
+    number,
+    numbers_of_rows,
+    percent,
+    shown,
+    table_of_rows,
+)
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.study.defences import kinds
 from mast_zenoh.study.defences.cells import BreakdownCell
 from mast_zenoh.study.defences.choices import honest_majority
 from mast_zenoh.study.defences.intervals import pooled, share_of_trials
 from mast_zenoh.study.numbers import ego, scored_frames
-from mast_zenoh.study.trial import Outcome, TrialKey
+from mast_zenoh.study.trial import Outcome
 
 if TYPE_CHECKING:
     from mast_zenoh.report.figures.drawing import RenderedFigure
-    from mast_zenoh.report.tables.text_table import ResultTables
     from mast_zenoh.runs.run import Run
 
 #: Half of the trials, and half of the objects.
 HALF = 0.5
 _ROUNDING, _ROUNDING_S = 1e-12, 1e-6
+#: Measures of trials that happen or not, and means.
+_SHARES, _MEANS = ("broken", "worse", "honest_first"), ("honest_suspended", "honest_majority")
+#: A row for each number of liars, and one for each breakdown point.
+Tables = tuple[Sequence[Row], Sequence[Row]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +107,7 @@ class Collection(kinds.Collection):
     """Broken trials and breakdown points."""
 
     name = "breakdown"
+    drawn = ("breakdown",)
 
     @staticmethod
     def evaluate(run: Run, compromised: Sequence[str]) -> dict[str, Any]:
@@ -117,106 +130,97 @@ class Collection(kinds.Collection):
     def record(self, cell: BreakdownCell, outcome: Outcome) -> BreakdownRecord:
         return BreakdownRecord.of(cell, outcome)
 
-    def tables(self, table: BreakdownTable) -> ResultTables:
-        from mast_zenoh.report.tables.limits import breakdown_tables
+    def table(self) -> Tables:
+        """The rows of all cells, with shares of trials and means over them:
 
-        return breakdown_tables(table)
+        broken:    `worse`, the picture is worse than the ego alone, or `honest_first`, an honest agent is suspended
+                   before any liar, and not without liars
+        honest_suspended: share of the honest agents that are suspended at any time
+        honest_majority:  share of objects that more honest agents see than liars
 
-    def figures(self, table: BreakdownTable) -> Mapping[str, RenderedFigure]:
-        from mast_zenoh.report.figures.defences import figure_of_breakdown
+        And those of breakdown points, shares of liars that are infinite if they are not reached:
 
-        figure = figure_of_breakdown(table)
-        return {figure.name: figure}
-
-    def table(self) -> BreakdownTable:
-        """A row for each cell, and a breakdown point for each attack and number of agents."""
-        rows, points = [], {}
+        breakdown_point: smallest at which half of the trials are broken
+        breakdown_bound: at which half of the objects have no honest majority;  breakdown_difference: point minus bound
+        """
+        rows, points = [], []
         for attack in dict.fromkeys(cell.attack for cell in self.records if cell.attack):
             for agents in dict.fromkeys(cell.agents for cell in self.records):
                 cells = [c for c in self.records if c.agents == agents and c.attack in ("", attack)]
-                cells.sort(key=lambda cell: cell.liars)
-                without_liars = next((self.records[cell] for cell in cells if not cell.liars), {})
-                trials = {
-                    cell.liars: {
-                        key: _Trial(record, record.honest_first(without_liars.get(key)))
-                        for key, record in self.records[cell].items()
-                    }
-                    for cell in cells
-                }
-                rows += [_row(attack, agents, liars, list(each.values())) for liars, each in trials.items()]
-                if any(trials.values()):
-                    points[attack, agents] = _point(attack, agents, trials)
-        return BreakdownTable(rows, points, self.size)
+                values = {cell.liars: self._of_trials(cell) for cell in sorted(cells, key=lambda cell: cell.liars)}
+                of = {"attack": attack, "agents": agents}
+                rows += [_row(of | {"liars": liars}, each) for liars, each in values.items()]
+                shares = {liars / agents: each for liars, each in values.items() if not np.isnan(each["worse"]).all()}
+                if shares:
+                    points.append(_point(of, shares))
+        return rows, points
+
+    def _of_trials(self, cell: BreakdownCell) -> dict[str, Floats]:
+        """By measure, (trials,) its value in each planned trial; NaN: it failed."""
+        without_liars = self.records.get(replace(cell, attack="", liars=0), {})
+        values = np.full((len(self.order), 5), np.nan)
+        for key, record in self.records[cell].items():
+            first = record.honest_first(without_liars.get(key))
+            shares = record.worse or first, record.worse, first
+            values[self.order[key]] = *shares, record.honest_suspended, record.honest_majority
+        return dict(zip((*_SHARES, *_MEANS), values.T, strict=True))
+
+    def tables(self, table: Tables) -> ResultTables:
+        """The CSV has a row for each attack, numbers of agents and liars, and measure.
+
+        Then those of points, in which the column `liars` is empty; shares from 0 to 1.
+        """
+        rows, points = table
+        of_points = table_of_rows("Breakdown points", _ABOUT_POINTS, points, _points_columns(rows))
+        of_short = ({"attack": row.of["attack"], "liars": "{liars} of {agents}".format_map(row.of)} for row in rows)
+        short = [row._replace(of=of) for row, of in zip(rows, of_short, strict=True)]
+        return ResultTables(
+            "Breakdown point",
+            f"{self.size}. {_ABOUT}",
+            self.size,
+            [of_points, table_of_rows("Broken trials", _ABOUT_ROWS, rows, _COLUMNS)],
+            numbers_of_rows([*rows, *points]),
+            [of_points._replace(about=""), table_of_rows("Broken trials (%)", "", short, _BRIEF)],
+        )
+
+    def figures(self, table: Tables) -> Mapping[str, RenderedFigure]:
+        rows, points = table
+        if not rows:
+            return {}
+        from mast_zenoh.report.figures.defences import figure_of_breakdown  # drawing libraries are slow to load
+
+        return {self.name: figure_of_breakdown(rows, _in_words(rows, points), self.size)}
 
 
-@dataclass(frozen=True, slots=True)
-class _Trial:
-    """A trial next to the one without liars of the same scene and seed."""
-
-    record: BreakdownRecord
-    honest_first: bool
-
-    @property
-    def broken(self) -> bool:
-        """Whether the defence did more harm than good, or punished the wrong agent."""
-        return self.record.worse or self.honest_first
+def _row(of: Mapping[str, object], values: Mapping[str, Floats]) -> Row:
+    known = {name: each[~np.isnan(each)] for name, each in values.items()}
+    trials = len(known["worse"])
+    numbers = {name: share_of_trials(known[name].sum(), trials) for name in _SHARES}
+    return Row(of, trials, numbers | {name: Measured(_mean(known[name]), trials=trials) for name in _MEANS})
 
 
-def _row(attack: str, agents: int, liars: int, trials: Sequence[_Trial]) -> BreakdownRow:
-    def share(happened: Iterable[bool]) -> Measured:
-        return share_of_trials(sum(happened), len(trials))
+def _point(of: Mapping[str, object], shares: Mapping[float, Mapping[str, Floats]]) -> Row:
+    """The breakdown point of one attack, by share of liars; units are scenes with seeds, which all shares have."""
+    measures = np.array([[each["broken"], 1.0 - each["honest_majority"]] for each in shares.values()])
+    measures = measures[:, :, ~np.isnan(measures).all(axis=(0, 1))]
 
-    return BreakdownRow(
-        attack=attack,
-        agents=agents,
-        liars=liars,
-        trials=len(trials),
-        broken=share(each.broken for each in trials),
-        worse=share(each.record.worse for each in trials),
-        honest_first=share(each.honest_first for each in trials),
-        honest_suspended=_mean([each.record.honest_suspended for each in trials]),
-        honest_majority=_mean([each.record.honest_majority for each in trials]),
-    )
+    def broken(trials: Ints) -> float:
+        return mean_crossing([*shares], measures[:, 0, trials])
 
+    def bound(trials: Ints) -> float:
+        return mean_crossing([*shares], measures[:, 1, trials])
 
-def _point(attack: str, agents: int, by_liars: Mapping[int, Mapping[TrialKey, _Trial]]) -> BreakdownPoint:
-    """The breakdown point of one attack; units are scenes with seeds, which all numbers of liars share."""
-    keys = list(dict.fromkeys(key for trials in by_liars.values() for key in trials))
-    shares = {liars / agents: trials for liars, trials in by_liars.items() if trials}
+    def difference(trials: Ints) -> float:
+        of_bound = bound(trials)
+        return math.nan if math.isinf(of_bound) else broken(trials) - of_bound
 
-    def broken(chosen: Sequence[TrialKey]) -> float:
-        return _crossing(shares, chosen, lambda trial: float(trial.broken))
-
-    def bound(chosen: Sequence[TrialKey]) -> float:
-        return _crossing(shares, chosen, lambda trial: 1.0 - trial.record.honest_majority)
-
-    def difference(chosen: Sequence[TrialKey]) -> float:
-        of_bound = bound(chosen)
-        return math.nan if math.isinf(of_bound) else broken(chosen) - of_bound
-
-    def measured(statistic: Callable[[Sequence[TrialKey]], float]) -> Measured:
-        return pooled(lambda rows: statistic([keys[row] for row in rows.tolist()]), len(keys))  # the same draws
-
-    of_broken, of_bound, of_difference = map(measured, (broken, bound, difference))
-    return BreakdownPoint(
-        attack=attack, agents=agents, point=of_broken, bound=of_bound, difference=of_difference, most=max(shares)
-    )
+    count = measures.shape[2]
+    numbers = {"point": broken, "bound": bound, "difference": difference}
+    return Row(of, count, {f"breakdown_{name}": pooled(each, count) for name, each in numbers.items()})
 
 
-def _crossing(
-    shares: Mapping[float, Mapping[TrialKey, _Trial]], chosen: Sequence[TrialKey], value: Callable[[_Trial], float]
-) -> float:
-    """The share of liars at which the mean of a value over the chosen trials reaches one half."""
-    points = []
-    for of_liars, trials in shares.items():
-        values = [value(trials[key]) for key in chosen if key in trials]
-        if values:
-            points.append((of_liars, _mean(values)))
-    return crossing([x for x, _ in points], [mean for _, mean in points]) if points else math.nan
-
-
-def _mean(values: Sequence[float]) -> float:
-    return float(np.mean(values)) if values else math.nan
+def _mean(values: Floats) -> float:
+    return float(np.mean(values)) if len(values) else math.nan
 
 
 def _errors(per_frame: Table, agent: str, estimator: str, frames: range) -> float:
@@ -247,3 +251,85 @@ def crossing(x: ArrayLike, y: ArrayLike) -> float:
     before = after - 1
     fraction = min(1.0, (HALF - share[before]) / (share[after] - share[before]))
     return float(at[before] + fraction * (at[after] - at[before]))
+
+
+def mean_crossing(x: Sequence[float], values: Floats) -> float:
+    """`crossing` of the means over trials; NaN without any. values: (n, trials), NaN where a trial has none."""
+    known = [(at, line[~np.isnan(line)]) for at, line in zip(x, values, strict=True)]
+    points = [(at, _mean(line)) for at, line in known if len(line)]
+    return crossing(*zip(*points, strict=True)) if points else math.nan
+
+
+# -- what readers see --------------------------------------------------------------------------------------------------
+
+_ABOUT = (
+    "A trial is broken if the ego's picture has more missed and false objects than its own tracks from the start of "
+    "the attack on, or if an honest agent is suspended before any liar. A suspension that happens in the run without "
+    "liars of the same scene and seed, too, is a false alarm that no liar caused: it counts only as a suspended honest "
+    "agent."
+)
+_ABOUT_POINTS = (
+    "Smallest share of liars at which half of the trials are broken, next to that at which half of the objects have no "
+    "honest majority of viewers. Bootstrap 95 % intervals over trials."
+)
+_ABOUT_ROWS = "With the 95 % interval of Clopper and Pearson."
+_COLUMNS = {
+    "liars (%)": lambda row: f"{100.0 * _share(row):.0f}",
+    "trials": lambda row: str(row.trials),
+    "broken (%)": shown("broken", percent),
+    "picture worse than the ego alone (%)": shown("worse", percent),
+    "honest agent suspended first (%)": shown("honest_first", percent),
+    "honest agents suspended (%)": shown("honest_suspended", percent),
+    "objects with an honest majority (%)": shown("honest_majority", percent),
+}
+
+
+def _whole(each: Measured) -> str:
+    return number(100.0 * each.value, 0)
+
+
+#: Of the terminal's table, in per cent.
+_BRIEF = {
+    "broken": shown("broken", percent),
+    "worse": shown("worse", _whole),
+    "honest first": shown("honest_first", _whole),
+    "honest suspended": shown("honest_suspended", _whole),
+    "majority": shown("honest_majority", _whole),
+}
+
+
+def _share(row: Row) -> float:
+    """Share of liars among all agents."""
+    return float(row.of["liars"] / row.of["agents"])
+
+
+def _most(rows: Sequence[Row], point: Row) -> float:
+    """The greatest share of liars that was tried for a point."""
+    return max(_share(row) for row in rows if row.trials and point.of.items() <= row.of.items())
+
+
+def _points_columns(rows: Sequence[Row]) -> dict[str, Callable[[Row], str]]:
+    """rows: of all numbers of liars, beyond which points may be"""
+
+    def reached(measure: str) -> Callable[[Row], str]:
+        return lambda point: percent(point.numbers[measure], beyond=f"> {100.0 * _most(rows, point):.0f}")
+
+    def difference(point: Row) -> str:
+        beyond = 100.0 * (_most(rows, point) - point.numbers["breakdown_bound"].value)
+        return percent(point.numbers["breakdown_difference"], beyond=f"> {number(beyond, 0)}")
+
+    return {
+        "breakdown point (%)": reached("breakdown_point"),
+        "bound (%)": reached("breakdown_bound"),
+        "difference (percentage points)": difference,
+    }
+
+
+def _in_words(rows: Sequence[Row], points: Sequence[Row]) -> str:
+    parts = []
+    for point in points:
+        numbers = (point.numbers[name].value for name in ("breakdown_point", "breakdown_bound"))
+        most = f"above {100.0 * _most(rows, point):.0f} %"
+        values = (most if math.isinf(each) else f"{100.0 * each:.0f} %" for each in numbers)
+        parts.append("{}, {} agents: {}, bound {}".format(*point.of.values(), *values))
+    return f"Half of the trials are broken at: {'; '.join(parts)}." if parts else ""
