@@ -234,11 +234,24 @@ def shown(measure: str, show: Callable[[Measured], str] = measured) -> Callable[
 
 
 def table_of_rows(
-    title: str, about: str, rows: Sequence[Row], columns: Mapping[str, Callable[[Row], str]]
+    title: str,
+    about: str,
+    rows: Sequence[Row],
+    columns: Mapping[str, Callable[[Row], str]],
+    names: Mapping[str, str] | None = None,
+    *,
+    texts: int = 1,
 ) -> TextTable:
-    """What rows are of, then columns by heading."""
-    lines = [[*map(str, row.of.values()), *(show(row) for show in columns.values())] for row in rows]
-    return TextTable(title, about, [*(rows[0].of if rows else ()), *columns], lines, 1)
+    """What rows are of, then columns by heading.
+
+    names: by heading, of what rows are of; None: all, by their own names;  texts: number of text columns
+    """
+    shown_names = {name: name for name in (rows[0].of if rows else ())} if names is None else names
+    lines = [
+        [*(str(row.of[name]) for name in shown_names.values()), *(show(row) for show in columns.values())]
+        for row in rows
+    ]
+    return TextTable(title, about, [*shown_names, *columns], lines, texts)
 
 
 def numbers_of_rows(rows: Sequence[Row]) -> tuple[Sequence[str], Sequence[Sequence[object]]]:

@@ -172,15 +172,14 @@ class Collection(kinds.Collection):
         """
         rows, points = table
         of_points = table_of_rows("Breakdown points", _ABOUT_POINTS, points, _points_columns(rows))
-        of_short = ({"attack": row.of["attack"], "liars": "{liars} of {agents}".format_map(row.of)} for row in rows)
-        short = [row._replace(of=of) for row, of in zip(rows, of_short, strict=True)]
+        short = table_of_rows("Broken trials (%)", "", rows, _BRIEF, {"attack": "attack"})
         return ResultTables(
             "Breakdown point",
             f"{self.size}. {_ABOUT}",
             self.size,
             [of_points, table_of_rows("Broken trials", _ABOUT_ROWS, rows, _COLUMNS)],
             numbers_of_rows([*rows, *points]),
-            [of_points._replace(about=""), table_of_rows("Broken trials (%)", "", short, _BRIEF)],
+            [of_points._replace(about=""), short],
         )
 
     def figures(self, table: Tables) -> Mapping[str, RenderedFigure]:
@@ -290,6 +289,7 @@ def _whole(each: Measured) -> str:
 
 #: Of the terminal's table, in per cent.
 _BRIEF = {
+    "liars": lambda row: "{liars} of {agents}".format_map(row.of),
     "broken": shown("broken", percent),
     "worse": shown("worse", _whole),
     "honest first": shown("honest_first", _whole),

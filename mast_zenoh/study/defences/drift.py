@@ -28,14 +28,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mast_zenoh.arrays.states import Floats, Ints
-from mast_zenoh.metrics.study_results import NAN, DriftRow, DriftTable, Measured
+from mast_zenoh.metrics.study_results import MIN_SEEDS, NAN, Measured, Row
+from mast_zenoh.report.tables.text_table import (
+    FEW_TRIALS,
+    ResultTables,
+    digits,
+    number,
+    percent,
+    shown,
+    table_of_rows,
+)
 from mast_zenoh.study.defences import kinds
 from mast_zenoh.study.defences.cells import DriftCell
 from mast_zenoh.study.defences.intervals import kaplan_meier, pooled, share_of_trials
 from mast_zenoh.study.trial import Outcome
 
 if TYPE_CHECKING:
-    from mast_zenoh.report.tables.text_table import ResultTables
     from mast_zenoh.runs.run import Run
 
 #: s within which an offset should be detected.
@@ -100,6 +108,10 @@ class Episode:
         """Whether its liar was suspended within a time."""
         return self.detected and self.watched_s <= limit_s + _ROUNDING_S
 
+
+#: Measures: counts, numbers without an interval, and with one.
+_COUNTS, _PLAIN = ("episodes", "detected", "judged"), ("floor_s", "floor_m")
+_MEASURED = ("delay_s", "ratio", "offset_reached_m", "within", "noticed")
 
 #: Two or more: a majority against the liar. One or more: everything that could be noticed at all.
 _OPEN_RANGES = (ViewerRange(2, None), ViewerRange(1, None))
@@ -169,13 +181,18 @@ class Collection(kinds.Collection):
     def record(self, cell: DriftCell, outcome: Outcome) -> DriftRecord:
         return DriftRecord(**outcome.metrics["defence"])
 
-    def tables(self, table: DriftTable) -> ResultTables:
-        from mast_zenoh.report.tables.limits import drift_tables
+    def table(self) -> list[Row]:
+        """The rows of all cells: whole runs, then displaced objects by exact number of viewers, and by open ranges.
 
-        return drift_tables(table)
+        Of a row: `viewers` is empty for whole runs, from the first lie to the suspension, regardless of viewers.
 
-    def table(self) -> DriftTable:
-        """The rows of all cells: whole runs, exact numbers of viewers, and open ranges."""
+        episodes, detected: numbers of displaced objects, and of suspensions among them
+        delay_s:  median until the suspension (Kaplan-Meier)
+        floor_s:  of the least delay that is possible with as many witnesses;  ratio: median delay in floors
+        offset_reached_m: median offset reached before the suspension;  floor_m: offset at the floor
+        within:   share of the `judged` runs in which the liar was suspended within LIMIT_S
+        noticed:  the same from all episodes (Kaplan-Meier), shorter ones included; unknown if all end before the limit
+        """
         rows = []
         for cell, by_trial in self.records.items():
             records = list(by_trial.values())
@@ -183,7 +200,31 @@ class Collection(kinds.Collection):
             most = max((max(record.displaced["viewers"], default=0) for record in records), default=0)
             for viewers in (*(ViewerRange(count, count) for count in range(1, most + 1)), *_OPEN_RANGES):
                 rows.append(_row(cell, viewers, [record.episodes(viewers) for record in records]))
-        return DriftTable(rows, LIMIT_S, self.size)
+        return rows
+
+    def tables(self, table: Sequence[Row]) -> ResultTables:
+        """The CSV has a row for each lie and number of viewers (empty: whole runs)."""
+        whole = [row for row in table if not row.of["viewers"]]
+        objects = [row for row in table if row.of["viewers"]]
+        drifting = [row for row in objects if row.of["rate_mps"] is not None]
+        majority = [row for row in objects if row.of["viewers"] == _OPEN_RANGES[0].title]
+        lie, viewers = {"lie": "label"}, {"honest viewers": "viewers"}
+        tables = [
+            table_of_rows(_RUNS, "Whole runs, regardless of viewers.", whole, _OF_RUNS, lie),
+            table_of_rows(_OBJECTS, "", objects, _OF_OBJECTS, lie | viewers, texts=2),
+            table_of_rows(_OFFSETS, "", drifting, _OF_DRIFTS, {"drift": "label"} | viewers, texts=2),
+        ]
+        delays = [row.numbers["delay_s"] for row in table]
+        few = any(each.known and not each.interval and each.trials < MIN_SEEDS for each in delays)
+        return ResultTables(
+            "Displaced objects",
+            f"{self.size}. {_ABOUT}",
+            self.size,
+            tables if drifting else tables[:-1],
+            _wide(table),
+            [table_of_rows(_MAJORITY, "", majority, _BRIEF, lie)],
+            FEW_TRIALS if few else "",
+        )
 
 
 def one_witness_floor_s(cell: DriftCell) -> float:
@@ -191,28 +232,28 @@ def one_witness_floor_s(cell: DriftCell) -> float:
     return offset_floor_s(cell.offset_m) if cell.rate_mps is None else drift_floor_s(cell.rate_mps)
 
 
-def _whole_runs(cell: DriftCell, records: Sequence[DriftRecord]) -> DriftRow:
+def _whole_runs(cell: DriftCell, records: Sequence[DriftRecord]) -> Row:
     delays = [delay for record in records if (delay := record.delay()) is not None]
-    return DriftRow(
-        label=cell.label,
-        offset_m=cell.offset_m,
-        rate_mps=cell.rate_mps,
-        viewers="",
-        episodes=len(delays),
-        detected=sum(detected for _, detected in delays),
-        trials=len(delays),
-        delay_s=_bootstrap(delays, _median),
-        floor_s=NAN,
-        ratio=Measured(),
-        offset_reached_m=Measured(),
-        floor_m=NAN,
-        judged=len(delays),
-        within=share_of_trials(sum(detected and delay <= LIMIT_S + 1e-6 for delay, detected in delays), len(delays)),
-        noticed=_bootstrap(delays, _noticed),
-    )
+    numbers = dict.fromkeys((*_COUNTS, *_PLAIN, *_MEASURED), Measured()) | {
+        "episodes": _count(len(delays)),
+        "detected": _count(sum(detected for _, detected in delays)),
+        "judged": _count(len(delays)),
+        "delay_s": _bootstrap(delays, _median),
+        "within": share_of_trials(sum(detected and delay <= LIMIT_S + 1e-6 for delay, detected in delays), len(delays)),
+        "noticed": _bootstrap(delays, _noticed),
+    }
+    return Row(_of(cell, ""), len(delays), numbers)
 
 
-def _row(cell: DriftCell, viewers: ViewerRange, by_trial: Sequence[Sequence[Episode]]) -> DriftRow:
+def _of(cell: DriftCell, viewers: str) -> dict[str, Any]:
+    return {"label": cell.label, "offset_m": cell.offset_m, "rate_mps": cell.rate_mps, "viewers": viewers}
+
+
+def _count(number_of: int) -> Measured:
+    return Measured(float(number_of))
+
+
+def _row(cell: DriftCell, viewers: ViewerRange, by_trial: Sequence[Sequence[Episode]]) -> Row:
     """A row of one range of viewers; by_trial: the episodes of each trial, which may have none."""
     trials = [each for each in by_trial if each]
     every = [episode for each in trials for episode in each]
@@ -230,23 +271,19 @@ def _row(cell: DriftCell, viewers: ViewerRange, by_trial: Sequence[Sequence[Epis
     # The first object of each trial that lasted long enough: trials are independent, objects of one trial are not.
     judged = [each for trial in trials if (each := next((e for e in trial if e.judged_within(LIMIT_S)), None))]
     drifting = cell.rate_mps is not None
-    return DriftRow(
-        label=cell.label,
-        offset_m=cell.offset_m,
-        rate_mps=cell.rate_mps,
-        viewers=viewers.title,
-        episodes=len(every),
-        detected=sum(episode.detected for episode in every),
-        trials=len(trials),
-        delay_s=_bootstrap(trials, median(lambda e: e.watched_s)),
-        floor_s=floor_s,
-        ratio=_bootstrap(trials, median(lambda e: e.watched_s * e.speed_up / single_s)),
-        offset_reached_m=_bootstrap(trials, median(lambda e: e.offset_m)) if drifting else Measured(),
-        floor_m=floor_s * cell.rate_mps if cell.rate_mps is not None else NAN,
-        judged=len(judged),
-        within=share_of_trials(sum(each.detected_within(LIMIT_S) for each in judged), len(judged)),
-        noticed=_bootstrap(trials, lambda units: _noticed(times(units))),
-    )
+    numbers = {
+        "episodes": _count(len(every)),
+        "detected": _count(sum(episode.detected for episode in every)),
+        "judged": _count(len(judged)),
+        "floor_s": Measured(floor_s),
+        "floor_m": Measured(floor_s * cell.rate_mps if cell.rate_mps is not None else NAN),
+        "delay_s": _bootstrap(trials, median(lambda e: e.watched_s)),
+        "ratio": _bootstrap(trials, median(lambda e: e.watched_s * e.speed_up / single_s)),
+        "offset_reached_m": _bootstrap(trials, median(lambda e: e.offset_m)) if drifting else Measured(),
+        "within": share_of_trials(sum(each.detected_within(LIMIT_S) for each in judged), len(judged)),
+        "noticed": _bootstrap(trials, lambda units: _noticed(times(units))),
+    }
+    return Row(_of(cell, viewers.title), len(trials), numbers)
 
 
 def _bootstrap(trials: Sequence[Any], statistic: Callable[[Any], float]) -> Measured:
@@ -352,3 +389,74 @@ def speed_up(witnesses: ArrayLike) -> Floats:
 def _check(name: str, value: float) -> None:
     if not 0.0 < value < math.inf:
         raise ValueError(f"{name}: found {value}, expected more than 0")
+
+
+# -- what readers see --------------------------------------------------------------------------------------------------
+
+_ABOUT = (
+    "Medians by Kaplan and Meier with bootstrap 95 % intervals over trials; shares with the interval of Clopper and "
+    "Pearson. The floor is the least delay that is possible at one false alarm per hour."
+)
+_RUNS = "From the first lie to the suspension"
+_OFFSETS = "Offset that a drift reaches"
+_OBJECTS = "For each displaced object, by the number of honest agents that see it"
+_MAJORITY = "Displaced objects in view of two honest agents or more, until the liar is suspended"
+_WITHIN = f"within {LIMIT_S:g} s"
+
+
+def _whole(each: Measured) -> str:
+    return number(each.value, 0)
+
+
+def _share(each: Measured) -> str:
+    return percent(each, " %")
+
+
+def _share_of_judged(row: Row) -> str:
+    within = row.numbers["within"]
+    return _share(within) + (f" of {_whole(row.numbers['judged'])}" if within.known else "")
+
+
+def _plain(each: Measured) -> str:
+    return number(each.value)
+
+
+def _trials(row: Row) -> str:
+    return str(row.trials)
+
+
+def _wide(rows: Sequence[Row]) -> tuple[Sequence[str], Sequence[Sequence[object]]]:
+    """The headings and lines of the CSV file, with a line for each row."""
+    ends = [f"{name}{end}" for name in _MEASURED for end in ("", "_low", "_high")]
+    lines = [
+        [
+            *(*row.of.values(), *(_whole(row.numbers[name]) for name in ("episodes", "detected")), row.trials),
+            *(_whole(row.numbers["judged"]), *digits(*(row.numbers[name].value for name in _PLAIN))),
+            *(text for name in _MEASURED for text in digits(*row.numbers[name][:3])),
+        ]
+        for row in rows
+    ]
+    return [*rows[0].of, "episodes", "detected", "trials", "judged", *_PLAIN, *ends], lines
+
+
+_OF_RUNS = {
+    "runs": _trials,
+    "suspended": shown("detected", _whole),
+    "median delay (s)": shown("delay_s"),
+    _WITHIN: shown("within", _share),
+}
+_FLOORS = {"floor (s)": shown("floor_s", _plain), "delay / floor": shown("ratio"), _WITHIN: _share_of_judged}
+_OF_OBJECTS = {
+    "objects": shown("episodes", _whole),
+    "runs": _trials,
+    "detected": shown("detected", _whole),
+    "median delay (s)": shown("delay_s"),
+    **_FLOORS,
+    f"{_WITHIN} (Kaplan-Meier, all episodes)": shown("noticed", _share),
+}
+_OF_DRIFTS = {"median offset (m)": shown("offset_reached_m"), "at the floor (m)": shown("floor_m", _plain)}
+_BRIEF = {
+    "detected": lambda row: f"{_whole(row.numbers['detected'])} of {_whole(row.numbers['episodes'])}",
+    "delay (s)": shown("delay_s"),
+    **_FLOORS,
+}

@@ -15,8 +15,7 @@ from hypothesis import strategies as st
 import mast_zenoh as mast
 from mast_zenoh import scenario
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.metrics.study_results import DriftRow, DriftTable
-from mast_zenoh.report.tables.limits import drift_tables
+from mast_zenoh.metrics.study_results import Row
 from mast_zenoh.study import definition, trials
 from mast_zenoh.study.defences import DriftCell
 from mast_zenoh.study.defences.drift import (
@@ -161,60 +160,63 @@ def trial(suspended_s: float | None, viewers: int = 2, frames: int = 201) -> dic
     }
 
 
-def table(cell: DriftCell, *trials: dict[str, Any]) -> DriftTable:
+def collected(cell: DriftCell, *trials: dict[str, Any]) -> Collection:
     collection = Collection({cell.label: cell}, ["junction"], range(len(trials)))
     for seed, each in enumerate(trials):
         collection.add(outcome(cell.label, "junction", seed, {"defence": each}))
-    return collection.table()
+    return collection
 
 
-def rows(cell: DriftCell, *trials: dict[str, Any]) -> dict[str, DriftRow]:
+def rows(cell: DriftCell, *trials: dict[str, Any]) -> dict[str, Row]:
     """The rows by number of viewers."""
-    return {row.viewers: row for row in table(cell, *trials).rows}
+    return {row.of["viewers"]: row for row in collected(cell, *trials).table()}
+
+
+def values(row: Row, *names: str) -> list[float]:
+    return [row.numbers[name].value for name in names]
 
 
 def test_delays_are_compared_with_the_floor_of_as_many_witnesses() -> None:
     row = rows(OFFSET, trial(8.0), trial(10.0), trial(None))["2"]
     floor_s = 5.067 / 2.0 ** (1.0 / 3.0)
-    assert (row.episodes, row.detected, row.trials) == (3, 2, 3)
-    assert row.delay_s.value == pytest.approx(6.0)
-    assert row.floor_s == pytest.approx(floor_s, rel=1e-3)
-    assert row.ratio.value == pytest.approx(6.0 / floor_s, rel=1e-3)
+    assert [*values(row, "episodes", "detected"), row.trials] == [3, 2, 3]
+    assert values(row, "delay_s", "floor_s", "ratio") == pytest.approx([6.0, floor_s, 6.0 / floor_s], rel=1e-3)
 
 
 def test_the_share_within_ten_seconds_counts_runs_that_last_as_long() -> None:
     row = rows(OFFSET, trial(8.0), trial(15.0), trial(None), trial(None, frames=50))["2"]
-    assert (row.judged, row.within.value) == (3, pytest.approx(1.0 / 3.0))
+    assert values(row, "judged", "within") == [3, pytest.approx(1.0 / 3.0)]
     # One of four is noticed after 4 s; the one that ends after 4.9 s is censored.
-    assert row.noticed.value == pytest.approx(0.25)
+    assert values(row, "noticed") == [pytest.approx(0.25)]
     unknown = rows(OFFSET, trial(8.0, frames=50), trial(None, frames=50))["2"]
-    assert not unknown.noticed.known, "nobody was watched for as long"
-    assert rows(OFFSET, trial(8.0, frames=50))["2"].noticed.value == 1.0
+    assert not unknown.numbers["noticed"].known, "nobody was watched for as long"
+    assert rows(OFFSET, trial(8.0, frames=50))["2"].numbers["noticed"].value == 1.0
 
 
 def test_the_offset_of_a_drift_is_that_at_the_suspension() -> None:
     row = rows(DRIFT, trial(12.0), trial(14.0), trial(16.0))["2"]
-    assert row.offset_reached_m.value == pytest.approx(1.0)
-    assert row.floor_m == pytest.approx(0.1 * row.floor_s)
+    reached_m, floor_m, floor_s = values(row, "offset_reached_m", "floor_m", "floor_s")
+    assert (reached_m, floor_m) == (pytest.approx(1.0), pytest.approx(0.1 * floor_s))
 
 
 def test_whole_runs_count_from_the_first_lie_regardless_of_viewers() -> None:
     row = rows(OFFSET, trial(5.0, viewers=0), trial(None, viewers=0))[""]
-    assert (row.episodes, row.detected, row.delay_s.value) == (2, 1, pytest.approx(1.0))
+    assert values(row, "episodes", "detected", "delay_s") == [2, 1, pytest.approx(1.0)]
 
 
 def test_a_run_without_a_lie_counts_nowhere() -> None:
     nothing = {"first_lie_s": None, "suspended_s": None, "end_s": 24.0}
     empty: dict[str, list[float]] = {name: [] for name in ("time_s", "track", "viewers", "offset_m")}
     by_viewers = rows(OFFSET, nothing | {"displaced": empty})
-    assert all(row.episodes == row.trials == 0 for row in by_viewers.values())
-    assert not by_viewers["2 or more"].delay_s.known
+    assert all([*values(row, "episodes"), row.trials] == [0, 0] for row in by_viewers.values())
+    assert not by_viewers["2 or more"].numbers["delay_s"].known
 
 
 def test_what_fewer_than_half_notice_is_not_reached() -> None:
-    result = table(OFFSET, trial(8.0), trial(None), trial(None))
-    assert math.isinf(next(row for row in result.rows if row.viewers == "2").delay_s.value)
-    written = drift_tables(result)
+    collection = collected(OFFSET, trial(8.0), trial(None), trial(None))
+    table = collection.table()
+    assert math.isinf(next(row for row in table if row.of["viewers"] == "2").numbers["delay_s"].value)
+    written = collection.tables(table)
     assert "not reached" in written.as_markdown()
     assert ",inf," in written.as_csv()
     latex = written.as_latex()
