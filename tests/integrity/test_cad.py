@@ -285,34 +285,6 @@ def test_a_car_that_nobody_reports_is_a_removal_and_counts_against_those_that_se
     assert (found.agents.mean < trusted.agents.mean).any()
 
 
-def test_the_same_car_under_a_box_of_one_agent_is_no_removal() -> None:
-    stage = Cad()
-    stage.assess(scene(*reports(CAR), ("c", 1, OTHER)))
-    assert stage.facts()["removed"] == 0
-
-
-def test_a_wall_is_too_long_to_be_a_removed_car() -> None:
-    wall = tuple((-10.0 + 4.5 * k, 20.0) for k in range(8))
-    stage = Cad()
-    stage.assess(scene(*reports(CAR, OTHER), seen=(CAR, OTHER, *wall)))
-    assert stage.facts()["removed"] == 0
-
-
-def test_one_agent_that_claims_free_space_withholds_real_cars() -> None:
-    lied = scene(*reports(CAR, OTHER))
-    views = (hollow(), *lied.views[1:])
-    assert Cad().assess(replace(lied, views=views)).objects.withheld.tolist() == [True, True]
-
-
-def test_small_objects_have_too_little_area_to_be_spoofed() -> None:
-    pedestrian: Track = ("a", 2, (20.0, 0.0))
-    each = scene(*reports(CAR, OTHER), pedestrian)
-    size = each.states.size.copy()
-    size[-1] = (0.6, 0.6, 1.7)
-    found = Cad().assess(replace(each, states=each.states.with_(size=size)))
-    assert not found.objects.withheld.any()
-
-
 def test_old_views_show_nothing() -> None:
     each = scene(("a", 0, (20.0, 0.0)), seen=(OTHER,))
     old = tuple(replace(sensor, age_s=0.2) for sensor in each.views)
@@ -342,17 +314,3 @@ def test_views_without_free_space_know_nothing() -> None:
     unknown = replace(wide, free=np.zeros((0, 0)))
     assert not Cad().assess(batch([("a", 0, (20.0, 0.0))], ("a",), {"a": unknown})).objects.withheld.any()
     assert Cad().assess(batch([("a", 0, (20.0, 0.0))], ("a",), {"a": wide})).objects.withheld.all()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "problem"),
-    [
-        ({"threshold_m2": 0.0}, "threshold_m2: found 0.0, expected more than 0"),
-        ({"range_m": -1.0}, "range_m: found -1.0, expected more than 0"),
-        ({"link_m": 0.0}, "link_m: found 0.0, expected more than 0"),
-        ({"record_s": 0.0}, "record_s: found 0.0, expected more than 0"),
-    ],
-)
-def test_invalid_parameters_are_refused(arguments: dict, problem: str) -> None:
-    with pytest.raises(ValueError, match=problem):
-        Cad(**arguments)

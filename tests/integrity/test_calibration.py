@@ -23,8 +23,3 @@ def test_a_calibration_seed_is_refused(seed: int) -> None:
 def test_a_calibration_junction_is_refused(index: int) -> None:
     with pytest.raises(ConfigurationError, match=f"scene intersection:{index}: .* expected intersection:4 or above"):
         refuse_calibration_data([0], {"type": "Intersection", "scene_index": index}, "study")
-
-
-def test_the_default_junction_is_one_of_them() -> None:
-    with pytest.raises(ConfigurationError, match="scene intersection:0"):
-        refuse_calibration_data([0], {"type": "Intersection"}, "study")

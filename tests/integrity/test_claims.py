@@ -4,7 +4,7 @@ import pytest
 from integrity_batches import batch
 
 from mast_zenoh.integrity.base import ClusterBoxes
-from mast_zenoh.integrity.disputes import of_tracks, on_ground, plausible_size, repeated, reports_nearby
+from mast_zenoh.integrity.disputes import of_tracks, on_ground, repeated, reports_nearby
 
 AGENTS = ("a", "b")
 
@@ -44,19 +44,3 @@ def test_cars_side_by_side_are_two_objects() -> None:
 def test_an_agent_with_a_track_in_a_neighbouring_cluster_reports_about_the_object() -> None:
     given = batch([("a", 0, (0.0, 0.0)), ("b", 1, (1.0, 0.0)), ("a", 2, (30.0, 0.0))], AGENTS)
     assert reports_nearby(given, ClusterBoxes.of(given)).tolist() == [[True, True], [True, True], [True, False]]
-
-
-def test_nothing_is_claimed_by_nobody() -> None:
-    nothing = batch([], AGENTS)
-    assert (
-        len(on_ground(nothing.states, nothing.agent, 2))
-        == len(plausible_size(nothing.states))
-        == len(repeated(nothing))
-        == 0
-    )
-    assert reports_nearby(nothing, ClusterBoxes.of(nothing)).shape == (0, 2)
-
-
-def test_boxes_of_impossible_sizes_are_found() -> None:
-    given = batch([("a", i, (10.0 * i, 0.0)) for i in range(3)], AGENTS, size={0: (4.0, 1.8, 30.0), 1: (0.0, 0.0, 0.0)})
-    assert plausible_size(given.states).tolist() == [False, False, True]

@@ -19,20 +19,27 @@ def false_objects(run: mast.Run, estimate: str = "picture") -> float:
     return float(run.summary["agents"]["ego"][estimate]["fp"]["mean"])
 
 
+def unjudged(folders: pytest.TempPathFactory, adversaries: int) -> mast.Run:
+    options = dict(frames=FRAMES, seed=SEED, n_adversaries=adversaries, report=False)
+    return mast.run("defended", out=folders.mktemp("run"), **options)
+
+
 @pytest.fixture(scope="module")
 def undefended(tmp_path_factory: pytest.TempPathFactory) -> mast.Run:
-    return mast.run(
-        "defended", frames=FRAMES, seed=SEED, n_adversaries=1, report=False, out=tmp_path_factory.mktemp("run")
-    )
+    return unjudged(tmp_path_factory, adversaries=1)
+
+
+@pytest.fixture(scope="module")
+def quiet(tmp_path_factory: pytest.TempPathFactory) -> mast.Run:
+    return unjudged(tmp_path_factory, adversaries=0)
 
 
 @pytest.mark.parametrize(("defence", "lost"), [("KOfN", 0.15), ("FreeSpace", 0.05), ("Mate", 0.05)])
 def test_most_false_objects_of_one_adversary_are_withheld(
-    play: Any, undefended: mast.Run, defence: str, lost: float
+    play: Any, undefended: mast.Run, quiet: mast.Run, defence: str, lost: float
 ) -> None:
     """`KOfN` loses some more real objects: those that all but one agent miss for a while."""
     run = play("defended", frames=FRAMES, seed=SEED, defence=defence, n_adversaries=1, report=False)
-    quiet = play("defended", frames=FRAMES, seed=SEED, n_adversaries=0, report=False)
     added = false_objects(undefended) - false_objects(quiet)
     assert false_objects(run) - false_objects(quiet) < 0.5 * added
     missed = [each.summary["agents"]["ego"]["picture"]["fn"]["mean"] for each in (run, undefended)]

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mast_zenoh.arrays.states import Bools
-from mast_zenoh.integrity.explanations import Explanations, explained, mask_of, members
+from mast_zenoh.integrity.explanations import Explanations, explained
 
 Graph = tuple[Bools, set[int], set[int]]
 
@@ -83,13 +83,6 @@ def test_a_claim_is_false_if_all_that_make_it_lie_in_every_explanation(graph: Gr
     assert built(disputes, lying, honest).false(*sides).tolist() == [expected]
 
 
-def test_nothing_is_false_in_a_dispute_in_which_neither_side_can_lie() -> None:
-    claiming, denying = np.eye(2, dtype=np.bool_)[:, None]
-    assert not built(np.zeros((2, 2), np.bool_)).false(claiming, denying).any()
-    two_claim, one_denies = np.array([[0, 0, 1, 0, 1]], np.bool_), np.array([[0, 0, 0, 1, 0]], np.bool_)
-    assert not built(np.zeros((5, 5), np.bool_), {0, 1}).false(two_claim, one_denies).any()
-
-
 def test_two_accusers_of_five_prove_nothing_and_three_do() -> None:
     disputes = np.zeros((5, 5), np.bool_)
     disputes[0, 1:3] = disputes[1:3, 0] = True
@@ -117,10 +110,6 @@ def test_a_search_that_took_too_long_does_not_weaken_the_next_one() -> None:
     for _ in range(3):
         assert found.false(claims, np.zeros((20, 5), np.bool_)).all()
         assert found.verdict().lying.tolist() == [True, False, False, False, False]
-
-
-def test_a_set_has_the_bits_of_its_members() -> None:
-    assert list(members(mask_of(np.array([True, False, True])))) == [0, 2]
 
 
 def test_where_no_explanation_exists_the_weakest_disputes_are_left_out() -> None:

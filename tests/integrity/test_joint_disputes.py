@@ -28,12 +28,6 @@ def suspended(assessment: Assessment) -> str:
     return "".join(np.array(sorted(PLACES))[assessment.agents.state == SUSPENDED])
 
 
-def test_honest_agents_are_trusted() -> None:
-    found = last(SequentialConsistency(), world())
-    assert found.agents.state.tolist() == [TRUSTED] * 5
-    assert not found.objects.withheld.any()
-
-
 def test_three_of_five_that_see_through_two_phantoms_get_their_author_suspended() -> None:
     found = last(SequentialConsistency(), world({"a": TWO}, sees=dict.fromkeys(TWO, "bcd")))
     assert suspended(found) == "a"

@@ -12,39 +12,10 @@ import pytest
 from integrity_batches import STEP_NS, Track, batch, view
 
 from mast_zenoh.integrity import Mate
-from mast_zenoh.integrity.mate import forgotten, increments, standard_deviation
 
 #: Sensors 20 m from the origin.
 VIEWS = {"a": view((-20.0, 0.0)), "b": view((20.0, 0.0)), "c": view((0.0, 20.0)), "d": view((0.0, -20.0))}
 AGENTS = tuple(VIEWS)
-#: Three objects that all agents report.
-REAL: list[Track] = [(name, cluster, (6.0, 8.0 * cluster - 8.0)) for cluster in range(3) for name in AGENTS]
-#: Standard deviation of the prior, Beta(1/2, 1/2): sqrt(1/4 / (1 * 2)).
-PRIOR_SD = math.sqrt(0.125)
-
-
-def test_bad_evidence_counts_more_for_agents_than_for_objects() -> None:
-    value, confidence = np.array([[0.2]]), np.array([[0.5]])
-    # Agents: n = 6: 6/7 * 0.5 * 0.2 and 36/7 * 0.5 * 0.8. Objects: n = 1.
-    assert increments(value, confidence, 6.0, 0.3, axis=0) == pytest.approx(np.array([[0.6 / 7.0, 14.4 / 7.0]]))
-    assert increments(value, confidence, 1.0, 0.4, axis=1) == pytest.approx(np.array([[0.05, 0.2]]))
-    # At the threshold itself there is no bias.
-    assert increments(np.array([[0.3]]), confidence, 6.0, 0.3, axis=0) == pytest.approx(np.array([[0.075, 0.175]]))
-
-
-def test_trust_returns_to_the_prior_linearly() -> None:
-    trust = np.array([[2.5, 0.5]])
-    assert forgotten(trust, 0.25) == pytest.approx(np.array([[2.0, 0.5]]))
-    assert forgotten(trust, 3.0) == pytest.approx(np.array([[0.5, 0.5]]))
-    assert standard_deviation(np.array([[0.5, 0.5]])) == pytest.approx([PRIOR_SD])
-
-
-def test_an_agent_at_the_objects_place_confirms_it() -> None:
-    views = {"a": VIEWS["a"], "b": view((0.5, 0.0))}
-    assessment = Mate().assess(batch([("a", 0, (0.0, 0.0))], ("a", "b"), views))
-    # a: v = 1, c = 1/2; b: v = 1, c = 1; n = 1: alpha 0.5 + 0.25 + 0.5, beta 0.5.
-    assert assessment.objects.trust == pytest.approx([1.25 / 1.75])
-    assert assessment.objects.confirming.tolist() == [2]
 
 
 def test_an_object_that_several_agents_do_not_report_is_withheld() -> None:
@@ -147,31 +118,6 @@ def test_weakness_a_phantom_with_one_witness_stays_at_one_half_and_is_accepted()
         assessment = mate.assess(batch([("a", 0, (0.0, 0.0))], ("a",), VIEWS, frame=frame))
         assert assessment.objects.trust == pytest.approx([0.5])
         assert not assessment.objects.withheld.any()
-
-
-def test_weakness_three_seconds_of_honesty_make_up_for_three_seconds_of_lies() -> None:
-    mate, honest = Mate(), Mate()
-    lies: list[Track] = [("a", 3, (0.0, 0.0))]
-    for frame in range(30):
-        lying = mate.assess(batch(REAL + lies, AGENTS, VIEWS, frame=frame)).objects
-        honest.assess(batch(REAL, AGENTS, VIEWS, frame=frame))
-    assert lying.withheld.tolist() == [False] * 3 + [True]
-    for frame in range(30, 60):
-        after = mate.assess(batch(REAL, AGENTS, VIEWS, frame=frame)).agents.mean
-        never = honest.assess(batch(REAL, AGENTS, VIEWS, frame=frame)).agents.mean
-    assert after[0] > 0.9 * never[0], "as if it had hardly ever lied"
-    # In the next burst the lie is accepted again until it is refuted again.
-    again = mate.assess(batch(REAL + lies, AGENTS, VIEWS, frame=60)).objects
-    assert again.withheld.tolist() == [False] * 4
-
-
-def test_weakness_a_distrusted_agent_is_never_excluded() -> None:
-    mate = Mate()
-    for frame in range(30):
-        assessment = mate.assess(batch([("a", 0, (0.0, 0.0))], AGENTS, VIEWS, frame=frame))
-    assert assessment.agents.mean[0] < 0.1
-    assert assessment.weights is None, "its tracks are fused like all others"
-    assert assessment.agents.state.tolist() == [0, 0, 0, 0]
 
 
 def test_weakness_a_claim_near_an_object_is_evidence_for_it_whatever_the_agents_trust() -> None:

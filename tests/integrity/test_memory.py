@@ -86,11 +86,3 @@ def test_the_memory_is_bounded() -> None:
     for batch in range(3):
         agents.meet(batch, tuple(f"{batch}_{row}" for row in range(module.MAX_AGENTS)))
     assert len(agents) == 2 * module.MAX_AGENTS
-
-
-def test_nothing_is_followed_where_nothing_is() -> None:
-    memory = ObjectMemory()
-    none = np.zeros((0, 3))
-    assert memory.follow(0, none, none).tolist() == []
-    assert memory.follow(STEP_NS, none, none).tolist() == []
-    assert AgentMemory().meet(0, ()).tolist() == []

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mast_zenoh.arrays.states import Floats, ObjectStates
-from mast_zenoh.integrity.relative_faults import RelativeFaults, about_pivot
+from mast_zenoh.integrity.relative_faults import RelativeFaults
 
 NAMES = ("a", "b", "c", "d", "e")
 PIVOTS = np.array([[-30.0, 0.0], [30.0, 0.0], [0.0, 30.0], [0.0, -30.0], [20.0, 20.0]])
@@ -129,12 +129,6 @@ def test_no_more_than_a_minority_is_corrected_and_those_known_before_stay() -> N
             faulty.append(estimator.faults(PIVOTS).any(axis=1).nonzero()[0].tolist())
     assert max(map(len, faulty)) == 2
     assert faulty[24] == faulty[-1] == [0, 1]
-
-
-def test_a_fault_is_the_same_about_each_point() -> None:
-    about = about_pivot(np.array([[3.0, 4.0]]))[0]
-    fault = np.array([1.0, 2.0, 0.1, 0.5])
-    assert about @ fault == pytest.approx([1.0 - 0.4, 2.0 + 0.3, 0.1, 0.5])
 
 
 def test_a_fault_is_found_among_many_agents() -> None:

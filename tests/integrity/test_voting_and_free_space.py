@@ -65,11 +65,6 @@ def test_an_object_is_withheld_if_too_few_report_it_or_more_see_through_it(
     assert judge.assess(batch([], AGENTS, frame=1)).objects.trust.shape == (0,)
 
 
-def test_a_small_object_is_not_expected_where_a_car_is() -> None:
-    pedestrian = {0: (0.6, 0.6, 1.75)}
-    assert not withheld(KOfN(), batch(at_origin("a"), AGENTS, looking("b", 60.0), size=pedestrian))
-
-
 def test_small_objects_are_expected_at_the_range_at_which_they_have_as_many_returns_as_a_car() -> None:
     boxes = ClusterBoxes(
         np.zeros((3, 3)), np.zeros((3, 3)), np.array([[4.5, 1.8, 1.5], [0.5, 0.45, 1.5], [12.0, 2.5, 3.0]]), np.zeros(3)
