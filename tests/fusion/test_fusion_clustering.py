@@ -44,17 +44,6 @@ def test_clusters_have_one_track_of_an_agent_are_numbered_by_their_first_and_do_
     assert sorted(set(labels.tolist())) == list(range(len(first)))
 
 
-@pytest.mark.parametrize("clusterer", [SampledAssignmentClusterer(assign_radius=2.0), DBSCANClusterer(eps=2.0)])
-def test_tracks_of_one_object_by_four_agents_are_one_cluster(clusterer: Clusterer):
-    objects, agent = states([(10, 10, 0), (10.5, 10, 1), (10, 10.4, 2), (9.8, 9.9, 3), (20, 10, 0), (20, 10.3, 1)])
-    assert clusterer.cluster(objects, agent).tolist() == [0, 0, 0, 0, 1, 1]
-
-
-def test_the_nearer_of_two_candidates_joins():
-    objects, agent = states([(0, 0, 0), (2, 0, 1), (0.5, 0, 1)])
-    assert SampledAssignmentClusterer().cluster(objects, agent).tolist() == [0, 1, 0]
-
-
 def test_the_radius_limits_the_distance_between_centres():
     objects, agent = states([(0, 0, 0), (2, 0, 1), (4, 0, 2)])
     # 1.6 m apart each: the first two join, and their centre is 2.4 m from the third.
@@ -110,11 +99,6 @@ def test_many_tracks_are_clustered_like_few(clusterer: Clusterer, monkeypatch: p
 def test_thousands_of_tracks_at_one_position_are_clustered(clusterer: Clusterer):
     labels = clusterer.cluster(ObjectStates.of(np.zeros((5000, 3)), id=np.arange(5000) // 5), np.arange(5000) % 5)
     assert np.bincount(labels).max() <= 5
-
-
-def test_no_tracks_give_no_clusters():
-    for clusterer in (SampledAssignmentClusterer(), DBSCANClusterer()):
-        assert clusterer.cluster(ObjectStates.empty(), np.zeros(0, np.int64)).tolist() == []
 
 
 def test_an_invalid_radius_is_refused():

@@ -55,17 +55,6 @@ def test_an_object_seen_by_three_agents_has_one_id_and_support_three(group):
     assert len(ids) == 1
 
 
-def test_the_picture_has_the_covariance_of_the_fusion():
-    pipeline = centre(wrapper())
-    for frame in range(20):
-        certain, _ = pipeline.step(nanoseconds(frame), *of_agents(tracks([10, 0], 0.01), tracks([10, 0], 0.01)), NAMES)
-    pipeline = centre(wrapper())
-    for frame in range(20):
-        unsure, _ = pipeline.step(nanoseconds(frame), *of_agents(tracks([10, 0], 0.5), tracks([10, 0], 0.5)), NAMES)
-    assert 0.003 < certain.covariance[0, 0, 0] < 0.02
-    assert 0.1 < unsure.covariance[0, 0, 0] < 0.7
-
-
 @pytest.mark.parametrize("group", [wrapper, information, unfiltered])
 @pytest.mark.parametrize("covariance", INVALID_COVARIANCES.values(), ids=INVALID_COVARIANCES)
 def test_invalid_covariances_do_not_spoil_the_picture(group, covariance):
@@ -146,9 +135,3 @@ def test_reset_restores_the_initial_state_of_the_pipeline(group):
         pipeline.reset()
     np.testing.assert_array_equal(runs[0].id, runs[1].id)
     np.testing.assert_array_equal(runs[0].position, runs[1].position)
-
-
-@pytest.mark.parametrize("group", [wrapper, information, unfiltered])
-def test_no_agents_give_an_empty_picture(group):
-    picture, support = centre(group()).step(0, ObjectStates.empty(), np.zeros(0, np.int64), ())
-    assert len(picture) == len(support) == 0

@@ -202,14 +202,6 @@ def test_uniform_inverse_intersection_is_never_less_certain_than_covariance_inte
     assert np.linalg.eigvalsh(root @ fused @ root.T).max() <= 1.0 + 1e-9
 
 
-def test_equally_certain_members_count_equally_in_the_uniform_inverse_intersection():
-    four = members(4)
-    four.covariance[:] = four.covariance[0]
-    fused = ICI().fuse(four, together(4))
-    np.testing.assert_allclose(fused.position[0], four.position.mean(axis=0), atol=1e-9)
-    np.testing.assert_allclose(fused.covariance[0], four.covariance[0], rtol=1e-9)
-
-
 @settings(max_examples=60)
 @given(st.integers(0, 10**6))
 def test_the_optimised_inverse_intersection_has_a_volume_within_one_percent_of_the_least(seed):
@@ -235,21 +227,6 @@ def test_inverse_intersection_is_positive_definite_and_between_the_naive_and_the
     assert np.linalg.eigvalsh(root @ fused @ root.T).min() >= 1.0 - 1e-6  # never more certain than all information
     if weights == "optimised":
         assert np.linalg.slogdet(fused)[1] <= np.linalg.slogdet(some.covariance)[1].min() + 0.01 * n
-
-
-def test_information_that_is_fused_with_itself_stays_what_it_is():
-    one = members(1)
-    twice = concatenate([one, one.with_(id=one.id + 1)])
-    for fusion in (CI(), ICI()):
-        np.testing.assert_allclose(fusion.fuse(twice, together(2)).covariance, one.covariance, rtol=1e-9)
-    np.testing.assert_allclose(NaiveKalmanFusion().fuse(twice, together(2)).covariance, one.covariance / 2, rtol=1e-9)
-
-
-def test_a_more_trusted_member_has_more_weight():
-    pair = members(2)
-    pair.covariance[:] = np.eye(9)
-    fused = CI().fuse(pair, together(2), np.array([3.0, 1.0]))
-    np.testing.assert_allclose(fused.position[0], 0.75 * pair.position[0] + 0.25 * pair.position[1])
 
 
 def test_opposite_headings_share_an_axis_and_the_majority_sets_the_direction():
@@ -278,8 +255,3 @@ def test_invalid_covariances_do_not_break_the_fusion(fusion, covariance):
     three.covariance[1] = covariance
     fused = fusion.fuse(three, together(3))
     assert all(np.isfinite(column).all() for column in fused.columns().values())
-
-
-def test_no_members_fuse_to_no_states():
-    for fusion in FUSIONS:
-        assert len(fusion.fuse(ObjectStates.empty(), together(0))) == 0

@@ -201,14 +201,3 @@ def test_a_flood_of_tracks_with_new_ids_is_not_remembered(monkeypatch: pytest.Mo
 def test_a_tracker_with_several_motion_models_is_refused() -> None:
     with pytest.raises(ValueError, match=r"tracker: found InteractingModelsTracker3D, expected .* KalmanBoxTracker3D"):
         InformationMatrixGroupTracker(fusion=CI(), tracker=InteractingModelsTracker3D())
-
-
-def test_a_tracker_that_takes_states_as_independent_is_a_kalman_filter() -> None:
-    """Successive equal states have an N-th of the covariance of one, plus what the motion adds."""
-    still = cars([[0.0, 0.0]])
-    trackers = KalmanBoxTracker3D(independent_states=True), KalmanBoxTracker3D()
-    for _ in range(10):
-        independent, correlated = (tracker.step_states(0, still) for tracker in trackers)
-    np.testing.assert_allclose(independent.covariance, still.covariance / 10.0, rtol=1e-9)
-    np.testing.assert_allclose(correlated.covariance, still.covariance, rtol=1e-9)
-    assert [tracker.innovations.at_most for tracker in trackers] == [False, True]

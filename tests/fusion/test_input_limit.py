@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mast_zenoh.config.registry import build, known_types
+from mast_zenoh.config.registry import build
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.fusion.input_limit import ClaimedObjects, FairInput, InputLimit, NoInputLimit, fair_shares, rows_of
+from mast_zenoh.fusion.input_limit import ClaimedObjects, FairInput, InputLimit, NoInputLimit, fair_shares
 
 #: Objects of each agent in one frame: ids with scores.
 Frame = dict[int, dict[int, float]]
@@ -40,11 +40,6 @@ def some(count: int, first: int = 0, score: float = 0.5) -> dict[int, float]:
     return dict.fromkeys(range(first, first + count), score)
 
 
-def test_both_limits_can_be_named_in_a_scenario() -> None:
-    assert {"NoInputLimit", "FairInput"} <= known_types(InputLimit).keys()
-    assert build(dict(type="FairInput", rows=7), InputLimit, "input_limit").rows == 7
-
-
 @pytest.mark.parametrize("parameters", [dict(rows=0), dict(reserve=1.5), dict(memory_frames=0)])
 def test_invalid_parameters_are_refused(parameters: dict[str, Any]) -> None:
     with pytest.raises(ConfigurationError, match=rf"{next(iter(parameters))}: found "):
@@ -53,21 +48,6 @@ def test_invalid_parameters_are_refused(parameters: dict[str, Any]) -> None:
 
 def test_without_a_limit_all_rows_are_kept() -> None:
     assert kept(NoInputLimit(), {0: some(3), 5: some(1000)}) == {0: set(range(3)), 5: set(range(1000))}
-
-
-@pytest.mark.parametrize("limit", [NoInputLimit(), FairInput()])
-def test_a_frame_without_rows_is_empty(limit: InputLimit) -> None:
-    assert kept(limit, {}) == {}
-
-
-def test_up_to_the_limit_all_rows_are_kept() -> None:
-    assert kept(FairInput(rows=10), {0: some(9), 1: some(1)}) == {0: set(range(9)), 1: {0}}
-
-
-def test_a_flood_takes_no_row_from_agents_within_their_share() -> None:
-    frame = {0: some(20_000, score=1.0), 1: some(20), 2: some(25), 3: some(1)}
-    selected = kept(FairInput(rows=100), frame)
-    assert {agent: len(ids) for agent, ids in selected.items()} == {0: 25, 1: 20, 2: 25, 3: 1}
 
 
 def test_rows_that_were_cut_from_a_message_count_as_sent() -> None:
@@ -183,13 +163,6 @@ def test_memory_is_bounded_whatever_ids_arrive() -> None:
         assert sum(map(len, limit.kept.values())) <= 20 * 5
 
 
-def test_reset_forgets_all_frames() -> None:
-    limit = FairInput(rows=1, reserve=0.0)
-    kept(limit, {0: {1: 0.1}})
-    limit.reset()
-    assert kept(limit, {0: {1: 0.1, 2: 0.9}}) == {0: {2}}
-
-
 OBJECTS = st.dictionaries(st.integers(-3, 12), st.sampled_from([0.0, 0.3, 0.7, 1.0]), max_size=12)
 FRAMES = st.lists(st.dictionaries(st.integers(0, 4), OBJECTS, max_size=5), min_size=1, max_size=8)
 
@@ -265,9 +238,3 @@ def test_cutting_a_message_changes_nothing_that_is_remembered() -> None:
     before = limit.kept
     limit.cut(before["0"], ClaimedObjects(np.arange(1000), np.ones(1000)), 40)
     assert limit.kept is before
-
-
-def test_known_rows_are_found_whatever_their_remainders() -> None:
-    ids = np.array([5, 4096 + 5, 2 * 4096 + 5, 7, -1, -4097], np.int64)
-    assert rows_of(ids, np.array([-4097, 4096 + 5, 2**40])).tolist() == [1, 5]
-    assert rows_of(ids, np.zeros(0, np.int64)).tolist() == []

@@ -199,13 +199,6 @@ def test_split_covariance_intersection_is_consistent_where_the_stated_share_is_i
     assert mean_nees(fuse(NAIVE(), estimates)) > HIGH
 
 
-def test_shares_of_0_and_1_are_covariance_intersection_and_the_naive_fusion():
-    estimates = partly_shared(np.random.default_rng(0), 3, 0.5)
-    for share, other in ((0.0, CI()), (1.0, NAIVE())):
-        for a, b in zip(fuse(CI(independent_share=share), estimates), fuse(other, estimates), strict=True):
-            assert np.allclose(a, b, rtol=1e-9)
-
-
 def test_trust_counts_with_any_share():
     estimates = partly_shared(np.random.default_rng(0), 2, 0.5)
     states = of_vectors(*(np.concatenate(part) for part in zip(*estimates, strict=True)))
@@ -213,8 +206,3 @@ def test_trust_counts_with_any_share():
     for share in (0.0, 0.5, 1.0):
         fused = CI(independent_share=share).fuse(states, labels, weights)
         assert np.allclose(vectors_of(fused), estimates[0][0], atol=1e-3)
-
-
-def test_a_share_outside_0_to_1_is_named():
-    with pytest.raises(ValueError, match="independent_share"):
-        CI(independent_share=1.1)
