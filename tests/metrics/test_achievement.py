@@ -211,7 +211,3 @@ def test_identity_switches_due_to_an_adversary_count_in_scored_frames(scored: sl
     achievements = achieved(removed(range(4, 8)), picture, scored=scored)
     for name in ("eve", "all"):
         assert [achievements[name][f"id_switches_{judge}"] for judge in ("centre", "ego")] == [switches] * 2
-
-
-def test_without_adversaries_there_are_no_results() -> None:
-    assert achieved([], [THERE]) == {}

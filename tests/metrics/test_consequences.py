@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from metric_worlds import LOCAL, NOTHING, Row, cars, effects, labelled, passage, recorded
 
-from mast_zenoh.metrics import Driving, Record, Series
+from mast_zenoh.metrics import Driving, Series
 from mast_zenoh.metrics import driving as driving_metrics
 from mast_zenoh.metrics.driving import Drive
-from mast_zenoh.metrics.record import Snapshot
 
 FRAMES = 40
 #: The ego drives east at 10 m/s; its safe distance from a stationary car is 5 + 0.25 + 11^2 / 8 = 20.4 m, both cars are
@@ -147,12 +146,3 @@ def test_the_table_has_a_row_for_each_estimate_and_frame() -> None:
         expected = np.concatenate([getattr(drive, name) for drive in driving.values()])
         assert table[name][:FRAMES].tolist() == expected[:FRAMES].tolist()
     assert np.isnan(table["gap_m"][FRAMES:]).all(), "without an object there is no gap"
-
-
-def test_series_without_messages_are_left_out() -> None:
-    record = Record(["ego"])
-    record.add_truth(0, cars(ego(0)), np.full((1, 1), 50), np.zeros((1, 3)), np.array([0]))
-    record.add(0, [Series("", "picture")], Snapshot.of(NOTHING))
-    scores, _, labels, _ = labelled(record, effects())
-    drives = driving_metrics.drives(Driving(), record, scores, labels)
-    assert list(drives) == [("ego", "truth")]

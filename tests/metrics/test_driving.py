@@ -105,30 +105,10 @@ def test_objects_that_touch_the_path_with_its_width_are_in_the_corridor(
         assert obstacles.gap_m[0] == pytest.approx(max(gap, 0.0), abs=0.05 if math.isinf(radius) else 0.6)
 
 
-@pytest.mark.parametrize(
-    ("where", "rows", "inside"),
-    [
-        (vehicle(12.0, 5.0, heading=0.0), [(0, 9.0, 0.0, 0.0, 0.6, 0.6), (0, 9.0, 4.0, 0.0, 0.6, 0.6)], [1]),
-        (vehicle(heading=0.0), [(5, 5.0 + dx, 0.0, 0.0, 4.5, 1.8) for dx in (0.0, 1.9, -5.0, 12.0)], [3]),
-        (vehicle(speed=0.0, heading=math.pi / 2), [(9, 0.0, 5.0, 0.0, 4.5, 1.8), (9, 5.0, 0.0, 0.0, 4.5, 1.8)], [0]),
-    ],
-    ids=["where the path bends", "not itself or behind it", "straight ahead of a stationary vehicle"],
-)
-def test_the_corridor_follows_the_path_ahead(where: Vehicle, rows: list, inside: list[int]) -> None:
-    assert Driving().ahead(where, objects(*rows)).row.tolist() == inside
-
-
 def test_an_object_beside_a_self_crossing_path_is_reached_on_the_return() -> None:
     """A circle of 75 m: from frame 100 (50 m) the object at the start is 25 m ahead."""
     obstacles = Driving().ahead(vehicle(12.0, 5.0, 200, 0.0), objects((100, 0.0, 0.0, 0.0, 4.5, 1.8)))
     assert obstacles.gap_m == pytest.approx([2 * math.pi * 12.0 - 50.0 - 4.5], abs=0.6)
-
-
-def test_a_stationary_vehicle_need_not_brake() -> None:
-    obstacles = Driving().ahead(vehicle(speed=0.0, heading=math.pi / 2), objects((50, 0.0, 5.0, 0.0, 4.5, 1.8)))
-    assert obstacles.gap_m == pytest.approx([5.0 - 0.9 - LENGTH / 2])
-    assert not obstacles.brake.any()
-    assert np.isinf(obstacles.ttc_s).all()
 
 
 @pytest.mark.parametrize(

@@ -99,23 +99,6 @@ def test_overlap_agrees_with_shapely(seed, far):
         assert (areas[k], volumes[k]) == pytest.approx(overlap(a, k, b, k), abs=1e-6)
 
 
-@pytest.mark.parametrize("yaw", [0.0, 0.3, np.pi / 2, np.pi, -2.0])
-def test_identical_boxes_overlap_fully(yaw):
-    a = boxes([[3.0, -2.0]], yaw=yaw)
-    assert iou_3d(a, a) == pytest.approx([1.0])
-    assert iou_3d(a, boxes([[3.0, -2.0]], yaw=yaw + np.pi)) == pytest.approx([1.0])
-
-
-def test_overlap_of_shifted_contained_touching_and_separate_boxes():
-    a = boxes([[0.0, 0.0]] * 5, size=(4.0, 2.0, 2.0))
-    b = boxes([[2.0, 0.0, 0.0], [0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [9.0, 0.0, 0.0], [0.0, 0.0, 1.0]], (4.0, 2.0, 2.0))
-    b.size[1] = (2.0, 1.0, 2.0)
-    assert birdseye_intersection(a, b) == pytest.approx([4.0, 2.0, 0.0, 0.0, 8.0])
-    assert iou_3d(a, b) == pytest.approx([1 / 3, 0.25, 0.0, 0.0, 1 / 3])
-    flat = boxes([[0.0, 0.0]], size=(0.0, 0.0, 0.0))
-    assert iou_3d(flat, flat).tolist() == [0.0]
-
-
 @settings(max_examples=60)
 @given(st.integers(0, 7), st.integers(0, 7), st.integers(0, 10**6))
 def test_the_greedy_assigner_takes_the_best_remaining_overlap(n, m, seed):
@@ -179,9 +162,3 @@ def test_find_returns_the_last_equal_row(far):
     assert max(expected) >= 0
     assert find(tuple(keys), tuple(among)).tolist() == expected
     assert occurs(tuple(keys), tuple(among)).tolist() == [each >= 0 for each in expected]
-
-
-def test_find_in_empty_tables_returns_nothing():
-    none, one = (np.zeros(0, np.int64),), (np.ones(1, np.int64),)
-    assert find(one, none).tolist() == [-1]
-    assert find(none, one).tolist() == []

@@ -245,16 +245,6 @@ def test_estimates_have_their_own_causes() -> None:
     assert causes(table, "local") == [(11, "truth", "tracking", ""), (11, "track", "clutter", "")]
 
 
-def test_the_causes_of_one_agent_do_not_depend_on_another_without_estimates() -> None:
-    truth = [cars(HERE, (-500.0, 0.0), id=[1, 9])] * 16
-    places = np.array([[-500.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
-    table = explained(recorded(truth, {PICTURE: DIVERTED}, agents=["apart", "ego"], places=places), effects(*AWAY))
-    selected = (table["agent"] == "ego") & (table["kind"] == "truth") & (table["cause"] != "")
-    assert set(zip(table["cause"][selected].tolist(), table["by"][selected].tolist(), strict=True)) == {
-        ("inserted", "eve")
-    }
-
-
 def test_the_order_of_the_effects_does_not_matter() -> None:
     rng = np.random.default_rng(0)
     truth = [cars(*rng.uniform(-50, 50, (6, 2))) for _ in range(8)]

@@ -12,7 +12,6 @@ from metric_worlds import LOCAL, NOTHING, PICTURE, cars, recorded
 
 from mast_zenoh.arrays.chi_square import mean_bounds
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
-from mast_zenoh.integrity.alarms import SAMPLES_PER_S
 from mast_zenoh.metrics import Consistency, Record, Scorer, Series
 from mast_zenoh.metrics.consistency import MAX_NEES, nees
 from mast_zenoh.metrics.pictures import consistency_of_pictures
@@ -126,10 +125,6 @@ def test_objects_that_come_out_differently_reduce_the_samples() -> None:
     values, objects = correlated(0)
     biased = np.where(objects % 2, values + 20.0, values)
     assert summary(biased, objects)["samples"] < 0.2 * summary(values, objects)["samples"]
-
-
-def test_the_default_rate_is_the_one_that_integrity_stages_use() -> None:
-    assert Consistency().samples_per_s == SAMPLES_PER_S
 
 
 @pytest.mark.parametrize("settings", [{"samples_per_s": 0.0}, {"samples_per_s": math.nan}, {"limit": 0.9}])

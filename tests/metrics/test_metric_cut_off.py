@@ -309,7 +309,3 @@ def test_objects_are_looked_up_by_frame_and_id() -> None:
     assert severed.contains(ids, frames).tolist() == [True, True, False, False]
     assert severed.contains(ids, frames, tracked=np.array([True] * 4)).tolist() == [True, False, False, False]
     assert not CutOffObjects.nothing().contains(ids, frames, tracked=np.array([True] * 4)).any()
-
-
-def test_without_frames_there_is_no_split_by_cause() -> None:
-    assert split({}, 0) == {"fault": None, "attack": None, "withheld": None, "natural": None}

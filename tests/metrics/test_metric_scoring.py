@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from metric_worlds import LOCAL, NOTHING, PICTURE, best_pairs, cars, recorded
+from metric_worlds import NOTHING, PICTURE, best_pairs, cars, recorded
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.metrics import CenterDistanceAssigner, IoU3DGreedyAssigner, Record, Scorer, Series, SetDistance
@@ -103,27 +103,6 @@ def test_errors_of_height_count_in_three_dimensions_only():
     assert per_frame(flat)["ospa_m"] == pytest.approx([np.sqrt(0.36 / 2)])
 
 
-def test_only_objects_and_tracks_in_range_count():
-    truth = cars((99.0, 0.0), (101.0, 0.0), id=[1, 2])
-    tracks = cars((99.0, 0.0), (101.0, 0.0), (150.0, 0.0), id=[1, 2, 3])
-    assert counts(Scorer(range_m=100.0).score(record([truth], [tracks]))) == [(0, 0, 1)]
-    assert counts(Scorer(range_m=100.0).score(record([truth], [tracks], places=(5.0, 0.0, 15.0)))) == [(0, 0, 2)]
-
-
-def test_range_moves_with_the_agent():
-    car = [cars((0.0, 0.0))] * 2
-    run = record(car, car, places=[(0.0, 0.0, 0.0), (200.0, 0.0, 0.0)])
-    assert counts(Scorer().score(run)) == [(0, 0, 1), (0, 0, 0)]
-
-
-def test_objects_seen_by_at_least_one_agent_are_the_truth():
-    truth = cars((0.0, 0.0), (10.0, 0.0), (20.0, 0.0))
-    run = recorded([truth], {PICTURE: [NOTHING]}, agents=["ego", "infra_1"], points=np.array([[0, 5], [4, 4], [5, 0]]))
-    scores = Scorer(min_points=5).score(run)
-    assert counts(scores) == [(2, 0, 0)]
-    assert ("truth", "unevaluated", 1, -1) in outcomes(scores)
-
-
 @pytest.mark.parametrize(
     ("ignore_unseen", "expected", "outcome"), [(False, (0, 1, 0), "false"), (True, (0, 0, 0), "unevaluated")]
 )
@@ -132,12 +111,6 @@ def test_a_track_of_an_unseen_object_is_false_by_default(ignore_unseen, expected
     scores = Scorer(ignore_unseen=ignore_unseen).score(run)
     assert counts(scores) == [expected]
     assert {o for kind, o, _, _ in outcomes(scores) if kind == "track"} == {outcome}
-
-
-def test_an_unseen_object_takes_no_track_from_a_visible_one():
-    truth = cars((0.0, 0.0), (1.0, 0.0), id=[1, 2])
-    run = record([truth], [cars((0.9, 0.0))], points=[[9, 0]])
-    assert counts(Scorer(ignore_unseen=True).score(run)) == [(0, 0, 1)]
 
 
 def test_an_unseen_object_excuses_one_track_only():
@@ -156,14 +129,6 @@ def test_a_switch_is_counted_against_the_last_match_even_after_a_gap():
     there, absent = (0.0, 0.0), (50.0, 0.0)
     tracks = [cars(p, id=[i]) for p, i in ((there, 7), (there, 7), (absent, 7), (there, 8), (there, 8), (there, 7))]
     assert Scorer().score(record(truth, tracks)).id_switches.tolist() == [[0, 0, 0, 1, 0, 1]]
-
-
-def test_identity_switches_are_counted_per_agent():
-    tracks = {LOCAL: [cars((0.0, 0.0), id=[k]) for k in (0, 1)], Series("infra_1", "local"): [cars((0.0, 0.0))] * 2}
-    run = recorded([cars((0.0, 0.0))] * 2, tracks, agents=["ego", "infra_1"])
-    numbers = summary_of(Scorer().score(run))
-    assert numbers["ego"]["local"]["id_switches"] == 1
-    assert numbers["infra_1"]["local"]["id_switches"] == 0
 
 
 @pytest.mark.parametrize("scored", [slice(9, 5), slice(0, 0), slice(3, 3)])
@@ -218,21 +183,6 @@ def test_the_age_of_the_picture_on_arrival_follows_from_the_time_in_its_header()
     run.hold_pictures({"ego": 200}, {frame: 100 * frame for frame in range(6)})
     held = run.tracks([Series("ego", "picture_on_arrival")], np.arange(6))
     assert held.boxes.group.tolist() == [0, 5]
-
-
-def test_an_estimate_without_messages_misses_everything():
-    run = record([cars((0.0, 0.0))] * 3, [cars((0.0, 0.0))] * 3)
-    run.expect([Series("ego", "received"), Series("ego", "picture_received")])
-    run.hold_pictures({"ego": 400}, {0: 0, 1: 100, 2: 200})
-    scores = Scorer().score(run)
-    for estimator in ("received", "picture_received", "picture_on_arrival"):
-        assert counts(scores, estimator=estimator) == [(1, 0, 0)] * 3
-
-
-def test_a_frame_without_a_message_has_no_tracks():
-    run = record([cars((0.0, 0.0))] * 3, [cars((0.0, 0.0))] * 3)
-    run.add(0, [Series("ego", "local")], Snapshot.of(cars((0.0, 0.0))))
-    assert counts(Scorer().score(run), estimator="local") == [(0, 0, 1), (1, 0, 0), (1, 0, 0)]
 
 
 def test_rmse_covers_all_pairs_of_the_run_and_is_null_without_any():

@@ -25,16 +25,6 @@ def by_brute_force(x: np.ndarray, y: np.ndarray, how: SetDistance) -> tuple[floa
     return ((least + missing) / n) ** (1 / how.p), (least + missing / how.alpha) ** (1 / how.p)
 
 
-def test_set_distances_of_one_object_a_metre_off_and_one_missed_object() -> None:
-    truth, tracks = boxes([(0.0, 0.0), (50.0, 0.0)]), boxes([(1.0, 0.0)])
-    ospa, gospa = SetDistance(c=5.0, p=1.0, alpha=2.0).of(truth, tracks, 1)
-    assert ospa == pytest.approx([(1.0 + 5.0) / 2])
-    assert gospa == pytest.approx([1.0 + 5.0 / 2])
-    ospa, gospa = SetDistance(c=5.0, p=2.0, alpha=1.0).of(truth, tracks, 1)
-    assert ospa == pytest.approx([np.sqrt((1.0 + 25.0) / 2)]), "the mean is inside the root"
-    assert gospa == pytest.approx([np.sqrt(1.0 + 25.0)])
-
-
 def test_two_empty_sets_have_distance_zero_and_an_empty_and_a_full_one_c() -> None:
     ospa, gospa = SetDistance(c=5.0, p=2.0).of(boxes([(0.0, 0.0)] * 2, group=[1, 1]), boxes(np.zeros((0, 3))), 2)
     assert ospa.tolist() == [0.0, 5.0]

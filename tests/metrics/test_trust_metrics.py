@@ -14,7 +14,6 @@ from mast_zenoh.metrics.trust import (
     TrustUpdate,
     agent_table,
     auc,
-    detection_delay,
     fault_frames,
     lasting,
     object_table,
@@ -177,10 +176,6 @@ def test_what_agents_relay_is_judged_apart_and_the_relay_of_an_honest_agent_is_h
     assert [each["deceived"] for each in short["suspensions"]] == [True, False]
 
 
-def test_without_relays_nothing_is_said_about_them() -> None:
-    assert "relays" not in integrity([update(0, {"a": TRUSTED})], frames_of(), {}, AGENTS, np.arange(20), {}, 0.1, 2.0)
-
-
 def test_seconds_are_split_by_conduct_and_state() -> None:
     agent, whole = summarised([TRUSTED, SUSPENDED, SUSPENDED, FAULTY, FAULTY], lies=(1,), faults=(3,), last=1)
     assert agent["seconds"]["honest"]["trusted"] == pytest.approx(0.1)
@@ -210,10 +205,6 @@ def test_a_suspension_with_the_first_lie_or_after_an_earlier_one_has_ended_is_a_
     assert with_it["suspended_after_s"] == 0.0
     again, _ = summarised([SUSPENDED] * 4 + [TRUSTED] * 2 + [SUSPENDED] * 2, lies=(4,))
     assert again["suspended_after_s"] == pytest.approx(0.2)
-
-
-def test_no_lie_has_no_delay() -> None:
-    assert detection_delay(np.ones(3, bool), np.arange(3.0), None) == (None, None)
 
 
 def test_tables_have_a_row_for_each_agent_and_object() -> None:
@@ -273,11 +264,6 @@ def test_partial_area_is_the_mean_share_detected_below_a_rate() -> None:
     assert partial_auc(scores, labels, hours=2.0, max_rate_per_hour=0.5) == pytest.approx(0.5)
     assert partial_auc(scores, labels, hours=2.0, max_rate_per_hour=1.0) == pytest.approx(0.75)
     assert partial_auc(scores, labels, hours=0.1, max_rate_per_hour=1.0) == pytest.approx(0.5)
-
-
-def test_partial_area_of_a_perfect_detector_is_one_at_every_rate() -> None:
-    for rate in (0.1, 1.0, 100.0):
-        assert partial_auc([2.0, 1.0], [True, False], 1.0, rate) == pytest.approx(1.0)
 
 
 def test_wrong_lengths_and_rates_are_refused() -> None:
