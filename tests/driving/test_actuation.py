@@ -32,14 +32,6 @@ def test_a_car_without_commands_goes_on_then_brakes_along_its_last_curvature() -
     assert dict(actuation.counts) == dict(commanded=1, held=HOLD, braked=3, refused=0)
 
 
-def test_a_car_that_never_got_a_command_brakes() -> None:
-    assert car().act(1) == Command(-BRAKING, 0.0)
-
-
-def test_a_car_brakes_no_harder_than_it_can() -> None:
-    assert Actuation(CarLimits(braking=2.0), HOLD, BRAKING).act(1) == Command(-2.0, 0.0)
-
-
 def test_a_late_command_acts_when_it_arrives_if_it_may_still_be_held() -> None:
     actuation = car()
     actuation.receive(0, 0, GAS)

@@ -72,11 +72,6 @@ def test_of_two_objects_the_one_that_asks_for_the_hardest_braking_is_the_cause()
     assert brake["cause"] == {"object": 1, "kind": "false", "adversary": None}
 
 
-def test_an_object_that_comes_after_the_hardest_braking_is_not_its_cause() -> None:
-    (brake,) = brakes(ahead(30.0, range(16, FRAMES)), real=-1)
-    assert (brake["cause"]["kind"], brake["needless"]) == ("none", True)
-
-
 @pytest.mark.parametrize("real", [7, -1])
 def test_a_slow_car_brakes_for_what_it_would_hit_within_a_second_and_a_half(real: int) -> None:
     """At 2 m/s, 14 m before something oncoming at 8 m/s, the intelligent driver model asks for 0.76 m/s^2."""
@@ -89,13 +84,6 @@ def test_a_slow_car_brakes_for_what_it_would_hit_within_a_second_and_a_half(real
     (brake,) = consequences(driven(car(x, speed), there, [7] * len(there.frame), **facts))["brakes"]
     kind, needless = ("real", False) if real == 7 else ("false", True)
     assert (brake["cause"]["kind"], brake["needless"]) == (kind, needless)
-
-
-def test_a_brake_before_a_line_is_needful() -> None:
-    x, _ = braking(10)
-    routes = {row: straight(place, stop_m=max(30.0 - place, 0.0)) for row, place in enumerate(x)}
-    (brake,) = brakes(objects([]), real=-1, routes=routes)
-    assert (brake["cause"], brake["needless"]) == ({"object": None, "kind": "line", "adversary": None}, False)
 
 
 def test_a_brake_before_a_bend_is_needful_and_has_no_object() -> None:

@@ -34,12 +34,6 @@ def settle(model: IntelligentDriverModel, leader: float, seconds: float, n: int 
     return position[:-1] - position[1:], speed
 
 
-def test_the_constants_are_those_of_the_source() -> None:
-    model = IntelligentDriverModel()
-    table = (model.acceleration, model.braking, model.headway_s, model.gap_m, model.exponent)
-    assert table == (0.73, 1.67, 1.6, 2.0, 4.0)
-
-
 @pytest.mark.parametrize("speed", [0.0, 5.0, 10.0, 20.0, 30.0])
 def test_nobody_accelerates_at_the_equilibrium_gap(speed: float) -> None:
     model = IntelligentDriverModel()

@@ -70,11 +70,6 @@ def test_a_shock_wave_runs_through_the_cars_that_brake_one_after_the_other() -> 
     assert speed < -15.0
 
 
-def test_without_a_brake_or_without_followers_there_is_no_wave() -> None:
-    assert shock_wave([], [Onset(3, 10.0)], 0.1) == (0, None)
-    assert shock_wave([Onset(3, 10.0)], [], 0.1) == (0, None)
-
-
 def test_the_delay_of_followers_is_the_time_lost_against_their_greatest_speed_until_then() -> None:
     own = car([50.0] * 5, [0.0] * 5)
     rows = objects([(row, 30.0, 0.0, 0.0) for row in range(5)])

@@ -34,18 +34,6 @@ def driven(speed: float, objects: list[tuple[float, float, float]], seconds: flo
     return np.array([along, offset[0]]), speed, hardest, nearest
 
 
-def test_the_constants_are_those_of_the_source() -> None:
-    assert len(DRIVER.share) == len(DRIVER.offset) == 15
-    assert set(zip(DRIVER.share, DRIVER.offset, strict=True)) == {
-        (share, offset) for share in (0.2, 0.4, 0.6, 0.8, 1.0) for offset in (-1.0, 0.0, 1.0)
-    }
-    model = DRIVER.following
-    assert (model.gap_m, model.headway_s, model.acceleration, model.braking) == (1.0, 1.5, 1.5, 3.0)
-    assert proposals.WEIGHTS == (5.0, 5.0, 2.0)
-    assert (proposals.HORIZON_S, proposals.STEP_S) == (4.0, 0.1)
-    assert (DRIVER.emergency_s, DRIVER.emergency_mps) == (2.0, 5.0)
-
-
 def test_the_simulation_is_that_of_the_bicycle_model() -> None:
     at = situation(0.0, 8.0, cars(), straight(0.0, 12.0), 0.4, 0.05)
     found = simulated(at)

@@ -39,10 +39,6 @@ def test_an_own_track_stands_for_the_nearest_object_and_for_no_other() -> None:
     assert believed(own, cars((20.0, SAME_OBJECT_M + 0.1))) == [(20.0, 0.0), (20.0, SAME_OBJECT_M + 0.1)]
 
 
-def test_nothing_is_believed_where_nothing_is_reported() -> None:
-    assert believed(cars(), cars()) == []
-
-
 @pytest.mark.parametrize("seed", range(5))
 def test_what_is_believed_does_not_depend_on_the_order_of_objects(seed: int) -> None:
     random = np.random.default_rng(seed)
