@@ -18,14 +18,8 @@ from pyarrow import parquet
 from mast_zenoh.arrays.states import Bools
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.run_folder import check_plain, open_plain, replacing
-from mast_zenoh.run_folder.unpacking import (
-    MAX_TABLE_BYTES,
-    check_expanded,
-    extents,
-    read_footer,
-    read_parquet,
-    read_row_group,
-)
+from mast_zenoh.run_folder.parquet_footers import Footer, read_footer
+from mast_zenoh.run_folder.unpacking import MAX_TABLE_BYTES, check_expanded, read_parquet, read_row_group
 
 #: Columns of text get this type at once, because `dictionary_encode` would load all of Arrow's compute functions.
 _TEXT = pyarrow.dictionary(pyarrow.int32(), pyarrow.string())
@@ -140,7 +134,7 @@ class _Footer(NamedTuple):
     """
 
     file: tuple[int, ...]
-    content: Any
+    content: Footer
     schema: Any
     least: NDArray[Any]
     most: NDArray[Any]
@@ -172,9 +166,9 @@ class TableFile:
 
     @property
     def n_rows(self) -> int:
-        """The number of rows that the footer claims; a damaged file may claim any."""
+        """The number of rows that the footer claims; that of a damaged file may claim any."""
         with _naming(self.path):
-            return int(self._footer().content.num_rows)
+            return sum(group.n_rows for group in self._footer().content.groups)
 
     def rows(self, columns: Sequence[str], frames: range | None = None, agent: str = "") -> dict[str, NDArray[Any]]:
         """The rows of some frames and of an agent, by default of all, in their order, as columns.
@@ -232,7 +226,8 @@ class TableFile:
         current = status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
         if self._known is None or self._known.file != current:
             content = read_footer(self.path)
-            self._known = _Footer(current, content, content.schema.to_arrow_schema(), *extents(content, "frame"))
+            schema = content.content.schema.to_arrow_schema()
+            self._known = _Footer(current, content, schema, *content.extents("frame"))
         return self._known
 
     def _group(self, footer: _Footer, group: int, names: tuple[str, ...]) -> Any:

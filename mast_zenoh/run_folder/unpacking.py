@@ -12,13 +12,16 @@ from __future__ import annotations
 import mmap
 import struct
 from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow
-from numpy.typing import NDArray
 from pyarrow import ipc, parquet
+
+from mast_zenoh.run_folder.parquet_footers import MAX_LIST, Chunk, Footer, Group, read_footer
+from mast_zenoh.run_folder.thrift import read_struct
 
 #: Limit on the unpacked size of a table, bytes.
 MAX_TABLE_BYTES = 400_000_000
@@ -82,14 +85,29 @@ def read_feather(path: Path, max_bytes: int = MAX_TABLE_BYTES) -> pyarrow.Table:
 
     Raises OSError if it cannot be read, ArrowException if it is broken or unpacks to more than `max_bytes`.
     """
-    with pyarrow.memory_map(str(path)) as file:
+    with _checking_names(), pyarrow.memory_map(str(path)) as file:
         if file.read(len(_MAGIC)) != _MAGIC:
             raise pyarrow.ArrowInvalid("not an Arrow IPC file (Feather version 2)")
         _check_messages(file, max_bytes)
         # Read as the stream that was checked: the footer could point to other places.
         file.seek(len(_MAGIC))
         with ipc.open_stream(file) as stream:
-            return stream.read_all()
+            return _validated(stream.read_all())
+
+
+@contextmanager
+def _checking_names() -> Iterator[None]:
+    """Raise ArrowInvalid for a name that is no text."""
+    try:
+        yield
+    except UnicodeDecodeError as error:
+        raise pyarrow.ArrowInvalid(f"found a name that is not UTF-8: {error}") from None
+
+
+def _validated(table: pyarrow.Table) -> pyarrow.Table:
+    """A table, if its text is UTF-8, and each number of a text that of one; otherwise raises ArrowInvalid."""
+    table.validate(full=True)
+    return table
 
 
 def _check_messages(file: Any, max_bytes: int) -> None:
@@ -160,9 +178,6 @@ def _unsigned(data: bytes, at: int) -> int:
 
 #: Limit on the pages of a table, of all columns together.
 MAX_PAGES = 200_000
-#: Limit on the lists in a footer: of row groups, and of columns.
-_MAX_LIST = 100_000
-
 #: Encodings of text whose values take no more bytes than their page: all but DELTA_BYTE_ARRAY, which repeats prefixes.
 _TEXT_ENCODINGS = (0, 2, 3, 6, 8)  # PLAIN, PLAIN_DICTIONARY, RLE, DELTA_LENGTH_BYTE_ARRAY, RLE_DICTIONARY
 
@@ -184,58 +199,40 @@ def read_parquet(path: Path, columns: Collection[str] | None = None, max_bytes: 
     Raises OSError if it cannot be read, ArrowException if it is broken, has columns of lists, or unpacks to more than
     `max_bytes`.
     """
-    try:
-        return _read_bounded(path, columns, max_bytes)
-    except UnicodeDecodeError as error:
-        raise pyarrow.ArrowInvalid(f"found a name that is not UTF-8: {error}") from None
+    with _checking_names():
+        return _validated(_read_bounded(path, columns, max_bytes, read_footer(path)))
 
 
-def read_footer(path: Path) -> Any:
-    """What the footer of a Parquet file says; raises OSError or ArrowException if it is broken."""
-    with parquet.ParquetFile(path, thrift_container_size_limit=_MAX_LIST) as file:
-        return file.metadata
-
-
-def read_row_group(path: Path, group: int, columns: Collection[str], footer: Any) -> pyarrow.Table:
+def read_row_group(path: Path, group: int, columns: Collection[str], footer: Footer) -> pyarrow.Table:
     """Read some columns of a row group; raises as `read_parquet` does."""
-    return _read_bounded(path, columns, MAX_TABLE_BYTES, [group], footer)
-
-
-def extents(footer: Any, column: str) -> tuple[NDArray[Any], NDArray[Any]]:
-    """The least and the largest number of a column in each row group, as the footer says; NaN: it does not."""
-    paths = [footer.schema.column(index).path for index in range(footer.num_columns)]
-    known = np.full((2, footer.num_row_groups), np.nan)
-    for group in range(footer.num_row_groups if column in paths else 0):
-        statistics = footer.row_group(group).column(paths.index(column)).statistics
-        if statistics is not None and statistics.has_min_max and isinstance(statistics.min_raw, int):
-            known[:, group] = statistics.min_raw, statistics.max_raw
-    return known[0], known[1]
+    with _checking_names():
+        return _validated(_read_bounded(path, columns, MAX_TABLE_BYTES, footer, [group]))
 
 
 def _read_bounded(
     path: Path,
     columns: Collection[str] | None,
     max_bytes: int,
+    footer: Footer,
     groups: Sequence[int] | None = None,
-    metadata: Any = None,
 ) -> pyarrow.Table:
-    """Read some columns of some row groups; None: all. metadata: of the file, if it has been read"""
-    with parquet.ParquetFile(path, metadata=metadata, thrift_container_size_limit=_MAX_LIST) as file:
+    """Read some columns of some row groups; None: all."""
+    with parquet.ParquetFile(path, metadata=footer.content, thrift_container_size_limit=MAX_LIST) as file:
         wanted = [
             index
             for index in range(len(file.schema))
             if columns is None or file.schema.column(index).path.partition(".")[0] in columns
         ]
-        groups = range(file.metadata.num_row_groups) if groups is None else groups
-        size = _unpacked_size(path, file, wanted, groups, max_bytes)
+        groups = range(len(footer.groups)) if groups is None else groups
+        size = _unpacked_size(path, file.schema, wanted, [footer.groups[group] for group in groups], max_bytes)
         schema = file.schema_arrow
         repeating = {file.schema.column(index).path for index in wanted} if file.metadata.num_rows else set()
         texts = sorted(name for name in repeating if name in schema.names and _is_text(schema, name))
         if not texts:
             return file.read_row_groups(groups, columns=None if columns is None else list(columns))
     # As a dictionary, a text that repeats is in memory once. It is expanded only when the size is known.
-    limit = {"thrift_container_size_limit": _MAX_LIST}
-    with parquet.ParquetFile(path, metadata=metadata, read_dictionary=texts, **limit) as file:
+    limit = {"thrift_container_size_limit": MAX_LIST}
+    with parquet.ParquetFile(path, metadata=footer.content, read_dictionary=texts, **limit) as file:
         table = file.read_row_groups(groups, columns=None if columns is None else list(columns))
     for name in texts:
         column, kind = table[name], schema.field(name).type
@@ -256,7 +253,7 @@ def _check(size: int, max_bytes: int) -> None:
         raise pyarrow.ArrowInvalid(f"found {size} bytes unpacked or more, expected at most {max_bytes}")
 
 
-def _unpacked_size(path: Path, file: Any, wanted: list[int], groups: Sequence[int], max_bytes: int) -> int:
+def _unpacked_size(path: Path, schema: Any, wanted: list[int], groups: Sequence[Group], max_bytes: int) -> int:
     """Bytes of some columns and row groups when they are read, text as dictionaries.
 
     Raises ArrowInvalid above `max_bytes`.
@@ -264,15 +261,14 @@ def _unpacked_size(path: Path, file: Any, wanted: list[int], groups: Sequence[in
     size = pages = 0
     with path.open("rb") as raw, mmap.mmap(raw.fileno(), 0, access=mmap.ACCESS_READ) as content:
         for index in wanted:
-            column = file.schema.column(index)
+            column = schema.column(index)
             if column.max_repetition_level:
                 raise pyarrow.ArrowInvalid(f"column {column.path}: found lists, expected one value in each row")
             is_text = column.physical_type == "BYTE_ARRAY"
             width = max(8, column.length)
             for group in groups:
-                chunk = file.metadata.row_group(group).column(index)
-                values = 0
-                for header in _pages(content, chunk):
+                chunk, values = group.chunks[index], 0
+                for header in _pages(content, column.path, chunk):
                     pages += 1
                     size += header[_UNPACKED]
                     _check(size, max_bytes)
@@ -288,24 +284,22 @@ def _unpacked_size(path: Path, file: Any, wanted: list[int], groups: Sequence[in
                         values += page.get(_VALUES, 0) if kind in _DATA_PAGES else 0
                         if is_text and page and page.get(encoding) not in _BY_NUMBER:
                             size += _TEXT_BYTES * page.get(_VALUES, 0)
-                size += width * max(values, chunk.num_values, file.metadata.row_group(group).num_rows)
+                size += width * max(values, chunk.n_values, group.n_rows)
                 _check(size, max_bytes)
     return size
 
 
-def _pages(content: mmap.mmap, chunk: Any) -> Iterator[dict[int, Any]]:
+def _pages(content: mmap.mmap, column: str, chunk: Chunk) -> Iterator[dict[int, Any]]:
     """The headers of the pages of a column in a row group."""
-    at = chunk.data_page_offset
+    at = chunk.first_byte
     if at <= 0:  # of a row group without rows
         return
-    if chunk.has_dictionary_page and chunk.dictionary_page_offset is not None and 0 < chunk.dictionary_page_offset < at:
-        at = chunk.dictionary_page_offset
-    end = at + chunk.total_compressed_size
+    end = at + chunk.n_bytes
     if not 0 <= at <= end <= len(content):
-        raise pyarrow.ArrowInvalid(f"column {chunk.path_in_schema}: not within the file's {len(content)} bytes")
+        raise pyarrow.ArrowInvalid(f"column {column}: not within the file's {len(content)} bytes")
     while at < end:
         try:
-            header, at = _struct(content, at, 0)
+            header, at = read_struct(content, at)
             unpacked, packed = header[_UNPACKED], header[_PACKED]
             if not all(type(header.get(kind, {})) is dict for kind in _ENCODING_OF):
                 raise ValueError("its header has no fields")
@@ -313,49 +307,6 @@ def _pages(content: mmap.mmap, chunk: Any) -> Iterator[dict[int, Any]]:
             if not all(type(number) is int and number >= 0 for number in (unpacked, packed, *values)):
                 raise ValueError(f"found {unpacked!r} bytes, packed {packed!r}, with {values} values")
         except (IndexError, KeyError, TypeError, ValueError) as error:
-            raise pyarrow.ArrowInvalid(f"column {chunk.path_in_schema}: a damaged page: {error!r}") from None
+            raise pyarrow.ArrowInvalid(f"column {column}: a damaged page: {error!r}") from None
         yield header
         at += packed
-
-
-def _struct(content: mmap.mmap, at: int, depth: int) -> tuple[dict[int, Any], int]:
-    """The fields of a structure in Thrift's compact protocol, and where it ends. Of text, the length."""
-    fields: dict[int, Any] = {}
-    number = 0
-    while head := content[at]:
-        at += 1
-        if head >> 4:
-            number += head >> 4
-        else:
-            number, at = _integer(content, at)
-        kind = head & 15
-        if kind in (1, 2):  # the type is the value
-            fields[number] = kind == 1
-        elif kind == 3:
-            fields[number], at = content[at], at + 1
-        elif kind in (4, 5, 6):
-            fields[number], at = _integer(content, at)
-        elif kind == 8:
-            length, at = _varint(content, at)
-            fields[number], at = length, at + length
-        elif kind == 12 and depth < 4:
-            fields[number], at = _struct(content, at, depth + 1)
-        else:
-            raise ValueError(f"field {number} has type {kind}")
-    return fields, at + 1
-
-
-def _varint(content: mmap.mmap, at: int) -> tuple[int, int]:
-    value = 0
-    for shift in range(0, 64, 7):
-        byte = content[at]
-        at += 1
-        value |= (byte & 127) << shift
-        if byte < 128:
-            return value, at
-    raise ValueError("a number of more than 64 bits")
-
-
-def _integer(content: mmap.mmap, at: int) -> tuple[int, int]:
-    value, at = _varint(content, at)
-    return (value >> 1) ^ -(value & 1), at
