@@ -285,6 +285,9 @@ DEFENCE_MEASURES = {
     "framed_by_minority": "framed, liars below the local majority (share)",
     "framed_by_majority": "framed, liars in the local majority (share)",
     "honest_majority": "objects with an honest majority (share)",
+    "liars_watched": "liars with an observable lie",
+    "liars_suspended": "of these suspended",
+    "suspended_before": "suspended before",
 }
 
 
@@ -325,6 +328,11 @@ class Row(NamedTuple):
     trials: int
     numbers: Mapping[str, Measured]
 
+    @property
+    def idle(self) -> bool:
+        """Whether adversaries lied in none of the runs, so that their attack did not take place (`attacked`)."""
+        return self.numbers["attacked"].value == 0.0
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Survival:
@@ -347,37 +355,6 @@ class Survival:
         return float(self.time_s[below.argmax()]) if below.any() else float("nan")
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class DefenceRow:
-    """A defence against one adversary, with its most harmful budget.
-
-    attack:    "" without one;  budget: lies per second of each adversary, None: the attack's own
-    budgets:   number of budgets that were tried
-    measures:  by name in DEFENCE_MEASURES; damage is relative to no defence and no attack, with the same scene and seed
-    state_seconds: s by conduct (honest, faulty, lying) and state of trust, over all agents and trials; {}: no trust
-    delay:     until liars are suspended, over all trials; None: there was no observable lie, or no trust
-    suspended_before: number of liars that were suspended before their first observable lie, which have no delay
-    own:       the user's metrics of the ego's picture, and how much they differ from no defence and no attack
-    """
-
-    defence: str
-    attack: str
-    n_adversaries: int
-    placement: str
-    budget: float | None
-    budgets: int
-    measures: Mapping[str, Measured]
-    state_seconds: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    delay: Survival | None = None
-    suspended_before: int = 0
-    own: Mapping[str, tuple[Measured, Measured]] = field(default_factory=dict)
-
-    @property
-    def idle(self) -> bool:
-        """Whether adversaries lied in none of the runs, so that their attack did not take place."""
-        return self.measures["attacked"].value == 0.0
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class DefenceRoc:
     """How well one defence's suspicion tells liars from honest agents, one score for each agent-run.
@@ -391,29 +368,6 @@ class DefenceRoc:
     auc: Measured
     partial_auc: Measured
     hours: float
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class DefenceSummary:
-    """What one defence is worth, over all rows of the matrix.
-
-    lies_detected, identifiable_removed: shares, over all runs under attack;  median_delay_s: of all liars
-    alarms_per_hour: suspensions of honest agents in runs without an attack, of `frames` frames together
-    fn_added, fp_added: objects per frame without an attack
-    faults_suspended: share of the runs with faults alone that suspend an agent
-    framed_by_minority: share of the runs in which an honest agent is framed by liars below the local majority
-    """
-
-    defence: str
-    lies_detected: Measured
-    identifiable_removed: Measured
-    median_delay_s: Measured
-    alarms_per_hour: Measured
-    frames: int
-    fn_added: Measured
-    fp_added: Measured
-    faults_suspended: Measured
-    framed_by_minority: Measured
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -433,36 +387,41 @@ class TrustPanel:
 class DefenceMatrix:
     """The cells of a study, and a characteristic and a summary for each defence that judges agents.
 
+    rows: a defence against one adversary, with its most harmful budget: the numbers of DEFENCE_MEASURES (damage is
+           relative to no defence and no attack, with the same scene and seed), and s by conduct and state of trust
+           (`seconds faulty suspended`), over all agents and trials. They are of: attack, "" without one; budget: lies
+           per second of each adversary, None: the attack's own; budgets: number of budgets that were tried
+    own:   of the same cells, the user's metrics of the ego's picture, and how much they differ from no defence and no
+           attack
+    summaries: what a defence is worth, over all rows: shares of DEFENCE_MEASURES over all runs under attack;
+           alarms_per_hour: suspensions of honest agents in runs without an attack, of `frames` frames together;
+           fn_added, fp_added: objects per frame without an attack; faults_suspended: share of the runs with faults
+           alone that suspend an agent
     state_shares: by defence, conduct and state of trust, the share of the time with this conduct, over all cells
     panels: the trust of single trials;  unshown: number of pairs of a defence and an adversary without a panel
     not_suspending: defences that judge agents and suspended nobody in any run; they have no delays
     """
 
-    rows: Sequence[DefenceRow]
+    rows: Sequence[Row]
     rocs: Sequence[DefenceRoc]
     delays: Mapping[str, Survival]
-    summaries: Sequence[DefenceSummary]
+    summaries: Sequence[Row]
     size: str
+    own: Sequence[Row] = ()
     state_shares: Mapping[str, Mapping[str, Mapping[str, Measured]]] = field(default_factory=dict)
     panels: Sequence[TrustPanel] = ()
     unshown: int = 0
     not_suspending: Sequence[str] = ()
 
-    def names(self, key: str) -> list[object]:
-        """The values of an attribute in order of appearance, without those of runs without an attack."""
-        rows = [row for row in self.rows if row.attack or key == "defence"]
-        return list(dict.fromkeys(getattr(row, key) for row in rows))
+    def names(self, key: str) -> list[Any]:
+        """The values of a name in order of appearance, without those of runs without an attack."""
+        return list(dict.fromkeys(row.of[key] for row in self.rows if row.of["attack"] or key == "defence"))
 
-    def row(self, defence: object, attack: object, n_adversaries: object, placement: object) -> DefenceRow | None:
+    def row(self, defence: object, attack: object, n_adversaries: object, placement: object) -> Row | None:
         """The row of a cell; None if there is none. Without adversaries, it is the same for every attack."""
         for row in self.rows:
-            if row.defence == defence and (row.n_adversaries == n_adversaries == 0):
-                return row
-            if (row.defence, row.attack, row.n_adversaries, row.placement) == (
-                defence,
-                attack,
-                n_adversaries,
-                placement,
-            ):
+            quiet = row.of["n_adversaries"] == n_adversaries == 0
+            place = row.of["attack"], row.of["n_adversaries"], row.of["placement"]
+            if row.of["defence"] == defence and (quiet or place == (attack, n_adversaries, placement)):
                 return row
         return None

@@ -10,13 +10,13 @@ import numpy as np
 from mast_zenoh.metrics.study_results import (
     BINOMIAL,
     BOOTSTRAP,
+    DEFENCE_MEASURES,
     POISSON,
     AgentTrustSeries,
     DefenceMatrix,
     DefenceRoc,
-    DefenceRow,
-    DefenceSummary,
     Measured,
+    Row,
     Survival,
     TrustPanel,
 )
@@ -29,47 +29,42 @@ ATTACKED = Measured(1.0, 0.93, 1.0, 48, 0, BINOMIAL)
 SHARE = Measured(0.97, 0.95, 0.99, 48, 0, BOOTSTRAP)
 
 
-def row(defence: str, attack: str, **measures: Measured) -> DefenceRow:
-    count = 1 if attack else 0
+def row(defence: str, attack: str, **measures: Measured) -> Row:
     values = {"damage": Measured(4.2, 3.9, 4.6, 48, 0, BOOTSTRAP), "honest_suspended_per_hour": ALARMS}
     values |= {"framed": RUNS if attack == "Ghost" else Measured(), "lies_detected": SHARE}
     values |= {"attacked": ATTACKED} if attack == "Ghost" else {}
     values |= {"wrongly_suspended": RUNS} if attack != "Ghost" else {}
-    delay = DELAY if attack == "Ghost" and defence == "Wall" else None
-    faulty = {"faulty": {"trusted": 3.0, "suspended": 1.0}} if attack.startswith("fault:") else {}
-    return DefenceRow(
-        defence=defence,
-        attack=attack,
-        n_adversaries=count,
-        placement="worst" if attack else "",
-        budget=4.0 if attack == "Ghost" else None,
-        budgets=2,
-        measures=_Unknown(values | measures),
-        state_seconds=faulty,
-        delay=delay,
-    )
+    counts = {"liars_watched": 0.0, "liars_suspended": 0.0, "suspended_before": 0.0}
+    if attack == "Ghost" and defence == "Wall":
+        counts |= {"liars_watched": 5.0, "liars_suspended": 3.0}
+    if attack.startswith("fault:"):
+        counts |= {"seconds faulty trusted": 3.0, "seconds faulty suspended": 1.0}
+    numbers = dict.fromkeys(DEFENCE_MEASURES, Measured())
+    numbers |= {name: Measured(count, trials=48) for name, count in counts.items()}
+    of = {
+        "defence": defence,
+        "attack": attack,
+        "n_adversaries": 1 if attack else 0,
+        "placement": "worst" if attack else "",
+        "budget": 4.0 if attack == "Ghost" else None,
+        "budgets": 2,
+    }
+    return Row(of, 48, numbers | values | measures)
 
 
-class _Unknown(dict[str, Measured]):
-    """Measures of which those that are not given are unknown."""
-
-    def __missing__(self, name: str) -> Measured:
-        return Measured()
-
-
-def summary(**changes: Any) -> DefenceSummary:
-    values: dict[str, Any] = dict(
+def summary(defence: str = "Wall", **changes: Measured) -> Row:
+    values = dict(
         lies_detected=SHARE,
-        identifiable_removed=SHARE,
         median_delay_s=Measured(0.3, 0.2, 0.5, 48, 0, BOOTSTRAP),
+        identifiable_removed=SHARE,
         alarms_per_hour=ALARMS,
-        frames=108_000,
+        frames=Measured(108_000.0, trials=180),
         fn_added=Measured(0.01, 0.0, 0.02, 180, 0, BOOTSTRAP),
         fp_added=Measured(-0.1, -0.2, -0.05, 180, 0, BOOTSTRAP),
         faults_suspended=RUNS,
         framed_by_minority=RUNS,
     )
-    return DefenceSummary(defence="Wall", **(values | changes))
+    return Row({"defence": defence}, 48, values | changes)
 
 
 def agent(name: str, **conduct: Any) -> AgentTrustSeries:

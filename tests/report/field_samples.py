@@ -116,11 +116,12 @@ def field(
     of_matrix = replace(
         of_matrix,
         rows=[
-            replace(defence_row(name, attack), n_adversaries=count, placement=placement)
+            row._replace(of=row.of | {"n_adversaries": count, "placement": placement})
             for name in every
             for attack, count, placement in places
+            for row in [defence_row(name, attack)]
         ],
-        summaries=[replace(summary(), defence=name) for name in defences],
+        summaries=[summary(name) for name in defences],
         rocs=[],
         delays={},
     )

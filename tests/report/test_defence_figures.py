@@ -40,7 +40,7 @@ def test_the_heat_maps_have_a_scale_and_explain_brackets_and_hatching(monkeypatc
     monkeypatch.setattr(defences, "Figure", Kept)
     whole = matrix()
     silent = {"attacked": Measured(0.0, 0.0, 0.1, 48, 0, BINOMIAL)}
-    rows = [*(each for each in whole.rows if (each.defence, each.attack) != ("Wall", "Ghost"))]
+    rows = [*(each for each in whole.rows if (each.of["defence"], each.of["attack"]) != ("Wall", "Ghost"))]
     figures_of_defences(replace(whole, rows=[*rows, row("Wall", "Ghost", **silent)]))
     maps, scale = figures[0].axes
     label = scale.get_xlabel().replace("\n", " ")

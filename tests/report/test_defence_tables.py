@@ -45,8 +45,8 @@ def test_the_headline_is_the_clearest_damage_that_remains_if_all_are_read_togeth
 
 
 def test_users_metrics_have_a_table_and_lines_in_the_csv() -> None:
-    mine = replace(row("Wall", "Ghost"), own={"half": (Measured(3.0, 2.0, 4.0, 10), Measured(1.0, 0.5, 1.5, 10))})
-    tables = defence_tables(replace(matrix(), rows=[mine]))
+    mine = {"half": Measured(3.0, 2.0, 4.0, 10), "half difference": Measured(1.0, 0.5, 1.5, 10)}
+    tables = defence_tables(replace(matrix(), own=[row("Wall", "Ghost")._replace(numbers=mine)]))
     (own,) = [each for each in tables.tables if each.title == "Your metrics"]
     assert own.lines == [["Wall", "Ghost", "1", "worst", "3.00 [2.00, 4.00]", "1.00 [0.50, 1.50]"]]
     assert "half difference,1.0,0.5,1.5" in tables.as_csv()
@@ -95,7 +95,7 @@ def test_a_row_whose_attack_never_took_place_stays_and_says_in_how_many_runs_it_
     silent = row("Wall", "Ghost", attacked=Measured(0.0, 0.0, 0.1, 48, 0, BINOMIAL), lies_detected=Measured())
     some = row("Wall", "Ghost", attacked=Measured(0.25, 0.1, 0.4, 48, 0, BINOMIAL))
     whole = matrix()
-    rows = [each for each in whole.rows if (each.defence, each.attack) != ("Wall", "Ghost")]
+    rows = [each for each in whole.rows if (each.of["defence"], each.of["attack"]) != ("Wall", "Ghost")]
     for own, lied in ((silent, "0 of 48"), (some, "12 of 48")):
         table = replace(whole, rows=[*rows, own])
         for title in ("Detection", "Framing"):
@@ -104,7 +104,7 @@ def test_a_row_whose_attack_never_took_place_stays_and_says_in_how_many_runs_it_
 
 
 def test_false_alarms_before_a_lie_are_explained_where_they_raise_a_share() -> None:
-    early = replace(row("Wall", "Ghost"), suspended_before=2)
+    early = row("Wall", "Ghost", suspended_before=Measured(2.0))
     text = section(replace(matrix(), rows=[early]), "Detection")
     assert text.strip().endswith("| 3 of 5 | 2 |")
     assert "their lies count as detected: false alarms make this share greater" in text
@@ -122,7 +122,7 @@ def test_the_summary_has_no_columns_that_apply_to_no_defence() -> None:
     assert "runs with faults" in section(matrix(), "Summary")
     assert "runs with faults" not in section(without_faults, "Summary")
     assert "each with its most harmful budget" in section(matrix(), "Summary")
-    single = replace(matrix(), rows=[replace(each, budgets=1) for each in matrix().rows])
+    single = replace(matrix(), rows=[each._replace(of=each.of | {"budgets": 1}) for each in matrix().rows])
     assert "budget" not in section(single, "Summary")
 
 

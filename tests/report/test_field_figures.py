@@ -130,5 +130,7 @@ def test_the_cells_of_a_single_defence_are_not_stretched(drawn: list[Figure]) ->
 def test_without_a_defence_or_an_attack_there_is_no_figure() -> None:
     table: FieldMatrix = field(defences=())
     assert figures_of_field(table) == {}
-    alone = replace(table, matrix=replace(table.matrix, rows=[row for row in table.matrix.rows if not row.attack]))
+    alone = replace(
+        table, matrix=replace(table.matrix, rows=[row for row in table.matrix.rows if not row.of["attack"]])
+    )
     assert figures_of_field(alone) == {}

@@ -12,12 +12,11 @@ from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from mast_zenoh.metrics.study_results import DefenceMatrix, DefenceRow, Row
+from mast_zenoh.metrics.study_results import DefenceMatrix, Row
 from mast_zenoh.report.figures.drawing import RenderedFigure, render
 from mast_zenoh.report.figures.facets import curve, legend_above
 from mast_zenoh.report.figures.style import (
     LINE_STYLES,
-    MARKERS,
     Figure,
     hatch_cell,
     heat_map,
@@ -59,7 +58,7 @@ def _heat_maps(matrix: DefenceMatrix) -> RenderedFigure:
     label = "\n".join(["missed and false objects added per frame", *textwrap.wrap(marks, 58)])
     figure = Figure(figsize=(max(_LEAST_WIDTH, width), height + 0.95), layout="constrained", facecolor="white")
     grid = figure.subplots(len(placements), len(counts), squeeze=False, sharey=True)
-    sizes = [abs(row.measures["damage"].value) for row in matrix.rows if row.attack and not row.idle]
+    sizes = [abs(row.numbers["damage"].value) for row in matrix.rows if row.of["attack"] and not row.idle]
     scale = max((size for size in sizes if not math.isnan(size)), default=0.0) or 1.0
     for line, placement in zip(grid, placements, strict=True):
         for axes, count in zip(line, counts, strict=True):
@@ -85,11 +84,11 @@ def _heat_maps(matrix: DefenceMatrix) -> RenderedFigure:
     return render("defence_matrix", figure, f"Heat maps of damage. {_worst(matrix)}", caption, printed=True)
 
 
-def _heat_map(axes: Axes, cells: list[list[DefenceRow | None]], scale: float) -> AxesImage:
-    def text(row: DefenceRow | None) -> str:
+def _heat_map(axes: Axes, cells: list[list[Row | None]], scale: float) -> AxesImage:
+    def text(row: Row | None) -> str:
         if row is None or math.isnan(_mean(row, "damage")):
             return ""
-        damage = row.measures["damage"]
+        damage = row.numbers["damage"]
         return number(damage.value) if damage.differs else f"({number(damage.value)})"
 
     idle = np.array([[row is not None and row.idle for row in line] for line in cells])
@@ -103,7 +102,7 @@ def _heat_map(axes: Axes, cells: list[list[DefenceRow | None]], scale: float) ->
 def _damage(matrix: DefenceMatrix) -> RenderedFigure:
     """Damage over the number of adversaries, a column per adversary; the bound of a majority in the last one."""
     attacks, defences = matrix.names("attack"), matrix.names("defence")
-    placements, counts = matrix.names("placement"), [0, *map(int, map(str, matrix.names("n_adversaries")))]
+    placements, counts = matrix.names("placement"), [0, *matrix.names("n_adversaries")]
     panels = [*attacks, None]
     lines = -(-len(panels) // 4)
     columns = -(-len(panels) // lines)
@@ -118,7 +117,8 @@ def _damage(matrix: DefenceMatrix) -> RenderedFigure:
             for index, defence in enumerate(defences):
                 for at, placement in enumerate(placements):
                     rows = [matrix.row(defence, attack, count, placement) for count in counts]
-                    _curve(axes, counts, rows, index, at, f"{defence}, {placement}" if len(placements) > 1 else defence)
+                    label = f"{defence}, {placement}" if len(placements) > 1 else defence
+                    _curve(axes, [row for row in rows if row is not None], index, at, label)
             axes.set_title(plain(attack), fontsize=9.5, color=INK, loc="left")
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.tick_params(axis="x", labelbottom=True)
@@ -127,8 +127,7 @@ def _damage(matrix: DefenceMatrix) -> RenderedFigure:
     for axes in grid[::columns]:
         if axes is not grid[len(panels) - 1]:
             axes.set_ylabel(_ADDED, fontsize=9, color=INK)
-    handles, labels = grid[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper left", ncols=5, frameon=False, fontsize=9, labelcolor=INK)
+    legend_above(figure, grid[0], columns=5)
     figure.supxlabel("number of adversaries", fontsize=9.5, color=INK)
     caption = (
         f"Damage over the number of adversaries ({matrix.size}), with 95 % intervals over trials where there are five "
@@ -140,28 +139,12 @@ def _damage(matrix: DefenceMatrix) -> RenderedFigure:
     )
 
 
-def _curve(
-    axes: Axes, counts: list[int], rows: list[DefenceRow | None], colour: int, style: int, label: object
-) -> None:
-    estimates = [None if row is None else row.measures["damage"] for row in rows]
-    known = [(count, each) for count, each in zip(counts, estimates, strict=True) if each is not None]
-    mean = np.array([each.value for _, each in known])
-    bars = np.nan_to_num([[each.value - each.low, each.high - each.value] for _, each in known]).T
-    axes.errorbar(
-        [count for count, _ in known],
-        mean,
-        yerr=bars if len(known) else None,
-        color=RUN_COLOURS[colour % len(RUN_COLOURS)],
-        marker=MARKERS[colour % len(MARKERS)],
-        linestyle=LINE_STYLES[style % len(LINE_STYLES)],
-        markersize=4.5,
-        linewidth=1.6,
-        capsize=3,
-        label=plain(label),
-    )
-    idle = [(count, row.measures["damage"].value) for count, row in zip(counts, rows, strict=True) if row and row.idle]
-    for count, value in idle:
-        axes.plot(count, value, color="white", marker=".", markersize=4.0, zorder=5)
+def _curve(axes: Axes, rows: list[Row], index: int, style: int, label: str) -> None:
+    counts = [row.of["n_adversaries"] for row in rows]
+    curve(axes, counts, [row.numbers["damage"] for row in rows], index, label, style=style)
+    for row, count in zip(rows, counts, strict=True):
+        if row.idle:
+            axes.plot(count, row.numbers["damage"].value, color="white", marker=".", markersize=4.0, zorder=5)
 
 
 def _bound(axes: Axes, matrix: DefenceMatrix, counts: list[int]) -> None:
@@ -170,9 +153,9 @@ def _bound(axes: Axes, matrix: DefenceMatrix, counts: list[int]) -> None:
         values = []
         for count in counts:
             shares = [
-                row.measures["honest_majority"].value
+                row.numbers["honest_majority"].value
                 for row in matrix.rows
-                if row.n_adversaries == count and (count == 0 or row.placement == placement)
+                if row.of["n_adversaries"] == count and (count == 0 or row.of["placement"] == placement)
             ]
             values.append(next((share for share in shares if not math.isnan(share)), math.nan))
         style = LINE_STYLES[index % len(LINE_STYLES)]
@@ -242,19 +225,20 @@ def _rocs(matrix: DefenceMatrix) -> RenderedFigure:
     return render("roc", figure, f"Receiver operating characteristics, areas below: {values}.", caption, printed=True)
 
 
-def _mean(row: DefenceRow | None, name: str) -> float:
-    return math.nan if row is None else row.measures[name].value
+def _mean(row: Row | None, name: str) -> float:
+    return math.nan if row is None else row.numbers[name].value
 
 
 def _worst(matrix: DefenceMatrix) -> str:
     """The adversary that does the most damage to each defence."""
     parts = []
     for defence in matrix.names("defence"):
-        rows = [row for row in matrix.rows if row.defence == defence and row.attack]
+        rows = [row for row in matrix.rows if row.of["defence"] == defence and row.of["attack"]]
         rows = [row for row in rows if not math.isnan(_mean(row, "damage")) and not row.idle]
         if rows:
             row = max(rows, key=lambda each: _mean(each, "damage"))
-            parts.append(f"{defence}: {number(_mean(row, 'damage'))} by {row.attack}, {_agents(row.n_adversaries)}")
+            by = f"{row.of['attack']}, {_agents(row.of['n_adversaries'])}"
+            parts.append(f"{defence}: {number(_mean(row, 'damage'))} by {by}")
     return f"Most damage to {'; '.join(parts)}." if parts else ""
 
 

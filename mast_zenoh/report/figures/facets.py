@@ -11,7 +11,7 @@ from matplotlib.ticker import NullFormatter, ScalarFormatter
 from numpy.typing import ArrayLike
 
 from mast_zenoh.metrics.study_results import Measured, Row
-from mast_zenoh.report.figures.style import MARKERS, Figure, light_axes, plain
+from mast_zenoh.report.figures.style import LINE_STYLES, MARKERS, Figure, light_axes, plain
 from mast_zenoh.viewer.palette import INK, RUN_COLOURS
 
 #: Factor by which the points of neighbouring curves are moved apart, so that bars do not overlap.
@@ -58,15 +58,25 @@ def facet(rows: Sequence[Row], x: str, hue: str, panels: Sequence[tuple[str, flo
     return figure
 
 
-def curve(axes: Axes, x: ArrayLike, numbers: Sequence[Measured], index: int, label: str, factor: float = 1.0) -> None:
-    """Numbers with their intervals, in the colour and with the marker of an index."""
-    values = factor * np.array([each[:3] for each in numbers])
+def curve(
+    axes: Axes,
+    x: ArrayLike,
+    numbers: Sequence[Measured],
+    index: int,
+    label: str,
+    factor: float = 1.0,
+    *,
+    style: int = 0,
+) -> None:
+    """Numbers with their intervals, in the colour and with the marker of an index; style: index of the line's."""
+    values = factor * np.array([each[:3] for each in numbers]).reshape(-1, 3)
     axes.errorbar(
         x,
         values[:, 0],
         yerr=np.nan_to_num(np.abs(values[:, 1:].T - values[:, 0])),
         color=RUN_COLOURS[index % len(RUN_COLOURS)],
         marker=MARKERS[index % len(MARKERS)],
+        linestyle=LINE_STYLES[style % len(LINE_STYLES)],
         markersize=4.5,
         linewidth=1.6,
         elinewidth=0.9,
@@ -75,10 +85,16 @@ def curve(axes: Axes, x: ArrayLike, numbers: Sequence[Measured], index: int, lab
     )
 
 
-def legend_above(figure: Figure, axes: Axes, *others: Artist) -> None:
-    """The legend of the curves of a panel and of others, above all panels, in one line."""
+def legend_above(figure: Figure, axes: Axes, *others: Artist, columns: int = 0) -> None:
+    """The legend of the curves of a panel and of others, above all panels; columns: 0: all in one line."""
     handles, labels = axes.get_legend_handles_labels()
     handles, labels = [*handles, *others], [*labels, *(str(other.get_label()) for other in others)]
     figure.legend(
-        handles, labels, loc="outside upper left", ncols=max(1, len(labels)), frameon=False, fontsize=9, labelcolor=INK
+        handles,
+        labels,
+        loc="outside upper left",
+        ncols=columns or max(1, len(labels)),
+        frameon=False,
+        fontsize=9,
+        labelcolor=INK,
     )

@@ -3,29 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 from mast_zenoh.metrics.significance import clearest
-from mast_zenoh.metrics.study_results import (
-    DEFENCE_MEASURES,
-    MIN_SEEDS,
-    DefenceMatrix,
-    DefenceRow,
-    DefenceSummary,
-    Measured,
-    plural,
-)
+from mast_zenoh.metrics.study_results import DEFENCE_MEASURES, MIN_SEEDS, DefenceMatrix, Measured, Row, plural
 from mast_zenoh.report.tables.text_table import (
-    BOUNDS,
     DASH,
     FEW_TRIALS,
     ResultTables,
     TextTable,
-    bounds,
-    digits,
     measured,
     median_delay,
     number,
+    numbers_of_rows,
+    shown,
+    table_of_rows,
 )
 
 #: Measures of each table.
@@ -35,12 +27,38 @@ _DETECTION = (
     "honest_suspended_per_hour",
 )
 _FRAMING = ("framed", "framed_by_minority", "framed_by_majority", "wrongly_suspended")
-#: Shares of runs, whose number is shown, too.
-_OF_RUNS = {"wrongly_suspended", "framed", "framed_by_minority", "framed_by_majority"}
+_FAULTS = ("wrongly_suspended", "faulty_suspended_per_hour", "honest_suspended_per_hour", "ospa_added_m")
+#: Names of a defence, and of a cell, by heading.
+_DEFENCE = {"defence": "defence"}
+_CELL = _DEFENCE | {"adversary": "attack", "n": "n_adversaries", "placement": "placement"}
 #: After the number of a cell whose attack never took place, and what it means.
 IDLE = "(no lie)"
 ABOUT_IDLE = f" {IDLE}: the adversaries, which hear how they are judged, lied in none of these runs."
-_FAULTS = ("wrongly_suspended", "faulty_suspended_per_hour", "honest_suspended_per_hour", "ospa_added_m")
+
+
+def _share(each: Measured) -> str:
+    return measured(each, 3)
+
+
+def _of_runs(each: Measured) -> str:
+    """A share of runs, with their number."""
+    return _share(each) + (f" of {each.trials}" if each.trials else "")
+
+
+def _count(each: Measured) -> str:
+    return number(each.value, 0)
+
+
+#: How measures are shown, unless with two decimals.
+_SHOWN = {"median_delay_s": median_delay, "ospa_added_m": _share} | dict.fromkeys(_FRAMING, _of_runs)
+
+
+def _text(name: str) -> Callable[[Row], str]:
+    return shown(name, _SHOWN.get(name, measured))
+
+
+def _columns(names: Sequence[str]) -> dict[str, Callable[[Row], str]]:
+    return {DEFENCE_MEASURES[name]: _text(name) for name in names}
 
 
 def tables(matrix: DefenceMatrix) -> list[TextTable]:
@@ -81,76 +99,59 @@ def _by_adversary(matrix: DefenceMatrix, measure: str, title: str, about: str) -
             for count in matrix.names("n_adversaries"):
                 rows = [matrix.row(defence, attack, count, placement) for defence in defences]
                 if any(row is not None for row in rows):
-                    cells = (_measure(row, measure) + (f" {IDLE}" if row and row.idle else "") for row in rows)
-                    lines.append([str(attack), str(count), *cells])
+                    cells = (DASH if row is None else _text(measure)(row) + f" {IDLE}" * row.idle for row in rows)
+                    lines.append([attack, str(count), *cells])
         placed = f"{about} Placement of the adversaries: {placement}.{idle}"
-        yield TextTable(f"{title}, {placement}", placed, ["adversary", "n", *map(str, defences)], lines, 2)
+        yield TextTable(f"{title}, {placement}", placed, ["adversary", "n", *defences], lines, 2)
+
+
+#: Columns of the summary.
+_SUMMARY = {
+    DEFENCE_MEASURES["lies_detected"]: shown("lies_detected", _share),
+    DEFENCE_MEASURES["median_delay_s"]: shown("median_delay_s", median_delay),
+    DEFENCE_MEASURES["identifiable_removed"]: shown("identifiable_removed", _share),
+    "false alarms per hour without an attack": shown("alarms_per_hour"),
+    "frames": shown("frames", lambda each: _count(each) if each.value else DASH),
+    "FN added without an attack": shown("fn_added", _share),
+    "FP added without an attack": shown("fp_added", _share),
+    "runs with faults that suspend an agent (share)": shown("faults_suspended", _of_runs),
+    DEFENCE_MEASURES["framed_by_minority"]: shown("framed_by_minority", _of_runs),
+}
 
 
 def summary(matrix: DefenceMatrix) -> TextTable:
     """What each defence is worth, over all rows; without columns that do not apply to any."""
-    headings = [
-        *(
-            "defence",
-            DEFENCE_MEASURES["lies_detected"],
-            DEFENCE_MEASURES["median_delay_s"],
-            DEFENCE_MEASURES["identifiable_removed"],
-        ),
-        *("false alarms per hour without an attack", "frames", "FN added without an attack"),
-        *("FP added without an attack", "runs with faults that suspend an agent (share)"),
-        DEFENCE_MEASURES["framed_by_minority"],
-    ]
-    budgets = ", each with its most harmful budget" if any(row.budgets > 1 for row in matrix.rows) else ""
+    budgets = ", each with its most harmful budget" if any(row.of["budgets"] > 1 for row in matrix.rows) else ""
     about = (
         f"Over all adversaries above{budgets}. False alarms are suspensions of honest agents in runs without an "
         "attack, of as many frames as given."
     )
-    columns = zip(headings, *(_summary(each) for each in matrix.summaries), strict=True)
-    applying = [column for column in columns if {*column[1:]} != {DASH}]
-    headings, *lines = map(list, zip(*applying, strict=True))
-    return TextTable("Summary", about, headings, lines, 1)
-
-
-def _summary(each: DefenceSummary) -> list[str]:
-    return [
-        each.defence,
-        measured(each.lies_detected, 3),
-        median_delay(each.median_delay_s),
-        measured(each.identifiable_removed, 3),
-        measured(each.alarms_per_hour),
-        f"{each.frames}" if each.frames else DASH,
-        measured(each.fn_added, 3),
-        measured(each.fp_added, 3),
-        _of_runs(each.faults_suspended),
-        _of_runs(each.framed_by_minority),
-    ]
+    table = table_of_rows("Summary", about, matrix.summaries, _SUMMARY, _DEFENCE)
+    columns = zip(table.headings, *table.lines, strict=True)
+    headings, *lines = zip(*(column for column in columns if {*column[1:]} != {DASH}), strict=True)
+    return table._replace(headings=headings, lines=lines)
 
 
 def _costs(matrix: DefenceMatrix) -> TextTable:
-    lines = [[row.defence, *(_measure(row, name) for name in _COSTS)] for row in matrix.rows if not row.attack]
-    headings = ["defence", *(DEFENCE_MEASURES[name] for name in _COSTS)]
-    return TextTable("Cost without an attack", "Compared with no defence, per frame.", headings, lines, 1)
+    rows = [row for row in matrix.rows if not row.of["attack"]]
+    return table_of_rows(
+        "Cost without an attack", "Compared with no defence, per frame.", rows, _columns(_COSTS), _DEFENCE
+    )
 
 
 def _own(matrix: DefenceMatrix) -> TextTable:
     """The user's metrics, each with its difference from no defence and no attack."""
-    names = list(dict.fromkeys(name for row in matrix.rows for name in row.own))
-    missing = Measured(), Measured()
-    lines = [
-        [*_cell_of(row), *(measured(each) for name in names for each in row.own.get(name, missing))]
-        for row in matrix.rows
-    ]
-    headings = [heading for name in names for heading in (name, f"{name}, difference")]
+    names = dict.fromkeys(name for row in matrix.own for name in row.numbers)
+    columns = {name.replace(" difference", ", difference"): _if_any(name) for name in names}
     about = "Of the ego's picture; differences are from no defence and no attack."
-    return TextTable("Your metrics", about, [*_CELL, *headings], lines if names else [], 4)
+    return table_of_rows("Your metrics", about, matrix.own if names else [], columns, _CELL, texts=4)
+
+
+def _if_any(name: str) -> Callable[[Row], str]:
+    return lambda row: measured(row.numbers.get(name, Measured()))
 
 
 def _detection(matrix: DefenceMatrix) -> TextTable:
-    lines = []
-    for row in _attacked(matrix):
-        values = [_measure(row, name) for name in _DETECTION]
-        detected = DASH if row.delay is None else f"{row.delay.detections} of {row.delay.watched}"
-        lines.append([*_cell_of(row), _budget(row), _lied(row), *values, detected, str(row.suspended_before)])
     about = (
         "Lies that an honest agent could notice, and whether their object was withheld or their agent suspended; the "
         "time from the first of them to the suspension of its agent; how many of the liars were suspended. Liars that "
@@ -159,42 +160,50 @@ def _detection(matrix: DefenceMatrix) -> TextTable:
     )
     if matrix.not_suspending:
         about += f" Suspended nobody in any run, so without a delay: {', '.join(matrix.not_suspending)}."
-    headings = [*_CELL, "budget", "runs with a lie", *(DEFENCE_MEASURES[name] for name in _DETECTION)]
-    return TextTable("Detection", about, [*headings, "suspended", "suspended before"], lines, 5)
+    columns = _LIED | _columns(_DETECTION)
+    columns |= {"suspended": _suspended, "suspended before": shown("suspended_before", _count)}
+    return table_of_rows("Detection", about, _attacked(matrix), columns, _CELL | {"budget": "budget"}, texts=5)
+
+
+def _suspended(row: Row) -> str:
+    """Of how many liars: `3 of 5`."""
+    watched, suspended = (row.numbers[name] for name in ("liars_watched", "liars_suspended"))
+    return f"{_count(suspended)} of {_count(watched)}" if watched.value else DASH
 
 
 def _framing(matrix: DefenceMatrix) -> TextTable:
-    lines = [
-        [*_cell_of(row), _lied(row), *(_measure(row, name) for name in _FRAMING)]
-        for row in _attacked(matrix)
-        if row.measures["framed"].known or row.measures["wrongly_suspended"].known
-    ]
+    rows = [row for row in _attacked(matrix) if row.numbers["framed"].known or row.numbers["wrongly_suspended"].known]
     about = (
         "An honest agent is framed if it is suspended after the first lie of a run; runs in which nobody lied have the "
         "last column. Liars are in the local majority if they outnumber the honest viewers of at least half of the "
         "lies that an honest agent could notice."
     )
-    headings = [*_CELL, "runs with a lie", *(DEFENCE_MEASURES[name] for name in _FRAMING)]
-    return TextTable("Framing", about, headings, lines, 4)
+    return table_of_rows("Framing", about, rows, _LIED | _columns(_FRAMING), _CELL, texts=4)
 
 
-def _attacked(matrix: DefenceMatrix) -> list[DefenceRow]:
+def _attacked(matrix: DefenceMatrix) -> list[Row]:
     """The rows of defences with adversaries."""
-    judging = {each.defence for each in matrix.summaries}
-    return [row for row in matrix.rows if row.measures["attacked"].known and row.defence in judging]
+    judging = {each.of["defence"] for each in matrix.summaries}
+    return [row for row in matrix.rows if row.numbers["attacked"].known and row.of["defence"] in judging]
 
 
-def _lied(row: DefenceRow) -> str:
+def _lied(share: Measured) -> str:
     """In how many runs the adversaries lied: `3 of 4`."""
-    share = row.measures["attacked"]
     return f"{round(share.value * share.trials)} of {share.trials}"
 
 
+_LIED = {"runs with a lie": shown("attacked", _lied)}
+
+
 def _faults(matrix: DefenceMatrix) -> TextTable:
-    rows = [row for row in matrix.rows if any(row.state_seconds.get("faulty", {}).values())]
-    lines = [[*_cell_of(row), *(_measure(row, name) for name in _FAULTS)] for row in rows]
-    about = "Agents with a natural fault that did not lie."
-    return TextTable("Faults", about, [*_CELL, *(DEFENCE_MEASURES[name] for name in _FAULTS)], lines, 4)
+    rows = [
+        row
+        for row in matrix.rows
+        if any(each.value for name, each in row.numbers.items() if name.startswith("seconds faulty "))
+    ]
+    return table_of_rows(
+        "Faults", "Agents with a natural fault that did not lie.", rows, _columns(_FAULTS), _CELL, texts=4
+    )
 
 
 def _states_by_conduct(matrix: DefenceMatrix) -> TextTable:
@@ -222,43 +231,6 @@ def _characteristics(matrix: DefenceMatrix) -> TextTable:
     return TextTable("ROC", about, headings, lines, 1)
 
 
-_CELL = ["defence", "adversary", "n", "placement"]
-
-
-def _cell_of(row: DefenceRow) -> list[str]:
-    return [row.defence, row.attack or DASH, str(row.n_adversaries), row.placement or DASH]
-
-
-def _budget(row: DefenceRow) -> str:
-    return DASH if row.budget is None else f"{row.budget:g}"
-
-
-def _measure(row: DefenceRow | None, name: str) -> str:
-    if row is None:
-        return DASH
-    each = row.measures.get(name, Measured())
-    if name == "median_delay_s":
-        return median_delay(each)
-    if name == "ospa_added_m":
-        return measured(each, 3)
-    return _of_runs(each) if name in _OF_RUNS else measured(each)
-
-
-def _of_runs(each: Measured) -> str:
-    """A share of runs, with their number."""
-    return measured(each, 3) + (f" of {each.trials}" if each.trials else "")
-
-
-_CSV_CELL = ("defence", "attack", "n_adversaries", "placement", "budget", "budgets")
-
-
-#: The numbers of a summary.
-_SUMMARY = (
-    *("lies_detected", "median_delay_s", "identifiable_removed", "alarms_per_hour", "frames", "fn_added", "fp_added"),
-    *("faults_suspended", "framed_by_minority"),
-)
-
-
 def defence_tables(matrix: DefenceMatrix) -> ResultTables:
     """All tables; the terminal has the damage for each placement, and the summary.
 
@@ -268,19 +240,26 @@ def defence_tables(matrix: DefenceMatrix) -> ResultTables:
         f"{matrix.size}. In brackets: 95 % intervals, of means over seeds. Differences are between runs of the same "
         "scene and seed; where most are 0, the mean has no interval, which would be too narrow."
     )
-    headings = [*_CSV_CELL, "measure", *BOUNDS]
     source = summary(matrix)
     turned, *lines = zip(source.headings, *source.lines, strict=True)  # it has too many columns for a terminal
     brief = [
         *(table for table in damage(matrix) if table.lines),
         TextTable(source.title, source.about, turned, lines, 1),
     ]
-    numbers = headings, list(_csv_lines(matrix))
-    every = [each for row in matrix.rows for each in row.measures.values()]
-    few = any(each.known and not each.interval and each.trials < MIN_SEEDS for each in every)
+    every = [each for row in matrix.rows for each in row.numbers.values()]
+    few = any(each.known and not each.interval and 0 < each.trials < MIN_SEEDS for each in every)
     note = FEW_TRIALS if few else ""
     title = "Defences against adversaries"
-    return ResultTables(title, about, matrix.size, tables(matrix), numbers, brief, note, headline(matrix))
+    return ResultTables(
+        title,
+        about,
+        matrix.size,
+        tables(matrix),
+        numbers_of_rows(csv_rows(matrix)),
+        brief,
+        note,
+        headline(matrix),
+    )
 
 
 #: What a headline names, and how.
@@ -289,44 +268,28 @@ _HEADLINE = {"damage": "{} missed and false objects a frame", "ospa_added_m": "{
 
 def headline(matrix: DefenceMatrix) -> str:
     """The clearest damage by an adversary; without a full stop. Empty: too few trials for a test."""
-    rows = [row for row in matrix.rows if row.attack]
-    effects = {
-        (index, name): row.measures.get(name, Measured()) for index, row in enumerate(rows) for name in _HEADLINE
-    }
+    rows = [row for row in matrix.rows if row.of["attack"]]
+    effects = {(index, name): row.numbers[name] for index, row in enumerate(rows) for name in _HEADLINE}
     for index, name in clearest(effects):
         row = rows[index]
-        added = _HEADLINE[name].format(measured(row.measures[name], 3 if name == "ospa_added_m" else 2))
-        number_of = plural(row.n_adversaries, "agent")
-        return f"The clearest damage: {row.attack} ({number_of}, {row.placement}) against {row.defence} adds {added}"
+        of, added = row.of, _HEADLINE[name].format(_text(name)(row))
+        liars = f"{of['attack']} ({plural(of['n_adversaries'], 'agent')}, {of['placement']})"
+        return f"The clearest damage: {liars} against {of['defence']} adds {added}"
     tests = sum(not math.isnan(each.p) for each in effects.values())
     return f"No adversary does distinguishable damage, in {plural(tests, 'comparison')}" if tests else ""
 
 
-def _csv_lines(matrix: DefenceMatrix) -> Iterator[list[object]]:
-    for row in matrix.rows:
-        cell = [getattr(row, name) for name in _CSV_CELL]
-        for name in DEFENCE_MEASURES:
-            yield [*cell, name, *bounds(row.measures.get(name, Measured()))]
-        for name, (mean, added) in row.own.items():
-            yield [*cell, name, *bounds(mean)]
-            yield [*cell, f"{name} difference", *bounds(added)]
-        for conduct, states in row.state_seconds.items():
-            for state, seconds in states.items():
-                yield [*cell, f"seconds {conduct} {state}", *digits(seconds), *[""] * 5]
-    for defence, name, each in _of_defences(matrix):
-        yield [defence, *[""] * 5, name, *bounds(each)]
-
-
-def _of_defences(matrix: DefenceMatrix) -> Iterator[tuple[str, str, Measured]]:
-    """Defence, measure and number of the summaries and characteristics."""
-    for each in matrix.summaries:
-        frames = Measured(float(each.frames), trials=each.alarms_per_hour.trials)
-        for name in _SUMMARY:
-            yield each.defence, f"summary {name}", frames if name == "frames" else getattr(each, name)
-    for defence, conducts in matrix.state_shares.items():
-        for conduct, shares in conducts.items():
-            for state, share in shares.items():
-                yield defence, f"share {conduct} {state}", share
-    for curve in matrix.rocs:
-        yield curve.defence, "auc", curve.auc
-        yield curve.defence, "partial_auc", curve.partial_auc
+def csv_rows(matrix: DefenceMatrix) -> list[Row]:
+    """What the CSV has: cells, then defences."""
+    summaries = [
+        each._replace(numbers={f"summary {name}": value for name, value in each.numbers.items()})
+        for each in matrix.summaries
+    ]
+    shares = [
+        Row({"defence": defence}, 0, {f"share {conduct} {state}": each for state, each in states.items()})
+        for defence, conducts in matrix.state_shares.items()
+        for conduct, states in conducts.items()
+    ]
+    rocs = ((each.defence, {"auc": each.auc, "partial_auc": each.partial_auc}) for each in matrix.rocs)
+    areas = [Row({"defence": defence}, 0, numbers) for defence, numbers in rocs]
+    return [*matrix.rows, *matrix.own, *summaries, *shares, *areas]

@@ -248,10 +248,16 @@ def table_of_rows(
     """
     shown_names = {name: name for name in (rows[0].of if rows else ())} if names is None else names
     lines = [
-        [*(str(row.of[name]) for name in shown_names.values()), *(show(row) for show in columns.values())]
+        [*(_named(row.of[name]) for name in shown_names.values()), *(show(row) for show in columns.values())]
         for row in rows
     ]
     return TextTable(title, about, [*shown_names, *columns], lines, texts)
+
+
+def _named(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:g}"
+    return DASH if value in ("", None) else str(value)
 
 
 def numbers_of_rows(rows: Sequence[Row]) -> tuple[Sequence[str], Sequence[Sequence[object]]]:

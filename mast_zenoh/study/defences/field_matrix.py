@@ -288,7 +288,7 @@ class Collection(matrix.Collection):
             "fp_added": lambda: self._mean_of(cells, lambda cell: self._added(cell, "fp")),
             "damage": lambda: self._mean_of(cells, self._damage),
             "ospa_vs_undefended_m": lambda: self._mean_of(
-                cells, lambda cell: self._values(cell, "ospa_m") - self._values(cell.undefended, "ospa_m")
+                cells, lambda cell: self.values(cell, "ospa_m") - self.values(cell.undefended, "ospa_m")
             ),
             "cpu_growth": lambda: self._growth(cells),
         }

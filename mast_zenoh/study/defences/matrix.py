@@ -10,13 +10,15 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.metrics.study_results import (
+    DEFENCE_MEASURES,
     AgentTrustSeries,
     DefenceMatrix,
-    DefenceRow,
-    DefenceSummary,
     Measured,
+    Row,
     TrustPanel,
 )
+from mast_zenoh.report.tables.defences import defence_tables
+from mast_zenoh.report.tables.text_table import ResultTables
 from mast_zenoh.study.defences import intervals, kinds
 from mast_zenoh.study.defences.cells import UNDEFENDED, Cell
 from mast_zenoh.study.defences.matrix_records import (
@@ -37,7 +39,6 @@ from mast_zenoh.study.trial import Outcome, TrialKey
 
 if TYPE_CHECKING:
     from mast_zenoh.report.figures.drawing import RenderedFigure
-    from mast_zenoh.report.tables.text_table import ResultTables
     from mast_zenoh.runs.run import Run
 
 #: Panels of trust over time.
@@ -89,8 +90,6 @@ class Collection(kinds.Collection):
         return result
 
     def tables(self, table: DefenceMatrix) -> ResultTables:
-        from mast_zenoh.report.tables.defences import defence_tables
-
         return defence_tables(table)
 
     def figures(self, table: DefenceMatrix) -> Mapping[str, RenderedFigure]:
@@ -120,18 +119,12 @@ class Collection(kinds.Collection):
                 self._summary(name, [each for each in worst_cells if each.defence == name]) for name in defences
             ],
             size=self.size,
+            own=[self._own(cell, budgets) for cell, budgets in worst],
             state_shares={name: state_shares(each) for name, each in trials.items()},
             panels=panels,
             unshown=unshown,
             not_suspending=[name for name in defences if name not in self._suspending and judges(trials[name])],
         )
-
-    def _values(self, cell: Cell, name: str) -> Floats:
-        """(trials,) a score of each planned trial in the order of the study, NaN where it failed."""
-        values = np.full(len(self.order), np.nan)
-        for key, record in self.records.get(cell, {}).items():
-            values[self.order[key]] = record.scores[name] if name in record.scores else record.own.get(name, np.nan)
-        return values
 
     def _mean_damage(self, cell: Cell) -> float:
         added = self._added(cell, "fn") + self._added(cell, "fp")
@@ -140,18 +133,18 @@ class Collection(kinds.Collection):
 
     def _added(self, cell: Cell, name: str) -> Floats:
         """A score minus that without attack and without defence, of the same scene and seed."""
-        return self._values(cell, name) - self._values(cell.undefended.alone, name)
+        return self.values(cell, name) - self.values(cell.undefended.alone, name)
 
-    def _row(self, cell: Cell, budgets: int) -> DefenceRow:
+    def _row(self, cell: Cell, budgets: int) -> Row:
         values = {f"{_stem(name)}_added{_unit(name)}": self._added(cell, name) for name in SCORES}
         values["damage"] = values["fn_added"] + values["fp_added"]
         for name in SCORES:
-            difference = self._values(cell, name) - self._values(cell.undefended, name)
+            difference = self.values(cell, name) - self.values(cell.undefended, name)
             values[f"{_stem(name)}_vs_undefended{_unit(name)}"] = difference
         measures = {name: self.mean(each, paired=True) for name, each in values.items()}
         for name in ("fp_identifiable", "fp_unidentifiable"):
-            measures[name] = self.mean(self._values(cell, name), (0.0, math.inf))
-        majority = self._values(cell, "honest_majority")
+            measures[name] = self.mean(self.values(cell, name), (0.0, math.inf))
+        majority = self.values(cell, "honest_majority")
         # Where nobody lies because agents are faulty, there is no bound.
         measures["honest_majority"] = Measured() if cell.is_fault else self.mean(majority, (0.0, 1.0))
         measures["identifiable_removed"] = self._removed([cell])
@@ -162,40 +155,43 @@ class Collection(kinds.Collection):
         measures["faulty_suspended_per_hour"] = alarms_per_hour(groups, faulty=True)
         measures |= shares_of_runs(groups)
         measures["attacked"] = attacked_share(groups) if cell.lies else Measured()
-        return DefenceRow(
-            defence=cell.defence,
-            attack=cell.attack,
-            n_adversaries=cell.n_adversaries,
-            placement=cell.placement,
-            budget=cell.budget,
-            budgets=budgets,
-            measures=measures,
-            state_seconds=_sum_seconds(record.state_seconds for record in self.records[cell].values()),
-            delay=delay_curve(groups),
-            own={
-                name: (self.mean(self._values(cell, name)), self.mean(self._added(cell, name), paired=True))
-                for name in dict.fromkeys(name for record in self.records[cell].values() for name in record.own)
-            },
-            suspended_before=sum(record.suspended_before for group in groups for record in group),
-        )
+        delay = delay_curve(groups)
+        counts = {
+            "liars_watched": delay.watched if delay else 0,
+            "liars_suspended": delay.detections if delay else 0,
+            "suspended_before": sum(record.suspended_before for group in groups for record in group),
+        }
+        seconds = _sum_seconds(record.state_seconds for record in self.records[cell].values())
+        measures |= {name: Measured(float(each), trials=len(groups)) for name, each in (counts | seconds).items()}
+        return Row(_of(cell, budgets), len(groups), {name: measures[name] for name in (*DEFENCE_MEASURES, *seconds)})
 
-    def _summary(self, defence: str, cells: Sequence[Cell]) -> DefenceSummary:
+    def _own(self, cell: Cell, budgets: int) -> Row:
+        records = self.records[cell].values()
+        numbers = {}
+        for name in dict.fromkeys(name for record in records for name in record.own):
+            numbers[name] = self.mean(self.values(cell, name))
+            numbers[f"{name} difference"] = self.mean(self._added(cell, name), paired=True)
+        return Row(_of(cell, budgets), len(records), numbers)
+
+    def _summary(self, defence: str, cells: Sequence[Cell]) -> Row:
         """cells: of the rows of this defence."""
         alone, attacked = cells[0].alone, [cell for cell in cells if cell.lies]
         lying, faulty = self._by_trial(attacked), self._by_trial(cell for cell in cells if cell.is_fault)
         quiet = self._by_trial([alone] if alone in self.records else [])
-        return DefenceSummary(
-            defence=defence,
-            lies_detected=lies_detected(lying),
-            identifiable_removed=self._removed(attacked),
-            median_delay_s=median_delay(lying) if defence in self._suspending else Measured(),
-            alarms_per_hour=alarms_per_hour(quiet),
-            frames=sum(record.frames for group in quiet for record in group if record.hours),
-            fn_added=self.mean(self._added(alone, "fn"), paired=True),
-            fp_added=self.mean(self._added(alone, "fp"), paired=True),
-            faults_suspended=shares_of_runs(faulty)["wrongly_suspended"],
-            framed_by_minority=shares_of_runs(lying)["framed_by_minority"],
-        )
+        alarms = alarms_per_hour(quiet)
+        frames = sum(record.frames for group in quiet for record in group if record.hours)
+        numbers = {
+            "lies_detected": lies_detected(lying),
+            "median_delay_s": median_delay(lying) if defence in self._suspending else Measured(),
+            "identifiable_removed": self._removed(attacked),
+            "alarms_per_hour": alarms,
+            "frames": Measured(float(frames), trials=alarms.trials),
+            "fn_added": self.mean(self._added(alone, "fn"), paired=True),
+            "fp_added": self.mean(self._added(alone, "fp"), paired=True),
+            "faults_suspended": shares_of_runs(faulty)["wrongly_suspended"],
+            "framed_by_minority": shares_of_runs(lying)["framed_by_minority"],
+        }
+        return Row({"defence": defence}, len(lying), numbers)
 
     def _removed(self, cells: Sequence[Cell]) -> Measured:
         """Share of identifiable inserted objects of the undefended runs that are not in the defended ones.
@@ -208,7 +204,7 @@ class Collection(kinds.Collection):
             return Measured()
         pairs = np.array(
             [
-                [self._where_attacked(cell, self._values(each, "fp_identifiable")) for each in (cell, cell.undefended)]
+                [self._where_attacked(cell, self.values(each, "fp_identifiable")) for each in (cell, cell.undefended)]
                 for cell in attacked
             ]
         )
@@ -250,14 +246,19 @@ def _title(cell: Cell) -> str:
     return f"{cell.defence} against {cell.attack} ({cell.n_adversaries}, {cell.placement})"
 
 
-def _sum_seconds(parts: Iterable[Mapping[str, Mapping[str, float]]]) -> dict[str, dict[str, float]]:
+def _of(cell: Cell, budgets: int) -> dict[str, Any]:
+    names = ("defence", "attack", "n_adversaries", "placement", "budget")
+    return {name: getattr(cell, name) for name in names} | {"budgets": budgets}
+
+
+def _sum_seconds(parts: Iterable[Mapping[str, Mapping[str, float]]]) -> dict[str, float]:
     """The sums of s by conduct and state."""
-    total: dict[str, dict[str, float]] = {}
+    total: dict[str, float] = {}
     for part in parts:
         for conduct, states in part.items():
-            sums = total.setdefault(conduct, dict.fromkeys(states, 0.0))
             for state, seconds in states.items():
-                sums[state] += seconds
+                name = f"seconds {conduct} {state}"
+                total[name] = total.get(name, 0.0) + seconds
     return total
 
 

@@ -75,6 +75,10 @@ class TrialRecord:
     framed: bool
     outnumbered: float
 
+    def __getitem__(self, name: str) -> float:
+        """A score, or the user's metric of this name; NaN: it has none."""
+        return self.scores.get(name, self.own.get(name, math.nan))
+
     @classmethod
     def of(cls, metrics: Mapping[str, Any]) -> TrialRecord:
         """The record of a trial from its metrics.json with the part `defence`."""

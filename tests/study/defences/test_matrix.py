@@ -12,7 +12,7 @@ from defence_outcomes import outcome
 from numpy.typing import NDArray
 
 import mast_zenoh as mast
-from mast_zenoh.metrics.study_results import BINOMIAL, POISSON, DefenceMatrix, DefenceRow, Measured
+from mast_zenoh.metrics.study_results import BINOMIAL, POISSON, DefenceMatrix, Measured, Row
 from mast_zenoh.study.defences import Cell
 from mast_zenoh.study.defences.choices import by_coverage, honest_majority
 from mast_zenoh.study.defences.matrix import MAX_AGENTS, Collection, doubts, panel
@@ -223,7 +223,7 @@ def matrix() -> DefenceMatrix:
 def measure(matrix: DefenceMatrix, defence: str, name: str, attack: str = "Ghost", count: int = 1) -> Measured:
     row = matrix.row(defence, attack, count, "worst")
     assert row is not None
-    return row.measures[name]
+    return row.numbers[name]
 
 
 def test_damage_is_relative_to_no_attack_and_no_defence_with_the_same_seed(matrix: DefenceMatrix) -> None:
@@ -236,13 +236,13 @@ def test_each_cell_has_the_budget_that_does_the_most_damage(matrix: DefenceMatri
     undefended, defended = (matrix.row(name, "Ghost", 1, "worst") for name in ("NoIntegrity", "Wall"))
     assert undefended is not None
     assert defended is not None
-    assert (undefended.budget, defended.budget, defended.budgets) == (4.0, 1.0, 2)
+    assert [undefended.of["budget"], defended.of["budget"], defended.of["budgets"]] == [4.0, 1.0, 2]
     # 1.2 against the undefended run with the same budget, 2.0
-    assert defended.measures["fp_vs_undefended"].value == pytest.approx(1.2 - 2.0)
+    assert defended.numbers["fp_vs_undefended"].value == pytest.approx(1.2 - 2.0)
 
 
 def test_the_cost_is_the_damage_without_an_attack(matrix: DefenceMatrix) -> None:
-    assert matrix.row("Wall", "Ghost", 0, "worst").attack == ""  # type: ignore[union-attr]
+    assert matrix.row("Wall", "Ghost", 0, "worst").of["attack"] == ""  # type: ignore[union-attr]
     assert measure(matrix, "Wall", "fp_added", count=0).value == pytest.approx(0.5)
     assert measure(matrix, "Wall", "faulty_suspended_per_hour", count=0).value == pytest.approx(200.0)
     assert math.isnan(measure(matrix, "Wall", "lies_detected", count=0).value), "none is observable"
@@ -273,7 +273,7 @@ def test_a_failed_trial_is_left_out() -> None:
     collection.add(outcome(CELLS[0].label, "junction", 0, metrics(1.0)))
     collection.add(outcome(CELLS[1].label, "junction", 0, metrics(2.0, trusted=True)))
     collection.add(outcome(CELLS[1].label, "junction", 1, metrics(9.0, trusted=True)))
-    added = collection.table().rows[1].measures["fp_added"]
+    added = collection.table().rows[1].numbers["fp_added"]
     assert (added.value, added.trials, added.left_out) == (1.0, 1, 1)
 
 
@@ -315,27 +315,27 @@ def test_framing_by_a_local_majority_is_counted_apart() -> None:
     minority, majority = (measure(matrix, "Wall", f"framed_by_{group}") for group in ("minority", "majority"))
     assert (minority.value, minority.trials) == (pytest.approx(1 / 3), 3)
     assert (majority.value, majority.trials) == (1.0, 2)
-    assert matrix.summaries[0].framed_by_minority == minority
+    assert matrix.summaries[0].numbers["framed_by_minority"] == minority
 
 
 def test_a_run_with_faults_alone_that_suspends_an_agent_is_wrong_and_not_framing() -> None:
     suspended, kept = (metrics(1.0, trusted=True, honest_suspended_s=at_s) for at_s in (5.0, None))
     matrix = played(suspended, kept, cell=Cell("Wall", "fault:pose", 1, "random"))
-    row = next(row for row in matrix.rows if row.defence == "Wall" and row.attack)
-    assert (row.measures["wrongly_suspended"].value, row.measures["wrongly_suspended"].trials) == (0.5, 2)
-    assert math.isnan(row.measures["framed"].value)
+    row = next(row for row in matrix.rows if row.of["defence"] == "Wall" and row.of["attack"])
+    assert (row.numbers["wrongly_suspended"].value, row.numbers["wrongly_suspended"].trials) == (0.5, 2)
+    assert math.isnan(row.numbers["framed"].value)
     (summary,) = matrix.summaries
-    assert summary.faults_suspended.value == 0.5
-    assert math.isnan(summary.lies_detected.value)
+    assert summary.numbers["faults_suspended"].value == 0.5
+    assert math.isnan(summary.numbers["lies_detected"].value)
 
 
 def test_the_summary_has_the_alarms_of_unattacked_runs_and_their_frames(matrix: DefenceMatrix) -> None:
     (summary,) = matrix.summaries
-    assert summary.defence == "Wall"
-    assert summary.alarms_per_hour == measure(matrix, "Wall", "honest_suspended_per_hour", count=0)
-    assert summary.frames == 5 * 360
-    assert summary.fp_added.value == pytest.approx(0.5)
-    assert summary.lies_detected.value == 0.0, "the worst budget was not detected"
+    assert summary.of == {"defence": "Wall"}
+    assert summary.numbers["alarms_per_hour"] == measure(matrix, "Wall", "honest_suspended_per_hour", count=0)
+    assert summary.numbers["frames"].value == 5 * 360
+    assert summary.numbers["fp_added"].value == pytest.approx(0.5)
+    assert summary.numbers["lies_detected"].value == 0.0, "the worst budget was not detected"
 
 
 def test_the_runs_of_one_scene_and_seed_are_one_trial_of_a_defence() -> None:
@@ -346,8 +346,9 @@ def test_the_runs_of_one_scene_and_seed_are_one_trial_of_a_defence() -> None:
             content = metrics(1.0, trusted=cell.defence == "Wall", lied=bool(cell.attack))
             collection.add(outcome(cell.label, "junction", seed, content))
     (summary,) = collection.table().summaries
-    assert (summary.framed_by_minority.value, summary.framed_by_minority.trials) == (0.0, 15)
-    assert summary.framed_by_minority.high == pytest.approx(1.0 - 0.025 ** (1 / 5))
+    framed = summary.numbers["framed_by_minority"]
+    assert (framed.value, framed.trials) == (0.0, 15)
+    assert framed.high == pytest.approx(1.0 - 0.025 ** (1 / 5))
 
 
 def test_an_unknown_median_delay_has_at_most_a_lower_bound() -> None:
@@ -359,33 +360,33 @@ def test_an_unknown_median_delay_has_at_most_a_lower_bound() -> None:
     assert (known.value, known.low) == (1.0, 1.0)
 
 
-def row_of(matrix: DefenceMatrix) -> DefenceRow:
+def row_of(matrix: DefenceMatrix) -> Row:
     """The row of `Wall` under attack."""
-    return next(row for row in matrix.rows if row.defence == "Wall" and row.attack)
+    return next(row for row in matrix.rows if row.of["defence"] == "Wall" and row.of["attack"])
 
 
 def test_adversaries_that_never_lie_frame_nobody_and_their_runs_count_as_runs_without_lies() -> None:
     silent = metrics(1.0, trusted=True, honest_suspended_s=5.0)
     row = row_of(played(silent, silent, silent, silent))
-    assert math.isnan(row.measures["framed"].value)
-    wrong = row.measures["wrongly_suspended"]
+    assert math.isnan(row.numbers["framed"].value)
+    wrong = row.numbers["wrongly_suspended"]
     assert (wrong.value, wrong.trials) == (1.0, 4)
     assert row.idle
-    assert (row.measures["attacked"].value, row.measures["attacked"].trials) == (0.0, 4)
+    assert (row.numbers["attacked"].value, row.numbers["attacked"].trials) == (0.0, 4)
 
 
 def test_only_runs_with_a_lie_say_what_a_defence_removes_and_tells_apart() -> None:
     silent, attacked = (metrics(fp, trusted=True, lied=lied) for fp, lied in ((0.0, False), (1.5, True)))
     half = played(silent, silent, attacked, attacked)
     row = row_of(half)
-    assert (row.measures["attacked"].value, row.idle) == (0.5, False)
-    removed = row.measures["identifiable_removed"]
+    assert (row.numbers["attacked"].value, row.idle) == (0.5, False)
+    removed = row.numbers["identifiable_removed"]
     assert (removed.value, removed.trials, removed.left_out) == (pytest.approx(1.0 - 1.5 / 3.0), 2, 2)
     (curve,) = half.rocs
     assert (curve.roc.honest, curve.roc.liars) == (2 + 4 * 2, 2), "runs without an attack count"
     never = played(silent, silent)
-    assert math.isnan(row_of(never).measures["identifiable_removed"].value)
-    assert math.isnan(never.summaries[0].identifiable_removed.value)
+    assert math.isnan(row_of(never).numbers["identifiable_removed"].value)
+    assert math.isnan(never.summaries[0].numbers["identifiable_removed"].value)
     assert never.rocs == []
 
 
@@ -395,9 +396,8 @@ def test_a_false_alarm_before_the_first_lie_is_no_delay_and_is_counted_apart() -
         metrics(1.0, trusted=True, lied=True, suspended_before=True),
     )
     row = row_of(played(before, after))
-    assert row.suspended_before == 1
-    assert row.delay is not None
-    assert (row.delay.detections, row.delay.watched, row.measures["median_delay_s"].value) == (1, 1, 2.0)
+    names = ("suspended_before", "liars_suspended", "liars_watched", "median_delay_s")
+    assert [row.numbers[name].value for name in names] == [1, 1, 1, 2.0]
 
 
 def test_a_defence_that_suspends_nobody_has_no_delay_and_no_curve() -> None:
@@ -412,7 +412,7 @@ def test_a_defence_that_suspends_nobody_has_no_delay_and_no_curve() -> None:
         collection.add(outcome(cell.label, "junction", 0, content))
     matrix = collection.table()
     assert (matrix.delays, matrix.not_suspending) == ({}, ["Wall"])
-    measured = row_of(matrix).measures["median_delay_s"]
+    measured = row_of(matrix).numbers["median_delay_s"]
     assert measured == Measured(), "not: not reached"
 
 
