@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from mast_zenoh.metrics.study_results import DefenceMatrix, Measured
+from mast_zenoh.metrics.study_results import DefenceMatrix, Measured, Row
 
 #: Measures of a cell, and their headings.
 FIELD_MEASURES = {
@@ -28,38 +28,6 @@ QUANTITIES = {
     "ospa_vs_undefended_m": "OSPA, minus undefended (m)",
     "cpu_growth": "processor time, relative to the other attacks",
 }
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FieldRow:
-    """A cell of the matrix, in one kind of scene or in all.
-
-    scene:    its title; "" for all scenes together
-    damage:   missed and false objects added per frame, compared with no attack and no defence
-    by_attack: compared with the same defence without an attack
-    harm:     missed and false objects per frame in the ego's picture, minus those without the defence under this attack
-    attacked: share of the runs in which the adversaries lied; unknown without any
-    honest_suspended: share of the runs that suspend an agent while it is honest, whether anybody lied or not
-    cpu_ms:   of a run, per frame;  cpu_ratio: geometric mean of the ratios to the undefended runs of one scene and seed
-    """
-
-    scene: str
-    defence: str
-    attack: str
-    n_adversaries: int
-    placement: str
-    damage: Measured
-    by_attack: Measured
-    harm: Measured
-    attacked: Measured
-    honest_suspended: Measured
-    cpu_ms: Measured
-    cpu_ratio: Measured
-
-    @property
-    def idle(self) -> bool:
-        """Whether adversaries lied in none of the runs, so that their attack did not take place."""
-        return self.attacked.value == 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,23 +58,6 @@ class FieldBreakdown:
     def only(self) -> int:
         """The number of adversaries that was tried, if it is the only one; otherwise 0."""
         return self.most if len(self.broken.keys() - {0}) == 1 else 0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FieldSummary:
-    """What one defence is worth, besides its `DefenceSummary`.
-
-    harm_removed: share of what all attacks add to the same picture without them that the defence takes away, in runs
-            in which they took place; negative: they add more with it
-    breaks_at:    in all scenes together
-    cpu_ratio_alone, cpu_ratio_attacked: relative to no defence
-    """
-
-    defence: str
-    harm_removed: Measured
-    breaks_at: FieldBreakdown
-    cpu_ratio_alone: Measured
-    cpu_ratio_attacked: Measured
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -144,19 +95,31 @@ class FieldMatrix:
     """The matrix, with what only `mast study matrix` has.
 
     scenes: titles of the kinds of scene, in order
+    rows:   the cells of the matrix, in one kind of scene or in all (`scene` is its title, or "" for all together):
+            damage:   missed and false objects added per frame, compared with no attack and no defence
+            by_attack: compared with the same defence without an attack
+            harm:     compared with no defence under this attack
+            attacked: share of the runs in which the adversaries lied; unknown without any
+            honest_suspended: share of the runs that suspend an agent while it is honest, whether anybody lied or not
+            cpu_ms:   of a run, per frame
+            cpu_ratio: geometric mean of the ratios to the undefended runs of one scene and seed
+    summaries: what a defence is worth, besides the summaries of the matrix:
+            harm_removed: share of what all attacks add to the same picture without them that the defence takes away, in
+                      runs in which they took place; negative: they add more with it
+            cpu_ratio_alone, cpu_ratio_attacked: relative to no defence
     """
 
     matrix: DefenceMatrix
     scenes: Sequence[str]
-    rows: Sequence[FieldRow]
+    rows: Sequence[Row]
     breakdowns: Sequence[FieldBreakdown]
-    summaries: Sequence[FieldSummary]
+    summaries: Sequence[Row]
     published: Sequence[PublishedComparison]
 
-    def row(self, scene: str, defence: object, attack: object, n_adversaries: object, placement: object) -> FieldRow:
+    def row(self, scene: str, defence: str, attack: str, n_adversaries: int, placement: str) -> Row:
         """The row of a cell; raises KeyError if there is none."""
         key = (scene, defence, attack, n_adversaries, placement)
         for row in self.rows:
-            if (row.scene, row.defence, row.attack, row.n_adversaries, row.placement) == key:
+            if tuple(row.of.values()) == key:
                 return row
         raise KeyError(key)

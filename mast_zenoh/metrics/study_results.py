@@ -318,15 +318,19 @@ class Measured(NamedTuple):
         return self.p <= LEVEL if not math.isnan(self.p) else self.low > 0.0 or self.high < 0.0
 
 
-class Row(NamedTuple):
+@dataclass(frozen=True, slots=True, eq=False)
+class Row:
     """Numbers over the trials of one cell.
 
     of: what it is of, by name;  trials: their number, or that of pairs;  numbers: by measure
     """
 
-    of: Mapping[str, Any]
+    of: dict[str, Any]
     trials: int
     numbers: Mapping[str, Measured]
+
+    def __getitem__(self, measure: str) -> Measured:
+        return self.numbers[measure]
 
     @property
     def idle(self) -> bool:

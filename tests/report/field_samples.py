@@ -13,12 +13,10 @@ from defence_samples import row as defence_row
 from mast_zenoh.metrics.field_results import (
     FieldBreakdown,
     FieldMatrix,
-    FieldRow,
-    FieldSummary,
     PublishedComparison,
     PublishedNumber,
 )
-from mast_zenoh.metrics.study_results import BINOMIAL, BOOTSTRAP, STUDENT, Measured
+from mast_zenoh.metrics.study_results import BINOMIAL, BOOTSTRAP, STUDENT, Measured, Row
 
 SCENES = ("4 poles", "4 cars")
 IDLE = Measured(0.0, 0.0, 0.1, 30, 0, BINOMIAL)
@@ -52,22 +50,17 @@ def field(
                 if (scene, at, attack) == (scenes[0], 1, attacks[0]):
                     harm = -2.5
                 width = 0.4 if at % 2 else 9.0
-                rows.append(
-                    FieldRow(
-                        scene=scene,
-                        defence=defence,
-                        attack=attack,
-                        n_adversaries=count,
-                        placement=placement,
-                        damage=Measured(9.0 * bool(attack) + harm, 8.0, 10.0, 30, 0, STUDENT, 1e-9),
-                        by_attack=Measured(9.0 * bool(attack), 8.0, 10.0, 30, 0, STUDENT, 1e-9),
-                        harm=Measured(harm, harm - width, harm + width, 30, 0, BOOTSTRAP),
-                        attacked=_attacked(attack, idle and (at, attack) == (1, attacks[0])),
-                        honest_suspended=Measured((0.0, 0.0, 0.1, 0.8)[at % 4], 0.0, 1.0, 30, 0, BINOMIAL),
-                        cpu_ms=Measured(4.0 + at, 3.9, 4.1, 30, 0, BOOTSTRAP),
-                        cpu_ratio=Measured(1.0 + at / 4.0, 1.0, 1.5, 30, 0, BOOTSTRAP),
-                    )
+                numbers = dict(
+                    damage=Measured(9.0 * bool(attack) + harm, 8.0, 10.0, 30, 0, STUDENT, 1e-9),
+                    by_attack=Measured(9.0 * bool(attack), 8.0, 10.0, 30, 0, STUDENT, 1e-9),
+                    harm=Measured(harm, harm - width, harm + width, 30, 0, BOOTSTRAP),
+                    attacked=_attacked(attack, idle and (at, attack) == (1, attacks[0])),
+                    honest_suspended=Measured((0.0, 0.0, 0.1, 0.8)[at % 4], 0.0, 1.0, 30, 0, BINOMIAL),
+                    cpu_ms=Measured(4.0 + at, 3.9, 4.1, 30, 0, BOOTSTRAP),
+                    cpu_ratio=Measured(1.0 + at / 4.0, 1.0, 1.5, 30, 0, BOOTSTRAP),
                 )
+                of = dict(scene=scene, defence=defence, attack=attack, n_adversaries=count, placement=placement)
+                rows.append(Row(of, 30, numbers))
     breakdowns = [
         FieldBreakdown(
             scene=scene,
@@ -86,12 +79,14 @@ def field(
         for defence in every
     ]
     summaries = [
-        FieldSummary(
-            defence=defence,
-            harm_removed=Measured(0.75, 0.6, 0.9, 30, 0, BOOTSTRAP),
-            breaks_at=next(each for each in breakdowns if not each.scene and each.defence == defence),
-            cpu_ratio_alone=Measured(1.5, 1.4, 1.6, 30, 0, BOOTSTRAP),
-            cpu_ratio_attacked=Measured(1.2, 1.1, 1.3, 30, 0, BOOTSTRAP),
+        Row(
+            {"defence": defence},
+            30,
+            dict(
+                harm_removed=Measured(0.75, 0.6, 0.9, 30, 0, BOOTSTRAP),
+                cpu_ratio_alone=Measured(1.5, 1.4, 1.6, 30, 0, BOOTSTRAP),
+                cpu_ratio_attacked=Measured(1.2, 1.1, 1.3, 30, 0, BOOTSTRAP),
+            ),
         )
         for defence in defences
     ]
@@ -116,7 +111,7 @@ def field(
     of_matrix = replace(
         of_matrix,
         rows=[
-            row._replace(of=row.of | {"n_adversaries": count, "placement": placement})
+            replace(row, of=row.of | {"n_adversaries": count, "placement": placement})
             for name in every
             for attack, count, placement in places
             for row in [defence_row(name, attack)]

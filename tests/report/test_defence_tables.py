@@ -46,7 +46,7 @@ def test_the_headline_is_the_clearest_damage_that_remains_if_all_are_read_togeth
 
 def test_users_metrics_have_a_table_and_lines_in_the_csv() -> None:
     mine = {"half": Measured(3.0, 2.0, 4.0, 10), "half difference": Measured(1.0, 0.5, 1.5, 10)}
-    tables = defence_tables(replace(matrix(), own=[row("Wall", "Ghost")._replace(numbers=mine)]))
+    tables = defence_tables(replace(matrix(), own=[replace(row("Wall", "Ghost"), numbers=mine)]))
     (own,) = [each for each in tables.tables if each.title == "Your metrics"]
     assert own.lines == [["Wall", "Ghost", "1", "worst", "3.00 [2.00, 4.00]", "1.00 [0.50, 1.50]"]]
     assert "half difference,1.0,0.5,1.5" in tables.as_csv()
@@ -122,7 +122,7 @@ def test_the_summary_has_no_columns_that_apply_to_no_defence() -> None:
     assert "runs with faults" in section(matrix(), "Summary")
     assert "runs with faults" not in section(without_faults, "Summary")
     assert "each with its most harmful budget" in section(matrix(), "Summary")
-    single = replace(matrix(), rows=[each._replace(of=each.of | {"budgets": 1}) for each in matrix().rows])
+    single = replace(matrix(), rows=[replace(each, of=each.of | {"budgets": 1}) for each in matrix().rows])
     assert "budget" not in section(single, "Summary")
 
 

@@ -58,7 +58,7 @@ def _heat_maps(matrix: DefenceMatrix) -> RenderedFigure:
     label = "\n".join(["missed and false objects added per frame", *textwrap.wrap(marks, 58)])
     figure = Figure(figsize=(max(_LEAST_WIDTH, width), height + 0.95), layout="constrained", facecolor="white")
     grid = figure.subplots(len(placements), len(counts), squeeze=False, sharey=True)
-    sizes = [abs(row.numbers["damage"].value) for row in matrix.rows if row.of["attack"] and not row.idle]
+    sizes = [abs(row["damage"].value) for row in matrix.rows if row.of["attack"] and not row.idle]
     scale = max((size for size in sizes if not math.isnan(size)), default=0.0) or 1.0
     for line, placement in zip(grid, placements, strict=True):
         for axes, count in zip(line, counts, strict=True):
@@ -88,7 +88,7 @@ def _heat_map(axes: Axes, cells: list[list[Row | None]], scale: float) -> AxesIm
     def text(row: Row | None) -> str:
         if row is None or math.isnan(_mean(row, "damage")):
             return ""
-        damage = row.numbers["damage"]
+        damage = row["damage"]
         return number(damage.value) if damage.differs else f"({number(damage.value)})"
 
     idle = np.array([[row is not None and row.idle for row in line] for line in cells])
@@ -141,10 +141,10 @@ def _damage(matrix: DefenceMatrix) -> RenderedFigure:
 
 def _curve(axes: Axes, rows: list[Row], index: int, style: int, label: str) -> None:
     counts = [row.of["n_adversaries"] for row in rows]
-    curve(axes, counts, [row.numbers["damage"] for row in rows], index, label, style=style)
+    curve(axes, counts, [row["damage"] for row in rows], index, label, style=style)
     for row, count in zip(rows, counts, strict=True):
         if row.idle:
-            axes.plot(count, row.numbers["damage"].value, color="white", marker=".", markersize=4.0, zorder=5)
+            axes.plot(count, row["damage"].value, color="white", marker=".", markersize=4.0, zorder=5)
 
 
 def _bound(axes: Axes, matrix: DefenceMatrix, counts: list[int]) -> None:
@@ -153,7 +153,7 @@ def _bound(axes: Axes, matrix: DefenceMatrix, counts: list[int]) -> None:
         values = []
         for count in counts:
             shares = [
-                row.numbers["honest_majority"].value
+                row["honest_majority"].value
                 for row in matrix.rows
                 if row.of["n_adversaries"] == count and (count == 0 or row.of["placement"] == placement)
             ]
@@ -226,7 +226,7 @@ def _rocs(matrix: DefenceMatrix) -> RenderedFigure:
 
 
 def _mean(row: Row | None, name: str) -> float:
-    return math.nan if row is None else row.numbers[name].value
+    return math.nan if row is None else row[name].value
 
 
 def _worst(matrix: DefenceMatrix) -> str:
@@ -264,8 +264,8 @@ def figure_of_breakdown(rows: Sequence[Row], words: str, size: str) -> RenderedF
             if shown:
                 x = np.array([100.0 * (row.of["liars"] / row.of["agents"]) for row in shown])
                 shift = (index - (len(sizes) - 1) / 2.0) * _APART
-                curve(axes, x + shift, [row.numbers["broken"] for row in shown], index, f"{agents} agents", 100.0)
-                without = [100.0 * (1.0 - row.numbers["honest_majority"].value) for row in shown]
+                curve(axes, x + shift, [row["broken"] for row in shown], index, f"{agents} agents", 100.0)
+                without = [100.0 * (1.0 - row["honest_majority"].value) for row in shown]
                 colour = RUN_COLOURS[index % len(RUN_COLOURS)]
                 axes.plot(x, without, color=colour, linestyle=_BOUND_STYLE, linewidth=1.3)
         axes.set_title(plain(attack), fontsize=9.5, color=INK, loc="left")

@@ -43,7 +43,7 @@ def facet(rows: Sequence[Row], x: str, hue: str, panels: Sequence[tuple[str, flo
             of_hue = [row for row in rows if row.of[hue] == each]
             shift = _APART ** (index - (len(hues) - 1) / 2.0)
             at = shift * np.array([row.of[x] for row in of_hue])
-            curve(axes, at, [row.numbers[measure] for row in of_hue], index, str(each), factor)
+            curve(axes, at, [row[measure] for row in of_hue], index, str(each), factor)
         bottom, top = axes.get_ylim()
         if measure == log and bottom > 0.0 and top > _LOG * bottom:
             axes.set_yscale("log")

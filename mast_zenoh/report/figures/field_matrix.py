@@ -12,7 +12,8 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize, SymLogNorm
 from matplotlib.patches import Polygon
 
-from mast_zenoh.metrics.field_results import FieldMatrix, FieldRow
+from mast_zenoh.metrics.field_results import FieldMatrix
+from mast_zenoh.metrics.study_results import Row
 from mast_zenoh.report.figures.drawing import RenderedFigure, render
 from mast_zenoh.report.figures.style import UNKNOWN, Figure, hatch_cell, plain
 from mast_zenoh.report.tables.text_table import number
@@ -39,7 +40,7 @@ _DARK = 0.55
 #: Share of runs that suspend an honest agent from which the mark is large; sides of the marks, in cells' heights.
 _OFTEN, _SMALL, _LARGE = 0.5, 0.27, 0.48
 
-Cells = Sequence[Sequence[FieldRow]]
+Cells = Sequence[Sequence[Row]]
 
 
 def figures_of_field(table: FieldMatrix) -> dict[str, RenderedFigure]:
@@ -51,9 +52,11 @@ def figures_of_field(table: FieldMatrix) -> dict[str, RenderedFigure]:
 
 def _harm_by_scene(table: FieldMatrix) -> RenderedFigure:
     """A panel for each kind of scene (lines), and each number and placement of the adversaries (columns)."""
-    defences = [str(name) for name in table.matrix.names("defence")[1:]]
-    attacks = ["", *(str(name) for name in table.matrix.names("attack"))]
-    places = list(dict.fromkeys((row.n_adversaries, row.placement) for row in table.rows if row.attack))
+    defences = table.matrix.names("defence")[1:]
+    attacks = ["", *table.matrix.names("attack")]
+    places = list(
+        dict.fromkeys((row.of["n_adversaries"], row.of["placement"]) for row in table.rows if row.of["attack"])
+    )
     lines, columns, placements = len(table.scenes), len(places), len({placement for _, placement in places})
     left = _LETTER * max(len(name) for name in (*attacks, "no attack")) + 2 * _GAP
     titles = [[_title(scene, *place, placements > 1, columns > 1) for place in places] for scene in table.scenes]
@@ -112,7 +115,7 @@ def _marks(table: FieldMatrix) -> list[str]:
         "Corner: an honest agent is suspended in some of the runs (small), or in half of them or more (large).",
     ]
     idle = "Hatched: the adversaries lied in none of the runs, so the number is no effect of an attack."
-    return marks + [idle] * any(row.idle for row in table.rows if row.scene)
+    return marks + [idle] * any(row.idle for row in table.rows if row.of["scene"])
 
 
 def _key(table: FieldMatrix, width: float) -> list[str]:
@@ -134,7 +137,7 @@ def _adversaries(places: Sequence[tuple[int, str]]) -> str:
     return f"; {count} adversar{'y' if count == 1 else 'ies'}, {placement}"
 
 
-def _row(table: FieldMatrix, scene: str, defence: str, attack: str, count: int, placement: str) -> FieldRow | None:
+def _row(table: FieldMatrix, scene: str, defence: str, attack: str, count: int, placement: str) -> Row | None:
     try:
         return table.row(scene, defence, attack, *((count, placement) if attack else (0, "")))
     except KeyError:
@@ -143,7 +146,7 @@ def _row(table: FieldMatrix, scene: str, defence: str, attack: str, count: int, 
 
 def _norm(table: FieldMatrix) -> Normalize:
     """Colours around 0, symmetric."""
-    sizes = [abs(row.harm.value) for row in table.rows if row.scene and row.harm.known and not row.idle]
+    sizes = [abs(row["harm"].value) for row in table.rows if row.of["scene"] and row["harm"].known and not row.idle]
     most = max([_LINEAR, *sizes])
     if most <= _LINEAR:
         return Normalize(-_LINEAR, _LINEAR)
@@ -158,14 +161,14 @@ def _ticks(norm: Normalize) -> list[float]:
     return [*(-size for size in reversed(sizes)), 0.0, *sizes]
 
 
-def _panel(axes: Axes, cells: Sequence[Sequence[FieldRow | None]], norm: Normalize) -> None:
-    values = np.array([[math.nan if row is None or row.idle else row.harm.value for row in line] for line in cells])
+def _panel(axes: Axes, cells: Sequence[Sequence[Row | None]], norm: Normalize) -> None:
+    values = np.array([[math.nan if row is None or row.idle else row["harm"].value for row in line] for line in cells])
     axes.set_facecolor(UNKNOWN)
     axes.imshow(values, cmap=_COLOURS, norm=norm, aspect="auto")
     for y, line in enumerate(cells):
         for x, row in enumerate(line):
-            if row is not None and row.harm.known:
-                dark = abs(float(norm(row.harm.value)) - 0.5) > 0.5 * _DARK and not row.idle
+            if row is not None and row["harm"].known:
+                dark = abs(float(norm(row["harm"].value)) - 0.5) > 0.5 * _DARK and not row.idle
                 if row.idle:
                     hatch_cell(axes, x, y)
                 _cell(axes, x, y, row, "white" if dark else INK)
@@ -177,10 +180,10 @@ def _panel(axes: Axes, cells: Sequence[Sequence[FieldRow | None]], norm: Normali
         spine.set_visible(False)
 
 
-def _cell(axes: Axes, x: int, y: int, row: FieldRow, colour: str) -> None:
+def _cell(axes: Axes, x: int, y: int, row: Row, colour: str) -> None:
     """The number of a cell, and its mark in the upper left corner."""
-    value = row.harm.value
-    style = "normal" if row.harm.differs else "italic"
+    value = row["harm"].value
+    style = "normal" if row["harm"].differs else "italic"
     axes.text(
         *(x, y + 0.04, number(value, 1 if abs(value) < 9.95 else 0)),
         ha="center",
@@ -189,7 +192,7 @@ def _cell(axes: Axes, x: int, y: int, row: FieldRow, colour: str) -> None:
         fontstyle=style,
         color=colour,
     )
-    share = row.honest_suspended.value
+    share = row["honest_suspended"].value
     if share > 0.0:
         box = axes.get_window_extent()
         columns, rows = axes.get_xlim()[1] + 0.5, axes.get_ylim()[0] + 0.5
@@ -204,10 +207,13 @@ def _best(table: FieldMatrix) -> str:
     """By scene, the cells in which a defence helps and harms most."""
     parts = []
     for scene in table.scenes:
-        rows = [row for row in table.rows if row.scene == scene and row.harm.known and not row.idle]
-        rows = [row for row in rows if row.defence in table.matrix.names("defence")[1:]]
+        rows = [row for row in table.rows if row.of["scene"] == scene and row["harm"].known and not row.idle]
+        rows = [row for row in rows if row.of["defence"] in table.matrix.names("defence")[1:]]
         if rows:
-            least, most = (choose(rows, key=lambda row: row.harm.value) for choose in (min, max))
-            texts = (f"{number(r.harm.value)} by {r.defence} against {r.attack or 'no attack'}" for r in (least, most))
+            least, most = (choose(rows, key=lambda row: row["harm"].value) for choose in (min, max))
+            texts = (
+                f"{number(each['harm'].value)} by {each.of['defence']} against {each.of['attack'] or 'no attack'}"
+                for each in (least, most)
+            )
             parts.append(f"{scene}: {' to '.join(texts)}")
     return f"{'; '.join(parts)}." if parts else ""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
 from mast_zenoh.metrics.significance import clearest
 from mast_zenoh.metrics.study_results import DEFENCE_MEASURES, MIN_SEEDS, DefenceMatrix, Measured, Row, plural
@@ -30,7 +31,7 @@ _FRAMING = ("framed", "framed_by_minority", "framed_by_majority", "wrongly_suspe
 _FAULTS = ("wrongly_suspended", "faulty_suspended_per_hour", "honest_suspended_per_hour", "ospa_added_m")
 #: Names of a defence, and of a cell, by heading.
 _DEFENCE = {"defence": "defence"}
-_CELL = _DEFENCE | {"adversary": "attack", "n": "n_adversaries", "placement": "placement"}
+CELL = _DEFENCE | {"adversary": "attack", "n": "n_adversaries", "placement": "placement"}
 #: After the number of a cell whose attack never took place, and what it means.
 IDLE = "(no lie)"
 ABOUT_IDLE = f" {IDLE}: the adversaries, which hear how they are judged, lied in none of these runs."
@@ -144,7 +145,7 @@ def _own(matrix: DefenceMatrix) -> TextTable:
     names = dict.fromkeys(name for row in matrix.own for name in row.numbers)
     columns = {name.replace(" difference", ", difference"): _if_any(name) for name in names}
     about = "Of the ego's picture; differences are from no defence and no attack."
-    return table_of_rows("Your metrics", about, matrix.own if names else [], columns, _CELL, texts=4)
+    return table_of_rows("Your metrics", about, matrix.own if names else [], columns, CELL, texts=4)
 
 
 def _if_any(name: str) -> Callable[[Row], str]:
@@ -162,29 +163,29 @@ def _detection(matrix: DefenceMatrix) -> TextTable:
         about += f" Suspended nobody in any run, so without a delay: {', '.join(matrix.not_suspending)}."
     columns = _LIED | _columns(_DETECTION)
     columns |= {"suspended": _suspended, "suspended before": shown("suspended_before", _count)}
-    return table_of_rows("Detection", about, _attacked(matrix), columns, _CELL | {"budget": "budget"}, texts=5)
+    return table_of_rows("Detection", about, _attacked(matrix), columns, CELL | {"budget": "budget"}, texts=5)
 
 
 def _suspended(row: Row) -> str:
     """Of how many liars: `3 of 5`."""
-    watched, suspended = (row.numbers[name] for name in ("liars_watched", "liars_suspended"))
+    watched, suspended = (row[name] for name in ("liars_watched", "liars_suspended"))
     return f"{_count(suspended)} of {_count(watched)}" if watched.value else DASH
 
 
 def _framing(matrix: DefenceMatrix) -> TextTable:
-    rows = [row for row in _attacked(matrix) if row.numbers["framed"].known or row.numbers["wrongly_suspended"].known]
+    rows = [row for row in _attacked(matrix) if row["framed"].known or row["wrongly_suspended"].known]
     about = (
         "An honest agent is framed if it is suspended after the first lie of a run; runs in which nobody lied have the "
         "last column. Liars are in the local majority if they outnumber the honest viewers of at least half of the "
         "lies that an honest agent could notice."
     )
-    return table_of_rows("Framing", about, rows, _LIED | _columns(_FRAMING), _CELL, texts=4)
+    return table_of_rows("Framing", about, rows, _LIED | _columns(_FRAMING), CELL, texts=4)
 
 
 def _attacked(matrix: DefenceMatrix) -> list[Row]:
     """The rows of defences with adversaries."""
     judging = {each.of["defence"] for each in matrix.summaries}
-    return [row for row in matrix.rows if row.numbers["attacked"].known and row.of["defence"] in judging]
+    return [row for row in matrix.rows if row["attacked"].known and row.of["defence"] in judging]
 
 
 def _lied(share: Measured) -> str:
@@ -202,7 +203,7 @@ def _faults(matrix: DefenceMatrix) -> TextTable:
         if any(each.value for name, each in row.numbers.items() if name.startswith("seconds faulty "))
     ]
     return table_of_rows(
-        "Faults", "Agents with a natural fault that did not lie.", rows, _columns(_FAULTS), _CELL, texts=4
+        "Faults", "Agents with a natural fault that did not lie.", rows, _columns(_FAULTS), CELL, texts=4
     )
 
 
@@ -269,7 +270,7 @@ _HEADLINE = {"damage": "{} missed and false objects a frame", "ospa_added_m": "{
 def headline(matrix: DefenceMatrix) -> str:
     """The clearest damage by an adversary; without a full stop. Empty: too few trials for a test."""
     rows = [row for row in matrix.rows if row.of["attack"]]
-    effects = {(index, name): row.numbers[name] for index, row in enumerate(rows) for name in _HEADLINE}
+    effects = {(index, name): row[name] for index, row in enumerate(rows) for name in _HEADLINE}
     for index, name in clearest(effects):
         row = rows[index]
         of, added = row.of, _HEADLINE[name].format(_text(name)(row))
@@ -282,7 +283,7 @@ def headline(matrix: DefenceMatrix) -> str:
 def csv_rows(matrix: DefenceMatrix) -> list[Row]:
     """What the CSV has: cells, then defences."""
     summaries = [
-        each._replace(numbers={f"summary {name}": value for name, value in each.numbers.items()})
+        replace(each, numbers={f"summary {name}": value for name, value in each.numbers.items()})
         for each in matrix.summaries
     ]
     shares = [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 from mast_zenoh.metrics.field_results import (
     FIELD_MEASURES,
@@ -13,8 +14,8 @@ from mast_zenoh.metrics.field_results import (
     PublishedComparison,
     PublishedNumber,
 )
-from mast_zenoh.metrics.study_results import Measured
-from mast_zenoh.report.tables.defences import ABOUT_IDLE, IDLE, defence_tables
+from mast_zenoh.metrics.study_results import Measured, Row
+from mast_zenoh.report.tables.defences import ABOUT_IDLE, CELL, IDLE, csv_rows, defence_tables
 from mast_zenoh.report.tables.scoreboard import scoreboard_tables
 from mast_zenoh.report.tables.text_table import (
     BOUNDS,
@@ -25,7 +26,10 @@ from mast_zenoh.report.tables.text_table import (
     measured,
     median_delay,
     number,
+    numbers_of_rows,
     percent,
+    shown,
+    table_of_rows,
 )
 
 ALL_SCENES = "all"
@@ -66,8 +70,7 @@ def field_tables(table: FieldMatrix) -> ResultTables:
         about = f"{summary.about} {_ABOUT_ADDED}"
         last = [summary._replace(about=about, headings=[*summary.headings, *_SUMMARY_HEADINGS], lines=lines)]
     own = [*(_harm(table, scene) for scene in table.scenes), _processor_time(table), _breakdown(table)]
-    headings, lines_of_matrix = of_matrix.numbers
-    numbers = ("scene", *headings), [*(["", *line] for line in lines_of_matrix), *_csv_lines(table)]
+    everywhere = [replace(row, of={"scene": ""} | row.of) for row in csv_rows(table.matrix)]
     turned, board = of_matrix.brief[-1], scoreboard_tables(table)  # a column for each defence
     extra = [
         [heading, *(added[name][index] for name in turned.headings[1:])]
@@ -78,56 +81,51 @@ def field_tables(table: FieldMatrix) -> ResultTables:
     return of_matrix._replace(
         title="Published and own defences against published and own attacks",
         tables=[*board.tables, *others, *(each for each in own if each.lines), *last],
-        numbers=numbers,
+        numbers=numbers_of_rows([*everywhere, *_csv_rows(table)]),
         brief=[*board.brief, turned],
         reading=board.reading,
     )
 
 
 def _added_to_summaries(table: FieldMatrix) -> dict[str, list[str]]:
+    breaks_at = {each.defence: each for each in table.breakdowns if not each.scene}
     return {
-        each.defence: [
-            *(measured(each.harm_removed, 3), _breaks_at(each.breaks_at), _weakest(each.breaks_at)),
-            *(measured(each.cpu_ratio_alone), measured(each.cpu_ratio_attacked)),
+        (defence := row.of["defence"]): [
+            *(measured(row["harm_removed"], 3), _breaks_at(breaks_at[defence]), _weakest(breaks_at[defence])),
+            *(measured(row["cpu_ratio_alone"]), measured(row["cpu_ratio_attacked"])),
         ]
-        for each in table.summaries
+        for row in table.summaries
     }
 
 
 def _harm(table: FieldMatrix, scene: str) -> TextTable:
     """A line for each attack, and a column for each defence."""
-    rows = [row for row in table.rows if row.scene == scene]
-    defences = table.matrix.names("defence")[1:] if len(table.matrix.names("defence")) > 1 else []
+    rows = [row for row in table.rows if row.of["scene"] == scene]
+    defences = table.matrix.names("defence")[1:]
     lines = []
-    for attack, count, placement in dict.fromkeys((row.attack, row.n_adversaries, row.placement) for row in rows):
+    for attack, count, placement in dict.fromkeys(tuple(row.of.values())[2:] for row in rows):
         cells = [table.row(scene, defence, attack, count, placement) for defence in defences]
-        texts = (measured(cell.harm) + (f" {IDLE}" if cell.idle else "") for cell in cells)
+        texts = (measured(cell["harm"]) + f" {IDLE}" * cell.idle for cell in cells)
         lines.append([attack or "none", str(count), placement or DASH, *texts])
     about = (
         "Missed and false objects per frame in the ego's picture with the defence, minus those without it under the "
         "same attack. Negative: the defence helps."
     )
     about += ABOUT_IDLE if any(row.idle for row in rows) else ""
-    headings = ["adversary", "n", "placement", *map(str, defences)]
+    headings = ["adversary", "n", "placement", *defences]
     return TextTable(f"Harm with and without defence, {scene}", about, headings, lines if defences else [], 3)
 
 
 def _processor_time(table: FieldMatrix) -> TextTable:
-    lines = [
-        [
-            *(row.defence, row.attack or "none", str(row.n_adversaries), row.placement or DASH),
-            *(measured(row.cpu_ms), measured(row.cpu_ratio)),
-        ]
-        for row in table.rows
-        if not row.scene and row.cpu_ms.known
-    ]
+    rows = [row for row in table.rows if not row.of["scene"] and row["cpu_ms"].known]
     about = (
         "Of the process that plays the run: all agents, command centre, adversaries and evaluator, without the scene. "
         "Runs with an attack are recorded, too, so compare only runs of one attack. Relative numbers are geometric "
         "means of pairs of the same scene and seed."
     )
-    headings = ["defence", "adversary", "n", "placement", FIELD_MEASURES["cpu_ms"], FIELD_MEASURES["cpu_ratio"]]
-    return TextTable("Processor time", about, headings, lines, 4)
+    named = [replace(row, of=row.of | {"attack": row.of["attack"] or "none"}) for row in rows]
+    columns = {FIELD_MEASURES[name]: shown(name) for name in ("cpu_ms", "cpu_ratio")}
+    return table_of_rows("Processor time", about, named, columns, CELL, texts=4)
 
 
 def _breakdown(table: FieldMatrix) -> TextTable:
@@ -175,21 +173,20 @@ def _weakest(each: FieldBreakdown) -> str:
     return f"{each.weakest} ({_at_most(each, each.weakest_at) or number(each.weakest_at)})" if each.weakest else "none"
 
 
-def _csv_lines(table: FieldMatrix) -> Iterator[list[object]]:
+def _csv_rows(table: FieldMatrix) -> Iterator[Row]:
     """The numbers by scene; that of a defence has no attack, that of the breakdown its number of adversaries."""
     for row in table.rows:
-        cell = [row.scene or ALL_SCENES, row.defence, row.attack, row.n_adversaries, row.placement, "", ""]
-        for name in FIELD_MEASURES:
-            yield [*cell, name, *bounds(getattr(row, name))]
+        of = row.of | {"scene": row.of["scene"] or ALL_SCENES}
+        yield Row(of, row.trials, {name: row[name] for name in FIELD_MEASURES})
     for each in table.breakdowns:
-        place = [each.scene or ALL_SCENES, each.defence, ""]
+        of = {"scene": each.scene or ALL_SCENES, "defence": each.defence}
         for count, share in each.broken.items():
-            yield [*place, count, "", "", "", "broken", *bounds(share)]
-        yield [*place, "", "", "", "", "breaks_at", *bounds(each.point)]
-        yield [*place[:2], each.weakest, *[""] * 4, "weakest_at", *bounds(Measured(each.weakest_at))]
-    for summary in table.summaries:
-        for name in ("harm_removed", "cpu_ratio_alone", "cpu_ratio_attacked"):
-            yield [ALL_SCENES, summary.defence, *[""] * 5, f"summary {name}", *bounds(getattr(summary, name))]
+            yield Row(of | {"n_adversaries": count}, share.trials, {"broken": share})
+        yield Row(of, each.point.trials, {"breaks_at": each.point})
+        yield Row(of | {"attack": each.weakest}, 0, {"weakest_at": Measured(each.weakest_at)})
+    for row in table.summaries:
+        numbers = {f"summary {name}": each for name, each in row.numbers.items()}
+        yield Row({"scene": ALL_SCENES} | row.of, row.trials, numbers)
 
 
 # -- published figures -------------------------------------------------------------------------------------------------
@@ -219,7 +216,7 @@ def published_tables(table: FieldMatrix) -> ResultTables:
     if not table.published:
         about = "This study played no method of which a published figure is known, so there is nothing to compare."
         return ResultTables(_PUBLISHED_TITLE, about, table.matrix.size, [], (_PUBLISHED_CSV, []), [])
-    attacks = ", ".join(map(str, table.matrix.names("attack")))
+    attacks = ", ".join(table.matrix.names("attack"))
     about = (
         f"{table.matrix.size}, attacks: {attacks}. The papers judge features and point clouds of other scenes: their "
         "figures and ours are not the same quantity, and no row is a reproduction. Figures known from an abstract or "

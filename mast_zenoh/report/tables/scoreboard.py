@@ -7,9 +7,9 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
-from mast_zenoh.metrics.field_results import FieldMatrix, FieldRow
+from mast_zenoh.metrics.field_results import FieldMatrix
 from mast_zenoh.metrics.significance import holm
-from mast_zenoh.metrics.study_results import LEVEL, MIN_SEEDS, plural
+from mast_zenoh.metrics.study_results import LEVEL, MIN_SEEDS, Measured, Row, plural
 from mast_zenoh.report.narrative.changes import join_names
 from mast_zenoh.report.tables.text_table import BOUNDS, ResultTables, TextTable, bounds, digits, measured
 
@@ -18,7 +18,8 @@ _HEADINGS = (
     *("defence", "beaten most by", "errors added", "by the attack", "minus undefended"),
     *("without an attack", "seeds"),
 )
-_CSV = ("defence", "attack", "n_adversaries", "placement", "scene", "measure", *BOUNDS, "p_holm", "worst")
+_NAMES = ("defence", "attack", "n_adversaries", "placement", "scene")
+_CSV = (*_NAMES, "measure", *BOUNDS, "p_holm", "worst")
 #: What is read together of every cell.
 _READ = ("damage", "by_attack", "harm")
 
@@ -26,13 +27,23 @@ _READ = ("damage", "by_attack", "harm")
 class Score(NamedTuple):
     """A defence: its cells with the greatest damage, of all and of those without an attack."""
 
-    worst: FieldRow
-    quiet: FieldRow
+    worst: Row
+    quiet: Row
 
     @property
     def defence(self) -> str:
         """The name of the defence."""
-        return self.worst.defence
+        return str(self.worst.of["defence"])
+
+    @property
+    def damage(self) -> Measured:
+        """Of the worst case."""
+        return self.worst["damage"]
+
+    @property
+    def cost(self) -> Measured:
+        """What the defence adds without an attack."""
+        return self.quiet["damage"]
 
 
 class Scoreboard:
@@ -43,22 +54,23 @@ class Scoreboard:
     """
 
     def __init__(self, table: FieldMatrix) -> None:
-        defences = {each.defence for each in table.summaries}  # without that of no defence
-        played = [row for row in table.rows if defences and row.scene and row.damage.known and not row.idle]
-        self.rows = [row for row in played if row.attacked.known or not row.attack]
-        values = {(name, row): getattr(row, name).p for row in self.rows for name in _READ}
+        defences = {each.of["defence"] for each in table.summaries}  # without that of no defence
+        shown = [row for row in table.rows if defences and row.of["scene"] and row["damage"].known]
+        played = [row for row in shown if row["attacked"].known or not row.of["attack"]]
+        self.rows = [row for row in played if not row.idle]
+        values = {(name, row): row[name].p for row in self.rows for name in _READ}
         tested = {key: p for key, p in values.items() if not math.isnan(p)}
         self.adjusted = dict(zip(tested, holm(list(tested.values())), strict=True))
-        self.scores = sorted(self._scores(), key=lambda score: score.worst.damage.value)
+        self.scores = sorted(self._scores(), key=lambda score: score.damage.value)
         self.defended = [score for score in self.scores if score.defence in defences]
 
     def _scores(self) -> Iterator[Score]:
-        for name in dict.fromkeys(row.defence for row in self.rows):
-            own = [row for row in self.rows if row.defence == name]
-            if quiet := [row for row in own if not row.attack]:
-                yield Score(*(max(rows, key=lambda row: row.damage.value) for rows in (own, quiet)))
+        for name in dict.fromkeys(row.of["defence"] for row in self.rows):
+            own = [row for row in self.rows if row.of["defence"] == name]
+            if quiet := [row for row in own if not row.of["attack"]]:
+                yield Score(*(max(rows, key=lambda row: row["damage"].value) for rows in (own, quiet)))
 
-    def differs(self, name: str, row: FieldRow) -> bool:
+    def differs(self, name: str, row: Row) -> bool:
         """Whether a measure of a cell differs from 0 if all are read together."""
         return self.adjusted.get((name, row), 1.0) <= LEVEL
 
@@ -66,7 +78,7 @@ class Scoreboard:
         """Five computed sentences: the best defence, its rivals, what beats most, gain, cost; none without scores."""
         if not self.defended:
             return []
-        best, costly = self.scores[0], max(self.defended, key=lambda score: score.quiet.damage.value)
+        best, costly = self.scores[0], max(self.defended, key=lambda score: score.cost.value)
         name = best.defence if best in self.defended else "no defence at all"
         quiet, worst = [score.quiet for score in self.defended], [score.worst for score in self.defended]
         return [
@@ -79,45 +91,45 @@ class Scoreboard:
             f"worse: {self._named('harm', worst, 1)}; for all others, that is open.",
             f"Without an attack, clearly more errors than without a defence: {self._named('damage', quiet, 1)}; "
             f"fewer: {self._named('damage', quiet, -1)}; "
-            f"the {'greatest cost' if costly.quiet.damage.value >= 0.0 else 'smallest gain'} is that of "
+            f"the {'greatest cost' if costly.cost.value >= 0.0 else 'smallest gain'} is that of "
             f"{costly.defence}: {self._text('damage', costly.quiet)} a frame.",
         ]
 
-    def _share_of_attack(self, row: FieldRow) -> str:
+    def _share_of_attack(self, row: Row) -> str:
         """What the attack adds, as a defence also removes errors of the sensors; empty without an attack."""
-        return f", of which the attack adds {self._text('by_attack', row)}" if row.attack else ""
+        return f", of which the attack adds {self._text('by_attack', row)}" if row.of["attack"] else ""
 
     def _rivals(self, best: Score) -> str:
-        high = best.worst.damage.high
+        high = best.damage.high
         if math.isnan(high):
             return "That number has no interval, so the order of the rows is open."
-        others = [each.defence for each in self.scores if each is not best and not each.worst.damage.low > high]
+        others = [each.defence for each in self.scores if each is not best and not each.damage.low > high]
         if others:
             return f"Not told apart from it, as intervals overlap or are missing: {join_names(others)}."
         return "No other row's interval overlaps with its own."
 
     def _beaten(self) -> str:
-        counts = Counter(score.worst.attack or "their own cost" for score in self.defended)
+        counts = Counter(score.worst.of["attack"] or "their own cost" for score in self.defended)
         names = [name for name, count in counts.items() if count == max(counts.values())]
         share = f"{max(counts.values())} of {len(self.defended)}{' each' if len(names) > 1 else ''}"
         bare = [each.worst for each in self.scores if each not in self.defended]
         undefended = (f"; without a defence, {_case(row)} adds {self._text('by_attack', row)}" for row in bare)
         return f"What beats defences most is {join_names(names)} ({share}){''.join(undefended)}."
 
-    def _named(self, name: str, rows: Iterable[FieldRow], sign: int) -> str:
+    def _named(self, name: str, rows: Iterable[Row], sign: int) -> str:
         """The defences of cells whose measure differs from 0, in one direction."""
-        named = [row.defence for row in rows if self.differs(name, row) and sign * getattr(row, name).value > 0.0]
+        named = [row.of["defence"] for row in rows if self.differs(name, row) and sign * row[name].value > 0.0]
         return join_names(named) if named else "none"
 
-    def _text(self, name: str, row: FieldRow) -> str:
-        return measured(getattr(row, name)) + "*" * self.differs(name, row)
+    def _text(self, name: str, row: Row) -> str:
+        return measured(row[name]) + "*" * self.differs(name, row)
 
     def table(self) -> TextTable:
         """The scores as text."""
         lines = [
             [
                 *(score.defence, _case(score.worst), *(self._text(name, score.worst) for name in _READ)),
-                *(self._text("damage", score.quiet), str(score.worst.damage.trials)),
+                *(self._text("damage", score.quiet), str(score.damage.trials)),
             ]
             for score in self.scores
         ]
@@ -139,11 +151,10 @@ class Scoreboard:
         )
 
 
-def _case(row: FieldRow) -> str:
+def _case(row: Row) -> str:
     """`Ghost (2 of 4 poles, random)`."""
-    if not row.attack:
-        return f"no attack ({row.scene})"
-    return f"{row.attack} ({row.n_adversaries} of {row.scene}, {row.placement})"
+    text = "{attack} ({n_adversaries} of {scene}, {placement})" if row.of["attack"] else "no attack ({scene})"
+    return text.format_map(row.of)
 
 
 def scoreboard_tables(table: FieldMatrix) -> ResultTables:
@@ -153,9 +164,9 @@ def scoreboard_tables(table: FieldMatrix) -> ResultTables:
     numbers = []
     for row in board.rows:
         for name in _READ:
-            cell = (row.defence, row.attack, row.n_adversaries, row.placement, row.scene, name)
+            cell = [row.of[each] for each in _NAMES]
             adjusted = digits(board.adjusted.get((name, row), math.nan))
-            numbers.append([*cell, *bounds(getattr(row, name)), *adjusted, int(row in worst)])
+            numbers.append([*cell, name, *bounds(row[name]), *adjusted, int(row in worst)])
     sentences = board.conclusions()
     numbered = [f"{at}. {text}" for at, text in enumerate(sentences, 1)]
     about = "\n".join([f"{table.matrix.size}.", *([""] if numbered else []), *numbered])

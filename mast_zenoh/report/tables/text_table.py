@@ -230,7 +230,7 @@ def bounds(each: Measured) -> list[str]:
 
 def shown(measure: str, show: Callable[[Measured], str] = measured) -> Callable[[Row], str]:
     """The text of a measure of a row."""
-    return lambda row: show(row.numbers[measure])
+    return lambda row: show(row[measure])
 
 
 def table_of_rows(

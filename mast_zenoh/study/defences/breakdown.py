@@ -191,14 +191,14 @@ class Collection(kinds.Collection):
         return {self.name: figure_of_breakdown(rows, _in_words(rows, points), self.size)}
 
 
-def _row(of: Mapping[str, object], values: Mapping[str, Floats]) -> Row:
+def _row(of: dict[str, Any], values: Mapping[str, Floats]) -> Row:
     known = {name: each[~np.isnan(each)] for name, each in values.items()}
     trials = len(known["worse"])
     numbers = {name: share_of_trials(known[name].sum(), trials) for name in _SHARES}
     return Row(of, trials, numbers | {name: Measured(_mean(known[name]), trials=trials) for name in _MEANS})
 
 
-def _point(of: Mapping[str, object], shares: Mapping[float, Mapping[str, Floats]]) -> Row:
+def _point(of: dict[str, Any], shares: Mapping[float, Mapping[str, Floats]]) -> Row:
     """The breakdown point of one attack, by share of liars; units are scenes with seeds, which all shares have."""
     measures = np.array([[each["broken"], 1.0 - each["honest_majority"]] for each in shares.values()])
     measures = measures[:, :, ~np.isnan(measures).all(axis=(0, 1))]
@@ -312,11 +312,11 @@ def _points_columns(rows: Sequence[Row]) -> dict[str, Callable[[Row], str]]:
     """rows: of all numbers of liars, beyond which points may be"""
 
     def reached(measure: str) -> Callable[[Row], str]:
-        return lambda point: percent(point.numbers[measure], beyond=f"> {100.0 * _most(rows, point):.0f}")
+        return lambda point: percent(point[measure], beyond=f"> {100.0 * _most(rows, point):.0f}")
 
     def difference(point: Row) -> str:
-        beyond = 100.0 * (_most(rows, point) - point.numbers["breakdown_bound"].value)
-        return percent(point.numbers["breakdown_difference"], beyond=f"> {number(beyond, 0)}")
+        beyond = 100.0 * (_most(rows, point) - point["breakdown_bound"].value)
+        return percent(point["breakdown_difference"], beyond=f"> {number(beyond, 0)}")
 
     return {
         "breakdown point (%)": reached("breakdown_point"),
@@ -328,7 +328,7 @@ def _points_columns(rows: Sequence[Row]) -> dict[str, Callable[[Row], str]]:
 def _in_words(rows: Sequence[Row], points: Sequence[Row]) -> str:
     parts = []
     for point in points:
-        numbers = (point.numbers[name].value for name in ("breakdown_point", "breakdown_bound"))
+        numbers = (point[name].value for name in ("breakdown_point", "breakdown_bound"))
         most = f"above {100.0 * _most(rows, point):.0f} %"
         values = (most if math.isinf(each) else f"{100.0 * each:.0f} %" for each in numbers)
         parts.append("{}, {} agents: {}, bound {}".format(*point.of.values(), *values))

@@ -235,8 +235,8 @@ _PANELS = (
 
 def headline(rows: Sequence[Row]) -> str:
     """The clearest effect of lies; without a full stop. Empty: none, or too few trials for a test."""
-    for at in clearest({at: row.numbers["harm"] for at, row in enumerate(rows)}):
-        place, harm = "{architecture} and {agents} agents".format(**rows[at].of), measured(rows[at].numbers["harm"])
+    for at in clearest({at: row["harm"] for at, row in enumerate(rows)}):
+        place, harm = "{architecture} and {agents} agents".format(**rows[at].of), measured(rows[at]["harm"])
         return f"The clearest effect: with {place}, lies add {harm} errors a frame"
     return ""
 

@@ -214,7 +214,7 @@ class Collection(kinds.Collection):
             table_of_rows(_OBJECTS, "", objects, _OF_OBJECTS, lie | viewers, texts=2),
             table_of_rows(_OFFSETS, "", drifting, _OF_DRIFTS, {"drift": "label"} | viewers, texts=2),
         ]
-        delays = [row.numbers["delay_s"] for row in table]
+        delays = [row["delay_s"] for row in table]
         few = any(each.known and not each.interval and each.trials < MIN_SEEDS for each in delays)
         return ResultTables(
             "Displaced objects",
@@ -413,8 +413,8 @@ def _share(each: Measured) -> str:
 
 
 def _share_of_judged(row: Row) -> str:
-    within = row.numbers["within"]
-    return _share(within) + (f" of {_whole(row.numbers['judged'])}" if within.known else "")
+    within = row["within"]
+    return _share(within) + (f" of {_whole(row['judged'])}" if within.known else "")
 
 
 def _plain(each: Measured) -> str:
@@ -430,9 +430,9 @@ def _wide(rows: Sequence[Row]) -> tuple[Sequence[str], Sequence[Sequence[object]
     ends = [f"{name}{end}" for name in _MEASURED for end in ("", "_low", "_high")]
     lines = [
         [
-            *(*row.of.values(), *(_whole(row.numbers[name]) for name in ("episodes", "detected")), row.trials),
-            *(_whole(row.numbers["judged"]), *digits(*(row.numbers[name].value for name in _PLAIN))),
-            *(text for name in _MEASURED for text in digits(*row.numbers[name][:3])),
+            *(*row.of.values(), *(_whole(row[name]) for name in ("episodes", "detected")), row.trials),
+            *(_whole(row["judged"]), *digits(*(row[name].value for name in _PLAIN))),
+            *(text for name in _MEASURED for text in digits(*row[name][:3])),
         ]
         for row in rows
     ]
@@ -456,7 +456,7 @@ _OF_OBJECTS = {
 }
 _OF_DRIFTS = {"median offset (m)": shown("offset_reached_m"), "at the floor (m)": shown("floor_m", _plain)}
 _BRIEF = {
-    "detected": lambda row: f"{_whole(row.numbers['detected'])} of {_whole(row.numbers['episodes'])}",
+    "detected": lambda row: f"{_whole(row['detected'])} of {_whole(row['episodes'])}",
     "delay (s)": shown("delay_s"),
     **_FLOORS,
 }

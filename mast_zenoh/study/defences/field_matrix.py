@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,14 +13,15 @@ from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.metrics.field_results import (
     FieldBreakdown,
     FieldMatrix,
-    FieldRow,
-    FieldSummary,
     PublishedComparison,
     PublishedNumber,
 )
-from mast_zenoh.metrics.study_results import Measured
+from mast_zenoh.metrics.study_results import Measured, Row
+from mast_zenoh.report.tables.field_matrix import field_tables, published_tables
+from mast_zenoh.report.tables.scoreboard import scoreboard_tables
+from mast_zenoh.report.tables.text_table import ResultTables
 from mast_zenoh.study.defences import breakdown, intervals, matrix, matrix_records
-from mast_zenoh.study.defences.breakdown import HALF, BreakdownRecord, crossing
+from mast_zenoh.study.defences.breakdown import HALF, BreakdownRecord, mean_crossing
 from mast_zenoh.study.defences.cells import UNDEFENDED, BreakdownCell, Cell, FieldCell
 from mast_zenoh.study.defences.choices import SCENE_KINDS
 from mast_zenoh.study.defences.published import BY_SUSPENSION, PUBLISHED, Published
@@ -27,7 +29,6 @@ from mast_zenoh.study.trial import Outcome, TrialKey
 
 if TYPE_CHECKING:
     from mast_zenoh.report.figures.drawing import RenderedFigure
-    from mast_zenoh.report.tables.text_table import ResultTables
     from mast_zenoh.runs.run import Run
 
 _ROUNDING = 1e-12
@@ -54,7 +55,6 @@ class Collection(matrix.Collection):
     def __init__(self, cells: Mapping[str, FieldCell], scenes: Sequence[str], seeds: Sequence[int]) -> None:
         super().__init__(cells, scenes, seeds)
         self._scenes = list(scenes)
-        self._cpu_ms: dict[Cell, dict[TrialKey, float]] = {cell: {} for cell in cells.values()}
         self._broken: dict[Cell, dict[TrialKey, BreakdownRecord]] = {cell: {} for cell in cells.values()}
         self._agents: dict[str, int] = {}
 
@@ -66,22 +66,17 @@ class Collection(matrix.Collection):
 
     def record(self, cell: Any, outcome: Outcome) -> matrix_records.TrialRecord:
         key, agents = outcome.trial.key, len(outcome.metrics["agents"])
-        if outcome.cpu_s > 0.0:
-            self._cpu_ms[cell][key] = 1e3 * outcome.cpu_s / outcome.metrics["frames"]
         of_breakdown = BreakdownCell(cell.attack, agents, cell.n_adversaries if cell.lies else 0, cell.attack_start_s)
         self._broken[cell][key] = BreakdownRecord.of(of_breakdown, outcome)
         self._agents[key.scene] = agents
-        return super().record(cell, outcome)
+        record = super().record(cell, outcome)
+        cpu_ms = 1e3 * outcome.cpu_s / outcome.metrics["frames"] if outcome.cpu_s > 0.0 else math.nan
+        return replace(record, scores=record.scores | {"cpu_ms": cpu_ms})
 
     def tables(self, table: Any) -> ResultTables:
-        from mast_zenoh.report.tables.field_matrix import field_tables
-
         return field_tables(table)
 
     def more_tables(self, table: Any) -> Mapping[str, ResultTables]:
-        from mast_zenoh.report.tables.field_matrix import published_tables
-        from mast_zenoh.report.tables.scoreboard import scoreboard_tables
-
         return {"scoreboard": scoreboard_tables(table), "published": published_tables(table)}
 
     def figures(self, table: Any) -> Mapping[str, RenderedFigure]:
@@ -107,7 +102,7 @@ class Collection(matrix.Collection):
             rows=[self._field_row(cell, scene) for scene in scenes for cell in cells],
             breakdowns=list(breakdowns.values()),
             summaries=[
-                self._field_summary(defence, breakdowns["", defence])
+                self._field_summary(defence)
                 for defence in defences
                 if defence != UNDEFENDED and ("", defence) in breakdowns
             ],
@@ -120,28 +115,24 @@ class Collection(matrix.Collection):
         """The values of the trials of a scene; "": all."""
         return values[[not scene or key.scene == scene for key in self.order]]
 
-    def _field_row(self, cell: Cell, scene: str) -> FieldRow:
-        groups = [
-            [self.records[cell][key]] for key in self.order if key in self.records[cell] and scene in ("", key.scene)
-        ]
+    def _field_row(self, cell: Cell, scene: str) -> Row:
+        keys = [key for key in self.order if key in self.records[cell] and scene in ("", key.scene)]
+        groups = [[self.records[cell][key]] for key in keys]
         cpu_ms, scenes = self._in_scene(self._processor(cell), scene), 1 if scene else self.scenes
         damages = [self._in_scene(self._damage(each), scene) for each in (cell, cell.alone, cell.undefended)]
         differences = (damages[0], damages[0] - damages[1], damages[0] - damages[2])
         damage, by_attack, harm = (intervals.mean(each, scenes=scenes, paired=True) for each in differences)
-        return FieldRow(
-            scene=scene_title(scene),
-            defence=cell.defence,
-            attack=cell.attack,
-            n_adversaries=cell.n_adversaries,
-            placement=cell.placement,
-            damage=damage,
-            by_attack=by_attack,
-            harm=harm,
-            attacked=matrix_records.attacked_share(groups) if cell.lies else Measured(),
-            honest_suspended=matrix_records.shares_of_runs(groups)["honest_suspended"],
-            cpu_ms=intervals.mean(cpu_ms, scenes=scenes),
-            cpu_ratio=ratio(cpu_ms, self._in_scene(self._processor(cell.undefended), scene), scenes=scenes),
-        )
+        numbers = {
+            "damage": damage,
+            "by_attack": by_attack,
+            "harm": harm,
+            "attacked": matrix_records.attacked_share(groups) if cell.lies else Measured(),
+            "honest_suspended": matrix_records.shares_of_runs(groups)["honest_suspended"],
+            "cpu_ms": intervals.mean(cpu_ms, scenes=scenes),
+            "cpu_ratio": ratio(cpu_ms, self._in_scene(self._processor(cell.undefended), scene), scenes=scenes),
+        }
+        of = {name: getattr(cell, name) for name in ("defence", "attack", "n_adversaries", "placement")}
+        return Row({"scene": scene_title(scene)} | of, len(keys), numbers)
 
     def _damage(self, cell: Cell) -> Floats:
         """(trials,) missed and false objects per frame, minus those without attack and without defence."""
@@ -149,8 +140,7 @@ class Collection(matrix.Collection):
 
     def _processor(self, cell: Cell) -> Floats:
         """(trials,) ms of processor time per frame, NaN where it is not known."""
-        known = self._cpu_ms.get(cell, {})
-        return np.array([known.get(key, np.nan) for key in self.order])
+        return self.values(cell, "cpu_ms")
 
     # -- breakdown -----------------------------------------------------------------------------------------------------
 
@@ -206,18 +196,16 @@ class Collection(matrix.Collection):
 
     # -- summaries and published figures -------------------------------------------------------------------------------
 
-    def _field_summary(self, defence: str, breaks_at: FieldBreakdown) -> FieldSummary:
-        cells = [cell for cell in self.records if cell.defence == defence]
-        attacked = [cell for cell in cells if cell.lies]
+    def _field_summary(self, defence: str) -> Row:
+        attacked = [cell for cell in self.records if cell.defence == defence and cell.lies]
         pairs = [(self._processor(cell), self._processor(cell.undefended)) for cell in attacked]
         alone = attacked[0].alone
-        return FieldSummary(
-            defence=defence,
-            harm_removed=self._harm_removed(attacked),
-            breaks_at=breaks_at,
-            cpu_ratio_alone=ratio(self._processor(alone), self._processor(alone.undefended), scenes=self.scenes),
-            cpu_ratio_attacked=ratio(*(np.stack(part) for part in zip(*pairs, strict=True)), scenes=self.scenes),
-        )
+        numbers = {
+            "harm_removed": self._harm_removed(attacked),
+            "cpu_ratio_alone": ratio(self._processor(alone), self._processor(alone.undefended), scenes=self.scenes),
+            "cpu_ratio_attacked": ratio(*(np.stack(part) for part in zip(*pairs, strict=True)), scenes=self.scenes),
+        }
+        return Row({"defence": defence}, len(self.order), numbers)
 
     def _harm_removed(self, cells: Sequence[Cell]) -> Measured:
         """1 minus what the attacks of all cells add with the defence over what they add without it.
@@ -356,4 +344,4 @@ def _crossing(counts: Sequence[int], shares: Floats) -> float:
     if _is_single(counts) and known.any():
         reached = np.asarray(counts)[means >= HALF - _ROUNDING]
         return float(reached.min()) if len(reached) else math.inf
-    return crossing(np.asarray(counts)[known], means[known]) if known.any() else math.nan
+    return mean_crossing(counts, shares.T)

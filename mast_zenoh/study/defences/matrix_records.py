@@ -59,7 +59,7 @@ class TrialRecord:
     outnumbered: share of the lies, by object and frame, of which liars have more viewers than honest agents; NaN: none
     """
 
-    scores: Mapping[str, float]
+    scores: dict[str, float]
     own: Mapping[str, float]
     attacked: bool
     lies: tuple[int, int]

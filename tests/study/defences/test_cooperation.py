@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -92,7 +93,7 @@ def test_the_conclusion_names_what_differs_and_what_does_not() -> None:
             value=more[0], low=more[1], high=more[2], p=0.001 if more[1] > 0.0 else 0.4
         )
         numbers = {**known.numbers, "harm_difference": difference}
-        return known._replace(of={"architecture": architecture, "agents": 5}, numbers=numbers)
+        return replace(known, of={"architecture": architecture, "agents": 5}, numbers=numbers)
 
     rows = [row("centre", (0.0, 0.0, 0.0)), row("peers", (0.1, -0.2, 0.4)), row("radio", (0.7, 0.3, 1.1))]
     said = conclusion(rows)

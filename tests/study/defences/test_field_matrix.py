@@ -19,7 +19,8 @@ from mast_zenoh.attacks import Attack, Coordination
 from mast_zenoh.config.registry import known_types
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.integrity import Integrity
-from mast_zenoh.metrics.field_results import QUANTITIES, FieldMatrix, FieldRow
+from mast_zenoh.metrics.field_results import QUANTITIES, FieldMatrix
+from mast_zenoh.metrics.study_results import Row
 from mast_zenoh.report.tables.field_matrix import field_tables, published_tables
 from mast_zenoh.study import definition, execution, trials
 from mast_zenoh.study.defences import COORDINATED, UNCOORDINATED, FieldCell, matrix_records, scenes_of_kinds
@@ -176,7 +177,7 @@ def ghosts(defence: str, liars: int = 2, attack: str = "Ghost") -> FieldCell:
     return cell(defence, attack, liars, "random")
 
 
-def by_cell(table: FieldMatrix, defence: str, attack: str = "Ghost", liars: int = 2, scene: str = "") -> FieldRow:
+def by_cell(table: FieldMatrix, defence: str, attack: str = "Ghost", liars: int = 2, scene: str = "") -> Row:
     return table.row(scene, defence, attack, liars if attack else 0, "random" if attack else "")
 
 
@@ -189,19 +190,19 @@ def test_harm_is_relative_to_no_defence_in_each_kind_of_scene_and_in_all() -> No
 
     played = NOTHING | {ghosts("NoIntegrity"): always(fp=4.0, liars=2), ghosts("Cad"): defended}
     table = collected(played, (POLES, MANY))
-    harms = [by_cell(table, "Cad", scene=scene).harm.value for scene in ("4 poles", "8 poles, 4 cars", "")]
+    harms = [by_cell(table, "Cad", scene=scene)["harm"].value for scene in ("4 poles", "8 poles, 4 cars", "")]
     assert harms == pytest.approx([-3.0, 1.0, -1.0])
-    assert by_cell(table, "Cad", "").harm.value == pytest.approx(0.5), "the cost without an attack"
+    assert by_cell(table, "Cad", "")["harm"].value == pytest.approx(0.5), "the cost without an attack"
     added = (1.0 - 0.5) + (5.0 - 0.5)
-    assert table.summaries[0].harm_removed.value == pytest.approx(1.0 - added / (4.0 + 4.0)), "without that cost"
+    assert table.summaries[0]["harm_removed"].value == pytest.approx(1.0 - added / (4.0 + 4.0)), "without that cost"
 
 
 def test_what_a_defence_removes_of_the_sensors_own_errors_is_not_removed_of_an_attack() -> None:
     played = {cell("NoIntegrity"): always(fp=3.0), cell("Cad"): always(fp=1.0)}
     played |= {ghosts("NoIntegrity"): always(fp=5.0, liars=2), ghosts("Cad"): always(fp=3.0, liars=2)}
     table = collected(played)
-    assert by_cell(table, "Cad").by_attack.value == pytest.approx(2.0), "as many as without the defence"
-    assert table.summaries[0].harm_removed.value == pytest.approx(0.0)
+    assert by_cell(table, "Cad")["by_attack"].value == pytest.approx(2.0), "as many as without the defence"
+    assert table.summaries[0]["harm_removed"].value == pytest.approx(0.0)
 
 
 def test_processor_time_is_paired_with_the_undefended_run_of_the_same_scene_and_seed() -> None:
@@ -212,13 +213,13 @@ def test_processor_time_is_paired_with_the_undefended_run_of_the_same_scene_and_
         return trial(fp=1.0, liars=2, cpu_s=0.1 * 2.0**seed * (2.0 if seed % 2 else 8.0))
 
     table = collected(NOTHING | {ghosts("NoIntegrity"): undefended, ghosts("Cad"): defended})
-    measured = by_cell(table, "Cad").cpu_ratio
+    measured = by_cell(table, "Cad")["cpu_ratio"]
     assert measured.value == pytest.approx(4.0), "the geometric mean of 2 and 8"
     half = 2.5706 * np.std(np.log([2.0, 8.0] * 3), ddof=1) / np.sqrt(6.0)  # Student's t of five degrees of freedom
     assert (measured.low, measured.high) == pytest.approx((4.0 * np.exp(-half), 4.0 * np.exp(half)), rel=1e-3)
-    assert by_cell(table, "NoIntegrity").cpu_ms.value == pytest.approx(1e3 * 0.1 * 63 / 6 / 10)
-    assert table.summaries[0].cpu_ratio_attacked == measured
-    assert table.summaries[0].cpu_ratio_alone.value == pytest.approx(1.0)
+    assert by_cell(table, "NoIntegrity")["cpu_ms"].value == pytest.approx(1e3 * 0.1 * 63 / 6 / 10)
+    assert table.summaries[0]["cpu_ratio_attacked"] == measured
+    assert table.summaries[0]["cpu_ratio_alone"].value == pytest.approx(1.0)
 
 
 def test_a_trial_without_processor_time_is_left_out_of_it() -> None:
@@ -274,9 +275,9 @@ def test_an_honest_agent_that_is_suspended_counts_even_if_nobody_ever_lies() -> 
     }
     table = collected(NOTHING | attacked)
     row = by_cell(table, "Cad")
-    assert (row.honest_suspended.value, row.honest_suspended.trials, row.idle) == (1.0, 6, True)
-    assert by_cell(table, "Cad", "").honest_suspended.value == 0.0
-    assert math.isnan(table.summaries[0].harm_removed.value), "no attack took place, so nothing was removed"
+    assert (row["honest_suspended"].value, row["honest_suspended"].trials, row.idle) == (1.0, 6, True)
+    assert by_cell(table, "Cad", "")["honest_suspended"].value == 0.0
+    assert math.isnan(table.summaries[0]["harm_removed"].value), "no attack took place, so nothing was removed"
 
 
 def test_a_single_number_of_adversaries_is_a_bound_without_interpolation() -> None:

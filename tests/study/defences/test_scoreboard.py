@@ -52,12 +52,12 @@ ERRORS = {
 def test_defences_are_ranked_by_their_worst_case_over_attacks_and_kinds_of_scene() -> None:
     scores = Scoreboard(table_of(ERRORS)).scores
     assert [score.defence for score in scores] == ["Cad", "NoIntegrity", "KOfN", "Robosac"]
-    cases = [(score.worst.attack, score.worst.scene) for score in scores]
+    cases = [(score.worst.of["attack"], score.worst.of["scene"]) for score in scores]
     assert cases == [("Ghost", "8 poles, 4 cars"), ("Flood", "4 poles"), ("Ghost", "4 poles"), ("Ghost", "4 poles")]
     best = scores[0].worst
-    values = best.damage.value, best.by_attack.value, best.harm.value
+    values = best["damage"].value, best["by_attack"].value, best["harm"].value
     assert values == pytest.approx((4.5 - 2.0, 4.5 - 1.0, 4.5 - 4.0), abs=1e-9)
-    assert [score.quiet.damage.value for score in scores] == pytest.approx([-1.0, 0.0, 0.0, 8.0])
+    assert [score.cost.value for score in scores] == pytest.approx([-1.0, 0.0, 0.0, 8.0])
 
 
 def test_five_sentences_say_what_the_table_does() -> None:
@@ -99,7 +99,7 @@ def test_two_seeds_have_no_interval_and_decide_nothing() -> None:
 def test_an_attack_in_which_nobody_lied_is_no_worst_case() -> None:
     scores = Scoreboard(table_of(ERRORS, silent=("Robosac", "Ghost"))).scores
     (robosac,) = (score for score in scores if score.defence == "Robosac")
-    assert (robosac.worst.attack, robosac.worst.scene) == ("Flood", "4 poles")
+    assert (robosac.worst.of["attack"], robosac.worst.of["scene"]) == ("Flood", "4 poles")
 
 
 def test_a_defence_that_does_more_harm_than_any_attack_is_beaten_by_its_own_cost() -> None:
@@ -119,12 +119,12 @@ def test_where_no_defence_has_a_better_worst_case_than_none_the_first_sentence_s
 def test_marks_are_adjusted_for_every_case_that_a_score_is_chosen_from() -> None:
     whole = table_of(ERRORS)
     board = Scoreboard(whole)
-    tested = [key for key in board.adjusted if key[1].attack]
+    tested = [key for key in board.adjusted if key[1].of["attack"]]
     assert len(tested) == len(board.adjusted), "equal values, as of runs without an attack, have no test"
     damages = [row for name, row in tested if name == "damage"]
     assert len(damages) == 2 * 2 * len(ERRORS), "of two attacks in two kinds of scene"
     for name, row in tested:
-        assert board.adjusted[name, row] >= getattr(row, name).p
+        assert board.adjusted[name, row] >= row[name].p
     rows = list(csv.DictReader(io.StringIO(scoreboard_tables(whole).as_csv())))
     assert len(rows) == 3 * 3 * 2 * len(ERRORS)
     assert {(row["defence"], row["attack"]) for row in rows if row["worst"] == "1"} >= {("Cad", "Ghost")}
