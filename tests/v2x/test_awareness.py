@@ -20,11 +20,6 @@ def generated(rules: CamGeneration, frame: int, x: float = 0.0, v: float = 0.0, 
     return rules.generate(frame * FRAME_NS, np.array([x, 0.0, 0.0]), np.array([v, 0.0, 0.0]), yaw).generated
 
 
-def test_a_station_at_rest_sends_once_a_second() -> None:
-    rules = CamGeneration()
-    assert [frame for frame in range(31) if generated(rules, frame)] == [0, 10, 20, 30]
-
-
 @pytest.mark.parametrize(
     ("change", "due"),
     [

@@ -15,23 +15,9 @@ from mast_zenoh.errors import MessageError
 from mast_zenoh.v2x import cam
 from mast_zenoh.v2x.asn1 import cam_fields, uper
 from mast_zenoh.v2x.asn1.plain import to_plain
-from mast_zenoh.v2x.perceived_objects import ABSENT
 from mast_zenoh.v2x.reference_position import Position
 
-PATH = np.array([[-50, 3, 0, 20], [-90, 5, 12800, ABSENT]])
 MESSAGE = cam.Cam(4711, 12345, 5, Position(520_000_000, 94_000_000))
-
-
-@pytest.mark.parametrize("status", [None, cam.VehicleStatus(0, 0b10010000, PATH), cam.VehicleStatus(7)])
-@pytest.mark.parametrize("vehicle", [None, cam.VehicleMotion(), cam.VehicleMotion(heading=900, speed=1389, width=18)])
-def test_a_message_survives_encoding(vehicle, status):
-    received = cam.decode(cam.encode(dataclasses.replace(MESSAGE, vehicle=vehicle, status=status)))
-    assert (received.station_id, received.generation_delta_time, received.station_type) == (4711, 12345, 5)
-    assert (received.position, received.vehicle, received.unread) == (MESSAGE.position, vehicle, frozenset())
-    assert (received.status is None) == (status is None)
-    if status is not None:
-        assert (received.status.role, received.status.lights) == (status.role, status.lights)
-        np.testing.assert_array_equal(received.status.path, status.path)
 
 
 @settings(max_examples=60)

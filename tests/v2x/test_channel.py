@@ -104,29 +104,13 @@ def test_transmissions_of_one_frame_load_the_time_between_two_frames() -> None:
     assert loaded_one < lossless
 
 
-def test_the_busy_ratio_is_at_most_one() -> None:
-    busy = RadioChannel().busy_ratio(line(0.0, 1.0), on_air((0, 0, 90), (1, 0, 90)), 100_000_000)
-    assert busy.tolist() == [1.0, 1.0]
-
-
 def clear(audible: Bools, load: Floats, hidden_terminals: bool = True) -> Floats:
     """Probabilities that nothing collides, for shares of time in which stations transmit."""
     return clear_probability(audible, np.rint(load * 1e8).astype(np.int64), 100_000_000, hidden_terminals)
 
 
-def test_on_an_idle_channel_nothing_collides() -> None:
-    assert clear(np.ones((3, 3), bool), np.zeros(3)).min() == 1.0
-
-
 #: Stations 0 and 2 do not hear each other; station 1 hears both.
 HIDDEN: Bools = np.array([[1, 1, 0], [1, 1, 1], [0, 1, 1]], bool)
-
-
-def test_a_hidden_terminal_collides_as_in_pure_aloha() -> None:
-    load = np.array([0.0, 0.0, 0.2])
-    assert clear(HIDDEN, load)[0, 1] == pytest.approx(np.exp(-2.0 * 0.2))
-    assert clear(HIDDEN, load, hidden_terminals=False)[0, 1] == 1.0
-    assert clear(HIDDEN, load)[2, 1] == 1.0, "a station does not collide with itself"
 
 
 def test_hidden_terminals_collide_as_in_a_simulation_of_their_start_times() -> None:
@@ -164,15 +148,6 @@ def test_stations_that_hear_each_other_collide_as_in_a_simulation_of_backoff_and
             served += 1
         now = ends
     assert 1.0 - collided / messages == pytest.approx(expected, abs=tolerance)
-
-
-def test_on_a_saturated_channel_most_transmissions_collide() -> None:
-    assert clear(np.ones((60, 60), bool), np.full(60, 0.05)).max() < 0.15
-
-
-def test_two_stations_never_saturate_their_channel_with_collisions() -> None:
-    """Only the other one can wait."""
-    assert clear(np.ones((2, 2), bool), np.ones(2))[0, 1] == pytest.approx(1.0 - 2.0 / 17.0)
 
 
 def loaded(load: list[float]) -> Transmissions:

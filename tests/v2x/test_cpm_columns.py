@@ -46,30 +46,6 @@ def message(**fields) -> cpm.Cpm:
     return cpm.Cpm(4711, 690_000_000_000, Position(520_000_000, 94_000_000), **fields)
 
 
-def assert_equal(one: cpm.Cpm, other: cpm.Cpm) -> None:
-    for field in dataclasses.fields(cpm.Cpm):
-        a, b = getattr(one, field.name), getattr(other, field.name)
-        if isinstance(a, PerceivedObjects):
-            np.testing.assert_array_equal(a.table, b.table)
-            np.testing.assert_array_equal(a.classes, b.classes)
-            np.testing.assert_array_equal(a.sensors, b.sensors)
-            np.testing.assert_array_equal(a.correlations, b.correlations)
-        else:
-            np.testing.assert_array_equal(a, b)
-
-
-def test_columns_survive_encoding():
-    sensors = np.array([[3, 2, 95, 1], [4, 1, ABSENT, 0]])
-    sent = message(objects=two_objects(), known_objects=2, vehicle=(900, 10), sensors=sensors, segment=(1, 3))
-    assert_equal(cpm.decode(cpm.encode(sent)), sent)
-    for sent in (message(rsu=True), message(objects=PerceivedObjects.empty(0), known_objects=300, rsu=True)):
-        received = cpm.decode(cpm.encode(sent))
-        assert received.rsu
-        assert received.known_objects == (None if sent.objects is None else 255)
-    with pytest.raises(MessageError, match=r"payload.cpmContainers: found 0 elements, expected 1..8"):
-        cpm.encode(message())
-
-
 def test_columns_have_the_fields_of_the_standard():
     values = cpm.to_values(message(objects=two_objects()))
     (container,) = to_plain(cpm_fields.LAYOUT, values)["payload"]["cpmContainers"]

@@ -12,19 +12,9 @@ from hypothesis import strategies as st
 from perceptions import FRAME_NS, objects, perceived, reports, sent_ids
 
 from mast_zenoh.arrays.states import CLASSES, ObjectStates, concatenate
-from mast_zenoh.config.registry import build, known_types
+from mast_zenoh.config.registry import build
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.v2x import CpmGeneration, DistanceRedundancy, EveryFrame, GenerationRules, Perception, RedundancyRule
-
-NOTHING = objects()
-
-
-def test_both_rules_can_be_named_in_a_scenario_with_redundancy_rules() -> None:
-    assert {"EveryFrame", "CpmGeneration"} <= known_types(GenerationRules).keys()
-    spec = dict(type="CpmGeneration", moved_m=2, redundancy=[dict(type="DistanceRedundancy", distance_m=50)])
-    rules = build(spec, GenerationRules, "generation")
-    assert rules.moved_m == 2.0
-    assert isinstance(rules.redundancy[0], DistanceRedundancy)
 
 
 @pytest.mark.parametrize(
@@ -70,12 +60,6 @@ def sent(rules: GenerationRules, frame: int, states: ObjectStates, **others: Any
     return sorted(sent_ids(rules.generate(perceived(frame, states, **others)), states))
 
 
-def test_a_new_object_is_sent_at_once_and_an_unchanged_one_after_a_second() -> None:
-    rules = CpmGeneration()
-    frames = [frame for frame in range(25) if sent(rules, frame, objects(1)) == [1]]
-    assert frames == [0, 10, 20]
-
-
 @pytest.mark.parametrize(
     ("change", "due"),
     [
@@ -92,18 +76,6 @@ def test_an_object_is_sent_if_it_moved_or_changed_its_speed_or_direction(change:
     rules = CpmGeneration()
     assert sent(rules, 0, objects(1, v=(10.0, 0.0))) == [1]
     assert sent(rules, 1, objects(1, **(dict(v=(10.0, 0.0)) | change))) == ([1] if due else [])
-
-
-def test_changes_count_from_what_was_sent_not_from_the_last_frame() -> None:
-    rules = CpmGeneration()
-    frames = [frame for frame in range(10) if sent(rules, frame, objects(1, x=1.5 * frame, v=(15.0, 0.0)))]
-    assert frames == [0, 3, 6, 9]
-
-
-def test_a_direction_across_the_limits_of_angles_is_a_small_turn() -> None:
-    rules = CpmGeneration()
-    sent(rules, 0, objects(1, v=(-10.0, 0.1)))
-    assert sent(rules, 1, objects(1, v=(-10.0, -0.1))) == []
 
 
 def with_speed_std(states: ObjectStates, std_mps: float) -> ObjectStates:
@@ -150,28 +122,6 @@ def test_an_object_that_was_never_seen_to_move_does_not_turn_by_beginning_to() -
     assert sent(rules, 1, estimated((5.0, 0.0))) == []
 
 
-def test_road_users_of_type_a_are_sent_together_every_half_second() -> None:
-    rules = CpmGeneration()
-    both = concatenate([objects(1, cls="pedestrian"), objects(2, cls="bicycle")])
-    frames = [frame for frame in range(12) if sent(rules, frame, both) == [1, 2]]
-    assert frames == [0, 5, 10]
-
-
-def test_a_new_road_user_of_type_a_brings_all_others_and_no_car() -> None:
-    rules = CpmGeneration()
-    before = concatenate([objects(1, 2, cls="pedestrian"), objects(9)])
-    sent(rules, 0, before)
-    assert sent(rules, 1, before) == []
-    assert sent(rules, 2, concatenate([before, objects(3, cls="pedestrian")])) == [1, 2, 3]
-    assert sent(rules, 3, concatenate([before, objects(4)])) == [4], "a new car comes alone"
-
-
-def test_movement_alone_does_not_make_a_pedestrian_due() -> None:
-    rules = CpmGeneration()
-    sent(rules, 0, objects(1, cls="pedestrian"))
-    assert sent(rules, 1, objects(1, x=50.0, cls="pedestrian")) == []
-
-
 def test_objects_of_low_quality_are_not_sent_and_bring_no_others() -> None:
     rules = CpmGeneration()
     states = objects(1, 2, 3, cls="pedestrian")
@@ -181,19 +131,6 @@ def test_objects_of_low_quality_are_not_sent_and_bring_no_others() -> None:
 
 def test_quality_follows_from_the_score_by_default() -> None:
     assert sent(CpmGeneration(), 0, objects(1, 2).with_(score=np.array([0.1, 0.9]))) == [2]
-
-
-def test_without_objects_only_sensor_information_is_sent_once_a_second() -> None:
-    rules = CpmGeneration()
-    messages = {frame: rules.generate(perceived(frame, NOTHING)) for frame in range(21)}
-    assert [frame for frame, message in messages.items() if message.generated] == [0, 10, 20]
-    assert all(message.sensors == message.generated for message in messages.values())
-
-
-def test_a_message_waits_for_the_least_interval() -> None:
-    rules = CpmGeneration(least_s=0.4)
-    moving = [objects(1, x=50.0 * frame) for frame in range(20)]
-    assert [frame for frame in range(20) if sent(rules, frame, moving[frame])] == [0, 4, 8, 12, 16]
 
 
 def test_frames_whose_times_are_rounded_are_not_skipped() -> None:

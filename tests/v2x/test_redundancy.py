@@ -7,7 +7,6 @@ import pytest
 from perceptions import FRAME_NS, objects, reports
 
 from mast_zenoh.arrays.states import Bools, ObjectStates
-from mast_zenoh.config.registry import known_types
 from mast_zenoh.v2x import (
     DistanceRedundancy,
     DynamicsRedundancy,
@@ -31,10 +30,6 @@ def left_out(rule: RedundancyRule, own: ObjectStates, heard: HeardObjects, frame
     """Which objects are left out."""
     redundant: Bools = rule.redundant(frame * FRAME_NS, own, ORIGIN, heard)
     return redundant.tolist()
-
-
-def test_all_rules_can_be_named() -> None:
-    assert {type(rule).__name__ for rule in RULES} <= known_types(RedundancyRule).keys()
 
 
 @pytest.mark.parametrize("rule", RULES, ids=lambda rule: type(rule).__name__)

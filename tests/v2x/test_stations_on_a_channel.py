@@ -125,8 +125,3 @@ def test_stations_that_start_in_one_frame_collide_although_the_mean_load_is_low(
     apart = simulated(EveryFrame, ReactiveDcc(), 100)
     assert together.busy < 0.4
     assert together.arrived < 0.8 < 0.95 < apart.arrived
-
-
-def test_a_simulation_repeats_exactly() -> None:
-    first, second = (simulated(CpmGeneration, AdaptiveDcc(), 10) for _ in range(2))
-    assert first == second
