@@ -86,6 +86,13 @@ def test_a_slow_car_brakes_for_what_it_would_hit_within_a_second_and_a_half(real
     assert (brake["cause"]["kind"], brake["needless"]) == (kind, needless)
 
 
+def test_a_brake_before_a_line_is_needful() -> None:
+    x, _ = braking(10)
+    routes = {row: straight(place, stop_m=max(30.0 - place, 0.0)) for row, place in enumerate(x)}
+    (brake,) = brakes(objects([]), real=-1, routes=routes)
+    assert (brake["cause"], brake["needless"]) == ({"object": None, "kind": "line", "adversary": None}, False)
+
+
 def test_a_brake_before_a_bend_is_needful_and_has_no_object() -> None:
     x, _ = braking(10)
     routes = {row: straight(place, limit=4.0) for row, place in enumerate(x)}

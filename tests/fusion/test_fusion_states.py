@@ -255,3 +255,8 @@ def test_invalid_covariances_do_not_break_the_fusion(fusion, covariance):
     three.covariance[1] = covariance
     fused = fusion.fuse(three, together(3))
     assert all(np.isfinite(column).all() for column in fused.columns().values())
+
+
+def test_no_members_fuse_to_no_states():
+    for fusion in FUSIONS:
+        assert len(fusion.fuse(ObjectStates.empty(), together(0))) == 0

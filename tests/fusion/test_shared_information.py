@@ -206,3 +206,8 @@ def test_trust_counts_with_any_share():
     for share in (0.0, 0.5, 1.0):
         fused = CI(independent_share=share).fuse(states, labels, weights)
         assert np.allclose(vectors_of(fused), estimates[0][0], atol=1e-3)
+
+
+def test_a_share_outside_0_to_1_is_named():
+    with pytest.raises(ValueError, match="independent_share"):
+        CI(independent_share=1.1)

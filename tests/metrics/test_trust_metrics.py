@@ -176,6 +176,10 @@ def test_what_agents_relay_is_judged_apart_and_the_relay_of_an_honest_agent_is_h
     assert [each["deceived"] for each in short["suspensions"]] == [True, False]
 
 
+def test_without_relays_nothing_is_said_about_them() -> None:
+    assert "relays" not in integrity([update(0, {"a": TRUSTED})], frames_of(), {}, AGENTS, np.arange(20), {}, 0.1, 2.0)
+
+
 def test_seconds_are_split_by_conduct_and_state() -> None:
     agent, whole = summarised([TRUSTED, SUSPENDED, SUSPENDED, FAULTY, FAULTY], lies=(1,), faults=(3,), last=1)
     assert agent["seconds"]["honest"]["trusted"] == pytest.approx(0.1)

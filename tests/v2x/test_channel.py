@@ -113,6 +113,13 @@ def clear(audible: Bools, load: Floats, hidden_terminals: bool = True) -> Floats
 HIDDEN: Bools = np.array([[1, 1, 0], [1, 1, 1], [0, 1, 1]], bool)
 
 
+def test_a_hidden_terminal_collides_as_in_pure_aloha() -> None:
+    load = np.array([0.0, 0.0, 0.2])
+    assert clear(HIDDEN, load)[0, 1] == pytest.approx(np.exp(-2.0 * 0.2))
+    assert clear(HIDDEN, load, hidden_terminals=False)[0, 1] == 1.0
+    assert clear(HIDDEN, load)[2, 1] == 1.0, "a station does not collide with itself"
+
+
 def test_hidden_terminals_collide_as_in_a_simulation_of_their_start_times() -> None:
     rng = np.random.default_rng(1)
     airtime, rate, trials = 1e-3, 300.0, 20_000  # the load of the hidden station is 0.3
