@@ -97,14 +97,6 @@ def test_states_of_other_filters_give_an_upper_bound_only() -> None:
     assert found["nis"] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_reset_begins_anew() -> None:
-    tracker = played(KalmanBoxTracker3D(), 0.4, frames=5)
-    tracker.reset()
-    assert summary(tracker) == Innovations().summary()
-    assert summary(tracker)["pairs"] == 0
-    assert summary(tracker)["nis"] is None
-
-
 def test_the_command_centre_passes_on_what_its_tracker_tells() -> None:
     tracker = KalmanBoxTracker3D()
     for each, expected in ((tracker, tracker.innovations), (SilentTracker(), None)):

@@ -112,8 +112,3 @@ def run_again(scene: Frames, tracks: list[list[ObjectStates]], centre: CommandCe
         centre.step(time_ns, concatenate(own), np.repeat(np.arange(len(own)), [len(o) for o in own]), names)[0]
         for time_ns, own in zip(scene.time_ns, tracks, strict=True)
     ]
-
-
-def test_ids_are_sorted_and_unique(result):
-    for picture in result[1]:
-        assert (np.diff(picture.id) > 0).all()

@@ -169,10 +169,6 @@ def test_the_probability_of_an_object_never_decreases_with_the_score_and_is_a_pr
             assert probability[-1] == 1.0
 
 
-def test_nothing_is_known_before_the_first_samples() -> None:
-    assert ScoreCalibration().probability(rows([0.0, 0.0])) is None
-
-
 def test_any_numbers_are_survived_and_the_memory_is_bounded() -> None:
     random = np.random.default_rng(0)
     score = random.choice([np.nan, np.inf, -np.inf, 0.0, 1e300, -1e300, 5e-324], 4000)
@@ -295,12 +291,6 @@ def test_scores_that_say_nothing_about_moving_tracks_are_no_probabilities() -> N
         assert prior.believed or prior._counts.sum() > 8
         for case in ((LOW, STILL), (LOW, FAST), (HIGH, STILL), (HIGH, FAST)):
             prior.add(tracks_of(*case))
-    assert not prior.believed
-
-
-def test_scores_are_no_probabilities_if_nearly_everything_that_lasts_scores_low() -> None:
-    prior = ScorePrior()
-    prior.add(tracks_of(LOW, STILL, 20))
     assert not prior.believed
 
 

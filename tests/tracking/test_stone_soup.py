@@ -22,7 +22,6 @@ from mast_zenoh.config import loading
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.launch.file_server import files_for_node
 from mast_zenoh.run_folder.recording.difference import compare, explain
 from mast_zenoh.tracking import StoneSoupTracker
 from mast_zenoh.tracking.association import Measured
@@ -134,15 +133,6 @@ def test_a_track_without_a_detection_coasts_and_says_so() -> None:
     assert tracker.matched.tolist() == [-1, -1]
     car = after.class_id == CLASS_INDEX["car"]
     assert after.position[car, 0] > before.position[car, 0] + 1.0
-
-
-def test_ids_are_never_used_again() -> None:
-    tracker = StoneSoupTracker(options=dict(confirm_detections=1, coast_s=0.15))
-    ids = []
-    for frame in range(0, 30, 5):
-        ids += tracker.step(nanoseconds(frame), detected([[50.0 * frame, 0.0]])).id.tolist()
-    assert ids == list(range(len(ids)))
-    assert len(ids) >= 5
 
 
 class Lagging:
@@ -323,15 +313,6 @@ def test_a_wrong_builder_is_refused_before_the_run(mine: Callable[[str], Path], 
         resolved(mine(builder))
 
 
-@pytest.mark.parametrize(
-    ("parameters", "problem"),
-    [(dict(score=1.0), "score: found 1.0"), (dict(size_std_m=0.0), "size_std_m: found 0.0")],
-)
-def test_a_wrong_parameter_is_refused(parameters: dict[str, Any], problem: str) -> None:
-    with pytest.raises(ValueError, match=problem):
-        StoneSoupTracker(**parameters)
-
-
 # -- runs --------------------------------------------------------------------------------------------------------------
 
 
@@ -361,11 +342,3 @@ def test_a_user_builder_tracks_in_its_own_state_space(mine: Callable[[str], Path
     assert pedestrian.size[0] == pytest.approx([0.6, 0.6, 1.7]), "of its last detection"
     assert pedestrian.position[0] == pytest.approx([0.0, 20.5, 0.85], abs=0.1)
     assert tracker.matched.tolist() == [0]
-
-
-def test_a_builders_files_reach_nodes_on_other_hosts(mine: Callable[[str], Path], tmp_path: Path) -> None:
-    sent = dict(files_for_node(resolved(mine("my_tracker.py:build")), "ego", tmp_path))
-    assert {"files/0/my_tracker.py", "files/0/my_numbers.py"} <= sent.keys()
-    content = sent["scenario.json"]
-    assert isinstance(content, bytes)
-    assert b'"builder": "files/0/my_tracker.py:build"' in content

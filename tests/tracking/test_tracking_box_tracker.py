@@ -139,13 +139,6 @@ def test_reversed_detections_do_not_reverse_the_heading(speed, yaw, reversed_in)
             assert abs(tracks.yaw[0] - yaw) < 0.1
 
 
-def test_the_class_is_the_most_frequent_one():
-    tracker = KalmanBoxTracker3D()
-    for frame in range(12):
-        tracks = tracker.step(nanoseconds(frame), detected([10.0, 0.0], 0.0, "truck" if frame % 3 else "car"))
-    assert tracks.class_id[0] == CLASS_INDEX["truck"]
-
-
 def test_a_detection_with_a_small_covariance_has_a_large_weight():
     certain, unsure = KalmanBoxTracker3D(), KalmanBoxTracker3D()
     for frame in range(3):
@@ -210,24 +203,6 @@ def test_matched_gives_the_row_used_to_update_each_track():
     np.testing.assert_allclose(xy[tracker.matched], tracks.position[:, :2], atol=0.1)
     tracks = tracker.step(nanoseconds(10), detected(xy[[2]]), view())
     assert tracker.matched.tolist() == [0 if round(x) == 20 else -1 for x in tracks.position[:, 0]]
-
-
-def test_returned_tracks_are_copies():
-    tracker = KalmanBoxTracker3D()
-    tracks = settled(tracker, [10.0, 0.0])
-    tracks.position[:] = 1e6
-    tracks.covariance[:] = np.nan
-    again = tracker.step(nanoseconds(10), detected([10.0, 0.0]))
-    np.testing.assert_allclose(again.position[0, :2], [10.0, 0.0], atol=0.1)
-
-
-def test_reset_restores_the_initial_state():
-    tracker = KalmanBoxTracker3D()
-    first = settled(tracker, [10.0, 0.0])
-    tracker.reset()
-    second = settled(tracker, [10.0, 0.0])
-    for name, column in first.columns().items():
-        np.testing.assert_array_equal(column, second.columns()[name])
 
 
 def test_time_steps_may_have_any_length_including_zero():

@@ -44,12 +44,6 @@ def test_no_row_is_assigned_twice_or_at_positive_cost_and_the_bipartite_assignme
         assert cost[chosen].sum() == table[linear_sum_assignment(table)].sum(), "the least total cost"
 
 
-def test_greedy_assignment_takes_the_cheapest_pair_even_at_a_higher_total_cost():
-    row, column, cost = columns([(0, 0, -9.0), (0, 1, -8.0), (1, 0, -8.0)])
-    assert GreedyAssignment().match(row, column, cost).tolist() == [0]
-    assert BipartiteAssignment().match(row, column, cost).tolist() == [1, 2]
-
-
 # -- filter
 
 
@@ -127,12 +121,6 @@ def test_any_finite_matrix_is_repaired(values):
     np.testing.assert_array_equal(result, result.transpose(0, 2, 1))
 
 
-def test_a_valid_covariance_is_unchanged():
-    P = covariances(some_tracks(4)[1])
-    P = 0.5 * (P + P.transpose(0, 2, 1))
-    np.testing.assert_array_equal(make_positive_definite(P), P)
-
-
 # -- inverses
 
 
@@ -177,25 +165,10 @@ def test_an_object_is_expected_inside_the_field_of_view_and_half_at_its_edge():
     assert pole.visible_fraction(boxes([[edge, 0.0, 0.8]], CAR), NO_BOXES)[0] == pytest.approx(0.5)
 
 
-def test_a_full_circle_has_no_edge():
-    roof = SensorView(np.zeros(3), np.eye(3), -np.pi, np.pi, -0.3, 0.3, 50.0)
-    assert roof.visible_fraction(boxes([[-20.0, 0.0, 0.0], [-20.0, -0.01, 0.0]], CAR), NO_BOXES).tolist() == [1.0, 1.0]
-
-
 def test_an_object_occludes_only_objects_behind_it():
     cars = boxes([[40.0, 0.0, 0.7], [40.0, 15.0, 0.7], [8.0, 0.0, 0.7], [-40.0, 0.0, 0.7]], CAR)
     lorry = boxes([[20.0, 0.0, 1.7]], [9.0, 2.5, 3.5])
     assert all_round([0.0, 0.0, 1.8]).visible_fraction(cars, lorry).tolist() == [0.0, 1.0, 1.0, 1.0]
-
-
-def test_a_pole_looks_over_a_car():
-    behind, before = boxes([[40.0, 0.0, 0.7]], CAR), boxes([[20.0, 0.0, 0.7]], CAR)
-    assert all_round([0.0, 0.0, 15.0]).visible_fraction(behind, before).tolist() == [1.0]
-
-
-def test_no_object_occludes_itself():
-    cars = boxes([[40.0, 0.0, 0.7], [60.0, 30.0, 0.7]], CAR)
-    assert all_round([0.0, 0.0, 0.0]).visible_fraction(cars, cars).tolist() == [1.0, 1.0]
 
 
 # -- footprints
