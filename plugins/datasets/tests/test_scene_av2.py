@@ -10,7 +10,7 @@ from av2_writer import BOXES, FRAMES, POSES, boxes, poses, write, write_log
 from mast_datasets import AV2Log
 
 from mast_zenoh.arrays.states import CLASSES
-from mast_zenoh.errors import ConfigurationError, SceneError
+from mast_zenoh.errors import SceneError
 from mast_zenoh.scenes import Recording
 from mast_zenoh.sensing import CleanDetector
 
@@ -111,11 +111,6 @@ def test_recorded_vehicles_get_a_lidar_on_the_roof(log: Path) -> None:
     np.testing.assert_allclose(bus.sensor.mount_position, [0.0, 0.0, 3.2])
     assert recording.points_at(2)[:, 1].tolist()[2] == 0  # it does not see itself,
     assert recording.points_at(2)[0, 1] >= 5  # but the ego behind it
-
-
-def test_more_cars_than_there_are_vehicles_are_refused(log: Path) -> None:
-    with pytest.raises(ConfigurationError, match="n_mobile is 2, expected 0 to 1: 1 vehicles besides the ego"):
-        read(log, n_mobile=2)
 
 
 def with_value(name: str, row: int, value: object) -> Callable[[dict[str, Any]], dict[str, Any]]:

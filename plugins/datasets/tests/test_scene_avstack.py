@@ -115,14 +115,6 @@ def test_the_run_is_found_from_the_folder_above_and_in_an_archive(run: Path, tmp
         np.testing.assert_array_equal(read(path).truth.position, expected.truth.position)
 
 
-def test_an_archive_with_paths_outside_its_folder_is_refused(run: Path, tmp_path: Path) -> None:
-    (tmp_path / "evil.txt").write_text("x")
-    with tarfile.open(tmp_path / "scene.tar", "w") as archive:
-        archive.add(tmp_path / "evil.txt", "../evil.txt")
-    with pytest.raises(SceneError, match=r"scene\.tar: cannot be unpacked"):
-        read(tmp_path / "scene.tar")
-
-
 def test_detections_next_to_the_scene_are_replayed(run: Path) -> None:
     lines = nothing("detections")
     detection = BOX | {"yaw": 1.5, "score": 0.75, "class": "car"}
@@ -157,24 +149,9 @@ def test_visibility_and_building_files_next_to_the_scene_are_used(run: Path) -> 
     assert recording.building_height.tolist() == [9.0]
 
 
-def test_agents_and_frames_can_be_left_out(run: Path) -> None:
-    recording = AVstackScene(path=str(run), n_infrastructure=0).record(0, 2)
-    assert recording.agent_names == ("ego",)
-    assert len(recording) == 2
-    assert read(run).agent_names == read(run, n_infrastructure=1, n_mobile=0).agent_names == ("ego", "infra_1")
-
-
-def test_more_agents_than_the_scene_has_are_refused(run: Path) -> None:
-    with pytest.raises(ConfigurationError, match=f"{run}: n_infrastructure is 9, expected 0 to 1: .* 1 static agents"):
-        read(run, n_infrastructure=9)
-    with pytest.raises(ConfigurationError, match=f"{run}: n_mobile is 1, expected 0 to 0: .* 0 mobile agents besides"):
-        read(run, n_mobile=1)
-
-
 def played(*settings: str) -> dict[str, NodeSpec]:
     """The nodes of the baseline with these settings."""
-    path, content = scenario.load("baseline", settings)
-    return scenario.resolve(path, content).nodes
+    return scenario.resolve(*scenario.load("baseline", settings)).nodes
 
 
 def test_all_agents_of_a_scene_with_two_cars_are_used_by_default(tmp_path: Path) -> None:
@@ -239,22 +216,13 @@ TURNED = json.loads(json.dumps(npcs_at(5)[1]).replace("1.0", "2.0"))
         (removed("objects/*-0000000006-*"), "objects: frame 5 is followed by 7, expected 6"),
         (removed("objects_sensor/lidar-0-1/*-0000000006-*"), "lidar-0-1: no objects file for frame 6"),
         (Damage("", lambda run: shutil.rmtree(run / "data/lidar-0-0")), "data: no folder lidar-<k>-0 for agent 0"),
-        (
-            text(CALIBRATION, "1.8]", "5.8]"),
-            r"the lidar is at \[0\.5, 0\.0, 5\.8\], expected \[0\.5, 0\.0, 1\.8\]",
-        ),
+        (text(CALIBRATION, "1.8]", "5.8]"), r"the lidar is at \[0\.5, 0\.0, 5\.8\], expected \[0\.5, 0\.0, 1\.8\]"),
         (text(NPCS, "20.0", "NaN", 9), r"data\[1\]\.objectstate\.position: not JSON"),
         (text(NPCS, "20.0", "1e999", 9), r"data\[1\]\.objectstate\.position: not JSON: Number out of range"),
         (text(NPCS, "attitude", "altitude", 99), r"data\[0\]\.objectstate: attitude is missing"),
         (npcs(npcs_at(5)[0], TURNED), r"data\[1\]\..*expected a quaternion qw, qv of length 1"),
-        (
-            npcs(state("car", 4, [0.0, 0.0, 0.0], where="top")),
-            r"data\[0\]\..*where_is_t: found 'top', expected one of bottom, center",
-        ),
-        (
-            npcs(state("car", 4, [0.0, 0.0, 0.0], hwl=[0.0, 1.0, 1.0])),
-            r"data\[0\]\..*hwl\[0\]: found .*, expected `float` > 0",
-        ),
+        (npcs(state("car", 4, [0.0, 0.0, 0.0], where="top")), r"data\[0\]\..*where_is_t: found 'top', expected one of"),
+        (npcs(state("car", 4, [0.0, 0.0, 0.0], hwl=[0.0, 1.0, 1.0])), r"data\[0\]\..*hwl\[0\]: found .*, expected"),
         (npcs(npcs_at(5)[0], npcs_at(5)[0]), "two objects have the same ID"),
         (text(ACTORS, '"frame": 5', '"frame": 9'), "frame: found 9, expected 5 as in the name"),
         (Damage("-actors-", at_time_of_frame_before), r"time 0\.4 s is not later than 0\.4 s"),
@@ -386,9 +354,3 @@ def test_ray_casting_reproduces_the_returns_listed_in_scene_a(scene_a: Path) -> 
                 int(own[0]) if len(own) else -1,
             )
             np.testing.assert_allclose(cast, recording.points_at(frame)[:, a], atol=1)
-
-
-def test_the_archive_of_scene_a_is_the_same_scene(scene_a: Path, scene_a_archive: Path) -> None:
-    one, other = (AVstackScene(path=str(path)).record(0, 3) for path in (scene_a, scene_a_archive))
-    np.testing.assert_array_equal(one.truth.position, other.truth.position)
-    np.testing.assert_array_equal(one.detections.position, other.detections.position)

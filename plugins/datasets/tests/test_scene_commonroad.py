@@ -183,10 +183,6 @@ def test_a_path_without_a_single_scenario_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("parameters", "message"),
     [
-        (
-            dict(n_mobile=2),
-            r"road\.xml: n_mobile is 2, expected 0 to 1: 1 vehicles besides the ego have a box in all 5",
-        ),
         (dict(ego=12), r"road\.xml: ego is 12, expected the id of a dynamic vehicle: 1, 2, 3"),
         (dict(building_height_m=0.0), "building_height_m is 0.0, expected 0.1 to 1000"),
     ],

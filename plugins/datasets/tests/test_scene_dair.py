@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +12,9 @@ from comparison import assert_same, junction
 from damages import GONE, Damage, assert_refused, removed, value
 from mast_datasets import DAIRScene, RCooperScene
 from mast_datasets.dair import linked, matched
-from mast_datasets.dair_files import CLASS_OF_TYPE, LEFT_OUT
 from mast_datasets.traffic import Labels
 
 from mast_zenoh.arrays.geometry import heading
-from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes import Recording
 from mast_zenoh.scenes.recording import NO_MEASUREMENT
@@ -154,10 +151,7 @@ def test_objects_seen_without_a_count_have_at_least_5_returns(short: Path) -> No
 def test_the_time_between_car_and_pole_is_exposed_and_limited(short: Path) -> None:
     scene = DAIRScene(path=str(short / "spd"))
     np.testing.assert_allclose(scene.time_differences_s(), np.full(FEW, 0.02))
-    with pytest.raises(
-        SceneError,
-        match=r"infrastructure-side/data_info.json: frame 000010: the frame of infra_1 is \+0.020 s away.* 0.01 s",
-    ):
+    with pytest.raises(SceneError, match=r"data_info.json: frame 000010: .*infra_1 is \+0.020 s .* 0.01 s"):
         DAIRScene(path=str(short / "spd"), max_time_difference_s=0.01).record(0, 1)
     poles = RCooperScene(path=str(short / "rcooper"))
     np.testing.assert_allclose(poles.time_differences_s()["120"], np.full(FEW, 0.026))
@@ -209,19 +203,6 @@ def test_a_range_of_frames_is_read(short: Path) -> None:
         read_spd(short / "spd", first_frame=900)
 
 
-def test_the_number_of_agents_is_chosen(short: Path) -> None:
-    assert read_spd(short / "spd", n_infrastructure=0, n_mobile=0).agent_names == ("ego",)
-    assert read_rcooper(short / "rcooper", n_infrastructure=1).agent_names == ("ego", "infra_1")
-    with pytest.raises(
-        ConfigurationError, match="n_infrastructure is 2, expected 0 or 1: the data has one car and one"
-    ):
-        DAIRScene(path="x", n_infrastructure=2)
-    with pytest.raises(
-        ConfigurationError, match="n_infrastructure is 3, expected 0 to 2: the site has 2 poles besides"
-    ):
-        read_rcooper(short / "rcooper", n_infrastructure=3)
-
-
 def test_an_impossible_limit_is_refused() -> None:
     for name in ("max_time_difference_s", "max_gap_s", "match_radius_m", "link_radius_m"):
         for limit in (0, -1.0, float("nan"), "far", True):
@@ -262,29 +243,12 @@ def test_track_names_that_are_numbers_are_ids() -> None:
         assert labels.boxes()[0].id.tolist() == expected
 
 
-def test_every_class_of_the_page_is_read_as_it_says() -> None:
-    page = (Path(__file__).parents[3] / "docs" / "scenes_dair.md").read_text()
-    rows = {}
-    for line in page.split("## Classes")[1].split("##")[0].splitlines():
-        cells = [cell.strip() for cell in line.strip("|").split("|")]
-        if len(cells) == 2 and cells[0] in CLASSES:
-            rows[cells[0]] = sorted(name.strip() for name in cells[1].split(","))
-    expected = {
-        label: sorted(name for name, index in CLASS_OF_TYPE.items() if CLASSES[index] == label) for label in CLASSES[1:]
-    }
-    assert {name: types for name, types in rows.items() if name != "unknown"} == expected
-    assert all(name in page for name in LEFT_OUT)
-
-
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
         (value(PAIRS, "", []), "found 0 pairs, expected 1 to"),
         (value(PAIRS, "[1].vehicle_frame", "../../x y"), r"\[1\].vehicle_frame: found .*, expected a name of 1 to 40"),
-        (
-            value(PAIRS, "[1].vehicle_frame", "000099"),
-            "found '000099', expected a frame of vehicle-side/data_info.json",
-        ),
+        (value(PAIRS, "[1].vehicle_frame", "000099"), "found '000099', expected a frame of"),
         (value(PAIRS, "", lambda pairs: [*pairs, pairs[2]]), r"\[4\]: found frame 000012 of the car twice"),
         (value(PAIRS, "[1]", GONE)._replace(file=CAR), "frame 000012: found a gap of 0.200 s after .*(max_gap_s)"),
         (value(PAIRS, "[1].infrastructure_sequence", "0004"), "frames of the pole from the sequences 0003, 0004, exp"),
@@ -323,10 +287,7 @@ def test_a_missing_file_of_v2x_seq_spd_is_refused(short: Path, tmp_path: Path) -
     [
         (value(WORLD_LABELS, "[0].world_8_points", [[0, 0, 0]] * 8), "expected 8 corners of a box with sizes above 0"),
         (value(WORLD_LABELS, "[0].world_8_points", lambda corners: corners[::-1]), "of an upright box"),
-        (
-            value(WORLD_LABELS, "[0].world_8_points[0][0]", 1e12),
-            r"\[0\]\[0\]: found .*, expected `float` <= 100000000",
-        ),
+        (value(WORLD_LABELS, "[0].world_8_points[0][0]", 1e12), r"\[0\]\[0\]: found .*, expected `float` <= 100000000"),
         (value(CAR, "[1].batch_id", GONE), r"\[1\]: batch_id is missing"),
         (value(PAIRS, "[1].vehicle_pointcloud_path", GONE), r"\[1\]: vehicle_pointcloud_path is missing"),
     ],
@@ -336,9 +297,7 @@ def test_a_damaged_twin_of_dair_v2x_c_is_refused(short: Path, tmp_path: Path, da
 
 
 def test_labels_without_track_ids_are_refused_unless_they_are_to_be_linked(short: Path, tmp_path: Path) -> None:
-    with pytest.raises(
-        SceneError, match=r"000010.json: \$\[0\]: track_id is missing.*link_radius_m makes ids by distance"
-    ):
+    with pytest.raises(SceneError, match=r"000010.json: \$\[0\]: track_id is missing.*link_radius_m makes ids by"):
         read_spd(short / "c")
     root = shutil.copytree(short / "c", tmp_path / "c")
     value(WORLD_LABELS, "[0].track_id", "17").apply(root)
@@ -366,10 +325,7 @@ def test_a_folder_that_is_no_data_set_is_refused(short: Path, tmp_path: Path) ->
     [
         (value(COOP, "[0].track_id", None), r"\[0\].track_id: found None, expected a name or a number"),
         (value(OWN, "[0].3d_dimensions.h", -2), r"\[0\].3d_dimensions.h: found -2, expected"),
-        (
-            value(CALIBRATION, "translation", [1, 2]),
-            r"translation: found \[1, 2\], expected `array` of length 3, got 2",
-        ),
+        (value(CALIBRATION, "translation", [1, 2]), r"translation: found \[1, 2\], expected `array` of length 3, got"),
     ],
 )
 def test_a_damaged_twin_of_rcooper_is_refused(short: Path, tmp_path: Path, damage: Damage, message: str) -> None:
@@ -387,10 +343,7 @@ def renamed(file: str, name: str) -> Damage:
         (renamed(OWN, "x.json"), "found name x"),
         (renamed(OWN, "1692685344.113000.txt"), "a time in seconds and .json"),
         (renamed(COOP, "1692685349.json"), "expected at most 0.2"),
-        (
-            Damage("", lambda root: shutil.rmtree(root / SITE / "120")),
-            "120: no such folder, expected one for every pole",
-        ),
+        (Damage("", lambda root: shutil.rmtree(root / SITE / "120")), "120: no such folder, expected one for every"),
         (Damage("", lambda root: shutil.rmtree(root / "labels")), "label: .*No such file"),
         (Damage("", lambda root: shutil.rmtree(root / "calib")), "calib/lidar2world/117.json: .*No such file"),
         (Damage("", lambda root: shutil.rmtree(root / SITE / "118" / "seq-4")), "118/seq-4: .*No such file"),
@@ -420,8 +373,3 @@ def test_rcooper_frames_far_apart_are_a_gap(short: Path, tmp_path: Path) -> None
         files[-1].rename(files[-1].with_name("1692685345.5.json"))
     with pytest.raises(SceneError, match=r"coop/seq-4: frame 1692685345.5.json: found a gap of 1.300 s after frame"):
         read_rcooper(root)
-
-
-def test_the_shared_recording_is_sound(original: Recording) -> None:
-    replace(original, name="again").validate()
-    assert ((original.points >= SEEN).sum(axis=0) > FRAMES).all()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from comparison import boxes_of, junction
 from damages import Damage, assert_refused, content, text
-from kitti_writer import IMU_HEIGHT_M, LIDAR_IN_IMU, imu_positions, write_kitti
+from kitti_writer import imu_positions, write_kitti
 from mast_datasets import KittiTracking
 
 from mast_zenoh.arrays.states import CLASSES
@@ -183,10 +183,6 @@ def test_missing_files_and_several_sequences_are_refused(tmp_path: Path) -> None
 def test_parts_and_agents_that_are_not_there_are_refused(parameters: dict, message: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=message):
         read(write(tmp_path), **parameters)
-
-
-def test_the_twin_has_the_lidar_above_the_ground_as_the_reader_expects() -> None:
-    assert LIDAR_IN_IMU[2] + IMU_HEIGHT_M == pytest.approx(1.73)
 
 
 def test_an_empty_line_before_a_pose_is_refused_as_later_poses_would_be_early(tmp_path: Path) -> None:

@@ -115,7 +115,6 @@ def test_agents_and_frames_can_be_chosen(twins: Any) -> None:
 @pytest.mark.parametrize(
     ("parameters", "message"),
     [
-        (dict(n_mobile=3), "n_mobile is 3, expected 0 to 2: the scene has 2 cars besides the ego"),
         (dict(ego=7), "ego is 7, expected the number of a car: 6, 9, 20"),
         (dict(ego=-3), "ego is -3, expected the number of a car: 6, 9, 20"),
         (dict(first_frame=69), "first_frame is 69, expected the number of one of its files, 68 to 106"),
@@ -126,10 +125,6 @@ def test_agents_and_frames_can_be_chosen(twins: Any) -> None:
 def test_parameters_that_the_scenario_does_not_have_are_refused(twins: Any, parameters: Any, message: str) -> None:
     with pytest.raises(ConfigurationError, match=message):
         read(OPV2VScene, twins[OPV2VScene], **parameters)
-
-
-def test_the_scenario_is_found_from_the_folder_above(twins: Any) -> None:
-    assert read(OPV2VScene, twins[OPV2VScene].parent, last_frame=70).name == "scenario"
 
 
 def test_agents_of_multi_v2x_come_by_their_distance_from_the_ego(twins: Any) -> None:

