@@ -182,10 +182,7 @@ A = Column("a", "int64", ("n",))
         (lambda: Schema("my wind", 1, "", ()), "message type 'my wind': expected a name of lower-case letters"),
         (lambda: Schema("wind", 0, "", ()), "message type 'wind': version: found 0, expected a whole number from 1"),
         (lambda: Schema("wind", 1, "", (A, A)), "message type 'wind': column 'a' occurs twice"),
-        (
-            lambda: Schema("wind", 1, "", tuple(replace(A, name=f"a{number}") for number in range(61))),
-            "message type 'wind': 61 columns, expected at most 60",
-        ),
+        (lambda: Schema("wind", 1, "", tuple(replace(A, name=f"a{number}") for number in range(61))), "61 columns"),
     ],
 )
 def test_what_is_wrong_with_a_definition_is_named(define: Any, message: str) -> None:
@@ -217,11 +214,7 @@ def test_a_port_has_the_name_of_the_type_that_it_declares() -> None:
     ("inputs", "outputs", "message"),
     [
         ({}, {"a": replace(WIND, name="tracks")}, r"Bad.outputs\['a'\]: message type 'tracks' comes with mast"),
-        (
-            {"b": WIND},
-            {"a": replace(WIND, version=2)},
-            r"Bad.outputs\['a'\]: another message type of this node is called 'wind'",
-        ),
+        ({"b": WIND}, {"a": replace(WIND, version=2)}, r"Bad.outputs\['a'\]: another message type .*'wind'"),
     ],
 )
 def test_a_node_cannot_declare_a_type_of_a_taken_name(inputs: Any, outputs: Any, message: str) -> None:
