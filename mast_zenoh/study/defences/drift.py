@@ -436,7 +436,7 @@ def _wide(rows: Sequence[Row]) -> tuple[Sequence[str], Sequence[Sequence[object]
         ]
         for row in rows
     ]
-    return [*rows[0].of, "episodes", "detected", "trials", "judged", *_PLAIN, *ends], lines
+    return ["label", "offset_m", "rate_mps", "viewers", "episodes", "detected", "trials", "judged", *_PLAIN, *ends], lines
 
 
 _OF_RUNS = {
