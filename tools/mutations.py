@@ -116,16 +116,19 @@ def drawn(rooms: Sequence[str], count: int, seed: int) -> list[Mutation]:
     return [rng.choice(every[KINDS[number % len(KINDS)]]) for number in range(count)]
 
 
-def is_noticed(mutation: Mutation, tests: Path, work: Path) -> bool:
-    """Whether the tests of a changed file's room fail. tests: the checkout that they are from;  work: a new folder"""
-    tree = work / f"{mutation.file.stem}_{mutation.line}_{mutation.start}"
+def are_red(room: str, mutation: Mutation | None, tests: Path, work: Path) -> bool:
+    """Whether the tests of a room fail with a change, or without one.
+
+    tests: the checkout that they are from;  work: a folder for the copy
+    """
+    tree = Path(tempfile.mkdtemp(dir=work))
     ignored = shutil.ignore_patterns(".git", ".venv", "node_modules", "runs", ".*_cache", "__pycache__")
-    shutil.copytree(ROOT, tree, ignore=ignored)
+    shutil.copytree(ROOT, tree, ignore=ignored, dirs_exist_ok=True)
     if tests != ROOT:
         shutil.rmtree(tree / "tests")
         shutil.copytree(tests / "tests", tree / "tests", ignore=ignored)
-    mutation.apply(tree)
-    room = mutation.file.parts[1]
+    if mutation is not None:
+        mutation.apply(tree)
     folders = [f"tests/{each}" for each in (room, *BESIDE.get(room, ()))]
     command = [sys.executable, "-m", "pytest", "-q", "-x", "-m", "not heavy", "-p", "no:cacheprovider", *folders]
     path = os.pathsep.join([str(tree), str(tree / "plugins" / "datasets")])
@@ -152,7 +155,11 @@ def main() -> None:
     every = drawn(chosen.rooms, chosen.count, chosen.seed)
     noticed: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as work, ThreadPoolExecutor(chosen.jobs) as pool:
-        results = pool.map(lambda each: is_noticed(each, chosen.tests.resolve(), Path(work)), every)
+        tests = chosen.tests.resolve()
+        for room in sorted({each.file.parts[1] for each in every}):
+            if are_red(room, None, tests, Path(work)):
+                sys.exit(f"tests of {room}: fail without a change, too")
+        results = pool.map(lambda each: are_red(each.file.parts[1], each, tests, Path(work)), every)
         for mutation, found in zip(every, results, strict=True):
             noticed[mutation.kind] += found
             word = "noticed" if found else "MISSED"
