@@ -87,7 +87,8 @@ class OpenedRun(Run):
         """Write a film of the finished run (docs/animations.md); returns its path.
 
         out:        a new file that ends with .mp4, .gif or .webm;  against: another run to show beside it
-        start, end: first and last frame;  speed: over that of the scene;  fps: images per second
+        start, end: first and last frame, by default of the run, at most 3000;  speed: over that of the scene
+        fps:        images per second
         look:       agent, estimates, camera, window, theme, size, dpi, plain, title, captions
 
         Raises ExportError for the file or without ffmpeg, RunFolderError for a run in progress or a frame that the run

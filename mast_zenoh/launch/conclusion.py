@@ -142,7 +142,7 @@ def write_results(
 
     The evaluator's `metrics`, and those of its `tables` that are in `results.TABLES`, become metrics.json and Parquet
     files at the top of the run folder. Everything else goes to results/<node>/: tables as <table>.parquet, the rest as
-    results.json.
+    results.json. Tables that come in parts are written by `TableFiles`.
 
     results:  of each node; `tables` are sentences about those that it could not hand in, see `PartedTables.close`
     measured: entries of metrics.json in addition to the evaluator's metrics; wall-clock values replace the evaluator's

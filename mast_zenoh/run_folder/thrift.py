@@ -1,6 +1,6 @@
 """Reads structures in Thrift's compact protocol, as Parquet files hold them, from bytes that may be damaged.
 
-Source: Apache Thrift, doc/specs/thrift-compact-protocol.md.
+Source: Apache Thrift, "Thrift Compact protocol".
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A run, finished or going on: its tables and its frames. Whatever shows or compares runs reads it, and nothing else.
+"""A run, finished or going on: its tables and its frames. Whatever shows runs reads it.
 
 run          the model: what its documents and tables say
 files        the documents and tables in its folder, each read when it is asked for

@@ -89,8 +89,8 @@ def column(table: Table, name: str) -> NDArray[np.float64]:
 class RunFiles:
     """The documents and tables of a run, each read from its folder when it is asked for.
 
-    What has been read is kept. A document that is absent or unreadable is {}, a table or the scene None, and `missing`
-    names it. `wirings` raises errors instead.
+    What has been read is kept, but for `all_objects`. A document that is absent or unreadable is {}, a table or the
+    scene None, and `missing` names it. `wirings` raises errors instead.
 
     path:  the folder; None: there is none, as of a run that is going on elsewhere
     frame: of a run that is so long that only every n-th frame is read whole: one of them
@@ -120,10 +120,16 @@ class RunFiles:
         self.__dict__.update(given)
 
     def with_(self, **changes: Any) -> Self:
-        """The same with other contents, by name; agent, sample: what depends on them is read anew."""
+        """The same with other contents, by name; agent, sample: what depends on them is read anew.
+
+        Raises TypeError for an unknown name.
+        """
+        if unknown := changes.keys() - {*_NAMES, "all_objects"}:
+            raise TypeError(f"found {min(unknown)!r}, expected one of {', '.join(_NAMES)}")
         anew = (_BY_AGENT if "agent" in changes else ()) + (_BY_SAMPLE if "sample" in changes else ())
         agent = changes.pop("agent", self._agent)
-        other = type(self)(self._read_from, frame=self._frame, agent=agent, **(self._given | changes))
+        given = {name: value for name, value in self._given.items() if name not in anew} | changes
+        other = type(self)(self._read_from, frame=self._frame, agent=agent, **given)
         for name in _NAMES:
             if name in self.__dict__ and name not in anew:
                 other.__dict__.setdefault(name, self.__dict__[name])
@@ -213,7 +219,7 @@ class RunFiles:
 
     @cached_property
     def counts(self) -> Table | None:
-        """The counts of metrics.parquet, as far as they are whole; also of frames that a sample leaves out."""
+        """The counts of metrics.parquet, None if one is missing in a row; also of frames that a sample leaves out."""
         frames = None if self.sample.stop == ALL.stop else self.sample
         return self._table("metrics.parquet", partial(_counts, frames=frames), "no counts over time")
 
@@ -275,7 +281,10 @@ class RunFiles:
 
     @property
     def missing(self) -> list[str]:
-        """A sentence for each file that is absent or unreadable: what is not shown without it. Reads all files."""
+        """A sentence for each file that is absent or unreadable: what is not shown without it.
+
+        Reads all files, but `all_objects`, which is checked when it is asked for.
+        """
         for name in _NAMES:
             if name != "wirings":
                 getattr(self, name)
@@ -290,7 +299,7 @@ class RunFiles:
             self.notes.append(sentence)
 
     def is_damaged(self, name: str) -> bool:
-        """Whether a file is there, but cannot be read."""
+        """Whether a file that has been asked for is there, but cannot be read."""
         return self._absent.get(name, "").startswith(f"{name} cannot be read")
 
     def _file(self, name: str, read: Callable[[Path], Any], consequence: str) -> Any:

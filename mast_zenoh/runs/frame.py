@@ -13,17 +13,13 @@ from mast_zenoh.arrays.boxes import Boxes
 from mast_zenoh.arrays.geometry import rotation_from_quaternion, states_to_world
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.messages.schemas import Body
-from mast_zenoh.metrics.estimates import LOCAL, MISSION, PICTURE_ON_ARRIVAL, PICTURE_RECEIVED
+from mast_zenoh.metrics.estimates import BEHIND_DOWNLINK, LOCAL
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.runs.evaluated import Changes, Outcomes, Score
 from mast_zenoh.runs.files import boxes_of, rows
 from mast_zenoh.runs.routes import POSE, TRUTH
 from mast_zenoh.runs.run import Run
 from mast_zenoh.scenes.recording import truth_states
-
-#: Estimates behind the picture's way to the agent.
-BEHIND = (MISSION, PICTURE_RECEIVED, PICTURE_ON_ARRIVAL)
-
 
 #: Kinds of boxes, in drawing order: what they are, and how the evaluator judged them.
 BOX_OUTCOMES = ("unevaluated", "truth matched", "track matched", "truth missed", "track false")
@@ -168,7 +164,7 @@ class Frame:
         """The manipulations in this frame that an estimate can show."""
         if estimate == LOCAL:
             return Changes.none()
-        return self.before.joined(self.behind) if estimate in BEHIND else self.before
+        return self.before.joined(self.behind) if estimate in BEHIND_DOWNLINK else self.before
 
     @property
     def time_label(self) -> str:
@@ -189,10 +185,13 @@ def has_boxes(run: Run, estimate: str) -> bool:
 
 
 def ego_position(run: Run, frame: int) -> Floats | None:
-    """(3,) m, where the ego is; None: the scene is absent or the frame is not in it."""
-    if run.files.scene is None or run.ego not in run.files.scene.agent_names or not 0 <= frame < len(run.files.scene):
+    """(3,) m, where the ego is, or was last in a scene that is shorter; None: the scene is absent."""
+    scene = run.files.scene
+    if scene is None or run.ego not in scene.agent_names:
         return None
-    return np.asarray(run.files.scene.agent_position[frame, run.files.scene.agent_names.index(run.ego)], np.float64)
+    return np.asarray(
+        scene.agent_position[min(max(frame, 0), len(scene) - 1), scene.agent_names.index(run.ego)], np.float64
+    )
 
 
 def _states(series: Series, body: Body) -> ObjectStates:

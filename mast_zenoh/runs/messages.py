@@ -67,7 +67,7 @@ class WireMessage:
 def messages(path: Path, pattern: str = "*", *, taps: bool = False) -> Iterator[WireMessage]:
     """The messages of a run folder or recording on matching wires.
 
-    Sorted by frame, time, wire, publisher and number.
+    Sorted by time, frame, wire, publisher and number.
 
     pattern: a glob as in `mast diff --ignore`: `*` matches any text
     taps:    include the hidden legs of intercepted wires

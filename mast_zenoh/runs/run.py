@@ -69,7 +69,7 @@ class Run:
         return self.of(self.files.with_(**changes))
 
     def within(self, first: int, end: int) -> Self:
-        """The same run with the tables of all frames from `first` to before `end`."""
+        """The same run with the tables by frame, but for driving and targets, of all from `first` to before `end`."""
         return self.with_(sample=range(first, end))
 
     def seen_by(self, agent: str) -> Self:
@@ -310,6 +310,8 @@ class Run:
     @property
     def record(self) -> dict[str, Any]:
         """run.json: id, status, seed, versions, timings, node endings (docs/endings.md)."""
+        if self.files.is_live:
+            return self.files.record
         return liveness.current_record(read_object(self._folder / "run.json"))
 
     @property

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from mast_zenoh.metrics.estimates import TRUTH
+from mast_zenoh.metrics.estimates import OWN, TRUTH
 from mast_zenoh.report.figures.birdseye import DASHED, face
 from mast_zenoh.report.figures.style import Theme
 from mast_zenoh.runs.events import states_at, withheld_at
@@ -35,7 +35,7 @@ def legend_entries(frames: Sequence[Frame], theme: Theme, *, camera: bool = Fals
         ]
     if not camera:
         entries += _agents(frames, theme)
-    if any(len(withheld_at(frame.run, frame.index)) for frame in frames):
+    if any(len(withheld_at(frame.run, frame.index)) for frame in frames if not frame.boxes.keys() <= {*OWN}):
         entries.append(Patch(facecolor="none", edgecolor=theme.withheld, linestyle=DASHED, label="withheld"))
     changes = [frame.marks(estimate) for frame in frames for estimate in frame.boxes]
     kinds = (("added", "D", "inserted"), ("removed", "x", "removed"), ("moved", "$\\rightarrow$", "moved"))

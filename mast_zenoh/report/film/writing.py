@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from mast_zenoh.errors import ConfigurationError, ExportError, RunFolderError
-from mast_zenoh.launch.ending import RUNNING
+from mast_zenoh.launch.liveness import finished_record
 from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.report.figures.style import save
 from mast_zenoh.report.figures.view import choose_frame
@@ -17,9 +17,10 @@ from mast_zenoh.report.film.look import Look
 from mast_zenoh.report.film.sheet import Sheet
 from mast_zenoh.report.film.takes import Take
 from mast_zenoh.run_folder import check_free, write_new
-from mast_zenoh.runs.files import MOST_FRAMES
 from mast_zenoh.runs.run import Run
 
+#: Frames of a film, at most, unless the user asks for more.
+MOST_FRAMES = 3000
 #: Images per second at most, unless the user asks for more.
 _SMOOTH_FPS = 30.0
 _MOST_FPS = 120.0
@@ -87,7 +88,8 @@ def animate(
 
     out:        a new file that ends with .mp4, .gif or .webm; it is complete or not there at all
     against:    another run to show beside it
-    start, end: first and last frame;  speed: over that of the scene;  fps: images per second
+    start, end: first and last frame, by default of the run, at most MOST_FRAMES
+    speed:      over that of the scene;  fps: images per second
 
     Raises ExportError for the file, RunFolderError for the run or a frame that it does not have, ConfigurationError for
     an option, DiskFull.
@@ -152,7 +154,6 @@ def _kind_of(out: Path, kinds: Sequence[str]) -> str:
 
 
 def _opened(path: Path, agent: str | None) -> Run:
-    folder = Run(path)
-    if folder.files.record.get("status") == RUNNING:
-        raise RunFolderError(f"{path}: the run is still in progress: expected a finished run")
-    return folder if agent is None else folder.seen_by(agent)
+    run = Run(path)
+    finished_record(path, run.files.record)
+    return run if agent is None else run.seen_by(agent)

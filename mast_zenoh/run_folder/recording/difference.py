@@ -44,7 +44,7 @@ def compare(
     taps: bool = False,
     before: int | None = None,
 ) -> Difference:
-    """Compare two recordings, ordered by (frame, time, wire, publisher, sequence number).
+    """Compare two recordings, ordered by (time, frame, wire, publisher, sequence number).
 
     wires, ignore: globs of wires to compare, and of those to leave out
     taps: compare tap legs too, which only runs of equal rewrites share

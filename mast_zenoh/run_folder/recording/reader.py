@@ -1,6 +1,6 @@
 """Reads messages.mcap, also if truncated, a few chunks at a time; from where on it is incomplete; why there is none.
 
-Messages are ordered by (frame, time, wire, publisher, sequence number): a measurement made between two frames comes
+Messages are ordered by (time, frame, wire, publisher, sequence number): a measurement made between two frames comes
 before the other messages of its frame.
 """
 

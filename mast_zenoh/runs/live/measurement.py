@@ -11,6 +11,7 @@ from typing import Any
 from mast_zenoh.config import bundle, loading, registry
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import ConfigurationError, MessageError
+from mast_zenoh.launch.ending import RUNNING
 from mast_zenoh.launch.measurement import listening_host
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body
@@ -40,7 +41,7 @@ def seen(run: LiveAddress, wiring: Wiring, agents: Iterable[str]) -> Run:
     """
     files = RunFiles(
         None,
-        record={"id": run.id, "name": run.resolved.name},
+        record={"id": run.id, "name": run.resolved.name, "seed": run.resolved.seed, "status": RUNNING},
         scenario=run.resolved.to_json(),
         wiring=wiring.to_json(),
         wirings=[(-1, wiring)],

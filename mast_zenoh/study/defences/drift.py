@@ -427,7 +427,8 @@ def _trials(row: Row) -> str:
 
 def _wide(rows: Sequence[Row]) -> tuple[Sequence[str], Sequence[Sequence[object]]]:
     """The headings and lines of the CSV file, with a line for each row."""
-    ends = [f"{name}{end}" for name in _MEASURED for end in ("", "_low", "_high")]
+    names = ["label", "offset_m", "rate_mps", "viewers", "episodes", "detected", "trials", "judged", *_PLAIN]
+    names += [f"{name}{end}" for name in _MEASURED for end in ("", "_low", "_high")]
     lines = [
         [
             *(*row.of.values(), *(_whole(row[name]) for name in ("episodes", "detected")), row.trials),
@@ -436,7 +437,7 @@ def _wide(rows: Sequence[Row]) -> tuple[Sequence[str], Sequence[Sequence[object]
         ]
         for row in rows
     ]
-    return ["label", "offset_m", "rate_mps", "viewers", "episodes", "detected", "trials", "judged", *_PLAIN, *ends], lines
+    return names, lines
 
 
 _OF_RUNS = {

@@ -11,6 +11,7 @@ import pytest
 
 import mast_zenoh as mast
 from mast_zenoh.errors import ConfigurationError, ExportError, MastError, RunFolderError
+from mast_zenoh.launch import liveness
 from mast_zenoh.report.film.look import Look
 from mast_zenoh.report.film.writing import open_takes, schedule
 
@@ -79,7 +80,7 @@ def test_runs_without_boxes_or_in_progress_are_refused_with_what_to_do(edited: P
     with pytest.raises(RunFolderError, match=r"nothing to draw: objects\.parquet is absent.*`mast report .*` measures"):
         mast.open(edited).animate(tmp_path / "film.gif")
     record = json.loads((edited / "run.json").read_text())
-    (edited / "run.json").write_text(json.dumps(record | {"status": "running", "launcher": None}))
+    (edited / "run.json").write_text(json.dumps(record | {"status": "running", "launcher": liveness.identity()}))
     with pytest.raises(RunFolderError, match=r"the run is still in progress: expected a finished run"):
         mast.open(edited).animate(tmp_path / "film.gif")
 
