@@ -73,21 +73,25 @@ class PublishedNumber:
     value: Measured
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PublishedComparison:
-    """A published figure, and ours.
+@dataclass(frozen=True, slots=True)
+class Published:
+    """A published figure of a method, or a method without one, and ours.
 
     method: our stage or attack;  source: citation
-    figure: of the paper, "" if none is known;  basis: how it is known
-    why:    why ours differs
+    figure: of the paper, "" if none is known;  basis: how figure and method are known
+    quantities: names in QUANTITIES, nearest to the figure;  why: ours differs
+    defences, attacks: names in the matrix, of which one is the method; (): all
     """
 
     method: str
     source: str
     figure: str
     basis: str
-    ours: Sequence[PublishedNumber]
+    quantities: tuple[str, ...]
     why: str
+    defences: tuple[str, ...] = ()
+    attacks: tuple[str, ...] = ()
+    ours: Sequence[PublishedNumber] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -114,7 +118,7 @@ class FieldMatrix:
     rows: Sequence[Row]
     breakdowns: Sequence[FieldBreakdown]
     summaries: Sequence[Row]
-    published: Sequence[PublishedComparison]
+    published: Sequence[Published]
 
     def row(self, scene: str, defence: str, attack: str, n_adversaries: int, placement: str) -> Row:
         """The row of a cell; raises KeyError if there is none."""

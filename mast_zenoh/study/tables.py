@@ -47,7 +47,7 @@ class StudyResult:
         from mast_zenoh.report.tables import study as study_table
 
         if self.own is not None:
-            return self.own.as_rich()
+            return self.own.tables.as_rich()
         return study_table.as_rich(self.rows, self.facts)
 
     def raise_failures(self) -> None:
@@ -119,7 +119,7 @@ def write(
     if own is not None:
         figures = {**own.figures, **figures}
         names += own.names
-    parts = () if own is None else (own.tables, own.headline, own.reading)
+    parts = (own.tables.tables, own.tables.headline, own.tables.reading) if own is not None and own.on_page else ()
     report = write_trials_page(store.folder, rows, facts, figures, *parts)
     return StudyResult(store.folder, rows, facts, [store.folder / name for name in names], report, own)
 

@@ -13,7 +13,7 @@ from defence_samples import row as defence_row
 from mast_zenoh.metrics.field_results import (
     FieldBreakdown,
     FieldMatrix,
-    PublishedComparison,
+    Published,
     PublishedNumber,
 )
 from mast_zenoh.metrics.study_results import BINOMIAL, BOOTSTRAP, STUDENT, Measured, Row
@@ -91,11 +91,12 @@ def field(
         for defence in defences
     ]
     published = [
-        PublishedComparison(
+        Published(
             method="Wall",
             source="Wall & Brick, Journal of Walls 2025",
             figure="91.5 % of the ghosts",
             basis="abstract only, not checked",
+            quantities=("lies_detected",),
             ours=[
                 PublishedNumber(
                     quantity="lies_detected",

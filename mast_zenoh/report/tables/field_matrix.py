@@ -11,7 +11,7 @@ from mast_zenoh.metrics.field_results import (
     QUANTITIES,
     FieldBreakdown,
     FieldMatrix,
-    PublishedComparison,
+    Published,
     PublishedNumber,
 )
 from mast_zenoh.metrics.study_results import Measured, Row
@@ -233,7 +233,7 @@ def published_tables(table: FieldMatrix) -> ResultTables:
     return ResultTables(_PUBLISHED_TITLE, about, table.matrix.size, [page], numbers, [])
 
 
-def _ours(each: PublishedComparison) -> str:
+def _ours(each: Published) -> str:
     """`lies detected (share): Cad 0.50 [0.30, 0.70], under Flood; …`, by quantity and attacks."""
     texts: dict[tuple[str, str], list[str]] = {}
     for ours in each.ours:

@@ -13,7 +13,7 @@ from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.metrics.field_results import (
     FieldBreakdown,
     FieldMatrix,
-    PublishedComparison,
+    Published,
     PublishedNumber,
 )
 from mast_zenoh.metrics.study_results import Measured, Row
@@ -24,7 +24,7 @@ from mast_zenoh.study.defences import breakdown, intervals, matrix, matrix_recor
 from mast_zenoh.study.defences.breakdown import HALF, BreakdownRecord, mean_crossing
 from mast_zenoh.study.defences.cells import UNDEFENDED, BreakdownCell, Cell, FieldCell
 from mast_zenoh.study.defences.choices import SCENE_KINDS
-from mast_zenoh.study.defences.published import BY_SUSPENSION, PUBLISHED, Published
+from mast_zenoh.study.defences.published import BY_SUSPENSION, PUBLISHED
 from mast_zenoh.study.trial import Outcome, TrialKey
 
 if TYPE_CHECKING:
@@ -232,19 +232,10 @@ class Collection(matrix.Collection):
 
         return intervals.pooled(removed, sums.shape[1])
 
-    def _published(self) -> Iterable[PublishedComparison]:
+    def _published(self) -> Iterable[Published]:
         """The published methods that this study played."""
         played = {name for cell in self.records for name in (cell.defence, cell.attack)}
-        for entry in PUBLISHED:
-            if entry.method in played:
-                yield PublishedComparison(
-                    method=entry.method,
-                    source=entry.source,
-                    figure=entry.figure,
-                    basis=entry.basis,
-                    ours=list(self._ours(entry)),
-                    why=entry.why,
-                )
+        return (replace(entry, ours=list(self._ours(entry))) for entry in PUBLISHED if entry.method in played)
 
     def _ours(self, entry: Published) -> Iterable[PublishedNumber]:
         every = list(dict.fromkeys(cell.defence for cell in self.records))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from itertools import product
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from mast_zenoh.report.figures.drawing import RenderedFigure
-    from mast_zenoh.report.tables.text_table import ResultTables, TextTable
+    from mast_zenoh.report.tables.text_table import ResultTables
     from mast_zenoh.runs.run import Run
 
 
@@ -49,18 +49,15 @@ class DefenceCell:
 
 @dataclass(frozen=True, slots=True)
 class StudyFiles:
-    """What a study of defences, or a search, wrote.
+    """What a study of defences, or a search, wrote: tables and figures for the page, and names of files.
 
-    figures, tables: for the page;  names: of files;  as_rich: the tables for the terminal
-    headline, reading: of the page, see `ResultTables`; empty: the usual ones
+    on_page: whether the tables are on the page, too
     """
 
+    tables: ResultTables
     figures: Mapping[str, RenderedFigure]
     names: Sequence[str]
-    as_rich: Callable[[], Any]
-    tables: Sequence[TextTable] = ()
-    headline: str = ""
-    reading: Sequence[str] = ()
+    on_page: bool = True
 
 
 class Collection(ABC):
@@ -151,7 +148,7 @@ class Collection(ABC):
         for figure in figures.values():
             figure.save(folder)
         names = [*texts, *(name for figure in figures.values() for name in figure.names)]
-        return StudyFiles(figures, names, tables.as_rich, tables.tables, tables.headline, tables.reading)
+        return StudyFiles(tables, figures, names)
 
 
 def collection_of(kind: str) -> type[Collection]:

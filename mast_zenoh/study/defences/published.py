@@ -6,7 +6,7 @@ was not checked), in the authors' code, or in the paper. Ours are computed from 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from mast_zenoh.metrics.field_results import Published
 
 #: How a figure, or the method without one, is known.
 ABSTRACT = "abstract only, not checked"
@@ -18,25 +18,6 @@ TITLE = "title and mentions only"
 
 #: Attacks that move what is reported, so that there is nothing to withhold: only a suspension detects them.
 BY_SUSPENSION = frozenset({"PosePert"})
-
-
-@dataclass(frozen=True, slots=True)
-class Published:
-    """One published figure of a method, or a method without one.
-
-    defences, attacks: names in the matrix, of which one is the method; (): all
-    figure: "" if none is known;  basis: how figure and method are known
-    quantities: names in `metrics.field_results.QUANTITIES`, nearest to the figure
-    """
-
-    method: str
-    source: str
-    figure: str
-    basis: str
-    quantities: tuple[str, ...]
-    why: str
-    defences: tuple[str, ...] = ()
-    attacks: tuple[str, ...] = ()
 
 
 _MATE = "MATE, ACM CCS 2025"

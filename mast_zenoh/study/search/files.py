@@ -29,7 +29,7 @@ def write(folder: Path, results: SearchResults) -> StudyFiles:
         write_bytes(folder / name, text.encode())
     run_folder.write_json(folder / "search.json", run_folder.finite(as_json(results)))
     figure.save(folder)
-    return StudyFiles({figure.name: figure}, [*texts, "search.json", *figure.names], tables.as_rich)
+    return StudyFiles(tables, {figure.name: figure}, [*texts, "search.json", *figure.names], on_page=False)
 
 
 def as_json(results: SearchResults) -> dict[str, Any]:
