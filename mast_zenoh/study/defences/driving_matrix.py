@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,6 +25,8 @@ from mast_zenoh.metrics.driving_results import (
 )
 from mast_zenoh.metrics.estimates import MISSION
 from mast_zenoh.metrics.study_results import NEGLIGIBLE, Estimate
+from mast_zenoh.report.tables.driving_study import driving_tables
+from mast_zenoh.report.tables.text_table import ResultTables
 from mast_zenoh.study import statistics
 from mast_zenoh.study.defences import kinds
 from mast_zenoh.study.defences.cells import DrivingCell
@@ -33,14 +36,14 @@ from mast_zenoh.study.trial import Outcome, TrialKey
 
 if TYPE_CHECKING:
     from mast_zenoh.report.figures.drawing import RenderedFigure
-    from mast_zenoh.report.tables.text_table import ResultTables
     from mast_zenoh.runs.run import Run
 
 #: Effects that change no message.
 _UNCHANGED = frozenset({"unsettled"})
 
 
-class Happened(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Happened:
     """What happened to a car in one trial.
 
     values: by DRIVING_MEASURES, and the user's metrics of what the car's agent acts on
@@ -53,6 +56,9 @@ class Happened(NamedTuple):
     uncommanded: int
     blind: int
     idle: tuple[str, ...]
+
+    def __getitem__(self, name: str) -> float:
+        return self.values.get(name, math.nan)
 
 
 class Collection(kinds.Collection):
@@ -88,73 +94,55 @@ class Collection(kinds.Collection):
         return DrivingTable([self._row(cell) for cell in self.records], self.size)
 
     def _row(self, cell: DrivingCell) -> DrivingRow:
-        records = self._of(cell.attack, cell.wire, cell.defence)
-        twins, undefended = self._of("", "", cell.defence), self._of(cell.attack, cell.wire, "")
-        happened = self._of_measures(records)
-        added = _minus(happened, self._of_measures(twins)) if cell.attack else {}
-        spared = _minus(happened, self._of_measures(undefended)) if cell.defence else {}
+        twin, undefended = replace(cell, attack="", wire=""), replace(cell, defence="")
+        records, compared = self.records[cell], [*[twin] * bool(cell.attack), *[undefended] * bool(cell.defence)]
+        added = self._differences(cell, twin) if cell.attack else {}
+        spared = self._differences(cell, undefended) if cell.defence else {}
         own = [name for record in records.values() for name in record.values if name not in DRIVING_MEASURES]
         harm = [-DRIVING_MEASURES[name].better * values > NEGLIGIBLE for name, values in added.items()]
         changes = [np.abs(values) > NEGLIGIBLE for values in spared.values()]
-        compared = [*[twins] * bool(cell.attack), *[undefended] * bool(cell.defence)]
         return DrivingRow(
             attack=cell.attack,
             wire=cell.wire,
             defence=cell.defence,
             trials=len(records),
             missing=len(self.order) - len(records),
-            measures={name: _estimate(happened[name], 0.0) for name in DRIVING_MEASURES},
+            measures={name: _estimate(self._units(cell, name), 0.0) for name in DRIVING_MEASURES},
             added={name: _estimate(values, paired=True) for name, values in added.items()},
             spared={name: _estimate(values, paired=True) for name, values in spared.items()},
             harmed=_affected(harm, added),
             changed=_affected(changes, spared),
             own={
                 name: (
-                    _estimate(self._values(records, name)),
-                    _estimate(self._values(records, name) - self._values(twins, name), paired=True)
+                    _estimate(self._units(cell, name)),
+                    _estimate(self._units(cell, name) - self._units(twin, name), paired=True)
                     if cell.attack
                     else Estimate(),
                 )
                 for name in dict.fromkeys(own)
             },
             flaws=_flaws(records),
-            flawed=any(map(_flaws, (records, *compared))),
+            flawed=any(_flaws(self.records.get(each, {})) for each in (cell, *compared)),
         )
 
-    def _of_measures(self, records: Mapping[TrialKey, Happened]) -> dict[str, Floats]:
-        """By measure, (scenes, seeds) its value in each trial, NaN where there is none.
+    def _differences(self, cell: DrivingCell, other: DrivingCell) -> dict[str, Floats]:
+        return {name: self._units(cell, name) - self._units(other, name) for name in DRIVING_MEASURES}
+
+    def _units(self, cell: DrivingCell, name: str) -> Floats:
+        """(scenes, seeds) a number of each planned trial, NaN where there is none.
 
         Of fewer than five seeds but not scenes, scenes are the units of intervals: then it is (seeds, scenes).
         """
-        return {name: self._values(records, name) for name in DRIVING_MEASURES}
-
-    def _values(self, records: Mapping[TrialKey, Happened], name: str) -> Floats:
-        """(scenes, seeds) a value of each trial, see `_of_measures`."""
-        every = [records[key].values.get(name, np.nan) if key in records else np.nan for key in self.order]
-        values = np.array(every).reshape(self.scenes, -1)
+        values = self.values(cell, name).reshape(self.scenes, -1)
         return values.T if values.shape[1] < statistics.MIN_CLUSTERS <= self.scenes else values
 
-    def _of(self, attack: str, wire: str, defence: str) -> Mapping[TrialKey, Happened]:
-        """The trials of a cell that are done, in the order of the study."""
-        for cell, records in self.records.items():
-            if (cell.attack, cell.wire, cell.defence) == (attack, wire, defence):
-                return {key: records[key] for key in self.order if key in records}
-        return {}
-
     def tables(self, table: DrivingTable) -> ResultTables:
-        from mast_zenoh.report.tables.driving_study import driving_tables
-
         return driving_tables(table)
 
     def figures(self, table: DrivingTable) -> Mapping[str, RenderedFigure]:
-        from mast_zenoh.report.figures.driving_study import figure_of_driving
+        from mast_zenoh.report.figures.driving_study import figure_of_driving  # drawing libraries are slow to load
 
-        figure = figure_of_driving(table)
-        return {figure.name: figure}
-
-
-def _minus(happened: Mapping[str, Floats], other: Mapping[str, Floats]) -> dict[str, Floats]:
-    return {name: values - other[name] for name, values in happened.items()}
+        return {self.name: figure_of_driving(table)}
 
 
 def _estimate(values: Floats, least: float = -math.inf, *, paired: bool = False) -> Estimate:

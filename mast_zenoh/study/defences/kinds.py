@@ -108,7 +108,7 @@ class Collection(ABC):
     def values(self, cell: Any, name: str) -> Floats:
         """(trials,) a number of each trial planned for a cell, in the order of the study; NaN: it has none.
 
-        Of kinds whose records are numbers by name.
+        Of kinds whose records give numbers by name (`record[name]`).
         """
         records = self.records.get(cell, {})
         return np.array([records[key][name] if key in records else math.nan for key in self.order])
