@@ -124,6 +124,11 @@ def test_a_liar_with_many_phantoms_is_never_admitted() -> None:
     assert {name for group in groups for name in group} == {"a", "c", "d", "ego"}, "others are drawn at random"
 
 
+def test_honest_agents_that_were_not_drawn_are_left_out() -> None:
+    assert len(admitted(Robosac(), attacked())) == 2, "the budget of 3 is enough for a group of one"
+    assert admitted(Robosac(attackers=0), attacked()) == set(AGENTS)
+
+
 def test_objects_of_those_left_out_alone_are_withheld_and_their_tracks_weigh_nothing() -> None:
     each = attacked("b")
     result = Robosac(attackers=1, budget=30).assess(each)

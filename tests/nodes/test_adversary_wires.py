@@ -18,7 +18,8 @@ from mast_zenoh.attacks.knowledge import Trust
 from mast_zenoh.attacks.targets import ViewForger
 from mast_zenoh.errors import ConfigurationError, WiringError
 from mast_zenoh.integrity import SweptView
-from mast_zenoh.wiring.model import Wiring
+from mast_zenoh.integrity.views import view_columns
+from mast_zenoh.tracking.view import SensorView
 
 PLACES = ((10.0, 0.0), (20.0, 5.0), (15.0, -8.0))
 REWRITES = ("on_pose.toml", "on_tracks.toml", "on_view.toml", "views.toml")
@@ -78,16 +79,8 @@ def resolved():
 
 def view(**changes: Any) -> dict[str, np.ndarray]:
     """Columns of a view of a sensor 5 m above the origin."""
-    free = np.full((16, 180), 40.0)
-    columns = {
-        "position": np.array([0.0, 0.0, 5.0]),
-        "rotation": np.array([1.0, 0.0, 0.0, 0.0]),
-        "azimuth": np.array([-np.pi, np.pi]),
-        "elevation": np.array([-1.0, 0.5]),
-        "max_range": np.array([80.0]),
-        "free": free,
-    }
-    return columns | changes
+    sensor = SensorView(np.array([0.0, 0.0, 5.0]), np.eye(3), -np.pi, np.pi, -1.0, 0.5, 80.0)
+    return view_columns(sensor, np.full((16, 180), 40.0)) | changes
 
 
 def test_an_agent_gets_the_forged_pose_and_everybody_else_the_true_one() -> None:
@@ -261,29 +254,6 @@ def test_a_coordinated_adversary_has_one_agent() -> None:
 
     with pytest.raises(ConfigurationError, match=r"adversary_1\.agent: found infra_1, infra_2, expected one agent"):
         tiny("coordinated", "n_adversaries=1", edit=both)
-
-
-def test_a_pass_through_on_all_wires_changes_nothing() -> None:
-    def idle(scenario: dict[str, Any]) -> None:
-        attacked("on_picture.toml", agent="ego")(scenario)
-        scenario["adversaries"]["adversary_1"]["attack"] = dict(type="PassThrough")
-
-    resolved = tiny(edit=idle)
-    run, plain = Run(resolved), Run(tiny(edit=lambda s: s.update(keyexpr=dict(rewrites=["views.toml"]))))
-    assert not run.failures
-    for key, messages in plain.messages.items():
-        assert run.messages[key] == messages, key
-    leg = "cc/picture/@tap/ego/0"
-    assert run.messages[leg] == run.messages["cc/picture"]
-    ports = Wiring.from_json(resolved.wiring).ports
-    assert [name for name in resolved.nodes if leg in ports(name).inputs] == ["ego", "evaluator"]
-
-
-def test_an_adversary_on_poses_subscribes_to_them_once() -> None:
-    wiring = Wiring.from_json(tiny(edit=attacked()).wiring)
-    (wire,) = (wire for wire in wiring.wires if wire.key == "agent/infra_1/pose")
-    assert [end.node for end in wire.legs[-1].subscribers] == ["adversary_1"]
-    assert [end.node for end in wire.subscribers] == ["infra_1"]
 
 
 def test_an_attack_that_returns_nothing_is_named(resolved, monkeypatch: pytest.MonkeyPatch) -> None:

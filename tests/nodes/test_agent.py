@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from tiny_world import PERIOD_NS, Bench, Run, detections, picture, pose, tiny, tracks
 
-from mast_zenoh.arrays import geometry
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.config import registry
 from mast_zenoh.errors import ConfigurationError
@@ -101,23 +100,6 @@ def test_tracks_are_in_the_configured_frame_of_reference_and_the_mission_in_the_
     np.testing.assert_array_equal(last["rotation"], pose(yaw=yaw)["rotation"])
     np.testing.assert_allclose(mission["position"], [[100.0, 60.0, 0.8]], atol=1e-6)
     np.testing.assert_array_equal(mission["rotation"], [1.0, 0.0, 0.0, 0.0])
-
-
-def test_in_the_body_frame_of_a_turning_agent_a_parked_car_appears_to_move(resolved) -> None:
-    """The cost of the original MAST's behaviour."""
-    speed = {}
-    for frame_of_reference in ("world", "body"):
-        config = {**resolved.nodes["ego"].config["pipeline"], "frame": frame_of_reference}
-        ego = bench(resolved, pipeline=config)
-        for frame in range(12):
-            yaw = 0.04 * frame
-            ego.play(frame, pose=pose(yaw=yaw))
-            seen = detections((30 * np.cos(yaw), -30 * np.sin(yaw)))
-            ego.send("detections", seen | {"yaw": np.array([-yaw])}, frame)
-        body = ego.heard(TRACKS)[-1].body
-        world = geometry.states_to_world(ObjectStates.from_columns(body), body["origin"], body["rotation"])
-        speed[frame_of_reference] = np.hypot(*world.velocity[0, :2])
-    assert speed["world"] < 0.1 < 1.0 < speed["body"]
 
 
 @pytest.mark.parametrize("position", range(3))

@@ -137,13 +137,6 @@ def test_the_broker_does_not_wait_for_an_agent_that_has_left_until_it_returns(re
     assert summary(published) == [(2, dict.fromkeys(sorted(AGENTS), 0.0))], "an empty message counts"
 
 
-def test_other_nodes_may_join_and_leave(resolved) -> None:
-    broker = bench(resolved)
-    broker.host.joined("recorder", "recorder")
-    assert len(play(broker, 0)) == 1
-    assert broker.left("recorder", "recorder") == []
-
-
 def test_an_unannounced_agent_is_expected_from_the_frame_after_its_first_status(resolved) -> None:
     broker = bench(resolved)
     broker.node.collation.agents.discard("infra_2")  # not yet visible on the mesh
@@ -196,14 +189,6 @@ def test_frames_are_emitted_in_order_even_if_a_later_one_is_complete_first(resol
         play(broker, frame, BOTH)
     assert send_track(broker, "infra_2", 1) == [], "frame 0 still waits"
     assert [frame for frame, _ in summary(send_track(broker, "infra_2", 0, step=1))] == [0, 1]
-
-
-def test_without_agents_there_is_an_empty_batch_every_frame(resolved) -> None:
-    broker = bench(resolved)
-    for agent in AGENTS:
-        broker.left(agent, "agent")
-    assert summary(broker.clock(0)) == [(0, {})]
-    assert summary(broker.clock(1)) == [(1, {})]
 
 
 def test_overflowing_and_late_messages_are_counted(resolved) -> None:

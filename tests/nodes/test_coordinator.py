@@ -97,15 +97,6 @@ def test_an_undirected_adversary_does_not_delay_the_run() -> None:
     assert first == 3, "the frame after the first plan, which is of frame 2"
 
 
-def test_a_run_continues_without_any_observation() -> None:
-    def blind(scenario: dict) -> None:
-        scenario["coordinator"]["adversaries"] = []
-
-    run = Run(tiny("coordinated", "n_adversaries=1", edit=blind))
-    assert not run.failures
-    assert len(run.messages["cc/picture"]) == 12
-
-
 def test_observations_of_different_times_are_brought_to_the_latest_of_them(
     resolved, monkeypatch: pytest.MonkeyPatch
 ) -> None:

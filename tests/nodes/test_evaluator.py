@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from driven import driven
-from tiny_world import Bench, Run, picture, pose, states, tiny, tracks
+from tiny_world import Bench, picture, pose, states, tiny, tracks
 
 from mast_zenoh.arrays.geometry import quaternion_from_rotation, rotation_from_yaw
 from mast_zenoh.errors import ConfigurationError
@@ -180,17 +180,6 @@ def test_a_message_that_is_forwarded_unchanged_is_the_same_estimate(intercepted)
     assert metrics(evaluator)["same_as"]["infra_1"]["received"] == "local"
 
 
-@pytest.mark.parametrize(("name", "changed"), [("uncoordinated", "local"), ("coordinated", "received")])
-def test_an_attack_changes_the_metrics_from_its_wire_onwards(name: str, changed: str) -> None:
-    plain, attacked = (
-        run.results["evaluator"]["metrics"]["agents"]
-        for run in (Run(tiny()), Run(tiny(name, "n_adversaries=1", "attack_start_s=0.2")))
-    )
-    assert plain["ego"]["local"] == attacked["ego"]["local"]
-    assert (plain["infra_1"]["local"] == attacked["infra_1"]["local"]) == (changed != "local")
-    assert plain["infra_1"][changed] != attacked["infra_1"][changed]
-
-
 # -- effects of interposers --------------------------------------------------------------------------------------------
 
 
@@ -305,40 +294,6 @@ def test_a_missed_object_without_any_loss_is_natural(linked) -> None:
 
 def test_a_missed_object_after_a_dropped_message_is_due_to_the_fault_even_if_unreported(linked) -> None:
     assert blamed(linked, passes=lambda frame: not 15 <= frame < 18)["causes"]["fn"] == {"link or fault": 5}
-
-
-def test_objects_missed_while_an_agent_is_killed_are_due_to_the_fault(linked) -> None:
-    def killed(frame: int, agent: str, evaluator: Bench) -> bool | None:
-        if agent == "ego" and frame == 12:
-            evaluator.left("infra_1", "agent")
-        if agent == "ego" and frame == 17:
-            evaluator.host.joined("infra_1", "agent")
-        return False if agent == "infra_1" and 13 <= frame < 18 else None
-
-    assert blamed(linked, at=killed)["causes"]["fn"] == {"link or fault": 5}
-
-
-def test_a_long_silence_counts_as_disconnected_and_a_short_one_as_late_and_the_rules_are_configurable(linked) -> None:
-    def causes(first: int, last: int, **config: Any) -> dict[str, int]:
-        def unheard(frame: int, agent: str, evaluator: Bench) -> bool:
-            return agent != "infra_1" or not first <= frame <= last
-
-        return blamed(linked, at=unheard, **config)["causes"]["fn"]
-
-    assert causes(16, 19) == {"fusion": 1, "link or fault": 4}
-    assert causes(16, 17)["occlusion or range"] == 2
-    assert "link or fault" not in causes(16, 19, cut_off=dict(useful_age_s=0.5))
-    assert causes(16, 19, cut_off=dict(useful_age_s=0.3))["link or fault"] == 4
-    assert causes(99, 99, attribution=dict(begin_s=3.0)) == {"lag": 5}
-
-
-def test_a_run_without_links_attributes_nothing_to_faults() -> None:
-    results = Run(tiny()).results["evaluator"]
-    assert "link or fault" not in results["tables"]["objects"]["cause"]
-    for of_agent in results["metrics"]["agents"].values():
-        split = of_agent["picture"]["fn_split"]
-        assert split["fault"] == split["attack"] == 0.0
-        assert split["natural"] == pytest.approx(of_agent["picture"]["fn"]["mean"])
 
 
 # -- the node ----------------------------------------------------------------------------------------------------------

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from tiny_world import Bench, pose, tiny, tracks
 
-from mast_zenoh.arrays.geometry import quaternion_from_rotation, rotation_from_quaternion, rotation_from_yaw
+from mast_zenoh.arrays.geometry import rotation_from_quaternion, rotation_from_yaw
+from mast_zenoh.integrity.views import view_columns
 from mast_zenoh.messages.schemas import Message
+from mast_zenoh.tracking.view import SensorView
 
 
 def bench(*up: dict[str, Any]) -> Bench:
@@ -27,14 +29,8 @@ def bench(*up: dict[str, Any]) -> Bench:
 
 def view(x: float, y: float, yaw: float = 0.0) -> dict[str, np.ndarray]:
     """The view of a sensor."""
-    return {
-        "position": np.array([x, y, 1.8]),
-        "rotation": quaternion_from_rotation(rotation_from_yaw(yaw)),
-        "azimuth": np.array([-1.0, 1.0]),
-        "elevation": np.array([-0.3, 0.1]),
-        "max_range": np.array([100.0]),
-        "free": np.full((2, 3), 50.0),
-    }
+    sensor = SensorView(np.array([x, y, 1.8]), rotation_from_yaw(yaw), -1.0, 1.0, -0.3, 0.1, 100.0)
+    return view_columns(sensor, np.full((2, 3), 50.0))
 
 
 def sent(link: Bench, frame: int) -> tuple[Message, Message]:
@@ -79,13 +75,6 @@ def test_tracks_and_view_of_a_frame_have_the_same_random_error() -> None:
         link.send("pose", pose(40.0, -30.0), frame)
         link.clock(frame + 1)
     assert np.ptp(np.array(places), axis=0)[:2].min() > 0.01, "another error for each frame"
-
-
-def test_a_wrong_clock_shifts_the_times_of_tracks_and_view_alike() -> None:
-    link = bench(dict(type="ClockSkew", offset_s=0.03))
-    moved_tracks, moved_view = sent(link, 1)
-    assert moved_tracks.header.time_ns == moved_view.header.time_ns == 130_000_000
-    assert np.array_equal(moved_view.body["position"], view(41.0, -30.0)["position"])
 
 
 def test_reports_tell_that_the_view_was_altered() -> None:

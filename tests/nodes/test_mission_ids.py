@@ -120,15 +120,6 @@ def test_an_object_away_for_long_is_a_new_one(estimator_type: type) -> None:
 
 
 @ESTIMATORS
-def test_an_agent_that_runs_for_long_remembers_little(estimator_type: type) -> None:
-    estimator = estimator_type()
-    for frame in range(300):
-        ids(estimator, frame, cars((frame, 100.0 * frame)), cars((frame, -100.0 * frame)))
-    known = estimator._pairs._ids
-    assert max(map(len, (known._own.ids, known._picture.ids, known._lost))) < 80
-
-
-@ESTIMATORS
 @given(st.data())
 def test_ids_are_unique_and_independent_of_the_order_of_the_rows(estimator_type: type, data: st.DataObject) -> None:
     estimators = estimator_type(), estimator_type()
@@ -185,14 +176,6 @@ def test_an_own_track_that_returns_does_not_rename_what_the_picture_continued() 
     before = ids(estimator, 1, cars(), cars((3, 10.0)))
     after = ids(estimator, 2, cars((7, 10.2)), cars((3, 10.0)))
     assert after[10.0] == before[10.0]
-
-
-def test_the_picture_continues_at_once_what_the_agent_has_just_lost() -> None:
-    estimator = OwnAndPicture()
-    ids(estimator, 0, cars((7, 0.0)), cars((3, 10.0)))
-    together = ids(estimator, 1, cars((7, 0.0)), cars((3, 0.4)))
-    assert ids(estimator, 2, cars(), cars((3, 0.4)))[0.0] in together.values()
-    assert set(ids(estimator, 3, cars(), cars((3, 0.4))).values()) == set(together.values())
 
 
 @pytest.mark.parametrize("claimed", [-0.159, 0.0, 1e-9])

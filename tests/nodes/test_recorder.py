@@ -12,7 +12,6 @@ from tiny_world import Run
 
 from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.control import results
 from mast_zenoh.errors import ConfigurationError, DiskFull
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.run_folder.recording.reader import read
@@ -45,13 +44,6 @@ def test_a_recording_has_every_byte_sent_on_every_key(tmp_path: Path, encode: bo
     recorded_bytes = recorded(tmp_path, encode=encode)
     assert any("@tap" in key for key in recorded_bytes)
     assert recorded_bytes == {key: payloads for key, payloads in run.messages.items() if payloads}
-
-
-def test_recording_changes_no_message_and_no_result_of_other_nodes(tmp_path: Path) -> None:
-    plain = Run(resolved(record=False))
-    outcome = InProcess(resolved().in_folder(tmp_path)).run()
-    for name, result in plain.results.items():
-        assert results.pack(outcome[name]) == results.pack(result)
 
 
 def test_a_recorder_is_added_on_request_unless_the_scenario_disables_it() -> None:

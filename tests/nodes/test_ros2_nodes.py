@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import importlib
-import os
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -123,12 +119,6 @@ def test_an_agent_without_an_answer_sends_its_tracks_when_they_come(resolved: Re
     assert counts(ego) == {"asked": 3, "answered": 0, "late": 2, "unanswered": 1}
 
 
-def test_an_agent_without_detections_from_outside_has_detected_nothing(resolved: Resolved) -> None:
-    ego = Bench(resolved, "ego", link=FakeLink(), receives="detections")
-    play(ego, 3, (10.0, 2.0))
-    assert [len(message.body["id"]) for message in ego.heard(TRACKS)] == [0, 0, 0]
-
-
 def test_in_real_time_tracks_are_published_as_they_arrive(resolved: Resolved) -> None:
     link = FakeLink(waits=False)
     ego = Bench(resolved, "ego", link=link)
@@ -138,16 +128,6 @@ def test_in_real_time_tracks_are_published_as_they_arrive(resolved: Resolved) ->
     ego.host.arrived()
     ego._collect()
     assert [len(message.body["id"]) for message in ego.heard(TRACKS)] == [1]
-
-
-def test_tracks_in_the_agents_frame_are_transformed(resolved: Resolved) -> None:
-    def in_agent_frame(message: Any) -> Any:
-        states = ObjectStates.of(np.array([[2.0, 0.0, 0.0]]), size=np.ones((1, 3)))
-        return tracked_objects(states, stamp_of(message), "ego")
-
-    ego = Bench(resolved, "ego", link=answering(BACK, in_agent_frame))
-    ego.play(0, pose=pose(x=5.0), detections=detections())
-    assert ego.heard(TRACKS)[0].body["position"].tolist() == [[7.0, 0.0, 0.0]]
 
 
 def test_a_skewed_stamp_is_predicted_to_the_frame(resolved: Resolved) -> None:
@@ -416,32 +396,6 @@ def test_a_removed_object_is_gone_and_the_others_keep_their_bytes(attacked: Reso
         np.testing.assert_array_equal(first.body[name], np.asarray(body[name])[[0, 2, 3]])
 
 
-def test_a_moved_object_keeps_all_but_its_position(attacked: Resolved) -> None:
-    def move(objects: list[Any]) -> None:
-        objects[2].kinematics.pose_with_covariance.pose.position.x += 5.0
-
-    body = body_of("tracks")
-    first, *_ = intercepted(attacked, "tracks", edited(move), body)
-    moved = np.asarray(body["position"]).copy()
-    moved[2, 0] += 5.0
-    np.testing.assert_array_equal(first.body["position"], moved)
-    for name in ("id", "size", "yaw", "score", "covariance", "velocity"):
-        np.testing.assert_array_equal(first.body[name], body[name])
-
-
-def test_an_added_object_is_forwarded(attacked: Resolved) -> None:
-    added = ObjectStates.of(np.array([[1.0, 2.0, 3.0]]), id=np.array([777]), size=np.ones((1, 3)))
-
-    def add(message: Any) -> Any:
-        message = through(message)
-        message.objects.append(tracked_objects(added, 0, "x").objects[0])
-        return message
-
-    first, *_ = intercepted(attacked, "tracks", add, body_of("tracks"))
-    assert first.body["id"][-1] == 777
-    assert first.body["position"][-1].tolist() == [1.0, 2.0, 3.0]
-
-
 def test_rows_that_ros_cannot_express_are_forwarded_as_they_are(attacked: Resolved) -> None:
     body = body_of("tracks")
     body["size"] = np.asarray(body["size"]).copy()
@@ -522,14 +476,6 @@ def test_without_the_extra_the_error_names_it(monkeypatch: pytest.MonkeyPatch, r
     monkeypatch.setattr("importlib.import_module", missing)
     with pytest.raises(ConfigurationError, match=r"rosbags is not installed.*pip install 'mast-zenoh\[ros2\]'"):
         Bench(resolved, "ego")
-
-
-def test_other_scenarios_need_no_library_of_ros() -> None:
-    code = "import sys; from tiny_world import tiny; tiny(frames=2); print('rosbags' in sys.modules)"
-    support = str(Path(__file__).parents[1] / "support")
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([support, os.environ.get("PYTHONPATH", "")])}
-    found = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
-    assert found.stdout == "False\n"
 
 
 def test_a_simulated_mesh_refuses_nodes_with_topics_outside(resolved: Resolved) -> None:
