@@ -236,6 +236,19 @@ def test_a_measurement_of_a_frame_that_has_not_begun_costs_one_message(resolved:
     assert not agent.host.failures
 
 
+def test_a_measurement_in_a_frame_without_one_is_refused_whenever_it_arrives(resolved: Resolved) -> None:
+    agent = bench(resolved, sensor("lidar"), sensor("radar", "10" * 5))
+    for frame in range(10):
+        begin(agent, frame)
+        if frame == 5:
+            measured(agent, frame, oncoming(0.5), "radar")
+        measured(agent, frame, oncoming(0.1 * frame))
+        if frame % 2 == 0:
+            measured(agent, frame, oncoming(0.1 * frame), "radar")
+    assert [message.header.frame for message in tracks_of(agent)] == list(range(10))
+    assert {kind: n for (_, kind), n in agent.host.rejected.items()} == {"unexpected": 1}
+
+
 @pytest.mark.parametrize(
     ("change", "message"), [(dict(frames="102"), "frames: found '102'"), (dict(detection_probability=0.0), "between 0")]
 )

@@ -296,6 +296,17 @@ def test_a_missed_object_after_a_dropped_message_is_due_to_the_fault_even_if_unr
     assert blamed(linked, passes=lambda frame: not 15 <= frame < 18)["causes"]["fn"] == {"link or fault": 5}
 
 
+def test_objects_missed_while_an_agent_is_killed_are_due_to_the_fault(linked) -> None:
+    def killed(frame: int, agent: str, evaluator: Bench) -> bool | None:
+        if agent == "ego" and frame == 12:
+            evaluator.left("infra_1", "agent")
+        if agent == "ego" and frame == 17:
+            evaluator.host.joined("infra_1", "agent")
+        return False if agent == "infra_1" and 13 <= frame < 18 else None
+
+    assert blamed(linked, at=killed)["causes"]["fn"] == {"link or fault": 5}
+
+
 # -- the node ----------------------------------------------------------------------------------------------------------
 
 

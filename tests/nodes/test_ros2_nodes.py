@@ -119,6 +119,12 @@ def test_an_agent_without_an_answer_sends_its_tracks_when_they_come(resolved: Re
     assert counts(ego) == {"asked": 3, "answered": 0, "late": 2, "unanswered": 1}
 
 
+def test_an_agent_without_detections_from_outside_has_detected_nothing(resolved: Resolved) -> None:
+    ego = Bench(resolved, "ego", link=FakeLink(), receives="detections")
+    play(ego, 3, (10.0, 2.0))
+    assert [len(message.body["id"]) for message in ego.heard(TRACKS)] == [0, 0, 0]
+
+
 def test_in_real_time_tracks_are_published_as_they_arrive(resolved: Resolved) -> None:
     link = FakeLink(waits=False)
     ego = Bench(resolved, "ego", link=link)
@@ -128,6 +134,16 @@ def test_in_real_time_tracks_are_published_as_they_arrive(resolved: Resolved) ->
     ego.host.arrived()
     ego._collect()
     assert [len(message.body["id"]) for message in ego.heard(TRACKS)] == [1]
+
+
+def test_tracks_in_the_agents_frame_are_transformed(resolved: Resolved) -> None:
+    def in_agent_frame(message: Any) -> Any:
+        states = ObjectStates.of(np.array([[2.0, 0.0, 0.0]]), size=np.ones((1, 3)))
+        return tracked_objects(states, stamp_of(message), "ego")
+
+    ego = Bench(resolved, "ego", link=answering(BACK, in_agent_frame))
+    ego.play(0, pose=pose(x=5.0), detections=detections())
+    assert ego.heard(TRACKS)[0].body["position"].tolist() == [[7.0, 0.0, 0.0]]
 
 
 def test_a_skewed_stamp_is_predicted_to_the_frame(resolved: Resolved) -> None:
