@@ -269,17 +269,6 @@ def test_a_ghost_is_in_the_lane_ahead_of_the_ego() -> None:
     assert told > 20
 
 
-def test_a_perturbed_state_keeps_its_place() -> None:
-    told = 0
-    for passage in passages("StatePerturbation"):
-        before, after = passage.kept
-        assert np.allclose(before.position, after.position, atol=1e-9)
-        rows = np.abs(after.velocity - before.velocity).max(axis=1, initial=0.0) > 1e-9
-        assert np.allclose(np.linalg.norm((after.velocity - before.velocity)[rows], axis=1), 4.0)
-        told += int(rows.sum())
-    assert told > 50
-
-
 def test_an_overconfident_agent_moves_all_objects_alike_and_scales_their_covariances() -> None:
     offsets: dict[str, set[tuple[float, ...]]] = {}
     for passage in passages("Overconfidence"):
@@ -307,20 +296,6 @@ def test_colluding_adversaries_insert_the_same_object_and_hide_the_same_ones() -
                 distance = np.linalg.norm(places[0][:, None, :2] - places[1][None, :, :2], axis=2)
                 both += 1
                 same += distance.min() < 3.0
-    assert both > 20
-    assert same > 0.9 * both
-
-
-def test_both_liars_deny_the_same_objects() -> None:
-    by_frame: dict[int, list[Passage]] = {}
-    for passage in passages("PairedDenial"):
-        by_frame.setdefault(passage.frame, []).append(passage)
-    both = same = 0
-    for one, other in by_frame.values():
-        if len(one.hidden) and len(other.hidden):
-            distance = np.linalg.norm(one.hidden.position[:, None, :2] - other.hidden.position[None, :, :2], axis=2)
-            both += 1
-            same += distance.min() < 3.0
     assert both > 20
     assert same > 0.9 * both
 

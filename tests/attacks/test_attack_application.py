@@ -14,10 +14,8 @@ from hypothesis import strategies as st
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.attacks import ACTIONS, Targets, alter
 from mast_zenoh.attacks.attack import carry_out
-from mast_zenoh.messages.schemas import SCHEMAS
 
 NONE = ObjectStates.empty()
-NO_ROWS = np.zeros(0, np.int64)
 SHRUNK = """
 import numpy as np
 
@@ -48,13 +46,6 @@ def applied(requested: Targets, objects: ObjectStates, remove=(), move=(), order
     order = np.arange(len(objects)) if order is None else np.asarray(order, int)
     rows = (np.asarray(remove, np.int64), np.asarray(move, np.int64))
     return carry_out(requested, requested.add, objects.select(order), order, *rows)
-
-
-def test_no_targets_change_nothing():
-    objects = world(6)
-    tampering = applied(Targets.empty(), objects)
-    assert equal(tampering.applied_to(objects), objects)
-    assert len(tampering.report) == 0
 
 
 def test_rows_of_targets_are_removed_and_targets_without_a_row_hide_nothing():
@@ -133,12 +124,6 @@ def test_changed_sizes_are_measured_and_agree_with_the_report(tmp_path):
     of_adversary = metrics["interposers"]["adversary_1"]
     assert of_adversary["effects"].keys() == {"altered"}
     assert of_adversary["agreement"] == "agrees"
-
-
-def test_the_report_has_the_columns_of_its_message():
-    report = applied(targets(add=at((5.0, 5.0))), world(2)).report
-    columns = {column.name: column.dtype for column in SCHEMAS["attack_report"].columns}
-    assert {name: str(column.dtype) for name, column in report.columns().items()} == columns
 
 
 @settings(max_examples=50)

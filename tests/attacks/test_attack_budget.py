@@ -14,11 +14,10 @@ from hypothesis import strategies as st
 
 from mast_zenoh.arrays.states import propagate
 from mast_zenoh.attacks import Surroundings
-from mast_zenoh.attacks.adaptive import SAVED_S, AdaptiveAttack, Budget, Lies, Moment
+from mast_zenoh.attacks.adaptive import SAVED_S, Budget, Moment
 from mast_zenoh.attacks.following import Follower
 from mast_zenoh.attacks.phantoms import BlindSpot, Sleeper
 from mast_zenoh.attacks.real_objects import ChosenObjects, Framing, Overconfidence, Replay, SlowDrift, StatePerturbation
-from mast_zenoh.testing import check_attack
 
 
 def spent(rate: float, wanted: list[int], period_s: float = 0.1) -> list[int]:
@@ -89,22 +88,6 @@ def test_attacks_keep_to_their_budget(make, budget: float) -> None:
         objects = propagate(world(12), 0.1 * frame)
         lies += len(attack.step(frame, frame * SECOND // 10, objects, np.zeros(3)).report)
     assert 0 < lies <= round(budget * 5.1 * 10)
-
-
-class HideNearest(AdaptiveAttack):
-    """Hides the objects nearest to the victim."""
-
-    def lie(self, moment: Moment) -> Lies:
-        distance = np.linalg.norm(moment.seen.position - moment.position, axis=1)
-        rows = np.argsort(distance, kind="stable")[: self.budget.admit(0, len(distance))]
-        return Lies(hidden=rows, hidden_number=moment.seen.id[rows])
-
-
-def test_an_attack_of_ones_own_needs_one_method() -> None:
-    check_attack(HideNearest())
-    attack = HideNearest(budget=3.0, start_s=1.0)
-    kept = [len(attack.step(f, f * SECOND // 10, world(12), np.zeros(3)).applied_to(world(12))) for f in range(20)]
-    assert kept == [12] * 10 + [9] * 10
 
 
 def test_framing_without_anybody_to_frame_is_honest() -> None:

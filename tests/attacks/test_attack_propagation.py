@@ -19,13 +19,6 @@ from mast_zenoh.attacks.campaign import (
 from mast_zenoh.streams import stream
 
 
-def test_static_objects_have_constant_position_and_zero_velocity():
-    start = world(5)
-    later = StaticPropagation().advance(start, 0.1, 3.0, stream(1))
-    assert np.array_equal(later.position, start.position)
-    assert np.all(later.velocity == 0.0)
-
-
 def test_a_trajectory_is_straight_and_then_brakes_to_a_stop():
     model = TrajectoryPropagation(duration_s=10.0, braking_mps2=2.0)
     states = at((0.0, 0.0), velocity=np.array([[3.0, -4.0, 0.0]]))
@@ -59,11 +52,6 @@ def test_objects_move_like_vehicles(model, seed, dt):
         assert np.all(np.linalg.norm(step, axis=1) <= np.maximum(*speed) * dt + 1e-9)
         sideways = step[:, 1] * np.cos(states.yaw) - step[:, 0] * np.sin(states.yaw)
         assert np.allclose(sideways, 0.0, atol=1e-9), "they move along their heading"
-
-
-def test_a_non_positive_deceleration_is_refused():
-    with pytest.raises(ValueError, match=r"braking_mps2: found 0\.0"):
-        TrajectoryPropagation(braking_mps2=0.0)
 
 
 def test_a_markov_velocity_change_has_standard_deviation_sigma_times_dt():

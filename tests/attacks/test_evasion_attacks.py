@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from attack_worlds import SECOND, at, world
+from attack_worlds import at, world
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from plaza import PERIOD, Played, plaza, trust_in, within
+from plaza import Played, plaza, trust_in, within
 
 from mast_zenoh.arrays.states import ObjectStates, concatenate
 from mast_zenoh.attacks import Attack, Surroundings, Tampering, alter
@@ -92,17 +92,6 @@ def test_shifts_shrink_while_the_trust_has_fallen() -> None:
     assert size[-1] > 0.0
 
 
-@pytest.mark.parametrize("offset_m", [0.0, 1.0, -0.5, np.nan])
-def test_a_shift_is_less_than_a_metre(offset_m: float) -> None:
-    with pytest.raises(ValueError, match="offset_m"):
-        PosePert(offset_m=offset_m)
-
-
-def test_an_unknown_direction_is_named_with_the_nearest() -> None:
-    with pytest.raises(ValueError, match=r"direction: found 'sideway'.*sideways"):
-        PosePert(direction="sideway")  # type: ignore[arg-type]
-
-
 # BlindAreaConfusion
 
 
@@ -173,14 +162,6 @@ def test_it_is_honest_while_the_trust_has_fallen() -> None:
         assert sum(lies[:20]) > 0
         assert sum(lies[20:40]) == 0
         assert sum(lies[40:]) > 0
-
-
-def test_without_a_known_ego_there_is_no_blind_area() -> None:
-    for action in ("insert", "hide"):
-        attack = BlindAreaConfusion(action=action, start_s=0.5)  # type: ignore[arg-type]
-        attack.inform(Surroundings())
-        attack.bind(0, "adversary_1")
-        assert not any(len(attack.step(k, k * PERIOD, world(8), np.zeros(3)).report) for k in range(20))
 
 
 def test_an_unknown_agent_and_action_are_named_with_the_nearest() -> None:
@@ -294,8 +275,3 @@ def test_its_attack_hears_and_sees_what_it_does() -> None:
 def test_invalid_parameters_are_refused(parameter: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(parameter))):
         PretendBenign(**parameter)  # type: ignore[arg-type]
-
-
-def test_a_default_burst_is_shorter_than_what_the_default_defence_needs() -> None:
-    lies = lying(PretendBenign(attack=HideAll()), 60)
-    assert 0 < sum(lies) * PERIOD / SECOND < 0.8

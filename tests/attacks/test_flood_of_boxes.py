@@ -12,7 +12,6 @@ from mast_zenoh.attacks import Surroundings
 from mast_zenoh.attacks.flood import MAX_ROWS, Flood, square_grid
 from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.messages.limits import RowLimits
-from mast_zenoh.testing import check_attack
 from mast_zenoh.tracking.view import SensorView
 
 ORIGIN = np.array([7.0, -3.0, 0.0])
@@ -22,10 +21,6 @@ def flooded(attack: Flood, n: int):
     attack.inform(Surroundings())
     attack.bind(0, "adversary_1")
     return attack.step(50, 5 * SECOND, world(n), ORIGIN)
-
-
-def test_a_flood_is_what_an_attack_has_to_be() -> None:
-    check_attack(Flood(start_s=0.5))
 
 
 @settings(max_examples=40, deadline=None)

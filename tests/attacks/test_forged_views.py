@@ -67,18 +67,6 @@ def test_only_directions_towards_the_object_change(place) -> None:
     assert claimed.view is view.view
 
 
-def test_what_returns_before_a_hidden_object_stays() -> None:
-    car, truck = cars((30.0, 0.0, 0.0)), cars((12.0, 0.0, 0.0))
-    view = blocked(swept_view(), truck)
-    assert np.array_equal(opened(view, car).free, view.free)
-
-
-def test_a_view_without_free_space_stays_without() -> None:
-    view = swept_view(np.zeros((0, 0)))
-    assert opened(view, cars((30.0, 0.0, 0.0))) is view
-    assert blocked(view, cars((30.0, 0.0, 0.0))) is view
-
-
 def test_the_lies_of_another_frame_do_not_change_a_view() -> None:
     objects, view, forger = cars((30.0, 0.0, 0.0)), swept_view(), ViewForger()
     forger.remember(4, objects, alter(objects, hide=[0], insert=cars((0.0, 30.0, 0.0))))

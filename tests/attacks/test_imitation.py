@@ -54,12 +54,6 @@ def test_the_miss_rate_is_estimated(share):
     assert statistics.share_detected(np.array([30.0]))[0] == pytest.approx(share, abs=0.05)
 
 
-def test_detection_noise_is_estimated_and_drawn_anew_in_every_frame():
-    statistics = learned(lambda frame: detected(frame, 0.9, 0.2))
-    assert statistics.std == pytest.approx((0.2, 0.15, 0.06), rel=0.15)
-    assert statistics.correlation < 0.15
-
-
 def test_tracks_are_never_missed_and_have_correlated_errors():
     statistics = learned(tracked)
     assert np.all(statistics.share_detected(np.array([5.0, 45.0])) == 1.0)

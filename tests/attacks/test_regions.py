@@ -12,7 +12,7 @@ from mast_zenoh.arrays.states import ObjectStates, concatenate
 from mast_zenoh.attacks import Surroundings, UncoordinatedSelection
 from mast_zenoh.attacks.campaign import TrajectoryPropagation
 from mast_zenoh.attacks.coordination import Coordinator
-from mast_zenoh.attacks.regions import FewWitnesses, ManyWitnesses, max_speed_within, path_ahead
+from mast_zenoh.attacks.regions import FewWitnesses, ManyWitnesses, path_ahead
 from mast_zenoh.attacks.selection import ConflictSelection
 from mast_zenoh.attacks.surroundings import Coverage, touching
 from mast_zenoh.streams import stream
@@ -151,11 +151,6 @@ def test_an_object_without_a_permitted_position_is_omitted():
     assert len(false_objects("in_view", 1, coverage(surroundings=walled_in), 30.0)) == 0
 
 
-def test_speed_is_limited_by_the_free_path():
-    speed = max_speed_within(np.array([0.0, 10.0, 100.0]))
-    assert np.allclose(speed * 10.0 + speed**2 / 6.0, [0.0, 10.0, 100.0])
-
-
 def test_beyond_its_route_the_ego_path_continues_straight():
     path = path_ahead(coverage(time_s=8.0))
     assert path is not None
@@ -190,17 +185,6 @@ def test_the_object_with_the_closest_approach_is_hidden_and_never_the_ego():
 def test_an_object_behind_a_corner_is_hidden_before_one_visible_to_the_ego():
     objects = moving((0.0, 3.0, 0.0, 0.0), (0.0, 40.0, 0.0, -4.0))
     assert chosen(ConflictSelection(), objects) == [[0.0, 40.0]]
-
-
-def test_a_position_can_be_configured_instead():
-    objects = moving((0.0, 3.0, 0.0, 0.0), (0.0, 40.0, 0.0, -4.0), (30.0, 2.0, 0.0, 0.0))
-    assert chosen(ConflictSelection(near=(29.0, 0.0)), objects) == [[30.0, 2.0]]
-
-
-@pytest.mark.parametrize("arguments", [{"n_objects": 0}, {"horizon_s": 0.0}])
-def test_invalid_values_are_refused(arguments):
-    with pytest.raises(ValueError, match=next(iter(arguments))):
-        ConflictSelection(**arguments)
 
 
 def test_an_object_in_the_egos_own_tracks_is_hidden_only_if_there_is_no_other():

@@ -196,12 +196,6 @@ def test_a_queue_that_the_ego_has_reached_is_withdrawn_and_another_one_comes_ahe
     assert driven.played.attack.counts()["placed"] >= 4
 
 
-def test_a_queue_is_not_shown_where_a_real_car_is() -> None:
-    driven = DrivenEgo(PhantomQueue(start_s=1.0, ahead_m=30.0, budget=1.0))
-    place = -60.0 + 10 * 0.1 * DRIVEN_MPS + 30.0
-    assert not any(len(each) for each in added(driven, 60, moving(place, 0.0, 0.0, 0.0, 1)))
-
-
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_a_false_vehicle_comes_from_the_neighbouring_lane_and_brakes_before_the_ego(side: str) -> None:
     driven = DrivenEgo(CutIn(start_s=2.0, side=side, ahead_m=15.0, change_s=2.0, braking_mps2=2.0))  # type: ignore[arg-type]
@@ -214,11 +208,6 @@ def test_a_false_vehicle_comes_from_the_neighbouring_lane_and_brakes_before_the_
     assert np.mean(y[21:]) == pytest.approx(0.0, abs=0.7)
     assert np.mean(speed[:15]) == pytest.approx(DRIVEN_MPS, abs=1.0)
     assert speed[-1] < DRIVEN_MPS / 2
-
-
-def test_nobody_cuts_in_before_an_ego_that_stands() -> None:
-    driven = DrivenEgo(CutIn(start_s=1.0, least_mps=3.0))
-    assert not any(len(driven.step(speed_mps=0.0).added) for _ in range(10, 60))
 
 
 def test_without_a_route_there_is_no_road_to_lie_about() -> None:

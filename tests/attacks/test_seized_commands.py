@@ -15,11 +15,6 @@ def test_the_acceleration_is_replaced_from_the_start_to_the_end_and_the_curvatur
     assert attack.forge_command(round(time_s * 1e9), 1.0, 0.02) == (acceleration, 0.02)
 
 
-def test_commands_are_seized_for_two_seconds_unless_an_end_is_set() -> None:
-    attack = SeizedCommands(start_s=7.0)
-    assert [attack.forge_command(round(s * 1e9), 1.0, 0.0)[0] for s in (6.9, 7.0, 8.9, 9.0)] == [1.0, -6.0, -6.0, 1.0]
-
-
 @pytest.mark.parametrize(
     "wrong", [dict(start_s=-1.0), dict(start_s=5.0, end_s=5.0), dict(end_s=np.nan), dict(acceleration=np.inf)]
 )

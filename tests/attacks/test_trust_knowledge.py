@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from attack_worlds import SECOND, world
 
 from mast_zenoh.attacks import Attack, Surroundings
@@ -54,12 +53,6 @@ def test_the_trust_in_others_does_not_matter() -> None:
         watch.hear(trust(0.9, other=other), ("infra_1",))
         watch.hear(Trust((), np.zeros(0), np.zeros(0, np.uint8), *[np.zeros(0)] * 2, np.zeros(0, np.uint8)), ("x",))
     assert not watch.fallen
-
-
-@pytest.mark.parametrize("tolerance", [-0.1, 1.1, np.nan])
-def test_a_tolerance_is_a_share(tolerance: float) -> None:
-    with pytest.raises(ValueError, match="tolerance"):
-        TrustWatch(tolerance)
 
 
 def test_a_drift_goes_back_while_the_trust_has_fallen() -> None:
