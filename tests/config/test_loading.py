@@ -181,9 +181,7 @@ def test_an_algorithm_in_a_neighbouring_file_is_recognised_among_modules_without
 def test_the_only_node_in_a_file_needs_no_name(tmp_path: Path) -> None:
     file = write(tmp_path, "mine.py", NODE.format(name="Mine", role="link"))
     assert loading.node_class(file).__name__ == "Mine"
-    assert loading.node_class(file, "Mine") is loading.node_class(file, "Mine"), (
-        "the same class, however often it is named"
-    )
+    assert loading.node_class(file, "Mine") is loading.node_class(file, "Mine"), "the same class"
 
 
 def test_a_file_with_several_nodes_needs_a_type(tmp_path: Path) -> None:

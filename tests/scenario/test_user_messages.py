@@ -229,26 +229,14 @@ def test_a_remote_node_gets_the_file_of_the_type(windy: Path, tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        (
-            dict(weather_types=TYPES.replace('"str"', '"text"')),
-            r"station.py:\d+: ValueError: column 'station': dtype: found 'text', expected one of float64, int64",
-        ),
-        (
-            dict(weather_types=TYPES.replace('"wind", 1', '"tracks", 1')),
-            r"station.py:\d+: TypeError: Station.outputs\['wind'\]: message type 'tracks' comes with mast",
-        ),
+        (dict(weather_types=TYPES.replace('"str"', '"text"')), r"station.py:\d+: ValueError: column .*found 'text'"),
+        (dict(weather_types=TYPES.replace('"wind", 1', '"tracks", 1')), r"station.py:\d+: Type.*'tracks' comes"),
         (
             dict(listener=LISTENER.replace("from weather_types import WIND", TYPES.replace('"wind", 1', '"wind", 2'))),
             r"windy.py: message type 'wind': Station in .*/station.py and Listener in .*/listener.py declare different",
         ),
-        (
-            dict(windy=SCENARIO.replace('message="wind"', 'message="wint"')),
-            r"no message type 'wint'; did you mean 'wind'",
-        ),
-        (
-            dict(listener=LISTENER.replace('{"wind": WIND}', '{"wind": "tracks"}')),
-            r"listener.wind carries 'tracks' messages, the wire 'wind'",
-        ),
+        (dict(windy=SCENARIO.replace('message="wind"', 'message="wint"')), "no message type 'wint'; did you mean"),
+        (dict(listener=LISTENER.replace('{"wind": WIND}', '{"wind": "tracks"}')), "listener.wind carries 'tracks'"),
     ],
 )
 def test_an_invalid_type_is_refused_with_its_location(tmp_path: Path, changed: dict[str, str], message: str) -> None:
@@ -272,11 +260,9 @@ def test_columns_that_do_not_match_the_type_are_a_failure_of_the_handler(tmp_pat
 
 
 @pytest.mark.mesh
-@pytest.mark.parametrize("elsewhere", [False, True], ids=["processes", "elsewhere"])
-def test_the_mesh_gives_the_same_messages(windy: Path, tmp_path: Path, elsewhere: bool) -> None:
+def test_the_mesh_gives_the_same_messages_also_elsewhere(windy: Path, tmp_path: Path) -> None:
     here = launcher.run(resolved(windy, moved=True), tmp_path / "here", runtime="inproc")
-    engine = Beside() if elsewhere else None
-    there = launcher.run(resolved(windy, moved=True), tmp_path / "there", engine=engine)
+    there = launcher.run(resolved(windy, moved=True), tmp_path / "there", engine=Beside())
     assert there.error is None
     found = difference.compare(here.folder, there.folder, taps=True)
     assert found.first is None, "\n".join(explain(found))

@@ -14,8 +14,7 @@ from mast_zenoh.run_folder.recording.reader import read
 
 def run_alone(out: Path, name: str, *settings: str, **options: Any) -> Path:
     """The folder of a run of a scenario in one process, which must end well."""
-    path, loaded = scenario.load(name, settings)
-    ended = run.run(scenario.resolve(path, loaded, **options), out, runtime="inproc")
+    ended = run.run(scenario.resolve(*scenario.load(name, settings), **options), out, runtime="inproc")
     assert ended.error is None
     return ended.folder
 

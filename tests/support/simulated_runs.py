@@ -114,8 +114,7 @@ def resolve(
 
     steps: replace its process steps, if there are any;  recorded: whether it has a recorder
     """
-    path, loaded = scenario.load(name, settings)
-    resolved = scenario.resolve(path, loaded, record=recorded, **options)
+    resolved = scenario.resolve(*scenario.load(name, settings), record=recorded, **options)
     own = tuple(ProcessStep(*step) for step in steps)
     return replace(resolved, steps=own) if own else resolved
 
