@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow
 
 from mast_zenoh.driving.braking import BRAKING_MPS2
-from mast_zenoh.errors import MastError
 from mast_zenoh.launch.twin import FOLDER, NAME
-from mast_zenoh.run_folder import read_json
 from mast_zenoh.runs.events import Event
-from mast_zenoh.runs.files import Table, driven_table, rows
+from mast_zenoh.runs.files import RunFiles, Table, rows
 from mast_zenoh.runs.run import Run
 
 #: What a car does in a frame: it does not brake, it brakes, it does so although the truth gives no reason.
@@ -72,14 +68,11 @@ def braking_of(run: Run, car: str, times_s: np.ndarray) -> np.ndarray:
 
 def twin_course(run: Run, car: str) -> Table | None:
     """The course of a car in the unattacked twin of a run; None: it has none, or the car is not driven there."""
-    folder: Path = run.path / FOLDER
-    try:
-        is_twin = read_json(folder / "run.json").get("name") == NAME
-        table = driven_table(folder / "driven.parquet") if is_twin else None
-    except (MastError, OSError, ValueError, KeyError, AttributeError, pyarrow.ArrowException):
+    twin = RunFiles(run.path / FOLDER)
+    if twin.record.get("name") != NAME or twin.driven is None:
         return None
-    course = None if table is None else rows(table, table["agent"] == car)
-    return course if course is not None and len(course["frame"]) else None
+    course = rows(twin.driven, twin.driven["agent"] == car)
+    return course if len(course["frame"]) else None
 
 
 def reason_of(brake: Mapping[str, Any]) -> str:

@@ -76,11 +76,6 @@ def rows(table: Table, mask: Bools) -> Table:
     return {name: column[mask] for name, column in table.items()}
 
 
-def driven_table(path: Path) -> Table:
-    """The columns of a driven.parquet that pictures show. Raises RunFolderError or OSError if that cannot be read."""
-    return TableFile(path).rows(_DRIVEN)
-
-
 def column(table: Table, name: str) -> NDArray[np.float64]:
     """A column as numbers."""
     return np.asarray(table[name], np.float64)
