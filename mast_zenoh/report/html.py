@@ -66,7 +66,7 @@ from mast_zenoh.report.tables.text_table import TextTable
 from mast_zenoh.report.tables.wiring import wire_rows
 from mast_zenoh.run_folder import write_bytes
 from mast_zenoh.runs.frame import Frame, has_boxes
-from mast_zenoh.runs.interposers import BAD, EFFECTS, failure_lines, interposers, node_row
+from mast_zenoh.runs.interposers import BAD, WITH_COLUMN, failure_lines, interposers, node_row
 from mast_zenoh.runs.run import Run
 from mast_zenoh.version import __version__
 from mast_zenoh.viewer.page.block import run_block
@@ -355,7 +355,7 @@ def _write_run(
         "driven": driven_table(run, reference.run, reference.name) if reference else driven_table(run),
         "cars": car_sentences(run, reference),
         "driving": driving_table(run, reference.run, reference.name) if reference else driving_table(run),
-        "effects": EFFECTS,
+        "effects": WITH_COLUMN,
         "bad_verdicts": BAD,
         "results": run.files.results,
         "blame": cause_table({run.name: run.files.summary}) if run.faulted or run.withholds else None,

@@ -13,10 +13,10 @@ from mast_zenoh.evaluation.trust import UPSTREAM
 from mast_zenoh.metrics.study_results import AgentTrustSeries, Spans
 from mast_zenoh.run_folder.recording.churn import LOST
 from mast_zenoh.runs.files import Table, boxes_of, column, rows
-from mast_zenoh.runs.run import Run, agent_of
+from mast_zenoh.runs.run import Run, agent_in_key
 
 #: Manipulations that have a place, as verbs.
-EFFECTS = {"inserted": "inserts", "removed": "removes", "moved": "moves"}
+VERBS = {"inserted": "inserts", "removed": "removes", "moved": "moves"}
 #: Faults that separate agents from the command centre.
 PARTITIONS = ("Partition", "HostPartition")
 
@@ -61,14 +61,14 @@ def first_changes(run: Run) -> list[Event]:
             first = int(np.argmin(own["frame"]))
             when = "before" if effect == "removed" else "after"
             x, y = (float(own[f"{when}_{axis}"][first]) for axis in "xy")
-            place = (round(x, 2), round(y, 2)) if effect in EFFECTS and np.isfinite([x, y]).all() else (None, None)
+            place = (round(x, 2), round(y, 2)) if effect in VERBS and np.isfinite([x, y]).all() else (None, None)
             action = f"changes its first message ({effect})"
-            if effect in EFFECTS:
-                action = f"{EFFECTS[effect]} its first object"
+            if effect in VERBS:
+                action = f"{VERBS[effect]} its first object"
             elif effect == "reframed" and own["message"][first] == "view":
-                action = f"changes what {agent_of(str(own['wire'][first]))} says it sees"
+                action = f"changes what {agent_in_key(str(own['wire'][first]))} says it sees"
             elif effect == "reframed" and own["message"][first] == "command":
-                action = f"changes its first command to {agent_of(str(own['wire'][first]))}"
+                action = f"changes its first command to {agent_in_key(str(own['wire'][first]))}"
             result.append(Event(int(own["frame"][first]), "effect", f"{name} {action}", *place))
     return result
 
@@ -206,7 +206,7 @@ def lie_frames(run: Run, agent: str) -> Ints:
     wires = [
         wire
         for wire in np.unique(changes["wire"]).tolist()
-        if agent_of(wire) == agent and wire.rpartition("/")[2] in UPSTREAM
+        if agent_in_key(wire) == agent and wire.rpartition("/")[2] in UPSTREAM
     ]
     return np.unique(changes["frame"][np.isin(changes["wire"], wires)]).astype(np.int64)
 

@@ -10,10 +10,10 @@ import numpy as np
 
 from mast_zenoh.control import failures
 from mast_zenoh.control.failures import how_often
-from mast_zenoh.runs.run import Run, agent_of
+from mast_zenoh.runs.run import Run, agent_in_key
 
 #: Effects with their own column; all others share one.
-EFFECTS = ("inserted", "removed", "moved", "altered", "delayed", "dropped", "repeated")
+WITH_COLUMN = ("inserted", "removed", "moved", "altered", "delayed", "dropped", "repeated")
 #: Verdicts that need attention.
 BAD = ("crashed", "failed", "silent", "disagrees")
 #: Effects on objects, counted in rows: an object in a message. The others are counted in messages.
@@ -79,8 +79,8 @@ class Interposer:
 
     @property
     def other(self) -> str:
-        """Effects that are not in EFFECTS, in words."""
-        more = {name: n for name, n in self.effects_besides_named.items() if name not in EFFECTS}
+        """Effects that are not in WITH_COLUMN, in words."""
+        more = {name: n for name, n in self.effects_besides_named.items() if name not in WITH_COLUMN}
         more |= {"views changed": self.views, "commands changed": self.commands}
         return ", ".join(f"{count} {name}" for name, count in more.items() if count)
 
@@ -129,8 +129,8 @@ def interposers(run: Run) -> tuple[Interposer, ...]:
     result = []
     for node, keys in wires.items():
         crash, summary = _crash(run, node), measured.get(node, {})
-        failed_frames = frames_of(failures_of(run.files.record.get("nodes", {}).get(node, {})))
-        agents = dict.fromkeys(agent for agent in map(agent_of, keys) if agent)
+        failed_frames = n_failed_frames(failures_of(run.files.record.get("nodes", {}).get(node, {})))
+        agents = dict.fromkeys(agent for agent in map(agent_in_key, keys) if agent)
         result.append(
             Interposer(
                 name=node,
@@ -203,7 +203,7 @@ def _reframed(run: Run, node: str, effects: Mapping[str, int], message: str) -> 
     return min(int(changed.sum()), number)
 
 
-def frames_of(failures: Sequence[Mapping[str, Any]]) -> int:
+def n_failed_frames(failures: Sequence[Mapping[str, Any]]) -> int:
     """Number of frames with failures of the handler that failed most often."""
     return max((int(entry.get("frames", entry["count"])) for entry in failures), default=0)
 

@@ -163,7 +163,7 @@ class Run:
         known = known or self.files.summary.get("interposers", {}).get(node, {}).get("role")
         if known:
             return str(known)
-        is_agent = any(agent_of(wire["key"]) == node for wire in self.files.wiring.get("wires", []))
+        is_agent = any(agent_in_key(wire["key"]) == node for wire in self.files.wiring.get("wires", []))
         return "agent" if is_agent else node.rstrip("0123456789").rstrip("_")
 
     @cached_property
@@ -445,7 +445,7 @@ class Run:
             raise RunFolderError(f"{path}: {error}") from None
 
 
-def agent_of(key: str) -> str | None:
+def agent_in_key(key: str) -> str | None:
     """The agent in a key such as `prefix/agent/infra_1/tracks`; None: no agent."""
     chunks = key.split("/")
     following = chunks.index("agent") + 1 if "agent" in chunks else len(chunks)

@@ -196,7 +196,7 @@ class Store:
         return self._trials / f"{trial.digest}.parquet"
 
 
-class TableFile:
+class TableWriter:
     """A Parquet file written in pieces.
 
     It is complete when the block ends, and absent if the block raises.
@@ -210,7 +210,7 @@ class TableFile:
         self._temporary = path.with_name(f".{path.name}.{os.getpid()}")
         self._pending: list[pyarrow.Table] = []
 
-    def __enter__(self) -> TableFile:
+    def __enter__(self) -> TableWriter:
         self._temporary.unlink(missing_ok=True)  # a link there would be followed
         self._writer = parquet.ParquetWriter(self._temporary, self._schema, compression="zstd")
         return self
@@ -244,5 +244,5 @@ class TableFile:
 
 def write_parquet(path: Path, table: Any) -> None:
     """Write a table atomically: a reader finds the complete old or new file."""
-    with TableFile(path, table.schema) as file:
+    with TableWriter(path, table.schema) as file:
         file.append(table)

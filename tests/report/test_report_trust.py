@@ -374,7 +374,7 @@ def test_the_events_of_a_run_say_who_the_possible_liars_are(undecided: Path) -> 
 
 def test_the_caption_of_a_film_names_undecided_agents_in_one_line(undecided: Path) -> None:
     take = Take(Run(undecided), "picture")
-    captions = [text for frame, text in takes.happenings(take) if frame == 10]
+    captions = [text for frame, text in takes.caption_events(take) if frame == 10]
     assert captions == ["infra_2 undecided", "infra_3 undecided"]
 
 

@@ -21,7 +21,7 @@ from mast_zenoh.run_folder.tables import to_arrow
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.study import definition, interface
 from mast_zenoh.study.numbers import Number, numbers, values
-from mast_zenoh.study.store import TableFile
+from mast_zenoh.study.store import TableWriter
 from mast_zenoh.study.tables import ParameterColumns, Samples
 
 NAN = float("nan")
@@ -119,18 +119,18 @@ def test_a_parameter_and_a_user_metric_of_the_same_name_both_have_columns() -> N
 
 
 def test_tables_of_trials_are_joined_with_nulls_for_missing_columns(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(TableFile, "ROW_GROUP", 3)
+    monkeypatch.setattr(TableWriter, "ROW_GROUP", 3)
     text = pyarrow.dictionary(pyarrow.int32(), pyarrow.string())
     schema = pyarrow.schema([("name", text), ("mine", pyarrow.float64())])
     pieces = [{"name": [name] * 2, **({"mine": [float(i)] * 2} if i else {})} for i, name in enumerate("abc")]
-    with TableFile(tmp_path / "t.parquet", schema) as file:
+    with TableWriter(tmp_path / "t.parquet", schema) as file:
         for piece in pieces:
             file.append(to_arrow(piece))
         assert not (tmp_path / "t.parquet").exists()
     table = parquet.read_table(tmp_path / "t.parquet")
     assert table.to_pydict() == {"name": list("aabbcc"), "mine": [None, None, 1.0, 1.0, 2.0, 2.0]}
     assert parquet.read_metadata(tmp_path / "t.parquet").num_row_groups == 2
-    with pytest.raises(ZeroDivisionError), TableFile(tmp_path / "failed.parquet", schema):
+    with pytest.raises(ZeroDivisionError), TableWriter(tmp_path / "failed.parquet", schema):
         raise ZeroDivisionError
     assert [path.name for path in tmp_path.iterdir()] == ["t.parquet"]
 

@@ -155,7 +155,7 @@ class Captions:
         texts: dict[int, list[str]] = {}
         for take in takes:
             label = f" ({take.run.name})" if len(takes) > 1 else ""
-            for frame, text in happenings(take):
+            for frame, text in caption_events(take):
                 shown = takes[0].frame_at(take.seconds(frame))
                 texts.setdefault(shown, []).append(text + label)
         merged = {frame: "; ".join(dict.fromkeys(each)) for frame, each in texts.items()} | dict(own)
@@ -168,7 +168,7 @@ class Captions:
         return self._texts[place - 1] if place else ""
 
 
-def happenings(take: Take) -> list[tuple[int, str]]:
+def caption_events(take: Take) -> list[tuple[int, str]]:
     """(frame, words) of interceptions, attacks, faults, absences, states of trust and brakes, the earliest first."""
     # A caption is one line: it has no room for the reasons.
     periods = [

@@ -44,8 +44,8 @@ def schedule(take: Take, start: int | None, end: int | None, speed: float, fps: 
 
     Raises RunFolderError for frames that the run does not have, ConfigurationError for an invalid speed or rate.
     """
-    first = take.first if start is None else check_frame(take, start)
-    last = min(take.last, first + MOST_FRAMES - 1) if end is None else check_frame(take, end)
+    first = take.first if start is None else check_in_take(take, start)
+    last = min(take.last, first + MOST_FRAMES - 1) if end is None else check_in_take(take, end)
     if last < first:
         raise ConfigurationError(f"frames: found {first} to {last}, expected the first not to be after the last")
     if not (math.isfinite(speed) and 0.01 <= speed <= 100):
@@ -60,7 +60,7 @@ def schedule(take: Take, start: int | None, end: int | None, speed: float, fps: 
     return Schedule([min(first + math.floor(k * native / fps + 1e-9), last) for k in range(count)], fps)
 
 
-def check_frame(take: Take, frame: int) -> int:
+def check_in_take(take: Take, frame: int) -> int:
     """Return a frame; raises RunFolderError if the run does not have it."""
     if not take.first <= frame <= take.last:
         raise RunFolderError(f"{take.run.path}: found frame {frame}, expected one of {take.first} to {take.last}")
@@ -118,7 +118,7 @@ def snapshot(run: Path, out: Path, look: Look, frame: int | None = None, against
     if frame is None:
         chosen = choose_frame(takes[0].run)
         frame = takes[0].first if chosen is None else chosen
-    check_frame(takes[0], frame)
+    check_in_take(takes[0], frame)
     sheet = Sheet(takes, look, [frame], (takes[0].first, takes[0].last))  # its strips show the whole run
     sheet.show(frame)
     write_new(out, lambda path: save(sheet.figure, path, kind, text=True))

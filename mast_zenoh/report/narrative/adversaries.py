@@ -28,7 +28,7 @@ from mast_zenoh.report.narrative.changes import (
 )
 from mast_zenoh.runs.files import Table, are_in, rows
 from mast_zenoh.runs.interposers import OF_OBJECTS, Interposer, interposers
-from mast_zenoh.runs.run import Run, agent_of
+from mast_zenoh.runs.run import Run, agent_in_key
 from mast_zenoh.wiring.model import peer_of
 
 #: Adversaries with a sentence of their own; the others share one.
@@ -216,7 +216,7 @@ def _places(run: Run, adversary: Interposer) -> list[str]:
     for key in [key for key in adversary.wires if key in changed] or adversary.wires:
         wire = wires.get(key, {})
         message = str(wire.get("message") or key.rpartition("/")[2])
-        subject = str(wire.get("subject") or agent_of(key) or "")
+        subject = str(wire.get("subject") or agent_in_key(key) or "")
         if message == "picture":
             before = f" on its way to {join_names(adversary.before)}" if adversary.before else " for all agents"
             places[f"the common picture{before}"] = None

@@ -25,7 +25,7 @@ from mast_zenoh.report.narrative.changes import (
 )
 from mast_zenoh.report.tables.wiring import all_wires
 from mast_zenoh.runs.interposers import failures_of, interposers
-from mast_zenoh.runs.run import Run, agent_of
+from mast_zenoh.runs.run import Run, agent_in_key
 from mast_zenoh.wiring.model import Passage
 
 
@@ -51,7 +51,7 @@ def _passages(run: Run, node: str) -> list[Passage]:
         key, legs = wire["key"], wire.get("legs", ())
         port = (legs[0].get("from_port") if legs else None) or wire.get("message", "")
         befores = {leg["before"]: None for leg in legs if leg.get("from") == node and leg.get("before")}
-        subject = wire.get("subject") or agent_of(key) or ""
+        subject = wire.get("subject") or agent_in_key(key) or ""
         passages += [
             Passage(node, key, subject, wire.get("message", ""), port, "", "", each) for each in befores or [""]
         ]

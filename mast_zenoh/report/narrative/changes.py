@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mast_zenoh.metrics.estimates import ESTIMATES, IN_TRANSIT, PICTURE, RECEIVED, place_of
-from mast_zenoh.runs.interposers import EFFECTS, OF_OBJECTS, Interposer
+from mast_zenoh.runs.interposers import OF_OBJECTS, WITH_COLUMN, Interposer
 from mast_zenoh.runs.run import Run
 
 FALSE, MISSED, DISPLACED, IDENTITY = "false", "missed", "displaced", "identity"
@@ -376,7 +376,7 @@ _EFFECT_WORDS = {"reframed": "changed outside their objects"}
 def effects(interposer: Interposer) -> str:
     """Measured effects: `478 rows of 6 objects inserted, 8 messages dropped, 110 views changed`."""
     counts = interposer.effects_besides_named
-    ordered = [name for name in (*EFFECTS, *counts) if counts.get(name) and name != "unsettled"]
+    ordered = [name for name in (*WITH_COLUMN, *counts) if counts.get(name) and name != "unsettled"]
     texts = [_effect(interposer, name, counts[name]) for name in dict.fromkeys(ordered)]
     texts += [f"{plural(interposer.views, 'view')} changed"] * bool(interposer.views)
     texts += [f"{plural(interposer.commands, 'command')} changed"] * bool(interposer.commands)

@@ -39,7 +39,7 @@ from mast_zenoh.report.tables.of_run import braking_by_attack, check_rows, drivi
 from mast_zenoh.report.tables.scores import ScoreTable
 from mast_zenoh.run_folder.recording import churn
 from mast_zenoh.runs.files import Table, rows
-from mast_zenoh.runs.interposers import Interposer, failures_of, frames_of, interposers
+from mast_zenoh.runs.interposers import Interposer, failures_of, interposers, n_failed_frames
 from mast_zenoh.runs.run import Run
 
 #: How a run that did not end well failed, by its status.
@@ -58,7 +58,7 @@ _ENDS = {
 def status(run: Run) -> str:
     """How a run failed, in a sentence without a full stop; empty: it did not."""
     failed = {name: failures_of(node) for name, node in run.files.record.get("nodes", {}).items()}
-    if names := [f"{name} failed in {plural(frames_of(each), 'frame')}" for name, each in failed.items() if each]:
+    if names := [f"{name} failed in {plural(n_failed_frames(each), 'frame')}" for name, each in failed.items() if each]:
         return f"Handlers of {join_names(names)}: the numbers may be wrong"
     if lost := run.lost:
         return f"{churn.sentence(lost)}: from then on it is not the run that the scenario describes"
