@@ -60,8 +60,9 @@ def write_table(path: Path, columns: Mapping[str, Any]) -> None:
 def read_table(path: Path) -> dict[str, NDArray[Any]]:
     """Read a table as columns; raises RunFolderError if it is missing or broken."""
     try:
-        return from_arrow(read_arrow(path))
-    except (OSError, pyarrow.ArrowException) as error:
+        with _naming(path):
+            return from_arrow(read_arrow(path))
+    except FileNotFoundError as error:
         raise RunFolderError(f"{path}: {error}") from None
 
 

@@ -441,7 +441,7 @@ class Run:
             raise RunFolderError(f"{path}: missing; {why}")
         try:
             return read(path)
-        except (OSError, pyarrow.ArrowException) as error:
+        except (OSError, ValueError, pyarrow.ArrowException) as error:
             raise RunFolderError(f"{path}: {error}") from None
 
 
