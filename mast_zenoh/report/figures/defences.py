@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -170,16 +171,8 @@ def _delays(matrix: DefenceMatrix) -> RenderedFigure:
     axes = figure.subplots()
     light_axes(axes)
     for defence, delay in matrix.delays.items():
-        index = matrix.names("defence").index(defence)  # the colour is the same in all figures
-        axes.step(
-            delay.time_s,
-            100.0 * delay.undetected,
-            where="post",
-            color=RUN_COLOURS[index % len(RUN_COLOURS)],
-            linestyle=LINE_STYLES[index % len(LINE_STYLES)],
-            linewidth=1.8,
-            label=plain(f"{defence}: {delay.detections} of {delay.watched}"),
-        )
+        label = f"{defence}: {delay.detections} of {delay.watched}"
+        axes.step(delay.time_s, 100.0 * delay.undetected, where="post", **_line(matrix, defence, label))
     axes.set_xlabel("s since the first observable lie", fontsize=9.5, color=INK)
     axes.set_ylabel("liars not suspended yet (%)", fontsize=9.5, color=INK)
     axes.set_ylim(0.0, 103.0)
@@ -204,15 +197,8 @@ def _rocs(matrix: DefenceMatrix) -> RenderedFigure:
     light_axes(axes)
     axes.plot([0, 100], [0, 100], color=LOCAL, linewidth=0.8)
     for each in matrix.rocs:
-        index = matrix.names("defence").index(each.defence)
-        axes.plot(
-            100.0 * each.roc.false_positive_rate,
-            100.0 * each.roc.true_positive_rate,
-            color=RUN_COLOURS[index % len(RUN_COLOURS)],
-            linestyle=LINE_STYLES[index % len(LINE_STYLES)],
-            linewidth=1.8,
-            label=plain(f"{each.defence}: AUC {number(each.auc.value)}"),
-        )
+        x, y = 100.0 * each.roc.false_positive_rate, 100.0 * each.roc.true_positive_rate
+        axes.plot(x, y, **_line(matrix, each.defence, f"{each.defence}: AUC {number(each.auc.value)}"))
     axes.set_xlabel("honest agent-runs above the threshold (%)", fontsize=9.5, color=INK)
     axes.set_ylabel("lying agent-runs above the threshold (%)", fontsize=9.5, color=INK)
     axes.legend(frameon=False, fontsize=9, labelcolor=INK, loc="lower right")
@@ -223,6 +209,13 @@ def _rocs(matrix: DefenceMatrix) -> RenderedFigure:
     )
     values = "; ".join(f"{each.defence} {number(each.auc.value)}" for each in matrix.rocs)
     return render("roc", figure, f"Receiver operating characteristics, areas below: {values}.", caption, printed=True)
+
+
+def _line(matrix: DefenceMatrix, defence: str, label: str) -> dict[str, Any]:
+    """How the line of a defence looks, the same in all figures."""
+    index = matrix.names("defence").index(defence)
+    colour, style = RUN_COLOURS[index % len(RUN_COLOURS)], LINE_STYLES[index % len(LINE_STYLES)]
+    return {"color": colour, "linestyle": style, "linewidth": 1.8, "label": plain(label)}
 
 
 def _mean(row: Row | None, name: str) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from mast_zenoh.metrics.significance import clearest
@@ -19,8 +19,11 @@ from mast_zenoh.report.tables.text_table import (
     numbers_of_rows,
     shown,
     table_of_rows,
+    whole,
 )
 
+#: Texts of a row by heading.
+Columns = Mapping[str, Callable[[Row], str]]
 #: Measures of each table.
 _COSTS = ("fn_added", "fp_added", "ospa_added_m", "honest_suspended_per_hour", "wrongly_suspended")
 _DETECTION = (
@@ -46,10 +49,6 @@ def _of_runs(each: Measured) -> str:
     return _share(each) + (f" of {each.trials}" if each.trials else "")
 
 
-def _count(each: Measured) -> str:
-    return number(each.value, 0)
-
-
 #: How measures are shown, unless with two decimals.
 _SHOWN = {"median_delay_s": median_delay, "ospa_added_m": _share} | dict.fromkeys(_FRAMING, _of_runs)
 
@@ -62,11 +61,11 @@ def _columns(names: Sequence[str]) -> dict[str, Callable[[Row], str]]:
     return {DEFENCE_MEASURES[name]: _text(name) for name in names}
 
 
-def tables(matrix: DefenceMatrix) -> list[TextTable]:
+def tables(matrix: DefenceMatrix, summed: TextTable) -> list[TextTable]:
     """All tables that have a line, the summary last."""
     every = [_costs(matrix), *damage(matrix), *_distance(matrix)]
     every += [_own(matrix), _detection(matrix), _framing(matrix), _faults(matrix)]
-    every += [_states_by_conduct(matrix), _characteristics(matrix), summary(matrix)]
+    every += [_states_by_conduct(matrix), _characteristics(matrix), summed]
     return [table for table in every if table.lines]
 
 
@@ -112,7 +111,7 @@ _SUMMARY = {
     DEFENCE_MEASURES["median_delay_s"]: shown("median_delay_s", median_delay),
     DEFENCE_MEASURES["identifiable_removed"]: shown("identifiable_removed", _share),
     "false alarms per hour without an attack": shown("alarms_per_hour"),
-    "frames": shown("frames", lambda each: _count(each) if each.value else DASH),
+    "frames": shown("frames", lambda each: whole(each) if each.value else DASH),
     "FN added without an attack": shown("fn_added", _share),
     "FP added without an attack": shown("fp_added", _share),
     "runs with faults that suspend an agent (share)": shown("faults_suspended", _of_runs),
@@ -120,16 +119,20 @@ _SUMMARY = {
 }
 
 
-def summary(matrix: DefenceMatrix) -> TextTable:
-    """What each defence is worth, over all rows; without columns that do not apply to any."""
+def summary(matrix: DefenceMatrix, added: Columns, about_added: str) -> TextTable:
+    """What each defence is worth, over all rows; without columns that do not apply to any.
+
+    added: more columns, of which none is left out
+    """
     budgets = ", each with its most harmful budget" if any(row.of["budgets"] > 1 for row in matrix.rows) else ""
     about = (
         f"Over all adversaries above{budgets}. False alarms are suspensions of honest agents in runs without an "
-        "attack, of as many frames as given."
+        f"attack, of as many frames as given.{about_added}"
     )
-    table = table_of_rows("Summary", about, matrix.summaries, _SUMMARY, _DEFENCE)
+    table = table_of_rows("Summary", about, matrix.summaries, {**_SUMMARY, **added}, _DEFENCE)
     columns = zip(table.headings, *table.lines, strict=True)
-    headings, *lines = zip(*(column for column in columns if {*column[1:]} != {DASH}), strict=True)
+    applying = (column for column in columns if column[0] in added or {*column[1:]} != {DASH})
+    headings, *lines = zip(*applying, strict=True)
     return table._replace(headings=headings, lines=lines)
 
 
@@ -162,14 +165,14 @@ def _detection(matrix: DefenceMatrix) -> TextTable:
     if matrix.not_suspending:
         about += f" Suspended nobody in any run, so without a delay: {', '.join(matrix.not_suspending)}."
     columns = _LIED | _columns(_DETECTION)
-    columns |= {"suspended": _suspended, "suspended before": shown("suspended_before", _count)}
+    columns |= {"suspended": _suspended, "suspended before": shown("suspended_before", whole)}
     return table_of_rows("Detection", about, _attacked(matrix), columns, CELL | {"budget": "budget"}, texts=5)
 
 
 def _suspended(row: Row) -> str:
     """Of how many liars: `3 of 5`."""
     watched, suspended = (row[name] for name in ("liars_watched", "liars_suspended"))
-    return f"{_count(suspended)} of {_count(watched)}" if watched.value else DASH
+    return f"{whole(suspended)} of {whole(watched)}" if watched.value else DASH
 
 
 def _framing(matrix: DefenceMatrix) -> TextTable:
@@ -232,16 +235,16 @@ def _characteristics(matrix: DefenceMatrix) -> TextTable:
     return TextTable("ROC", about, headings, lines, 1)
 
 
-def defence_tables(matrix: DefenceMatrix) -> ResultTables:
+def defence_tables(matrix: DefenceMatrix, added: Columns | None = None, about_added: str = "") -> ResultTables:
     """All tables; the terminal has the damage for each placement, and the summary.
 
-    The CSV has a row per cell and measure, then per defence.
+    The CSV has a row per cell and measure, then per defence. added, about_added: more columns of the summary
     """
     about = (
         f"{matrix.size}. In brackets: 95 % intervals, of means over seeds. Differences are between runs of the same "
         "scene and seed; where most are 0, the mean has no interval, which would be too narrow."
     )
-    source = summary(matrix)
+    source = summary(matrix, added or {}, about_added)
     turned, *lines = zip(source.headings, *source.lines, strict=True)  # it has too many columns for a terminal
     brief = [
         *(table for table in damage(matrix) if table.lines),
@@ -255,7 +258,7 @@ def defence_tables(matrix: DefenceMatrix) -> ResultTables:
         title,
         about,
         matrix.size,
-        tables(matrix),
+        tables(matrix, source),
         numbers_of_rows(csv_rows(matrix)),
         brief,
         note,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 from mast_zenoh.metrics.field_results import (
@@ -33,14 +33,6 @@ from mast_zenoh.report.tables.text_table import (
 )
 
 ALL_SCENES = "all"
-_SUMMARY_HEADINGS = (
-    *(QUANTITIES["harm_removed"], "breaks at (adversaries)", "weakest against"),
-    *(
-        "processor time without an attack, relative to undefended",
-        "processor time under attack, relative to undefended",
-    ),
-)
-
 #: Below tables with a breakdown.
 _ABOUT_BREAKING = (
     "A run is broken if the ego's picture has more missed and false objects than its own tracks from the start of the "
@@ -61,41 +53,37 @@ def field_tables(table: FieldMatrix) -> ResultTables:
 
     The CSV has all lines of the matrix, and those by kind of scene, with the column `scene` (empty: all).
     """
-    of_matrix = defence_tables(table.matrix)
-    others, last = of_matrix.tables[:-1], of_matrix.tables[-1:]  # the last is the summary, if there is any
     added = _added_to_summaries(table)
-    if added:
-        (summary,) = last
-        lines = [[*line, *added[line[0]]] for line in summary.lines]
-        about = f"{summary.about} {_ABOUT_ADDED}"
-        last = [summary._replace(about=about, headings=[*summary.headings, *_SUMMARY_HEADINGS], lines=lines)]
+    of_matrix = defence_tables(table.matrix, added, f" {_ABOUT_ADDED}" if added else "")
+    board = scoreboard_tables(table)
+    others, last = of_matrix.tables[:-1], of_matrix.tables[-1:]  # the last is the summary, if there is any
     own = [*(_harm(table, scene) for scene in table.scenes), _processor_time(table), _breakdown(table)]
     everywhere = [replace(row, of={"scene": ""} | row.of) for row in csv_rows(table.matrix)]
-    turned, board = of_matrix.brief[-1], scoreboard_tables(table)  # a column for each defence
-    extra = [
-        [heading, *(added[name][index] for name in turned.headings[1:])]
-        for index, heading in enumerate(_SUMMARY_HEADINGS if added else ())
-    ]
-    if added:
-        turned = turned._replace(about=f"{turned.about} {_ABOUT_ADDED}", lines=[*turned.lines, *extra])
     return of_matrix._replace(
         title="Published and own defences against published and own attacks",
         tables=[*board.tables, *others, *(each for each in own if each.lines), *last],
         numbers=numbers_of_rows([*everywhere, *_csv_rows(table)]),
-        brief=[*board.brief, turned],
+        brief=[*board.brief, of_matrix.brief[-1]],  # a column for each defence
         reading=board.reading,
     )
 
 
-def _added_to_summaries(table: FieldMatrix) -> dict[str, list[str]]:
+def _added_to_summaries(table: FieldMatrix) -> dict[str, Callable[[Row], str]]:
+    """Columns of the summary of the matrix; {} without an attack."""
+    own = {row.of["defence"]: row for row in table.summaries}
     breaks_at = {each.defence: each for each in table.breakdowns if not each.scene}
-    return {
-        (defence := row.of["defence"]): [
-            *(measured(row["harm_removed"], 3), _breaks_at(breaks_at[defence]), _weakest(breaks_at[defence])),
-            *(measured(row["cpu_ratio_alone"]), measured(row["cpu_ratio_attacked"])),
-        ]
-        for row in table.summaries
+
+    def number_of(name: str, decimals: int = 2) -> Callable[[Row], str]:
+        return lambda row: measured(own[row.of["defence"]][name], decimals)
+
+    columns = {
+        QUANTITIES["harm_removed"]: number_of("harm_removed", 3),
+        "breaks at (adversaries)": lambda row: _breaks_at(breaks_at[row.of["defence"]]),
+        "weakest against": lambda row: _weakest(breaks_at[row.of["defence"]]),
+        "processor time without an attack, relative to undefended": number_of("cpu_ratio_alone"),
+        "processor time under attack, relative to undefended": number_of("cpu_ratio_attacked"),
     }
+    return columns if own else {}
 
 
 def _harm(table: FieldMatrix, scene: str) -> TextTable:

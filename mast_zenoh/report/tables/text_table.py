@@ -193,6 +193,11 @@ def whole_percent(share: float) -> str:
     return DASH if math.isnan(share) else number(math.floor(100.0 * share + 0.5), 0)
 
 
+def whole(each: Measured) -> str:
+    """A number that is whole."""
+    return number(each.value, 0)
+
+
 def digits(*values: float) -> list[str]:
     """All digits of numbers; `inf` is not reached, empty is unknown."""
     return ["" if math.isnan(value) else repr(float(value)) for value in values]

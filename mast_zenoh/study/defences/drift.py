@@ -37,6 +37,7 @@ from mast_zenoh.report.tables.text_table import (
     percent,
     shown,
     table_of_rows,
+    whole,
 )
 from mast_zenoh.study.defences import kinds
 from mast_zenoh.study.defences.cells import DriftCell
@@ -109,6 +110,8 @@ class Episode:
         return self.detected and self.watched_s <= limit_s + _ROUNDING_S
 
 
+#: What rows are of, besides viewers.
+_CELL = ("label", "offset_m", "rate_mps")
 #: Measures: counts, numbers without an interval, and with one.
 _COUNTS, _PLAIN = ("episodes", "detected", "judged"), ("floor_s", "floor_m")
 _MEASURED = ("delay_s", "ratio", "offset_reached_m", "within", "noticed")
@@ -246,7 +249,7 @@ def _whole_runs(cell: DriftCell, records: Sequence[DriftRecord]) -> Row:
 
 
 def _of(cell: DriftCell, viewers: str) -> dict[str, Any]:
-    return {"label": cell.label, "offset_m": cell.offset_m, "rate_mps": cell.rate_mps, "viewers": viewers}
+    return {name: getattr(cell, name) for name in _CELL} | {"viewers": viewers}
 
 
 def _count(number_of: int) -> Measured:
@@ -404,17 +407,13 @@ _MAJORITY = "Displaced objects in view of two honest agents or more, until the l
 _WITHIN = f"within {LIMIT_S:g} s"
 
 
-def _whole(each: Measured) -> str:
-    return number(each.value, 0)
-
-
 def _share(each: Measured) -> str:
     return percent(each, " %")
 
 
 def _share_of_judged(row: Row) -> str:
     within = row["within"]
-    return _share(within) + (f" of {_whole(row['judged'])}" if within.known else "")
+    return _share(within) + (f" of {whole(row['judged'])}" if within.known else "")
 
 
 def _plain(each: Measured) -> str:
@@ -427,37 +426,36 @@ def _trials(row: Row) -> str:
 
 def _wide(rows: Sequence[Row]) -> tuple[Sequence[str], Sequence[Sequence[object]]]:
     """The headings and lines of the CSV file, with a line for each row."""
-    names = ["label", "offset_m", "rate_mps", "viewers", "episodes", "detected", "trials", "judged", *_PLAIN]
-    names += [f"{name}{end}" for name in _MEASURED for end in ("", "_low", "_high")]
+    ends = [f"{name}{end}" for name in _MEASURED for end in ("", "_low", "_high")]
     lines = [
         [
-            *(*row.of.values(), *(_whole(row[name]) for name in ("episodes", "detected")), row.trials),
-            *(_whole(row["judged"]), *digits(*(row[name].value for name in _PLAIN))),
+            *(*row.of.values(), *(whole(row[name]) for name in ("episodes", "detected")), row.trials),
+            *(whole(row["judged"]), *digits(*(row[name].value for name in _PLAIN))),
             *(text for name in _MEASURED for text in digits(*row[name][:3])),
         ]
         for row in rows
     ]
-    return names, lines
+    return [*_CELL, "viewers", "episodes", "detected", "trials", "judged", *_PLAIN, *ends], lines
 
 
 _OF_RUNS = {
     "runs": _trials,
-    "suspended": shown("detected", _whole),
+    "suspended": shown("detected", whole),
     "median delay (s)": shown("delay_s"),
     _WITHIN: shown("within", _share),
 }
 _FLOORS = {"floor (s)": shown("floor_s", _plain), "delay / floor": shown("ratio"), _WITHIN: _share_of_judged}
 _OF_OBJECTS = {
-    "objects": shown("episodes", _whole),
+    "objects": shown("episodes", whole),
     "runs": _trials,
-    "detected": shown("detected", _whole),
+    "detected": shown("detected", whole),
     "median delay (s)": shown("delay_s"),
     **_FLOORS,
     f"{_WITHIN} (Kaplan-Meier, all episodes)": shown("noticed", _share),
 }
 _OF_DRIFTS = {"median offset (m)": shown("offset_reached_m"), "at the floor (m)": shown("floor_m", _plain)}
 _BRIEF = {
-    "detected": lambda row: f"{_whole(row['detected'])} of {_whole(row['episodes'])}",
+    "detected": lambda row: f"{whole(row['detected'])} of {whole(row['episodes'])}",
     "delay (s)": shown("delay_s"),
     **_FLOORS,
 }
