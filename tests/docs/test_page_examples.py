@@ -11,16 +11,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
 import mast_zenoh as mast
 from mast_zenoh import scenario
-from mast_zenoh.config import registry
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.scenes.making.sensor_types import Sensor
-from mast_zenoh.study import definition
 from mast_zenoh.wiring.model import Wiring
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -72,19 +68,6 @@ def test_the_blocks_on_scene_arrays_run(names_of: Played) -> None:
     assert names["scene"].agents == ("ego", "infra_1", "infra_2")
 
 
-def test_the_highway_takes_ten_lines() -> None:
-    first, *_ = re.findall(r"^```python\n(.*?)^```$", page("scene_arrays"), flags=re.S | re.M)
-    assert len([line for line in first.splitlines() if line.strip()]) <= 10
-
-
-def test_the_page_on_scene_arrays_names_every_array_of_the_file(tmp_path: Path) -> None:
-    mast.scene(times_s=[0.0, 0.1], position=np.zeros((2, 1, 2))).save(tmp_path / "scene.npz")
-    with np.load(tmp_path / "scene.npz") as file:
-        named = set(re.findall(r"`([\w.]+)`", page("scene_arrays").partition("## The file")[2]))
-        prefixed = {f"{group}.{name[1:]}" for group in ("truth", "detections") for name in named if name[0] == "."}
-        assert set(file.files) <= named | prefixed
-
-
 def test_the_blocks_on_sensors_run(names_of: Played) -> None:
     names = names_of("sensors")
     times = names["road"].agent("infra_1").detections.column("time_s").unique().to_pylist()
@@ -99,27 +82,12 @@ def test_the_blocks_on_sensors_run(names_of: Played) -> None:
     assert set(attacks[attacks["interposer"] == "cable"]["effect"]) == {"dropped"}
 
 
-def test_the_page_names_every_type_and_parameter_of_a_sensor() -> None:
-    named = set(re.findall(r"`(\w+)`", page("sensors")))
-    assert registry.known_types(Sensor).keys() <= named
-    assert inspect.signature(Sensor).parameters.keys() <= named
-
-
 @needs_stone_soup
 def test_the_builder_of_the_page_tracks_objects(tmp_path: Path) -> None:
     for name, text in re.findall(r"^```python file=(\S+)\n(.*?)^```$", STONE_SOUP, flags=re.S | re.M):
         (tmp_path / name).write_text(text)
     run = mast.run(str(tmp_path / "singer.py"), frames=20, n_infrastructure=1, out=str(tmp_path / "run"))
     assert run.summary["agents"]["ego"]["local"]["tp"]["mean"] > 5.0
-
-
-@needs_stone_soup
-def test_the_commands_choose_the_tracker() -> None:
-    commands = [each for each in COMMANDS if each[:2] == ["run", "coordinated"]]
-    assert commands
-    for command in commands:
-        _, loaded = scenario.load("coordinated", [command[command.index("--set") + 1]])
-        assert str(loaded).count("StoneSoupTracker") == 1
 
 
 @needs_stone_soup
@@ -133,20 +101,6 @@ def test_the_options_of_the_default_tracker_are_listed_with_their_defaults() -> 
     }
 
 
-@needs_stone_soup
-@pytest.mark.parametrize("settings", [each[3::2] for each in COMMANDS if each[:2] == ["study", "stone_soup"]])
-def test_the_study_has_every_combination_of_tracker_and_attack(settings: list[str]) -> None:
-    study = definition.load("stone_soup", settings)
-    attacks, places = ("baseline", "coordinated"), ("mast", "agents", "everywhere")
-    assert {each.label for each in study.configurations} == {f"{p}_{a}" for p in places for a in attacks}
-    for each in study.configurations:
-        name, _, attack = each.label.partition("_")
-        chosen = [setting for setting in each.settings if not setting.startswith("scene=avstack")]
-        path, loaded = scenario.load(each.scenario, chosen)
-        assert path.stem == attack
-        assert str(loaded).count("StoneSoupTracker") == {"mast": 0, "agents": 1, "everywhere": 2}[name]
-
-
 @pytest.mark.heavy
 @pytest.mark.timeout(300)
 def test_the_blocks_on_the_python_interface_run(names_of: Played, tmp_path: Path) -> None:
@@ -154,13 +108,6 @@ def test_the_blocks_on_the_python_interface_run(names_of: Played, tmp_path: Path
     assert (tmp_path / "birdseye.png").stat().st_size > 10_000
     assert names["mine"].attacks.num_rows > names["run"].attacks.num_rows
     assert names["study"].table().num_rows > 100
-
-
-def test_the_page_on_the_python_interface_names_every_table_column() -> None:
-    cells = [line.split("|")[1] for line in page("python").splitlines() if line.startswith("| `")]
-    named = {name for cell in cells for name in re.findall(r"`(\w+)`", cell)}
-    shapes = {"frame", "time_s", "id", "class", "x", "y", "z", "vx", "vy", "vz", "l", "w", "h", "yaw"}
-    assert shapes | {"score", "points", "support"} <= named
 
 
 def cells() -> list[str]:
