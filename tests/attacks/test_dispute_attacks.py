@@ -231,6 +231,13 @@ def test_others_are_blind_to_what_the_target_sees_where_they_outnumber_all_other
     assert flipped(TrustFlip(target="infra_3", start_s=0.5), square(blinded, infra_3=900.0), "infra_1") == 0
 
 
+def test_one_other_sensor_contradicts_nobody() -> None:
+    alone = square(("infra_1",), ego=900.0, infra_2=900.0, infra_4=900.0)
+    attack = TrustFlip(target="infra_3", start_s=0.5)
+    assert flipped(attack, alone, "infra_1") == 0
+    assert not any(attack.counts().values()), "the node warns that there was no target"
+
+
 def test_it_stops_while_the_target_is_suspended() -> None:
     played, lies = Played(TrustFlip(target="infra_3", start_s=0.5), square(("infra_3",)), "infra_3"), []
     for frame in range(60):

@@ -92,6 +92,17 @@ def test_shifts_shrink_while_the_trust_has_fallen() -> None:
     assert size[-1] > 0.0
 
 
+@pytest.mark.parametrize("offset_m", [0.0, 1.0, -0.5, np.nan])
+def test_a_shift_is_less_than_a_metre(offset_m: float) -> None:
+    with pytest.raises(ValueError, match="offset_m"):
+        PosePert(offset_m=offset_m)
+
+
+def test_an_unknown_direction_is_named_with_the_nearest() -> None:
+    with pytest.raises(ValueError, match=r"direction: found 'sideway'.*sideways"):
+        PosePert(direction="sideway")  # type: ignore[arg-type]
+
+
 # BlindAreaConfusion
 
 

@@ -187,6 +187,12 @@ def test_an_object_behind_a_corner_is_hidden_before_one_visible_to_the_ego():
     assert chosen(ConflictSelection(), objects) == [[0.0, 40.0]]
 
 
+@pytest.mark.parametrize("arguments", [{"n_objects": 0}, {"horizon_s": 0.0}])
+def test_invalid_values_are_refused(arguments):
+    with pytest.raises(ValueError, match=next(iter(arguments))):
+        ConflictSelection(**arguments)
+
+
 def test_an_object_in_the_egos_own_tracks_is_hidden_only_if_there_is_no_other():
     objects = at((0.0, 3.0), (10.0, 6.0), id=np.full(2, -1))
     tracks = at((0.5, 3.2), id=np.zeros(1, np.int64))
