@@ -22,15 +22,6 @@ def last(run: Run, key: str) -> ObjectStates:
     return ObjectStates.from_columns(run.decoded(key, "picture")[-1].body)
 
 
-@pytest.mark.parametrize("settings", [(), ("on_board=true",)], ids=["two", "on board"])
-def test_any_order_of_delivery_gives_the_same_bytes_encoded_or_not(settings: tuple[str, ...]) -> None:
-    plain, resolved = played(*settings), tiny("two_centres", *settings, infrastructure=2)
-    for options in (*(dict(shuffle=shuffle) for shuffle in range(8)), dict(encode=False, shuffle=3)):
-        other = Run(resolved, **options)
-        assert other.messages == plain.messages, options
-        assert other.packed == plain.packed, options
-
-
 def test_each_centre_publishes_the_objects_of_its_region_and_the_centre_of_centres_all() -> None:
     run = played()
     west, east = (last(run, f"cc/{name}/picture") for name in ("west", "east"))

@@ -39,16 +39,6 @@ def test_any_order_of_delivery_gives_the_same_bytes_over_a_rough_link() -> None:
     assert other.packed == plain.packed
 
 
-@pytest.mark.heavy
-@pytest.mark.parametrize("edit", [None, over_a_rough_link, veto], ids=["plain", "rough", "veto"])
-@pytest.mark.parametrize("options", [dict(shuffle=1), dict(encode=False, shuffle=2)], ids=["encoded", "shared"])
-def test_any_order_of_delivery_gives_the_same_bytes_encoded_or_not(edit: Any, options: dict[str, Any]) -> None:
-    plain, other = (Run(driven(*SEIZED, edit=edit), **each) for each in ({}, options))
-    assert not plain.failures
-    assert other.messages == plain.messages
-    assert other.packed == plain.packed
-
-
 def test_the_driver_commands_in_every_frame_and_the_car_obeys_in_the_next() -> None:
     run = played()
     commands = run.decoded("agent/ego/command", "command")
@@ -125,14 +115,8 @@ def test_a_second_driver_of_the_same_design_does_not_change_the_random_numbers_o
         (dict(world=dict(frames=3)), r"world\.frames: it follows from the scenario"),
         (dict(scene=dict(type="TinyScene"), world={}), r"TinyScene cannot be stepped.*expected Intersection"),
         (dict(drivers=dict(ego=dict(driver=dict(type="Folowing")))), r"no Driver named 'Folowing'.*FollowingDriver"),
-        (
-            dict(drivers=dict(ego=dict(driver=dict(type="FollowingDriver"), estimate="picture"))),
-            r"estimate: found 'picture'",
-        ),
-        (
-            dict(scene=dict(type="Intersection", sensors={"ego": [dict(type="Lidar", rate_hz=5.0)]})),
-            r"drivers: ego/lidar measure at times of their own",
-        ),
+        (dict(drivers=dict(ego=dict(driver=dict(type="FollowingDriver"), estimate="picture"))), "found 'picture'"),
+        (dict(scene=dict(type="Intersection", sensors={"ego": [dict(type="Lidar", rate_hz=5.0)]})), "ego/lidar meas"),
     ],
     ids=lambda value: None if isinstance(value, dict) else value[:20],
 )

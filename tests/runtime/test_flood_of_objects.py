@@ -91,8 +91,7 @@ def test_a_flood_costs_no_object_that_was_there_before_and_is_told(run: str) -> 
     ],
 )
 def test_of_many_honest_peers_all_tracks_are_fused(sets: list[str]) -> None:
-    path, loaded = scenario.load("peers", sets)
-    _, returned, _ = played(scenario.resolve(path, loaded, frames=60))
+    _, returned, _ = played(scenario.resolve(*scenario.load("peers", sets), frames=60))
     assert results.left_out(returned) == {}
 
 

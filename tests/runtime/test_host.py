@@ -15,7 +15,6 @@ from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header, text
 from mast_zenoh.node import Context, Node, Overheard, Received, handler_names
 from mast_zenoh.runtime.host import Host, Outgoing
-from mast_zenoh.streams import stream
 from mast_zenoh.wiring.model import ANY, Input, Ports
 
 WORLD = {"origin": np.zeros(3), "rotation": np.array([1.0, 0.0, 0.0, 0.0])}
@@ -223,14 +222,6 @@ def status() -> dict[str, np.ndarray]:
     return {"mobile": np.array([0]), "detections": np.array([1]), "tracks": np.array([2])}
 
 
-def test_a_relayed_message_keeps_its_bytes() -> None:
-    host = listening(Listener(lambda received, context: context.relay("tracks_out", received)))
-    payload = tracks_payload("a", 0)
-    host.deliver("agent/a/tracks", payload, -1)
-    assert host.outbox == [Outgoing("out/a", payload, -1)]
-    assert host.sent == {"out/a": 1}
-
-
 @pytest.mark.parametrize("encode", [True, False])
 def test_a_message_relayed_in_a_later_frame_is_unchanged(encode: bool) -> None:
     kept: list[Received] = []
@@ -389,13 +380,6 @@ def test_the_observer_gets_every_valid_message_of_the_nodes_keys() -> None:
         host.deliver(f"agent/{key}/tracks", payload, 3)
     assert seen == [("agent/a/tracks", 3)], "on arrival, though the message waits for its clock"
     assert host.rejected.total() == 1
-
-
-def test_random_streams_depend_on_seed_node_and_purpose() -> None:
-    host = listening()
-    drawn = host.rng("noise", 3).random(4)
-    np.testing.assert_array_equal(drawn, stream(7, "listener", "noise", 3).random(4))
-    assert not np.array_equal(drawn, host.rng("noise", 4).random(4))
 
 
 def test_a_node_is_informed_of_other_nodes_before_the_first_frame_and_later() -> None:

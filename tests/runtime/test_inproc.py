@@ -48,7 +48,7 @@ KINDS = {"uncoordinated": (*BY_TWO, "fraction_translations=0.5"), "coordinated":
 
 @pytest.mark.parametrize("name", KINDS)
 @pytest.mark.parametrize(
-    ("lossy", "orders"), [(False, 20), (True, 20), pytest.param(False, 70, marks=pytest.mark.heavy)]
+    ("lossy", "orders"), [(False, 10), (True, 10), pytest.param(False, 70, marks=pytest.mark.heavy)]
 )
 def test_any_order_of_delivery_gives_the_same_bytes_encoded_or_not(name: str, lossy: bool, orders: int) -> None:
     plain = played(name, *KINDS[name], lossy=lossy)
@@ -162,14 +162,6 @@ def test_the_picture_is_better_than_local_perception() -> None:
     scores = played("baseline", infrastructure=3).results["evaluator"]["metrics"]["agents"]["ego"]
     assert scores["picture"]["fn"]["mean"] < scores["local"]["fn"]["mean"]
     assert scores["picture"]["rmse_m"] < 0.2
-
-
-def test_messages_are_numbered_per_key_in_the_order_of_publication() -> None:
-    run = played("coordinated", *ATTACKED)
-    for wire in world("coordinated", *ATTACKED).wiring["wires"]:
-        messages = run.decoded(wire["key"], wire["message"])
-        assert [message.header.seq for message in messages] == list(range(len(messages)))
-        assert {message.header.source for message in messages} <= {wire["publisher"]}
 
 
 def test_progress_is_reported_frame_by_frame() -> None:

@@ -32,7 +32,7 @@ def pictures(run: Run, agent: str) -> list[ObjectStates]:
 @pytest.mark.parametrize("settings", [ALONE, (*LIES, "on=pair"), (*ALONE, "defence=FaultOrLie")], ids=" ".join)
 def test_any_order_of_delivery_gives_the_same_bytes_encoded_or_not(settings: tuple[str, ...]) -> None:
     plain, resolved = played(*settings), tiny("peers", *settings, infrastructure=2)
-    for options in (*(dict(shuffle=shuffle) for shuffle in range(6)), dict(encode=False, shuffle=3)):
+    for options in (*(dict(shuffle=shuffle) for shuffle in range(4)), dict(encode=False, shuffle=4)):
         other = Run(resolved, **options)
         assert other.messages == plain.messages, options
         assert other.packed == plain.packed, options
@@ -162,20 +162,13 @@ def test_a_peer_that_relays_says_from_whom_each_object_comes_and_leaves_out_what
         assert run.messages[f"agent/{agent}/picture"] == plain.messages[f"agent/{agent}/picture"], "they see all"
 
 
-def test_runs_with_relays_do_not_depend_on_the_order_of_delivery() -> None:
-    plain, resolved = played(*ALONE, "relays=true"), tiny("peers", *ALONE, "relays=true", infrastructure=2)
-    for shuffle in range(4):
-        assert Run(resolved, shuffle=shuffle).messages == plain.messages
-
-
 def confidence(place: str, fusion: str) -> dict[str, Any]:
     """How confident the pictures of the agents are in their positions, with a fusion of studies/fusion.py.
 
     On a generated junction, as in the tiny world every agent sees everything and takes no object from others' pictures.
     """
     (configuration,) = definition.load("fusion", [f"place={place}", f"fusions={fusion}"]).configurations
-    path, content = scenario.load(configuration.scenario, configuration.settings)
-    run = Run(scenario.resolve(path, content, frames=34, seed=3000))
+    run = Run(scenario.resolve(*scenario.load(configuration.scenario, configuration.settings), frames=34, seed=3000))
     assert not run.failures
     return run.results["evaluator"]["metrics"]["pictures"]["consistency"]["position"]
 

@@ -16,7 +16,6 @@ from mast_zenoh.messages import codec
 from mast_zenoh.messages import limits as row_limits
 from mast_zenoh.messages.limits import OVERHEARD, RowChoice, RowLimits
 from mast_zenoh.messages.schemas import Header, Message
-from mast_zenoh.runtime.host import Host
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.wiring.model import Input
 from mast_zenoh.wiring.received import Overheard
@@ -92,15 +91,6 @@ def test_overheard_tracks_have_the_rows_that_receivers_use_and_mission_estimates
         for output, rows in (("tracks", 50), ("mission", 120)):
             wire = Input("everything", "infra_1", "tracks", "infra_1", output)
             assert len(Overheard("key", wire, content, 3, limits=limits).body["id"]) == rows
-
-
-def test_a_message_of_any_number_of_rows_is_used_with_and_without_encoding() -> None:
-    limits = RowLimits({"tracks": 5})
-    sent = message(flood(20_000))
-    codec.check_values(sent, limits)
-    for kept in (codec.decode(codec.encode(sent), "tracks", limits), codec.limited(sent, limits)):
-        assert kept.body["id"].tolist() == sorted(sent.body["id"].tolist())[:5]
-    assert len(codec.decode(codec.encode(sent), "tracks").body["id"]) == 20_000, "recordings keep them"
 
 
 @pytest.mark.parametrize("schema", ["tracks", "detections", "picture"])
@@ -183,8 +173,7 @@ def test_a_node_counts_the_messages_that_it_shortened_and_a_notice_tells_them() 
 
 @pytest.fixture(scope="module")
 def baseline():
-    path, loaded = scenario.load("baseline", [])
-    return scenario.resolve(path, loaded, frames=12)
+    return scenario.resolve(*scenario.load("baseline", []), frames=12)
 
 
 def test_the_limit_comes_from_what_the_sensors_detect_or_from_the_scenario(baseline) -> None:
@@ -195,40 +184,6 @@ def test_the_limit_comes_from_what_the_sensors_detect_or_from_the_scenario(basel
     assert scenario.resolve(path, loaded, frames=2, max_rows=7).max_rows["tracks"] == 7
     with pytest.raises(ConfigurationError, match=r"run\.max_rows: found 0, expected a whole number from 1"):
         scenario.resolve(path, loaded, frames=2, max_rows=0)
-
-
-def run_flooded(baseline, monkeypatch: pytest.MonkeyPatch, extra: int) -> tuple[list[int], dict[tuple[str, str], int]]:
-    """Rows of each message that a handler of the broker, the command centre or the ego got; rejections."""
-    sizes: list[int] = []
-    publish = Host.publish
-
-    def publish_more(self: Host, port: str, body: Any, **options: Any) -> None:
-        if extra and self.name == "infra_1" and port == "tracks":
-            body = flood(extra) | {name: body[name] for name in ("origin", "rotation")}
-        if port in ("collated", "picture"):
-            sizes.append(len(body["id"]))
-        publish(self, port, body, **options)
-
-    monkeypatch.setattr(Host, "publish", publish_more)
-    process = InProcess(baseline)
-    process.run()
-    assert process.failures() == {}
-    rejected = {
-        (host.name, key): n
-        for host in process.hosts.values()
-        for (key, kind), n in host.rejected.items()
-        if kind == "rows"
-    }
-    return sizes, rejected
-
-
-@pytest.mark.parametrize("extra", [2000, 20_000])
-def test_an_agent_that_floods_leaves_at_most_its_limit_in_every_batch(baseline, monkeypatch, extra: int) -> None:
-    honest, none = run_flooded(baseline, monkeypatch, 0)
-    assert none == {}
-    flooded, rejected = run_flooded(baseline, monkeypatch, extra)
-    assert max(flooded) <= max(honest) + baseline.max_rows["tracks"]
-    assert sum(n for (node, _), n in rejected.items() if node == "broker") == 12
 
 
 def test_the_limits_of_one_run_hold_in_no_other_run_or_reader_of_the_process(baseline, monkeypatch) -> None:

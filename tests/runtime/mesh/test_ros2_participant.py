@@ -208,10 +208,7 @@ def test_a_router_that_is_not_there_is_an_error_with_the_reason(router: str, mon
         ({"domain": "0"}, r"here.domain: found '0', expected a whole number"),
         ({"domain": -1}, r"here.domain -1: expected 0 to"),
         ({"router": "tls/host:7447"}, r"here.router: found 'tls/host:7447', expected certificates"),
-        (
-            {"router": "tls/host:7447", "tls": {"ca": "missing.pem"}},
-            r"here.tls.ca: found 'missing.pem', expected a file",
-        ),
+        ({"router": "tls/host:7447", "tls": {"ca": "missing.pem"}}, "here.tls.ca: found 'missing.pem', expected a"),
         ({"router": "tls/host:7447", "tls": {}}, r"here.tls: found no `ca`"),
     ],
 )
