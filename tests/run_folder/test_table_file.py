@@ -209,9 +209,7 @@ def test_too_much_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     file = TableFile(write(tmp_path / "t.parquet", list(range(4000)), 1000))
     monkeypatch.setattr(tables, "MAX_TABLE_BYTES", 9000)
     assert len(numbers(file, range(1100))) == 1100
-    with pytest.raises(
-        RunFolderError, match=r"t\.parquet: found 16000 bytes in the wanted rows or more, expected at mo"
-    ):
+    with pytest.raises(RunFolderError, match=r"t\.parquet: found 16000 bytes in the wanted rows or more, expected at"):
         numbers(file)
     assert sum(len(part["x"]) for part in file.parts(["x"])) == 4000
     monkeypatch.setattr(unpacking, "MAX_TABLE_BYTES", 7999)

@@ -5,9 +5,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-import shapely
 
-from mast_zenoh.arrays.geometry import box_corners, wrap_angle
+from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.driving.motion import Command
 from mast_zenoh.scenes import Intersection
@@ -86,18 +85,6 @@ def test_vehicles_near_the_ego_and_the_share_that_stands_are_those_of_recorded_t
     assert min(near) > 20
     assert max(near) < 58
     assert 0.53 <= np.mean(standing) <= 0.69
-
-
-@pytest.mark.parametrize("scene_index", JUNCTIONS)
-def test_no_boxes_overlap_each_other_or_a_building(scene_index: int) -> None:
-    recording = dense(scene_index)
-    houses = shapely.STRtree(shapely.polygons(np.array(recording.buildings)))
-    for frame in range(0, len(recording), 5):
-        truth = recording.truth_at(frame)
-        boxes = shapely.polygons(box_corners(truth.position, truth.size, truth.yaw)[:, :4, :2])
-        one, other = shapely.STRtree(boxes).query(boxes, predicate="intersects")
-        assert (one == other).all(), f"frame {frame}: {one[one != other]} and {other[one != other]}"
-        assert houses.query(boxes, predicate="intersects").size == 0
 
 
 def test_parked_cars_stand_beside_the_lanes_and_are_no_agents() -> None:

@@ -30,10 +30,7 @@ PAST = "expired at 2020-01-01 01:00:00 UTC, now it is "
     [
         (OLD, f"the certificate {PAST}"),
         (EARLY, "the certificate is not valid before 2100-01-01 00:00:00 UTC, now it is "),
-        (
-            Credentials(OURS.pem, FOREIGN.certificate, FOREIGN.key),
-            "certificate of 'a.r' was issued by another authority",
-        ),
+        (Credentials(OURS.pem, FOREIGN.certificate, FOREIGN.key), "certificate of 'a.r' was issued by another"),
         (Credentials(OURS.pem, GOOD.certificate, FOREIGN.key), "the key does not belong to the certificate"),
         (Credentials(OURS.pem, b"nonsense", GOOD.key), "certificate.pem: is not a PEM certificate"),
         (Credentials(OURS.pem, GOOD.certificate, b"nonsense"), "key.pem: is not a PEM private key"),

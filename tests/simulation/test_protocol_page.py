@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import re
 from collections.abc import Iterable
 from pathlib import Path
@@ -14,7 +13,6 @@ from test_found_schedules import FOUND
 
 from mast_zenoh.launch import launcher_protocol
 from mast_zenoh.runtime import host
-from mast_zenoh.runtime.mesh import zenoh_process
 from mast_zenoh.runtime.protocol import driver, node, pacer, rewiring, traffic
 from mast_zenoh.testing.simulation import World, play, random_schedule
 from mast_zenoh.testing.simulation.processes import SimulatedProcess
@@ -64,11 +62,6 @@ def transitions(worlds: dict[str, World], seeds: Iterable[int], monkeypatch: pyt
     return [of_nodes, of_drivers]
 
 
-def handled(function: object) -> set[str]:
-    """The kinds of events with which a function compares."""
-    return set(re.findall(r'(?:kind|event\[0\]) == "(\w+)"', inspect.getsource(function)))  # type: ignore[arg-type]
-
-
 @pytest.mark.parametrize(("title", "states"), [("A node's process", node.State), ("The driver", driver.DriverState)])
 def test_the_page_has_every_state_and_no_other(title: str, states: type[node.State]) -> None:
     names = {state.value.replace(" ", "_") for state in states}
@@ -92,17 +85,6 @@ def test_the_diagrams_have_no_transition_that_many_simulated_runs_never_make(
 ) -> None:
     for title, seen in zip(DIAGRAMS, transitions(worlds, range(500), monkeypatch), strict=True):
         assert seen == edges(title)
-
-
-def test_the_page_has_every_event_of_a_node_and_no_other() -> None:
-    put = set(re.findall(r'inbox\.put\(\("(\w+)"', inspect.getsource(zenoh_process)))
-    assert "due" in put, "which only wakes the main thread"
-    assert column(section("A node's process"), "event") - {"(time)"} == handled(node.NodeProtocol.handle) | put
-
-
-def test_the_page_has_every_event_of_the_driver_that_a_node_does_not_have() -> None:
-    events = handled(driver.DriverProtocol.handle) | {"rewire"}  # which only wakes it
-    assert column(section("The driver"), "event") == events - handled(node.NodeProtocol.handle)
 
 
 def test_every_transition_that_keeps_a_promise_exists() -> None:

@@ -27,30 +27,6 @@ DATA = Path(os.environ.get("MAST_DATA") or Path(__file__).parents[3] / "shared" 
 TWENTY = [seed if seed < 4 else pytest.param(seed, marks=pytest.mark.heavy) for seed in range(20)]
 SUPPORT = Path(__file__).parents[1] / "support"
 
-OWN_PIPELINE = """
-import numpy as np
-
-from mast_zenoh.config import loading
-from mast_zenoh.pipelines import Pipeline
-
-_, baseline = loading.function("scenarios", "baseline", "scenario")
-
-
-class EveryTrack(Pipeline):
-    def step(self, time_ns, states, agent, agents, weights=None):
-        order = np.lexsort((states.id, np.array(agents)[agent]))
-        return states.select(order).with_(id=np.arange(len(states))), np.ones(len(states), np.int64)
-
-    def reset(self):
-        pass
-
-
-def scenario():
-    made = baseline(n_infrastructure=1)
-    del made["command_center"]
-    return made | dict(commandcenter=dict(pipeline=dict(type="EveryTrack")))
-"""
-
 LISTENING = """
 from mast_zenoh.config import loading
 
@@ -104,13 +80,6 @@ def test_interposers_that_change_nothing_change_no_message_that_a_subscriber_rec
         played, _ = on_simulated_mesh(tapped, each)
         assert_same_messages(played.without_taps(), plain.without_taps(), str(each))
         assert len(played.messages) > len(plain.messages), "the interposers were there"
-
-
-def test_a_user_defined_pipeline_gives_the_same_pictures_as_in_one_process(tmp_path: Path) -> None:
-    (tmp_path / "mine.py").write_text(OWN_PIPELINE)
-    resolved = resolve(str(tmp_path / "mine.py"), frames=12)
-    expected = assert_equals_one_process(resolved)
-    assert expected.frames("cc/picture") == list(range(12))
 
 
 def test_listeners_receive_the_same_messages_as_in_one_process(tmp_path: Path) -> None:

@@ -173,9 +173,7 @@ def test_other_readers_understand_channels_metadata_and_schemas(tmp_path: Path) 
         "<f8",
         "n, 3",
     )
-    assert [message.data for _, _, message in messages] == [data for _, data in small_run()], (
-        "in the same order for other readers"
-    )
+    assert [message.data for _, _, message in messages] == [data for _, data in small_run()]
     for _, channel, message in messages:
         header = codec.decode_header(message.data, channel.metadata["message"])
         assert message.publish_time == header.time_ns
