@@ -137,8 +137,7 @@ class Sample:
 
 
 def wiring_of(name: str, *settings: str) -> Wiring:
-    path, loaded = scenario.load(name, settings)
-    return Wiring.from_json(scenario.resolve(path, loaded, frames=2).wiring)
+    return Wiring.from_json(scenario.resolve(*scenario.load(name, settings), frames=2).wiring)
 
 
 def test_frames_without_a_message_are_counted_and_forged_stamps_are_not_believed() -> None:
@@ -174,8 +173,7 @@ def test_a_leg_before_an_adversary_is_heard_only_where_a_node_sends_nothing_else
 
 
 def test_current_events_are_those_of_the_timeline_and_interceptions_those_that_last() -> None:
-    path, loaded = scenario.load("coordinated", ("attack_start_s=0.5",))
-    resolved = scenario.resolve(path, loaded, frames=20)
+    resolved = scenario.resolve(*scenario.load("coordinated", ("attack_start_s=0.5",)), frames=20)
     assert observation.current_events(resolved, -1) == observation.current_events(resolved, 4) == []
     assert [event["type"] for event in observation.current_events(resolved, 5)] == ["CoordinatedAttack"]
     changes = [
@@ -189,8 +187,7 @@ def test_current_events_are_those_of_the_timeline_and_interceptions_those_that_l
 
 def test_the_score_on_the_terminal_is_that_of_the_evaluator(monkeypatch: pytest.MonkeyPatch, tmp_path) -> None:
     drawn = drawn_statuses(monkeypatch)
-    path, loaded = scenario.load("coordinated", ("attack_start_s=0.4",))
-    resolved = scenario.resolve(path, loaded, frames=12)
+    resolved = scenario.resolve(*scenario.load("coordinated", ("attack_start_s=0.4",)), frames=12)
     ended = run.run(resolved, tmp_path / "run", runtime="inproc", console=console(80))
     assert ended.error is None
     scores = {each.score.frame: each.score[2:5] for each in drawn if each.score is not None}

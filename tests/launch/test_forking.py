@@ -59,8 +59,7 @@ def test_nodes_are_processes_with_the_exit_code_and_the_output_of_their_commands
 
 
 def test_a_node_has_a_session_a_folder_a_name_and_signals_of_its_own(server: ForkServer, tmp_path: Path) -> None:
-    path, loaded = scenario.load("baseline", [])
-    resolved = scenario.resolve(path, loaded, frames=1)
+    resolved = scenario.resolve(*scenario.load("baseline", []), frames=1)
     resolved.write(tmp_path)
     with socket.create_server(("127.0.0.1", 0)) as silent:  # the node waits for its answer
         router = f"tcp/127.0.0.1:{silent.getsockname()[1]}"
@@ -78,8 +77,7 @@ def test_a_node_has_a_session_a_folder_a_name_and_signals_of_its_own(server: For
 
 
 def test_nodes_import_nothing_after_they_are_forked(tmp_path: Path) -> None:
-    path, loaded = scenario.load("baseline", [])
-    scenario.resolve(path, loaded, frames=20).write(tmp_path)
+    scenario.resolve(*scenario.load("baseline", []), frames=20).write(tmp_path)
     code = (
         "import argparse, sys, pathlib; from mast_zenoh.launch import fork_server; fork_server.preload();"
         "from mast_zenoh.config.resolved import Resolved; from mast_zenoh.runtime.inproc import InProcess;"
@@ -115,8 +113,7 @@ def test_starting_a_node_raises_start_error_if_the_server_does_not_answer(
 def test_nodes_draw_different_numbers_from_numpys_global_generator(server: ForkServer, tmp_path: Path) -> None:
     file = tmp_path / "draws.py"
     file.write_text("import numpy as np\nprint(np.random.normal())\nraise SystemExit\n")
-    path, loaded = scenario.load("baseline", [])
-    resolved = scenario.resolve(path, loaded, frames=1)
+    resolved = scenario.resolve(*scenario.load("baseline", []), frames=1)
     resolved.nodes["infra_1"] = replace(resolved.nodes["infra_1"], file=str(file))
     resolved.write(tmp_path)
     words = ("--run-folder", str(tmp_path), "--name", "infra_1", "--endpoint", "tcp/127.0.0.1:1", "--run", "one")

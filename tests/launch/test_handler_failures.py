@@ -21,8 +21,7 @@ from mast_zenoh.scenes.recording import Recording
 
 
 def resolved(name: str, folder: Path, frames: int = 12) -> Resolved:
-    file, loaded = scenario.load(str(failing.write(name, folder)), [])
-    return scenario.resolve(file, loaded, frames=frames, record=True)
+    return scenario.resolve(*scenario.load(str(failing.write(name, folder)), []), frames=frames, record=True)
 
 
 def played(name: str, folder: Path, **options: Any) -> run.Run:
@@ -126,9 +125,7 @@ def test_a_run_with_links_is_checked_even_if_handlers_failed(tmp_path: Path) -> 
     checks_by_name = {
         check["name"]: check for check in json.loads((outcome.folder / checks.FILE).read_text())["checks"]
     }
-    assert checks_by_name["sequences"]["values"].get("checked", True), (
-        "the run was completed, so its record is complete"
-    )
+    assert checks_by_name["sequences"]["values"].get("checked", True), "the run was completed"
 
 
 def test_a_failing_metric_is_named_with_its_line_and_leaves_the_others_unchanged(tmp_path: Path) -> None:

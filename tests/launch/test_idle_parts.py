@@ -19,7 +19,6 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.launch import run
 from mast_zenoh.launch.idle import idle_parts
 from mast_zenoh.metrics import FrameMetric, RunMetric
-from mast_zenoh.report.html import write_report
 from mast_zenoh.run_folder.tables import write_table
 
 Edit = Callable[[dict[str, Any]], Any]
@@ -150,11 +149,6 @@ def test_idle_parts_are_named_with_the_reason(tmp_path: Path, edit: Edit, expect
     assert [notice["text"] for notice in notices if notice["kind"] == "idle"] == expected
 
 
-def test_idle_parts_are_in_the_report(tmp_path: Path) -> None:
-    outcome = run.run(tiny(edit=attack()), tmp_path / "run", runtime="inproc")
-    assert "idle: adversary_1 is on no wire" in write_report(outcome.folder).read_text()
-
-
 def test_a_sensor_without_detections_is_named() -> None:
     world = tiny()
     assert world.recording is not None
@@ -182,8 +176,7 @@ def test_a_defence_that_never_had_two_viewers_is_named() -> None:
 
 
 def test_a_veto_is_named_where_nobody_knows_what_is_free() -> None:
-    path, content = scenario.load("driving", ["veto=True", "n_infrastructure=0"])
-    world = scenario.resolve(path, content, frames=5, seed=0)
+    world = scenario.resolve(*scenario.load("driving", ["veto=True", "n_infrastructure=0"]), frames=5, seed=0)
     assert world.recording is not None
     assert sentences(world) == []
     assert sentences(replace(world, recording=replace(world.recording, buildings=()))) == [

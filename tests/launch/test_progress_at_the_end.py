@@ -9,7 +9,6 @@ from unittest.mock import MagicMock
 import pytest
 
 from mast_zenoh.config.resolved import NodeSpec
-from mast_zenoh.errors import NodeDied
 from mast_zenoh.launch import launcher_protocol as protocol
 from mast_zenoh.launch import progress
 from mast_zenoh.launch.launcher_protocol import LauncherProtocol, RunState
@@ -129,7 +128,3 @@ def test_the_launcher_says_for_which_nodes_it_waits() -> None:
     assert endings.waiting == "", "not for long"
     now = 12.0
     assert endings.waiting == "n1, n2, n3 and 2 more: finishing, 12 s"
-
-
-def test_the_error_has_the_code_of_a_node_that_died() -> None:
-    assert NodeDied.exit_code == 22

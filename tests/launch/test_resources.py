@@ -27,8 +27,7 @@ def test_a_table_that_cannot_be_written_for_want_of_memory_fails_the_run(
         raise error
 
     monkeypatch.setattr("mast_zenoh.run_folder.tables.to_arrow", fail)
-    path, loaded = scenario.load("baseline", [])
-    resolved = scenario.resolve(path, loaded, frames=2)
+    resolved = scenario.resolve(*scenario.load("baseline", []), frames=2)
     ended = run.run(resolved, runtime="inproc", out=tmp_path / "run")
     assert isinstance(ended.error, ResourcesExhausted)
     assert read_json(tmp_path / "run" / "run.json")["status"] == "failed"
