@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import os
 import tempfile
 from collections.abc import Callable
 from functools import cache
@@ -12,8 +11,6 @@ from typing import Any
 
 import mast_datasets
 import pytest
-from comparison import junction
-from layouts import TWINS
 
 from mast_zenoh import (
     attacks,
@@ -113,14 +110,6 @@ def test_a_shipped_class_conforms(cls: type, base: type, monkeypatch: pytest.Mon
     CHECKS[base](made(cls, base))
 
 
-def data(name: str) -> Path:
-    """A file or folder of the reference data, or a skip that says what is missing."""
-    root = Path(os.environ.get("MAST_DATA") or Path(__file__).parents[3] / "shared" / "data")
-    if not (root / name).exists():
-        pytest.skip(f"no reference data: {root / name} is missing (set MAST_DATA)")
-    return root / name
-
-
 @cache
 def saved() -> Path:
     """A scene in a file, beside it a folder of detections: none at all."""
@@ -140,22 +129,18 @@ SCENES: dict[str, Callable[[], scenes.Scene]] = {
     "RecordingFile": lambda: scenes.RecordingFile(path=str(saved())),
     "OwnDetections": replayed,
     "Intersection": scenes.Intersection,
-    "AVstackScene": lambda: mast_datasets.AVstackScene(path=str(data("avstack_carla_fixture"))),
-    "AV2Log": lambda: mast_datasets.AV2Log(path=str(min(path for path in data("av2_logs").iterdir() if path.is_dir()))),
 }
 
 
-@pytest.mark.parametrize("name", TWINS)
-def test_a_shipped_reader_of_a_data_set_conforms(name: str, tmp_path: Path) -> None:
-    path = TWINS[name](tmp_path / "scene", junction())
-    testing.check_scene(registry.known_types(scenes.Scene)[name](path=str(path)))
+@pytest.mark.parametrize("name", SCENES)
+def test_a_shipped_scene_conforms(name: str) -> None:
+    testing.check_scene(SCENES[name]())
 
 
 def test_every_shipped_scene_is_checked() -> None:
+    """Readers of data sets are checked in plugins/datasets/tests/test_all_readers.py, which names all of them."""
     plugins.load()
-    assert {each.id for each in shipped(scenes.Scene)} == SCENES.keys() | TWINS.keys() | {"SumoTraffic"}, (
-        "which has tests of its own"
-    )
+    assert {each.id for each in shipped(scenes.Scene)} == SCENES.keys() | set(mast_datasets.__all__)
 
 
 @pytest.mark.parametrize("mission", [dict(type="PictureFirst"), dict(type="OwnAndPicture")])
@@ -186,8 +171,7 @@ def test_a_shipped_scenario_keeps_every_promise_on_the_simulated_mesh(name: str)
 
 @pytest.mark.parametrize("name", ["rogue", "sybil"])
 def test_a_shipped_scenario_of_real_time_keeps_every_promise_on_the_simulated_mesh(name: str) -> None:
-    path, content = scenario.load(name, [])
-    world = World.of(scenario.resolve(path, content, frames=10))
+    world = World.of(scenario.resolve(*scenario.load(name, []), frames=10))
     assert world.resolved.mode == "realtime"
     explore(world, range(10))
 

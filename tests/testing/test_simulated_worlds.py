@@ -29,8 +29,7 @@ INSERTED = Schedule(8, (Disturbance(0.0563, "intercept", "relay"),))
 
 
 def world(*requests: dict[str, object]) -> World:
-    path, content = scenario.load("baseline", ["n_infrastructure=2"])
-    return World.of(scenario.resolve(path, content, frames=10), requests)
+    return World.of(scenario.resolve(*scenario.load("baseline", ["n_infrastructure=2"]), frames=10), requests)
 
 
 def test_a_shipped_node_that_is_inserted_and_changes_nothing_keeps_every_promise() -> None:
