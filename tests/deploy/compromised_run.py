@@ -68,8 +68,7 @@ def resolved(folder: Path) -> Resolved:
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "insiders.py").write_text(SCENARIO)
     (folder / "counter.py").write_text(failing.FILES["second"]["counter.py"])
-    path, loaded = scenario.load(str(folder / "insiders.py"))
-    return scenario.resolve(path, loaded, frames=FRAMES, record=True)
+    return scenario.resolve(*scenario.load(str(folder / "insiders.py")), frames=FRAMES, record=True)
 
 
 @dataclass

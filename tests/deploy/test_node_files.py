@@ -24,8 +24,7 @@ from mast_zenoh.runtime.file_client import FileClient, files_written_by
 
 @pytest.fixture(scope="module")
 def small() -> Resolved:
-    path, loaded = scenario.load("baseline", ["n_infrastructure=1"])
-    return scenario.resolve(path, loaded, frames=2, record=True)
+    return scenario.resolve(*scenario.load("baseline", ["n_infrastructure=1"]), frames=2, record=True)
 
 
 def test_a_node_gets_only_its_own_file_and_imports(tmp_path: Path) -> None:

@@ -106,8 +106,7 @@ def outcome_of(run: launcher.EndedRun) -> tuple[Any, ...]:
 def test_remote_nodes_have_the_same_failures_and_results_as_in_one_process(tmp_path: Path) -> None:
     runs = {}
     for name, error in (("attack", HandlerFailed), ("second", None)):
-        file, loaded = scenario.load(str(failing.write(name, tmp_path)), [])
-        resolved = scenario.resolve(file, loaded, frames=8)
+        resolved = scenario.resolve(*scenario.load(str(failing.write(name, tmp_path)), []), frames=8)
         runs["here"] = launcher.run(resolved, tmp_path / f"{name}_here", runtime="inproc")
         runs["there"] = launcher.run(resolved, tmp_path / f"{name}_there", engine=Beside(), secure="acl")
         for run in runs.values():

@@ -78,9 +78,7 @@ def test_other_leads_to_the_nodes_of_all_other_agents() -> None:
     assert wires["agent/infra_1/broadcast"] == ["peer_ego", "peer_infra_2"]
     with pytest.raises(WiringError, match=r"peer_ego would receive its own messages on 'agent/ego/broadcast'"):
         resolve(PEERS, broadcasts("peer.heard"))
-    with pytest.raises(
-        WiringError, match=r"'others peer\.heard' is not an endpoint, expected role\.port, or other role"
-    ):
+    with pytest.raises(WiringError, match=r"'others peer\.heard' is not an endpoint, expected role\.port, or other"):
         resolve(PEERS, broadcasts("others peer.heard"))
 
 
