@@ -12,7 +12,7 @@ from browser import chromium
 from test_report_of_driven_cars import BRAKED, course, happened
 
 from mast_zenoh.report.comparison import Reference, same_ways
-from mast_zenoh.report.html import write_page, write_study_report
+from mast_zenoh.report.html import write_page
 from mast_zenoh.report.narrative.adversaries import attack_description, explanations
 from mast_zenoh.report.narrative.changes import effects
 from mast_zenoh.report.narrative.consequences import consequence
@@ -51,11 +51,6 @@ def test_collisions_come_before_errors(driven: Driven, run_of: RunOf) -> None:
     assert headline(run).startswith("The ego hits two objects. Two of four roadside sensors compromised: ")
 
 
-def test_a_collision_that_only_the_twin_has_is_named(driven: Driven) -> None:
-    run, twin = driven(needless_brakes=2, twin={"collisions": [HIT]})
-    assert consequence(run, twin) == "The ego hits nothing (unattacked: one object)"
-
-
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -76,14 +71,6 @@ def test_without_collisions_needless_brakes_and_the_way_come_first(
     assert headline(run, twin).startswith(f"{words}. " if words else "Two of four roadside sensors compromised: ")
 
 
-def test_of_several_cars_those_that_collide_are_named(driven: Driven) -> None:
-    run, twin = driven(needless_brakes=1)
-    for name in ("mobile_1", "mobile_2", "mobile_3", "mobile_4"):
-        run.files.summary["driven"][name] = twin.run.files.summary["driven"][name] = happened(collisions=[HIT])
-    assert consequence(run, twin).startswith("mobile_1 hits one object (unattacked: one object), mobile_2 hits ")
-    assert consequence(run, twin).endswith(" and 1 more")
-
-
 @pytest.mark.parametrize("damaged", [7, [None], {"ego": 7}, {"ego": {"collisions": 1}}, {"ego": {"progress_m": "far"}}])
 def test_damaged_consequences_are_left_out(damaged: Any, driven: Driven) -> None:
     run, twin = driven()
@@ -99,12 +86,6 @@ def test_errors_of_a_car_elsewhere_are_attributed_by_the_run_alone(driven: Drive
     assert headline(run, twin).partition(". ")[2] == (f"{own}; what else differs in errors comes from the changed way")
     assert reading(run, twin) == reading(run)
     assert explanations(run, twin.run) == explanations(run)
-
-
-def test_other_settings_that_differ_are_named_beside_the_changed_way(driven: Driven) -> None:
-    run, twin = driven(stops=True)
-    run.files.scenario["network"] = "another"
-    assert headline(run, twin).endswith("comes from the changed way and network")
 
 
 def test_no_attack_is_blamed_for_errors_that_come_from_the_changed_way(run_of: RunOf, driven: Driven) -> None:
@@ -220,8 +201,3 @@ def test_changed_commands_have_words_of_their_own(number: int, tell: str, driven
     run.files.targets = dict.fromkeys(columns, np.zeros(0))
     assert "adversary_1" not in explanations(run), "what commands do is not in errors"
     assert "adversary_1 changes its first command to ego" in [event.text for event in first_changes(run)]
-
-
-def test_the_page_of_compared_runs_without_drivers_begins_as_before(three_runs: dict[str, Any], tmp_path: Any) -> None:
-    page = write_study_report(tmp_path / "study", three_runs).read_text()
-    assert "<h1>Two of four roadside sensors compromised" in page

@@ -10,7 +10,7 @@ from browser import chromium
 from study_samples import BASELINE, estimate, facts, row
 
 from mast_zenoh.metrics.study_results import Series
-from mast_zenoh.report.html import write_report, write_study_report, write_trials_page
+from mast_zenoh.report.html import write_study_report, write_trials_page
 
 _SCORES = """() => [...document.querySelectorAll("table.scores")].map(
     (table) => [table.parentElement.scrollWidth, table.parentElement.clientWidth])"""
@@ -61,15 +61,3 @@ def test_a_study_with_many_files_and_achievements_fits_500_px_and_paper(tmp_path
         paper.emulate_media(media="print")
         paper.goto(page_file.as_uri())
         assert paper.evaluate("document.documentElement.scrollWidth") == 718
-
-
-def test_what_is_wider_than_a_narrow_screen_says_that_it_scrolls(three_runs: dict[str, Path]) -> None:
-    before = "getComputedStyle(document.querySelector('.wide figcaption'), '::before').content"
-    page_file = write_report(three_runs["uncoordinated"])
-    with chromium() as browser:
-        for width, hint in ((500, True), (1400, False)):
-            page = browser.new_page(viewport={"width": width, "height": 900})
-            page.goto(page_file.as_uri())
-            assert ("Scroll sideways" in page.evaluate(before)) == hint
-            shadows = page.evaluate("getComputedStyle(document.querySelector('.scroll')).backgroundAttachment")
-            assert shadows == "local, local, scroll, scroll", "a shadow where there is more, covered at the end"

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-from rich.console import Console
 from run_samples import edit
 
 from mast_zenoh.errors import NotComparable, RunFolderError
 from mast_zenoh.report import comparison
 from mast_zenoh.report.html import write_report
-from mast_zenoh.report.terminal import show_run
 from mast_zenoh.runs.run import Run
 
 Pair = tuple[Path, Path]
@@ -34,13 +31,6 @@ def test_the_page_has_both_runs_and_the_difference(pair: Pair) -> None:
     assert "(+6.25)" in page
     assert "beyond those of baseline-1 in the same frame" in page
     assert "(+6.25)" not in write_report(run).read_text()
-
-
-def test_the_terminal_has_both_runs_and_the_difference(pair: Pair) -> None:
-    page = io.StringIO()
-    show_run(Console(file=page, width=80), *pair)
-    assert "6.25 (+6.25)" in page.getvalue()
-    assert "6.25 more false objects a frame" in page.getvalue()
 
 
 def test_runs_of_equal_name_are_distinguished_by_folder(pair: Pair) -> None:

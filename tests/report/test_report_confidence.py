@@ -47,13 +47,6 @@ def test_each_estimate_has_a_row_with_its_verdict(folder: Path) -> None:
     assert unknown[7:] == ("0", "")
 
 
-def test_pictures_of_different_agents_have_different_names(run_folder: Callable[..., Path]) -> None:
-    picture = {"picture": {"position": summary(0.9), "velocity": summary(9.0)}}
-    folder = run_folder(metrics={"consistency": {"ego": picture, "infra_1": picture}, "pictures": {}})
-    lines = confidence_tables(Run(folder))[0].lines
-    assert [line.cells[0] for line in lines] == ["the picture of ego", "the picture of infra_1"]
-
-
 def test_each_tracker_has_a_row(folder: Path) -> None:
     ego, silent = (line.cells for line in confidence_tables(Run(folder))[1].lines)
     assert ego[1].startswith("1.90 (")
@@ -66,12 +59,6 @@ def test_the_page_has_both_tables_and_says_what_is_left_out(folder: Path) -> Non
     section = page.split('id="confidence"')[1].split("<h2")[0]
     for part in ("infra_1 as received", "overconfident", "tracker of", "false tracks are not in these numbers"):
         assert part in section
-
-
-def test_runs_of_earlier_versions_have_no_such_section(run_folder: Callable[..., Path]) -> None:
-    run = run_folder()
-    assert [table.lines for table in confidence_tables(Run(run))] == [[], [], []]
-    assert 'id="confidence"' not in write_report(run).read_text()
 
 
 def heavy_tailed() -> dict[str, Any]:

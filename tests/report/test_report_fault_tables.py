@@ -21,7 +21,6 @@ from mast_zenoh.report import terminal
 from mast_zenoh.report.figures.over_time import causes_over_time, counts_over_time
 from mast_zenoh.report.figures.timeaxis import Band, bands, lanes, place_bands
 from mast_zenoh.report.html import write_report
-from mast_zenoh.report.narrative.run import reading
 from mast_zenoh.report.tables.of_run import cause_table, check_lines, check_rows, latency_tables
 from mast_zenoh.report.tables.text_table import DASH
 from mast_zenoh.run_folder.tables import read_table, write_table
@@ -210,20 +209,3 @@ def shown(*folders: Path) -> str:
     console = Console(width=80, record=True, file=io.StringIO())
     terminal.show(console, {folder.name: folder for folder in folders})
     return console.export_text()
-
-
-def test_terminal_shows_causes_of_errors_for_runs_with_faults(
-    attacked_and_faulted: Path, run_folder: Callable[..., Path]
-) -> None:
-    text = shown(attacked_and_faulted)
-    assert "0.75    0.25     0.50   0.00    7.50     0.12" in text
-    assert "check collation: failed (2 tracks <lost>)" in text
-    plain = shown(run_folder())
-    assert "Causes of missed and false objects" not in plain
-    assert "check" not in plain
-
-
-def test_sentences_omit_unmeasured_causes(run_folder: Callable[..., Path]) -> None:
-    run = Run(faulted(run_folder(), PARTITION))
-    run.files.summary = {"agents": {"ego": {"picture": {}}}}
-    assert not any("faults" in sentence for sentence in reading(run))

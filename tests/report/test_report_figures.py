@@ -13,9 +13,8 @@ from hypothesis import strategies as st
 from matplotlib.colors import to_rgb
 
 from mast_zenoh.arrays.geometry import rotation_from_yaw
-from mast_zenoh.report.figures.birdseye import face
 from mast_zenoh.report.figures.camera import Eye, clip_polygon
-from mast_zenoh.report.figures.drawing import birdseye_figure, camera_figure, render, side_by_side_figure
+from mast_zenoh.report.figures.drawing import birdseye_figure, camera_figure, side_by_side_figure
 from mast_zenoh.report.figures.legend import draw_legend, legend_entries
 from mast_zenoh.report.figures.over_time import counts_over_time
 from mast_zenoh.report.figures.style import THEMES, Figure, png
@@ -61,23 +60,6 @@ def attacked(run_of: Callable[..., Run]) -> Frame:
 @pytest.fixture
 def clean(run_of: Callable[..., Run]) -> Frame:
     return view_of(run_of())
-
-
-def test_colours_follow_the_paper() -> None:
-    for outcome, (r, g, b) in {
-        "truth matched": (1, 1, 1),
-        "track matched": (0, 0, 1),
-        "truth missed": (1, 1, 0),
-        "track false": (1, 0, 0),
-        "unevaluated": (0, 1, 0),
-    }.items():
-        colour = np.array(to_rgb(OUTCOME_COLOURS[outcome]))
-        assert np.abs(np.round(colour - 0.12) - [r, g, b]).max() == 0, outcome
-
-
-def test_errors_alone_are_filled() -> None:
-    filled = [outcome for outcome, colour in OUTCOME_COLOURS.items() if face(outcome, colour)[3] > 0.0]
-    assert filled == ["truth missed", "track false"]
 
 
 def test_false_tracks_and_insertions_are_absent_from_the_ego_alone_panel(attacked: Frame) -> None:
@@ -191,15 +173,6 @@ def test_lines_are_clipped_at_the_near_plane() -> None:
     assert any(point == pytest.approx([400 - 40, 300 + 24]) for point in drawn[2])
 
 
-def test_faces_are_clipped_at_the_near_plane() -> None:
-    wall = np.array([[-5, 3, 0], [15, 3, 0], [15, 3, 8], [-5, 3, 8]], float)
-    face = eye().visible(wall)
-    assert len(face) == 4
-    assert np.isfinite(face).all()
-    assert face[:, 0].max() <= 400, "a wall on the left stays on the left"
-    assert not len(eye().visible(wall - [30, 0, 0]))
-
-
 _PLACE = st.tuples(*[st.floats(-40.0, 40.0)] * 3)
 
 
@@ -224,9 +197,3 @@ def test_what_is_clipped_lies_in_front_and_the_rest_is_unchanged(
     assert new[:, 0] == pytest.approx(0.5), "new corners lie on the plane"
     low, high = face.min(axis=0) - 1e-9, face.max(axis=0) + 1e-9
     assert ((clipped >= low) & (clipped <= high)).all()
-
-
-def test_an_image_is_a_data_uri_with_its_size(clean: Frame) -> None:
-    rendered = render("x", birdseye_figure(clean), "alt", "caption")
-    assert rendered.source.startswith("data:image/png;base64,iVBOR")
-    assert rendered.pixels == image_of(rendered.png).shape[1::-1]

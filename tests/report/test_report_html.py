@@ -96,13 +96,6 @@ def test_what_was_obeyed_without_a_signature_is_said_under_security_and_not_unde
     assert source.index('<h2 id="security">') < source.index("25 control messages were obeyed without a signature")
 
 
-def test_the_speed_shown_is_the_runs_not_the_scenes_frame_rate(run_folder: RunFolderFixture) -> None:
-    folder = run_folder()
-    assert "frames/s" not in Page(write_report(folder)).text
-    edit(folder, run={"timings": {"frames_per_second": 87.4}})
-    assert "87 frames/s" in Page(write_report(folder)).text
-
-
 def test_a_single_failure_is_worded_in_the_singular(run_folder: RunFolderFixture) -> None:
     failed = {"role": "agent", "pid": 77, "exit": 0, "ended": "ok", "restarts": 0, "failures": []}
     failed["failures"] = [{"handler": "on_pose", "count": 1, "exception": "ValueError: no", "where": "agent.py:7"}]

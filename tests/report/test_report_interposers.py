@@ -208,11 +208,6 @@ def test_live_interposer_that_remains_is_drawn_once() -> None:
     assert wire_rows(run)[0].when == {"mallory": "from frame 44"}
 
 
-def test_interposer_without_measurements_is_marked() -> None:
-    interposer = only(run_of([wire("agent/infra_1/tracks", ("mallory",))]))
-    assert (interposer.verdict, interposer.effects, interposer.changed) == ("not measured", None, 0)
-
-
 def test_links_come_last_and_are_not_adversaries() -> None:
     link = MEASURED | {"role": "link", "effects": {"dropped": 9}}
     chain = wire("agent/infra_1/tracks", ("link_1",))

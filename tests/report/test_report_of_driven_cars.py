@@ -13,7 +13,6 @@ import pytest
 from matplotlib.figure import Figure
 from run_samples import FRAMES
 
-from mast_zenoh.report import comparison
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.figures.driven import driven_figure
 from mast_zenoh.report.figures.style import THEMES
@@ -222,17 +221,6 @@ def test_a_run_without_drivers_has_neither_a_figure_nor_a_section(run_of: RunOf)
     assert "What the car did" not in write_report(run.path).read_text()
 
 
-def test_driven_runs_of_one_scene_are_comparable_although_their_truth_differs(run_of: RunOf) -> None:
-    run, other = run_of("uncoordinated"), run_of()
-    assert run.files.scene is not None
-    moved = run.files.scene.truth.position + 1.0
-    object.__setattr__(run.files.scene.truth, "position", moved)
-    run.files.summary["driven"] = {"ego": happened()}
-    assert comparison._same_scene(run, other)
-    del run.files.summary["driven"]
-    assert not comparison._same_scene(run, other)
-
-
 @pytest.fixture
 def with_twin(both: tuple[Run, Reference]) -> Run:
     """A run whose folder has that of its twin."""
@@ -320,10 +308,3 @@ def test_films_and_the_page_say_nothing_of_a_brake_while_it_is_interrupted(with_
     data = run_block(with_twin)
     assert data is not None
     assert unpack(data)[1]["drive.brake"][17:21].tolist() == [2, 0, 0, 2]
-
-
-def test_a_film_of_a_run_without_drivers_has_no_such_marks(run_of: RunOf) -> None:
-    marks = DriveMarks(Figure().add_subplot(), Take(run_of(), "picture"), THEMES["light"], 1.0)
-    marks.show(3, Window(0.0, 0.0, 50.0, 50.0))
-    assert marks.text.get_text() == ""
-    assert len(marks.lights.get_segments()) == 0

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 import mast_zenoh as mast
@@ -41,13 +39,6 @@ def test_the_page_tells_whom_attacks_deceived_and_how_busy_the_channel_was(radio
     (load,) = channel_sentences(record)
     assert load.startswith("Radio channel of 4 stations: ")
     assert load in page
-
-
-def test_nothing_is_said_where_all_agents_get_the_same_picture(tmp_path: Path) -> None:
-    run = mast.run("baseline", runtime="inproc", frames=12, out=tmp_path / "run", report=False)
-    record = Run(run.path)
-    assert not picture_table(record).lines
-    assert picture_sentences(record) == channel_sentences(record) == []
 
 
 def test_the_pictures_whose_errors_exceed_their_covariances_are_counted() -> None:

@@ -102,20 +102,6 @@ def test_the_picture_in_transit_has_a_column_if_something_changed_it() -> None:
     assert forged.cell("fp", "run", "picture_received").value.mean == 5.25
 
 
-def test_user_defined_metrics_have_separate_rows() -> None:
-    run = metrics((1.2, 0.25, 12.0))
-    run["agents"]["ego"]["picture"]["errors_nearby"] = {"mean": 3.5, "std": 1.0}
-    table = score_table({"run": run})
-    assert table.cell("errors_nearby", "run", "picture").value.mean == 3.5
-    assert "errors nearby" in printed(table)
-    assert "| errors nearby | run |" in as_markdown(table)
-
-
-def test_unknown_values_are_dashes() -> None:
-    table = score_table({"baseline": {}, "uncoordinated": metrics((1.0, 2.0, 3.0)) | {"agents": {}}})
-    assert as_markdown(table).splitlines()[2] == "| missed (FN) | baseline |" + " \u2013 |" * 7
-
-
 def test_markdown_has_a_line_per_metric_and_run() -> None:
     head, rule, *rows = as_markdown(score_table(RUNS)).splitlines()
     assert {line.count("|") for line in (head, rule, *rows)} == {10}

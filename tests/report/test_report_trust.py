@@ -25,7 +25,6 @@ from mast_zenoh.report.film.takes import Take
 from mast_zenoh.report.html import write_report
 from mast_zenoh.report.narrative.attribution import causes
 from mast_zenoh.report.narrative.changes import MISSED, Change
-from mast_zenoh.report.narrative.run import defence_sentence
 from mast_zenoh.report.tables.of_run import (
     conduct_table,
     suspension_lines,
@@ -170,17 +169,6 @@ def test_suspended_relays_of_honest_agents_are_named_with_those_whose_agents_wer
     assert suspension_lines(run)[-1] == expected
 
 
-def test_without_trust_the_picture_has_no_state_colours(run_folder: Callable[..., Path]) -> None:
-    run = Run(run_folder("uncoordinated"))
-    view = frame_view(run, 33)
-    assert view is not None
-    assert pixels(png(birdseye_figure(view)), STATES["suspended"]) == 0
-    assert trust_over_time(run, 33) is None
-    assert trust_sentences(run) == suspension_table(run).lines == suspension_lines(run) == []
-    assert defence_sentence(run) == ""
-    assert "trust.parquet" not in " ".join(run.files.missing)
-
-
 def test_the_chart_has_a_row_for_each_agent_with_its_suspensions_and_faults(folder: Path) -> None:
     figure = trust_over_time(Run(folder), 33)
     assert figure is not None
@@ -203,14 +191,6 @@ def test_every_suspension_has_a_row_with_its_reason(folder: Path) -> None:
         (("infra_2", "1.0", "1.2", "honest", "\u2013", REASON), "bad"),
         (("infra_1", "2.0", "3.0", "lying", "0.5", REASON), ""),
         (("infra_1", "3.5", "end", "lying", "\u2013", REASON), ""),
-    ]
-
-
-def test_the_terminal_names_suspensions_with_their_reasons(folder: Path) -> None:
-    assert suspension_lines(Run(folder)) == [
-        f"the command centre suspended infra_2 (honest) from 1.0 s to 1.2 s: {REASON}",
-        f"the command centre suspended infra_1 (lying) from 2.0 s to 3.0 s, 0.5 s after its first lie: {REASON}",
-        f"the command centre suspended infra_1 (lying) from 3.5 s to the end: {REASON}",
     ]
 
 
@@ -260,17 +240,6 @@ def test_the_last_line_says_which_agents_the_defence_suspended_when_and_what_it_
     none = last_line(folder, "NoIntegrity", INTEGRITY)
     assert "NoIntegrity" not in none
     assert "withheld" not in none
-
-
-def test_the_last_line_explains_why_more_or_fewer_objects_are_missed_than_withheld(folder: Path) -> None:
-    split = {"fault": 0.0, "attack": 0.0, "withheld": 0.4, "natural": 0.3}
-    edit(folder, metrics={"agents": {"ego": {"picture": {"fn_split": split}}}})
-    withheld = "and withheld 1.50 false and 0.25 true objects a frame"
-    assert last_line(folder, "FreeSpace", INTEGRITY).endswith(
-        f"{withheld}; in its range, the ego misses 0.40 for this and because only suspended agents report them."
-    )
-    edit(folder, metrics={"agents": {"ego": {"picture": {"fn_split": split | {"withheld": 0.251}}}}})
-    assert last_line(folder, "FreeSpace", INTEGRITY).endswith(f"{withheld}.")
 
 
 def test_seconds_of_conduct_without_any_are_left_out(folder: Path) -> None:
@@ -353,12 +322,6 @@ def test_every_undecided_period_has_a_row_and_a_line_with_its_whole_reason(undec
     assert "Undecided at some time: infra_2, infra_3" in html
 
 
-def test_the_last_line_names_undecided_agents(undecided: Path) -> None:
-    integrity = Run(undecided).files.summary["integrity"]
-    line = last_line(undecided, "FreeSpace", integrity)
-    assert "was undecided for a time about infra_3 and to the end about infra_2, although" in line
-
-
 def test_the_events_of_a_run_say_who_the_possible_liars_are(undecided: Path) -> None:
     run = Run(undecided)
     times = np.arange(FRAMES) * 0.1
@@ -376,20 +339,6 @@ def test_the_caption_of_a_film_names_undecided_agents_in_one_line(undecided: Pat
     take = Take(Run(undecided), "picture")
     captions = [text for frame, text in takes.caption_events(take) if frame == 10]
     assert captions == ["infra_2 undecided", "infra_3 undecided"]
-
-
-def test_a_run_of_an_older_version_has_no_undecided_agents(folder: Path) -> None:
-    run = Run(folder)
-    assert "undecided" not in run.files.summary["integrity"]["agents"]["ego"]
-    assert undecided_table(run).lines == undecided_lines(run) == []
-    page = write_report(folder).read_text()
-    assert "suspended agent</th>" in page
-    assert "undecided agent</th>" not in page
-
-
-def test_a_missing_trust_table_is_named(folder: Path) -> None:
-    (folder / "trust.parquet").unlink()
-    assert "trust.parquet is absent: trust in agents is not shown." in Run(folder).files.missing
 
 
 @pytest.mark.parametrize(

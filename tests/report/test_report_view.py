@@ -83,13 +83,6 @@ def test_errors_of_all_kinds_count() -> None:
     assert choose_frame(run) == 13
 
 
-def test_a_run_without_counts_has_no_frame_to_display() -> None:
-    run = a_run([(1, 0)])
-    assert run.files.counts is not None
-    empty = {name: column[:0] for name, column in run.files.counts.items()}
-    assert choose_frame(Run.of(RunFiles(None, counts=empty))) is None
-
-
 def test_runs_share_the_frame_of_the_largest_effect() -> None:
     baseline = a_run([(0, 0)] * 4)
     weak = a_run([(0, 0), (0, 2), (0, 0), (0, 0)], attack=[10])

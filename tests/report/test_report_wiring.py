@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -13,7 +11,6 @@ from mast_zenoh.report.figures.diagram import draw_wiring
 from mast_zenoh.report.figures.style import svg
 from mast_zenoh.report.tables.wiring import HIGH, ROW, WIDE, Spot, layout, wire_rows
 from mast_zenoh.runs.files import RunFiles
-from mast_zenoh.runs.interposers import adversaries_by_agent, interposers
 from mast_zenoh.runs.run import Run
 
 
@@ -146,44 +143,6 @@ def test_interposer_on_the_trunk_intercepts_all_branches() -> None:
     assert row.links == ("link_infra_1", "link_infra_2")
     assert row.branches == ("infra_1", "infra_2")
     assert wire_rows(branched())[0].intercepted is False
-
-
-def test_a_coordinator_is_above_its_adversaries(run_folder: Callable[..., Path]) -> None:
-    plan = layout(Run(run_folder("coordinated")))
-    assert plan is not None
-    coordinator = Spot("coordinator")
-    assert plan.places[coordinator][1] < min(y for spot, (_, y) in plan.places.items() if spot != coordinator)
-    assert plan.lines[coordinator, Spot("adversary_1", after=1)].messages == ["directive"]
-
-
-def test_the_evaluator_is_in_the_table_but_not_in_the_diagram(run_folder: Callable[..., Path]) -> None:
-    run = Run(run_folder("uncoordinated"))
-    plan = layout(run)
-    assert plan is not None
-    assert Spot("evaluator") not in plan.places
-    assert any("evaluator" in row.subscribers for row in wire_rows(run))
-    assert len(wire_rows(run)) == len(run.files.wiring["wires"])
-
-
-def test_the_table_begins_with_the_intercepted_wires(run_folder: Callable[..., Path]) -> None:
-    rows = wire_rows(Run(run_folder("uncoordinated")))
-    assert [row.key for row in rows if row.intercepted] == [row.key for row in rows[:2]]
-    assert rows[0].taps == ("agent/infra_1/detections/@tap/0",)
-    assert rows[0].interposers == ("adversary_1",)
-
-
-def test_adversaries_are_grouped_by_the_agent_of_their_wire(run_folder: Callable[..., Path]) -> None:
-    run = Run(run_folder("uncoordinated"))
-    assert adversaries_by_agent(interposers(run)) == {"infra_1": ("adversary_1",), "infra_3": ("adversary_2",)}
-    assert adversaries_by_agent(interposers(mesh(2, 1, "tracks"))) == {}
-    without_roles = run.with_(record={}, summary={})  # run.json is lost: a role follows from the name only
-    assert adversaries_by_agent(interposers(without_roles)) == adversaries_by_agent(interposers(run))
-    assert {without_roles.role(node) for node in ("ego", "infra_2")} == {"agent"}
-
-
-def test_nothing_to_draw_gives_no_diagram() -> None:
-    assert draw_wiring(a_run([])) is None
-    assert draw_wiring(a_run([a_wire("clock", "clock", "simulator", ["ego"])])) is None
 
 
 def test_unknown_roles_and_unusual_names_are_drawn() -> None:

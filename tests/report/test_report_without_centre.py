@@ -53,11 +53,3 @@ def test_titles_of_films_and_events_of_the_viewer_do_too(run_of_peers: mast.Run)
     begins = [span["begins"] for span in spans(run, np.arange(FRAMES) * run.period_s) if span["kind"] == "suspension"]
     assert begins
     assert all(each.startswith("the ego peer suspends ") for each in begins)
-
-
-@pytest.mark.parametrize("scenario", ["baseline", "two_centres"])
-def test_the_words_of_a_run_with_a_centre_stay(tmp_path: Path, scenario: str) -> None:
-    run = mast.run(scenario, frames=5, n_infrastructure=2, out=tmp_path / "run")
-    record = Run(run.path)
-    assert record.has_centre
-    assert record.worded("the command centre sends the common picture") == "the command centre sends the common picture"

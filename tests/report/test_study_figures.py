@@ -9,7 +9,7 @@ from study_samples import BASELINE, estimate, facts, grid, row
 
 from mast_zenoh.metrics.study_results import Series, StudyRow
 from mast_zenoh.report.figures import study
-from mast_zenoh.report.figures.study import Panel, figures_over_trials, label_of, panels
+from mast_zenoh.report.figures.study import Panel, figures_over_trials, panels
 
 
 def labels(panel: Panel) -> dict[str, list[str]]:
@@ -56,11 +56,6 @@ def test_additional_parameters_make_a_panel_for_each_choice() -> None:
     assert list(labels(result[0])) == ["start (s) = 1", "start (s) = 4"]
 
 
-def test_runs_without_a_sweep_share_one_panel() -> None:
-    (panel,) = panels([BASELINE, row("a", {"n": 2}, 1.0), row("b", {}, 2.0)], "baseline")
-    assert (panel.x, panel.ticks, panel.numeric) == ("", ("a-2", "b"), False)
-
-
 @pytest.mark.parametrize(
     ("grids", "count"),
     [
@@ -75,16 +70,6 @@ def test_every_configuration_is_shown_exactly_once(grids, count: int) -> None:
     labels = [row.label for panel in panels(rows, "baseline") for curve in panel.curves for row in curve.rows]
     assert sorted(labels) == sorted(row.label for row in rows[1:])
     assert len(labels) == count + 1
-
-
-def test_parameters_are_labelled_in_words_with_their_unit() -> None:
-    labels = {
-        "n_adversaries": "number of adversaries",
-        "attack_start_s": "attack start (s)",
-        "command_center.pipeline.clustering.assign_radius_m": "clustering assign radius (m)",
-        "fraction_false_negatives": "fraction false negatives",
-    }
-    assert {parameter: label_of(parameter) for parameter in labels} == labels
 
 
 @pytest.mark.heavy
@@ -125,10 +110,6 @@ def test_figures_explain_missing_bars(
     figure = figures_over_trials(rows, facts(rows))["increments"]
     assert footer in footers[0]
     assert figure.caption.endswith(f"agents. {caption}")
-
-
-def test_studies_without_increments_have_no_figure() -> None:
-    assert figures_over_trials([BASELINE], facts([BASELINE])) == {}
 
 
 def test_success_begins_at_zero_adversaries_and_every_figure_is_also_a_pdf(tmp_path, monkeypatch) -> None:

@@ -18,8 +18,7 @@ from mast_zenoh.metrics.study_results import Estimate, FailedTrial, IdleAttack, 
 from mast_zenoh.report.narrative.study import compare, other_changes, reservations, result
 from mast_zenoh.report.tables import study
 from mast_zenoh.report.tables.study import Cell, Section
-from mast_zenoh.report.tables.study_rows import PAPER, over_frames, over_trials
-from mast_zenoh.report.tables.text_table import number
+from mast_zenoh.report.tables.study_rows import over_trials
 
 ROWS = [BASELINE, *grid("uncoordinated", n=(1, 2, 3)), *grid("coordinated", 0.5, n=(1, 2, 3))]
 FAILED = FailedTrial("coordinated-3", "intersection:1", 7, "RunError: on | purpose", "mast run coordinated --seed 7")
@@ -29,11 +28,6 @@ def shown(rows=ROWS, failed=()) -> str:
     page = io.StringIO()
     Console(file=page, width=80).print(study.as_rich(rows, facts(rows, failed)))
     return page.getvalue()
-
-
-def test_numbers_have_two_decimals_and_no_negative_zero() -> None:
-    texts = ["1.00", "\u22120.50", "0.00", "\u2013"]
-    assert [number(value) for value in (1.005, -0.5, -0.001, float("nan"))] == texts
 
 
 @pytest.mark.parametrize(
@@ -49,11 +43,6 @@ def test_numbers_have_two_decimals_and_no_negative_zero() -> None:
 )
 def test_estimates_show_their_interval_or_why_there_is_none(numbers: Estimate, text: str) -> None:
     assert over_trials(numbers) == text
-
-
-def test_estimates_show_their_spread_over_frames() -> None:
-    assert over_frames(Estimate(3.42, 1.2, 3.4, 3.1, 3.7, seeds=20)) == "3.42 ± 1.20"
-    assert over_frames(Estimate()) == "\u2013"
 
 
 def test_terminal_tables_fit_80_columns_name_failed_trials_first_and_have_both_spreads() -> None:
@@ -258,11 +247,6 @@ def test_equal_values_in_all_trials_are_reported_as_unchanged() -> None:
     assert not any("identity switches" in sentence for sentence in others), "too few for a statement"
 
 
-def test_differences_with_few_seeds_zero_mean_or_spread_are_not_certain() -> None:
-    uncertain = replace(SAME, seeds=4), replace(SAME, trial_mean=0.0), replace(SAME, low=0.5)
-    assert [each.certain for each in (SAME, *uncertain)] == [True, False, False, False]
-
-
 def test_seeds_left_out_are_reported_per_affected_number() -> None:
     whole = replace(estimate(1.0), seeds=18, left_out=2)
     some = {Series("ego", "picture", "fp"): estimate(1.0), Series("ego", "picture", "rmse_m"): whole}
@@ -293,29 +277,6 @@ def test_attacks_that_never_began_are_reported_first() -> None:
     assert "The clearest change" in text
 
 
-def test_latex_marks_significant_differences_after_holm() -> None:
-    text = study.as_latex(ROWS, facts(ROWS))
-    assert r"9.00 \pm 1.25^{*}" in text
-    assert text.count("^{*}") == sum(
-        compare(ROWS, "baseline").remains(row, column) for row in ROWS[1:] for _, of in PAPER for column in of
-    )
-    assert "% * differs significantly from 0 after Holm's correction" in text
-
-
-def test_tables_and_sentences_name_parameters() -> None:
-    rows = [BASELINE, *grid("attacked", false_positives=(2.0, 8.0), share=(0.0, 0.5))]
-    name, known = "attacked false_positives=8.0 share=0.0", facts(rows)
-    markdown, latex = study.as_markdown(rows, known), study.as_latex(rows, known)
-    assert f"| {name} |" in markdown
-    assert f"The clearest change: in {name} the ego with the picture has" in markdown
-    assert name.replace("_", r"\_") in latex
-    assert "attacked-8.0-0.0" not in markdown + latex
-    terminal = " ".join(shown(rows).split())
-    assert f"in {name} the ego with the picture" in terminal
-    assert "Labels in tables: attacked-false_positives-share." in terminal
-    assert "baseline" in markdown
-
-
 def test_a_wide_table_has_parts_of_whole_groups_and_one_caption() -> None:
     groups = (("one", ("a", "b", "c")), ("two", ("d", "e")), ("three", tuple("fghijkl")))
     cells = tuple(Cell(name) for name in "abcdefghijkl")
@@ -327,18 +288,6 @@ def test_a_wide_table_has_parts_of_whole_groups_and_one_caption() -> None:
     ]
     assert ["".join(cell.text for cell in part.lines[0][1]) for part in parts] == ["abcde", "fghi", "jkl"]
     assert [part.caption for part in parts] == ["", "", "all of it"]
-
-
-def test_without_attacks_differences_are_those_from_the_baseline() -> None:
-    honest = {series: value for series, value in ROWS[1].estimates.items() if series.estimator != "achieved"}
-    text = shown([BASELINE, replace(ROWS[1], estimates=honest)])
-    assert "Difference from the baseline: ego with the picture" in text
-    assert "attack" not in text.lower()
-    same = {series: estimate(0.0) for series in honest if series.metric in ("fp_iob", "fn_iob")}
-    unchanged = {series: Estimate(0.0, 0.0, 0.0, zero_share=1.0, scenes=3, seeds=20) for series in same}
-    assert "No configuration changes false or missed objects" in " ".join(
-        shown([BASELINE, replace(ROWS[1], estimates=honest | unchanged)]).split()
-    )
 
 
 def test_studies_of_peers_and_radio_show_whom_attacks_deceived_and_the_load_of_the_channel() -> None:

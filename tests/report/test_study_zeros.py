@@ -16,7 +16,6 @@ from study_samples import BASELINE, facts, grid
 from mast_zenoh.metrics.study_results import Series
 from mast_zenoh.report.figures.study import figures_over_trials
 from mast_zenoh.report.html import write_trials_page
-from mast_zenoh.report.narrative.study import compare, other_changes, result
 from mast_zenoh.report.tables import study
 from mast_zenoh.report.tables.study_rows import over_trials
 from mast_zenoh.study.statistics import trial_estimate
@@ -69,11 +68,6 @@ def test_unchanged_differences_are_still_unchanged_and_say_how_sure_that_is() ->
     assert over_trials(never) == "0.00 (0 in 100 % [48, 100])"
 
 
-def test_scores_and_few_seeds_are_not_counted() -> None:
-    assert np.isnan(trial_estimate(RARE, UNLIMITED).zero_share)
-    assert over_trials(trial_estimate(np.zeros((1, 4)), UNLIMITED, paired=True)) == "0.00 (n < 5)"
-
-
 def test_terminal_markdown_and_html_tables_warn_of_means_that_are_mostly_zero(tmp_path: Path) -> None:
     page = write_trials_page(tmp_path, rows(), facts(rows()), figures_over_trials(rows(), facts(rows())))
     texts = (terminal(), study.as_markdown(rows(), facts(rows())), page.read_text("utf-8"))
@@ -81,11 +75,6 @@ def test_terminal_markdown_and_html_tables_warn_of_means_that_are_mostly_zero(tm
         assert SHARE in text
         assert WARNING in " ".join(text.split())
     assert max(map(len, texts[0].splitlines())) <= 80
-
-
-def test_tables_without_such_means_do_not_warn() -> None:
-    plain = [BASELINE, *grid("uncoordinated", n=(1, 2))]
-    assert WARNING not in " ".join(study.as_markdown(plain, facts(plain)).split())
 
 
 def test_csv_has_the_share_and_latex_the_warning() -> None:
@@ -98,15 +87,3 @@ def test_csv_has_the_share_and_latex_the_warning() -> None:
     latex = study.as_latex(rows(), facts(rows()))
     assert WARNING in latex
     assert r"(0 \mbox{ in } 80 \% [56, 94])" in latex
-
-
-def test_sentences_name_what_changes_rarely_and_never_call_it_certain() -> None:
-    comparisons = compare(rows(), "baseline")
-    text = " ".join([result(rows(), facts(rows()), comparisons), *other_changes(rows(), facts(rows()), comparisons)])
-    assert "Changed in few trials, and therefore without interval: missed objects." in text
-    assert "in all 20 seeds" not in text
-
-
-def test_figures_say_why_a_mostly_zero_point_has_no_bar() -> None:
-    figure = figures_over_trials(rows(), facts(rows()))["increments"]
-    assert "is 0 in most trials" in figure.caption

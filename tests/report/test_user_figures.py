@@ -98,14 +98,6 @@ def test_a_figure_follows_the_section_that_it_names(run_folder: Folder, tmp_path
         assert "Unfinished" not in page
 
 
-def test_a_report_without_user_figures_is_unchanged(run_folder: Folder, tmp_path: Path) -> None:
-    folder = run_folder("uncoordinated")
-    before = write_report(folder).read_bytes()
-    (tmp_path / "nothing.py").write_text("X = 1\n")
-    assert write_report(folder, figures=[tmp_path / "nothing.py"]).read_bytes() == before
-    assert not (folder / "figures" / "user_figures.json").exists()
-
-
 def test_figures_of_a_loaded_scenario_are_drawn(run_folder: Folder, tmp_path: Path) -> None:
     file = written(tmp_path / "mine.py", FIGURES)
     loading.module(file)
