@@ -195,12 +195,6 @@ def test_where_there_is_no_time_frames_come_without_outcomes_which_is_told(
     assert tally.sentences()[0].startswith("30 frames were not evaluated in time: their markers have the colour of")
 
 
-def test_nothing_is_measured_while_nobody_wants_outcomes(recorded: mast.Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    frames, tally = all_frames(recorded.path, [arrivals(recorded.path), []], monkeypatch, measured=lambda: False)
-    assert_recorded(frames, recorded.path, measured=False)
-    assert tally == Tally(frames=30)
-
-
 def test_invalid_messages_of_a_run_are_counted(recorded: mast.Run, monkeypatch: pytest.MonkeyPatch) -> None:
     messages = arrivals(recorded.path)
     key = next(each.key for each in messages if each.key.endswith("ego/tracks"))

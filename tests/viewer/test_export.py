@@ -4,26 +4,18 @@ from __future__ import annotations
 
 import shutil
 import sys
-import typing
 from pathlib import Path
 
 import pytest
 from commands_in_process import command
 
 import mast_zenoh as mast
-from mast_zenoh.cli import runs
 from mast_zenoh.errors import ExportError, RunFolderError
 from mast_zenoh.viewer.export import export
 from mast_zenoh.viewer.formats import FORMATS, GONE
 
 #: Formats of objects; the other one has messages, see test_export_pcap.py.
 OF_OBJECTS = [name for name in FORMATS if name != "pcap"]
-
-
-def test_the_command_offers_every_format() -> None:
-    (option,) = typing.get_type_hints(runs.export, include_extras=True)["to"].__metadata__
-    assert option.metavar.split("|") == list(FORMATS)
-    assert option.autocompletion(None, [], "") == list(FORMATS)
 
 
 @pytest.mark.parametrize(("name", "instead"), GONE.items())
@@ -46,10 +38,6 @@ def test_the_command_names_what_it_wrote_and_what_is_missing(recorded: mast.Run,
     assert f"exported: {tmp_path / 'mot'}" in out
     assert "warning: objects.parquet is absent: no outcomes of objects, no bird's-eye and camera views." in err
     assert (tmp_path / "mot" / "seqmap.txt").is_file()
-
-
-def test_the_python_api_returns_paths_and_what_is_missing(recorded: mast.Run, out: Path) -> None:
-    assert recorded.export("mot", out) == ((out,), ())
 
 
 def test_a_damaged_recording_leaves_nothing_behind(recorded: mast.Run, tmp_path: Path) -> None:

@@ -27,17 +27,6 @@ def mot(exported_to: Callable[[str], Path]) -> Path:
     return exported_to("mot")
 
 
-def own_object(record: PlainRecord) -> int:
-    """The id of the ego's own object."""
-    columns = record.boxes["truth"][0]
-    (number,) = [
-        n
-        for n, box in zip(columns.number, columns.box, strict=True)
-        if np.hypot(*(box[:2] - record.poses["ego"][0][0][:2])) < 1
-    ]
-    return int(number)
-
-
 # -- KITTI -------------------------------------------------------------------------------------------------------------
 
 
@@ -96,20 +85,6 @@ def kitti_data(kitti: Path) -> Any:
     config = trackeval.datasets.Kitti2DBox.get_default_dataset_config()
     config |= {"GT_FOLDER": str(kitti), "TRACKERS_FOLDER": str(kitti / "trackers"), "SPLIT_TO_EVAL": "training"}
     return trackeval.datasets.Kitti2DBox(config | {"PRINT_CONFIG": False})
-
-
-def test_trackeval_counts_the_labels_and_tracks_of_kitti_each_with_its_rectangle(
-    kitti: Path, record: PlainRecord
-) -> None:
-    data = kitti_data(kitti)
-    assert set(data.tracker_list) == set(record.boxes) - {"truth"}
-    for name in data.tracker_list:
-        raw = data.get_raw_seq_data(name, "0000")
-        for kind, file in (("gt", "label_02"), ("tracker", f"trackers/{name}/data")):
-            lines = (kitti / file / "0000.txt").read_text().splitlines()
-            assert sum(map(len, raw[f"{kind}_ids"])) == len(lines) > 0
-            rectangles = np.concatenate([each.reshape(-1, 4) for each in raw[f"{kind}_dets"]])
-            assert (rectangles[:, 2:] > rectangles[:, :2]).all()
 
 
 def test_trackeval_matches_what_the_picture_has_of_the_cars_that_the_camera_sees(kitti: Path, tmp_path: Path) -> None:

@@ -54,18 +54,6 @@ def test_every_estimate_is_an_entity_with_a_batch_of_boxes_a_frame(rows: Any, re
         assert_same_boxes(found, record.boxes[name], 1e-4)  # Rerun has 32 bits for a number
 
 
-def test_colours_are_the_papers_key(rows: Any, recorded: mast.Run) -> None:
-    judged = [row for row in recorded.objects.to_pylist() if (row["agent"], row["estimator"]) == ("ego", "picture")]
-    for topic, kind, outcome, colour in (
-        ("cc/picture", "track", "false", 0xFF3B3BFF),
-        ("scene/truth", "truth", "matched", 0xFFFFFFFF),
-        ("cc/picture/missed", "truth", "missed", 0xFFD60AFF),
-    ):
-        drawn = sum(row["Boxes3D:colors"].count(colour) for row in by_frame(rows[topic]).values())
-        expected = sum((row["kind"], row["outcome"]) == (kind, outcome) for row in judged)
-        assert drawn == expected > 0
-
-
 def test_poses_are_those_recorded(rows: Any, record: PlainRecord) -> None:
     for agent, poses in record.poses.items():
         frames = by_frame(rows[f"agent/{agent}/pose"])

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from itertools import combinations
-
 import numpy as np
 import pytest
 
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.integrity import STATES
-from mast_zenoh.viewer.palette import GROUNDS, KEYS, STATES_ON_LIGHT, TROUBLES, rgb
+from mast_zenoh.viewer.palette import GROUNDS, KEYS, rgb
 
 #: Linear RGB as seen with full deficiency: Machado, Oliveira and Fernandes (2009), table 1.
 VISION = {
@@ -61,15 +59,3 @@ def test_an_undecided_agent_differs_from_all_other_states(name: str, ground: str
         for state in colours.keys() - {"undecided"}:
             assert difference(colours["undecided"], colours[state], vision) > 20.0, (vision, state)
     assert contrast(colours["undecided"], GROUNDS[ground].ground) > 4.5, "its label is readable"
-
-
-@pytest.mark.parametrize("vision", VISION)
-def test_states_differ_as_backgrounds_of_light_charts(vision: str) -> None:
-    def blended(colour: str) -> str:
-        return "#" + "".join(f"{round(255 - 0.45 * (255 - value)):02x}" for value in rgb(colour))
-
-    assert tuple(STATES_ON_LIGHT) == TROUBLES
-    assert all(difference(blended(colour), "#ffffff", vision) > 10.0 for colour in STATES_ON_LIGHT.values())
-    for one, other in combinations(STATES_ON_LIGHT, 2):
-        least = 15.0 if "undecided" in (one, other) else 5.0
-        assert difference(blended(STATES_ON_LIGHT[one]), blended(STATES_ON_LIGHT[other]), vision) > least, (one, other)

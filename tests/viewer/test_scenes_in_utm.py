@@ -15,8 +15,6 @@ from rerun.chunk import RrdReader
 from rosbags.highlevel import AnyReader
 
 import mast_zenoh as mast
-from mast_zenoh.messages import codec
-from mast_zenoh.run_folder.recording.reader import read
 from mast_zenoh.scenes import Recording
 from mast_zenoh.viewer.export import export
 
@@ -122,13 +120,6 @@ def test_the_map_of_ros_is_at_the_scene(run_at: Callable[[str], mast.Run], tmp_p
             if (transform.header.frame_id, transform.child_frame_id) == ("map", "world")
         ]
     assert (fixed.x, fixed.y) == (-690_000.0, -5_340_000.0)
-
-
-def test_a_recording_of_standard_messages_says_where_they_are(run_at: Callable[[str], mast.Run]) -> None:
-    run = run_at("munich")
-    (heard, *_) = read(run.path, lambda channel: channel["wire"] == "agent/ego/broadcast")
-    body = codec.decode(heard.payload, heard.type).body
-    np.testing.assert_allclose(body["origin"][:2], scene_of(run).agent_position[heard.frame, 0, :2], atol=0.02)
 
 
 def test_a_wire_that_delivered_nothing_but_rejected_messages_is_in_the_last_lines_with_the_reason(

@@ -171,34 +171,6 @@ def test_places_around_a_camera_never_fold_over(report: Path, loaded_run: Run, o
                 assert expected[:, 0].max() < recorded.camera.width / 2
 
 
-def test_hovering_works_in_the_camera_view(report: Path, open_page: OpenPage) -> None:
-    page = open_page(report, width=1300)
-    marks = camera_marks(page, FRAME, "infra_2", "picture")
-    page.settle()
-    page.page.locator(".v-canvas").first.scroll_into_view_if_needed()
-    nearest = marks["camera"]["boxes"][::-1]
-    for solid in nearest:
-        left, top, right, bottom = solid["bounds"]
-        at = page.run(
-            """([u, v]) => { const panel = viewer.panels[0]; const box = panel.canvas.getBoundingClientRect();
-              const [x, y] = panel.window.toScreen(u, v, box.width, box.height);
-              return [x, y, box.left + x, box.top + y, box.width, box.height]; }""",
-            [(left + right) / 2, (top + bottom) / 2],
-        )
-        if 0 < at[0] < at[4] and 0 < at[1] < at[5]:
-            break
-    page.page.mouse.move(at[2], at[3])
-    page.settle()
-    tip = page.page.locator(".v-tip").first
-    tip.wait_for(state="visible")
-    assert f"id {page.run('viewer.panels[0].chosen.id')}" in tip.inner_text()
-    chosen = page.run("viewer.panels[0].chosen")
-    shown = next(each for each in nearest if each["row"] == chosen["row"])
-    left, top, right, bottom = shown["bounds"]
-    assert left <= (solid["bounds"][0] + solid["bounds"][2]) / 2 <= right
-    page.screenshot("camera_hover")
-
-
 def test_layers_change_the_camera_view(report: Path, open_page: OpenPage) -> None:
     page = open_page(report, width=1300)
     camera_marks(page, FRAME, "infra_2", "picture")
@@ -213,16 +185,3 @@ def test_layers_change_the_camera_view(report: Path, open_page: OpenPage) -> Non
         page.run(toggle, layer)
         page.settle()
         assert page.run(image) == before, layer
-
-
-def test_the_camera_view_zooms_and_comes_back(report: Path, open_page: OpenPage) -> None:
-    page = open_page(report)
-    camera_marks(page, FRAME, "ego", "picture")
-    page.page.locator(".v-canvas").first.focus()
-    page.page.keyboard.press("+")
-    assert page.run("viewer.state.lens.zoom") == pytest.approx(1.25)
-    page.page.keyboard.press("f")
-    page.settle()
-    assert page.run("viewer.state.lens") == {"zoom": 1, "x": 0.5, "y": 0.5}
-    page.page.get_by_label("seen from").first.select_option("above")
-    assert "camera" not in page.run("viewer.marks(0)")

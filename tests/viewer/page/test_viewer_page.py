@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 from browser import FRAME, FRAMES, WatchedPage
-from launched import eventually
 
 from mast_zenoh.run_folder.tables import read_table
 
@@ -113,19 +112,6 @@ def test_slider_keys_and_playing_move_through_the_run(report: Path, open_page: O
     assert not page.run("viewer.state.playing")
 
 
-def test_a_slow_scene_is_played_from_wherever_the_slider_is(report: Path, open_page: OpenPage) -> None:
-    page = open_page(report)
-    page.run("viewer.state.runs[0].times.forEach((seconds, frame, times) => { times[frame] = 50 * seconds; })")
-    page.run("viewer.state.seek(3)")
-    page.page.get_by_label("speed").select_option("4")
-    page.page.get_by_role("button", name="play").click()
-    eventually(lambda: page.run("viewer.state.frame") >= 5, "two frames are played", 60)
-    page.page.locator(".v-slider").fill("30")
-    eventually(lambda: page.run("viewer.state.frame") not in (30, 31), "two more are played", 60)
-    assert 32 <= page.run("viewer.state.frame") < FRAMES - 1
-    assert page.run("viewer.state.playing")
-
-
 def test_the_canvas_shows_false_tracks_red_and_matched_ones_blue(report: Path, open_page: OpenPage) -> None:
     page = open_page(report)
     false, matched = next(
@@ -223,16 +209,6 @@ def test_two_runs_are_compared_by_swiping(compared: Path, open_page: OpenPage) -
     page.screenshot("swipe")
 
 
-def test_the_first_window_shows_every_agent_and_no_distant_false_track(report: Path, open_page: OpenPage) -> None:
-    page = open_page(report)
-    for agent in page.run("viewer.marks(0).agents"):
-        x, y = page.run(_AT, [0, agent])
-        box = page.page.locator(".v-canvas").first.bounding_box()
-        assert box["x"] <= x <= box["x"] + box["width"]
-        assert box["y"] <= y <= box["y"] + box["height"]
-    assert page.run("viewer.viewport.half") < 60
-
-
 @pytest.mark.parametrize("theme", ["light", "dark"])
 def test_at_500_px_nothing_is_cut_off(report: Path, open_page: OpenPage, theme: str) -> None:
     page = open_page(report, width=500, height=900, theme=theme)
@@ -274,16 +250,6 @@ def test_palettes_differ_and_the_legend_follows(report: Path, open_page: OpenPag
     assert page.run(missed) != before[0]
     assert page.run(missed) in page.page.locator(".v-legend").inner_html()
     assert before[0] not in page.page.locator(".v-legend").inner_html()
-
-
-def test_following_an_agent_keeps_it_in_the_middle(report: Path, open_page: OpenPage) -> None:
-    page = open_page(report)
-    page.page.get_by_label("follow an agent").select_option("ego")
-    for frame in (5, 50):
-        page.run("(frame) => viewer.state.seek(frame)", frame)
-        page.settle()
-        ego = next(agent for agent in page.run("viewer.marks(0).agents") if agent["name"] == "ego")
-        assert [ego["x"], ego["y"]] == page.run("[viewer.viewport.x, viewer.viewport.y]")
 
 
 def test_without_scripts_the_report_still_shows_its_figures(report: Path, browser: Any) -> None:
