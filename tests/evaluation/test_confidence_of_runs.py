@@ -10,9 +10,6 @@ from typing import Any
 import pytest
 from played import Played
 
-from mast_zenoh.config.allowed_code import OWN_RUN
-from mast_zenoh.launch import measurement
-
 #: One agent reports a 25th of its covariances, one none, and one does not tell its innovations.
 #: The centre believes them.
 SURE = """
@@ -62,10 +59,6 @@ def scenario():
     return base | dict(name="sure")
 """
 
-#: The same with a centre that checks, and errors that are new in each frame: it believes what its own filter says.
-CHECKED = SURE.replace("ReportedCovariances", "CheckedCovariances").replace(
-    "    pipeline =", '    base["scene"] |= dict(detector=dict(type="DetectionModel", white=True))\n    pipeline ='
-)
 
 #: Nothing counts as truth, and one agent takes its detections for five times as accurate as they are.
 BLIND = """
@@ -89,14 +82,6 @@ def scenario():
     return base | dict(name="blind")
 """
 
-STRICT = """
-from mast_zenoh.scenario import load
-
-
-def scenario():
-    _, base = load("baseline")
-    return base | dict(name="strict", evaluator=dict(consistency=dict(limit=1.2, samples_per_s=10.0)))
-"""
 
 Once = Callable[..., Played]
 
@@ -135,20 +120,6 @@ def test_every_estimate_is_in_metrics_json_and_the_picture_once(once: Once) -> N
     assert metrics["same_as"]["ego"]["received"] == "local", "which is why it has no separate entry"
 
 
-def test_pairs_are_those_of_the_scores(once: Once) -> None:
-    baseline = once("baseline")
-    first, last = baseline.metrics["scored_frames"]
-    for agent, estimates in baseline.metrics["consistency"].items():
-        for estimate, summaries in estimates.items():
-            mean = baseline.agents[agent][estimate]["tp"]["mean"]
-            assert summaries["velocity"]["pairs"] == round(mean * (last - first + 1))
-
-
-def test_tracks_changed_on_the_way_are_compared_as_received(once: Once) -> None:
-    attacked = once("coordinated", "attack_start_s=0.5").metrics
-    assert list(attacked["consistency"]["infra_1"]) == ["local", "received"]
-
-
 def test_an_agent_that_is_too_confident_is_named(once: Once) -> None:
     sure = once("sure", sure=SURE)
     (notice,) = [text for text in confidence_notices(sure) if text.startswith("infra_")]
@@ -168,18 +139,6 @@ def test_an_agent_that_is_too_confident_is_named(once: Once) -> None:
 def test_a_picture_that_is_too_confident_because_of_one_agent_is_named(once: Once) -> None:
     """An agent without covariances counts as exact, and drags the picture along."""
     assert any(text.startswith("the picture is ") for text in confidence_notices(once("sure", sure=SURE)))
-
-
-def test_the_mission_estimate_is_less_confident_than_the_picture_that_it_predicts(once: Once) -> None:
-    estimates = once("sure", sure=SURE).metrics["consistency"]["ego"]
-    factors = {name: estimates[name]["position"]["factor"] for name in ("picture", "mission")}
-    assert factors["picture"] > 2.0
-    assert factors["mission"] < 0.8 * factors["picture"]
-
-
-def test_a_centre_that_checks_covariances_is_not_dragged_along(once: Once) -> None:
-    checked = once("checked", checked=CHECKED)
-    assert not any(text.startswith(("the picture is ", "the mission estimate")) for text in confidence_notices(checked))
 
 
 def test_tracks_without_covariance_are_left_out_and_all_numbers_are_finite(once: Once) -> None:
@@ -216,16 +175,3 @@ def test_without_truth_the_trackers_themselves_are_judged(once: Once) -> None:
         r"the tracker of infra_2 is .+ times more confident than its measurements bear out \(NIS \S+, expected 2\)",
         notice,
     )
-
-
-def test_a_scenario_sets_the_limit(once: Once) -> None:
-    strict = once("strict", strict=STRICT)
-    assert strict.metrics["consistency"]["ego"]["local"]["velocity"]["verdict"] == "overcautious"
-    assert confidence_notices(strict) == [], "only overconfident estimates have a notice"
-
-
-def test_measuring_again_gives_the_same(once: Once) -> None:
-    sure = once("sure", sure=SURE)
-    before = sure.metrics
-    measurement.measure(sure.folder, OWN_RUN)
-    assert sure.metrics["consistency"] == before["consistency"]

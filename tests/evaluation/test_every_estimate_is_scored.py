@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
 import pytest
-from played import FRAMES, Played
+from played import Played
 
 Once = Callable[..., Played]
 
@@ -105,19 +104,6 @@ def test_an_attack_on_sent_tracks_does_not_change_the_agents_own_estimates(once:
         assert attacked.metrics["same_as"][agent]["received"] == "local"
 
 
-def test_a_late_picture_scores_the_same_by_stamp_and_worse_on_arrival(once: Once, baseline: Played) -> None:
-    late = once("baseline", "broker.latency_s=0.3")
-    assert late.metrics["latency_ms"]["sim_to_picture"]["p50"] == pytest.approx(300.0)
-    first = slice(0, FRAMES - 3)  # pictures of the last three frames are never sent
-    for name, values in counts(late, "ego", "picture").items():
-        assert values[first] == counts(baseline, "ego", "picture")[name][first], name
-    stamped, arrived = (late.agents["ego"][name] for name in ("picture", "picture_on_arrival"))
-    assert arrived["tp"]["mean"] < stamped["tp"]["mean"] - 1.0
-    assert arrived["fp"]["mean"] > stamped["fp"]["mean"] + 1.0
-    assert late.agents["ego"]["mission"]["rmse_m"] != baseline.agents["ego"]["mission"]["rmse_m"]
-    assert baseline.metrics["same_as"]["ego"]["picture_on_arrival"] == "picture", "without latency both are identical"
-
-
 def test_results_tell_how_old_the_pictures_are_that_agents_use(once: Once, baseline: Played) -> None:
     late = once("baseline", "broker.latency_s=0.3")
     for played, age_s in ((baseline, 0.1), (late, 0.4)):
@@ -126,76 +112,3 @@ def test_results_tell_how_old_the_pictures_are_that_agents_use(once: Once, basel
         assert ages["mean"] == pytest.approx(age_s)
         assert ages["max"] == pytest.approx(age_s)
         assert ages["frames_without"] == 0
-
-
-METRICS = {
-    "judged": """
-import numpy as np
-
-from mast_zenoh.config import loading
-from mast_zenoh.metrics import FrameMetric, RunMetric
-
-_, baseline = loading.function("scenarios", "baseline", "scenario")
-
-
-class Ahead(FrameMetric):
-    unit = "objects"
-
-    def __init__(self, *, range_m: float = 30.0):
-        self.range_m = range_m
-
-    def per_frame(self, estimate):
-        return estimate.count(estimate.is_track & (estimate.range_m <= self.range_m))
-
-
-class HighestId(RunMetric):
-    def per_run(self, estimate):
-        ids = estimate.id[estimate.is_track]
-        return int(ids.max()) if len(ids) else None
-
-
-def scenario(range_m=30.0):
-    made = baseline(n_infrastructure=2)
-    made["evaluator"]["metrics"] = [dict(type="Ahead", range_m=range_m), dict(type="HighestId")]
-    return made | dict(name="judged")
-"""
-}
-
-
-def test_user_metrics_are_in_the_summary_and_tables_of_every_estimate(once: Once) -> None:
-    played = once("judged", "range_m=25.0", **METRICS)
-    per_frame, objects = played.table("metrics"), played.table("objects")
-    first, last = played.metrics["scored_frames"]
-    places = {
-        (frame, agent): place
-        for frame, body in played.bodies("scene/truth")
-        for agent, place in zip(body["agents"], body["agent_position"], strict=True)
-    }
-    for agent, estimators in played.agents.items():
-        for estimator, summary in estimators.items():
-            twin = played.metrics["same_as"][agent].get(estimator, estimator)
-            rows = (objects["agent"] == agent) & (objects["estimator"] == twin) & (objects["kind"] == "track")
-            values = []
-            for frame in range(played.metrics["frames"]):
-                now = rows & (objects["frame"] == frame)
-                x, y, _ = places[frame, agent]
-                values.append(np.sum(np.hypot(objects["x"][now] - x, objects["y"][now] - y) <= 25.0))
-            selected = (per_frame["agent"] == agent) & (per_frame["estimator"] == estimator)
-            assert per_frame["ahead"][selected].tolist() == values
-            assert summary["ahead"]["mean"] == pytest.approx(np.mean(values[first : last + 1]), abs=1e-12)
-            assert summary["ahead"]["std"] == pytest.approx(np.std(values[first : last + 1]), abs=1e-12)
-            assert summary["highest_id"] == objects["id"][rows].max()
-    assert max(per_frame["ahead"]) > 0
-
-
-def test_driving_is_summarised_over_the_scored_frames_of_its_table(once: Once) -> None:
-    attacked = once("uncoordinated", "attack_start_s=0.5")
-    table, (first, last) = attacked.table("driving"), attacked.metrics["scored_frames"]
-    assert set(attacked.metrics["driving"]) == {"ego"}, "poles do not drive"
-    assert len(table["frame"]) == 3 * attacked.metrics["frames"]
-    for estimate, summary in attacked.metrics["driving"]["ego"].items():
-        rows = (table["estimate"] == estimate) & (table["frame"] >= first) & (table["frame"] <= last)
-        assert rows.sum() == last - first + 1
-        for name, column in (("corridor_objects", "objects"), ("brake_share", "brake")):
-            assert summary[name] == pytest.approx(table[column][rows].mean())
-    assert table["false"].max() > 0

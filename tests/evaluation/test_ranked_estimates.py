@@ -31,11 +31,3 @@ def test_scores_differ_between_tracks_and_are_lower_for_false_ones(baseline: Pla
     distinct, matched = len(np.unique(score[tracks])), np.count_nonzero(tracks & (outcome == "matched"))
     assert distinct > 0.5 * matched / len(baseline.agents)
     assert score[tracks & (outcome == "false")].mean() < score[tracks & (outcome == "matched")].mean() - 0.02
-
-
-def test_a_track_that_is_followed_for_longer_scores_higher(baseline: Played) -> None:
-    table = baseline.table("objects")
-    rows = (table["kind"] == "track") & (table["estimator"] == "local") & (table["agent"] == "ego")
-    frame, track, score = (table[column][rows] for column in ("frame", "id", "score"))
-    first = np.array([frame[track == each].min() for each in track])
-    assert score[frame == first].mean() + 0.1 < score[frame >= first + 20].mean()

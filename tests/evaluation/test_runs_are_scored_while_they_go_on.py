@@ -104,16 +104,6 @@ def test_the_summary_is_that_of_the_whole(run: tuple[Results, Results]) -> None:
                 assert found[name] == pytest.approx(expected[name], abs=0.02), (agent, estimate, name)
 
 
-def test_the_confidence_of_an_estimate_is_compared_over_the_whole_run(run: tuple[Results, Results]) -> None:
-    (_, blocks), (_, whole) = run
-    for agent, estimates in whole["consistency"].items():
-        for estimate, expected in estimates.items():
-            found = blocks["consistency"][agent][estimate]
-            assert found["velocity"]["pairs"] == expected["velocity"]["pairs"]
-            assert found["position"]["nees"] == pytest.approx(expected["position"]["nees"], rel=1e-12)
-            assert found["position"]["samples"] == pytest.approx(expected["position"]["samples"], rel=1e-12)
-
-
 def test_what_happened_to_a_driven_car_is_told_as_in_the_whole() -> None:
     (blocks, metrics), (whole, expected) = scored("driving", frames=400)
     assert rows(blocks["driven"]) == rows(whole["driven"])
