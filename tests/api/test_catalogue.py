@@ -27,7 +27,6 @@ from mast_zenoh import (
 from mast_zenoh.api.catalogue import KINDS, Entry, described, unit_of
 from mast_zenoh.cli.app import app
 from mast_zenoh.config import bundle, registry
-from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.faults.network import HOST_FAULTS
 from mast_zenoh.messages.schemas import BUILT_IN
 from mast_zenoh.metrics.measures import MEASURES
@@ -145,19 +144,6 @@ def test_listings_show_defaults_units_and_descriptions() -> None:
     assert "mean number added by each (Poisson)" in listing, "has the description of `uncoordinated`"
     listing = str(mast.list("faults")["Pause"])
     assert "until (s), required" in listing
-
-
-def test_a_listing_is_a_sequence_with_a_readable_repr() -> None:
-    listing = mast.list("trackers")
-    assert len(listing) == len(listing.names)
-    assert listing[0] in listing
-    assert listing["KalmanBoxTracker3D"].name == "KalmanBoxTracker3D"
-    assert "# trackers" in repr(listing)
-    assert "<code>KalmanBoxTracker3D</code>" in listing._repr_html_()
-    with pytest.raises(ConfigurationError, match="did you mean 'KalmanBoxTracker3D'"):
-        _ = listing["KalmanBoxTracker"]
-    with pytest.raises(ConfigurationError, match="did you mean 'attacks'"):
-        mast.list("attack")
 
 
 @pytest.mark.heavy

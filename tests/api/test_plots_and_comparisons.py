@@ -46,10 +46,6 @@ def test_every_column_can_be_plotted(metric: str, attacked: mast.Run) -> None:
     assert len(attacked.plot.over_time(metric).axes) == 1
 
 
-def test_several_metrics_are_plotted_one_below_the_other(attacked: mast.Run) -> None:
-    assert len(attacked.plot.over_time(["fp", "ospa_m"]).axes) == 2
-
-
 def test_unknown_or_empty_series_are_refused(attacked: mast.Run) -> None:
     with pytest.raises(ConfigurationError, match="did you mean 'fp'"):
         attacked.plot.over_time("fpp")

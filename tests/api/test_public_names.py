@@ -6,16 +6,12 @@ import inspect
 import pkgutil
 import subprocess
 import sys
-import tomllib
-from pathlib import Path
 
 import pytest
 from surface import BASE_CLASSES, OF_A_RUN
 
 import mast_zenoh as mast
 from mast_zenoh.study.interface import carry_out
-
-PROJECT = Path(__file__).parents[2] / "pyproject.toml"
 
 NAMES = {
     *("run", "open", "study", "compare", "list", "scene", "__version__"),
@@ -80,15 +76,6 @@ def test_keywords_of_functions_are_pinned(name: str) -> None:
     function = carry_out if name == "study" else getattr(mast, name)
     taken = inspect.signature(function).parameters.values()
     assert [each.name for each in taken if each.kind is not each.VAR_KEYWORD] == KEYWORDS[name].split()
-
-
-def test_the_version_equals_the_projects_version() -> None:
-    assert mast.__version__ == tomllib.loads(PROJECT.read_text())["project"]["version"]
-
-
-def test_an_unknown_name_raises_attribute_error() -> None:
-    with pytest.raises(AttributeError, match="no attribute 'runn'"):
-        _ = mast.runn
 
 
 def test_importing_the_package_loads_none_of_its_other_modules() -> None:

@@ -59,10 +59,6 @@ def test_a_dotted_keyword_sets_a_value_in_the_scenario(tmp_path: Path) -> None:
     assert center["config"]["pipeline"]["clustering"] == {"type": "DBSCANClusterer", "eps": 3.0}
 
 
-def test_the_call_is_recorded_with_the_run(baseline: mast.Run) -> None:
-    assert baseline.record["command"].startswith("mast_zenoh.run('baseline', frames=60, seed=3")
-
-
 @pytest.mark.parametrize(
     ("scenario", "options", "words"),
     [
@@ -87,13 +83,6 @@ def test_invalid_arguments_are_refused_before_anything_starts(
         mast.run(scenario, frames=2, out=tmp_path / "run", **options)
     assert words in str(refused.value)
     assert not (tmp_path / "run").exists()
-
-
-def test_an_integer_is_accepted_as_a_float(tmp_path: Path) -> None:
-    parameters = dict(n_infrastructure=1, n_adversaries=1, attack_start_s=3)
-    run = mast.run("uncoordinated", frames=2, out=tmp_path / "run", **parameters)
-    config = json.loads((run.path / "scenario.json").read_text())["nodes"]["adversary_1"]["config"]
-    assert config["attack"]["start_s"] == 3.0
 
 
 def test_a_failed_run_raises_an_error_that_names_the_folder(failing_scenario: Path, tmp_path: Path) -> None:

@@ -67,13 +67,6 @@ def test_a_scene_is_given_by_name_or_by_dict(file: Path) -> None:
     assert np.all(mast.scene(frames=1).recording.points >= 0)
 
 
-def test_the_scenarios_seed_is_the_default(file: Path) -> None:
-    own, given = mast.scene(file, frames=2, n_infrastructure=1), mast.scene(file, seed=4, frames=2, n_infrastructure=1)
-    assert own.agents == ("ego", "infra_1")
-    assert own.truth.equals(given.truth)
-    assert own.agent("ego").detections.equals(given.agent("ego").detections)
-
-
 @pytest.mark.parametrize(
     ("scene", "parameters", "message"),
     [

@@ -70,38 +70,6 @@ def test_a_run_without_trust_has_neither_tables_nor_metrics_of_it(attacked: mast
         _ = attacked.trust
 
 
-def test_only_the_agent_with_an_adversary_on_its_wire_lies(judged: mast.Run) -> None:
-    assert [name for name, agent in agents(judged).items() if agent["lied"]] == ["infra_1"]
-    liar = agents(judged)["infra_1"]
-    changes = judged.attacks
-    liar_rows = np.array(changes["role"].to_pylist()) == "adversary"
-    first = min(changes["frame"].to_numpy()[liar_rows])
-    assert liar["first_lie_s"] == pytest.approx(first * 0.1)
-    assert liar["suspensions"][0]["conduct"] == "lying"
-    assert liar["suspended_after_s"] == pytest.approx(liar["suspensions"][0]["from_s"] - liar["first_lie_s"])
-
-
-def test_faults_of_the_timeline_make_their_agents_faulty(judged: mast.Run) -> None:
-    """A delay of what an agent receives is no fault of what it sends."""
-    faulty = {name: agent["faults"] for name, agent in agents(judged).items() if agent["faulty"]}
-    assert faulty == {"infra_2": ["Loss"]}
-    assert [fault["type"] for fault in FAULTS] == ["Loss", "Delay"]
-    assert agents(judged)["infra_2"]["first_fault_s"] == LOSS_S[0]
-    assert agents(judged)["infra_2"]["faults_s"] == pytest.approx(LOSS_S[1] - LOSS_S[0])
-
-
-def test_every_second_has_a_conduct_and_a_state(judged: mast.Run) -> None:
-    duration_s = judged.summary["frames"] * 0.1
-    for agent in agents(judged).values():
-        total = sum(sum(states.values()) for states in agent["seconds"].values())
-        assert total == pytest.approx(duration_s)
-
-
-def test_withheld_objects_are_mostly_false(judged: mast.Run) -> None:
-    withheld = judged.summary["integrity"]["withheld"]
-    assert withheld["false"] > 5 * withheld["true"]
-
-
 def test_trust_is_measured_again_from_the_recording(judged: mast.Run, tmp_path: Path) -> None:
     before, table = judged.summary, judged.trust
     assert measure(judged.path) == []
@@ -154,10 +122,3 @@ def test_observability_works_without_trust_and_without_adversaries(baseline: mas
     result = observability(attacked)
     assert result.lies.num_rows > 0
     assert set(result.suspended_after_s.values()) == {None}
-
-
-def test_a_run_without_its_scene_is_refused(baseline: mast.Run, tmp_path: Path) -> None:
-    for name in ("run.json", "wiring.json", "attacks.parquet"):
-        (tmp_path / name).write_bytes((baseline.path / name).read_bytes())
-    with pytest.raises(RunFolderError, match=r"scene\.npz"):
-        observability(tmp_path)

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from mast_zenoh.api import catalogue
-from mast_zenoh.cli import completion
 
 SLOW = ("numpy", "scipy", "zenoh", "msgpack", "pyarrow", "mast_zenoh.scenario", "mast_zenoh.launch.run")
 
@@ -76,10 +75,6 @@ def test_every_shipped_scenario_and_study_has_its_parameters_completed(completed
         for entry in catalogue.list_kind(kind):
             names = [f"{parameter.name}=" for parameter in entry.parameters]
             assert completed(f"mast {command} {entry.name} --set ") == names
-
-
-def test_kinds_are_those_of_the_catalogue() -> None:
-    assert completion.KINDS == catalogue.KINDS
 
 
 def test_commands_are_read_without_slow_imports() -> None:

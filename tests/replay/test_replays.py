@@ -25,7 +25,6 @@ from mast_zenoh.report.comparison import reference
 from mast_zenoh.report.narrative.run import result
 from mast_zenoh.run_folder.recording.difference import compare
 from mast_zenoh.run_folder.recording.reader import read
-from mast_zenoh.run_folder.recording.script import Script
 from mast_zenoh.runs.run import Run
 from mast_zenoh.wiring.model import Wiring
 
@@ -75,12 +74,6 @@ def test_drivers_and_what_is_on_their_commands_are_played_as_the_truth_follows_f
     roles = {name: spec.role for name, spec in resolved.nodes.items()}
     division = cut(Wiring.from_json(resolved.wiring), roles, place)
     assert division.played == {"simulator", "driver_ego", "adversary_1", *agents}
-
-
-def test_all_players_and_live_nodes_receive_the_clock_once(divided: Callable[[str, Place], Cut]) -> None:
-    division = divided("lossy", "agents")
-    flows = [node for key, _, node in division.wiring.flows() if key == "clock"]
-    assert sorted(flows) == sorted({*division.played, *division.live} - {"simulator"})
 
 
 def test_what_depends_on_the_picture_is_left_out(divided: Callable[[str, Place], Cut]) -> None:
@@ -290,13 +283,6 @@ def test_sensors_measure_at_their_times_in_every_repetition(
     run = replayed(recorded("rates"), tmp_path / "replay", place="simulator", frames=frames, repeats=2)
     assert not any(node["rejected"] for node in run.record["nodes"].values())
     assert compare(recorded("rates"), run.folder, wires=PICTURE, before=frames or FRAMES).first is None
-
-
-def test_time_ascends_between_repetitions_of_uneven_frames() -> None:
-    for last_ms, next_ns in ((150, 300_000_000), (299, 300_000_000), (300, 300_000_001), (350, 350_000_001)):
-        times_ns = [0, 90_000_000, last_ms * 10**6]
-        script = Script(Path("a"), [], {}, times_ns, period_ns=10**8, repeats=2)
-        assert [script.time_ns(frame) for frame in range(4)] == [*times_ns, next_ns]
 
 
 def test_a_replay_without_a_recorder_has_results_and_no_replay_has_a_twin(
