@@ -122,6 +122,15 @@ def test_an_attack_begins_at_its_own_time_unless_the_user_sets_another(tmp_path:
         assert {band["at_s"] for band in bands if band["kind"] == "attack"} == {expected}
 
 
+def test_directed_adversaries_begin_with_their_coordination(tmp_path: Path) -> None:
+    file = tmp_path / "late.py"
+    file.write_text(LATE)
+    for attack, expected in ((f"{file}:LatePlan", 6.5), (dict(type="Collusion", start_s=2.0), 2.0)):
+        _, content = scenario.load("defended", attack=attack)
+        starts = [adversary["attack"]["start_s"] for adversary in content["adversaries"].values()]
+        assert {*starts, content["coordinator"]["coordination"]["start_s"]} == {expected}
+
+
 def test_trust_flip_is_between_sensors_and_agents_unless_other_wires_are_named() -> None:
     def rewrites(**values: Any) -> list[str]:
         return scenario.load_values("defended", FLIP | values)[1]["keyexpr"]["rewrites"]
