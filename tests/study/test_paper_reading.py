@@ -67,10 +67,6 @@ def test_the_runs_of_each_command_of_the_page_can_be_started(command: str) -> No
         assert scenario.resolve(path, content, frames=20).nodes
 
 
-def test_the_page_has_commands_of_the_study() -> None:
-    assert len(COMMANDS) > 5
-
-
 def test_without_a_reading_the_study_is_as_before() -> None:
     coordination = loaded("coordinated-3")["coordinator"]["coordination"]
     assert coordination["propagation"] == {"type": "TrajectoryPropagation"}
@@ -85,11 +81,6 @@ def test_an_unknown_reading_is_refused_with_the_known_ones() -> None:
 def test_agents_to_compromise_are_chosen_by_name_and_others_follow() -> None:
     adversaries = loaded("uncoordinated-3", 'compromised=["infra_4", "infra_1"]')["adversaries"]
     assert [each["agent"] for each in adversaries.values()] == ["infra_4", "infra_1", "infra_2"]
-
-
-def test_an_unknown_agent_to_compromise_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match="compromised: no agent 'infra_9'"):
-        scenario.load("coordinated", ['compromised=["infra_9"]'])
 
 
 def test_in_the_papers_region_a_second_adversary_reports_more_of_the_shared_objects_and_a_third_few() -> None:

@@ -43,11 +43,6 @@ def test_interval_over_seeds_is_students_t_over_the_averages_of_the_seeds() -> N
     assert p_value_of_zero_mean(values) == pytest.approx(stats.ttest_1samp(averages, 0.0).pvalue)
 
 
-def test_identical_scenes_do_not_narrow_the_interval() -> None:
-    one = sample(1, 20)
-    assert over_seeds(np.repeat(one, 10, axis=0)) == pytest.approx(over_seeds(one))
-
-
 @pytest.mark.parametrize("interval", [over_seeds, rate_interval, over_scenes])
 def test_fewer_than_five_seeds_have_no_interval(interval) -> None:
     assert np.isnan(interval(np.array([[0.0, 1.0, 1.0, 0.0]] * 6))).all()
@@ -83,11 +78,6 @@ def test_rate_of_one_scene_has_the_interval_of_clopper_and_pearson(successes: in
     values = (np.arange(trials) < successes).astype(np.float64)[None]
     expected = stats.binomtest(successes, trials).proportion_ci(0.95, "exact")
     assert rate_interval(values) == pytest.approx((expected.low, expected.high))
-
-
-def test_rate_over_identical_scenes_counts_each_seed_once() -> None:
-    one = (np.random.default_rng(1).random((1, 40)) < 0.4).astype(np.float64)
-    np.testing.assert_allclose(rate_interval(np.repeat(one, 10, axis=0)), rate_interval(one), atol=0.02)
 
 
 def test_rate_of_independent_scenes_counts_each_trial() -> None:

@@ -99,12 +99,6 @@ def test_an_error_in_the_function_names_the_file(tmp_path: Path) -> None:
         definition.load(str(tmp_path / "mine.py"))
 
 
-def test_scenario_paths_are_relative_to_the_study_file(tmp_path: Path) -> None:
-    (tmp_path / "own.py").write_text("def scenario():\n    return {}\n")
-    (tmp_path / "mine.py").write_text("def study():\n    return dict(runs=dict(a=dict(scenario='own.py')))\n")
-    assert definition.load(str(tmp_path / "mine.py")).configurations[0].scenario == str(tmp_path / "own.py")
-
-
 @pytest.mark.parametrize(("name", "labels"), [("case_study", 3), ("monte_carlo", 7)])
 def test_shipped_studies_are_valid(name: str, labels: int) -> None:
     study = definition.load(name)
@@ -147,11 +141,6 @@ def test_a_bad_run_with_drivers_is_refused(driven: str, labels: tuple[str, ...],
     (tmp_path / "mine.py").write_text(f"def study():\n    return dict(runs={runs!r}, driven={driven})\n")
     with pytest.raises(ConfigurationError, match=problem):
         definition.load(str(tmp_path / "mine.py"))
-
-
-def test_the_scenes_of_the_monte_carlo_study_can_be_chosen() -> None:
-    study = definition.load("monte_carlo", ["scenes=avstack:a, intersection:5"])
-    assert [place.label for place in study.scenes] == ["avstack:a", "intersection:5"]
 
 
 def test_an_idle_worker_imports_no_plotting_table_or_mesh_library_and_no_kind_of_study() -> None:

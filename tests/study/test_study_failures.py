@@ -76,8 +76,3 @@ def test_command_line_writes_all_results_and_exits_with_the_failure_code(
         assert MESSAGE in ended[1] + ended[2], "at least a warning"
         assert "Traceback" not in ended[2]
         assert (out / result).is_file()
-
-
-def test_rogue_study_rejects_allow_failures(mast) -> None:
-    code, _, err = mast("study", "rogue", "--allow-failures")
-    assert (code, "Traceback" in err) == (2, False)

@@ -85,14 +85,6 @@ def test_every_parameter_of_the_grid_has_a_column_in_every_table(whole: trials.S
     assert points == {("", ""), ("1", "5.0"), ("1", "20.0")}
 
 
-def test_reserved_parameter_names_are_the_column_names_of_the_tables(whole: trials.StudyResult) -> None:
-    """Of frames.parquet, only columns that all runs have are reserved."""
-    columns = set((whole.out / "table.csv").read_text().splitlines()[0].split(","))
-    columns |= set(parquet.read_schema(whole.out / "results.parquet").names)
-    columns |= set(parquet.read_schema(whole.out / "frames.parquet").names) & definition.COLUMNS
-    assert columns - {"n_adversaries", "false_positives"} == definition.COLUMNS
-
-
 def test_interrupted_study_resumes_without_repeating_trials(
     small, whole, monkeypatch, tmp_path: Path, trials_run
 ) -> None:
@@ -325,12 +317,3 @@ def test_without_dask_several_jobs_are_rejected_with_install_hint(small, tmp_pat
     with pytest.raises(ConfigurationError, match=r"install mast-zenoh\[study\], or run with --jobs 1"):
         trials.run(small, tmp_path / "two", count=1, jobs=2)
     assert not (tmp_path / "two").exists()
-
-
-@pytest.mark.mesh
-def test_trials_on_a_mesh_give_the_same_tables_as_in_one_process(small, tmp_path: Path) -> None:
-    result = {
-        runtime: trials.run(small, tmp_path / runtime, count=1, runtime=runtime) for runtime in ("mesh", "inproc")
-    }
-    result["mesh"].raise_failures()
-    assert tables(result["mesh"].out) == tables(result["inproc"].out)

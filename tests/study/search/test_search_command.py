@@ -150,8 +150,3 @@ def test_the_default_of_a_searched_parameter_is_that_of_the_attack_unless_the_st
     study = replace(definition.load("search", [ranges, attack, "scenes=intersection:8"]), frames=5)
     of_class = inspect.signature(Collusion).parameters["speed_mps"].default
     assert searching.defaults(study) == {"attack.speed_mps": of_class, "attack.tolerance": 0.2, "budget": 2.0}
-
-
-def test_every_parameter_of_the_shipped_search_has_an_explanation_of_its_own() -> None:
-    meanings = [parameter.meaning for parameter in mast_zenoh.list("studies")["search"].parameters]
-    assert len(set(meanings)) == len(meanings)

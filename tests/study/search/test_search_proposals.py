@@ -46,21 +46,6 @@ def test_the_region_of_a_known_optimum_is_found(seed: int) -> None:
     assert found.best_params == {"x": pytest.approx(10.0, rel=0.3), "n": 4, "kind": "b"}
 
 
-def test_later_candidates_are_better_than_random_ones() -> None:
-    def late(sampler: str) -> float:
-        values = [each.value for seed in range(4) for each in search(80, 8, seed, sampler=sampler).trials[40:]]
-        return sum(values) / len(values)  # type: ignore[arg-type]
-
-    assert late("TPE") > late("random") + 1.0
-
-
-def test_minimising_is_maximising_the_negative() -> None:
-    up = search(24, 4)
-    down = search(24, 4, evaluate=lambda batch: [-value for value in hill(batch)], maximise=False)
-    assert params(up) == params(down)
-    assert up.best_trial.number == down.best_trial.number
-
-
 def test_the_same_seed_gives_the_same_candidates_and_another_seed_others() -> None:
     first, second, third = (params(search(24, 4, seed)) for seed in (1, 1, 2))
     assert first == second
@@ -96,12 +81,6 @@ def test_a_candidate_without_a_value_is_never_the_best_and_does_not_end_the_sear
     assert len(found.trials) == 32
     assert any(each.value is None for each in found.trials)
     assert found.best_params["kind"] != "b"
-
-
-def test_a_choice_may_be_a_dict() -> None:
-    space = parse_space({"attack": [{"type": "A"}, {"type": "B"}]}, "p")
-    found = search(12, 4, evaluate=lambda batch: [each.params["attack"]["type"] == "B" for each in batch], space=space)
-    assert found.best_params == {"attack": {"type": "B"}}
 
 
 def test_nothing_is_printed_and_optunas_own_settings_stay(capfd: pytest.CaptureFixture[str]) -> None:

@@ -39,16 +39,6 @@ def test_terminal_tables_fit_80_columns_and_have_all_held_out_numbers() -> None:
     assert "…" not in text
 
 
-def test_the_optimism_is_in_words_with_and_without_the_hardness_of_seeds() -> None:
-    words = " ".join(shown(results()).split())
-    assert "The result is candidate 3 of 5." in words
-    assert "3.25 on its own seeds, 2.75 on held-out seeds, 0.50 too good" in words
-    assert "as the difference from no attack, 1.75 and 1.50, 0.25 too good." in words
-    assert "Without a value, so never chosen: 1 candidate." in words
-    assert results().optimism == (0.5, 0.25)
-    assert results(maximise=False).optimism == (-0.5, -0.25)
-
-
 def test_a_search_that_found_nothing_better_than_the_default_says_so() -> None:
     assert "nothing better" not in shown(results())
     for default, maximise in ((3.25, True), (3.5, True), (3.25, False), (3.0, False)):
@@ -105,14 +95,6 @@ def test_candidates_csv_has_every_candidate_and_the_best_up_to_it() -> None:
     assert lines[0]["attack.budget"] == "1.23456789"
 
 
-def test_markdown_lists_the_best_candidates_and_names_the_sampler() -> None:
-    text = search_tables(results()).as_markdown()
-    assert "Sampler: TPE (Optuna 4.9.0)" in text
-    assert "Best candidates on the search's seeds, 4 of 5" in text
-    best = text.split("## Best candidates")[1].splitlines()[4:]
-    assert [line.split(" | ")[0].removeprefix("| ") for line in best] == ["3", "5", "4", "1"]
-
-
 @pytest.mark.parametrize(
     ("names", "short"),
     [
@@ -158,19 +140,6 @@ def test_without_a_value_of_no_attack_the_figure_shows_the_values_themselves(mon
     in_order, held_out = drawn(made, monkeypatch).axes
     assert points(held_out) == [(0.0, 1.75), (1.0, 2.75)]
     assert not in_order.get_ylabel().endswith("no attack")
-
-
-def test_no_text_of_the_figure_overlaps_another(monkeypatch) -> None:
-    figure = drawn(results(), monkeypatch)
-    renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
-    texts = [text for axes in figure.axes for text in (axes.xaxis.label, axes.yaxis.label)]
-    texts += [text for axes in figure.axes for text in (axes._left_title, *axes.get_xticklabels())]
-    texts += [text for legend in figure.legends for text in legend.get_texts()]
-    boxes = [text.get_window_extent(renderer) for text in texts if text.get_text()]
-    assert len(boxes) > 10
-    assert not [(a, b) for at, a in enumerate(boxes) for b in boxes[at + 1 :] if a.overlaps(b)]
-    width, height = figure.canvas.get_width_height()
-    assert all(box.x0 >= 0 and box.y0 >= 0 and box.x1 <= width and box.y1 <= height for box in boxes)
 
 
 def test_an_interval_that_is_unknown_has_no_bar_and_a_caption_says_why() -> None:

@@ -155,8 +155,3 @@ def test_a_value_is_the_sum_of_its_numbers_and_unknown_if_one_is() -> None:
     known = list(numbers.numbers(outcome.metrics))
     assert parse_objective("fn + fp", "p").value(known, "ego") == 5.0
     assert math.isnan(parse_objective("fn + fp_iob", "p").value(known, "ego"))
-
-
-def test_a_difference_from_the_baseline_is_zero_in_the_baseline() -> None:
-    assert parse_objective("fp_iob", "p").value([], "ego", of_baseline=True) == 0.0
-    assert math.isnan(parse_objective("fp_iob", "p").value([], "ego"))

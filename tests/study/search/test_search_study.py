@@ -166,21 +166,6 @@ def test_a_longer_search_and_more_held_out_seeds_reuse_what_is_done(synthetic, s
     assert results(tmp_path / "out")["held_out_seeds"] == list(range(5, 13))
 
 
-def test_another_seed_gives_another_search_on_other_seeds(synthetic, study, whole: Whole, tmp_path: Path) -> None:
-    first, second = results(whole.out), results(carry_out(study, tmp_path / "out", seed=50).out)
-    assert second["search_seeds"] == [50, 51]
-    assert second["held_out_seeds"] == list(range(52, 58))
-    assert [each["values"] for each in first["candidates"]] != [each["values"] for each in second["candidates"]]
-
-
-def test_the_least_harm_is_found_if_that_is_searched(synthetic, tmp_path: Path) -> None:
-    study = definition.load(str(write_study(tmp_path, direction="minimise", candidates=24)))
-    found = results(carry_out(study, tmp_path / "out").out)
-    values = [each["value"] for each in found["candidates"]]
-    assert found["results"][-1]["search"] == min(values) < found["results"][1]["search"]
-    assert found["searched"]["candidate"] == values.index(min(values)) + 1
-
-
 @pytest.mark.parametrize("label", ["candidate-6", "attacked"])
 def test_a_failed_trial_stops_the_search_with_its_command_and_is_tried_again(
     synthetic, study, whole: Whole, tmp_path: Path, label: str
