@@ -15,6 +15,7 @@ from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header, text
 from mast_zenoh.node import Context, Node, Overheard, Received, handler_names
 from mast_zenoh.runtime.host import Host, Outgoing
+from mast_zenoh.streams import stream
 from mast_zenoh.wiring.model import ANY, Input, Ports
 
 WORLD = {"origin": np.zeros(3), "rotation": np.array([1.0, 0.0, 0.0, 0.0])}
@@ -380,6 +381,13 @@ def test_the_observer_gets_every_valid_message_of_the_nodes_keys() -> None:
         host.deliver(f"agent/{key}/tracks", payload, 3)
     assert seen == [("agent/a/tracks", 3)], "on arrival, though the message waits for its clock"
     assert host.rejected.total() == 1
+
+
+def test_random_streams_depend_on_seed_node_and_purpose() -> None:
+    host = listening()
+    drawn = host.rng("noise", 3).random(4)
+    np.testing.assert_array_equal(drawn, stream(7, "listener", "noise", 3).random(4))
+    assert not np.array_equal(drawn, host.rng("noise", 4).random(4))
 
 
 def test_a_node_is_informed_of_other_nodes_before_the_first_frame_and_later() -> None:
