@@ -46,8 +46,7 @@ def hold_back(file: str) -> None:
 
 def resolved(file: str) -> Resolved:
     """The scenario to run."""
-    path, loaded = scenario.load(file, [])
-    return scenario.resolve(path, loaded, record=True)
+    return scenario.resolve(*scenario.load(file, []), record=True)
 
 
 def main() -> None:

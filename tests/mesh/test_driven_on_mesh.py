@@ -39,8 +39,7 @@ def test_commands_that_are_attacked_lost_and_late_act_alike_everywhere_and_repla
     file.write_text(ROUGH)
     run = launch(str(file), "--frames", str(FRAMES), "--seed", "3")
     assert "no new command" in run.ended()
-    path, content = scenario.load(str(file))
-    resolved = scenario.resolve(path, content, frames=FRAMES, seed=3, record=True)
+    resolved = scenario.resolve(*scenario.load(str(file)), frames=FRAMES, seed=3, record=True)
     alone = launcher.run(resolved, tmp_path / "alone", runtime="inproc")
     assert alone.error is None
     assert_equal(run.out, alone.folder)

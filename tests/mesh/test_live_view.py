@@ -15,7 +15,7 @@ from typing import Any
 import psutil
 import pytest
 from browser import chromium
-from equal_runs import assert_equal, run_alone
+from equal_runs import assert_equal
 from launched import MAST, Launched, eventually
 from websockets.sync.client import connect
 
@@ -131,16 +131,6 @@ def test_the_page_of_a_running_run_draws_what_is_recorded(show: Callable[..., Li
         assert len(found) > 5
 
 
-def test_thirty_agents_are_shown_while_they_run(show: Callable[..., LiveRun]) -> None:
-    live = show("baseline", "--set", "n_infrastructure=15", "--set", "n_mobile=14", "--frames", "250")
-    live.frames(3)
-    keep_screenshot(live.page, "thirty")
-    agents = live.page.evaluate("viewer.marks(0).agents.map((agent) => agent.name)")
-    assert len(agents) == 30
-    eventually(lambda: "frames/s" in live.page.inner_text(".v-live"), "the state of the run is shown")
-    live.ended()
-
-
 def test_a_viewer_of_a_secure_run_has_a_certificate_of_its_own_and_changes_nothing(
     show: Callable[..., LiveRun], launch: Callable[..., Launched], tmp_path: Path
 ) -> None:
@@ -197,17 +187,6 @@ def test_a_router_shows_its_run_without_the_run_folder(launch: Callable[..., Lau
         run.process.send_signal(signal.SIGINT)
         assert run.end()[0] != 0
         becomes_true(page, "document.querySelector('.v-live').textContent.includes('has ended')")
-
-
-def test_a_replay_is_shown_while_it_is_running(start: Callable[..., Launched], browser: Any, tmp_path: Path) -> None:
-    what = ("coordinated", "n_infrastructure=2", "attack_start_s=0.5")
-    recorded_run = run_alone(tmp_path / "recorded", *what, frames=30, record=True)
-    replay = start(*MAST, "replay", str(recorded_run), "--loop", "--rate", "1", "--no-report", "--out")
-    replay.started()
-    with viewing(browser, str(replay.out)) as page:
-        keep_screenshot(page, "replay")
-    replay.process.send_signal(signal.SIGINT)
-    replay.end()
 
 
 @pytest.mark.parametrize(

@@ -52,33 +52,8 @@ def counts(folder: Path) -> dict[str, Any]:
     return found
 
 
-def test_a_run_with_an_agent_of_ros_is_the_same_on_the_mesh_and_in_one_process(router: str, tmp_path: Path) -> None:
-    resolved = with_ros2("agent", router, record=True)
-    with Ros2Process("tracks", router, *AGENT):
-        mesh = played(resolved, tmp_path / "mesh")
-        alone = played(resolved, tmp_path / "alone", runtime="inproc")
-    assert_equal(mesh, alone)
-    assert (
-        counts(mesh)
-        == counts(alone)
-        == {
-            "asked": 12,
-            "answered": 12,
-            "late": 0,
-            "unanswered": 0,
-            "interrupted": 0,
-            "unclassified": 0,
-            "waits": True,
-            "publishers": {AGENT[2]: 1},
-            "refused": {},
-            "left_out": {},
-            "absent": {},
-        }
-    )
-
-
-@pytest.mark.parametrize("place", ["center", "adversary"])
-def test_runs_with_other_nodes_of_ros_are_the_same_on_the_mesh_and_in_one_process(
+@pytest.mark.parametrize("place", PLACES)
+def test_runs_with_nodes_of_ros_are_the_same_on_the_mesh_and_in_one_process(
     router: str, tmp_path: Path, place: str
 ) -> None:
     resolved = with_ros2(place, router, record=True)
@@ -87,7 +62,8 @@ def test_runs_with_other_nodes_of_ros_are_the_same_on_the_mesh_and_in_one_proces
         mesh = played(resolved, tmp_path / "mesh")
         alone = played(resolved, tmp_path / "alone", runtime="inproc")
     assert_equal(mesh, alone)
-    assert counts(mesh)["answered"] == 12
+    assert counts(mesh) == counts(alone)
+    assert (counts(mesh)["answered"], counts(mesh)["refused"]) == (12, {})
 
 
 @pytest.mark.parametrize("place", PLACES)

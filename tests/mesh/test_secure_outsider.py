@@ -20,8 +20,7 @@ Outcomes = dict[str, attacked_run.Outcome]
 
 def outcomes_of(folder: Path, name: str, level: str) -> Outcomes:
     """What each attempt on a run of a scenario achieved; no foreign message beyond the attempts may reach a node."""
-    path, loaded = scenario.load(name)
-    resolved = scenario.resolve(path, loaded)
+    resolved = scenario.resolve(*scenario.load(name))
     outcomes = attacked_run.attack(resolved, folder / "run", level, definition.load(name).attempts)
     assert outcomes.pop(attacked_run.STRAY).reached == 0
     return outcomes

@@ -62,8 +62,7 @@ def test_a_killed_launcher_leaves_no_keys_even_while_nodes_start(launch) -> None
 
 
 def test_a_node_with_invalid_credentials_reports_the_fault_and_exits(tmp_path: Path) -> None:
-    path, loaded = scenario.load("baseline", ["n_infrastructure=1"])
-    resolved = scenario.resolve(path, loaded, frames=2)
+    resolved = scenario.resolve(*scenario.load("baseline", ["n_infrastructure=1"]), frames=2)
     resolved.write(tmp_path)
     now = datetime.now(UTC)
     ends = now - timedelta(hours=1)

@@ -125,19 +125,14 @@ def watched(run: Launched, endpoint: str, program: str, *arguments: str) -> Iter
         yield
 
 
-@pytest.mark.parametrize("program", [_SUSPENDED, _TRICKLE], ids=["suspended", "slow"])
+@pytest.mark.parametrize(
+    "program", [_SUSPENDED, _TRICKLE, _SUSPENDED_CLAIMANT], ids=["suspended", "slow", "claims to be a node"]
+)
 def test_a_run_goes_on_without_a_client_that_does_not_read_in_time_and_names_it(
     begun: tuple[Launched, str], undisturbed: Path, program: str
 ) -> None:
-    with watched(*begun, program):
-        assert "did not read in time what it subscribed to" in disconnected(begun[0], undisturbed)
-
-
-def test_a_suspended_client_that_claims_to_be_a_node_is_disconnected(
-    begun: tuple[Launched, str], undisturbed: Path
-) -> None:
     run, endpoint = begun
-    with watched(run, endpoint, _SUSPENDED_CLAIMANT, f"mast/{run.record()['id']}/alive/infra_1"):
+    with watched(run, endpoint, program, f"mast/{run.record()['id']}/alive/infra_1"):
         assert "did not read in time what it subscribed to" in disconnected(run, undisturbed)
 
 

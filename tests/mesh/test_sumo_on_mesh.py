@@ -39,8 +39,7 @@ def test_a_driven_run_on_sumo_is_the_same_on_the_mesh_in_one_process_and_replaye
     arguments = [part for setting in settings for part in ("--set", setting)]
     run = launch("driving", "--frames", str(FRAMES), "--seed", "3", *arguments)
     run.ended()
-    path, content = scenario.load("driving", settings)
-    resolved = scenario.resolve(path, content, frames=FRAMES, seed=3, record=True)
+    resolved = scenario.resolve(*scenario.load("driving", settings), frames=FRAMES, seed=3, record=True)
     alone = launcher.run(resolved, tmp_path / "alone", runtime="inproc")
     assert alone.error is None
     assert_equal(run.out, alone.folder)
