@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import tarfile
 from pathlib import Path
 
 import pytest
@@ -12,6 +14,7 @@ from launched import Launched
 from mast_zenoh.run_folder.recording.reader import read
 
 pytestmark = pytest.mark.mesh
+DATA = Path(os.environ.get("MAST_DATA") or Path(__file__).parents[3] / "shared" / "data")
 FRAMES = 8
 
 
@@ -30,6 +33,16 @@ def test_two_runs_on_the_mesh_and_one_in_one_process_are_equal(launch, tmp_path:
     assert any(message.message == "attack_report" for message in read(first)), "a difference could show"
     assert_equal(first, second)
     assert_equal(first, run_alone(tmp_path / "inproc", *what, frames=FRAMES, record=True))
+
+
+def test_the_reference_scene_is_the_same_on_the_mesh_and_in_one_process(launch, tmp_path: Path) -> None:
+    archive = DATA / "scene_a.tar.gz"
+    if not archive.exists():
+        pytest.skip(f"no reference data: {archive} is missing (set MAST_DATA)")
+    with tarfile.open(archive) as tar:
+        tar.extractall(tmp_path, filter="data")
+    what = ("uncoordinated", f"scene=avstack:{tmp_path / 'scene_a'}", "attack_start_s=0.2")
+    assert_equal(on_mesh(launch, *what), run_alone(tmp_path / "inproc", *what, frames=FRAMES, record=True))
 
 
 FAULTS = [

@@ -15,7 +15,7 @@ from typing import Any
 import psutil
 import pytest
 from browser import chromium
-from equal_runs import assert_equal
+from equal_runs import assert_equal, run_alone
 from launched import MAST, Launched, eventually
 from websockets.sync.client import connect
 
@@ -187,6 +187,17 @@ def test_a_router_shows_its_run_without_the_run_folder(launch: Callable[..., Lau
         run.process.send_signal(signal.SIGINT)
         assert run.end()[0] != 0
         becomes_true(page, "document.querySelector('.v-live').textContent.includes('has ended')")
+
+
+def test_a_replay_is_shown_while_it_is_running(start: Callable[..., Launched], browser: Any, tmp_path: Path) -> None:
+    what = ("coordinated", "n_infrastructure=2", "attack_start_s=0.5")
+    recorded_run = run_alone(tmp_path / "recorded", *what, frames=30, record=True)
+    replay = start(*MAST, "replay", str(recorded_run), "--loop", "--rate", "1", "--no-report", "--out")
+    replay.started()
+    with viewing(browser, str(replay.out)) as page:
+        keep_screenshot(page, "replay")
+    replay.process.send_signal(signal.SIGINT)
+    replay.end()
 
 
 @pytest.mark.parametrize(
