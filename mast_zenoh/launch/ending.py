@@ -86,7 +86,7 @@ def of_run(caught: BaseException | None, record: Mapping[str, Any], folder: str)
     return DiskFull(f"{recording}; {error}") if recording and isinstance(error, DiskFull) else error
 
 
-def with_hint(caught: KeyboardInterrupt | OSError, hint: str) -> MastError:
+def with_hint(caught: KeyboardInterrupt | Interrupted | OSError, hint: str) -> MastError:
     """The error for a caught exception, with a hint of what to do."""
     error = from_exception(caught)
     assert error is not None

@@ -69,9 +69,9 @@ def read_footer(path: Path) -> Footer:
     """Read the footer of a file; raises OSError or ArrowException if it is broken or too large."""
     with parquet.ParquetFile(path, thrift_container_size_limit=MAX_LIST) as file:
         content = file.metadata
-        columns = len(file.schema)
+        names = [file.schema.column(index).path for index in range(len(file.schema))]
     with path.open("rb") as raw:
-        raw.seek(-8, os.SEEK_END)
+        n_bytes = raw.seek(-8, os.SEEK_END)
         size = int.from_bytes(raw.read(4), "little")
         if size > MAX_FOOTER_BYTES:
             raise pyarrow.ArrowInvalid(f"found a footer of {size} bytes, expected at most {MAX_FOOTER_BYTES}")
@@ -81,8 +81,17 @@ def read_footer(path: Path) -> Footer:
         groups = tuple(map(_group, read_struct(packed, 0)[0].get(_GROUPS, ())))
     except (IndexError, KeyError, TypeError, ValueError, AttributeError) as error:
         raise pyarrow.ArrowInvalid(f"a damaged footer: {error!r}") from None
-    if len(groups) != content.num_row_groups or any(len(group.chunks) != columns for group in groups):
-        raise pyarrow.ArrowInvalid(f"a damaged footer: not every row group has {columns} columns")
+    if len(groups) != content.num_row_groups or any(len(group.chunks) != len(names) for group in groups):
+        raise pyarrow.ArrowInvalid(f"a damaged footer: not every row group has {len(names)} columns")
+    n_rows = sum(group.n_rows for group in groups)
+    if n_rows != content.num_rows:
+        raise pyarrow.ArrowInvalid(f"found {n_rows} rows in its row groups, expected {content.num_rows}")
+    if (
+        sum(max(0, chunk.n_bytes) for group in groups for chunk in group.chunks) > n_bytes
+    ):  # one would be read again and again
+        raise pyarrow.ArrowInvalid("found row groups that share their bytes, expected each to have its own")
+    if len(set(names)) < len(names):
+        raise pyarrow.ArrowInvalid("found two columns of one name")
     return Footer(content, groups)
 
 

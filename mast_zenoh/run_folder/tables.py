@@ -171,6 +171,13 @@ class TableFile:
         with _naming(self.path):
             return sum(group.n_rows for group in self._footer().content.groups)
 
+    @property
+    def last_frame(self) -> float:
+        """The largest frame that the footer claims; NaN: it does not say, or there is no row."""
+        with _naming(self.path):
+            most = self._footer().most
+            return float(most.max()) if len(most) else float("nan")
+
     def rows(self, columns: Sequence[str], frames: range | None = None, agent: str = "") -> dict[str, NDArray[Any]]:
         """The rows of some frames and of an agent, by default of all, in their order, as columns.
 

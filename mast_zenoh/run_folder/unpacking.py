@@ -178,8 +178,9 @@ def _unsigned(data: bytes, at: int) -> int:
 
 #: Limit on the pages of a table, of all columns together.
 MAX_PAGES = 200_000
-#: Encodings of text whose values take no more bytes than their page: all but DELTA_BYTE_ARRAY, which repeats prefixes.
-_TEXT_ENCODINGS = (0, 2, 3, 6, 8)  # PLAIN, PLAIN_DICTIONARY, RLE, DELTA_LENGTH_BYTE_ARRAY, RLE_DICTIONARY
+#: Encodings of text whose values take no more bytes than their page: not DELTA_BYTE_ARRAY, which repeats prefixes, nor
+#: DELTA_LENGTH_BYTE_ARRAY, which says itself how many there are.
+_TEXT_ENCODINGS = (0, 2, 3, 8)  # PLAIN, PLAIN_DICTIONARY, RLE, RLE_DICTIONARY
 
 #: Of these, those whose values are numbers of texts in a dictionary.
 _BY_NUMBER = (2, 8)

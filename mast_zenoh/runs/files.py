@@ -188,12 +188,19 @@ class RunFiles:
     @cached_property
     def sample(self) -> range:
         """The frames of which boxes and manipulations are read."""
-        played = self.summary.get("frames") or self.record.get("frames")
-        n_boxes = 0
+        n_frames, n_boxes = self._played, 0
         if not self.is_live:
             with contextlib.suppress(OSError, RunFolderError):  # `objects` says why it cannot be read
-                n_boxes = self._opened("objects.parquet").n_rows
-        return sample_of(played if isinstance(played, int) else 0, n_boxes, self._frame)
+                file = self._opened("objects.parquet")
+                n_boxes, last = file.n_rows, file.last_frame
+                n_frames = n_frames if np.isnan(last) else min(n_frames, int(last) + 1)
+        return sample_of(n_frames, n_boxes, self._frame)
+
+    @property
+    def _played(self) -> int:
+        """The number of frames that the run says it has played; 0: it does not."""
+        played = self.summary.get("frames") or self.record.get("frames")
+        return played if isinstance(played, int) else 0
 
     @cached_property
     def scene(self) -> Recording | None:
@@ -270,7 +277,8 @@ class RunFiles:
         if "all_objects" in self._given or self.is_live or self.is_damaged("objects.parquet"):
             return self._given.get("all_objects")
         lost = "no object is marked as matched, missed or false"
-        return self._table("objects.parquet", partial(_judged, frames=_frames_of(self.sample)), lost)
+        read = partial(_judged, frames=_frames_of(self.sample))
+        return self._table("objects.parquet", lambda file: self._plausible(read(file)), lost)
 
     # -- what is missing -----------------------------------------------------------------------------------------------
 
@@ -334,7 +342,14 @@ class RunFiles:
         return self._table(name, lambda file: file.rows(columns, _frames_of(sample)), consequence, expected=expected)
 
     def _boxes(self, frames: range) -> Callable[[TableFile], Table]:
-        return lambda file: file.rows(_OBJECTS, _frames_of(frames), self.agent or _NOBODY)
+        return lambda file: self._plausible(file.rows(_OBJECTS, _frames_of(frames), self.agent or _NOBODY))
+
+    def _plausible(self, table: Any) -> Any:
+        """A table whose frames may be those of the run: pictures have room for each. Otherwise raises ValueError."""
+        most = 2 * self._played + 1000
+        if len(frames := np.asarray(table["frame"])) and not 0 <= frames.min() <= frames.max() <= most:
+            raise ValueError(f"column frame: found {frames.min()} to {frames.max()} in a run of {self._played}")
+        return table
 
     def _document(self, name: str, consequence: str) -> dict[str, Any]:
         return self._file(name, _json_object, consequence) or {}

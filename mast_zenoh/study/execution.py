@@ -19,7 +19,7 @@ from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import failures, results
 from mast_zenoh.control.results import EVALUATOR
-from mast_zenoh.errors import ConfigurationError, HandlerFailed, RunError, StartError
+from mast_zenoh.errors import ConfigurationError, HandlerFailed, Interrupted, RunError, StartError
 from mast_zenoh.metrics import Table
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.study.trial import Outcome, Trial, environment
@@ -45,7 +45,7 @@ def prepare(trial: Trial) -> None:
 
 
 def run(trial: Trial) -> Outcome:
-    """Run a trial; errors are returned in the outcome."""
+    """Run a trial; errors are returned in the outcome. Raises Interrupted if a signal stopped it."""
     try:
         versions = environment(name for name, _ in trial.environment)
         for name, version in trial.environment:
@@ -67,6 +67,8 @@ def run(trial: Trial) -> Outcome:
             metrics, table, handler_failures, cpu_s = _run_in_folder(resolved, trial, compromised)
         warning = failures.summary(handler_failures) if handler_failures else ""
         return Outcome(trial, metrics, table, compromised, cpu_s=round(cpu_s, 3), warning=warning)
+    except Interrupted:
+        raise
     except Exception as error:
         return Outcome.failed(trial, f"{type(error).__name__}: {error}")
 

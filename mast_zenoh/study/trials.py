@@ -21,7 +21,7 @@ from rich.progress import (
 from mast_zenoh import kernels, scenario, scenes
 from mast_zenoh.config import registry
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.errors import ConfigurationError, Interrupted
 from mast_zenoh.integrity.calibration import refuse_calibration_data
 from mast_zenoh.launch import ending
 from mast_zenoh.scenario.timeline import attack_starts
@@ -85,7 +85,7 @@ def run(
                 ):
                     keep(outcomes, store, failures, progress, progress.add_task("trials", total=len(pending)))
             finished = tables.write(study, store, trials, failures)
-        except (KeyboardInterrupt, OSError) as caught:
+        except (KeyboardInterrupt, Interrupted, OSError) as caught:
             raise ending.with_hint(caught, how_to_continue(store)) from None
     return finished
 

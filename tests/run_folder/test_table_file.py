@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from pyarrow import parquet
 
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.run_folder import tables, unpacking
+from mast_zenoh.run_folder import parquet_footers, tables, unpacking
 from mast_zenoh.run_folder.tables import TableFile, read_table, to_arrow
 
 COLUMNS = ("text", "agent", "x")
@@ -215,6 +215,32 @@ def test_too_much_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(unpacking, "MAX_TABLE_BYTES", 7999)
     with pytest.raises(RunFolderError, match=r"t\.parquet: found \d+ bytes unpacked or more, expected at most 7999"):
         numbers(TableFile(file.path), range(1))
+
+
+@pytest.mark.parametrize(
+    ("table", "problem"),
+    [
+        (pyarrow.table([pyarrow.array([1, 2]), pyarrow.array([3, 4])], names=["frame", "frame"]), "one name"),
+        (pyarrow.table({"frame": [1, 2, 3]}), "share"),
+    ],
+)
+def test_columns_of_one_name_and_row_groups_that_are_named_again_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, table: Any, problem: str
+) -> None:
+    parquet.write_table(table, tmp_path / "t.parquet")
+    whole = parquet_footers.read_struct
+
+    def doubled(content: bytes, at: int) -> Any:
+        fields, end = whole(content, at)
+        for group in fields[4]:
+            for chunk in group[1]:
+                chunk[3][7] += 10_000  # bytes of the chunk
+        return fields, end
+
+    if problem == "share":
+        monkeypatch.setattr(parquet_footers, "read_struct", doubled)
+    with pytest.raises(RunFolderError, match=problem):
+        read_table(tmp_path / "t.parquet")
 
 
 def flipped(path: Path, at: int, bits: int) -> None:

@@ -10,6 +10,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from pyarrow import parquet
@@ -17,6 +18,7 @@ from rich.console import Console
 from small_study import TABLES, tables, write_small
 
 from mast_zenoh.errors import ConfigurationError, DiskFull, Interrupted, RunFolderError, TrialsFailed
+from mast_zenoh.launch import run as launcher
 from mast_zenoh.metrics.estimates import ESTIMATORS, LOCAL, PICTURE, RECEIVED
 from mast_zenoh.study import definition, execution, trial, trials
 from mast_zenoh.study.store import Store
@@ -106,6 +108,20 @@ def test_interrupted_study_resumes_without_repeating_trials(
     assert len(trials_run) == 3
     assert tables(tmp_path / "out") == tables(whole.out)
     assert (tmp_path / "out" / "report.html").read_bytes() == whole.report.read_bytes()
+
+
+def test_a_signal_during_a_trial_with_a_run_folder_ends_the_study(small, tmp_path: Path, monkeypatch) -> None:
+    """Such a run ends by itself with what it has, and raises nothing."""
+    play = launcher.run
+
+    def stopped(*arguments: Any, **options: Any) -> launcher.EndedRun:
+        return replace(play(*arguments, **options), error=Interrupted("stopped by Ctrl-C"))
+
+    monkeypatch.setattr(launcher, "run", stopped)
+    with pytest.raises(Interrupted, match="--resume"):
+        trials.run(small, tmp_path / "out", count=1, record=True, jobs=1)
+    assert json.loads((tmp_path / "out" / "study.json").read_text())["status"] == "interrupted"
+    assert not list((tmp_path / "out" / "trials").iterdir())
 
 
 def test_more_seeds_can_be_added_later_and_a_trial_with_a_broken_file_is_run_again(

@@ -146,6 +146,7 @@ def test_an_absent_or_damaged_table_is_named_with_its_consequence(
         ("id", lambda n: pyarrow.array([0.5] * n), "double"),
         ("match_id", lambda n: pyarrow.array([None] * n, pyarrow.int64()), "missing"),
         ("cause", lambda n: pyarrow.array([None] * n, pyarrow.string()).dictionary_encode(), "missing"),
+        ("frame", lambda n: pyarrow.array([*range(20)] * (n // 20) + [10**6] * (n % 20 or 1))[-n:], "1000000"),
     ],
 )
 def test_outcomes_that_no_evaluator_writes_are_not_shown(copy: Path, name: str, column: Any, found: str) -> None:

@@ -7,6 +7,7 @@ before the other messages of its frame.
 from __future__ import annotations
 
 import heapq
+import os
 import shlex
 import struct
 import zlib
@@ -40,6 +41,10 @@ _RECORD = struct.Struct("<BQ")
 _TIMES = struct.Struct("<QQ")
 _CHANNEL = struct.Struct("<H")  # begins a message
 _LEAST_MESSAGE = 22  # bytes: channel, sequence, two times
+_STATISTICS = struct.Struct("<QHIIII")  # numbers of messages, schemas, channels, attachments, metadata and chunks
+_DATA_END_BYTES = 4
+#: Records among the chunks that hold no messages.
+_BETWEEN_CHUNKS = (Opcode.HEADER, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT)
 
 #: Limit on a metadata record.
 MAX_METADATA_BYTES = 16 << 20
@@ -218,14 +223,17 @@ def _records(file: IO[bytes], path: Path) -> Iterator[_ChunkIndex | Event | _End
         raise RunFolderError(f"{path}: does not begin as an MCAP file")
     size = path.stat().st_size
     chunk_metadata: dict[str, Mapping[int, int]] = {}
+    n_chunks = 0
     while len(head := file.read(_RECORD.size)) == _RECORD.size:
         opcode, length = _RECORD.unpack(head)
         byte = file.tell()
         if byte + length > size:
             break
-        if opcode == Opcode.DATA_END:
+        if opcode == Opcode.DATA_END and length == _DATA_END_BYTES:
+            _check_summary(file, path, n_chunks)
             yield _End()
             break
+        n_chunks += opcode == Opcode.CHUNK
         if opcode == Opcode.CHUNK and length >= _TIMES.size:
             start_ns, end_ns = _TIMES.unpack(file.read(_TIMES.size))
             yield _ChunkIndex(
@@ -245,7 +253,24 @@ def _records(file: IO[bytes], path: Path) -> Iterator[_ChunkIndex | Event | _End
                     yield Event.from_metadata(record.metadata)
             except (McapError, ValueError, KeyError, struct.error) as error:
                 raise RunFolderError(f"{path}: byte {byte}: damaged metadata: {error}") from None
+        elif opcode not in _BETWEEN_CHUNKS:
+            raise RunFolderError(f"{path}: byte {byte}: found a record of kind {opcode}, expected a chunk of messages")
         file.seek(byte + length)
+
+
+def _check_summary(file: IO[bytes], path: Path, n_chunks: int) -> None:
+    """Raise RunFolderError if the end of a file knows of more or fewer chunks than were found before it."""
+    file.seek(_DATA_END_BYTES, os.SEEK_CUR)
+    while len(head := file.read(_RECORD.size)) == _RECORD.size:
+        opcode, length = _RECORD.unpack(head)
+        if opcode != Opcode.STATISTICS:
+            file.seek(length, os.SEEK_CUR)
+            continue
+        if len(content := file.read(_STATISTICS.size)) == _STATISTICS.size:
+            *_, known = _STATISTICS.unpack(content)
+            if known != n_chunks:
+                raise RunFolderError(f"{path}: found {n_chunks} chunks of messages, expected {known} as its end says")
+        return
 
 
 def _within(chunks: Sequence[_ChunkIndex], times_ns: Ints) -> list[_ChunkIndex]:
@@ -417,6 +442,8 @@ def without_recording(folder: Path) -> str:
     run: dict[str, Any] = {}
     with suppress(RunFolderError):
         run = read_object(folder / "run.json")
+    if run.get("status") == "running":
+        return f"run.json says that the run is in progress: nothing is recorded in {folder} yet"
     if messages := (run.get("recorded") or {}).get("messages"):
         return f"the run was recorded, and run.json counts {messages} messages: expected the recording in {folder}"
     return f"{folder} is a run that was not recorded: {_how_to_record(run)}"

@@ -35,7 +35,7 @@ from mast_zenoh import scenario
 from mast_zenoh.attacks import Attack, Coordination
 from mast_zenoh.config import loading
 from mast_zenoh.config.registry import known_types
-from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.errors import ConfigurationError, Interrupted
 from mast_zenoh.launch import ending
 from mast_zenoh.study import execution, numbers, tables, trials
 from mast_zenoh.study.definition import Configuration, Study, settings_of
@@ -93,7 +93,7 @@ def run(
             found = SearchResults(study, candidates, rows, defaults(study), count)
             own = files.write(store.folder, found)
             finished = tables.write(study, store, held_out, search.failures, own)
-        except (KeyboardInterrupt, OSError) as caught:
+        except (KeyboardInterrupt, Interrupted, OSError) as caught:
             raise ending.with_hint(caught, trials.how_to_continue(store)) from None
     return finished
 

@@ -60,3 +60,9 @@ def test_a_run_without_recording_is_repeated_with_one(tmp_path: Path, command: o
 )
 def test_other_commands_are_never_repeated(tmp_path: Path, command: object) -> None:
     assert message(tmp_path, command).endswith(GENERAL)
+
+
+def test_a_run_in_progress_is_not_called_a_run_that_was_not_recorded(tmp_path: Path) -> None:
+    (tmp_path / "run.json").write_text(json.dumps({"status": "running"}))
+    with pytest.raises(RunFolderError, match="in progress"):
+        file_of(tmp_path)

@@ -16,8 +16,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
-from mcap.writer import Writer
+from mcap.writer import MCAP0_MAGIC, Writer
 from recordings import HEARS, PERIOD_NS, TAP, add, begun, payload, small_run, write
 
 from mast_zenoh.errors import RunFolderError
@@ -266,6 +267,24 @@ def test_a_damaged_chunk_is_named(tmp_path: Path) -> None:
     path.write_bytes(data)
     with pytest.raises(RunFolderError, match=r"run\.mcap: byte \d+: a damaged chunk"):
         list(read(path))
+
+
+@pytest.mark.parametrize("kind", [*range(1, 6), *range(7, 18), 255])
+def test_no_chunk_hides_behind_another_kind_of_record(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: int
+) -> None:
+    monkeypatch.setattr(writer, "CHUNK_BYTES", 2000)
+    path = write(tmp_path / "run.mcap", small_run(40))
+    content, at, chunks = bytearray(path.read_bytes()), len(MCAP0_MAGIC), []
+    while content[at] != Opcode.DATA_END:
+        chunks += [at] if content[at] == Opcode.CHUNK else []
+        at += 9 + int.from_bytes(content[at + 1 : at + 9], "little")
+    for chunk in (chunks[1], chunks[-1]):
+        changed = content.copy()
+        changed[chunk] = kind
+        path.write_bytes(changed)
+        with pytest.raises(RunFolderError):
+            list(read(path))
 
 
 @pytest.mark.parametrize(
