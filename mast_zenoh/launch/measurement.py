@@ -21,7 +21,7 @@ from mast_zenoh.control import failures
 from mast_zenoh.control.results import EVALUATOR
 from mast_zenoh.control.tables import TablePart
 from mast_zenoh.errors import HandlerFailed, RunFolderError
-from mast_zenoh.launch import conclusion, notices
+from mast_zenoh.launch import conclusion, liveness, notices
 from mast_zenoh.launch.table_files import TableFiles
 from mast_zenoh.messages import user_types
 from mast_zenoh.messages.limits import RowLimits
@@ -190,9 +190,11 @@ def measure(folder: Path, allowed: AllowedCode = SHIPPED) -> list[str]:
     Wall-clock times are kept as measured in the run. If the recording ends before the run did, `recording` in
     metrics.json gives its extent. Returns a sentence for each refused table, one if the recorder was lost in the run,
     and one for each plugin that has another version than in the run. Raises RunFolderError if something is missing or
-    damaged, or if metrics of more frames would be replaced, and HandlerFailed if the evaluator fails, UntrustedCode.
+    damaged, if the run is in progress, or if metrics of more frames would be replaced, and HandlerFailed if the
+    evaluator fails, UntrustedCode.
     """
     resolved = scenario_of(folder, allowed)
+    liveness.finished_record(folder, run_folder.json_or_empty(folder / "run.json"))
     if EVALUATOR not in resolved.nodes:
         raise RunFolderError(f"{folder / 'scenario.json'}: nodes: found no {EVALUATOR!r}, which measures a run")
     resolved.load_modules()

@@ -14,7 +14,7 @@ from rich.console import Console
 
 from mast_zenoh import scenario
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.launch import measurement
+from mast_zenoh.launch import liveness, measurement
 from mast_zenoh.launch.measurement import results_of
 from mast_zenoh.report import html, terminal
 from mast_zenoh.run_folder.recording.format import REWIRED, Event
@@ -117,6 +117,14 @@ def test_a_run_without_metrics_is_measured_to_the_end_of_its_recording_and_repor
     assert notice in html.write_report(folder).read_text()
     measurement.measure(folder)  # repeated: these metrics cover no more frames
     assert json.loads((folder / "metrics.json").read_text()) == metrics
+
+
+def test_a_run_in_progress_is_not_measured(tmp_path: Path) -> None:
+    folder = recorded(tmp_path / "run", "baseline", frames=4)
+    record = json.loads((folder / "run.json").read_text())
+    (folder / "run.json").write_text(json.dumps(record | {"status": "running", "launcher": liveness.identity()}))
+    with pytest.raises(RunFolderError, match="in progress"):
+        measurement.measure(folder)
 
 
 def test_a_removed_recording_is_distinguished_from_one_that_was_never_made(tmp_path: Path) -> None:
