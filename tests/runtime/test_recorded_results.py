@@ -104,7 +104,7 @@ def test_a_run_without_metrics_is_measured_to_the_end_of_its_recording_and_repor
     for file in folder.glob("*.parquet"):
         file.unlink()
     run = json.loads((folder / "run.json").read_text())
-    (folder / "run.json").write_text(json.dumps(run | {"status": "running", "nodes": {}}))
+    (folder / "run.json").write_text(json.dumps(run | {"status": "running", "launcher": None, "nodes": {}}))
     measurement.measure(folder)
     metrics = json.loads((folder / "metrics.json").read_text())
     frames = metrics["frames"]
