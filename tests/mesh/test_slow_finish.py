@@ -71,6 +71,7 @@ def played(folder: Path, runtime: str, end: str) -> run.EndedRun:
     return run.run(scenario.resolve(path, content, frames=5, record=True), folder / runtime, runtime=runtime)
 
 
+@pytest.mark.heavy
 def test_a_node_that_computes_for_longer_than_the_limit_ends_well_and_its_tables_are_those_of_one_process(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
