@@ -122,7 +122,7 @@ def are_red(room: str, mutation: Mutation | None, tests: Path, work: Path) -> bo
     tests: the checkout that they are from;  work: a folder for the copy
     """
     tree = Path(tempfile.mkdtemp(dir=work))
-    ignored = shutil.ignore_patterns(".git", ".venv", "node_modules", "runs", ".*_cache", "__pycache__")
+    ignored = shutil.ignore_patterns(".git", ".venv", "node_modules", ".*_cache", "__pycache__")
     shutil.copytree(ROOT, tree, ignore=ignored, dirs_exist_ok=True)
     if tests != ROOT:
         shutil.rmtree(tree / "tests")
