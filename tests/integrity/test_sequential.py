@@ -135,3 +135,17 @@ def test_agents_with_new_names_in_every_frame_do_not_take_the_numbers_of_others(
     assert dict(zip(names, found.state.tolist(), strict=True))["d"] == UNDECIDED, "24 agents, and three accuse"
     numbers = stage._agents.of.number
     assert len(np.unique(numbers)) == len(numbers) > 1024
+
+
+def test_a_suspended_agent_that_goes_on_with_the_same_phantoms_is_not_released() -> None:
+    stage = SequentialConsistency(release_s=1.0)
+    found = [stage.assess(each).agents.state[0] for each in batches(250, "a")]
+    assert set(found[found.index(SUSPENDED) :]) == {SUSPENDED}
+
+
+def test_one_phantom_alone_of_three_agents_is_withheld_and_suspends_nobody_however_long_it_lasts() -> None:
+    stage = SequentialConsistency()
+    for each in batches(200, "a", phantoms=PHANTOMS[:1]):
+        found = stage.assess(each)
+        assert SUSPENDED not in found.agents.state
+        assert found.objects.withheld.tolist() == [False, True]
