@@ -30,7 +30,7 @@ ROOT = Path(__file__).parents[1]
 ROOMS = ("fusion", "tracking", "attacks", "wiring", "runtime", "messages", "control", "evaluation", "integrity")
 #: Tests of a room that are in other folders.
 BESIDE = {"runtime": ("simulation", "mesh"), "evaluation": ("nodes/test_evaluator.py", "effects")}
-#: s that the tests of one change may take; a change without which they end sooner is noticed by that.
+#: s that the tests of a room may take; a change with which they take longer is noticed by that.
 DEADLINE_S = 900
 
 _ARITHMETIC = {ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.FloorDiv: ast.Mult}

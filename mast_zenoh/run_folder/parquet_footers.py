@@ -54,9 +54,9 @@ class Group(NamedTuple):
 
 
 class Footer(NamedTuple):
-    """What a file says about itself. content: as Arrow knows it, to read the file with"""
+    """What a file says about itself. metadata: as Arrow knows it, to read the file with"""
 
-    content: Any
+    metadata: Any
     groups: tuple[Group, ...]
 
     def extents(self, column: str) -> NDArray[np.float64]:
@@ -68,7 +68,7 @@ class Footer(NamedTuple):
 def read_footer(path: Path) -> Footer:
     """Read the footer of a file; raises OSError or ArrowException if it is broken or too large."""
     with parquet.ParquetFile(path, thrift_container_size_limit=MAX_LIST) as file:
-        content = file.metadata
+        metadata = file.metadata
         names = [file.schema.column(index).path for index in range(len(file.schema))]
     with path.open("rb") as raw:
         n_bytes = raw.seek(-8, os.SEEK_END)
@@ -81,18 +81,17 @@ def read_footer(path: Path) -> Footer:
         groups = tuple(map(_group, read_struct(packed, 0)[0].get(_GROUPS, ())))
     except (IndexError, KeyError, TypeError, ValueError, AttributeError) as error:
         raise pyarrow.ArrowInvalid(f"a damaged footer: {error!r}") from None
-    if len(groups) != content.num_row_groups or any(len(group.chunks) != len(names) for group in groups):
+    if len(groups) != metadata.num_row_groups or any(len(group.chunks) != len(names) for group in groups):
         raise pyarrow.ArrowInvalid(f"a damaged footer: not every row group has {len(names)} columns")
     n_rows = sum(group.n_rows for group in groups)
-    if n_rows != content.num_rows:
-        raise pyarrow.ArrowInvalid(f"found {n_rows} rows in its row groups, expected {content.num_rows}")
-    if (
-        sum(max(0, chunk.n_bytes) for group in groups for chunk in group.chunks) > n_bytes
-    ):  # one would be read again and again
+    if n_rows != metadata.num_rows:
+        raise pyarrow.ArrowInvalid(f"found {n_rows} rows in its row groups, expected {metadata.num_rows}")
+    packed_bytes = sum(max(0, chunk.n_bytes) for group in groups for chunk in group.chunks)
+    if packed_bytes > n_bytes:  # one would be read again and again
         raise pyarrow.ArrowInvalid("found row groups that share their bytes, expected each to have its own")
     if len(set(names)) < len(names):
         raise pyarrow.ArrowInvalid("found two columns of one name")
-    return Footer(content, groups)
+    return Footer(metadata, groups)
 
 
 def _group(fields: dict[int, Any]) -> Group:
@@ -109,9 +108,9 @@ def _chunk(fields: dict[int, Any]) -> Chunk:
 
 
 def _number(packed: bytes | None, kind: int) -> float:
-    return (
-        np.nan if packed is None or _WIDTHS.get(kind) != len(packed) else int.from_bytes(packed, "little", signed=True)
-    )
+    if packed is None or len(packed) != _WIDTHS.get(kind):
+        return np.nan
+    return int.from_bytes(packed, "little", signed=True)
 
 
 def _whole(value: Any) -> int:

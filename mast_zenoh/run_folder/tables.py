@@ -128,14 +128,14 @@ def _naming(path: Path) -> Iterator[None]:
         raise RunFolderError(f"{path}: {error}") from None
 
 
-class _Footer(NamedTuple):
+class _Known(NamedTuple):
     """What is known of a file before its rows are read.
 
     file: which one it is;  least, most: (groups,) first and last frame of each row group, NaN: unknown
     """
 
     file: tuple[int, ...]
-    content: Footer
+    footer: Footer
     schema: Any
     least: NDArray[Any]
     most: NDArray[Any]
@@ -156,26 +156,26 @@ class TableFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._known: _Footer | None = None
+        self._known: _Known | None = None
         self._recent: tuple[tuple[Any, Any], ...] = ()
 
     @property
     def columns(self) -> list[str]:
         """The names of the columns."""
         with _naming(self.path):
-            return list(self._footer().schema.names)
+            return list(self._now().schema.names)
 
     @property
     def n_rows(self) -> int:
         """The number of rows that the footer claims; that of a damaged file may claim any."""
         with _naming(self.path):
-            return sum(group.n_rows for group in self._footer().content.groups)
+            return int(self._now().footer.metadata.num_rows)
 
     @property
     def last_frame(self) -> float:
         """The largest frame that the footer claims; NaN: it does not say, or there is no row."""
         with _naming(self.path):
-            most = self._footer().most
+            most = self._now().most
             return float(most.max()) if len(most) else float("nan")
 
     def rows(self, columns: Sequence[str], frames: range | None = None, agent: str = "") -> dict[str, NDArray[Any]]:
@@ -189,7 +189,7 @@ class TableFile:
             size += sum(column.nbytes for column in part.values())
             self._check(size)
         with _naming(self.path):
-            nothing = from_arrow(self._footer().schema.empty_table().select(columns))
+            nothing = from_arrow(self._now().schema.empty_table().select(columns))
         return {name: np.concatenate([part[name] for part in (nothing, *parts)]) for name in columns}
 
     def parts(
@@ -209,18 +209,18 @@ class TableFile:
                 groups.append(wanted if chosen.all() else wanted.filter(pyarrow.array(chosen)))
                 size += groups[-1].nbytes
                 self._check(size)
-            return pyarrow.concat_tables(groups) if groups else self._footer().schema.empty_table().select(columns)
+            return pyarrow.concat_tables(groups) if groups else self._now().schema.empty_table().select(columns)
 
     def _groups(self, columns: Sequence[str], frames: range | None, agent: str = "") -> Iterator[tuple[Any, Bools]]:
         """The row groups that may have wanted rows, with these columns at least, and which rows are wanted."""
-        footer = self._footer()
+        known = self._now()
         deciding = ["frame"] * (frames is not None) + ["agent"] * bool(agent)
         names = tuple(dict.fromkeys([*columns, *deciding]))
-        if missing := sorted(set(names) - set(footer.schema.names)):
+        if missing := sorted(set(names) - set(known.schema.names)):
             raise RunFolderError(f"{self.path}: found no column {', '.join(missing)}")
-        for group in range(len(footer.least)):
-            if frames is None or not (footer.least[group] >= frames.stop or footer.most[group] < frames.start):
-                table = self._group(footer, group, names)
+        for group in range(len(known.least)):
+            if frames is None or not (known.least[group] >= frames.stop or known.most[group] < frames.start):
+                table = self._group(known, group, names)
                 yield table, _chosen(table, frames, agent)
 
     def _check(self, size: int) -> None:
@@ -228,25 +228,25 @@ class TableFile:
             wanted = f"found {size} bytes in the wanted rows or more, expected at most {MAX_TABLE_BYTES}"
             raise RunFolderError(f"{self.path}: {wanted}")
 
-    def _footer(self) -> _Footer:
+    def _now(self) -> _Known:
         with open_plain(self.path) as file:
             status = os.fstat(file.fileno())
         current = status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
         if self._known is None or self._known.file != current:
-            content = read_footer(self.path)
-            schema = content.content.schema.to_arrow_schema()
-            self._known = _Footer(current, content, schema, *content.extents("frame"))
+            footer = read_footer(self.path)
+            schema = footer.metadata.schema.to_arrow_schema()
+            self._known = _Known(current, footer, schema, *footer.extents("frame"))
         return self._known
 
-    def _group(self, footer: _Footer, group: int, names: tuple[str, ...]) -> Any:
+    def _group(self, known: _Known, group: int, names: tuple[str, ...]) -> Any:
         """Some columns of a row group as an Arrow table, in which text is a dictionary if it is in the file."""
-        wanted = footer.file, group, names
-        for known, table in self._recent:
-            if known == wanted:
+        wanted = known.file, group, names
+        for recent, table in self._recent:
+            if recent == wanted:
                 return table
-        if self._footer() is not footer:
+        if self._now() is not known:
             raise RunFolderError(f"{self.path}: found another file than before: it was replaced while it was read")
-        table = read_row_group(self.path, group, names, footer.content)
+        table = read_row_group(self.path, group, names, known.footer)
         if table.nbytes <= _RECENT_BYTES:
             self._recent = ((wanted, table), *self._recent)[:_RECENT_GROUPS]
         return table

@@ -218,7 +218,7 @@ def _read_bounded(
     groups: Sequence[int] | None = None,
 ) -> pyarrow.Table:
     """Read some columns of some row groups; None: all."""
-    with parquet.ParquetFile(path, metadata=footer.content, thrift_container_size_limit=MAX_LIST) as file:
+    with parquet.ParquetFile(path, metadata=footer.metadata, thrift_container_size_limit=MAX_LIST) as file:
         wanted = [
             index
             for index in range(len(file.schema))
@@ -233,7 +233,7 @@ def _read_bounded(
             return file.read_row_groups(groups, columns=None if columns is None else list(columns))
     # As a dictionary, a text that repeats is in memory once. It is expanded only when the size is known.
     limit = {"thrift_container_size_limit": MAX_LIST}
-    with parquet.ParquetFile(path, metadata=footer.content, read_dictionary=texts, **limit) as file:
+    with parquet.ParquetFile(path, metadata=footer.metadata, read_dictionary=texts, **limit) as file:
         table = file.read_row_groups(groups, columns=None if columns is None else list(columns))
     for name in texts:
         column, kind = table[name], schema.field(name).type

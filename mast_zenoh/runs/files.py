@@ -277,8 +277,8 @@ class RunFiles:
         if "all_objects" in self._given or self.is_live or self.is_damaged("objects.parquet"):
             return self._given.get("all_objects")
         lost = "no object is marked as matched, missed or false"
-        read = partial(_judged, frames=_frames_of(self.sample))
-        return self._table("objects.parquet", lambda file: self._plausible(read(file)), lost)
+        frames = _frames_of(self.sample)
+        return self._table("objects.parquet", lambda file: self._plausible(_judged(file, frames)), lost)
 
     # -- what is missing -----------------------------------------------------------------------------------------------
 

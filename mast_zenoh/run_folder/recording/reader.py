@@ -7,7 +7,6 @@ before the other messages of its frame.
 from __future__ import annotations
 
 import heapq
-import os
 import shlex
 import struct
 import zlib
@@ -221,16 +220,12 @@ def _records(file: IO[bytes], path: Path) -> Iterator[_ChunkIndex | Event | _End
     """All whole chunks and events in order, and the end unless the file is truncated."""
     if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
         raise RunFolderError(f"{path}: does not begin as an MCAP file")
-    size = path.stat().st_size
     chunk_metadata: dict[str, Mapping[int, int]] = {}
     n_chunks = 0
-    while len(head := file.read(_RECORD.size)) == _RECORD.size:
-        opcode, length = _RECORD.unpack(head)
-        byte = file.tell()
-        if byte + length > size:
-            break
+    whole = _whole_records(file, path.stat().st_size)
+    for opcode, length, byte in whole:
         if opcode == Opcode.DATA_END and length == _DATA_END_BYTES:
-            _check_summary(file, path, n_chunks)
+            _check_summary(file, path, whole, n_chunks)
             yield _End()
             break
         n_chunks += opcode == Opcode.CHUNK
@@ -255,22 +250,30 @@ def _records(file: IO[bytes], path: Path) -> Iterator[_ChunkIndex | Event | _End
                 raise RunFolderError(f"{path}: byte {byte}: damaged metadata: {error}") from None
         elif opcode not in _BETWEEN_CHUNKS:
             raise RunFolderError(f"{path}: byte {byte}: found a record of kind {opcode}, expected a chunk of messages")
+
+
+def _whole_records(file: IO[bytes], size: int) -> Iterator[tuple[int, int, int]]:
+    """The kind, length and first byte of each record up to the first that the file, of so many bytes, does not hold.
+
+    The file is at that byte, and may be read before the next record is asked for.
+    """
+    while len(head := file.read(_RECORD.size)) == _RECORD.size:
+        opcode, length = _RECORD.unpack(head)
+        byte = file.tell()
+        if byte + length > size:
+            return
+        yield opcode, length, byte
         file.seek(byte + length)
 
 
-def _check_summary(file: IO[bytes], path: Path, n_chunks: int) -> None:
-    """Raise RunFolderError if the end of a file knows of more or fewer chunks than were found before it."""
-    file.seek(_DATA_END_BYTES, os.SEEK_CUR)
-    while len(head := file.read(_RECORD.size)) == _RECORD.size:
-        opcode, length = _RECORD.unpack(head)
-        if opcode != Opcode.STATISTICS:
-            file.seek(length, os.SEEK_CUR)
-            continue
-        if len(content := file.read(_STATISTICS.size)) == _STATISTICS.size:
-            *_, known = _STATISTICS.unpack(content)
+def _check_summary(file: IO[bytes], path: Path, rest: Iterator[tuple[int, int, int]], n_chunks: int) -> None:
+    """Raise RunFolderError if the rest of a file knows of more or fewer chunks than were found before it."""
+    for opcode, length, _ in rest:
+        if opcode == Opcode.STATISTICS and length >= _STATISTICS.size:
+            *_, known = _STATISTICS.unpack(file.read(_STATISTICS.size))
             if known != n_chunks:
                 raise RunFolderError(f"{path}: found {n_chunks} chunks of messages, expected {known} as its end says")
-        return
+            return
 
 
 def _within(chunks: Sequence[_ChunkIndex], times_ns: Ints) -> list[_ChunkIndex]:

@@ -287,6 +287,18 @@ def test_no_chunk_hides_behind_another_kind_of_record(
             list(read(path))
 
 
+def test_an_end_that_claims_to_be_longer_than_any_file_hides_no_message(tmp_path: Path) -> None:
+    path = write(tmp_path / "run.mcap", small_run())
+    content, sent = bytearray(path.read_bytes()), list(read(path))
+    at = len(MCAP0_MAGIC)
+    while content[at] != Opcode.DATA_END:
+        at += 9 + int.from_bytes(content[at + 1 : at + 9], "little")
+    after = at + 9 + 4
+    content[after + 1 : after + 9] = (2**63).to_bytes(8, "little")
+    path.write_bytes(content)
+    assert list(read(path)) == sent
+
+
 @pytest.mark.parametrize(
     ("make", "reason"),
     [
