@@ -73,7 +73,7 @@ def test_a_live_view_shows_the_truth_as_it_happens(tmp_path: Path) -> None:
     observer.run = observer.run.with_(scene=prepared)
     blocks = LiveBlocks.of(observer)
     frames = [frame for _ in range(5) if (frame := observer.advance()) is not None]
-    for frame in (replace(frame, run=replace(frame.run, recording=prepared)) for frame in frames):
+    for frame in (replace(frame, run=frame.run.with_(scene=prepared)) for frame in frames):
         lasting, block = blocks.header_and_block(frame)
         _, columns = unpack(block)
         truth = happened.truth_at(frame.index)
