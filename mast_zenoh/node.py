@@ -26,7 +26,7 @@ import numpy as np
 from mast_zenoh.messages.limits import RowChoice
 from mast_zenoh.messages.schemas import BUILT_IN, Body, Schema
 from mast_zenoh.ros2.outside import Outside, OutsideTopics
-from mast_zenoh.wiring.model import Input, Wiring
+from mast_zenoh.wiring.model import ANY, Input, Wiring
 from mast_zenoh.wiring.received import Overheard, Received, Unopened
 
 #: The names for files of nodes and for the runtime.
@@ -39,7 +39,8 @@ __all__ = [
     "Received",
     "Source",
     "Unopened",
-    "handler_names",
+    "check_handlers",
+    "handler_of",
 ]
 
 
@@ -166,12 +167,21 @@ class Node:
     #: declares it, and the port then has its name.
     inputs: ClassVar[Mapping[str, Any]] = {}
     outputs: ClassVar[Mapping[str, Any]] = {}
+    #: types of messages that it takes on any other input port that a key-expression map names, as `inputs` has none for
+    #: them: `on_<type>` handles them, or `on_message`; ANY: of all types. `Received.port` tells them apart. A node that
+    #: a map inserts into a wire on such a port sends on by an output port of its own choice, whose type is the wire's.
+    takes: ClassVar[Collection[str]] = ()
+    #: what messages can affect: by input port, the output ports, each with the number of frames after which; "": for
+    #: further ports. An absent port affects all outputs in the same frame. See `wiring.influence`.
+    affects: ClassVar[Mapping[str, Mapping[str, int]]] = {}
+    #: output ports of messages that combine what several agents say
+    fuses: ClassVar[Collection[str]] = ()
     #: the message types that its ports declare, by name
     message_types: ClassVar[Mapping[str, Schema]] = {}
     #: input ports that only a `[[listen]]` of a scenario connects: `mast intercept` leaves them out
     listening: ClassVar[Collection[str]] = ()
     #: input ports whose messages are relayed undecoded, including malformed ones, which their receivers reject.
-    #: Accessing a malformed body raises MessageError (see `Unopened`).
+    #: Accessing a malformed body raises MessageError (see `Unopened`). ANY: all besides `inputs`
     unopened: ClassVar[Collection[str]] = ()
     #: ports that the node, as configured, has no use for: no wire leads to or from them. `__init__` may set them.
     unused: Collection[str] = ()
@@ -262,10 +272,19 @@ def _declare(types: dict[str, Schema], schema: Schema, place: str) -> None:
         raise TypeError(f"{place}: another message type of this node is called {schema.name!r}: expected one of them")
 
 
-def handler_names(node: type[Node]) -> dict[str, str]:
-    """Handler names by input port; raises TypeError if a port has no handler."""
-    names = {port: f"on_{port}" for port in node.inputs}
-    missing = [name for name in names.values() if not callable(getattr(node, name, None))]
+def handler_of(node: type[Node], port: str, message: str) -> str:
+    """Name of the handler of an input port, for messages of a type; raises TypeError if there is none."""
+    names = (f"on_{port}",) if port in node.inputs else (f"on_{message}", "on_message")
+    for name in names:
+        if callable(getattr(node, name, None)):
+            return name
+    raise TypeError(f"{node.__name__} has no {' or '.join(names)} for its input port {port!r}")
+
+
+def check_handlers(node: type[Node]) -> None:
+    """Raise TypeError if an input port, or a type that the node takes, has no handler."""
+    missing = [f"on_{port}" for port in node.inputs if not callable(getattr(node, f"on_{port}", None))]
     if missing:
         raise TypeError(f"{node.__name__} has no {', '.join(missing)} for its input ports")
-    return names
+    for message in node.takes:
+        handler_of(node, "", "message" if message == ANY else message)

@@ -1,10 +1,9 @@
 """An adversary on a wire: receives messages and forwards manipulated ones.
 
-It sits on `detections` (between an agent's sensors and its perception), on `pose` (between its positioning and the
-agent), on `tracks` or `view` (between the agent and the command centre, or between peers), on `gossip` (between peers),
-on `picture` (between the command centre and the agent) or on `command` (between a driver and its car), as the
-key-expression map specifies; also on several of them, and on those of several agents. Neither end can detect it: keys,
-headers and untouched rows are forwarded unchanged.
+It sits where the key-expression map puts it: on `detections` (between an agent's sensors and its perception), on `pose`
+(between its positioning and the agent), on tracks or views (between the agent and the command centre, or between
+peers), on any other wire; also on several of them, and on those of several agents. What it does follows from the type
+of a message. Neither end can detect it: keys, headers and untouched rows are forwarded unchanged.
 """
 
 from __future__ import annotations
@@ -37,7 +36,10 @@ from mast_zenoh.integrity.views import view_columns
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime.mesh.hosting import main
-from mast_zenoh.wiring.model import agent_of, part_of
+from mast_zenoh.wiring.model import ANY, Input, agent_of, part_of
+
+#: Types of messages with objects.
+OBJECTS = ("detections", "tracks", "picture")
 
 
 class Adversary(Node):
@@ -53,28 +55,13 @@ class Adversary(Node):
     inputs = {
         "clock": "clock",
         "pose": "pose",
-        "detections": "detections",
-        "tracks": "tracks",
-        "view": "view",
-        "picture": "picture",
-        "gossip": "gossip",
-        "command": "command",
         "overheard_picture": "picture",
         "trust": "trust",
         "directive": "directive",
     }
     listening = ("overheard_picture", "trust")
-    outputs = {
-        "pose_out": "pose",
-        "detections_out": "detections",
-        "tracks_out": "tracks",
-        "view_out": "view",
-        "picture_out": "picture",
-        "gossip_out": "gossip",
-        "command_out": "command",
-        "observation": "observation",
-        "report": "attack_report",
-    }
+    outputs = {"pose_out": "pose", "observation": "observation", "report": "attack_report"}
+    takes = (ANY,)  # to be forwarded, from `x` to `x_out`
 
     def __init__(
         self, attack: Attack, agent: str | tuple[str, ...], surroundings: Surroundings = UNKNOWN, peer: str = ""
@@ -86,6 +73,7 @@ class Adversary(Node):
         self.peer = peer
         self.surroundings = surroundings
         self.victims = {name: Victim(name, copy.deepcopy(attack) if i else attack) for i, name in enumerate(names)}
+        self.of_wire: dict[tuple[str, str], Victim] = {}  # by port and subject, where an agent has several of a type
         self.directives: LatestBefore[Targets] = LatestBefore()
         self.pictures: LatestBefore[Received] = LatestBefore()
         self.trusts: LatestBefore[Received] = LatestBefore()
@@ -93,27 +81,39 @@ class Adversary(Node):
 
     def start(self, context: Context) -> None:
         """Initialise the random streams."""
+        forwarded = [wire for wire in context.subscriptions.values() if wire.port not in self.inputs]
         sources: dict[str, set[str]] = {}
-        for wire in context.subscriptions.values():
-            sources.setdefault(wire.port, set()).add(wire.source)
+        for wire in forwarded:
+            sources.setdefault(wire.message, set()).add(wire.source)
         if "view" in sources and sources["view"].isdisjoint(sources.get("tracks", ())):
             sources.pop("tracks", None)  # a peer sends no tracks before it has its agent's view
-        self.last_wire = next((port for port in ("tracks", "detections") if port in sources), "")
-        self.add_sensors(context)
+        self.last_wire = next((kind for kind in ("tracks", "detections") if kind in sources), "")
+        self.add_sensors(forwarded, context)
+        self.add_wires(forwarded)
         for name, victim in self.victims.items():
             victim.attack.inform(self.surroundings)
             victim.attack.bind(context.seed, context.name if len(self.victims) == 1 else f"{context.name}/{name}")
 
-    def add_sensors(self, context: Context) -> None:
+    def add_sensors(self, forwarded: list[Input], context: Context) -> None:
         """Attack each further sensor by itself; an agent of which no other wire is attacked is no victim then."""
-        wires = {(source.port, source.subject) for source in context.subscriptions.values()}
-        subjects = sorted(subject for port, subject in wires if port == "detections" and part_of(subject))
+        wires = {(source.message, source.subject) for source in forwarded}
+        subjects = sorted(subject for kind, subject in wires if kind == "detections" and part_of(subject))
         self.victims |= {subject: Victim(subject, copy.deepcopy(self.attack)) for subject in subjects}
-        if subjects and not any(port == "picture" for port, _ in wires):
+        if subjects and not any(kind == "picture" for kind, _ in wires):
             for name in {agent_of(subject) for subject in subjects}:
-                attacked = {(port, name) for port in ("detections", "tracks", "view")} & wires
+                attacked = {(kind, name) for kind in ("detections", "tracks", "view")} & wires
                 if not attacked and not context.connected("pose_out", name):
                     self.victims.pop(name, None)
+
+    def add_wires(self, forwarded: list[Input]) -> None:
+        """Attack each further wire with objects of one type and agent by itself: their messages come in any order."""
+        first: dict[tuple[str, str], str] = {}
+        for wire in sorted(forwarded, key=lambda wire: wire.port):
+            port = first.setdefault((wire.message, wire.subject), wire.port)
+            if port != wire.port and wire.message in OBJECTS:
+                name = f"{wire.subject or next(iter(self.victims))}/{wire.port}"
+                victim = Victim(name, copy.deepcopy(self.attack), sensor=agent_of(name))
+                self.victims[name] = self.of_wire[wire.port, wire.subject] = victim
 
     def finish(self, context: Context) -> dict[str, int]:
         """The number of chosen targets; logs a warning if fewer were found than wanted."""
@@ -125,7 +125,8 @@ class Adversary(Node):
 
     def victim_of(self, received: Received) -> Victim:
         """The agent that a message comes from or goes to."""
-        return self.victims.get(received.subject) or next(iter(self.victims.values()))
+        of_wire = self.of_wire.get((received.port, received.subject)) if self.of_wire else None
+        return of_wire or self.victims.get(received.subject) or next(iter(self.victims.values()))
 
     def on_clock(self, received: Received, context: Context) -> None:
         """Forward messages without a pose unchanged: more delay could be noticed."""
@@ -149,21 +150,21 @@ class Adversary(Node):
 
     def on_detections(self, received: Received, context: Context) -> None:
         """The victim's detections, in transit to it."""
-        self.on_message(received, context)
+        self.take_objects(received, context)
 
     def on_tracks(self, received: Received, context: Context) -> None:
-        """The victim's tracks, in transit to the command centre."""
-        self.on_message(received, context)
+        """The victim's tracks, in transit to the command centre or to others."""
+        self.take_objects(received, context)
 
     def on_picture(self, received: Received, context: Context) -> None:
         """The command centre's picture, in transit to the agent."""
-        self.on_message(received, context)
+        self.take_objects(received, context)
 
     def on_view(self, received: Received, context: Context) -> None:
         """What the victim's sensor covers, on its way to the command centre; waits for the lies that it agrees with."""
         victim = self.victim_of(received)
         if isinstance(self.attack, PassThrough):
-            context.relay("view_out", received)
+            forward(received, context)
         else:
             victim.views.append(received)
             self.proceed_views(victim, context)
@@ -173,10 +174,9 @@ class Adversary(Node):
         victim, told = self.victim_of(received), received.body["trust"]
         forged = victim.attack.forge_trust(received.time_ns, victim.agent, tuple(received.body["agents"]), told)
         if np.array_equal(forged, told):
-            context.relay("gossip_out", received)
+            forward(received, context)
         else:
-            context.relay("gossip_out", received, {**received.body, "trust": forged})
-            self.report(victim, Changes.of_message(np.zeros(3), np.zeros(3)), received, context)
+            self.forward_changed(victim, received, {**received.body, "trust": forged}, context)
 
     def on_command(self, received: Received, context: Context) -> None:
         """What the victim's driver wants, on its way to the car."""
@@ -184,11 +184,24 @@ class Adversary(Node):
         told = float(body["acceleration"][0]), float(body["curvature"][0])
         forged = victim.attack.forge_command(received.time_ns, *told)
         if forged == told:
-            context.relay("command_out", received)
+            forward(received, context)
         else:
             columns = {"acceleration": np.array([forged[0]]), "curvature": np.array([forged[1]])}
-            context.relay("command_out", received, columns)
-            self.report(victim, Changes.of_message(np.zeros(3), np.zeros(3)), received, context)
+            self.forward_changed(victim, received, columns, context)
+
+    def on_message(self, received: Received, context: Context) -> None:
+        """A message of any other type."""
+        victim, body = self.victim_of(received), received.body
+        forged = victim.attack.forge(received.schema, received.frame, received.time_ns, body)
+        if forged is body:
+            forward(received, context)
+        else:
+            self.forward_changed(victim, received, forged, context)
+
+    def forward_changed(self, victim: Victim, received: Received, body: Body, context: Context) -> None:
+        """Forward a message without objects with another body, and report that."""
+        forward(received, context, body)
+        self.report(victim, Changes.of_message(np.zeros(3), np.zeros(3)), received, context)
 
     def on_overheard_picture(self, received: Received, context: Context) -> None:
         """The command centre's picture, which the attack knows from the next frame on."""
@@ -202,15 +215,15 @@ class Adversary(Node):
         """Store the coordinator's plan, which takes effect in the frame after its arrival."""
         self.directives.add(context.frame, directed_targets(received.body, received.time_ns))
 
-    def on_message(self, received: Received, context: Context) -> None:
+    def take_objects(self, received: Received, context: Context) -> None:
         """Queue a message, to attack it in order as soon as the victim's pose is known."""
-        schema = received.message.header.schema
         if isinstance(self.attack, PassThrough):
-            context.relay(f"{schema}_out", received)
+            forward(received, context)
         else:
             victim = self.victim_of(received)
-            victim.waiting[schema].append(received)
-            self.proceed(victim, victim.waiting[schema], context)
+            queue = victim.waiting[received.schema]
+            queue.append(received)
+            self.proceed(victim, queue, context)
 
     def proceed(self, victim: Victim, queue: deque[Received], context: Context) -> None:
         """Attack the first messages of a queue, up to one whose pose has not arrived."""
@@ -225,14 +238,14 @@ class Adversary(Node):
 
     def forward(self, victim: Victim, message: Received, context: Context) -> None:
         """Forward a message, attacked if the pose of its frame is known."""
-        schema = message.message.header.schema
+        schema = message.schema
         pose = victim.poses.get(message.frame)
         if pose is None:
-            context.relay(f"{schema}_out", message)
+            forward(message, context)
         elif schema == "detections":
             self.attack_detections(victim, message, pose, context)
         else:
-            self.attack_states(schema, victim, message, pose, context)
+            self.attack_states(victim, message, pose, context)
         if schema == self.last_wire:
             victim.attacked.append(message.frame)
             self.proceed_views(victim, context)
@@ -251,15 +264,15 @@ class Adversary(Node):
         """Forward a view as the attack wants it; an implausible one is forwarded unchanged."""
         swept = claimed_view(received.body)
         if swept is None:
-            context.relay("view_out", received)
+            forward(received, context)
             return
         forged = victim.attack.forge_view(received.frame, received.time_ns, swept)
         body = received.body if forged.view is swept.view else view_columns(forged.view, forged.free)
         body = {**body, "free": forged.free}
         if all(np.array_equal(column, received.body[name]) for name, column in body.items()):
-            context.relay("view_out", received)
+            forward(received, context)
         else:
-            context.relay("view_out", received, body)
+            forward(received, context, body)
             self.report(victim, Changes.of_message(swept.view.position, forged.view.position), received, context)
 
     def attack_detections(self, victim: Victim, received: Received, pose: Body, context: Context) -> None:
@@ -268,11 +281,11 @@ class Adversary(Node):
         victim.attack.look(victim.view(self.surroundings, pose), fused=False)
         tampering = self.tamper(victim, received, seen_detections(received.body, sensor), pose, context)
         if len(tampering.report) == 0:
-            context.relay("detections_out", received)
+            forward(received, context)
         else:
-            context.relay("detections_out", received, forged_detections(received.body, sensor, tampering))
+            forward(received, context, forged_detections(received.body, sensor, tampering))
 
-    def attack_states(self, schema: str, victim: Victim, received: Received, pose: Body, context: Context) -> None:
+    def attack_states(self, victim: Victim, received: Received, pose: Body, context: Context) -> None:
         """Send the coordinator an observation, then tamper with tracks or with a picture."""
         body = received.body
         states, view = ObjectStates.from_columns(body), victim.view(self.surroundings, pose)
@@ -285,12 +298,12 @@ class Adversary(Node):
                 frame=received.frame,
                 time_ns=received.time_ns,
             )
-        victim.attack.look(view, fused=schema == "picture")
+        victim.attack.look(view, fused=received.schema == "picture")
         tampering = self.tamper(victim, received, objects, pose, context)
         if len(tampering.report) == 0:
-            context.relay(f"{schema}_out", received)
+            forward(received, context)
         else:
-            context.relay(f"{schema}_out", received, forged_states(body, states, tampering))
+            forward(received, context, forged_states(body, states, tampering))
 
     def tamper(
         self, victim: Victim, received: Received, objects: ObjectStates, pose: Body, context: Context
@@ -326,6 +339,11 @@ class Adversary(Node):
     def tell(self, victim: Victim, context: Context) -> None:
         """Tell the attack the newest picture and trust from an earlier frame, once each."""
         tell_newest(victim.attack, victim.heard, context.frame, self.pictures, self.trusts)
+
+
+def forward(received: Received, context: Context, body: Body | None = None) -> None:
+    """Forward a message on its wire, with its own or another body."""
+    context.relay(f"{received.port}_out", received, body)
 
 
 if __name__ == "__main__":

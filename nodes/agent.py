@@ -79,6 +79,11 @@ class Agent(Node):
         "picture": "picture",
     }
     outputs = {"tracks": "tracks", "view": "view", "mission": "tracks", "status": "status"}
+    affects = {
+        "detections": {"tracks": 0, "mission": 0, "status": 0},
+        "sweep": {"view": 0, "mission": 0},
+        "picture": {"mission": 0},
+    }
 
     def __init__(
         self,

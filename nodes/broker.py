@@ -38,6 +38,7 @@ class Broker(Node):
     role = "broker"
     inputs = {"clock": "clock", "tracks": "tracks", "view": "view", "status": "status"}
     outputs = {"collated": "collated", "views": "views"}
+    affects = {"tracks": {"collated": 0}, "view": {"views": 0}}
 
     def __init__(
         self,

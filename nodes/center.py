@@ -37,6 +37,7 @@ class Center(Node):
     role = "center"
     inputs = {"clock": "clock", "tracks": "tracks", "view": "view", "status": "status", "pose": "pose"}
     outputs = {"picture": "picture", "trust": "trust"}
+    fuses = ("picture", "trust")
 
     def __init__(
         self,

@@ -45,6 +45,7 @@ class Channel(Node):
     role = "channel"
     inputs = {"clock": "clock", "pose": "pose", "sent": "tracks", "awareness": "tracks"}
     outputs = {"reception": "reception"}
+    affects = {"sent": {}, "awareness": {}}  # what is said does not change who hears it
 
     def __init__(
         self,

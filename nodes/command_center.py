@@ -25,6 +25,7 @@ class CommandCenter(Node):
     role = "command_center"
     inputs = {"clock": "clock", "collated": "collated", "views": "views"}
     outputs = {"picture": "picture", "trust": "trust"}
+    fuses = ("picture", "trust")
 
     def __init__(self, pipeline: Pipeline) -> None:
         self.pipeline = pipeline

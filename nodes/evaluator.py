@@ -8,6 +8,7 @@ Its results become metrics.json and the tables of the run folder.
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -24,17 +25,28 @@ from mast_zenoh.evaluation import Evaluation, RunData, RunScoring, ego_of
 from mast_zenoh.evaluation.driven import Arrival, Heard, View
 from mast_zenoh.evaluation.driver_on_truth import DriverOnTruth, TrueFrame
 from mast_zenoh.evaluation.driver_wires import PlayedDrivers, check_played, driver_ports, drivers_of
+from mast_zenoh.evaluation.estimate_wires import estimates_on
 from mast_zenoh.gather import plausible_rows
 from mast_zenoh.integrity.views import check_view, view_of
 from mast_zenoh.messages.schemas import Body
-from mast_zenoh.metrics import AttributionLimits, Consistency, CutOff, Driving, Metric, Record, Scorer, Series
-from mast_zenoh.metrics.estimates import LOCAL, MISSION, PICTURE, PICTURE_RECEIVED, RECEIVED, TRUTH
+from mast_zenoh.metrics import (
+    AttributionLimits,
+    Consistency,
+    CutOff,
+    Driving,
+    MessageMetric,
+    Metric,
+    Record,
+    Scorer,
+    Series,
+)
+from mast_zenoh.metrics.estimates import LOCAL, PICTURE, TRUTH
 from mast_zenoh.metrics.record import Snapshot
 from mast_zenoh.metrics.trust import TrustUpdate
 from mast_zenoh.node import Context, Node, Overheard
 from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.runtime.protocol.pacer import SETTLE_EVERY
-from mast_zenoh.wiring.model import ANY, Wiring, agent_of
+from mast_zenoh.wiring.model import ANY, Wiring, agent_of, wire_key
 
 #: Number of steps within which a message that is forwarded unchanged is recognised.
 RECOGNISED = 32
@@ -54,12 +66,14 @@ class Route(NamedTuple):
     series: the estimates that they contain
     wire:   key of their wire, if its messages arrive on several keys
     ports:  (agent, port) of the drivers that receive them
+    metrics: of the user, of messages
     """
 
     take: str
     series: tuple[Series, ...] = ()
     wire: str = ""
     ports: tuple[tuple[str, str], ...] = ()
+    metrics: tuple[MessageMetric, ...] = ()
 
 
 class Evaluator(Node):
@@ -152,7 +166,9 @@ class Evaluator(Node):
         """Use the current wiring from a frame onwards."""
         wiring = context.wiring
         self.data.meter.follow(wiring, first_frame)
-        self.routes = routes(wiring, self.agents, self.played_drivers)
+        self.data.influences.follow(wiring)
+        own = [metric for metric in self.evaluation.metrics if isinstance(metric, MessageMetric)]
+        self.routes = routes(wiring, self.agents, self.played_drivers, own)
         self.takes = {key: getattr(self, route.take) for key, route in self.routes.items()}
         self.metered = set(self.data.meter.keys())
         for car in (*drivers_of(wiring).values(), *self.played_drivers):
@@ -181,9 +197,30 @@ class Evaluator(Node):
             route = self.routes[key]
             message.check_time()
             self.takes[key](message, route)
+            for metric in route.metrics:
+                self.measure(metric, message, context)
             if route.take == "take_clock":
                 for name, columns in self.scoring.advance(message.header.frame).items():
                     context.append(name, columns)
+
+    def measure(self, metric: MessageMetric, message: Overheard, context: Context) -> None:
+        """Store the value of a message."""
+        of_wire = self.data.measured.setdefault(wire_key(message.key), {})
+        try:
+            value = metric.per_message(message.header.frame, message.wire.subject, message.body)
+            number = None if value is None else float(value)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # GeneratorExit and CancelledError are not Exceptions
+            context.failed(f"metric {metric.label}", error)
+            return
+        values = of_wire.setdefault(metric.label, [])
+        if number is not None and math.isfinite(number):
+            values.append(number)
+
+    def take_nothing(self, message: Overheard, route: Route) -> None:
+        """A message that only metrics of messages use."""
+        message.check()
 
     def take_clock(self, message: Overheard, route: Route) -> None:
         """Store the time of a frame."""
@@ -208,17 +245,13 @@ class Evaluator(Node):
         pose = Pose(message.body["position"].copy(), message.body["rotation"].copy())
         self.data.poses[message.wire.subject, message.header.frame] = pose
 
-    def take_tracks(self, message: Overheard, route: Route) -> None:
-        """Store an agent's own tracks, as sent, as the broker received them, or both."""
-        header = message.header
-        if route.series[0].estimator == LOCAL and message.step >= 0:
+    def take_estimate(self, message: Overheard, route: Route) -> None:
+        """Store an estimate, as sent, as another node received it, or both."""
+        first, header = route.series[0], message.header
+        if first.estimator == PICTURE:
+            self.data.picture_sent.setdefault(header.frame, message.step)
+        elif first.estimator == LOCAL and message.step >= 0:
             self.data.tracks_sent.setdefault((message.wire.subject, header.frame), message.step)
-        self.keep(message, route)
-
-    def take_picture(self, message: Overheard, route: Route) -> None:
-        """Store a picture, as sent, as an agent received it, or both."""
-        if route.series[0].estimator == PICTURE:
-            self.data.picture_sent.setdefault(message.header.frame, message.step)
         self.keep(message, route)
 
     def keep(self, message: Overheard, route: Route) -> None:
@@ -325,24 +358,25 @@ def _step(message: Overheard) -> int:
     return message.step if message.step >= 0 else message.header.frame
 
 
-def routes(wiring: Wiring, agents: Sequence[str], played: PlayedDrivers | None = None) -> dict[str, Route]:
+def routes(
+    wiring: Wiring,
+    agents: Sequence[str],
+    played: PlayedDrivers | None = None,
+    metrics: Sequence[MessageMetric] = (),
+) -> dict[str, Route]:
     """The route of each key of a wiring.
 
-    Keys that the evaluator does not need are left out. Wires are identified by the port of their publisher, not by the
-    keys that a map gives them.
+    Keys that the evaluator does not need are left out.
 
-    played: the drivers that are played, see `driver_wires.driver_ports`
+    played: the drivers that are played, see `driver_wires.driver_ports`; metrics: of messages
     """
     series: dict[str, list[Series]] = defaultdict(list)
     takes: dict[str, str] = {}
     shared: dict[str, str] = {}
     ports = driver_ports(wiring, played)
     sensed = {agent_of(wire.subject) for wire in wiring.wires if wire.interposers and wire.message == "detections"}
-    brokers = {wire.legs[0].publisher.node for wire in wiring.wires if wire.message == "collated"}
     for wire in wiring.wires:
         source = wire.legs[0]
-        port, agent = source.publisher.port, source.publisher.node
-        ends = {end.node: leg.key for leg in wire.every_leg for end in leg.subscribers}
         if len(wire.every_leg) > 1:
             shared |= dict.fromkeys((leg.key for leg in wire.every_leg), wire.key)
         if wire.message in ("view", "command", "route"):
@@ -353,28 +387,18 @@ def routes(wiring: Wiring, agents: Sequence[str], played: PlayedDrivers | None =
             takes[source.key] = f"take_{wire.message}"
         elif wire.message == "pose" and wire.subject in sensed:
             takes[source.key] = "take_pose"
-        elif wire.message == "tracks" and agent in agents and port in ("tracks", "mission"):
-            series[source.key].append(Series(agent, LOCAL if port == "tracks" else MISSION))
-            received = [ends[broker] for broker in brokers if broker in ends] if port == "tracks" else []
-            for key in received:
-                series[key].append(Series(agent, RECEIVED))
-            takes |= dict.fromkeys((source.key, *received), "take_tracks")
-        elif wire.message == "picture":
-            if wire.subject in agents:
-                series[source.key].append(Series(wire.subject, PICTURE))  # of the agent's peer
-            elif not wire.subject or any(end in agents for end in ends):
-                series[source.key].append(Series("", PICTURE))
-            else:
-                continue  # of a region, for another centre
-            received = [(key, name) for name, key in ends.items() if name in agents]
-            for key, name in received:
-                series[key].append(Series(name, PICTURE_RECEIVED))
-            takes |= dict.fromkeys((source.key, *(key for key, _ in received)), "take_picture")
+    for carried in estimates_on(wiring, agents):
+        series[carried.key].append(carried.series)
+        takes[carried.key] = "take_estimate"
     for _, leg in wiring.legs():
         if leg.key in ports:
             takes.setdefault(leg.key, "keep")  # estimates that only drivers receive
+    sent = {wire.legs[0].key: wire.message for wire in wiring.wires}
+    own = {key: tuple(each for each in metrics if each.message == kind) for key, kind in sent.items()}
+    takes = dict.fromkeys((key for key, found in own.items() if found), "take_nothing") | takes
     return {
-        key: Route(take, tuple(series[key]), shared.get(key, ""), ports.get(key, ())) for key, take in takes.items()
+        key: Route(take, tuple(series[key]), shared.get(key, ""), ports.get(key, ()), own.get(key, ()))
+        for key, take in takes.items()
     }
 
 

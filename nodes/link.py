@@ -36,19 +36,7 @@ from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime.mesh.hosting import main
-from mast_zenoh.wiring.model import part_of
-
-#: Ports of messages that the agent's peer sends, besides those of WIRES, and of those that it hears.
-PEER_UP = {"broadcast": "tracks", "broadcast_view": "view", "awareness": "tracks"}
-PEER_DOWN = {
-    "heard": "tracks",
-    "heard_view": "view",
-    "heard_awareness": "tracks",
-    "heard_relayed": "relayed",
-    "heard_gossip": "gossip",
-}
-#: Ports of views, each with the port of the tracks that have the same errors of the sender's pose.
-VIEWS = {"view": "tracks", "broadcast_view": "broadcast"}
+from mast_zenoh.wiring.model import ANY, DOWN, agent_of, part_of, wire_key
 
 
 class Event(NamedTuple):
@@ -70,20 +58,14 @@ class Link(Node):
     rules_of_sensors: by name, those for the detections of further sensors; for the others, `rules_sensor`
     peer: the agent's peer, before which the link is on what it hears; empty: none
 
-    A wire's messages pass through the port of their type, `tracks` to `tracks_out`; most of those between peers through
-    a port of their wire. A subclass can have more ports: handlers that call `carry`.
+    It takes what a map leads to it, on any port, and sends it on by that port's name with `_out`.
     """
 
     role = "link"
-    inputs = {"clock": "clock", "pose": "pose", **{wire: wire for wire in WIRES}, **PEER_UP, **PEER_DOWN}
-    outputs = {
-        **{f"{wire}_out": wire for wire in WIRES},
-        **{f"{port}_out": message for port, message in (*PEER_UP.items(), *PEER_DOWN.items())},
-        "report": "link_report",
-    }
-    unopened = (*WIRES, *PEER_UP, *PEER_DOWN)
+    inputs = {"clock": "clock", "pose": "pose"}
+    outputs = {"report": "link_report"}
+    takes = unopened = (ANY,)
     prompt = True
-    down = ("picture", *PEER_DOWN)  #: ports of messages to the agent; all others are for messages from the agent
 
     def __init__(
         self,
@@ -98,7 +80,7 @@ class Link(Node):
         self.peer = peer
         self.rules = {"up": rules_up, "down": rules_down, "sensor": rules_up if rules_sensor is None else rules_sensor}
         self.rules |= {f"sensor/{name}": rules for name, rules in (rules_of_sensors or {}).items()}
-        self.chains: dict[tuple[str, str], Chain] = {}
+        self.chains: dict[tuple[str, str], tuple[Chain, bool]] = {}  # of a wire, and whether it leads to the agent
         self.poses: LatestBefore[SenderPose] = LatestBefore()
         self.newest_pose: SenderPose | None = None
         self.events: list[tuple[Event, str]] = []  # with its port
@@ -124,78 +106,11 @@ class Link(Node):
         self.newest_pose = pose
         self.poses.add(context.frame, pose)
 
-    def on_tracks(self, received: Received, context: Context) -> None:
-        """The agent's tracks."""
-        self.carry("tracks", received, context)
-
-    def on_status(self, received: Received, context: Context) -> None:
-        """The agent's status."""
-        self.carry("status", received, context)
-
-    def on_picture(self, received: Received, context: Context) -> None:
-        """The picture, in transit to the agent."""
-        self.carry("picture", received, context)
-
-    def on_command(self, received: Received, context: Context) -> None:
-        """A command for the agent's car, in transit to it."""
-        self.carry("command", received, context)
-
-    def on_view(self, received: Received, context: Context) -> None:
-        """The agent's view."""
-        self.carry("view", received, context)
-
-    def on_detections(self, received: Received, context: Context) -> None:
-        """The agent's detections, if a map inserts the link there."""
-        self.carry("detections", received, context)
-
-    def on_collated(self, received: Received, context: Context) -> None:
-        """The broker's collations, if a map inserts the link there."""
-        self.carry("collated", received, context)
-
-    def on_relayed(self, received: Received, context: Context) -> None:
-        """The picture that the agent's peer relays."""
-        self.carry("relayed", received, context)
-
-    def on_gossip(self, received: Received, context: Context) -> None:
-        """The trust that the agent's peer publishes."""
-        self.carry("gossip", received, context)
-
-    def on_broadcast(self, received: Received, context: Context) -> None:
-        """The tracks that the agent's peer broadcasts."""
-        self.carry("broadcast", received, context)
-
-    def on_broadcast_view(self, received: Received, context: Context) -> None:
-        """The view that the agent's peer broadcasts."""
-        self.carry("broadcast_view", received, context)
-
-    def on_awareness(self, received: Received, context: Context) -> None:
-        """The agent's own state, from its peer."""
-        self.carry("awareness", received, context)
-
-    def on_heard(self, received: Received, context: Context) -> None:
-        """The tracks of another agent, in transit to the agent's peer."""
-        self.carry("heard", received, context)
-
-    def on_heard_view(self, received: Received, context: Context) -> None:
-        """The view of another agent, in transit to the agent's peer."""
-        self.carry("heard_view", received, context)
-
-    def on_heard_awareness(self, received: Received, context: Context) -> None:
-        """Another agent's own state, in transit to the agent's peer."""
-        self.carry("heard_awareness", received, context)
-
-    def on_heard_relayed(self, received: Received, context: Context) -> None:
-        """The picture of another agent, in transit to the agent's peer."""
-        self.carry("heard_relayed", received, context)
-
-    def on_heard_gossip(self, received: Received, context: Context) -> None:
-        """The trust of another agent, in transit to the agent's peer."""
-        self.carry("heard_gossip", received, context)
-
-    def carry(self, port: str, received: Received, context: Context) -> None:
+    def on_message(self, received: Received, context: Context) -> None:
         """Apply the rules of its wire to a message."""
+        port = received.port
         self.carried[port] += 1
-        chain = self.chains.get((port, received.subject)) or self.chain(port, received.subject, context)
+        chain, down = self.chains.get((port, received.subject)) or self.chain(port, received.subject, context)
         if not chain.rules:
             context.relay(f"{port}_out", received)
             return
@@ -208,7 +123,7 @@ class Link(Node):
                 now_ns=context.now_ns,
                 size=len(received.encoded) if chain.needs_size else 0,
                 position=pose.position if pose else None,
-                referenced=chain.needs_frame and port not in self.down and has_frame(columns_of(received)),
+                referenced=chain.needs_frame and not down and has_frame(columns_of(received)),
                 sensed=sensed,
             )
         )
@@ -217,19 +132,22 @@ class Link(Node):
         if outcome.fates:
             self.note(port, received, outcome)
 
-    def chain(self, port: str, subject: str, context: Context) -> Chain:
-        """The rules of one wire, which has its own random draws and memory."""
-        rules = self.rules["down" if port in self.down else "sensor" if port == "detections" else "up"]
-        if port == "detections":
-            rules = self.rules.get(f"sensor/{part_of(subject)}", rules)
-        of_sender = {type(rule).__name__ for rule in rules if rule.of_sender} if port in VIEWS else set()
+    def chain(self, port: str, subject: str, context: Context) -> tuple[Chain, bool]:
+        """The rules of one wire, which has its own random draws and memory; and whether it leads to the agent."""
+        ports = {wire_key(key): each.port for key, each in context.subscriptions.items()}
+        inputs = context.subscriptions.values()
+        traits = next(each.traits for each in inputs if (each.port, each.subject) == (port, subject))
+        of_another = bool(self.agent) and agent_of(subject) not in ("", self.agent)
+        down = traits.direction == DOWN or of_another
+        direction = DOWN if down else traits.direction
+        rules = self.rules.get(f"{direction}/{part_of(subject)}", self.rules[direction])
+        of_sender = set() if down else {type(rule).__name__ for rule in rules if rule.of_sender}
 
         def rng(kind: str, *more: int) -> np.random.Generator:
-            return context.rng("link", VIEWS[port] if kind in of_sender else port, subject, kind, *more)
+            return context.rng("link", ports.get(traits.of, port) if kind in of_sender else port, subject, kind, *more)
 
-        chain = Chain(rules, rng)
-        self.chains[port, subject] = chain
-        return chain
+        self.chains[port, subject] = Chain(rules, rng), down
+        return self.chains[port, subject]
 
     def send(
         self, port: str, received: Received, passage: Passage, after_s: float, context: Context, sensed: Sensed | None
@@ -262,8 +180,8 @@ class Link(Node):
         except MessageError:
             return
         for fate, rule in outcome.fates.items():
-            wire = WIRES.index(port) if port in WIRES else WIRES.index(header.schema)
-            event = Event(wire, header.frame, header.seq, FATES.index(fate), rule, outcome.delay_s)
+            kind = WIRES.index(header.schema) if header.schema in WIRES else len(WIRES)
+            event = Event(kind, header.frame, header.seq, FATES.index(fate), rule, outcome.delay_s)
             self.events.append((event, port))
 
     def report(self, context: Context) -> None:

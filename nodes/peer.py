@@ -12,6 +12,9 @@ keyexpr_maps/gossip.toml, it tells others its trust in agents: its own judgement
 
 Where a map has a wire for it (keyexpr_maps/awareness.toml), the peer of a vehicle also says where its agent is itself,
 by Cooperative Awareness Messages. For a receiver, the sender is one more of the sender's tracks.
+
+A map may lead any other wire to peers, too. They fuse its tracks, if the wire has `use = "fuse"`, as those of one more
+reporter beside its sender; of all else they only count the messages.
 """
 
 from __future__ import annotations
@@ -39,6 +42,7 @@ from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.tracking.kalman import predicted
 from mast_zenoh.v2x import CamGeneration, CongestionControl, GenerationRules, Vehicle
 from mast_zenoh.v2x.station import Station
+from mast_zenoh.wiring.model import ANY, FUSE
 
 #: How long what a vehicle says of itself is used, s: until its next message, after 1 s at the latest, is overdue.
 AWARENESS_AGE_S = 1.2
@@ -86,6 +90,20 @@ class Peer(Node):
         "picture": "picture",
         "trust": "trust",
     }
+    takes = (ANY,)
+    fuses = ("relay", "gossip", "picture", "trust")
+    affects = {
+        "clock": dict.fromkeys(outputs, 0),
+        "reception": dict.fromkeys(outputs, 0),
+        "pose": {"awareness": 0, "broadcast": 0},
+        "own": dict.fromkeys(("broadcast", *fuses), 0),
+        "own_view": dict.fromkeys(("broadcast_view", *fuses), 0),
+        # That others' trust in a sender follows from what it said is not counted as its influence: no `gossip`.
+        **{
+            port: {"relay": 1, "picture": 1, "trust": 1}
+            for port in ("heard", "heard_view", "heard_awareness", "relayed", "heard_gossip", "")
+        },
+    }
 
     def __init__(
         self,
@@ -120,6 +138,7 @@ class Peer(Node):
         self.place = np.zeros(3)
         self.newest_ns = 0
         self.counts: Counter[str] = Counter()
+        self.fused_ports: set[str] = set()  # further ports whose tracks are fused
 
     def start(self, context: Context) -> None:
         """Wait in each frame for all that the agent and the channel send."""
@@ -127,6 +146,9 @@ class Peer(Node):
         self.station.switch_on(float(context.rng("switched on").random()))
         sources = context.subscriptions.values()
         ports = {source.port for source in sources}
+        self.fused_ports = {
+            source.port for source in sources if source.traits.use == FUSE and source.message == "tracks"
+        }
         self.relaying = {self.agent, *(source.subject for source in sources if source.port == "relayed")}
         self.sensed.expected |= ports & {"pose", "own_view", "reception"}
 
@@ -188,6 +210,13 @@ class Peer(Node):
         """The trust of another agent in agents."""
         self.hear("heard_gossip", received, context)
 
+    def on_message(self, received: Received, context: Context) -> None:
+        """A message on a further wire."""
+        if received.port in self.fused_ports:
+            self.hear(received.port, received, context)
+        else:
+            self.counts[f"{received.port}/{received.subject}"] += 1
+
     def hear(self, port: str, received: Received, context: Context) -> None:
         """Keep a message of another agent for the next frame."""
         if not self.inbox.add(Heard(context.frame, port, received.subject, received.message)):
@@ -234,6 +263,9 @@ class Peer(Node):
                 states = self.plausible(tracks_in_world(body))
                 self.heard.add(sender, time_ns, states)
                 self.station.hear(time_ns, states, body["origin"])
+            elif port in self.fused_ports:
+                self.counts[f"{port}/{sender}"] += 1
+                self.heard.add(f"{sender}/{port}", time_ns, self.plausible(tracks_in_world(body)))
             elif port == "heard_awareness":
                 self.counts[f"aware/{sender}"] += 1
                 states = self.plausible(tracks_in_world(body))

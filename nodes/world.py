@@ -41,6 +41,7 @@ class WorldSimulator(Source):
 
     role = "simulator"
     inputs = {"command": "command"}
+    affects = {"command": {}}  # it changes the world, not what is said of it
     outputs = {
         "clock": "clock",
         "truth": "truth",

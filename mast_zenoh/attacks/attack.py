@@ -20,6 +20,7 @@ from mast_zenoh.attacks.selection import Selection, UncoordinatedSelection
 from mast_zenoh.attacks.surroundings import UNKNOWN, Coverage, Surroundings, unlimited
 from mast_zenoh.attacks.targets import Tampering, Targets, ViewForger
 from mast_zenoh.integrity.views import SweptView
+from mast_zenoh.messages.schemas import Body
 from mast_zenoh.tracking.view import SensorView
 
 
@@ -79,6 +80,13 @@ class Attack(Adversary):
         time_ns: ns, of the message; teller: the victim; agents: names of those a agents
         """
         return trust
+
+    def forge(self, message: str, frame: int, time_ns: int, body: Body) -> Body:
+        """The columns of a message of any other type that others are to receive; by default its own, as they are.
+
+        message: its type; frame, time_ns: that it is about; body: its columns, which cannot be written to
+        """
+        return body
 
 
 class PassThrough(Attack):

@@ -27,11 +27,11 @@ POSES_KEPT = 16  #: frames by which a message may be late and still be attacked
 class Victim:
     """One compromised agent, or one of its sensors: its poses, and the messages that wait for them.
 
-    name: of the agent, or agent/sensor; attack: on its messages
+    name: of the agent, or agent/sensor; attack: on its messages; sensor: whose view it has; empty: `name`
     """
 
-    def __init__(self, name: str, attack: Attack) -> None:
-        self.name = name
+    def __init__(self, name: str, attack: Attack, sensor: str = "") -> None:
+        self.sensor = sensor or name
         self.agent = agent_of(name)
         self.attack = attack
         self.poses: dict[int, Body] = {}
@@ -53,7 +53,7 @@ class Victim:
         key = pose["position"].tobytes() + pose["rotation"].tobytes()
         if self.last_view is None or self.last_view[0] != key:
             rotation = rotation_from_quaternion(pose["rotation"])
-            self.last_view = (key, surroundings.view(self.name, pose["position"], rotation))
+            self.last_view = (key, surroundings.view(self.sensor, pose["position"], rotation))
         return self.last_view[1]
 
 

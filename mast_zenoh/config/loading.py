@@ -16,7 +16,7 @@ from weakref import WeakKeyDictionary
 
 from mast_zenoh.config import bundle, registry
 from mast_zenoh.errors import ConfigurationError, NodeFileError, nearest
-from mast_zenoh.node import Node, handler_names
+from mast_zenoh.node import Node, check_handlers
 
 
 def module(path: Path) -> ModuleType:
@@ -297,7 +297,7 @@ def _defines(loaded: ModuleType, cls: type) -> bool:
 def _with_valid_handlers(cls: type[Node], file: Path) -> type[Node]:
     """A node class whose handlers fit its ports; raises NodeFileError for any other."""
     try:
-        handler_names(cls)
+        check_handlers(cls)
     except TypeError as error:
         raise NodeFileError(f"{file}: {error}") from None
     return cls

@@ -23,8 +23,8 @@ from mast_zenoh.wiring.model import Passage
 SAME_PLACE_M = 0.05
 #: Effects on objects, in the order of `attacks.ACTIONS`.
 _ACTIONS = ("inserted", "removed", "moved", "altered", REFRAMED)
-#: Messages without objects that adversaries report as changed.
-_WITHOUT_OBJECTS = ("pose", "view", "gossip", "command")
+#: Types of messages whose changed objects adversaries report; of others they report that they changed.
+_WITH_OBJECTS = ("detections", "tracks", "picture")
 #: The effects that correspond to each of `links.FATES`, in that order. A corrupted message may still be readable.
 #: A wrong pose moves the sender in messages about itself, and else the frame of reference.
 _FATES = ((DROPPED, UNSETTLED), (DELAYED, UNSETTLED), (REPEATED,), EFFECTS, (RESTAMPED, REFRAMED, "moved"), KINDS)
@@ -132,8 +132,8 @@ def _match_attacks(
     confirmed = _complete(claimed, i, len(names))
     claims = np.flatnonzero(names == REFRAMED)
     group = reported_rows["node"] * span + frame[1]
-    of_type = np.array([passage.message in _WITHOUT_OBJECTS for passage in effects.passages], bool)
-    whole = np.isin(effects.code, [CODE[REFRAMED], CODE[SLANDERED]])
+    of_type = np.array([passage.message not in _WITH_OBJECTS for passage in effects.passages], bool)
+    whole = np.isin(effects.code, [CODE[REFRAMED], CODE[SLANDERED]]) | (effects.code < len(KINDS))
     rows = np.flatnonzero(whole & of_type[effects.passage])
     changed = node_row[rows] * span + frame[0][rows]
     reported[rows] |= np.isin(changed, group[claims])
@@ -180,10 +180,9 @@ def _match_links(
 
     Returns which of n rows of reports match an effect.
     """
-    message_types = list(dict.fromkeys((*wires, *(passage.message for passage in effects.passages))))
-    message_type = np.array([message_types.index(passage.message) for passage in effects.passages], np.int64)[
-        effects.passage
-    ]
+    other = len(wires)  # links report all other types as one
+    kinds = [wires.index(each.message) if each.message in wires else other for each in effects.passages]
+    message_type = np.array(kinds, np.int64)[effects.passage]
     confirmed = np.zeros(len(reported_rows["fate"]), bool)
     for fate, names in enumerate(_FATES):
         rows = np.flatnonzero(~effects.whole & np.isin(effects.code, [CODE[name] for name in names]))

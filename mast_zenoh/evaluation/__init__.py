@@ -3,6 +3,7 @@
     run_data      the data collected from the messages
     evaluation    the evaluation of some frames with mast_zenoh.metrics
     run_scoring   the evaluation of a run, block by block of its frames
+    estimate_wires  which estimates are on the wires, and what can affect them
     from_effects  manipulations, from the measured effects of interposers (mast_zenoh.effects)
     driven        what happened to the cars that drivers drove
     driver_wires  on which keys the messages of drivers are, also of those that a replay plays

@@ -145,15 +145,14 @@ class Evaluation:
             data.period_s,
             from_absence,
             self.attribution,
-            data.relays,
-            own_pictures(data),
+            data.influences,
         )
         interposed = earlier.episodes.numbered(interposed)
         spoofs = [meter.effects.spoofs for meter in data.meter.meters]
         duration = round(self.attribution.coast_s / data.period_s)
         interposed = add_pose_manipulations(interposed, effects, spoofs, scores, min_points, duration)
         updates = [data.trust[int(frame)] for frame in frames if int(frame) in data.trust]
-        displaced = displaced_by_links(interposed, effects, scores)
+        displaced = displaced_by_links(interposed, effects, scores, data.influences)
         begin = round(self.attribution.begin_s / data.period_s)
         attributor = Attributor(
             self.attribution,
@@ -255,7 +254,8 @@ def cut_off_objects(
     listener: the agent to whose peer they did not deliver them; empty: a centre
     """
     agents, frames = scores.agents, scores.frames
-    silent = data.presence.absent(agents, frames) | stopped_by_links(effects, data.roles, agents, frames, listener)
+    stopped = stopped_by_links(effects, data.roles, agents, frames, data.influences, listener)
+    silent = data.presence.absent(agents, frames) | stopped
     if listener:
         displaced = displaced & (np.array(agents) != listener)
     within = cut_off.useful_age_s / data.period_s + 1e-6

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,74 +13,13 @@ from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.effects import EFFECTS, Effects
 from mast_zenoh.effects.passages import Spoof
 from mast_zenoh.effects.table import insertions
+from mast_zenoh.evaluation.estimate_wires import Influences
 from mast_zenoh.metrics import AttributionLimits, Boxes, Manipulations, Scores
 from mast_zenoh.metrics.boxes import Places, nearest, occurs
-from mast_zenoh.metrics.estimates import BEHIND_DOWNLINK, FROM_CENTRE, IN_TRANSIT, LOCAL, RECEIVED
+from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.metrics.manipulations import ALTERED, COLUMNS, INSERTED, KINDS, MOVED, REMOVED
 from mast_zenoh.metrics.record import TruthTable
-from mast_zenoh.wiring.model import Passage, agent_of, peer_of
-
-#: Ports of messages that no estimate depends on: the truth, and estimates, which are scored at their source.
-_WITHOUT_ESTIMATE = ("truth", "mission", "report", "observation", "directive")
-
-#: Ports of the tracks and of the batch that a centre fuses.
-_TO_CENTRE = ("tracks", "collated")
-#: Ports of messages on which an agent's own tracks and its own peer's picture depend.
-OWN = ("detections", "pose", "sweep", "tracks", "view", "status")
-#: Ports of messages that peers send each other.
-BETWEEN_PEERS = ("broadcast", "broadcast_view", "awareness", "relay", "gossip")
-
-
-def influence(
-    passages: Sequence[Passage], series: Sequence[tuple[str, str]], is_link: Bools, relays: bool = False
-) -> Bools:
-    """Whether messages of each of p passages can affect each of s series: (p, s).
-
-    A series is (agent, estimator). An agent's own tracks depend on its sensors alone. An unknown port may affect all
-    other estimates. is_link: (p,) passages of links, whose effects on tracks count only for the tracks as received:
-    whether the picture lacks an object because of them depends on the other agents that report it (`metrics.cut_off`).
-    relays: whether peers relay their pictures, so that what one of them hears may reach all others.
-    """
-    result = np.zeros((len(passages), len(series)), bool)
-    for row, passage in enumerate(passages):
-        for column, (agent, estimator) in enumerate(series):
-            result[row, column] = _influences(passage, agent, estimator, bool(is_link[row]), relays)
-    return result
-
-
-def _influences(passage: Passage, agent: str, estimator: str, is_link: bool, relays: bool) -> bool:
-    own, port = agent == agent_of(passage.subject), passage.port
-    if port in ("detections", "pose"):
-        return own or estimator in FROM_CENTRE
-    if port == "tracks":
-        return (own and estimator == RECEIVED) or (not is_link and estimator in FROM_CENTRE)
-    if port in ("status", "collated"):
-        return not is_link and estimator in FROM_CENTRE
-    if port in BETWEEN_PEERS:
-        heard = not own and (relays or passage.before in ("", peer_of(agent)))
-        return heard and not is_link and estimator in FROM_CENTRE
-    if port == "picture":
-        return estimator in BEHIND_DOWNLINK and passage.before in ("", agent)
-    return port not in _WITHOUT_ESTIMATE and (estimator != LOCAL or port == "clock")
-
-
-def delays(
-    passages: Sequence[Passage], series: Sequence[tuple[str, str]], own_pictures: Collection[str], relays: bool
-) -> Ints:
-    """Number of frames after its own from which on a message of a passage can have been used for a series: (p, s).
-
-    A peer uses what it hears from the next frame on.
-    own_pictures: agents that have a picture of their own, from their peers
-    relays: see `influence`; a relayed picture is heard once more
-    """
-    result = np.zeros((len(passages), len(series)), np.int64)
-    for row, passage in enumerate(passages):
-        for column, (agent, estimator) in enumerate(series):
-            heard = passage.port in BETWEEN_PEERS or (passage.port in OWN and agent != agent_of(passage.subject))
-            if heard and agent in own_pictures and estimator in FROM_CENTRE:
-                result[row, column] = 2 if relays and passage.before not in ("", peer_of(agent)) else 1
-    return result
-
+from mast_zenoh.wiring.model import Passage, agent_of
 
 #: Columns that say nothing of where an object is, or will be.
 _OF_BOX = {"size", "yaw", "class_id"}
@@ -99,8 +38,7 @@ def manipulations(
     period_s: float,
     away: Bools,
     limits: AttributionLimits,
-    relays: bool = False,
-    own_pictures: Collection[str] = (),
+    influences: Influences,
 ) -> Manipulations:
     """The manipulations among the measured effects.
 
@@ -109,7 +47,7 @@ def manipulations(
     truth:  all objects, world frame; group = frame
     away:   (n,) effects due to the absence of an interposer, which are not manipulations
     limits: which effects count, and for how long
-    relays, own_pictures: see `influence` and `delays`
+    influences: what the passages can affect
     """
     is_link = np.array([roles.get(passage.node) == "link" for passage in effects.passages], bool)
     culprits = tuple(sorted({p.node for p, link in zip(effects.passages, is_link, strict=True) if not link}))
@@ -123,8 +61,12 @@ def manipulations(
     of_box = np.array([set() < names <= _OF_BOX for names in columns], bool)
     of_box &= (kind == ALTERED) & of_tracks[effects.passage[hidden]]
     renamed = effects.passage[hidden[np.array(["id" in names for names in columns], bool)]]
-    as_sent = _judged_as_sent(effects.passages, series) & ~np.isin(np.arange(len(effects.passages)), renamed)[:, None]
-    reach = influence(effects.passages, series, is_link, relays)
+    # What a passage carries is judged where it says, unless it is called by another name.
+    as_sent = np.array([[influences.carries(each, one) for one in series] for each in effects.passages], bool)
+    as_sent = as_sent.reshape(len(is_link), len(series)) & ~np.isin(np.arange(len(is_link)), renamed)[:, None]
+    shown, delay = influences.reach(effects.passages, series, np.zeros(len(is_link), bool))
+    # Whether the picture lacks an object because of a link depends on the others that report it (`metrics.cut_off`).
+    reach, _ = influences.reach(effects.passages, series, is_link)
     hidden_places = Places(effects.frame[hidden], effects.before[hidden])
     truth_row, _ = nearest(hidden_places, Places(truth.group, truth.position), limits.hidden_m)
     rows = np.concatenate([inserted, hidden])
@@ -136,8 +78,8 @@ def manipulations(
         culprits=culprits,
         reach=reach,
         altered=reach & ~as_sent,
-        shown=influence(effects.passages, series, np.zeros(len(is_link), bool), relays),
-        delay=delays(effects.passages, series, own_pictures, relays),
+        shown=shown,
+        delay=delay,
         passage=passage,
         culprit=culprit_row[passage] if len(rows) else passage,
         kind=np.concatenate([np.full(len(inserted), INSERTED), kind]),
@@ -154,21 +96,14 @@ def manipulations(
     return result.select(~away[rows])
 
 
-def _judged_as_sent(passages: Sequence[Passage], series: Sequence[tuple[str, str]]) -> Bools:
-    """Whether a series is what each of p passages carries, so that its objects are judged where it says: (p, s)."""
-    carried = {"tracks": (RECEIVED,), "picture": IN_TRANSIT}
-    judged = [[estimator in carried.get(passage.port, ()) for _, estimator in series] for passage in passages]
-    return np.array(judged, bool).reshape(len(passages), len(series))
-
-
 def _lasts(passage: Passage, is_link: bool, limits: AttributionLimits, period_s: float) -> int:
     """Number of frames after its own for which a manipulation counts.
 
     Effects of links on tracks count only in their own frame; missing objects in the picture: `metrics.cut_off`.
     """
-    if not is_link or passage.port in ("detections", "pose"):
+    if not is_link or passage.message in ("detections", "pose"):
         return round(limits.coast_s / period_s)
-    return round(limits.late_picture_s / period_s) if passage.port == "picture" else 0
+    return round(limits.late_picture_s / period_s) if passage.message == "picture" else 0
 
 
 def _hidden(effects: Effects, limits: AttributionLimits) -> tuple[Ints, Ints, list[set[str]]]:
@@ -213,36 +148,39 @@ def first_change(effects: Effects, roles: Mapping[str, str], away: Bools) -> int
 
 
 def stopped_by_links(
-    effects: Effects, roles: Mapping[str, str], agents: Sequence[str], frames: Ints, listener: str = ""
+    effects: Effects,
+    roles: Mapping[str, str],
+    agents: Sequence[str],
+    frames: Ints,
+    influences: Influences,
+    listener: str = "",
 ) -> Bools:
-    """Whether a link stopped an agent's tracks of a frame or the batch: (f, a).
+    """Whether a link stopped an agent's tracks of a frame, alone or in a batch: (f, a).
 
     To stop is to drop, damage or delay.
-    listener: the agent whose peer did not hear them; what it hears, it uses in the frame after; empty: a centre
+    listener: the agent for whose picture they are; empty: the common one
     """
     result = np.zeros((len(frames), len(agents)), bool)
     rows = effects.rows("dropped", "delayed", "corrupted", "unsettled")
     for index, passage in enumerate(effects.passages):
-        if roles.get(passage.node) != "link" or passage.port not in (("broadcast",) if listener else _TO_CENTRE):
+        picture = (listener, PICTURE)
+        senders = influences.tracks_of(passage) - {listener}
+        if roles.get(passage.node) != "link" or not senders or not influences.arrives_at(passage, picture):
             continue
-        if listener and (passage.subject == listener or passage.before not in ("", peer_of(listener))):
-            continue
-        lost = np.isin(frames - bool(listener), effects.frame[rows[effects.passage[rows] == index]])
-        if passage.port == "collated":
-            result |= lost[:, None]
-        elif passage.subject in agents:
-            result[:, list(agents).index(passage.subject)] |= lost
+        after = influences.frames(passage, picture) or 0
+        lost = np.isin(frames - after, effects.frame[rows[effects.passage[rows] == index]])
+        result[:, [name in senders for name in agents]] |= lost[:, None]
     return result
 
 
-def displaced_by_links(manipulations: Manipulations, effects: Effects, scores: Scores) -> Bools:
+def displaced_by_links(manipulations: Manipulations, effects: Effects, scores: Scores, influences: Influences) -> Bools:
     """Whether a link moved an agent's track of a truth object: (n, a) of n rows of the truth."""
     keys, agents = (scores.truth.boxes.id, scores.truth_frame), scores.agents
     result = np.zeros((len(keys[0]), len(agents)), bool)
     moved = (manipulations.kind == MOVED) & (manipulations.culprit < 0)
     for index, passage in enumerate(effects.passages):
         rows = (moved & (manipulations.passage == index)).nonzero()[0]
-        if len(rows) and passage.port in ("tracks", "broadcast") and passage.subject in agents:
+        if len(rows) and passage.subject in agents and passage.subject in influences.tracks_of(passage):
             places = manipulations.object[rows], manipulations.frame[rows]
             result[:, agents.index(passage.subject)] |= occurs(keys, places)
     return result

@@ -9,6 +9,7 @@ import numpy as np
 
 from mast_zenoh.effects import Meter, Pose
 from mast_zenoh.evaluation.driven import Heard
+from mast_zenoh.evaluation.estimate_wires import Influences
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics import Presence, Record
 from mast_zenoh.metrics.trust import AGENT_COLUMNS, TrustUpdate
@@ -31,6 +32,8 @@ class RunData:
     receptions: by (agent, frame), busy ratio of the channel, ns and number of its own messages, and number of
         those that it lost, all of the frame before
     relays:   whether peers relay their pictures
+    influences: what can affect which estimate
+    measured: by wire and metric, the values of its messages
     heard:    what drivers received, by the agent whose car they drive
     """
 
@@ -48,6 +51,11 @@ class RunData:
     receptions: dict[tuple[str, int], tuple[float, int, int, int]] = field(default_factory=dict)
     relays: bool = False
     heard: dict[str, Heard] = field(default_factory=dict)
+    influences: Influences = field(init=False)
+    measured: dict[str, dict[str, list[float]]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.influences = Influences(self.record.agents)
 
     def forget(self, before: int) -> None:
         """Forget what is not needed for frames from this one on: all but times, counts and the trust in agents."""

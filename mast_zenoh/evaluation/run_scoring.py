@@ -25,7 +25,7 @@ from mast_zenoh.evaluation.driven import DrivenCars
 from mast_zenoh.evaluation.evaluation import Assessment, Earlier, Evaluation, by_agent, own_pictures
 from mast_zenoh.evaluation.from_effects import first_change
 from mast_zenoh.evaluation.run_data import RunData
-from mast_zenoh.metrics import FrameMetric, RunMetric, Table, achievement, causes_of, driving
+from mast_zenoh.metrics import FrameMetric, MessageMetric, RunMetric, Table, achievement, causes_of, driving
 from mast_zenoh.metrics.achievement import Targets
 from mast_zenoh.metrics.causes import CauseCounts, cause_counts
 from mast_zenoh.metrics.consistency import Deviations, counts, deviations
@@ -213,7 +213,7 @@ class RunScoring:
                 deceived_agents(scores, blamed, pictures)[scored],
                 differences(scores, pictures, range_m, distance)[:, scored] if pictures else np.zeros((0, 0)),
             ),
-            lies=trust.lies(effects, data.roles, agents, frames, assessment.from_absence)[rows],
+            lies=trust.lies(effects, data.roles, agents, frames, assessment.from_absence, data.influences)[rows],
             deceived=deceived_agents(scores, blamed, agents)[rows],
             withheld=(
                 trust.withheld(tables["trust_objects"], scores.truth, frames, scored, min_points)
@@ -323,6 +323,7 @@ class RunScoring:
                 "interposers": reports.summary(self._counts, received, data.roles),
                 "picture_age_s": data.picture_age_s(frames[scored].tolist()),
                 "latency_ms": {"sim_to_picture": data.latency_percentiles_ms()},
+                **({"messages": self._of_messages()} if data.measured else {}),
                 "frames_per_second": 1e9 / times[1] if {0, 1} <= times.keys() else None,
                 **(self._integrity(joined) if data.trust else {}),
                 **(self._pictures(consistency) if len(pictures) > 1 else {}),
@@ -337,13 +338,22 @@ class RunScoring:
             "failed_metrics": failed_metrics,
         }
 
+    def _of_messages(self) -> dict[str, dict[str, dict[str, float | None]]]:
+        """By wire and metric of its messages: mean and standard deviation."""
+        measured = sorted(self.data.measured.items())
+        return {
+            wire: {name: mean_and_std(np.array(values)) for name, values in by_metric.items()}
+            for wire, by_metric in measured
+        }
+
     def _scored(
         self, joined: Joined, scored: slice
     ) -> tuple[dict[str, dict[str, dict[str, Any]]], Table, dict[str, BaseException]]:
         """The summary by agent and estimator, the table per frame, and errors of user-defined metrics by name."""
         scores = joined.scores
         run = JoinedRun(scores, scored, joined.estimates(self.data.period_s), joined=joined)
-        summary, columns, failed = measured([*MEASURES.values(), *self.settings.metrics], run)
+        own = [metric for metric in self.settings.metrics if not isinstance(metric, MessageMetric)]
+        summary, columns, failed = measured([*MEASURES.values(), *own], run)
         causes = causes_of(joined.causes(), sum(block.counted for block in self._blocks))
         for (agent, estimator), row in scores.every_series.items():
             summary[agent][estimator] |= causes[row]

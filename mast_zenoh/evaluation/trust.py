@@ -9,7 +9,7 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.effects import Effects
-from mast_zenoh.evaluation.from_effects import BETWEEN_PEERS, OWN
+from mast_zenoh.evaluation.estimate_wires import Influences
 from mast_zenoh.integrity import STATES
 from mast_zenoh.metrics import Table
 from mast_zenoh.metrics.boxes import Places, nearest
@@ -26,17 +26,20 @@ from mast_zenoh.metrics.trust import (
     summary,
 )
 from mast_zenoh.pipelines.relays import RELAY
-from mast_zenoh.wiring.model import agent_of
-
-#: Ports of what an agent sends to the command centre or to other agents, and of what its own tracks depend on.
-UPSTREAM = (*OWN, *(port for port in BETWEEN_PEERS if port != "gossip"))
 
 #: m, in the bird's-eye view, from an object of the centre to the real object that it stands for.
 GATE_M = 2.0
 
 
-def lies(effects: Effects, roles: Mapping[str, str], agents: Sequence[str], frames: Ints, no_lie: Bools) -> Bools:
-    """(f, a) whether an interposer other than a link changed what an agent sent about a frame.
+def lies(
+    effects: Effects,
+    roles: Mapping[str, str],
+    agents: Sequence[str],
+    frames: Ints,
+    no_lie: Bools,
+    influences: Influences,
+) -> Bools:
+    """(f, a) whether an interposer other than a link changed what an agent said about a frame.
 
     effects: as measured on the wires;  roles: of the nodes;  frames: (f,);  no_lie: (n,) effects that do not count
     """
@@ -45,8 +48,8 @@ def lies(effects: Effects, roles: Mapping[str, str], agents: Sequence[str], fram
     counts[effects.rows("unsettled")] = False
     about = np.where(effects.frame >= 0, effects.frame, effects.step)
     for index, passage in enumerate(effects.passages):
-        agent = agent_of(passage.subject)
-        if roles.get(passage.node) != "link" and passage.port in UPSTREAM and agent in agents:
+        agent = influences.speaker(passage)
+        if roles.get(passage.node) != "link" and agent in agents:
             changed = about[counts & (effects.passage == index)]
             result[:, list(agents).index(agent)] |= np.isin(frames, changed)
     return result

@@ -260,10 +260,9 @@ def _place(
     map has for its role are connected in any case. The node publishes the wires that the testbed's map has for its role
     (such as an adversary's report).
     """
-    placed = {port: message for port, message in cls.inputs.items() if port not in cls.listening or port == input}
     place, wire = f"{path}: {cls.__name__}", f"the wire {target.key!r}"
-    input_port = port_of(placed, target.message, input, place, "input", wire)
-    output_port = port_of(cls.outputs, target.message, output, place, "output", wire)
+    input_port = port_of(cls, target.message, input, place, "input", wire)
+    output_port = port_of(cls, target.message, output, place, "output", wire)
     other_inputs: dict[str, str] = {}
     usual = _usual_inputs(cls)
     for port, message in cls.inputs.items():
@@ -282,22 +281,27 @@ def _place(
     return Place(target.key, input_port, output_port, other_inputs, published_wires)
 
 
-def port_of(ports: Mapping[str, str], message: str, requested: str | None, place: str, side: str, wire: str) -> str:
-    """The port of a node for messages of a type: the requested one, or the only one.
+def port_of(node: type[Node], message: str, requested: str | None, place: str, side: str, wire: str) -> str:
+    """The port of a node for messages of a type: the requested one, or the only one, or a further one if it takes them.
 
-    ports: those of a side, "input" or "output", with their types;  wire: what carries the messages, for errors
+    side: "input" or "output";  wire: what carries the messages, for errors
     """
+    ports = node.outputs
+    if side == "input":
+        ports = {port: kind for port, kind in node.inputs.items() if port not in node.listening or port == requested}
     if ANY in ports.values():
         raise NodeFileError(f"{place} subscribes to every key: it cannot be put on a wire")
     matching = [port for port, carried in ports.items() if carried == message]
     of_type = {"input": message, "output": f"{message}_out"}[side]
+    if not matching and (message in node.takes or ANY in node.takes):
+        return requested or of_type
     if requested is not None:
         if requested not in ports:
             raise NodeFileError(f"{place}: no {side} port {requested!r}{nearest(requested, ports)}")
         if requested not in matching:
             raise NodeFileError(f"{place}: {side} {requested!r} carries {ports[requested]!r} messages, not {message!r}")
         return requested
-    if of_type in matching:  # a link has more ports for other wires of this type
+    if of_type in matching:
         return of_type
     if len(matching) != 1:
         candidates = f"the {side}s {', '.join(matching)}: choose one with --{side}" if matching else f"no {side}"

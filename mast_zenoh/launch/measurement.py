@@ -9,6 +9,7 @@ import heapq
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -168,7 +169,7 @@ def _wiring(event: Event, overhearers: Sequence[Endpoint], path: Path) -> Wiring
     except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
         raise RunFolderError(f"{path}: the wiring of frame {event.frame} cannot be read: {error!r}") from None
     added = [end for end in overhearers if end not in wiring.overhearers]
-    return Wiring(wiring.wires, (*wiring.overhearers, *added))
+    return replace(wiring, overhearers=(*wiring.overhearers, *added))
 
 
 METRICS = "metrics.json"

@@ -74,14 +74,16 @@ class ObjectsInterposer:
     """
 
     def __init__(self, node: Node, agent: str, *, source: str, name: str, seed: int) -> None:
-        inputs = {port: message for port, message in node.inputs.items() if port not in node.listening}
-        port = port_of(inputs, _WIRE, None, source, "input", "the topic")
-        out = port_of(node.outputs, _WIRE, None, source, "output", "the topic")
+        port = port_of(type(node), _WIRE, None, source, "input", "the topic")
+        out = port_of(type(node), _WIRE, None, source, "output", "the topic")
         by_key = {_WIRE: Input(port, agent, _WIRE, agent)}
-        by_key |= {other: Input(other, agent, other, "simulator") for other in ("clock", "pose") if other in inputs}
+        by_key |= {
+            other: Input(other, agent, other, "simulator") for other in ("clock", "pose") if other in node.inputs
+        }
         self._agent = agent
         self._published: list[Message] = []
-        self._host = Host(name, node, Ports(by_key, {(out, agent): _WIRE}), seed, encode=False, emit=self._on_message)
+        ports = Ports(by_key, {(out, agent): _WIRE}, types={out: _WIRE})
+        self._host = Host(name, node, ports, seed, encode=False, emit=self._on_message)
         self._host.start({})
         self.takes_poses = "pose" in self._host.subscriptions
         self._poses: deque[ReceivedPose] | None = None

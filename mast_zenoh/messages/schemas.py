@@ -355,7 +355,7 @@ BUILT_IN: Mapping[str, Schema] = {
             1,
             "what a link did to messages in the previous step; for the evaluator only",
             (
-                Column("port", "uint8", ("n",), "", "index into mast_zenoh.links.WIRES", below=9),
+                Column("port", "uint8", ("n",), "", "index into mast_zenoh.links.WIRES; 9: another type", below=10),
                 Column("frame", "int64", ("n",), "", "frame of the message"),
                 Column("seq", "int64", ("n",), "", "sequence number of the message"),
                 Column("fate", "uint8", ("n",), "", "index into mast_zenoh.links.FATES", below=6),

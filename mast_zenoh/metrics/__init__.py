@@ -35,7 +35,7 @@ from mast_zenoh.metrics.estimates import ESTIMATORS
 from mast_zenoh.metrics.increments import increments
 from mast_zenoh.metrics.judged_estimate import Estimate
 from mast_zenoh.metrics.manipulations import Manipulations
-from mast_zenoh.metrics.measures import FrameMetric, Metric, RunMetric
+from mast_zenoh.metrics.measures import FrameMetric, MessageMetric, Metric, RunMetric
 from mast_zenoh.metrics.named_metrics import ErrorsNearby, LongestMiss
 from mast_zenoh.metrics.record import Record, Series
 from mast_zenoh.metrics.scores import OUTCOMES, Scores, Table
@@ -63,6 +63,7 @@ __all__ = [
     "IoU3DGreedyAssigner",
     "LongestMiss",
     "Manipulations",
+    "MessageMetric",
     "Metric",
     "Presence",
     "Record",

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
@@ -423,6 +423,30 @@ class RunMetric(Metric):
             text = f"{name}.per_run: found {type(value).__name__}, expected a number or None"
             raise InvalidMetricValue(text, type(self).per_run)
         return None if value is None or not math.isfinite(value) else float(value)
+
+
+class MessageMetric(Metric):
+    """A metric of the messages of one type, on every wire that carries them, as they are sent.
+
+    message: their type
+
+    Its mean and standard deviation over the messages of each wire are in `messages` of metrics.json.
+    """
+
+    message: ClassVar[str] = ""
+
+    @abstractmethod
+    def per_message(self, frame: int, subject: str, body: Mapping[str, NDArray[Any]]) -> float | None:
+        """The value of a message; None: undefined.
+
+        frame: that it is about; subject: the names in the key of its wire; body: its columns, which cannot be changed
+        """
+
+    def measured(self, run: ScoredRun) -> Measured:
+        return _undefined(self, run.scores)  # it is none of estimates
+
+    def value(self, estimate: Estimate) -> None:
+        return None
 
 
 def check(metrics: Sequence[Metric], known: Sequence[str] = COLUMNS) -> None:

@@ -68,7 +68,8 @@ class Relays:
         picture: (n,) ids; members: (m,) the row of its object for each of the m tracks that were fused, -1: none
         relays: those that are among the tracks, by their names
         """
-        direct = set(tracks.names) - relays.keys()
+        senders = {name: name.partition("/")[0] for name in tracks.names if name not in relays}
+        direct = set(senders.values())
         origins = sorted(direct.union(*(relay.agents for relay in relays.values())))
         of_tracks = np.zeros((len(tracks.agent), len(origins)), np.bool_)
         for row, name in enumerate(tracks.names):
@@ -76,5 +77,5 @@ class Relays:
                 columns = [origins.index(agent) for agent in relays[name].agents]
                 of_tracks[np.ix_(tracks.agent == row, columns)] = relays[name].origin
             else:
-                of_tracks[tracks.agent == row, origins.index(name)] = True
+                of_tracks[tracks.agent == row, origins.index(senders[name])] = True
         return origins, self._origins.update(picture, members, of_tracks, origins)

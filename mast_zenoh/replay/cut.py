@@ -62,7 +62,7 @@ def cut(wiring: Wiring, roles: Mapping[str, str], place: Place, fixed: Collectio
     players = {name for name in played if roles[name] != DRIVER_ROLE}
     overhearers = tuple(end for end in wiring.overhearers if end.node in live)
     clocked = tuple(_clocked(wire, players, live) if wire.message == "clock" else wire for wire in wires)
-    return Cut(frozenset(played), frozenset(live), Wiring(clocked, overhearers))
+    return Cut(frozenset(played), frozenset(live), replace(wiring, wires=clocked, overhearers=overhearers))
 
 
 def _between_live(wiring: Wiring, roles: Mapping[str, str], live: Collection[str]) -> set[str]:
@@ -172,7 +172,7 @@ def fitted(wiring: Wiring, classes: Mapping[str, type[Node]]) -> Wiring:
         ports = [port for port, message in cls.inputs.items() if message == ANY]
         if name in overhearing and ports:
             overhearing[name] = Endpoint(name, ports[0])
-    return Wiring(tuple(_fitted_wires(wiring, classes)), tuple(overhearing.values()))
+    return replace(wiring, wires=tuple(_fitted_wires(wiring, classes)), overhearers=tuple(overhearing.values()))
 
 
 def _fitted_wires(wiring: Wiring, classes: Mapping[str, type[Node]]) -> Iterator[Wire]:
@@ -205,7 +205,10 @@ def _is_input(end: Endpoint, wire: Wire, classes: Mapping[str, type[Node]]) -> b
     """Whether a node has an input port; True for played nodes."""
     if end.node not in classes:
         return True
-    known = classes[end.node].inputs.get(end.port)
+    cls = classes[end.node]
+    if end.port not in cls.inputs and (wire.message in cls.takes or ANY in cls.takes):
+        return True
+    known = cls.inputs.get(end.port)
     if known not in (None, wire.message):
         raise WiringError(
             f"{end.node}.{end.port} is for {known!r} messages, expected {wire.message!r}, as the wire {wire.key!r}"

@@ -9,7 +9,6 @@ import numpy as np
 
 from mast_zenoh.arrays.boxes import Boxes
 from mast_zenoh.arrays.states import Bools, Floats, Ints
-from mast_zenoh.evaluation.trust import UPSTREAM
 from mast_zenoh.metrics.study_results import AgentTrustSeries, Spans
 from mast_zenoh.run_folder.recording.churn import LOST
 from mast_zenoh.runs.files import Table, boxes_of, column, rows
@@ -203,11 +202,7 @@ def lie_frames(run: Run, agent: str) -> Ints:
     changes = run.manipulations
     if changes is None:
         return np.zeros(0, np.int64)
-    wires = [
-        wire
-        for wire in np.unique(changes["wire"]).tolist()
-        if agent_in_key(wire) == agent and wire.rpartition("/")[2] in UPSTREAM
-    ]
+    wires = [wire for wire, speaker in run.estimate_wires.said.items() if speaker == agent]
     return np.unique(changes["frame"][np.isin(changes["wire"], wires)]).astype(np.int64)
 
 

@@ -13,17 +13,14 @@ from numpy.typing import NDArray
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.config.resolved import RECORDING
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.evaluation.trust import UPSTREAM
 from mast_zenoh.metrics.boxes import Places, nearest
 from mast_zenoh.metrics.trust import detection_delay
-from mast_zenoh.run_folder import read_json
 from mast_zenoh.run_folder.tables import from_arrow, to_arrow
 from mast_zenoh.runs.messages import states, tables_of
 from mast_zenoh.runs.run import Run
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import Walls, sensor_pose
 from mast_zenoh.sensing.raycast import PlacedSensor, has_returns
-from mast_zenoh.wiring.model import Wiring, agent_of
 
 #: Lidar returns from which an agent sees an object.
 MIN_RETURNS = 5
@@ -104,12 +101,7 @@ def observability(run: Run | str | Path) -> Observability:
 
 def _changes(run: Run) -> dict[str, NDArray[Any]]:
     """Measured changes to objects that agents report, by interposers other than links."""
-    wires = {wire.key: wire for wire in Wiring.from_json(read_json(run.path / "wiring.json")).wires}
-    upstream = {
-        key: agent_of(wire.subject)
-        for key, wire in wires.items()
-        if wire.subject and wire.legs[0].publisher.port in UPSTREAM
-    }
+    upstream = run.estimate_wires.said
     table = from_arrow(run.attacks)
     kinds = ("inserted", "removed", "moved", "altered")
     kept = (table["role"] != "link") & np.isin(table["wire"], list(upstream)) & np.isin(table["effect"], kinds)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
+from mast_zenoh.evaluation.estimate_wires import estimates_on
 from mast_zenoh.metrics.estimates import LOCAL, MISSION, PICTURE, PICTURE_RECEIVED, RECEIVED
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.wiring.model import Wire, Wiring
@@ -18,7 +19,6 @@ def routes(wiring: Wiring, agents: Sequence[str]) -> dict[str, list[Series]]:
     """The series of each key; keys without one are left out.
 
     Estimates as received (`received`, `picture_received`) are series of their own only where a node sits on the wire.
-    Wires are identified by the ports of their publishers, whatever keys a map gives them.
     """
     result: dict[str, list[Series]] = {}
     for _, key, series in _keys(wiring, agents):
@@ -50,36 +50,21 @@ def in_order(series: Mapping[Series, str], agents: Sequence[str]) -> dict[Series
 
 def _keys(wiring: Wiring, agents: Sequence[str]) -> Iterator[tuple[Wire, str, Series]]:
     """Every wire with a key of it and the series on that key."""
-    brokers = {wire.legs[0].publisher.node for wire in wiring.wires if wire.message == "collated"}
     for wire in wiring.wires:
-        for key, series in _of_wire(wire, agents, brokers):
+        source = wire.legs[0]
+        if series := _besides_estimates(wire, agents):
+            yield wire, source.key, series
+    for wire, key, series, receiver in estimates_on(wiring, agents):
+        if not receiver or key != wire.legs[0].key:
             yield wire, key, series
 
 
-def _of_wire(wire: Wire, agents: Sequence[str], brokers: set[str]) -> list[tuple[str, Series]]:
-    """The keys of a wire with the series on them."""
-    source = wire.legs[0]
-    publisher, port = source.publisher.node, source.publisher.port
-    ends = {end.node: leg.key for leg in wire.every_leg for end in leg.subscribers}
+def _besides_estimates(wire: Wire, agents: Sequence[str]) -> Series | None:
+    """The series on a wire without an estimate that frames are made of."""
     if wire.message == "clock":
-        return [(source.key, CLOCK)]
+        return CLOCK
     if wire.message == "truth":
-        return [(source.key, TRUTH)]
+        return TRUTH
     if wire.message == TRUST:
-        return [(source.key, Series(publisher, TRUST))]
-    if wire.message == "pose" and wire.subject in agents:
-        return [(source.key, Series(wire.subject, POSE))]
-    if wire.message == "picture":
-        received = [(key, Series(node, PICTURE_RECEIVED)) for node, key in ends.items() if node in agents]
-        if wire.subject and wire.subject not in agents and not received:
-            return []  # of a region, for another centre
-        return [
-            (source.key, Series(wire.subject if wire.subject in agents else "", PICTURE)),
-            *(each for each in received if each[0] != source.key),
-        ]
-    if wire.message == "tracks" and publisher in agents and port == "mission":
-        return [(source.key, Series(publisher, MISSION))]
-    if wire.message == "tracks" and publisher in agents and port == "tracks":
-        received = [(ends[broker], Series(publisher, RECEIVED)) for broker in sorted(brokers) if broker in ends]
-        return [(source.key, Series(publisher, LOCAL)), *(each for each in received if each[0] != source.key)]
-    return []
+        return Series(wire.legs[0].publisher.node, TRUST)
+    return Series(wire.subject, POSE) if wire.message == "pose" and wire.subject in agents else None

@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import ConfigurationError, RunFolderError, nearest
+from mast_zenoh.evaluation.estimate_wires import EstimateWires
 from mast_zenoh.launch import liveness
 from mast_zenoh.launch.ending import RUNNING
 from mast_zenoh.metrics.estimates import LOCAL, MISSION, PICTURE, PICTURE_RECEIVED, RECEIVED
 from mast_zenoh.metrics.record import Series
-from mast_zenoh.run_folder import json_or_empty, read_json, read_object
+from mast_zenoh.run_folder import json_or_empty, read_json, read_object, reading
 from mast_zenoh.run_folder.tables import from_arrow, read_arrow
 from mast_zenoh.runs import messages as decoded
 from mast_zenoh.runs import routes
@@ -30,6 +31,7 @@ from mast_zenoh.runs.evaluated import Evaluated
 from mast_zenoh.runs.files import RunFiles, Table, rows
 from mast_zenoh.runs.messages import WireMessage
 from mast_zenoh.scenario.driving import driver_of_car
+from mast_zenoh.wiring.model import NO_WIRING, Wiring
 
 #: What texts call a centre and its picture, and what they are in a run without one, in which the ego's are shown.
 _WITHOUT_CENTRE = (
@@ -102,6 +104,13 @@ class Run:
         names = [name for name, spec in nodes.items() if (spec or {}).get("role") == "agent"]
         names = names or list(self.files.scene.agent_names if self.files.scene else ())
         return tuple(sorted(names or self.files.summary.get("agents", ()), key=lambda name: name != "ego"))
+
+    @cached_property
+    def estimate_wires(self) -> EstimateWires:
+        """What can affect which estimate, by wiring.json; nodes that were inserted live are on the same wires."""
+        with reading(self.path):
+            wiring = Wiring.from_json(self.files.wiring) if self.files.wiring else NO_WIRING
+        return EstimateWires(wiring, self.agents)
 
     @cached_property
     def topics(self) -> Mapping[Series, str]:

@@ -23,7 +23,8 @@ from mast_zenoh.messages import codec
 from mast_zenoh.messages.limits import NO_LIMITS, Shortened, Timespan, excess
 from mast_zenoh.messages.packed import Packed, check_codec, check_kernels, pack
 from mast_zenoh.messages.schemas import Body, Header, Message
-from mast_zenoh.node import Node, Outside, Overheard, Received, Source, Unopened, handler_names
+from mast_zenoh.node import Node, Outside, Overheard, Received, Source, Unopened
+from mast_zenoh.runtime.handlers import Handlers
 from mast_zenoh.runtime.waiting import DELAYED, HELD, Delayed, Held, HeldMessages, Room
 from mast_zenoh.streams import stream
 from mast_zenoh.v2x.reference_position import WORLD_PLANE, LocalPlane
@@ -127,6 +128,7 @@ class Host:
         self._emit = emit
         self._encode = encode
         self._outputs = ports.outputs
+        self._types: dict[str, str] = {**ports.types, **node.outputs}  # of messages, by output port
         self._codecs = ports.codecs
         self._codec_of = ports.codec
         self._keys_of_port: dict[str, list[str]] = {}
@@ -152,9 +154,10 @@ class Host:
         self._overhears = ANY in node.inputs.values()
         self._chooses = type(node).choice is not Node.choice
         self.link: Link | None = None  # of a node that has topics outside the run
-        self._handlers = {port: getattr(node, handler) for port, handler in handler_names(type(node)).items()}
-        if self._overhears:
-            self._handlers = {port: self._rejecting(handler) for port, handler in self._handlers.items()}
+        self._handlers = Handlers(node)
+        for port_input in ports.inputs.values():
+            self._handlers.add(port_input)
+        self._unopened = self._handlers.unopened
 
     # -- documented in node.Context ------------------------------------------------------------------------------
 
@@ -311,18 +314,19 @@ class Host:
         if step > self._last_step:
             self._reject(key, f"step: sent in frame {step}, expected at most {self._last_step}", counted)
             return
-        if port_input.port in self.node.unopened:
+        if port_input.port in self._unopened:
             if flaw and isinstance(payload, Message):
                 payload = codec.encode(payload)  # bytes are forwarded unchanged
             if isinstance(payload, bytes):
-                unopened = Unopened(port_input.message, port_input.subject, payload, step)  # type: ignore[arg-type]  # see Unopened
+                about = port_input.message, port_input.subject, payload, step, port_input.port
+                unopened = Unopened(*about)  # type: ignore[arg-type]  # see Unopened
                 self._take(key, port_input, unopened, counted)
                 return
         choice = self.node.choice(port_input.port, port_input.subject, step) if self._chooses else None
         try:
             if not isinstance(payload, Message):
                 message = codec.decode(payload, port_input.message, self.limits, choice=choice)
-            elif port_input.port in self.node.unopened:
+            elif port_input.port in self._unopened:
                 message = payload
             else:
                 message = codec.received(payload, self.limits, flaw, choice)
@@ -346,7 +350,8 @@ class Host:
             self._count_rejected(key, f"objects: {body.left_out} of unknown position or time are not used")
         if self.observe:
             self.observe(key, message.header)
-        received = Received(message, port_input.subject, payload if isinstance(payload, bytes) else None, step)
+        encoded = payload if isinstance(payload, bytes) else None
+        received = Received(message, port_input.subject, encoded, step, port_input.port)
         if port_input.message == "clock":
             self._clock(key, port_input, received, counted)
         else:
@@ -361,6 +366,7 @@ class Host:
     def add_input(self, key: str, port_input: Input) -> None:
         """Accept messages on another key from now on."""
         self._inputs[key] = port_input
+        self._handlers.add(port_input)
 
     @property
     def waiting(self) -> int:
@@ -407,10 +413,9 @@ class Host:
     # -- inside --------------------------------------------------------------------------------------------------
 
     def _output(self, port: str) -> str:
-        if port not in self.node.outputs:
-            raise ConfigurationError(f"{self.name}: no output port {port!r}{nearest(port, self.node.outputs)}")
-        message: str = self.node.outputs[port]
-        return message
+        if port not in self._types:
+            raise ConfigurationError(f"{self.name}: no output port {port!r}{nearest(port, self._types)}")
+        return self._types[port]
 
     def _key(self, port: str, subject: str | None) -> str | None:
         if subject is not None:
@@ -522,18 +527,7 @@ class Host:
             with suppress(MessageError):
                 self.observe(key, overheard.header)
         self._handling = key
-        self._guard(port_input.port, self._handlers[port_input.port], overheard, self)
-
-    def _rejecting(self, handler: Any) -> Any:
-        """Wrap a handler of overheard messages to reject those that raise MessageError."""
-
-        def reject_malformed(overheard: Overheard, context: Any) -> None:
-            try:
-                handler(overheard, context)
-            except MessageError as error:
-                self._reject(overheard.key, str(error), counted=False)
-
-        return reject_malformed
+        self._guard(port_input.port, self._handlers.of[port_input.port], overheard, self)
 
     def _take(self, key: str, port_input: Input, received: Received, counted: bool) -> None:
         """Handle a message, or hold it until the clock of its step."""
@@ -551,7 +545,7 @@ class Host:
 
     def _handle(self, key: str, port_input: Input, received: Received, counted: bool) -> None:
         self._handling, n_rejected = key, self._n_rejected
-        self._guard(port_input.port, self._handlers[port_input.port], received, self)
+        self._guard(port_input.port, self._handlers.of[port_input.port], received, self)
         self._handling = ""
         if self._n_rejected == n_rejected:
             self._accepted.add(key)
@@ -575,11 +569,15 @@ class Host:
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # GeneratorExit and CancelledError are not Exceptions
+            overheard = self._overhears and self._handlers.of.get(name) is call
+            if overheard and isinstance(error, MessageError):  # of a message that subscribers would refuse
+                self._reject(self._handling, str(error), counted=False)
+                return None
             self._note_failure(name, call, arguments, error)
             return None
 
     def _note_failure(self, name: str, call: Any, arguments: tuple[Any, ...], error: BaseException) -> None:
-        handler = f"on_{name}" if self._handlers.get(name) is call else name
+        handler = self._handlers.names[name] if self._handlers.of.get(name) is call else name
         if handler not in self.failures:
             self.log.error("%s failed (its further failures are only counted)", handler, exc_info=error)
             self.failures[handler] = Failure(handler, error, getattr(self.node, handler, call))

@@ -242,7 +242,9 @@ def _wiring(
             {port: message for port, message in ports.items() if port not in unused[name]}
             for ports in (cls.inputs, cls.outputs)
         )
-        node_options[name] = endpoints.NodeOptions(spec.role, bindings, inputs, outputs)
+        node_options[name] = endpoints.NodeOptions(
+            spec.role, bindings, inputs, outputs, cls.takes, cls.affects, tuple(cls.fuses)
+        )
     wiring = maps.resolve(sources, node_options, _shipped_ports())
     subjects = {wire.subject for wire in wiring.wires if wire.message == "detections"}
     for name, spec in nodes.items():
@@ -254,7 +256,7 @@ def _wiring(
                 )
     subscribers = {name for _, _, name in wiring.flows()}
     for name, node in node_options.items():
-        if node.inputs and name not in subscribers:
+        if (node.inputs or node.takes) and name not in subscribers:
             raise WiringError(
                 f"{path}: {name} would receive nothing: no wire leads to its input ports ({', '.join(node.inputs)}); "
                 f"name them in a map, or subscribe to every key on one port of the type {ANY!r}"

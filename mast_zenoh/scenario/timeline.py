@@ -146,8 +146,6 @@ def rewrites(links: Mapping[str, NodeSpec], nodes: Mapping[str, NodeSpec]) -> li
         dict(
             wire=f"agent/{spec.config['agent']}/detections{part}",
             role="link",
-            input="detections",
-            output="detections_out",
             node=name,
         )
         for name, spec in links.items()

@@ -16,7 +16,7 @@ from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import BUILT_IN, Schema
-from mast_zenoh.node import Node, handler_names
+from mast_zenoh.node import Node, check_handlers
 from mast_zenoh.run_folder.recording.difference import compare, explain
 from mast_zenoh.runtime.host import Outgoing
 from mast_zenoh.runtime.inproc import InProcess
@@ -39,7 +39,7 @@ def check_node(node: type[Node], *message_types: Schema) -> None:
             known = message in names or (ports == "inputs" and message == ANY)
             expect(known, f"{node.__name__}.{ports}[{port!r}]: there is no message type {message!r}")
     try:
-        handler_names(node)
+        check_handlers(node)
     except TypeError as error:
         raise AssertionError(str(error)) from error
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from mast_zenoh.errors import WiringError, nearest
-from mast_zenoh.wiring.model import Endpoint, agent_of
+from mast_zenoh.wiring.model import ANY, Endpoint, agent_of
 
 #: Roles that a map may name even where a scenario has no such node.
 ROLES = (
@@ -24,17 +24,26 @@ class NodeOptions:
     """The properties of a node that the wiring depends on.
 
     options: options that bind it to a wire, or to several; inputs, outputs: message type by port
+    takes: message types of further ports that a map may give it, see `Node.takes`
+    affects, fuses: see `NodeFlow`
     """
 
     role: str
     options: Mapping[str, str | tuple[str, ...]]
     inputs: Mapping[str, str]
     outputs: Mapping[str, str]
+    takes: Collection[str] = ()
+    affects: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    fuses: tuple[str, ...] = ()
 
     def names(self, option: str) -> tuple[str, ...]:
         """The subjects that an option names; none without the option."""
         value = self.options.get(option, ())
         return (value,) if isinstance(value, str) else value
+
+    def takes_type(self, message: str) -> bool:
+        """Whether a map may give it an input port for messages of a type."""
+        return message in self.takes or ANY in self.takes
 
 
 def members(
@@ -85,9 +94,12 @@ def ports(
     place: str,
     *,
     output: bool = False,
+    forwards: bool = False,
     optional: Collection[str] = (),
 ) -> list[Endpoint]:
     """The port of each node; an `optional` port is skipped if a node lacks it.
+
+    output: an output port; forwards: on which the node sends on what it takes, so that it may be a further one
 
     Raises WiringError where a node has no such port, or one for another message type.
     """
@@ -96,6 +108,9 @@ def ports(
         known = node.outputs if output else node.inputs
         side = "output" if output else "input"
         if port not in known and port in optional:
+            continue
+        if port not in known and (forwards or not output) and node.takes_type(message):
+            ends.append(Endpoint(name, port))
             continue
         if port not in known:
             raise WiringError(f"{place}: {name} has no {side} port {port!r}{nearest(port, known)}")

@@ -92,9 +92,10 @@ def remove(wiring: Wiring, node: str) -> Wiring:
 
 def never_inserted(wiring: Wiring, nodes: Collection[str]) -> Wiring:
     """The wiring without some nodes: interposers, publishers or listeners."""
-    return Wiring(
-        tuple(_without_all(wire, nodes) for wire in wiring.wires if wire.legs[0].publisher.node not in nodes),
-        tuple(end for end in wiring.overhearers if end.node not in nodes),
+    return replace(
+        wiring,
+        wires=tuple(_without_all(wire, nodes) for wire in wiring.wires if wire.legs[0].publisher.node not in nodes),
+        overhearers=tuple(end for end in wiring.overhearers if end.node not in nodes),
     )
 
 

@@ -9,11 +9,12 @@ A map (TOML, or the same as a dict) lists wires. A rewrite changes them: it inse
     message = "detections"
     from = "simulator.detections"         # role.port
     to = ["agent.detections"]
+    direction = "sensor"                  # optional, as other properties: see `model.Traits`
 
     [[insert]]
     wire = "agent/{agent}/detections"     # or one agent's wire: "agent/ego/detections"
     role = "adversary"                    # every node of the role whose option `agent` is the wire's agent
-    input = "detections"
+    input = "detections"                  # optional, as `output`: by default the publisher's port, and that with `_out`
     output = "detections_out"
     node = "adversary_1"                  # optional: only this node
     optional = true                       # optional: ignore the entry if there is no such wire or subscriber
@@ -61,7 +62,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -72,11 +73,15 @@ from mast_zenoh.messages.schemas import SCHEMAS
 from mast_zenoh.wiring.endpoints import OTHER, NodeOptions, members, ports
 from mast_zenoh.wiring.model import (
     ANY,
+    DIRECTIONS,
+    FUSE,
     TAP,
     Branch,
     Endpoint,
     Leg,
     Listener,
+    NodeFlow,
+    Traits,
     Wire,
     Wiring,
     agent_of,
@@ -90,8 +95,8 @@ _ENDPOINT = re.compile(r"(other )?([a-z_]+)\.([a-z_]+)")
 
 #: The keys of an entry of each kind: required, optional.
 _KEYS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    "wire": (("key", "message", "from", "to"), ()),
-    "insert": (("wire", "role", "input", "output"), ("to", "node", "optional")),
+    "wire": (("key", "message", "from", "to"), tuple(each.name for each in fields(Traits))),
+    "insert": (("wire", "role"), ("input", "output", "to", "node", "optional")),
     "listen": (("wire", "role", "input"), ("leg", "node")),
     "codec": (("wire", "codec"), ()),
 }
@@ -178,7 +183,8 @@ def resolve(
         template = _template_of(entry["wire"], templates, place)
         for key in templates[template] if entry["wire"] == template else [entry["wire"]]:
             wires[key] = replace(wires[key], codec=_codec(entry["codec"], wires[key], place))
-    wiring = Wiring(tuple(wires.values()), _overhearers(nodes))
+    flows = {name: NodeFlow(node.role, node.affects, node.fuses) for name, node in nodes.items()}
+    wiring = Wiring(tuple(wires.values()), _overhearers(nodes), flows)
     _check_outputs(wiring)
     return wiring
 
@@ -205,7 +211,7 @@ def _instances(
     template, message = entry["key"], entry["message"]
     if message not in SCHEMAS:
         raise WiringError(f"{place}: no message type {message!r}{nearest(message, SCHEMAS)}")
-    placeholder = _placeholder(template)
+    placeholder, traits = _placeholder(template), _traits(entry, place)
     for subject in _subjects(template, nodes, place):
 
         def endpoints(reference: object, output: bool = False, subject: str = subject) -> list[Endpoint]:
@@ -216,7 +222,10 @@ def _instances(
             referenced = members(f"{other or ''}{role}", nodes, place, placeholder=placeholder, subject=subject)
             return ports(referenced, port, message, place, output=output, optional=optional.get(role, ()))
 
-        key = template.replace(f"{{{placeholder}}}", agent_of(subject)).replace(f"{{{PART}}}", part_of(subject))
+        def filled(text: str, subject: str = subject) -> str:
+            return text.replace(f"{{{placeholder}}}", agent_of(subject)).replace(f"{{{PART}}}", part_of(subject))
+
+        key = filled(template)
         for chunk in key.split("/"):
             if not _CHUNK.fullmatch(chunk):
                 raise WiringError(f"{place}: {key!r} is not a valid key expression: chunk {chunk!r}")
@@ -229,7 +238,25 @@ def _instances(
         subscribers = [end for reference in _listed(entry["to"]) for end in endpoints(reference)]
         if any(end.node == publishers[0].node for end in subscribers):
             raise WiringError(f"{place}: {publishers[0].node} would receive its own messages on {key!r}")
-        yield Wire(key, subject, message, (Leg(key, publishers[0], tuple(subscribers)),))
+        of_subject = replace(traits, of=filled(traits.of))
+        yield Wire(key, subject, message, (Leg(key, publishers[0], tuple(subscribers)),), traits=of_subject)
+
+
+def _traits(entry: Mapping[str, Any], place: str) -> Traits:
+    """The traits in the entry of a wire."""
+    traits = Traits.from_json(entry)
+    for each in fields(Traits):
+        value, kind = getattr(traits, each.name), type(each.default)
+        if type(value) is not kind:
+            raise WiringError(
+                f"{place}: {each.name}: found {value!r}, expected {'true or false' if kind is bool else 'a string'}"
+            )
+    for name, value, known in (("direction", traits.direction, DIRECTIONS), ("use", traits.use, ("", FUSE))):
+        if value not in known:
+            raise WiringError(f"{place}: {name}: found {value!r}{nearest(value, known)}")
+    if traits.estimate and not _CHUNK.fullmatch(traits.estimate):
+        raise WiringError(f"{place}: estimate: found {traits.estimate!r}, expected letters, digits, _ . and -")
+    return traits
 
 
 def _subjects(template: str, nodes: Mapping[str, NodeOptions], place: str) -> list[str]:
@@ -362,8 +389,9 @@ def insert(
     inserted = members(
         entry["role"], nodes, place, placeholder=placeholder, subject=wire.subject, node=entry.get("node")
     )
-    into = ports(inserted, entry["input"], wire.message, place)
-    out = ports(inserted, entry["output"], wire.message, place, output=True)
+    port = entry.get("input", wire.legs[0].publisher.port)
+    into = ports(inserted, port, wire.message, place)
+    out = ports(inserted, entry.get("output", f"{port}_out"), wire.message, place, output=True, forwards=True)
     for entrance, exit_ in zip(into, out, strict=True):
         subscriber = _subscriber(wire, entrance.node, entry["to"], nodes, place) if "to" in entry else None
         if "to" in entry and subscriber is None:

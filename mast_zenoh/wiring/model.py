@@ -3,17 +3,90 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from itertools import pairwise
 from typing import Any
 
-from mast_zenoh.wiring.plain_shapes import Name, check_shape
+from mast_zenoh.wiring.plain_shapes import ANY as ANY_KEY
+from mast_zenoh.wiring.plain_shapes import NAMED, Name, check_shape
 
 #: The message type of an input port that receives every key. A node with such a port publishes nothing.
 ANY = "*"
 
 #: The verbatim chunk of hidden legs, which wildcard subscribers do not match.
 TAP = "@tap"
+
+#: What a wire's messages are for an agent: from its sensors, from it to others, or from others to it.
+DIRECTIONS = SENSOR, UP, DOWN = "sensor", "up", "down"
+#: What nodes that take a wire on a further port do with it, unless they only hear it.
+FUSE = "fuse"
+
+
+@dataclass(frozen=True, slots=True)
+class Traits:
+    """What a wire is for, as its entry in a key-expression map says. All nodes and measurements go by it.
+
+    direction: one of DIRECTIONS, for the agent in its key, or for all agents
+    estimate: name of the estimate that its messages are, which is scored; empty: none
+    of:       key of another wire of the same sender, whose messages have the same errors of the sender's pose
+    use:      FUSE, or empty: what a node does with it that has no port of its own for it (`Node.takes`)
+    origins:  whether its objects say from which agents they come, so that these leave them out
+    itself:   whether its only object is its sender
+    """
+
+    direction: str = UP
+    estimate: str = ""
+    of: str = ""
+    use: str = ""
+    origins: bool = False
+    itself: bool = False
+
+    def to_json(self) -> dict[str, Any]:
+        """Those that are not the default."""
+        return {name: value for name, value in asdict(self).items() if value != getattr(_PLAIN, name)}
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Traits:
+        """Those in a wire that `to_json` wrote, or in a map's entry; other keys are left out."""
+        return cls(**{each.name: data[each.name] for each in fields(cls) if data.get(each.name) is not None})
+
+
+_PLAIN = Traits()
+
+
+@dataclass(frozen=True, slots=True)
+class NodeFlow:
+    """What goes through a node.
+
+    role:    of the node
+    affects: by input port, the output ports whose messages it can affect, each with the number of frames after which;
+             an absent port affects all in the same frame, "" is for further ports
+    fuses:   output ports of messages that combine what several agents say
+    """
+
+    role: str = ""
+    affects: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    fuses: tuple[str, ...] = ()
+
+    def delays(self, port: str, traits: Traits) -> Mapping[str, int] | None:
+        """By output port, the number of frames after which messages on an input affect it; None: all in the same frame.
+
+        traits: of their wire
+        """
+        if port in self.affects or "" not in self.affects:
+            return self.affects.get(port)
+        return self.affects[""] if traits.use == FUSE else {}
+
+    def to_json(self) -> dict[str, Any]:
+        """Those of its fields that are not empty."""
+        parts = {"role": self.role, "affects": {**self.affects}, "fuses": list(self.fuses)}
+        return {name: part for name, part in parts.items() if part}
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> NodeFlow:
+        """The flow that `to_json` wrote."""
+        return cls(str(data.get("role", "")), data.get("affects") or {}, tuple(data.get("fuses") or ()))
+
 
 _LEG = {"key": str, "from": Name, "from_port": str, "to": [Name], "to_ports": [str], "before": str}
 _WIRE: dict[str, Any] = {
@@ -22,9 +95,15 @@ _WIRE: dict[str, Any] = {
     "interposers": [str],
     "listeners": [{"node": Name, "port": str, "source": bool, "key": str}],
     "legs": [_LEG],
+    **{each.name: type(each.default) for each in fields(Traits)},
 }
+_FLOW = {"role": str, "affects": {ANY_KEY: {ANY_KEY: int}}, "fuses": [str]}
 #: The types of a wiring as JSON.
-SHAPE: dict[str, Any] = {"wires": [_WIRE], "overhearers": [{"node": Name, "port": str}]}
+SHAPE: dict[str, Any] = {
+    "wires": [_WIRE],
+    "overhearers": [{"node": Name, "port": str}],
+    "nodes": {NAMED: _FLOW},
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +153,7 @@ class Wire:
                without a branch and to the entrances of the branches
     listeners: other subscribers, which are not subscribers of its legs
     codec: in which its messages travel, see `messages.packed`; empty: as columns
+    traits: what it is for
     """
 
     key: str
@@ -83,6 +163,7 @@ class Wire:
     branches: tuple[Branch, ...] = ()
     listeners: tuple[Listener, ...] = ()
     codec: str = ""
+    traits: Traits = Traits()
 
     @property
     def every_leg(self) -> tuple[Leg, ...]:
@@ -128,29 +209,34 @@ class Wire:
 
 @dataclass(frozen=True, slots=True)
 class Input:
-    """A node's input on one key; source: the wire's publisher, output: the port on which it publishes."""
+    """A node's input on one key; source: the wire's publisher, output: the port on which it publishes.
+
+    traits: of the wire
+    """
 
     port: str
     subject: str
     message: str
     source: str
     output: str = field(default="", compare=False)
+    traits: Traits = field(default=Traits(), compare=False)
 
 
 @dataclass(frozen=True, slots=True)
 class Ports:
     """All keys of one node: inputs by key, outputs by (port, subject).
 
-    codecs: by the key of a wire, the codec of all its legs, see `Wire`
+    codecs: by the key of a wire, the codec of all its legs, see `Wire`; types: of messages, by output port
     """
 
     inputs: Mapping[str, Input]
     outputs: Mapping[tuple[str, str], str]
     codecs: Mapping[str, str] = field(default_factory=dict)
+    types: Mapping[str, str] = field(default_factory=dict)
 
     def codec(self, key: str) -> str:
         """The codec of a wire, by the key of one of its legs; empty: none."""
-        return self.codecs.get(key.partition(f"/{TAP}/")[0], "") if self.codecs else ""
+        return self.codecs.get(wire_key(key), "") if self.codecs else ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,10 +262,12 @@ class Wiring:
     """The key of every port of every node.
 
     overhearers: ports that receive every key, tap legs included, besides the subscribers of each
+    nodes: what goes through the nodes of the scenario; those that are inserted later only forward
     """
 
     wires: tuple[Wire, ...]
     overhearers: tuple[Endpoint, ...] = ()
+    nodes: Mapping[str, NodeFlow] = field(default_factory=dict, compare=False)
 
     def legs(self) -> Iterator[tuple[Wire, Leg]]:
         """Every leg, of trunks and branches, with its wire."""
@@ -219,8 +307,8 @@ class Wiring:
         for wire, leg in self.legs():
             source = wire.legs[0].publisher
             for port in [end.port for end in (*wire.receivers(leg), *self.overhearers) if end.node == node]:
-                inputs[leg.key] = Input(port, wire.subject, wire.message, source.node, source.port)
-        return Ports(inputs, outputs, self.codecs)
+                inputs[leg.key] = Input(port, wire.subject, wire.message, source.node, source.port, wire.traits)
+        return Ports(inputs, outputs, self.codecs, {leg.publisher.port: wire.message for wire, leg in own})
 
     def to_json(self) -> dict[str, Any]:
         """The content of wiring.json; `from_json` reads it back."""
@@ -242,6 +330,7 @@ class Wiring:
                     "subject": wire.subject,
                     "message": wire.message,
                     **({"codec": wire.codec} if wire.codec else {}),
+                    **wire.traits.to_json(),
                     "publisher": wire.legs[0].publisher.node,
                     "subscribers": [end.node for end in wire.subscribers],
                     "interposers": list(wire.interposers),
@@ -262,13 +351,16 @@ class Wiring:
                 for wire in self.wires
             ],
             "overhearers": [{"node": end.node, "port": end.port} for end in self.overhearers],
+            "nodes": {name: flow.to_json() for name, flow in self.nodes.items()},
         }
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Wiring:
         """The wiring that `to_json` wrote; raises ValueError, TypeError or LookupError for another."""
         check_shape(data, SHAPE)
-        return cls(tuple(map(_wire_of, data["wires"])), tuple(Endpoint(**end) for end in data.get("overhearers", ())))
+        overhearers = tuple(Endpoint(**end) for end in data.get("overhearers", ()))
+        nodes = {name: NodeFlow.from_json(flow) for name, flow in data.get("nodes", {}).items()}
+        return cls(tuple(map(_wire_of, data["wires"])), overhearers, nodes)
 
 
 #: A wiring without wires.
@@ -300,6 +392,7 @@ def _wire_of(data: Mapping[str, Any]) -> Wire:
         ),
         tuple(Listener(Endpoint(item["node"], item["port"]), item["source"]) for item in data.get("listeners", ())),
         str(data.get("codec", "")),
+        Traits.from_json(data),
     )
 
 
@@ -359,6 +452,11 @@ def part_of(subject: str) -> str:
 def subject_of(agent: str, part: str) -> str:
     """The subject of a part of an agent, or of the agent itself if `part` is empty."""
     return f"{agent}/{part}" if part else agent
+
+
+def wire_key(key: str) -> str:
+    """The key of a wire, from that of one of its legs."""
+    return key.partition(f"/{TAP}/")[0]
 
 
 def peer_of(agent: str) -> str:

@@ -19,12 +19,14 @@ class Received(NamedTuple):
              agent/infra_1/detections/radar
     payload: the bytes received; None in a single process, where messages are not encoded
     step:    the run's frame when it was sent; later than the message's own frame if it was delayed
+    port:    the input port on which it arrived
     """
 
     message: Message
     subject: str
     payload: bytes | None = None
     step: int = -1
+    port: str = ""
 
     @property
     def frame(self) -> int:
@@ -56,7 +58,7 @@ class Unopened(Received):
     """An undecoded message that a node only forwards.
 
     Accessing its content may raise MessageError.
-    Its fields are (message type, subject, payload, step).
+    Its fields are (message type, subject, payload, step, port).
     """
 
     __slots__ = ()

@@ -25,7 +25,7 @@ from mast_zenoh.scenes.recording import Recording
 pytestmark = pytest.mark.heavy
 
 PAGE = (Path(__file__).parents[2] / "docs" / "extending.md").read_text(encoding="utf-8")
-FILES = dict(re.findall(r"^```python file=(\S+)\n(.*?)^```$", PAGE, flags=re.S | re.M))
+FILES = dict(re.findall(r"^```(?:python|toml) file=(\S+)\n(.*?)^```$", PAGE, flags=re.S | re.M))
 COMMANDS = re.findall(r"^```console\n(.*?)^```$", PAGE, flags=re.S | re.M)
 FRAMES = 40
 
@@ -131,6 +131,16 @@ def test_the_link_rule_loses_every_fourth_message(play: Callable[..., mast.Run])
     lost = run.attacks.filter(pc.field("effect") == "dropped")
     frames = {row["frame"] for row in lost.to_pylist() if row["wire"] == "agent/ego/tracks"}
     assert frames == set(range(3, FRAMES, 4))
+
+
+def test_the_wire_is_fused_lied_on_lost_and_scored(play: Callable[..., mast.Run]) -> None:
+    run = play("watchful.py")
+    effects = {name: each["wires"] for name, each in run.summary["interposers"].items()}
+    assert effects["liar"] == ["agent/infra_1/watch"]
+    assert "agent/infra_2/watch" in effects["link_infra_2"]
+    agents = run.summary["agents"]
+    assert agents["infra_1"]["watch"]["tp"]["mean"] > 0.0
+    assert agents["ego"]["picture"]["fp_split"]["attack"] > 0.0
 
 
 def test_the_fault_jams_its_targets_for_its_duration(play: Callable[..., mast.Run]) -> None:

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import pytest
 
-from mast_zenoh.config import bundle
-from mast_zenoh.evaluation.trust import UPSTREAM
-from mast_zenoh.wiring import maps
+from mast_zenoh.evaluation.estimate_wires import EstimateWires
+from tests.support.wirings import wiring_of
 
-WIRES = {
-    wire["key"]: wire["from"].partition(".")
-    for path in (bundle.ROOT / "keyexpr_maps").glob("*.toml")
-    for wire in maps.load(path).get("wire", ())
-    if wire["key"].startswith("agent/{agent}/")
-}
+MAPS = ("views.toml", "awareness.toml", "relays.toml", "gossip.toml")
+BETWEEN_PEERS = wiring_of(["ego", "infra_1"], *MAPS, peers=True)
 
 
-@pytest.mark.parametrize("key", [key for key, (role, _, _) in WIRES.items() if role in ("agent", "peer")])
-def test_all_that_an_agent_or_its_peer_says_of_the_world_counts(key: str) -> None:
+@pytest.mark.parametrize("wire", [wire.key for wire in BETWEEN_PEERS.wires if wire.subject == "ego"])
+def test_all_that_an_agent_or_its_peer_says_of_the_world_counts(wire: str) -> None:
     """Gossip is about other agents; estimates for itself, and judgements, are claims to nobody."""
-    port = WIRES[key][2]
-    assert (port in UPSTREAM) == (port not in ("gossip", "mission", "picture", "trust"))
+    said = EstimateWires(BETWEEN_PEERS, ["ego", "infra_1"]).said.get(wire)
+    private = ("gossip", "mission", "picture", "trust", "status")  # a status goes to centres
+    assert said == (None if wire.rpartition("/")[2] in private else "ego")
+
+
+def test_a_status_counts_where_a_centre_uses_it() -> None:
+    wiring = wiring_of(["ego", "infra_1"])
+    assert EstimateWires(wiring, ["ego", "infra_1"]).said["agent/ego/tracks"] == "ego"

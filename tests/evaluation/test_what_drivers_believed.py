@@ -21,6 +21,7 @@ from mast_zenoh.metrics.record import Snapshot
 from mast_zenoh.tracking.view import SensorView
 from mast_zenoh.wiring.model import Input, Passage
 from mast_zenoh.wiring.received import Overheard
+from tests.support.wirings import wiring_of
 
 FRAMES, PERIOD_NS, BRAKES = 30, 100_000_000, 12
 GHOST, EGO, REAL = 5, 1, 7
@@ -84,6 +85,7 @@ def happened(
     )
     picture = PassageMeter(Passage("liar", "cc/picture", "", "picture", "picture", "a", "b", "ego"), Interval(0))
     data.meter.meters.extend([passage, picture])
+    data.influences.follow(wiring_of(["ego"]))
     received = Heard(ports={"safety", "mission", "view"} if veto else {"mission"})
     data.heard["ego"] = received
     for frame, (x, speed) in enumerate(zip(*ego(), strict=True)):

@@ -13,10 +13,12 @@ from shapely.geometry import box as shapely_box
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.effects import Effects
 from mast_zenoh.effects.table import CODE
+from mast_zenoh.evaluation.estimate_wires import Influences
 from mast_zenoh.evaluation.from_effects import manipulations
 from mast_zenoh.metrics import AttributionLimits, Attributor, Boxes, Record, Scorer, Scores, Series, cause_names
 from mast_zenoh.metrics.record import Snapshot
 from mast_zenoh.wiring.model import Passage
+from tests.support.wirings import wiring_of
 
 PERIOD_S = 0.1
 PICTURE, LOCAL, MISSION = Series("", "picture"), Series("ego", "local"), Series("ego", "mission")
@@ -65,7 +67,16 @@ Row = tuple[str, int, str, int, tuple[float, float], tuple[float, float]]
 
 def passage(node: str, port: str = "tracks", subject: str = "infra_9", before: str = "") -> Passage:
     """The position of an interposer on a wire."""
-    return Passage(node, f"agent/{subject}/{port}", subject, port, port, f"{port}/in", f"{port}/out", before)
+    key = {"collated": "cc/collated", "picture": "cc/picture", "clock": "clock"}.get(port, f"agent/{subject}/{port}")
+    message = {"broadcast": "tracks"}.get(port, port)
+    return Passage(node, key, subject, message, port, f"{port}/in", f"{port}/out", before)
+
+
+def influences(agents: Sequence[str], *maps: str, peers: bool = False) -> Influences:
+    """What can affect what, among agents with a command centre or with peers."""
+    result = Influences(agents)
+    result.follow(wiring_of([*dict.fromkeys((*agents, "ego", "other", "infra_9"))], *maps, peers=peers))
+    return result
 
 
 def effects(*rows: Row, passages: Sequence[Passage] = (), of: Sequence[int] | None = None) -> Effects:
@@ -110,8 +121,9 @@ def labelled(record: Record, measured: Effects, roles: dict[str, str] | None = N
     scores: Scores = Scorer().score(record)
     boxes = scores.truth.boxes.in_group(scores.truth_frame)
     known = {way.node: "adversary" for way in measured.passages} | (roles or {})
+    away = np.zeros(len(measured), bool)
     done = manipulations(
-        measured, known, scores.series, boxes, PERIOD_S, np.zeros(len(measured), bool), AttributionLimits()
+        measured, known, scores.series, boxes, PERIOD_S, away, AttributionLimits(), influences(scores.agents)
     )
     labels = Attributor(AttributionLimits(), scores, done, PERIOD_S, **more).labels()
     return scores, scores.objects() | {"cause": cause_names(labels.cause), "by": labels.by}, labels, done

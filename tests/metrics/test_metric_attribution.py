@@ -9,10 +9,22 @@ from typing import Any
 
 import numpy as np
 import pytest
-from metric_worlds import LOCAL, NOTHING, PICTURE, Row, cars, effects, explained, labelled, passage, recorded
+from metric_worlds import (
+    LOCAL,
+    NOTHING,
+    PICTURE,
+    Row,
+    cars,
+    effects,
+    explained,
+    influences,
+    labelled,
+    passage,
+    recorded,
+)
 
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.evaluation.from_effects import delays, influence, without_unseen
+from mast_zenoh.evaluation.from_effects import without_unseen
 from mast_zenoh.metrics import ESTIMATORS, Record, Series, causes_of
 from mast_zenoh.metrics.attributor import Withheld
 from mast_zenoh.metrics.causes import cause_counts
@@ -303,14 +315,15 @@ CENTRE = ["picture", "picture_received", "picture_on_arrival", "mission"]
         ("picture", "centre", "other", False, []),
         ("mission", "ego", "", False, []),
         ("clock", "ego", "", False, ["local", "received", *CENTRE]),
-        ("of_a_user", "ego", "", False, ["received", *CENTRE]),
+        ("of_nobody", "ego", "", False, []),
     ],
 )
 def test_an_interposer_affects_the_estimates_behind_its_wire(
     port: str, subject: str, before: str, is_link: bool, affected: list[str]
 ) -> None:
     series = [("ego", estimator) for estimator in ESTIMATORS]
-    (mask,) = influence([passage("eve", port, subject, before)], series, np.array([is_link]))
+    known = influences(["ego", "other", "infra_9"])
+    (mask,), _ = known.reach([passage("eve", port, subject, before)], series, np.array([is_link]))
     assert [estimator for estimator, each in zip(ESTIMATORS, mask, strict=True) if each] == affected
 
 
@@ -328,7 +341,8 @@ def test_an_interposer_before_one_peer_affects_others_only_through_relays_and_ne
     subject: str, before: str, relays: bool, affected: list[str]
 ) -> None:
     series = [("ego", estimator) for estimator in ESTIMATORS]
-    (mask,) = influence([passage("eve", "broadcast", subject, before)], series, np.array([False]), relays)
+    known = influences(["ego", "other", "third"], *["relays.toml"] * relays, peers=True)
+    (mask,), _ = known.reach([passage("eve", "broadcast", subject, before)], series, np.array([False]))
     assert [estimator for estimator, each in zip(ESTIMATORS, mask, strict=True) if each] == affected
 
 
@@ -346,11 +360,14 @@ def test_a_peer_uses_what_it_hears_a_frame_later_and_what_another_relays_two_fra
     port: str, subject: str, before: str, relays: bool, frames: int
 ) -> None:
     series = [("ego", estimator) for estimator in ESTIMATORS]
-    (of_peer,) = delays([passage("eve", port, subject, before)], series, ["ego"], relays)
+    maps = ["awareness.toml", *["relays.toml"] * relays]
+    each = [passage("eve", port, subject, before)]
+    _, (of_peer,) = influences(["ego", "other", "third"], *maps, peers=True).reach(each, series, np.array([False]))
     assert dict(zip(ESTIMATORS, of_peer.tolist(), strict=True)) == {
         estimator: frames if estimator in CENTRE else 0 for estimator in ESTIMATORS
     }
-    assert not delays([passage("eve", port, subject, before)], series, [], relays).any(), "a centre has no such delay"
+    _, of_centre = influences(["ego", "other"]).reach(each, series, np.array([False]))
+    assert not of_centre.any(), "a centre has no such delay"
 
 
 @pytest.mark.parametrize(

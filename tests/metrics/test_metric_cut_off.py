@@ -6,7 +6,7 @@ from itertools import groupby
 
 import numpy as np
 import pytest
-from metric_worlds import NOTHING, PICTURE, Row, cars, effects, explained, labelled, passage, recorded
+from metric_worlds import NOTHING, PICTURE, Row, cars, effects, explained, influences, labelled, passage, recorded
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.effects import Effects
@@ -298,9 +298,12 @@ def test_dropped_damaged_or_late_tracks_and_batches_count_as_disconnected() -> N
         ("centre", "collated", 10, "dropped"),
     )
     roles = {way.node: "link" for way in disconnected.passages}
-    mask = stopped_by_links(disconnected, roles, AGENTS, np.arange(12))
+    known = influences(AGENTS)
+    mask = stopped_by_links(disconnected, roles, AGENTS, np.arange(12), known)
     assert [np.flatnonzero(column).tolist() for column in mask.T] == [[10], [1, 2, 3, 10], [8, 10]]
-    assert not stopped_by_links(disconnected, {}, AGENTS, np.arange(12)).any(), "an adversary's drop is not a fault"
+    assert not stopped_by_links(disconnected, {}, AGENTS, np.arange(12), known).any(), (
+        "an adversary's drop is not a fault"
+    )
 
 
 def test_objects_are_looked_up_by_frame_and_id() -> None:

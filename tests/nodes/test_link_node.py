@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -280,31 +279,12 @@ def test_a_user_map_can_insert_a_link_into_another_wire() -> None:
     assert frames == [frame for frame in sent if not 3 <= frame < 6]
 
 
-def test_a_user_defined_link_can_have_other_ports(tmp_path: Path) -> None:
-    (tmp_path / "my_link.py").write_text(
-        textwrap.dedent(
-            """
-            from mast_zenoh.config import bundle, loading
-
-            Link = loading.node_class(bundle.ROOT / "nodes" / "link.py")
-
-            class MyLink(Link):
-                inputs = {**Link.inputs, "mission": "tracks"}
-                outputs = {**Link.outputs, "mission_out": "tracks"}
-
-                def on_mission(self, received, context):
-                    self.carry("mission", received, context)
-            """
-        )
-    )
+def test_a_link_can_be_on_any_wire_that_a_map_names(tmp_path: Path) -> None:
     (tmp_path / "own.py").write_text("")
     _, content = scenario.load("baseline")
     content["scene"] = dict(type="TinyScene", n_infrastructure=1)
-    content["nodes"] = {
-        "loose": dict(role="link", file="my_link.py", agent="ego", rules_up=[dict(type="Flood", copies=1)])
-    }
-    rewrite = dict(wire="agent/{agent}/mission", role="link", input="mission", output="mission_out")
-    content["keyexpr"] = dict(rewrites=[dict(insert=[rewrite])])
+    content["nodes"] = {"loose": dict(role="link", agent="ego", rules_up=[dict(type="Flood", copies=1)])}
+    content["keyexpr"] = dict(rewrites=[dict(insert=[dict(wire="agent/{agent}/mission", role="link")])])
     run = Run(scenario.resolve(tmp_path / "own.py", content, frames=4))
     assert len(run.messages["agent/ego/mission"]) == 2 * len(run.messages["agent/ego/mission/@tap/0"]) == 8
 

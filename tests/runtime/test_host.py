@@ -13,7 +13,7 @@ from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.errors import ConfigurationError, MessageError
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header, text
-from mast_zenoh.node import Context, Node, Overheard, Received, handler_names
+from mast_zenoh.node import Context, Node, Overheard, Received, check_handlers
 from mast_zenoh.runtime.host import Host, Outgoing
 from mast_zenoh.streams import stream
 from mast_zenoh.wiring.model import ANY, Input, Ports
@@ -432,7 +432,7 @@ def test_a_node_needs_a_handler_for_every_input() -> None:
         inputs = {"tracks": "tracks"}
 
     with pytest.raises(TypeError, match="Deaf has no on_tracks"):
-        handler_names(Deaf)
+        check_handlers(Deaf)
 
 
 class Ear(Node):

@@ -239,7 +239,7 @@ class Bench:
 
     def _schemas(self) -> Iterator[tuple[str, str]]:
         for (port, _), key in self.ports.outputs.items():
-            yield key, self.node.outputs[port]
+            yield key, self.node.outputs.get(port) or self.ports.types[port]
 
 
 def pose(x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> dict[str, np.ndarray]:

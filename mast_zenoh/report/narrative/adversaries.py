@@ -12,7 +12,7 @@ from mast_zenoh.arrays.states import Bools
 from mast_zenoh.metrics.achievement import DISPLACED_M
 from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.report.comparison import same_ways
-from mast_zenoh.report.narrative.attribution import culprit_names, reaches
+from mast_zenoh.report.narrative.attribution import culprit_names, matters, reaches
 from mast_zenoh.report.narrative.changes import (
     DISPLACED,
     FALSE,
@@ -295,6 +295,8 @@ def _reasons(run: Run, interposer: Interposer, blamed_for: str) -> list[str]:
         return ["what it did was not measured"]
     if not interposer.changed:
         return [_idle(run, interposer)]
+    if not matters(run, interposer.name):
+        return [f"no estimate depends on {' and '.join(interposer.wires)}"]
     relayed = bool(blamed_for) and reaches(run, interposer.name, PICTURE)  # what another agent heard reached the ego
     if interposer.before and not relayed and not {run.ego, peer_of(str(run.ego))} & set(interposer.before):
         listeners = _listeners(run, interposer)

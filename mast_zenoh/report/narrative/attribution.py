@@ -10,9 +10,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from mast_zenoh.evaluation.from_effects import influence
 from mast_zenoh.metrics.estimates import RECEIVED
 from mast_zenoh.report.narrative.changes import (
     DISPLACED,
@@ -25,8 +22,7 @@ from mast_zenoh.report.narrative.changes import (
 )
 from mast_zenoh.report.tables.wiring import all_wires
 from mast_zenoh.runs.interposers import failures_of, interposers
-from mast_zenoh.runs.run import Run, agent_in_key
-from mast_zenoh.wiring.model import Passage
+from mast_zenoh.runs.run import Run
 
 
 def reaches(run: Run, node: str, estimate: str, agent: str | None = None) -> bool:
@@ -36,26 +32,26 @@ def reaches(run: Run, node: str, estimate: str, agent: str | None = None) -> boo
 
     True if its wires are not known.
     """
-    passages = _passages(run, node)
-    series = [(agent or run.ego or "", estimate)]
-    relays = any(wire.get("message") == "relayed" for wire in run.files.wiring.get("wires", ()))
-    return not passages or bool(influence(passages, series, np.zeros(len(passages), bool), relays).any())
+    places = _places(run, node)
+    series, known = (agent or run.ego or "", estimate), run.estimate_wires
+    return not places or any(known.enters_world(*place) or known.frames(*place, series) is not None for place in places)
 
 
-def _passages(run: Run, node: str) -> list[Passage]:
-    """Its passages through all wires that it was ever on, including live insertions."""
-    passages = []
+def matters(run: Run, node: str) -> bool:
+    """Whether an estimate, or the world, depends on what a node passes on; True if its wires are not known."""
+    places = _places(run, node)
+    return not places or any(run.estimate_wires.matters(*place) for place in places)
+
+
+def _places(run: Run, node: str) -> list[tuple[str, str]]:
+    """Where it ever was, live insertions included: the key of a wire, and the only subscriber before which it came."""
+    places: list[tuple[str, str]] = []
     for wire in all_wires(run):
-        if node not in wire.get("interposers", ()):
-            continue
-        key, legs = wire["key"], wire.get("legs", ())
-        port = (legs[0].get("from_port") if legs else None) or wire.get("message", "")
-        befores = {leg["before"]: None for leg in legs if leg.get("from") == node and leg.get("before")}
-        subject = wire.get("subject") or agent_in_key(key) or ""
-        passages += [
-            Passage(node, key, subject, wire.get("message", ""), port, "", "", each) for each in befores or [""]
-        ]
-    return passages
+        if node in wire.get("interposers", ()) and wire["key"] in run.estimate_wires.influence.wires:
+            legs = wire.get("legs", ())
+            befores = {leg["before"]: None for leg in legs if leg.get("from") == node and leg.get("before")}
+            places += [(wire["key"], each) for each in befores or [""]]
+    return places
 
 
 #: Roles of nodes that attack, and of nodes that do not affect results.

@@ -174,7 +174,7 @@ class FrameMeter:
         """A new evaluator that receives every key of a wiring."""
         node = self._build()
         port = next(port for port, message in node.inputs.items() if message == ANY)
-        observed = Wiring(wiring.wires, (Endpoint(_NAME, port),))
+        observed = replace(wiring, overhearers=(Endpoint(_NAME, port),))
         host = listening_host(self._resolved, _NAME, node, observed)
         host.log = _SILENT
         host.start({})

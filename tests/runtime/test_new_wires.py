@@ -1,0 +1,213 @@
+"""A new wire is one key-expression map: links, faults, adversaries and metrics act on it, whatever it carries."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+from tempfile import mkdtemp
+from typing import Any
+
+import pytest
+
+import mast_zenoh as mast
+from mast_zenoh.errors import WiringError
+from mast_zenoh.report.narrative.adversaries import explanations
+
+INTENTS = """
+[[wire]]
+key = "agent/{agent}/intents"
+message = "tracks"
+from = "agent.intents"
+to = ["other peer.intents"]
+estimate = "intents"
+"""
+INSERTS = """
+[[insert]]
+wire = "WIRE"
+role = "adversary"
+
+[[insert]]
+wire = "WIRE"
+role = "link"
+"""
+AGENT = '''
+from mast_zenoh.config import bundle, loading
+
+Agent = loading.node_class(bundle.ROOT / "nodes" / "agent.py")
+
+
+class IntentAgent(Agent):
+    """Also says which objects it will watch."""
+
+    outputs = {**Agent.outputs, "intents": "tracks"}
+
+    def publish_tracks(self, perceived, tracks, context):
+        super().publish_tracks(perceived, tracks, context)
+        origin, rotation = self.pipeline.reference(perceived.pose)
+        body = tracks.select(slice(0, 3)).columns() | {"origin": origin, "rotation": rotation}
+        context.publish("intents", body, frame=perceived.frame, time_ns=perceived.time_ns)
+'''
+OF_TRACKS = """
+from mast_zenoh import scenario as scenarios
+
+
+def scenario(use="fuse"):
+    _, content = scenarios.load("peers", ["n_infrastructure=2", "n_mobile=0"])
+    content["agents"] = {"*": content["agents"]["*"] | dict(file="my_agent.py")}
+    attack = dict(type="UncoordinatedAttack", start_s=0.5, selection=dict(
+        type="UncoordinatedSelection", n_false_positives=4.0, exact_number=True, region="in_view"))
+    return content | dict(
+        name="intents",
+        adversaries=dict(liar=dict(type="Adversary", agent="infra_1", attack=attack)),
+        links={"infra_2": dict(up=[dict(type="Loss", probability=0.5)])},
+        keyexpr=dict(map="testbed.toml", rewrites=["peers.toml", f"intents_{use}.toml"]),
+    )
+"""
+OF_OFFERS = '''
+import numpy as np
+
+from mast_zenoh import scenario as scenarios
+from mast_zenoh.attacks import PassThrough
+from mast_zenoh.messages import Column, Schema
+from mast_zenoh.metrics import MessageMetric
+from mast_zenoh.node import Node
+
+OFFER = Schema("offer", 1, "what a shop asks", (Column("price", "float64", (1,), "EUR", "of all"),))
+
+
+class Shop(Node):
+    role = "shop"
+    inputs = {"clock": "clock"}
+    outputs = {"offer": OFFER}
+
+    def on_clock(self, received, context):
+        context.publish("offer", {"price": np.array([10.0])})
+
+
+class Buyer(Node):
+    role = "buyer"
+    takes = ("offer",)
+    message_types = {"offer": OFFER}
+
+    def __init__(self):
+        self.paid = []
+
+    def on_offer(self, received, context):
+        self.paid.append((received.frame, received.subject, float(received.body["price"][0])))
+
+    def finish(self, context):
+        return {"paid": self.paid}
+
+
+class Cheat(PassThrough):
+    """Doubles prices."""
+
+    def forge(self, message, frame, time_ns, body):
+        return {**body, "price": 2.0 * body["price"]} if message == "offer" else body
+
+
+class Price(MessageMetric):
+    """Price, EUR."""
+
+    message = "offer"
+
+    def per_message(self, frame, subject, body):
+        return body["price"][0] if subject == "north" else None
+
+
+def scenario():
+    _, content = scenarios.load("baseline", ["n_infrastructure=1", "n_mobile=0"])
+    shops = {name: dict(role="shop", file="offers.py", type="Shop") for name in ("north", "south")}
+    return content | dict(
+        name="offers",
+        nodes={
+            **shops,
+            "buyer": dict(role="buyer", file="offers.py", type="Buyer"),
+            "cable": dict(role="link", rules_up=[dict(type="Loss", probability=0.5)]),
+        },
+        evaluator=dict(metrics=[dict(type="Price")]),
+        adversaries=dict(cheat=dict(type="Adversary", agent="ego", attack=dict(type="Cheat"))),
+        keyexpr=dict(
+            map="testbed.toml",
+            rewrites=["offers.toml", dict(listen=[dict(wire="clock", role="shop", input="clock")])],
+        ),
+    )
+'''
+OFFERS = """
+[[wire]]
+key = "shop/{shop}/offer"
+message = "offer"
+from = "shop.offer"
+to = ["buyer.bid"]
+"""
+
+
+@cache
+def folder() -> Path:
+    """A user's folder."""
+    made = Path(mkdtemp())
+    inserts = INSERTS.replace("WIRE", "agent/{agent}/intents")
+    files = {
+        "my_agent.py": AGENT,
+        "intents.py": OF_TRACKS,
+        "intents_fuse.toml": f'{INTENTS}use = "fuse"\n{inserts}',
+        "intents_hear.toml": f"{INTENTS}{inserts}",
+        "intents_wrong.toml": f'{INTENTS}use = "fused"\n{inserts}',
+        "offers.py": OF_OFFERS,
+        "offers.toml": OFFERS + INSERTS.replace("WIRE", "shop/{shop}/offer"),
+    }
+    for name, text in files.items():
+        (made / name).write_text(text)
+    return made
+
+
+@cache
+def played(name: str, **parameters: Any) -> mast.Run:
+    out = folder() / "_".join(["run", name, *map(str, parameters.values())])
+    return mast.run(str(folder() / name), frames=25, seed=1, out=str(out), record=True, runtime="inproc", **parameters)
+
+
+def test_peers_fuse_a_further_wire_and_its_lies_are_blamed() -> None:
+    run = played("intents.py", use="fuse")
+    assert run.summary["agents"]["ego"]["picture"]["fp_split"]["attack"] > 0.3
+    assert run.summary["interposers"]["liar"]["wires"] == ["agent/infra_1/intents"]
+    assert run.summary["interposers"]["liar"]["agreement"] == "agrees"
+
+
+def test_a_link_acts_on_several_wires_of_one_type() -> None:
+    run = played("intents.py", use="fuse")
+    rows = run.attacks.to_pylist()
+    lost = {row["wire"] for row in rows if row["interposer"] == "link_infra_2" and row["effect"] == "dropped"}
+    assert lost == {"agent/infra_2/broadcast", "agent/infra_2/intents"}
+    assert run.summary["interposers"]["link_infra_2"]["agreement"] == "agrees"
+
+
+def test_what_is_on_a_further_wire_is_an_estimate_with_all_metrics() -> None:
+    intents = played("intents.py", use="fuse").summary["agents"]["infra_2"]["intents"]
+    assert intents["tp"]["mean"] > 0.0
+    assert intents["fp_split"]["attack"] == 0.0, "it is scored as it was sent"
+
+
+def test_peers_only_hear_a_wire_that_is_not_for_fusion_and_no_estimate_depends_on_it() -> None:
+    run = played("intents.py", use="hear")
+    assert run.summary["agents"]["ego"]["picture"]["fp_split"]["attack"] == 0.0
+    assert explanations(run)["liar"] == ("no estimate depends on agent/infra_1/intents",)
+    counts = json.loads((run.path / "results" / "peer_ego" / "results.json").read_text())["radio"]
+    assert counts["intents/infra_1"] == 25
+
+
+def test_a_use_that_does_not_exist_is_refused_with_its_place() -> None:
+    with pytest.raises(WiringError, match=r"intents_wrong.toml: wire 1: use: found 'fused'; did you mean 'fuse'\?"):
+        played("intents.py", use="wrong")
+
+
+def test_links_adversaries_and_metrics_act_on_a_message_type_of_the_users_own() -> None:
+    run = played("offers.py")
+    effects = run.summary["interposers"]
+    assert effects["cheat"]["effects"] == {"reframed": 50}
+    assert 0 < effects["cable"]["effects"]["dropped"] < 50
+    assert {each["agreement"] for each in effects.values()} == {"agrees"}
+    assert effects["cable"]["wires"] == ["shop/north/offer", "shop/south/offer"]
+    assert run.summary["messages"]["shop/north/offer"]["price"] == {"mean": 10.0, "std": 0.0}, "as it was sent"
+    assert run.summary["messages"]["shop/south/offer"]["price"] == {"mean": None, "std": None}
