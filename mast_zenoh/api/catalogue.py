@@ -351,7 +351,7 @@ def list_kind(kind: str) -> Listing:
     entries = list(_special(kind))
     for group, base in _BASES[kind].items():
         entries += [
-            Entry(name, group, _description(cls), parameters_of(cls))
+            Entry(name, group, _description(cls), parameters_of(cls, getattr(cls, "described_by", ())))
             for name, cls in registry.known_types(base).items()
         ]
     return Listing(kind, entries)

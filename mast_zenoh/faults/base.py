@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from typing import Any, ClassVar, cast
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, dataclass, field, make_dataclass
+from inspect import cleandoc
+from typing import Any, ClassVar, get_type_hints
 
+from mast_zenoh import links
+from mast_zenoh.config import registry
 from mast_zenoh.errors import nearest
-from mast_zenoh.links.transit import FLOOD_COPIES, QUEUE_S
 
 #: (scene time in s, action): the action is one of process_steps.ACTIONS.
 Event = tuple[float, str]
@@ -28,30 +30,35 @@ LATEST_S = 1e9  #: upper limit of the duration of a run
 class Fault(ABC):
     """A failure of one or more nodes at a given time.
 
-    at:    s of scene time; the fault begins before the first frame at or after this time
-    node, nodes: its targets; give one of the two: names, roles, or "one", "minority", "majority" of the agents
-                 (targets.py); an empty list: none
+    at: s of scene time; the fault begins before the first frame at or after this time
+    on: its targets: names, roles, or "one", "minority", "majority" of the agents; an empty list: none
+    node, nodes: other names of `on`; give one of the three
 
     A subclass overrides `rules` to act on messages or `events` to act on processes.
     Raises ValueError for invalid times and values.
     """
 
     at: float
+    on: str | tuple[str, ...] | None = None
     node: str | None = None
     nodes: str | tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.at <= LATEST_S:
             raise ValueError(f"at: found {self.at}, expected a time of 0 or more")
-        if (self.node is None) == (self.nodes is None):
-            raise ValueError("expected `node` or `nodes`: the targets of the fault")
+        if [self.on, self.node, self.nodes].count(None) != 2:
+            raise ValueError("expected `node` or `nodes` or `on`: the targets of the fault")
+
+    @property
+    def target_parameter(self) -> str:
+        """The name of the parameter with its targets."""
+        return next(name for name in ("on", "node", "nodes") if getattr(self, name) is not None)
 
     @property
     def selectors(self) -> Sequence[str]:
         """The targets as configured."""
-        if self.node is not None:
-            return (self.node,)
-        return (self.nodes,) if isinstance(self.nodes, str) else self.nodes or ()
+        targets: str | tuple[str, ...] = getattr(self, self.target_parameter)
+        return (targets,) if isinstance(targets, str) else targets
 
     @property
     @abstractmethod
@@ -79,7 +86,7 @@ def check_after(at: float, until: float | None) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class RuleFault(Fault):
-    """A fault that adds a rule to links while it lasts, exact in lock-step, on the wall clock in real time.
+    """A fault that adds rules to links while it lasts, exact in lock-step, on the wall clock in real time.
 
     until: s of scene time at which it ends; None: at the end of the run
     """
@@ -95,23 +102,12 @@ class RuleFault(Fault):
         return self.until
 
     def rules(self, lockstep: bool) -> Sequence[Rule]:
-        return (self.as_rule(),)
+        rule = self.as_rule()
+        return (rule,) if isinstance(rule, Mapping) else rule
 
     @abstractmethod
-    def as_rule(self) -> Rule:
-        """The link rule: dict(type=…), see docs/links.md."""
-
-
-class _OwnParameters:
-    """A fault whose own fields are the parameters of its rule; rule_type: of the rule, default: of the fault."""
-
-    rule_type: ClassVar[str] = ""
-
-    def as_rule(self) -> Rule:
-        fault = cast("RuleFault", self)
-        common = {field.name for field in fields(LinkFault)}
-        own = {field.name: getattr(fault, field.name) for field in fields(fault) if field.name not in common}
-        return {"type": self.rule_type or type(self).__name__, **own}
+    def as_rule(self) -> Rule | Sequence[Rule]:
+        """The link rule: dict(type=…), see docs/links.md; or several, in order."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,46 +133,80 @@ class LinkFault(RuleFault):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Partition(_OwnParameters, LinkFault):
-    """Cuts off its targets. For the command centre, all agents are cut off."""
+class Impair(LinkFault):
+    """Applies rules of links while it lasts, shipped ones or your own.
 
-    rule_type = "Cut"
+    rule: dict(type="PoseError", …), see `mast list links`; or a list of them, in order
+
+    Rules for detections (BlindSector, GhostDetections) act on the sensors of their targets, the others on messages.
+    """
+
+    rule: tuple[dict[str, Any], ...] | dict[str, Any]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.rule == ():
+            raise ValueError("rule: found an empty list, expected dict(type=…), or a list of them")
+
+    def as_rule(self) -> Rule | Sequence[Rule]:
+        return self.rule
 
 
 @dataclass(frozen=True, kw_only=True)
-class Loss(_OwnParameters, LinkFault):
-    """Loses each message independently with this probability.
+class SensorFault(RuleFault):
+    """A fault of the detections of agents.
 
-    probability: of losing a message, 0 to 1
+    An agent stands for its first sensor. The agent's claimed view is unchanged. Targets may also be keys of wires:
+    agent/infra_1/detections, agent/infra_1/detections/radar.
     """
 
-    probability: float
+    def ways(self, role: str) -> Sequence[str]:
+        return (SENSOR,) if role == "agent" else ()
 
 
-@dataclass(frozen=True, kw_only=True)
-class BurstLoss(_OwnParameters, LinkFault):
-    """Loses messages in bursts (Gilbert-Elliott).
+def _named(name: str, rule: type[links.Rule], parameters: str = "", base: Any = LinkFault, **defaults: Any) -> Any:
+    """The fault of this name: `Impair` with a rule of one type, whose parameters are its own.
 
-    good_to_bad, bad_to_good: probability of a change from one message to the next, 0 to 1
-    loss_good, loss_bad:      probability of losing a message in the good, or in the bad state, 0 to 1
+    parameters: of the rule, if the fault has not all of them;  defaults: those that the rule has not
     """
+    known, hints = registry.parameters_of(rule), get_type_hints(rule.__init__)
+    own = parameters.split() or [parameter for parameter in known if parameter not in ("at", "until")]
+    values = {parameter: defaults.get(parameter, known[parameter].default) for parameter in own}
 
-    rule_type = "GilbertElliott"
-    good_to_bad: float
-    bad_to_good: float
-    loss_good: float = 0.0
-    loss_bad: float = 1.0
+    def as_rule(fault: Any) -> Rule:
+        return {"type": rule.__name__, **{parameter: getattr(fault, parameter) for parameter in own}}
+
+    return make_dataclass(
+        name,
+        [
+            (parameter, hints[parameter], field(default=MISSING if value is known[parameter].empty else value))
+            for parameter, value in values.items()
+        ],
+        bases=(base,),
+        namespace={
+            "__module__": __name__,
+            "__doc__": cleandoc(rule.__doc__ or "").partition("\n\n")[0],
+            "described_by": (rule,),
+            "as_rule": as_rule,
+        },
+        frozen=True,
+        kw_only=True,
+    )
 
 
-@dataclass(frozen=True, kw_only=True)
-class Delay(_OwnParameters, LinkFault):
-    """Delays messages by mean_s with standard deviation jitter_s.
-
-    mean_s, jitter_s: mean and standard deviation of the delay
-    """
-
-    mean_s: float
-    jitter_s: float = 0.0
+Partition = _named("Partition", links.Cut)
+Loss = _named("Loss", links.Loss)
+BurstLoss = _named("BurstLoss", links.GilbertElliott)
+Delay = _named("Delay", links.Delay, "mean_s jitter_s")
+BandwidthLimit = _named("BandwidthLimit", links.Bandwidth)
+Corrupt = _named("Corrupt", links.Corrupt)
+Duplicate = _named("Duplicate", links.Duplicate)
+Flood = _named("Flood", links.Flood)
+Reorder = _named("Reorder", links.Reorder, by_s=0.1)
+BlindSector = _named("BlindSector", links.BlindSector, base=SensorFault)
+GhostDetections = _named(
+    "GhostDetections", links.GhostDetections, "places frame probability size yaw_rad kind", SensorFault
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,118 +225,6 @@ class SlowNode(LinkFault):
 
     def as_rule(self) -> Rule:
         return {"type": "Delay", "mean_s": self.delay_s}
-
-
-@dataclass(frozen=True, kw_only=True)
-class BandwidthLimit(_OwnParameters, LinkFault):
-    """Limits the bandwidth; messages that would wait longer than queue_s are lost.
-
-    bits_per_s: bandwidth;  queue_s: maximum waiting time of a message
-    """
-
-    rule_type = "Bandwidth"
-    bits_per_s: float
-    queue_s: float = QUEUE_S
-
-
-@dataclass(frozen=True, kw_only=True)
-class Corrupt(_OwnParameters, LinkFault):
-    """Flips `flips` bits of a message with this probability.
-
-    probability: that a message is corrupted, 0 to 1;  flips: number of flipped bits
-    """
-
-    probability: float
-    flips: int = 1
-
-
-@dataclass(frozen=True, kw_only=True)
-class Duplicate(_OwnParameters, LinkFault):
-    """Repeats a message with this probability, `copies` times.
-
-    probability: that a message is repeated, 0 to 1;  copies: number of additional copies
-    """
-
-    probability: float
-    copies: int = 1
-
-
-@dataclass(frozen=True, kw_only=True)
-class Flood(_OwnParameters, LinkFault):
-    """Repeats every message `copies` times.
-
-    copies: number of additional copies
-    """
-
-    copies: int = FLOOD_COPIES
-
-
-@dataclass(frozen=True, kw_only=True)
-class Reorder(_OwnParameters, LinkFault):
-    """Delays a message by by_s with this probability, so that others overtake it.
-
-    probability: that a message is delayed, 0 to 1;  by_s: its delay
-    """
-
-    probability: float
-    by_s: float = 0.1
-
-
-@dataclass(frozen=True, kw_only=True)
-class Impair(LinkFault):
-    """Applies any link rule, built-in or user-defined: rule=dict(type="PoseError", …).
-
-    rule: dict(type="PoseError", …), see `mast list links`
-    """
-
-    rule: dict[str, Any]
-
-    def as_rule(self) -> Rule:
-        return dict(self.rule)
-
-
-@dataclass(frozen=True, kw_only=True)
-class SensorFault(RuleFault):
-    """A fault of the detections of agents.
-
-    An agent stands for its first sensor. The agent's claimed view is unchanged. Targets may also be keys of wires:
-    agent/infra_1/detections, agent/infra_1/detections/radar.
-    """
-
-    def ways(self, role: str) -> Sequence[str]:
-        return (SENSOR,) if role == "agent" else ()
-
-
-@dataclass(frozen=True, kw_only=True)
-class BlindSector(_OwnParameters, SensorFault):
-    """Loses all detections in a sector, which the agent still claims to see.
-
-    azimuth_min_deg: deg, at which the sector begins, in the sensor's frame
-    azimuth_max_deg: deg, at which it ends, counter-clockwise from there
-    """
-
-    azimuth_min_deg: float
-    azimuth_max_deg: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class GhostDetections(_OwnParameters, SensorFault):
-    """Detects objects that are not there, again and again at the same places.
-
-    places: m, (x, y, z) of each: x ahead and y left of the sensor, or in the world; z is always that in the world
-    frame:  "sensor": the ghosts move with the sensor; "world": they stay
-    probability: that a ghost is detected in a frame
-    size:    m, length, width and height
-    yaw_rad: rad, heading: less the sensor's, or in the world
-    kind:    class
-    """
-
-    places: tuple[tuple[float, float, float], ...]
-    frame: str = "world"
-    probability: float = 0.9
-    size: tuple[float, float, float] = (4.5, 1.8, 1.5)
-    yaw_rad: float = 0.0
-    kind: str = "car"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,12 +6,15 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
+from mast_zenoh import links
 from mast_zenoh.arrays.states import Ints
+from mast_zenoh.config import registry
 from mast_zenoh.config.process_steps import REALTIME, UNDONE_BY, ProcessStep
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.faults.base import DIRECTIONS, SENSOR, Fault, Impair, Rule
@@ -79,35 +82,34 @@ def plan(
     for index, (place, fault) in enumerate(faults):
         if not fault.selectors:  # an empty list: of nothing
             continue
-        rng = stream(seed, "faults", index, "targets")
-        where = f"{place}.{'node' if fault.node is not None else 'nodes'}"
-        rules = fault.rules(lockstep)
+        where = f"{place}.{fault.target_parameter}"
+        rules = [{**rule, "at": fault.at, "until": fault.over} for rule in fault.rules(lockstep)]
         events = fault.events()
         if lockstep and not rules and any(action in REALTIME for _, action in events):
             raise ConfigurationError(
                 f"{place}: {type(fault).__name__}: in lock-step all nodes would wait for a stopped or disconnected "
                 "one; use Partition, which acts on links, or real time (mode realtime)"
             )
-        nodes = processes(fault.selectors, roles, rng, where) if events else []
-        impaired = [name for name in nodes if roles[name] == "agent"]
-        in_run = frame_at(times_ns, fault.at) < len(times_ns)
-        if rules:
-            ways = {role: fault.ways(role) for role in roles.values()}
-            selectors = nodes or fault.selectors
-            agents = links(selectors, roles, ways, rng, where, sensors)
-            nodes = nodes or list(agents)
-            impaired = [agent for agent, directions in agents.items() if directions != ["down"]]
-            for agent, directions in agents.items():
+        draws = partial(stream, seed, "faults", index, "targets")  # the same for every rule
+        nodes = processes(fault.selectors, roles, draws(), where) if events else []
+        impaired = [] if rules else [name for name in nodes if roles[name] == "agent"]
+        affected: list[str] = []
+        for rule in rules:
+            of_sensor = registry.build(rule, links.Rule, place).needs_detections
+            ways = {role: (SENSOR,) * (role == "agent") if of_sensor else fault.ways(role) for role in roles.values()}
+            for agent, directions in links_of(nodes or fault.selectors, roles, ways, draws(), where, sensors).items():
                 of_agent = result.rules.setdefault(agent, {way: [] for way in DIRECTIONS})
                 for way in directions:
-                    of_agent.setdefault(way, []).extend({**rule, "at": fault.at, "until": fault.over} for rule in rules)
-        for name in nodes if events else ():
+                    of_agent.setdefault(way, []).append(rule)
+                affected.append(agent)
+                impaired += [agent] if directions != ["down"] else []
+        for name in nodes:
             actions[name] += [_Action(at_s, action, place, not rules) for at_s, action in events]
-        if in_run:
-            band = _band(fault, nodes, "links" if rules else "process", times_ns)
+        if frame_at(times_ns, fault.at) < len(times_ns):
+            band = _band(fault, nodes or [*dict.fromkeys(affected)], "links" if rules else "process", times_ns)
             result.bands.append(band)
-            kind = str(fault.rule["type"]) if isinstance(fault, Impair) else band["type"]
-            for agent in impaired:
+            kind = ", ".join(str(rule["type"]) for rule in rules) if isinstance(fault, Impair) else band["type"]
+            for agent in dict.fromkeys(impaired):
                 result.of_agents.setdefault(agent, []).append((kind, band["at_s"], band["until_s"]))
         else:
             result.missed.append(place)
@@ -255,7 +257,7 @@ def processes(selectors: Iterable[str], roles: Mapping[str, str], rng: np.random
     return nodes
 
 
-def links(
+def links_of(
     selectors: Iterable[str],
     roles: Mapping[str, str],
     ways: Mapping[str, Sequence[str]],

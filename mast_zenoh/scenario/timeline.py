@@ -175,10 +175,7 @@ def _faults(path: Path, specs: object) -> tuple[list[tuple[str, Fault]], list[tu
         ):
             every = {*known, *network.HOST_FAULTS}
             raise plugins.not_found(f"{place}.type: unknown fault {kind!r}", str(kind or ""), every)
-        fault = registry.build(spec, Fault, place)
-        for rule in fault.rules(True):
-            registry.build({**rule, "at": fault.at, "until": fault.over}, links.Rule, place)
-        node_faults.append((place, fault))
+        node_faults.append((place, registry.build(spec, Fault, place)))
     return node_faults, host_faults
 
 

@@ -285,7 +285,7 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "attacks.md": [draws_of_the_authors_software],
     "driving.md": [whole_scenario, whole_scenario, played_scenario],
     "exports.md": [None],  # test_export_labels.py
-    "faults.md": [part_of_a_scenario, part_of_a_scenario, random_faults, fault_of_ones_own],
+    "faults.md": [*[part_of_a_scenario] * 3, random_faults, fault_of_ones_own],
     "fusion.md": [whole_scenario],
     "links.md": [part_of_a_scenario, None],  # test_page_examples.py
     "metrics.md": [None],  # test_facts_of_pages.py

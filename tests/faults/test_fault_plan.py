@@ -1,7 +1,9 @@
 """Faults become link rules, process steps and timeline bands, or are refused."""
 
+import copy
 import dataclasses
 import inspect
+import pickle
 from typing import Any
 
 import numpy as np
@@ -12,7 +14,7 @@ from hypothesis import strategies as st
 from mast_zenoh import links
 from mast_zenoh.config import registry
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.faults import Fault, Plan, ProcessStep, plan
+from mast_zenoh.faults import Fault, Loss, Plan, ProcessStep, plan
 from mast_zenoh.faults.base import LinkFault
 from mast_zenoh.faults.plan import draw_agents, frame_at
 
@@ -92,6 +94,69 @@ def test_any_link_rule_can_be_a_fault() -> None:
     rule = dict(type="PoseError", yaw_std_rad=0.1)
     planned_rule = planned(dict(type="Impair", at=1.0, node="ego", rule=rule)).rules["ego"]["up"]
     assert planned_rule == [rule | {"at": 1.0, "until": None}]
+
+
+RULES = [
+    dict(type="Cut"),
+    dict(type="Loss", probability=0.5),
+    dict(type="GilbertElliott", good_to_bad=0.1, bad_to_good=0.5),
+    dict(type="RangeLimit", range_m=50.0, gateways=[(0.0, 0.0, 5.0)]),
+    dict(type="Delay", mean_s=0.2, distribution="lognormal"),
+    dict(type="Bandwidth", bits_per_s=1e6),
+    dict(type="Reorder", probability=0.5, by_s=0.2),
+    dict(type="Hold"),
+    dict(type="Duplicate", probability=0.5),
+    dict(type="Flood"),
+    dict(type="Corrupt", probability=0.5),
+    dict(type="ClockSkew", offset_s=0.1),
+    dict(type="PoseError", yaw_std_rad=0.1),
+    dict(type="BlindSector", azimuth_min_deg=0.0, azimuth_max_deg=30.0),
+    dict(type="GhostDetections", places=[(20.0, 4.0, 0.7)], score=(0.2, 0.4)),
+]
+
+
+@pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule["type"])
+def test_every_rule_of_a_link_can_be_a_fault_with_all_its_parameters(rule: dict[str, Any]) -> None:
+    rules = planned(dict(type="Impair", rule=rule, on="ego", at=1.0, until=2.0)).rules
+    timed = [rule | dict(at=1.0, until=2.0)]
+    of_sensor = rule["type"] in ("BlindSector", "GhostDetections")
+    assert rules == {"ego": dict(up=[], down=[], sensor=timed) if of_sensor else dict(up=timed, down=timed)}
+
+
+def test_no_shipped_rule_is_left_out() -> None:
+    shipped = {
+        name for name, cls in registry.known_types(links.Rule).items() if cls.__module__.startswith("mast_zenoh")
+    }
+    assert {rule["type"] for rule in RULES} == shipped
+
+
+def test_several_rules_of_one_fault_have_the_same_targets_and_one_band() -> None:
+    delay, blind = dict(type="Delay", mean_s=0.2), dict(type="BlindSector", azimuth_min_deg=0.0, azimuth_max_deg=30.0)
+    fault = dict(type="Impair", rule=[delay, blind, dict(type="Cut")], on="minority", at=1.0, direction="up")
+    for seed in range(5):
+        fault_plan = planned(fault, seed=seed)
+        (first, second) = fault_plan.rules
+        for rules in fault_plan.rules.values():
+            assert [rule["type"] for rule in rules["up"]] == ["Delay", "Cut"]
+            assert ([rule["type"] for rule in rules["sensor"]], rules["down"]) == (["BlindSector"], [])
+        assert [band["nodes"] for band in fault_plan.bands] == [[first, second]]
+        assert fault_plan.of_agents == {name: [("Delay, BlindSector, Cut", 1.0, None)] for name in (first, second)}
+
+
+@pytest.mark.parametrize(
+    "aim", [dict(node="infra_1"), dict(nodes=["infra_1"]), dict(on="infra_1"), dict(on=["infra_1"])]
+)
+def test_the_targets_have_three_names(aim: dict[str, Any]) -> None:
+    assert cut(**aim) == ["infra_1"]
+
+
+def test_named_faults_can_be_made_in_python() -> None:
+    fault = Loss(node="ego", at=1.0, probability=0.25)
+    assert fault == Loss(node="ego", at=1.0, probability=0.25, direction="both")
+    assert pickle.loads(pickle.dumps(fault)) == copy.deepcopy(fault) == fault
+    assert repr(fault).startswith("Loss(at=1.0, ")
+    with pytest.raises(TypeError, match="probability"):
+        Loss(node="ego", at=1.0)
 
 
 @pytest.mark.parametrize("fault", [cls for cls in KINDS.values() if issubclass(cls, LinkFault)])
@@ -262,6 +327,11 @@ def test_faults_of_what_an_agent_sends_are_listed_by_agent() -> None:
         (dict(type="Pause", at=3.0, node="ego"), "Pause needs until"),
         (dict(type="Partition", at=1.0), "expected `node` or `nodes`"),
         (dict(type="Partition", at=1.0, node="ego", nodes=["ego"]), "expected `node` or `nodes`"),
+        (dict(type="Partition", at=1.0, node="ego", on="ego"), "expected `node` or `nodes` or `on`"),
+        (dict(type="Partition", at=1.0, on="infra_9"), r"faults\[0\]\.on: no node, role or word 'infra_9'"),
+        (dict(type="Impair", at=1.0, on="ego", rule=[]), "rule: found an empty list"),
+        (dict(type="Impair", at=1.0, on="ego", rule="Loss"), "rule: found 'Loss', expected a dict"),
+        (dict(type="Impair", at=1.0, on="ego", rule=[dict(type="Cut"), dict(type="Los")]), "did you mean 'Loss'"),
         (dict(type="Kill", at=1.0, node="ego", restart_after=0.0), "restart_after: found 0.0, expected more than 0"),
         (dict(type="Kill", at=1.0, node="ego", until=2.0), r"until: Kill has no such parameter"),
         (dict(type="Kill", at=0.0, node="ego"), "at: found 0.0, expected a time after the first frame"),
