@@ -116,8 +116,8 @@ class LinkFault(RuleFault):
 
     direction: "up" (what the agent, or its peer, sends), "down" (what it receives) or "both"
 
-    Targets may also be keys of wires: agent/infra_1/tracks (published by infra_1; agent/infra_1/broadcast between
-    peers), cc/picture (received by all agents).
+    Targets may also be keys of wires, or globs: agent/infra_1/tracks, cc/picture, any of a map. The wiring says which
+    links, in which direction, carry them.
     """
 
     direction: str = "both"

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from functools import partial
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,6 @@ from mast_zenoh.config.process_steps import REALTIME, UNDONE_BY, ProcessStep
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.faults.base import DIRECTIONS, SENSOR, Fault, Impair, Rule
 from mast_zenoh.streams import stream
-from mast_zenoh.wiring.model import peer_of
 
 #: For each action on a node, the states in which it is allowed, and the resulting state.
 _TRANSITIONS = {
@@ -33,13 +31,17 @@ _TRANSITIONS = {
 }
 _MAX_NAMES = 3
 
+#: By key of a wire, where a fault of it acts: (link, direction), the link named after its agent; (agent, SENSOR) or
+#: (agent, SENSOR/name) before its sensors; (the key, "up") on a link that the wire gets for the fault.
+Carriers = Mapping[str, Sequence[tuple[str, str]]]
+
 
 @dataclass
 class Plan:
     """The effects of a run's faults.
 
-    rules: by agent and direction (or SENSOR, SENSOR/name), the rules of its link with their times, in the order of the
-        faults
+    rules: by link (its agent, or the key of its wire) and direction (or SENSOR, SENSOR/name), its rules with their
+        times, in the order of the faults
     steps: actions on processes, by frame
     bands: a plain dict of label, kind, type, at_s, until_s, nodes and backend for every fault that begins in the run
     missed: places of faults that begin after the last frame
@@ -65,14 +67,14 @@ def plan(
     seed: int,
     *,
     lockstep: bool,
-    sensors: Mapping[str, Sequence[str]] = MappingProxyType({}),
+    carriers: Callable[[], Carriers] = dict,
 ) -> Plan:
     """Convert a list of faults to a plan.
 
     faults: (place in the scenario, fault), in the order of the scenario
     roles:  role of every node of the run, except the links that the faults themselves require
     times_ns: (frames,) ns since the start of the scene, of the frames that are played
-    sensors: names of agents' sensors besides the first
+    carriers: returns where a fault of a wire acts; called if a target may be the key of one
 
     Raises ConfigurationError for unknown or invalid targets, for impossible actions on a process (killed while it is
     down, two actions in the same frame), and in lock-step for faults that need real time.
@@ -97,12 +99,12 @@ def plan(
         for rule in rules:
             of_sensor = registry.build(rule, links.Rule, place).needs_detections
             ways = {role: (SENSOR,) * (role == "agent") if of_sensor else fault.ways(role) for role in roles.values()}
-            for agent, directions in links_of(nodes or fault.selectors, roles, ways, draws(), where, sensors).items():
-                of_agent = result.rules.setdefault(agent, {way: [] for way in DIRECTIONS})
+            for link, directions in links_of(nodes or fault.selectors, roles, ways, draws(), where, carriers).items():
+                of_link = result.rules.setdefault(link, {way: [] for way in DIRECTIONS})
                 for way in directions:
-                    of_agent.setdefault(way, []).append(rule)
-                affected.append(agent)
-                impaired += [agent] if directions != ["down"] else []
+                    of_link.setdefault(way, []).append(rule)
+                affected.append(link)
+                impaired += [link] if link in roles and directions != ["down"] else []
         for name in nodes:
             actions[name] += [_Action(at_s, action, place, not rules) for at_s, action in events]
         if frame_at(times_ns, fault.at) < len(times_ns):
@@ -219,17 +221,13 @@ def draw_agents(word: str, agents: Sequence[str], rng: np.random.Generator) -> l
 
 
 def resolve_names(
-    selectors: Iterable[str],
-    roles: Mapping[str, str],
-    rng: np.random.Generator,
-    place: str,
-    more: Iterable[str] = (),
+    selectors: Iterable[str], roles: Mapping[str, str], rng: np.random.Generator, place: str
 ) -> list[str]:
     """The target nodes of a fault, without duplicates.
 
     Names take precedence over roles, roles over words.
 
-    roles: role of every node;  more: other valid targets, for the error message
+    roles: role of every node
 
     Raises ConfigurationError.
     """
@@ -243,7 +241,7 @@ def resolve_names(
         elif selector in WORDS and agents:
             nodes += draw_agents(selector, agents, rng)
         else:
-            hint = nearest(selector, {*roles, *roles.values(), *WORDS, *more})
+            hint = nearest(selector, {*roles, *roles.values(), *WORDS})
             raise ConfigurationError(f"{place}: no node, role or word {selector!r}{hint}")
     return list(dict.fromkeys(nodes))
 
@@ -263,34 +261,26 @@ def links_of(
     ways: Mapping[str, Sequence[str]],
     rng: np.random.Generator,
     place: str,
-    sensors: Mapping[str, Sequence[str]] = MappingProxyType({}),
+    carriers: Callable[[], Carriers],
 ) -> dict[str, list[str]]:
-    """The agents whose links a fault acts on, with DIRECTIONS, or with the sensors: SENSOR, or SENSOR/name.
+    """The links that a fault acts on, as in `Plan.rules`, each with its directions or sensors.
 
     Raises ConfigurationError for other targets.
 
-    ways: the directions of the fault, by role of its target; sensors: names of agents' sensors besides the first
+    ways: the directions of the fault, by role of its target
 
     The broker and the command centre are at the other end of every agent's link. A key of a wire, or a glob, selects
     the one direction of the links that it passes through.
     """
     agents = [name for name, role in roles.items() if role == "agent"]
-    if tuple(ways.get("agent", ())) == (SENSOR,):
-        parts = {name: ("", *sensors.get(name, ())) for name in agents}
-        keys = [f"agent/{name}/detections{part and f'/{part}'}" for name in agents for part in parts[name]]
-    else:
-        keys = _keys(agents, roles)
-    directions: dict[str, set[str]] = {}
+    names = {*roles, *roles.values(), *WORDS}
+    chosen: dict[str, set[str]] = {}
     for selector in selectors:
-        if "/" in selector:
-            matching = [key for key in keys if fnmatchcase(key, selector)]
-            if not matching:
-                raise ConfigurationError(f"{place}: no wire {selector!r} goes through a link{nearest(selector, keys)}")
-            for key in matching:
-                for name in agents if key.startswith("cc/") else [key.split("/")[1]]:
-                    directions.setdefault(name, set()).add(_way(key))
+        if "/" in selector or (selector not in names and selector in carriers()):
+            for link, way in _on_wires(selector, carriers(), agents, tuple(ways.get("agent", ())) == (SENSOR,), place):
+                chosen.setdefault(link, set()).add(way)
             continue
-        for name in resolve_names([selector], roles, rng, place, more=keys):
+        for name in resolve_names([selector], roles, rng, place):
             role = roles[name]
             if role != "agent" and role not in _SERVERS:
                 raise ConfigurationError(
@@ -300,32 +290,21 @@ def links_of(
             if not ways[role]:
                 raise ConfigurationError(f"{place}: {name!r} ({role}) has no sensor of its own; expected an agent")
             for agent in agents if role in _SERVERS else [name]:
-                directions.setdefault(agent, set()).update(ways[role])
-    order = [*DIRECTIONS, SENSOR]
-    return {
-        name: [way for way in order if way in directions[name]] + sorted(directions[name].difference(order))
-        for name in agents
-        if name in directions
-    }
+                chosen.setdefault(agent, set()).update(ways[role])
+    return {link: sorted(chosen[link]) for link in dict.fromkeys((*agents, *chosen)) if link in chosen}
 
 
-def _keys(agents: Sequence[str], roles: Mapping[str, str]) -> list[str]:
-    """The keys of wires that go through links."""
-    peers = {name for name, role in roles.items() if role == "peer"}
-    centers = [name for name, role in roles.items() if role == "center"]
-    keys = [
-        f"agent/{name}/{port}"
-        for name in agents
-        for port in (("broadcast",) if peer_of(name) in peers else ("tracks", "status"))
-    ]
-    if centers and "command_center" not in roles.values():
-        return keys + [f"cc/{name}/picture" for name in centers]
-    return keys if peers else [*keys, "cc/picture"]
+def _on_wires(
+    selector: str, carriers: Carriers, agents: Sequence[str], of_sensors: bool, place: str
+) -> list[tuple[str, str]]:
+    """Where a fault of the wires of a key or glob acts; a glob that matches wires of links means these alone.
 
-
-def _way(key: str) -> str:
-    """The direction of a link, or the sensor, that messages of a key belong to."""
-    if key.startswith("cc/"):
-        return "down"
-    _, _, port, *part = key.split("/")
-    return "/".join([SENSOR, *part]) if port == "detections" else "up"
+    of_sensors: only wires of sensors are meant
+    """
+    known = {key: ends for key, ends in carriers.items() if not of_sensors or ends[0][1].startswith(SENSOR)}
+    matching = [ends for key, ends in known.items() if fnmatchcase(key, selector)]
+    if not matching:
+        kind = " of detections" if of_sensors else ""
+        raise ConfigurationError(f"{place}: no wire{kind} {selector!r}{nearest(selector, known)}")
+    linked = [ends for ends in matching if ends[0][0] in agents and ends[0][1] in DIRECTIONS]
+    return [end for ends in linked or matching for end in ends]

@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, MutableMapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
-from typing import Any
+from types import MappingProxyType, ModuleType
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -41,12 +42,12 @@ from mast_zenoh.scenario.reading import (
     name_of_file,
     normalise_keys,
 )
-from mast_zenoh.scenario.timeline import rewrites, timeline_of
+from mast_zenoh.scenario.timeline import insertion, rewrites, timeline_of
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.tracking import StoneSoupTracker
 from mast_zenoh.tracking.stone_soup_tracker import INSTALL
 from mast_zenoh.wiring import endpoints, maps
-from mast_zenoh.wiring.model import ANY, Wiring, subject_of
+from mast_zenoh.wiring.model import ANY, Wire, Wiring, subject_of
 
 #: s, limit on what a node may add to times: a century.
 _MAX_RESTAMPS_S = 3e9
@@ -92,17 +93,18 @@ def resolve(
         add_ros2(nodes, connection.to_json())
     check_ros2_names(path, nodes)
     share_ros2_clock(nodes)
-    timeline = timeline_of(path, scenario, nodes, recording, n_frames, seed=options["seed"], mode=options["mode"])
+    timeline = timeline_of(
+        path,
+        scenario,
+        nodes,
+        recording,
+        n_frames,
+        seed=options["seed"],
+        mode=options["mode"],
+        wired=lambda links: _wired(path, scenario, nodes, links).wiring,
+    )
+    built, messages, sources, wiring = _wired(path, scenario, nodes, timeline.links, timeline.of_wires)
     nodes |= timeline.links
-    built_nodes = [build_node(spec, name, str(path)) for name, spec in nodes.items()]
-    messages = _messages(path, nodes)
-    user_types.use(messages)
-    unused = {name: node.unused for name, node in zip(nodes, built_nodes, strict=True)}
-    inputs = {name: node.inputs.keys() - set(node.unused) for name, node in zip(nodes, built_nodes, strict=True)}
-    more = [*driving.rewrites(nodes, inputs), *rewrites(timeline.links, nodes)]
-    sources = _sources(path, scenario, more)
-    wiring = _wiring(path, nodes, unused, sources)
-    built = {name: (spec, node) for (name, spec), node in zip(nodes.items(), built_nodes, strict=True)}
     check_cooperation(path, built, sources, wiring, recording.period_ns)
     check_kernels(wiring.codecs, str(path))
     if any(wire.message == "sweep" for wire in wiring.wires) and not scenario.get("drivers"):  # a world casts its own
@@ -124,7 +126,9 @@ def resolve(
         steps=timeline.plan.steps,
         timeline=timeline.bands,
         network=timeline.network,
-        leeway_ns=_leeway_ns(built_nodes, recording, n_frames) if _uses_shipped_simulator(nodes) else None,
+        leeway_ns=_leeway_ns([node for _, node in built.values()], recording, n_frames)
+        if _uses_shipped_simulator(nodes)
+        else None,
         messages=messages,
         idle=(*timeline.idle, *uncovered(built, recording, n_frames)),
         max_rows=_max_rows(recording, options["max_rows"]),
@@ -132,6 +136,36 @@ def resolve(
         origin=recording.origin,
         recording=recording,
     )
+
+
+class _Wired(NamedTuple):
+    """Nodes and links with their wiring.
+
+    built: by name, spec and node;  messages: the types that they declare;  sources: of the wiring
+    """
+
+    built: dict[str, tuple[NodeSpec, Node]]
+    messages: tuple[Schema, ...]
+    sources: list[tuple[str, Mapping[str, Any]]]
+    wiring: Wiring
+
+
+def _wired(
+    path: Path,
+    scenario: Mapping[str, Any],
+    nodes: Mapping[str, NodeSpec],
+    links: Mapping[str, NodeSpec],
+    of_wires: Mapping[str, Wire] = MappingProxyType({}),
+) -> _Wired:
+    """Build the nodes and links of a scenario, and wire them. of_wires: by link, the wire of one that is no agent's"""
+    nodes = {**nodes, **links}
+    built = {name: (spec, build_node(spec, name, str(path))) for name, spec in nodes.items()}
+    messages = _messages(path, nodes)
+    user_types.use(messages)
+    unused = {name: node.unused for name, (_, node) in built.items()}
+    inputs = {name: node.inputs.keys() - set(node.unused) for name, (_, node) in built.items()}
+    sources = _sources(path, scenario, [*driving.rewrites(nodes, inputs), *rewrites(links, nodes)])
+    return _Wired(built, messages, sources, _wiring(path, nodes, unused, sources, of_wires))
 
 
 def modules_of(path: Path, scenario: Mapping[str, Any], builders: Iterable[Path]) -> tuple[str, ...]:
@@ -229,9 +263,13 @@ def _sources(path: Path, scenario: Mapping[str, Any], more: Sequence[Any]) -> li
 
 
 def _wiring(
-    path: Path, nodes: Mapping[str, NodeSpec], unused: Mapping[str, Collection[str]], sources: maps.Sources
+    path: Path,
+    nodes: Mapping[str, NodeSpec],
+    unused: Mapping[str, Collection[str]],
+    sources: maps.Sources,
+    of_wires: Mapping[str, Wire],
 ) -> Wiring:
-    """The wiring under a map and its rewrites. unused: ports by node"""
+    """The wiring under a map and its rewrites. unused: ports by node;  of_wires: as in `Timeline`"""
     node_options = {}
     for name, spec in nodes.items():
         cls = loading.node_class(Path(spec.file), spec.type)
@@ -246,6 +284,11 @@ def _wiring(
             spec.role, bindings, inputs, outputs, cls.takes, cls.affects, tuple(cls.fuses)
         )
     wiring = maps.resolve(sources, node_options, _shipped_ports())
+    wires = {wire.key: wire for wire in wiring.wires}
+    for name, of in of_wires.items():
+        entry = insertion(nodes[name], of, name)
+        wires[of.key] = maps.insert(wires[of.key], entry, "", node_options, f"{path}: the link of {of.key!r}")
+    wiring = replace(wiring, wires=tuple(wires.values()))
     subjects = {wire.subject for wire in wiring.wires if wire.message == "detections"}
     for name, spec in nodes.items():
         for part in _further_sensors(spec):

@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from mast_zenoh import links
 from mast_zenoh.attacks import Attack
-from mast_zenoh.config import plugins, registry
+from mast_zenoh.config import loading, plugins, registry
 from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.faults import Fault, Plan, network, plan
 from mast_zenoh.faults.base import DIRECTIONS, SENSOR, Rule
+from mast_zenoh.faults.plan import Carriers
 from mast_zenoh.scenario.nodes import node_spec
 from mast_zenoh.scenes.agents import best_pattern
 from mast_zenoh.scenes.recording import Recording
-from mast_zenoh.wiring.model import peer_of
+from mast_zenoh.wiring.model import Wire, Wiring, agent_of, part_of, peer_of
 
 #: The attack that acts only as a coordinator says.
 DIRECTED = "CoordinatedAttack"
@@ -36,13 +38,15 @@ _log = logging.getLogger("mast.scenario")
 class Timeline:
     """A scenario's `links`, `faults`, `hosts` and attacks, resolved.
 
-    links: the specs of the link nodes, by name;  plan: the plan of the faults;  bands: entries of Resolved.timeline
+    links: the specs of the link nodes, by name;  of_wires: of those that are no agent's, the wire, by name
+    plan: the plan of the faults;  bands: entries of Resolved.timeline
     network: hosts and their faults, see faults/network.py
     faults: by agent, its faults: type, beginning and end in s (None: the end of the run)
     idle: a sentence for each adversary, link and fault that names or matches nothing, or begins after the last frame
     """
 
     links: dict[str, NodeSpec]
+    of_wires: dict[str, Wire]
     plan: Plan
     bands: tuple[dict[str, Any], ...]
     network: dict[str, Any]
@@ -59,17 +63,40 @@ def timeline_of(
     *,
     seed: int,
     mode: str,
+    wired: Callable[[Mapping[str, NodeSpec]], Wiring],
 ) -> Timeline:
     """The timeline of a scenario over its first `frames` frames.
 
-    nodes: all nodes except links.
-    Raises ConfigurationError.
+    nodes: all nodes except links;  wired: the wiring of these and of links
+    Raises ConfigurationError and, if a fault may be of a wire, WiringError.
     """
+
+    def link(of: str, rules: Mapping[str, Any]) -> tuple[str, NodeSpec]:
+        """Name and spec of the link of an agent, or of a wire."""
+        name = f"link_{of.replace('/', '_')}"
+        if name in nodes:
+            raise ConfigurationError(
+                f"{path}: {name}: another node already has this name, and the link of {of!r} needs it"
+            )
+        agent = of if of in roles else ""
+        peer = {"peer": peer_of(agent)} if "peer" in roles.values() else {}
+        return name, node_spec(path, name, "link", {"agent": agent, **rules, **peer})
+
+    @cache
+    def wires() -> dict[str, Wire]:
+        """The wires by key, with a link for each agent, which shows where links would be."""
+        every = wired(dict(link(agent, {}) for agent in agents)).wires
+        return {wire.key: wire for wire in every if wire.legs[0].publisher.node in nodes}
+
     roles = {name: spec.role for name, spec in nodes.items()}
     times_ns = recording.times_ns[:frames] - recording.times_ns[0]
     node_faults, host_faults = _faults(path, scenario.get("faults", ()))
-    sensors = {agent.name: [sensor.name for sensor in agent.sensors[1:]] for agent in recording.agents}
-    fault_plan = plan(node_faults, roles, times_ns, seed, lockstep=mode == "lockstep", sensors=sensors)
+    agents = [name for name, role in roles.items() if role == "agent"]
+
+    def carriers() -> Carriers:
+        return {key: _carriers(wire, agents) for key, wire in wires().items()}
+
+    fault_plan = plan(node_faults, roles, times_ns, seed, lockstep=mode == "lockstep", carriers=carriers)
     for place in fault_plan.missed:
         _log.warning("%s: begins after the last frame and is ignored", place)
     end_s = float(times_ns[-1]) * 1e-9
@@ -77,33 +104,30 @@ def timeline_of(
     idle = [_begins_late(f"{_short(place)} ({type(fault).__name__})", fault.at, end_s) for place, fault in late.items()]
     profiles, permanent = _profiles(path, scenario.get("links", {}), roles, _gateways(recording))
     specs: dict[str, NodeSpec] = {}
-    for agent in [name for name, role in roles.items() if role == "agent"]:
-        if agent not in profiles and agent not in fault_plan.rules:
+    of_wires: dict[str, Wire] = {}
+    for of in dict.fromkeys([*agents, *fault_plan.rules]):
+        if of not in profiles and of not in fault_plan.rules:
             continue
-        name = f"link_{agent}"
-        if name in nodes:
-            raise ConfigurationError(
-                f"{path}: {name}: another node already has this name, and the link of {agent!r} needs it"
-            )
-        permanent_rules, timed_rules = profiles.get(agent, {}), fault_plan.rules.get(agent, {})
-        rules = {
+        permanent_rules, timed_rules = profiles.get(of, {}), fault_plan.rules.get(of, {})
+        rules: dict[str, Any] = {
             f"rules_{direction}": [*permanent_rules.get(direction, ()), *timed_rules.get(direction, ())]
             for direction in DIRECTIONS
         }
         if SENSOR in timed_rules:
             rules["rules_sensor"] = timed_rules[SENSOR]
-        further = {way.partition("/")[2]: rules for way, rules in timed_rules.items() if "/" in way}
-        more: dict[str, Any] = {"rules_of_sensors": further} if further else {}
-        if "peer" in roles.values():
-            more["peer"] = peer_of(agent)
-        specs[name] = node_spec(path, name, "link", {"agent": agent, **rules, **more})
+        if further := {way.partition("/")[2]: timed for way, timed in timed_rules.items() if "/" in way}:
+            rules["rules_of_sensors"] = further
+        name, specs[name] = link(of, rules)
+        if of not in roles:
+            of_wires[name] = wires()[of]
     hosts = network.resolve(
         scenario.get("hosts", {}),
         host_faults,
         [*nodes, *specs],
         mode=mode,
         place=str(path),
-        beside={name: spec.config["agent"] for name, spec in specs.items()},
+        beside={name: spec.config["agent"] for name, spec in specs.items()}
+        | {name: wire.legs[0].publisher.node for name, wire in of_wires.items()},
     )
     of_hosts = network.bands(hosts)
     bands = [*permanent, *fault_plan.bands, *of_hosts, *_attacks(nodes)]
@@ -124,7 +148,7 @@ def timeline_of(
         for pattern in scenario.get("links", {})
         if not any(best_pattern(scenario["links"], agent) == pattern for agent in roles if roles[agent] == "agent")
     ]
-    return Timeline(specs, fault_plan, tuple(visible), hosts, faults, tuple(idle))
+    return Timeline(specs, of_wires, fault_plan, tuple(visible), hosts, faults, tuple(idle))
 
 
 def _begins_late(part: str, at_s: float, end_s: float) -> str:
@@ -134,6 +158,21 @@ def _begins_late(part: str, at_s: float, end_s: float) -> str:
 def _short(place: str) -> str:
     """A place in the scenario, without its file."""
     return place.rpartition(": ")[2]
+
+
+def _carriers(wire: Wire, agents: Sequence[str]) -> list[tuple[str, str]]:
+    """Where a fault of a wire acts: at the link of its publisher; without one, at those of its subscribers."""
+    agent = agent_of(wire.subject)
+    if wire.message == "detections" and agent in agents:
+        return [(agent, "/".join(filter(None, (SENSOR, part_of(wire.subject)))))]
+    links = {f"link_{agent}": agent for agent in agents}
+    before = {leg.publisher.node: branch.subscriber.node for branch in wire.branches for leg in branch.legs}
+    ends = [
+        (links[node], "down" if before.get(node) in (links[node], peer_of(links[node])) else "up")
+        for node in wire.interposers
+        if node in links
+    ]
+    return [end for end in ends if end[1] == "up"] or ends or [(wire.key, "up")]
 
 
 def rewrites(links: Mapping[str, NodeSpec], nodes: Mapping[str, NodeSpec]) -> list[str | dict[str, Any]]:
@@ -155,6 +194,18 @@ def rewrites(links: Mapping[str, NodeSpec], nodes: Mapping[str, NodeSpec]) -> li
         ]
     ]
     return [*(network_maps if links else []), *([{"insert": sensors}] if sensors else [])]
+
+
+def insertion(link: NodeSpec, wire: Wire, name: str) -> dict[str, str]:
+    """The `[[insert]]` of a link of its own on a wire; raises ConfigurationError if it takes no such messages."""
+    cls = loading.node_class(Path(link.file), link.type)
+    for port, message in cls.inputs.items():
+        if message == wire.message and f"{port}_out" in cls.outputs:
+            return dict(role="link", input=port, output=f"{port}_out", node=name)
+    raise ConfigurationError(
+        f"a fault of the wire {wire.key!r}: {cls.__name__} in {link.file} has no port for {wire.message!r} messages "
+        "and one with _out; expected them in a link.py next to the scenario (docs/links.md)"
+    )
 
 
 def _faults(path: Path, specs: object) -> tuple[list[tuple[str, Fault]], list[tuple[str, Mapping[str, Any]]]]:

@@ -31,11 +31,21 @@ ROLES = {
 }
 KINDS = {name: cls for name, cls in registry.known_types(Fault).items() if cls.__module__.startswith("mast_zenoh.")}
 TIMES_NS = np.arange(100) * 100_000_000  # 10 s
+#: Where faults of wires act, as `Carriers`.
+CARRIERS = {
+    **{f"agent/{name}/{port}": [(name, "up")] for name in AGENTS for port in ("tracks", "status")},
+    **{f"agent/{name}/detections": [(name, "sensor")] for name in AGENTS},
+    "agent/ego/detections/radar": [("ego", "sensor/radar")],
+    "cc/picture": [("ego", "down"), ("infra_2", "down")],
+    "cc/collated": [("cc/collated", "up")],
+    "agent/ego/mission": [("agent/ego/mission", "up")],
+    "alarm": [("alarm", "up")],
+}
 
 
 def planned(*specs: dict[str, Any], seed: int = 0, lockstep: bool = True, times_ns: np.ndarray = TIMES_NS) -> Plan:
     faults = [(f"mine.py: faults[{i}]", registry.build(s, Fault, f"mine.py: faults[{i}]")) for i, s in enumerate(specs)]
-    return plan(faults, ROLES, times_ns, seed, lockstep=lockstep)
+    return plan(faults, ROLES, times_ns, seed, lockstep=lockstep, carriers=lambda: CARRIERS)
 
 
 # -- times -----------------------------------------------------------------------------------------------------------
@@ -223,9 +233,31 @@ def test_a_key_of_a_wire_selects_one_direction() -> None:
     assert list(up) == ["infra_1"]
     assert [len(up["infra_1"][way]) for way in ("up", "down")] == [1, 0]
     down = planned(dict(type="Partition", at=1.0, until=2.0, nodes=["cc/picture"])).rules
-    assert list(down) == list(AGENTS)
+    assert list(down) == ["ego", "infra_2"], "those that receive it"
     assert [len(down["ego"][way]) for way in ("up", "down")] == [0, 1]
     assert cut(nodes="agent/infra_*/tracks") == ["infra_1", "infra_2", "infra_3", "infra_4"]
+
+
+def test_a_glob_means_wires_of_links_if_it_matches_any() -> None:
+    assert cut(on="agent/ego/*") == ["ego"]
+    assert cut(on="cc/*") == ["ego", "infra_2"]
+    assert cut(on="agent/*/mission") == ["agent/ego/mission"]
+
+
+@pytest.mark.parametrize("key", ["cc/collated", "agent/ego/mission", "alarm"])
+def test_a_wire_without_a_link_gets_one_for_its_faults(key: str) -> None:
+    fault_plan = planned(dict(type="Loss", on=key, at=1.0, probability=0.5), dict(type="Partition", on=key, at=2.0))
+    assert [rule["type"] for rule in fault_plan.rules[key]["up"]] == ["Loss", "Cut"]
+    assert [band["nodes"] for band in fault_plan.bands] == [[key]] * 2
+    assert (list(fault_plan.rules), fault_plan.of_agents) == ([key], {})
+
+
+def test_any_fault_of_messages_can_be_one_of_detections() -> None:
+    fault_plan = planned(dict(type="Loss", on=["agent/ego/detections*", "infra_1"], at=1.0, probability=0.5))
+    loss = [dict(type="Loss", probability=0.5, at=1.0, until=None)]
+    assert fault_plan.rules["ego"] == {"up": [], "down": [], "sensor": loss, "sensor/radar": loss}
+    assert fault_plan.rules["infra_1"] == {"up": loss, "down": loss}
+    assert list(fault_plan.of_agents) == ["ego", "infra_1"]
 
 
 # -- processes -------------------------------------------------------------------------------------------------------

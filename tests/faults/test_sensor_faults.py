@@ -16,6 +16,11 @@ from mast_zenoh.faults import Fault, Plan, plan
 from mast_zenoh.sensing import sensor_pose, to_world
 
 ROLES = {"simulator": "simulator", "ego": "agent", "infra_1": "agent", "broker": "broker", "adversary_1": "adversary"}
+CARRIERS = {
+    "agent/ego/detections": [("ego", "sensor")],
+    "agent/infra_1/detections": [("infra_1", "sensor")],
+    "agent/ego/tracks": [("ego", "up")],
+}
 BLIND = dict(type="BlindSector", at=0.3, until=0.8, azimuth_min_deg=-180.0, azimuth_max_deg=180.0)
 GHOST = dict(type="GhostDetections", at=0.3, until=0.8, places=[(20.0, 15.0, 0.75)], probability=1.0)
 SOURCE, KEY = "agent/ego/detections/@tap/0", "agent/ego/detections"
@@ -23,7 +28,7 @@ SOURCE, KEY = "agent/ego/detections/@tap/0", "agent/ego/detections"
 
 def planned(*specs: Mapping[str, Any]) -> Plan:
     faults = [(f"faults[{i}]", registry.build(spec, Fault, f"faults[{i}]")) for i, spec in enumerate(specs)]
-    return plan(faults, ROLES, np.arange(20) * 100_000_000, 0, lockstep=True)
+    return plan(faults, ROLES, np.arange(20) * 100_000_000, 0, lockstep=True, carriers=lambda: CARRIERS)
 
 
 def played(*faults: dict[str, Any], links: dict[str, Any] | None = None) -> Run:
@@ -70,9 +75,10 @@ def test_only_agents_have_sensors(node: str, reason: str) -> None:
         planned(BLIND | dict(node=node))
 
 
-def test_a_message_fault_does_not_select_detections() -> None:
-    with pytest.raises(ConfigurationError, match="no wire 'agent/ego/detections' goes through a link"):
-        planned(dict(type="Loss", at=0.1, probability=0.5, nodes="agent/ego/detections"))
+def test_detections_can_be_lost_on_their_way_to_the_agent() -> None:
+    run = played(dict(type="Partition", at=0.3, until=0.8, on=KEY))
+    assert [message.header.frame for message in run.decoded(SOURCE, "detections")] == list(range(12))
+    assert [message.header.frame for message in run.decoded(KEY, "detections")] == [0, 1, 2, 8, 9, 10, 11]
 
 
 def test_a_blind_sensor_detects_nothing_from_the_beginning_to_the_end_of_its_fault() -> None:

@@ -7,7 +7,6 @@ import pytest
 from tiny_world import Run, tiny
 
 from mast_zenoh import scenario
-from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.wiring.model import Wiring, to_text
 
 ALONE = ("n_mobile=0",)
@@ -136,8 +135,13 @@ def test_a_key_of_a_broadcast_selects_what_its_agent_sends() -> None:
     run = Run(world(PEERS, (PARTITION | dict(node="agent/infra_1/broadcast"),)))
     assert heard(run, "infra_1") == {"ego": 11, "infra_2": 11}
     assert heard(run, "ego") == {"infra_1": 11 - len(FRAMES_CUT), "infra_2": 11}
-    with pytest.raises(ConfigurationError, match="no wire 'agent/infra_1/tracks' goes through a link"):
-        world(PEERS, (PARTITION | dict(node="agent/infra_1/tracks"),))
+
+
+def test_the_wire_from_an_agent_to_its_own_peer_can_be_cut_alone() -> None:
+    run = Run(world(PEERS, (PARTITION | dict(node="agent/infra_1/tracks"),)))
+    cut = [message.header.frame for message in run.decoded("agent/infra_1/tracks", "tracks")]
+    assert set(range(12)) - set(cut) == set(FRAMES_CUT)
+    assert heard(run, "infra_1") == {"ego": 11, "infra_2": 11}
 
 
 def test_what_a_link_drops_before_the_channel_takes_no_time_on_the_air() -> None:

@@ -1,0 +1,129 @@
+"""A fault can be of any wire of a map: where it acts follows from the wiring."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tiny_world import Run, tiny
+
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.wiring.model import Wiring
+
+CUT = dict(type="Impair", rule=dict(type="Cut"), at=0.3, until=0.6)
+RULE = dict(type="Cut", at=0.3, until=0.6)
+CUT_FRAMES = {3, 4, 5}
+
+SCOUT = """
+import numpy as np
+
+from mast_zenoh.messages import Column, Schema
+from mast_zenoh.node import Node
+
+WIND = Schema("wind_of_scouts", 1, "what scouts measure", (Column("speed", "float64", (1,), "m/s", "of the air"),))
+
+
+class Scout(Node):
+    role = "scout"
+    inputs = {"clock": "clock", "tracks": "tracks"}
+    outputs = {"findings": "tracks", "wind": WIND}
+
+    def on_clock(self, received, context):
+        context.publish("wind", {"speed": np.full(1, 3.0)})
+
+    def on_tracks(self, received, context):
+        context.publish("findings", received.body, frame=received.frame, time_ns=received.time_ns)
+"""
+ARCHIVE = """
+from mast_zenoh.node import Node
+from scout import WIND
+
+
+class Archive(Node):
+    role = "archive"
+    inputs = {"findings": "tracks", "wind": WIND}
+
+    def __init__(self):
+        self.frames = []
+
+    def on_findings(self, received, context):
+        self.frames.append(received.frame)
+
+    def on_wind(self, received, context):
+        pass
+"""
+LAB = [
+    {"key": "lab/hall", "message": "tracks", "from": "scout.findings", "to": ["archive.findings"]},
+    {"key": "lab/wind", "message": "wind_of_scouts", "from": "scout.wind", "to": ["archive.wind"]},
+]
+
+
+def world(*keys: str, name: str = "baseline", settings: tuple[str, ...] = (), **more: Any) -> Resolved:
+    def edit(content: dict[str, Any]) -> None:
+        content["faults"] = [CUT | dict(on=list(keys))]
+        content |= more
+
+    return tiny(name, *settings, edit=edit)
+
+
+def links(resolved: Resolved) -> dict[str, list[str]]:
+    """By link, the kinds of rules that it has."""
+    specs = {name: spec.config for name, spec in resolved.nodes.items() if spec.role == "link"}
+    return {name: [key for key, rules in config.items() if rules == [RULE]] for name, config in specs.items()}
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "expected"),
+    [
+        ("baseline", "agent/infra_1/tracks", {"link_infra_1": ["rules_up"]}),
+        ("baseline", "agent/infra_*/status", {"link_infra_1": ["rules_up"], "link_infra_2": ["rules_up"]}),
+        ("baseline", "cc/picture", {"link_ego": ["rules_down"]}),
+        ("baseline", "agent/ego/detections", {"link_ego": ["rules_sensor"]}),
+        ("baseline", "cc/collated", {"link_cc_collated": ["rules_up"]}),
+        ("peers", "agent/infra_1/broadcast", {"link_infra_1": ["rules_up"]}),
+        ("peers", "agent/infra_1/tracks", {"link_agent_infra_1_tracks": ["rules_up"]}),
+        ("two_centres", "cc/west/picture", {"link_cc_west_picture": ["rules_up"]}),
+        ("two_centres", "agent/infra_2/tracks", {"link_infra_2": ["rules_up"]}),
+    ],
+)
+def test_the_wiring_says_where_a_fault_of_a_wire_acts(name: str, key: str, expected: dict[str, list[str]]) -> None:
+    assert links(world(key, name=name)) == expected
+
+
+def test_a_link_of_a_wire_is_before_all_subscribers_of_this_wire_alone() -> None:
+    wiring = Wiring.from_json(world("cc/collated", adversaries={}).wiring)
+    assert {wire.key: wire.interposers for wire in wiring.wires if wire.interposers} == {
+        "cc/collated": ("link_cc_collated",)
+    }
+
+
+def test_a_cut_wire_carries_nothing_while_the_fault_lasts() -> None:
+    run = Run(world("cc/collated"))
+    assert not run.failures
+    carried = {message.header.frame for message in run.decoded("cc/collated", "collated")}
+    assert {message.header.frame for message in run.decoded("cc/collated/@tap/0", "collated")} - carried == CUT_FRAMES
+    for shuffle in range(2):
+        assert Run(world("cc/collated"), shuffle=shuffle, encode=False).messages == run.messages
+
+
+def lab(folder: Path, key: str) -> Resolved:
+    """A world with two nodes and two wires that the package does not know."""
+    (folder / "scout.py").write_text(SCOUT)
+    (folder / "archive.py").write_text(ARCHIVE)
+    nodes = {role: dict(role=role, file=str(folder / f"{role}.py")) for role in ("scout", "archive")}
+    heard = {"agent/ego/tracks": "tracks", "clock": "clock"}
+    listening = [{"wire": wire, "role": "scout", "input": port} for wire, port in heard.items()]
+    return world(key, nodes=nodes, keyexpr=dict(rewrites=[{"wire": LAB, "listen": listening}]))
+
+
+def test_a_wire_of_a_map_of_ones_own_can_have_faults(tmp_path: Path) -> None:
+    run = Run(lab(tmp_path, "lab/hall"))
+    assert not run.failures
+    assert set(range(12)) - set(run.nodes["archive"].frames) == CUT_FRAMES
+
+
+def test_a_link_that_takes_no_such_messages_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=r"fault of the wire 'lab/wind': Link in .* 'wind_of_scouts' messages"):
+        lab(tmp_path, "lab/wind")
