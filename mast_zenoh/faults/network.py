@@ -16,6 +16,7 @@ from typing import Any, Literal, NamedTuple
 
 from mast_zenoh.config import registry
 from mast_zenoh.errors import ConfigurationError, nearest
+from mast_zenoh.faults.plan import band
 
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
 _MAX_HOSTS = 200
@@ -202,19 +203,13 @@ def resolve(
 
 def bands(network: Mapping[str, Any]) -> list[dict[str, Any]]:
     """The faults of a resolved network as entries of the run's timeline."""
-    return [
-        {
-            "label": f"{fault['type'].removeprefix('Host').lower()} of {', '.join(fault['hosts'])}",
-            "kind": "fault",
-            "type": fault["type"],
-            "at_s": fault["at"],
-            "until_s": fault["until"],
-            "nodes": [node for name in fault["hosts"] for node in network["hosts"][name]["nodes"]],
-            "backend": "network",
-        }
-        for fault in network.get("faults", ())
-        if fault["hosts"]
-    ]
+    result = []
+    for fault in network.get("faults", ()):
+        hosts, kind = fault["hosts"], fault["type"]
+        nodes = [node for name in hosts for node in network["hosts"][name]["nodes"]]
+        label = {"label": f"{kind.removeprefix('Host').lower()} of {', '.join(hosts)}"}
+        result += [band("fault", kind, fault["at"], fault["until"], nodes, "network") | label] if hosts else []
+    return result
 
 
 def own_states(network: Mapping[str, Any]) -> dict[str, LinkState]:
@@ -252,14 +247,14 @@ def needs(network: Mapping[str, Any]) -> dict[str, list[str]]:
             states[name].append(state)
     capabilities: dict[str, list[str]] = {}
     for name, spec in network["hosts"].items():
-        if any(state.cut for state in states[name]):
-            capabilities.setdefault("partition", []).append(name)
-        if any(state.loss for state in states[name]):
-            capabilities.setdefault("loss", []).append(name)
-        if any(state.bits_per_s is not None for state in states[name]):
-            capabilities.setdefault("bandwidth", []).append(name)
-        if spec["delayed"]:
-            capabilities.setdefault(spec["delay_by"] or "delay", []).append(name)
+        needed = {
+            "partition": any(state.cut for state in states[name]),
+            "loss": any(state.loss for state in states[name]),
+            "bandwidth": any(state.bits_per_s is not None for state in states[name]),
+            spec["delay_by"] or "delay": spec["delayed"],
+        }
+        for capability in filter(needed.get, needed):
+            capabilities.setdefault(capability, []).append(name)
     return capabilities
 
 

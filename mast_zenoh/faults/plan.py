@@ -108,11 +108,11 @@ def plan(
         for name in nodes:
             actions[name] += [_Action(at_s, action, place, not rules) for at_s, action in events]
         if frame_at(times_ns, fault.at) < len(times_ns):
-            band = _band(fault, nodes or [*dict.fromkeys(affected)], "links" if rules else "process", times_ns)
-            result.bands.append(band)
-            kind = ", ".join(str(rule["type"]) for rule in rules) if isinstance(fault, Impair) else band["type"]
+            shown = _band(fault, nodes or [*dict.fromkeys(affected)], "links" if rules else "process", times_ns)
+            result.bands.append(shown)
+            kind = ", ".join(str(rule["type"]) for rule in rules) if isinstance(fault, Impair) else shown["type"]
             for agent in dict.fromkeys(impaired):
-                result.of_agents.setdefault(agent, []).append((kind, band["at_s"], band["until_s"]))
+                result.of_agents.setdefault(agent, []).append((kind, shown["at_s"], shown["until_s"]))
         else:
             result.missed.append(place)
     result.steps = tuple(sorted(step for name in actions for step in _steps(name, actions[name], times_ns)))
@@ -182,13 +182,19 @@ def _band(fault: Fault, nodes: Sequence[str], backend: str, times_ns: Ints) -> d
     if until_s is not None and frame_at(times_ns, until_s) >= len(times_ns):
         until_s = None
     joins = [action for _, action in fault.events()] == ["start"]
-    kind = type(fault).__name__
+    return band("fault", type(fault).__name__, 0.0 if joins else fault.at, until_s, nodes, backend)
+
+
+def band(
+    kind: str, of_type: str, at_s: float, until_s: float | None, nodes: Sequence[str], backend: str
+) -> dict[str, Any]:
+    """A band of the timeline, as in `Plan.bands`. kind: fault, attack or link"""
     names = ", ".join(nodes) if len(nodes) <= _MAX_NAMES else f"{len(nodes)} nodes"
     return {
-        "label": f"{kind} {names}",
-        "kind": "fault",
-        "type": kind,
-        "at_s": 0.0 if joins else fault.at,
+        "label": f"{of_type} {names}",
+        "kind": kind,
+        "type": of_type,
+        "at_s": at_s,
         "until_s": until_s,
         "nodes": list(nodes),
         "backend": backend,
@@ -304,7 +310,7 @@ def _on_wires(
     known = {key: ends for key, ends in carriers.items() if not of_sensors or ends[0][1].startswith(SENSOR)}
     matching = [ends for key, ends in known.items() if fnmatchcase(key, selector)]
     if not matching:
-        kind = " of detections" if of_sensors else ""
-        raise ConfigurationError(f"{place}: no wire{kind} {selector!r}{nearest(selector, known)}")
+        which = " goes through a link" if of_sensors else ""
+        raise ConfigurationError(f"{place}: no wire {selector!r}{which}{nearest(selector, known)}")
     linked = [ends for ends in matching if ends[0][0] in agents and ends[0][1] in DIRECTIONS]
     return [end for ends in linked or matching for end in ends]

@@ -79,18 +79,13 @@ _PROCESS = (*_WAIT, "Join", "Pause")
 _Sampler = Callable[[np.random.Generator], dict[str, Any]]
 
 
-def _no_parameters(rng: np.random.Generator) -> dict[str, Any]:
-    return {}
-
-
 def _uniform(low: float, high: float, name: str) -> _Sampler:
     return lambda rng: {name: round(float(rng.uniform(low, high)), 3)}
 
 
 #: Random parameters by type of fault.
 _PARAMETERS: dict[str, _Sampler] = {
-    **dict.fromkeys(_PROCESS, _no_parameters),
-    "Partition": _no_parameters,
+    **dict.fromkeys((*_PROCESS, "Partition"), lambda rng: {}),
     "Loss": _uniform(0.05, 0.9, "probability"),
     "BurstLoss": lambda rng: {**_uniform(0.05, 0.5, "good_to_bad")(rng), **_uniform(0.1, 0.8, "bad_to_good")(rng)},
     "Delay": lambda rng: {**_uniform(0.0, 0.4, "mean_s")(rng), **_uniform(0.0, 0.1, "jitter_s")(rng)},

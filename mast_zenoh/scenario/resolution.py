@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping, MutableMapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, MutableMapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from types import MappingProxyType, ModuleType
-from typing import Any, NamedTuple
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 
@@ -42,7 +43,7 @@ from mast_zenoh.scenario.reading import (
     name_of_file,
     normalise_keys,
 )
-from mast_zenoh.scenario.timeline import insertion, rewrites, timeline_of
+from mast_zenoh.scenario.timeline import rewrites, timeline_of
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.tracking import StoneSoupTracker
 from mast_zenoh.tracking.stone_soup_tracker import INSTALL
@@ -51,6 +52,8 @@ from mast_zenoh.wiring.model import ANY, Wire, Wiring, subject_of
 
 #: s, limit on what a node may add to times: a century.
 _MAX_RESTAMPS_S = 3e9
+#: Nodes by name, each with its spec.
+_Built = dict[str, tuple[NodeSpec, Node]]
 #: A function that builds a Stone Soup tracker, named in a scenario as `builder="FILE.py:FUNCTION"`.
 _FUNCTION = re.compile(r"(?P<file>.+\.py):(?P<name>\w+)")
 
@@ -93,17 +96,11 @@ def resolve(
         add_ros2(nodes, connection.to_json())
     check_ros2_names(path, nodes)
     share_ros2_clock(nodes)
+    wired = partial(_wired, path, scenario, nodes)
     timeline = timeline_of(
-        path,
-        scenario,
-        nodes,
-        recording,
-        n_frames,
-        seed=options["seed"],
-        mode=options["mode"],
-        wired=lambda links: _wired(path, scenario, nodes, links).wiring,
+        path, scenario, nodes, recording, n_frames, wired, seed=options["seed"], mode=options["mode"]
     )
-    built, messages, sources, wiring = _wired(path, scenario, nodes, timeline.links, timeline.of_wires)
+    built, sources, wiring = wired(timeline.links, timeline.on_wires)
     nodes |= timeline.links
     check_cooperation(path, built, sources, wiring, recording.period_ns)
     check_kernels(wiring.codecs, str(path))
@@ -129,7 +126,7 @@ def resolve(
         leeway_ns=_leeway_ns([node for _, node in built.values()], recording, n_frames)
         if _uses_shipped_simulator(nodes)
         else None,
-        messages=messages,
+        messages=_messages(path, nodes),
         idle=(*timeline.idle, *uncovered(built, recording, n_frames)),
         max_rows=_max_rows(recording, options["max_rows"]),
         plugins=plugins.used_by([*registry.type_names(scenario), *registry.type_names(scene_spec)]),
@@ -138,34 +135,23 @@ def resolve(
     )
 
 
-class _Wired(NamedTuple):
-    """Nodes and links with their wiring.
-
-    built: by name, spec and node;  messages: the types that they declare;  sources: of the wiring
-    """
-
-    built: dict[str, tuple[NodeSpec, Node]]
-    messages: tuple[Schema, ...]
-    sources: list[tuple[str, Mapping[str, Any]]]
-    wiring: Wiring
-
-
 def _wired(
     path: Path,
     scenario: Mapping[str, Any],
     nodes: Mapping[str, NodeSpec],
     links: Mapping[str, NodeSpec],
-    of_wires: Mapping[str, Wire] = MappingProxyType({}),
-) -> _Wired:
-    """Build the nodes and links of a scenario, and wire them. of_wires: by link, the wire of one that is no agent's"""
+    on_wires: Iterable[tuple[str, str]] = (),
+) -> tuple[_Built, maps.Sources, Wiring]:
+    """The nodes and links by name, each with its spec; the sources of their wiring; and the wiring.
+
+    on_wires: as in `Timeline`
+    """
     nodes = {**nodes, **links}
     built = {name: (spec, build_node(spec, name, str(path))) for name, spec in nodes.items()}
-    messages = _messages(path, nodes)
-    user_types.use(messages)
-    unused = {name: node.unused for name, (_, node) in built.items()}
+    user_types.use(_messages(path, nodes))
     inputs = {name: node.inputs.keys() - set(node.unused) for name, (_, node) in built.items()}
     sources = _sources(path, scenario, [*driving.rewrites(nodes, inputs), *rewrites(links, nodes)])
-    return _Wired(built, messages, sources, _wiring(path, nodes, unused, sources, of_wires))
+    return built, sources, _wiring(path, built, sources, on_wires)
 
 
 def modules_of(path: Path, scenario: Mapping[str, Any], builders: Iterable[Path]) -> tuple[str, ...]:
@@ -262,35 +248,27 @@ def _sources(path: Path, scenario: Mapping[str, Any], more: Sequence[Any]) -> li
     return sources
 
 
-def _wiring(
-    path: Path,
-    nodes: Mapping[str, NodeSpec],
-    unused: Mapping[str, Collection[str]],
-    sources: maps.Sources,
-    of_wires: Mapping[str, Wire],
-) -> Wiring:
-    """The wiring under a map and its rewrites. unused: ports by node;  of_wires: as in `Timeline`"""
+def _wiring(path: Path, built: _Built, sources: maps.Sources, on_wires: Iterable[tuple[str, str]]) -> Wiring:
+    """The wiring under a map and its rewrites. on_wires: as in `Timeline`"""
     node_options = {}
-    for name, spec in nodes.items():
-        cls = loading.node_class(Path(spec.file), spec.type)
+    for name, (spec, node) in built.items():
         bindings = {key: names for key, value in spec.config.items() if (names := _names(value)) is not None}
         if further := _further_sensors(spec):
             bindings[maps.PART] = further
         inputs, outputs = (
-            {port: message for port, message in ports.items() if port not in unused[name]}
-            for ports in (cls.inputs, cls.outputs)
+            {port: message for port, message in ports.items() if port not in node.unused}
+            for ports in (node.inputs, node.outputs)
         )
         node_options[name] = endpoints.NodeOptions(
             spec.role, bindings, inputs, outputs, cls.takes, cls.affects, tuple(cls.fuses)
         )
     wiring = maps.resolve(sources, node_options, _shipped_ports())
     wires = {wire.key: wire for wire in wiring.wires}
-    for name, of in of_wires.items():
-        entry = insertion(nodes[name], of, name)
-        wires[of.key] = maps.insert(wires[of.key], entry, "", node_options, f"{path}: the link of {of.key!r}")
+    for name, key in on_wires:
+        wires[key] = _with_link(path, wires, key, name, node_options)
     wiring = replace(wiring, wires=tuple(wires.values()))
     subjects = {wire.subject for wire in wiring.wires if wire.message == "detections"}
-    for name, spec in nodes.items():
+    for name, (spec, _) in built.items():
         for part in _further_sensors(spec):
             if subject_of(name, part) not in subjects:
                 raise WiringError(
@@ -298,13 +276,22 @@ def _wiring(
                     f"agent/{{agent}}/detections/{{{maps.PART}}} in the map, as in testbed.toml"
                 )
     subscribers = {name for _, _, name in wiring.flows()}
-    for name, node in node_options.items():
-        if (node.inputs or node.takes) and name not in subscribers:
+    for name, own in node_options.items():
+        if (own.inputs or own.takes) and name not in subscribers:
             raise WiringError(
-                f"{path}: {name} would receive nothing: no wire leads to its input ports ({', '.join(node.inputs)}); "
+                f"{path}: {name} would receive nothing: no wire leads to its input ports ({', '.join(own.inputs)}); "
                 f"name them in a map, or subscribe to every key on one port of the type {ANY!r}"
             )
     return wiring
+
+
+def _with_link(
+    path: Path, wires: Mapping[str, Wire], key: str, link: str, nodes: Mapping[str, endpoints.NodeOptions]
+) -> Wire:
+    """The wire of a key with a link before its subscribers; raises WiringError if there is none, or no port for it."""
+    if key not in wires:
+        raise WiringError(f"{path}: {link}: no wire {key!r}{nearest(key, wires)}")
+    return maps.insert(wires[key], dict(role="link", node=link), "", nodes, f"{path}: the fault of {key!r}")
 
 
 def _names(value: object) -> str | tuple[str, ...] | None:

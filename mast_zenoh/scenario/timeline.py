@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -11,12 +11,12 @@ from typing import Any
 
 from mast_zenoh import links
 from mast_zenoh.attacks import Attack
-from mast_zenoh.config import loading, plugins, registry
+from mast_zenoh.config import plugins, registry
 from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.faults import Fault, Plan, network, plan
 from mast_zenoh.faults.base import DIRECTIONS, SENSOR, Rule
-from mast_zenoh.faults.plan import Carriers
+from mast_zenoh.faults.plan import Carriers, band
 from mast_zenoh.scenario.nodes import node_spec
 from mast_zenoh.scenes.agents import best_pattern
 from mast_zenoh.scenes.recording import Recording
@@ -38,7 +38,7 @@ _log = logging.getLogger("mast.scenario")
 class Timeline:
     """A scenario's `links`, `faults`, `hosts` and attacks, resolved.
 
-    links: the specs of the link nodes, by name;  of_wires: of those that are no agent's, the wire, by name
+    links: the specs of the link nodes, by name;  on_wires: (link, key of a wire) where a fault, no map, puts it
     plan: the plan of the faults;  bands: entries of Resolved.timeline
     network: hosts and their faults, see faults/network.py
     faults: by agent, its faults: type, beginning and end in s (None: the end of the run)
@@ -46,7 +46,7 @@ class Timeline:
     """
 
     links: dict[str, NodeSpec]
-    of_wires: dict[str, Wire]
+    on_wires: tuple[tuple[str, str], ...]
     plan: Plan
     bands: tuple[dict[str, Any], ...]
     network: dict[str, Any]
@@ -60,14 +60,14 @@ def timeline_of(
     nodes: Mapping[str, NodeSpec],
     recording: Recording,
     frames: int,
+    wired: Callable[[Mapping[str, NodeSpec]], tuple[Any, Any, Wiring]],
     *,
     seed: int,
     mode: str,
-    wired: Callable[[Mapping[str, NodeSpec]], Wiring],
 ) -> Timeline:
     """The timeline of a scenario over its first `frames` frames.
 
-    nodes: all nodes except links;  wired: the wiring of these and of links
+    nodes: all nodes except links;  wired: builds these and links, and returns their wiring last
     Raises ConfigurationError and, if a fault may be of a wire, WiringError.
     """
 
@@ -85,8 +85,8 @@ def timeline_of(
     @cache
     def wires() -> dict[str, Wire]:
         """The wires by key, with a link for each agent, which shows where links would be."""
-        every = wired(dict(link(agent, {}) for agent in agents)).wires
-        return {wire.key: wire for wire in every if wire.legs[0].publisher.node in nodes}
+        *_, wiring = wired(dict(link(agent, {}) for agent in agents))
+        return {wire.key: wire for wire in wiring.wires if wire.legs[0].publisher.node in nodes}
 
     roles = {name: spec.role for name, spec in nodes.items()}
     times_ns = recording.times_ns[:frames] - recording.times_ns[0]
@@ -104,7 +104,8 @@ def timeline_of(
     idle = [_begins_late(f"{_short(place)} ({type(fault).__name__})", fault.at, end_s) for place, fault in late.items()]
     profiles, permanent = _profiles(path, scenario.get("links", {}), roles, _gateways(recording))
     specs: dict[str, NodeSpec] = {}
-    of_wires: dict[str, Wire] = {}
+    on_wires: list[tuple[str, str]] = []
+    beside: dict[str, str] = {}
     for of in dict.fromkeys([*agents, *fault_plan.rules]):
         if of not in profiles and of not in fault_plan.rules:
             continue
@@ -118,26 +119,26 @@ def timeline_of(
         if further := {way.partition("/")[2]: timed for way, timed in timed_rules.items() if "/" in way}:
             rules["rules_of_sensors"] = further
         name, specs[name] = link(of, rules)
-        if of not in roles:
-            of_wires[name] = wires()[of]
+        on_wires += [(name, f"agent/{of}/detections{way[len(SENSOR) :]}") for way in timed_rules if SENSOR in way]
+        on_wires += [(name, of)] if of not in roles else []
+        beside[name] = of if of in roles else wires()[of].legs[0].publisher.node
     hosts = network.resolve(
         scenario.get("hosts", {}),
         host_faults,
         [*nodes, *specs],
         mode=mode,
         place=str(path),
-        beside={name: spec.config["agent"] for name, spec in specs.items()}
-        | {name: wire.legs[0].publisher.node for name, wire in of_wires.items()},
+        beside=beside,
     )
     of_hosts = network.bands(hosts)
     bands = [*permanent, *fault_plan.bands, *of_hosts, *_attacks(nodes)]
     faults = {agent: list(entries) for agent, entries in fault_plan.of_agents.items()}
-    for band in of_hosts:
-        for name in band["nodes"]:
+    for each in of_hosts:
+        for name in each["nodes"]:
             if roles.get(name) == "agent":
-                faults.setdefault(name, []).append((band["type"], band["at_s"], band["until_s"]))
-    visible = sorted((band for band in bands if band["at_s"] <= end_s), key=lambda band: float(band["at_s"]))
-    idle += [_begins_late(f"fault {band['label']}", band["at_s"], end_s) for band in of_hosts if band["at_s"] > end_s]
+                faults.setdefault(name, []).append((each["type"], each["at_s"], each["until_s"]))
+    visible = sorted((each for each in bands if each["at_s"] <= end_s), key=lambda each: float(each["at_s"]))
+    idle += [_begins_late(f"fault {each['label']}", each["at_s"], end_s) for each in of_hosts if each["at_s"] > end_s]
     idle += [
         f"{_short(place)} ({type(fault).__name__}) names no node" for place, fault in node_faults if not fault.selectors
     ]
@@ -148,7 +149,7 @@ def timeline_of(
         for pattern in scenario.get("links", {})
         if not any(best_pattern(scenario["links"], agent) == pattern for agent in roles if roles[agent] == "agent")
     ]
-    return Timeline(specs, of_wires, fault_plan, tuple(visible), hosts, faults, tuple(idle))
+    return Timeline(specs, tuple(on_wires), fault_plan, tuple(visible), hosts, faults, tuple(idle))
 
 
 def _begins_late(part: str, at_s: float, end_s: float) -> str:
@@ -175,37 +176,13 @@ def _carriers(wire: Wire, agents: Sequence[str]) -> list[tuple[str, str]]:
     return [end for end in ends if end[1] == "up"] or ends or [(wire.key, "up")]
 
 
-def rewrites(links: Mapping[str, NodeSpec], nodes: Mapping[str, NodeSpec]) -> list[str | dict[str, Any]]:
-    """What puts links between their agents and the network, and faulty sensors before their agents."""
+def rewrites(links: Collection[str], nodes: Mapping[str, NodeSpec]) -> list[str]:
+    """The maps that put links between their agents and the network."""
     roles = {spec.role for spec in nodes.values()}
     network_maps = [file for role, file in REWRITES.items() if role in roles]
     if "center" not in roles and (not network_maps or roles & {"broker", "command_center"}):
         network_maps.append(REWRITE)
-    sensors = [
-        dict(
-            wire=f"agent/{spec.config['agent']}/detections{part}",
-            role="link",
-            node=name,
-        )
-        for name, spec in links.items()
-        for part in [
-            *([""] if "rules_sensor" in spec.config else []),
-            *(f"/{sensor}" for sensor in spec.config.get("rules_of_sensors", ())),
-        ]
-    ]
-    return [*(network_maps if links else []), *([{"insert": sensors}] if sensors else [])]
-
-
-def insertion(link: NodeSpec, wire: Wire, name: str) -> dict[str, str]:
-    """The `[[insert]]` of a link of its own on a wire; raises ConfigurationError if it takes no such messages."""
-    cls = loading.node_class(Path(link.file), link.type)
-    for port, message in cls.inputs.items():
-        if message == wire.message and f"{port}_out" in cls.outputs:
-            return dict(role="link", input=port, output=f"{port}_out", node=name)
-    raise ConfigurationError(
-        f"a fault of the wire {wire.key!r}: {cls.__name__} in {link.file} has no port for {wire.message!r} messages "
-        "and one with _out; expected them in a link.py next to the scenario (docs/links.md)"
-    )
+    return network_maps if links else []
 
 
 def _faults(path: Path, specs: object) -> tuple[list[tuple[str, Fault]], list[tuple[str, Mapping[str, Any]]]]:
@@ -248,7 +225,7 @@ def _profiles(
                 f"{path}: links: no agent {pattern!r} in this scene{nearest(str(pattern), agents)}"
             )
     bands = [
-        _band(_name_of(patterns[pattern]), "link", 0.0, names, "links")
+        band("link", _name_of(patterns[pattern]), 0.0, None, names, "links")
         for pattern, names in matched_agents.items()
         if names
     ]
@@ -316,19 +293,6 @@ def _attacks(nodes: Mapping[str, NodeSpec]) -> list[dict[str, Any]]:
     types = [plan["type"] for plan in plans if isinstance(plan, Mapping) and plan.get("type", _PLAIN) != _PLAIN]
     directed = types[0] if types else DIRECTED
     return [
-        _band(directed if kind == DIRECTED else kind, "attack", at_s, names, "adversary")
+        band("attack", directed if kind == DIRECTED else kind, at_s, None, names, "adversary")
         for (kind, at_s), names in attack_starts(nodes).items()
     ]
-
-
-def _band(type_name: str, kind: str, at_s: float, nodes: Sequence[str], backend: str) -> dict[str, Any]:
-    label = f"{type_name} {', '.join(nodes) if len(nodes) <= 3 else f'{len(nodes)} nodes'}"
-    return {
-        "label": label,
-        "kind": kind,
-        "type": type_name,
-        "at_s": at_s,
-        "until_s": None,
-        "nodes": list(nodes),
-        "backend": backend,
-    }

@@ -9,7 +9,7 @@ import pytest
 from tiny_world import Run, tiny
 
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.errors import WiringError
 from mast_zenoh.wiring.model import Wiring
 
 CUT = dict(type="Impair", rule=dict(type="Cut"), at=0.3, until=0.6)
@@ -125,5 +125,5 @@ def test_a_wire_of_a_map_of_ones_own_can_have_faults(tmp_path: Path) -> None:
 
 
 def test_a_link_that_takes_no_such_messages_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match=r"fault of the wire 'lab/wind': Link in .* 'wind_of_scouts' messages"):
+    with pytest.raises(WiringError, match=r"'lab/wind': link_lab_wind has no port for 'wind_of_scouts' messages"):
         lab(tmp_path, "lab/wind")
