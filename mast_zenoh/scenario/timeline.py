@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -13,7 +13,7 @@ from mast_zenoh import links
 from mast_zenoh.attacks import Attack
 from mast_zenoh.config import plugins, registry
 from mast_zenoh.config.resolved import NodeSpec
-from mast_zenoh.errors import ConfigurationError, nearest
+from mast_zenoh.errors import ConfigurationError, WiringError, nearest
 from mast_zenoh.faults import Fault, Plan, network, plan
 from mast_zenoh.faults.base import DIRECTIONS, SENSOR, Rule
 from mast_zenoh.faults.plan import Carriers, band
@@ -85,7 +85,10 @@ def timeline_of(
     @cache
     def wires() -> dict[str, Wire]:
         """The wires by key, with a link for each agent, which shows where links would be."""
-        *_, wiring = wired(dict(link(agent, {}) for agent in agents))
+        try:
+            *_, wiring = wired(dict(link(agent, {}) for agent in agents))
+        except WiringError:  # a map of the user's own, on which agents can have no links
+            *_, wiring = wired({})
         return {wire.key: wire for wire in wiring.wires if wire.legs[0].publisher.node in nodes}
 
     roles = {name: spec.role for name, spec in nodes.items()}
@@ -176,13 +179,13 @@ def _carriers(wire: Wire, agents: Sequence[str]) -> list[tuple[str, str]]:
     return [end for end in ends if end[1] == "up"] or ends or [(wire.key, "up")]
 
 
-def rewrites(links: Collection[str], nodes: Mapping[str, NodeSpec]) -> list[str]:
+def rewrites(links: Mapping[str, NodeSpec], nodes: Mapping[str, NodeSpec]) -> list[str]:
     """The maps that put links between their agents and the network."""
     roles = {spec.role for spec in nodes.values()}
     network_maps = [file for role, file in REWRITES.items() if role in roles]
     if "center" not in roles and (not network_maps or roles & {"broker", "command_center"}):
         network_maps.append(REWRITE)
-    return network_maps if links else []
+    return network_maps if any(spec.config["agent"] for spec in links.values()) else []
 
 
 def _faults(path: Path, specs: object) -> tuple[list[tuple[str, Fault]], list[tuple[str, Mapping[str, Any]]]]:

@@ -96,6 +96,29 @@ def test_a_plugin_installed_with_pip_brings_a_scene_an_attack_and_a_metric(
     assert mast(roadside, "list", "scenes", "Convoy").strip() in PAGE
 
 
+RULE = """
+from mast_zenoh.links import Rule
+
+
+class Tunnel(Rule):
+    fate = "dropped"
+
+    def apply(self, passage, row):
+        return ()
+"""
+
+
+def test_a_rule_of_a_plugin_can_be_a_fault(tmp_path: Path) -> None:
+    site = installed(tmp_path / "site", "tunnels", RULE)
+    fault = '[{"type": "Impair", "rule": {"type": "Tunnel"}, "on": "infra_1", "at": 0.2, "until": 0.5}]'
+    words = ("--frames", "8", "--no-report", "--set", f"faults={fault}", "--runtime", "inproc")
+    mast(site, "run", "baseline", *words, "--out", str(tmp_path / "run"))
+    scenario = json.loads((tmp_path / "run" / "scenario.json").read_text())
+    assert scenario["plugins"] == {"Tunnel": "tunnels 1.0"}
+    link = json.loads((tmp_path / "run" / "metrics.json").read_text())["interposers"]["link_infra_1"]
+    assert link["effects"]["dropped"] >= 3
+
+
 def test_a_changed_plugin_makes_other_trials_and_its_lines_are_named_in_failures(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -8,8 +8,10 @@ from typing import Any
 import pytest
 from tiny_world import Run, tiny
 
+from mast_zenoh.config import bundle
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import WiringError
+from mast_zenoh.wiring import maps
 from mast_zenoh.wiring.model import Wiring
 
 CUT = dict(type="Impair", rule=dict(type="Cut"), at=0.3, until=0.6)
@@ -127,3 +129,14 @@ def test_a_wire_of_a_map_of_ones_own_can_have_faults(tmp_path: Path) -> None:
 def test_a_link_that_takes_no_such_messages_is_named(tmp_path: Path) -> None:
     with pytest.raises(WiringError, match=r"'lab/wind': link_lab_wind has no port for 'wind_of_scouts' messages"):
         lab(tmp_path, "lab/wind")
+
+
+def test_a_wire_of_a_map_on_which_agents_can_have_no_links_can_have_faults(tmp_path: Path) -> None:
+    without_status = [
+        entry
+        for entry in maps.load(bundle.ROOT / "keyexpr_maps" / "testbed.toml")["wire"]
+        if "status" not in entry["key"]
+    ]
+    run = Run(world("agent/infra_1/tracks", keyexpr=dict(map={"wire": without_status})))
+    carried = {message.header.frame for message in run.decoded("agent/infra_1/tracks", "tracks")}
+    assert set(range(12)) - carried == CUT_FRAMES
