@@ -186,7 +186,7 @@ def _named(name: str, rule: type[links.Rule], parameters: str = "", base: Any = 
         namespace={
             "__module__": __name__,
             "__doc__": cleandoc(rule.__doc__ or "").partition("\n\n")[0],
-            "described_by": (rule,),
+            "described_by": (rule,),  # its parameters, in listings
             "as_rule": as_rule,
         },
         frozen=True,

@@ -1,7 +1,6 @@
 """Faults become link rules, process steps and timeline bands, or are refused."""
 
 import copy
-import dataclasses
 import inspect
 import pickle
 from typing import Any
@@ -15,7 +14,6 @@ from mast_zenoh import links
 from mast_zenoh.config import registry
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.faults import Fault, Loss, Plan, ProcessStep, plan
-from mast_zenoh.faults.base import LinkFault
 from mast_zenoh.faults.plan import draw_agents, frame_at
 
 AGENTS = ("ego", "infra_1", "infra_2", "infra_3", "infra_4")
@@ -167,19 +165,6 @@ def test_named_faults_can_be_made_in_python() -> None:
     assert repr(fault).startswith("Loss(at=1.0, ")
     with pytest.raises(TypeError, match="probability"):
         Loss(node="ego", at=1.0)
-
-
-@pytest.mark.parametrize("fault", [cls for cls in KINDS.values() if issubclass(cls, LinkFault)])
-def test_parameters_have_the_same_default_in_faults_and_rules(fault: type[LinkFault]) -> None:
-    needed = {field.name: 0.5 for field in dataclasses.fields(fault) if field.default is dataclasses.MISSING}
-    rule = fault(
-        **needed | {"at": 1.0, "node": "ego"} | ({"rule": {"type": "Cut"}} if "rule" in needed else {})
-    ).as_rule()
-    (rule_type,) = {cls for name, cls in registry.known_types(links.Rule).items() if name == rule["type"]}
-    of_rule = inspect.signature(rule_type).parameters
-    for field in dataclasses.fields(fault):
-        if field.default is not dataclasses.MISSING and field.name in rule:
-            assert of_rule[field.name].default in (field.default, inspect.Parameter.empty), field.name
 
 
 def test_a_directed_fault_acts_in_one_direction() -> None:
