@@ -260,7 +260,7 @@ def _wiring(path: Path, built: _Built, sources: maps.Sources, on_wires: Iterable
             for ports in (node.inputs, node.outputs)
         )
         node_options[name] = endpoints.NodeOptions(
-            spec.role, bindings, inputs, outputs, cls.takes, cls.affects, tuple(cls.fuses)
+            spec.role, bindings, inputs, outputs, node.takes, node.affects, tuple(node.fuses)
         )
     wiring = maps.resolve(sources, node_options, _shipped_ports())
     wires = {wire.key: wire for wire in wiring.wires}
