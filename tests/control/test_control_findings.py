@@ -504,7 +504,7 @@ def test_the_driver_queues_only_the_newest_counts_of_each_node(driver: Hosted) -
         driver.protocol.receive_counts("ego", flow.encode_counts(1, {}, {"clock": count}))
         driver.protocol.receive_counts("watch", flow.encode_counts(1, {}, {"agent/ego/status": 1}))
     driver.protocol.receive_counts("ego", b"rubbish")
-    assert [event for event, _, _ in driver.items] == [("counts", "ego"), ("counts", "watch")]
+    assert [event.node for event, _, _ in driver.items] == ["ego", "watch"]
     driver.handle_all()
     assert driver.protocol.pacer._reports["ego"] == ({}, {"clock": 999})
     assert driver.protocol.invalid.counts == {"counts/ego": 1}, "malformed messages count for nothing"

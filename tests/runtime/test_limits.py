@@ -15,11 +15,13 @@ from hypothesis import strategies as st
 from tiny_world import tracks
 
 from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.control.flow import Epoch
 from mast_zenoh.control.key_marks import control_mark
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import SCHEMAS, Header, Message, text
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime.host import Host, Outgoing
+from mast_zenoh.runtime.protocol.events import DroppedEvent, EpochEvent, MessageEvent, StopEvent
 from mast_zenoh.runtime.protocol.pacer import SETTLE_EVERY
 from mast_zenoh.runtime.protocol.traffic import (
     ATTACHMENT,
@@ -168,17 +170,19 @@ def test_the_inbox_drops_and_counts_excess_messages_of_a_source() -> None:
     items: deque[Item] = deque()
     inbox = Inbox(items.append, nullcontext(), Limit(3, 1000))
     for number in range(5):
-        assert inbox.put_message("mallory", ("message", "bad", bytes(400), number), 7) == (number < 2)
-    assert inbox.put_message("a", ("message", "good", b"x", None), 7)
-    inbox.put(("stop", "end"))
-    assert [inbox.take(item)[0] for item in items] == ["message", "message", "dropped", "message", "stop"]
-    assert inbox.take_dropped() == {("bad", 7): 3}
-    assert inbox.put_message("mallory", ("message", "bad", bytes(400), None), 7), "there is space again"
+        assert inbox.put_message("mallory", MessageEvent("bad", bytes(400), 7, number), 7) == (number < 2)
+    good = MessageEvent("good", b"x", 7, 0)
+    assert inbox.put_message("a", good, 7)
+    inbox.put(StopEvent("end"))
+    bad = [MessageEvent("bad", bytes(400), 7, number) for number in range(2)]
+    assert [inbox.take(item) for item in items] == [*bad, DroppedEvent({("bad", 7): 3}), good, StopEvent("end")]
+    assert inbox.take_dropped() == {}
+    assert inbox.put_message("mallory", bad[0], 7), "there is space again"
 
 
 def on_no_mesh(node: Node) -> Hosted:
     hosted = Hosted("relay", node, WIRING, period_ns=10**8)
-    hosted.protocol.handle(("epoch", 1, {"relay": "link", "a": "agent"}, None))
+    hosted.protocol.handle(EpochEvent(Epoch(1, {"relay": "link", "a": "agent"}, None)))
     return hosted
 
 
@@ -187,19 +191,19 @@ def test_messages_of_a_later_epoch_are_bounded_by_source(caplog: pytest.LogCaptu
     big = codec.encode(tracks_of("b", n=20_000))
     with caplog.at_level(logging.WARNING):
         for epoch in (2, 2, 2, 2, 9, 2**32 - 1):
-            mesh.protocol.receive_message(KEY_B, big, epoch, -1)
+            mesh.protocol.receive_message(MessageEvent(KEY_B, big, epoch, -1))
             mesh.handle_all()
-    mesh.protocol.receive_message(KEY_A, codec.encode(tracks_of("a")), 2, -1)
+    mesh.protocol.receive_message(MessageEvent(KEY_A, codec.encode(tracks_of("a")), 2, -1))
     mesh.handle_all()
     assert mesh.protocol.host.rejected == {(KEY_B, "early"): 4}
     assert len(caplog.records) == 1
-    mesh.protocol.handle(("epoch", 2, {"relay": "link", "a": "agent"}, None))
+    mesh.protocol.handle(EpochEvent(Epoch(2, {"relay": "link", "a": "agent"}, None)))
     assert mesh.protocol.host.node.got == [("b", 0), ("b", 0), ("a", 0)]
     assert mesh.protocol.host.handled[KEY_B] == 4, "the driver does not wait for messages dropped in this epoch"
     for _ in range(2):
-        mesh.protocol.receive_message(KEY_B, big, 3, -1)
+        mesh.protocol.receive_message(MessageEvent(KEY_B, big, 3, -1))
         mesh.handle_all()
-    mesh.protocol.handle(("epoch", 3, {"relay": "link", "a": "agent"}, None))
+    mesh.protocol.handle(EpochEvent(Epoch(3, {"relay": "link", "a": "agent"}, None)))
     assert mesh.protocol.host.rejected == {(KEY_B, "early"): 4}, "there is space again"
     assert mesh.protocol.host.handled[KEY_B] == 2
 
@@ -208,21 +212,21 @@ def test_a_slow_node_keeps_no_more_of_a_flood_than_the_limit_of_its_source() -> 
     mesh = on_no_mesh(Relay())
     big = codec.encode(tracks_of("b", n=20_000))
     for _ in range(30):
-        mesh.protocol.receive_message(KEY_B, big, 1, -1)
-    mesh.protocol.receive_message(KEY_A, codec.encode(tracks_of("a")), 1, -1)
+        mesh.protocol.receive_message(MessageEvent(KEY_B, big, 1, -1))
+    mesh.protocol.receive_message(MessageEvent(KEY_A, codec.encode(tracks_of("a")), 1, -1))
     mesh.handle_all()
     fits = INBOX.bytes // len(big)
     assert fits < 10
     assert mesh.protocol.host.node.got == [("b", 0)] * fits + [("a", 0)]
     assert mesh.protocol.host.rejected == {(KEY_B, "queued"): 30 - fits}
     assert mesh.protocol.host.handled[KEY_B] == 30
-    mesh.protocol.handle(("epoch", 2, {"relay": "link", "a": "agent"}, None))
+    mesh.protocol.handle(EpochEvent(Epoch(2, {"relay": "link", "a": "agent"}, None)))
     assert mesh.protocol.host.handled[KEY_B] == 0
     for _ in range(30):
-        mesh.protocol.receive_message(KEY_B, big, 3, -1)
+        mesh.protocol.receive_message(MessageEvent(KEY_B, big, 3, -1))
     mesh.handle_all()
     assert mesh.protocol.host.handled[KEY_B] == 0
-    mesh.protocol.handle(("epoch", 3, {"relay": "link", "a": "agent"}, None))
+    mesh.protocol.handle(EpochEvent(Epoch(3, {"relay": "link", "a": "agent"}, None)))
     assert mesh.protocol.host.handled[KEY_B] == 30, "those of the next epoch that were dropped count there"
 
 

@@ -15,6 +15,7 @@ from mast_zenoh.control.flow import END
 from mast_zenoh.launch import launcher_protocol
 from mast_zenoh.runtime import host
 from mast_zenoh.runtime.protocol import driver, node, pacer, rewiring, traffic
+from mast_zenoh.runtime.protocol.events import MessageEvent
 from mast_zenoh.runtime.protocol.traffic import ATTACHMENT
 from mast_zenoh.testing.simulation import simulation
 
@@ -34,7 +35,7 @@ def early_messages_are_delivered_twice(patch: pytest.MonkeyPatch) -> None:
         waiting = list(self._early)
         original(self)
         for message in waiting:
-            self.deliver(*message)
+            self.deliver(message)
 
     patch.setattr(traffic.Receiving, "deliver_early", twice)
 
@@ -381,9 +382,9 @@ def a_loss_after_the_end_is_not_told(patch: pytest.MonkeyPatch) -> None:
 def a_full_inbox_drops_the_clock(patch: pytest.MonkeyPatch) -> None:
     """Clocks take the same room as other messages of the driver; without its clock a frame's messages are held."""
 
-    def receive(self: node.NodeProtocol, key: str, payload: bytes, epoch: int, step: int) -> bool:
-        counted = self.receiving.counted_epoch(epoch)
-        return self.inbox.put_message(self.host.publisher(key), ("message", key, payload, epoch, step), counted)
+    def receive(self: node.NodeProtocol, message: MessageEvent) -> bool:
+        counted = self.receiving.counted_epoch(message.epoch)
+        return self.inbox.put_message(self.host.publisher(message.key), message, counted)
 
     patch.setattr(node.NodeProtocol, "receive_message", receive)
 

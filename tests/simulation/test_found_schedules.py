@@ -35,7 +35,7 @@ FOUND: list[tuple[Plant, str, Schedule]] = [
     (
         bugs.a_change_hides_who_has_come,
         "lockstep",
-        schedule(103, (0.098, "intercept", "relay", 0.0), (0.125, "kill", "a", 0.0)),
+        schedule(285, (0.035, "intercept", "relay", 0.0), (0.078, "kill", "a", 0.0)),
     ),
     (
         bugs.a_node_that_comes_or_goes_before_steps_is_not_noticed,

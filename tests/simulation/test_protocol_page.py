@@ -13,7 +13,7 @@ from test_found_schedules import FOUND
 
 from mast_zenoh.launch import launcher_protocol
 from mast_zenoh.runtime import host
-from mast_zenoh.runtime.protocol import driver, node, pacer, rewiring, traffic
+from mast_zenoh.runtime.protocol import driver, events, node, pacer, rewiring, traffic
 from mast_zenoh.testing.simulation import World, play, random_schedule
 from mast_zenoh.testing.simulation.processes import SimulatedProcess
 from mast_zenoh.testing.simulation.simulation import Simulation
@@ -66,6 +66,14 @@ def transitions(worlds: dict[str, World], seeds: Iterable[int], monkeypatch: pyt
 def test_the_page_has_every_state_and_no_other(title: str, states: type[node.State]) -> None:
     names = {state.value.replace(" ", "_") for state in states}
     assert column(section(title), "state") == {name for edge in edges(title) for name in edge} == names
+
+
+def test_the_page_has_every_event_and_no_other() -> None:
+    kinds = {events.Event, events.NewestEvent}
+    while more := {kind for known in kinds for kind in known.__subclasses__()} - kinds:
+        kinds |= more
+    listed = column(section("A node's process"), "event") | column(section("The driver"), "event")
+    assert listed - {"(time)"} == {kind.__name__ for kind in kinds - {events.Event, events.NewestEvent}}
 
 
 DIAGRAMS = ("A node's process", "The driver")

@@ -30,6 +30,15 @@ from mast_zenoh.node import Node
 from mast_zenoh.runtime.host import Link
 from mast_zenoh.runtime.protocol.actions import DOZE_S, DRAIN_TIMEOUT_S, OFFER_TIMEOUT_S, Actions, Clocks
 from mast_zenoh.runtime.protocol.driver import DriverProtocol, protocol_of
+from mast_zenoh.runtime.protocol.events import (
+    DrainedEvent,
+    DueEvent,
+    Event,
+    HandedInEvent,
+    MatchedEvent,
+    MessageEvent,
+    OutsideEvent,
+)
 from mast_zenoh.runtime.protocol.node import HAND_IN_TIMEOUT_S
 from mast_zenoh.runtime.protocol.traffic import Inbox, Item, stamp_of
 
@@ -133,7 +142,7 @@ class ZenohProcess(Actions):
 
         def notify() -> None:
             if not protocol.lockstep:  # there, the handler that waits takes what arrives
-                self.inbox.put(("arrived",))
+                self.inbox.put(OutsideEvent())
 
         link = Ros2Link(protocol.name, topics, waits=protocol.lockstep, notify=notify)
         protocol.host.link, protocol.on_stop = link, link.end
@@ -214,28 +223,27 @@ class ZenohProcess(Actions):
         receive = self.protocol.receive_message
 
         def on_sample(sample: zenoh.Sample) -> None:
-            epoch, step = stamp_of(sample.attachment, key)
-            payload = sample.payload.to_bytes()
-            if self._prompt and self._handle_promptly(key, payload, epoch, step):
+            message = MessageEvent(key, sample.payload.to_bytes(), *stamp_of(sample.attachment, key))
+            if self._prompt and self._handle_promptly(message):
                 return
-            if receive(key, payload, epoch, step):
+            if receive(message):
                 self._n_queued += 1
 
         return on_sample
 
-    def _handle_promptly(self, key: str, payload: bytes, epoch: int, step: int) -> bool:
+    def _handle_promptly(self, message: MessageEvent) -> bool:
         """Handle a message in the receiving thread; False if others wait or it is busy."""
         if self._n_queued != self._n_handled or not self._lock.acquire(blocking=False):
             return False
         try:
             if not self.protocol.epoch:
                 return False
-            self.protocol.handle(("message", key, payload, epoch, step))
+            self.protocol.handle(message)
             due_s = self.protocol.host.release()
         finally:
             self._lock.release()
         if due_s is not None:
-            self.inbox.put(("due",))  # for the main thread
+            self.inbox.put(DueEvent())
         return True
 
     # -- actions ---------------------------------------------------------------------------------------------------
@@ -270,7 +278,7 @@ class ZenohProcess(Actions):
     def _on_matching(self, key: str) -> Any:
         def on_status(status: zenoh.MatchingStatus) -> None:
             if status.matching:
-                self.inbox.put(("matched", key))
+                self.inbox.put(MatchedEvent(key))
 
         return zenoh.handlers.Callback(on_status, indirect=False)
 
@@ -292,7 +300,7 @@ class ZenohProcess(Actions):
         self._query(
             f"drain/{node}",
             key.encode(),
-            lambda replies: ("drained", key, any(reply.ok for reply in replies)),
+            lambda replies: DrainedEvent(key, any(reply.ok for reply in replies)),
             timeout=DRAIN_TIMEOUT_S,
             congestion_control=zenoh.CongestionControl.BLOCK,
             priority=zenoh.Priority.DATA,
@@ -316,7 +324,7 @@ class ZenohProcess(Actions):
         self._parts.finish()
         self._query(f"result/{self.protocol.name}", results, _handed_in, timeout=OFFER_TIMEOUT_S)
 
-    def _query(self, key: str, payload: bytes, event: Callable[[list[zenoh.Reply]], Any], **options: Any) -> None:
+    def _query(self, key: str, payload: bytes, event: Callable[[list[zenoh.Reply]], Event], **options: Any) -> None:
         """Send a query on a control key; once it has ended, put the event of its replies into the inbox."""
         replies = list[zenoh.Reply]()
         handler: Any = zenoh.handlers.Callback(replies.append, lambda: self.inbox.put(event(replies)), indirect=False)
@@ -358,19 +366,19 @@ class _PartSender:
         """Send a part; returns why the launcher has not taken it, or an empty string."""
         while not self._finishing or time.monotonic() - self._last_sign_s < HAND_IN_TIMEOUT_S:
             replies = list(self._session.get(self._key, payload=part, attachment=self._mark, timeout=OFFER_TIMEOUT_S))
-            refusal = _handed_in(replies)[1]
+            refusal = _handed_in(replies).refusal
             if refusal is not None:
                 self._last_sign_s = time.monotonic()
                 return refusal
         return f"the launcher has not answered within {HAND_IN_TIMEOUT_S:.0f} s"
 
 
-def _handed_in(replies: list[zenoh.Reply]) -> tuple[str, str | None]:
+def _handed_in(replies: list[zenoh.Reply]) -> HandedInEvent:
     """The event of the launcher's replies to results."""
     if any(reply.ok is not None for reply in replies):
-        return "handed_in", ""
+        return HandedInEvent("")
     refusals = [files.decode_refusal(reply.err.payload.to_bytes()) for reply in replies if reply.err is not None]
-    return "handed_in", next((str(refusal) for refusal in refusals if refusal), None)
+    return HandedInEvent(next((str(refusal) for refusal in refusals if refusal), None))
 
 
 def _node(sample: zenoh.Sample) -> str:

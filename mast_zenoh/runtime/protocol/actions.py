@@ -39,10 +39,7 @@ class Actions(ABC):
 
     @abstractmethod
     def unmatched(self, keys: Collection[str]) -> set[str]:
-        """Those of these keys whose publisher has no subscriber; an event tells when one has.
-
-        The event is ("matched", key).
-        """
+        """Those of these keys whose publisher has no subscriber; a MatchedEvent tells when one has."""
 
     @abstractmethod
     def publish(self, key: str, payload: bytes, attachment: bytes) -> None:
@@ -56,7 +53,7 @@ class Actions(ABC):
     def ask_drained(self, node: str, key: str) -> None:
         """Ask a node whether it has forwarded all messages sent to it on a key.
 
-        The question follows the messages. The event ("drained", key, whether it has answered in time) is the answer.
+        The question follows the messages. A DrainedEvent is the answer.
         """
 
     @abstractmethod
@@ -73,7 +70,4 @@ class Actions(ABC):
 
     @abstractmethod
     def hand_in(self, results: bytes) -> None:
-        """Offer the results to the launcher; the event ("handed_in", refusal) follows.
-
-        refusal: "" if it accepted them, None if it has not answered, else why it refuses them
-        """
+        """Offer the results to the launcher; a HandedInEvent follows."""

@@ -22,11 +22,12 @@ from mast_zenoh.messages.limits import RowLimits
 from mast_zenoh.node import Context, Node, Source
 from mast_zenoh.runtime.host import Outgoing
 from mast_zenoh.runtime.protocol.actions import Actions, Clocks, Query
+from mast_zenoh.runtime.protocol.events import CountsEvent, Event, PresenceEvent, RewireEvent, StopEvent
 from mast_zenoh.runtime.protocol.node import MAX_FRAMES, NodeProtocol
 from mast_zenoh.runtime.protocol.pacer import Membership, Pacer, Presence, waits_for_listeners
 from mast_zenoh.runtime.protocol.rewiring import Rewiring
 from mast_zenoh.runtime.protocol.timetable import Timetable
-from mast_zenoh.runtime.protocol.traffic import Event, Inbox
+from mast_zenoh.runtime.protocol.traffic import Inbox
 from mast_zenoh.wiring.model import Wiring
 
 #: How long the driver of a real-time run waits for the last messages before it stops all nodes.
@@ -146,21 +147,19 @@ class DriverProtocol(NodeProtocol):
         except MessageError as error:
             self.invalid.note(f"counts/{node if node in self.membership.expected else '*'}", error)
         else:
-            self.inbox.put_newest("counts", node, counts)
+            self.inbox.put_newest(CountsEvent(node, counts))
 
     def receive_presence(self, node: str, present: bool) -> None:
         """Receive a change of a node's liveliness token."""
-        self.inbox.put_newest("alive", node, Presence(not present, present), Presence.followed_by)
+        self.inbox.put_newest(PresenceEvent(node, Presence(not present, present)))
 
     def receive_rewire(self, query: Query, payload: bytes) -> None:
         """Receive a request to change the wiring; refuse malformed ones."""
-        accepted = False
+        change = None
         with self._refusing("rewire"):
-            self.rewiring.add(self.signatures.open("rewire", payload, flow.decode_rewire), query)
-            accepted = True
-        if accepted:
-            self.inbox.put(("rewire",))
-        else:
+            change = self.signatures.open("rewire", payload, flow.decode_rewire)
+            self.inbox.put(RewireEvent(query, change))
+        if change is None:
             self.actions.answer(query, None)
 
     # -- running ---------------------------------------------------------------------------------------------------
@@ -181,21 +180,26 @@ class DriverProtocol(NodeProtocol):
         if self._results is not None:
             super().handle(event)
             return
-        if event is None:
-            self.report()
-        elif event[0] == "counts":
-            counts = self.inbox.take_newest(*event)
-            self.fatal_problem = self.fatal_problem or self.pacer.report(event[1], *counts)
-        elif event[0] == "alive":
-            participants = self.members.keys() & self.pacer.heard
-            problem = self.membership.note(event[1], self.inbox.take_newest(*event), self.frames, participants)
-            self.fatal_problem = self.fatal_problem or problem
-            self.pacer.drop(self.pacer.members.keys() - self.membership.present.keys())
-        elif event[0] == "stop":
-            self.stop_reason = event[1]
-        else:
-            super().handle(event)
-            self.report()
+        match event:
+            case CountsEvent(node, counts):
+                self.fatal_problem = self.fatal_problem or self.pacer.report(node, *counts)
+            case PresenceEvent(node, presence):
+                participants = self.members.keys() & self.pacer.heard
+                problem = self.membership.note(node, presence, self.frames, participants)
+                self.fatal_problem = self.fatal_problem or problem
+                self.pacer.drop(self.pacer.members.keys() - self.membership.present.keys())
+            case StopEvent(reason):
+                self.stop_reason = reason
+            case RewireEvent(query, change):
+                if refusal := self.rewiring.add(change, query):
+                    self.invalid.note("rewire", refusal)
+                    self.actions.answer(query, None)
+                self.report()
+            case None:
+                self.report()
+            case _:
+                super().handle(event)
+                self.report()
         try:
             self._deadline_s = self._phases.send(event is not None)
         except StopIteration:

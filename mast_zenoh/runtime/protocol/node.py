@@ -22,9 +22,21 @@ from mast_zenoh.messages.schemas import Header
 from mast_zenoh.node import Node
 from mast_zenoh.runtime.host import Host
 from mast_zenoh.runtime.protocol.actions import Actions, Clocks, Query
+from mast_zenoh.runtime.protocol.events import (
+    DrainedEvent,
+    DrainEvent,
+    DroppedEvent,
+    EpochEvent,
+    Event,
+    HandedInEvent,
+    MatchedEvent,
+    MessageEvent,
+    OutsideEvent,
+    StopEvent,
+)
 from mast_zenoh.runtime.protocol.pacer import waits_for_listeners
 from mast_zenoh.runtime.protocol.rewiring import WiringFollower
-from mast_zenoh.runtime.protocol.traffic import Event, Inbox, Outlets, Receiving
+from mast_zenoh.runtime.protocol.traffic import Inbox, Outlets, Receiving
 from mast_zenoh.v2x.reference_position import WORLD_PLANE, LocalPlane
 from mast_zenoh.wiring.model import Wiring
 
@@ -155,18 +167,18 @@ class NodeProtocol:
 
     # -- what arrives, in any thread -------------------------------------------------------------------------------
 
-    def receive_message(self, key: str, payload: bytes, epoch: int, step: int) -> bool:
-        """Receive a message of a wire; epoch, step: of its stamp. False if there is no room for it."""
-        counted = self.receiving.counted_epoch(epoch)
-        port_input = self.host.subscriptions.get(key)
+    def receive_message(self, message: MessageEvent) -> bool:
+        """Receive a message of a wire; False if there is no room for it."""
+        counted = self.receiving.counted_epoch(message.epoch)
+        port_input = self.host.subscriptions.get(message.key)
         is_clock = port_input is not None and port_input.message == "clock"
-        source = CLOCK if is_clock else self.host.publisher(key)
-        return self.inbox.put_message(source, ("message", key, payload, epoch, step), counted)
+        source = CLOCK if is_clock else self.host.publisher(message.key)
+        return self.inbox.put_message(source, message, counted)
 
     def receive_epoch(self, payload: bytes) -> None:
         """Receive an epoch of the driver."""
         with self._refusing("epoch"):
-            self.inbox.put(("epoch", *self.signatures.open("epoch", payload, flow.decode_epoch)))
+            self.inbox.put(EpochEvent(self.signatures.open("epoch", payload, flow.decode_epoch)))
 
     def receive_stop(self, key: str, payload: bytes) -> None:
         """Receive a request to stop; key: below @control/."""
@@ -179,14 +191,14 @@ class NodeProtocol:
     def request_stop(self, reason: str) -> None:
         """Have the node hand in its results and end; from any thread, or a signal handler."""
         self.on_stop()
-        self.inbox.put(("stop", reason))
+        self.inbox.put(StopEvent(reason))
 
     def receive_drain(self, query: Query, payload: bytes) -> None:
         """Receive a drain query."""
         key = ""
         with self._refusing(f"drain/{self.name}"):
             key = self.follower.check_query(payload)
-            self.inbox.put(("drain", query, key))
+            self.inbox.put(DrainEvent(query, key))
         if not key:
             self.actions.answer(query, None)
 
@@ -230,27 +242,27 @@ class NodeProtocol:
         self._lingered = False
         if not self.lockstep:
             self.host.release()  # what is due leaves first
-        kind = event[0]
-        if kind == "message":
-            if self._results is None:
-                self.receiving.receive(*event[1:])
-        elif kind == "epoch":
-            self._enter_epoch(*event[1:])
-        elif kind == "arrived":
-            if self.receiving.started and self._results is None:
-                self.host.arrived()
-        elif kind == "stop":
-            self._stop(event[1])
-        elif kind == "matched":
-            self._unmatched.discard(event[1])
-        elif kind == "dropped":
-            self.receiving.note_dropped(self.inbox.take_dropped())
-        elif kind == "drain":
-            self.follower.begin_drain(*event[1:])
-        elif kind == "drained":
-            self.follower.resume(*event[1:])
-        elif kind == "handed_in":
-            self._note_handed_in(event[1])
+        match event:
+            case MessageEvent():
+                if self._results is None:
+                    self.receiving.receive(event)
+            case EpochEvent(epoch):
+                self._enter_epoch(*epoch)
+            case OutsideEvent():
+                if self.receiving.started and self._results is None:
+                    self.host.arrived()
+            case StopEvent(reason):
+                self._stop(reason)
+            case MatchedEvent(key):
+                self._unmatched.discard(key)
+            case DroppedEvent(counts):
+                self.receiving.note_dropped(counts)
+            case DrainEvent(query, key):
+                self.follower.begin_drain(query, key)
+            case DrainedEvent(key, answered):
+                self.follower.resume(key, answered)
+            case HandedInEvent(refusal):
+                self._note_handed_in(refusal)
         if self.follower.questioned:
             self.follower.answer_queries()
 

@@ -74,11 +74,12 @@ class Rewiring:
     _change: Change | None = None
     _epoch_began_ns: int = 0
 
-    def add(self, request: Rewire, query: Query) -> None:
-        """Queue a change, from any thread; raises MessageError if too many wait."""
+    def add(self, request: Rewire, query: Query) -> str:
+        """Queue a change; returns why it is refused if too many wait, else ""."""
         if len(self._waiting) >= MAX_WAITING:
-            raise MessageError(f"rewire: more than {MAX_WAITING} changes wait")
+            return f"rewire: more than {MAX_WAITING} changes wait"
         self._waiting.append(Change(*request, query, self.now_ns()))
+        return ""
 
     @property
     def due(self) -> bool:

@@ -11,11 +11,11 @@ import struct
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping
 from contextlib import AbstractContextManager
-from typing import Any, NamedTuple
 
 from mast_zenoh.control.key_marks import MARK, MARK_BYTES, Attachment, key_mark
 from mast_zenoh.runtime.host import Host, Outgoing
 from mast_zenoh.runtime.protocol.actions import Actions
+from mast_zenoh.runtime.protocol.events import DroppedEvent, Event, MessageEvent, NewestEvent
 from mast_zenoh.runtime.waiting import EARLY, INBOX, Limit, Room
 from mast_zenoh.wiring.model import Wiring
 
@@ -42,8 +42,6 @@ def stamp_of(attachment: Attachment | None, key: str) -> tuple[int, int]:
     return MISDIRECTED if content.startswith(MARK) else FOREIGN
 
 
-Event = tuple[Any, ...]
-
 #: An event in the queue, with the source and the size of a message of a wire; size -1: of another event.
 Item = tuple[Event, str, int]
 
@@ -51,9 +49,7 @@ Item = tuple[Event, str, int]
 class Inbox:
     """Puts events into a queue.
 
-    Messages of wires are events ("message", key, payload, epoch, step), limited by source. The event ("dropped",)
-    announces that messages were dropped; `take_dropped` returns their number. Events of kinds of which only the newest
-    counts are (kind, node); `take_newest` returns the value.
+    Messages of wires are limited by source. What a DroppedEvent or a NewestEvent says is as of when it is taken.
 
     put:  adds an item to the queue, from any thread
     lock: of what is counted here
@@ -66,37 +62,36 @@ class Inbox:
         self._put = put
         self._lock = lock
         self._dropped: Counter[tuple[str, int]] = Counter()
-        self._newest: dict[tuple[str, str], Any] = {}
+        self._newest: dict[tuple[type[NewestEvent], str], NewestEvent] = {}
 
     def put(self, event: Event) -> None:
         """Add an event that is not a message of a wire."""
         self._put((event, "", -1))
 
-    def put_message(self, source: str, event: Event, epoch: int) -> bool:
-        """Add the event of a message; False if it is dropped: its source has no room left.
+    def put_message(self, source: str, message: MessageEvent, epoch: int) -> bool:
+        """Add a message; False if it is dropped: its source has no room left.
 
         epoch: in which it counts for lock-step
         """
-        size = len(event[2])
+        size = len(message.payload)
         with self._lock:
             if self.room.take(source, size):
-                self._put((event, source, size))
+                self._put((message, source, size))
                 return True
             announced = bool(self._dropped)
-            self._dropped[event[1], epoch] += 1
+            self._dropped[message.key, epoch] += 1
         if not announced:
-            self.put(("dropped",))
+            self.put(DroppedEvent({}))
         return False
 
-    def put_newest(
-        self, kind: str, node: str, value: Any, merge: Callable[[Any, Any], Any] = lambda waiting, newer: newer
-    ) -> None:
-        """Add a value of a node; merge: combines one that waits with a newer one."""
+    def put_newest(self, event: NewestEvent) -> None:
+        """Add an event in the place of an older one of its kind and node, if that waits."""
+        place = type(event), event.node
         with self._lock:
-            announced = (kind, node) in self._newest
-            self._newest[kind, node] = merge(self._newest[kind, node], value) if announced else value
-        if not announced:
-            self.put((kind, node))
+            waiting = self._newest.get(place)
+            self._newest[place] = event if waiting is None else event.after(waiting)
+        if waiting is None:
+            self.put(event)
 
     def take(self, item: Item) -> Event:
         """The event of an item from the queue."""
@@ -104,6 +99,11 @@ class Inbox:
         if size >= 0:
             with self._lock:
                 self.room.free(source, size)
+        elif isinstance(event, NewestEvent):
+            with self._lock:
+                return self._newest.pop((type(event), event.node))
+        elif isinstance(event, DroppedEvent):
+            return DroppedEvent(self.take_dropped())
         return event
 
     def take_dropped(self) -> Counter[tuple[str, int]]:
@@ -111,20 +111,6 @@ class Inbox:
         with self._lock:
             dropped, self._dropped = self._dropped, Counter()
         return dropped
-
-    def take_newest(self, kind: str, node: str) -> Any:
-        """The value that an event has announced."""
-        with self._lock:
-            return self._newest.pop((kind, node))
-
-
-class Arrived(NamedTuple):
-    """A message as it arrives; epoch, step: of its stamp."""
-
-    key: str
-    payload: bytes
-    epoch: int
-    step: int
 
 
 class Receiving:
@@ -141,7 +127,7 @@ class Receiving:
         self.newest: dict[str, bytes] = {}
         self.foreign: Counter[str] = Counter()
         self._host = host
-        self._early: list[Arrived] = []
+        self._early: list[MessageEvent] = []
         self._early_room = Room(EARLY)
         self._dropped_early: Counter[str] = Counter()  # messages of the next epoch, by key
         self._n_in_frame = 0  # messages received in this frame
@@ -161,30 +147,31 @@ class Receiving:
         """The epoch of a message as long as lock-step may wait for it; else -1."""
         return epoch if epoch - self.epoch in (0, 1) else -1
 
-    def receive(self, key: str, payload: bytes, epoch: int, step: int) -> None:
-        """Receive a message; epoch, step: as returned by `stamp_of`."""
+    def receive(self, message: MessageEvent) -> None:
+        """Receive a message."""
         frame = self._host.frame
-        self.deliver(key, payload, epoch, step)
+        self.deliver(message)
         if self._host.frame != frame:
             self._n_in_previous = (self._n_in_previous[1], self._n_in_frame)
             self._n_in_frame = 0
         self._n_in_frame += 1
 
-    def deliver(self, key: str, payload: bytes, epoch: int, step: int) -> None:
+    def deliver(self, message: MessageEvent) -> None:
         """Deliver a message to the host, or keep it until its epoch."""
+        key, epoch = message.key, message.epoch
         if epoch == MISDIRECTED[0]:
             self._host.drop(key, "wrong key: sent on another key, and delivered on this one by Zenoh")
         elif epoch < 0:
             self.foreign[key] += 1
             if self.started:
-                self._host.deliver(key, payload, -1, counted=False)
+                self._host.deliver(key, message.payload, -1, counted=False)
         elif epoch > self.epoch and not self.leaving:
-            self._keep(Arrived(key, payload, epoch, step))
+            self._keep(message)
         elif self.started:
-            self.newest[key] = payload
-            self._host.deliver(key, payload, step, counted=epoch == self.epoch)
+            self.newest[key] = message.payload
+            self._host.deliver(key, message.payload, message.step, counted=epoch == self.epoch)
 
-    def note_dropped(self, dropped: Counter[tuple[str, int]]) -> None:
+    def note_dropped(self, dropped: Mapping[tuple[str, int], int]) -> None:
         """Count messages dropped by the inbox: as rejected, and for lock-step as handled."""
         for (key, epoch), count in dropped.items():
             reason = f"queued: more than {INBOX} of {self._host.publisher(key)} wait in the inbox"
@@ -209,9 +196,9 @@ class Receiving:
         """Deliver the messages that have waited for this epoch."""
         early, self._early, self._early_room = self._early, [], Room(EARLY)
         for message in early:
-            self.deliver(*message)
+            self.deliver(message)
 
-    def _keep(self, message: Arrived) -> None:
+    def _keep(self, message: MessageEvent) -> None:
         source = self._host.publisher(message.key)
         if self._early_room.take(source, len(message.payload)):
             self._early.append(message)

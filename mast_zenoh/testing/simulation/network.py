@@ -13,7 +13,7 @@ from collections.abc import Callable, Hashable
 from random import Random
 from typing import Any, Generic, Protocol, TypeVar
 
-from mast_zenoh.runtime.protocol.traffic import Event
+from mast_zenoh.runtime.protocol.events import Event, MatchedEvent, MessageEvent
 from mast_zenoh.testing.simulation.world import Schedule
 
 S = 1_000_000_000  #: ns in a second
@@ -73,7 +73,7 @@ class Connected(Protocol):
     def take_in(self, receive: Callable[..., object], *arguments: Any) -> None:
         """Receive something now, or when the process is resumed."""
 
-    def receive_message(self, key: str, payload: bytes, epoch: int, step: int) -> None:
+    def receive_message(self, message: MessageEvent) -> None:
         """Receive a message of a wire."""
 
     def arrive_event(self, event: Event) -> None:
@@ -136,8 +136,9 @@ class Network(Generic[P]):
         """When the last message of a stream arrives, so far."""
         return self._newest_ns.get(stream, 0)
 
-    def publish(self, source: P, key: str, payload: bytes, epoch: int, step: int) -> None:
+    def publish(self, source: P, message: MessageEvent) -> None:
         """Send a message of a wire to the subscribers of its key, as far as the publisher knows of any."""
+        key = message.key
         if not self.matched(source, key):
             return
         now_ns, random = self.time.now_ns, self.time.random
@@ -145,11 +146,9 @@ class Network(Generic[P]):
             if from_ns > now_ns or not target.alive:
                 continue
             for _ in range(self._copies(source, target, random)):
-                self.in_transit[target, epoch] += 1
-                self.send(
-                    *((source, key, target), source.name, target.name, self._arrive),
-                    *(source, target, (key, payload, epoch, step)),
-                )
+                self.in_transit[target, message.epoch] += 1
+                stream = source, key, target
+                self.send(stream, source.name, target.name, self._arrive, source, target, message)
 
     def _copies(self, source: P, target: P, random: Random) -> int:
         """How often a message arrives: once, unless it may be lost."""
@@ -159,11 +158,11 @@ class Network(Generic[P]):
             return 0 if draw < self._loss else 2
         return 1
 
-    def _arrive(self, source: P, target: P, message: tuple[str, bytes, int, int]) -> None:
+    def _arrive(self, source: P, target: P, message: MessageEvent) -> None:
         if target.alive and self.time.now_ns <= source.lost_after_ns:
-            target.take_in(target.receive_message, *message)
+            target.take_in(target.receive_message, message)
         else:
-            self.in_transit[target, message[2]] -= 1
+            self.in_transit[target, message.epoch] -= 1
 
     def broadcast(self, source: P | None, key: str, payload: bytes) -> None:
         """Send a control message to all processes that receive its key: the driver's, or the launcher's."""
@@ -204,7 +203,7 @@ class Network(Generic[P]):
         known_ns = min(
             self._known(publisher, key, subscriber) for subscriber in self._subscribed[key] if subscriber.alive
         )
-        self.time.at(known_ns, publisher.arrive_event, ("matched", key))
+        self.time.at(known_ns, publisher.arrive_event, MatchedEvent(key))
 
     def _known(self, publisher: P, key: str, subscriber: P) -> int:
         """When a publisher knows of a subscriber.

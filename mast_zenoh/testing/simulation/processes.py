@@ -25,8 +25,17 @@ from mast_zenoh.runtime.protocol.actions import (
     Clocks,
 )
 from mast_zenoh.runtime.protocol.driver import DriverProtocol, protocol_of
+from mast_zenoh.runtime.protocol.events import (
+    DrainedEvent,
+    EpochEvent,
+    Event,
+    HandedInEvent,
+    MessageEvent,
+    PresenceEvent,
+    StopEvent,
+)
 from mast_zenoh.runtime.protocol.node import CLOCK
-from mast_zenoh.runtime.protocol.traffic import ATTACHMENT, Event, Inbox, Item
+from mast_zenoh.runtime.protocol.traffic import ATTACHMENT, Inbox, Item
 from mast_zenoh.runtime.waiting import Limit, Room
 from mast_zenoh.testing.simulation.network import Network, VirtualTime
 from mast_zenoh.testing.simulation.world import Schedule, World
@@ -85,7 +94,7 @@ class DrainQuery:
         """Tell the asker, once."""
         if not self.answered:
             self.answered = True
-            self.asker.arrive_event(("drained", self.key, ok))
+            self.asker.arrive_event(DrainedEvent(self.key, ok))
 
 
 class SimulatedProcess(Actions):
@@ -149,8 +158,8 @@ class SimulatedProcess(Actions):
             item = self._items.popleft()
             event = self.inbox.take(item)
             self._guarded(self._mesh.handle, self, event)
-            if event[0] == "message":
-                self._network.in_transit[self, event[3]] -= 1
+            if isinstance(event, MessageEvent):
+                self._network.in_transit[self, event.epoch] -= 1
         self._go_on()
 
     def _go_on(self) -> None:
@@ -208,10 +217,10 @@ class SimulatedProcess(Actions):
         elif self.alive:
             receive(*arguments)
 
-    def receive_message(self, key: str, payload: bytes, epoch: int, step: int) -> None:
+    def receive_message(self, message: MessageEvent) -> None:
         """Receive a message of a wire."""
-        if not self.protocol.receive_message(key, payload, epoch, step):
-            self._network.in_transit[self, epoch] -= 1
+        if not self.protocol.receive_message(message):
+            self._network.in_transit[self, message.epoch] -= 1
 
     def arrive_event(self, event: Event) -> None:
         """Let an event arrive."""
@@ -254,11 +263,11 @@ class SimulatedProcess(Actions):
 
     def terminate(self) -> None:
         """Have it finish, as SIGTERM does."""
-        self.arrive_event(("stop", "terminated"))
+        self.arrive_event(StopEvent("terminated"))
 
     def orphan(self) -> None:
         """Close its standard input: the launcher is gone."""
-        self.arrive_event(("stop", "orphaned"))
+        self.arrive_event(StopEvent("orphaned"))
         self._time.after(ORPHAN_GRACE_S, self._leave)
 
     def _leave(self) -> None:
@@ -299,7 +308,7 @@ class SimulatedProcess(Actions):
             raise LookupError(f"{self.name} publishes on {key} without a publisher")
         _, epoch, step = ATTACHMENT.unpack(attachment)
         self._mesh.note_published(self, key, payload, step)
-        self._network.publish(self, key, payload, epoch, step)
+        self._network.publish(self, MessageEvent(key, payload, epoch, step))
 
     def control(self, key: str, payload: bytes) -> None:
         kind = key.partition("/")[0]
@@ -344,7 +353,7 @@ class SimulatedProcess(Actions):
         def finish(refusal: str | None) -> None:
             if not answered:
                 answered.append(refusal)
-                self.arrive_event(("handed_in", refusal))
+                self.arrive_event(HandedInEvent(refusal))
 
         launcher = self._mesh.launcher
         self._network.send((self, "result"), self.name, "", launcher.arrive_result, self, results, finish)
@@ -472,12 +481,12 @@ class SimulatedMesh:
 
     def handle(self, process: SimulatedProcess, event: Event | None) -> None:
         """Have a process handle an event."""
-        if event is not None and event[0] == "alive":
-            arrived = self._token_arrived.get(event[1])
-            self._known.pop(event[1], None)
+        if isinstance(event, PresenceEvent):
+            arrived = self._token_arrived.get(event.node)
+            self._known.pop(event.node, None)
             if arrived is not None:
-                self._known[event[1]] = arrived
-        elif event is not None and event[0] == "epoch" and not process.protocol.epoch:
+                self._known[event.node] = arrived
+        elif isinstance(event, EpochEvent) and not process.protocol.epoch:
             process.joined_frame = self.frame
         process.protocol.handle(event)
 

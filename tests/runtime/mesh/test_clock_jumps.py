@@ -12,6 +12,7 @@ import pytest
 from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.control import files
 from mast_zenoh.control.codec import encode
+from mast_zenoh.control.flow import Epoch
 from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.launch.conclusion import on_launcher_clock, percentiles
 from mast_zenoh.launch.file_server import FileServer
@@ -20,6 +21,7 @@ from mast_zenoh.messages.schemas import Header
 from mast_zenoh.node import Context, Node, Received, Source
 from mast_zenoh.runtime.file_client import FileClient
 from mast_zenoh.runtime.mesh.zenoh_process import ZenohProcess
+from mast_zenoh.runtime.protocol.events import EpochEvent, MessageEvent
 from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
 
 JUMP_NS = 49 * 60 * 10**9
@@ -57,7 +59,7 @@ def process_of(name: str, node: Node) -> ZenohProcess:
     process = ZenohProcess("x", resolved, name, node, MagicMock(), Signatures("x"))
     process.protocol.note_arrivals()
     process.protocol.start()
-    process.protocol.handle(("epoch", 1, {"sim": "simulator", "ego": "agent"}, None))
+    process.protocol.handle(EpochEvent(Epoch(1, {"sim": "simulator", "ego": "agent"}, None)))
     return process
 
 
@@ -66,7 +68,7 @@ def test_a_jump_of_the_time_of_day_changes_no_latency() -> None:
     sim: Any = process_of("sim", Sim()).protocol
     ego = process_of("ego", Ego()).protocol
     sim.scene.send(0)
-    ego.handle(("message", "clock", codec.encode(codec.conform(Header("clock", "sim", 0, 0, 0), {})), 1, 0))
+    ego.handle(MessageEvent("clock", codec.encode(codec.conform(Header("clock", "sim", 0, 0, 0), {})), 1, 0))
     sent, arrived = on_launcher_clock({"sim": {"sent_ns": sim.scene.sent_ns}, "ego": {"arrived_ns": ego.arrived_ns}})
     took_ms = (time.monotonic_ns() - begun_ns) * 1e-6
     assert 0.0 <= percentiles(sent, arrived["ego"]["clock"])["p50"] <= took_ms

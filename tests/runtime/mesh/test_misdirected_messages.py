@@ -19,6 +19,7 @@ import zenoh
 
 from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.control.codec import InvalidMessages
+from mast_zenoh.control.flow import Epoch
 from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.launch.context import Mesh
 from mast_zenoh.launch.mesh_run import MeshLauncher
@@ -27,6 +28,7 @@ from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime.mesh.zenoh_process import ZenohProcess
+from mast_zenoh.runtime.protocol.events import EpochEvent, MessageEvent
 from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
 
 CONTROL = "mast/x/@control"
@@ -123,8 +125,9 @@ def process_of(name: str, node: Node, session: Session, mode: str, tap: bool = F
     resolved = Resolved("poses", 1, mode, 1.0, 10, 10**8, specs, wiring(tap).to_json(), {})
     process = ZenohProcess(run, resolved, name, node, session, Signatures(run))
     process.protocol.start()
-    process.protocol.handle(("epoch", 1, dict.fromkeys(specs, "agent"), None))
-    process.protocol.receive_message("clock", codec.encode(codec.conform(Header("clock", "sim", 0, 0, 0), {})), 1, 0)
+    process.protocol.handle(EpochEvent(Epoch(1, dict.fromkeys(specs, "agent"), None)))
+    clock = codec.encode(codec.conform(Header("clock", "sim", 0, 0, 0), {}))
+    process.protocol.receive_message(MessageEvent("clock", clock, 1, 0))
     handle_all(process)
     return process
 

@@ -7,7 +7,9 @@ from typing import Any
 import pytest
 from hosted import Hosted
 
+from mast_zenoh.control.flow import Epoch
 from mast_zenoh.node import Node
+from mast_zenoh.runtime.protocol.events import EpochEvent, HandedInEvent, MatchedEvent, StopEvent
 from mast_zenoh.runtime.protocol.node import HAND_IN_TIMEOUT_S, MATCH_TIMEOUT_S, State
 from mast_zenoh.runtime.protocol.pacer import SETTLE_EVERY
 from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
@@ -34,6 +36,7 @@ def wire(key: str, message: str, publisher: str, subscriber: str) -> Wire:
 
 CLOCK = wire("clock", "clock", "sim", "node")
 MEMBERS = {"sim": "simulator", "node": "agent", "broker": "broker"}
+FIRST = EpochEvent(Epoch(1, MEMBERS, None))
 LISTENING = Wiring((CLOCK,))
 PUBLISHING = Wiring((CLOCK, wire("status", "status", "node", "broker")))
 
@@ -47,7 +50,7 @@ def test_a_node_that_only_listens_reports_while_messages_come_only_when_the_driv
     node: Node, wiring: Wiring, frame: int, reports: int
 ) -> None:
     hosted = Hosted("node", node, wiring)
-    hosted.protocol.handle(("epoch", 1, MEMBERS, None))
+    hosted.protocol.handle(FIRST)
     hosted.protocol.host.frame = frame
     hosted.protocol.idle()
     assert len(hosted.controls("counts/node")) == reports
@@ -56,7 +59,7 @@ def test_a_node_that_only_listens_reports_while_messages_come_only_when_the_driv
 
 def test_a_node_that_only_listens_reports_when_nothing_comes_any_more() -> None:
     hosted = Hosted("node", Listener(), LISTENING)
-    hosted.protocol.handle(("epoch", 1, MEMBERS, None))
+    hosted.protocol.handle(FIRST)
     hosted.protocol.host.frame = 3
     hosted.wait()
     assert hosted.protocol.idle() is None
@@ -66,10 +69,10 @@ def test_a_node_that_only_listens_reports_when_nothing_comes_any_more() -> None:
 def test_a_node_whose_publishers_have_no_subscriber_yet_does_not_report() -> None:
     hosted = Hosted("node", Agent(), PUBLISHING)
     hosted.actions.unmatched.return_value = {"status"}
-    hosted.protocol.handle(("epoch", 1, MEMBERS, None))
+    hosted.protocol.handle(FIRST)
     assert hosted.protocol.idle() == MATCH_TIMEOUT_S
     assert (hosted.protocol.state, hosted.controls("counts/node")) == (State.MATCHING, [])
-    hosted.protocol.handle(("matched", "status"))
+    hosted.protocol.handle(MatchedEvent("status"))
     hosted.protocol.idle()
     assert (hosted.protocol.state, len(hosted.controls("counts/node"))) == (State.RUNNING, 1)
 
@@ -77,7 +80,7 @@ def test_a_node_whose_publishers_have_no_subscriber_yet_does_not_report() -> Non
 def test_a_node_whose_subscriber_does_not_come_continues_without_it(caplog: pytest.LogCaptureFixture) -> None:
     hosted = Hosted("node", Agent(), PUBLISHING)
     hosted.actions.unmatched.return_value = {"status"}
-    hosted.protocol.handle(("epoch", 1, MEMBERS, None))
+    hosted.protocol.handle(FIRST)
     assert hosted.wait() == MATCH_TIMEOUT_S
     hosted.protocol.idle()
     assert (hosted.protocol.state, len(hosted.controls("counts/node"))) == (State.RUNNING, 1)
@@ -86,22 +89,22 @@ def test_a_node_whose_subscriber_does_not_come_continues_without_it(caplog: pyte
 
 def test_a_node_offers_its_results_again_as_long_as_the_launcher_does_not_answer() -> None:
     hosted = Hosted("node", Agent(), PUBLISHING)
-    hosted.protocol.handle(("stop", "end"))
+    hosted.protocol.handle(StopEvent("end"))
     assert hosted.protocol.state is State.HANDING_IN
     assert hosted.protocol.idle() == HAND_IN_TIMEOUT_S, "the first offer is not answered yet"
-    hosted.protocol.handle(("handed_in", None))
+    hosted.protocol.handle(HandedInEvent(None))
     hosted.now_ns += 10**8
-    hosted.protocol.handle(("stop", "end"))
+    hosted.protocol.handle(StopEvent("end"))
     assert hosted.actions.hand_in.call_count == 2, "also if the launcher asks it to stop again and again"
-    hosted.protocol.handle(("handed_in", ""))
+    hosted.protocol.handle(HandedInEvent(""))
     assert hosted.protocol.ended
 
 
 def test_a_node_ends_without_a_launcher(caplog: pytest.LogCaptureFixture) -> None:
     hosted = Hosted("node", Agent(), PUBLISHING)
-    hosted.protocol.handle(("stop", "end"))
+    hosted.protocol.handle(StopEvent("end"))
     while not hosted.protocol.ended:
-        hosted.protocol.handle(("handed_in", None))
+        hosted.protocol.handle(HandedInEvent(None))
         hosted.wait()
     assert hosted.now_ns == pytest.approx(HAND_IN_TIMEOUT_S * 1e9, rel=0.1)
     assert "has not acknowledged the results" in caplog.text
