@@ -132,7 +132,6 @@ def link(endpoint: str, path: str) -> None:
         nodes = {"link_ego": NodeSpec("link", "link.py", "", {}, "fail")}
         resolved = Resolved("link", 0, "realtime", 1.0, 1, PERIOD_NS, nodes, wiring().to_json(), {})
         process = ZenohProcess(path, resolved, "link_ego", node, session, Signatures(path))
-        process.protocol.note_arrivals()
         gc.freeze()  # as runtime/mesh/hosting.py does
         gc.set_threshold(50_000, 20, 20)
         process.run()

@@ -25,7 +25,6 @@ from mast_zenoh.errors import HandlerFailed, RunFolderError
 from mast_zenoh.launch import conclusion, liveness, notices
 from mast_zenoh.launch.table_files import TableFiles
 from mast_zenoh.messages import user_types
-from mast_zenoh.messages.limits import RowLimits
 from mast_zenoh.run_folder import read_json, read_object
 from mast_zenoh.run_folder.recording import reader
 from mast_zenoh.run_folder.recording.format import JOINED, LEFT, MALFORMED, REWIRED, Event
@@ -55,20 +54,7 @@ _HELD_FRAMES = 8
 
 def listening_host(resolved: Resolved, name: str, node: Any, wiring: Wiring) -> Host:
     """The host of a node that only listens, with the settings of a run; it has not started."""
-    host = Host(
-        name,
-        node,
-        wiring.ports(name),
-        resolved.seed,
-        encode=True,
-        emit=lambda out: None,
-        period_ns=resolved.period_ns,
-        wiring=wiring,
-        timespan=resolved.timespan,
-        plane=resolved.plane,
-    )
-    host.limits = RowLimits(resolved.max_rows)
-    return host
+    return Host.of(resolved, name, node, wiring, encode=True, emit=lambda out: None)
 
 
 def results_of(

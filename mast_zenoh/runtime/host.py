@@ -15,12 +15,13 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import results
 from mast_zenoh.control.failures import Failure
 from mast_zenoh.control.tables import PartedTables
 from mast_zenoh.errors import ConfigurationError, MessageError, nearest
 from mast_zenoh.messages import codec
-from mast_zenoh.messages.limits import NO_LIMITS, Shortened, Timespan, excess
+from mast_zenoh.messages.limits import NO_LIMITS, RowLimits, Shortened, Timespan, excess
 from mast_zenoh.messages.packed import Packed, check_codec, check_kernels, pack
 from mast_zenoh.messages.schemas import Body, Header, Message
 from mast_zenoh.node import Node, Outside, Overheard, Received, Source, Unopened
@@ -77,14 +78,13 @@ class Host:
     period_ns: interval of the scene's frames, ns: the unit of delays in lock-step
     now:  a monotonic clock, ns, for real time; None: time advances with frames, as in lock-step
     wiring: of the whole run, for nodes that observe wires
-    timespan: valid frames and times of messages; None: any
-    plane: of the stations of the run, for standard messages
-
-    limits: of the run on the rows of messages; the runtime sets them
+    timespan: valid frames and times of messages; None: any;  plane: of the stations of the run, for standard messages
+    limits: of the run on the rows of messages
     observe: called with the key and header of every valid message
     on_failure: called with every failure of a handler, after it has been counted
     tables: rows that the node has appended; the runtime sets `hand_in`
-    frame, time_ns: of the newest clock; sent, handled: number of messages by key; failures: by handler
+    clocked: whether it receives the clock;  frame, time_ns: of the newest
+    sent, handled: number of messages by key; failures: by handler
     rejected: number of rejected messages by (key, kind)
     first_rejected: frame and reason of the first rejection, by key
     """
@@ -123,8 +123,7 @@ class Host:
         self.first_rejected: dict[str, tuple[int, str]] = {}
         self._n_rejected, self._accepted = 0, set[str]()  # and the keys with a message that was not rejected
         self._publishers: dict[str, str] | None = None  # by key; built on first use
-        self._inputs = dict(ports.inputs)
-        self.subscriptions: Mapping[str, Input] = self._inputs
+        self.subscriptions: Mapping[str, Input] = ports.inputs
         self._emit = emit
         self._encode = encode
         self._outputs = ports.outputs
@@ -136,7 +135,7 @@ class Host:
             self._keys_of_port.setdefault(port, []).append(key)
         self._seq: Counter[str] = Counter()
         self._ignored: frozenset[str] = frozenset()
-        self._clocked = any(each.message == "clock" for each in ports.inputs.values())
+        self.clocked = any(each.message == "clock" for each in ports.inputs.values())
         self._period_ns = period_ns
         self._now = now
         self._step = -1  # of messages sent now
@@ -158,6 +157,14 @@ class Host:
         for port_input in ports.inputs.values():
             self._handlers.add(port_input)
         self._unopened = self._handlers.unopened
+
+    @classmethod
+    def of(cls, resolved: Resolved, name: str, node: Node, wiring: Wiring, **options: Any) -> Host:
+        """The host of a node of a scenario; options: encode, emit and now."""
+        facts: Any = {"period_ns": resolved.period_ns, "timespan": resolved.timespan, "plane": resolved.plane}
+        host = cls(name, node, wiring.ports(name), resolved.seed, wiring=wiring, **facts, **options)
+        host.limits = RowLimits(resolved.max_rows)
+        return host
 
     # -- documented in node.Context ------------------------------------------------------------------------------
 
@@ -288,11 +295,7 @@ class Host:
     def finish(self) -> dict[str, Any]:
         """Finish the node; returns its results, {} if that fails. Disables publishing."""
         self._emit = lambda out: None
-
-        def finish() -> dict[str, Any]:
-            return self.tables.close(results.checked(self.node.finish(self)))
-
-        return self._guard("finish", finish) or {}
+        return self._guard("finish", lambda: self.tables.close(results.checked(self.node.finish(self)))) or {}
 
     def failed(self, part: str, error: BaseException) -> None:
         """Count the failure of a part of a handler, see `node.Context`."""
@@ -365,7 +368,7 @@ class Host:
 
     def add_input(self, key: str, port_input: Input) -> None:
         """Accept messages on another key from now on."""
-        self._inputs[key] = port_input
+        self.subscriptions = {**self.subscriptions, key: port_input}
         self._handlers.add(port_input)
 
     @property
@@ -376,12 +379,8 @@ class Host:
     @property
     def unaccepted(self) -> list[str]:
         """The keys of its subscriptions on which nothing came but messages that were rejected."""
-        return [] if self._overhears else sorted(self.first_rejected.keys() & self._inputs.keys() - self._accepted)
-
-    @property
-    def clocked(self) -> bool:
-        """Whether the node receives the clock."""
-        return self._clocked
+        rejected = self.first_rejected.keys() & self.subscriptions.keys()
+        return [] if self._overhears else sorted(rejected - self._accepted)
 
     def reset_counts(self) -> None:
         """Restart the counts at zero, at a frame boundary: a node has died or joined."""
@@ -403,7 +402,7 @@ class Host:
         """The node that publishes on a key; behind an interposer, the interposer."""
         if self._publishers is None:
             self._publishers = {leg.key: leg.publisher.node for _, leg in self.wiring.legs()}
-        return self._publishers.get(key) or (self._inputs[key].source if key in self._inputs else key)
+        return self._publishers.get(key) or (self.subscriptions[key].source if key in self.subscriptions else key)
 
     def flush(self) -> None:
         """Send all delayed messages immediately, in the order in which they are due."""
@@ -450,7 +449,7 @@ class Host:
             return
         if not 0.0 <= after_s <= MAX_DELAY_S:
             raise ConfigurationError(f"{self.name}: after_s: found {after_s}, expected 0 to {MAX_DELAY_S:.0f}")
-        if not self._clocked:
+        if not self.clocked:
             raise ConfigurationError(
                 f"{self.name}: after_s: a node that does not receive the clock cannot delay a message"
             )
@@ -531,10 +530,10 @@ class Host:
 
     def _take(self, key: str, port_input: Input, received: Received, counted: bool) -> None:
         """Handle a message, or hold it until the clock of its step."""
-        if received.step > self.frame and self._clocked:
+        if received.step > self.frame and self.clocked:
             self._hold(received.step, key, port_input, received, counted)
             return
-        if not self._clocked:  # a node without a clock takes its step from the messages it handles
+        if not self.clocked:  # a node without a clock takes its step from the messages it handles
             self._step = max(self._step, received.step)
         self._handle(key, port_input, received, counted)
 
@@ -588,7 +587,7 @@ class Host:
         """The frame in which a message was handled: the clock's, else the message's."""
         if isinstance(message, Overheard):
             return message.step if message.step >= 0 else self.frame
-        if isinstance(message, Received) and not self._clocked and message.step >= 0:
+        if isinstance(message, Received) and not self.clocked and message.step >= 0:
             return message.step
         return self.frame
 

@@ -20,7 +20,6 @@ from mast_zenoh.control.failures import Entry, described, lines, location, merge
 from mast_zenoh.control.tables import TablePart
 from mast_zenoh.errors import NodeDied, RunError, StartError
 from mast_zenoh.messages import user_types
-from mast_zenoh.messages.limits import RowLimits
 from mast_zenoh.node import Source
 from mast_zenoh.runtime.host import Host, Outgoing
 from mast_zenoh.runtime.protocol.timetable import Timetable
@@ -57,7 +56,6 @@ class InProcess:
         user_types.use(resolved.messages)
         self._wiring = Wiring.from_json(resolved.wiring)
         self._encode = encode
-        self._limits = RowLimits(resolved.max_rows)
         self._roles = {name: spec.role for name, spec in resolved.nodes.items()}
         self._subscribers: dict[str, list[str]] = defaultdict(list)
         for key, _, subscriber in self._wiring.flows():
@@ -149,21 +147,8 @@ class InProcess:
 
     def _build_host(self, name: str) -> Host:
         """Build a node and its host."""
-        node, ports = build_node(self._resolved.nodes[name], name), self._wiring.ports(name)
-        period_ns = self._resolved.period_ns
-        host = Host(
-            name,
-            node,
-            ports,
-            self._resolved.seed,
-            encode=self._encode,
-            period_ns=period_ns,
-            emit=self._enqueue,
-            wiring=self._wiring,
-            timespan=self._resolved.timespan,
-            plane=self._resolved.plane,
-        )
-        host.limits = self._limits
+        node = build_node(self._resolved.nodes[name], name)
+        host = Host.of(self._resolved, name, node, self._wiring, encode=self._encode, emit=self._enqueue)
         if self._hand_in is not None:
             host.tables.hand_in = partial(self._hand_in, name, str(len(self._all_hosts)))
         self._all_hosts.append(host)

@@ -23,7 +23,6 @@ from mast_zenoh.launch.launcher_protocol import Report
 from mast_zenoh.launch.mesh_run import MeshLauncher
 from mast_zenoh.launch.reports import Reports
 from mast_zenoh.node import Node, Source
-from mast_zenoh.runtime.protocol.timetable import Timetable
 from mast_zenoh.security.access import rights
 from mast_zenoh.security.credentials import LAUNCHER
 from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
@@ -120,8 +119,8 @@ def ego() -> Hosted:
 @pytest.fixture
 def driver() -> Hosted:
     """A driver that has begun an epoch with all nodes, none of which has reported in it."""
-    timetable = Timetable(RESOLVED, lockstep=True)
-    driver = Hosted("sim", Sim(), WIRING, expected=dict(ROLES), rate=1.0, timetable=timetable, stall_timeout_s=5.0)
+    driver = Hosted("sim", Sim(), WIRING, nodes=RESOLVED.nodes)
+    driver.protocol.stall_timeout_s = 5.0
     driver.protocol.start()
     for name in ("ego", "watch"):
         driver.protocol.receive_presence(name, True)
@@ -133,7 +132,7 @@ def driver() -> Hosted:
 
 def counts(driver: Hosted, node: str, sent: dict[str, int], handled: dict[str, int]) -> None:
     """Report a node's counts to the driver."""
-    driver.protocol.receive_counts(node, flow.encode_counts(1, sent, handled))
+    driver.protocol.receive_counts(f"counts/{node}", flow.encode_counts(1, sent, handled))
     driver.handle_all()
 
 
@@ -155,10 +154,10 @@ def context(tmp_path: Path) -> RunContext:
 
 @pytest.mark.parametrize("payload", RUBBISH)
 def test_a_malformed_epoch_costs_a_node_one_message(ego: Hosted, payload: bytes) -> None:
-    ego.protocol.receive_epoch(payload)
+    ego.protocol.receive_epoch("epoch", payload)
     assert (ego.protocol.epoch, ego.protocol.invalid.counts) == (0, {"epoch": 1})
     assert not ego.items
-    ego.protocol.receive_epoch(flow.encode_epoch(1, {"ego": "agent"}, None))
+    ego.protocol.receive_epoch("epoch", flow.encode_epoch(1, {"ego": "agent"}, None))
     ego.handle_all()
     assert (ego.protocol.epoch, ego.protocol.stop_reason) == (1, None)
 
@@ -188,7 +187,7 @@ def begin_removal(hosted: Hosted) -> None:
     """Begin a wiring change that removes the node."""
     name = hosted.protocol.name
     update = flow.WiringUpdate(WIRING, False, (name,))
-    hosted.protocol.receive_epoch(flow.encode_epoch(1, {name: "adversary"}, update))
+    hosted.protocol.receive_epoch("epoch", flow.encode_epoch(1, {name: "adversary"}, update))
     hosted.handle_all()
 
 
@@ -217,7 +216,7 @@ def test_only_a_departing_node_answers_a_drain(eve: Hosted) -> None:
 @pytest.mark.parametrize("payload", RUBBISH)
 @pytest.mark.parametrize(("node", "key"), [("ego", "counts/ego"), ("nobody", "counts/*")])
 def test_malformed_counts_cost_the_driver_one_message(driver: Hosted, node: str, key: str, payload: bytes) -> None:
-    driver.protocol.receive_counts(node, payload)
+    driver.protocol.receive_counts(f"counts/{node}", payload)
     assert driver.protocol.invalid.counts == {key: 1}
     assert not driver.items
     assert driver.protocol.stop_reason is None
@@ -307,7 +306,7 @@ def test_a_node_that_repeatedly_leaves_and_returns_ends_the_run_by_name(driver: 
         presence(driver, False, True)
         driver.handle_all()
         for name in ("watch", "ego", "watch"):  # in the epoch without ego, and in that with it
-            driver.protocol.receive_counts(name, flow.encode_counts(driver.protocol.epoch, {}, {}))
+            driver.protocol.receive_counts(f"counts/{name}", flow.encode_counts(driver.protocol.epoch, {}, {}))
             driver.handle_all()
     assert driver.protocol.stop_reason == "implausible: ego was lost and came back more than 50 times"
 
@@ -501,9 +500,9 @@ def test_the_routers_rules_grant_no_more_than_the_table(name: str) -> None:
 
 def test_the_driver_queues_only_the_newest_counts_of_each_node(driver: Hosted) -> None:
     for count in range(1000):
-        driver.protocol.receive_counts("ego", flow.encode_counts(1, {}, {"clock": count}))
-        driver.protocol.receive_counts("watch", flow.encode_counts(1, {}, {"agent/ego/status": 1}))
-    driver.protocol.receive_counts("ego", b"rubbish")
+        driver.protocol.receive_counts("counts/ego", flow.encode_counts(1, {}, {"clock": count}))
+        driver.protocol.receive_counts("counts/watch", flow.encode_counts(1, {}, {"agent/ego/status": 1}))
+    driver.protocol.receive_counts("counts/ego", b"rubbish")
     assert [event.node for event, _, _ in driver.items] == ["ego", "watch"]
     driver.handle_all()
     assert driver.protocol.pacer._reports["ego"] == ({}, {"clock": 999})

@@ -184,18 +184,15 @@ def hold(frame: int, go: str, stall_timeout_s: float) -> None:
 
     stall_timeout_s: its limit for waiting until the mesh is quiet
     """
-    carry_out, init = DriverProtocol._carry_out, DriverProtocol.__init__
+    carry_out = DriverProtocol._carry_out
 
     def waiting(self: DriverProtocol) -> Phase:
         while self.frames == frame and not Path(go).exists() and not self._end_reason:
             yield from self._wait(DriverState.PACING, self._now_s + 0.02)
         return (yield from carry_out(self))
 
-    def hasty(self: DriverProtocol, *arguments: Any, **more: Any) -> None:
-        init(self, *arguments, **{**more, "stall_timeout_s": stall_timeout_s})
-
     DriverProtocol._carry_out = waiting  # type: ignore[method-assign]
-    DriverProtocol.__init__ = hasty  # type: ignore[method-assign]
+    DriverProtocol.stall_timeout_s = stall_timeout_s
 
 
 def main(folder: Path) -> None:

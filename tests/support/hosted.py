@@ -7,12 +7,12 @@ from contextlib import nullcontext
 from typing import Any
 from unittest.mock import MagicMock
 
+from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control.signatures import Signatures
-from mast_zenoh.node import Node, Source
+from mast_zenoh.node import Node
 from mast_zenoh.runtime.protocol.actions import Actions, Clocks
-from mast_zenoh.runtime.protocol.driver import DriverProtocol
-from mast_zenoh.runtime.protocol.node import NodeProtocol
-from mast_zenoh.runtime.protocol.traffic import Inbox, Item
+from mast_zenoh.runtime.protocol.driver import protocol_of
+from mast_zenoh.runtime.protocol.traffic import Inbox, Item, ProcessContext
 from mast_zenoh.wiring.model import Wiring
 
 
@@ -24,17 +24,17 @@ class Hosted:
     items:    what waits in the inbox;  now_ns: its clock
     """
 
-    def __init__(self, name: str, node: Node, wiring: Wiring, **options: Any) -> None:
+    def __init__(self, name: str, node: Node, wiring: Wiring, **fields: Any) -> None:
         self.now_ns = 0
         self.items: deque[Item] = deque()
         self.actions = MagicMock(spec=Actions)
         self.actions.unmatched.return_value = set()
         self.inbox = Inbox(self.items.append, nullcontext())
         clocks = Clocks(lambda: self.now_ns, lambda: 0.0)
-        common: Any = (name, node, wiring, 1, self.actions, self.inbox, clocks)
-        options = {"process": "p", "signatures": Signatures("x"), "period_ns": 1, "lockstep": True, **options}
-        protocol = DriverProtocol if isinstance(node, Source) else NodeProtocol
-        self.protocol: Any = protocol(*common, **options)
+        fields = dict(seed=1, mode="lockstep", rate=1.0, frames=1, period_ns=1, nodes={}, scene={}) | fields
+        context = ProcessContext(self.actions, self.inbox, clocks, "p", Signatures("x"))
+        resolved = Resolved(**{"name": "x", "wiring": wiring.to_json(), **fields})
+        self.protocol: Any = protocol_of(resolved, name, node, context)
 
     def handle_one(self) -> None:
         """Handle the next event in the inbox."""

@@ -112,8 +112,6 @@ def host(
 ) -> ZenohProcess:
     """Put a built node on the mesh, not yet running; from now on SIGTERM stops it."""
     process = ZenohProcess(run, resolved, name, instance, session, signatures)
-    if resolved.mode != "lockstep":
-        process.protocol.note_arrivals()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the launcher's to handle
     signal.signal(signal.SIGTERM, lambda *_: process.stop("terminated"))
     if not process.protocol.outlets:

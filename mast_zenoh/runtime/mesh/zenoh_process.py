@@ -15,7 +15,6 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Collection
-from functools import partial
 from typing import Any, TypeVar
 
 import zenoh
@@ -28,19 +27,11 @@ from mast_zenoh.errors import MessageError
 from mast_zenoh.messages.schemas import SCHEMAS
 from mast_zenoh.node import Node
 from mast_zenoh.runtime.host import Link
+from mast_zenoh.runtime.protocol import events
 from mast_zenoh.runtime.protocol.actions import DOZE_S, DRAIN_TIMEOUT_S, OFFER_TIMEOUT_S, Actions, Clocks
 from mast_zenoh.runtime.protocol.driver import DriverProtocol, protocol_of
-from mast_zenoh.runtime.protocol.events import (
-    DrainedEvent,
-    DueEvent,
-    Event,
-    HandedInEvent,
-    MatchedEvent,
-    MessageEvent,
-    OutsideEvent,
-)
 from mast_zenoh.runtime.protocol.node import HAND_IN_TIMEOUT_S
-from mast_zenoh.runtime.protocol.traffic import Inbox, Item, stamp_of
+from mast_zenoh.runtime.protocol.traffic import Inbox, Item, ProcessContext, stamp_of
 
 T = TypeVar("T")
 
@@ -95,10 +86,8 @@ class ZenohProcess(Actions):
         self._queue: queue.SimpleQueue[Item] = queue.SimpleQueue()
         self.inbox = Inbox(self._queue.put, threading.Lock())
         clocks = Clocks(time.monotonic_ns, time.process_time)
-        process = os.urandom(8).hex()
-        self.protocol = protocol_of(
-            resolved, name, node, self, self.inbox, clocks, process=process, signatures=signatures
-        )
+        context = ProcessContext(self, self.inbox, clocks, os.urandom(8).hex(), signatures)
+        self.protocol = protocol_of(resolved, name, node, context)
         self._parts = _PartSender(session, f"{self.prefix}/@control", f"result/{name}")
         self._receive_control()
 
@@ -142,7 +131,7 @@ class ZenohProcess(Actions):
 
         def notify() -> None:
             if not protocol.lockstep:  # there, the handler that waits takes what arrives
-                self.inbox.put(OutsideEvent())
+                self.inbox.put(events.OutsideEvent())
 
         link = Ros2Link(protocol.name, topics, waits=protocol.lockstep, notify=notify)
         protocol.host.link, protocol.on_stop = link, link.end
@@ -164,17 +153,16 @@ class ZenohProcess(Actions):
     def _receive_control(self) -> None:
         """Subscribe to the control messages of the protocol."""
         protocol, name = self.protocol, self.protocol.name
-        self._obey("epoch", lambda sample: protocol.receive_epoch(sample.payload.to_bytes()))
-        for key in ("stop", f"leave/{name}"):
-            self._obey(key, partial(self._on_stop, key))
+        for key, receive in protocol.receivers().items():
+            self._obey(key, receive)
         self._answer(f"drain/{name}", protocol.receive_drain)
         if isinstance(protocol, DriverProtocol):
             driver = protocol
-            self._obey("counts/*", lambda sample: driver.receive_counts(_node(sample), sample.payload.to_bytes()))
             self._answer("rewire", driver.receive_rewire)
 
             def on_token(token: zenoh.Sample) -> None:
-                driver.receive_presence(_node(token), token.kind == zenoh.SampleKind.PUT)
+                node = str(token.key_expr).rpartition("/")[2]
+                driver.receive_presence(node, token.kind == zenoh.SampleKind.PUT)
 
             presence: Any = zenoh.handlers.Callback(on_token, indirect=False)
             tokens = self.session.liveliness()
@@ -185,12 +173,13 @@ class ZenohProcess(Actions):
         direct: Any = zenoh.handlers.Callback(keeping_state(callback), indirect=False)
         self._declared.append(self.session.declare_subscriber(f"{self.prefix}/{key}", direct))
 
-    def _obey(self, key: str, receive: Callable[[zenoh.Sample], None]) -> None:
+    def _obey(self, key: str, receive: Callable[[str, bytes], None]) -> None:
         """Receive the messages on a control key."""
+        base = f"{self.prefix}/@control/"
 
         def on_sample(sample: zenoh.Sample) -> None:
             if self._was_sent_here(key, sample):
-                receive(sample)
+                receive(str(sample.key_expr).removeprefix(base), sample.payload.to_bytes())
 
         self._subscribe(f"@control/{key}", on_sample)
 
@@ -215,15 +204,12 @@ class ZenohProcess(Actions):
         direct: Any = zenoh.handlers.Callback(on_query, indirect=False)
         self._declared.append(self.session.declare_queryable(f"{self.prefix}/@control/{key}", direct))
 
-    def _on_stop(self, key: str, sample: zenoh.Sample) -> None:
-        self.protocol.receive_stop(key, sample.payload.to_bytes())
-
     def _on_message(self, key: str) -> Callable[[zenoh.Sample], None]:
         """The callback for the messages of a wire on a key."""
         receive = self.protocol.receive_message
 
         def on_sample(sample: zenoh.Sample) -> None:
-            message = MessageEvent(key, sample.payload.to_bytes(), *stamp_of(sample.attachment, key))
+            message = events.MessageEvent(key, sample.payload.to_bytes(), *stamp_of(sample.attachment, key))
             if self._prompt and self._handle_promptly(message):
                 return
             if receive(message):
@@ -231,7 +217,7 @@ class ZenohProcess(Actions):
 
         return on_sample
 
-    def _handle_promptly(self, message: MessageEvent) -> bool:
+    def _handle_promptly(self, message: events.MessageEvent) -> bool:
         """Handle a message in the receiving thread; False if others wait or it is busy."""
         if self._n_queued != self._n_handled or not self._lock.acquire(blocking=False):
             return False
@@ -243,7 +229,7 @@ class ZenohProcess(Actions):
         finally:
             self._lock.release()
         if due_s is not None:
-            self.inbox.put(DueEvent())
+            self.inbox.put(events.DueEvent())
         return True
 
     # -- actions ---------------------------------------------------------------------------------------------------
@@ -278,7 +264,7 @@ class ZenohProcess(Actions):
     def _on_matching(self, key: str) -> Any:
         def on_status(status: zenoh.MatchingStatus) -> None:
             if status.matching:
-                self.inbox.put(MatchedEvent(key))
+                self.inbox.put(events.MatchedEvent(key))
 
         return zenoh.handlers.Callback(on_status, indirect=False)
 
@@ -300,7 +286,7 @@ class ZenohProcess(Actions):
         self._query(
             f"drain/{node}",
             key.encode(),
-            lambda replies: DrainedEvent(key, any(reply.ok for reply in replies)),
+            lambda replies: events.DrainedEvent(key, any(reply.ok for reply in replies)),
             timeout=DRAIN_TIMEOUT_S,
             congestion_control=zenoh.CongestionControl.BLOCK,
             priority=zenoh.Priority.DATA,
@@ -324,7 +310,7 @@ class ZenohProcess(Actions):
         self._parts.finish()
         self._query(f"result/{self.protocol.name}", results, _handed_in, timeout=OFFER_TIMEOUT_S)
 
-    def _query(self, key: str, payload: bytes, event: Callable[[list[zenoh.Reply]], Event], **options: Any) -> None:
+    def _query(self, key: str, payload: bytes, event: Callable[..., events.Event], **options: Any) -> None:
         """Send a query on a control key; once it has ended, put the event of its replies into the inbox."""
         replies = list[zenoh.Reply]()
         handler: Any = zenoh.handlers.Callback(replies.append, lambda: self.inbox.put(event(replies)), indirect=False)
@@ -373,14 +359,9 @@ class _PartSender:
         return f"the launcher has not answered within {HAND_IN_TIMEOUT_S:.0f} s"
 
 
-def _handed_in(replies: list[zenoh.Reply]) -> HandedInEvent:
+def _handed_in(replies: list[zenoh.Reply]) -> events.HandedInEvent:
     """The event of the launcher's replies to results."""
     if any(reply.ok is not None for reply in replies):
-        return HandedInEvent("")
+        return events.HandedInEvent("")
     refusals = [files.decode_refusal(reply.err.payload.to_bytes()) for reply in replies if reply.err is not None]
-    return HandedInEvent(next((str(refusal) for refusal in refusals if refusal), None))
-
-
-def _node(sample: zenoh.Sample) -> str:
-    """The node in the key of a control message or token: its last chunk."""
-    return str(sample.key_expr).rpartition("/")[2]
+    return events.HandedInEvent(next((str(refusal) for refusal in refusals if refusal), None))

@@ -16,19 +16,16 @@ from mast_zenoh.config.process_steps import LEAVING, ProcessStep
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import flow
 from mast_zenoh.control.flow import END, MAX_TEXT, StopKind, StopReason, decode_reason, encode_reason
-from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.errors import MessageError
-from mast_zenoh.messages.limits import RowLimits
 from mast_zenoh.node import Context, Node, Source
 from mast_zenoh.runtime.host import Outgoing
-from mast_zenoh.runtime.protocol.actions import Actions, Clocks, Query
+from mast_zenoh.runtime.protocol.actions import Query
 from mast_zenoh.runtime.protocol.events import CountsEvent, Event, PresenceEvent, RewireEvent, StopEvent
 from mast_zenoh.runtime.protocol.node import MAX_FRAMES, NodeProtocol
 from mast_zenoh.runtime.protocol.pacer import Membership, Pacer, Presence, waits_for_listeners
 from mast_zenoh.runtime.protocol.rewiring import Rewiring
 from mast_zenoh.runtime.protocol.timetable import Timetable
-from mast_zenoh.runtime.protocol.traffic import Inbox
-from mast_zenoh.wiring.model import Wiring
+from mast_zenoh.runtime.protocol.traffic import ProcessContext
 
 #: How long the driver of a real-time run waits for the last messages before it stops all nodes.
 REALTIME_GRACE_S = 0.5
@@ -45,37 +42,11 @@ Phase = Generator[float, bool, StopReason | None]
 Wait = Generator[float, bool, bool]
 
 
-def protocol_of(
-    resolved: Resolved,
-    name: str,
-    node: Node,
-    actions: Actions,
-    inbox: Inbox,
-    clocks: Clocks,
-    *,
-    process: str,
-    signatures: Signatures,
-) -> NodeProtocol:
-    """The protocol of a node of a scenario; a Source drives its run."""
-    lockstep = resolved.mode == "lockstep"
-    arguments: Any = (name, node, Wiring.from_json(resolved.wiring), resolved.seed, actions, inbox, clocks)
-    options: dict[str, Any] = {
-        "process": process,
-        "signatures": signatures,
-        "period_ns": resolved.period_ns,
-        "lockstep": lockstep,
-        "timespan": resolved.timespan,
-        "plane": resolved.plane,
-    }
-    protocol: NodeProtocol
+def protocol_of(resolved: Resolved, name: str, node: Node, context: ProcessContext) -> NodeProtocol:
+    """The protocol of a node of a scenario; that of a Source drives the run."""
     if isinstance(node, Source):
-        expected = {other: spec.role for other, spec in resolved.nodes.items()}
-        timetable = Timetable(resolved, lockstep=lockstep)
-        protocol = DriverProtocol(*arguments, **options, expected=expected, rate=resolved.rate, timetable=timetable)
-    else:
-        protocol = NodeProtocol(*arguments, **options)
-    protocol.host.limits = RowLimits(resolved.max_rows)
-    return protocol
+        return DriverProtocol(resolved, name, node, context)
+    return NodeProtocol(resolved, name, node, context)
 
 
 class DriverState(Enum):
@@ -91,33 +62,20 @@ class DriverState(Enum):
 class DriverProtocol(NodeProtocol):
     """A NodeProtocol whose node is a Source: it publishes in `advance`.
 
-    arguments, options: of NodeProtocol
-    expected: name to role of all nodes
     timetable: the process steps; nodes that start later are not waited for at the beginning
     start_timeout_s, stall_timeout_s: how long to wait for nodes to start, and for the mesh to become quiet
     """
 
-    def __init__(
-        self,
-        name: str,
-        node: Source,
-        wiring: Wiring,
-        *arguments: Any,
-        expected: dict[str, str],
-        rate: float,
-        timetable: Timetable,
-        start_timeout_s: float = 60.0,
-        stall_timeout_s: float = 30.0,
-        **options: Any,
-    ) -> None:
-        super().__init__(name, node, wiring, *arguments, **options)
+    start_timeout_s = 60.0
+    stall_timeout_s = 30.0
+
+    def __init__(self, resolved: Resolved, name: str, node: Source, context: ProcessContext) -> None:
+        super().__init__(resolved, name, node, context)
         self.scene = SceneFrames(node, self.host, super()._emit, self.clocks.monotonic_ns)
-        self.pacer = Pacer(wiring)
-        self.membership = Membership(name, expected)
-        self.timetable = timetable
-        self.period_s = options["period_ns"] * 1e-9 / rate
-        self.start_timeout_s = start_timeout_s
-        self.stall_timeout_s = stall_timeout_s
+        self.pacer = Pacer(self.host.wiring)
+        self.membership = Membership(name, {other: spec.role for other, spec in resolved.nodes.items()})
+        self.timetable = Timetable(resolved, lockstep=self.lockstep)
+        self.period_s = resolved.period_ns * 1e-9 / resolved.rate
         self.frames = 0
         self.wall_s = 0.0
         self.fatal_problem = ""  # why the run must end, such as implausible counters of a node
@@ -134,12 +92,16 @@ class DriverProtocol(NodeProtocol):
 
     # -- what arrives, in any thread -------------------------------------------------------------------------------
 
-    def receive_counts(self, node: str, payload: bytes) -> None:
+    def receivers(self) -> dict[str, Callable[[str, bytes], None]]:
+        return {**super().receivers(), "counts/*": self.receive_counts}
+
+    def receive_counts(self, key: str, payload: bytes) -> None:
         """Receive and decode a node's counters.
 
         Decoding here keeps the main thread free. Messages that this thread does not read in time fill the router's
         queue, until the router closes the link.
         """
+        node = key.removeprefix("counts/")
         try:
             counts = flow.decode_counts(payload)
             if node == self.name:

@@ -6,7 +6,7 @@ name of its class, so `log` can write it, and read it again.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeAlias
 
 import msgspec
 
@@ -110,3 +110,21 @@ class PresenceEvent(NewestEvent, frozen=True):
 
     def after(self, waiting: PresenceEvent) -> PresenceEvent:
         return PresenceEvent(self.node, waiting.presence.followed_by(self.presence))
+
+
+#: Of these classes an event is.
+AnyEvent: TypeAlias = (
+    MessageEvent
+    | DroppedEvent
+    | EpochEvent
+    | MatchedEvent
+    | StopEvent
+    | HandedInEvent
+    | DrainEvent
+    | DrainedEvent
+    | OutsideEvent
+    | DueEvent
+    | RewireEvent
+    | CountsEvent
+    | PresenceEvent
+)

@@ -11,33 +11,20 @@ from contextlib import contextmanager
 from enum import Enum
 from typing import Any
 
+from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import flow, results
 from mast_zenoh.control.codec import InvalidMessages
 from mast_zenoh.control.failures import Failure, encode_failure
 from mast_zenoh.control.flow import WiringUpdate
-from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.errors import MessageError
-from mast_zenoh.messages.limits import Timespan
 from mast_zenoh.messages.schemas import Header
 from mast_zenoh.node import Node
 from mast_zenoh.runtime.host import Host
-from mast_zenoh.runtime.protocol.actions import Actions, Clocks, Query
-from mast_zenoh.runtime.protocol.events import (
-    DrainedEvent,
-    DrainEvent,
-    DroppedEvent,
-    EpochEvent,
-    Event,
-    HandedInEvent,
-    MatchedEvent,
-    MessageEvent,
-    OutsideEvent,
-    StopEvent,
-)
+from mast_zenoh.runtime.protocol import events
+from mast_zenoh.runtime.protocol.actions import Query
 from mast_zenoh.runtime.protocol.pacer import waits_for_listeners
 from mast_zenoh.runtime.protocol.rewiring import WiringFollower
-from mast_zenoh.runtime.protocol.traffic import Inbox, Outlets, Receiving
-from mast_zenoh.v2x.reference_position import WORLD_PLANE, LocalPlane
+from mast_zenoh.runtime.protocol.traffic import Outlets, ProcessContext, Receiving
 from mast_zenoh.wiring.model import Wiring
 
 #: Source of clocks in the inbox, where other messages of their publisher take none of their room: without its clock, a
@@ -65,42 +52,19 @@ class State(Enum):
 class NodeProtocol:
     """One node in its process.
 
-    actions: of the process;  inbox: where `receive_…` put events
-    process: distinguishes this process from earlier and later ones of this node
-    signatures: of control messages; period_ns: interval of the scene's frames, ns
-    lockstep: whether time advances with frames
-    timespan: valid frames and times of messages; None: any
-    plane: of the stations of the run, for standard messages
+    resolved: the scenario, with the node `name`
     """
 
-    def __init__(
-        self,
-        name: str,
-        node: Node,
-        wiring: Wiring,
-        seed: int,
-        actions: Actions,
-        inbox: Inbox,
-        clocks: Clocks,
-        *,
-        process: str,
-        signatures: Signatures,
-        period_ns: int,
-        lockstep: bool,
-        timespan: Timespan | None = None,
-        plane: LocalPlane = WORLD_PLANE,
-    ) -> None:
+    def __init__(self, resolved: Resolved, name: str, node: Node, context: ProcessContext) -> None:
         self.name = name
-        self.actions = actions
-        self.inbox = inbox
-        self.clocks = clocks
-        self.signatures = signatures
-        self.lockstep = lockstep
+        self.actions, self.inbox, self.clocks, process, self.signatures = context
+        actions, clocks = self.actions, self.clocks
+        self.lockstep = lockstep = resolved.mode == "lockstep"
         self.members: dict[str, str] = {}
         self.stop_reason: str | None = None
         self.on_kill: Callable[[], None] | None = None  # ends the process at once
         self.on_stop: Callable[[], None] = lambda: None  # ends what a handler waits for
-        self.arrived_ns: dict[str, dict[int, int]] = {}  # by key, when the newest frames arrived
+        self.arrived_ns: dict[str, dict[int, int]] = {}  # in real time: by key, when the newest frames arrived
         self.host_facts: dict[str, Any] = {}  # facts of its host, for run.json
         self._process = process
         self._ended = False
@@ -112,27 +76,17 @@ class NodeProtocol:
         self._offered = False  # whether it waits for the launcher's answer to them
         self._next_offer_ns = 0  # otherwise: when it offers them again
         self._cpu_start_s = 0.0
-        ports = wiring.ports(name)
+        wiring = Wiring.from_json(resolved.wiring)
         self.outlets = Outlets(wiring, name, actions)
-        self.host = Host(
-            name,
-            node,
-            ports,
-            seed,
-            encode=True,
-            period_ns=period_ns,
-            now=None if lockstep else clocks.monotonic_ns,
-            emit=self._emit,
-            wiring=wiring,
-            timespan=timespan,
-            plane=plane,
-        )
+        now = None if lockstep else clocks.monotonic_ns
+        self.host = Host.of(resolved, name, node, wiring, encode=True, emit=self._emit, now=now)
         self.host.on_failure = self._report_failure
+        self.host.observe = None if lockstep else self._note_arrival
         self.host.tables.hand_in = lambda part: actions.hand_in_part(results.encode_part(process, part))
         self.invalid = InvalidMessages(self.host.log.warning)  # control messages, by key
         self.receiving = Receiving(self.host)
         self.follower = WiringFollower(
-            *(name, self.host, ports, self.outlets, self.receiving, actions),
+            *(name, self.host, wiring.ports(name), self.outlets, self.receiving, actions),
             lockstep=lockstep,
             now_ns=clocks.monotonic_ns,
         )
@@ -167,7 +121,7 @@ class NodeProtocol:
 
     # -- what arrives, in any thread -------------------------------------------------------------------------------
 
-    def receive_message(self, message: MessageEvent) -> bool:
+    def receive_message(self, message: events.MessageEvent) -> bool:
         """Receive a message of a wire; False if there is no room for it."""
         counted = self.receiving.counted_epoch(message.epoch)
         port_input = self.host.subscriptions.get(message.key)
@@ -175,10 +129,14 @@ class NodeProtocol:
         source = CLOCK if is_clock else self.host.publisher(message.key)
         return self.inbox.put_message(source, message, counted)
 
-    def receive_epoch(self, payload: bytes) -> None:
+    def receivers(self) -> dict[str, Callable[[str, bytes], None]]:
+        """By control key, what receives the messages there, with their key; `*` stands for any node."""
+        return {"epoch": self.receive_epoch, "stop": self.receive_stop, f"leave/{self.name}": self.receive_stop}
+
+    def receive_epoch(self, key: str, payload: bytes) -> None:
         """Receive an epoch of the driver."""
-        with self._refusing("epoch"):
-            self.inbox.put(EpochEvent(self.signatures.open("epoch", payload, flow.decode_epoch)))
+        with self._refusing(key):
+            self.inbox.put(events.EpochEvent(self.signatures.open(key, payload, flow.decode_epoch)))
 
     def receive_stop(self, key: str, payload: bytes) -> None:
         """Receive a request to stop; key: below @control/."""
@@ -191,14 +149,14 @@ class NodeProtocol:
     def request_stop(self, reason: str) -> None:
         """Have the node hand in its results and end; from any thread, or a signal handler."""
         self.on_stop()
-        self.inbox.put(StopEvent(reason))
+        self.inbox.put(events.StopEvent(reason))
 
     def receive_drain(self, query: Query, payload: bytes) -> None:
         """Receive a drain query."""
         key = ""
         with self._refusing(f"drain/{self.name}"):
             key = self.follower.check_query(payload)
-            self.inbox.put(DrainEvent(query, key))
+            self.inbox.put(events.DrainEvent(query, key))
         if not key:
             self.actions.answer(query, None)
 
@@ -230,7 +188,7 @@ class NodeProtocol:
             return left_s if due_s is None else min(due_s, left_s)
         return due_s
 
-    def handle(self, event: Event | None) -> None:
+    def handle(self, event: events.Event | None) -> None:
         """Handle an event from the inbox; None: the time that `idle` returned has passed."""
         if self._results is not None and not (self._offered or self._seconds_until(self._next_offer_ns)):
             self._offer(self._results)  # also between two of the launcher's requests to stop
@@ -243,25 +201,25 @@ class NodeProtocol:
         if not self.lockstep:
             self.host.release()  # what is due leaves first
         match event:
-            case MessageEvent():
+            case events.MessageEvent():
                 if self._results is None:
                     self.receiving.receive(event)
-            case EpochEvent(epoch):
+            case events.EpochEvent(epoch):
                 self._enter_epoch(*epoch)
-            case OutsideEvent():
+            case events.OutsideEvent():
                 if self.receiving.started and self._results is None:
                     self.host.arrived()
-            case StopEvent(reason):
+            case events.StopEvent(reason):
                 self._stop(reason)
-            case MatchedEvent(key):
+            case events.MatchedEvent(key):
                 self._unmatched.discard(key)
-            case DroppedEvent(counts):
+            case events.DroppedEvent(counts):
                 self.receiving.note_dropped(counts)
-            case DrainEvent(query, key):
+            case events.DrainEvent(query, key):
                 self.follower.begin_drain(query, key)
-            case DrainedEvent(key, answered):
+            case events.DrainedEvent(key, answered):
                 self.follower.resume(key, answered)
-            case HandedInEvent(refusal):
+            case events.HandedInEvent(refusal):
                 self._note_handed_in(refusal)
         if self.follower.questioned:
             self.follower.answer_queries()
@@ -271,10 +229,6 @@ class NodeProtocol:
         if self.epoch and self._matched and not self.follower.busy and self._results is None:
             sent = self.outlets.counted(self.host.sent)
             self._send_counts(flow.encode_counts(self.epoch, sent, self.host.handled))
-
-    def note_arrivals(self) -> None:
-        """From now on note when messages arrive, for measuring latency."""
-        self.host.observe = self._note_arrival
 
     # -- inside ----------------------------------------------------------------------------------------------------
 
@@ -358,14 +312,16 @@ class NodeProtocol:
             "first_rejected": host.first_rejected,
             "unaccepted": host.unaccepted,
             "foreign": dict(self.receiving.foreign),
-            "invalid": self.invalid.entry(),
-            "unsigned": self.signatures.obeyed,
             "process": self._process,
             "failures": [failure.entry() for failure in host.failures.values()],
             "last_frame": host.frame,
             "arrived_ns": self.arrived_ns,
-            **self.host_facts,
+            **self.process_facts(),
         }
+
+    def process_facts(self) -> dict[str, Any]:
+        """What does not follow from the events that it has handled."""
+        return {"invalid": self.invalid.entry(), "unsigned": self.signatures.obeyed, **self.host_facts}
 
     def _note_handed_in(self, refusal: str | None) -> None:
         if refusal:

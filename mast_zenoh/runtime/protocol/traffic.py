@@ -11,10 +11,12 @@ import struct
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping
 from contextlib import AbstractContextManager
+from typing import NamedTuple
 
 from mast_zenoh.control.key_marks import MARK, MARK_BYTES, Attachment, key_mark
+from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.runtime.host import Host, Outgoing
-from mast_zenoh.runtime.protocol.actions import Actions
+from mast_zenoh.runtime.protocol.actions import Actions, Clocks
 from mast_zenoh.runtime.protocol.events import DroppedEvent, Event, MessageEvent, NewestEvent
 from mast_zenoh.runtime.waiting import EARLY, INBOX, Limit, Room
 from mast_zenoh.wiring.model import Wiring
@@ -111,6 +113,21 @@ class Inbox:
         with self._lock:
             dropped, self._dropped = self._dropped, Counter()
         return dropped
+
+
+class ProcessContext(NamedTuple):
+    """What a protocol finds in its process.
+
+    inbox: where `receive_…` put events
+    process: its id, which distinguishes it from earlier and later ones of its node
+    signatures: of control messages
+    """
+
+    actions: Actions
+    inbox: Inbox
+    clocks: Clocks
+    process: str
+    signatures: Signatures
 
 
 class Receiving:

@@ -16,6 +16,7 @@ from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.launch.launcher_protocol import RunState
 from mast_zenoh.launch.supervisor import Child, Supervisor
 from mast_zenoh.messages import codec
+from mast_zenoh.runtime.protocol import events
 from mast_zenoh.runtime.protocol.actions import (
     DOZE_S,
     DRAIN_TIMEOUT_S,
@@ -25,17 +26,8 @@ from mast_zenoh.runtime.protocol.actions import (
     Clocks,
 )
 from mast_zenoh.runtime.protocol.driver import DriverProtocol, protocol_of
-from mast_zenoh.runtime.protocol.events import (
-    DrainedEvent,
-    EpochEvent,
-    Event,
-    HandedInEvent,
-    MessageEvent,
-    PresenceEvent,
-    StopEvent,
-)
 from mast_zenoh.runtime.protocol.node import CLOCK
-from mast_zenoh.runtime.protocol.traffic import ATTACHMENT, Inbox, Item
+from mast_zenoh.runtime.protocol.traffic import ATTACHMENT, Inbox, Item, ProcessContext
 from mast_zenoh.runtime.waiting import Limit, Room
 from mast_zenoh.testing.simulation.network import Network, VirtualTime
 from mast_zenoh.testing.simulation.world import Schedule, World
@@ -94,7 +86,7 @@ class DrainQuery:
         """Tell the asker, once."""
         if not self.answered:
             self.answered = True
-            self.asker.arrive_event(DrainedEvent(self.key, ok))
+            self.asker.arrive_event(events.DrainedEvent(self.key, ok))
 
 
 class SimulatedProcess(Actions):
@@ -125,17 +117,9 @@ class SimulatedProcess(Actions):
         self.subscribed_ns = 0
         world, time = mesh.world, mesh.time
         self.inbox = Inbox(self._put, nullcontext())
-        clock: Callable[[], int] = lambda: CLOCK_ORIGIN_NS + time.now_ns  # noqa: E731
-        self.protocol = protocol_of(
-            resolved,
-            name,
-            world.build(name, resolved.nodes[name]),
-            self,
-            self.inbox,
-            Clocks(clock, lambda: 0.0),
-            process=f"{name} {number}",
-            signatures=Signatures(mesh.run),
-        )
+        clocks = Clocks(lambda: CLOCK_ORIGIN_NS + time.now_ns, lambda: 0.0)
+        context = ProcessContext(self, self.inbox, clocks, f"{name} {number}", Signatures(mesh.run))
+        self.protocol = protocol_of(resolved, name, world.build(name, resolved.nodes[name]), context)
         self.protocol.host.log = mesh.silent_log
         self.publishes = bool(self.protocol.outlets)
         self._network.processes.append(self)
@@ -158,7 +142,7 @@ class SimulatedProcess(Actions):
             item = self._items.popleft()
             event = self.inbox.take(item)
             self._guarded(self._mesh.handle, self, event)
-            if isinstance(event, MessageEvent):
+            if isinstance(event, events.MessageEvent):
                 self._network.in_transit[self, event.epoch] -= 1
         self._go_on()
 
@@ -217,12 +201,12 @@ class SimulatedProcess(Actions):
         elif self.alive:
             receive(*arguments)
 
-    def receive_message(self, message: MessageEvent) -> None:
+    def receive_message(self, message: events.MessageEvent) -> None:
         """Receive a message of a wire."""
         if not self.protocol.receive_message(message):
             self._network.in_transit[self, message.epoch] -= 1
 
-    def arrive_event(self, event: Event) -> None:
+    def arrive_event(self, event: events.Event) -> None:
         """Let an event arrive."""
         self.take_in(self.inbox.put, event)
 
@@ -232,15 +216,12 @@ class SimulatedProcess(Actions):
             self.take_in(self._receive_control, key, payload)
 
     def _receive_control(self, key: str, payload: bytes) -> None:
-        kind, _, node = key.partition("/")
-        if kind == "epoch":
-            self.protocol.receive_epoch(payload)
-        elif kind in ("stop", "leave") and node in ("", self.name):
-            if self.name in self._mesh.doomed:
-                self._time.after(self._mesh.doomed.pop(self.name), self.kill)
-            self.protocol.receive_stop(key, payload)
-        elif kind == "counts" and isinstance(self.protocol, DriverProtocol):
-            self.protocol.receive_counts(node, payload)
+        receivers = self.protocol.receivers()
+        receive = receivers.get(key) or receivers.get(key.partition("/")[0] + "/*")
+        if receive == self.protocol.receive_stop and self.name in self._mesh.doomed:
+            self._time.after(self._mesh.doomed.pop(self.name), self.kill)
+        if receive is not None:
+            receive(key, payload)
 
     # -- what happens to it ------------------------------------------------------------------------------------------
 
@@ -263,11 +244,11 @@ class SimulatedProcess(Actions):
 
     def terminate(self) -> None:
         """Have it finish, as SIGTERM does."""
-        self.arrive_event(StopEvent("terminated"))
+        self.arrive_event(events.StopEvent("terminated"))
 
     def orphan(self) -> None:
         """Close its standard input: the launcher is gone."""
-        self.arrive_event(StopEvent("orphaned"))
+        self.arrive_event(events.StopEvent("orphaned"))
         self._time.after(ORPHAN_GRACE_S, self._leave)
 
     def _leave(self) -> None:
@@ -308,7 +289,7 @@ class SimulatedProcess(Actions):
             raise LookupError(f"{self.name} publishes on {key} without a publisher")
         _, epoch, step = ATTACHMENT.unpack(attachment)
         self._mesh.note_published(self, key, payload, step)
-        self._network.publish(self, MessageEvent(key, payload, epoch, step))
+        self._network.publish(self, events.MessageEvent(key, payload, epoch, step))
 
     def control(self, key: str, payload: bytes) -> None:
         kind = key.partition("/")[0]
@@ -353,7 +334,7 @@ class SimulatedProcess(Actions):
         def finish(refusal: str | None) -> None:
             if not answered:
                 answered.append(refusal)
-                self.arrive_event(HandedInEvent(refusal))
+                self.arrive_event(events.HandedInEvent(refusal))
 
         launcher = self._mesh.launcher
         self._network.send((self, "result"), self.name, "", launcher.arrive_result, self, results, finish)
@@ -479,14 +460,14 @@ class SimulatedMesh:
         """Note a broken promise."""
         self.violations.append(f"{self.time.now_ns * 1e-9:.4f} s: {sentence}")
 
-    def handle(self, process: SimulatedProcess, event: Event | None) -> None:
+    def handle(self, process: SimulatedProcess, event: events.Event | None) -> None:
         """Have a process handle an event."""
-        if isinstance(event, PresenceEvent):
+        if isinstance(event, events.PresenceEvent):
             arrived = self._token_arrived.get(event.node)
             self._known.pop(event.node, None)
             if arrived is not None:
                 self._known[event.node] = arrived
-        elif isinstance(event, EpochEvent) and not process.protocol.epoch:
+        elif isinstance(event, events.EpochEvent) and not process.protocol.epoch:
             process.joined_frame = self.frame
         process.protocol.handle(event)
 

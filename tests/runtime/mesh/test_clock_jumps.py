@@ -57,7 +57,6 @@ def process_of(name: str, node: Node) -> ZenohProcess:
     specs = {"sim": NodeSpec("simulator", "", "", {}, "fail"), "ego": NodeSpec("agent", "", "", {}, "fail")}
     resolved = Resolved("jump", 1, "realtime", 1.0, 1, 10**8, specs, WIRING.to_json(), {})
     process = ZenohProcess("x", resolved, name, node, MagicMock(), Signatures("x"))
-    process.protocol.note_arrivals()
     process.protocol.start()
     process.protocol.handle(EpochEvent(Epoch(1, {"sim": "simulator", "ego": "agent"}, None)))
     return process
