@@ -47,6 +47,9 @@ def run(
     against: options.Against = None,
     shown: Annotated[bool, typer.Option("--view", help="Show the run in a browser while it is running.")] = False,
     quiet: options.Quiet = False,
+    debug_protocol: Annotated[
+        bool, typer.Option("--debug-protocol", help="Log every event and action of each process in logs/protocol/.")
+    ] = False,
 ) -> None:
     """Run a scenario; results, logs and a report go to a run folder."""
     from mast_zenoh import scenario
@@ -56,7 +59,9 @@ def run(
     path, loaded = scenario.load(scenario_file, settings or ())
     resolved = scenario.resolve(path, loaded, seed=seed, frames=frames, mode=mode, rate=rate, record=record)
     options.check_environment(runtime, resolved.mode, secure, endpoint, viewed=shown)
+    options.refuse(debug_protocol and runtime == "inproc", "one process has no protocol", "--debug-protocol")
     environment: dict[str, Any] = {"runtime": runtime, "endpoint": endpoint, "secure": secure}
+    environment["debug_protocol"] = debug_protocol
     allowed: dict[str, Any] = {"allow_failures": allow_failures, "allow_churn": allow_churn}
     connection = loaded.get("ros2")
     if runtime == "inproc" and connection is not None:

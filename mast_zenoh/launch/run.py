@@ -32,6 +32,7 @@ from mast_zenoh.messages import user_types
 from mast_zenoh.messages.packed import check_kernels
 from mast_zenoh.run_folder.recording import churn, script
 from mast_zenoh.runtime.inproc import InProcess
+from mast_zenoh.runtime.protocol_log import PROTOCOL_LOGS
 from mast_zenoh.scenes import Scene, inspection
 from mast_zenoh.wiring.model import Wiring
 
@@ -148,6 +149,7 @@ def run(
     prepare: Callable[[RunContext], None] = lambda context: None,
     console: Console | None = None,
     quiet: bool = False,
+    debug_protocol: bool = False,
     command: Sequence[str] | str | None = None,
     replay: Mapping[str, Any] | None = None,
 ) -> EndedRun:
@@ -159,6 +161,7 @@ def run(
     allow_failures: whether a run in which a handler failed is still "ok"; otherwise its error is HandlerFailed
     allow_churn: whether a lock-step run in which a node was lost is still "ok"; otherwise its error is NodeLost
     prepare:  called with the context of a run on a mesh before it starts: to set detours, and to observe the run
+    debug_protocol: whether each process on a mesh logs its protocol, see `runtime.protocol_log`
     quiet:    print no progress, only what deserves attention
     command:  what started the run, for run.json; None: this process's command line
     replay:   of a replay: what it replays, for run.json and metrics.json, with `notices`, a sentence for each thing
@@ -206,6 +209,8 @@ def run(
         with run_folder.reserved(folder):
             run_folder.write_json(folder / "run.json", record)
             resolved.write(folder)
+            if debug_protocol:
+                (folder / PROTOCOL_LOGS).mkdir()
         begun, caught = time.monotonic(), None
         try:
             if received:

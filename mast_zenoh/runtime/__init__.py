@@ -6,6 +6,7 @@ waiting      messages held for their clock or delayed, and limits on their numbe
 inproc       all nodes in one process
 player       nodes that send what was recorded
 protocol/    what the processes of a run do, as state machines without I/O
+protocol_log what such a state machine was given and has asked for, and its replay
 mesh/        one node as a process on a Zenoh mesh
 strays       ends what the code of a node has started, and would outlive it
 file_client  transfers the files of a node on a host without the run folder

@@ -49,6 +49,7 @@ def test_without_out_the_run_folder_is_named_automatically(mast, tmp_path: Path)
         (("run", "baseline", "--frames", "0"), 2, "--frames"),
         (("run", "baseline", "--runtime", "cloud"), 2, "--runtime"),
         (("run", "baseline", *SHORT, "--mode", "realtime"), 2, "--mode"),
+        (("run", "baseline", *SHORT, "--debug-protocol"), 2, "one process has no protocol"),
         (("run", "basline"), 10, "did you mean 'baseline.py'"),
         (("run", "no/such/file.py"), 10, "no such file"),
         (("run", "baseline", "--set", "n_infrastructre=3"), 10, "did you mean 'n_infrastructure'"),

@@ -41,6 +41,7 @@ def test_every_role_runs_in_its_own_process_with_the_metrics_of_one_process_and_
     files = {path.name for path in run.out.iterdir()}
     assert {"scenario.json", "wiring.json", "metrics.json", "messages.mcap", *tables} <= files
     assert (run.out / "logs" / "ego.log").is_file()
+    assert not (run.out / "logs" / "protocol").exists()
     assert "\x1b[" not in output
     assert "FN" in output
     assert str(run.out) in output.replace("\n", "")

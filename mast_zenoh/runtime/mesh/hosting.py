@@ -42,6 +42,7 @@ from mast_zenoh.node import Node
 from mast_zenoh.runtime.mesh.session import open_client, open_observer
 from mast_zenoh.runtime.mesh.zenoh_process import ZenohProcess
 from mast_zenoh.runtime.protocol.actions import ORPHAN_GRACE_S
+from mast_zenoh.runtime.protocol_log import PROTOCOL_LOGS
 from mast_zenoh.runtime.strays import end_own_strays
 from mast_zenoh.security import explain
 from mast_zenoh.security.control_keys import ControlKeys
@@ -111,7 +112,9 @@ def host(
     resolved: Resolved, run: str, name: str, instance: Any, session: zenoh.Session, signatures: Signatures
 ) -> ZenohProcess:
     """Put a built node on the mesh, not yet running; from now on SIGTERM stops it."""
-    process = ZenohProcess(run, resolved, name, instance, session, signatures)
+    logs = Path(PROTOCOL_LOGS)
+    write = (logs / f"{name}.msgpack").open("ab", buffering=0).write if logs.is_dir() else None
+    process = ZenohProcess(run, resolved, name, instance, session, signatures, write)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the launcher's to handle
     signal.signal(signal.SIGTERM, lambda *_: process.stop("terminated"))
     if not process.protocol.outlets:

@@ -15,6 +15,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Collection
+from functools import partial
 from typing import Any, TypeVar
 
 import zenoh
@@ -32,6 +33,7 @@ from mast_zenoh.runtime.protocol.actions import DOZE_S, DRAIN_TIMEOUT_S, OFFER_T
 from mast_zenoh.runtime.protocol.driver import DriverProtocol, protocol_of
 from mast_zenoh.runtime.protocol.node import HAND_IN_TIMEOUT_S
 from mast_zenoh.runtime.protocol.traffic import Inbox, Item, ProcessContext, stamp_of
+from mast_zenoh.runtime.protocol_log import logged_protocol
 
 T = TypeVar("T")
 
@@ -62,12 +64,20 @@ class ZenohProcess(Actions):
     """One node's process on the mesh.
 
     run: its id;  resolved: the scenario with the node `name`;  signatures: of control messages
+    write: takes the records of the protocol's log; None: no log
     protocol: of the node;  inbox: what has arrived for it
     hand_in_files: sends the rest of the files that the node has written
     """
 
     def __init__(
-        self, run: str, resolved: Resolved, name: str, node: Node, session: zenoh.Session, signatures: Signatures
+        self,
+        run: str,
+        resolved: Resolved,
+        name: str,
+        node: Node,
+        session: zenoh.Session,
+        signatures: Signatures,
+        write: Callable[[bytes], object] | None = None,
     ) -> None:
         self.session = session
         self.hand_in_files: Callable[[], None] = lambda: None
@@ -87,7 +97,8 @@ class ZenohProcess(Actions):
         self.inbox = Inbox(self._queue.put, threading.Lock())
         clocks = Clocks(time.monotonic_ns, time.process_time)
         context = ProcessContext(self, self.inbox, clocks, os.urandom(8).hex(), signatures)
-        self.protocol = protocol_of(resolved, name, node, context)
+        build = protocol_of if write is None else partial(logged_protocol, write)
+        self.protocol = build(resolved, name, node, context)
         self._parts = _PartSender(session, f"{self.prefix}/@control", f"result/{name}")
         self._receive_control()
 
