@@ -44,6 +44,7 @@ LAYERS: dict[str, str] = {
     "metrics": "compares estimates with the truth",
     "tracking": "turns detections into tracks",
     "sensing": "lidar and detector models",
+    "outside": "the interface of nodes to programs outside the run, and what is counted of these",
     "gather": "collects messages from many publishers by frame",
     "arrays": "states, geometry, matching, neighbours",
     "version": "version number and fingerprint of the sources",

@@ -25,7 +25,7 @@ import numpy as np
 
 from mast_zenoh.messages.limits import RowChoice
 from mast_zenoh.messages.schemas import BUILT_IN, Body, Schema
-from mast_zenoh.ros2.outside import Outside, OutsideTopics
+from mast_zenoh.outside import Outside, OutsideTopics
 from mast_zenoh.wiring.model import ANY, Input, Wiring
 from mast_zenoh.wiring.received import Overheard, Received, Unopened
 

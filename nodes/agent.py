@@ -18,7 +18,7 @@ from mast_zenoh.integrity.views import UNKNOWN_SPACE, SweptView, view_columns
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.pipelines import AgentPipeline, AgentSensor, Pose
 from mast_zenoh.runtime.mesh.hosting import main
-from mast_zenoh.sensing import LidarSensor
+from mast_zenoh.sensing import LidarSensor, sensor_pose, to_world
 from mast_zenoh.tracking.kalman import predicted
 from mast_zenoh.v2x.tracks import orientation_of, rotation_of
 from mast_zenoh.wiring.model import part_of
@@ -54,6 +54,14 @@ class Perceived(NamedTuple):
     mount: Pose
     measured: list[Measurement]
     free: Floats | None
+
+    def detections(self) -> Detections:
+        """What all sensors have detected, in the world."""
+        parts = [to_world(each.detections, *sensor_in_world(self.pose, each.mount)) for each in self.measured]
+        if not parts:
+            return Detections.empty()
+        columns = [part.columns() for part in parts]
+        return Detections(*(np.concatenate([each[name] for each in columns]) for name in columns[0]))
 
 
 class Agent(Node):
@@ -308,6 +316,12 @@ class Agent(Node):
             return ObjectStates.empty()
         self.pipeline.mission.date_picture(picture_ns)
         return predicted(states, age_ns * 1e-9)
+
+
+def sensor_in_world(pose: Pose, mount: Pose) -> tuple[Floats, Floats]:
+    """Position (3,) and rotation (3, 3) of a sensor. pose: of its agent"""
+    agent, sensor = (rotation_from_quaternion(each.quaternion) for each in (pose, mount))
+    return sensor_pose(pose.position, agent, mount.position, sensor)
 
 
 def _mount(sensor: AgentSensor) -> Pose:

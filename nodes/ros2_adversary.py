@@ -8,11 +8,11 @@ the next frame begins. Without an answer it is forwarded unchanged.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, Literal
 
 from mast_zenoh.node import Context, Node, OutsideTopics, Received
-from mast_zenoh.ros2.connection import Connection
-from mast_zenoh.ros2.outside import required
+from mast_zenoh.ros2.connection import Connection, required
 from mast_zenoh.runtime.mesh.hosting import main
 
 #: Messages that wait for their answer in real time, at most.
@@ -41,9 +41,9 @@ class Ros2Adversary(Node):
         stamps: Literal["scene", "wall"] = "scene",
     ) -> None:
         module = required("mast_zenoh.ros2.adversary_exchange")
-        connection = Connection.of(ros2 or {}, "ros2")
+        self.connection = Connection.of(ros2 or {}, "ros2")
         timing = module.Timing(wait_s, skew_s, stamps, start_s)
-        self.make_exchange = lambda name, wires: module.AdversaryExchange(name, connection, timing, wires)
+        self.make_exchange = lambda name, wires: module.AdversaryExchange(name, timing, wires)
         self.exchange = self.make_exchange("adversary", [])
         self.waiting: dict[tuple[int, str], Received] = {}  # by frame, and topic of the answer
 
@@ -51,7 +51,8 @@ class Ros2Adversary(Node):
         """The topics of what comes back, one for each wire."""
         wires = {(wire.port, wire.subject) for wire in context.subscriptions.values() if wire.port != "clock"}
         self.exchange = self.make_exchange(context.name, sorted(wires))
-        return self.exchange.topics
+        join = partial(required("mast_zenoh.runtime.mesh.ros2_participant").joined, self.connection)
+        return OutsideTopics(join, self.exchange.topics)
 
     def start(self, context: Context) -> None:
         """Wait for the node of ROS 2."""

@@ -10,19 +10,19 @@ that they are about. With detections, nothing was detected in it.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
-from agent import Agent, Measurement, Perceived
+from agent import Agent, Measurement, Perceived, sensor_in_world
 
-from mast_zenoh.arrays.geometry import rotation_from_quaternion, states_to_local
+from mast_zenoh.arrays.geometry import states_to_local
 from mast_zenoh.arrays.states import Detections
 from mast_zenoh.node import Context, OutsideTopics, Received
 from mast_zenoh.pipelines import Pose
-from mast_zenoh.ros2.connection import Connection
-from mast_zenoh.ros2.outside import required
+from mast_zenoh.ros2.connection import Connection, required
 from mast_zenoh.runtime.mesh.hosting import main
-from mast_zenoh.sensing import sensor_pose, to_sensor, to_world
+from mast_zenoh.sensing import to_sensor
 
 #: Frames without their answer that are kept.
 MAX_OPEN = 64
@@ -60,13 +60,13 @@ class Ros2Agent(Agent):
     ) -> None:
         super().__init__(**others)
         module = required("mast_zenoh.ros2.agent_exchange")
-        connection = Connection.of(ros2 or {}, "ros2")
+        self.connection = Connection.of(ros2 or {}, "ros2")
         timing = module.Timing(wait_s, skew_s, stamps, start_s)
         default = "TrackedObjects" if receives == "tracks" else "Detection3DArray"
         options = {"objects": receives, "object_type": message or default, "pose_type": pose}
         options |= {"world": world, "clock_topic": clock}
         self.receives = receives
-        self.make_exchange = lambda name: module.AgentExchange(name, connection, timing, **options)
+        self.make_exchange = lambda name: module.AgentExchange(name, timing, **options)
         self.exchange = self.make_exchange("agent")  # raises errors at once
         self.velocity = np.zeros(3)
         self.open: dict[int, Perceived] = {}  # frames without their answer
@@ -76,7 +76,8 @@ class Ros2Agent(Agent):
     def outside_topics(self, context: Context) -> OutsideTopics:
         """The topics of its tracks or detections, its pose, and frames of reference."""
         self.exchange = self.make_exchange(context.name)
-        return self.exchange.topics
+        join = partial(required("mast_zenoh.runtime.mesh.ros2_participant").joined, self.connection)
+        return OutsideTopics(join, self.exchange.topics)
 
     def start(self, context: Context) -> None:
         """Wait for the node of ROS 2."""
@@ -106,7 +107,7 @@ class Ros2Agent(Agent):
         """Send a frame to ROS 2; in lock-step, wait for the answer."""
         frame, time_ns, pose, *_ = perceived
         body = {"position": pose.position, "rotation": pose.quaternion, "velocity": self.velocity}
-        self.exchange.send(context.outside, frame, time_ns, body, seen(perceived))
+        self.exchange.send(context.outside, frame, time_ns, body, perceived.detections())
         self.open[frame] = perceived
         for old in sorted(self.open)[:-MAX_OPEN]:
             del self.open[old]
@@ -163,22 +164,6 @@ class Ros2Agent(Agent):
         """How often an answer was waited for, and missing; what its own tracker tells."""
         own = super().finish(context) if self.receives == "detections" else {}
         return {"outside": self.exchange.results(context.outside), **own}
-
-
-def seen(perceived: Perceived) -> Detections:
-    """What all sensors have detected in a frame, in the world."""
-    parts = [
-        to_world(each.detections, *sensor_in_world(perceived.pose, each.mount)).columns() for each in perceived.measured
-    ]
-    if not parts:
-        return Detections.empty()
-    return Detections(*(np.concatenate([part[name] for part in parts]) for name in parts[0]))
-
-
-def sensor_in_world(pose: Pose, mount: Pose) -> tuple[Any, Any]:
-    """Position (3,) and rotation (3, 3) of a sensor. pose: of its agent"""
-    agent, sensor = (rotation_from_quaternion(each.quaternion) for each in (pose, mount))
-    return sensor_pose(pose.position, agent, mount.position, sensor)
 
 
 if __name__ == "__main__":

@@ -8,14 +8,14 @@ predicted at constant velocity until it is too old, then an empty one: there is 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.node import Context, Node, OutsideTopics, Received
-from mast_zenoh.ros2.connection import Connection
-from mast_zenoh.ros2.outside import required
+from mast_zenoh.ros2.connection import Connection, required
 from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.tracking.kalman import predicted
 
@@ -49,11 +49,9 @@ class Ros2CommandCenter(Node):
         if picture_age_s < 0.0:
             raise ValueError(f"picture_age_s: found {picture_age_s}, expected 0 or more")
         self.module = required("mast_zenoh.ros2.center_exchange")
-        connection = Connection.of(ros2 or {}, "ros2")
+        self.connection = Connection.of(ros2 or {}, "ros2")
         timing = self.module.Timing(wait_s, skew_s, stamps, start_s)
-        self.make_exchange = lambda name: self.module.CenterExchange(
-            name, connection, timing, world=world, clock_topic=clock
-        )
+        self.make_exchange = lambda name: self.module.CenterExchange(name, timing, world=world, clock_topic=clock)
         self.exchange = self.make_exchange("command_center")
         self.picture_age_ns = round(picture_age_s * 1e9)
         self.newest = -1  # frame of the newest batch
@@ -64,7 +62,8 @@ class Ros2CommandCenter(Node):
     def outside_topics(self, context: Context) -> OutsideTopics:
         """The topics of the picture, and of frames of reference."""
         self.exchange = self.make_exchange(context.name)
-        return self.exchange.topics
+        join = partial(required("mast_zenoh.runtime.mesh.ros2_participant").joined, self.connection)
+        return OutsideTopics(join, self.exchange.topics)
 
     def start(self, context: Context) -> None:
         """Wait for the node of ROS 2."""

@@ -200,7 +200,7 @@ def left_out(results: Mapping[str, Mapping[str, Any]]) -> dict[str, int]:
 
 
 def outside(results: Mapping[str, Mapping[str, Any]], nodes: Mapping[str, NodeSpec]) -> dict[str, dict[str, Any]]:
-    """What nodes that exchange messages with programs outside the run counted, by node, see `FrameExchange.results`.
+    """What nodes that exchange messages with programs outside the run counted, by node, see `OutsideTally`.
 
     A node that handed in no counts, because it was lost, has none: {}.
     """

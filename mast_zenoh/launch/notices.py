@@ -9,7 +9,7 @@ from typing import Any
 from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.control.results import counts_of
 from mast_zenoh.metrics.estimates import subject_of
-from mast_zenoh.ros2.outside import MOST_PUBLISHERS
+from mast_zenoh.outside import MOST_PUBLISHERS
 from mast_zenoh.run_folder.recording import churn
 from mast_zenoh.scenario.driving import driver_of_car
 from mast_zenoh.tracking.base import OVERCONFIDENT, Innovations

@@ -28,7 +28,6 @@ altered_objects   messages of objects some of which an interposer has altered
 
 Nodes of a run that exchange messages with nodes of ROS 2:
 
-outside           topics, and the interface of a node's link to ROS 2; needs no rosbags
 frame_transforms  where frames of reference are in the world, from /tf and /tf_static
 frame_exchange    questions about frames and their answers: stamps, waiting, counts
 agent_exchange    what an agent sends, and its tracks, detections or pose that come back

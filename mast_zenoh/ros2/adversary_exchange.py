@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from mast_zenoh.arrays.states import DETECTION_COLUMNS, Detections, ObjectStates
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messages.schemas import Body
+from mast_zenoh.outside import Outside
 from mast_zenoh.ros2 import type_store
-from mast_zenoh.ros2.connection import Connection
 from mast_zenoh.ros2.frame_exchange import About, AnswerTopic, FrameExchange, Timing
 from mast_zenoh.ros2.frame_transforms import FrameTransforms, Placement
+from mast_zenoh.ros2.names import ros2_name, topic_prefix
 from mast_zenoh.ros2.object_messages import detection_array, states_of, tracked_objects
-from mast_zenoh.ros2.outside import Outside, ros2_name, topic_prefix
 from mast_zenoh.ros2.received_objects import Received, received_tracks
 from mast_zenoh.ros2.type_store import RosMessage
 from mast_zenoh.tracking.kalman import predicted
@@ -92,7 +92,7 @@ class AdversaryExchange(FrameExchange):
     frame of reference of the wire, which is called `intercepted`. The wire of the picture has no subject.
     """
 
-    def __init__(self, name: str, connection: Connection, timing: Timing, wires: Collection[tuple[str, str]]) -> None:
+    def __init__(self, name: str, timing: Timing, wires: Collection[tuple[str, str]]) -> None:
         self._types = {wire: WIRE_TYPES[wire[0]] for wire in wires}
         self._sent: dict[tuple[str, int], _Sent] = {}  # by topic of the answer, and frame
         self._prefix = topic_prefix(name)
@@ -100,7 +100,7 @@ class AdversaryExchange(FrameExchange):
             AnswerTopic(self.topic(wire, "out"), kind, received_tracks, self._use(self.topic(wire, "out")))
             for wire, kind in self._types.items()
         ]
-        super().__init__(connection, answers, FrameTransforms(FRAME), timing, listens_to_tf=False)
+        super().__init__(answers, FrameTransforms(FRAME), timing, listens_to_tf=False)
 
     def topic(self, wire: tuple[str, str], side: str) -> str:
         """The topic of a wire; side: in or out"""

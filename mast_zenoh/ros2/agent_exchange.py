@@ -12,12 +12,12 @@ from mast_zenoh.arrays.geometry import rotation_from_quaternion, states_to_world
 from mast_zenoh.arrays.states import Detections, Floats, ObjectStates
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messages.schemas import Body
+from mast_zenoh.outside import Outside
 from mast_zenoh.ros2 import type_store
-from mast_zenoh.ros2.connection import Connection
 from mast_zenoh.ros2.frame_exchange import TF, About, AnswerTopic, FrameExchange, Timing, check_names
 from mast_zenoh.ros2.frame_transforms import FrameTransforms, Placement, composed
+from mast_zenoh.ros2.names import ros2_name, topic_prefix
 from mast_zenoh.ros2.object_messages import detection_array, states_of
-from mast_zenoh.ros2.outside import Outside, ros2_name, topic_prefix
 from mast_zenoh.ros2.pose_messages import clock, odometry, transform_message
 from mast_zenoh.ros2.received_objects import MOST_SPEED, TOO_FAST, Received, received_detections, received_tracks
 from mast_zenoh.ros2.received_poses import ReceivedPose, received_pose, stamped_poses
@@ -62,7 +62,6 @@ class AgentExchange(FrameExchange):
     def __init__(
         self,
         name: str,
-        connection: Connection,
         timing: Timing,
         *,
         objects: Objects,
@@ -88,7 +87,7 @@ class AgentExchange(FrameExchange):
         self.questions = [topic.name for topic in answers]
         # An agent that is placed from outside has no frame of which the run says where it is.
         transforms = FrameTransforms(world, () if pose_type else (self.agent_frame,))
-        super().__init__(connection, answers, transforms, timing)
+        super().__init__(answers, transforms, timing)
 
     def join(self, outside: Outside) -> bool:
         """Make the topics known, and wait for a node that answers; False if there is none."""

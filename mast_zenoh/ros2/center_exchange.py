@@ -9,12 +9,12 @@ import numpy as np
 from mast_zenoh.arrays.geometry import states_to_world
 from mast_zenoh.arrays.states import Ints, ObjectStates
 from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.outside import Outside
 from mast_zenoh.ros2 import type_store
-from mast_zenoh.ros2.connection import Connection
 from mast_zenoh.ros2.frame_exchange import About, AnswerTopic, FrameExchange, Timing, check_names
 from mast_zenoh.ros2.frame_transforms import FrameTransforms, Placement
+from mast_zenoh.ros2.names import ros2_name, topic_prefix
 from mast_zenoh.ros2.object_messages import tracked_objects
-from mast_zenoh.ros2.outside import Outside, ros2_name, topic_prefix
 from mast_zenoh.ros2.pose_messages import clock
 from mast_zenoh.ros2.received_objects import Received, received_tracks
 from mast_zenoh.tracking.kalman import predicted
@@ -34,13 +34,13 @@ class CenterExchange(FrameExchange):
     one for an agent of which nothing is known. The picture is received as TrackedObjects on `picture_topic`.
     """
 
-    def __init__(self, name: str, connection: Connection, timing: Timing, *, world: str, clock_topic: str) -> None:
+    def __init__(self, name: str, timing: Timing, *, world: str, clock_topic: str) -> None:
         check_names(world, clock_topic)
         self._prefix, self._world, self._clock_topic = topic_prefix(name), world, clock_topic
         self.picture_topic = f"{self._prefix}/received_picture"
         self._agents: dict[str, str] = {}  # topics by agent
         answer = AnswerTopic(self.picture_topic, type_store.TRACKED_OBJECTS, received_tracks, self._use)
-        super().__init__(connection, [answer], FrameTransforms(world), timing)
+        super().__init__([answer], FrameTransforms(world), timing)
 
     def join(self, outside: Outside, agents: Collection[str]) -> bool:
         """Make the topics known, and wait for a node that answers; False if there is none.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
@@ -94,6 +95,17 @@ class BridgeConfig:
         if type(every_frame) is not bool:
             raise ConfigurationError(f"{place}.every_frame: found {every_frame!r:.120}, expected True or False")
         return cls(Connection.of(given, place), every_frame)
+
+
+def required(module: str) -> Any:
+    """A module that needs the extra ros2; raises ConfigurationError if that is not installed."""
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        if (error.name or "").startswith("mast_zenoh"):
+            raise
+        problem = f"{error.name} is not installed, which messages of ROS 2 need"
+        raise ConfigurationError(f"{problem}: pip install 'mast-zenoh[ros2]'") from None
 
 
 def _tls(config: Any, place: str) -> Tls:

@@ -7,24 +7,22 @@ their stamps. What answers no question, came before it, or cannot be used, is co
 from __future__ import annotations
 
 import itertools
-from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 from mast_zenoh.errors import MessageError
+from mast_zenoh.outside import Arrival, Outside, OutsideTally, OutsideTopic
 from mast_zenoh.ros2 import type_store
-from mast_zenoh.ros2.connection import Connection
 from mast_zenoh.ros2.frame_transforms import FrameTransforms, Placement
 from mast_zenoh.ros2.names import check_topic
-from mast_zenoh.ros2.outside import MOST_PUBLISHERS, Arrival, Outside, OutsideTopic, OutsideTopics
 from mast_zenoh.ros2.received_poses import received_transforms
 from mast_zenoh.ros2.type_store import RosMessage
 
 TF, TF_STATIC = "/tf", "/tf_static"
 _TF_TOPICS = (
     OutsideTopic(TF, type_store.TF_MESSAGE, depth=100, most_bytes=1 << 15),
-    OutsideTopic(TF_STATIC, type_store.TF_MESSAGE, transient_local=True, depth=100, most_bytes=1 << 15),
+    OutsideTopic(TF_STATIC, type_store.TF_MESSAGE, retained=True, depth=100, most_bytes=1 << 15),
 )
 #: Transforms that are taken at once, of the smallest messages: a flood of large ones delays no answers.
 MOST_TRANSFORMS_AT_ONCE = 1000
@@ -38,8 +36,6 @@ MOST_SILENT, BRIEF_S = 3, 0.02
 MOST_WAIT_S = 5.0
 #: s, for a node outside to subscribe after it has begun to publish.
 _SUBSCRIBE_S = 2.0
-#: Reasons that are told apart.
-_MOST_REASONS = 50
 
 
 class About(NamedTuple):
@@ -113,59 +109,39 @@ def check_names(world: str, clock_topic: str) -> None:
             raise ValueError(f"clock: {error}") from None
 
 
-class _Absence(NamedTuple):
-    """Why nothing arrived on a topic: from a frame on, until the first frame that was answered again."""
-
-    since: int
-    reason: str
-    until: int | None = None
-
-    def __str__(self) -> str:
-        end = "on" if self.until is None else f"to {self.until}"
-        return f"from frame {self.since} {end}: {self.reason}"
-
-
-class FrameExchange:
+class FrameExchange(OutsideTally):
     """The questions of one node, and the answers to them.
 
     answers: topics on which they come
     transforms: of frames of reference;  listens_to_tf: whether /tf and /tf_static are received
-    refused: number of received messages that are of no use, by reason
-    left_out: number of objects and transforms that are not used of used messages, by reason
-    unclassified: number of used objects with a class that is not ours
+    topics: that it receives
     """
 
     def __init__(
         self,
-        connection: Connection,
         answers: Collection[AnswerTopic],
         transforms: FrameTransforms,
         timing: Timing,
         *,
         listens_to_tf: bool = True,
     ) -> None:
+        super().__init__(topic.name for topic in answers)
         self.transforms = transforms
-        self.refused: Counter[str] = Counter()
-        self.left_out: Counter[str] = Counter()
-        self.unclassified = 0
         self._timing = timing
         self._topics = {topic.name: topic for topic in answers}
         received = [OutsideTopic(topic.name, topic.type_name) for topic in answers]
-        self.topics = OutsideTopics(connection, (*(_TF_TOPICS if listens_to_tf else ()), *received))
+        self.topics = (*(_TF_TOPICS if listens_to_tf else ()), *received)
         self._times: dict[int, int] = {}  # of the newest frames, ns
         self._open: dict[tuple[int, str], bool] = {}  # questions without an answer: whether their frame went on
         self._answered: set[tuple[int, str]] = set()
-        self._counts = dict.fromkeys(("asked", "answered", "late", "interrupted"), 0)
         self._early: list[Answer] = []  # late ones, which arrived before the newest question
-        self._gids: dict[str, set[bytes]] = {name: set() for name in self._topics}  # of publishers, by topic
         self._silent = 0
-        self._absent: dict[str, _Absence] = {}  # the newest, by topic
 
     def start(self, outside: Outside, questions: Collection[str]) -> bool:
         """Wait for a node outside that answers; False if there is none. questions: topics that it may subscribe to"""
         topics = list(self._topics)
         if not outside.wait(self._timing.start_s, lambda: all(map(outside.present, topics))):
-            self._note_absent(outside, topics, 0)
+            self.note_absent(outside, topics, 0)
             return False
         outside.wait(_SUBSCRIBE_S, lambda: any(map(outside.heard, questions)), topics)
         return True
@@ -186,7 +162,7 @@ class FrameExchange:
         self._early.extend(self._take(outside))
         for topic in topics:
             self._open[frame, topic] = False
-            self._counts["asked"] += 1
+            self.counts["asked"] += 1
 
     def collect(self, outside: Outside, frame: int) -> list[Answer]:
         """The answers that have arrived; in lock-step, those to the questions about a frame are waited for."""
@@ -205,59 +181,31 @@ class FrameExchange:
             return answers
         missing = self._missing(frame)
         self._silent += 1
-        if not outside.ended:
-            self._note_absent(outside, missing, frame)
+        self.note_missing(outside, missing, frame)
         for topic in missing:
             self._open[frame, topic] = True
-        if outside.ended:  # nobody has failed to answer
-            self._counts["asked"] -= len(missing)
-            self._counts["interrupted"] += len(missing)
         return answers
 
     def results(self, outside: Outside) -> dict[str, Any]:
         """The counts, for the results of a node."""
-        unanswered = self._counts["asked"] - self._counts["answered"] - self._counts["late"]
-        counts: dict[str, Any] = {**self._counts, "waits": outside.waits}
-        counts["unanswered"] = max(0, unanswered)  # an answer may come after the end of the run was announced
-        counts["unclassified"] = self.unclassified
         if not outside.waits:
             newest = max(self._times, default=0)
-            self._note_absent(outside, self._missing(newest), newest)
-        publishers = {topic: len(gids) for topic, gids in self._gids.items() if gids}
-        refused = dict(self.refused + Counter(outside.refused))
-        reasons = {"publishers": publishers, "refused": refused, "left_out": dict(self.left_out)}
-        return {**counts, **reasons, "absent": {topic: str(absence) for topic, absence in self._absent.items()}}
-
-    def refuse(self, error: MessageError) -> None:
-        """Count a message that cannot be used, by the reason's part before the colon."""
-        _count(self.refused, str(error).partition(":")[0], 1)
-
-    def leave_out(self, reason: str, number: int) -> None:
-        """Count objects or transforms that are left out, by reason."""
-        if number:
-            _count(self.left_out, reason, number)
+            self.note_absent(outside, self._missing(newest), newest)
+        return super().results(outside)
 
     # -- inside --------------------------------------------------------------------------------------------------------
-
-    def _note_absent(self, outside: Outside, topics: Collection[str], frame: int) -> None:
-        """Note why nothing can arrive on topics from a frame on, until an answer comes."""
-        for topic in topics:
-            known = self._absent.get(topic)
-            if (known is None or known.until is not None) and (reason := outside.absence(topic)):
-                self._absent[topic] = _Absence(frame, reason)
 
     def _missing(self, frame: int) -> list[str]:
         return [topic for about, topic in self._open if about == frame and not self._open[about, topic]]
 
     def _take(self, outside: Outside) -> Iterator[Answer]:
-        for topic, message, gid in self._without_floods(outside.take()):
+        for arrival in self._without_floods(outside.take()):
             try:
-                if topic in self._topics:
-                    if len(self._gids[topic]) < MOST_PUBLISHERS:
-                        self._gids[topic].add(gid)
-                    yield self._answer(self._topics[topic], message, outside)
+                if arrival.topic in self._topics:
+                    self.note_publisher(arrival)
+                    yield self._answer(self._topics[arrival.topic], arrival.message, outside)
                 else:
-                    self._add_transforms(message, static=topic == TF_STATIC)
+                    self._add_transforms(arrival.message, static=arrival.topic == TF_STATIC)
             except MessageError as error:
                 self.refuse(error)
 
@@ -286,9 +234,7 @@ class FrameExchange:
         self.unclassified += getattr(received, "unclassified", 0)
         del self._open[about.frame, topic.name]
         self._answered.add((about.frame, topic.name))
-        self._counts["late" if about.late else "answered"] += 1
-        if (absent := self._absent.get(topic.name)) is not None and absent.until is None:
-            self._absent[topic.name] = absent._replace(until=about.frame)
+        self.note_answer(topic.name, about.frame, late=about.late)
         return Answer(topic.name, about, content)
 
     def _about(self, stamp_ns: int, topic: str, outside: Outside) -> About:
@@ -341,9 +287,3 @@ class FrameExchange:
                 self.transforms.add(parent, child, time_ns, Placement(position, rotation), static=static)
             except MessageError as error:
                 self.leave_out(str(error).partition(":")[0], 1)
-
-
-def _count(counts: Counter[str], reason: str, number: int) -> None:
-    """Count a reason; peers choose the words of some, so that only the first ones are told apart."""
-    reason = " ".join(reason.split())[:120]
-    counts[reason if reason in counts or len(counts) < _MOST_REASONS else "other reasons"] += number

@@ -22,6 +22,16 @@ _HASH = re.compile(r"RIHS01_[0-9a-f]{64}")
 _DOMAIN = re.compile(r"0|[1-9][0-9]{0,9}")
 
 
+def ros2_name(name: str) -> str:
+    """A node's name as ROS 2 allows it: letters, digits and _, no digit first."""
+    return re.sub(r"^(?=[0-9])", "_", re.sub(r"\W", "_", name, flags=re.ASCII))
+
+
+def topic_prefix(node: str) -> str:
+    """Where the topics of a node of the run are by default, such as /mast/infra_1."""
+    return f"/mast/{ros2_name(node)}"
+
+
 def check_topic(topic: str) -> str:
     """`topic`, a fully qualified name such as `/mast/picture`; raises ValueError if it is none."""
     if not _QUALIFIED.fullmatch(topic) or len(topic) > _LONGEST_TOPIC:

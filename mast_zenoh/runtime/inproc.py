@@ -22,6 +22,7 @@ from mast_zenoh.errors import NodeDied, RunError, StartError
 from mast_zenoh.messages import user_types
 from mast_zenoh.node import Source
 from mast_zenoh.runtime.host import Host, Outgoing
+from mast_zenoh.runtime.outside_link import OutsideLink
 from mast_zenoh.runtime.protocol.timetable import Timetable
 from mast_zenoh.wiring.model import Wiring
 
@@ -122,9 +123,7 @@ class InProcess:
     def _start(self, name: str) -> None:
         host = self.hosts[name]
         if (topics := host.node.outside_topics(host)) is not None:
-            from mast_zenoh.runtime.mesh.ros2_link import Ros2Link  # needs the extra ros2
-
-            host.link = Ros2Link(name, topics, waits=True, stopping=self._stopping)
+            host.link = OutsideLink(name, topics, waits=True, stopping=self._stopping)
         try:
             host.start(self._peers(name))
         except KeyboardInterrupt:

@@ -1,4 +1,4 @@
-"""A link to programs outside the run that are functions: for tests of nodes that exchange messages with ROS 2."""
+"""A link to programs outside the run that are functions: for tests of nodes with `outside_topics`."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-from mast_zenoh.ros2.outside import Arrival
+from mast_zenoh.outside import Arrival
 
 #: What a program outside answers to a message: (topic, message) of each answer, in order.
 Program = Callable[[str, Any], Iterable[tuple[str, Any]]]
@@ -37,14 +37,14 @@ class FakeLink:
         self.announced[topic] = type_name
 
     def send(self, topic: str, message: Any) -> None:
-        assert message.__msgtype__ == self.announced[topic], f"{topic}: another type than was announced"
+        assert topic in self.announced, f"{topic}: not announced"
         self.sent.append((topic, message))
         for answer in self.program(topic, message):
             self.arrive(*answer)
 
-    def arrive(self, topic: str, message: Any, gid: bytes = bytes(16)) -> None:
-        """Let a message from outside arrive. gid: of its publisher"""
-        self._arrivals.append(Arrival(topic, message, gid))
+    def arrive(self, topic: str, message: Any, publisher: bytes = bytes(16)) -> None:
+        """Let a message from outside arrive. publisher: its id"""
+        self._arrivals.append(Arrival(topic, message, publisher))
 
     def take(self) -> list[Arrival]:
         arrivals, self._arrivals = self._arrivals, []

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from fuzzing import Fuzzing
 from ros2_flood import hostile, payload_of
+from ros2_messages import RosLink
 from tiny_world import Bench, detections, pose, tiny
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import MessageError
 from mast_zenoh.ros2 import type_store
-from mast_zenoh.testing.outside import FakeLink
 
 EVERYWHERE = {
     "ego": [
@@ -74,7 +74,7 @@ def flooded(resolved: Resolved, name: str, seed: int, *, waits: bool) -> Bench:
     """A node after frames in which it gets messages of all kinds from outside."""
     random = np.random.default_rng(seed)
     answers: list[tuple[str, Any]] = []
-    link = FakeLink(lambda topic, message: answers, waits=waits)
+    link = RosLink(lambda topic, message: answers, waits=waits)
     bench = Bench(resolved, name, link=link)
     for frame in range(FRAMES):
         answers.clear()

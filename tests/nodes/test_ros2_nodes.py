@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ros2_messages import random_states
+from ros2_messages import RosLink, random_states
 from tiny_world import PERIOD_NS, Bench, detections, pose, tiny
 
 from mast_zenoh.arrays.states import ObjectStates
@@ -21,7 +21,6 @@ from mast_zenoh.ros2.object_messages import detection_array, tracked_objects
 from mast_zenoh.ros2.pose_messages import odometry, transform_message
 from mast_zenoh.ros2.received_objects import received_tracks
 from mast_zenoh.ros2.spatial import Transform
-from mast_zenoh.testing.outside import FakeLink
 from mast_zenoh.testing.simulation.world import World
 
 AGENT, CENTER, ADVERSARY = "ros2_agent.py", "ros2_command_center.py", "ros2_adversary.py"
@@ -53,9 +52,9 @@ def through(message: Any) -> Any:
     return type_store.decode(message.__msgtype__, type_store.encode(message))
 
 
-def answering(back: str, make: Callable[[Any], Any], sent: str = SENT) -> FakeLink:
+def answering(back: str, make: Callable[[Any], Any], sent: str = SENT) -> RosLink:
     """A link to a program that answers each message on a topic."""
-    return FakeLink(lambda topic, message: [(back, through(make(message)))] if topic == sent else [])
+    return RosLink(lambda topic, message: [(back, through(make(message)))] if topic == sent else [])
 
 
 def as_tracks(message: Any) -> Any:
@@ -107,7 +106,7 @@ def test_detections_that_come_back_are_tracked_by_the_agents_own_pipeline(resolv
 
 
 def test_an_agent_without_an_answer_sends_its_tracks_when_they_come(resolved: Resolved) -> None:
-    link = FakeLink()
+    link = RosLink()
     ego = Bench(resolved, "ego", link=link)
     play(ego, 2, (10.0, 2.0))
     assert ego.heard(TRACKS) == []
@@ -120,13 +119,13 @@ def test_an_agent_without_an_answer_sends_its_tracks_when_they_come(resolved: Re
 
 
 def test_an_agent_without_detections_from_outside_has_detected_nothing(resolved: Resolved) -> None:
-    ego = Bench(resolved, "ego", link=FakeLink(), receives="detections")
+    ego = Bench(resolved, "ego", link=RosLink(), receives="detections")
     play(ego, 3, (10.0, 2.0))
     assert [len(message.body["id"]) for message in ego.heard(TRACKS)] == [0, 0, 0]
 
 
 def test_in_real_time_tracks_are_published_as_they_arrive(resolved: Resolved) -> None:
-    link = FakeLink(waits=False)
+    link = RosLink(waits=False)
     ego = Bench(resolved, "ego", link=link)
     play(ego, 1, (10.0, 2.0))
     assert ego.heard(TRACKS) == []
@@ -186,7 +185,7 @@ def test_velocities_of_detections_with_ids_are_those_of_their_positions() -> Non
     assert {int(message.body["id"][0]) for message in ego.heard(TRACKS)} == {8}
 
 
-def with_ids(*states: tuple[int, float, int]) -> FakeLink:
+def with_ids(*states: tuple[int, float, int]) -> RosLink:
     """Answers with one object each, as (id, x, ns by which the stamp is late)."""
     left = list(states)
 
@@ -250,7 +249,7 @@ def test_the_pose_can_come_from_outside(kind: str) -> None:
             ("/mast/ego/received_detections", through(message)),
         ]
 
-    ego = Bench(world(receives="detections", pose=kind, tracks_from="agent"), "ego", link=FakeLink(program))
+    ego = Bench(world(receives="detections", pose=kind, tracks_from="agent"), "ego", link=RosLink(program))
     ego.play(0, pose=pose(), detections=detections((10.0, 2.0)))
     assert ego.heard(TRACKS)[0].body["origin"].tolist() == [50.0, 0.0, 0.0]
 
@@ -262,7 +261,7 @@ def test_what_cannot_be_used_costs_its_message_and_is_counted(resolved: Resolved
         tracked_objects(states, 10**18, "map"),
         tracked_objects(random_states(np.random.default_rng(0), 1001), 0, "map"),
     ]
-    link = FakeLink(lambda topic, message: [(BACK, answer) for answer in answers] if topic == SENT else [])
+    link = RosLink(lambda topic, message: [(BACK, answer) for answer in answers] if topic == SENT else [])
     ego = Bench(resolved, "ego", link=link)
     play(ego, 1, (10.0, 2.0))
     outside = ego.host.finish()["outside"]
@@ -288,7 +287,7 @@ def batch(frame: int, *agents: tuple[str, float]) -> dict[str, Any]:
     }
 
 
-def center_of(resolved: Resolved, link: FakeLink, **config: Any) -> Bench:
+def center_of(resolved: Resolved, link: RosLink, **config: Any) -> Bench:
     return Bench(resolved, "command_center", link=link, **config)
 
 
@@ -322,7 +321,7 @@ def test_a_centre_without_an_answer_predicts_the_last_picture_and_forgets_it_whe
 
 
 def test_in_real_time_a_centre_gives_a_frame_up_when_the_next_begins(resolved: Resolved) -> None:
-    link = FakeLink(waits=False)
+    link = RosLink(waits=False)
     center = center_of(resolved, link)
     center.play(0, collated=batch(0, ("ego", 1.0)))
     assert center.heard(PICTURE) == []
@@ -341,12 +340,12 @@ def test_a_centre_refuses_too_many_agents_at_its_start_and_counts_those_that_com
 ) -> None:
     exchanges = importlib.import_module("mast_zenoh.ros2.center_exchange")
     monkeypatch.setattr(exchanges, "MOST_AGENTS", 3)
-    center = center_of(resolved, FakeLink())
+    center = center_of(resolved, RosLink())
     center.play(0, collated=batch(0, ("ego", 1.0), ("late_1", 2.0), ("late_2", 3.0)))
     assert center.host.finish()["outside"]["left_out"] == {"agent: beyond 3": 2}
     monkeypatch.setattr(exchanges, "MOST_AGENTS", 2)
     with pytest.raises(ConfigurationError, match="agents: found 3, expected at most 2"):
-        center_of(resolved, FakeLink())
+        center_of(resolved, RosLink())
 
 
 # -- the adversary -----------------------------------------------------------------------------------------------------
@@ -456,7 +455,7 @@ def test_no_object_gets_the_id_of_one_that_ros_cannot_express(attacked: Resolved
 
 @pytest.mark.parametrize("waits", [True, False])
 def test_a_message_without_an_answer_is_forwarded_unchanged(attacked: Resolved, waits: bool) -> None:
-    thief = Bench(attacked, "thief", link=FakeLink(waits=waits))
+    thief = Bench(attacked, "thief", link=RosLink(waits=waits))
     for frame in range(3):
         thief.play(frame, tracks=body_of("tracks"))
     thief.clock(3)

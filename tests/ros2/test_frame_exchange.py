@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from ros2_messages import random_states
+from ros2_messages import RosLink, random_states
 
+from mast_zenoh import outside
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.errors import MessageError
 from mast_zenoh.ros2 import frame_exchange
-from mast_zenoh.ros2.connection import Connection
 from mast_zenoh.ros2.frame_exchange import TF, TF_STATIC, About, AnswerTopic, FrameExchange, Timing
 from mast_zenoh.ros2.frame_transforms import FrameTransforms, Placement
 from mast_zenoh.ros2.object_messages import tracked_objects
@@ -22,7 +22,6 @@ from mast_zenoh.ros2.pose_messages import transform_message
 from mast_zenoh.ros2.received_objects import Received, received_tracks
 from mast_zenoh.ros2.spatial import Transform
 from mast_zenoh.ros2.type_store import TF_MESSAGE, TRACKED_OBJECTS, decode, encode
-from mast_zenoh.testing.outside import FakeLink
 
 PERIOD_NS = 100_000_000
 TOPIC = "/answers"
@@ -35,7 +34,7 @@ def use(received: Received[ObjectStates], about: About, placement: Placement) ->
 
 def exchange(**timing: Any) -> FrameExchange:
     topic = AnswerTopic(TOPIC, TRACKED_OBJECTS, received_tracks, use)
-    return FrameExchange(Connection(), [topic], FrameTransforms("map"), Timing(**timing))
+    return FrameExchange([topic], FrameTransforms("map"), Timing(**timing))
 
 
 def about(time_ns: int, frame_id: str = "map", states: ObjectStates = STATES) -> tuple[str, Any]:
@@ -43,7 +42,7 @@ def about(time_ns: int, frame_id: str = "map", states: ObjectStates = STATES) ->
     return TOPIC, tracked_objects(states, time_ns, frame_id)
 
 
-def ask(answers: FrameExchange, link: FakeLink, frame: int, arriving: Iterable[tuple[str, Any]] = ()) -> list[Any]:
+def ask(answers: FrameExchange, link: RosLink, frame: int, arriving: Iterable[tuple[str, Any]] = ()) -> list[Any]:
     """Begin a frame and ask about it; these messages arrive then. Returns (frame, late, content) of the answers."""
     answers.begin(frame, frame * PERIOD_NS)
     answers.ask(link, frame, [TOPIC])
@@ -52,13 +51,13 @@ def ask(answers: FrameExchange, link: FakeLink, frame: int, arriving: Iterable[t
     return [(each.about.frame, each.about.late, each.content) for each in answers.collect(link, frame)]
 
 
-def counts(answers: FrameExchange, link: FakeLink) -> dict[str, Any]:
+def counts(answers: FrameExchange, link: RosLink) -> dict[str, Any]:
     result = answers.results(link)
     return {name: result[name] for name in ("asked", "answered", "late", "unanswered")}
 
 
 def test_the_answer_with_the_stamp_of_the_frame_is_used_once() -> None:
-    answers, link = exchange(), FakeLink()
+    answers, link = exchange(), RosLink()
     used = ask(answers, link, 5, [about(5 * PERIOD_NS), about(5 * PERIOD_NS)])
     assert used == [(5, False, (3, 0, [0.0, 0.0, 0.0]))]
     assert answers.refused == {"duplicate": 1}
@@ -68,7 +67,7 @@ def test_the_answer_with_the_stamp_of_the_frame_is_used_once() -> None:
 
 @pytest.mark.parametrize(("skew_ns", "frame"), [(30_000_000, 7), (-40_000_000, 7), (60_000_000, 8)])
 def test_a_stamp_between_frames_belongs_to_the_nearest_one(skew_ns: int, frame: int) -> None:
-    answers, link = exchange(), FakeLink(waits=False)
+    answers, link = exchange(), RosLink(waits=False)
     for number in (7, 8):
         ask(answers, link, number)
     link.arrive(*about(7 * PERIOD_NS + skew_ns))
@@ -79,20 +78,20 @@ def test_a_stamp_between_frames_belongs_to_the_nearest_one(skew_ns: int, frame: 
 
 @pytest.mark.parametrize("stamp_ns", [0, 5 * PERIOD_NS + 20_000_001, 2_000_000_000 * 10**9], ids=str)
 def test_a_stamp_far_from_all_frames_is_refused(stamp_ns: int) -> None:
-    answers, link = exchange(skew_s=0.02), FakeLink()
+    answers, link = exchange(skew_s=0.02), RosLink()
     assert ask(answers, link, 5, [about(stamp_ns)]) == []
     assert answers.refused == {"stamp": 1}
 
 
 def test_an_answer_that_comes_in_the_next_frame_is_late_and_counted_so() -> None:
-    answers, link = exchange(), FakeLink()
+    answers, link = exchange(), RosLink()
     assert ask(answers, link, 1) == []
     assert ask(answers, link, 2, [about(PERIOD_NS), about(2 * PERIOD_NS)])[0][:2] == (1, True)
     assert counts(answers, link) == {"asked": 2, "answered": 1, "late": 1, "unanswered": 0}
 
 
 def test_answers_about_frames_that_were_not_asked_about_or_long_ago_are_refused() -> None:
-    answers, link = exchange(), FakeLink()
+    answers, link = exchange(), RosLink()
     answers.begin(0, 0)
     assert ask(answers, link, 1, [about(0)]) == []
     assert answers.refused == {"no question": 1}
@@ -104,7 +103,7 @@ def test_answers_about_frames_that_were_not_asked_about_or_long_ago_are_refused(
 
 
 def test_after_three_silent_frames_waits_are_short_until_an_answer_comes() -> None:
-    answers, link = exchange(wait_s=0.7), FakeLink()
+    answers, link = exchange(wait_s=0.7), RosLink()
     for frame in range(5):
         ask(answers, link, frame)
     ask(answers, link, 5, [about(5 * PERIOD_NS)])
@@ -114,7 +113,7 @@ def test_after_three_silent_frames_waits_are_short_until_an_answer_comes() -> No
 
 
 def test_why_nothing_came_is_told_with_the_frames_of_the_newest_silence(monkeypatch: pytest.MonkeyPatch) -> None:
-    answers, link, reason = exchange(), FakeLink(), "nobody publishes it"
+    answers, link, reason = exchange(), RosLink(), "nobody publishes it"
     monkeypatch.setattr(link, "absence", lambda topic: reason)
     for frame in (1, 2):
         ask(answers, link, frame)
@@ -131,7 +130,7 @@ def test_why_nothing_came_is_told_with_the_frames_of_the_newest_silence(monkeypa
 
 def test_a_flood_of_transforms_costs_the_largest_messages(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(frame_exchange, "MOST_TRANSFORMS_AT_ONCE", 8)
-    answers, link = exchange(), FakeLink()
+    answers, link = exchange(), RosLink()
     moved = Transform("map", "car", PERIOD_NS, np.ones(3), np.array([1.0, 0.0, 0.0, 0.0]))
     flood = [Transform("map", f"f{k}", PERIOD_NS, np.zeros(3), moved.rotation) for k in range(5)]
     for transforms in (flood, [moved], flood):
@@ -141,7 +140,7 @@ def test_a_flood_of_transforms_costs_the_largest_messages(monkeypatch: pytest.Mo
 
 
 def test_a_late_answer_ends_the_silence() -> None:
-    answers, link = exchange(wait_s=0.7), FakeLink()
+    answers, link = exchange(wait_s=0.7), RosLink()
     for frame in range(4):
         ask(answers, link, frame)
     assert ask(answers, link, 4, [about(PERIOD_NS)])[0][:2] == (1, True)
@@ -150,7 +149,7 @@ def test_a_late_answer_ends_the_silence() -> None:
 
 
 def test_an_answer_about_a_frame_long_ago_ends_the_silence_too() -> None:
-    answers, link = exchange(wait_s=0.7), FakeLink()
+    answers, link = exchange(wait_s=0.7), RosLink()
     for frame in range(1, frame_exchange.KEPT + 4):
         ask(answers, link, frame)
     assert ask(answers, link, 100, [about(PERIOD_NS)]) == []
@@ -161,7 +160,7 @@ def test_an_answer_about_a_frame_long_ago_ends_the_silence_too() -> None:
 
 @pytest.mark.parametrize("waits", [True, False], ids=["lockstep", "realtime"])
 def test_what_comes_before_the_question_is_no_answer(waits: bool) -> None:
-    answers, link = exchange(), FakeLink(waits=waits)
+    answers, link = exchange(), RosLink(waits=waits)
     ask(answers, link, 1)
     answers.begin(2, 2 * PERIOD_NS)
     link.arrive(*about(2 * PERIOD_NS))
@@ -171,7 +170,7 @@ def test_what_comes_before_the_question_is_no_answer(waits: bool) -> None:
 
 
 def test_in_lock_step_a_stamp_nearer_to_the_next_frame_is_before_its_question() -> None:
-    answers, link = exchange(), FakeLink()
+    answers, link = exchange(), RosLink()
     ask(answers, link, 1, [about(PERIOD_NS)])
     used = ask(answers, link, 2, [about(3 * PERIOD_NS), about(2 * PERIOD_NS + 50_000_000)])
     assert [(frame, content[1]) for frame, _, content in used] == [(2, 50_000_000)]
@@ -179,22 +178,22 @@ def test_in_lock_step_a_stamp_nearer_to_the_next_frame_is_before_its_question() 
 
 
 def test_publishers_of_answers_are_counted_up_to_a_limit() -> None:
-    answers, link = exchange(), FakeLink()
-    for number in range(2 * frame_exchange.MOST_PUBLISHERS):
-        link.arrive(*about(0), gid=number.to_bytes(16, "big"))
+    answers, link = exchange(), RosLink()
+    for number in range(2 * outside.MOST_PUBLISHERS):
+        link.arrive(*about(0), publisher=number.to_bytes(16, "big"))
     ask(answers, link, 0, [about(0)])
-    assert answers.results(link)["publishers"] == {TOPIC: frame_exchange.MOST_PUBLISHERS}
+    assert answers.results(link)["publishers"] == {TOPIC: outside.MOST_PUBLISHERS}
 
 
 def test_in_real_time_nothing_is_waited_for() -> None:
-    answers, link = exchange(), FakeLink(waits=False)
+    answers, link = exchange(), RosLink(waits=False)
     assert ask(answers, link, 0) == []
     assert ask(answers, link, 1, [about(0)])[0][:2] == (0, True)
     assert link.waited_s == []
 
 
 def test_a_question_during_which_the_run_was_stopped_is_not_counted() -> None:
-    answers, link = exchange(), FakeLink()
+    answers, link = exchange(), RosLink()
     ask(answers, link, 0, [about(0)])
     link.end()
     ask(answers, link, 1)
@@ -203,7 +202,7 @@ def test_a_question_during_which_the_run_was_stopped_is_not_counted() -> None:
 
 
 def test_frames_of_reference_come_from_transforms_at_the_stamp() -> None:
-    answers, link = exchange(), FakeLink()
+    answers, link = exchange(), RosLink()
 
     def transform(child: str, time_ns: int, x: float) -> Any:
         place = np.array([x, 0.0, 0.0])
@@ -219,20 +218,20 @@ def test_frames_of_reference_come_from_transforms_at_the_stamp() -> None:
 
 
 def test_a_refused_answer_leaves_room_for_a_better_one() -> None:
-    answers, link = exchange(), FakeLink()
+    answers, link = exchange(), RosLink()
     used = ask(answers, link, 1, [about(PERIOD_NS, "odom"), about(PERIOD_NS)])
     assert [number for number, *_ in used] == [1]
 
 
 def test_objects_that_are_left_out_are_counted_by_reason() -> None:
-    answers, link = exchange(), FakeLink()
+    answers, link = exchange(), RosLink()
     bad = STATES.with_(size=np.zeros((3, 3)))
     assert ask(answers, link, 1, [about(PERIOD_NS, states=bad)])[0][2][0] == 0
     assert answers.left_out == {"size: not above 0 and at most 300 m": 3}
 
 
 def test_objects_with_a_foreign_class_are_counted() -> None:
-    answers, link = exchange(), FakeLink()
+    answers, link = exchange(), RosLink()
     topic, message = about(PERIOD_NS)
     for each in message.objects:
         each.classification[0].label = 200
@@ -253,7 +252,7 @@ def test_objects_with_a_foreign_class_are_counted() -> None:
 def test_wall_clock_stamps_are_placed_between_the_arrivals_of_clocks(
     waits: bool, stamp_ns: int, frame: int, skew_ns: int
 ) -> None:
-    answers, link = exchange(stamps="wall"), FakeLink(waits=waits)
+    answers, link = exchange(stamps="wall"), RosLink(waits=waits)
     link.clock_arrivals_ns = {1: 1_000_000_000, 2: 1_050_000_000}
     for number in (1, 2):
         ask(answers, link, number)
@@ -263,7 +262,7 @@ def test_wall_clock_stamps_are_placed_between_the_arrivals_of_clocks(
 
 
 def test_a_wall_clock_stamp_before_the_first_clock_is_refused() -> None:
-    answers, link = exchange(stamps="wall"), FakeLink()
+    answers, link = exchange(stamps="wall"), RosLink()
     link.clock_arrivals_ns = {1: 1_000_000_000}
     assert ask(answers, link, 1, [about(999_999_999)]) == []
     assert answers.refused == {"stamp": 1}
@@ -289,7 +288,7 @@ BYTES = st.lists(st.tuples(st.integers(0, 1 << 16), st.integers(0, 255)), max_si
 def test_messages_with_any_bytes_changed_are_answers_or_counted(
     messages: list[tuple[str, list[tuple[int, int]]]],
 ) -> None:
-    answers, link = exchange(), FakeLink()
+    answers, link = exchange(), RosLink()
     arrived = 0
     for topic, changes in messages:
         type_name, original = PAYLOADS[topic]

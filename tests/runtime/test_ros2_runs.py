@@ -5,6 +5,7 @@ from __future__ import annotations
 import queue
 import threading
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,16 +18,16 @@ from tiny_world import Run, tiny
 
 from mast_zenoh.errors import NotRunning
 from mast_zenoh.launch import run as launcher
+from mast_zenoh.outside import OutsideTopic, OutsideTopics
 from mast_zenoh.ros2.attachments import Attachment
 from mast_zenoh.ros2.connection import Connection
 from mast_zenoh.ros2.data_keys import DataKey
-from mast_zenoh.ros2.outside import OutsideTopic, OutsideTopics
 from mast_zenoh.ros2.pose_messages import clock
 from mast_zenoh.ros2.type_store import CLOCK, TF_MESSAGE, encode
 from mast_zenoh.runtime.mesh import ros2_participant
-from mast_zenoh.runtime.mesh.ros2_link import Ros2Link
-from mast_zenoh.runtime.mesh.ros2_participant import Participant
+from mast_zenoh.runtime.mesh.ros2_participant import Participant, joined
 from mast_zenoh.runtime.mesh.session import open_client, open_router
+from mast_zenoh.runtime.outside_link import OutsideLink
 from tests.support.launched import eventually
 
 DEADLINE_S = 30.0
@@ -117,10 +118,10 @@ def test_without_a_router_the_run_ends_with_the_reason(monkeypatch: pytest.Monke
 # -- the link ----------------------------------------------------------------------------------------------------------
 
 
-def link_to(router: str, depth: int = 8) -> Ros2Link:
+def link_to(router: str, depth: int = 8) -> OutsideLink:
     """A link that receives clocks on /ticks."""
     topic = OutsideTopic("/ticks", CLOCK, depth=depth, most_bytes=1000)
-    return Ros2Link("node", OutsideTopics(Connection(router), (topic,)), waits=True)
+    return OutsideLink("node", OutsideTopics(partial(joined, Connection(router)), (topic,)), waits=True)
 
 
 @pytest.fixture

@@ -9,12 +9,21 @@ from rosbags.interfaces import Nodetype
 
 from mast_zenoh.arrays.states import CLASSES, ObjectStates
 from mast_zenoh.ros2.type_store import STORE, TYPES
+from mast_zenoh.testing.outside import FakeLink
 
 TEXTS = ("", "a", "world", "über", "中文", "x" * 300)
 #: rosbags has a byte for a signed number: those that are used are small.
 INTEGERS = {"byte": np.int8, "char": np.uint8} | {
     f"{sign}int{bits}": np.dtype(f"{sign}int{bits}").type for sign in ("", "u") for bits in (8, 16, 32, 64)
 }
+
+
+class RosLink(FakeLink):
+    """A link on which each message has the type that was announced."""
+
+    def send(self, topic: str, message: Any) -> None:
+        assert message.__msgtype__ == self.announced[topic], f"{topic}: another type than was announced"
+        super().send(topic, message)
 
 
 def random_message(type_name: str, random: np.random.Generator) -> Any:

@@ -21,11 +21,13 @@ import zenoh
 import zenoh.ext
 
 from mast_zenoh.errors import MessageError, NotRunning
+from mast_zenoh.outside import OutsideTopic
 from mast_zenoh.ros2 import type_store
 from mast_zenoh.ros2.attachments import Attachment, gid_of, parse_attachment
 from mast_zenoh.ros2.connection import Connection
 from mast_zenoh.ros2.data_keys import DataKey
 from mast_zenoh.ros2.liveliness_tokens import ALL_DOMAINS, EndpointToken, NodeToken, all_tokens, parse_token, tokens_of
+from mast_zenoh.ros2.names import ros2_name
 from mast_zenoh.ros2.qos import TRANSIENT_LOCAL, Qos
 from mast_zenoh.ros2.type_store import RosMessage
 from mast_zenoh.runtime.mesh.session import open_session
@@ -65,12 +67,12 @@ _SETTINGS: dict[str, Any] = {
 class Publisher:
     """Publishes the messages of a topic, numbered from 1.
 
-    token: what makes it known
+    token: what makes it known;  gid: its id in messages
     """
 
     def __init__(self, token: EndpointToken, session: zenoh.Session, *, wait: bool) -> None:
         self.token = token
-        self._gid = gid_of(token.write())
+        self.gid = gid_of(token.write())
         self._sequence = 0
         self._alive = session.liveliness().declare_token(token.write())
         congestion = zenoh.CongestionControl.BLOCK if wait else zenoh.CongestionControl.DROP
@@ -105,12 +107,12 @@ class Publisher:
     def publish_bytes(self, payload: bytes) -> None:
         """Publish a message that is encoded already."""
         self._sequence += 1
-        attachment = Attachment(self._sequence, time.time_ns(), self._gid)
+        attachment = Attachment(self._sequence, time.time_ns(), self.gid)
         self._publisher.put(payload, attachment=attachment.write())
 
 
 class Participant:
-    """A node of ROS 2, from `with` to its end.
+    """A node of ROS 2, from `with` to its end; also the session of a node of a run, see `mast_zenoh.outside`.
 
     connection: its router and domain
     name, namespace: of the node
@@ -130,6 +132,7 @@ class Participant:
         self.warnings: list[str] = []
         self._wait = wait
         self._declared: list[Any] = []
+        self._announced: dict[str, Publisher] = {}
         self._endpoints: dict[str, list[EndpointToken]] = {}  # own ones, by topic
         self._n_endpoints = 0
         self._known: dict[str, NodeToken | EndpointToken] = {}
@@ -201,6 +204,29 @@ class Participant:
         self._declared.append(subscriber)
         # Last: who sees it may expect that what it publishes arrives.
         self._declared.append(self._session.liveliness().declare_token(token.write()))
+
+    def announce(self, topic: str, type_name: str) -> None:
+        """Make a publisher of a topic, if there is none; raises as `publisher` does."""
+        if topic not in self._announced:
+            self._announced[topic] = self.publisher(topic, type_name)
+
+    def send(self, topic: str, message: RosMessage) -> None:
+        """Publish a message on an announced topic."""
+        self._announced[topic].publish(message)
+
+    def heard(self, topic: str) -> bool:
+        """Whether anything subscribes to an announced topic, as far as the router has told."""
+        return self._announced[topic].is_wanted
+
+    def receive(self, topic: OutsideTopic, keep: Callable[[RosMessage, bytes], None]) -> None:
+        """Have a function called with each message of a topic, and the gid of its publisher, another node's."""
+
+        def foreign(message: RosMessage, attachment: Attachment) -> None:
+            if all(attachment.gid != publisher.gid for publisher in self._announced.values()):  # as on /tf
+                keep(message, attachment.gid)
+
+        qos = Qos(durability=TRANSIENT_LOCAL, depth=topic.depth) if topic.retained else Qos(depth=topic.depth)
+        self.subscribe(topic.name, topic.type_name, foreign, qos, most_bytes=topic.most_bytes)
 
     def settle(self) -> None:
         """Wait until the router knows what has been declared, and has told which of it is wanted."""
@@ -373,6 +399,11 @@ class Participant:
                 self.warnings.append(sentence)
         if is_new:
             log.warning("%s", sentence)
+
+
+def joined(connection: Connection, node: str) -> Participant:
+    """The session of a node of a run. A peer that takes nothing must not stop the run: its messages are dropped."""
+    return Participant(connection, ros2_name(MAST_PREFIX + node), wait=False)
 
 
 def _difference(own: EndpointToken, other: EndpointToken) -> str:

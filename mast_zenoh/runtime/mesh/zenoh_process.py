@@ -28,6 +28,7 @@ from mast_zenoh.errors import MessageError
 from mast_zenoh.messages.schemas import SCHEMAS
 from mast_zenoh.node import Node
 from mast_zenoh.runtime.host import Link
+from mast_zenoh.runtime.outside_link import OutsideLink
 from mast_zenoh.runtime.protocol import events
 from mast_zenoh.runtime.protocol.actions import DOZE_S, DRAIN_TIMEOUT_S, OFFER_TIMEOUT_S, Actions, Clocks
 from mast_zenoh.runtime.protocol.driver import DriverProtocol, protocol_of
@@ -138,13 +139,12 @@ class ZenohProcess(Actions):
         topics = protocol.host.node.outside_topics(protocol.host)
         if topics is None:
             return None
-        from mast_zenoh.runtime.mesh.ros2_link import Ros2Link  # needs the extra ros2
 
         def notify() -> None:
             if not protocol.lockstep:  # there, the handler that waits takes what arrives
                 self.inbox.put(events.OutsideEvent())
 
-        link = Ros2Link(protocol.name, topics, waits=protocol.lockstep, notify=notify)
+        link = OutsideLink(protocol.name, topics, waits=protocol.lockstep, notify=notify)
         protocol.host.link, protocol.on_stop = link, link.end
         return link
 

@@ -1,7 +1,7 @@
-"""A node's link to nodes of ROS 2: opens a participant for it, keeps what arrives, and waits for answers.
+"""A node's link to programs outside the run: opens its session, keeps what arrives, and waits for answers.
 
-Zenoh's threads put what arrives into queues of limited length and size; the node's thread takes it out. In a full
-queue, the publisher with most messages loses its oldest one: a flood does not displace the others.
+Threads of the session put what arrives into queues of limited length and size; the node's thread takes it out. In a
+full queue, the publisher with most messages loses its oldest one: a flood does not displace the others.
 
 Signal handlers and other threads end a wait by setting `ended`, which is looked at every 50 ms.
 """
@@ -15,28 +15,25 @@ from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from mast_zenoh.ros2.attachments import Attachment, gid_of
-from mast_zenoh.ros2.outside import Arrival, OutsideTopic, OutsideTopics, ros2_name
-from mast_zenoh.ros2.qos import TRANSIENT_LOCAL, Qos
-from mast_zenoh.runtime.mesh.ros2_participant import MAST_PREFIX, Participant, Publisher
+from mast_zenoh.outside import Arrival, OutsideTopic, OutsideTopics
 
 #: s, after which a wait looks whether it has become useless.
 _LOOK_S = 0.05
-#: s, for which a message proves that a publisher is there that has no known token.
+#: s, for which a message proves that a publisher is there of which the session does not know.
 _PRESENT_S = 5.0
 #: Frames whose clocks' times of arrival are kept.
 _CLOCKS_KEPT = 64
 
 
-class Ros2Link:
+class OutsideLink:
     """The link of one node, open until `close`.
 
-    name: of the node; that of its ROS 2 node is mast_NAME
+    name: of the node
     waits: whether the run waits for answers
     notify: called in another thread when something has arrived, and the node has taken all that came before
     stopping: whether the run is being stopped
 
-    Raises NotRunning if no router answers, with the reason.
+    Raises NotRunning if the session cannot be opened, with the reason.
     """
 
     def __init__(
@@ -54,19 +51,18 @@ class Ros2Link:
         self._notify = notify
         self._stopping = stopping
         self._overflows: Counter[str] = Counter()
-        self._publishers: dict[str, Publisher] = {}
-        self._own_gids: set[bytes] = set()
         self._changed = threading.Event()
         self._lock = threading.Lock()
         self._waiting = {topic.name: deque[Arrival]() for topic in topics.received}
         self._unannounced: dict[str, float] = {}  # when a message came without a known publisher, by topic
-        # A peer that takes nothing must not stop the run: its messages are dropped.
-        self._participant = Participant(topics.connection, ros2_name(MAST_PREFIX + name), wait=False)
+        self._session = topics.join(name)
+        self.announce, self.send = self._session.announce, self._session.send
+        self.heard, self.absence, self.close = self._session.heard, self._session.absence, self._session.close
         try:
             for topic in topics.received:
-                self._subscribe(topic)
+                self._session.receive(topic, self._keep(topic))
         except BaseException:
-            self._participant.close()
+            self.close()
             raise
 
     @property
@@ -81,15 +77,7 @@ class Ros2Link:
     @property
     def refused(self) -> Mapping[str, int]:
         """Number of messages that were dropped before the node got them, by reason."""
-        return Counter(self._participant.refused) + Counter(self._overflows)  # copies: other threads count on
-
-    def announce(self, topic: str, type_name: str) -> None:
-        if topic not in self._publishers:
-            self._publishers[topic] = publisher = self._participant.publisher(topic, type_name)
-            self._own_gids.add(gid_of(publisher.token.write()))
-
-    def send(self, topic: str, message: Any) -> None:
-        self._publishers[topic].publish(message)
+        return Counter(self._session.refused) + Counter(self._overflows)  # copies: other threads count on
 
     def take(self) -> list[Arrival]:
         self._changed.clear()
@@ -113,13 +101,7 @@ class Ros2Link:
 
     def present(self, topic: str) -> bool:
         is_recent = time.monotonic() - self._unannounced.get(topic, -math.inf) < _PRESENT_S
-        return is_recent or self._participant.is_published(topic)
-
-    def heard(self, topic: str) -> bool:
-        return self._publishers[topic].is_wanted
-
-    def absence(self, topic: str) -> str:
-        return self._participant.absence(topic)
+        return is_recent or self._session.is_published(topic)
 
     def note_clock(self, frame: int) -> None:
         """Note that the clock of a frame has arrived now."""
@@ -127,28 +109,22 @@ class Ros2Link:
         if len(self.clock_arrivals_ns) > _CLOCKS_KEPT:
             del self.clock_arrivals_ns[min(self.clock_arrivals_ns)]
 
-    def close(self) -> None:
-        """Leave the mesh of ROS 2."""
-        self._participant.close()
-
-    def _subscribe(self, topic: OutsideTopic) -> None:
+    def _keep(self, topic: OutsideTopic) -> Callable[[Any, bytes], None]:
+        """A function that keeps a message of a topic for the node."""
         waiting = self._waiting[topic.name]
 
-        def keep(message: Any, attachment: Attachment) -> None:
-            if attachment.gid in self._own_gids:  # of this node, as on /tf
-                return
-            if not self._participant.is_published(topic.name):
+        def keep(message: Any, publisher: bytes) -> None:
+            if not self._session.is_published(topic.name):
                 self._unannounced[topic.name] = time.monotonic()
             with self._lock:
-                waiting.append(Arrival(topic.name, message, attachment.gid))
+                waiting.append(Arrival(topic.name, message, publisher))
                 if len(waiting) > topic.depth:
-                    gids = [arrival.gid for arrival in waiting]
-                    ((most, _),) = Counter(gids).most_common(1)
-                    del waiting[gids.index(most)]
+                    publishers = [arrival.publisher for arrival in waiting]
+                    ((most, _),) = Counter(publishers).most_common(1)
+                    del waiting[publishers.index(most)]
                     self._overflows["overtaken"] += 1  # by newer ones of its topic
             if not self._changed.is_set():
                 self._changed.set()
                 self._notify()
 
-        qos = Qos(durability=TRANSIENT_LOCAL, depth=topic.depth) if topic.transient_local else Qos(depth=topic.depth)
-        self._participant.subscribe(topic.name, topic.type_name, keep, qos, most_bytes=topic.most_bytes)
+        return keep
