@@ -22,8 +22,8 @@ from mast_zenoh.node import Node, check_handlers
 def module(path: Path) -> ModuleType:
     """Load the module in a file; loaded again after it or a sibling import changes.
 
-    Files in the same folder can be imported by name; such imports are not kept. Raises ConfigurationError, with file
-    and line, if it fails.
+    Files in the same folder can be imported by name, and shipped nodes, as in `from agent import Agent`; such imports
+    are not kept. Raises ConfigurationError, with file and line, if it fails.
     """
     path = path.resolve()
     # Dataclasses look up their module in sys.modules. It gets a unique name there, so that a user's file called
@@ -39,7 +39,9 @@ def module(path: Path) -> ModuleType:
     loaded = importlib.util.module_from_spec(spec)
     sys.modules[name] = loaded
     before = set(sys.modules)
-    sys.path.insert(0, str(path.parent))
+    folders = (path.parent, bundle.ROOT / "nodes")
+    sys.path.insert(0, str(folders[0]))
+    sys.path.append(str(folders[1]))
     try:
         spec.loader.exec_module(loaded)
     except Exception as error:
@@ -49,10 +51,11 @@ def module(path: Path) -> ModuleType:
             raise ConfigurationError(f"{path}:{line}: {_missing_module(error.name, path)}") from error
         raise ConfigurationError(f"{path}:{line}: {type(error).__name__}: {error}") from error
     finally:
-        sys.path.remove(str(path.parent))
+        for folder in folders:
+            sys.path.remove(str(folder))
         files = [path]
         for sibling in set(sys.modules) - before - {name}:
-            if _folder(sys.modules[sibling]) == path.parent:
+            if _folder(sys.modules[sibling]) in folders:
                 files.append(Path(sys.modules[sibling].__file__ or path))
                 del sys.modules[sibling]
         _SOURCES[loaded] = {file: _changed_at(file) for file in files}

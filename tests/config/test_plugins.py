@@ -24,7 +24,7 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGE = (DOCS / "plugins.md").read_text(encoding="utf-8")
 EXAMPLE = re.compile(r"^```\w+ file=(\S+\.(?:py|toml))\n(.*?)^```$", flags=re.S | re.M)
-FILES = dict(EXAMPLE.findall(PAGE))
+FILES = {name: text for name, text in EXAMPLE.findall(PAGE) if name in ("pyproject.toml", "mast_roadside.py")}
 
 
 def installed(site: Path, name: str, code: str) -> Path:
