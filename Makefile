@@ -4,7 +4,7 @@ BIN := .venv/bin
 TOOLS := .venv/tools/bin
 PIP := pip install --quiet --disable-pip-version-check
 
-.PHONY: run kernels dev test test-all fuzz insiders lint lint-js bench bench-quick docs pictures lock dist clean without-datasets
+.PHONY: run kernels dev test test-all fuzz insiders lint lint-js bench bench-quick docs pictures lock dist clean plugin-missing
 
 # Installs only what running needs; the other targets add the tools for tests and development.
 # `make run ARGS=--record` also writes every message.
@@ -80,11 +80,12 @@ lock: .venv/tools/ready
 	$(LOCK) $(UPGRADE) --group pyproject.toml:ros2 --output-file requirements-ros2.txt
 	$(LOCK) --constraint requirements-dev.txt --extra sumo --output-file requirements-sumo.txt pyproject.toml
 
-# Release files: source archives and wheels of the package and its plugin, and the bill of materials (CycloneDX) of the wheel with its dependencies.
+# Release files: source archives and wheels of the package and its plugins, and the bill of materials (CycloneDX) of the wheel with its dependencies.
 dist: .venv/ready .venv/tools/ready
 	rm -rf dist
 	$(BIN)/python -m build --no-isolation
 	$(BIN)/python -m build --no-isolation --outdir dist plugins/datasets
+	$(BIN)/python -m build --no-isolation --outdir dist plugins/ros2
 	$(TOOLS)/uv venv --quiet --python $(BIN)/python dist/installed
 	$(TOOLS)/uv pip install --quiet --python dist/installed --constraint requirements-dev.txt dist/*.whl
 	$(TOOLS)/cyclonedx-py environment --pyproject pyproject.toml --output-reproducible --output-file dist/mast-zenoh.cdx.json dist/installed
@@ -92,9 +93,9 @@ dist: .venv/ready .venv/tools/ready
 
 # Kernels are compiled when the package is installed, and again when their sources change. pip hides how that ended, so
 # the last command tells. Other packages come from the lock file; with --no-build-isolation, the build uses them too.
-INSTALL = $(BIN)/$(PIP) --no-deps --no-build-isolation --editable . --editable plugins/datasets && $(BIN)/python -m mast_zenoh.kernels
-# They run again if the plugin of data sets has been uninstalled.
-.venv/installed: $(if $(wildcard .venv/lib/python*/site-packages/mast_zenoh_datasets-*),,without-datasets) pyproject.toml plugins/datasets/pyproject.toml requirements.txt hatch_build.py $(wildcard mast_zenoh/kernels/*.pyx mast_zenoh/kernels/*.pxd) mast_zenoh/kernels/table_columns.py
+INSTALL = $(BIN)/$(PIP) --no-deps --no-build-isolation --editable . --editable plugins/datasets --editable plugins/ros2 && $(BIN)/python -m mast_zenoh.kernels
+# They run again if one of the plugins has been uninstalled.
+.venv/installed: $(foreach plugin,datasets ros2,$(if $(wildcard .venv/lib/python*/site-packages/mast_zenoh_$(plugin)-*),,plugin-missing)) pyproject.toml $(wildcard plugins/*/pyproject.toml) requirements.txt hatch_build.py $(wildcard mast_zenoh/kernels/*.pyx mast_zenoh/kernels/*.pxd) mast_zenoh/kernels/table_columns.py
 	$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), "expected Python 3.11 or newer, found " + sys.version'
 	$(PYTHON) -m venv .venv
 	$(BIN)/$(PIP) --require-hashes --requirement requirements.txt

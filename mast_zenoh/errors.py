@@ -20,7 +20,7 @@ Each error that can end a command has its own exit code (docs/exit_codes.md).
         ├── StallError           23   lock-step made no progress in time
         ├── TrialsFailed         24   some trials of a study failed; the others are kept
         ├── BackendError         25   this machine or runtime cannot carry out a fault
-        ├── NotRunning           26   the run to be changed or shown is not running, or a ROS 2 router is not there
+        ├── NotRunning           26   the run to be changed or shown is not running, or what is outside it is not there
         ├── EngineError          27   an engine, a host or an image is missing, unreachable or has failed
         ├── DiskFull             28   there is no space for the files of a run
         ├── VersionMismatch      29   a remote node's version differs from the launcher's
@@ -180,7 +180,7 @@ class BackendError(RunError):
 
 
 class NotRunning(RunError):
-    """The run to be changed or shown is over, in one process, or does not answer; or a router of ROS 2 does not."""
+    """The run to be changed or shown is over, in one process, or does not answer; or what is outside it does not."""
 
     exit_code = 26
 

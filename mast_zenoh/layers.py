@@ -34,7 +34,6 @@ LAYERS: dict[str, str] = {
     "security": "certificates of a run, rights derived from the wiring, signing keys",
     "wiring": "key-expression maps, rewrites, and the key of every port",
     "pipelines": "processing stages of agents and of the command centre",
-    "ros2": "ROS 2 messages without ROS: the keys and bytes of rmw_zenoh, and conversions from and to our columns",
     "integrity": "judges the agents' tracks: whom to trust, and what to withhold",
     "fusion": "fuses the tracks of many agents into one picture",
     "messages": "schemas, codec, memory layout, validation",

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 from mast_zenoh.errors import MessageError
@@ -36,8 +35,7 @@ class OutsideTopic(NamedTuple):
     most_bytes: int = 1 << 21
 
 
-@dataclass(frozen=True, slots=True)
-class OutsideTopics:
+class OutsideTopics(NamedTuple):
     """What a node receives from outside the run.
 
     join: opens the session of the node with this name; raises NotRunning with the reason if it cannot
@@ -58,24 +56,19 @@ class Arrival(NamedTuple):
 class _Sending(Protocol):
     def announce(self, topic: str, type_name: str) -> None:
         """Make a topic known on which the node sends messages of this type."""
-        ...
 
     def send(self, topic: str, message: Any) -> None:
         """Send a message on an announced topic; dropped if its receivers take nothing for 1 s."""
-        ...
 
     def heard(self, topic: str) -> bool:
         """Whether a program outside subscribes to an announced topic."""
-        ...
 
     def absence(self, topic: str) -> str:
         """Why nothing can arrive on a topic now, as a clause; "": a program outside publishes on it."""
-        ...
 
     @property
     def refused(self) -> Mapping[str, int]:
         """Number of messages that were dropped before the node got them, by reason."""
-        ...
 
 
 class OutsideSession(_Sending, Protocol):
@@ -86,15 +79,12 @@ class OutsideSession(_Sending, Protocol):
 
         Not with what cannot be read, and not with what the node itself has sent.
         """
-        ...
 
     def is_published(self, topic: str) -> bool:
         """Whether a program outside says that it publishes on a topic."""
-        ...
 
     def close(self) -> None:
         """End the session."""
-        ...
 
 
 class Outside(_Sending, Protocol):
@@ -115,18 +105,15 @@ class Outside(_Sending, Protocol):
 
     def take(self) -> list[Arrival]:
         """What has arrived since the last call: topic by topic, each in order."""
-        ...
 
     def wait(self, limit_s: float, done: Callable[[], bool], needed: Sequence[str] = ()) -> bool:
         """Wait until `done()`, which is called after each arrival; False after `limit_s`, s, or if the run ends.
 
         needed: topics without whose publishers waiting is useless: False as soon as one has none
         """
-        ...
 
     def present(self, topic: str) -> bool:
         """Whether a program outside publishes on a topic: it says so, or a message has come lately."""
-        ...
 
 
 class _Absence(NamedTuple):

@@ -65,7 +65,7 @@ class Failed(Exception):
 
 def start(tree: Path, folder: Path, *arguments: str, **options: Any) -> subprocess.Popen[str]:
     """Python in a folder, with the package of a checkout; its output is a pipe."""
-    path = os.pathsep.join((str(tree), str(tree / "plugins" / "datasets")))
+    path = os.pathsep.join(map(str, [tree, *(tree / "plugins").glob("*")]))
     plain = {"COLUMNS": "100", "TERM": "dumb", "NO_COLOR": "1", "LC_ALL": "C.UTF-8", "PYTHONPATH": path}
     pipes: dict[str, Any] = {
         "stdin": subprocess.DEVNULL,

@@ -131,7 +131,7 @@ def are_red(room: str, mutation: Mutation | None, tests: Path, work: Path) -> bo
         mutation.apply(tree)
     folders = [f"tests/{each}" for each in (room, *BESIDE.get(room, ()))]
     command = [sys.executable, "-m", "pytest", "-q", "-x", "-m", "not heavy", "-p", "no:cacheprovider", *folders]
-    path = os.pathsep.join([str(tree), str(tree / "plugins" / "datasets")])
+    path = os.pathsep.join(map(str, [tree, *(tree / "plugins").glob("*")]))
     try:
         ended = subprocess.run(
             command, cwd=tree, env=os.environ | {"PYTHONPATH": path}, capture_output=True, timeout=DEADLINE_S

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -53,6 +54,7 @@ def run(
 ) -> None:
     """Run a scenario; results, logs and a report go to a run folder."""
     from mast_zenoh import scenario
+    from mast_zenoh.config.outside_meshes import outside_meshes
     from mast_zenoh.launch import run as launcher
 
     options.check_reference(against)
@@ -63,16 +65,20 @@ def run(
     environment: dict[str, Any] = {"runtime": runtime, "endpoint": endpoint, "secure": secure}
     environment["debug_protocol"] = debug_protocol
     allowed: dict[str, Any] = {"allow_failures": allow_failures, "allow_churn": allow_churn}
-    connection = loaded.get("ros2")
-    if runtime == "inproc" and connection is not None:
-        _err.warn("ros2: no bridge: a single process has no mesh to observe; `mast ros2 RUN` plays the finished run")
-        connection = None
-    with options.silenced(quiet), view.viewer(shown) as show, ros2.bridge_process(connection) as publish:
+    bridges = {key: mesh for key, mesh in outside_meshes().items() if loaded.get(key) is not None}
+    if runtime == "inproc":
+        for mesh in filter(lambda mesh: mesh.no_bridge, bridges.values()):
+            _err.warn(mesh.no_bridge)
+        bridges = {}
+    with ExitStack() as stack:
+        stack.enter_context(options.silenced(quiet))
+        prepared = [stack.enter_context(view.viewer(shown))]
+        prepared += [stack.enter_context(mesh.bridge(loaded[key])) for key, mesh in bridges.items()]
         console = _err if quiet else _out
 
         def prepare(context: RunContext) -> None:
-            show(context)
-            publish(context)
+            for each in prepared:
+                each(context)
 
         finished = launcher.run(resolved, out, **environment, **allowed, prepare=prepare, console=console, quiet=quiet)
         options.conclude(finished, report=report, against=against, allow_failures=allow_failures)

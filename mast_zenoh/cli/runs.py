@@ -16,7 +16,6 @@ from mast_zenoh.cli.options import err as _err
 from mast_zenoh.cli.options import out as _out
 from mast_zenoh.errors import ConfigurationError, ExportError
 from mast_zenoh.launch import stop_signals
-from mast_zenoh.ros2.connection import ROUTER, Connection
 from mast_zenoh.run_folder import reading
 from mast_zenoh.viewer.formats import FORMATS, GONE, check
 
@@ -284,7 +283,7 @@ def intercept(
         ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of its random draws.", rich_help_panel=_BETWEEN)] = 0,
-    router: ros2.Router = ROUTER,
+    router: ros2.Router = ros2.ROUTER,
     domain: ros2.Domain = 0,
     tls_ca: ros2.TlsCa = None,
     tls_certificate: ros2.TlsCertificate = None,
@@ -296,9 +295,9 @@ def intercept(
         of_runs = {"RUN": run_folder, "--wire": wire, "--name": name, "--before": before, "--input": input}
         given = [option for option, value in {**of_runs, "--output": output}.items() if value]
         options.refuse(given, f"found {', '.join(given)} and --ros2: there is no run between two ROS 2 nodes")
-        connection = Connection.of(ros2.connection_config(router, domain, tls_ca, tls_certificate, tls_key), "ros2")
+        config = ros2.connection_config(router, domain, tls_ca, tls_certificate, tls_key)
         chosen: dict[str, Any] = {"type_name": type_name, "odometry": odometry, "seed": seed, "launch": launch}
-        ros2.between(topic, node, settings or [], connection=connection, **chosen)
+        ros2.plugin().between(topic, node, settings or [], config=config, **chosen)
         return
     options.refuse(run_folder is None or not wire, "expected the folder of a running run and --wire, or --ros2 TOPIC")
     options.refuse(launch or odometry, "--launch and --odometry are for --ros2")

@@ -21,12 +21,16 @@ from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mast_zenoh.config import bundle
 from mast_zenoh.errors import ConfigurationError, MastError, PluginError, nearest
 
 GROUP = "mast_zenoh.plugins"
 _OURS = "mast_zenoh"
-_DATA_SETS_DISTRIBUTION = "mast-zenoh-datasets"
+#: The distributions of our own plugins.
+DATA_SETS_PLUGIN, ROS2_PLUGIN = OUR_PLUGINS = "mast-zenoh-datasets", "mast-zenoh-ros2"
+#: Names that scenarios use of our plugin for ROS 2: a part, and files of nodes.
+_OF_ROS2 = ("ros2", "ros2_agent.py", "ros2_command_center.py", "ros2_adversary.py")
+#: Where the sources of our plugins are in a checkout.
+_SOURCES = Path(__file__).resolve().parents[2] / "plugins"
 _log = logging.getLogger("mast.plugins")
 
 #: How long the import of a plugin may take before it is named, s.
@@ -78,7 +82,7 @@ def installed() -> tuple[Plugin, ...]:
             module = point.value.partition(":")[0].strip()
             plugin = Plugin(point.name, module, f"{distribution.name} {distribution.version}")
             plugins.setdefault((distribution.name, point.name), plugin)  # the first on the path counts
-    return tuple(sorted(plugins.values(), key=lambda plugin: (plugin.project != _DATA_SETS_DISTRIBUTION, plugin)))
+    return tuple(sorted(plugins.values(), key=lambda plugin: (plugin.project not in OUR_PLUGINS, plugin)))
 
 
 @cache
@@ -133,12 +137,19 @@ def plugin_of(cls: type) -> Plugin | None:
     return max(same, key=lambda each: f"{cls.__module__}.".startswith(f"{each.module}."), default=None)
 
 
-def used_by(names: Iterable[str]) -> dict[str, str]:
-    """Of the names of classes in a scenario, those of plugins, each with its distribution."""
-    if not load.cache_info().currsize:  # all names are those of other classes
-        return {}
+def used_by(names: Iterable[str], nodes: Mapping[str, str]) -> dict[str, str]:
+    """Of the names of classes in a scenario, those of plugins, each with its distribution.
+
+    nodes: names of classes of nodes that are not shipped, each with its file
+    """
+    of_nodes: dict[str, str] = {}
+    for name, file in nodes.items():
+        if (plugin := node_folders().get(Path(file).parent)) is not None:
+            of_nodes[name] = plugin.distribution
+    if not load.cache_info().currsize:  # all other names are those of other classes
+        return of_nodes
     known = {cls.__name__: plugin.distribution for plugin in load().plugins for cls in _classes_of(plugin)}
-    return {name: known[name] for name in sorted(set(names) & known.keys())}
+    return {name: known[name] for name in sorted(set(names) & known.keys())} | of_nodes
 
 
 def versions_of(distributions: Iterable[str]) -> dict[str, str]:
@@ -195,20 +206,48 @@ def not_found(
     if name in _expected and all(plugin.distribution != _expected[name] for plugin in installed()):
         reason = f"it is in the plugin {_expected[name]}, which this host does not have: install it here"
         return PluginError(f"{problem}: {reason}")
-    if name in DATA_SETS and (command := command_for_data_sets()):
-        needed = f"needs the plugin {_DATA_SETS_DISTRIBUTION}, expected: {command}"
-        return PluginError(f"{problem}: reading {DATA_SETS[name].reads} {needed}")
+    project = DATA_SETS_PLUGIN if name in DATA_SETS else ROS2_PLUGIN if name in _OF_ROS2 else ""
+    if project and not is_installed(project):
+        use = f"reading {DATA_SETS[name].reads}" if name in DATA_SETS else "ROS 2"
+        return PluginError(f"{problem}: {use} needs the plugin {project}, expected: {command_for(project)}")
     reasons = [f"the plugin {each.name} of {each.distribution} {why}" for each, why in load().problems.items()]
     cause = f": {'; '.join(reasons)}" if reasons else ""
     return (PluginError if reasons else otherwise)(f"{problem}{cause}{nearest(name, known)}")
 
 
-def command_for_data_sets() -> str:
-    """The command that installs our plugin for data sets; "" if it is installed."""
-    if any(plugin.project == _DATA_SETS_DISTRIBUTION for plugin in installed()):
-        return ""
-    sources = bundle.ROOT / "plugins" / "datasets"
-    return f"pip install -e {sources}" if sources.is_dir() else "pip install 'mast-zenoh[datasets]'"
+def is_installed(project: str) -> bool:
+    """Whether a distribution with plugins is installed."""
+    return any(plugin.project == project for plugin in installed())
+
+
+def command_for(project: str) -> str:
+    """The command that installs one of our plugins."""
+    name = project.rpartition("-")[2]
+    sources = _SOURCES / name
+    return f"pip install -e {sources}" if sources.is_dir() else f"pip install 'mast-zenoh[{name}]'"
+
+
+def required(module: str, project: str) -> Any:
+    """A module of one of our plugins; raises PluginError if that, or what it requires, is not installed."""
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        if (missing := _package(error.name or "")) == _OURS:
+            raise
+        needed = f"needs the plugin {project}, expected: {command_for(project)}"
+        raise PluginError(f"{missing} is not installed: this {needed}") from None
+
+
+@cache
+def node_folders() -> dict[Path, Plugin]:
+    """The folders `nodes` in the packages of plugins, found without an import."""
+    folders: dict[Path, Plugin] = {}
+    for plugin in installed():
+        spec = importlib.util.find_spec(plugin.package) if plugin.package != _OURS else None
+        for place in (spec and spec.submodule_search_locations) or ():
+            if (folder := Path(place).resolve() / "nodes").is_dir():
+                folders.setdefault(folder, plugin)
+    return folders
 
 
 class DataSet(NamedTuple):

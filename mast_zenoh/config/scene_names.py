@@ -87,8 +87,10 @@ def recognised(scene: str) -> str:
         found = ", ".join(entries) or "nothing"
         of_files = ", ".join(short for short, cls in known.items() if _reads_files(cls))
         message = f"{path}: found {found}; expected the files of one of {of_files}"
-        if command := plugins.command_for_data_sets():
-            message += f"; readers of {', '.join(_DATA_SETS)} are in the plugin mast-zenoh-datasets: {command}"
+        if not plugins.is_installed(project := plugins.DATA_SETS_PLUGIN):
+            message += (
+                f"; readers of {', '.join(_DATA_SETS)} are in the plugin {project}: {plugins.command_for(project)}"
+            )
         raise SceneError(message)
     return f"{kinds[0]}:{path}"
 

@@ -9,12 +9,14 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
+from mast_zenoh.config import plugins
+from mast_zenoh.config.outside_meshes import outside_meshes
 from mast_zenoh.errors import ConfigurationError, nearest
 
 #: The keys of a scenario, described in docs/scenarios.md.
 KEYS = (
     *("name", "scene", "agents", "broker", "command_center", "centers", "peers", "channel", "evaluator"),
-    *("drivers", "world", "adversaries", "coordinator", "nodes", "links", "faults", "hosts", "keyexpr", "ros2", "run"),
+    *("drivers", "world", "adversaries", "coordinator", "nodes", "links", "faults", "hosts", "keyexpr", "run"),
 )
 #: Those of them that hold a list, which a setting can replace.
 LISTS = ("faults",)
@@ -97,7 +99,10 @@ def set_dotted(scenario: dict[str, Any], dotted: str, value: Any, place: str) ->
     *steps, last = dotted.split(".")
     if steps:
         steps[0] = ALIASES.get(steps[0], steps[0])
-        scenario |= {key: [] if key in LISTS else {} for key in steps[:1] if key in KEYS and key not in scenario}
+        if (key := steps[0]) not in scenario:
+            if key not in KEYS and key not in outside_meshes(key):
+                raise plugins.not_found(f"{place}: --set {dotted}: no {key!r} there", key, scenario)
+            scenario[key] = [] if key in LISTS else {}
     level: Any = scenario
     for step in steps:
         key = _key(level, step, f"{place}: --set {dotted}")

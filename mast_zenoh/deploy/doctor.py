@@ -65,7 +65,8 @@ def installed_plugins() -> Finding:
     problems = [f"{plugin.distribution} {problem}" for plugin, problem in plugins.load().problems.items()]
     usable = [plugin.distribution for plugin in plugins.load().plugins]
     detail = "; ".join([", ".join(usable) or "none usable", *problems])
-    fix = "repair or uninstall them" if problems else plugins.command_for_data_sets()
+    missing = [plugins.command_for(project) for project in plugins.OUR_PLUGINS if not plugins.is_installed(project)]
+    fix = "repair or uninstall them" if problems else " && ".join(missing)
     return Finding("plugins", None if problems or not usable else True, detail, fix)
 
 

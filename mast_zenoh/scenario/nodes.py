@@ -11,12 +11,12 @@ import numpy as np
 
 from mast_zenoh.arrays.geometry import quaternion_from_rotation
 from mast_zenoh.arrays.states import CLASSES, Floats, Ints
-from mast_zenoh.config import bundle, loading
+from mast_zenoh.config import bundle, loading, plugins
+from mast_zenoh.config.outside_meshes import outside_meshes
 from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.errors import ConfigurationError, NodeFileError, nearest
 from mast_zenoh.metrics.achievement import ALL
 from mast_zenoh.pipelines.agent import DUE, IDLE
-from mast_zenoh.ros2.names import ros2_name
 from mast_zenoh.run_folder.recording.writer import MessageLog
 from mast_zenoh.scenario import driving
 from mast_zenoh.scenes.agents import best_pattern
@@ -195,37 +195,23 @@ def add_input_limits(specs: Mapping[str, NodeSpec], rows: int) -> None:
     _add_default(specs, "input_limit", {"type": "FairInput", "rows": rows})
 
 
-def add_ros2(specs: Mapping[str, NodeSpec], connection: Mapping[str, Any]) -> None:
-    """Name the router of ROS 2 to nodes that have the parameter `ros2` and none of their own."""
-    _add_default(specs, "ros2", connection)
+def add_outside(path: Path, specs: Mapping[str, NodeSpec], parameters: Mapping[str, Mapping[str, Any]]) -> None:
+    """Have meshes outside the run complete the nodes that take part in them.
 
-
-def check_ros2_names(path: Path, specs: Mapping[str, NodeSpec]) -> None:
-    """Raise ConfigurationError if nodes of ROS 2 take part, and two names of nodes are one in ROS 2."""
-    names: dict[str, str] = {}
-    for name in specs if any(True for _ in _with_parameters(specs, "ros2")) else ():
-        if (other := names.setdefault(ros2_name(name), name)) != name:
-            raise ConfigurationError(
-                f"{path}: {name} and {other}: both are {ros2_name(name)} in ROS 2, which allows letters, digits and _: "
-                "rename one"
-            )
-
-
-def share_ros2_clock(specs: Mapping[str, NodeSpec]) -> None:
-    """Have one node send the clock to ROS 2, the first that can: of two, one may be behind, and the clock goes back."""
-    topic = "/clock"
-    for spec in _with_parameters(specs, "ros2", "clock"):
-        topic = "" if spec.config.setdefault("clock", topic) else topic
+    parameters: by key of a mesh, the parameter of nodes that have none of their own, from the scenario
+    """
+    for key, mesh in outside_meshes().items():
+        partners = {name: spec for name, spec in specs.items() if takes(spec, key)}
+        if key in parameters:
+            _add_default(partners, key, parameters[key])
+        if partners:
+            mesh.prepare(path, specs, partners)
 
 
 def _add_default(specs: Mapping[str, NodeSpec], parameter: str, value: Mapping[str, Any]) -> None:
-    for spec in _with_parameters(specs, parameter):
-        spec.config.setdefault(parameter, dict(value))
-
-
-def _with_parameters(specs: Mapping[str, NodeSpec], *parameters: str) -> Iterator[NodeSpec]:
-    """The nodes whose class has these parameters."""
-    return (spec for spec in specs.values() if all(takes(spec, parameter) for parameter in parameters))
+    for spec in specs.values():
+        if takes(spec, parameter):
+            spec.config.setdefault(parameter, dict(value))
 
 
 def takes(spec: NodeSpec, parameter: str) -> bool:
@@ -299,8 +285,8 @@ def node_spec(path: Path, name: str, role: str, config: Mapping[str, Any]) -> No
     in_session = None if "file" in config else loading.node_file(config.get("type"))
     file = in_session or bundle.find("nodes", file_name, path.parent)
     if file is None:
-        hint = nearest(file_name, bundle.names("nodes", path.parent))
-        raise NodeFileError(f"{place}: no node file {file_name!r}{hint}")
+        known = bundle.names("nodes", path.parent)
+        raise plugins.not_found(f"{place}: no node file {file_name!r}", file_name, known, NodeFileError)
     cls = loading.node_class(file, config.get("type"))
     if cls.role != role:
         raise NodeFileError(f"{place}: {cls.__name__} in {file} has the role {cls.role!r}, expected {role!r}")

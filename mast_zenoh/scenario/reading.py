@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from mast_zenoh import scenes
-from mast_zenoh.config import loading, registry
+from mast_zenoh.config import loading, plugins, registry
+from mast_zenoh.config.outside_meshes import outside_meshes
 from mast_zenoh.config.scene_names import parse_scene
 from mast_zenoh.config.settings import ALIASES, KEYS, LISTS, from_values, set_dotted, split
 from mast_zenoh.errors import ConfigurationError, MastError, nearest
@@ -46,10 +47,10 @@ RUN_DEFAULTS: dict[str, Any] = {
 #: Keys whose values are dicts; those of what a run can do without may be None.
 _DICTS = (
     *("broker", "command_center", "channel", "evaluator", "coordinator"),
-    *("agents", "centers", "peers", "drivers", "world", "adversaries", "nodes", "links", "hosts", "keyexpr", "ros2"),
+    *("agents", "centers", "peers", "drivers", "world", "adversaries", "nodes", "links", "hosts", "keyexpr"),
     "run",
 )
-_OPTIONAL = ("broker", "command_center", "channel", "coordinator", "ros2")
+_OPTIONAL = ("broker", "command_center", "channel", "coordinator")
 
 
 def normalise_keys(scenario: Mapping[str, Any], place: str) -> dict[str, Any]:
@@ -64,11 +65,12 @@ def normalise_keys(scenario: Mapping[str, Any], place: str) -> dict[str, Any]:
 def checked(scenario: Mapping[str, Any], place: str) -> Mapping[str, Any]:
     """Return a scenario; raises ConfigurationError for invalid keys or values."""
     for key, value in scenario.items():
-        if key not in KEYS:
-            raise ConfigurationError(f"{place}: {key}: unknown key{nearest(str(key), KEYS)}")
-        if key in _OPTIONAL and value is None:
+        meshes = () if key in KEYS else outside_meshes(str(key))
+        if key not in KEYS and key not in meshes:
+            raise plugins.not_found(f"{place}: {key}: unknown key", str(key), KEYS)
+        if (key in _OPTIONAL or key in meshes) and value is None:
             continue
-        if key in _DICTS and not isinstance(value, Mapping):
+        if (key in _DICTS or key in meshes) and not isinstance(value, Mapping):
             raise ConfigurationError(f"{place}: {key}: found {value!r}, expected a dict")
     return scenario
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from mast_zenoh import scenes
 from mast_zenoh.config import bundle, loading, plugins, registry
+from mast_zenoh.config.outside_meshes import outside_meshes
 from mast_zenoh.config.resolved import DRIVER_ROLE, NodeSpec, Resolved, build_node, driver_of
 from mast_zenoh.control.results import EVALUATOR
 from mast_zenoh.errors import ConfigurationError, NodeFileError, WiringError, nearest
@@ -23,17 +24,9 @@ from mast_zenoh.messages.limits import LEEWAY_S, fused_rows, limits_for
 from mast_zenoh.messages.packed import check_kernels
 from mast_zenoh.messages.schemas import Schema
 from mast_zenoh.node import Node
-from mast_zenoh.ros2.connection import BridgeConfig
 from mast_zenoh.scenario import driving
 from mast_zenoh.scenario.cooperation import check_cooperation, uncovered
-from mast_zenoh.scenario.nodes import (
-    add_input_limits,
-    add_ros2,
-    check_ros2_names,
-    nodes_of,
-    share_faults,
-    share_ros2_clock,
-)
+from mast_zenoh.scenario.nodes import add_input_limits, add_outside, nodes_of, share_faults
 from mast_zenoh.scenario.reading import (
     RUN_DEFAULTS,
     check_run,
@@ -79,8 +72,11 @@ def resolve(
     overrides = {key: value for key, value in dict(run, seed=seed, frames=frames).items() if value is not None}
     options = RUN_DEFAULTS | dict(scenario.get("run", {})) | overrides
     check_run(options, str(path))
-    config = scenario.get("ros2")
-    connection = None if config is None else BridgeConfig.of(config, f"{path}: ros2").connection
+    outside = {
+        key: mesh.parameter(scenario[key], f"{path}: {key}")
+        for key, mesh in outside_meshes().items()
+        if scenario.get(key) is not None
+    }
     try:
         scene_spec = choose_scene(scenario.get("scene", "intersection"))
     except ConfigurationError as error:
@@ -92,10 +88,7 @@ def resolve(
     recorded = record and options["record"]
     nodes = nodes_of(path, scenario, recording, n_frames, recorded, scene_spec)
     add_input_limits(nodes, fused_rows(_detections(recording)))
-    if connection is not None:
-        add_ros2(nodes, connection.to_json())
-    check_ros2_names(path, nodes)
-    share_ros2_clock(nodes)
+    add_outside(path, nodes, outside)
     wired = partial(_wired, path, scenario, nodes)
     timeline = timeline_of(
         path, scenario, nodes, recording, n_frames, wired, seed=options["seed"], mode=options["mode"]
@@ -129,7 +122,10 @@ def resolve(
         messages=_messages(path, nodes),
         idle=(*timeline.idle, *uncovered(built, recording, n_frames)),
         max_rows=_max_rows(recording, options["max_rows"]),
-        plugins=plugins.used_by([*registry.type_names(scenario), *registry.type_names(scene_spec)]),
+        plugins=plugins.used_by(
+            [*registry.type_names(scenario), *registry.type_names(scene_spec)],
+            {spec.type: spec.file for spec in nodes.values() if Path(spec.file).parent != bundle.ROOT / "nodes"},
+        ),
         origin=recording.origin,
         recording=recording,
     )

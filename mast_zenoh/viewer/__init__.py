@@ -5,5 +5,4 @@ page/        the page that plays runs in a browser
 formats      the formats of exports, by name
 export/      a file per format
 loopback     HTTP on the loopback address alone
-ros2_bridge  publishes frames on a router of rmw_zenoh
 """

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from mast_zenoh.config import plugins
 from mast_zenoh.errors import ExportError, nearest
 
 
@@ -13,10 +14,12 @@ class Format(NamedTuple):
 
     writer: module and function (run, path) that creates the file or folder `path`, and perhaps others next to it
     extra:  the optional packages that it needs, "": none
+    plugin: our plugin to which the module belongs, "": it is in mast_zenoh.viewer.export
     """
 
     writer: str
     extra: str = ""
+    plugin: str = ""
 
 
 #: By name.
@@ -26,7 +29,7 @@ FORMATS: Mapping[str, Format] = {
     "kitti": Format("kitti.write"),
     "mot": Format("mot.write"),
     "foxglove": Format("foxglove.write", "foxglove"),
-    "rosbag2": Format("rosbag2.write", "rosbag2"),
+    "rosbag2": Format("mast_ros2.rosbag2.write", plugin=plugins.ROS2_PLUGIN),
     "rrd": Format("rrd.write", "rerun"),
     "pcap": Format("pcap.write"),
 }

@@ -248,26 +248,32 @@ def test_short_names_of_a_plugin_are_shown_and_its_faults_named(tmp_path: Path) 
 
 def test_a_missing_plugin_is_named() -> None:
     code = (
-        "from mast_zenoh.config import bundle, plugins, registry, scene_names\n"
+        "from pathlib import Path\nfrom mast_zenoh.config import plugins, registry, scene_names\n"
         "from mast_zenoh.deploy import engines\nfrom mast_zenoh.errors import PluginError\n"
+        "from mast_zenoh.scenario import resolve\n"
         "from mast_zenoh.scenes import Scene\nplugins.distributions = lambda path: []\n"
         "plugins.expect({'Nudge': 'mast-roadside 1.0', 'Gentle': 'mast-ringroad 0.4'})\n"
         "for build in (lambda: scene_names.parse_scene('av2:PATH'),\n"
         "              lambda: registry.build({'type': 'AV2Log', 'path': 'x'}, Scene, 'scene'),\n"
         "              lambda: registry.build({'type': 'Nudge'}, Scene, 'attack'),\n"
-        "              lambda: engines.load('Gentle')):\n"
+        "              lambda: engines.load('Gentle'),\n"
+        "              lambda: resolve(Path('x.py'), {'ros2': {}}),\n"
+        "              lambda: resolve(Path('x.py'), {'broker': {'file': 'ros2_agent.py'}}, frames=1)):\n"
         "    try: build()\n    except PluginError as error: print(error)\n"
-        "bundle.ROOT /= 'elsewhere'\nprint(plugins.command_for_data_sets())\n"
+        "plugins._SOURCES /= 'elsewhere'\nprint(*map(plugins.command_for, plugins.OUR_PLUGINS), sep=', ')\n"
     )
     lines = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True).stdout
     sources = ROOT / "plugins" / "datasets"
     needs = f"reading Argoverse 2 needs the plugin mast-zenoh-datasets, expected: pip install -e {sources}"
-    first, second, third, fourth, released = lines.splitlines()
+    first, second, third, fourth, part, node, released = lines.splitlines()
     assert first == f"scene 'av2:PATH': {needs}"
     assert second == f"scene.type: no Scene named 'AV2Log': {needs}"
     assert third.endswith("it is in the plugin mast-roadside 1.0, which this host does not have: install it here")
     assert fourth.startswith("there is no engine 'Gentle': it is in the plugin mast-ringroad 0.4, which this host")
-    assert released == "pip install 'mast-zenoh[datasets]'"
+    needs = f"ROS 2 needs the plugin mast-zenoh-ros2, expected: pip install -e {sources.parent / 'ros2'}"
+    assert part == f"x.py: ros2: unknown key: {needs}"
+    assert node == f"x.py: broker: no node file 'ros2_agent.py': {needs}"
+    assert released == "pip install 'mast-zenoh[datasets]', pip install 'mast-zenoh[ros2]'"
 
 
 def test_the_errors_know_all_data_sets() -> None:

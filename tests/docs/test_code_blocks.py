@@ -26,6 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 import typer
+from mast_ros2.type_store import decode
 from ros2_keys import parse_data_key
 
 from mast_zenoh import scenario
@@ -34,7 +35,6 @@ from mast_zenoh.cli.app import app
 from mast_zenoh.config import registry
 from mast_zenoh.faults import Fault
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.ros2.type_store import decode
 from mast_zenoh.runtime.mesh.session import open_client
 from mast_zenoh.security.authority import Authority
 from mast_zenoh.study import definition

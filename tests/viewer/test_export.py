@@ -89,7 +89,7 @@ def test_a_folder_that_does_not_exist_and_an_unknown_format_are_named(recorded: 
 
 @pytest.mark.parametrize(
     ("name", "package", "extra"),
-    [("foxglove", "foxglove", "foxglove"), ("rosbag2", "rosbags", "rosbag2"), ("rrd", "rerun", "rerun")],
+    [("foxglove", "foxglove", "foxglove"), ("rrd", "rerun", "rerun")],
 )
 def test_a_package_that_is_not_installed_is_named_with_its_extra(
     recorded: mast.Run, out: Path, monkeypatch: pytest.MonkeyPatch, name: str, package: str, extra: str

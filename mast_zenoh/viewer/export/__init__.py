@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from mast_zenoh.config import plugins
 from mast_zenoh.errors import ExportError
 from mast_zenoh.run_folder import check_free, write_new
 from mast_zenoh.runs.recorded import open_recorded
-from mast_zenoh.runs.run import Run
 from mast_zenoh.viewer.formats import FORMATS, Format, check
 
 
@@ -41,21 +40,18 @@ def export(run: Path, to: str, out: Path) -> Exported:
     return Exported(written, tuple(recorded.files.missing))
 
 
-def not_installed(error: ModuleNotFoundError, extra: str) -> Exception:
-    """The error to raise where a module is missing: an ExportError if it belongs to optional packages."""
-    package = (error.name or "").partition(".")[0]
-    if not extra or package == "mast_zenoh":
-        return error
-    return ExportError(f"{package} is not installed: pip install 'mast-zenoh[{extra}]'")
+def _writer(form: Format) -> Any:
+    """The function that writes a format.
 
-
-def _writer(form: Format) -> Callable[[Run, Path], None]:
-    """The function that writes a format; raises ExportError if its packages are not installed."""
-    module, _, name = form.writer.partition(".")
+    Raises ExportError if its packages are not installed, and PluginError if its plugin is not.
+    """
+    module, _, name = form.writer.rpartition(".")
+    if form.plugin:
+        return getattr(plugins.required(module, form.plugin), name)
     try:
-        writer: Callable[[Run, Path], None] = getattr(
-            importlib.import_module(f"mast_zenoh.viewer.export.{module}"), name
-        )
+        return getattr(importlib.import_module(f"mast_zenoh.viewer.export.{module}"), name)
     except ModuleNotFoundError as error:
-        raise not_installed(error, form.extra) from None
-    return writer
+        package = (error.name or "").partition(".")[0]
+        if not form.extra or package == "mast_zenoh":
+            raise
+        raise ExportError(f"{package} is not installed: pip install 'mast-zenoh[{form.extra}]'") from None

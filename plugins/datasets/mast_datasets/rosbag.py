@@ -58,10 +58,10 @@ class RosBag(DataSetScene):
         try:
             from mast_datasets import rosbag_reading, rosbag_recording
         except ModuleNotFoundError as error:
-            if (error.name or "").partition(".")[0] != "rosbags":
+            if (missing := (error.name or "").partition(".")[0]) not in ("mast_ros2", "rosbags"):
                 raise
             raise ConfigurationError(
-                f"{self.path}: rosbags is not installed, expected pip install 'mast-zenoh[ros2]'"
+                f"{self.path}: {missing} is not installed, expected pip install 'mast-zenoh[ros2]'"
             ) from None
         path, file = self._files()
         with open_bag(path, self.max_unpacked_mb) as bag:

@@ -11,6 +11,10 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from mast_ros2 import type_store
+from mast_ros2.object_ids import id_of_text, id_of_uuid
+from mast_ros2.received_objects import Received, received_detections, received_tracks
+from mast_ros2.received_poses import POSES, stamped_poses
 from numpy.typing import NDArray
 from rosbags.typesys.base import normalize_fieldname
 
@@ -21,10 +25,6 @@ from mast_datasets.traffic import MAX_BOXES
 from mast_zenoh.arrays.geometry import heading, quaternion_from_rotation, rotation_from_quaternion, rotation_from_yaw
 from mast_zenoh.arrays.states import DETECTION_COLUMNS, Bools, Detections, Floats, Ints, ObjectStates
 from mast_zenoh.errors import ConfigurationError, MessageError, SceneError, nearest
-from mast_zenoh.ros2 import type_store
-from mast_zenoh.ros2.object_ids import id_of_text, id_of_uuid
-from mast_zenoh.ros2.received_objects import Received, received_detections, received_tracks
-from mast_zenoh.ros2.received_poses import POSES, stamped_poses
 
 #: Limit on the messages of all mapped topics.
 MAX_MESSAGES = 5_000_000

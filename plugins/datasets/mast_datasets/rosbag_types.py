@@ -10,13 +10,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from mast_ros2 import type_store
 from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 
 from mast_datasets.rosbag_storage import Topic
 from mast_zenoh.errors import ConfigurationError, MessageError, SceneError, nearest
-from mast_zenoh.ros2 import type_store
 
 #: Makes a message of a payload; raises MessageError for bytes that are none.
 Decode = Callable[[bytes], Any]

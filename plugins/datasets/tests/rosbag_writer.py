@@ -5,6 +5,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from mast_ros2 import type_store
+from mast_ros2.object_messages import tracked_objects
+from mast_ros2.pose_messages import transform_message
+from mast_ros2.spatial import Transform, header, poses, upper_left
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -14,10 +18,6 @@ from mast_zenoh.arrays.geometry import (
     rotation_from_yaw,
 )
 from mast_zenoh.arrays.states import CLASSES, Detections
-from mast_zenoh.ros2 import type_store
-from mast_zenoh.ros2.object_messages import tracked_objects
-from mast_zenoh.ros2.pose_messages import transform_message
-from mast_zenoh.ros2.spatial import Transform, header, poses, upper_left
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import sensor_pose
 

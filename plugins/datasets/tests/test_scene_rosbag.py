@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 from comparison import junction
 from mast_datasets import RosBag
+from mast_ros2 import type_store
+from mast_ros2.object_messages import tracked_objects
+from mast_ros2.spatial import header
 from reference_data import reference
 from rosbag_writer import (
     START_NS,
@@ -30,9 +33,6 @@ from mast_zenoh.arrays.geometry import heading, rotation_from_yaw, to_world
 from mast_zenoh.arrays.states import CLASS_INDEX, Detections
 from mast_zenoh.cli.app import app
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.ros2 import type_store
-from mast_zenoh.ros2.object_messages import tracked_objects
-from mast_zenoh.ros2.spatial import header
 from mast_zenoh.scenes import Intersection, Recording
 from mast_zenoh.scenes.making.sensor_types import Lidar, Radar
 from mast_zenoh.scenes.recording import NO_MEASUREMENT

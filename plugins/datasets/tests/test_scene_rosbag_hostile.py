@@ -22,12 +22,12 @@ from mast_datasets.rosbag_map import parse_map
 from mast_datasets.rosbag_reading import DetectionReader
 from mast_datasets.rosbag_storage import Topic
 from mast_datasets.rosbag_types import OwnType, parse_definition
+from mast_ros2 import type_store
+from mast_ros2.object_messages import tracked_objects
 from mcap.writer import Writer
 from rosbag_writer import Sent, pose_stamped, write_bag, write_recording
 
 from mast_zenoh.errors import ConfigurationError, MastError, MessageError, SceneError
-from mast_zenoh.ros2 import type_store
-from mast_zenoh.ros2.object_messages import tracked_objects
 
 POSE = dict(topic="/pose")
 HEADER = {"stamp": {"sec": 1, "nanosec": 1}, "frame_id": "a"}

@@ -1,0 +1,182 @@
+"""Objects as messages of ROS 2: Detection3DArray of vision_msgs, TrackedObjects and PredictedObjects of Autoware.
+
+What these types cannot express is left out: variances of sizes, and covariances between position and velocity.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from mast_ros2 import type_store
+from mast_ros2.object_ids import uuids
+from mast_ros2.spatial import duration, header, poses, turned, upper_left, vectors
+from mast_ros2.type_store import TYPES, RosMessage
+from mast_zenoh.arrays.geometry import rotation_from_quaternion, scalar_last_quaternions
+from mast_zenoh.arrays.states import CLASSES, Detections, Floats, ObjectStates
+
+#: Labels of Autoware's ObjectClassification by our classes.
+AUTOWARE_LABELS: Mapping[str, int] = {
+    "unknown": 0,
+    "car": 1,
+    "truck": 2,
+    "bus": 3,
+    "motorcycle": 5,
+    "bicycle": 6,
+    "pedestrian": 7,
+}
+#: Values of Autoware's constants: the orientation is known with its sign; the shape is a box.
+ORIENTATION_AVAILABLE, BOUNDING_BOX = 2, 0
+
+#: s, how far predicted paths reach and how far apart their poses are, as in Autoware's own prediction.
+HORIZON_S, STEP_S = 10.0, 0.5
+
+#: m/s, below which a tracked object is said to stand still.
+_STANDSTILL = 0.1
+_LABELS = [AUTOWARE_LABELS[name] for name in CLASSES]
+
+_Hypothesis, _HypothesisWithPose, _Box, _Detection = (
+    TYPES[f"vision_msgs/msg/{name}"]
+    for name in ("ObjectHypothesis", "ObjectHypothesisWithPose", "BoundingBox3D", "Detection3D")
+)
+_PoseWithCovariance, _TwistWithCovariance, _AccelWithCovariance, _Twist, _Accel, _Vector, _Polygon = (
+    TYPES[f"geometry_msgs/msg/{name}"]
+    for name in (
+        "PoseWithCovariance",
+        "TwistWithCovariance",
+        "AccelWithCovariance",
+        "Twist",
+        "Accel",
+        "Vector3",
+        "Polygon",
+    )
+)
+_Uuid = TYPES["unique_identifier_msgs/msg/UUID"]
+_Classification, _Shape, _Path, _TrackedKinematics, _Tracked, _PredictedKinematics, _Predicted = (
+    TYPES[f"autoware_perception_msgs/msg/{name}"]
+    for name in (
+        "ObjectClassification",
+        "Shape",
+        "PredictedPath",
+        "TrackedObjectKinematics",
+        "TrackedObject",
+        "PredictedObjectKinematics",
+        "PredictedObject",
+    )
+)
+
+_ZERO = _Vector(0.0, 0.0, 0.0)
+_NO_ACCELERATION = _AccelWithCovariance(_Accel(_ZERO, _ZERO), np.zeros(36))
+
+
+def states_of(detections: Detections) -> ObjectStates:
+    """Detections as states whose ids are their rows, in the same frame."""
+    covariance = np.zeros((len(detections), 9, 9))
+    covariance[:, :3, :3] = detections.covariance
+    return ObjectStates.of(
+        detections.position,
+        size=detections.size,
+        yaw=detections.yaw,
+        score=detections.score,
+        class_id=detections.class_id,
+        covariance=covariance,
+    )
+
+
+def detection_array(states: ObjectStates, time_ns: int, frame_id: str) -> RosMessage:
+    """A Detection3DArray of objects in the frame `frame_id`.
+
+    Each detection has one hypothesis: class, score, and the pose of the box with the covariance of its position.
+    Raises ValueError for a time that ROS cannot express.
+    """
+    of_all = header(time_ns, frame_id)
+    result = []
+    for number, kind, score, pose, size in zip(
+        states.id.tolist(),
+        states.class_id.tolist(),
+        states.score.tolist(),
+        _poses_with_covariance(states),
+        vectors(states.size),
+        strict=True,
+    ):
+        hypothesis = _HypothesisWithPose(_Hypothesis(CLASSES[kind], score), pose)
+        result.append(_Detection(of_all, [hypothesis], _Box(pose.pose, size), str(number)))
+    return TYPES[type_store.DETECTIONS](of_all, result)
+
+
+def tracked_objects(states: ObjectStates, time_ns: int, frame_id: str) -> RosMessage:
+    """TrackedObjects of objects in the frame `frame_id`; velocities are in the axes of each object.
+
+    Raises ValueError for a time that ROS cannot express.
+    """
+    moving = (np.linalg.norm(states.velocity, axis=1) >= _STANDSTILL).tolist()
+    kinematics = [
+        _TrackedKinematics(pose, twist, _NO_ACCELERATION, ORIENTATION_AVAILABLE, not moves)
+        for pose, twist, moves in zip(_poses_with_covariance(states), _twists(states), moving, strict=True)
+    ]
+    objects = [_Tracked(*parts) for parts in _autoware_parts(states, kinematics)]
+    return TYPES[type_store.TRACKED_OBJECTS](header(time_ns, frame_id), objects)
+
+
+def predicted_objects(
+    states: ObjectStates, time_ns: int, frame_id: str, horizon_s: float = HORIZON_S, step_s: float = STEP_S
+) -> RosMessage:
+    """PredictedObjects of objects in the frame `frame_id`: one path each, straight on at constant velocity.
+
+    horizon_s: s, how far paths reach;  step_s: s, between their poses, the first of which is the object's own
+
+    Raises ValueError for a step that is not above 0 or beyond the horizon, and for a time that ROS cannot express.
+    """
+    if not 0.0 < step_s <= horizon_s:
+        raise ValueError(f"step_s: found {step_s}, expected more than 0 and at most the horizon, {horizon_s} s")
+    ahead_s = step_s * np.arange(int(horizon_s / step_s + 1e-6) + 1)
+    places = states.position[:, None] + states.velocity[:, None] * ahead_s[:, None]
+    turns = np.repeat(scalar_last_quaternions(states.yaw), len(ahead_s), axis=0)
+    on_paths = poses(places.reshape(-1, 3), turns)
+    step = duration(round(step_s * 1e9))
+    kinematics = [
+        _PredictedKinematics(
+            pose, twist, _NO_ACCELERATION, [_Path(on_paths[k * len(ahead_s) : (k + 1) * len(ahead_s)], step, 1.0)]
+        )
+        for k, (pose, twist) in enumerate(zip(_poses_with_covariance(states), _twists(states), strict=True))
+    ]
+    objects = [_Predicted(*parts) for parts in _autoware_parts(states, kinematics)]
+    return TYPES[type_store.PREDICTED_OBJECTS](header(time_ns, frame_id), objects)
+
+
+def _poses_with_covariance(states: ObjectStates) -> list[RosMessage]:
+    """Poses of the boxes, with the covariances of their positions."""
+    of_boxes = poses(states.position, scalar_last_quaternions(states.yaw))
+    return list(map(_PoseWithCovariance, of_boxes, upper_left(states.covariance[:, :3, :3])))
+
+
+def _twists(states: ObjectStates) -> list[RosMessage]:
+    """Velocities and their covariances in the axes of each object, as Autoware has them."""
+    into_object = np.swapaxes(_rotations(states.yaw), 1, 2)
+    velocity = (into_object @ states.velocity[:, :, None])[:, :, 0]
+    covariance = upper_left(turned(states.covariance[:, 6:, 6:], into_object))
+    return [
+        _TwistWithCovariance(_Twist(linear, _ZERO), own)
+        for linear, own in zip(vectors(velocity), covariance, strict=True)
+    ]
+
+
+def _rotations(yaw: Floats) -> Floats:
+    """(n, 3, 3) rotations about the vertical by yaw (n,)."""
+    return np.asarray(rotation_from_quaternion(np.roll(scalar_last_quaternions(yaw), 1, axis=1)), np.float64)
+
+
+def _autoware_parts(states: ObjectStates, kinematics: list[RosMessage]) -> list[tuple[RosMessage, ...]]:
+    """The fields of Autoware's objects, in their order."""
+    return [
+        (_Uuid(uuid), score, [_Classification(_LABELS[kind], 1.0)], motion, _Shape(BOUNDING_BOX, _Polygon([]), size))
+        for uuid, score, kind, motion, size in zip(
+            uuids(states.id),
+            states.score.tolist(),
+            states.class_id.tolist(),
+            kinematics,
+            vectors(states.size),
+            strict=True,
+        )
+    ]

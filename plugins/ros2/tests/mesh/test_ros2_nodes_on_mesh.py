@@ -1,0 +1,158 @@
+"""Nodes of ROS 2 in a process of their own take part in runs on a mesh, as in one process; also by TLS."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+from equal_runs import assert_equal
+from launched import Observer, eventually
+from mast_ros2.connection import Tls
+from ros2_process import ADVERSARY, AGENT, CENTER, Ros2Process
+from ros2_worlds import with_ros2
+
+from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.errors import Interrupted, NotRunning
+from mast_zenoh.launch import live_interception
+from mast_zenoh.launch import run as launcher
+from mast_zenoh.replay import resolution as replay
+from mast_zenoh.run_folder.recording.reader import read
+from mast_zenoh.runtime.mesh.session import open_router
+from mast_zenoh.security.authority import Authority
+from mast_zenoh.security.levels import router_settings
+
+pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
+
+QUIET = Path(__file__).parents[4] / "tests" / "support" / "live" / "quiet.py"
+PLACES = {"agent": ("tracks", AGENT), "center": ("echo", CENTER), "adversary": ("raise", ADVERSARY)}
+
+
+@pytest.fixture(scope="module")
+def router() -> Iterator[str]:
+    session, endpoint = open_router()
+    yield endpoint
+    session.close()
+
+
+def played(resolved: Resolved, out: Path, **options: Any) -> Path:
+    """The folder of a run, which must end well."""
+    ended = launcher.run(resolved, out, **options)
+    assert ended.error is None, ended.error
+    return ended.folder
+
+
+def counts(folder: Path) -> dict[str, Any]:
+    """What the node of ROS 2 answered, from run.json."""
+    (found,) = json.loads((folder / "run.json").read_text())["outside"].values()
+    return found
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_runs_with_nodes_of_ros_are_the_same_on_the_mesh_and_in_one_process(
+    router: str, tmp_path: Path, place: str
+) -> None:
+    resolved = with_ros2(place, router, record=True)
+    behaviour, topics = PLACES[place]
+    with Ros2Process(behaviour, router, *topics):
+        mesh = played(resolved, tmp_path / "mesh")
+        alone = played(resolved, tmp_path / "alone", runtime="inproc")
+    assert_equal(mesh, alone)
+    assert counts(mesh) == counts(alone)
+    assert (counts(mesh)["answered"], counts(mesh)["refused"]) == (12, {})
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_a_recorded_run_is_replayed_without_ros(router: str, tmp_path: Path, place: str) -> None:
+    behaviour, topics = PLACES[place]
+    with Ros2Process(behaviour, router, *topics):
+        recorded = played(with_ros2(place, router, record=True), tmp_path / "run", runtime="inproc")
+    prepared = replay.resolve(recorded)
+    again = played(prepared.resolved, tmp_path / "again", runtime="inproc")
+    ours, theirs = (json.loads((folder / "metrics.json").read_text()) for folder in (recorded, again))
+    assert ours["agents"]["ego"]["picture"] == theirs["agents"]["ego"]["picture"]
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_in_real_time_a_quick_node_of_ros_is_in_time(router: str, tmp_path: Path, place: str) -> None:
+    behaviour, topics = PLACES[place]
+    with Ros2Process(behaviour, router, *topics):
+        folder = played(with_ros2(place, router, mode="realtime", record=True), tmp_path / "run")
+    found = counts(folder)
+    assert found["asked"] == 12
+    assert found["answered"] + found["late"] > 0
+    for key in ("agent/infra_1/tracks", "cc/picture")[place == "agent" :]:
+        frames = [message.frame for message in read(folder) if message.key == key]
+        assert sorted(frames) == [*range(12)], "one message a frame"
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_with_tls_on_both_meshes_and_certificates_on_both_sides(tmp_path: Path, place: str) -> None:
+    """The run has its own authority; that of the router of ROS is another one."""
+    authority = Authority("ros")
+    settings = router_settings("mtls", authority.issue("router", ["127.0.0.1"]))
+    session, endpoint = open_router("tls/127.0.0.1:0", security=settings)
+    files = authority.issue("robot")
+    tls = Tls(*(tmp_path / name for name in ("ca.pem", "robot.pem", "robot.key")))
+    contents = files.authority, files.certificate, files.key
+    for path, content in zip((tls.ca, tls.certificate, tls.key), contents, strict=True):
+        assert path is not None
+        path.write_bytes(content)
+    ros2 = {
+        "router": endpoint,
+        "tls": {"ca": str(tls.ca), "certificate": str(tls.certificate), "key": str(tls.key)},
+    }
+    behaviour, topics = PLACES[place]
+    with Ros2Process(behaviour, endpoint, *topics, tls=tls):
+        folder = played(with_ros2(place, endpoint, ros2=ros2), tmp_path / "run", secure="mtls")
+    session.close()
+    assert counts(folder)["answered"] == 12
+
+
+def test_a_node_of_ros_is_put_into_a_wire_of_a_running_mesh(launch: Any, router: str) -> None:
+    with Ros2Process("raise", router, *ADVERSARY):
+        run = launch(str(QUIET), "--mode", "lockstep")
+        record = run.started()
+        with closing(Observer(record, "agent/infra_1/tracks")) as observer:
+            eventually(lambda: observer.samples, "tracks")
+            settings = (f"ros2.router={router}", "agent=infra_1")
+            live_interception.intercept(
+                run.out, "agent/infra_1/tracks", "ros2_adversary.py", name="thief", settings=settings
+            )
+            reached = len(observer.samples) + 5
+            eventually(lambda: len(observer.samples) >= reached, "tracks that have passed through ROS")
+        run.interrupted()
+    counts_of_run = run.record()["outside"]["thief"]
+    assert counts_of_run["answered"] >= 5
+    assert (counts_of_run["unanswered"], counts_of_run["refused"]) == (0, {})
+    numbers = [message.seq for message in read(run.out) if message.key == "agent/infra_1/tracks"]
+    assert numbers == list(range(len(numbers)))
+
+
+def test_a_node_of_ros_that_dies_in_a_run_costs_only_its_answers(router: str, tmp_path: Path) -> None:
+    with Ros2Process("dies", router, *AGENT):
+        folder = played(with_ros2("agent", router, frames=30), tmp_path / "run")
+    found = counts(folder)
+    assert 0 < found["answered"] < 30
+    assert found["answered"] + found["unanswered"] == 30
+    assert found["absent"][AGENT[2]].endswith("on: no node of ROS 2 is in domain 0")
+
+
+@pytest.mark.parametrize("runtime", ["mesh", "inproc"])
+def test_a_run_that_waits_for_ros_is_stopped_at_once(router: str, tmp_path: Path, runtime: str) -> None:
+    resolved = with_ros2("agent", router, frames=3, wait_s=5.0)
+    with Ros2Process("interrupts", router, *AGENT):
+        ended = launcher.run(resolved, tmp_path / "run", runtime=runtime)
+    assert isinstance(ended.error, Interrupted), ended.error
+    assert ended.record["nodes"]["infra_1"]["ended"] == "ok"
+    assert counts(ended.folder)["unanswered"] == 0, "a wait that the end of the run ended is not counted"
+
+
+def test_a_run_whose_router_of_ros_is_not_there_says_why(tmp_path: Path) -> None:
+    ended = launcher.run(with_ros2("agent", "tcp/127.0.0.1:1"), tmp_path / "run")
+    assert ended.error is not None
+    assert "expected a router of rmw_zenoh" in (ended.folder / "logs" / "infra_1.log").read_text()
+    assert NotRunning.exit_code == ended.record["nodes"]["infra_1"]["exit"]

@@ -1,0 +1,20 @@
+"""Reads the key expressions that `ros2.data_keys` writes."""
+
+from __future__ import annotations
+
+from mast_ros2.data_keys import DataKey
+from mast_ros2.names import domain_of_chunk, hash_of_chunk, type_of_dds
+
+from mast_zenoh.errors import MessageError
+
+
+def parse_data_key(key: str) -> DataKey:
+    """The topic and type of a key expression; raises MessageError if it is none of rmw_zenoh's."""
+    chunks = key.split("/")
+    if len(chunks) < 4:
+        raise MessageError(f"key {key!r:.200}: found {len(chunks)} chunks, expected domain/topic/type/hash")
+    domain, *topic, dds_name, type_hash = chunks
+    try:
+        return DataKey(domain_of_chunk(domain), "/" + "/".join(topic), type_of_dds(dds_name), hash_of_chunk(type_hash))
+    except (MessageError, ValueError) as error:
+        raise MessageError(f"key {key!r:.200}: {error}") from None
