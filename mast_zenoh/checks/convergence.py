@@ -17,12 +17,12 @@ from mast_zenoh.config.resolved import RECORDING, NodeSpec, Resolved
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Message
 from mast_zenoh.metrics import Boxes, SetDistance
+from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.runtime.host import Outgoing
 from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
 
 NAME = "convergence"
-PICTURE = "cc/picture"
 
 #: OSPA with c = 5 m and p = 1: of n objects, a missing one costs 5 / n m, one that is 1 m off 1 / n m.
 DISTANCE = SetDistance(c=5.0, p=1.0)
@@ -45,10 +45,11 @@ def check_convergence(evidence: Evidence) -> Check:
     reason = _undefined(evidence)
     if not heals and not reason:
         return Check.skipped(NAME, "no fault was healed")
-    if all(wire.key != PICTURE for wire in evidence.wiring.wires):
-        return Check.skipped(NAME, f"there is no wire {PICTURE}")
+    picture = evidence.wiring.find(estimate=PICTURE)
+    if picture is None:
+        return Check.skipped(NAME, "there is no common picture")
     expected = pictures(evidence.resolved, evidence.folder)
-    actual = {message.frame: message.content for message in evidence.sent.get(PICTURE, ())}
+    actual = {message.frame: message.content for message in evidence.sent.get(picture.key, ())}
     frames = np.array([frame for frame in sorted(expected) if frame in evidence.times_ns], np.int64)
     if not evidence.lockstep and actual:
         frames = frames[frames <= max(actual)]  # messages in transit are lost at the end of the run
@@ -155,9 +156,11 @@ def pictures(resolved: Resolved, folder: Path) -> dict[int, Floats]:
 
 def _run(resolved: Resolved) -> dict[int, Floats]:
     positions: dict[int, Floats] = {}
+    common = Wiring.from_json(resolved.wiring).find(estimate=PICTURE)
+    key = common.key if common else ""
 
     def tap(outgoing: Outgoing) -> None:
-        if outgoing.key == PICTURE:
+        if outgoing.key == key:
             message = (
                 outgoing.payload if isinstance(outgoing.payload, Message) else codec.decode(outgoing.payload, "picture")
             )

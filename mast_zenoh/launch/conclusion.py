@@ -15,6 +15,7 @@ from mast_zenoh.control.results import EVALUATOR, counts_of
 from mast_zenoh.control.tables import EXPECTED_NAME, MAX_TABLES, is_table_name
 from mast_zenoh.launch import driven_scene, idle, notices
 from mast_zenoh.launch.table_files import TableFiles
+from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.run_folder import subfolder
 from mast_zenoh.run_folder.recording import churn
 from mast_zenoh.run_folder.recording.reader import first_incomplete_frame, first_missing_frame
@@ -38,7 +39,8 @@ def latency_ms(wiring: Wiring, outcomes: Mapping[str, Mapping[str, Any]]) -> dic
     evaluator, may be busy.
     """
     sent, arrived = on_launcher_clock(outcomes)
-    key = next((wire.legs[0].key for wire in wiring.wires if wire.key == "cc/picture"), "")
+    common = wiring.find(estimate=PICTURE)
+    key = common.legs[0].key if common else ""
     of_nodes = [arrivals.get(key, {}) for arrivals in arrived.values()]
     frames = set().union(*of_nodes)
     picture = percentiles(sent, {frame: min(at[frame] for at in of_nodes if frame in at) for frame in frames})

@@ -14,6 +14,7 @@ from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.config.resolved import RECORDING
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.metrics.boxes import Places, nearest
+from mast_zenoh.metrics.estimates import LOCAL
 from mast_zenoh.metrics.trust import detection_delay
 from mast_zenoh.run_folder.tables import from_arrow, to_arrow
 from mast_zenoh.runs.messages import states, tables_of
@@ -150,7 +151,8 @@ def _boxes(run: Run, changes: dict[str, NDArray[Any]], rows: Ints) -> tuple[Floa
     size = np.tile(np.array(CAR_M), (len(rows), 1))
     vx, vy = changes["vx"][rows], changes["vy"][rows]
     yaw = np.where(np.hypot(vx, vy) > _MOVING_MPS, np.arctan2(vy, vx), 0.0)
-    wires = {agent: f"agent/{agent}/tracks" for agent in sorted(set(changes["agent"][rows]))}
+    names = sorted(set(changes["agent"][rows]))
+    wires = {name: found.key for name in names if (found := run.wiring.find(name, estimate=LOCAL))}
     if not wires:
         return size, yaw
     try:

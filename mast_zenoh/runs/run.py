@@ -106,11 +106,15 @@ class Run:
         return tuple(sorted(names or self.files.summary.get("agents", ()), key=lambda name: name != "ego"))
 
     @cached_property
-    def estimate_wires(self) -> EstimateWires:
-        """What can affect which estimate, by wiring.json; nodes that were inserted live are on the same wires."""
+    def wiring(self) -> Wiring:
+        """Its wires by wiring.json; none if that is missing."""
         with reading(self.path):
-            wiring = Wiring.from_json(self.files.wiring) if self.files.wiring else NO_WIRING
-        return EstimateWires(wiring, self.agents)
+            return Wiring.from_json(self.files.wiring) if self.files.wiring else NO_WIRING
+
+    @cached_property
+    def estimate_wires(self) -> EstimateWires:
+        """What can affect which estimate; nodes that were inserted live are on the same wires."""
+        return EstimateWires(self.wiring, self.agents)
 
     @cached_property
     def topics(self) -> Mapping[Series, str]:
@@ -421,13 +425,16 @@ class Run:
     @property
     def picture(self) -> pyarrow.Table:
         """Objects of the common picture by frame: columns of `truth`, score, support."""
-        return decoded.table_of(self._folder, "cc/picture", decoded.states)
+        common = self.wiring.find(estimate=PICTURE)
+        if common is None:
+            raise RunFolderError(f"{self.path}: wiring.json names no common picture")
+        return decoded.table_of(self._folder, common.key, decoded.states)
 
     def agent(self, name: str) -> Agent:
         """The agent of this name; raises ConfigurationError if there is none."""
         if name not in self.agents:
             raise ConfigurationError(f"{self.path}: no agent {name!r} in this run{nearest(name, self.agents)}")
-        return Agent(self._folder, name)
+        return Agent(self._folder, name, self.wiring)
 
     @property
     def _folder(self) -> Path:

@@ -25,13 +25,6 @@ _SLOWEST_NS = 200_000_000
 _WORLD = "world.py"
 #: The map of the wires by which an agent tells what its sensor sees; added where a driver's own sensors have a veto.
 VIEWS = "views.toml"
-#: By what a driver knows: its wire, and whether a driver receives what the publisher sends, before any interposer.
-_WIRES = {
-    "truth": ("scene/truth", False),
-    "safety": ("agent/{agent}/tracks", True),
-    "mission": ("agent/{agent}/mission", False),
-    "view": ("agent/{agent}/view", True),
-}
 
 
 def driver_of_car(car: str) -> str:
@@ -141,19 +134,8 @@ def _limits(spec: object, path: str) -> CarLimits:
     return limits
 
 
-def rewrites(nodes: Mapping[str, NodeSpec], inputs: Mapping[str, Collection[str]]) -> list[str | dict[str, Any]]:
-    """What connects drivers with the world, and with what they know. inputs: ports by node"""
-    drivers = {name: spec for name, spec in nodes.items() if spec.role == "driver"}
-    listening = [
-        {"wire": wire, "role": "driver", "input": port, "node": name, **({"leg": "source"} if source else {})}
-        for name, spec in drivers.items()
-        for port, (wire, source) in _wires_of(spec).items()
-        if port in inputs[name]
-    ]
+def rewrites(nodes: Mapping[str, NodeSpec], inputs: Mapping[str, Collection[str]]) -> list[str]:
+    """The maps that connect drivers with the world, and with what they know. inputs: ports by node"""
+    drivers = [name for name, spec in nodes.items() if spec.role == "driver"]
     views = [VIEWS] if any("view" in inputs[name] for name in drivers) else []
-    return [MAP, *views, {"listen": listening}] if drivers else []
-
-
-def _wires_of(spec: NodeSpec) -> dict[str, tuple[str, bool]]:
-    """The wires of all that the driver of an agent can know."""
-    return {name: (wire.replace("{agent}", spec.agents[0]), source) for name, (wire, source) in _WIRES.items()}
+    return [MAP, *views] if drivers else []

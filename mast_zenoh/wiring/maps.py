@@ -25,6 +25,7 @@ A map (TOML, or the same as a dict) lists wires. A rewrite changes them: it inse
     input = "poses"
     leg = "source"                        # optional: what the publisher sends, before any interposer
     node = "adversary_1"                  # optional: only this node
+    optional = true                       # optional: without nodes that lack the port, and if there is such a wire
 
     [[codec]]
     wire = "agent/{agent}/tracks"         # or one agent's wire
@@ -97,7 +98,7 @@ _ENDPOINT = re.compile(r"(other )?([a-z_]+)\.([a-z_]+)")
 _KEYS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "wire": (("key", "message", "from", "to"), tuple(each.name for each in fields(Traits))),
     "insert": (("wire", "role"), ("input", "output", "to", "node", "optional")),
-    "listen": (("wire", "role", "input"), ("leg", "node")),
+    "listen": (("wire", "role", "input"), ("leg", "node", "optional")),
     "codec": (("wire", "codec"), ()),
 }
 
@@ -174,9 +175,12 @@ def resolve(
         for key in keys:
             wires[key] = insert(wires[key], entry, _placeholder(template), nodes, place)
     for place, entry in _entries(sources, "listen"):
+        if entry.get("optional") and entry["wire"] not in templates:
+            continue
         template = _template_of(entry["wire"], templates, place, every=True)
         keys = [entry["wire"]] if entry["wire"] in wires else templates[template]
-        _check_affected(entry, _placeholder(entry["wire"]), [wires[key] for key in keys], nodes, place)
+        if not entry.get("optional"):
+            _check_affected(entry, _placeholder(entry["wire"]), [wires[key] for key in keys], nodes, place)
         for key in keys:
             wires[key] = _listen(wires[key], entry, nodes, place)
     for place, entry in _entries(sources, "codec"):
@@ -290,7 +294,8 @@ def _listen(wire: Wire, entry: Mapping[str, Any], nodes: Mapping[str, NodeOption
         raise WiringError(f"{place}: leg: found {entry['leg']!r}, expected 'source', or no `leg`")
     placeholder, node = _placeholder(entry["wire"]), entry.get("node")
     listening = members(entry["role"], nodes, place, placeholder=placeholder, subject=wire.subject, node=node)
-    ends = ports(listening, entry["input"], wire.message, place)
+    lacking = (entry["input"],) if entry.get("optional") else ()
+    ends = ports(listening, entry["input"], wire.message, place, optional=lacking)
     return listen(wire, [Listener(end, "leg" in entry) for end in ends], place, every="*" in entry["wire"])
 
 

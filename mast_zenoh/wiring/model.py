@@ -269,6 +269,13 @@ class Wiring:
     overhearers: tuple[Endpoint, ...] = ()
     nodes: Mapping[str, NodeFlow] = field(default_factory=dict, compare=False)
 
+    def find(self, subject: str = "", *, estimate: str = "", message: str = "") -> Wire | None:
+        """The wire of a subject with an estimate, or with messages of a type; None: there is none."""
+        of_subject = (wire for wire in self.wires if wire.subject == subject)
+        return next(
+            (w for w in of_subject if (w.traits.estimate == estimate if estimate else w.message == message)), None
+        )
+
     def legs(self) -> Iterator[tuple[Wire, Leg]]:
         """Every leg, of trunks and branches, with its wire."""
         for wire in self.wires:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +15,7 @@ import numpy as np
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats
 from mast_zenoh.config.resolved import RECORDING
 from mast_zenoh.metrics.causes import ATTACK_CAUSES
-from mast_zenoh.metrics.estimates import PICTURE
+from mast_zenoh.metrics.estimates import LOCAL, PICTURE
 from mast_zenoh.metrics.significance import clearest
 from mast_zenoh.metrics.study_results import MIN_SEEDS, NAN, Measured, Row
 from mast_zenoh.report.tables.text_table import (
@@ -41,8 +40,6 @@ if TYPE_CHECKING:
     from mast_zenoh.report.figures.drawing import RenderedFigure
     from mast_zenoh.runs.run import Run
 
-#: What agents send to others: to a centre, or to each other.
-SENT = ("agent/*/tracks", "agent/*/broadcast")
 #: Classes of vehicles that could carry sensors.
 _VEHICLES = [CLASS_INDEX[name] for name in ("car", "truck", "bus")]
 _ROUNDING_S = 1e-6
@@ -78,11 +75,12 @@ class Collection(kinds.Collection):
         names = sorted(run.files.summary["agents"])
         deceived = np.zeros((len(names), len(times_s)), bool)
         deceived[np.searchsorted(names, agent[wrong].astype(str)), frame[wrong]] = True
-        sent = dict.fromkeys(SENT, 0)
-        for message in read(run.path, lambda channel: any(fnmatchcase(channel.get("wire", ""), each) for each in SENT)):
-            if not message.tap:
-                sent[next(each for each in SENT if fnmatchcase(message.wire, each))] += len(message.payload)
-        bytes_sent = sent[SENT[1]] or sent[SENT[0]]  # peers get the tracks of their own agents only
+        wires = run.estimate_wires
+        own = {wire.key for wire in run.wiring.wires if wire.traits.estimate == LOCAL}
+        # Peers get the tracks of their own agents only, and send them to others.
+        copies = {wire.key for wire in run.wiring.wires if wire.message == "tracks" and wires.tracks_on(wire.key)} - own
+        sent = read(run.path, lambda channel: channel.get("wire") in (copies or own))
+        bytes_sent = sum(len(message.payload) for message in sent if not message.tap)
         duration_s = len(times_s) * recording.period_ns * 1e-9
         vehicles = len(np.unique(recording.truth.id[np.isin(recording.truth.class_id, _VEHICLES)]))
         sensing = sum(each.kind == "mobile" for each in recording.agents)
