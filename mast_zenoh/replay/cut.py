@@ -62,7 +62,11 @@ def cut(wiring: Wiring, roles: Mapping[str, str], place: Place, fixed: Collectio
     players = {name for name in played if roles[name] != DRIVER_ROLE}
     overhearers = tuple(end for end in wiring.overhearers if end.node in live)
     clocked = tuple(_clocked(wire, players, live) if wire.message == "clock" else wire for wire in wires)
-    return Cut(frozenset(played), frozenset(live), replace(wiring, wires=clocked, overhearers=overhearers))
+    return Cut(
+        frozenset(played),
+        frozenset(live),
+        replace(wiring, wires=clocked, overhearers=overhearers, recorded=wiring.recorded or wiring),
+    )
 
 
 def _between_live(wiring: Wiring, roles: Mapping[str, str], live: Collection[str]) -> set[str]:

@@ -103,6 +103,7 @@ SHAPE: dict[str, Any] = {
     "wires": [_WIRE],
     "overhearers": [{"node": Name, "port": str}],
     "nodes": {NAMED: _FLOW},
+    "recorded": {},
 }
 
 
@@ -263,11 +264,13 @@ class Wiring:
 
     overhearers: ports that receive every key, tap legs included, besides the subscribers of each
     nodes: what goes through the nodes of the scenario; those that are inserted later only forward
+    recorded: of a replay, the wiring of the recorded run: what its messages depended on; else None
     """
 
     wires: tuple[Wire, ...]
     overhearers: tuple[Endpoint, ...] = ()
     nodes: Mapping[str, NodeFlow] = field(default_factory=dict, compare=False)
+    recorded: Wiring | None = field(default=None, compare=False)
 
     def find(self, subject: str = "", *, estimate: str = "", message: str = "") -> Wire | None:
         """The wire of a subject with an estimate, or with messages of a type; None: there is none."""
@@ -359,6 +362,7 @@ class Wiring:
             ],
             "overhearers": [{"node": end.node, "port": end.port} for end in self.overhearers],
             "nodes": {name: flow.to_json() for name, flow in self.nodes.items()},
+            **({"recorded": self.recorded.to_json()} if self.recorded else {}),
         }
 
     @classmethod
@@ -367,7 +371,8 @@ class Wiring:
         check_shape(data, SHAPE)
         overhearers = tuple(Endpoint(**end) for end in data.get("overhearers", ()))
         nodes = {name: NodeFlow.from_json(flow) for name, flow in data.get("nodes", {}).items()}
-        return cls(tuple(map(_wire_of, data["wires"])), overhearers, nodes)
+        recorded = cls.from_json({**data["recorded"], "recorded": None}) if data.get("recorded") else None
+        return cls(tuple(map(_wire_of, data["wires"])), overhearers, nodes, recorded)
 
 
 #: A wiring without wires.

@@ -160,7 +160,10 @@ def test_a_listener_is_placed_before_the_branches() -> None:
         (listen("agent/*/pose", "poses", node="adversary_2"), "node: no adversary is called 'adversary_2'; did you"),
         (listen("agent/*/pose", "poses", node="ego"), "node: no adversary is called 'ego'; known: adversary_1"),
         (listen("agent/*/pose", "poses", leg="tap"), "leg: found 'tap', expected 'source', or no `leg`"),
-        (listen("agent/*/pose", "poses", every="yes"), "unknown key 'every'; known: input, leg, node, role, wire"),
+        (
+            listen("agent/*/pose", "poses", every="yes"),
+            "unknown key 'every'; known: input, leg, node, optional, role, wire",
+        ),
         ({"wire": "agent/*/pose", "role": "adversary"}, "missing input"),
         (listen("agent/*/pose", "poses", role=["adversary"]), r"role: found \['adversary'\], expected a string"),
         (listen("agent/*/pose", "poses", node=3), "node: found 3, expected a string"),
