@@ -81,9 +81,9 @@ class Influences:
         return frozenset() if known is None else known.tracks_on(passage.wire)
 
     def speaker(self, passage: Passage) -> str:
-        """The agent whose word the messages of a passage are, see `EstimateWires.said`; empty: nobody's."""
+        """The agent whose word the messages of a passage are, see `EstimateWires.speaker`; empty: nobody's."""
         known = self._of_wire.get(passage.wire)
-        return "" if known is None else known.said.get(passage.wire, "")
+        return "" if known is None else known.speaker(passage.wire)
 
     def arrives_at(self, passage: Passage, series: tuple[str, str]) -> bool:
         """Whether messages of a passage reach the node that makes an estimate, fused with nobody's before."""
@@ -116,8 +116,6 @@ class EstimateWires:
     """The estimates in one wiring, and what can affect them.
 
     sent, received: by estimate, the wires with it as it is sent; and by key, the nodes that receive it on that wire
-    said: the wires of what agents say of the world, and of what that depends on, as far as an estimate depends on it in
-        turn, each with its agent; without opinions about others
     """
 
     def __init__(self, wiring: Wiring, agents: Collection[str]) -> None:
@@ -131,7 +129,7 @@ class EstimateWires:
             else:
                 self.sent[series].append(wire)
         self._roles = {name: flow.role for name, flow in wiring.nodes.items()}
-        self.said = self._said(wiring, agents)
+        self._agents, self._speakers = agents, dict[str, str]()
         self._tracks_on: dict[str, frozenset[str]] | None = None
 
     def frames(self, key: str, before: str, series: tuple[str, str], fused: bool = True) -> int | None:
@@ -175,16 +173,22 @@ class EstimateWires:
             self._tracks_on = {other: frozenset(names) for other, names in agents.items()}
         return self._tracks_on.get(key, frozenset())
 
-    def _said(self, wiring: Wiring, agents: Collection[str]) -> dict[str, str]:
-        estimates = {wire.key for wires in self.sent.values() for wire in wires}
-        return {
-            wire.key: agent_of(wire.subject)
-            for wire in wiring.wires
-            if agent_of(wire.subject) in agents
-            and wire.traits.direction in (SENSOR, UP)
-            and wire.message not in _OPINIONS
-            and not estimates.isdisjoint(self.influence.of(wire.key).sent)
-        }
+    def speaker(self, key: str) -> str:
+        """The agent whose word the messages of a wire are; empty: nobody's.
+
+        That is what it says of the world, or what that depends on, as far as an estimate depends on it in turn; no
+        opinions about others.
+        """
+        if key not in self._speakers:
+            wire = self.influence.wires.get(key)
+            agent = "" if wire is None or wire.message in _OPINIONS else agent_of(wire.subject)
+            if wire is not None and agent in self._agents and wire.traits.direction in (SENSOR, UP):
+                sent = self.influence.of(key).sent
+                says = any(wire.key in sent for wires in self.sent.values() for wire in wires)
+            else:
+                says = False
+            self._speakers[key] = agent if says else ""
+        return self._speakers[key]
 
 
 def _as_received(series: tuple[str, str]) -> tuple[str, str]:

@@ -43,19 +43,19 @@ from mast_zenoh.v2x.tracks import (
 class Codec(NamedTuple):
     """A format of messages.
 
-    meaning: what it is;  messages: the types that it can carry;  ports: output ports of their publishers; none: any
+    meaning: what it is;  messages: the types that it can carry;  itself: only for wires whose one object is the sender
     """
 
     meaning: str
     messages: tuple[str, ...]
-    ports: tuple[str, ...] = ()
+    itself: bool = False
 
 
 #: The codecs by name.
 CODECS = {
     "cpm": Codec("Collective Perception Messages (ETSI TS 103 324): the tracks of a station", ("tracks",)),
     "cam": Codec(
-        "Cooperative Awareness Messages (ETSI TS 103 900): one object, the sender itself", ("tracks",), ("awareness",)
+        "Cooperative Awareness Messages (ETSI TS 103 900): one object, the sender itself", ("tracks",), itself=True
     ),
 }
 

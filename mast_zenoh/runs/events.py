@@ -202,7 +202,8 @@ def lie_frames(run: Run, agent: str) -> Ints:
     changes = run.manipulations
     if changes is None:
         return np.zeros(0, np.int64)
-    wires = [wire for wire, speaker in run.estimate_wires.said.items() if speaker == agent]
+    known = run.estimate_wires
+    wires = [wire for wire in np.unique(changes["wire"]).tolist() if known.speaker(wire) == agent]
     return np.unique(changes["frame"][np.isin(changes["wire"], wires)]).astype(np.int64)
 
 

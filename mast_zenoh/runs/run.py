@@ -22,7 +22,7 @@ from mast_zenoh.launch import liveness
 from mast_zenoh.launch.ending import RUNNING
 from mast_zenoh.metrics.estimates import LOCAL, MISSION, PICTURE, PICTURE_RECEIVED, RECEIVED
 from mast_zenoh.metrics.record import Series
-from mast_zenoh.run_folder import json_or_empty, read_json, read_object, reading
+from mast_zenoh.run_folder import json_or_empty, read_json, read_object
 from mast_zenoh.run_folder.tables import from_arrow, read_arrow
 from mast_zenoh.runs import messages as decoded
 from mast_zenoh.runs import routes
@@ -107,9 +107,11 @@ class Run:
 
     @cached_property
     def wiring(self) -> Wiring:
-        """Its wires by wiring.json; none if that is missing."""
-        with reading(self.path):
-            return Wiring.from_json(self.files.wiring) if self.files.wiring else NO_WIRING
+        """Its wires by wiring.json; none if that is missing or damaged."""
+        try:
+            return Wiring.from_json(self.files.wiring)
+        except (TypeError, ValueError, LookupError):
+            return NO_WIRING
 
     @cached_property
     def estimate_wires(self) -> EstimateWires:

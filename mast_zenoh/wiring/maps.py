@@ -303,15 +303,14 @@ def _codec(name: str, wire: Wire, place: str) -> str:
     """The codec of a wire; raises WiringError for one that cannot carry its messages."""
     if name not in CODECS:
         raise WiringError(f"{place}: codec: no codec {name!r}{nearest(name, CODECS)}")
-    codec, publisher = CODECS[name], wire.legs[0].publisher
+    codec = CODECS[name]
     if wire.message not in codec.messages:
         raise WiringError(f"{place}: codec: {name} carries {', '.join(codec.messages)}, the wire {wire.message!r}")
-    if codec.ports and publisher.port not in codec.ports:
-        others = [other for other, each in CODECS.items() if wire.message in each.messages and not each.ports]
+    if codec.itself and not wire.traits.itself:
+        others = [other for other, each in CODECS.items() if wire.message in each.messages and not each.itself]
         raise WiringError(
-            f"{place}: codec: found {name} on {wire.key!r}, which {publisher.node} publishes on its port "
-            f"{publisher.port!r}; {name} is for {', '.join(codec.ports)}: {codec.meaning}; "
-            f"expected {', '.join(others)}, or no codec"
+            f"{place}: codec: found {name} on {wire.key!r}, whose wire has not `itself = true`; {name} is for "
+            f"{codec.meaning}; expected {', '.join(others)}, or no codec"
         )
     return name
 

@@ -85,7 +85,11 @@ class NodeFlow:
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> NodeFlow:
         """The flow that `to_json` wrote."""
-        return cls(str(data.get("role", "")), data.get("affects") or {}, tuple(data.get("fuses") or ()))
+        affects = {
+            port: {output: max(0, frames) for output, frames in outputs.items()}  # time goes on
+            for port, outputs in (data.get("affects") or {}).items()
+        }
+        return cls(str(data.get("role", "")), affects, tuple(data.get("fuses") or ()))
 
 
 _LEG = {"key": str, "from": Name, "from_port": str, "to": [Name], "to_ports": [str], "before": str}

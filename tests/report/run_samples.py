@@ -14,6 +14,7 @@ from mast_zenoh.arrays.states import Detections
 from mast_zenoh.run_folder.tables import write_table
 from mast_zenoh.scenes.recording import Recording, SceneAgent, truth_states
 from mast_zenoh.sensing.sensors import Camera, LidarSensor
+from tests.support.wirings import wiring_of
 
 FRAMES, ATTACK_START, EGO_ID = 40, 15, 100
 AGENTS = ("ego", "infra_1", "infra_2", "infra_3", "infra_4")
@@ -170,6 +171,8 @@ def summarise(counts: list[tuple[Any, ...]], attacks: list[tuple[Any, ...]]) -> 
 def wires(adversaries: dict[str, str], message: str) -> dict[str, Any]:
     """wiring.json of five agents with adversaries on `message` wires."""
     records: list[dict[str, Any]] = []
+    shipped = wiring_of(AGENTS)
+    known = {wire.key: {"subject": wire.subject, **wire.traits.to_json()} for wire in shipped.wires}
 
     def wire(key: str, kind: str, publisher: str, subscribers: list[str]) -> None:
         interposers = [a for a, victim in adversaries.items() if key == f"agent/{victim}/{message}"]
@@ -178,12 +181,15 @@ def wires(adversaries: dict[str, str], message: str) -> dict[str, Any]:
             {
                 "key": f"{key}/@tap/{i}" if i < len(chain) - 1 else key,
                 "from": node,
+                "from_port": key.rpartition("/")[2],
                 "to": chain[i + 1 : i + 2] or subscribers,
+                "to_ports": [kind for _ in chain[i + 1 : i + 2] or subscribers],
             }
             for i, node in enumerate(chain)
         ]
         records.append(
-            {"key": key, "message": kind, "publisher": publisher, "subscribers": subscribers}
+            {"subject": "", **known.get(key, {})}
+            | {"key": key, "message": kind, "publisher": publisher, "subscribers": subscribers}
             | {"legs": legs, "interposers": interposers}
         )
 
@@ -193,6 +199,7 @@ def wires(adversaries: dict[str, str], message: str) -> dict[str, Any]:
         wire(f"agent/{agent}/pose", "pose", "simulator", [agent])
         wire(f"agent/{agent}/detections", "detections", "simulator", [agent])
         wire(f"agent/{agent}/tracks", "tracks", agent, ["broker", "evaluator"])
+        wire(f"agent/{agent}/mission", "tracks", agent, ["evaluator"])
     wire("cc/collated", "collated", "broker", ["command_center"])
     wire("cc/picture", "picture", "command_center", [*AGENTS, "evaluator"])
     for adversary in adversaries:
@@ -200,7 +207,7 @@ def wires(adversaries: dict[str, str], message: str) -> dict[str, Any]:
         if message == "tracks":
             wire(f"attack/{adversary}/observation", "observation", adversary, ["coordinator"])
             wire(f"attack/{adversary}/directive", "directive", "coordinator", [adversary])
-    return {"wires": records}
+    return {"wires": records, "nodes": shipped.to_json()["nodes"]}
 
 
 def write_run(folder: Path, attack: str = "") -> Path:

@@ -197,10 +197,12 @@ def test_unreachable_estimates_show_dashes(attacked: Run) -> None:
         for wire in attacked.files.wiring["wires"]:
             wire["interposers"] = [node for node in wire.get("interposers", ()) if node != name]
         leg = {"key": f"cc/picture/@tap/ego/{name}", "from": name, "to": ["ego"], "before": "ego"}
+        leg |= {"from_port": "picture", "to_ports": ["picture"]}
         picture = next(wire for wire in attacked.files.wiring["wires"] if wire["key"] == "cc/picture")
         picture["interposers"].append(name)
+        picture["legs"][0]["to"] = [name if node == "ego" else node for node in picture["legs"][0]["to"]]
         picture["legs"].append(leg)
-        both = [line.cells for line in achieved_table(attacked)[0].lines]
+        both = [line.cells for line in achieved_table(Run.of(attacked.files))[0].lines]
         assert both[-1][2] == (f"{DASH} / 50%" if name == "adversary_2" else "100% / 50%")
     assert (both[0][2], both[0][7], both[0][9]) == (f"{DASH} / 50%", f"{DASH} / 0.25", f"{DASH} / 0")
 

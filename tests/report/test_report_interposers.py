@@ -32,8 +32,10 @@ def wire(key: str, chain: tuple[str, ...] = (), before: str = "") -> dict[str, A
     elif chain:
         legs = [{"key": f"{key}/@tap/0", "from": publisher, "to": [chain[0]]}, {"key": key, "from": chain[0], "to": to}]
     message = key.rpartition("/")[2]
-    ends = {"publisher": publisher, "subscribers": to}
-    return {"key": key, "message": message, "legs": legs, "interposers": list(chain)} | ends
+    legs = [leg | {"from_port": message, "to_ports": [message for _ in leg["to"]]} for leg in legs]
+    estimate = {"picture": "picture", "tracks": "local"}.get(message)
+    ends = {"publisher": publisher, "subscribers": to, "subject": "infra_1" if message == "tracks" else ""}
+    return {"estimate": estimate, "key": key, "message": message, "legs": legs, "interposers": list(chain)} | ends
 
 
 def run_of(
@@ -46,7 +48,8 @@ def run_of(
     known = {name: {"role": role, "exit": 0, "ended": "ok"} for name, role in roles.items()} | (nodes or {})
     run = {"nodes": known, "interceptions": list(interceptions), "status": "ok"}
     metrics = {"interposers": measured or {}}
-    return Run.of(RunFiles(None, record=run, wiring={"wires": wires}, summary=metrics))
+    scenario = {"nodes": {name: {"role": role} for name, role in roles.items()}}
+    return Run.of(RunFiles(None, record=run, scenario=scenario, wiring={"wires": wires}, summary=metrics))
 
 
 def only(run: Run) -> Interposer:
