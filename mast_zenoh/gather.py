@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import heapq
 from collections import deque
-from collections.abc import Hashable, Iterable, Iterator, Set
+from collections.abc import Hashable, Iterable, Iterator, MutableMapping, Set
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -112,6 +112,27 @@ class LatestBefore(Generic[Item]):
         return arrival, self._items[arrival][1]
 
 
+class Newest(Generic[Item]):
+    """Keeps the newest item of each publisher, by its time, until it is too old.
+
+    max_age_s: the greatest age; a time that is off by more, either way, counts as too old
+    """
+
+    def __init__(self, max_age_s: float = MAX_AGE_S) -> None:
+        self._max_age_ns = round(max_age_s * 1e9)
+        self._items: dict[str, tuple[int, Item]] = {}
+
+    def add(self, publisher: str, time_ns: int, item: Item) -> None:
+        """Add an item; one that is older than that before is not kept."""
+        if publisher not in self._items or time_ns >= self._items[publisher][0]:
+            self._items[publisher] = time_ns, item
+
+    def at(self, time_ns: int) -> dict[str, tuple[int, Item]]:
+        """(age in ns, item) of each publisher at a time. Items that are too old by then are forgotten."""
+        self._items = {name: each for name, each in self._items.items() if abs(time_ns - each[0]) <= self._max_age_ns}
+        return {name: (time_ns - added_ns, item) for name, (added_ns, item) in self._items.items()}
+
+
 class CollationBuffer(Generic[Item]):
     """Bounded per-agent min-heaps by frame; a full heap drops its *oldest* item.
 
@@ -184,3 +205,10 @@ def plausible_rows(states: ObjectStates) -> Ints:
         return np.arange(len(states))  # the usual case: no value exceeds the norm of all
     flat = np.concatenate([column.reshape(len(states), -1) for column in columns], axis=1)
     return np.flatnonzero((np.abs(flat).max(axis=1) <= MAX_TRACK_VALUE) & (states.size >= 0.0).all(axis=1))
+
+
+def plausible(states: ObjectStates, counts: MutableMapping[str, int]) -> ObjectStates:
+    """The objects in `plausible_rows`; the number of others is added to `counts["absurd"]`."""
+    rows = plausible_rows(states)
+    counts["absurd"] += len(states) - len(rows)
+    return states if len(rows) == len(states) else states.select(rows)

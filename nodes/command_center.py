@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from typing import Any
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.integrity.views import SweptView, views_of
-from mast_zenoh.node import Context, Node, Received
-from mast_zenoh.pipelines import Pipeline, trust_body
+from mast_zenoh.node import Context, Received
+from mast_zenoh.pipelines import Pipeline
+from mast_zenoh.pipelines.fusing import FusingNode
 from mast_zenoh.runtime.mesh.hosting import main
 
 #: Views that wait for their batches, at most; the oldest are dropped.
 MAX_WAITING = 64
 
 
-class CommandCenter(Node):
+class CommandCenter(FusingNode):
     """Turns each batch into a picture.
 
     pipeline: from the agents' tracks to the picture; `CommandCenterPipeline` is the one in the paper's listing
@@ -25,19 +25,17 @@ class CommandCenter(Node):
     role = "command_center"
     inputs = {"clock": "clock", "collated": "collated", "views": "views"}
     outputs = {"picture": "picture", "trust": "trust"}
-    fuses = ("picture", "trust")
 
     def __init__(self, pipeline: Pipeline) -> None:
         self.pipeline = pipeline
         self.processed: deque[int] = deque(maxlen=64)  # frames of the latest batches
-        self.newest_ns = 0  # time of the pipeline's last step
         self.expects_views = False
         self.waiting: dict[int, Received] = {}  # batches without their views yet, by frame
         self.views: dict[int, Mapping[str, SweptView]] = {}  # views without their batch yet
 
     def start(self, context: Context) -> None:
         """Wait for views with each batch, if agents send any."""
-        self.pipeline.bind(context.seed, context.name)
+        super().start(context)
         self.expects_views = any(source.port == "views" for source in context.subscriptions.values())
 
     def on_clock(self, received: Received, context: Context) -> None:
@@ -75,28 +73,16 @@ class CommandCenter(Node):
 
     def process(self, received: Received, context: Context, views: Mapping[str, SweptView] | None = None) -> None:
         """Publish the picture of a batch, and the trust that the pipeline has in agents and objects."""
-        if received.time_ns < self.newest_ns:
-            least = f"{self.newest_ns}, the time of the previous batch"
-            context.reject(f"old: collated: time_ns is {received.time_ns}, expected at least {least}")
+        frame, time_ns, body = received.frame, received.time_ns, received.body
+        if not self.advances(time_ns, context, "collated", "at least {}, the time of the previous batch"):
             return
-        self.processed.append(received.frame)
-        self.newest_ns = received.time_ns
+        self.processed.append(frame)
         if views is not None:
             self.pipeline.look(views)
-        body = received.body
-        picture, support = self.pipeline.step(
-            received.time_ns, ObjectStates.from_columns(body), body["agent"], tuple(body["agents"])
-        )
-        context.publish(
-            "picture", picture.columns() | {"support": support}, frame=received.frame, time_ns=received.time_ns
-        )
-        if self.pipeline.trust is not None:
-            trust = trust_body(self.pipeline.trust)
-            context.publish("trust", trust, frame=received.frame, time_ns=received.time_ns)
-
-    def finish(self, context: Context) -> dict[str, Any]:
-        """What the pipeline counted, and how far tracks were from what its tracker expected, if they tell."""
-        return self.pipeline.results()
+        states, agents = ObjectStates.from_columns(body), tuple(body["agents"])
+        picture, support = self.pipeline.step(time_ns, states, body["agent"], agents)
+        context.publish("picture", picture.columns() | {"support": support}, frame=frame, time_ns=time_ns)
+        self.publish_trust(frame, time_ns, context)
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ from mast_zenoh.arrays.states import Bools, ObjectStates, canonical_order
 from mast_zenoh.driving import CarLimits, Command, Driver, RouteAhead, Situation
 from mast_zenoh.driving.driver import ESTIMATE_AGE_S
 from mast_zenoh.driving.veto import Refutations, overruled
-from mast_zenoh.gather import Gather, LatestBefore, plausible_rows
+from mast_zenoh.gather import Gather, LatestBefore, plausible
 from mast_zenoh.integrity.base import ClusterBoxes
 from mast_zenoh.integrity.views import SweptView, check_view, view_of
 from mast_zenoh.integrity.visibility import clear_in_view
@@ -129,9 +129,7 @@ class DriverNode(Node):
 
     def remember(self, estimate: str, received: Received, objects: ObjectStates, context: Context) -> None:
         """Store an estimate for the frames after its arrival, without objects of absurd values, which are counted."""
-        plausible = plausible_rows(objects)
-        self.counts["absurd"] += len(objects) - len(plausible)
-        objects = objects.select(plausible)
+        objects = plausible(objects, self.counts)
         self.estimates[estimate].add(
             context.frame, (received.time_ns, objects.select(canonical_order(objects))), received.frame
         )

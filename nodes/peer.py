@@ -28,15 +28,16 @@ import numpy as np
 from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion, tracks_in_world
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.fusion.input_limit import InputLimit
-from mast_zenoh.gather import MAX_AGE_S, Gather, plausible_rows
-from mast_zenoh.integrity.views import SweptView, check_view, view_of
+from mast_zenoh.gather import MAX_AGE_S, Gather, Newest, plausible, plausible_rows
+from mast_zenoh.integrity.views import view_of
 from mast_zenoh.messages.limits import RowChoice
 from mast_zenoh.messages.schemas import Body, text
-from mast_zenoh.node import Context, Node, Received
-from mast_zenoh.pipelines import Pipeline, trust_body
+from mast_zenoh.node import Context, Received
+from mast_zenoh.pipelines import Pipeline
 from mast_zenoh.pipelines.admission import Admission
+from mast_zenoh.pipelines.fusing import FusingNode, is_view
 from mast_zenoh.pipelines.heard import AgentTracks, HeardTracks
-from mast_zenoh.pipelines.inbox import MAX_WAITING, Heard, Inbox
+from mast_zenoh.pipelines.inbox import MAX_WAITING, Inbox
 from mast_zenoh.pipelines.relays import Relay, Relays
 from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.tracking.kalman import predicted
@@ -48,11 +49,13 @@ from mast_zenoh.wiring.model import ANY, FUSE
 AWARENESS_AGE_S = 1.2
 #: Id of a sender among its own tracks.
 ITSELF = 1 << 62
+#: Ports of tracks that others send by radio, and under which name their messages are counted.
+COUNTED = {"heard": "heard", "heard_awareness": "aware"}
 #: Frame of reference of what a vehicle says of itself.
 WORLD = {"origin": np.zeros(3), "rotation": np.array([1.0, 0.0, 0.0, 0.0])}
 
 
-class Peer(Node):
+class Peer(FusingNode):
     """Fuses the tracks of its agent with those that it hears.
 
     agent: whose peer it is
@@ -130,19 +133,18 @@ class Peer(Node):
         self.aware = HeardTracks(0.0, AWARENESS_AGE_S)
         self.admission = Admission(input_limit)
         self.beyond: dict[str, int] = {}  # rows that the newest message of each agent had besides those that are used
-        self.views: dict[str, tuple[int, Body]] = {}  # their times, ns, and columns
+        self.views: Newest[Body] = Newest(max_age_s)  # columns
         self.relays = Relays(agent, max_age_s)
         self.relaying: set[str] = set()  # agents that can be origins of what others relay
-        self.trusts: dict[str, tuple[int, dict[str, float]]] = {}  # by teller, time, ns, and trust in agents
+        self.trusts: Newest[dict[str, float]] = Newest(max_age_s)  # by teller, trust in agents
         self.own: tuple[int, ObjectStates] | None = None  # time, ns, and tracks
         self.place = np.zeros(3)
-        self.newest_ns = 0
         self.counts: Counter[str] = Counter()
         self.fused_ports: set[str] = set()  # further ports whose tracks are fused
 
     def start(self, context: Context) -> None:
         """Wait in each frame for all that the agent and the channel send."""
-        self.pipeline.bind(context.seed, context.name)
+        super().start(context)
         self.station.switch_on(float(context.rng("switched on").random()))
         sources = context.subscriptions.values()
         ports = {source.port for source in sources}
@@ -161,80 +163,64 @@ class Peer(Node):
         self.admission.begin(received.frame)
         for frame, items in self.sensed.expired(received.frame):
             self.process(frame, items, context)
-        self.sense("clock", received, context)
-
-    def on_pose(self, received: Received, context: Context) -> None:
-        """The pose of its agent."""
-        self.sense("pose", received, context)
+        self.sense(received, context)
 
     def on_own(self, received: Received, context: Context) -> None:
-        """The tracks of its agent."""
-        self.sense("own", received, context)
+        """The tracks and the pose of its agent, and of the channel what arrived in the frame before."""
+        self.sense(received, context)
+
+    on_pose = on_reception = on_own
 
     def on_own_view(self, received: Received, context: Context) -> None:
         """What the sensor of its agent covers, which the others are told too, in every frame."""
         if context.connected("broadcast_view"):
             context.publish("broadcast_view", received.body, frame=received.frame, time_ns=received.time_ns)
-        self.sense("own_view", received, context)
-
-    def on_reception(self, received: Received, context: Context) -> None:
-        """Which messages of the frame before arrived, and how busy the channel was."""
-        self.sense("reception", received, context)
+        self.sense(received, context)
 
     def on_heard(self, received: Received, context: Context) -> None:
-        """The tracks of another agent."""
-        self.hear("heard", received, context)
+        """The tracks of another agent, or its trust in agents, for the next frame."""
+        if not self.inbox.add(context.frame, received):
+            wire = f"{received.subject} on {received.port}"
+            context.reject(f"overflow: more than {MAX_WAITING} messages of {wire} in a frame")
+
+    on_heard_gossip = on_heard
 
     def on_heard_view(self, received: Received, context: Context) -> None:
         """What the sensor of another agent covers."""
-        try:
-            check_view(received.body)
-        except ValueError as error:
-            context.reject(f"implausible: view: {error}")
-            return
-        self.hear("heard_view", received, context)
+        if is_view(received, context):
+            self.on_heard(received, context)
 
     def on_heard_awareness(self, received: Received, context: Context) -> None:
         """Where another agent says that it is."""
         if len(received.body["id"]):  # otherwise nothing is on the air
-            self.hear("heard_awareness", received, context)
+            self.on_heard(received, context)
 
     def on_relayed(self, received: Received, context: Context) -> None:
         """The picture of another agent. Origins that are no agents would go round among peers for ever."""
         if unknown := sorted(set(received.body["agents"]) - self.relaying):
             context.reject(f"implausible: relayed: agents: {len(unknown)} unknown, such as {unknown[0]!r}")
-            return
-        self.hear("relayed", received, context)
-
-    def on_heard_gossip(self, received: Received, context: Context) -> None:
-        """The trust of another agent in agents."""
-        self.hear("heard_gossip", received, context)
+        else:
+            self.on_heard(received, context)
 
     def on_message(self, received: Received, context: Context) -> None:
         """A message on a further wire."""
         if received.port in self.fused_ports:
-            self.hear(received.port, received, context)
+            self.on_heard(received, context)
         else:
             self.counts[f"{received.port}/{received.subject}"] += 1
 
-    def hear(self, port: str, received: Received, context: Context) -> None:
-        """Keep a message of another agent for the next frame."""
-        if not self.inbox.add(Heard(context.frame, port, received.subject, received.message)):
-            context.reject(f"overflow: more than {MAX_WAITING} messages of {received.subject} on {port} in a frame")
-
-    def sense(self, port: str, received: Received, context: Context) -> None:
+    def sense(self, received: Received, context: Context) -> None:
         """Process a frame once all has arrived that its agent and the channel send."""
-        items = self.sensed.add(received.frame, port, received)
+        items = self.sensed.add(received.frame, received.port, received)
         if items is not None:
             self.process(received.frame, items, context)
 
     def process(self, frame: int, items: Mapping[str, Received], context: Context) -> None:
         """Publish what the agent broadcasts in a frame, and its picture."""
         time_ns = items.get("clock", next(iter(items.values()))).time_ns
-        if time_ns < self.newest_ns:
-            context.reject(f"old: frame {frame}: time_ns is {time_ns}, expected at least {self.newest_ns}")
+        before_ns = self.newest_ns
+        if not self.advances(time_ns, context, f"frame {frame}", "at least {}"):
             return
-        before_ns, self.newest_ns = self.newest_ns, time_ns
         self.open_inbox(frame, items.get("reception"), before_ns)
         if "pose" in items:
             self.place = items["pose"].body["position"]
@@ -242,45 +228,46 @@ class Peer(Node):
         if own := items.get("own"):
             self.beyond[self.agent] = self.admission.note(self.agent, own.body)
             states = tracks_in_world(own.body)
-            self.own = own.time_ns, self.plausible(states)
+            self.own = own.time_ns, plausible(states, self.counts)
             self.broadcast(time_ns, own, states, context)
         self.fuse(frame, time_ns, items, context)
 
     def open_inbox(self, frame: int, reception: Received | None, before_ns: int) -> None:
         """Use the messages that arrived before a frame. before_ns: time of the frame before"""
+        lost: dict[str, set[str]] = {"lost": set(), "lost_awareness": set()}
         if reception is not None:
             busy, airtime_ns = float(reception.body["busy_ratio"][0]), int(reception.body["airtime_ns"][0])
             self.station.measure(reception.time_ns, busy, before_ns, airtime_ns)
-        lost = {name: set() if reception is None else set(reception.body[name]) for name in ("lost", "lost_awareness")}
-        for _, port, sender, message in self.inbox.take(frame):
-            time_ns, body = message.header.time_ns, message.body
+            lost = {name: set(reception.body[name]) for name in lost}
+        for received in self.inbox.take(frame):
+            port, sender, time_ns, body = received.port, received.subject, received.time_ns, received.body
             if sender in lost["lost_awareness" if port == "heard_awareness" else "lost"]:
-                if port in ("heard", "heard_awareness"):
+                if port in COUNTED:
                     self.counts[f"lost/{sender}"] += 1
-            elif port == "heard":
-                self.counts[f"heard/{sender}"] += 1
-                self.beyond[sender] = self.admission.note(sender, body)
-                states = self.plausible(tracks_in_world(body))
-                self.heard.add(sender, time_ns, states)
-                self.station.hear(time_ns, states, body["origin"])
-            elif port in self.fused_ports:
-                self.counts[f"{port}/{sender}"] += 1
-                self.heard.add(f"{sender}/{port}", time_ns, self.plausible(tracks_in_world(body)))
-            elif port == "heard_awareness":
-                self.counts[f"aware/{sender}"] += 1
-                states = self.plausible(tracks_in_world(body))
-                self.aware.add(sender, time_ns, states.with_(id=np.full(len(states), ITSELF)))
-                if len(states):
-                    self.station.hear(time_ns, states, states.position[0])
+            elif port in COUNTED or port in self.fused_ports:
+                self.hear_tracks(port, sender, time_ns, body)
             elif port == "heard_view":
-                if time_ns >= self.views.get(sender, (0,))[0]:
-                    self.views[sender] = time_ns, body
+                self.views.add(sender, time_ns, body)
             elif port == "heard_gossip":
-                if time_ns >= self.trusts.get(sender, (0,))[0]:
-                    trust = zip(body["agents"].tolist(), body["trust"].tolist(), strict=True)
-                    self.trusts[sender] = time_ns, dict(trust)
+                trust = zip(body["agents"].tolist(), body["trust"].tolist(), strict=True)
+                self.trusts.add(sender, time_ns, dict(trust))
             else:
                 self.relays.add(sender, self.relay_of(time_ns, body))
+
+    def hear_tracks(self, port: str, sender: str, time_ns: int, body: Body) -> None:
+        """Keep what another agent says of objects or of itself."""
+        self.counts[f"{COUNTED.get(port, port)}/{sender}"] += 1
+        states = plausible(tracks_in_world(body), self.counts)
+        if port == "heard":
+            self.beyond[sender] = self.admission.note(sender, body)
+            self.heard.add(sender, time_ns, states)
+            self.station.hear(time_ns, states, body["origin"])
+        elif port == "heard_awareness":
+            self.aware.add(sender, time_ns, states.with_(id=np.full(len(states), ITSELF)))
+            if len(states):
+                self.station.hear(time_ns, states, states.position[0])
+        else:
+            self.heard.add(f"{sender}/{port}", time_ns, states)
 
     def announce(self, time_ns: int, pose: Received, context: Context) -> None:
         """Say where the agent is, if that is due."""
@@ -313,9 +300,12 @@ class Peer(Node):
         tracks = tracks.admitted(self.admission, self.beyond)
         relays = self.relays.at(time_ns)
         tracks = tracks.joined(*(AgentTracks.of(name, relay.states) for name, relay in relays.items()))
-        if views := self.views_at(time_ns, items):
+        views = {name: view_of(body, age_ns * 1e-9) for name, (age_ns, body) in self.views.at(time_ns).items()}
+        if "own_view" in items:
+            views[self.agent] = view_of(items["own_view"].body)
+        if views:
             self.pipeline.look(views)
-        if trusts := self.trusts_at(time_ns):
+        if trusts := {name: trust for name, (_, trust) in self.trusts.at(time_ns).items()}:
             self.pipeline.hear(self.agent, trusts)
         picture, support = self.pipeline.step(time_ns, tracks.states, tracks.agent, tracks.names)
         context.publish("picture", picture.columns() | {"support": support}, frame=frame, time_ns=time_ns)
@@ -323,12 +313,10 @@ class Peer(Node):
             origins, origin = self.relays.origins_of(picture.id, self.pipeline.members, tracks, relays)
             body = picture.columns() | {"agents": text(origins), "origin": origin.astype(np.uint8)}
             context.publish("relay", body, frame=frame, time_ns=time_ns)
-        if self.pipeline.trust is not None:
-            body = trust_body(self.pipeline.trust)
-            context.publish("trust", body, frame=frame, time_ns=time_ns)
-            if context.connected("gossip"):
-                told = {"agents": body["agents"], "trust": body["mean"]}
-                context.publish("gossip", told, frame=frame, time_ns=time_ns)
+        trust = self.publish_trust(frame, time_ns, context)
+        if trust is not None and context.connected("gossip"):
+            told = {"agents": trust["agents"], "trust": trust["mean"]}
+            context.publish("gossip", told, frame=frame, time_ns=time_ns)
 
     def own_at(self, time_ns: int) -> list[AgentTracks]:
         """The tracks of its agent, predicted to a time; none if they are too old."""
@@ -337,31 +325,12 @@ class Peer(Node):
         at_ns, states = self.own
         return [AgentTracks.of(self.agent, predicted(states, (time_ns - at_ns) * 1e-9))]
 
-    def views_at(self, time_ns: int, items: Mapping[str, Received]) -> dict[str, SweptView]:
-        """What the sensors of the agents cover, as far as it is known; by name."""
-        self.views = {name: each for name, each in self.views.items() if abs(time_ns - each[0]) <= self.max_age_ns}
-        views = {name: view_of(body, (time_ns - at_ns) * 1e-9) for name, (at_ns, body) in self.views.items()}
-        if "own_view" in items:
-            views[self.agent] = view_of(items["own_view"].body)
-        return views
-
-    def trusts_at(self, time_ns: int) -> dict[str, dict[str, float]]:
-        """The trust of other agents in agents, as far as it is known; by teller."""
-        self.trusts = {name: each for name, each in self.trusts.items() if abs(time_ns - each[0]) <= self.max_age_ns}
-        return {name: trust for name, (_, trust) in self.trusts.items()}
-
     def relay_of(self, time_ns: int, body: Body) -> Relay:
         """The objects in a message about a picture, without absurd ones."""
         states = ObjectStates.from_columns(body)
-        plausible = plausible_rows(states)
-        self.counts["absurd"] += len(states) - len(plausible)
-        return Relay(time_ns, states.select(plausible), tuple(body["agents"]), body["origin"][plausible] > 0)
-
-    def plausible(self, states: ObjectStates) -> ObjectStates:
-        """The states without absurd ones, which are counted."""
         rows = plausible_rows(states)
         self.counts["absurd"] += len(states) - len(rows)
-        return states if len(rows) == len(states) else states.select(rows)
+        return Relay(time_ns, states.select(rows), tuple(body["agents"]), body["origin"][rows] > 0)
 
     def finish(self, context: Context) -> dict[str, Any]:
         """Counts of the radio, of tracks left out, and what the pipeline counted.
@@ -370,7 +339,7 @@ class Peer(Node):
         congestion control let it send nothing; messages heard and lost, by sender; and absurd tracks.
         """
         counts = {"radio": dict(sorted(self.counts.items())), "left_out": self.admission.counts()}
-        return self.pipeline.results() | counts
+        return super().finish(context) | counts
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.gather import CollationBuffer, Gather, LatestBefore, plausible_rows
+from mast_zenoh.gather import CollationBuffer, Gather, LatestBefore, Newest, plausible_rows
 
 messages = st.lists(st.tuples(st.integers(0, 4), st.sampled_from("abc")), max_size=12, unique=True)  # (frame, member)
 
@@ -160,3 +160,13 @@ def test_tracks_beyond_all_bounds_or_of_negative_size_are_implausible() -> None:
     assert plausible_rows(states).tolist() == [0, 2, 3, 4], "an unknown size may be 0"
     states.position[3, 0] = 1e300
     assert plausible_rows(states).tolist() == [0, 2, 4]
+
+
+def test_the_newest_item_of_a_publisher_counts_until_it_is_too_old() -> None:
+    newest: Newest[str] = Newest(max_age_s=0.2)
+    for time_ns, item in ((300, "first"), (100, "late"), (300, "same time"), (400, "newest")):
+        newest.add("ego", time_ns * 1_000_000, item)
+    newest.add("infra_1", 900_000_000, "from the future")
+    assert newest.at(600_000_000) == {"ego": (200_000_000, "newest")}
+    assert newest.at(400_000_000) == {"ego": (0, "newest")}
+    assert newest.at(700_000_000) == {}

@@ -8,15 +8,20 @@ each agent, however late they arrived, predicted to the time of the batch, until
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from mast_zenoh.arrays.checks import check
+from mast_zenoh.arrays.geometry import tracks_in_world
 from mast_zenoh.arrays.states import Ints, ObjectStates, concatenate
 from mast_zenoh.fusion.input_limit import ClaimedObjects, InputLimit
-from mast_zenoh.gather import MAX_AGE_S, CollationBuffer, plausible_rows
-from mast_zenoh.messages.schemas import Body
+from mast_zenoh.gather import MAX_AGE_S, CollationBuffer, plausible
+from mast_zenoh.messages.limits import RowChoice
+from mast_zenoh.messages.schemas import Body, text
+from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.pipelines.admission import Admission
+from mast_zenoh.pipelines.fusing import is_view
 from mast_zenoh.tracking.kalman import predicted
 
 
@@ -48,16 +53,18 @@ class _Tracks(NamedTuple):
     beyond: int
 
 
-class Collation:
-    """Collects the tracks, and the views if there are any, of the agents of one centre.
+class CollatingNode(Node):
+    """Collates the tracks, and the views if there are any, of many agents; the base of brokers and regional centres.
 
     latency_s: age at which frames are emitted; patience: number of clocks, after that of its own frame, to wait for a
     missing message; capacity: messages kept per agent; max_age_s: the greatest age of an agent's tracks in a batch
     input_limit: which tracks a batch has, if there are many; None: all
-    agents: those that are waited for; with_views: whether agents send views
 
     A time that is off by more than `max_age_s`, either way, counts as too old. Raises ValueError for negative values.
     """
+
+    #: role of the nodes that are waited for
+    collated_role: ClassVar[str] = "agent"
 
     def __init__(
         self,
@@ -67,17 +74,11 @@ class Collation:
         max_age_s: float = MAX_AGE_S,
         input_limit: InputLimit | None = None,
     ) -> None:
-        for name, value, least in (
-            ("latency_s", latency_s, 0),
-            ("patience", patience, 0),
-            ("capacity", capacity, 1),
-            ("max_age_s", max_age_s, 0),
-        ):
-            if value < least:
-                raise ValueError(f"{name}: found {value}, expected {least} or more")
-        self.with_views = False
+        check("0 or more", latency_s=latency_s, patience=patience, max_age_s=max_age_s)
+        check("1 or more", capacity=capacity)
+        self.with_views = False  # whether agents send views
         self.admission = Admission(input_limit)
-        self.agents: set[str] = set()
+        self.agents: set[str] = set()  # those that are waited for
         self._latency_ns = round(latency_s * 1e9)
         self._patience = patience
         self._max_age_ns = round(max_age_s * 1e9)
@@ -89,68 +90,93 @@ class Collation:
         self._newcomers: set[str] = set()
         self._open_frames: dict[int, int] = {}  # frames without a batch yet, and their times
         self._batches = {"complete": 0, "overdue": 0}
-        self._absurd = 0
+        self._rejected = {"absurd": 0}
 
-    def join(self, agent: str) -> None:
+    def start(self, context: Context) -> None:
+        """Collate views, too, if agents send any."""
+        super().start(context)
+        self.with_views = any(source.port == "view" for source in context.subscriptions.values())
+
+    def choice(self, port: str, subject: str, step: int) -> RowChoice | None:
+        """Of too many rows, those that the input limit keeps."""
+        return self.admission.choice(subject, step) if port == "tracks" else None
+
+    def joined(self, node: str, role: str, context: Context) -> None:
         """Wait for an agent from now on."""
-        self.agents.add(agent)
-        self._gone.discard(agent)
+        if role == self.collated_role:
+            self.agents.add(node)
+            self._gone.discard(node)
 
-    def leave(self, agent: str) -> None:
-        """Stop waiting for an agent; may make batches due."""
-        self.agents.discard(agent)
-        self._gone.add(agent)
+    def left(self, node: str, role: str, context: Context) -> None:
+        """Stop waiting for an agent that has left, which may complete a batch."""
+        self.agents.discard(node)
+        self._gone.add(node)
+        self.emit_complete(context)
 
-    def meet(self, agent: str) -> None:
-        """Wait for an agent from the next frame on, whether or not its presence was announced."""
-        self._newcomers.add(agent)
+    def on_status(self, received: Received, context: Context) -> None:
+        """Wait for the agent from the next frame on, whether or not its presence was announced."""
+        self._newcomers.add(received.subject)
 
-    def add(self, agent: str, frame: int, time_ns: int, states: ObjectStates, body: Body) -> None:
-        """Add an agent's tracks, world frame; may make batches due. body: columns of the message"""
-        beyond = self.admission.note(agent, body)
-        if agent not in self.agents:
+    def on_tracks(self, received: Received, context: Context) -> None:
+        """Store an agent's tracks, in the world frame."""
+        self.collate(received, tracks_in_world(received.body), context)
+
+    def collate(self, received: Received, states: ObjectStates, context: Context) -> None:
+        """Store an agent's tracks, which may complete a batch. states: those of the message, world frame"""
+        beyond = self.admission.note(received.subject, received.body)
+        if received.subject in self.agents:
+            tracks = _Tracks(received.time_ns, plausible(states, self._rejected), beyond)
+            self._tracks.push(received.subject, received.frame, tracks)
+        else:
             # Not expected in this frame: whether its tracks arrive before the batch is emitted would be random.
-            self.meet(agent)
-            return
-        plausible = plausible_rows(states)
-        if len(plausible) < len(states):
-            self._absurd += len(states) - len(plausible)
-            states = states.select(plausible)
-        self._tracks.push(agent, frame, _Tracks(time_ns, states, beyond))
+            self._newcomers.add(received.subject)
+        self.emit_complete(context)
 
-    def add_view(self, agent: str, frame: int, time_ns: int, body: Body) -> None:
-        """Add the columns of what an agent's sensor covers; may make batches due."""
-        if agent not in self.agents:
-            self.meet(agent)
+    def on_view(self, received: Received, context: Context) -> None:
+        """Store what an agent's sensor covers."""
+        if not is_view(received, context):
             return
-        self._views.push(agent, frame, (time_ns, body))
+        if received.subject in self.agents:
+            self._views.push(received.subject, received.frame, (received.time_ns, received.body))
+        else:
+            self._newcomers.add(received.subject)
+        self.emit_complete(context)
 
-    def begin(self, frame: int, time_ns: int) -> list[Collated]:
-        """Open a new frame; returns the batches of older ones that have waited long enough."""
-        self.admission.begin(frame)
-        overdue = time_ns - self._latency_ns
-        frames = sorted(f for f, t in self._open_frames.items() if f < frame - self._patience and t < overdue)
-        batches = [self._batch(each, "overdue") for each in frames]
+    def on_clock(self, received: Received, context: Context) -> None:
+        """Open a new frame, and emit incomplete older ones that have waited long enough."""
+        self.admission.begin(received.frame)
+        first, overdue_ns = received.frame - self._patience, received.time_ns - self._latency_ns
+        frames = sorted(each for each, at_ns in self._open_frames.items() if each < first and at_ns < overdue_ns)
+        overdue = [self._batch(frame, "overdue") for frame in frames]
         self.agents |= self._newcomers - self._gone
         self._newcomers.clear()
-        self._open_frames[frame] = time_ns
-        return batches
+        self._open_frames[received.frame] = received.time_ns
+        for batch in overdue:
+            self.emit(batch, context)
+        self.emit_complete(context)
 
-    def complete(self, now_ns: int) -> list[Collated]:
-        """The batches of frames that are old enough and have all agents' tracks, oldest first. now_ns: time, ns"""
-        batches = []
+    def emit_complete(self, context: Context) -> None:
+        """Emit frames that are old enough and have all that is waited for, oldest first."""
         for frame in sorted(self._open_frames):
-            if self._open_frames[frame] > now_ns - self._latency_ns or not self._tracks.complete(frame, self.agents):
+            if self._open_frames[frame] > context.time_ns - self._latency_ns:
+                break
+            if not self._tracks.complete(frame, self.agents):
                 break
             if self.with_views and not self._views.complete(frame, self.agents):
                 break
-            batches.append(self._batch(frame, "complete"))
-        return batches
+            self.emit(self._batch(frame, "complete"), context)
 
-    def counts(self) -> dict[str, Any]:
-        """Numbers of complete and overdue batches, of late messages, and of rejected ones."""
-        rejected = {"overflowed": self._tracks.dropped, "absurd": self._absurd}
-        return {**self._batches, "late": dict(sorted(self._tracks.late.items())), **rejected}
+    def emit(self, batch: Collated, context: Context) -> None:
+        """Publish a batch: every agent's newest tracks, predicted to its time."""
+        columns = batch.states.columns() | {"agent": batch.agent}
+        agents = {"agents": text(list(batch.agents)), "age_ns": batch.age_ns}
+        context.publish("collated", columns | agents, frame=batch.frame, time_ns=batch.time_ns)
+
+    def finish(self, context: Context) -> dict[str, Any]:
+        """Numbers of complete and overdue batches, of late messages, of rejected ones, and of tracks left out."""
+        late = dict(sorted(self._tracks.late.items()))
+        collated = {**self._batches, "late": late, "overflowed": self._tracks.dropped, **self._rejected}
+        return super().finish(context) | {"collation": collated, "left_out": self.admission.counts()}
 
     def _batch(self, frame: int, how: str) -> Collated:
         time_ns = self._open_frames.pop(frame)

@@ -2,53 +2,37 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from typing import Any, NamedTuple
-
-from mast_zenoh.messages.schemas import Message
+from mast_zenoh.node import Received
 
 #: Messages on one wire in a frame that wait for the next one, at most.
 MAX_WAITING = 64
-
-
-class Heard(NamedTuple):
-    """A message from another agent. arrived: frame of arrival"""
-
-    arrived: int
-    port: str
-    sender: str
-    message: Message
-
-    @property
-    def wire(self) -> tuple[str, str, int]:
-        """Its sender, port and frame of arrival."""
-        return self.sender, self.port, self.arrived
-
-    def order(self) -> tuple[Any, ...]:
-        """Its place among those that wait."""
-        header = self.message.header
-        return self.arrived, self.sender, self.port, header.time_ns, header.frame, header.seq
 
 
 class Inbox:
     """Messages that wait for the frame after that of their arrival, in an order that is not that of arrival."""
 
     def __init__(self) -> None:
-        self._messages: list[Heard] = []
-        # By wire and frame: only messages of one wire arrive in a fixed order.
-        self._waiting: Counter[tuple[str, str, int]] = Counter()
+        # By frame of arrival, then by wire, its sender and port: only messages of one wire arrive in a fixed order.
+        self._waiting: dict[int, dict[tuple[str, str], list[Received]]] = {}
 
-    def add(self, heard: Heard) -> bool:
-        """Add a message; False if too many on its wire arrived in the frame already."""
-        if self._waiting[heard.wire] >= MAX_WAITING:
-            return False
-        self._waiting[heard.wire] += 1
-        self._messages.append(heard)
-        return True
+    def add(self, frame: int, received: Received) -> bool:
+        """Add a message that arrives in a frame; False if too many on its wire have arrived in it already."""
+        wire = received.subject, received.port
+        waiting = self._waiting.setdefault(frame, {}).setdefault(wire, [])
+        if len(waiting) < MAX_WAITING:
+            waiting.append(received)
+            return True
+        return False
 
-    def take(self, frame: int) -> list[Heard]:
+    def take(self, frame: int) -> list[Received]:
         """Take out the messages that arrived before a frame."""
-        ready = sorted((heard for heard in self._messages if heard.arrived < frame), key=Heard.order)
-        self._messages = [heard for heard in self._messages if heard.arrived >= frame]
-        self._waiting = Counter(heard.wire for heard in self._messages)
-        return ready
+        return [
+            received
+            for arrived in sorted(each for each in self._waiting if each < frame)
+            for _, messages in sorted(self._waiting.pop(arrived).items())
+            for received in sorted(messages, key=_order)
+        ]
+
+
+def _order(received: Received) -> tuple[int, int, int]:
+    return received.time_ns, received.frame, received.message.header.seq

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Ints, ObjectStates
+from mast_zenoh.gather import Newest
 from mast_zenoh.pipelines.heard import AgentTracks
 from mast_zenoh.pipelines.origins import Origins
 from mast_zenoh.tracking.kalman import predicted
@@ -42,22 +43,20 @@ class Relays:
     """
 
     def __init__(self, agent: str, max_age_s: float) -> None:
-        self._agent, self._max_age_ns = agent, round(max_age_s * 1e9)
-        self._newest: dict[str, Relay] = {}
+        self._agent = agent
+        self._newest: Newest[Relay] = Newest(max_age_s)
         self._origins = Origins()
 
     def add(self, sender: str, relay: Relay) -> None:
         """Add a picture; one that is older than that before is not used."""
-        if sender not in self._newest or relay.time_ns >= self._newest[sender].time_ns:
-            self._newest[sender] = relay.without(self._agent)
+        self._newest.add(sender, relay.time_ns, relay.without(self._agent))
 
     def at(self, time_ns: int) -> dict[str, Relay]:
         """The pictures predicted to a time, by the names under which they are fused; in the order of names."""
-        ages = {name: time_ns - relay.time_ns for name, relay in self._newest.items()}
-        self._newest = {name: relay for name, relay in self._newest.items() if abs(ages[name]) <= self._max_age_ns}
+        newest = sorted(self._newest.at(time_ns).items())
         return {
-            f"{name}{RELAY}": relay._replace(states=predicted(relay.states, ages[name] * 1e-9))
-            for name, relay in sorted(self._newest.items())
+            f"{name}{RELAY}": relay._replace(states=predicted(relay.states, age_ns * 1e-9))
+            for name, (age_ns, relay) in newest
         }
 
     def origins_of(

@@ -139,7 +139,7 @@ def test_the_broker_does_not_wait_for_an_agent_that_has_left_until_it_returns(re
 
 def test_an_unannounced_agent_is_expected_from_the_frame_after_its_first_status(resolved) -> None:
     broker = bench(resolved)
-    broker.node.collation.agents.discard("infra_2")  # not yet visible on the mesh
+    broker.node.agents.discard("infra_2")  # not yet visible on the mesh
     for frame in (0, 1):
         broker.clock(frame)
         send_track(broker, "ego", frame)
@@ -153,7 +153,7 @@ def test_an_unannounced_agent_is_expected_from_the_frame_after_its_first_status(
 def test_the_tracks_of_a_new_agent_count_from_the_frame_after_its_first_ones(resolved) -> None:
     for newcomer_first in (True, False):
         broker = bench(resolved)
-        broker.node.collation.agents.discard("infra_2")
+        broker.node.agents.discard("infra_2")
         published = []
         for frame in (0, 1):
             published += play(broker, frame, ("infra_2", *BOTH) if newcomer_first else AGENTS)
@@ -275,7 +275,7 @@ def test_every_delivery_order_gives_the_same_batches(resolved, data: st.DataObje
 
     def play(shuffle: Any) -> list[bytes]:
         broker = bench(resolved, **config)
-        broker.node.collation.agents.discard("infra_2")
+        broker.node.agents.discard("infra_2")
         for frame in range(5):
             broker.clock(frame)
             due = [(agent, frame) for agent in AGENTS if fate[agent, frame] == "in time"]

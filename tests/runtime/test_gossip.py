@@ -48,7 +48,7 @@ def test_gossip_that_a_link_holds_up_does_not_replace_newer_gossip() -> None:
         told = {"agents": text(["infra_2"]), "trust": np.array([trust])}
         bench.send("heard_gossip", told, about, subject="infra_1", step=step)
         bench.node.open_inbox(step + 1, None, 0)
-        assert bench.node.trusts["infra_1"][1] == {"infra_2": 0.2}
+        assert bench.node.trusts.at(0)["infra_1"][1] == {"infra_2": 0.2}
 
 
 def test_slander_is_measured_on_the_wire_and_reported() -> None:
