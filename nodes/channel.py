@@ -73,20 +73,15 @@ class Channel(Node):
         positions.add(context.frame, received.body["position"][:2], received.frame)
 
     def on_sent(self, received: Received, context: Context) -> None:
-        """The tracks that a station sends."""
-        self.take(0, received, context)
-
-    def on_awareness(self, received: Received, context: Context) -> None:
-        """What a station says of itself."""
-        self.take(1, received, context)
-
-    def take(self, kind: int, received: Received, context: Context) -> None:
-        """A message of a kind is on the air, unless it has no bytes."""
+        """What a station sends, its tracks or what it says of itself, is on the air, unless it has no bytes."""
         if sizes := sizes_of(received):
             # Counted here, because no frame comes after the last one.
             self.counts["frames"] += len(sizes)
             self.counts["bytes"] += sum(sizes)
-            self.sent.append(Sent(context.frame, kind, received.message.header.seq, received.subject, sizes))
+            kind, seq = KINDS.index(received.port), received.message.header.seq
+            self.sent.append(Sent(context.frame, kind, seq, received.subject, sizes))
+
+    on_awareness = on_sent
 
     def on_clock(self, received: Received, context: Context) -> None:
         """Tell all stations what arrived of what was sent in the frame before."""

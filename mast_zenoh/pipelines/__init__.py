@@ -1,7 +1,7 @@
 """Complete pipelines of an agent and of the command centre."""
 
 from mast_zenoh.pipelines.agent import AgentPipeline, AgentSensor, Pose
-from mast_zenoh.pipelines.command_center import CommandCenterPipeline, Pipeline, trust_body
+from mast_zenoh.pipelines.command_center import CommandCenterPipeline, Pipeline
 from mast_zenoh.pipelines.mission import FreeSpaceVeto, MissionEstimator, OwnAndPicture, PictureFirst
 
 __all__ = [
@@ -14,5 +14,4 @@ __all__ = [
     "PictureFirst",
     "Pipeline",
     "Pose",
-    "trust_body",
 ]

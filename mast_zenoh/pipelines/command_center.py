@@ -15,7 +15,6 @@ from mast_zenoh.fusion.clustering import believed_first, without_contradicted
 from mast_zenoh.fusion.covariance_check import CheckedCovariances, CovarianceCheck
 from mast_zenoh.integrity import Assessment, Batch, Integrity, SweptView, trust_columns
 from mast_zenoh.integrity.base import SUSPENDED, problem_of
-from mast_zenoh.messages.schemas import Body, text
 from mast_zenoh.tracking.base import Innovations
 from mast_zenoh.tracking.covariances import make_positive_definite
 
@@ -203,11 +202,6 @@ class CommandCenterPipeline(Pipeline):
         self.trust = None
         if self.integrity is not None:
             self.integrity.reset()
-
-
-def trust_body(trust: Mapping[str, Any]) -> Body:
-    """The columns of a `trust` message, from those of `Pipeline.trust`."""
-    return {**trust, **{name: text(list(trust[name])) for name in ("agents", "reason")}}
 
 
 def combined(one: Floats | None, other: Floats | None) -> Floats | None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from mast_zenoh.integrity.views import check_view
-from mast_zenoh.messages.schemas import Body
+from mast_zenoh.messages.schemas import Body, text
 from mast_zenoh.node import Context, Node, Received
-from mast_zenoh.pipelines.command_center import Pipeline, trust_body
+from mast_zenoh.pipelines.command_center import Pipeline
 
 
 def is_view(received: Received, context: Context) -> bool:
@@ -44,9 +44,10 @@ class FusingNode(Node):
 
     def publish_trust(self, frame: int, time_ns: int, context: Context) -> Body | None:
         """Publish the trust of the pipeline's last step; returns it. None: the pipeline judges nobody."""
-        if self.pipeline.trust is None:
+        trust = self.pipeline.trust
+        if trust is None:
             return None
-        body = trust_body(self.pipeline.trust)
+        body = {**trust, **{name: text(list(trust[name])) for name in ("agents", "reason")}}
         context.publish("trust", body, frame=frame, time_ns=time_ns)
         return body
 
