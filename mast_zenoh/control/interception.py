@@ -95,7 +95,7 @@ def answer_of(payload: bytes) -> dict[str, Any]:
 def place_of(value: object) -> Place:
     """The place from its `place_json` form; raises MessageError."""
     place: _Place = codec.converted(value, _Place, "place")
-    wires = wiring_of({"wires": place.says, "overhearers": []}, "place: says").wires
+    wires = wiring_of({"wires": place.says, "overhearers": [], "nodes": {}}, "place: says").wires
     return Place(place.wire, place.input, place.output, place.hears, wires, place.before)
 
 

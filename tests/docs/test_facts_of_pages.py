@@ -105,7 +105,7 @@ def scenario():
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of a scenario with the page's examples of metrics and driving."""
-    (metric,) = re.findall(r"^```python\n(.*?)^```$", METRICS, flags=re.S | re.M)
+    metric, _ = re.findall(r"^```python\n(.*?)^```$", METRICS, flags=re.S | re.M)
     options = re.findall(r"`evaluator=dict\(((?:metrics|driving)=.*?)\)`", METRICS)
     assert len(options) == 2
     folder = tmp_path_factory.mktemp("pages")

@@ -34,7 +34,7 @@ def test_every_message_type_describes_its_columns(name: str) -> None:
 
 
 def test_indices_are_limited_to_what_they_index() -> None:
-    limits = {"class_id": CLASSES, "action": ACTIONS, "port": links.WIRES, "fate": links.FATES}
+    limits = {"class_id": CLASSES, "action": ACTIONS, "port": (*links.WIRES, "another type"), "fate": links.FATES}
     limits |= {"state": STATES, "withheld": (False, True), "origin": (False, True)}
     for column in (column for schema in SCHEMAS.values() for column in schema.columns if column.dtype == "uint8"):
         known = next((known for name, known in limits.items() if column.name.endswith(name)), range(256))

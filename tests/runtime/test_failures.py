@@ -165,6 +165,11 @@ def test_a_node_that_receives_every_key_fails_in_the_frame_of_its_message() -> N
 )
 def test_unserialisable_results_are_a_failure_of_finish(returned: Any) -> None:
     class Returns(Node):
+        takes = (ANY,)
+
+        def on_message(self, received: Received, context: Context) -> None:
+            pass
+
         def finish(self, context: Context) -> Any:
             return returned
 

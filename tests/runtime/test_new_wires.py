@@ -32,9 +32,7 @@ wire = "WIRE"
 role = "link"
 """
 AGENT = '''
-from mast_zenoh.config import bundle, loading
-
-Agent = loading.node_class(bundle.ROOT / "nodes" / "agent.py")
+from agent import Agent
 
 
 class IntentAgent(Agent):
