@@ -18,10 +18,12 @@ def find(kind: str, name: str, beside: Path | None = None) -> Path | None:
 
     kind: "nodes", "keyexpr_maps", "scenarios" or "studies"
     """
-    for folders in ((beside, ROOT / kind), plugins.node_folders() if kind == "nodes" else ()):
-        for folder in folders:
-            if folder is not None and (folder / name).is_file():
-                return (folder / name).resolve()
+    for folder in (beside, ROOT / kind):
+        if folder is not None and (folder / name).is_file():
+            return (folder / name).resolve()
+    for folder in plugins.node_folders() if kind == "nodes" else ():  # found only if it is needed: it takes time
+        if (folder / name).is_file():
+            return (folder / name).resolve()
     return None
 
 
