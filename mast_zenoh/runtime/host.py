@@ -123,7 +123,8 @@ class Host:
         self.first_rejected: dict[str, tuple[int, str]] = {}
         self._n_rejected, self._accepted = 0, set[str]()  # and the keys with a message that was not rejected
         self._publishers: dict[str, str] | None = None  # by key; built on first use
-        self.subscriptions: Mapping[str, Input] = ports.inputs
+        self._inputs = dict(ports.inputs)
+        self.subscriptions: Mapping[str, Input] = self._inputs  # nodes such as the recorder keep it: it grows
         self._emit = emit
         self._encode = encode
         self._outputs = ports.outputs
@@ -368,7 +369,7 @@ class Host:
 
     def add_input(self, key: str, port_input: Input) -> None:
         """Accept messages on another key from now on."""
-        self.subscriptions = {**self.subscriptions, key: port_input}
+        self._inputs[key] = port_input
         self._handlers.add(port_input)
 
     @property

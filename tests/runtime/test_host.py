@@ -515,3 +515,18 @@ def test_messages_on_two_legs_are_compared_by_their_bytes() -> None:
     one, same, other = host.node.heard
     assert one.same_bytes(same)
     assert not one.same_bytes(other)
+
+
+def test_subscriptions_that_a_node_has_kept_grow_when_another_is_inserted() -> None:
+    """The recorder's log keeps them from the start, and gets messages on the keys of nodes that are inserted later."""
+
+    class Listens(Node):
+        inputs = {"everything": ANY}
+
+        def on_everything(self, overheard: Overheard, context: Context) -> None:
+            pass
+
+    host = Host("recorder", Listens(), Ports({}, {}), 0, encode=False, emit=lambda out: None)
+    kept = host.subscriptions
+    host.add_input("wire/@tap/0", Input("everything", "", "tracks", "ego"))
+    assert "wire/@tap/0" in kept
