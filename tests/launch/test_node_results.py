@@ -23,7 +23,7 @@ from mast_zenoh.launch import conclusion, run
 from mast_zenoh.launch.table_files import TableFiles
 from mast_zenoh.run_folder import read_json
 from mast_zenoh.run_folder.tables import read_arrow, read_table
-from mast_zenoh.wiring.model import Branch, Endpoint, Leg, Wire, Wiring
+from mast_zenoh.wiring.model import Branch, Endpoint, Leg, Traits, Wire, Wiring
 
 METRICS = {"frames": 3, "agents": {}}
 TABLE = {"frame": np.arange(3), "rmse_m": np.array([0.5, np.nan, 1.0])}
@@ -318,7 +318,7 @@ def test_the_picture_has_come_when_the_first_node_has_it_and_before_interposers(
         "ego": came("cc/picture", 540.0, 506.0),
     }
     measured = conclusion.latency_ms(
-        Wiring((Wire("cc/picture", "", "picture", legs),)),
+        Wiring((Wire("cc/picture", "", "picture", legs, traits=Traits(estimate="picture")),)),
         {
             "simulator": {"sent_ns": SENT},
             **{node: {"arrived_ns": arrivals} for node, arrivals in arrived.items()},

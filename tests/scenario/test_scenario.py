@@ -290,7 +290,7 @@ def test_more_adversaries_than_agents_are_refused() -> None:
 def test_a_node_file_next_to_the_scenario_overrides_the_shipped_one(tmp_path: Path) -> None:
     shipped = (bundle.ROOT / "nodes" / "broker.py").read_text()
     (tmp_path / "broker.py").write_text(
-        shipped.replace("class Broker(Node):", "class MyBroker(Node):").replace("main(Broker)", "main(MyBroker)")
+        shipped.replace("class Broker(", "class MyBroker(").replace("main(Broker)", "main(MyBroker)")
     )
     resolved_scenario = resolved(paper_scenario(tmp_path))
     assert resolved_scenario.nodes["broker"].type == "MyBroker"
