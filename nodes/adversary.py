@@ -148,18 +148,6 @@ class Adversary(Node):
                 for queue in victim.waiting.values():
                     self.proceed(victim, queue, context)
 
-    def on_detections(self, received: Received, context: Context) -> None:
-        """The victim's detections, in transit to it."""
-        self.take_objects(received, context)
-
-    def on_tracks(self, received: Received, context: Context) -> None:
-        """The victim's tracks, in transit to the command centre or to others."""
-        self.take_objects(received, context)
-
-    def on_picture(self, received: Received, context: Context) -> None:
-        """The command centre's picture, in transit to the agent."""
-        self.take_objects(received, context)
-
     def on_view(self, received: Received, context: Context) -> None:
         """What the victim's sensor covers, on its way to the command centre; waits for the lies that it agrees with."""
         victim = self.victim_of(received)
@@ -215,8 +203,8 @@ class Adversary(Node):
         """Store the coordinator's plan, which takes effect in the frame after its arrival."""
         self.directives.add(context.frame, directed_targets(received.body, received.time_ns))
 
-    def take_objects(self, received: Received, context: Context) -> None:
-        """Queue a message, to attack it in order as soon as the victim's pose is known."""
+    def on_tracks(self, received: Received, context: Context) -> None:
+        """Queue a message with objects, to attack it in order as soon as the victim's pose is known."""
         if isinstance(self.attack, PassThrough):
             forward(received, context)
         else:
@@ -224,6 +212,8 @@ class Adversary(Node):
             queue = victim.waiting[received.schema]
             queue.append(received)
             self.proceed(victim, queue, context)
+
+    on_detections = on_picture = on_tracks
 
     def proceed(self, victim: Victim, queue: deque[Received], context: Context) -> None:
         """Attack the first messages of a queue, up to one whose pose has not arrived."""

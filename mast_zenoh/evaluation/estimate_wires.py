@@ -48,70 +48,6 @@ def estimates_on(wiring: Wiring, agents: Collection[str]) -> Iterator[Carried]:
                     yield Carried(wire, key, Series(end, PICTURE_RECEIVED), end)
 
 
-class Influences:
-    """What the passages of a run can affect, by the wirings that it had.
-
-    agents: of the run
-    """
-
-    def __init__(self, agents: Collection[str]) -> None:
-        self._agents = agents
-        self._of_wire: dict[str, EstimateWires] = {}
-
-    def follow(self, wiring: Wiring) -> None:
-        """Use a wiring from now on; wires that it does not have are as before."""
-        self._of_wire |= dict.fromkeys((wire.key for wire in wiring.wires), EstimateWires(wiring, self._agents))
-
-    def frames(self, passage: Passage, series: tuple[str, str], *, fused: bool = True) -> int | None:
-        """Number of frames after its own from which on a message of a passage can affect an estimate; None: it cannot.
-
-        fused: see `Influence.of`. A passage on an unknown wire can affect nothing.
-        """
-        known = self._of_wire.get(passage.wire)
-        return None if known is None else known.frames(passage.wire, passage.before, series, fused)
-
-    def carries(self, passage: Passage, series: tuple[str, str]) -> bool:
-        """Whether an estimate as received is what a passage carries."""
-        known = self._of_wire.get(passage.wire)
-        return known is not None and passage.wire in known.received[_as_received(series)]
-
-    def tracks_of(self, passage: Passage) -> frozenset[str]:
-        """The agents whose own tracks are in the messages of a passage, fused with nobody's."""
-        known = self._of_wire.get(passage.wire)
-        return frozenset() if known is None else known.tracks_on(passage.wire)
-
-    def speaker(self, passage: Passage) -> str:
-        """The agent whose word the messages of a passage are, see `EstimateWires.speaker`; empty: nobody's."""
-        known = self._of_wire.get(passage.wire)
-        return "" if known is None else known.speaker(passage.wire)
-
-    def arrives_at(self, passage: Passage, series: tuple[str, str]) -> bool:
-        """Whether messages of a passage reach the node that makes an estimate, fused with nobody's before."""
-        known = self._of_wire.get(passage.wire)
-        if known is None:
-            return False
-        makers = {wire.legs[0].publisher.node for wire in known.sent_as(series)}
-        arrived = known.influence.of(passage.wire, passage.before, fused=False).arrived
-        return any(node in makers for _, node in arrived)
-
-    def reach(self, passages: Sequence[Passage], series: Sequence[tuple[str, str]], alone: Bools) -> tuple[Bools, Ints]:
-        """Whether messages of p passages can affect s estimates, and after how many frames: (p, s).
-
-        alone: (p,) passages of which only those effects count that come before the messages are fused with what others
-               say, unless they are from an agent's sensors
-        """
-        shape = len(passages), len(series)
-        reached, delay = np.zeros(shape, bool), np.zeros(shape, np.int64)
-        for row, passage in enumerate(passages):
-            known = self._of_wire.get(passage.wire)
-            sensed = known is not None and known.influence.wires[passage.wire].traits.direction == SENSOR
-            for column, each in enumerate(series):
-                frames = self.frames(passage, each, fused=sensed or not alone[row])
-                if frames is not None:
-                    reached[row, column], delay[row, column] = True, frames
-        return reached, delay
-
-
 class EstimateWires:
     """The estimates in one wiring, and what can affect them.
 
@@ -128,6 +64,7 @@ class EstimateWires:
                 self.received[series][wire.key] = receiver
             else:
                 self.sent[series].append(wire)
+        self._estimates = {wire.key for wires in self.sent.values() for wire in wires}
         self._roles = {name: flow.role for name, flow in wiring.nodes.items()}
         self._agents, self._speakers = agents, dict[str, str]()
         self._tracks_on: dict[str, frozenset[str]] | None = None
@@ -141,6 +78,15 @@ class EstimateWires:
         found = [reach.sent.get(wire.key) for wire in self.sent_as(series)]
         found += [reach.arrived.get(place) for place in self.received[_as_received(series)].items()]
         return min((frames for frames in found if frames is not None), default=None)
+
+    def carries(self, key: str, series: tuple[str, str]) -> bool:
+        """Whether an estimate as received is what a wire carries."""
+        return key in self.received[_as_received(series)]
+
+    def arrives_at(self, key: str, before: str, series: tuple[str, str]) -> bool:
+        """Whether messages on a wire reach the node that makes an estimate, fused with nobody's before."""
+        makers = {wire.legs[0].publisher.node for wire in self.sent_as(series)}
+        return any(node in makers for _, node in self.influence.of(key, before, fused=False).arrived)
 
     def sent_as(self, series: tuple[str, str]) -> list[Wire]:
         """The wires with an estimate of an agent, or with the one that it shares with others."""
@@ -156,7 +102,7 @@ class EstimateWires:
         """Whether an estimate, or the world, depends on messages on a wire."""
         sent, arrived = self.influence.of(key, before)
         return (
-            any(wire.key in sent for wires in self.sent.values() for wire in wires)
+            not self._estimates.isdisjoint(sent)
             or any(place in arrived for places in self.received.values() for place in places.items())
             or any(self._roles.get(node) == "simulator" for _, node in arrived)
         )
@@ -180,14 +126,11 @@ class EstimateWires:
         opinions about others.
         """
         if key not in self._speakers:
-            wire = self.influence.wires.get(key)
-            agent = "" if wire is None or wire.message in _OPINIONS else agent_of(wire.subject)
-            if wire is not None and agent in self._agents and wire.traits.direction in (SENSOR, UP):
-                sent = self.influence.of(key).sent
-                says = any(wire.key in sent for wires in self.sent.values() for wire in wires)
-            else:
-                says = False
-            self._speakers[key] = agent if says else ""
+            wire = self.influence.wires[key]
+            agent = agent_of(wire.subject)
+            says = wire.message not in _OPINIONS and wire.traits.direction in (SENSOR, UP) and agent in self._agents
+            used = says and not self._estimates.isdisjoint(self.influence.of(key).sent)
+            self._speakers[key] = agent if used else ""
         return self._speakers[key]
 
 
@@ -195,3 +138,40 @@ def _as_received(series: tuple[str, str]) -> tuple[str, str]:
     """The estimate as it is received, for what an agent holds of it later."""
     agent, estimator = series
     return (agent, PICTURE_RECEIVED) if estimator == PICTURE_ON_ARRIVAL else (agent, estimator)
+
+
+class Influences:
+    """What the passages of a run can affect, by the wirings that it had.
+
+    agents: of the run
+    """
+
+    def __init__(self, agents: Collection[str]) -> None:
+        self._agents = agents
+        self._of_wire: dict[str, EstimateWires] = {}
+
+    def follow(self, wiring: Wiring) -> None:
+        """Use a wiring from now on; wires that it does not have are as before."""
+        self._of_wire |= dict.fromkeys((wire.key for wire in wiring.wires), EstimateWires(wiring, self._agents))
+
+    def of(self, passage: Passage) -> EstimateWires | None:
+        """What is known of the wire of a passage; None: nothing, so its messages can affect nothing."""
+        return self._of_wire.get(passage.wire)
+
+    def reach(self, passages: Sequence[Passage], series: Sequence[tuple[str, str]], alone: Bools) -> tuple[Bools, Ints]:
+        """Whether messages of p passages can affect s estimates, and after how many frames: (p, s).
+
+        alone: (p,) passages of which only those effects count that come before the messages are fused with what others
+               say, unless they are from an agent's sensors
+        """
+        shape = len(passages), len(series)
+        reached, delay = np.zeros(shape, bool), np.zeros(shape, np.int64)
+        for row, passage in enumerate(passages):
+            if (known := self.of(passage)) is None:
+                continue
+            fused = not alone[row] or known.influence.wires[passage.wire].traits.direction == SENSOR
+            for column, each in enumerate(series):
+                frames = known.frames(passage.wire, passage.before, each, fused)
+                if frames is not None:
+                    reached[row, column], delay[row, column] = True, frames
+        return reached, delay

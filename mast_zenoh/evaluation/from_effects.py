@@ -62,7 +62,10 @@ def manipulations(
     of_box &= (kind == ALTERED) & of_tracks[effects.passage[hidden]]
     renamed = effects.passage[hidden[np.array(["id" in names for names in columns], bool)]]
     # What a passage carries is judged where it says, unless it is called by another name.
-    as_sent = np.array([[influences.carries(each, one) for one in series] for each in effects.passages], bool)
+    wires = [(influences.of(each), each.wire) for each in effects.passages]
+    as_sent = np.array(
+        [[known is not None and known.carries(key, one) for one in series] for known, key in wires], bool
+    )
     as_sent = as_sent.reshape(len(is_link), len(series)) & ~np.isin(np.arange(len(is_link)), renamed)[:, None]
     shown, delay = influences.reach(effects.passages, series, np.zeros(len(is_link), bool))
     # Whether the picture lacks an object because of a link depends on the others that report it (`metrics.cut_off`).
@@ -164,10 +167,11 @@ def stopped_by_links(
     rows = effects.rows("dropped", "delayed", "corrupted", "unsettled")
     for index, passage in enumerate(effects.passages):
         picture = (listener, PICTURE)
-        senders = influences.tracks_of(passage) - {listener}
-        if roles.get(passage.node) != "link" or not senders or not influences.arrives_at(passage, picture):
+        known, place = influences.of(passage), (passage.wire, passage.before)
+        if known is None or roles.get(passage.node) != "link" or not known.arrives_at(*place, picture):
             continue
-        after = influences.frames(passage, picture) or 0
+        senders = known.tracks_on(passage.wire) - {listener}
+        after = known.frames(*place, picture) or 0
         lost = np.isin(frames - after, effects.frame[rows[effects.passage[rows] == index]])
         result[:, [name in senders for name in agents]] |= lost[:, None]
     return result
@@ -180,7 +184,8 @@ def displaced_by_links(manipulations: Manipulations, effects: Effects, scores: S
     moved = (manipulations.kind == MOVED) & (manipulations.culprit < 0)
     for index, passage in enumerate(effects.passages):
         rows = (moved & (manipulations.passage == index)).nonzero()[0]
-        if len(rows) and passage.subject in agents and passage.subject in influences.tracks_of(passage):
+        known = influences.of(passage)
+        if len(rows) and known and passage.subject in agents and passage.subject in known.tracks_on(passage.wire):
             places = manipulations.object[rows], manipulations.frame[rows]
             result[:, agents.index(passage.subject)] |= occurs(keys, places)
     return result

@@ -48,7 +48,8 @@ def lies(
     counts[effects.rows("unsettled")] = False
     about = np.where(effects.frame >= 0, effects.frame, effects.step)
     for index, passage in enumerate(effects.passages):
-        agent = influences.speaker(passage)
+        known = influences.of(passage)
+        agent = known.speaker(passage.wire) if known else ""
         if roles.get(passage.node) != "link" and agent in agents:
             changed = about[counts & (effects.passage == index)]
             result[:, list(agents).index(agent)] |= np.isin(frames, changed)

@@ -50,7 +50,7 @@ from mast_zenoh.scenario.resolution import modules_of
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.wiring import maps
 from mast_zenoh.wiring.insertion import Place, insert
-from mast_zenoh.wiring.model import ANY, Endpoint, Leg, Wire, Wiring, agent_of
+from mast_zenoh.wiring.model import ANY, Endpoint, Leg, Wire, Wiring, agent_of, takes
 
 SECRET_FILE = "control.key"
 
@@ -293,7 +293,7 @@ def port_of(node: type[Node], message: str, requested: str | None, place: str, s
         raise NodeFileError(f"{place} subscribes to every key: it cannot be put on a wire")
     matching = [port for port, carried in ports.items() if carried == message]
     of_type = {"input": message, "output": f"{message}_out"}[side]
-    if not matching and (message in node.takes or ANY in node.takes):
+    if not matching and takes(node.takes, message):
         return requested or of_type
     if requested is not None:
         if requested not in ports:

@@ -10,7 +10,7 @@ from mast_zenoh.config.resolved import DRIVER_ROLE
 from mast_zenoh.errors import WiringError, nearest
 from mast_zenoh.node import Node
 from mast_zenoh.wiring import insertion
-from mast_zenoh.wiring.model import ANY, Branch, Endpoint, Leg, Listener, Wire, Wiring
+from mast_zenoh.wiring.model import ANY, Branch, Endpoint, Leg, Listener, Wire, Wiring, takes
 
 #: The roles that are played, by the place of the cut; drivers, because a recorded truth follows from their commands.
 PLAYED_ROLES: Mapping[str, tuple[str, ...]] = {
@@ -210,7 +210,7 @@ def _is_input(end: Endpoint, wire: Wire, classes: Mapping[str, type[Node]]) -> b
     if end.node not in classes:
         return True
     cls = classes[end.node]
-    if end.port not in cls.inputs and (wire.message in cls.takes or ANY in cls.takes):
+    if end.port not in cls.inputs and takes(cls.takes, wire.message):
         return True
     known = cls.inputs.get(end.port)
     if known not in (None, wire.message):

@@ -203,7 +203,8 @@ def lie_frames(run: Run, agent: str) -> Ints:
     if changes is None:
         return np.zeros(0, np.int64)
     known = run.estimate_wires
-    wires = [wire for wire in np.unique(changes["wire"]).tolist() if known.speaker(wire) == agent]
+    changed = known.influence.wires.keys() & set(changes["wire"].tolist())
+    wires = [wire for wire in sorted(changed) if known.speaker(wire) == agent]
     return np.unique(changes["frame"][np.isin(changes["wire"], wires)]).astype(np.int64)
 
 

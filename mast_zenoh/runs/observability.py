@@ -103,8 +103,9 @@ def observability(run: Run | str | Path) -> Observability:
 def _changes(run: Run) -> dict[str, NDArray[Any]]:
     """Measured changes to objects that agents report, by interposers other than links."""
     table = from_arrow(run.attacks)
-    speakers = {wire: run.estimate_wires.speaker(wire) for wire in np.unique(table["wire"].astype(str)).tolist()}
-    upstream = {wire: agent for wire, agent in speakers.items() if agent}
+    estimates = run.estimate_wires
+    wires = estimates.influence.wires.keys() & set(table["wire"].tolist())
+    upstream = {wire: agent for wire in sorted(wires) if (agent := estimates.speaker(wire))}
     kinds = ("inserted", "removed", "moved", "altered")
     kept = (table["role"] != "link") & np.isin(table["wire"], list(upstream)) & np.isin(table["effect"], kinds)
     table = {name: column[kept] for name, column in table.items()}

@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
 from mast_zenoh.errors import WiringError, nearest
-from mast_zenoh.wiring.model import ANY, Endpoint, agent_of
+from mast_zenoh.wiring.model import Endpoint, agent_of, takes
 
 #: Roles that a map may name even where a scenario has no such node.
 ROLES = (
@@ -40,10 +40,6 @@ class NodeOptions:
         """The subjects that an option names; none without the option."""
         value = self.options.get(option, ())
         return (value,) if isinstance(value, str) else value
-
-    def takes_type(self, message: str) -> bool:
-        """Whether a map may give it an input port for messages of a type."""
-        return message in self.takes or ANY in self.takes
 
 
 def members(
@@ -107,14 +103,12 @@ def ports(
     for name, node in nodes.items():
         known = node.outputs if output else node.inputs
         side = "output" if output else "input"
-        if port not in known and port in optional:
-            continue
-        if port not in known and (forwards or not output) and node.takes_type(message):
-            ends.append(Endpoint(name, port))
-            continue
         if port not in known:
-            raise WiringError(f"{place}: {name} has no {side} port {port!r}{nearest(port, known)}")
-        if known[port] != message:
+            if port in optional:
+                continue
+            if (output and not forwards) or not takes(node.takes, message):
+                raise WiringError(f"{place}: {name} has no {side} port {port!r}{nearest(port, known)}")
+        elif known[port] != message:
             raise WiringError(f"{place}: {name}.{port} carries {known[port]!r} messages, the wire {message!r}")
         ends.append(Endpoint(name, port))
     return ends

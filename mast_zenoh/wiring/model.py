@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from itertools import pairwise
 from typing import Any
@@ -468,6 +468,11 @@ def part_of(subject: str) -> str:
 def subject_of(agent: str, part: str) -> str:
     """The subject of a part of an agent, or of the agent itself if `part` is empty."""
     return f"{agent}/{part}" if part else agent
+
+
+def takes(types: Collection[str], message: str) -> bool:
+    """Whether a message type is among those that a node takes on further ports (`Node.takes`)."""
+    return message in types or ANY in types
 
 
 def wire_key(key: str) -> str:
