@@ -300,10 +300,12 @@ def test_the_foxglove_layout_shows_markers_on_the_map(run: Run, tmp_path: Path) 
 
 
 @pytest.fixture
-def keyless(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An installation without what the plugin requires."""
-    for name in [name for name in sys.modules if name == "mast_ros2.type_store" or name.partition(".")[0] == "rosbags"]:
-        monkeypatch.delitem(sys.modules, name)
+def without_rosbags(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An installation without what the plugin requires, whatever the tests before have imported."""
+    for name in sorted(sys.modules):
+        package, _, module = name.partition(".")
+        if package == "rosbags" or (package == "mast_ros2" and module not in ("", "mesh", "commands")):
+            monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "rosbags", None)
 
 
@@ -333,7 +335,7 @@ def test_what_cannot_be_published_is_refused_with_the_reason_and_its_own_exit_co
         refused(26, "", "tcp/127.0.0.1:9", f"--router={router}")
 
 
-@pytest.mark.usefixtures("keyless")
+@pytest.mark.usefixtures("without_rosbags")
 def test_without_what_the_plugin_requires_the_command_names_it(mast: Command, recorded: mast_package.Run) -> None:
     for words in (["ros2", str(recorded.path)], ["export", str(recorded.path), "--to", "rosbag2", "-o", "bag"]):
         code, _, errors = mast(*words)
